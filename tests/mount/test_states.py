@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from msgspec.structs import replace
 
+from imucald.config.calibration import CalibrationSettings, StateLimits
 from imucald.motion.column_ticks import ticks_from_samples
 from imucald.mount.estimate import Missing, MountState
 from imucald.mount.estimator import FullEstimator
@@ -80,6 +81,21 @@ def test_a_cross_axis_error_that_no_driving_makes_less_is_the_reason_for_yaw():
     assert code is Missing.OTHER
     still = replace(known(0.4), yaw_seen=0.4 * DEG, cross_axis=0.008)
     assert waiting_for(still, SETTINGS)["yaw"][0] == "more driving"
+
+
+def test_what_no_driving_shows_of_yaw_may_be_twice_the_limit():
+    """The limit would choose mounts whose seen errors are small by chance, whatever the unseen."""
+    hidden = replace(known(1.9), yaw_seen=0.2 * DEG, cross_axis=0.04)
+    levelled, usable = MountState.LEVELLED, MountState.USABLE
+    assert judged(hidden, levelled, SETTINGS) == usable
+    assert judged(replace(hidden, std=known(2.1).std), levelled, SETTINGS) == levelled
+    assert judged(replace(hidden, std=known(2.7).std), usable, SETTINGS) == usable
+    assert judged(replace(hidden, std=known(2.9).std), usable, SETTINGS) == levelled
+    assert judged(replace(hidden, yaw_seen=0.4 * DEG), levelled, SETTINGS) == levelled
+    assert judged(replace(hidden, cross_axis=0.01), levelled, SETTINGS) == levelled
+    assert judged(replace(hidden, has_past=True), levelled, SETTINGS) == levelled
+    stated = EstimatorSettings(CalibrationSettings(states=StateLimits(usable_yaw_deg=1.0)))
+    assert judged(hidden, levelled, stated) == levelled
 
 
 def test_one_reason_per_angle():
