@@ -32,9 +32,6 @@ CARRIED = 0.4
 """A signal carries motion up to this share of its rate."""
 TILTED = ("accel_x", "accel_y")
 """Equations that share the tilt of a block."""
-ROAD = {"gyro_x": 0, "gyro_y": 1}
-"""Equations of rates about level axes, which turning on a slope or a cross fall has as well, and
-which of the levels that is: w_x = du_y/dt + r u_x, w_y = -du_x/dt + r u_y."""
 LEAST_SHARE = 0.6
 """Of a block's rows that must be there."""
 MOVING_MPS, MOVING_SHARE = 1.5, 0.15
@@ -120,8 +117,6 @@ class _Rows:
     good: Mask
     seconds: float
     """Length of a block."""
-    turning: Array | None = None
-    """(B, K) yaw rate, where the road's lean in a block brings it into the equation."""
 
 
 def table_of(drives: Sequence[DriveSignals], model: VehicleModel) -> tuple[Table, list[Forward]]:
@@ -177,10 +172,9 @@ def _rows(
         if name in base.tilt:
             tilt = np.stack([cosine(z, mask, count) for z in base.tilt[name]], axis=2)
         good = mask.mean(axis=1) >= LEAST_SHARE
-        turning = cosine(f.yaw_rate().reshape(x.shape), mask, count) if name in ROAD else None
         made[name] = _Rows(
             cosine(x, mask, count), np.zeros((f.blocks, count, len(keys))), tilt, good,
-            f.rows * STEP_S, turning,
+            f.rows * STEP_S,
         )  # fmt: skip
     for j, key in enumerate(keys):
         step = tolerance(model, key) or PARAMETERS[key].tolerance
@@ -202,12 +196,9 @@ def _joined(parts: Sequence[_Rows]) -> _Rows:
     tilt = None
     if parts[0].tilt is not None:
         tilt = np.concatenate([p.tilt for p in parts if p.tilt is not None])
-    turning = None
-    if parts[0].turning is not None:
-        turning = np.concatenate([p.turning for p in parts if p.turning is not None])
     return _Rows(
         np.concatenate([p.y for p in parts]), np.concatenate([p.X for p in parts]), tilt,
-        np.concatenate([p.good for p in parts]), parts[0].seconds, turning,
+        np.concatenate([p.good for p in parts]), parts[0].seconds,
     )  # fmt: skip
 
 
@@ -223,11 +214,10 @@ def _weighed(
     errors = np.array([model_error(model, key) for key in keys])
     bounds = np.array([plausible(model, key) for key in keys]).reshape(-1, 2)
     free = np.zeros(len(keys))
-    leans = _leans(levels)
     for _ in range(PASSES):
         left = _without_tilt(parts, free)
         weights = {name: noise_weights(left[name], rows.good) for name, rows in parts.items()}
-        gram = _gram(parts, weights, leans)
+        gram = _gram(parts, weights)
         total = np.asarray(sum(gram.values())).sum(axis=0)
         # What no sensor and no vehicle can have is no fit, however much noise it takes away.
         free = box_fit(total[1:, 1:], total[1:, 0], bounds[:, 0], bounds[:, 1])
@@ -307,23 +297,8 @@ def _plain(parts: Mapping[str, _Rows]) -> dict[str, Array]:
     return made
 
 
-def _leans(levels: Array) -> Array:
-    """(2,) deviation of the road's slope and cross fall from block to block [rad], by steps between
-    neighbours, of which a moved mount makes one only. levels: (B, 2)."""
-    if len(levels) < 2:
-        return np.zeros(2)
-    # The median of a squared normal number is 0.455 of its mean; a step has it twice.
-    return np.asarray(np.sqrt(np.median(np.diff(levels, axis=0) ** 2, axis=0) / 0.455 / 2.0))
-
-
-def _gram(
-    parts: Mapping[str, _Rows], weights: Mapping[str, Array], leans: Array
-) -> dict[str, Array]:
-    """(B, P+1, P+1) by equation; those with gravity are one, named by the first.
-
-    leans: (2,) deviation of the road's slope and cross fall; what turning makes of them is noise
-    that a block has as a whole.
-    """
+def _gram(parts: Mapping[str, _Rows], weights: Mapping[str, Array]) -> dict[str, Array]:
+    """(B, P+1, P+1) by equation; those with gravity are one, named by the first."""
     made: dict[str, Array] = {}
     tilted = [n for n in TILTED if n in parts]
     both = [np.concatenate([parts[n].y[:, :, None], parts[n].X], axis=2)
@@ -342,14 +317,4 @@ def _gram(
         if name not in tilted:
             a = np.concatenate([rows.y[:, :, None], rows.X], axis=2) * weights[name][:, :, None]
             made[name] = np.swapaxes(a, 1, 2) @ a
-            if rows.turning is not None:
-                made[name] -= _of_the_road(a, rows.turning * weights[name], leans[ROAD[name]])
     return made
-
-
-def _of_the_road(a: Array, turning: Array, lean: float) -> Array:
-    """(B, P+1, P+1) by which a'a is more than a'(1 + lean^2 t t')^-1 a (Woodbury). a: (B, K, P+1).
-    turning: (B, K)."""
-    both = np.einsum("bkp,bk->bp", a, turning)
-    share = lean**2 / (1.0 + lean**2 * np.einsum("bk,bk->b", turning, turning))
-    return np.asarray(share[:, None, None] * both[:, :, None] * both[:, None, :])
