@@ -50,16 +50,25 @@ NEVER = {
 LAZY_LIBRARIES = {
     "aiohttp", "asammdf", "can", "difflib", "dpkt", "isotp", "jinja2", "kuksa_client", "matplotlib",
     "paho", "rich", "scipy", "subprocess", "yaml", "zstandard",
+    "bz2", "glob", "gzip", "lzma", "pkgutil", "tempfile",
 }  # fmt: skip
-"""Large libraries, which a function may import when it needs them."""
+"""Large libraries, which a function may import when it needs them, and in the last line what makes
+5 ms together, without which a plain log can be read."""
 
 LAZY_ROOMS = {"commands"}
 """A command loads what it needs when it runs: `--help` and other commands do without."""
 
 LAZY_MODULES: Mapping[str, str] = {
     "api.drive._repr_html_: api.html": "2 ms: pages of notebooks",
+    "api.drive.plot: api.plots": "1 ms: few draw",
     "api.drive.write: api.files.written": "2 ms: few write tables",
     "api.streaming.write: api.files.written": "2 ms: few write tables",
+    "api.table_access.arrow: api.files.table_file": "with the next",
+    "api.table_access.arrow: api.interchange": "1 ms: the command line asks for no table",
+    "api.table_access.resample: api.interchange": "with the one before",
+    "api.table_access.resample: api.resampling": "with it",
+    "api.table_access.to_pandas: api.interchange": "with it",
+    "api.table_access.to_polars: api.interchange": "with it",
     "can.link.port.open_port: can.link.adapter": "python-can: SocketCAN does without",
     "can.logs.python_can_logs._open: can.python_can": "python-can: candump does without",
     "config.root.json_schema: config.schema": "only `imucald schema` needs it",
@@ -70,6 +79,8 @@ LAZY_MODULES: Mapping[str, str] = {
     "report.page._pictures: report.plots": "loads matplotlib",
     "report.replay_page.replay_page: report.motion_plots": "loads matplotlib",
     "report.replay_page.replay_page: report.replay_plots": "loads matplotlib",
+    "runtime.estimators.estimator_for: mount.restored": "1 ms: few state a mount",
+    "runtime.estimators.known_mount: mount.restored": "with it",
     "runtime.estimators.learning_estimator: mount.method_a.estimator": "4 ms, 0.4 MiB: few use it",
     "runtime.output.output_frames._attitude_frames: runtime.output.attitude_frames": "1 ms",
     "runtime.output.output_frames._travel_frames: runtime.output.travel_frames": "4 ms, 0.3 MiB",

@@ -23,6 +23,7 @@ from benchmarks.public_logs.repositories import (
     ROAD_SURFACE,
     SANTOLLAN,
     VEHSENSE,
+    Repository,
 )
 from imucald.api.interchange import library
 
@@ -102,22 +103,7 @@ def paratransit_shuttle(data: Path, part: int) -> list[Message]:
 
 def phone_s24(data: Path) -> list[Message]:
     """Phone, 3.4 min of a drive, picked up and put down by hand: IMU 60 Hz, GPS 1 Hz."""
-    messages = []
-    for id_, name, path, unit, step in (
-        (0x31, "Acc", "TotalAcceleration.csv", "m/s^2", 0.002),
-        (0x32, "Gyr", "Gyroscope.csv", "rad/s", 0.0005),
-    ):
-        rows = _rows(SANTOLLAN.file(data, path))
-        t, values = _column(rows, "time") * 1e-9, _columns(rows, *"xyz")
-        messages.append(triad(id_, name, name, unit, step, t, values, "_x _y _z"))
-    rows = _rows(SANTOLLAN.file(data, "Location.csv"))
-    messages.append(
-        Message(0x40, "Loc", _column(rows, "time") * 1e-9, (
-            Signal("Loc_speed", "m/s", 0.01, _column(rows, "speed"), False),
-            Signal("Loc_bearing", "deg", 0.01, _column(rows, "bearing"), False),
-        ))
-    )  # fmt: skip
-    return messages
+    return _sensor_logger(data, SANTOLLAN, (0x31, 0x32, 0x40), ("Loc_speed", "Loc_bearing"))
 
 
 def pixel_1hz(data: Path) -> list[Message]:
@@ -230,22 +216,7 @@ def pittsburgh(data: Path, trips: tuple[int, ...]) -> list[Message]:
 
 def pune_phone(data: Path) -> list[Message]:
     """Phone, 4.5 min of a city, turned about on the way: accelerometer and gyroscope 100 Hz."""
-    messages = []
-    for id_, name, path, unit, step in (
-        (0x51, "Acc", "TotalAcceleration.csv", "m/s^2", 0.002),
-        (0x52, "Gyr", "Gyroscope.csv", "rad/s", 0.0005),
-    ):
-        rows = _rows(PUNE.file(data, path))
-        t, values = _column(rows, "time") * 1e-9, _columns(rows, *"xyz")
-        messages.append(triad(id_, name, name, unit, step, t, values, "_x _y _z"))
-    rows = _rows(PUNE.file(data, "Location.csv"))
-    messages.append(
-        Message(0x53, "Loc", _column(rows, "time") * 1e-9, (
-            Signal("speed", "m/s", 0.01, _column(rows, "speed"), False),
-            Signal("bearing", "deg", 0.01, _column(rows, "bearing"), False),
-        ))
-    )  # fmt: skip
-    return messages
+    return _sensor_logger(data, PUNE, (0x51, 0x52, 0x53), ("speed", "bearing"))
 
 
 def dresden_motorbike(data: Path) -> list[Message]:
@@ -276,6 +247,29 @@ def dresden_motorbike(data: Path) -> list[Message]:
             Signal("locationCourse", "deg", 0.01, course[has_course], False),
         )),
     ]  # fmt: skip
+
+
+def _sensor_logger(
+    data: Path, repository: Repository, ids: tuple[int, int, int], names: tuple[str, str]
+) -> list[Message]:
+    """What the app Sensor Logger wrote. ids: of accelerometer, gyroscope, GPS; names: of the
+    signals of speed and bearing."""
+    messages = []
+    for id_, name, path, unit, step in (
+        (ids[0], "Acc", "TotalAcceleration.csv", "m/s^2", 0.002),
+        (ids[1], "Gyr", "Gyroscope.csv", "rad/s", 0.0005),
+    ):
+        rows = _rows(repository.file(data, path))
+        t, values = _column(rows, "time") * 1e-9, _columns(rows, *"xyz")
+        messages.append(triad(id_, name, name, unit, step, t, values, "_x _y _z"))
+    rows = _rows(repository.file(data, "Location.csv"))
+    messages.append(
+        Message(ids[2], "Loc", _column(rows, "time") * 1e-9, (
+            Signal(names[0], "m/s", 0.01, _column(rows, "speed"), False),
+            Signal(names[1], "deg", 0.01, _column(rows, "bearing"), False),
+        ))
+    )  # fmt: skip
+    return messages
 
 
 def _chunks(data: Path, folder: str, stem: str) -> list[dict[str, str]]:

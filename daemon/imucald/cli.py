@@ -15,8 +15,8 @@ import importlib
 import os
 import signal
 import sys
-import threading
 from collections.abc import Sequence
+from contextlib import suppress
 from types import ModuleType
 from typing import Any
 
@@ -178,24 +178,22 @@ def _parsed(parser: argparse.ArgumentParser, arguments: list[str]) -> argparse.N
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Entry point of the `imucald` command; returns the exit status."""
-    ours = {
-        number: handler
-        for number, usual, handler in SIGNALS
-        if signal.getsignal(number) is usual  # not ignored, not somebody else's
-        and threading.current_thread() is threading.main_thread()
-    }
-    before = {number: signal.signal(number, handler) for number, handler in ours.items()}
+    taken = []
+    for number, usual, handler in SIGNALS:
+        if signal.getsignal(number) is usual:  # not ignored, not somebody else's
+            with suppress(ValueError):  # another thread than the first may not
+                taken.append((number, handler, signal.signal(number, handler)))
     try:
         return _done(argv)
     except KeyboardInterrupt:
-        if number := ending_signal():
-            return DIED_OF + number
+        if died_of := ending_signal():
+            return DIED_OF + died_of
         print("imucald: interrupted", file=sys.stderr)
         return 130
     finally:
-        for number, handler in ours.items():
+        for number, handler, before in taken:
             if signal.getsignal(number) is handler:
-                signal.signal(number, before[number])
+                signal.signal(number, before)
 
 
 def _done(argv: Sequence[str] | None) -> int:

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from imucald.can import logs
-from imucald.can.logs import log_reader, python_can_logs
+from imucald.can.logs import python_can_logs
 from imucald.can.logs.log_reader import CAN_EFF_FLAG, IdMatch, LogReader
 from imucald.can.python_can import can
 from imucald.core.errors import LogError
@@ -241,7 +241,6 @@ class FORMAT:
 def test_a_new_format_is_one_file_in_the_folder_of_logs(tmp_path, monkeypatch):
     (tmp_path / "one_frame_logs.py").write_text(ONE_FRAME_LOGS)
     monkeypatch.setattr(logs, "__path__", [*logs.__path__, str(tmp_path)])
-    monkeypatch.setattr(log_reader, "FORMATS", log_reader.find_formats())
     path = tmp_path / "a.one"
     path.write_bytes(bytes(range(8)))
     reader = LogReader([path], [IdMatch(0x123, 0x7FF)])

@@ -12,10 +12,7 @@ from imucald.diagnosis.adequacy import (
     _common,
     _cut_offs,
     _peaks,
-    uneven,
 )
-from imucald.diagnosis.blocks import Table
-from imucald.diagnosis.score import Hypothesis, Problem
 
 BLOCKS, BINS = 40, 20
 BAND = np.ones(BINS, dtype=bool)
@@ -81,52 +78,7 @@ def test_a_peak_at_the_cut_off_of_a_found_low_pass_swings_not():
     assert _cut_offs({"gyro.delay_s": 0.01}) == []
 
 
-SEGMENTS, ROWS, TOLERANCE = 45, 60, 0.06
-
-
-def of_segments(seed: int, extra=0.0, zero=0.0) -> Problem:
-    """Forward force with noise, a zero and a gain. extra: (SEGMENTS,) noise that some have more;
-    zero: (SEGMENTS,) of each."""
-    rng = np.random.default_rng(seed)
-    X = np.stack([np.full((SEGMENTS, ROWS), 1.0), rng.standard_normal((SEGMENTS, ROWS))], axis=2)
-    loud = np.reshape(np.hypot(0.1, extra), (-1, 1))
-    y = loud * rng.standard_normal((SEGMENTS, ROWS)) + np.reshape(zero, (-1, 1))
-    A = np.concatenate([y[:, :, None], X], axis=2)
-    gram = np.swapaxes(A, 1, 2) @ A
-    plain = np.stack([gram, np.zeros_like(gram)], axis=1) / ROWS
-    tolerance = np.array([TOLERANCE, 0.01])
-    table = Table(
-        ("accel.bias.x", "accel.scale.0"), 100.0 * gram, {"accel_x": 100.0 * gram},
-        np.full(SEGMENTS, ROWS), 30.0 * np.arange(SEGMENTS), np.zeros(SEGMENTS, dtype=int),
-        np.ones(SEGMENTS), tolerance, np.zeros(2), np.array([[-1.0, 1.0], [-0.1, 0.1]]),
-        {"accel_x": 1.0}, 30.0, {"accel_x": plain}, np.zeros((SEGMENTS, 2)),
-    )  # fmt: skip
-    return Problem(table, -tolerance, tolerance)
-
-
-@pytest.mark.parametrize("seed", range(10))
-def test_segments_of_one_noise_are_even(seed):
-    assert uneven(of_segments(seed), None) == []
-
-
-def test_what_acts_in_some_segments_is_reported_with_its_size_and_one_segment_does_not_decide():
-    some = np.where(np.arange(SEGMENTS) % 6 == 0, 0.3, 0.0)
-    found = uneven(of_segments(3, some), None)
-    assert [s.kind for s in found] == ["some segments leave more"]
-    # Of a power 0.1^2 + 0.3^2 what chance makes of 0.1^2 is taken off; the tolerance is 0.061.
-    assert found[0].size == pytest.approx(np.sqrt(0.1 - 0.015) / 0.061, rel=0.2)
-    one = np.where(np.arange(SEGMENTS) == 7, 3.0, 0.0)
-    assert uneven(of_segments(4, one), None) == []
-
-
-def test_what_a_correct_file_makes_of_some_segments_is_even():
-    some = np.where(np.arange(SEGMENTS) % 6 == 0, 0.5 * TOLERANCE, 0.0)
-    assert uneven(of_segments(5, 0.0, some), None) == []
-
-
-def test_what_a_drift_makes_is_taken_off():
-    ramp = np.linspace(0.0, 1.0, SEGMENTS)
-    p = of_segments(6, 0.0, 0.6 * ramp)
-    assert uneven(p, None) != []
-    drift = Hypothesis("accel_bias_drift", ("accel.bias.x",), pattern=ramp)
-    assert uneven(p, drift) == []
+def test_what_is_younger_than_stated_lets_the_signals_beside_it_be_low_passed():
+    assert "steering" not in {s for s, _, _ in _cut_offs({"steering.delay_s": -0.45})}
+    assert {"gyro", "yaw_rate"} <= {s for s, _, _ in _cut_offs({"steering.delay_s": -0.45})}
+    assert {s for s, _, _ in _cut_offs({"steering.delay_s": 0.45})} == {"steering"}

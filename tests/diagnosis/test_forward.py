@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
@@ -179,6 +180,20 @@ def test_stops_are_those_that_speed_and_gyroscope_agree_on():
     assert rest is not None
     true = mount_of(model) @ [drive.parameters[f"gyro.bias.{i}"] for i in range(3)]
     assert rest.rate == pytest.approx(true, abs=0.0012)  # it warms up besides
+
+
+def test_two_stops_that_differ_show_no_zero_more_sharply_than_they_differ():
+    """As of a gyroscope that forgets: what it shows at a stop is left of the turn before it."""
+    drive, model = world()
+    whole = drive_of(drive.samples)
+    first = whole.stops[0]
+    other = replace(first, gyro=first.gyro + np.radians([0.0, 0.0, 0.4]))
+    same = rest_of([replace(whole, stops=(first, first))], model, 3)
+    differ = rest_of([replace(whole, stops=(first, other))], model, 3)
+    assert same is not None
+    assert differ is not None
+    assert same.se == pytest.approx(np.radians([0.04] * 3))
+    assert np.degrees(np.linalg.norm(differ.se)) > 0.19
 
 
 # writing -----------------------------------------------------------------------------------------

@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 
 from imucald.core.samples import Series
+from imucald.diagnosis.diagnose import _is_gyro_held
 from imucald.diagnosis.lost_readings import all_lost, as_structure, lost_readings
-from imucald.diagnosis.result import VALUE_HELD
+from imucald.diagnosis.result import READINGS_LOST
 
 RATE_HZ, SECONDS = 50.0, 300.0
 SIGNALS = 5
@@ -41,9 +42,9 @@ def test_what_a_contact_that_opens_shows_is_found_row_by_row(value):
     assert lost.value == pytest.approx(value)
     assert (lost.rows == rows).all()
     assert len(lost.kept(series).t) == int((~rows).sum())
-    told = as_structure("accel", lost)
-    assert told.kind == VALUE_HELD
-    assert "m/s^2" in told.text
+    structure = as_structure("accel", lost)
+    assert structure.kind == READINGS_LOST
+    assert "m/s^2" in structure.text
 
 
 @pytest.mark.parametrize("lsb", [0.002, 0.125])
@@ -69,3 +70,33 @@ def test_a_dead_zone_is_entered_by_small_steps():
     )
     shown = np.sign(x) * np.maximum(np.abs(x) - 0.1, 0.0)
     assert lost_readings(Series(t, np.round(shown, 3)), SIGNALS) is None
+
+
+def test_blows_beyond_a_range_of_one_number_are_no_lost_readings():
+    """Kerbs that push a sideways sensor onto either rail, each for one sample."""
+    rng = np.random.default_rng(3)
+    t = np.arange(0.0, SECONDS, 1.0 / RATE_HZ)
+    x = np.cumsum(rng.standard_normal(len(t))) * 0.01 + 0.1 * rng.standard_normal(len(t))
+    hit = rng.choice(np.arange(1, len(t) - 1, 20), 60, replace=False)
+    x[hit] = 40.0 * np.where(rng.random(60) < 0.5, 1.0, -1.0)
+    rail = 18.0
+    assert lost_readings(Series(t, np.round(np.clip(x, -rail, rail), 2)), SIGNALS) is None
+
+
+def test_a_signal_of_one_number_that_falls_back_to_its_largest_value_loses_readings():
+    rng = np.random.default_rng(3)
+    t = np.arange(0.0, SECONDS, 1.0 / RATE_HZ)
+    x = np.cumsum(rng.standard_normal(len(t))) * 0.01 + 0.1 * rng.standard_normal(len(t))
+    hit = rng.choice(np.arange(1, len(t) - 1, 20), 60, replace=False)
+    x[hit] = 20.47
+    lost = lost_readings(Series(t, np.round(x, 2)), SIGNALS)
+    assert lost is not None
+    assert np.flatnonzero(lost.rows).tolist() == sorted(hit.tolist())
+
+
+def test_lost_readings_do_not_say_that_the_zero_at_stops_is_held():
+    """They are not used: what stops show of a gyroscope's zero stands."""
+    series, _ = opened(sensor(), (0.0, 0.0, 0.0))
+    lost = lost_readings(series, SIGNALS)
+    assert lost is not None
+    assert not _is_gyro_held([as_structure("gyro", lost)])

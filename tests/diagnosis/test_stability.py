@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -90,3 +92,13 @@ def test_what_lasts_two_minutes_and_comes_again_wanders():
     """Of a square wave of four minutes a sum over three neighbours is none."""
     on = (np.arange(BLOCKS) // 4 % 2) * 4.0 * TOLERANCE
     assert ("wanders", "accel.bias.x") in structures(problem(8, on))
+
+
+def test_of_several_drives_the_one_in_which_a_gain_jumps_is_told():
+    p = problem(7, 4.0 * TOLERANCE * (np.arange(BLOCKS) >= 30))
+    drive = (np.arange(BLOCKS) >= 24).astype(int)
+    start = 30.0 * (np.arange(BLOCKS) % 24)
+    p = replace(p, table=replace(p.table, drive=drive, start_s=start))
+    scores, gram = _scores(p, None)
+    [found] = beyond_chance(list(_jumping(p, scores, gram, [0, 1])))
+    assert "from 180 s of drive 2 on" in found.text

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 
-from imucald.diagnosis.intervals import Estimate
-from imucald.diagnosis.score import Hypothesis
+from imucald.diagnosis.blocks import Table
+from imucald.diagnosis.intervals import ERROR_RATE, Estimate
+from imucald.diagnosis.score import Hypothesis, Problem, held_out
 from imucald.diagnosis.search import _alike
-from imucald.diagnosis.trials import Trial, likeliest
+from imucald.diagnosis.trials import Trial, joined, likeliest, tried
 
 BLOCKS = 40
 
@@ -47,3 +49,24 @@ def test_a_rival_is_ruled_out_by_as_many_nats_as_name_a_cause():
     """However sure the difference is: eight nats are asked for here, and noise is nearly none."""
     best, near, far = trial("a", 30.0), trial("b", 24.0), trial("c", 18.0)
     assert [t.hypothesis.name for t in _alike(best, [best, near, far])] == ["b"]
+
+
+def test_each_element_that_joins_others_is_one_more_question():
+    """Two elements that pay by themselves: what they do together is asked after both."""
+    keys = ("accel.cross_axis.0", "accel.cross_axis.1")
+    rng, n = np.random.default_rng(2), len(keys)
+    X = rng.standard_normal((BLOCKS, 60, n))
+    A = np.concatenate([(X @ np.array([0.5, 0.5]) + 0.3 * rng.standard_normal((BLOCKS, 60)))
+                        [:, :, None], X], axis=2)  # fmt: skip
+    gram = np.swapaxes(A, 1, 2) @ A
+    table = Table(
+        keys, gram, {"accel_x": gram}, np.full(BLOCKS, 60), 30.0 * np.arange(BLOCKS),
+        np.zeros(BLOCKS, dtype=int), np.ones(BLOCKS), np.full(n, 0.02), np.zeros(n),
+        np.tile([-1.0, 1.0], (n, 1)), {}, 30.0, {}, np.zeros((BLOCKS, 2)),
+    )  # fmt: skip
+    problem = Problem.of(table, (), {})
+    base = held_out(problem)
+    single = [tried(problem, Hypothesis("accel_cross_axis", (k,), ({k: 1.0},)), base, 2)
+              for k in keys]  # fmt: skip
+    [both] = joined(problem, single, base)
+    assert both.needed == pytest.approx(np.log(3 / ERROR_RATE))

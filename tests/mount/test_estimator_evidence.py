@@ -80,6 +80,29 @@ def test_delay_from_the_phase(late):
     assert search.std < 0.05
 
 
+def put_motion(signals: np.ndarray, dvdt: np.ndarray, lateral: np.ndarray) -> None:
+    """Put dv/dt and v r (N,) into signals (N, MEASURED); the carried vertical takes up none."""
+    signals[:, Measured.DVDT], signals[:, Measured.LATERAL] = dvdt, lateral
+    signals[:, Measured.DVDT_REMAINING], signals[:, Measured.LATERAL_REMAINING] = dvdt, lateral
+
+
+def fed(
+    signals: np.ndarray, dvdt: np.ndarray, lateral: np.ndarray, R: np.ndarray, every: int
+) -> ResponseEvidence:
+    """Evidence of all windows of signals (N, MEASURED), which dv/dt and v r (N,) are put into.
+
+    It is fitted about R, (3, 3) R_vehicle_from_sensor, every so many windows.
+    """
+    put_motion(signals, dvdt, lateral)
+    evidence = ResponseEvidence()
+    mask = np.ones(sp.WINDOW, dtype=bool)
+    for i in range(0, len(signals) - sp.WINDOW, BLOCK_TICKS):
+        evidence.add(sp.spectra(signals[i : i + sp.WINDOW], mask))
+        if i % (every * BLOCK_TICKS) == 0:
+            evidence.fit(R)
+    return evidence
+
+
 def response(
     error: np.ndarray, noise: float, seed: int, windows: int = 100
 ) -> dict[str, AngleEvidence]:
@@ -91,14 +114,7 @@ def response(
     truth = rotation_from_angles(0.2, -0.1, 2.0)
     signals = np.zeros((n, sp.MEASURED))
     signals[:, :3] = F @ truth + noise * rng.standard_normal((n, 3))
-    signals[:, Measured.DVDT], signals[:, Measured.LATERAL] = a, v
-    signals[:, Measured.DVDT_REMAINING], signals[:, Measured.LATERAL_REMAINING] = a, v
-    evidence = ResponseEvidence()
-    mask = np.ones(sp.WINDOW, dtype=bool)
-    for i in range(0, n - sp.WINDOW, BLOCK_TICKS):
-        evidence.add(sp.spectra(signals[i : i + sp.WINDOW], mask))
-        if i % (64 * BLOCK_TICKS) == 0:
-            evidence.fit(truth)
+    evidence = fed(signals, a, v, truth, 64)
     return evidence.fit(rotation_from_vector(-error) @ truth)
 
 
@@ -121,14 +137,7 @@ def test_windows_summed_up_at_another_delay_say_nothing_once_they_are_forgotten(
         np.stack([a, v], axis=1)[:old] @ rotation_from_vector([0.0, 0.0, 4.0 * DEG])[:2, :2]
     )
     signals[:, :3] += 0.1 * rng.standard_normal((n, 3))
-    signals[:, Measured.DVDT], signals[:, Measured.LATERAL] = a, v
-    signals[:, Measured.DVDT_REMAINING], signals[:, Measured.LATERAL_REMAINING] = a, v
-    evidence = ResponseEvidence()
-    mask = np.ones(sp.WINDOW, dtype=bool)
-    for i in range(0, n - sp.WINDOW, BLOCK_TICKS):
-        evidence.add(sp.spectra(signals[i : i + sp.WINDOW], mask))
-        if i % (16 * BLOCK_TICKS) == 0:
-            evidence.fit(np.eye(3))
+    evidence = fed(signals, a, v, np.eye(3), 16)
     assert abs(evidence.fit(np.eye(3))["yaw_dvdt"].value) > 1.0 * DEG
     evidence.forget_sums()
     assert abs(evidence.fit(np.eye(3))["yaw_dvdt"].value) < 0.4 * DEG
@@ -144,8 +153,7 @@ def test_what_a_turned_window_leaves_over_is_noise_once_its_angle_is_taken_off(a
     force = np.stack([a, v, np.zeros(sp.WINDOW)], axis=1)
     signals = np.zeros((sp.WINDOW, sp.MEASURED))
     signals[:, :3] = force - np.cross(error, force) + 0.01 * rng.standard_normal((sp.WINDOW, 3))
-    signals[:, Measured.DVDT], signals[:, Measured.LATERAL] = a, v
-    signals[:, Measured.DVDT_REMAINING], signals[:, Measured.LATERAL_REMAINING] = a, v
+    put_motion(signals, a, v)
     s = sp.spectra(signals, np.ones(sp.WINDOW, dtype=bool))
     P = sp.in_vehicle_axes(sp.band_products(s, 0.0, 0.0)[None], np.eye(3))
     gains = np.zeros((len(GAINS), sp.BANDS))

@@ -8,15 +8,15 @@ import numpy as np
 import pytest
 from msgspec.structs import replace
 
-from imucald.motion.ticks import ticks_from_samples
+from imucald.motion.column_ticks import ticks_from_samples
 from imucald.mount.estimate import Missing, MountState
 from imucald.mount.estimator import FullEstimator
 from imucald.mount.estimator_settings import EstimatorSettings
 from imucald.mount.manoeuvres import Manoeuvres
 from imucald.mount.shift import NO_STEPS, UNEVEN_STD, ScoreSeries, largest_change
 from imucald.mount.states import (
-    FINE_SLACK,
-    USABLE_SLACK,
+    SLACK,
+    YOUNG_SLACK,
     MountKnowledge,
     judged,
     waiting_for,
@@ -49,8 +49,8 @@ def test_a_small_standard_deviation_without_manoeuvres_is_not_believed():
 @pytest.mark.parametrize(
     ("state", "limit", "slack"),
     [
-        (MountState.USABLE, SETTINGS.limits.usable_yaw, USABLE_SLACK),
-        (MountState.FINE, SETTINGS.limits.fine_yaw, FINE_SLACK),
+        (MountState.USABLE, SETTINGS.limits.usable_yaw, YOUNG_SLACK),
+        (MountState.FINE, SETTINGS.limits.fine_yaw, SLACK),
     ],
 )
 def test_a_state_is_left_only_well_beyond_its_limit(state, limit, slack):
@@ -61,7 +61,7 @@ def test_a_state_is_left_only_well_beyond_its_limit(state, limit, slack):
 
 
 def test_beside_past_drives_a_deviation_grows_by_contradiction():
-    wide = known(math.degrees(SETTINGS.limits.usable_yaw) * (FINE_SLACK + 0.05))
+    wide = known(math.degrees(SETTINGS.limits.usable_yaw) * (SLACK + 0.05))
     assert judged(wide, MountState.USABLE, SETTINGS) == MountState.USABLE
     assert judged(replace(wide, has_past=True), MountState.USABLE, SETTINGS) < MountState.USABLE
 

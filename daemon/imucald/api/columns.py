@@ -6,10 +6,10 @@ Columns are only added, never renamed or given another meaning.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from msgspec import Struct
 from numpy.typing import NDArray
 
 RAW = "raw/"
@@ -17,8 +17,7 @@ RAW = "raw/"
 HISTORY, EVENTS = "history", "events"
 
 
-@dataclass(frozen=True)
-class TableColumn:
+class TableColumn(Struct, frozen=True):
     """One column.
 
     unit: "1" for a pure number, "" for what has none (texts, times of day).
@@ -98,8 +97,7 @@ def _triad(kind: str, before: str) -> tuple[TableColumn, ...]:
     return tuple(TableColumn(f"{before}{name}_{axis}_{suffix}", unit) for axis in "xyz")
 
 
-@dataclass(frozen=True, eq=False)
-class Columns:
+class Columns(Struct, frozen=True, eq=False):
     """A table: its columns and an array (N,) for each; NaN, or None for a text, is *not known*."""
 
     columns: tuple[TableColumn, ...]

@@ -7,13 +7,15 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from imucald.api.columns import Columns
 from imucald.api.configuration import PathLike
 from imucald.api.mount import MountResult
-from imucald.api.plots import DrivePlots
 from imucald.api.table_access import TableAccess
+
+if TYPE_CHECKING:
+    from imucald.api.plots import DrivePlots
 
 WIDTH = 96
 """Longest line of a representation."""
@@ -75,6 +77,8 @@ class DriveResult(TableAccess):
     @property
     def plot(self) -> DrivePlots:
         """Pictures, with matplotlib (the extra "report"); nothing is loaded before one is drawn."""
+        from imucald.api.plots import DrivePlots  # noqa: PLC0415
+
         return DrivePlots(self)
 
     def to_dict(self) -> dict[str, Any]:

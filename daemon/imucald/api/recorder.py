@@ -32,6 +32,8 @@ MAX_EVENTS = 10_000
 """Events that are kept; a log with more is shuffled or its clock is broken."""
 BLOCK_ROWS = 1000
 """Rows of the history that are kept as numbers in an array, once there are so many."""
+SHIFT = "shift"
+"""Kind of the event that the sensor was moved."""
 LATEST_US = 2**62
 """Times of day are kept within this [us]: a damaged stamp must not overflow."""
 _UPPER = (0, 1, 2, 4, 5, 8)
@@ -55,8 +57,7 @@ class Recorder:
         self.events_left_out = 0
         self._state = "waiting"
         self._faults: tuple[str, ...] = ()
-        self._shifts: list[tuple[float, Mapping[str, Any]]] = []
-        self._shifts_left_out = 0
+        self._shifts: list[Mapping[str, Any]] = []
         self._segments: list[tuple[float, float]] = []  # stream time of the start, stamp minus it
         self._last_stamp = math.nan
         self._parts: dict[str, list[tuple[Array, Array, list[NDArray[Any]]]]] = {}
@@ -115,11 +116,9 @@ class Recorder:
         shifts = estimate.details.get("shifts")
         if isinstance(shifts, list) and len(shifts) >= len(self._shifts):
             # by how much the sensor was turned at each is known later than that it was
-            seen = [t for t, _ in self._shifts]
-            seen += [snapshot.t] * (min(len(shifts), MAX_EVENTS) - len(seen))
-            self.events_left_out += max(len(shifts) - MAX_EVENTS, 0) - self._shifts_left_out
-            self._shifts_left_out = max(len(shifts) - MAX_EVENTS, 0)
-            self._shifts = list(zip(seen, shifts, strict=False))
+            for _ in shifts[len(self._shifts) :]:
+                self._event(snapshot.t, SHIFT, "")
+            self._shifts = shifts
 
     def _event(self, t: float, kind: str, text: str) -> None:
         if len(self._events) < MAX_EVENTS:
@@ -138,15 +137,16 @@ class Recorder:
 
     def events(self, lead: float, engine: Engine) -> Columns:
         """Changes of state, shifts, contradictions, segments, and faults of sensors."""
-        shifts = [(t, "shift", moved_words(shift)) for t, shift in self._shifts]
-        rows = [*self._events, *_sensor_faults(engine), *shifts]
-        t = np.array([row[0] for row in rows], dtype=float)
-        unknown = [math.nan] * 3
-        turns = [unknown] * (len(rows) - len(shifts))
-        turns += [shift["turn_deg"] or unknown for _, shift in self._shifts]
-        size = [[turn[axis] for turn in turns] for axis in range(3)]
-        texts = [[row[1] for row in rows], [row[2] for row in rows]]
-        found = columns_from(EVENT_COLUMNS, [t + lead, self._times(t), *texts, *size])
+        rows = [*self._events, *_sensor_faults(engine)]
+        times, kinds, texts = ([row[column] for row in rows] for column in range(3))
+        turns = np.full((3, len(rows)), math.nan)
+        rows_of_shifts = [i for i, kind in enumerate(kinds) if kind == SHIFT]
+        for i, shift in zip(rows_of_shifts, self._shifts, strict=False):  # the last may be left out
+            texts[i] = moved_words(shift)
+            if shift["turn_deg"]:
+                turns[:, i] = shift["turn_deg"]
+        t = np.array(times, dtype=float)
+        found = columns_from(EVENT_COLUMNS, [t + lead, self._times(t), kinds, texts, *turns])
         return found.sorted_by_time()
 
     def take_signals(self, lead: float, kinds: Mapping[str, str]) -> dict[str, Columns]:

@@ -1,4 +1,7 @@
-"""Ways to a result's tables, one per rate; the only join is asked for by name."""
+"""Ways to a result's tables, one per rate; the only join is asked for by name.
+
+What turns tables into others is loaded when it is asked for: a replay needs none of it.
+"""
 
 from __future__ import annotations
 
@@ -8,9 +11,6 @@ from typing import TYPE_CHECKING, Any
 from numpy.typing import NDArray
 
 from imucald.api.columns import EVENTS, HISTORY, RAW, Columns
-from imucald.api.files.table_file import axes_of
-from imucald.api.interchange import to_arrow, to_pandas, to_polars
-from imucald.api.resampling import resampled
 from imucald.core.errors import ImucaldError
 
 if TYPE_CHECKING:
@@ -36,6 +36,9 @@ class NamedTables:
 
         Raises ImucaldError where there is no such table.
         """
+        from imucald.api.files.table_file import axes_of  # noqa: PLC0415
+        from imucald.api.interchange import to_arrow  # noqa: PLC0415
+
         return to_arrow(self._named(table), {"table": table, "axes": axes_of(table)})
 
     def numpy(self, table: str) -> dict[str, NDArray[Any]]:
@@ -47,10 +50,14 @@ class NamedTables:
 
     def to_pandas(self, table: str) -> pd.DataFrame:
         """A table for pandas (the extra "pandas"); `attrs["units"]` has the unit by column."""
+        from imucald.api.interchange import to_pandas  # noqa: PLC0415
+
         return to_pandas(self._named(table), table)
 
     def to_polars(self, table: str) -> pl.DataFrame:
         """A table for polars (the extra "polars")."""
+        from imucald.api.interchange import to_polars  # noqa: PLC0415
+
         return to_polars(self._named(table))
 
 
@@ -125,5 +132,8 @@ class TableAccess(NamedTables):
         Returns t_s and the tables' columns. Raises ImucaldError for a rate that is not positive,
         or a table that cannot be joined.
         """
+        from imucald.api.interchange import to_arrow  # noqa: PLC0415
+        from imucald.api.resampling import resampled  # noqa: PLC0415
+
         tables = {name: self._named(name) for name in quantities}
         return to_arrow(resampled(tables, rate_hz), {"table": "resampled", "rate_hz": rate_hz})

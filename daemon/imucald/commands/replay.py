@@ -17,6 +17,7 @@ from imucald.core.extras import how_to_install
 if TYPE_CHECKING:
     from imucald.api.configuration import Configuration
     from imucald.api.drive import DriveResult
+    from imucald.api.run import ReplayRun
     from imucald.can.columns import FrameColumns
     from imucald.commands.replay_report import ReplayReport
     from imucald.runtime.replay import Sink
@@ -167,26 +168,33 @@ def _replayed(
 ) -> tuple[DriveResult, list[Path]]:
     """Replay one recording; return what came of it, and the files that were written."""
     from imucald.api.run import ReplayRun
-    from imucald.api.streaming import DriveStream
     from imucald.commands.terminal import progress_bar
-    from imucald.core.errors import LogError
 
     with progress_bar("replay", options.quiet) as progress:
         watcher = None if page is None else page.history
         signals, strict, speed = path is not None, options.strict, options.speed
         run = ReplayRun(config, logs, signals, progress, strict, sink, speed, watcher)
-        stream = DriveStream(run)
-        written: list[Path] = []
-        try:
-            if path is not None:
-                written = stream.write(path, _quantities(options))
-            else:
-                for _ in stream:
-                    pass
-        except LogError:
-            if not stream.ended:  # one without a frame has a result, and is reported after it
-                raise
-        return stream.result, written
+        if path is not None:
+            return _written(run, path, options)
+        for _ in run.chunks():
+            pass
+        return run.result(), []
+
+
+def _written(
+    run: ReplayRun, path: Path, options: argparse.Namespace
+) -> tuple[DriveResult, list[Path]]:
+    """Replay into a file; the same."""
+    from imucald.api.streaming import DriveStream
+    from imucald.core.errors import LogError
+
+    stream, files = DriveStream(run), list[Path]()
+    try:
+        files = stream.write(path, _quantities(options))
+    except LogError:
+        if not stream.ended:  # one without a frame has a result, and is reported after it
+            raise
+    return stream.result, files
 
 
 def _quantities(options: argparse.Namespace) -> list[str] | None:

@@ -11,7 +11,6 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import chi2
 
 from imucald.diagnosis.blocks import TAKES
 from imucald.diagnosis.cause_keys import BUTTERWORTH_S_HZ, mount_of
@@ -21,10 +20,9 @@ from imucald.diagnosis.result import (
     GOES_AGAINST,
     GOES_WITH_SHAKING,
     TOO_MUCH,
-    UNEVEN,
     Structure,
 )
-from imucald.diagnosis.score import Hypothesis, Problem, fitted, held_out
+from imucald.diagnosis.score import Hypothesis, Problem, fitted, held_out, one_in_fifteen
 from imucald.diagnosis.signals import STEP_S, Array, Mask
 from imucald.diagnosis.state import State
 from imucald.diagnosis.trials import BIAS, tried
@@ -54,14 +52,13 @@ FAST_MPS = 30.0
 MOST_LEFT_MPS2 = GUSTY * AIR * FAST_MPS**2
 """Sideways, after a fit of everything within its tolerance: what gusty air does to a car on a
 motorway, 0.18 m/s^2. The accelerometer's own noise is added."""
-EVEN = ("accel_x", "accel_y", "accel_z")
-"""Equations in which nothing of the road is left, nor of the springs."""
 PEAK, PEAK_BINS = 4.0, 3
 """A peak is so many times the spectrum 0.2 Hz to both sides of it."""
 PEAKED = ("accel_y", "yaw_rate")
 FIRST_ORDER_S_HZ = 1.0 / (2.0 * np.pi)
 """Delay of a first-order low-pass well below its cut-off, times the cut-off."""
 OCTAVE = 2.0
+SENSED = tuple(dict.fromkeys(signal for signals in TAKES.values() for signal in signals))
 DRIVING_MPS = 2.0
 QUICK_HZ = 40.0
 """An accelerometer that is sampled faster sees the shaking."""
@@ -100,7 +97,7 @@ def too_much(problem: Problem, state: State) -> list[Structure]:
     power = np.sort(np.einsum("i,bkij,j->b", z, problem.table.plain[name], z))
     power = power[power > 0.0]
     # One block must not decide: the one in which a sensor is knocked belongs to no mount.
-    power = power[: len(power) - max(1, round(len(power) / 15))]
+    power = power[: len(power) - one_in_fifteen(len(power))]
     left = float(np.sqrt(power[-1])) if len(power) else 0.0
     limit = float(np.hypot(MOST_LEFT_MPS2, _noise(state, problem.table.top_hz[name])))
     if left <= limit:
@@ -112,42 +109,6 @@ def too_much(problem: Problem, state: State) -> list[Structure]:
         "something acts on it that neither speed nor turning shows"
     )
     return [Structure(name, TOO_MUCH, left / limit, text)]
-
-
-def uneven(problem: Problem, drift: Hypothesis | None) -> list[Structure]:
-    """Segments that leave more than their noise and than a correct file could: something acts in
-    some of them that no parameter describes.
-
-    Noise is what half of the segments leave, and its scatter (chi-square of the coefficients of a
-    segment, 1 %). Beyond that a segment may leave what parameters off by their tolerances make in
-    it. One segment in fifteen must not decide. drift: of what was named and has no place in the
-    model file; it is fitted beside.
-    """
-    table, x = problem.table, fitted(problem, drift)
-    own = len(table.keys)
-    z = np.tile(np.concatenate([[1.0], -x[:own]]), (table.blocks, 1))
-    if drift is not None and drift.pattern is not None:
-        for key, slope in zip(drift.keys, x[own:], strict=True):
-            z[:, table.keys.index(key) + 1] -= slope * drift.pattern
-    found = []
-    for name in EVEN:
-        there = table.by_equation[name][:, 0, 0] > 0.0 if name in table.plain else np.zeros(0, bool)
-        if there.sum() < LEAST_BLOCKS:
-            continue
-        gram = table.plain[name][there].sum(axis=1)
-        power = np.einsum("bi,bij,bj->b", z[there], gram, z[there])
-        may = np.einsum("bjj,j->b", gram[:, 1:, 1:], table.tolerance**2)
-        count = max(1, int(2.0 * table.seconds * table.top_hz[name]))
-        noise = float(np.median(power)) * chi2.isf(CHANCE, count) / chi2.median(count)
-        over = np.sort((power - noise) / np.maximum(may, 1e-30))
-        size = float(over[len(over) - max(1, round(len(over) / 15)) - 1])
-        if size > 1.0:
-            text = (
-                f"one segment in fifteen leaves {np.sqrt(size):.2g} times what a correct file may "
-                "beside its noise: something acts there, and not in the others"
-            )
-            found.append(Structure(name, UNEVEN, float(np.sqrt(size)), text))
-    return found
 
 
 def _noise(state: State, top_hz: float) -> float:
@@ -281,13 +242,16 @@ def _left_of(z: Spectra, known: Spectra) -> Spectra:
 def _cut_offs(changes: Mapping[str, float]) -> list[tuple[str, float, float]]:
     """Signal, and from where to where [Hz] the low-pass that a found delay x may be leaves a peak:
     within an octave of its cut-off, 1/(2 pi x) of first order, sqrt 2/(2 pi x) of second. Below it
-    a delay does as well, above it no motion is."""
-    late = {key: abs(x) for key, x in changes.items() if key.endswith("delay_s") and x}
-    return [
-        (key.partition(".")[0], FIRST_ORDER_S_HZ / x / OCTAVE, OCTAVE * BUTTERWORTH_S_HZ / x)
-        for key, x in late.items()
-        if x > PARAMETERS[key].tolerance
-    ]
+    a delay does as well, above it no motion is. What is younger than stated is late nowhere: the
+    signals beside it are."""
+    made = []
+    for key, x in changes.items():
+        if key.endswith("delay_s") and abs(x) > PARAMETERS[key].tolerance:
+            own = key.partition(".")[0]
+            late = [own] if x > 0.0 else [s for s in SENSED if s != own]
+            band = FIRST_ORDER_S_HZ / abs(x) / OCTAVE, OCTAVE * BUTTERWORTH_S_HZ / abs(x)
+            made += [(signal, *band) for signal in late]
+    return made
 
 
 def _peaks(

@@ -15,7 +15,7 @@ import numpy as np
 from imucald.core.errors import EstimateError
 from imucald.core.samples import Samples
 from imucald.diagnosis import outcome
-from imucald.diagnosis.adequacy import goes_against, too_much, uneven, what_is_left
+from imucald.diagnosis.adequacy import goes_against, too_much, what_is_left
 from imucald.diagnosis.blocks import Table
 from imucald.diagnosis.cause_keys import extended, mount_of, with_delay_rate, with_shifts
 from imucald.diagnosis.chance import beyond_chance
@@ -43,6 +43,7 @@ from imucald.diagnosis.signals import DriveSignals, drive_of, require
 from imucald.diagnosis.stability import drift_of, unstable
 from imucald.diagnosis.state import State, final_estimates, shift_steps
 from imucald.diagnosis.stuck import Fault
+from imucald.diagnosis.uneven_segments import uneven
 from imucald.model.model import VehicleModel
 
 Progress = Callable[[float, str], None]

@@ -8,12 +8,13 @@ import numpy as np
 
 from imucald.diagnosis.blocks import TAKES, Table
 from imucald.diagnosis.causes import family
-from imucald.diagnosis.outcome import signals_of
+from imucald.diagnosis.outcome import SEEN_SHARE, signals_of
 from imucald.diagnosis.result import (
     NOT_PLAUSIBLE,
     WANDERS,
     Structure,
 )
+from imucald.diagnosis.signals import Array
 from imucald.diagnosis.standing import unsettle
 from imucald.diagnosis.state import State
 from imucald.diagnosis.stuck import Fault
@@ -35,8 +36,9 @@ def doubt(state: State, left: Sequence[Structure], faults: Sequence[Sequence[Fau
         if any(s.kind not in (NOT_PLAUSIBLE, WANDERS) for s in left):
             # A cause is missing, and a fit shares out what it makes among those that it knows.
             return True
-        if trial.estimate.pull**2 < 2.0 * missing:
-            # Of what cannot be it is known how much it explains: that much may lie along this one.
+        if missing > 0.0 and trial.shown < (missing**0.5 + trial.needed**0.5) ** 2:
+            # Of what cannot be it is known how much it explains: that much may lie along this one,
+            # and what is left must name it. Nats are squares of deviations, which add up.
             return True
         keys = trial.hypothesis.keys
         if changing & {family(key) for key in keys}:
@@ -53,29 +55,36 @@ def doubt(state: State, left: Sequence[Structure], faults: Sequence[Sequence[Fau
         return bool(sensors & shifted) or _may_be_a_low_pass(state.table, trial, delays)
 
     unsettle(state, is_doubtful)
-    if left:
-        # A cause is missing, and may be what a weaker statement rests on.
-        state.doubtful += state.likely
-        state.likely = []
+    likely, state.likely = state.likely, []
+    for trial in likely:
+        # Where anything is left a cause is missing, and may be what a weaker statement rests on.
+        (state.doubtful if left or is_doubtful(trial) else state.likely).append(trial)
 
 
 def _may_be_a_low_pass(table: Table | None, trial: Trial, delays: Mapping[str, float]) -> bool:
     """Whether a gain is what a low-pass takes away that shows as a found delay x: at w it leaves
     1/sqrt(1 + (w x)^2), so (w x)^2/2 is missing. w^2 is that of the equations, by the share that
-    the delay's column has of the gain's."""
-    keys = trial.hypothesis.keys
-    if table is None or not delays or not all(".scale" in key for key in keys):
+    the delay's column has of the gain's, with all that moves with it; of those equations only in
+    which the gain shows."""
+    h = trial.hypothesis
+    if table is None or not delays or not all(".scale" in key for key in h.keys):
         return False
-    gains = table.index(keys)
+    gains = h.directions or tuple({key: 1.0} for key in h.keys)
+    own = {n: max(_energy(g, table, d) for d in gains) for n, g in table.by_equation.items()}
     missing = 0.0
     for key, x in delays.items():
         if key not in table.keys:
             continue
-        late = table.keys.index(key) + 1
-        for gram in table.by_equation.values():
-            own = max(float(gram[:, i + 1, i + 1].sum()) for i in gains)
-            both = float(gram[:, late, late].sum())
-            if own > 0.0 and both > 0.0:
-                missing = max(missing, 0.5 * x * x * both / own)
+        for name, size in own.items():
+            if size > SEEN_SHARE * sum(own.values()):
+                both = _energy(table.by_equation[name], table, {key: 1.0})
+                missing = max(missing, 0.5 * x * x * both / size)
     v = np.abs(trial.estimate.value)
     return bool(np.all(v <= trial.tolerance + missing))
+
+
+def _energy(gram: Array, table: Table, direction: Mapping[str, float]) -> float:
+    """Sum of squares of a column, or of several that move together, in Gram matrices (B, ., .)."""
+    index = [1 + i for i in table.index(tuple(direction))]
+    x = np.array(list(direction.values()))
+    return float(x @ gram.sum(axis=0)[np.ix_(index, index)] @ x)

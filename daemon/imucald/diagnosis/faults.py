@@ -11,8 +11,7 @@ import numpy as np
 from scipy.stats import binom
 
 from imucald.core.samples import Samples, Series
-from imucald.diagnosis.lost_readings import SENSORS as RAILED
-from imucald.diagnosis.lost_readings import Lost
+from imucald.diagnosis.lost_readings import INERTIAL, Lost
 from imucald.diagnosis.signals import Array, Mask, Spans, duplicates
 from imucald.diagnosis.stuck import Fault, stuck
 from imucald.diagnosis.visits import PILE_RATIO, visited_too_often
@@ -28,7 +27,7 @@ CHANCE = 0.01
 """Of a drive: that a rail is reported without a reason; shared out over ends and levels."""
 FEW_STAYS = 2
 """Beside the longest."""
-QUESTIONS = 6 * len(RAILED) * (len(PILE_LEVELS) + 1)
+QUESTIONS = 6 * len(INERTIAL) * (len(PILE_LEVELS) + 1)
 """Both ends of three axes of each signal."""
 INVALID_S = 0.3
 LOST_TOLERANCE, LOST_FEWEST = 0.003, 8
@@ -39,6 +38,10 @@ DOUBLED_TOLERANCE, DOUBLED_FEWEST = 0.001, 5
 NEAR, NEAR_SHARE, JITTER_SHARE, WANDER_S = 0.85, 0.4, 0.2, 0.01
 """A cycle is known where most stamps are near it, scatter little, and do not walk away from it: who
 is asked for each value (OBD-II) has none."""
+ADDED_UP = 0.5
+"""Variance of the sum of many steps over the sum of their variances: 1 where each begins when the
+one before it ends (who is asked again on the answer), near 0 where a clock sends (variance ratio;
+Lo and MacKinlay 1988)."""
 LOCKS, NEIGHBOURS = 4, 50
 """Stamps that share a phase: a cycle known to 1 % moves it by half a cycle at most."""
 CLOCK_PPM, CLOCK_UNKNOWN_PPM = 200.0, 10_000.0
@@ -60,7 +63,7 @@ def find_faults(
         if series is None or len(series.t) < LEAST_ROWS:
             continue
         read = none[name].kept(series) if name in none else series
-        piled = list(_piled(name, read, model)) if name in RAILED else []
+        piled = list(_piled(name, read, model)) if name in INERTIAL else []
         own = (series.t, series.values) if name == "speed" else moving
         found += [*piled, *stuck(name, series, samples, own, piled)]
         found += _timed(name, series, model)
@@ -256,12 +259,24 @@ def _cycle(t: Array) -> tuple[float, float, Array, bool] | None:
             return None
         cycle = slope
     left = at - at.mean() - cycle * centred
-    is_steady = bool(np.std(left) <= WANDER_S + 0.3 * cycle)
+    is_steady = bool(np.std(left) <= WANDER_S + 0.3 * cycle) and not _adds_up(steps, cycle)
     # Stamps wander slowly: halves of the drive are compared, not samples.
     half = len(count) // 2
     ends = [np.polyfit(count[s], at[s], 1)[0] for s in (slice(0, half), slice(half, None))]
     se = max(abs(ends[1] - ends[0]) / 2.0, float(np.std(left) / np.sqrt(centred @ centred)))
     return cycle, se / cycle, np.round(steps / cycle), is_steady
+
+
+def _adds_up(steps: Array, cycle: float) -> bool:
+    """Whether lateness adds up from frame to frame: then nothing sends in a cycle, and the mean of
+    the steps is no clock's. steps: (N,) [s]."""
+    late = steps - cycle * np.maximum(np.round(steps / cycle), 1.0)
+    late = late[np.abs(late) < NEAR_SHARE * cycle]
+    late = late - late.mean()
+    total = np.concatenate([[0.0], np.cumsum(late)])
+    many = min(NEIGHBOURS, len(late) // 2)
+    power = float(np.mean((total[many:] - total[:-many]) ** 2))
+    return bool(power > WANDER_S**2 and power > ADDED_UP * many * float(np.mean(late**2)))
 
 
 def _counted(at: Array, cycle: float) -> Array:

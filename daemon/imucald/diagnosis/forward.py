@@ -17,9 +17,11 @@ from imucald.core.samples import GRAVITY
 from imucald.diagnosis.cause_keys import Changes, age
 from imucald.diagnosis.motion import VehicleMotion, slope
 from imucald.diagnosis.reading import Reader
-from imucald.diagnosis.signals import STEP_S, Array, Mask
+from imucald.diagnosis.signals import STANDING_MPS, STEP_S, Array, Mask
 from imucald.diagnosis.single_track import SLOW_MPS
 
+STOPPING_MPS2 = 3.4
+"""Most drivers stop no harder (AASHTO, Green Book: stopping sight distance)."""
 UNITS: Mapping[str, str] = {
     "accel_x": "m/s^2", "accel_y": "m/s^2", "accel_z": "m/s^2", "gyro_x": "rad/s",
     "gyro_y": "rad/s", "gyro_z": "rad/s", "yaw_rate": "rad/s", "lateral_accel": "m/s^2",
@@ -125,7 +127,8 @@ class Forward(Reader):
         turning = there["gyro"] if drive.has("gyro") else yaw
         inertial = there["accel"] & turning
         masks = {
-            "accel_x": (base & turning if self.has_turning else base) & self._knots_inside(),
+            "accel_x": (base & turning if self.has_turning else base)
+            & self._knots_inside() & ~self._starts_or_stops(),
             "accel_y": base & turning, "accel_z": base & turning, "gyro_x": inertial & base,
             "gyro_y": inertial & base, "gyro_z": yaw & turning,
         }  # fmt: skip
@@ -154,3 +157,21 @@ class Forward(Reader):
         stop = self.t[np.minimum((block + 1) * self.rows, len(self.t)) - 1]
         slack = STEP_S
         return np.asarray(inside & (left >= start - slack) & (right <= stop + slack))
+
+    def _starts_or_stops(self) -> Mask:
+        """Rows in which the speed leaves zero or comes to it by a jump. Below some 0.3 m/s it is
+        not measured (dead band), and no car's slope is that."""
+        speed = self.drive.channels["speed"]
+        size = np.abs(speed.values)
+        stands, step = size < STANDING_MPS, np.abs(np.diff(size))
+        jumps = step > STOPPING_MPS2 * np.diff(speed.t)
+        k = np.flatnonzero((stands[1:] != stands[:-1]) & jumps)
+        late = age(self.model, "speed") + self.model.speed.delay_rate * speed.t
+        t = speed.t - late
+        hit = np.zeros(len(self.t), dtype=bool)
+        # A knot is a mean over a step, and a row is one between knots.
+        first = np.searchsorted(self.t, t[k] - 2.0 * STEP_S)
+        last = np.searchsorted(self.t, t[k + 1] + 2.0 * STEP_S)
+        for a, b in zip(first, last, strict=True):
+            hit[a:b] = True
+        return hit

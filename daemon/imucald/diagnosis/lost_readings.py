@@ -9,13 +9,15 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.stats import binom
 
 from imucald.core.samples import Samples, Series
-from imucald.diagnosis.result import VALUE_HELD, Structure
+from imucald.diagnosis.result import READINGS_LOST, Structure
 from imucald.diagnosis.signals import Array, Mask
 
-SENSORS = ("accel", "gyro", "yaw_rate", "lateral_accel", "longitudinal_accel")
+INERTIAL = ("accel", "gyro", "yaw_rate", "lateral_accel", "longitudinal_accel")
+"""Signals of accelerations and rates."""
 LEAST_ROWS = 100
 CHANCE = 0.01
 """Of a drive; shared out over its signals."""
@@ -43,13 +45,13 @@ class Lost:
 
 def all_lost(samples: Samples) -> dict[str, Lost]:
     """Lost readings by signal, where there are any."""
-    asked = [name for name in SENSORS if name in samples and len(samples[name].t) >= LEAST_ROWS]
+    asked = [name for name in INERTIAL if name in samples and len(samples[name].t) >= LEAST_ROWS]
     found = {name: lost_readings(samples[name], len(asked)) for name in asked}
     return {name: lost for name, lost in found.items() if lost is not None}
 
 
 def as_structure(name: str, lost: Lost) -> Structure:
-    """What is told of them."""
+    """The finding, in words and with its number of visits."""
     unit = "m/s^2" if "accel" in name else "rad/s"
     value = " ".join(f"{x + 0.0:.3g}" for x in lost.value)
     text = (
@@ -57,7 +59,7 @@ def as_structure(name: str, lost: Lost) -> Structure:
         "readings are lost there (a contact that opens, a default that is sent)"
     )
     signal = f"{name}_x" if len(lost.value) > 1 else name
-    return Structure(signal, VALUE_HELD, float(lost.visits), text)
+    return Structure(signal, READINGS_LOST, float(lost.visits), text)
 
 
 def lost_readings(series: Series, signals: int) -> Lost | None:
@@ -71,6 +73,8 @@ def lost_readings(series: Series, signals: int) -> Lost | None:
     far = size > np.quantile(size, 1.0 - RARE)
     jumps = np.flatnonzero(far[:-1] & far[1:]) + 1
     if not len(jumps):
+        return None
+    if table.shape[1] == 1 and _ends_both_ways(runs[:, 0], jumps):
         return None
     values, index = np.unique(runs[jumps], axis=0, return_inverse=True)
     counts = np.bincount(index.ravel())
@@ -87,3 +91,9 @@ def lost_readings(series: Series, signals: int) -> Lost | None:
     if binom.sf(visits - 1, visits + passing, PASSES_HALF) >= CHANCE / signals:
         return None
     return Lost(value, (table == value).all(axis=1), visits)
+
+
+def _ends_both_ways(runs: Array, jumps: NDArray[np.intp]) -> bool:
+    """Whether jumps lead to both ends of a range, again and again: blows beyond it, whichever way
+    they go. What a sensor falls back to is one value. runs: (N,) of a signal with one number."""
+    return all(int((runs[jumps] == end).sum()) > 1 for end in (runs.min(), runs.max()))

@@ -205,10 +205,14 @@ def fitted(problem: Problem, h: Hypothesis | None = None) -> Array:
     return box_fit(total[1:, 1:], total[1:, 0], low, high)
 
 
-def without_best(gain: Array, one_in: int = 15) -> float:
-    """Sum over blocks without the best one of so many: one block must not decide."""
-    drop = max(1, round(len(gain) / one_in))
-    return float(np.sort(gain)[: len(gain) - drop].sum())
+def one_in_fifteen(blocks: int) -> int:
+    """So many of these blocks must not decide; of few, one."""
+    return max(1, round(blocks / 15))
+
+
+def without_best(gain: Array) -> float:
+    """Sum over blocks without the best one in fifteen."""
+    return float(np.sort(gain)[: len(gain) - one_in_fifteen(len(gain))].sum())
 
 
 def paired(first: Array, second: Array) -> tuple[float, float]:

@@ -17,7 +17,7 @@ from imucald.diagnosis.cause_keys import with_shifts
 from imucald.diagnosis.causes import family
 from imucald.diagnosis.score import Hypothesis, Problem, fitted, held_out, paired
 from imucald.diagnosis.shift import find_shift
-from imucald.diagnosis.standing import asked_again, demote, eliminate, let_go
+from imucald.diagnosis.standing import asked_again, demote, eliminate, let_go, set_aside, without
 from imucald.diagnosis.state import State, refit, shift_steps
 from imucald.diagnosis.trials import SINGLE_NATS, Trial, hypotheses, joined, likeliest, tried
 
@@ -28,12 +28,48 @@ Tick = Callable[[str], None]
 
 
 def search(state: State, tick: Tick, late: Callable[[], bool], skip: Sequence[str] = ()) -> None:
-    """Name what pays, one after another; then refit all, and let go what no longer pays."""
+    """Name what pays, one after another; then refit all, and let go what no longer pays. What falls
+    leaves its place to what explains as much, and is not named again."""
+    dropped: list[str] = []
+    fallen: set[str] = set()
+    while True:
+        dropped += _grown(state, tick, late, [*skip, *dropped], fallen)
+        eliminate(state, late)
+        demote(state)
+        _beside_rivals(state, late)
+        more = {t.hypothesis.name for t in state.doubtful} - fallen
+        fallen |= more
+        if not more or _is_ended(state) or late():
+            break
+    if state.doubtful:
+        state.last = _trials(state.evaluated(), state, [*skip, *dropped])
+    known = {t.hypothesis.name for t in (*state.named, *state.doubtful)}
+    if state.shift is None:
+        state.likely = [
+            t
+            for t in likeliest(state.last)
+            if t.hypothesis.name not in known
+            and all(_is_form_of(t, other) for other in _alike(t, state.last))
+        ]
+
+
+def _is_ended(state: State) -> bool:
+    """Whether what was found leaves nothing else to be asked."""
+    drifts = any(t.hypothesis.pattern is not None for t in state.named)
+    return drifts or state.shift is not None or bool(state.implausible)
+
+
+def _grown(
+    state: State, tick: Tick, late: Callable[[], bool], skip: Sequence[str], fallen: set[str]
+) -> list[str]:
+    """Name what pays, one after another; returns parameters of what no longer does. fallen: causes
+    that are not named again."""
     dropped: list[str] = []
     while len(state.named) < MOST_NAMED and not late():
         problem = state.evaluated()
         state.last = _trials(problem, state, [*skip, *dropped])
-        best = _winner(state.last) or _nearly(problem, state)
+        open_to = [t for t in state.last if t.hypothesis.name not in fallen]
+        best = _winner(open_to) or _nearly(problem, replace(state, last=open_to))
         shift = find_shift(problem, problem.table.levels)
         if shift is not None and shift.named and (best is None or shift.shown > best.shown):
             # Either side of a shift is another drive: nothing else is asked of this one.
@@ -44,9 +80,14 @@ def search(state: State, tick: Tick, late: Callable[[], bool], skip: Sequence[st
         if best is None:
             break
         alike = _alike(best, state.last)
-        best = _from_the_edge(problem, state, best)
+        best, edge = _from_the_edge(problem, state, best)
         chosen = next(
-            (t for t in [best, *alike, *_behind(best, state.last)] if t.is_plausible), None
+            (
+                t
+                for t in [best, *alike, *_behind(best, state.last)]
+                if t.is_plausible and t.hypothesis.name not in fallen
+            ),
+            None,
         )
         if chosen is None:
             state.implausible.append(best)
@@ -60,21 +101,46 @@ def search(state: State, tick: Tick, late: Callable[[], bool], skip: Sequence[st
         if chosen.hypothesis.pattern is not None:
             # The model file has no place for a drift: like a shift, it ends the search.
             break
+        if edge and chosen is best:
+            # It was asked from the edge, and is taken from there.
+            state.apply({key: edge[key] for key in beyond(chosen)})
+            problem = state.evaluated()
         _take(state, problem, chosen)
         refit(state)
         dropped += let_go(state)
-    eliminate(state, late)
-    demote(state)
-    if state.doubtful:
-        state.last = _trials(state.evaluated(), state, [*skip, *dropped])
-    known = {t.hypothesis.name for t in (*state.named, *state.doubtful)}
-    if state.shift is None:
-        state.likely = [
-            t
-            for t in likeliest(state.last)
-            if t.hypothesis.name not in known
-            and all(_is_form_of(t, other) for other in _alike(t, state.last))
-        ]
+    return dropped
+
+
+def _beside_rivals(state: State, late: Callable[[], bool]) -> None:
+    """Of look-alikes any may be the right one. What else is named does not stand where another of
+    them alone does as well, and leaves nothing of it: it may be what the one that was taken leaves.
+    """
+    for first in list(state.named):
+        if first.hypothesis.pattern is not None:
+            continue
+        rivals = [t for t in state.rivals.get(first.hypothesis.name, [])
+                  if t.hypothesis.pattern is None]  # fmt: skip
+        for trial in [t for t in state.named if t is not first]:
+            h = trial.hypothesis
+            if set(h.keys) & set(first.hypothesis.keys) and h.pattern is None:
+                continue
+            for rival in rivals:
+                if late() or first not in state.named or trial not in state.named:
+                    break
+                if set(rival.hypothesis.keys) & set(h.keys) and h.pattern is None:
+                    continue
+                other = without(state, first)
+                if h.pattern is None:
+                    other = without(other, trial)
+                _take(other, other.evaluated(), rival)
+                refit(other)
+                alone = held_out(other.evaluated())
+                both = held_out(state.evaluated(), None if h.pattern is None else h)
+                behind, se = paired(alone, both)
+                if behind > max(ALIKE_SE * se, trial.needed):
+                    continue
+                if not tried(other.evaluated(), h, alone, max(len(state.last), 1)).named:
+                    set_aside(state, trial)
 
 
 def _trials(problem: Problem, state: State, skip: Sequence[str]) -> list[Trial]:
@@ -122,11 +188,12 @@ def _nearly(problem: Problem, state: State) -> Trial | None:
     return again if again.named and again.is_plausible else None
 
 
-def _from_the_edge(problem: Problem, state: State, best: Trial) -> Trial:
+def _from_the_edge(problem: Problem, state: State, best: Trial) -> tuple[Trial, dict[str, float]]:
     """What leads beyond the plausible is asked again from its edge: a column is a slope, and that
-    of a ratio that is a third lower leads to half of it."""
+    of a ratio that is a third lower leads to half of it. Returns the trial, and the step to where
+    it was asked; none where that did not help."""
     if best.is_plausible or not best.hypothesis.is_plain:
-        return best
+        return best, {}
     table, step = problem.table, _changes(problem, best.hypothesis)
     for key, x in step.items():
         low, high = table.plausible[table.keys.index(key)]
@@ -134,7 +201,7 @@ def _from_the_edge(problem: Problem, state: State, best: Trial) -> Trial:
     there = replace(state, changes=dict(state.changes), table=None)
     there.apply(step)
     again = asked_again(there, best)
-    return again if again.named and again.is_plausible else best
+    return (again, step) if again.named and again.is_plausible else (best, {})
 
 
 def _is_near(best: Trial, other: Trial) -> bool:

@@ -12,6 +12,7 @@ from collections.abc import Iterator, Mapping
 import numpy as np
 from scipy.stats import t as student
 
+from imucald.diagnosis.blocks import Table
 from imucald.diagnosis.causes import PARAMETERS
 from imucald.diagnosis.chance import Question
 from imucald.diagnosis.forward import Forward
@@ -112,10 +113,18 @@ def _jumping(problem: Problem, scores: Array, gram: Array, asked: list[int]) -> 
         if p < best.get(j, (2.0, 0.0, ""))[0]:
             best[j] = p, value, name
     for j, (p, value, name) in best.items():
-        key, t = problem.table.keys[j], problem.table.start_s[int(name)]
+        key = problem.table.keys[j]
         size = abs(value) / (EITHER_SIDE * _may_be(problem, j))
-        text = f"{key} is another by {_amount(key, value)} from {t:.0f} s on"
+        text = (
+            f"{key} is another by {_amount(key, value)} from {_moment(problem.table, int(name))} on"
+        )
         yield _question(problem, key, WANDERS, min(p * len(moments), 1.0), size, text)
+
+
+def _moment(table: Table, segment: int) -> str:
+    """When a segment begins; of several drives, in which."""
+    at, drive = f"{table.start_s[segment]:.0f} s", int(table.drive[segment])
+    return at if not table.drive.any() else f"{at} of drive {drive + 1}"
 
 
 def _conditional(

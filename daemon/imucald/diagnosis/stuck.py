@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from imucald.core.samples import Samples, Series
+from imucald.diagnosis.held_speed import contradicted
 from imucald.diagnosis.signals import Array, Mask, Spans
 
 Index = NDArray[np.intp]
@@ -73,6 +74,12 @@ def stuck(
     spans = [(float(t[a]), float(t[b])) for a, b in zip(first[long], last[long], strict=True)]
     if name not in QUICK:
         spans = [s for s in spans if _others_move(name, samples, s)]
+    if name == "speed":
+        stays = tuple((float(t[a]), float(t[b])) for a, b in zip(first, last, strict=True))
+        asked = length > STUCK_SLOW_S
+        stays = tuple(s for s, is_asked in zip(stays, asked, strict=True) if is_asked)
+        hit = contradicted(samples, stays)
+        spans = sorted({*spans, *(s for s, is_hit in zip(stays, hit, strict=True) if is_hit)})
     spans = [s for s in spans if not _is_shown_often(t, table, first, s)]
     total = sum(b - a for a, b in spans)
     if not spans or (name not in QUICK and total < STUCK_SLOW_S):

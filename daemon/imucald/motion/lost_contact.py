@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from imucald.motion.hops import HopRows
+from imucald.motion.rail_evidence import AxisHop
 from imucald.motion.sensor_judges import Runs
 
 JUMP = 5.0
@@ -35,38 +36,33 @@ class LostContact:
         self._open, self._entry = 0, 0.0
 
     def step(
-        self, rows: HopRows, h: int, axis: int, counts: tuple[int, int, int, int], usual: Runs
+        self, at: AxisHop, axis: int, counts: tuple[int, int, int, int], usual: Runs
     ) -> tuple[bool, bool]:
-        """Take hop h of an axis.
+        """Take a hop of an axis.
 
         counts: its count, ended, longest and run, as `HopRows` has them. usual: the runs of equal
-        values of this axis so far. Returns whether a value between two
-        jumps that lasted longer than those ended in it, and whether its longest run is none to
-        learn from.
+        values of this axis so far. Returns whether a value between two jumps that lasted longer
+        than those ended in it, and whether its longest run is none to learn from.
         """
         count, ended, longest, run = counts
         found = jumped = False
         if longest >= MIN_RUN and longest > usual.longest:
-            lasted = self._between_jumps(rows, h, axis)
+            lasted = self._between_jumps(at.rows, at.h, axis)
             jumped = longest == lasted
             found = lasted > usual.limit()
         if not jumped:
-            self._change += float(rows.level[h, axis]) * count
+            self._change += at.level * count
             self._changes += ended
         if run <= count:  # it began in this hop
-            at = int(rows.edges[h + 1]) - run
-            values = rows.samples[axis]
-            before = values[at - 1] if at else rows.before[axis]
-            self._entry = float(abs(values[at] - before))
+            self._entry = at.entry
         self._open = run
         return found, jumped
 
     def _between_jumps(self, rows: HopRows, h: int, axis: int) -> int:
         """The longest run between two jumps that ended in the hop [samples]."""
         first, last = int(rows.edges[h]), int(rows.edges[h + 1])
-        values = rows.samples[axis]
-        before = values[first - 1] if first else rows.before[axis]
-        change = np.abs(np.diff(values[first:last], prepend=before))
+        values = rows.samples[axis, first:last]
+        change = np.abs(np.diff(values, prepend=rows.previous(first)[axis]))
         new = np.flatnonzero(change)
         lasted = np.diff(new, prepend=-self._open)
         size: NDArray[np.float64] = change[new]

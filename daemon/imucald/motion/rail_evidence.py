@@ -21,12 +21,15 @@ MOST_SAMPLES = 512
 class AxisHop(Struct, frozen=True):
     """A hop of one axis. rows, h: hop h of the rows; runs: of the axis.
 
-    step, tops, on_tops: of the axis in that hop, as `HopRows` has step, top and on_top.
+    level, step, tops, on_tops: of the axis in that hop, as `HopRows` has level, step, top and
+    on_top; entry: as it gives entries.
     """
 
     rows: HopRows
     h: int
     runs: Runs
+    level: float
+    entry: float
     step: float
     tops: tuple[float, float]
     on_tops: tuple[int, int]
@@ -64,15 +67,14 @@ class Pile(Struct):
         sample = value if side == 0 else -value
         at_it, seen = self.at_it, self.seen
         for k in (first + np.flatnonzero(samples[axis, first:stop] == sample)).tolist():
-            before = samples[:, k - 1 : k] if k else at.rows.before[:, None]
-            two = np.concatenate([before, samples[:, k : k + 1]], axis=1)
-            if len(seen) == MOST_SAMPLES or (two[:, 0] == two[:, 1]).all():
+            two = np.array([at.rows.previous(k), samples[:, k]])
+            if len(seen) == MOST_SAMPLES or (two[0] == two[1]).all():
                 continue
             known = len(seen)
             seen[two.tobytes()] = None
             if len(seen) > known:
                 self.at_it += 1
-                self.stays += bool(two[axis, 0] == sample)
+                self.stays += bool(two[0, axis] == sample)
         return self.at_it > at_it
 
     def count_stay_once(self) -> None:

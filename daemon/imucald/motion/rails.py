@@ -210,8 +210,7 @@ class AxisRails:
         elif moving:
             hop = self._hops
             self._hops += 1
-            change = float(at.rows.level[at.h, self._axis])
-            self._usual += (change - self._usual) / min(self._hops, TAIL_HOPS)
+            self._usual += (at.level - self._usual) / min(self._hops, TAIL_HOPS)
         is_high, is_low = high.step(at, hop), low.step(at, hop)
         if (is_high or is_low) and self._has_tail(at):
             if is_high:
@@ -234,7 +233,7 @@ class AxisRails:
         """The axis was stuck: has that ended, and was it a rail that held it?"""
         rows, first = at.rows, at.rows.edges[at.h]
         own = rows.samples[self._axis, first : rows.edges[at.h + 1]]
-        value = float(rows.samples[self._axis, first - 1] if first else rows.before[self._axis])
+        value = float(rows.previous(first)[self._axis])
         other = np.flatnonzero(own != value)
         if not len(other) or not self._has_tail(at):
             return

@@ -142,7 +142,11 @@ class _Sensor(_Judged):
             of = rows.level[some], rows.ended[some]
             wild[some] |= self._unit.step(*of, other[some], moving[some])
         moves, counts = moving.tolist(), rows.count.tolist()
-        each = [self._judge_axis(axis, rows, moves, counts) for axis in range(self.axes)]
+        columns = [x.T.tolist() for x in (rows.level, rows.entries(), rows.step)]
+        each = [
+            self._judge_axis(axis, rows, moves, [x[axis] for x in columns])
+            for axis in range(self.axes)
+        ]
         shown = [(SignalFault.STUCK, AXES[i], stuck) for i, (stuck, _) in enumerate(each)]
         shown += [(SignalFault.SATURATED, AXES[i], on) for i, (_, on) in enumerate(each)]
         shown += [(SignalFault.IMPLAUSIBLE, AXES[: self.axes], wild.tolist())]
@@ -155,24 +159,27 @@ class _Sensor(_Judged):
         return [faults if count else None for faults, count in zip(found, counts, strict=True)]
 
     def _judge_axis(
-        self, axis: int, rows: HopRows, moves: list[bool], counts: list[int]
+        self, axis: int, rows: HopRows, moves: list[bool], sizes: list[list[float]]
     ) -> tuple[list[bool], list[bool]]:
-        """At the end of which hops an axis is stuck, and on a rail; False without samples."""
+        """At the end of which hops an axis is stuck, and on a rail; False without samples.
+
+        sizes: level, entry and step of the axis, as an `AxisHop` has them.
+        """
         judge, rails, contact = self.stuck[axis], self.rails[axis], self.contacts[axis]
-        columns = [x[:, axis].tolist() for x in (rows.ended, rows.longest, rows.run, rows.step)]
+        counts = [x[:, axis].tolist() for x in (rows.ended, rows.longest, rows.run)]
+        of_runs = zip(rows.count.tolist(), *counts, strict=True)
         of_sides = [
             zip(*(x[:, side, axis].tolist() for side in range(SIDES)), strict=True)
             for x in (rows.top, rows.on_top)
         ]
-        stuck, saturated = [False] * len(counts), [False] * len(counts)
-        of_hops = zip(moves, counts, *columns, *of_sides, strict=True)
-        for h, (moving, count, ended, longest, run, step, tops, on_tops) in enumerate(of_hops):
-            if count:
-                hop = AxisHop(rows, h, judge.moving, step, tops, on_tops)
+        stuck, saturated = [False] * len(moves), [False] * len(moves)
+        of_hops = zip(moves, of_runs, *sizes, *of_sides, strict=True)
+        for h, (moving, runs, level, entry, step, tops, on_tops) in enumerate(of_hops):
+            if runs[0]:
+                hop = AxisHop(rows, h, judge.moving, level, entry, step, tops, on_tops)
                 saturated[h] = rails.step(hop, moving, judge.stuck)
-                runs = count, ended, longest, run
-                lost, jumped = contact.step(rows, h, axis, runs, judge.usual(moving))
-                stuck[h] = judge.step(moving, count, ended, longest, run, step, jumped) or lost
+                lost, jumped = contact.step(hop, axis, runs, judge.usual(moving))
+                stuck[h] = judge.step(moving, runs, step, jumped) or lost
         return stuck, saturated
 
 

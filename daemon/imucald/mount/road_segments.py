@@ -24,7 +24,7 @@ rule."""
 WITHOUT_SPEED_SHARE = 3.0
 """Without speed A r is not known: variances of rotation axes are so much larger."""
 FEWEST = 3.0
-"""Of fewer segments alone no spread is told."""
+"""Of fewer segments alone no spread is known."""
 MIN_INFORMATION = 50.0
 """Less than this [1/rad^2], 8 deg, is not worth a source."""
 

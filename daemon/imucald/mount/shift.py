@@ -24,6 +24,8 @@ import numpy as np
 from msgspec import Struct
 from numpy.typing import NDArray
 
+from imucald.mount.evidence_rows import SAME_NOISE
+
 Array = NDArray[np.float64]
 
 SPANS = np.arange(2, 13)
@@ -43,8 +45,6 @@ UNEVEN_STD = {
     "yaw_dvdt": 0.0035,
 }
 """What a source says differs by that much [rad] between town and motorway, without a shift."""
-SAME_NOISE = ("roll_turn", "roll_axis")
-"""Both see the same noise, the lean of roads in bends: only the better one speaks."""
 TAIL = (1e6, 1e6, 8.0)
 """Degrees of freedom of Student's t, for roll, pitch and yaw; many are as good as normal."""
 MIN_SIZE = (0.026, 0.026, 0.013)

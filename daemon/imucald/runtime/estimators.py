@@ -16,12 +16,12 @@ from imucald.core.rotations import rotation_from_angles
 from imucald.mount.estimate import BETWEEN_DRIVES_STD, MountEstimator, MountState, Targets
 from imucald.mount.estimator import FullEstimator
 from imucald.mount.estimator_settings import DelayPrior, EstimatorSettings
-from imucald.mount.restored import RestoredEstimator, StoredMount
 from imucald.mount.stated_orientation import StatedOrientation
 
 if TYPE_CHECKING:
     from imucald.model_compensation import ModelCompensation
     from imucald.mount.method_a.settings import PublishedSettings
+    from imucald.mount.restored import StoredMount
 
 CONFIGURED_DELAY_STD = 0.03
 """How well a configured delay is taken to be known [s]."""
@@ -39,6 +39,8 @@ def estimator_for(
     learning = learning_estimator(config, compensation, stated)
     if (mount := config.calibration.mount) is None:
         return learning
+    from imucald.mount.restored import RestoredEstimator  # noqa: PLC0415 - few state one
+
     stored = known_mount(mount, learning.estimate().targets)
     return RestoredEstimator(learning, stored, is_held=mount.hold)
 
@@ -70,6 +72,8 @@ def known_mount(mount: KnownMount, targets: Targets | None) -> StoredMount:
 
     Raises EstimateError where it is not known well enough to be *usable* (`targets`).
     """
+    from imucald.mount.restored import StoredMount  # noqa: PLC0415 - few state one
+
     std, state = np.array(mount.std), MountState.USABLE
     if targets is not None:
         for s, limit, axis in zip(std, targets.usable, "xyz", strict=True):

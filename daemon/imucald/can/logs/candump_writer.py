@@ -6,7 +6,6 @@ length, channel) have lines of equal length, which are filled as a table and put
 
 from __future__ import annotations
 
-import gzip
 import os
 import re
 import stat
@@ -154,6 +153,8 @@ def _open(name: str) -> BufferedIOBase:
         stdout: BufferedIOBase = sys.stdout.buffer  # type: ignore[assignment]
         return stdout
     if name.endswith(".gz"):
+        import gzip  # noqa: PLC0415 - replay writes most often nothing
+
         return gzip.open(name, "wb", GZIP_LEVEL)
     return Path(name).open("wb")
 

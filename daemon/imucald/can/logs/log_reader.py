@@ -10,9 +10,8 @@ from __future__ import annotations
 
 import importlib
 import os
-import pkgutil
 import re
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Final
 
@@ -30,17 +29,23 @@ from imucald.core.errors import LogError
 __all__ = ["CAN_EFF_FLAG", "CandumpWriter", "FrameColumns", "IdMatch", "LogReader"]
 
 
-def find_formats() -> tuple[type[LogFormat], ...]:
+FIRST_FORMAT: Final = "candump_logs"
+"""What most logs are: the other formats are loaded (5 ms) where a log is not that."""
+
+
+def find_formats() -> Iterator[type[LogFormat]]:
     """Every format that can be read: FORMAT of each module of this folder named `..._logs`."""
-    names = (module.name for module in pkgutil.iter_modules(logs.__path__))
-    return tuple(
-        importlib.import_module(f"{logs.__name__}.{name}").FORMAT
-        for name in sorted(names)
-        if name.endswith("_logs")
-    )
+    yield _format(FIRST_FORMAT)
+    import pkgutil  # noqa: PLC0415 - see FIRST_FORMAT
+
+    names = {module.name for module in pkgutil.iter_modules(logs.__path__)} - {FIRST_FORMAT}
+    yield from (_format(name) for name in sorted(names) if name.endswith("_logs"))
 
 
-FORMATS: Final = find_formats()
+def _format(name: str) -> type[LogFormat]:
+    found: type[LogFormat] = importlib.import_module(f"{logs.__name__}.{name}").FORMAT
+    return found
+
 
 CANDUMP_ENDING: Final = ".log"
 """Of candump text, which an empty file is read as."""
@@ -116,11 +121,7 @@ class LogReader:
         self._bytes_total = _total_bytes(self._paths)
         refuse_same_files(self._paths)
         first_frames = FirstFrames(self._cycles)
-        shared = IdFilters(self._keep), Channels(), self._statistics
-        readers = [kind(*shared) for kind in FORMATS]
-        for reader in readers:
-            if isinstance(reader, CountsTime):
-                reader.cycles = self._cycles
+        readers = _Readers(IdFilters(self._keep), Channels(), self._statistics, self._cycles)
         for path in self._paths:
             with looked_at(path) as (head, handed):
                 chosen = _reader_for(readers, first_bytes(head, HEAD_BYTES), path)
@@ -139,7 +140,26 @@ class LogReader:
             self._progress(self._bytes_before + bytes_of_file, self._bytes_total)
 
 
-def _reader_for(readers: Sequence[LogFormat], head: bytes, path: Path | str | OpenLog) -> LogFormat:
+class _Readers:
+    """A reader of each format, made when it is asked for."""
+
+    def __init__(
+        self, filters: IdFilters, channels: Channels, statistics: ReadStatistics, cycles: Cycles
+    ) -> None:
+        self._made: list[LogFormat] = []
+        self._others = (kind(filters, channels, statistics) for kind in find_formats())
+        self._cycles = cycles
+
+    def __iter__(self) -> Iterator[LogFormat]:
+        yield from self._made
+        for reader in self._others:
+            if isinstance(reader, CountsTime):
+                reader.cycles = self._cycles
+            self._made.append(reader)
+            yield reader
+
+
+def _reader_for(readers: Iterable[LogFormat], head: bytes, path: Path | str | OpenLog) -> LogFormat:
     """The reader of a file with these first plain bytes. Raises LogError where it is no log."""
     found = next((r for r in readers if r.begins(head)), None)
     if found is not None:

@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-import bz2
 import contextlib
-import lzma
-import tempfile
 import zlib
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
@@ -23,8 +20,8 @@ PLAIN_BYTES: Final = 1 << 20
 _GZIP_FORMAT: Final = 31
 """What zlib calls a gzip header with the largest window."""
 
-DAMAGE: Final = (OSError, EOFError, zlib.error, lzma.LZMAError, ValueError)
-"""What damaged compressed data raise (bzip2: OSError; Zstandard: made a ValueError here)."""
+DAMAGE: Final = (OSError, EOFError, zlib.error, ValueError)
+"""What damaged compressed data raise (bzip2: OSError; xz, Zstandard: made a ValueError here)."""
 
 
 class ByteSource(Protocol):
@@ -58,29 +55,61 @@ class Member(Protocol):
         """Take bytes, give at most so many."""
 
 
-class _Zlib:
+class _Inner:
+    """What a module's decompressor says itself."""
+
+    _inner: Any
+
+    @property
+    def eof(self) -> bool:
+        return bool(self._inner.eof)
+
+    @property
+    def unused_data(self) -> bytes:
+        return bytes(self._inner.unused_data)
+
+
+class _Zlib(_Inner):
     """A gzip member in the shape of the other modules' decompressors."""
 
     def __init__(self) -> None:
         self._inner = zlib.decompressobj(_GZIP_FORMAT)
 
     @property
-    def eof(self) -> bool:
-        return self._inner.eof
-
-    @property
-    def unused_data(self) -> bytes:
-        return self._inner.unused_data
-
-    @property
     def needs_input(self) -> bool:
         return not self._inner.unconsumed_tail
 
     def decompress(self, data: bytes, max_length: int, /) -> bytes:
-        return self._inner.decompress(self._inner.unconsumed_tail + data, max_length)
+        return bytes(self._inner.decompress(self._inner.unconsumed_tail + data, max_length))
 
 
-class _Zstd:
+def _bzip2() -> Member:
+    import bz2  # noqa: PLC0415 - few logs need it
+
+    return bz2.BZ2Decompressor()
+
+
+class _Xz(_Inner):
+    """An xz member, whose error becomes a ValueError."""
+
+    def __init__(self) -> None:
+        import lzma  # noqa: PLC0415 - few logs need it
+
+        self._error = lzma.LZMAError
+        self._inner = lzma.LZMADecompressor()
+
+    @property
+    def needs_input(self) -> bool:
+        return bool(self._inner.needs_input)
+
+    def decompress(self, data: bytes, max_length: int, /) -> bytes:
+        try:
+            return bytes(self._inner.decompress(data, max_length))
+        except self._error as error:
+            raise ValueError(str(error)) from None
+
+
+class _Zstd(_Inner):
     """A Zstandard frame in the same shape; one call gives what its input makes."""
 
     def __init__(self) -> None:
@@ -95,11 +124,7 @@ class _Zstd:
 
     @property
     def eof(self) -> bool:
-        return bool(self._inner.eof) and not self._made
-
-    @property
-    def unused_data(self) -> bytes:
-        return bytes(self._inner.unused_data)
+        return super().eof and not self._made
 
     @property
     def needs_input(self) -> bool:
@@ -117,8 +142,8 @@ class _Zstd:
 
 _MEMBERS: Final[Mapping[bytes, Callable[[], Member]]] = {
     b"\x1f\x8b": _Zlib,
-    b"\xfd7zXZ\0": lzma.LZMADecompressor,
-    b"BZh": bz2.BZ2Decompressor,
+    b"\xfd7zXZ\0": _Xz,
+    b"BZh": _bzip2,
     b"\x28\xb5\x2f\xfd": _Zstd,
 }
 MAGIC_BYTES: Final = max(map(len, _MEMBERS))
@@ -231,6 +256,8 @@ def plain_file(path: Path) -> Iterator[tuple[Path, str]]:
         if member is None:
             yield path, ""
             return
+        import tempfile  # noqa: PLC0415 - what reads text needs no other file
+
         with tempfile.NamedTemporaryFile(prefix="imucald-") as plain:
             damage = _unpack(Unpacked(source, head, member), plain.file)
             plain.flush()

@@ -1,0 +1,77 @@
+"""A speed that is held while the accelerometer says that it changes."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from imucald.core.samples import GRAVITY, Series
+from imucald.diagnosis.faults import find_faults
+from imucald.diagnosis.lost_readings import all_lost
+from imucald.model.model import VehicleModel
+
+SECONDS = 1500.0
+LSB_MPS = 1.0 / 3.6
+MODEL = VehicleModel().with_changes({"accel.rate_hz": 20.0, "speed.rate_hz": 1.0})
+
+
+def drive(seed: int) -> dict[str, Series]:
+    """Town traffic and stretches of cruise on a hilly road; speed once a second in whole km/h."""
+    rng = np.random.default_rng(seed)
+    t = np.arange(0.0, SECONDS, 0.05)
+    rate = np.convolve(rng.standard_normal(len(t)), np.hanning(160), "same")
+    rate *= 0.5 / rate.std()
+    # Every third half minute the speed is kept, but for what a cruise control lets through.
+    rate *= np.where((t // 30.0) % 3 == 0, 0.05, 1.0)
+    v = np.cumsum(rate) * 0.05
+    v = 16.0 + v - np.convolve(v, np.ones(4001) / 4001, "same")
+    road = np.convolve(rng.standard_normal(len(t)), np.hanning(600), "same")
+    road *= 0.02 / road.std()
+    noise = 0.05 * rng.standard_normal((len(t), 3))
+    force = np.column_stack([np.gradient(v, 0.05) + GRAVITY * road, 0.0 * t, GRAVITY + 0.0 * t])
+    gyro = np.column_stack([0.0 * t, -np.gradient(road, 0.05), 0.0 * t])
+    # Sideways in its box: forward is the sensor's y.
+    turned = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
+    seconds = np.arange(0.0, SECONDS, 1.0)
+    return {
+        "accel": Series(t, (force + noise) @ turned.T),
+        "gyro": Series(t, (gyro + 0.001 * rng.standard_normal((len(t), 3))) @ turned.T),
+        "speed": Series(seconds, np.round(np.interp(seconds, t, v) / LSB_MPS) * LSB_MPS),
+    }
+
+
+def held(samples: dict[str, Series], start: int, seconds: int) -> dict[str, Series]:
+    values = samples["speed"].values.copy()
+    values[start : start + seconds] = values[start]
+    return {**samples, "speed": Series(samples["speed"].t, values)}
+
+
+def stuck(samples: dict[str, Series]) -> list[tuple[float, float]]:
+    faults = find_faults(samples, MODEL, all_lost(samples))
+    return [span for f in faults if (f.cause, f.signal) == ("stuck_signal", "speed")
+            for span in f.spans]  # fmt: skip
+
+
+def longest_stay(samples: dict[str, Series]) -> int:
+    x = samples["speed"].values
+    edges = np.flatnonzero(np.diff(x) != 0.0)
+    return int(np.diff(edges).max())
+
+
+def test_a_cruise_is_held_by_nobody():
+    samples = [drive(seed) for seed in range(4)]
+    assert max(longest_stay(s) for s in samples) > 15
+    assert all(stuck(s) == [] for s in samples)
+
+
+def test_a_speed_that_is_held_as_long_as_a_cruise_is_found_by_the_accelerometer():
+    for seed in range(4):
+        samples = drive(seed)
+        [(low, high)] = stuck(held(samples, 755, 25))
+        assert 750.0 <= low <= 755.0
+        assert 779.0 <= high <= 785.0
+
+
+def test_without_an_accelerometer_that_speaks_against_it_nothing_is_said():
+    samples = drive(0)
+    still = Series(samples["accel"].t, np.tile([0.0, 0.0, GRAVITY], (len(samples["accel"].t), 1)))
+    assert stuck({**held(samples, 755, 25), "accel": still}) == []
