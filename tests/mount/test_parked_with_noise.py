@@ -7,7 +7,7 @@ import pytest
 from test_estimator import GOOD
 
 from imucald.core.samples import Series
-from imucald.motion.ticks import ticks_from_samples
+from imucald.motion.column_ticks import ticks_from_samples
 from imucald.mount.estimator import FullEstimator
 from imucald.simulation import random_model, simulate
 from mount_settings import full
