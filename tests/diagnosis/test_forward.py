@@ -11,7 +11,7 @@ import pytest
 from hidden import Effect, hidden_drive
 from imucald.core.rotations import rotation_from_vector
 from imucald.core.samples import Series
-from imucald.diagnosis.blocks import _of_the_road, table_of
+from imucald.diagnosis.blocks import table_of
 from imucald.diagnosis.cause_keys import extended, mount_of, value, with_delay_rate, with_shifts
 from imucald.diagnosis.direct import Rest, rest_of
 from imucald.diagnosis.forward import Forward
@@ -116,19 +116,6 @@ def test_the_noise_of_an_equation_is_not_explained_by_two_gains_of_its_own_signa
     free = np.linalg.lstsq(gram[1:, 1:], gram[1:, 0], rcond=1e-12)[0]
     left = gram[0, 0] - gram[0, 1:] @ free
     assert left > 0.8 * gram[0, 0]
-
-
-def known_of_the_mount(slope: float) -> float:
-    """Information that a block of turning holds on a turn of the mount. slope: its deviation."""
-    turning = np.full((1, 50, 1), 0.1)
-    gram = np.swapaxes(turning, 1, 2) @ turning
-    return float((gram - _of_the_road(turning, turning[:, :, 0], slope))[0, 0, 0])
-
-
-def test_turning_on_a_slope_shows_the_mount_no_better_than_the_slope_is_known():
-    """A block says w_x = (mount + slope) r, however long it turns: the slope's variance remains."""
-    assert known_of_the_mount(0.0) == pytest.approx(0.5)
-    assert known_of_the_mount(3.0) == pytest.approx(1.0 / (1.0 / 0.5 + 3.0**2))
 
 
 def gain_alone(samples) -> float:
