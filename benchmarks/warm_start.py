@@ -24,7 +24,7 @@ from msgspec.structs import replace
 from numpy.typing import NDArray
 
 from imucald.core.rotations import rotation_from_vector, vector_from_rotation
-from imucald.motion.ticks import ticks_from_samples
+from imucald.motion.column_ticks import ticks_from_samples
 from imucald.mount.estimate import BETWEEN_DRIVES_STD, MountEstimator, MountState
 from imucald.mount.restored import Phase, RestoredEstimator, StoredMount
 from imucald.mount.saved_information import SavesInformation, saved_from

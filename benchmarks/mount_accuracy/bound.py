@@ -14,7 +14,7 @@ import math
 import numpy as np
 
 from benchmarks.mount_accuracy.drives import FULL, Drive, run
-from imucald.motion.ticks import ticks_from_samples
+from imucald.motion.column_ticks import ticks_from_samples
 from imucald.mount.estimator import FullEstimator
 from imucald.simulation import random_model, simulate
 

@@ -18,7 +18,7 @@ from imucald.config.calibration import CalibrationSettings
 from imucald.config.vehicle import VehicleSettings
 from imucald.core.rotations import Matrix3, rotation_from_vector, vector_from_rotation
 from imucald.motion import ticks as tk
-from imucald.motion.ticks import ticks_from_samples
+from imucald.motion.column_ticks import ticks_from_samples
 from imucald.mount.estimate import MountEstimator, MountState
 from imucald.mount.estimator import FullEstimator
 from imucald.mount.estimator_settings import EstimatorSettings

@@ -21,6 +21,12 @@ EXAMPLE = ROOT / "dbc" / "imucald_example.dbc"
 FILES = [EXAMPLE, *sorted(DATA.glob("cluster.*"))]
 
 
+@pytest.fixture(autouse=True)
+def nothing_remembered(monkeypatch):
+    """Other tests of this process may have asked for it."""
+    monkeypatch.setattr(database._Memory, "databases", None)
+
+
 @pytest.fixture
 def folder(tmp_path, monkeypatch):
     place = tmp_path / "cache"
@@ -160,3 +166,42 @@ def test_a_second_run_does_not_load_the_parser(tmp_path):
         for _ in range(2)
     ]
     assert outputs == ["True", "False"]
+
+
+def test_a_process_that_reads_many_logs_parses_a_database_once(tmp_path, parsed, monkeypatch):
+    monkeypatch.setattr(database._Memory, "databases", {})
+    path = tmp_path / "car.dbc"
+    path.write_bytes(EXAMPLE.read_bytes())
+    first, again = load_database([path]), load_database([path])
+    assert again.messages == first.messages
+    assert parsed == [str(path)]
+    path.write_bytes(EXAMPLE.read_bytes().replace(b"IMU", b"XMU"))
+    changed = load_database([path])
+    assert parsed == [str(path)] * 2
+    assert set(changed.messages) != set(first.messages)
+    monkeypatch.setattr(database, "REMEMBERED_TEXT", 10)
+    load_database([path])
+    assert parsed == [str(path)] * 3
+
+
+def test_a_process_remembers_few_databases(tmp_path, parsed, monkeypatch):
+    monkeypatch.setattr(database._Memory, "databases", {})
+    paths = [tmp_path / f"{k}.dbc" for k in range(database.REMEMBERED + 1)]
+    for path in paths:
+        path.write_bytes(EXAMPLE.read_bytes())
+        load_database([path])
+    load_database([paths[-1]])
+    assert len(parsed) == len(paths)
+    load_database([paths[0]])
+    assert parsed[len(paths) :] == [str(paths[0])]
+
+
+def test_nothing_is_remembered_unasked(parsed, monkeypatch):
+    monkeypatch.setattr(database._Memory, "databases", None)
+    load_database([EXAMPLE])
+    load_database([EXAMPLE])
+    assert len(parsed) == 2
+    database.remember_databases()
+    load_database([EXAMPLE])
+    load_database([EXAMPLE])
+    assert len(parsed) == 3

@@ -22,6 +22,7 @@ from imucald.commands.check_view import print_report
 from imucald.config import parse_config
 from imucald.config_check import Check
 from imucald.core.rotations import rotation_from_angles
+from imucald.core.samples import Series
 from imucald.runtime.session import make_engine, open_config
 from imucald.simulation import random_model, simulate
 from imucald.traffic.can_log import EPOCH_S, bus_frames
@@ -637,3 +638,35 @@ def test_a_sensor_that_sticks_within_the_log_is_reported(frames: Frames) -> None
         check.feed(replace(chunk, data=data))
     text = findings(check.report(), "warning")["accelerometer"]
     assert "y repeats one value (stuck, from 15" in text
+
+
+def edited(channel: str, axis: int | None, value: float) -> Frames:
+    """The drive with a channel, or an axis of it, that says the same all the time."""
+    drive = simulate(random_model(6, standing_first=True), 6, MINUTES)
+    series = drive.samples[channel]
+    values = series.values.copy()
+    values[..., slice(None) if axis is None else axis] = value
+    samples = {**drive.samples, channel: Series(series.t, values)}
+    return list(
+        bus_frames(dataclasses.replace(drive, samples=samples), BusEncoder(example_config()))
+    )
+
+
+def test_a_speed_that_never_changes_cannot_be_used() -> None:
+    report = checked(edited("speed", None, 13.0))
+    assert not report["usable"]
+    assert "13.00 m/s from beginning to end" in findings(report, "error")["speed"]
+
+
+@pytest.mark.parametrize(
+    ("channel", "axis", "quantity"),
+    [("accel", 0, "accelerometer.x"), ("accel", 2, "accelerometer.z"), ("gyro", 2, "gyroscope.z")],
+)
+def test_a_dead_axis_is_the_error_and_no_other_signal_is_blamed(
+    channel: str, axis: int, quantity: str
+) -> None:
+    report = checked(edited(channel, axis, 0.0))
+    assert not report["usable"]
+    found = findings(report, "error")
+    assert set(found) == {quantity}
+    assert "never changes" in found[quantity]

@@ -162,6 +162,14 @@ def test_a_full_disk_and_a_reader_that_went_are_no_traceback(tmp_path: Path) -> 
     assert running.returncode == 0
 
 
+def test_a_shift_after_the_end_of_the_drive_is_refused(tmp_path, capsys):
+    order = ["simulate", "--minutes", "1", "--out", str(tmp_path / "d.log"), "--shift"]
+    assert cli.main([*order, "60,0,5,0"]) == 1
+    assert "--shift at 60 s: the drive ends after 60 s" in capsys.readouterr().err
+    assert not (tmp_path / "d.log").exists()
+    assert cli.main([*order, "59,0,5,0"]) == 0
+
+
 def test_the_files_of_a_command_are_looked_at_before_its_work(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -20,7 +20,7 @@ MINUTES = 3.0
 STICKS_AT = 100.0
 
 
-def told(
+def replayed(
     capsys: pytest.CaptureFixture[str], folder: Path, sticks_at: float | None
 ) -> tuple[str, ...]:
     """Lines of a replay of a drive whose accelerometer keeps its last value from a time on [s]."""
@@ -39,10 +39,10 @@ def told(
     return tuple(capsys.readouterr().out.splitlines())
 
 
-def test_a_sensor_that_sticks_is_told_with_its_time(
+def test_a_sensor_that_sticks_is_reported_with_its_time(
     capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
-    lines = told(capsys, tmp_path, STICKS_AT)
+    lines = replayed(capsys, tmp_path, STICKS_AT)
     events = [line for line in lines if "accel stuck" in line]
     assert len(events) == 1
     assert events[0].startswith("at 1:4")
@@ -52,6 +52,6 @@ def test_a_sensor_that_sticks_is_told_with_its_time(
 
 
 def test_a_sound_drive_has_no_such_line(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
-    lines = told(capsys, tmp_path, None)
+    lines = replayed(capsys, tmp_path, None)
     assert lines[0].startswith("state:")
     assert not [line for line in lines if line.startswith("at ")]

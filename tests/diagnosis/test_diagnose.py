@@ -194,7 +194,16 @@ def test_three_elements_of_a_gain_are_one_cause_and_no_zero_error(seed):
     d = diagnose([made.samples], model_from_mapping(dict(made.model), "baseline"))
     (cause,) = d.causes
     assert cause.name == "accel_cross_axis"
-    assert {k: p.value for k, p in cause.parameters.items()} == pytest.approx(true, abs=0.02)
+    told = {k: p.value for k, p in cause.parameters.items() if abs(p.value) > 0.02}
+    assert told == pytest.approx(true, abs=0.02)
+
+
+def test_what_falls_leaves_its_place_to_what_explains_as_much():
+    """A zero of 0.25 m/s^2, taken for a gain of one axis at first, which did not stand at the end:
+    then nothing was said, with 2,000 nats unexplained."""
+    made = hidden_drive(1_341_502, (Effect("accel_bias", "medium"),), 20.0)
+    d = diagnose([made.samples], model_from_mapping(dict(made.model), "baseline"))
+    assert "accel_bias" in {c.name for c in d.causes}.union(*d.look_alikes)
 
 
 def test_a_ratio_that_is_a_third_lower_is_plausible():

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
@@ -103,6 +104,36 @@ def test_no_column_is_the_raw_signal_of_its_own_equation():
             assert abs(np.corrcoef(column, own)[0, 1]) < 0.95, (key, name)
 
 
+@pytest.mark.parametrize("name", ["gyro_z", "yaw_rate"])
+def test_the_noise_of_an_equation_is_not_explained_by_two_gains_of_its_own_signals(name):
+    """Each made of its own signal, the difference of their columns would be the equation itself."""
+    samples = dict(world()[0].samples)
+    rng, yaw = np.random.default_rng(5), samples["yaw_rate"]
+    loud = 0.02 * rng.standard_normal(len(yaw.values))
+    samples["yaw_rate"] = Series(yaw.t, yaw.values + loud)
+    table = table_of([drive_of(samples)], world()[1])[0]
+    gram = table.plain[name].sum(axis=(0, 1))
+    free = np.linalg.lstsq(gram[1:, 1:], gram[1:, 0], rcond=1e-12)[0]
+    left = gram[0, 0] - gram[0, 1:] @ free
+    assert left > 0.8 * gram[0, 0]
+
+
+def gain_alone(samples) -> float:
+    """The speed's gain by the forward equation alone."""
+    table = table_of([drive_of(samples)], world()[1])[0]
+    gram, at = table.plain["accel_x"].sum(axis=(0, 1)), table.keys.index("speed.scale") + 1
+    return float(gram[0, at] / gram[at, at])
+
+
+def test_noise_of_the_accelerometer_is_no_gain_where_the_speed_knows_better():
+    """It stands in the equation, and would stand in the column that is made of its signal."""
+    samples = dict(world()[0].samples)
+    rng, accel = np.random.default_rng(4), samples["accel"]
+    noise = 1.0 * rng.standard_normal(accel.values.shape)
+    samples["accel"] = Series(accel.t, accel.values + noise)
+    assert gain_alone(samples) == pytest.approx(gain_alone(world()[0].samples), abs=0.02)
+
+
 @pytest.mark.parametrize(("changes", "key"), [
     ({"accel.bias.x": 0.2}, "accel.bias.x"),
     ({"gyro.scale.2": 0.03}, "gyro.scale.2"),
@@ -179,6 +210,20 @@ def test_stops_are_those_that_speed_and_gyroscope_agree_on():
     assert rest is not None
     true = mount_of(model) @ [drive.parameters[f"gyro.bias.{i}"] for i in range(3)]
     assert rest.rate == pytest.approx(true, abs=0.0012)  # it warms up besides
+
+
+def test_two_stops_that_differ_show_no_zero_more_sharply_than_they_differ():
+    """As of a gyroscope that forgets: what it shows at a stop is left of the turn before it."""
+    drive, model = world()
+    whole = drive_of(drive.samples)
+    first = whole.stops[0]
+    other = replace(first, gyro=first.gyro + np.radians([0.0, 0.0, 0.4]))
+    same = rest_of([replace(whole, stops=(first, first))], model, 3)
+    differ = rest_of([replace(whole, stops=(first, other))], model, 3)
+    assert same is not None
+    assert differ is not None
+    assert same.se == pytest.approx(np.radians([0.04] * 3))
+    assert np.degrees(np.linalg.norm(differ.se)) > 0.19
 
 
 # writing -----------------------------------------------------------------------------------------

@@ -42,9 +42,9 @@ def test_what_a_contact_that_opens_shows_is_found_row_by_row(value):
     assert lost.value == pytest.approx(value)
     assert (lost.rows == rows).all()
     assert len(lost.kept(series).t) == int((~rows).sum())
-    told = as_structure("accel", lost)
-    assert told.kind == READINGS_LOST
-    assert "m/s^2" in told.text
+    structure = as_structure("accel", lost)
+    assert structure.kind == READINGS_LOST
+    assert "m/s^2" in structure.text
 
 
 @pytest.mark.parametrize("lsb", [0.002, 0.125])

@@ -88,6 +88,12 @@ def test_less_than_a_correct_zero_may_be_is_not_reported():
     assert patterns_of("accel_x", gram, squares) == []
 
 
+def test_of_what_is_linear_chances_are_no_smaller_than_they_say():
+    """By blocks and by rows, each with its own law."""
+    p = [q.p for seed in range(60) for q in _asked("accel_x", *left_over("line", 0.1, seed))]
+    assert np.mean(np.array(p) < 0.05) < 0.05
+
+
 def test_memory_is_that_of_the_last_large_value():
     x = np.array([0.0, 0.1, 3.0, 0.1, -0.1, -3.0, -0.1, 0.2] * 4)
     memory = _shapes(x, 4.0)[:, -len(LARGE) :]

@@ -9,8 +9,9 @@ import pytest
 from scipy.optimize import lsq_linear
 
 from imucald.diagnosis.blocks import Table
+from imucald.diagnosis.box import box_fit
 from imucald.diagnosis.intervals import estimate, quantile
-from imucald.diagnosis.score import Hypothesis, Problem, box_fit, fitted, held_out, without_best
+from imucald.diagnosis.score import Hypothesis, Problem, fitted, held_out, without_best
 
 KEYS = ("accel.bias.x", "accel.bias.y", "speed.scale")
 

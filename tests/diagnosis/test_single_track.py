@@ -6,8 +6,13 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
+from imucald.diagnosis.intervals import estimate
+from imucald.diagnosis.score import Hypothesis
+from imucald.diagnosis.signals import drive_of
 from imucald.diagnosis.single_track import followed_angle, slip_delay
+from imucald.diagnosis.state import State
 from imucald.model.vehicle import Chassis
+from imucald.simulation import random_model, simulate
 
 SIGMA_M, RACK_S, HZ, ANGLE = 0.4, 0.03, 0.7, 0.02
 T = np.arange(0.0, 30.0, 0.1)
@@ -63,3 +68,13 @@ def test_rear_slip_is_behind_the_sideways_force(v):
         return np.std((v_y - made)[SETTLED]) / np.std(slip * v * r[SETTLED])
 
     assert left(slip_delay(speed, slip, c)) < left(0.0) / 3.0
+
+
+@pytest.mark.parametrize("seed", [11, 13])
+def test_the_steering_of_our_own_simulator_is_as_late_as_its_model_says(seed):
+    """Hands, gear, tyres: what drives and what diagnoses have the same."""
+    model = random_model(seed)
+    drive = simulate(model, seed, 10.0)
+    problem = State([drive_of(drive.samples)], model, model, {}).evaluated()
+    e = estimate(problem, Hypothesis("", ("steering.delay_s",)), 1)
+    assert abs(e.value[0]) < 0.02

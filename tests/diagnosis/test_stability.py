@@ -11,7 +11,7 @@ from imucald.diagnosis.blocks import Table
 from imucald.diagnosis.chance import Question, beyond_chance
 from imucald.diagnosis.result import Structure
 from imucald.diagnosis.score import Problem
-from imucald.diagnosis.stability import _conditional, _jumping, _scores, _wandering
+from imucald.diagnosis.stability import Fit, _conditional, _jumping, _wandering
 
 BLOCKS, ROWS = 48, 60
 TOLERANCE = 0.06
@@ -23,11 +23,16 @@ def problem(seed: int, offset=0.0) -> Problem:
     rng = np.random.default_rng(seed)
     X = np.stack([np.full((BLOCKS, ROWS), 10.0), rng.standard_normal((BLOCKS, ROWS))], axis=2)
     y = rng.standard_normal((BLOCKS, ROWS)) + X[:, :, 0] * np.reshape(offset, (-1, 1))
+    return problem_of(y, X)
+
+
+def problem_of(y, X) -> Problem:
+    """y: (BLOCKS, rows) residual. X: (BLOCKS, rows, 2) columns of a zero and a gain."""
     A = np.concatenate([y[:, :, None], X], axis=2)
     gram = np.swapaxes(A, 1, 2) @ A
     tolerance = np.array([TOLERANCE, 0.01])
     table = Table(
-        KEYS, gram, {"accel_x": gram}, np.full(BLOCKS, ROWS), 30.0 * np.arange(BLOCKS),
+        KEYS, gram, {"accel_x": gram}, np.full(BLOCKS, y.shape[1]), 30.0 * np.arange(BLOCKS),
         np.zeros(BLOCKS, dtype=int), np.ones(BLOCKS), tolerance, np.zeros(2),
         np.array([[-1.0, 1.0], [-0.1, 0.1]]), {}, 30.0, {}, np.zeros((BLOCKS, 2)),
     )  # fmt: skip
@@ -35,10 +40,10 @@ def problem(seed: int, offset=0.0) -> Problem:
 
 
 def structures(p: Problem, condition=None) -> set[tuple[str, str]]:
-    scores, gram = _scores(p, None)
-    asked = list(_wandering(p, scores, gram, [0, 1]))
+    fit = Fit.of(p, None)
+    asked = list(_wandering(p, fit, [0, 1]))
     if condition is not None:
-        asked += _conditional(p, scores, gram, [0, 1], {"slow and fast": condition})
+        asked += _conditional(p, fit, [0, 1], {"slow and fast": condition})
     return {(s.kind, s.text.split()[0]) for s in beyond_chance(asked)}
 
 
@@ -61,8 +66,8 @@ def test_a_zero_that_goes_within_its_tolerance_is_not_reported():
 def test_a_zero_that_is_another_at_speed_is_reported_with_its_size():
     speed = np.random.default_rng(5).random(BLOCKS)
     p = problem(4, 5.0 * TOLERANCE * speed)
-    scores, gram = _scores(p, None)
-    found = beyond_chance(list(_conditional(p, scores, gram, [0], {"slow and fast": speed})))
+    fit = Fit.of(p, None)
+    found = beyond_chance(list(_conditional(p, fit, [0], {"slow and fast": speed})))
     assert [s.kind for s in found] == ["differs by condition"]
     # From the 5th to the 95th part in a hundred of the segments, over twice the tolerance.
     assert found[0].size == pytest.approx(5.0 * 0.9 / 2.0, rel=0.15)
@@ -81,8 +86,8 @@ def test_of_many_questions_chance_alone_shows_nothing_and_what_is_small_is_left_
 
 def test_a_gain_that_is_another_from_a_moment_on_is_told_of_with_its_time_and_size():
     p = problem(7, 4.0 * TOLERANCE * (np.arange(BLOCKS) >= 30))
-    scores, gram = _scores(p, None)
-    found = beyond_chance(list(_jumping(p, scores, gram, [0, 1])))
+    fit = Fit.of(p, None)
+    found = beyond_chance(list(_jumping(p, fit, [0, 1])))
     assert [s.parameter for s in found] == ["accel.bias.x"]
     assert found[0].size == pytest.approx(2.0, rel=0.1)
     assert "from 900 s on" in found[0].text
@@ -94,11 +99,33 @@ def test_what_lasts_two_minutes_and_comes_again_wanders():
     assert ("wanders", "accel.bias.x") in structures(problem(8, on))
 
 
+def test_what_is_held_at_the_edge_of_its_box_makes_no_gain_differ():
+    """A signal without the gain says that the zero lies far beyond its box; another, where the
+    gain's column goes with the zero's as it goes faster, is right with the zero at the edge."""
+    rng = np.random.default_rng(9)
+    speed = rng.random(BLOCKS)
+    zero = np.full((BLOCKS, ROWS), 10.0)
+    gain = rng.standard_normal((BLOCKS, ROWS)) + 3.0 * speed[:, None]
+    pulling = 20.0 * TOLERANCE * zero + rng.standard_normal((BLOCKS, ROWS))
+    agreeing = TOLERANCE * zero + 0.2 * rng.standard_normal((BLOCKS, ROWS))
+    y = np.concatenate([pulling, agreeing], axis=1)
+    X = np.stack([np.tile(zero, 2), np.concatenate([0.0 * gain, gain], axis=1)], axis=2)
+    fit = Fit.of(problem_of(y, X), None)
+    assert fit.x[0] == pytest.approx(TOLERANCE)
+    asked = list(_conditional(problem_of(y, X), fit, [1], {"slow and fast": speed}))
+    assert beyond_chance(asked) == []
+    more = 0.2 * gain * (speed - speed.mean())[:, None]
+    there = problem_of(y + np.concatenate([0.0 * gain, more], axis=1), X)
+    asked = list(_conditional(there, Fit.of(there, None), [1], {"slow and fast": speed}))
+    (found,) = beyond_chance(asked)
+    # From the 5th to the 95th part in a hundred of the segments, over twice the tolerance.
+    assert found.size == pytest.approx(0.2 * 0.9 / 0.02, rel=0.15)
+
+
 def test_of_several_drives_the_one_in_which_a_gain_jumps_is_told():
     p = problem(7, 4.0 * TOLERANCE * (np.arange(BLOCKS) >= 30))
     drive = (np.arange(BLOCKS) >= 24).astype(int)
     start = 30.0 * (np.arange(BLOCKS) % 24)
     p = replace(p, table=replace(p.table, drive=drive, start_s=start))
-    scores, gram = _scores(p, None)
-    [found] = beyond_chance(list(_jumping(p, scores, gram, [0, 1])))
+    [found] = beyond_chance(list(_jumping(p, Fit.of(p, None), [0, 1])))
     assert "from 180 s of drive 2 on" in found.text

@@ -7,7 +7,10 @@ import pytest
 
 from imucald.diagnosis.blocks import Table
 from imucald.diagnosis.score import Hypothesis, Problem
+from imucald.diagnosis.signals import drive_of
+from imucald.diagnosis.state import State
 from imucald.diagnosis.uneven_segments import uneven
+from imucald.simulation import random_model, simulate
 
 SEGMENTS, ROWS, TOLERANCE = 45, 60, 0.06
 
@@ -58,3 +61,11 @@ def test_what_a_drift_makes_is_taken_off():
     assert uneven(p, None) != []
     drift = Hypothesis("accel_bias_drift", ("accel.bias.x",), pattern=ramp)
     assert uneven(p, drift) == []
+
+
+@pytest.mark.parametrize("seed", [516, 519])
+def test_a_speed_that_is_zero_below_its_dead_band_leaves_nothing_at_stops(seed):
+    """A jump by 0.3 m/s at each stop is the speed sensor's, and none of the vehicle's."""
+    model = random_model(seed)
+    state = State([drive_of(simulate(model, seed, 10.0).samples)], model, model, {})
+    assert uneven(state.evaluated(), None) == []

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from imucald.core.samples import Series
 from imucald.model_compensation.time_alignment import TimeAlignment, alignment_shifts
 from imucald.motion import ticks as tk
-from imucald.motion.ticks import ticks_from_samples
+from imucald.motion.column_ticks import ticks_from_samples
 
 SLOPE = 0.37
 LATE = st.floats(0.0, 1.5)

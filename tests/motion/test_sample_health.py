@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 
 from imucald.core.samples import GRAVITY, Series
-from imucald.motion.sample_health import SOUND_S, SampleHealth
+from imucald.motion.faults_in_force import SOUND_S
+from imucald.motion.sample_health import SampleHealth
 from imucald.motion.sensor_judges import USUAL_HOPS, Runs
 from imucald.motion.signal_health import SignalFault
 

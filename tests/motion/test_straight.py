@@ -8,6 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from imucald.core.samples import Series
+from imucald.motion.column_ticks import ticks_from_samples
 from imucald.motion.straight import (
     MAX_HOLD_TICKS,
     YawRateSource,
@@ -15,7 +16,6 @@ from imucald.motion.straight import (
     yaw_rate_from_steering,
     yaw_rate_with_understeer,
 )
-from imucald.motion.ticks import ticks_from_samples
 
 DEG = math.radians(1.0)
 

@@ -104,6 +104,17 @@ def test_a_wrong_sign_or_exchange_of_the_gyroscope_is_seen_and_nothing_is_good(s
     assert not found.are_seen(TO_BE_GOOD)
 
 
+@pytest.mark.parametrize("signs", [[-1.0, 1, 1], [1, -1.0, 1], [1, 1, -1.0]])
+def test_a_sign_of_the_gyroscope_that_turns_in_mid_drive_is_seen_within_a_minute(signs):
+    found, kept = Alternatives(full()), []
+    for k in range(80):
+        p = block(k)
+        kept.append(replace(p, rate=p.rate * np.array(signs)) if k >= 70 else p)
+        found.add(kept[-55:], R, None, (1.0, 1.0), ALL, 0.0)
+        assert k >= 70 or not found.gyro_accused
+    assert found.gyro_accused
+
+
 @pytest.mark.parametrize("has_yaw_rate", [False, True])
 def test_without_a_signal_that_shows_turns_the_missing_signal_is_named(has_yaw_rate):
     found, kept = Alternatives(full()), []

@@ -11,7 +11,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from imucald.core.rotations import rotation_from_angles, vector_from_rotation
-from imucald.motion.ticks import ticks_from_samples
+from imucald.motion.column_ticks import ticks_from_samples
 from imucald.mount.estimate import MountState
 from imucald.mount.estimator import FullEstimator
 from imucald.mount.mount_changes import MountChanges, probability

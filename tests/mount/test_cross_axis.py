@@ -14,6 +14,7 @@ from imucald.core.samples import GRAVITY
 from imucald.mount.cross_axis import SHOWN, CrossAxisFusion, ForceSeen
 from imucald.mount.estimator_settings import EstimatorSettings
 from imucald.mount.road_segments import AngleEvidence
+from imucald.mount.states import YOUNG_SLACK
 
 Array = NDArray[np.float64]
 
@@ -122,6 +123,21 @@ def test_what_is_seen_decides_what_is_stated_unseen() -> None:
     assert np.median(stated(0.0)) < 0.35
     assert 0.6 < np.median(stated(0.02)) < 1.3
     assert np.mean(stated(0.04) > 1.0) > 0.75, "mostly not usable"
+
+
+def test_a_limit_for_usable_of_twice_the_usual_does_not_choose_the_mounts_that_are_wrong() -> None:
+    rng = np.random.default_rng(7)
+    found = []
+    for _ in range(1000):
+        R, E = sitting(rng), terms(rng, 0.04)
+        fused = CrossAxisFusion(SETTINGS).fused(*_with(R, made(rng, R, E)))
+        found.append((abs(fused.error[2]), math.sqrt(fused.variance[2])))
+    error, std = np.array(found).T
+    held = error <= 1.96 * std
+    limit = SETTINGS.limits.usable_yaw
+    assert held[std < limit].mean() < 0.8, "what shows is small there by chance"
+    assert held[std < YOUNG_SLACK * limit].mean() > 0.87
+    assert (std < YOUNG_SLACK * limit).mean() > 0.5
 
 
 def test_a_mount_that_hides_the_contradiction_of_yaw_does_not_exclude_the_error() -> None:

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from imucald.core.rotations import rotation_from_angles, vector_from_rotation
 from imucald.core.samples import Series
 from imucald.motion import ticks as tk
-from imucald.motion.ticks import ticks_from_samples
+from imucald.motion.column_ticks import ticks_from_samples
 from imucald.mount.estimate import MountEstimate, MountState
 from imucald.mount.estimator import FullEstimator
 from imucald.mount.estimator_settings import DelayPrior, EstimatorSettings

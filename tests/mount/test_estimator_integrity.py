@@ -12,7 +12,7 @@ from test_estimator import GOOD, drive, usual
 from imucald.config.calibration import OrientationSettings
 from imucald.core.rotations import rotation_from_vector
 from imucald.core.samples import Samples, Series
-from imucald.motion.ticks import ticks_from_samples
+from imucald.motion.column_ticks import ticks_from_samples
 from imucald.mount.contradictions import StandingFault
 from imucald.mount.estimate import MountState
 from imucald.mount.estimator import FullEstimator

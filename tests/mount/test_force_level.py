@@ -7,7 +7,7 @@ import pytest
 from test_estimator import GOOD, drive
 
 from imucald.core.samples import GRAVITY, Series
-from imucald.motion.ticks import ticks_from_samples
+from imucald.motion.column_ticks import ticks_from_samples
 from imucald.mount.contradictions import StandingFault
 from imucald.mount.estimator import FullEstimator
 from imucald.mount.force_level import ForceLevel

@@ -11,7 +11,7 @@ from test_estimator import GOOD, drive
 from imucald.config.base import MAX_SPEED_DELAY
 from imucald.core.rotations import vector_from_rotation
 from imucald.core.samples import Samples, Series
-from imucald.motion.ticks import ticks_from_samples
+from imucald.motion.column_ticks import ticks_from_samples
 from imucald.mount.contradictions import Contradictions
 from imucald.mount.delay import DelaySearch
 from imucald.mount.estimate import MountState

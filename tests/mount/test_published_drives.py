@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from imucald.core.samples import Series
-from imucald.motion.ticks import ticks_from_samples
+from imucald.motion.column_ticks import ticks_from_samples
 from imucald.mount.estimate import MountEstimate, MountState
 from imucald.mount.method_a.estimator import PublishedEstimator
 from imucald.mount.method_a.settings import PublishedSettings

@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from imucald.motion.ticks import ticks_from_samples
+from imucald.motion.column_ticks import ticks_from_samples
 from imucald.mount.estimate import MountEstimate, MountState
 from imucald.mount.method_a.estimator import PublishedEstimator
 from imucald.mount.restored import HAND_OVER_RATE, Phase, RestoredEstimator, StoredMount
@@ -124,6 +124,25 @@ def test_contradiction_makes_it_suspect_and_the_new_estimate_replaces_it():
     run(estimator, 10.0)
     assert estimator.state is MountState.USABLE
     assert degrees_from(estimator, turned(pitch_deg=8.0)) < 1e-9
+
+
+@pytest.mark.parametrize(("is_given", "degrees"), [(True, 8.0), (True, 20.0), (False, 8.0)])
+def test_a_statement_that_the_drive_contradicts_is_called_so_with_the_angle(is_given, degrees):
+    inner = Scripted()
+    covariance = np.diag(np.full(3, math.radians(0.2) ** 2))
+    stored = StoredMount(STORED.as_matrix(), covariance, MountState.FINE, is_given=is_given)
+    estimator = RestoredEstimator(inner, stored)
+    inner.say(MountState.LEVELLED, turned(pitch_deg=degrees), 1.0)
+    run(estimator, 30.0)
+    estimate = estimator.estimate()
+    assert estimate.state is MountState.SUSPECT
+    assert estimate.details["restored"]["turned_deg"] == pytest.approx(degrees)
+    says_so = f"stated is not how the sensor sits in this drive: it is found turned by {degrees:g} "
+    assert all((says_so in text) is is_given for text in estimate.waiting_for.values())
+    assert bool(estimate.waiting_for) or not is_given
+    inner.say(MountState.LEVELLED, turned(0.1), 1.0)
+    run(estimator, 2.0)
+    assert estimator.estimate().details["restored"]["turned_deg"] is None
 
 
 def test_what_was_suspect_when_it_was_stored_is_suspect_until_confirmed():

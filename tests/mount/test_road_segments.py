@@ -7,16 +7,16 @@ import pytest
 
 from imucald.mount.fusion import CommonCovariance, fuse
 from imucald.mount.road_segments import AngleEvidence, apart
-from imucald.mount.shift import AngleFit, ScoreSeries
+from imucald.mount.score_series import AngleFit, ScoreSeries
 
 SEGMENTS = 40
 
 
-def series(kind: str, said: np.ndarray) -> ScoreSeries:
+def series(kind: str, angles: np.ndarray) -> ScoreSeries:
     """Segments of equal information that say these angles [rad]."""
-    information = np.full(len(said), 100.0)
-    score = information * said
-    value, total = float(said.mean()), float(information.sum())
+    information = np.full(len(angles), 100.0)
+    score = information * angles
+    value, total = float(angles.mean()), float(information.sum())
     left = score - information * value
     fit = AngleFit(left, information[:, None], np.array([[1.0 / total]]), value)
     return ScoreSeries(kind, score, information, fit)
@@ -38,9 +38,9 @@ def test_what_two_sources_see_alike_is_not_in_their_difference():
 
 
 def test_of_one_segment_no_difference_is_told():
-    said = np.array([0.01])
-    assert apart(series("roll_turn", said), series("roll_axis", 0.0 * said)) is None
-    assert apart(series("roll_turn", said), ScoreSeries("roll_axis", said, said)) is None
+    angles = np.array([0.01])
+    assert apart(series("roll_turn", angles), series("roll_axis", 0.0 * angles)) is None
+    assert apart(series("roll_turn", angles), ScoreSeries("roll_axis", angles, angles)) is None
 
 
 def test_the_slope_that_gravity_and_the_axis_of_turning_share_is_counted_once():

@@ -12,7 +12,7 @@ from msgspec.structs import replace
 from scipy.spatial.transform import Rotation
 
 from imucald.core.errors import EstimateError
-from imucald.motion.ticks import ticks_from_samples
+from imucald.motion.column_ticks import ticks_from_samples
 from imucald.mount.common_errors import common_errors
 from imucald.mount.estimate import BETWEEN_DRIVES_STD, MountState
 from imucald.mount.estimator import FullEstimator
@@ -28,7 +28,7 @@ from imucald.mount.saved_information import (
     saved_from,
     together,
 )
-from imucald.mount.shift import ScoreSeries
+from imucald.mount.score_series import ScoreSeries
 from imucald.runtime.estimators import estimator_for
 from simulated_bus import drive, loaded
 

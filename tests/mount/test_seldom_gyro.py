@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from imucald.core.rotations import rotation_from_vector
 from imucald.core.samples import GRAVITY, Series
-from imucald.motion.ticks import ticks_from_samples
+from imucald.motion.column_ticks import ticks_from_samples
 from imucald.mount.contradictions import Contradictions, StandingFault
 from imucald.mount.gravity_observer import GravityObserver
 from imucald.mount.gravity_step import GravityStep

@@ -8,15 +8,17 @@ import numpy as np
 import pytest
 from msgspec.structs import replace
 
-from imucald.motion.ticks import ticks_from_samples
+from imucald.config.calibration import CalibrationSettings, StateLimits
+from imucald.motion.column_ticks import ticks_from_samples
 from imucald.mount.estimate import Missing, MountState
 from imucald.mount.estimator import FullEstimator
 from imucald.mount.estimator_settings import EstimatorSettings
 from imucald.mount.manoeuvres import Manoeuvres
-from imucald.mount.shift import NO_STEPS, UNEVEN_STD, ScoreSeries, largest_change
+from imucald.mount.score_series import ScoreSeries
+from imucald.mount.shift import NO_STEPS, UNEVEN_STD, largest_change
 from imucald.mount.states import (
-    FINE_SLACK,
-    USABLE_SLACK,
+    SLACK,
+    YOUNG_SLACK,
     MountKnowledge,
     judged,
     waiting_for,
@@ -49,8 +51,8 @@ def test_a_small_standard_deviation_without_manoeuvres_is_not_believed():
 @pytest.mark.parametrize(
     ("state", "limit", "slack"),
     [
-        (MountState.USABLE, SETTINGS.limits.usable_yaw, USABLE_SLACK),
-        (MountState.FINE, SETTINGS.limits.fine_yaw, FINE_SLACK),
+        (MountState.USABLE, SETTINGS.limits.usable_yaw, YOUNG_SLACK),
+        (MountState.FINE, SETTINGS.limits.fine_yaw, SLACK),
     ],
 )
 def test_a_state_is_left_only_well_beyond_its_limit(state, limit, slack):
@@ -61,7 +63,7 @@ def test_a_state_is_left_only_well_beyond_its_limit(state, limit, slack):
 
 
 def test_beside_past_drives_a_deviation_grows_by_contradiction():
-    wide = known(math.degrees(SETTINGS.limits.usable_yaw) * (FINE_SLACK + 0.05))
+    wide = known(math.degrees(SETTINGS.limits.usable_yaw) * (SLACK + 0.05))
     assert judged(wide, MountState.USABLE, SETTINGS) == MountState.USABLE
     assert judged(replace(wide, has_past=True), MountState.USABLE, SETTINGS) < MountState.USABLE
 
@@ -79,6 +81,21 @@ def test_a_cross_axis_error_that_no_driving_makes_less_is_the_reason_for_yaw():
     assert code is Missing.OTHER
     still = replace(known(0.4), yaw_seen=0.4 * DEG, cross_axis=0.008)
     assert waiting_for(still, SETTINGS)["yaw"][0] == "more driving"
+
+
+def test_what_no_driving_shows_of_yaw_may_be_twice_the_limit():
+    """The limit would choose mounts whose seen errors are small by chance, whatever the unseen."""
+    hidden = replace(known(1.9), yaw_seen=0.2 * DEG, cross_axis=0.04)
+    levelled, usable = MountState.LEVELLED, MountState.USABLE
+    assert judged(hidden, levelled, SETTINGS) == usable
+    assert judged(replace(hidden, std=known(2.1).std), levelled, SETTINGS) == levelled
+    assert judged(replace(hidden, std=known(2.7).std), usable, SETTINGS) == usable
+    assert judged(replace(hidden, std=known(2.9).std), usable, SETTINGS) == levelled
+    assert judged(replace(hidden, yaw_seen=0.4 * DEG), levelled, SETTINGS) == levelled
+    assert judged(replace(hidden, cross_axis=0.01), levelled, SETTINGS) == levelled
+    assert judged(replace(hidden, has_past=True), levelled, SETTINGS) == levelled
+    stated = EstimatorSettings(CalibrationSettings(states=StateLimits(usable_yaw_deg=1.0)))
+    assert judged(hidden, levelled, stated) == levelled
 
 
 def test_one_reason_per_angle():

@@ -5,7 +5,8 @@ import pytest
 
 from imucald.config.calibration import StaticTestSettings
 from imucald.core.samples import Series
-from imucald.motion.ticks import ACCEL, ticks_from_samples
+from imucald.motion.column_ticks import ticks_from_samples
+from imucald.motion.ticks import ACCEL
 from imucald.mount.method_a.static_test import (
     CONFIRM_TICKS,
     StandstillDetector,

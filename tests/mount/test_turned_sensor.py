@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from imucald.core.samples import GRAVITY, Samples, Series
-from imucald.motion.ticks import ticks_from_samples
+from imucald.motion.column_ticks import ticks_from_samples
 from imucald.mount.block_yaw import ARM, FLOOR, BlockMotion, block_yaw
 from imucald.mount.estimate import MountState
 from imucald.mount.estimator import FullEstimator

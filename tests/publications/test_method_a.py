@@ -16,9 +16,9 @@ from imucald.core.rotations import (
     times_level_columns,
 )
 from imucald.core.samples import Series
+from imucald.motion.column_ticks import ticks_from_samples
 from imucald.motion.speed import SpeedInterval
 from imucald.motion.straight import angles_agree
-from imucald.motion.ticks import ticks_from_samples
 from imucald.mount.estimate import MountState
 from imucald.mount.method_a.estimator import PublishedEstimator
 from imucald.mount.method_a.gate import StraightGate, WanderingOffset

@@ -142,7 +142,7 @@ def _checked(options: argparse.Namespace, journal: Journal) -> int:
     """What the service would read at its start or reload, read without a bus."""
     from imucald.core.errors import ConfigError
     from imucald.runtime.session import open_config
-    from imucald.service.journal import WARNING
+    from imucald.service.announcements import say_idle_keys
     from imucald.service.start_check import check_start
 
     try:
@@ -150,8 +150,7 @@ def _checked(options: argparse.Namespace, journal: Journal) -> int:
         check_start(loaded)
     except ConfigError as error:
         return _wrong(error, journal)
-    for line in loaded.idle_keys():
-        journal.say(line, WARNING)
+    say_idle_keys(loaded, journal)
     journal.say(f"{options.config} can be used")
     return 0
 

@@ -115,7 +115,9 @@ def _evidence(details: Mapping[str, Any]) -> str:
     if "restored" in details:
         restored = details["restored"]
         whose = "stated mount" if restored.get("given") else "mount of an earlier drive"
-        parts.append(f"{whose}: {restored['phase'].replace('_', ' ')}")
+        turned = restored.get("turned_deg")
+        off = "" if turned is None else f", {turned:.0f} deg off what this drive shows"
+        parts.append(f"{whose}: {restored['phase'].replace('_', ' ')}{off}")
     if details.get("not_checked"):
         parts.append(f"not checked: {'; '.join(details['not_checked'])}")
     return ", ".join(parts) or "none yet"

@@ -130,7 +130,7 @@ def print_summary(result: Mapping[str, Any]) -> None:
     if frames["rejected"]:
         rejected = ", ".join(f"{reason} {n}" for reason, n in frames["rejected"].items())
         console.print(f"rejected: {rejected}")
-    for text in _told(result):
+    for text in _noticed(result):
         console.print(text, style="bold red")
     for text in _beside(result):
         console.print(text)
@@ -158,7 +158,7 @@ def print_drives(rows: Sequence[Mapping[str, Any]], notes: Sequence[str]) -> Non
         console.print(note)
 
 
-def _told(result: Mapping[str, Any]) -> Iterator[str]:
+def _noticed(result: Mapping[str, Any]) -> Iterator[str]:
     """What was noticed of moved sensors and of faults, in the order of time."""
     from imucald.report.drive_events import in_order, reported_events
 

@@ -113,7 +113,7 @@ class MethodASettings(Settings, frozen=True):
 
 
 class StateLimits(Settings, frozen=True):
-    """From which standard deviations on the estimate is used; docs say at how many times it ends.
+    """Standard deviations below which a state is reached; it ends beyond 1.4 times or twice them.
 
     Where they are not given, each estimator has its own.
     """

@@ -24,7 +24,7 @@ from imucald.config_check.yaw_rate_check import MIN_TURNING
 from imucald.core.samples import GRAVITY
 from imucald.motion.ticks import TICK_S
 from imucald.mount.gyro_alternatives import gyro_ratios
-from imucald.mount.log_ratios import TO_ACCUSE, TO_BE_FINE
+from imucald.mount.log_ratios import MOST, TO_ACCUSE, TO_BE_FINE
 from imucald.mount.signal_blocks import BLOCK_TICKS
 
 MIN_BRAKING = 0.25
@@ -194,7 +194,8 @@ def _gyro_axes(motion: Motion, response: Response, up: Array) -> Iterator[Findin
     for block in np.array_split(columns, max(len(columns) // BLOCK_TICKS, 1)):
         if np.isfinite(block).all() and np.abs(block[:, 3]).min() > MOVING:
             ahead = (block[:, 0] - block[:, 2]) / GRAVITY
-            total += gyro_ratios(ahead, block[:, 1] / GRAVITY, block[:, 4:], block[:, 3], R)
+            ratios = gyro_ratios(ahead, block[:, 1] / GRAVITY, block[:, 4:], block[:, 3], R)
+            total += np.clip(ratios, -MOST, MOST)
     if total.min() < -TO_ACCUSE:
         text = (
             "does not tilt as the accelerometer does: one of its axes (or of the accelerometer's) "

@@ -18,7 +18,7 @@ from imucald.can.columns import (
 )
 from imucald.can.link.link import Frame
 from imucald.config import LoadedConfig
-from imucald.config_check.decoding import Decoding, counts_text
+from imucald.config_check.decoding import Decoding, counts_text, never_changes
 from imucald.config_check.finding import Finding
 from imucald.config_check.health import LogHealth, health_findings
 from imucald.config_check.judgement import judge
@@ -120,6 +120,9 @@ class Check:
 
     def _found(self) -> list[Finding]:
         rows = list(sources(self.loaded, self.probes))
+        config = self.loaded.config
+        planar = config.signals.accelerometer[0].z is None
+        motion = Motion(self._means.grid(), planar)
         decoding = Decoding(
             self.loaded,
             self.probes,
@@ -130,12 +133,13 @@ class Check:
             self._timebase.steps,
             self.bad_lines,
             self.output.can_ids,
+            drives=motion.drives,
         )
-        config = self.loaded.config
-        planar = config.signals.accelerometer[0].z is None
-        motion = Motion(self._means.grid(), planar)
         model = self.compensation
         notes = () if model is None else model.notes_for(self.router.channels)
+        dead = {row.wanted.channel for row in rows if never_changes(row)}
+        for channel in dead:  # what it is compared with would be blamed
+            motion = motion.without(channel)
         found = [
             *(Finding("note", "model", text) for text in notes),
             *decoding.findings(),

@@ -57,6 +57,8 @@ class Decoding:
     steps: int
     bad_lines: Counter[str]
     output_ids: frozenset[int]
+    drives: bool = False
+    """For a minute at least: no axis of a sensor is the same all that time."""
 
     def findings(self) -> Iterator[Finding]:
         """Yield every finding, in no order."""
@@ -104,11 +106,9 @@ class Decoding:
                 reasons = counts_text(statistics.rejected)
                 text = f"{bad} of {good + bad} values of {source.name} are rejected ({reasons})"
                 yield Finding("warning", source.quantity, text + _remedy(statistics.rejected))
-            sensor = source.wanted.channel in ("accel", "gyro")
-            same = statistics.si.least == statistics.si.largest
-            if sensor and good >= MIN_EQUAL_VALUES and same:
+            if never_changes(source):
                 text = f"never changes ({statistics.physical.least:g} {source.unit})"
-                yield Finding("warning", source.quantity, text)
+                yield Finding("error" if self.drives else "warning", source.quantity, text)
 
     def _cycles(self) -> Iterator[Finding]:
         for probe in self.probes:
@@ -222,3 +222,10 @@ def _remedy(reasons: Counter[str]) -> str:
 def counts_text(reasons: Counter[str]) -> str:
     """Reasons with their numbers, the most frequent first."""
     return ", ".join(f"{reason} {n}" for reason, n in reasons.most_common())
+
+
+def never_changes(source: QuantitySource) -> bool:
+    """Whether an axis of accelerometer or gyroscope says the same all the time."""
+    values = source.statistics.si
+    is_sensor = source.wanted.channel in ("accel", "gyro")
+    return is_sensor and values.count >= MIN_EQUAL_VALUES and values.least == values.largest

@@ -77,6 +77,7 @@ def judge(
     sensor sits. unit_advice: of quantities with a stated unit (see `unit_advice`).
     """
     yield from _at_rest(motion, unit_advice.get("accelerometer"))
+    yield from _constant_speed(motion)
     of_up: list[Finding] = []
     if motion.up is not None and not motion.planar:
         of_up += _stated_axis(stated.up, "up", motion.up, "down", UP_REMEDY)
@@ -134,6 +135,17 @@ def _stated_axis(
     else:
         text = f"{line}, which is neither {direction} nor {opposite}: name another axis"
         yield Finding("warning", "accelerometer", text)
+
+
+def _constant_speed(motion: Motion) -> Iterator[Finding]:
+    """A cruise control keeps it within some tenths of a km/h, and buses send finer steps."""
+    if not motion.drives:
+        return
+    known = motion.grid["speed"][np.isfinite(motion.grid["speed"])]
+    if np.ptp(known) > 0.0:
+        return
+    text = f"is {known[0]:.2f} m/s from beginning to end: stuck, or another signal than the speed"
+    yield Finding("error", "speed", text)
 
 
 def _speed_against_wheels(motion: Motion, unit_advice: str | None) -> Iterator[Finding]:

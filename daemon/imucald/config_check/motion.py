@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from imucald.config.vehicle import VehicleSettings
 from imucald.core.samples import CHANNEL_WIDTH, Samples
-from imucald.motion.standstill import ZERO_SPEED_SMOOTHED
+from imucald.motion.standstill import DRIVING_SPEED, ZERO_SPEED_SMOOTHED
 from imucald.motion.ticks import TICK_RATE
 
 Array = NDArray[np.float64]
@@ -20,6 +20,8 @@ MAX_HOLE = 25
 """Holes up to so many ticks are bridged: speed over OBD-II comes once a second."""
 SMOOTH = 11
 """Ticks of the moving mean, 1.1 s: delays between signals and the road's bumps matter less."""
+DRIVEN_TICKS = 600
+"""Driving in which no signal of a vehicle is the same all the time: a minute."""
 MIN_STANDING_TICKS = 20
 """Ticks of standing (after smoothing) that show something: two seconds."""
 
@@ -132,6 +134,13 @@ class Motion:
         if self.gravity is None:
             return None
         return np.asarray(self.gravity / np.linalg.norm(self.gravity))
+
+    @property
+    def drives(self) -> bool:
+        """Whether the vehicle drives for a minute at least, by its speed."""
+        if self.speed is None:
+            return False
+        return int(np.count_nonzero(np.abs(self.speed) > DRIVING_SPEED)) >= DRIVEN_TICKS
 
     def _direction(self) -> Array:
         """-1 in reverse, else 1 (n,), or (1,) where reverse is not known."""

@@ -23,5 +23,5 @@ def not_judged(rows: Sequence[QuantitySource], found: Iterable[Finding]) -> Iter
             word = (" (never on)", " (always on)")[values.least > 0.5] if is_flag and same else ""
             left.setdefault(name, name + word)
     if left:
-        text = f"only unit and range were checked: {', '.join(left.values())}"
+        text = f"of these only unit and range were checked: {', '.join(left.values())}"
         yield Finding("note", "check", text)

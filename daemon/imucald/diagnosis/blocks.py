@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.fft import dct
 
+from imucald.diagnosis.box import box_fit
 from imucald.diagnosis.cause_keys import model_error, plausible, tolerance
 from imucald.diagnosis.causes import PARAMETERS
 from imucald.diagnosis.forward import Forward
@@ -161,7 +162,7 @@ def _rows(
     """Residual and columns of each equation, transformed."""
     base = f.residuals({})
     masks = f.usable()
-    f.settle(f.tilts(base, masks))
+    f.settle(f.tilts(base, masks), f.inertial_share(base, masks, top["accel_x"]))
     settled = f.residuals({}, by_inertia=True)
     made = {}
     for name, x in base.of.items():
@@ -212,15 +213,14 @@ def _weighed(
     tolerances = np.array([tolerance(model, key) for key in keys])
     errors = np.array([model_error(model, key) for key in keys])
     bounds = np.array([plausible(model, key) for key in keys]).reshape(-1, 2)
-    wide = np.abs(bounds).max(axis=1)
     free = np.zeros(len(keys))
     for _ in range(PASSES):
         left = _without_tilt(parts, free)
         weights = {name: noise_weights(left[name], rows.good) for name, rows in parts.items()}
         gram = _gram(parts, weights)
         total = np.asarray(sum(gram.values())).sum(axis=0)
-        ridge = np.diag(1.0 / wide**2)
-        free = np.linalg.solve(total[1:, 1:] + ridge, total[0, 1:])
+        # What no sensor and no vehicle can have is no fit, however much noise it takes away.
+        free = box_fit(total[1:, 1:], total[1:, 0], bounds[:, 0], bounds[:, 1])
     whole = np.asarray(sum(gram.values()))
     count = np.asarray(sum((w > 0.0).sum(axis=1) for w in weights.values()))
     keep = count > 0

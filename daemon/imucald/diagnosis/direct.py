@@ -80,9 +80,11 @@ def rest_of(drives: Sequence[DriveSignals], model: VehicleModel, questions: int)
         return None
     table, n = np.array(rates), len(rates)
     mean = table.mean(axis=0)
+    scatter = np.std(table, axis=0, ddof=1) / np.sqrt(n) if n > 1 else np.zeros(3)
     if n < FEW_STOPS:
-        return Rest(mean, np.full(3, LEAST_SE), 3.0, n, float(np.mean(kelvins)))
-    se = np.maximum(np.std(table, axis=0, ddof=1) / np.sqrt(n), FINEST_SE)
+        # Two stops that differ by more than what one can show have no zero in common.
+        return Rest(mean, np.maximum(scatter, LEAST_SE), 3.0, n, float(np.mean(kelvins)))
+    se = np.maximum(scatter, FINEST_SE)
     q = float(student.ppf(1.0 - CHANCE / (2.0 * max(questions, 1)), n - 1))
     slope = _slope(np.array(kelvins), table)
     return Rest(mean, se, min(q, 10.0), n, float(np.mean(kelvins)), slope)

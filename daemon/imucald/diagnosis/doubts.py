@@ -36,8 +36,9 @@ def doubt(state: State, left: Sequence[Structure], faults: Sequence[Sequence[Fau
         if any(s.kind not in (NOT_PLAUSIBLE, WANDERS) for s in left):
             # A cause is missing, and a fit shares out what it makes among those that it knows.
             return True
-        if trial.estimate.pull**2 < 2.0 * missing:
-            # Of what cannot be it is known how much it explains: that much may lie along this one.
+        if missing > 0.0 and trial.shown < (missing**0.5 + trial.needed**0.5) ** 2:
+            # Of what cannot be it is known how much it explains: that much may lie along this one,
+            # and what is left must name it. Nats are squares of deviations, which add up.
             return True
         keys = trial.hypothesis.keys
         if changing & {family(key) for key in keys}:

@@ -11,8 +11,7 @@ import numpy as np
 from scipy.stats import binom
 
 from imucald.core.samples import Samples, Series
-from imucald.diagnosis.lost_readings import SENSORS as RAILED
-from imucald.diagnosis.lost_readings import Lost
+from imucald.diagnosis.lost_readings import INERTIAL, Lost
 from imucald.diagnosis.signals import Array, Mask, Spans, duplicates
 from imucald.diagnosis.stuck import Fault, stuck
 from imucald.diagnosis.visits import PILE_RATIO, visited_too_often
@@ -28,7 +27,7 @@ CHANCE = 0.01
 """Of a drive: that a rail is reported without a reason; shared out over ends and levels."""
 FEW_STAYS = 2
 """Beside the longest."""
-QUESTIONS = 6 * len(RAILED) * (len(PILE_LEVELS) + 1)
+QUESTIONS = 6 * len(INERTIAL) * (len(PILE_LEVELS) + 1)
 """Both ends of three axes of each signal."""
 INVALID_S = 0.3
 LOST_TOLERANCE, LOST_FEWEST = 0.003, 8
@@ -64,7 +63,7 @@ def find_faults(
         if series is None or len(series.t) < LEAST_ROWS:
             continue
         read = none[name].kept(series) if name in none else series
-        piled = list(_piled(name, read, model)) if name in RAILED else []
+        piled = list(_piled(name, read, model)) if name in INERTIAL else []
         own = (series.t, series.values) if name == "speed" else moving
         found += [*piled, *stuck(name, series, samples, own, piled)]
         found += _timed(name, series, model)

@@ -2,8 +2,8 @@
 
 Each equation (see `motion`) is a residual, measured less predicted, on the grid. A column of a fit
 is how the residual changes with a parameter, found by evaluating it again: there the slope of the
-speed is that of the accelerometer, and the sideways force the predicted one, so that no column is
-made of the noise that stands in its equation.
+speed is the best mean of speed and accelerometer, and the sideways force the predicted one, so that
+no column goes with the noise that stands in its equation.
 """
 
 from __future__ import annotations
@@ -12,14 +12,17 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
+from scipy.fft import dct
 
 from imucald.core.samples import GRAVITY
 from imucald.diagnosis.cause_keys import Changes, age
 from imucald.diagnosis.motion import VehicleMotion, slope
 from imucald.diagnosis.reading import Reader
-from imucald.diagnosis.signals import STEP_S, Array, Mask
+from imucald.diagnosis.signals import STANDING_MPS, STEP_S, Array, Channel, Mask
 from imucald.diagnosis.single_track import SLOW_MPS
 
+STOPPING_MPS2 = 3.4
+"""Most drivers stop no harder (AASHTO, Green Book: stopping sight distance)."""
 UNITS: Mapping[str, str] = {
     "accel_x": "m/s^2", "accel_y": "m/s^2", "accel_z": "m/s^2", "gyro_x": "rad/s",
     "gyro_y": "rad/s", "gyro_z": "rad/s", "yaw_rate": "rad/s", "lateral_accel": "m/s^2",
@@ -61,9 +64,26 @@ class Forward(Reader):
     def _blocks(self, x: Array) -> Array:
         return x.reshape(self.blocks, self.rows)
 
-    def settle(self, tilt: Array) -> None:
-        """Choose the signals that columns are made of. tilt: (B, 2) z0 of each block."""
-        self.reference = VehicleMotion(self, {}, False).reference(tilt)
+    def settle(self, tilt: Array, inertial: Array | None = None) -> None:
+        """Choose the signals that columns are made of. tilt: (B, 2) z0 of each block. inertial:
+        (B,) share of the accelerometer in the slope of the speed, else all of it."""
+        share = np.ones(self.blocks) if inertial is None else inertial
+        self.reference = VehicleMotion(self, {}, False).reference(tilt, share)
+
+    def inertial_share(self, base: Residuals, masks: Mapping[str, Mask], top_hz: float) -> Array:
+        """(B,) share of the accelerometer in the best slope of the speed: its variance is that of
+        the speed's own noise over that of what both leave of each other up to a frequency.
+
+        The best mean of two measurements is the one that does not go with their difference, which
+        is what stands in the equation.
+        """
+        if "accel_x" not in base.of or self.rows < 1:
+            return np.ones(self.blocks)
+        left = np.where(masks["accel_x"], self.level(base, masks)["accel_x"], 0.0)
+        count = max(1, int(2.0 * self.rows * STEP_S * top_hz))
+        power = (dct(left, type=2, axis=1, norm="ortho")[:, :count] ** 2).sum(axis=1) / self.rows
+        noise = _slope_noise(self.drive.knots, top_hz)
+        return np.asarray(np.clip(noise / np.maximum(power, 1e-30), 0.0, 1.0))
 
     def tilts(self, base: Residuals, masks: Mapping[str, Mask]) -> Array:
         """(B, 2) tilt of each block by plain least squares."""
@@ -125,7 +145,8 @@ class Forward(Reader):
         turning = there["gyro"] if drive.has("gyro") else yaw
         inertial = there["accel"] & turning
         masks = {
-            "accel_x": (base & turning if self.has_turning else base) & self._knots_inside(),
+            "accel_x": (base & turning if self.has_turning else base)
+            & self._knots_inside() & ~self._starts_or_stops(),
             "accel_y": base & turning, "accel_z": base & turning, "gyro_x": inertial & base,
             "gyro_y": inertial & base, "gyro_z": yaw & turning,
         }  # fmt: skip
@@ -154,3 +175,29 @@ class Forward(Reader):
         stop = self.t[np.minimum((block + 1) * self.rows, len(self.t)) - 1]
         slack = STEP_S
         return np.asarray(inside & (left >= start - slack) & (right <= stop + slack))
+
+    def _starts_or_stops(self) -> Mask:
+        """Rows in which the speed leaves zero or comes to it by a jump. Below some 0.3 m/s it is
+        not measured (dead band), and no car's slope is that."""
+        speed = self.drive.channels["speed"]
+        size = np.abs(speed.values)
+        stands, step = size < STANDING_MPS, np.abs(np.diff(size))
+        jumps = step > STOPPING_MPS2 * np.diff(speed.t)
+        k = np.flatnonzero((stands[1:] != stands[:-1]) & jumps)
+        late = age(self.model, "speed") + self.model.speed.delay_rate * speed.t
+        t = speed.t - late
+        hit = np.zeros(len(self.t), dtype=bool)
+        # A knot is a mean over a step, and a row is one between knots.
+        first = np.searchsorted(self.t, t[k] - 2.0 * STEP_S)
+        last = np.searchsorted(self.t, t[k + 1] + 2.0 * STEP_S)
+        for a, b in zip(first, last, strict=True):
+            hit[a:b] = True
+        return hit
+
+
+def _slope_noise(knots: Channel, top_hz: float) -> float:
+    """Mean square of the slope up to a frequency that white noise of the speed makes [m^2/s^4], at
+    most: a second difference has the noise six times, and the vehicle's jerk besides."""
+    power = float(np.mean(np.diff(knots.values, 2) ** 2)) / 6.0
+    # A spectrum of 2 s^2 T, times (2 pi f)^2, up to top_hz.
+    return 2.0 * power * knots.period_s * (2.0 * np.pi) ** 2 * top_hz**3 / 3.0

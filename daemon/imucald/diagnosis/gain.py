@@ -11,9 +11,10 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from imucald.diagnosis.blocks import TILTED, Table
+from imucald.diagnosis.box import box_fit
 from imucald.diagnosis.forward import UNITS, Forward
 from imucald.diagnosis.result import Gain, SignalGain
-from imucald.diagnosis.score import Problem, box_fit, folds, losses
+from imucald.diagnosis.score import Problem, folds, losses
 from imucald.diagnosis.signals import Array
 
 Z95 = 1.959964

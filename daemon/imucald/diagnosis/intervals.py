@@ -8,8 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.stats import t as student
 
+from imucald.diagnosis.box import box_fit
 from imucald.diagnosis.sandwich import QUARTERS, between_quarters, ridge, scatters, variances
-from imucald.diagnosis.score import Hypothesis, Problem, box_fit
+from imucald.diagnosis.score import Hypothesis, Problem
 from imucald.diagnosis.signals import Array
 
 ERROR_RATE = 0.01

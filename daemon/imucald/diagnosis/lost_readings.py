@@ -16,7 +16,8 @@ from imucald.core.samples import Samples, Series
 from imucald.diagnosis.result import READINGS_LOST, Structure
 from imucald.diagnosis.signals import Array, Mask
 
-SENSORS = ("accel", "gyro", "yaw_rate", "lateral_accel", "longitudinal_accel")
+INERTIAL = ("accel", "gyro", "yaw_rate", "lateral_accel", "longitudinal_accel")
+"""Signals of accelerations and rates."""
 LEAST_ROWS = 100
 CHANCE = 0.01
 """Of a drive; shared out over its signals."""
@@ -44,13 +45,13 @@ class Lost:
 
 def all_lost(samples: Samples) -> dict[str, Lost]:
     """Lost readings by signal, where there are any."""
-    asked = [name for name in SENSORS if name in samples and len(samples[name].t) >= LEAST_ROWS]
+    asked = [name for name in INERTIAL if name in samples and len(samples[name].t) >= LEAST_ROWS]
     found = {name: lost_readings(samples[name], len(asked)) for name in asked}
     return {name: lost for name, lost in found.items() if lost is not None}
 
 
 def as_structure(name: str, lost: Lost) -> Structure:
-    """What is told of them."""
+    """The finding, in words and with its number of visits."""
     unit = "m/s^2" if "accel" in name else "rad/s"
     value = " ".join(f"{x + 0.0:.3g}" for x in lost.value)
     text = (

@@ -18,7 +18,7 @@ from imucald.core.samples import GRAVITY
 from imucald.diagnosis.cause_keys import Changes, age, along_vehicle, rear_slip
 from imucald.diagnosis.reading import Reader, Reference
 from imucald.diagnosis.signals import STEP_S, Array
-from imucald.diagnosis.single_track import followed_angle, slip_delay
+from imucald.diagnosis.single_track import SLOW_MPS, followed_angle, slip_delay
 
 SMOOTH_STEPS = 5
 """What comes of the speed's slopes, and the road's lean, are smoothed over so many steps."""
@@ -113,8 +113,10 @@ class VehicleMotion:
         turned = np.exp(1j * psi)
         return (_from_middle(turned * (-q + 1j * p)) / turned).ravel(), (1.0 / turned).ravel()
 
-    def reference(self, tilt: Array) -> Reference:
-        """Signals for columns, with the tilt (B, 2) of each block."""
+    def reference(self, tilt: Array, inertial: Array) -> Reference:
+        """Signals for columns, with the tilt (B, 2) of each block. inertial: (B,) share of the
+        accelerometer in the slope of the speed; all of it where the vehicle hardly moves, and
+        speeds jump to 0."""
         f, force = self.f, self.force.copy()
         x = force[:, 0]
         if self.f.has_turning:
@@ -125,8 +127,16 @@ class VehicleMotion:
             x = x - GRAVITY * u.real
             force[:, 1] += GRAVITY * u.imag
         force[:, 2] = GRAVITY
-        slopes = self._mean_slopes(x + self.r * self.v_y) * (1.0 + f.model.speed.scale)
-        return Reference(slopes, force, self.force[:, 1] - self.v * self.r)
+        along = x + self.r * self.v_y
+        by_speed = np.where(np.abs(self.v) > SLOW_MPS, np.repeat(1.0 - inertial, f.rows), 0.0)
+        moved = by_speed * (self.held(self.slopes) - along)
+        force[:, 0] += moved
+        slopes = self._mean_slopes(along + moved) * (1.0 + f.model.speed.scale)
+        rate = None if self.rate is None else self.rate.copy()
+        if rate is not None and f.drive.has("yaw_rate"):
+            rate[:, 2] = f.scalar("yaw_rate", {})
+        steered = self._by_steering() if f.drive.has("steering") and f.has_turning else None
+        return Reference(slopes, force, self.force[:, 1] - self.v * self.r, rate, steered)
 
     # equations -----------------------------------------------------------------------------------
 
@@ -143,9 +153,7 @@ class VehicleMotion:
             tilt["accel_x"] = self._two(*(self.as_speed_sees(-GRAVITY * z) for z in parts))
         found["accel_x"] = self.as_speed_sees(x) - self.held(self.slopes)
         if f.drive.has("longitudinal_accel"):
-            found["longitudinal_accel"] = (
-                f.scalar("longitudinal_accel", self.changes) - self.force[:, 0]
-            )
+            found["longitudinal_accel"] = self._felt("longitudinal_accel", 0) - self.force[:, 0]
 
     def _in_blocks(self, x: Array) -> Array:
         return x.reshape(self.f.blocks, self.f.rows)
@@ -189,7 +197,8 @@ class VehicleMotion:
         found["gyro_x"] = rate[:, 0] - np.gradient(leaning, STEP_S)
         found["gyro_y"] = rate[:, 1] + np.gradient(nose_up, STEP_S)
         if self.f.drive.has("yaw_rate"):
-            found["gyro_z"] = self.r - self.f.scalar("yaw_rate", self.changes)
+            true = None if self.settled is None else self.settled.rate
+            found["gyro_z"] = self._turning(true) - self._own_yaw_rate(true)
 
     def _later(self, x: Array, damping: float, hz: float) -> Array:
         """The body follows as a damped spring: late by 2 zeta / omega well below its own motion."""
@@ -203,7 +212,7 @@ class VehicleMotion:
         """What the vehicle's own sensors say beside each other."""
         f, drive = self.f, self.f.drive
         if drive.has("lateral_accel") and self.f.has_turning:
-            found["lateral_accel"] = f.scalar("lateral_accel", self.changes) - self.force[:, 1]
+            found["lateral_accel"] = self._felt("lateral_accel", 1) - self.force[:, 1]
         if drive.has("wheel_speeds"):
             own = np.array(f.model.wheel_speeds.scale)
             # Wheels and speed come of one unit, and are late together.
@@ -218,9 +227,31 @@ class VehicleMotion:
 
     def yaw_rate(self) -> Array:
         """The vehicle's own yaw rate, else the gyroscope's [rad/s]."""
+        true, s = None, self.settled
+        if s is not None and s.steered is not None:
+            # Of two gains of one equation, each made of its own signal, the difference is the
+            # equation itself, with its noise: both are made of the same.
+            rate = np.zeros((len(s.steered), 3)) if s.rate is None else s.rate
+            true = np.column_stack([rate[:, :2], s.steered])
         if self.f.drive.has("yaw_rate"):
-            return self.f.scalar("yaw_rate", self.changes)
-        return np.asarray(self.r)
+            return self._own_yaw_rate(true)
+        return self._turning(true)
+
+    def _own_yaw_rate(self, true: Array | None) -> Array:
+        """The vehicle's own yaw rate. true: (N, 3) of turning that takes its place."""
+        z = None if true is None else true[:, 2]
+        return self.f.scalar("yaw_rate", self.changes, z)
+
+    def _turning(self, true: Array | None) -> Array:
+        """The gyroscope's yaw rate. true: (N, 3) of turning that takes its place."""
+        if true is None:
+            return np.asarray(self.r)
+        return self.f.triad("gyro", self.changes, true)[:, 2]
+
+    def _felt(self, name: str, axis: int) -> Array:
+        """An acceleration by the vehicle's own sensor; for columns, of the force of `settle`."""
+        force = None if self.settled is None else self.settled.force[:, axis]
+        return self.f.scalar(name, self.changes, force)
 
     def _by_steering(self) -> Array:
         """Single track: r = v (delta - K (f_y - v r))/(L + K v^2), where delta is the angle as the

@@ -10,6 +10,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.stats import norm
 from scipy.stats import t as student
 
 from imucald.core.samples import GRAVITY
@@ -164,13 +165,16 @@ def _shaken(f: Forward, seconds: float) -> Array:
 def _asked(name: str, gram: Array, squares: Array) -> Iterator[Question]:
     for k, shape in enumerate(SHAPES):
         index = [0, 1, 2, 3 + k]
-        value, se, gain = _fit(gram[:, index][:, :, index])
-        sigma = abs(value) / max(se, 1e-300)
+        value, sigma, p, gain = _fit(gram[:, index][:, :, index])
         size = abs(value) * float(np.sqrt(squares[:, 3 + k].mean()))
         kind = GOES_WITH_LEVEL
         if shape == LATE:
             # One side is late by `value` seconds and the other early.
             is_large = abs(value) > DELAY_S[name]
+        elif shape.startswith("memory"):
+            # A zero error of one sign or the other.
+            size = abs(value)
+            is_large = size > _least(name)
         elif shape.startswith("shaken"):
             # From one end of what a zero may be to the other.
             kind, size = GOES_WITH_SHAKING, abs(value)
@@ -178,10 +182,7 @@ def _asked(name: str, gram: Array, squares: Array) -> Iterator[Question]:
         else:
             is_large = size > _least(name)
         text = f"what is left {SHAPES[shape]}: {size:.2g} {UNITS[name]}, {sigma:.1f} deviations"
-        yield Question(
-            float(2.0 * student.sf(sigma, len(gram) - 1)), gain > SINGLE_NATS and is_large,
-            Structure(name, kind, sigma, text),
-        )  # fmt: skip
+        yield Question(p, gain > SINGLE_NATS and is_large, Structure(name, kind, sigma, text))
 
 
 def _least(name: str) -> float:
@@ -189,22 +190,30 @@ def _least(name: str) -> float:
     return row.tolerance if row is not None else 0.003 * GRAVITY
 
 
-def _fit(gram: Array) -> tuple[float, float, float]:
-    """Of the last column beside the others: value, deviation between blocks, and nats on blocks
-    that its fit did not see. gram: (B, 1 + P, 1 + P), residual first."""
+def _fit(gram: Array) -> tuple[float, float, float, float]:
+    """Of the last column beside the others: value, its deviations, its chance, and nats on blocks
+    that its fit did not see. gram: (B, 1 + P, 1 + P), residual first.
+
+    It must be beyond chance by how the blocks scatter (Student, as many as there are) and by the
+    noise of all rows (normal), each with its own law: the larger deviation is not held against the
+    few blocks if it is not theirs.
+    """
     total = gram.sum(axis=0)
     value, whole = _solved(total), total[1:, 1:]
     score = gram[:, 1:, 0] - gram[:, 1:, 1:] @ value
     inverse = np.linalg.pinv(whole)
-    ways = (*scatters(score, len(value)), whole)
-    variance = max(float(variances(inverse, way)[-1]) for way in ways)
-    se = float(np.sqrt(variance)) if variance > 0.0 else np.inf  # rounding: nothing is known
+    blocks = max(float(variances(inverse, way)[-1]) for way in scatters(score, len(value)))
+    rows = float(variances(inverse, whole)[-1])
+    if min(blocks, rows) <= 0.0:  # rounding: nothing is known
+        return float(value[-1]), 0.0, 1.0, 0.0
+    by_blocks, by_rows = abs(value[-1]) / np.sqrt(blocks), abs(value[-1]) / np.sqrt(rows)
+    p = 2.0 * max(float(student.sf(by_blocks, len(gram) - 1)), float(norm.sf(by_rows)))
     gain = np.empty(len(gram))
     for b in range(len(gram)):
         rest = total - gram[b]
         with_it, without = _solved(rest), np.append(_solved(rest[:-1, :-1]), 0.0)
         gain[b] = 0.5 * (_loss(gram[b], without) - _loss(gram[b], with_it))
-    return float(value[-1]), se, without_best(gain)
+    return float(value[-1]), float(min(by_blocks, by_rows)), p, without_best(gain)
 
 
 def _solved(gram: Array) -> Array:

@@ -20,11 +20,16 @@ class Reference:
     """Signals for columns, each without the noise of the equation in which it stands."""
 
     slopes: Array
-    """Of the speed between its knots, by the accelerometer."""
+    """Of the speed between its knots, by speed and accelerometer."""
     force: Array
-    """(N, 3) along the vehicle: forward as measured, sideways as predicted, upward gravity."""
+    """(N, 3) along the vehicle: forward by speed and accelerometer, sideways as predicted, upward
+    gravity."""
     leaning: Array
     """(N,) sideways force less speed times yaw rate, as measured: what leans the vehicle."""
+    rate: Array | None = None
+    """(N, 3) of turning, about the vertical by the vehicle's own yaw rate where there is one."""
+    steered: Array | None = None
+    """(N,) yaw rate by the steering angle."""
 
 
 class Reader:
@@ -57,7 +62,7 @@ class Reader:
     def triad(self, name: str, changes: Changes, force: Array | None = None) -> Array:
         """(N, 3) along the vehicle's axes, with the model file's errors taken off.
 
-        force: (N, 3) along the vehicle's axes that takes the place of the measured one.
+        force: (N, 3) along the vehicle's axes that takes the place of what was measured.
         """
         sensor = sensor_of(self.model, name, changes)
         if force is None:
@@ -105,12 +110,20 @@ class Reader:
         """Temperature less that at which the file's zero errors hold [K]."""
         return np.asarray(self.raw("temperature", 0.0) - REFERENCE_DEGC)
 
-    def scalar(self, name: str, changes: Changes) -> Array:
-        """A signal of the vehicle's bus with offset and scale taken off."""
+    def scalar(self, name: str, changes: Changes, true: Array | None = None) -> Array:
+        """A signal of the vehicle's bus with offset and scale taken off.
+
+        true: (N,) what takes the place of the measured one, as it is without any error.
+        """
         part = getattr(self.model, name)
         offset = part.offset + changes.get(f"{name}.offset", 0.0)
         scale = part.scale + changes.get(f"{name}.scale", 0.0)
-        return np.asarray((self.raw(name, self.age(name, changes)) - offset) / (1.0 + scale))
+        if true is None:
+            said = self.raw(name, self.age(name, changes))
+        else:
+            later = changes.get(f"{name}.delay_s", 0.0)
+            said = np.interp(self.t + later, self.t, true) * (1.0 + part.scale) + part.offset
+        return np.asarray((said - offset) / (1.0 + scale))
 
     # evaluation ----------------------------------------------------------------------------------
 

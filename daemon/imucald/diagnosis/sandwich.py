@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from imucald.diagnosis.score import RIDGE
+from imucald.diagnosis.box import RIDGE
 from imucald.diagnosis.signals import Array
 
 QUARTERS = 4

@@ -12,19 +12,14 @@ from dataclasses import dataclass
 import numpy as np
 
 from imucald.diagnosis.blocks import Table
+from imucald.diagnosis.box import box_fit
 from imucald.diagnosis.causes import family
-from imucald.diagnosis.signals import Array, Mask
+from imucald.diagnosis.signals import Array
 
 FOLDS = 8
-RIDGE = 1e-9
-STEPS = 20
-"""Changes of the active set, for each parameter."""
 REACH = 3.0
 """A freed parameter may go so many times as far as is plausible: then it is reported as such."""
 SILENT = 1e-6
-TINY = 1e-9
-CLOSE = 1e-9
-"""Of a slope that counts as none."""
 
 
 @dataclass(frozen=True)
@@ -121,55 +116,6 @@ class Problem:
         if h.is_plain:
             return self.table.index(h.keys)
         return list(range(len(self.table.keys), len(self.table.keys) + len(h.keys)))
-
-
-def box_fit(H: Array, c: Array, low: Array, high: Array, start: Array | None = None) -> Array:
-    """Minimise x'Hx/2 - c'x within low <= x <= high: (Q,).
-
-    Primal active set (Nocedal and Wright, ch. 16): to the first bound that a Newton step meets,
-    and one bound let go at a time, the one that pulls most.
-    """
-    scale = 0.5 * (high - low)
-    H = H * np.outer(scale, scale)
-    H = H + np.diag(RIDGE * np.diag(H) + TINY)
-    c, low, high = c * scale, low / scale, high / scale
-    x = np.clip(np.zeros(len(c)) if start is None else start / scale, low, high)
-    slope = H @ x - c
-    held = ((x <= low) & (slope > 0.0)) | ((x >= high) & (slope < 0.0))
-    for _ in range(STEPS * len(c)):
-        step = _newton_step(H, H @ x - c, held)
-        with np.errstate(divide="ignore", invalid="ignore"):
-            room = np.where(step > 0.0, (high - x) / step, (low - x) / step)
-        room[step == 0.0] = np.inf
-        first = int(np.argmin(room))
-        if room[first] < 1.0:
-            x = np.clip(x + max(room[first], 0.0) * step, low, high)
-            x[first] = high[first] if step[first] > 0.0 else low[first]
-            held[first] = True
-            continue
-        x = np.clip(x + step, low, high)
-        slope = H @ x - c
-        pull = np.where(x >= high, slope, -slope) * held
-        worst = int(np.argmax(pull))
-        if pull[worst] <= CLOSE * (1.0 + abs(c[worst])):
-            break
-        held[worst] = False
-    return np.asarray(x * scale)
-
-
-def _newton_step(H: Array, slope: Array, held: Mask) -> Array:
-    step = np.zeros(len(slope))
-    free = np.flatnonzero(~held)
-    if len(free):
-        step[free] = -_solved(H[np.ix_(free, free)], slope[free])
-    return step
-
-
-def _solved(A: Array, b: Array) -> Array:
-    try:
-        return np.asarray(np.linalg.solve(A, b))
-    except np.linalg.LinAlgError:
-        return np.asarray(np.linalg.lstsq(A, b, rcond=None)[0])
 
 
 def folds(blocks: int) -> Array:

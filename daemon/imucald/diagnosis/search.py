@@ -17,7 +17,7 @@ from imucald.diagnosis.cause_keys import with_shifts
 from imucald.diagnosis.causes import family
 from imucald.diagnosis.score import Hypothesis, Problem, fitted, held_out, paired
 from imucald.diagnosis.shift import find_shift
-from imucald.diagnosis.standing import asked_again, demote, eliminate, let_go
+from imucald.diagnosis.standing import asked_again, demote, eliminate, let_go, set_aside, without
 from imucald.diagnosis.state import State, refit, shift_steps
 from imucald.diagnosis.trials import SINGLE_NATS, Trial, hypotheses, joined, likeliest, tried
 
@@ -28,12 +28,48 @@ Tick = Callable[[str], None]
 
 
 def search(state: State, tick: Tick, late: Callable[[], bool], skip: Sequence[str] = ()) -> None:
-    """Name what pays, one after another; then refit all, and let go what no longer pays."""
+    """Name what pays, one after another; then refit all, and let go what no longer pays. What falls
+    leaves its place to what explains as much, and is not named again."""
+    dropped: list[str] = []
+    fallen: set[str] = set()
+    while True:
+        dropped += _grown(state, tick, late, [*skip, *dropped], fallen)
+        eliminate(state, late)
+        demote(state)
+        _beside_rivals(state, late)
+        more = {t.hypothesis.name for t in state.doubtful} - fallen
+        fallen |= more
+        if not more or _is_ended(state) or late():
+            break
+    if state.doubtful:
+        state.last = _trials(state.evaluated(), state, [*skip, *dropped])
+    known = {t.hypothesis.name for t in (*state.named, *state.doubtful)}
+    if state.shift is None:
+        state.likely = [
+            t
+            for t in likeliest(state.last)
+            if t.hypothesis.name not in known
+            and all(_is_form_of(t, other) for other in _alike(t, state.last))
+        ]
+
+
+def _is_ended(state: State) -> bool:
+    """Whether what was found leaves nothing else to be asked."""
+    drifts = any(t.hypothesis.pattern is not None for t in state.named)
+    return drifts or state.shift is not None or bool(state.implausible)
+
+
+def _grown(
+    state: State, tick: Tick, late: Callable[[], bool], skip: Sequence[str], fallen: set[str]
+) -> list[str]:
+    """Name what pays, one after another; returns parameters of what no longer does. fallen: causes
+    that are not named again."""
     dropped: list[str] = []
     while len(state.named) < MOST_NAMED and not late():
         problem = state.evaluated()
         state.last = _trials(problem, state, [*skip, *dropped])
-        best = _winner(state.last) or _nearly(problem, state)
+        open_to = [t for t in state.last if t.hypothesis.name not in fallen]
+        best = _winner(open_to) or _nearly(problem, replace(state, last=open_to))
         shift = find_shift(problem, problem.table.levels)
         if shift is not None and shift.named and (best is None or shift.shown > best.shown):
             # Either side of a shift is another drive: nothing else is asked of this one.
@@ -46,7 +82,12 @@ def search(state: State, tick: Tick, late: Callable[[], bool], skip: Sequence[st
         alike = _alike(best, state.last)
         best, edge = _from_the_edge(problem, state, best)
         chosen = next(
-            (t for t in [best, *alike, *_behind(best, state.last)] if t.is_plausible), None
+            (
+                t
+                for t in [best, *alike, *_behind(best, state.last)]
+                if t.is_plausible and t.hypothesis.name not in fallen
+            ),
+            None,
         )
         if chosen is None:
             state.implausible.append(best)
@@ -67,18 +108,39 @@ def search(state: State, tick: Tick, late: Callable[[], bool], skip: Sequence[st
         _take(state, problem, chosen)
         refit(state)
         dropped += let_go(state)
-    eliminate(state, late)
-    demote(state)
-    if state.doubtful:
-        state.last = _trials(state.evaluated(), state, [*skip, *dropped])
-    known = {t.hypothesis.name for t in (*state.named, *state.doubtful)}
-    if state.shift is None:
-        state.likely = [
-            t
-            for t in likeliest(state.last)
-            if t.hypothesis.name not in known
-            and all(_is_form_of(t, other) for other in _alike(t, state.last))
-        ]
+    return dropped
+
+
+def _beside_rivals(state: State, late: Callable[[], bool]) -> None:
+    """Of look-alikes any may be the right one. What else is named does not stand where another of
+    them alone does as well, and leaves nothing of it: it may be what the one that was taken leaves.
+    """
+    for first in list(state.named):
+        if first.hypothesis.pattern is not None:
+            continue
+        rivals = [t for t in state.rivals.get(first.hypothesis.name, [])
+                  if t.hypothesis.pattern is None]  # fmt: skip
+        for trial in [t for t in state.named if t is not first]:
+            h = trial.hypothesis
+            if set(h.keys) & set(first.hypothesis.keys) and h.pattern is None:
+                continue
+            for rival in rivals:
+                if late() or first not in state.named or trial not in state.named:
+                    break
+                if set(rival.hypothesis.keys) & set(h.keys) and h.pattern is None:
+                    continue
+                other = without(state, first)
+                if h.pattern is None:
+                    other = without(other, trial)
+                _take(other, other.evaluated(), rival)
+                refit(other)
+                alone = held_out(other.evaluated())
+                both = held_out(state.evaluated(), None if h.pattern is None else h)
+                behind, se = paired(alone, both)
+                if behind > max(ALIKE_SE * se, trial.needed):
+                    continue
+                if not tried(other.evaluated(), h, alone, max(len(state.last), 1)).named:
+                    set_aside(state, trial)
 
 
 def _trials(problem: Problem, state: State, skip: Sequence[str]) -> list[Trial]:

@@ -11,9 +11,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from imucald.diagnosis.blocks import Table
+from imucald.diagnosis.box import box_fit
 from imucald.diagnosis.causes import DEG
 from imucald.diagnosis.intervals import estimate, quantile
-from imucald.diagnosis.score import Hypothesis, Problem, box_fit, held_out, without_best
+from imucald.diagnosis.score import Hypothesis, Problem, held_out, without_best
 from imucald.diagnosis.signals import Array
 
 KEYS = ("mount.turn.x", "mount.turn.y", "mount.turn.z")

@@ -12,14 +12,12 @@ from __future__ import annotations
 import numpy as np
 
 from imucald.diagnosis.signals import STEP_S, Array
-from imucald.model.vehicle import Chassis
+from imucald.model.vehicle import STEERING_GEAR_S, Chassis
 
 SLOW_MPS = 2.5
 """Below this play and tyres decide on the yaw rate, not the steering angle."""
 RELAXATION_M = 0.4
 """A tyre's side force builds up along so much road: cars 0.2 to 0.6 m."""
-RACK_S = 0.03
-"""The wheels behind the hands: a steering gear of 6 Hz on its torsion bar, well damped."""
 LEVEL_MPS = 4.0
 """It is solved at speeds so far apart; between two of them the solutions are interpolated."""
 
@@ -36,7 +34,7 @@ def followed_angle(steer: Array, speed: Array, chassis: Chassis, gradient: float
     s0, s1, s2 = front + rear, a * front - b * rear, a * a * front + b * b * rear
     s = 2j * np.pi * np.fft.rfftfreq(2 * n, STEP_S)
     # Mirrored at its end, so that a drive's last angle does not run into its first.
-    spectrum = np.fft.rfft(np.concatenate([steer, steer[::-1]])) * np.exp(-RACK_S * s)
+    spectrum = np.fft.rfft(np.concatenate([steer, steer[::-1]])) * np.exp(-STEERING_GEAR_S * s)
     place = np.maximum(speed, SLOW_MPS) / LEVEL_MPS
     made = np.zeros(n)
     for level in range(int(place.min()), int(place.max()) + 2):

@@ -8,18 +8,20 @@ no parameter describes. Every zero and gain is asked, whether it was found to be
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
 
 import numpy as np
 from scipy.stats import t as student
 
 from imucald.diagnosis.blocks import Table
+from imucald.diagnosis.box import box_fit
 from imucald.diagnosis.causes import PARAMETERS
-from imucald.diagnosis.chance import Question
+from imucald.diagnosis.chance import FALSE_SHARE, Question
 from imucald.diagnosis.forward import Forward
 from imucald.diagnosis.outcome import signals_of
 from imucald.diagnosis.result import DIFFERS, WANDERS, Structure
-from imucald.diagnosis.score import Hypothesis, Problem, box_fit
-from imucald.diagnosis.signals import STEP_S, Array, DriveSignals
+from imucald.diagnosis.score import REACH, Hypothesis, Problem
+from imucald.diagnosis.signals import STEP_S, Array, DriveSignals, Mask
 from imucald.diagnosis.state import State
 from imucald.mount.mount_words import SD_95
 
@@ -37,19 +39,67 @@ EVENLY = 3.0**-0.5
 """Deviation of what goes anywhere within its tolerance, over the tolerance."""
 EITHER_SIDE = 2.0
 """Tolerances from one end of what a correct file may be to the other."""
+EDGE = 1e-6
+"""Of a box's width that counts as its edge."""
+
+
+@dataclass(frozen=True)
+class Fit:
+    """All parameters fitted within their box, those of a named drift last (Q of them)."""
+
+    gram: Array
+    """(B, Q+1, Q+1), residual first."""
+    low: Array
+    high: Array
+    x: Array
+
+    @staticmethod
+    def of(problem: Problem, drift: Hypothesis | None) -> Fit:
+        """drift: of what was named and has no place in the model file; it is fitted beside."""
+        gram, low, high = problem.widened(drift)
+        total = gram.sum(axis=0)
+        return Fit(gram, low, high, box_fit(total[1:, 1:], total[1:, 0], low, high))
+
+    @property
+    def curvature(self) -> Array:
+        """(B, Q, Q) of each segment's loss."""
+        return self.gram[:, 1:, 1:]
+
+    @property
+    def scores(self) -> Array:
+        """(B, Q) slopes of each segment's loss, downward."""
+        return np.asarray(self.gram[:, 1:, 0] - self.curvature @ self.x)
+
+    @property
+    def is_free(self) -> Mask:
+        """(Q,) what lies inside its box. Only of that the slopes add up to none."""
+        edge = EDGE * (self.high - self.low)
+        return np.asarray((self.x > self.low + edge) & (self.x < self.high - edge))
+
+    def beside(self, j: int, by: Array, low: float, high: float) -> float:
+        """By how much parameter j goes with `by` (B,), itself whatever it is and all others
+        anywhere in their box. low, high: bounds of both."""
+        total, cross = self.gram.sum(axis=0), by @ self.gram[:, j + 1]
+        H = np.block([[total[1:, 1:], cross[1:, None]],
+                      [cross[None, 1:], by**2 @ self.curvature[:, j, j]]])  # fmt: skip
+        c = np.append(total[1:, 0], cross[0])
+        lows, highs = np.append(self.low, low), np.append(self.high, high)
+        lows[j], highs[j] = low, high
+        return float(box_fit(H, c, lows, highs)[-1])
 
 
 def unstable(problem: Problem, state: State) -> list[Question]:
     """Zeros and gains that wander from piece to piece, or differ between conditions."""
     if problem.table.blocks < LEAST_BLOCKS:
         return []
-    scores, gram = _scores(problem, drift_of(state))
+    fit = Fit.of(problem, drift_of(state))
     asked = [j for j, key in enumerate(problem.table.keys)
-             if any(part in ASKED for part in key.split(".")) and gram[:, j, j].any()]  # fmt: skip
+             if any(part in ASKED for part in key.split("."))
+             and fit.curvature[:, j, j].any()]  # fmt: skip
     return [
-        *_wandering(problem, scores, gram, asked),
-        *_jumping(problem, scores, gram, asked),
-        *_conditional(problem, scores, gram, asked, conditions(problem, state)),
+        *_wandering(problem, fit, asked),
+        *_jumping(problem, fit, asked),
+        *_conditional(problem, fit, asked, conditions(problem, state)),
     ]
 
 
@@ -58,29 +108,14 @@ def drift_of(state: State) -> Hypothesis | None:
     return next((t.hypothesis for t in state.named if t.hypothesis.pattern is not None), None)
 
 
-def _scores(problem: Problem, drift: Hypothesis | None) -> tuple[Array, Array]:
-    """Slopes (B, P) of each segment's loss where all are fitted, and curvatures (B, P, P).
-
-    drift: of what was named and has no place in the model file; it is fitted beside.
-    """
-    gram, low, high = problem.widened(drift)
-    total = gram.sum(axis=0)
-    x = box_fit(total[1:, 1:], total[1:, 0], low, high)
-    own = len(problem.table.keys)
-    scores = gram[:, 1:, 0] - gram[:, 1:, 1:] @ x
-    return scores[:, :own], problem.table.gram[:, 1:, 1:]
-
-
-def _wandering(
-    problem: Problem, scores: Array, gram: Array, asked: list[int]
-) -> Iterator[Question]:
+def _wandering(problem: Problem, fit: Fit, asked: list[int]) -> Iterator[Question]:
     """Neighbouring segments that agree on a departure which the whole does not show.
 
     Of scores s_b with information h_b, s_b s_(b+l) has the expectation h_b h_(b+l) sigma^2, where
     sigma is by how much the parameter wanders. Chance: the same segments in any order.
     """
-    h = np.stack([gram[:, j, j] for j in asked], axis=1)
-    s = scores[:, asked]
+    h = np.stack([fit.curvature[:, j, j] for j in asked], axis=1)
+    s = fit.scores[:, asked]
     s = s - h * (s.sum(axis=0) / h.sum(axis=0))
     got, rng = _shared(s), np.random.default_rng(0)
     beaten = np.zeros_like(got)
@@ -102,14 +137,14 @@ def _shared(s: Array) -> Array:
     return np.cumsum(parts, axis=0)
 
 
-def _jumping(problem: Problem, scores: Array, gram: Array, asked: list[int]) -> Iterator[Question]:
+def _jumping(problem: Problem, fit: Fit, asked: list[int]) -> Iterator[Question]:
     """A zero or gain that is another from some moment on; its chance is shared out over moments."""
-    B = len(scores)
+    B = problem.table.blocks
     moments: dict[str, Array] = {
         str(k): (np.arange(B) >= k).astype(float) for k in range(LEAST_SIDE, B - LEAST_SIDE + 1)
     }
     best: dict[int, tuple[float, float, str]] = {}
-    for name, j, p, value in _score_tests(problem, scores, gram, asked, moments):
+    for name, j, p, value in _score_tests(problem, fit, asked, moments):
         if p < best.get(j, (2.0, 0.0, ""))[0]:
             best[j] = p, value, name
     for j, (p, value, name) in best.items():
@@ -128,7 +163,7 @@ def _moment(table: Table, segment: int) -> str:
 
 
 def _conditional(
-    problem: Problem, scores: Array, gram: Array, asked: list[int], some: Mapping[str, Array]
+    problem: Problem, fit: Fit, asked: list[int], some: Mapping[str, Array]
 ) -> Iterator[Question]:
     """A zero or gain that is another where a condition is high."""
     shares = {}
@@ -136,7 +171,7 @@ def _conditional(
         low, high = np.quantile(c, [0.05, 0.95])
         if high > low:
             shares[name] = np.clip((c - low) / (high - low), 0.0, 1.0)
-    for name, j, p, value in _score_tests(problem, scores, gram, asked, shares):
+    for name, j, p, value in _score_tests(problem, fit, asked, shares):
         key = problem.table.keys[j]
         size = abs(value) / (EITHER_SIDE * _may_be(problem, j))
         text = f"{key} differs by {_amount(key, value)} between {name} segments"
@@ -144,26 +179,36 @@ def _conditional(
 
 
 def _score_tests(
-    problem: Problem, scores: Array, gram: Array, asked: list[int], some: Mapping[str, Array]
+    problem: Problem, fit: Fit, asked: list[int], some: Mapping[str, Array]
 ) -> Iterator[tuple[str, int, float, float]]:
     """A column times a pattern over the segments, fitted beside all others (score test, deviation
-    between segments): pattern's name, parameter, chance, by how much it is another."""
-    prior = 3.0 / np.maximum(0.5 * (problem.high - problem.low), 1e-30) ** 2
-    inverse = np.linalg.pinv(gram.sum(axis=0) + np.diag(prior))
+    between segments): pattern's name, parameter, chance, by how much it is another.
+
+    What is held at the edge of its box cannot take part of the pattern, and its slope, which does
+    not vanish there, is no part of it. By how much: all others anywhere in their box.
+    """
+    scores, gram, free = fit.scores, fit.curvature, np.flatnonzero(fit.is_free)
+    prior = 3.0 / np.maximum(0.5 * (fit.high - fit.low), 1e-30) ** 2
+    inverse = np.linalg.pinv((gram.sum(axis=0) + np.diag(prior))[np.ix_(free, free)])
     B = len(scores)
     for name, m in some.items():
         for j in asked:
             h = gram[:, j, j]
             by = m - float(m @ h / h.sum())
-            w = inverse @ (by @ gram[:, j, :])
-            information = float(by**2 @ h - (by @ gram[:, j, :]) @ w)
+            mixed = by @ gram[:, j, free]
+            w = inverse @ mixed
+            information = float(by**2 @ h - mixed @ w)
             if information <= 1e-6 * float(by**2 @ h):
                 continue
-            u = by * scores[:, j] - scores @ w
+            u = by * scores[:, j] - scores[:, free] @ w
             # A sum over its own root of squares never exceeds the root of their number.
             ratio = float(u.sum() ** 2 / max(float(u @ u), 1e-300))
             t = np.sqrt(ratio * (B - 1) / max(B - ratio, 1e-9))
-            yield name, j, float(2.0 * student.sf(t, B - 1)), float(u.sum() / information)
+            p, value = float(2.0 * student.sf(t, B - 1)), float(u.sum() / information)
+            if p < FALSE_SHARE:
+                low, high = REACH * problem.table.plausible[j]
+                value = fit.beside(j, by, float(low), float(high))
+            yield name, j, p, value
 
 
 def _may_be(problem: Problem, j: int) -> float:

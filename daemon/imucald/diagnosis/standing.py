@@ -72,7 +72,7 @@ def eliminate(state: State, late: Callable[[], bool]) -> None:
         asked.add(trial.hypothesis.name)
         if trial.hypothesis.pattern is not None:
             continue
-        less = _without(state, trial)
+        less = without(state, trial)
         problem = less.evaluated()
         again = tried(problem, trial.hypothesis, held_out(problem), max(len(state.last), 1))
         if again.named and again.is_plausible:
@@ -81,7 +81,7 @@ def eliminate(state: State, late: Callable[[], bool]) -> None:
         asked.clear()
 
 
-def _without(state: State, trial: Trial) -> State:
+def without(state: State, trial: Trial) -> State:
     """The others alone, fitted again."""
     h = trial.hypothesis
     keys = {k for d in h.directions for k in d} or set(h.keys)
@@ -113,17 +113,22 @@ def demote(state: State) -> None:
             again = asked_again(state, trial)
             if again.outside and again.is_surely_plausible:
                 continue
-            _drop(state, _without(state, trial), trial)
+            _drop(state, without(state, trial), trial)
             if again.outside:
                 state.implausible.append(again)
+
+
+def set_aside(state: State, trial: Trial) -> None:
+    """A cause that was named is not ruled out, and no more."""
+    if trial.hypothesis.pattern is None:
+        _drop(state, without(state, trial), trial)
+    else:  # it has no place in the model file: nothing moves
+        state.named.remove(trial)
+        state.doubtful.append(trial)
 
 
 def unsettle(state: State, doubts: Callable[[Trial], bool]) -> None:
     """Named causes that something else may make are not ruled out, and no more: the fit gives them
     what the other thing makes."""
     for trial in [t for t in state.named if doubts(t)]:
-        if trial.hypothesis.pattern is None:
-            _drop(state, _without(state, trial), trial)
-        else:  # it has no place in the model file: nothing moves
-            state.named.remove(trial)
-            state.doubtful.append(trial)
+        set_aside(state, trial)

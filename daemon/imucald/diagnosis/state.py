@@ -8,11 +8,12 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from imucald.diagnosis.blocks import Table, table_of
+from imucald.diagnosis.box import box_fit
 from imucald.diagnosis.cause_keys import Changes, extended, with_delay_rate, with_shifts
 from imucald.diagnosis.causes import PARAMETERS
 from imucald.diagnosis.forward import Forward
 from imucald.diagnosis.intervals import Estimate, estimate, quantile
-from imucald.diagnosis.score import Hypothesis, Problem, box_fit
+from imucald.diagnosis.score import Hypothesis, Problem
 from imucald.diagnosis.shift import FittedShift
 from imucald.diagnosis.signals import Array, DriveSignals
 from imucald.diagnosis.trials import Trial

@@ -12,7 +12,7 @@ import msgspec
 
 from imucald.config.base import Settings
 from imucald.core.errors import ConfigError
-from imucald.core.locations import Document, Marks
+from imucald.core.locations import Document
 from imucald.core.typed import typed
 from imucald.core.yaml_lines import read_yaml_file
 from imucald.fleet.bundle import Bundle, bundle_of
@@ -57,10 +57,10 @@ class Fleet:
     settings: as written. bundles: configurations by name.
     """
 
-    def __init__(self, settings: FleetSettings, path: Path, marks: Marks) -> None:
+    def __init__(self, settings: FleetSettings, path: Path, document: Document) -> None:
         """Raise ConfigError with place and remedy."""
         self.settings = settings
-        self._path, self._marks = path, marks
+        self._document = document
         self.folder = path.parent.resolve()
         try:
             self._rule = re.compile(settings.path)
@@ -76,9 +76,7 @@ class Fleet:
         self.bundles: dict[str, Bundle] = {b.name: b for b in (self.default, *others)}
 
     def _error(self, key: str, text: str) -> ConfigError:
-        return ConfigError(
-            f"{Document(str(self._path), self._marks, _WHOLE).located((key,))}: {text}"
-        )
+        return ConfigError(f"{self._document.located((key,))}: {text}")
 
     def _read_vehicles(self) -> dict[str, list[VehicleFacts]]:
         if self.settings.vehicles is None:
@@ -127,19 +125,20 @@ def iso_day(text: str | None) -> str | None:
 
 def load_fleet(path: Path, changes: Mapping[str, Any] | None = None) -> Fleet:
     """Read a fleet file; changes: keys that the command line gives. Raises ConfigError."""
-    settings, marks = read_settings(path, changes)
-    return Fleet(settings, path, marks)
+    settings, document = read_settings(path, changes)
+    return Fleet(settings, path, document)
 
 
 def read_settings(
     path: Path, changes: Mapping[str, Any] | None = None
-) -> tuple[FleetSettings, Marks]:
+) -> tuple[FleetSettings, Document]:
     """What the file says, without looking at what it names. Raises ConfigError."""
     data, marks = read_yaml_file(path, _WHOLE)
     if not isinstance(data, dict):
         raise ConfigError(f"{path}:1: a fleet file is a mapping with 'logs' and 'config'")
     data = data | dict(changes or {})
-    return typed(data, FleetSettings, Document(str(path), marks, _WHOLE)), marks
+    document = Document(str(path), marks, _WHOLE)
+    return typed(data, FleetSettings, document), document
 
 
 def patterns(settings: FleetSettings) -> Sequence[str]:

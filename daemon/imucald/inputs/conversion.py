@@ -91,17 +91,25 @@ class Conversion(Struct, frozen=True):
                     self.sign
                 )
         codes = np.zeros(len(physical), dtype=np.int8)
-        with np.errstate(invalid="ignore"):
-            codes[~((self.low <= physical) & (physical <= self.high))] = 4
-            codes[~((-self.limit <= values) & (values <= self.limit))] = 4
-            if self.rails is not None:
-                codes[~((self.rails[0] < physical) & (physical < self.rails[1]))] = 3
-        codes[~np.isfinite(physical)] = 2
+        if not self._takes_all(physical):
+            with np.errstate(invalid="ignore"):
+                codes[~((self.low <= physical) & (physical <= self.high))] = 4
+                codes[~((-self.limit <= values) & (values <= self.limit))] = 4
+                if self.rails is not None:
+                    codes[~((self.rails[0] < physical) & (physical < self.rails[1]))] = 3
+            codes[~np.isfinite(physical)] = 2
         for number in self.not_available:
             codes[raw == number] = 1
         if np.count_nonzero(codes):
             values = np.where(codes == OK, values, np.nan)
         return values, codes
+
+    def _takes_all(self, physical: NDArray[np.float64]) -> bool:
+        """Whether none is rejected for its size: where the ends are taken, all between them are."""
+        if not len(physical):
+            return True
+        ends = np.minimum.reduce(physical), np.maximum.reduce(physical)  # NaN where one is
+        return all(self.scalar(math.nan, float(end))[1] == OK for end in ends)
 
     def _flags(self, physical: NDArray[np.float64]) -> NDArray[np.float64]:
         if self.on_values is not None:

@@ -87,14 +87,14 @@ class RateGuard:
             if reason.startswith("counter"):
                 fault_count += count
         seen, faulty, sound_in = seen_count.tolist(), fault_count.tolist(), good_count.tolist()
-        last = max(n - SECONDS - 1, 0)
-        if last and self._is_usual(first, seen):  # only what the next chunk needs is gone through
-            self._second = first + last - 1
-            self._seen, self._faults = seen[last - 1], faulty[last - 1]
-        else:
-            last = 0
+        if n > SECONDS + 1 and self._is_usual(first, seen):  # only the last ones count from now on
+            self._before.extend(zip(seen[:-1], faulty[:-1], strict=True))
+            self._second, self._ends = first + n - 1, first + float(n)
+            self._seen, self._faults, self._taken = seen[-1], faulty[-1], sound_in[-1]
+            self._allowed = math.floor(self._limit())
+            return {}
         refused: dict[str, list[Rows]] = {}
-        for i in range(last, n):
+        for i in range(n):
             frames, faults, sound = seen[i], faulty[i], sound_in[i]
             if frames == sound == 0 and not self._any(of, i):
                 continue

@@ -30,6 +30,11 @@ MAX_SPEED_MPS = 36.0
 """Drivers do not go faster than this, whatever the route."""
 
 
+STEERING_GEAR_S = 0.03
+"""The road wheels behind the hands: a steering gear of 6 Hz on its torsion bar, well damped. Cars
+differ by 0.02 s."""
+
+
 class Chassis(Section, frozen=True):
     """Single-track vehicle. The understeer gradient and the rear stiffness give the front one."""
 

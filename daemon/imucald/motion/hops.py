@@ -79,6 +79,16 @@ class HopRows(Struct, frozen=True):
         """(axes,) the sample before sample k, NaN if none."""
         return self.samples[:, k - 1] if k else self.before
 
+    def entries(self) -> Array:
+        """Size of the change with which the run at each hop's end began (H, axes).
+
+        Of runs that began in their hop; of others it is no number to use.
+        """
+        axes = np.arange(len(self.before))
+        at = np.minimum(np.maximum(self.edges[1:, None] - self.run, 0), self.samples.shape[1] - 1)
+        earlier = np.where(at > 0, self.samples[axes, at - 1], self.before)
+        return np.asarray(np.abs(self.samples[axes, at] - earlier))
+
 
 def hop_rows(values: Array, hop: Index, hops: int, carry: Carry) -> HopRows:
     """Return the figures of hops 0 .. hops-1, and bring `carry` up to their end.

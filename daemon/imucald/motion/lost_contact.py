@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from imucald.motion.hops import HopRows
+from imucald.motion.rail_evidence import AxisHop
 from imucald.motion.sensor_judges import Runs
 
 JUMP = 5.0
@@ -35,9 +36,9 @@ class LostContact:
         self._open, self._entry = 0, 0.0
 
     def step(
-        self, rows: HopRows, h: int, axis: int, counts: tuple[int, int, int, int], usual: Runs
+        self, at: AxisHop, axis: int, counts: tuple[int, int, int, int], usual: Runs
     ) -> tuple[bool, bool]:
-        """Take hop h of an axis.
+        """Take a hop of an axis.
 
         counts: its count, ended, longest and run, as `HopRows` has them. usual: the runs of equal
         values of this axis so far. Returns whether a value between two jumps that lasted longer
@@ -46,15 +47,14 @@ class LostContact:
         count, ended, longest, run = counts
         found = jumped = False
         if longest >= MIN_RUN and longest > usual.longest:
-            lasted = self._between_jumps(rows, h, axis)
+            lasted = self._between_jumps(at.rows, at.h, axis)
             jumped = longest == lasted
             found = lasted > usual.limit()
         if not jumped:
-            self._change += float(rows.level[h, axis]) * count
+            self._change += at.level * count
             self._changes += ended
         if run <= count:  # it began in this hop
-            at = int(rows.edges[h + 1]) - run
-            self._entry = float(abs(rows.samples[axis, at] - rows.previous(at)[axis]))
+            self._entry = at.entry
         self._open = run
         return found, jumped
 

@@ -21,12 +21,15 @@ MOST_SAMPLES = 512
 class AxisHop(Struct, frozen=True):
     """A hop of one axis. rows, h: hop h of the rows; runs: of the axis.
 
-    step, tops, on_tops: of the axis in that hop, as `HopRows` has step, top and on_top.
+    level, step, tops, on_tops: of the axis in that hop, as `HopRows` has level, step, top and
+    on_top; entry: as it gives entries.
     """
 
     rows: HopRows
     h: int
     runs: Runs
+    level: float
+    entry: float
     step: float
     tops: tuple[float, float]
     on_tops: tuple[int, int]

@@ -210,8 +210,7 @@ class AxisRails:
         elif moving:
             hop = self._hops
             self._hops += 1
-            change = float(at.rows.level[at.h, self._axis])
-            self._usual += (change - self._usual) / min(self._hops, TAIL_HOPS)
+            self._usual += (at.level - self._usual) / min(self._hops, TAIL_HOPS)
         is_high, is_low = high.step(at, hop), low.step(at, hop)
         if (is_high or is_low) and self._has_tail(at):
             if is_high:

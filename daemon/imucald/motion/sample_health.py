@@ -1,7 +1,8 @@
 """Which sensors are fit to be used, from every sample: for what is sent and what is learnt.
 
 `SampleHealth` looks at hops of half a second (`hops`), live and by columns, equal to the last bit.
-A fault counts from the end of the hop that shows it until the sensor has been sound for SOUND_S.
+A fault counts from the end of the hop that shows it until the sensor has been sound for a while
+(`faults_in_force`).
 """
 
 from __future__ import annotations
@@ -11,11 +12,11 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
-from msgspec import Struct
 from numpy.typing import NDArray
 
 from imucald.core.angles import DEG_PER_RAD
 from imucald.core.samples import Samples, Series
+from imucald.motion.faults_in_force import EVENTS, FaultEvent, Faults, FaultsInForce
 from imucald.motion.hops import HOP_S, HOP_TICKS, SIDES, Carry, HopRows, hop_rows
 from imucald.motion.lost_contact import LostContact
 from imucald.motion.rail_evidence import AxisHop
@@ -34,9 +35,6 @@ from imucald.motion.single_hop import single_hop
 from imucald.motion.standstill import ROLLING_SPEED
 from imucald.motion.ticks import TICK_RATE
 
-SOUND_S = 10.0
-"""A sensor is used again when it has been sound for so long [s]: longer than a loose contact's
-pauses, of which each costs two seconds at most."""
 SPEED_HOPS = 6
 """A speed is known for so many hops (3 s): sources of one a second, with two lost."""
 BRAKING = 4.0
@@ -44,8 +42,6 @@ BRAKING = 4.0
 NOISE: Mapping[str, float] = {"accel": 0.0018, "gyro": 0.00012, "mag": 8e-8}
 """Noise densities of consumer sensors per root of hertz: 180 ug, 0.007 deg/s (BMI160 data sheet),
 0.6 uT rms at 20 Hz and more (BMM150 data sheet, regular preset: 0.08 uT by that is less)."""
-EVENTS = 50
-"""So many faults are remembered for the report."""
 WATCHED = ("accel", "gyro", "mag")
 AXES = "xyz"
 _UNITS = {"gyro": DEG_PER_RAD}
@@ -55,48 +51,12 @@ Flags = NDArray[np.bool_]
 _More = tuple[Array, NDArray[np.int64]]
 """Samples and their hops."""
 
-Faults = Mapping[SignalFault, str]
-"""Faults and the axes that have them, such as {stuck: "y"}."""
 
-
-class FaultEvent(Struct):
-    """A fault that was reported: since and until stream time [s]; None while it lasts.
-
-    axes: such as "y"; empty for a signal that has none.
-    """
-
-    channel: str
-    fault: SignalFault
-    axes: str
-    since: float
-    until: float | None = None
-
-    def as_dict(self) -> dict[str, Any]:
-        """Plain, for JSON."""
-        until = None if self.until is None else round(self.until, 1)
-        return {
-            "sensor": self.channel,
-            "fault": str(self.fault),
-            "axes": self.axes,
-            "since_s": round(self.since, 1),
-            "until_s": until,
-        }
-
-
-class _Judged:
-    """A channel, its faults now, and for how long each has not been seen [s]."""
-
-    def __init__(self, channel: str) -> None:
-        self.channel = channel
-        self.faults: dict[SignalFault, str] = {}
-        self.sound: dict[SignalFault, float] = {}
-
-
-class _Sensor(_Judged):
+class _Sensor(FaultsInForce):
     """One sensor: its samples of the open hop, its judges, and what they found."""
 
-    def __init__(self, channel: str, axes: int) -> None:
-        super().__init__(channel)
+    def __init__(self, channel: str, axes: int, events: deque[FaultEvent]) -> None:
+        super().__init__(channel, events)
         self.axes = axes
         self.pending: list[Sequence[float]] = []
         self.carry = Carry.none(axes)
@@ -142,7 +102,11 @@ class _Sensor(_Judged):
             of = rows.level[some], rows.ended[some]
             wild[some] |= self._unit.step(*of, other[some], moving[some])
         moves, counts = moving.tolist(), rows.count.tolist()
-        each = [self._judge_axis(axis, rows, moves, counts) for axis in range(self.axes)]
+        columns = [x.T.tolist() for x in (rows.level, rows.entries(), rows.step)]
+        each = [
+            self._judge_axis(axis, rows, moves, [x[axis] for x in columns])
+            for axis in range(self.axes)
+        ]
         shown = [(SignalFault.STUCK, AXES[i], stuck) for i, (stuck, _) in enumerate(each)]
         shown += [(SignalFault.SATURATED, AXES[i], on) for i, (_, on) in enumerate(each)]
         shown += [(SignalFault.IMPLAUSIBLE, AXES[: self.axes], wild.tolist())]
@@ -155,24 +119,27 @@ class _Sensor(_Judged):
         return [faults if count else None for faults, count in zip(found, counts, strict=True)]
 
     def _judge_axis(
-        self, axis: int, rows: HopRows, moves: list[bool], counts: list[int]
+        self, axis: int, rows: HopRows, moves: list[bool], sizes: list[list[float]]
     ) -> tuple[list[bool], list[bool]]:
-        """At the end of which hops an axis is stuck, and on a rail; False without samples."""
+        """At the end of which hops an axis is stuck, and on a rail; False without samples.
+
+        sizes: level, entry and step of the axis, as an `AxisHop` has them.
+        """
         judge, rails, contact = self.stuck[axis], self.rails[axis], self.contacts[axis]
-        columns = [x[:, axis].tolist() for x in (rows.ended, rows.longest, rows.run, rows.step)]
+        counts = [x[:, axis].tolist() for x in (rows.ended, rows.longest, rows.run)]
+        of_runs = zip(rows.count.tolist(), *counts, strict=True)
         of_sides = [
             zip(*(x[:, side, axis].tolist() for side in range(SIDES)), strict=True)
             for x in (rows.top, rows.on_top)
         ]
-        stuck, saturated = [False] * len(counts), [False] * len(counts)
-        of_hops = zip(moves, counts, *columns, *of_sides, strict=True)
-        for h, (moving, count, ended, longest, run, step, tops, on_tops) in enumerate(of_hops):
-            if count:
-                hop = AxisHop(rows, h, judge.moving, step, tops, on_tops)
+        stuck, saturated = [False] * len(moves), [False] * len(moves)
+        of_hops = zip(moves, of_runs, *sizes, *of_sides, strict=True)
+        for h, (moving, runs, level, entry, step, tops, on_tops) in enumerate(of_hops):
+            if runs[0]:
+                hop = AxisHop(rows, h, judge.moving, level, entry, step, tops, on_tops)
                 saturated[h] = rails.step(hop, moving, judge.stuck)
-                runs = count, ended, longest, run
-                lost, jumped = contact.step(rows, h, axis, runs, judge.usual(moving))
-                stuck[h] = judge.step(moving, count, ended, longest, run, step, jumped) or lost
+                lost, jumped = contact.step(hop, axis, runs, judge.usual(moving))
+                stuck[h] = judge.step(moving, runs, step, jumped) or lost
         return stuck, saturated
 
 
@@ -183,7 +150,8 @@ class SampleHealth:
     """
 
     def __init__(self, axes: Mapping[str, int]) -> None:
-        self._sensors = {c: _Sensor(c, axes[c]) for c in WATCHED if c in axes}
+        self.events: deque[FaultEvent] = deque(maxlen=EVENTS)
+        self._sensors = {c: _Sensor(c, axes[c], self.events) for c in WATCHED if c in axes}
         self._speed, self._speed_age = 0.0, SPEED_HOPS
         self._moved = False
         self._heard: float | None = None
@@ -191,9 +159,8 @@ class SampleHealth:
         """By channel, of sensors that are not fit to be used now."""
         self.signals: Mapping[str, Faults] = {}
         """The same of the vehicle's signals, which the estimator judges block by block."""
-        self._signals: dict[str, _Judged] = {}
+        self._signals: dict[str, FaultsInForce] = {}
         self._signals_at = 0.0
-        self.events: deque[FaultEvent] = deque(maxlen=EVENTS)
 
     # live ----------------------------------------------------------------------------------
 
@@ -296,9 +263,9 @@ class SampleHealth:
         """Take whether signals of the vehicle were stuck in the block that ends now [s]."""
         passed, self._signals_at = now - self._signals_at, now
         for channel, is_stuck in stuck.items():
-            signal = self._signals.setdefault(channel, _Judged(channel))
+            signal = self._signals.setdefault(channel, FaultsInForce(channel, self.events))
             if is_stuck or signal.faults:
-                self._go_on(signal, {SignalFault.STUCK: ""} if is_stuck else {}, now, passed)
+                signal.go_on({SignalFault.STUCK: ""} if is_stuck else {}, now, passed)
         self.signals = {c: s.faults for c, s in self._signals.items() if s.faults}
 
     def summary(self) -> dict[str, Any]:
@@ -314,34 +281,9 @@ class SampleHealth:
 
     def _keep(self, sensor: _Sensor, found: Mapping[SignalFault, str], now: float) -> None:
         """Go on with a sensor's faults after a hop."""
-        self._go_on(sensor, found, now, HOP_S)
+        sensor.go_on(found, now, HOP_S)
         others = {c: f for c, f in self.faults.items() if c != sensor.channel}
         self.faults = {**others, sensor.channel: sensor.faults} if sensor.faults else others
-
-    def _go_on(
-        self, of: _Judged, found: Mapping[SignalFault, str], now: float, passed: float
-    ) -> None:
-        """Go on with the faults found and those that have not been gone for long enough."""
-        faults = dict(of.faults)
-        for fault in list(faults):
-            if fault in found:
-                of.sound[fault] = 0.0
-            else:
-                of.sound[fault] += passed
-                if of.sound[fault] >= SOUND_S:
-                    del faults[fault]
-                    self._ended(of.channel, fault, now)
-        for fault, axes in found.items():
-            if fault not in faults:
-                self.events.append(FaultEvent(of.channel, fault, axes, now))
-            faults[fault] = "".join(sorted({*faults.get(fault, ""), *axes}))
-            of.sound[fault] = 0.0
-        of.faults = faults
-
-    def _ended(self, channel: str, fault: SignalFault, now: float) -> None:
-        for event in self.events:
-            if event.channel == channel and event.fault is fault and event.until is None:
-                event.until = now
 
 
 def _change_of_all(rows: HopRows) -> Array:

@@ -116,14 +116,13 @@ class StuckAxis:
         """The runs that ended so far, in motion or at rest."""
         return self.moving if moving else self._resting
 
-    def step(
-        self, moving: bool, count: int, ended: int, longest: int, run: int, q: float, jumped: bool
-    ) -> bool:
+    def step(self, moving: bool, runs: tuple[int, int, int, int], q: float, jumped: bool) -> bool:
         """Take a hop; whether the axis is stuck at its end.
 
-        count, ended, longest, run, q: of the axis, as `HopRows` has count .. run and step.
+        runs, q: of the axis count, ended, longest, run and step, as `HopRows` has them.
         jumped: the longest lies between jumps, and is no usual run.
         """
+        count, ended, longest, run = runs
         self._rest_hops += not moving
         open_before, self._run = self._run, run
         if ended:
@@ -226,7 +225,7 @@ class UnitChange:
         level, count, other, moved = (
             np.concatenate(pair) for pair in zip(self._before, new, strict=True)
         )
-        self._before = level[-4:], count[-4:], other[-4:], moved[-4:]
+        self._before = tuple(rows[1 - UNIT_HOPS :] for rows in (level, count, other, moved))
         up, (early, late), (_, some) = _ratio(level), _enough(count), _enough(count, SOME_CHANGES)
         lowest, highest = _within_five(moved[:, 0])
         more = early & late & ((self._low < up) & (up < self._high)).all(axis=1)

@@ -2,7 +2,7 @@
 
 Estimators run ten times a second on ticks; a tick holds sums over the samples that fell into it,
 so a row costs a few additions per sample live (`TickAccumulator`) and a few `bincount` calls in
-replay (`ticks_from_samples`). Both add in the same order, so they give the same bits.
+replay (`column_ticks`). Both add in the same order, so they give the same bits.
 
 A tick covers [k / 10, (k + 1) / 10) seconds of stream time. Every tick of a segment is emitted,
 also an empty one: rows are a uniform 10 Hz grid. NaN marks what was not there.
@@ -16,8 +16,6 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-
-from imucald.core.samples import Samples, Series
 
 TICK_RATE = 10.0
 """Ticks per second [1/s]: ten times the bandwidth of vehicle motion, a tenth of an IMU's rate."""
@@ -99,19 +97,22 @@ COLUMNS = 40
 
 NAN = math.nan
 
-_MEANS: Mapping[str, SignalColumns] = {
+MEANS: Mapping[str, SignalColumns] = {
     "steering": STEERING,
     "yaw_rate": YAW_RATE,
     "lateral_accel": LATERAL_ACCEL,
     "longitudinal_accel": LONGITUDINAL_ACCEL,
 }
-_LASTS: Mapping[str, int] = {
+"""Signals of which a tick has the mean, ..."""
+LASTS: Mapping[str, int] = {
     "reverse": REVERSE,
     "brake": BRAKE,
     "heading": HEADING,
     "temperature": TEMPERATURE,
 }
-_BAD: Mapping[str, int] = {"accel": ACCEL.bad, "gyro": GYRO.bad, "speed": SPEED.bad}
+"""... and those of which it has the last value."""
+BAD: Mapping[str, int] = {"accel": ACCEL.bad, "gyro": GYRO.bad, "speed": SPEED.bad}
+"""Where samples that were rejected are counted."""
 _NEVER_NAN = (
     ACCEL.n, GYRO.n, SPEED.n, STEERING.n, YAW_RATE.n, LATERAL_ACCEL.n, LONGITUDINAL_ACCEL.n,
     WHEEL_SPREAD.n, ACCEL.bad, GYRO.bad, SPEED.bad,
@@ -199,11 +200,11 @@ class TickAccumulator:
             self._nv += 1
             self._v[0] += values[0]
             self._v[1] += t
-        elif channel in _MEANS:
+        elif channel in MEANS:
             cell = self._means.setdefault(channel, [0.0, 0.0])
             cell[0] += 1.0
             cell[1] += values[0]
-        elif channel in _LASTS:
+        elif channel in LASTS:
             self._lasts[channel] = values[0]
         elif channel == "wheel_speeds":
             self._nw += 1
@@ -211,7 +212,7 @@ class TickAccumulator:
 
     def reject(self, channel: str) -> None:
         """Count a rejected sample of a channel."""
-        if channel in _BAD:
+        if channel in BAD:
             self._bad[channel] = self._bad.get(channel, 0) + 1
 
     def close(self, k: int) -> list[float]:
@@ -241,105 +242,12 @@ class TickAccumulator:
             row[WHEEL_SPREAD.n] = float(self._nw)
             row[WHEEL_SPREAD.mean] = self._w / float(self._nw)
         for channel, (count, total) in self._means.items():
-            n_index, index = _MEANS[channel]
+            n_index, index = MEANS[channel]
             row[n_index] = count
             row[index] = total / count
         for channel, value in self._lasts.items():
-            row[_LASTS[channel]] = value
+            row[LASTS[channel]] = value
         for channel, n_bad in self._bad.items():
-            row[_BAD[channel]] = float(n_bad)
+            row[BAD[channel]] = float(n_bad)
         self._reset()
         return row
-
-
-def ticks_from_samples(
-    samples: Samples,
-    first: int,
-    stop: int,
-    rejected: Mapping[str, NDArray[np.float64]] | None = None,
-) -> NDArray[np.float64]:
-    """Return ticks first .. stop-1 as (stop - first, COLUMNS), from whole columns of samples.
-
-    Samples outside those ticks are ignored. rejected: channel to times [s] of rejected samples.
-    The result equals `TickAccumulator` on the same samples to the last bit.
-    """
-    n = stop - first
-    out = empty_rows(n)
-    if n <= 0:
-        return out
-    out[:, T] = (np.arange(first, stop) + 1) / TICK_RATE
-    for channel, whole in samples.items():
-        index, series = _within(whole, first, stop)
-        if len(index):
-            _fill(out, channel, index, series)
-    for channel, times in (rejected or {}).items():
-        if channel in _BAD:
-            index = np.floor(times * TICK_RATE).astype(np.int64) - first
-            index = index[(index >= 0) & (index < n)]
-            out[:, _BAD[channel]] = np.bincount(index, minlength=n)
-    return out
-
-
-def _within(series: Series, first: int, stop: int) -> tuple[NDArray[np.int64], Series]:
-    index = np.floor(series.t * TICK_RATE).astype(np.int64) - first
-    keep = (index >= 0) & (index < stop - first)
-    if keep.all():
-        return index, series
-    return index[keep], Series(series.t[keep], series.values[keep])
-
-
-def _fill(out: NDArray[np.float64], channel: str, index: NDArray[np.int64], series: Series) -> None:
-    n = len(out)
-    values = series.values
-    if channel in _LASTS:
-        out[index, _LASTS[channel]] = values  # the last of repeated indices stays
-        return
-    if channel == "wheel_speeds":
-        counts, has = _counts(index, n)
-        out[:, WHEEL_SPREAD.n] = counts
-        spread = values.max(axis=1) - values.min(axis=1)
-        out[has, WHEEL_SPREAD.mean] = np.bincount(index, spread, n)[has] / counts[has]
-    elif channel in _MEANS:
-        n_index, column = _MEANS[channel]
-        counts, has = _counts(index, n)
-        out[:, n_index] = counts
-        out[has, column] = np.bincount(index, values, n)[has] / counts[has]
-    elif channel == "speed":
-        counts, has = _counts(index, n)
-        out[:, SPEED.n] = counts
-        out[has, SPEED.mean] = np.bincount(index, values, n)[has] / counts[has]
-        _ages(out, SPEED.age, index, series.t, counts, has)
-    elif channel == "gyro":
-        counts, has = _counts(index, n)
-        out[:, GYRO.n] = counts
-        for i in range(3):
-            out[has, GYRO.x + i] = np.bincount(index, values[:, i], n)[has] / counts[has]
-        _ages(out, GYRO.age, index, series.t, counts, has)
-    elif channel == "accel":
-        counts, has = _counts(index, n)
-        out[:, ACCEL.n] = counts
-        order_starts = np.flatnonzero(np.diff(index, prepend=-1))
-        for i in range(3):
-            v = np.ascontiguousarray(values[:, i])
-            out[has, ACCEL.x + i] = np.bincount(index, v, n)[has] / counts[has]
-            out[has, ACCEL.xx + i] = np.bincount(index, v * v, n)[has] / counts[has]
-            out[has, ACCEL.min_x + i] = np.minimum.reduceat(v, order_starts)
-            out[has, ACCEL.max_x + i] = np.maximum.reduceat(v, order_starts)
-        _ages(out, ACCEL.age, index, series.t, counts, has)
-
-
-def _counts(index: NDArray[np.int64], n: int) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
-    counts = np.bincount(index, minlength=n).astype(np.float64)
-    return counts, counts > 0
-
-
-def _ages(
-    out: NDArray[np.float64],
-    column: int,
-    index: NDArray[np.int64],
-    t: NDArray[np.float64],
-    counts: NDArray[np.float64],
-    has: NDArray[np.bool_],
-) -> None:
-    mean_time = np.bincount(index, t, len(out))[has] / counts[has]
-    out[has, column] = out[has, T] - mean_time

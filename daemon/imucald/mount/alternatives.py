@@ -25,7 +25,7 @@ from imucald.core.samples import GRAVITY
 from imucald.motion.straight import yaw_rate_with_understeer
 from imucald.motion.ticks import TICK_S
 from imucald.mount.estimator_settings import EstimatorSettings
-from imucald.mount.gyro_alternatives import GyroAlternatives, gyro_ratios
+from imucald.mount.gyro_alternatives import LEAST_TURN, GyroAlternatives, gyro_ratios
 from imucald.mount.log_ratios import LEAST_TICKS, TO_BE_FINE, TO_BE_GOOD, Mirrored
 from imucald.mount.signal_blocks import SignalBlock
 from imucald.mount.stated_orientation import Stated, StatedOrientation
@@ -107,6 +107,9 @@ class Alternatives:
         if R is None:
             return
         self._ask_the_person(R)
+        known_bias = np.zeros(3) if bias is None else bias
+        if self._blocks > YOUNG:
+            self._look_for_late_change(p, R, known_bias, gains)
         is_seen = self.are_seen(TO_BE_FINE) and self.is_mirror_excluded
         if is_seen and self._blocks % RARELY:
             return
@@ -118,7 +121,16 @@ class Alternatives:
             for pair in self._pairs:
                 pair.forget()
         for one in blocks:
-            self._take(one, R, np.zeros(3) if bias is None else bias, gains, steering_offset)
+            self._take(one, R, known_bias, gains, steering_offset)
+
+    def _look_for_late_change(
+        self, p: SignalBlock, R: Matrix3, bias: Array, gains: tuple[float, float]
+    ) -> None:
+        """A sign of the gyroscope that turns in mid-drive, or axes that are exchanged."""
+        use = p.learn & p.ok_speed & p.ok_rate
+        turned = TICK_S * np.abs(p.rate.sum(axis=0)).max()
+        if turned > LEAST_TURN and np.count_nonzero(use) >= LEAST_TICKS:
+            self._gyro.add_late(_gyro_ratios(p, R, (p.force - bias) @ R.T, gains))
 
     def add_without_speed(self, p: SignalBlock, R: Matrix3 | None, seen: set[str]) -> None:
         """The same of a vehicle whose speed nobody knows: which way it turns, and no more."""
@@ -169,9 +181,7 @@ class Alternatives:
             self._lateral.add(p.speed * rate, lateral, fast & known)
         self._add_heading(p, rate, fast)
         if has_gyro:
-            ahead = (force[:, 0] - gains[0] * p.accel) / GRAVITY
-            across = force[:, 1] / GRAVITY
-            self._gyro.add(gyro_ratios(ahead, across, p.rate, p.speed, R, gains[1]))
+            self._gyro.add(_gyro_ratios(p, R, force, gains))
 
     def are_seen(self, least: float) -> bool:
         """Whether every alternative that can be seen is ruled out by a log ratio of `least`."""
@@ -225,3 +235,9 @@ class Alternatives:
     def gyro_accused(self) -> bool:
         """Whether an alternative for gyroscope and accelerometer is much the better one."""
         return self._gyro.is_accused
+
+
+def _gyro_ratios(p: SignalBlock, R: Matrix3, force: Array, gains: tuple[float, float]) -> Array:
+    """Of a block; force: (N, 3) in axes of R, without bias."""
+    ahead = (force[:, 0] - gains[0] * p.accel) / GRAVITY
+    return gyro_ratios(ahead, force[:, 1] / GRAVITY, p.rate, p.speed, R, gains[1])

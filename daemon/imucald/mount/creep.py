@@ -22,7 +22,7 @@ from msgspec import Struct
 from numpy.typing import NDArray
 
 from imucald.mount.road_segments import AngleEvidence
-from imucald.mount.shift import ScoreSeries
+from imucald.mount.score_series import ScoreSeries
 
 Array = NDArray[np.float64]
 
@@ -55,6 +55,9 @@ so that its windows count less, and most of all where it shows most. Seen in sim
 EVEN = frozenset({"yaw_dvdt", "yaw_turn", "pitch_dvdt"})
 """What these say hardly depends on the road (`UNEVEN_STD` in `shift`), so that a spread about the
 mean that is larger than from segment to segment is a drift. The lean of roads goes on."""
+LEANING = "roll_gravity"
+"""How the lean of roads goes on from segment to segment differs from road to road: the segments
+themselves say it."""
 SILENT = frozenset({"pitch_gravity", "pitch_axis"})
 """What these say of town and of motorway differs too much to separate creep from it (`UNEVEN_STD`
 in `shift`)."""
@@ -94,6 +97,8 @@ def creep(
         times = max(source.variance * float(fit.rows[:, 0].sum()), 1.0)
         if one.kind in EVEN:
             times = min(times, _scatter(fit.left, fit.rows[:, 0]))
+        elif one.kind == LEANING:
+            times = _lean(fit.left, fit.rows[:, 0], times)
         m = len(fit.left)
         left[one.axis, n - m :] += fit.left / times
         known[one.axis, n - m :] += fit.rows[:, 0] / times
@@ -126,6 +131,34 @@ def _scatter(left: Array, known: Array) -> float:
     squares = change * change / (1.0 / near + 1.0 / far)
     apart = (PRIOR_SEGMENTS + float(squares.sum())) / (PRIOR_SEGMENTS + len(squares))
     return max(apart, 1.0)
+
+
+def _lean(left: Array, known: Array, expected: float) -> float:
+    """By how much informations are too large for what goes on over segments, as a drift does.
+
+    expected: before any data, with the weight of `PRIOR_SEGMENTS`. What lies about a straight line,
+    neighbours' covariance included (Newey and West, Econometrica 55, 1987, with their weights and
+    as many lags as 4 (n / 100)^(2/9); no less than without neighbours).
+    """
+    use = known > 0.0
+    w, score = known[use], left[use]
+    n = len(w)
+    if n < FEWEST:
+        return expected
+    at = np.flatnonzero(use).astype(np.float64)
+    from_middle = at - float(w @ at) / float(w.sum())
+    slope = float(score @ from_middle) / float(w @ from_middle**2)
+    u = (score - w * slope * from_middle) / np.sqrt(w)
+    lags = int(4.0 * (0.01 * n) ** (2.0 / 9.0))
+    own = float(u @ u)
+    beside = math.fsum(
+        2.0 * (1.0 - lag / (lags + 1.0)) * float(u[lag:] @ u[:-lag])
+        for lag in range(1, min(lags, n - 1) + 1)
+    )
+    free = n - 2.0
+    return (PRIOR_SEGMENTS * expected + max(own + beside, own) * n / max(free, 1.0)) / (
+        PRIOR_SEGMENTS + n
+    )
 
 
 def _filtered(left: Array, known: Array, each: Array) -> tuple[Array, Array, Array]:

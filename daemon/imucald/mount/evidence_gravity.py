@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from imucald.core.rotations import Matrix3
 from imucald.core.samples import GRAVITY
-from imucald.mount.shift import ScoreSeries
+from imucald.mount.score_series import ScoreSeries
 from imucald.mount.signal_blocks import SignalBlock
 
 Array = NDArray[np.float64]

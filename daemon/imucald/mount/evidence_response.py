@@ -39,7 +39,7 @@ from imucald.mount.evidence_spectra import (
     Term,
 )
 from imucald.mount.road_segments import AngleEvidence, apart, fit_regressions
-from imucald.mount.shift import ScoreSeries
+from imucald.mount.score_series import ScoreSeries
 from imucald.mount.signal_blocks import BLOCK_TICKS
 
 Array = NDArray[np.float64]

@@ -56,6 +56,8 @@ ROWS = (
     Row("roll_axis", 0, (_T.YAW_RATE, _T.LATERAL_YAW), (0.01,), 1.6, 12.0, 7),
 )
 """In the order of X_ROW .. Q_ROW."""
+SAME_NOISE = ("roll_turn", "roll_axis")
+"""Both see the pitch rate of the road, such as its lean in bends makes: only the better speaks."""
 WITHOUT_SPEED = (Y_ROW, P_ROW, Q_ROW)
 """What can be found without speed: the principal axis, and the axis of rotation."""
 TARGETS = (Term.FORCE_X, Term.FORCE_Y, Term.FORCE_Z, Term.FORCE_Z, Term.ROLL_RATE, Term.PITCH_RATE)

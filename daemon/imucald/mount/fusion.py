@@ -100,13 +100,14 @@ class Seen(Struct, frozen=True):
 class _Places(Struct, frozen=True):
     """Which sources speak of which angle.
 
-    angles (A,): those that any speaks of; of_source (N,): each source's among them. of_angle
-    (A, n): the sources of each, as many places as the most have. used (A, n): which of those places
-    hold one; both (A, n, n): pairs of them.
+    angles (A,): those that any speaks of; of_source (N,): each source's among them. names: of each
+    angle's sources. of_angle (A, n): the same as places among all, as many as the most have. used
+    (A, n): which of those hold one; both (A, n, n): pairs of them.
     """
 
     angles: Index
     of_source: Index
+    names: Sequence[Sequence[str]]
     of_angle: Index
     used: Flags
     both: Flags
@@ -121,6 +122,7 @@ def _places(names: tuple[str, ...]) -> _Places:
     return _Places(
         angles=np.array(angles),
         of_source=np.array([angles.index(AXES.index(n.partition("_")[0])) for n in names]),
+        names=[[names[i] for i in by_axis[k]] for k in angles],
         of_angle=np.array([by_axis[k] + [0] * (most - len(by_axis[k])) for k in angles]),
         used=used,
         both=used[:, :, None] & used[:, None, :],
@@ -214,9 +216,8 @@ def fuse(
     error[at.angles] = mean
     variance[at.angles] = probability @ (own + (each - mean) ** 2) + (mean - each[0]) ** 2
     carried = (probability @ weight.reshape(len(weight), -1)).reshape(at.used.shape).tolist()
-    shares: dict[str, dict[str, float]] = {}
-    for name, angle in zip(names, at.of_source.tolist(), strict=True):
-        of_angle = shares.setdefault(AXES[at.angles[angle]], {})
-        of_angle[name] = carried[angle][len(of_angle)]
-    ordered = {axis: shares[axis] for axis in AXES if axis in shares}
-    return Fused(error, variance, ordered)
+    shares = {
+        AXES[k]: dict(zip(own, part, strict=False))  # behind its names a row has unused places
+        for k, own, part in zip(at.angles.tolist(), at.names, carried, strict=True)
+    }
+    return Fused(error, variance, shares)

@@ -35,11 +35,23 @@ def _signed_permutations() -> Array:
 TRIED = _signed_permutations()
 
 
+MOST_OF_LATE = TO_ACCUSE / 3.0
+"""No block counts for more of what begins in mid-drive: three have to say so."""
+LEAST_TURN = 0.02
+"""A block in which no axis has turned by so much [rad] says nothing of signs."""
+
+
 class GyroAlternatives:
-    """The evidence against each signed permutation of the gyroscope's axes, summed over blocks."""
+    """The evidence against each signed permutation of the gyroscope's axes, summed over blocks.
+
+    What begins in mid-drive has all evidence before it against it. So a second sum begins again
+    wherever it speaks for the axes as they are (Page's test; Basseville and Nikiforov, Detection of
+    Abrupt Changes, 1993, ch. 2.2: e^h blocks to a false alarm, if blocks are independent).
+    """
 
     def __init__(self) -> None:
         self._sums = np.zeros(len(TRIED) - 1)
+        self._late = np.zeros(len(TRIED) - 1)
         self.blocks = 0
 
     def forget(self) -> None:
@@ -48,8 +60,13 @@ class GyroAlternatives:
 
     def add(self, ratios: Array) -> None:
         """Take the log ratios (13,) of a block (`gyro_ratios`)."""
-        self._sums = np.clip(self._sums + ratios, -HELD, HELD)
+        self._sums = np.clip(self._sums + np.clip(ratios, -MOST, MOST), -HELD, HELD)
         self.blocks += 1
+
+    def add_late(self, ratios: Array) -> None:
+        """The same, for what begins in mid-drive."""
+        held = np.clip(ratios, -MOST_OF_LATE, MOST_OF_LATE)
+        self._late = np.clip(self._late + held, -HELD, 0.0)
 
     def is_seen(self, least: float) -> bool:
         """Whether all are ruled out so far, or were looked for long enough in vain."""
@@ -59,20 +76,20 @@ class GyroAlternatives:
     @property
     def is_accused(self) -> bool:
         """Whether one of them is much the better one."""
-        return float(self._sums.min()) < -TO_ACCUSE
+        return float(np.minimum(self._sums, self._late).min()) < -TO_ACCUSE
 
 
 def gyro_ratios(
     ahead: Array, across: Array, rate: Array, speed: Array, R: Matrix3, gain: float = 1.0
 ) -> Array:
-    """Log likelihood ratios (13,) of a block against each alternative, at most `MOST` each.
+    """Log likelihood ratios (13,) of a block against each alternative.
 
     ahead, across: level parts of the force over g (N,), dv/dt taken off, v r still in it; rate:
     (N, 3) [rad/s] sensor axes; speed: (N,) [m/s]; gain: of v r.
     """
     left = _left_over(ahead, across, rate, speed, R, gain)
     ratios: Array = (0.5 * INDEPENDENT * np.log(left[1:] / left[0])).sum(axis=1)
-    return np.clip(ratios, -MOST, MOST)
+    return ratios
 
 
 def _left_over(

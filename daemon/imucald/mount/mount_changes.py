@@ -7,6 +7,7 @@ gyroscope did not see, `shift` a small change once enough road has been driven, 
 from __future__ import annotations
 
 import math
+import operator
 from collections.abc import Sequence
 
 import numpy as np
@@ -75,6 +76,9 @@ class MountChanges:
         self.borne = np.zeros(3)
         self._doubted = np.zeros(3)
         self._probability = np.zeros(3)
+        self._found: tuple[object, object] | None = None  # what the last variance was made of
+        self._with: tuple[object, ...] = ()
+        self._last_variance = np.zeros(3)
 
     def at_once(
         self, p: SignalBlock, solver: MountSolver, signals: SignalBlockMaker
@@ -198,8 +202,14 @@ class MountChanges:
         that was found turned the same way again and again goes on at that rate. blocks: of the
         whole drive.
         """
-        doubted = (self._doubted, self._probability)
-        return self._variance(solver, blocks, doubted, self._of_borne())
+        doubted, borne = (self._doubted, self._probability), self._of_borne()
+        found, sizes = (solver.fused, solver.creep), (*doubted, self.borne)
+        others = solver.blocks, blocks, len(self.history), *(x.tobytes() for x in sizes)
+        is_made = self._found is not None and all(map(operator.is_, self._found, found))
+        if not is_made or others != self._with:  # it is asked for three times a block
+            self._found, self._with = found, others
+            self._last_variance = self._variance(solver, blocks, doubted, borne)
+        return self._last_variance
 
     def _of_borne(self) -> tuple[Array, Array]:
         return self.borne, np.ones(3)

@@ -28,7 +28,7 @@ from imucald.mount.saved_information import (
     axis_of,
     kept_evidence,
 )
-from imucald.mount.shift import ScoreSeries
+from imucald.mount.score_series import ScoreSeries
 
 Array = NDArray[np.float64]
 

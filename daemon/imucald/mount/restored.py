@@ -55,6 +55,10 @@ CONTRADICTIONS = 15
 HAND_OVER_RATE = math.radians(1.0)
 """The applied rotation turns to the new estimate at this rate [rad/s]."""
 
+STATED_WRONG = "the mount that is stated is not how the sensor sits in this drive"
+"""What is said of a mount that a person stated and that the drive contradicts."""
+CLEAR_STD = math.radians(20.0)
+"""An angle that is known worse says nothing of how far a stated mount is off [rad]."""
 HELD = "the end of the hold (imucald release)"
 """What a held mount waits for."""
 
@@ -120,6 +124,7 @@ class RestoredEstimator:
         self.phase = Phase.DOUBTED if stored.doubted else phase
         self.distance = math.nan
         """Of the last comparison, as a chi-square with 3 degrees of freedom."""
+        self._turned: float | None = None  # of the drive's own mount against it, contradicted [rad]
         self.joined = False
         """Whether the stored evidence goes along with the new."""
         self._has_left = False
@@ -194,7 +199,19 @@ class RestoredEstimator:
         )
         if self.is_held and self.phase is Phase.CONFIRMED:
             return _waiting_for_release(served)
+        if self.phase is Phase.DOUBTED and self.stored.is_given and not new.faults:
+            return self._against_statement(served)
         return served
+
+    def _against_statement(self, served: MountEstimate) -> MountEstimate:
+        """What speaks against the mount that a person stated, in words."""
+        text = STATED_WRONG
+        if self._turned is not None:
+            text += f": it is found turned by {math.degrees(self._turned):.0f} deg against that"
+        elif self._plumb_line.is_off:
+            text += ": with it gravity is further off the vertical than on any road"
+        words = dict.fromkeys(ANGLES, text)
+        return replace(served, waiting_for=words, missing=dict.fromkeys(ANGLES, Missing.OTHER))
 
     def saved_information(self) -> SavedInformation | None:
         """What the estimate that is served rests on."""
@@ -205,8 +222,10 @@ class RestoredEstimator:
         return self.stored.evidence
 
     def _details(self) -> dict[str, object]:
+        turned = None if self._turned is None else math.degrees(self._turned)
         return {
             "phase": str(self.phase),
+            "turned_deg": turned,
             "chi_square": self.distance,
             "evidence_joined": self.joined,
             "held": self.is_held,
@@ -237,7 +256,10 @@ class RestoredEstimator:
         if new.R_vehicle_from_sensor is None or new.covariance is None:
             return None
         e = vector_from_rotation(new.R_vehicle_from_sensor @ self.stored.R_vehicle_from_sensor.T)
-        return float(e @ np.linalg.solve(new.covariance + self._prior, e))
+        distance = float(e @ np.linalg.solve(new.covariance + self._prior, e))
+        e[np.diag(new.covariance) > CLEAR_STD**2] = 0.0
+        self._turned = math.sqrt(float(e @ e)) if distance > CONTRADICTION else None
+        return distance
 
     def _joined_distance(self) -> float | None:
         """The same of the evidence on both sides, which the estimator keeps apart."""

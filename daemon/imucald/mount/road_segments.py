@@ -12,7 +12,7 @@ from msgspec import Struct
 from numpy.typing import NDArray
 
 from imucald.mount.evidence_rows import MAX_REGRESSORS, ROWS, WITHOUT_SPEED
-from imucald.mount.shift import AngleFit, ScoreSeries
+from imucald.mount.score_series import AngleFit, ScoreSeries
 
 Array = NDArray[np.float64]
 
@@ -24,7 +24,7 @@ rule."""
 WITHOUT_SPEED_SHARE = 3.0
 """Without speed A r is not known: variances of rotation axes are so much larger."""
 FEWEST = 3.0
-"""Of fewer segments alone no spread is told."""
+"""Of fewer segments alone no spread is known."""
 MIN_INFORMATION = 50.0
 """Less than this [1/rad^2], 8 deg, is not worth a source."""
 

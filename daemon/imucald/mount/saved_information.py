@@ -22,7 +22,7 @@ from imucald.mount.evidence_gravity import ROAD_SHARE
 from imucald.mount.evidence_rows import ROWS
 from imucald.mount.fusion import AXES
 from imucald.mount.road_segments import AngleEvidence
-from imucald.mount.shift import ScoreSeries
+from imucald.mount.score_series import ScoreSeries
 
 Array = NDArray[np.float64]
 

@@ -24,6 +24,9 @@ import numpy as np
 from msgspec import Struct
 from numpy.typing import NDArray
 
+from imucald.mount.evidence_rows import SAME_NOISE
+from imucald.mount.score_series import AngleFit, ScoreSeries
+
 Array = NDArray[np.float64]
 
 SPANS = np.arange(2, 13)
@@ -43,8 +46,6 @@ UNEVEN_STD = {
     "yaw_dvdt": 0.0035,
 }
 """What a source says differs by that much [rad] between town and motorway, without a shift."""
-SAME_NOISE = ("roll_turn", "roll_axis")
-"""Both see the same noise, the lean of roads in bends: only the better one speaks."""
 TAIL = (1e6, 1e6, 8.0)
 """Degrees of freedom of Student's t, for roll, pitch and yaw; many are as good as normal."""
 MIN_SIZE = (0.026, 0.026, 0.013)
@@ -74,68 +75,8 @@ MIN_KNOWN = 1e-6
 PRIOR_SEGMENTS, PRIOR_SPREAD, MIN_SPREAD = 6.0, 1.0, 0.8
 """The spread before is taken as the model's with that weight, and as no less than that share."""
 YAW = 2
-_AXES = {"roll": 0, "pitch": 1, "yaw": YAW}
 NO_STEPS: Array = np.zeros((len(SPANS), 2, 2))
 """No step in gravity; see `largest_change`."""
-
-
-class AngleFit(Struct, frozen=True):
-    """The fit of an angle together with its source's nuisance, segment by segment.
-
-    left (G,): scores of the angle that the fit leaves over. rows (G, 1 + k): information of the
-    angle, and what it shares with the nuisance. inverse (1 + k, 1 + k): covariance of both, from
-    all segments and priors. value: the angle [rad].
-    """
-
-    left: Array
-    rows: Array
-    inverse: Array
-    value: float
-
-
-class ScoreSeries(Struct, frozen=True):
-    """Evidence about one angle from one source, segment by segment: scores and informations (G,).
-
-    kind: the source, of those in `UNEVEN_STD`. fit: where the angle was fitted together with
-    nuisance; else each segment speaks of it alone.
-    """
-
-    kind: str
-    score: Array
-    information: Array
-    fit: AngleFit | None = None
-
-    @property
-    def axis(self) -> int:
-        """The angle it is about: 0 roll, 1 pitch, 2 yaw."""
-        return _AXES[self.kind.partition("_")[0]]
-
-    def behind(self, score: Array, information: Array) -> ScoreSeries:
-        """This series behind earlier segments (E,), which speak of the angle alone."""
-        both = np.concatenate([score, self.score]), np.concatenate([information, self.information])
-        fit = self.fit
-        if fit is None:
-            return ScoreSeries(self.kind, *both)
-        known = float(information.sum())
-        column = fit.inverse[:, 0]
-        inverse = fit.inverse - np.outer(column, column) * (known / (1.0 + known * column[0]))
-        moved = inverse[:, 0] * (float(score.sum()) - known * fit.value)
-        value = fit.value + float(moved[0])
-        left = np.concatenate([score - information * value, fit.left - fit.rows @ moved])
-        rows = np.zeros((len(left), fit.rows.shape[1]))
-        rows[: len(score), 0] = information
-        rows[len(score) :] = fit.rows
-        return ScoreSeries(self.kind, *both, AngleFit(left, rows, inverse, value))
-
-    def fitted(self) -> AngleFit | None:
-        """The fit; without nuisance the mean. None without any information."""
-        if self.fit is not None:
-            return self.fit
-        n, total = self.information, float(self.information.sum())
-        if total <= 0.0:
-            return None
-        mean = float(self.score.sum()) / total
-        return AngleFit(self.score - n * mean, n[:, None], np.array([[1.0 / total]]), mean)
 
 
 class Shift(Struct, frozen=True):

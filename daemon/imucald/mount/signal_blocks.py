@@ -16,7 +16,13 @@ from numpy.typing import NDArray
 
 from imucald.motion import ticks as tk
 from imucald.motion.signal_health import SignalHealth
-from imucald.motion.standstill import DRIVING_SPEED, ZERO_SPEED, is_parked
+from imucald.motion.standstill import (
+    DRIVING_SPEED,
+    ROLLING_SPEED,
+    STEADY_TICKS,
+    ZERO_SPEED,
+    is_parked,
+)
 from imucald.motion.straight import yaw_rate_with_understeer
 from imucald.motion.ticks import TICK_S, TickRow, empty_rows
 from imucald.mount.estimator_settings import EstimatorSettings
@@ -163,6 +169,7 @@ class SignalBlockMaker:
         rate, ok_rate = self._vector(t, at, "gyro", tk.GYRO)
         self.blocks += 1
         speed, ok_speed = self._speed(t, at)
+        self._silence_parked(speed, ok_speed, force, rate if ok_rate.any() else None)
         yaw_rate, ok_yaw = self._yaw_rate(t, at, speed)
         accel = (speed[2:] - speed[:-2]) / (2.0 * TICK_S)
         rest = self._rest(speed[mid], ok_speed[mid], force[mid], rate[mid], ok_rate[mid])
@@ -232,6 +239,22 @@ class SignalBlockMaker:
             reverse = self._held(known)[BEFORE - 1 : BEFORE + BLOCK_TICKS + 1]
             speed = np.where(reverse > 0.5, -speed, speed)
         return speed, ok
+
+    def _silence_parked(self, speed: Array, ok: Flags, force: Array, rate: Array | None) -> None:
+        """Where a speed is noise and the sensor as still as a parked vehicle's: zero.
+
+        Wheels that turn so slowly may be silent (`DRIVING_SPEED`): who creeps rests by them too.
+        """
+        sizes = np.abs(speed)
+        if self._reverse or not ok.all() or sizes.min() > ROLLING_SPEED:
+            return
+        end = len(speed) - 1
+        for first in range(1, end, STEADY_TICKS):
+            part = slice(first, first + STEADY_TICKS)
+            if not ZERO_SPEED < float(sizes[part].mean()) < ROLLING_SPEED:
+                continue
+            if is_parked(force[part], None if rate is None else rate[part]).all():
+                speed[first - (first == 1) : part.stop + (part.stop == end)] = 0.0
 
     def _follow_least_speed(self, sizes: Array) -> None:
         """The least that the speed showed between two other speeds; a tick may be half zero."""

@@ -24,6 +24,7 @@ from imucald.mount.delay import DelaySearch
 from imucald.mount.estimator_settings import DelayPrior, EstimatorSettings
 from imucald.mount.evidence_gravity import ROAD_SHARE, GravityEvidence
 from imucald.mount.evidence_response import ResponseEvidence
+from imucald.mount.evidence_rows import SAME_NOISE
 from imucald.mount.first_rotation import first_rotation
 from imucald.mount.fusion import Fused
 from imucald.mount.gravity_observer import GravityObserver
@@ -39,11 +40,11 @@ from imucald.mount.saved_information import (
     saved_sources,
     together,
 )
+from imucald.mount.score_series import ScoreSeries
 from imucald.mount.shift import (
     MIN_BEFORE,
     NO_STEPS,
     SPANS,
-    ScoreSeries,
     Shift,
     largest_change,
 )
@@ -213,7 +214,7 @@ class MountSolver:
             responses = self.response.fit(self.R) if self.yaw_known else {}
             sources = self._sources(self.R, bias, bias_cov, responses)
             gains = self.response.slow_gains() if self.own_gyro else None
-            turning = self.response.apart("roll_turn", "roll_axis")
+            turning = self.response.apart(*SAME_NOISE)
             mean = self.gravity.mean_force()
             seen = ForceSeen(mean, bias, bias_cov, gains, responses, turning)
             fused = self._cross_axis.fused(sources, self.R, seen)

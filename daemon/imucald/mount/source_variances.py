@@ -6,6 +6,7 @@ from collections.abc import Mapping
 
 from msgspec.structs import replace
 
+from imucald.mount.evidence_rows import SAME_NOISE
 from imucald.mount.road_segments import AngleEvidence
 
 NO_GYRO_SHARE = 1.5
@@ -24,9 +25,8 @@ def widened(
     own_gyro: the sensor has a gyroscope. without_speed: nobody knows the vehicle's speed.
     """
     found = dict(sources)
-    if "roll_axis" in found and "roll_turn" in found:
-        # both see the same noise, the pitch rate of the road: the better one speaks
-        worse = max(("roll_axis", "roll_turn"), key=lambda name: found[name].variance)
+    if found.keys() >= set(SAME_NOISE):
+        worse = max(SAME_NOISE, key=lambda name: found[name].variance)
         one = found[worse]
         found[worse] = AngleEvidence(one.value, one.variance * SILENT, 0.0)
     if not own_gyro:

@@ -11,11 +11,13 @@ from imucald.mount.estimator_settings import EstimatorSettings
 from imucald.mount.hysteresis import GOOD, Level, best_level
 from imucald.mount.manoeuvres import HARD_ACCEL
 
-FINE_SLACK, USABLE_SLACK = 1.4, 2.0
-"""A state that was reached is left only beyond its limit times this. A deviation that half a dozen
-pieces of evidence gave is itself known to 30 % (1 / sqrt(2 n)): twice its limit is beyond what
-chance makes of a mount that nothing contradicts. Frames go on with the deviation that is
-stated. Beside evidence of past drives it is no young one: there it grows by contradiction."""
+SLACK, YOUNG_SLACK = 1.4, 2.0
+"""A state that was reached is left only beyond its limit times this; frames go on with the
+deviation that is stated. A young one, *usable* without past drives, rests on half a dozen pieces of
+evidence, which give a deviation to 29 % (1 / sqrt(2 n)): twice the limit lies 3.5 of those above,
+beyond what chance makes of a mount that nothing contradicts (chosen after a look at the drives of
+`benchmarks.integrity` from 700,000 on, judged on those from 720,000). Beside past drives a
+deviation grows by contradiction alone."""
 NEEDED = 3
 """Launches or brakings before yaw can be usable."""
 NO_SAMPLES = "samples of the accelerometer that can be used: they are faulty, or come too seldom"
@@ -49,12 +51,28 @@ def judged(known: MountKnowledge, before: MountState, s: EstimatorSettings) -> M
     roll, pitch, yaw = known.std
     limits = s.limits
     enough = known.straight >= NEEDED or before in GOOD
-    slack = FINE_SLACK if known.has_past else USABLE_SLACK
+    slack = SLACK if known.has_past else YOUNG_SLACK
+    usable_yaw = limits.usable_yaw
+    if _is_rest_hidden(known, s):  # begins at twice the limit, ends at 2.8 times
+        usable_yaw *= SLACK if before in GOOD else YOUNG_SLACK
     levels = (
-        Level(MountState.FINE, limits.fine_yaw, limits.fine_tilt, enough, FINE_SLACK),
-        Level(MountState.USABLE, limits.usable_yaw, limits.usable_tilt, enough, slack),
+        Level(MountState.FINE, limits.fine_yaw, limits.fine_tilt, enough, SLACK),
+        Level(MountState.USABLE, usable_yaw, limits.usable_tilt, enough, slack),
     )
     return best_level(levels, before, yaw, max(roll, pitch)) or MountState.LEVELLED
+
+
+def _is_rest_hidden(known: MountKnowledge, s: EstimatorSettings) -> bool:
+    """Whether of yaw only what cross-axis errors hide is left.
+
+    Below the usual limit are then only mounts whose parts of the error that show are small by
+    chance, and their hidden part knows nothing of that: the limit itself would choose those that
+    are wrong (docs/integrity.md). A limit that a user set is kept.
+    """
+    limits = s.limits
+    if known.has_past or s.calibration.states.usable_yaw is not None:
+        return False
+    return known.yaw_seen < limits.fine_yaw < limits.usable_yaw < known.cross_axis
 
 
 def reported(

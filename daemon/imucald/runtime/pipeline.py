@@ -17,8 +17,10 @@ from msgspec import Struct, field
 from numpy.typing import NDArray
 
 from imucald.core.samples import Samples, Series
+from imucald.motion.column_ticks import ticks_from_samples
+from imucald.motion.faults_in_force import Faults
 from imucald.motion.hops import HOP_TICKS
-from imucald.motion.sample_health import Faults, SampleHealth
+from imucald.motion.sample_health import SampleHealth
 from imucald.motion.ticks import (
     SPEED,
     TICK_RATE,
@@ -26,7 +28,6 @@ from imucald.motion.ticks import (
     TickRow,
     emptied,
     tick_index,
-    ticks_from_samples,
 )
 from imucald.mount.estimate import (
     Correction,
@@ -141,7 +142,7 @@ class Pipeline:
         """The last tick in which speed was known, and its mean [m/s]."""
         self.status_ticks = status_ticks
         self._ticks = TickAccumulator()
-        self._judges = _judging(estimator)
+        self._judges, self._keeps = _judging(estimator), _keeping(estimator)
         self._signals_judged: Mapping[str, bool] = {}
         self._judge()
 
@@ -178,7 +179,7 @@ class Pipeline:
         afresh: the mount so far is forgotten, and with it since when it has been good.
         """
         former, self.estimator = self.estimator, estimator
-        self._judges = _judging(estimator)
+        self._judges, self._keeps = _judging(estimator), _keeping(estimator)
         self.correction = estimator.correction
         if afresh:
             self.first_usable = self.first_fine = None
@@ -233,13 +234,13 @@ class Pipeline:
 
         rows: of the ticks from the open one on. No sensor may be unfit in any of them.
         """
-        estimator = self.estimator
-        if self._preprocessor is not None or not isinstance(estimator, KeepsTicks):
+        estimator, keeps = self.estimator, self._keeps
+        if self._preprocessor is not None or keeps is None:
             return 0
-        n = min(estimator.quiet_ticks(), len(rows))
+        n = min(keeps.quiet_ticks(), len(rows))
         if n < FEW_TICKS:
             return 0
-        estimator.keep_quiet(rows[:n])
+        keeps.keep_quiet(rows[:n])
         heard = np.flatnonzero(rows[:n, SPEED.n])
         if len(heard):
             newest = int(heard[-1])
@@ -313,6 +314,10 @@ class Pipeline:
 
 def _judging(estimator: MountEstimator) -> JudgesSignals | None:
     return estimator if isinstance(estimator, JudgesSignals) else None
+
+
+def _keeping(estimator: MountEstimator) -> KeepsTicks | None:
+    return estimator if isinstance(estimator, KeepsTicks) else None
 
 
 def _of_tick(series: Series, k: int) -> Series:

@@ -16,6 +16,12 @@ _QUIET_EVENTS = frozenset({"up", "lost", "conflict", "queue_full"})
 """Kinds of link events that are no warnings, or that the link itself reports seldom."""
 
 
+def say_idle_keys(loaded: LoadedConfig, journal: Journal) -> None:
+    """Keys of the configuration that have no effect."""
+    for line in loaded.idle_keys():
+        journal.say(line, WARNING)
+
+
 class Announcements:
     """Writes what changes, once, into a journal."""
 
@@ -24,11 +30,6 @@ class Announcements:
         self._alarms = AlarmWatch(journal)
         self._state: object = None
         self._rejected = 0
-
-    def idle_keys(self, loaded: LoadedConfig) -> None:
-        """Keys of the configuration that have no effect."""
-        for line in loaded.idle_keys():
-            self._journal.say(line, WARNING)
 
     def model(self, engine: Engine) -> None:
         """What of the model file is used, and what is not."""

@@ -16,7 +16,7 @@ from imucald.core.errors import ImucaldError
 from imucald.runtime.engine import Engine
 from imucald.runtime.input_health import LinkHealth
 from imucald.runtime.mount_orders import TESTER, MountOrders
-from imucald.service.announcements import Announcements
+from imucald.service.announcements import Announcements, say_idle_keys
 from imucald.service.figures import status_line
 from imucald.service.folder_lock import FolderLock
 from imucald.service.identity import state_key
@@ -86,7 +86,7 @@ class Service:
 
     def _set_up(self, loaded: LoadedConfig, engine: Engine) -> None:
         """What needs the state folder, and the bus."""
-        self._announcements.idle_keys(loaded)
+        say_idle_keys(loaded, self.journal)
         self.parts = self._maker.first(loaded, engine)
         try:
             self.daemon = Daemon(engine, self.link, self._clock, self.parts.diagnostics.uds)
@@ -176,7 +176,7 @@ class Service:
         self._rates.restart()
         self._announcements.restart_counts()
         self.journal.say(f"{self.options.config} was read again", NOTICE)
-        self._announcements.idle_keys(read[0])
+        say_idle_keys(read[0], self.journal)
         self._announcements.model(now.engine)
 
     def close(self) -> None:

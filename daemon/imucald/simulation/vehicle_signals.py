@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 from imucald.core.samples import Series
 from imucald.model.model import VehicleModel
 from imucald.model.sensors import Scalar, Speed, Transmission
+from imucald.model.vehicle import STEERING_GEAR_S
 from imucald.simulation.body import BodyAttitude, BodyMotion
 from imucald.simulation.driver import Driving
 from imucald.simulation.filters import Array, butterworth, first_order, generator
@@ -44,7 +45,10 @@ class VehicleSignals:
             made["speed"] = self._speed()
         if m.wheel_speeds.enabled:
             made["wheel_speeds"] = self._wheel_speeds()
-        wheel = self._handling.steer * m.chassis.steering_ratio
+        t = self._driving.t
+        # The hands are ahead of the road wheels by the gear's lag.
+        ahead = np.interp(t + STEERING_GEAR_S, t, self._handling.steer)
+        wheel = ahead * m.chassis.steering_ratio
         scalars: tuple[tuple[str, Scalar, Array], ...] = (
             ("steering", m.steering, wheel),
             ("yaw_rate", m.yaw_rate, body.rate[2]),
