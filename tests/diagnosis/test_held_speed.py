@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 
 from imucald.core.samples import GRAVITY, Series
 from imucald.diagnosis.faults import find_faults
@@ -75,3 +76,14 @@ def test_without_an_accelerometer_that_speaks_against_it_nothing_is_said():
     samples = drive(0)
     still = Series(samples["accel"].t, np.tile([0.0, 0.0, GRAVITY], (len(samples["accel"].t), 1)))
     assert stuck({**held(samples, 755, 25), "accel": still}) == []
+
+
+@pytest.mark.parametrize(("first", "last"), [(0.0, 770.0), (0.0, 700.0), (765.0, SECONDS)])
+def test_nothing_is_said_of_a_stay_that_the_sensors_do_not_cover(first, last):
+    """They end in it, before it, or begin in it: neither it nor any sound cruise is called held."""
+    samples = held(drive(0), 755, 25)
+    for name in ("accel", "gyro"):
+        t, values = samples[name].t, samples[name].values
+        there = (t >= first) & (t <= last)
+        samples[name] = Series(t[there], values[there])
+    assert stuck(samples) == []
