@@ -203,6 +203,27 @@ def test_frames_that_come_twice_are_no_faster_clock():
     )
 
 
+@pytest.mark.parametrize("share", [0.01, 0.03])
+def test_frames_that_share_a_stamp_and_differ_come_once_and_none_is_lost(share):
+    """A logger's clock is coarse now and then: two frames get the stamp of the first."""
+    samples = drive()
+    t, x = samples["accel"].t.copy(), samples["accel"].values
+    late = np.flatnonzero(np.random.default_rng(6).random(len(t) - 1) < share) + 1
+    t[late] = t[late - 1]
+    samples["accel"] = Series(t, x)
+    assert causes(samples) == {}
+
+
+def test_frames_that_come_twice_with_one_stamp_are_doubled():
+    samples = drive()
+    t, x = samples["accel"].t, samples["accel"].values
+    twice = np.flatnonzero(np.random.default_rng(6).random(len(t)) < 0.01)
+    samples["accel"] = Series(np.insert(t, twice, t[twice]), np.insert(x, twice, x[twice], axis=0))
+    found = causes(samples)
+    assert list(found) == ["duplicated_frames:accel"]
+    assert found["duplicated_frames:accel"].text.startswith(f"{len(twice)} frames come twice")
+
+
 def test_the_text_of_a_fault_names_its_signal():
     samples = drive()
     samples["yaw_rate"] = Series(samples["gyro"].t, samples["gyro"].values[:, 2])

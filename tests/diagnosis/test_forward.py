@@ -15,7 +15,7 @@ from imucald.diagnosis.blocks import table_of
 from imucald.diagnosis.cause_keys import extended, mount_of, value, with_delay_rate, with_shifts
 from imucald.diagnosis.direct import Rest, rest_of
 from imucald.diagnosis.forward import Forward
-from imucald.diagnosis.signals import Channel, drive_of, duplicates
+from imucald.diagnosis.signals import Channel, drive_of, duplicates, unusable
 from imucald.model.model import VehicleModel, model_from_mapping
 
 ROWS = 300
@@ -193,6 +193,15 @@ def test_equal_values_soon_after_are_duplicates_and_slow_ones_are_not():
     series = Series(np.insert(t, twice, t[twice] - 0.49), np.insert(x, twice, x[twice] - 1.0))
     found = np.flatnonzero(duplicates(series, 0.5)).tolist()
     assert found == [5, 13, 32], "each where it was put in"
+
+
+def test_who_shares_a_stamp_and_says_something_else_is_kept_out_and_is_no_duplicate():
+    """A logger's clock is coarser than the cycle: when each of the two was, nobody knows."""
+    t, x = np.arange(0.0, 20.0, 0.5), np.arange(40.0)
+    t[20] = t[19]
+    assert not duplicates(Series(t, x), 0.5).any()
+    assert np.flatnonzero(unusable(Series(t, x), 0.5)).tolist() == [20]
+    assert 20.0 not in Channel.of(Series(t, x)).values
 
 
 def test_stops_are_those_that_speed_and_gyroscope_agree_on():
