@@ -155,6 +155,19 @@ def test_a_written_change_is_the_change_that_was_tried(changes, key):
         assert np.sqrt(np.mean((again.of[name] - y) ** 2)) < 0.1 * scale, name
 
 
+def test_columns_of_turning_do_not_feel_what_the_file_says_of_the_accelerometer_again():
+    """They are made of a rate without any error: a sensitivity that the file states leaves them as
+    they are, also the columns of gains and turns, in which it would not drop out."""
+    drive, model = world()
+    aware = model.with_changes({"gyro.g_sensitivity": [0.02, 0.02, 0.02]})
+    rate = np.random.default_rng(6).standard_normal((len(forward().t), 3))
+    felt = Forward(drive_of(drive.samples), aware, ROWS)
+    for changes in ({}, {"gyro.scale.2": 0.05}, {"mount.turn.x": 0.05}):
+        assert felt.triad("gyro", changes, rate) == pytest.approx(
+            forward().triad("gyro", changes, rate)
+        )
+
+
 def test_the_effect_of_a_bias_is_its_column():
     drive, model = world()
     table, _ = table_of([drive_of(drive.samples)], model)
