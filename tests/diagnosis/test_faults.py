@@ -273,6 +273,17 @@ def test_answers_whose_lateness_adds_up_have_no_clock(seed):
     assert "clock_drift:speed" not in causes(samples, model)
 
 
+@pytest.mark.parametrize("seed", range(4))
+def test_a_sender_that_is_late_by_chance_keeps_its_clock(seed):
+    """Each frame is late by itself, by more than a logger's clock wanders: that adds up to none."""
+    rng, samples = np.random.default_rng(seed), drive()
+    t = 0.42 * (1.0 + 3000e-6) * np.arange(700) + rng.normal(0.0, 0.03, 700)
+    samples["speed"] = Series(t, np.round(40.0 + 10.0 * np.sin(t / 11.0)) / 3.6)
+    found = causes(samples, MODEL.with_changes({"speed.rate_hz": 1.0 / 0.42}))
+    value = found["clock_drift:speed"].values["speed.clock_drift_ppm"][0]
+    assert value == pytest.approx(3000.0, abs=100.0)
+
+
 def test_a_speed_that_sticks_is_found_also_after_a_long_stop():
     """The usual length of a stretch without change is that of driving, not of standing."""
     samples = drive()

@@ -7,6 +7,7 @@ import pytest
 
 from imucald.core.samples import GRAVITY, Series
 from imucald.diagnosis.faults import find_faults
+from imucald.diagnosis.held_speed import contradicted
 from imucald.diagnosis.lost_readings import all_lost
 from imucald.model.model import VehicleModel
 
@@ -70,6 +71,15 @@ def test_a_speed_that_is_held_as_long_as_a_cruise_is_found_by_the_accelerometer(
         [(low, high)] = stuck(held(samples, 755, 25))
         assert 750.0 <= low <= 755.0
         assert 779.0 <= high <= 785.0
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_a_tenth_of_what_a_held_speed_hides_is_enough_to_contradict_it_and_none_is_not(seed):
+    samples, span = drive(seed), (755.0, 779.0)
+    true, t = samples["speed"].values, samples["speed"].t
+    hidden = held(samples, 755, 25)["speed"].values - true
+    assert not contradicted(samples, (span,)).any()
+    assert contradicted({**samples, "speed": Series(t, true + 0.1 * hidden)}, (span,)).all()
 
 
 def test_without_an_accelerometer_that_speaks_against_it_nothing_is_said():
