@@ -90,7 +90,7 @@ def test_no_column_is_the_raw_signal_of_its_own_equation():
     """A gain told by the signal itself would be 1.0000 +- 0.0000."""
     f = forward()
     masks = f.usable()
-    f.settle(f.tilts(f.residuals({}), masks))
+    f.settle(f.tilts(f.residuals({}), masks), np.ones(f.blocks))
     base, measured = f.residuals({}, by_inertia=True), f.measured()
     for key in ("accel.scale.0", "accel.scale.1", "accel.scale.2", "gyro.scale.0", "gyro.scale.1",
                 "gyro.scale.2"):  # fmt: skip
