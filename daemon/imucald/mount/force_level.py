@@ -41,8 +41,8 @@ NOISE, NOISE_BLOCKS = 0.05, 10.0
 """Level of a block beside the drive's own spread [m/s^2], and its weight: 0.3 m/s of height that is
 gained or lost from its beginning to its end, as over the crest of a hill."""
 DEVIATIONS = 6.0
-"""The spread comes from 20 blocks at least, `NOISE_BLOCKS` among them: 1e-5 by Student's t, two-sided,
-and more as blocks next to one another are alike."""
+"""The spread comes from 20 blocks at least, `NOISE_BLOCKS` among them: 1e-5 by Student's t, and
+more as blocks next to one another are alike."""
 AGREEING = 0.5
 """Every block since a change shows at least that share of it; the level is back where it was once
 no block of the last ones does."""
