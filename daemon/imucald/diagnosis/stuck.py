@@ -75,9 +75,8 @@ def stuck(
     if name not in QUICK:
         spans = [s for s in spans if _others_move(name, samples, s)]
     if name == "speed":
-        stays = tuple((float(t[a]), float(t[b])) for a, b in zip(first, last, strict=True))
-        asked = length > STUCK_SLOW_S
-        stays = tuple(s for s, is_asked in zip(stays, asked, strict=True) if is_asked)
+        asked = np.flatnonzero(length > STUCK_SLOW_S)
+        stays = tuple((float(t[first[k]]), float(t[last[k]])) for k in asked)
         hit = contradicted(samples, stays)
         spans = sorted({*spans, *(s for s, is_hit in zip(stays, hit, strict=True) if is_hit)})
     spans = [s for s in spans if not _is_shown_often(t, table, first, s)]
