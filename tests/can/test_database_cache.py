@@ -22,9 +22,15 @@ FILES = [EXAMPLE, *sorted(DATA.glob("cluster.*"))]
 
 
 @pytest.fixture(autouse=True)
-def nothing_remembered(monkeypatch):
-    """Other tests of this process may have asked for it."""
-    monkeypatch.setattr(database._Memory, "databases", None)
+def nothing_remembered():
+    """Other tests of this process have read the same files."""
+    database._remembered.cache_clear()
+
+
+@pytest.fixture
+def from_file(monkeypatch):
+    """As a new process would: only the folder knows."""
+    monkeypatch.setattr(database, "REMEMBERED_TEXT", -1)
 
 
 @pytest.fixture
@@ -53,6 +59,7 @@ def same(a: Database, b: Database) -> bool:
 
 
 @pytest.mark.parametrize("path", FILES, ids=lambda p: p.name)
+@pytest.mark.usefixtures("from_file")
 def test_a_kept_database_is_the_parsed_one(path, folder, parsed):
     first = load_database([path])
     assert same(load_database([path]), first)
@@ -80,6 +87,7 @@ def test_a_database_that_cannot_be_read_is_not_kept(folder):
     assert not folder.exists()
 
 
+@pytest.mark.usefixtures("from_file")
 def test_other_versions_files_count_for_nothing(folder, parsed, monkeypatch):
     load_database([EXAMPLE])
     monkeypatch.setattr(database_cache, "_stamp", lambda: "another version")
@@ -87,6 +95,7 @@ def test_other_versions_files_count_for_nothing(folder, parsed, monkeypatch):
     assert len(parsed) == 2
 
 
+@pytest.mark.usefixtures("from_file")
 def test_a_damaged_file_counts_for_nothing(folder, parsed):
     truth = load_database([EXAMPLE])
     (kept,) = folder.iterdir()
@@ -103,6 +112,7 @@ def test_a_damaged_file_counts_for_nothing(folder, parsed):
         assert len(parsed) == before + 1
 
 
+@pytest.mark.usefixtures("from_file")
 def test_a_folder_that_others_can_write_is_not_used(folder, parsed):
     load_database([EXAMPLE])
     folder.chmod(0o777)
@@ -110,6 +120,7 @@ def test_a_folder_that_others_can_write_is_not_used(folder, parsed):
     assert len(parsed) == 2
 
 
+@pytest.mark.usefixtures("from_file")
 def test_where_nothing_can_be_kept_databases_are_parsed(tmp_path, parsed, monkeypatch):
     blocked = tmp_path / "file"
     blocked.write_text("no folder")
@@ -169,7 +180,6 @@ def test_a_second_run_does_not_load_the_parser(tmp_path):
 
 
 def test_a_process_that_reads_many_logs_parses_a_database_once(tmp_path, parsed, monkeypatch):
-    monkeypatch.setattr(database._Memory, "databases", {})
     path = tmp_path / "car.dbc"
     path.write_bytes(EXAMPLE.read_bytes())
     first, again = load_database([path]), load_database([path])
@@ -184,8 +194,7 @@ def test_a_process_that_reads_many_logs_parses_a_database_once(tmp_path, parsed,
     assert parsed == [str(path)] * 3
 
 
-def test_a_process_remembers_few_databases(tmp_path, parsed, monkeypatch):
-    monkeypatch.setattr(database._Memory, "databases", {})
+def test_a_process_remembers_few_databases(tmp_path, parsed):
     paths = [tmp_path / f"{k}.dbc" for k in range(database.REMEMBERED + 1)]
     for path in paths:
         path.write_bytes(EXAMPLE.read_bytes())
@@ -196,12 +205,12 @@ def test_a_process_remembers_few_databases(tmp_path, parsed, monkeypatch):
     assert parsed[len(paths) :] == [str(paths[0])]
 
 
-def test_nothing_is_remembered_unasked(parsed, monkeypatch):
-    monkeypatch.setattr(database._Memory, "databases", None)
+def test_a_file_that_holds_nothing_is_read_as_nothing_whatever_is_remembered(tmp_path):
+    path = tmp_path / "empty.dbc"
+    path.write_text("")
+    for _ in range(2):
+        with pytest.raises(DatabaseError):
+            load_database([path])
     load_database([EXAMPLE])
-    load_database([EXAMPLE])
-    assert len(parsed) == 2
-    database.remember_databases()
-    load_database([EXAMPLE])
-    load_database([EXAMPLE])
-    assert len(parsed) == 3
+    with pytest.raises(DatabaseError):
+        load_database([path])

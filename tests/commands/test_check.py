@@ -658,6 +658,44 @@ def test_a_speed_that_never_changes_cannot_be_used() -> None:
     assert "13.00 m/s from beginning to end" in findings(report, "error")["speed"]
 
 
+def steady(speed: float, accel_unit: float, noise: float, seconds: float = 90.0) -> Frames:
+    """A straight level road, or a parking place, and a sensor that lies level; no noise: coarse."""
+    drive = simulate(random_model(6, standing_first=True), 6, MINUTES)
+    rng = np.random.default_rng(0)
+    samples = {}
+    for channel, series in drive.samples.items():
+        t = series.t[series.t < seconds]
+        values = np.zeros((len(t), *series.values.shape[1:]))
+        if channel == "accel":
+            values += [0.0, 0.0, 9.81]
+            values += noise * rng.standard_normal(values.shape)
+            values[:, 2] += 0.05 * rng.standard_normal(len(t))
+            values *= accel_unit
+        elif channel == "speed":
+            values += speed
+        elif channel == "gyro":
+            values += 0.001 * rng.standard_normal(values.shape)
+        samples[channel] = Series(t, values)
+    return list(
+        bus_frames(dataclasses.replace(drive, samples=samples), BusEncoder(example_config()))
+    )
+
+
+def test_a_cruise_in_whole_kilometres_per_hour_is_a_warning_at_most() -> None:
+    """70 s at 100 km/h as OBD-II sends it: the accelerometer shows no change either."""
+    report = checked(steady(100.0 / 3.6, 1.0, noise=0.3, seconds=75.0))
+    assert "speed" not in findings(report, "error")
+    assert "from beginning to end" in findings(report, "warning")["speed"]
+
+
+def test_a_coarse_sensor_in_a_parked_vehicle_is_still_held_against_gravity() -> None:
+    """Two axes say the same all the time, and the third shows half of gravity."""
+    report = checked(steady(0.0, 0.51, noise=0.0))
+    found = findings(report, "error")
+    assert "unit" in found["accelerometer"], found
+    assert "never changes" in findings(report, "warning")["accelerometer.x"]
+
+
 @pytest.mark.parametrize(
     ("channel", "axis", "quantity"),
     [("accel", 0, "accelerometer.x"), ("accel", 2, "accelerometer.z"), ("gyro", 2, "gyroscope.z")],

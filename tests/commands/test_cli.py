@@ -168,6 +168,8 @@ def test_a_shift_after_the_end_of_the_drive_is_refused(tmp_path, capsys):
     assert "--shift at 60 s: the drive ends after 60 s" in capsys.readouterr().err
     assert not (tmp_path / "d.log").exists()
     assert cli.main([*order, "59,0,5,0"]) == 0
+    late = "mount.shifts=[{t_s: 90, roll_deg: 0, pitch_deg: 5, yaw_deg: 0}]"
+    assert cli.main([*order, "59,0,5,0", "--set", late]) == 0, "that is none of '--shift'"
 
 
 def test_the_files_of_a_command_are_looked_at_before_its_work(

@@ -18,14 +18,22 @@ from signal_block import block
 UP = np.array([0.0, 0.0, 1.0])
 
 
-def watched(forces: list[np.ndarray], seed: int = 0) -> list[bool]:
-    """Whether a change stands after each block; forces: mean force of each [m/s^2]."""
+def watched(
+    forces: list[np.ndarray], seed: int = 0, gap: int = -1, hole: tuple[int, float] = (0, 0.0)
+) -> list[bool]:
+    """Whether a change stands after each block; forces: mean force of each [m/s^2].
+
+    gap: the block before which time jumps. hole: a block, and the seconds without samples before.
+    """
     rng = np.random.default_rng(seed)
     level, found = ForceLevel(), []
     for k, mean in enumerate(forces):
         block_mean = np.asarray(mean) + 0.05 * rng.standard_normal(3)
         force = block_mean + 0.5 * rng.standard_normal((BLOCK_TICKS, 3))
-        level.add(block(6.4 * k, force=force), np.asarray(mean) / GRAVITY)
+        if k == gap:
+            level.gap()
+        t = 6.4 * k + (hole[1] if k >= hole[0] else 0.0)
+        level.add(block(t, force=force), np.asarray(mean) / GRAVITY)
         found.append(level.change is not None)
     return found
 
@@ -59,6 +67,33 @@ def test_the_fault_ends_when_the_level_is_back():
     assert not found[-1]
 
 
+def test_what_was_before_the_level_came_back_is_no_past_of_it():
+    found = watched([GRAVITY * UP] * 30 + [1.1 * GRAVITY * UP] * 70 + [GRAVITY * UP] * 30)
+    assert all(found[35:100])
+    assert not any(found[105:])
+
+
+def test_a_gap_of_unknown_length_has_no_step_across_it_and_mends_none():
+    stepped = [GRAVITY * UP] * 30 + [(GRAVITY + 0.5) * UP] * 20
+    assert any(watched(stepped))
+    assert not any(watched(stepped, gap=30))
+    assert all(watched(stepped, gap=40)[36:])
+
+
+def test_what_is_older_than_its_window_is_not_held_against_the_present():
+    """Half an hour without samples, in which the sensor cools."""
+    stepped = [GRAVITY * UP] * 30 + [(GRAVITY + 0.5) * UP] * 20
+    assert any(watched(stepped, hole=(30, 60.0)))
+    assert not any(watched(stepped, hole=(30, 1800.0)))
+
+
+def test_a_step_has_to_stand_out_from_what_the_blocks_before_it_varied_by():
+    step = [(GRAVITY + 0.4) * UP] * 6
+    wide = [(GRAVITY + 0.3 * (-1.0) ** k) * UP for k in range(30)]
+    assert not any(watched(wide + step))
+    assert any(watched([GRAVITY * UP] * 30 + step))
+
+
 def test_a_sensor_that_is_turned_shows_the_zero_of_another_axis_and_is_not_accused():
     zeros = np.array([0.3, 0.0, -0.1])
     before, after = GRAVITY * UP + zeros, GRAVITY * np.array([1.0, 0.0, 0.0]) + zeros
@@ -77,6 +112,13 @@ EDITS = {
     "zero of the most upright axis by 1 m/s^2": (1.0, 1.0),
     "... by -0.5 m/s^2": (1.0, -0.5),
 }
+
+
+def test_the_estimator_tells_of_a_gap():
+    estimator, told = FullEstimator(full()), []
+    estimator._level.gap = lambda: told.append(True)  # type: ignore[method-assign]
+    estimator.gap()
+    assert told
 
 
 @pytest.mark.slow

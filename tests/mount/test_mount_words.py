@@ -9,9 +9,10 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from imucald.config.vehicle import VehicleSettings
-from imucald.mount.contradictions import WORDS
+from imucald.mount.contradictions import WORDS, StandingFault
 from imucald.mount.estimate import MountEstimate, MountState
 from imucald.mount.estimator_settings import EstimatorSettings
+from imucald.mount.force_level import LevelChange
 from imucald.mount.mount_words import (
     half_width,
     how_it_sits,
@@ -21,6 +22,7 @@ from imucald.mount.mount_words import (
     reasons_line,
     steep_note,
 )
+from imucald.mount.waiting_reasons import mount_troubles
 from imucald.runtime.summary import mount_dict
 from imucald.service.figures import status_line
 
@@ -39,6 +41,14 @@ def test_an_interval_of_95_percent_is_two_deviations_and_holds_as_often():
     assert plus_minus(0.355) == "±0.71°"
     assert plus_minus(0.355, 1, unit="") == "±0.7"
     assert plus_minus(None) == plus_minus(90.0) == plus_minus(math.inf) == "-"
+
+
+def test_sizes_of_gravity_stand_behind_what_they_belong_to():
+    faults = [StandingFault.ACCEL_LEVEL, StandingFault.NUMERICS]
+    level = LevelChange(9.78, 10.13, 5)
+    text = mount_troubles(MountState.SUSPECT, faults, {}, (), level)["yaw"]
+    sized = f"{WORDS[StandingFault.ACCEL_LEVEL]} (9.78 to 10.13 m/s^2)"
+    assert text == f"{sized}; {WORDS[StandingFault.NUMERICS]}"
 
 
 def test_roll_has_the_roads_crown_in_interval_and_target():

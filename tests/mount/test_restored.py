@@ -8,10 +8,11 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from msgspec.structs import replace
 from scipy.spatial.transform import Rotation
 
 from imucald.motion.column_ticks import ticks_from_samples
-from imucald.mount.estimate import MountEstimate, MountState
+from imucald.mount.estimate import ANGLES, MountEstimate, MountState
 from imucald.mount.method_a.estimator import PublishedEstimator
 from imucald.mount.restored import HAND_OVER_RATE, Phase, RestoredEstimator, StoredMount
 from imucald.mount.saved_information import SavedInformation
@@ -142,6 +143,33 @@ def test_a_statement_that_the_drive_contradicts_is_called_so_with_the_angle(is_g
     assert bool(estimate.waiting_for) or not is_given
     inner.say(MountState.LEVELLED, turned(0.1), 1.0)
     run(estimator, 2.0)
+    assert estimator.estimate().details["restored"]["turned_deg"] is None
+
+
+def test_a_statement_is_not_called_wrong_where_the_drive_agrees_with_it_and_doubts_itself():
+    inner = Scripted()
+    covariance = np.diag(np.full(3, math.radians(0.2) ** 2))
+    stored = StoredMount(STORED.as_matrix(), covariance, MountState.FINE, is_given=True)
+    estimator = RestoredEstimator(inner, stored)
+    inner.say(MountState.USABLE, STORED, 1.0)
+    run(estimator, 30.0)
+    inner.say(MountState.SUSPECT, STORED, 1.0)
+    own = dict.fromkeys(ANGLES, "the mount moves by 2.0 deg within the drive")
+    inner.answer = replace(inner.answer, waiting_for=own)
+    run(estimator, 30.0)
+    estimate = estimator.estimate()
+    assert estimate.state is MountState.SUSPECT
+    assert estimate.waiting_for == own
+
+
+def test_once_the_drives_own_mount_serves_nothing_is_turned_against_it():
+    estimator, inner = restored()
+    inner.say(MountState.USABLE, turned(pitch_deg=8.0), 0.1)
+    run(estimator, 16.0)
+    assert estimator.phase is Phase.HANDING_OVER
+    assert estimator.estimate().details["restored"]["turned_deg"] == pytest.approx(8.0)
+    run(estimator, 20.0)
+    assert estimator.phase is Phase.NEW
     assert estimator.estimate().details["restored"]["turned_deg"] is None
 
 

@@ -24,7 +24,6 @@ from imucald.api.drive import DriveResult, drive_result
 from imucald.api.logs import LogSource, opened
 from imucald.api.mount import MountResult
 from imucald.api.recorder import Recorder, microseconds
-from imucald.can.dbc.database import remember_databases
 from imucald.can.logs.log_reader import LogReader
 from imucald.core.errors import NoFramesError
 from imucald.runtime.engine import Engine
@@ -107,7 +106,6 @@ class ReplayRun:
         if watcher is not None:
             snapshot = _both(snapshot, watcher.snapshot)
             samples = _both(samples, watcher.samples)
-        remember_databases()
         self.engine = make_engine(config.loaded, snapshot, on_samples=samples)
         router = self.engine.router
         reading = sources, router.matches, strict, progress, router.stated_cycles

@@ -111,6 +111,12 @@ def _require_matches(
         raise ConfigError(
             f"{names}: none of its messages is among the {recording.frames} frames; {text}"
         )
+    if not any(choice.sources for choice in proposal.choices):
+        text = (
+            "no signal could be recognised, so nothing is written; give a recording of some "
+            "minutes with stops and bends, or a database that names its signals (--database)"
+        )
+        raise ConfigError(text)
 
 
 def _outcome(proposal: Proposal, out: str) -> str:

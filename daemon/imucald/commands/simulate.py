@@ -109,10 +109,10 @@ def run(options: argparse.Namespace) -> int:
     check_files(inputs, (options.out, _truth_beside(options.out), options.write_model))
     config = load_config(options.config) if options.config else example_config()
     model = chosen_model(options, config.config.vehicle.driving_side if options.config else None)
-    late = [shift.t_s for shift in model.mount.shifts if shift.t_s >= 60.0 * options.minutes]
-    if late and options.shift:
+    latest = max((_numbers("--shift", text, 4)[0] for text in options.shift or ()), default=0.0)
+    if latest >= 60.0 * options.minutes:
         text = f"the drive ends after {60.0 * options.minutes:g} s"
-        raise ConfigError(f"--shift at {late[0]:g} s: {text}; more --minutes, or an earlier time")
+        raise ConfigError(f"--shift at {latest:g} s: {text}; more --minutes, or an earlier time")
     encoder = BusEncoder(config)
     drive = simulate(model, options.seed, options.minutes)
     if options.out is not None:

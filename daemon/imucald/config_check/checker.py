@@ -138,7 +138,7 @@ class Check:
         model = self.compensation
         notes = () if model is None else model.notes_for(self.router.channels)
         dead = {row.wanted.channel for row in rows if never_changes(row)}
-        for channel in dead:  # what it is compared with would be blamed
+        for channel in dead if motion.drives else ():  # what it is compared with would be blamed
             motion = motion.without(channel)
         found = [
             *(Finding("note", "model", text) for text in notes),

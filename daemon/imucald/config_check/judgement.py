@@ -37,6 +37,7 @@ from imucald.config_check.turning_axis import turning_axis_findings
 from imucald.config_check.yaw_rate_check import MIN_TURNING, yaw_rate_findings
 from imucald.core.samples import GRAVITY
 from imucald.mount.alternatives import NOT_CHECKED
+from imucald.mount.priors import SLOPE_STD
 from imucald.mount.stated_orientation import CLEAR as CLEAR_PART
 from imucald.mount.stated_orientation import unit_vector
 
@@ -55,6 +56,8 @@ WHEELS_DIFFER = 0.1
 up to 10 % more (UN R39)."""
 MIN_BRAKING_TICKS = 50
 """Ticks with and without brake that a judgement of it needs: 5 s."""
+TWICE_SLOPES = 2.0 * SLOPE_STD
+"""Steeper roads than that are rare: what is more along the road is driving (tangent, rms)."""
 
 NOT_STATED = OrientationSettings()
 WITHOUT_GRAVITY = (
@@ -138,14 +141,37 @@ def _stated_axis(
 
 
 def _constant_speed(motion: Motion) -> Iterator[Finding]:
-    """A cruise control keeps it within some tenths of a km/h, and buses send finer steps."""
+    """One value all the time: a cruise control may do that where speed comes in whole km/h.
+
+    It is an error where the accelerometer shows that the vehicle does drive faster and slower.
+    """
     if not motion.drives:
         return
     known = motion.grid["speed"][np.isfinite(motion.grid["speed"])]
     if np.ptp(known) > 0.0:
         return
-    text = f"is {known[0]:.2f} m/s from beginning to end: stuck, or another signal than the speed"
-    yield Finding("error", "speed", text)
+    text = f"is {known[0]:.2f} m/s from beginning to end"
+    if _is_driven_both_ways(motion):
+        text += ", while the accelerometer shows changes: stuck, or another signal than the speed"
+        yield Finding("error", "speed", text)
+    else:
+        text += ": stuck, or a cruise; a log with a launch or a braking shows which"
+        yield Finding("warning", "speed", text)
+
+
+def _is_driven_both_ways(motion: Motion) -> bool:
+    """Whether the force varies along two horizontal directions, by more than slopes make of it.
+
+    Bends vary it along one; along the other only a change of speed does, and slopes.
+    """
+    if motion.accel is None or motion.up is None:
+        return False
+    force = motion.accel[np.isfinite(motion.accel).all(axis=1)]
+    level = force[:, :2] if motion.planar else force - np.outer(force @ motion.up, motion.up)
+    if len(level) < MIN_TICKS:
+        return False
+    variances = np.linalg.eigvalsh(np.cov(level.T))
+    return bool(variances[-2] > (TWICE_SLOPES * GRAVITY) ** 2)
 
 
 def _speed_against_wheels(motion: Motion, unit_advice: str | None) -> Iterator[Finding]:

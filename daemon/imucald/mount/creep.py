@@ -136,6 +136,7 @@ def _scatter(left: Array, known: Array) -> float:
 def _lean(left: Array, known: Array, expected: float) -> float:
     """By how much informations are too large for what goes on over segments, as a drift does.
 
+    It may be less than one, without a floor: the segments themselves say it here.
     expected: before any data, with the weight of `PRIOR_SEGMENTS`. What lies about a straight line,
     neighbours' covariance included (Newey and West, Econometrica 55, 1987, with their weights and
     as many lags as 4 (n / 100)^(2/9); no less than without neighbours).

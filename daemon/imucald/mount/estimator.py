@@ -135,6 +135,7 @@ class FullEstimator:
         """Time jumped: signals before it are not joined with those after it."""
         self._signals.restart()
         self._solvers.gap()
+        self._level.gap()
         self._estimate = None
 
     # block by block -------------------------------------------------------------------------

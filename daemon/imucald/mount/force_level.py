@@ -20,13 +20,15 @@ import numpy as np
 from msgspec import Struct
 from numpy.typing import NDArray
 
+from imucald.motion.ticks import TICK_S
 from imucald.mount.large_change import LEAST_TICKS
-from imucald.mount.signal_blocks import SignalBlock
+from imucald.mount.signal_blocks import BLOCK_TICKS, SignalBlock
 
 Array = NDArray[np.float64]
 
-REMEMBERED = 50
-"""Blocks of the past (320 s)."""
+REMEMBERED = 60
+"""Blocks (384 s): the last 4 to 9 are those since the change, the 51 to 56 others what was before.
+Older ones are not held against it, whether or not there were samples since."""
 LEAST_BEFORE = 10
 """Blocks that a change is held against (64 s)."""
 AFTER = range(4, 10)
@@ -39,10 +41,14 @@ NOISE, NOISE_BLOCKS = 0.05, 10.0
 """Level of a block beside the drive's own spread [m/s^2], and its weight: 0.3 m/s of height that is
 gained or lost from its beginning to its end, as over the crest of a hill."""
 DEVIATIONS = 6.0
-"""Of a normal variable 2e-9, two-sided (`large_change.LIMITS`)."""
+"""The spread comes from 20 blocks at least, `NOISE_BLOCKS` among them: 1e-5 by Student's t, and
+more as blocks next to one another are alike."""
 AGREEING = 0.5
 """Every block since a change shows at least that share of it; the level is back where it was once
 no block of the last ones does."""
+
+NO_ROWS: Array = np.zeros((0, 5))
+"""Of each block: level, mean force (3,) in sensor axes [m/s^2], time [s]."""
 
 
 class LevelChange(Struct, frozen=True):
@@ -60,8 +66,15 @@ class ForceLevel:
     """
 
     def __init__(self) -> None:
-        self._rows = np.zeros((0, 4))  # level, mean force (3,) in sensor axes
+        self._rows = NO_ROWS
         self.change: LevelChange | None = None
+
+    def gap(self) -> None:
+        """Time jumped, nobody knows how far: what was before it is no past of what follows.
+
+        A change that stands goes on to stand: a gap mends nothing.
+        """
+        self._rows = NO_ROWS
 
     def add(self, p: SignalBlock, up: Array | None) -> None:
         """Take a block; up: the vertical (3,) in sensor axes, of any length; None: not known."""
@@ -71,8 +84,10 @@ class ForceLevel:
             return
         force = use @ p.force / n
         level = float(force @ up) / max(math.sqrt(float(up @ up)), 1e-9)
-        row = np.array([[level, *force.tolist()]])
-        self._rows = np.concatenate([self._rows[1 - REMEMBERED - AFTER.stop :], row])
+        t = float(p.t[0])
+        row = np.array([[level, *force.tolist(), t]])
+        known = self._rows[:, 4] > t - (REMEMBERED - 0.5) * BLOCK_TICKS * TICK_S
+        self._rows = np.concatenate([self._rows[known], row])
         if self.change is None:
             self.change = self._found()
         elif self._is_back(self.change):
@@ -81,6 +96,8 @@ class ForceLevel:
     def _is_back(self, change: LevelChange) -> bool:
         size = change.after - change.before
         shown = (self._rows[-AFTER.start :, 0] - change.before) / size
+        if len(shown) < AFTER.start:
+            return False
         return float(np.abs(shown).max()) < 1.0 - AGREEING
 
     def _found(self) -> LevelChange | None:
@@ -104,6 +121,6 @@ class ForceLevel:
 
     def _turned(self, k: int) -> float:
         """The chord by which the mean force's direction differs from row k on."""
-        sums = self._rows[:k, 1:].sum(axis=0), self._rows[k:, 1:].sum(axis=0)
+        sums = self._rows[:k, 1:4].sum(axis=0), self._rows[k:, 1:4].sum(axis=0)
         before, after = (x / max(math.sqrt(float(x @ x)), 1e-9) for x in sums)
         return math.sqrt(float((after - before) @ (after - before)))

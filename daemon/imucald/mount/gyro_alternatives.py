@@ -36,7 +36,8 @@ TRIED = _signed_permutations()
 
 
 MOST_OF_LATE = TO_ACCUSE / 3.0
-"""No block counts for more of what begins in mid-drive: three have to say so."""
+"""No block counts for more of what begins in mid-drive: four have to say so, as three come
+to the limit and not beyond it."""
 LEAST_TURN = 0.02
 """A block in which no axis has turned by so much [rad] says nothing of signs."""
 

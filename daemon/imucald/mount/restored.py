@@ -199,16 +199,22 @@ class RestoredEstimator:
         )
         if self.is_held and self.phase is Phase.CONFIRMED:
             return _waiting_for_release(served)
-        if self.phase is Phase.DOUBTED and self.stored.is_given and not new.faults:
+        if self._is_statement_wrong and not new.faults:
             return self._against_statement(served)
         return served
+
+    @property
+    def _is_statement_wrong(self) -> bool:
+        """Whether this drive shows so; that it doubts its own mount as well shows nothing."""
+        is_shown = self._turned is not None or self._plumb_line.is_off
+        return is_shown and self.phase is Phase.DOUBTED and self.stored.is_given
 
     def _against_statement(self, served: MountEstimate) -> MountEstimate:
         """What speaks against the mount that a person stated, in words."""
         text = STATED_WRONG
         if self._turned is not None:
             text += f": it is found turned by {math.degrees(self._turned):.0f} deg against that"
-        elif self._plumb_line.is_off:
+        else:
             text += ": with it gravity is further off the vertical than on any road"
         words = dict.fromkeys(ANGLES, text)
         return replace(served, waiting_for=words, missing=dict.fromkeys(ANGLES, Missing.OTHER))
@@ -308,7 +314,7 @@ class RestoredEstimator:
         self._served.aim(np.array(target).reshape(3, 3))
         self._served.step()
         if self._served.correction == target:
-            self.phase = Phase.NEW
+            self.phase, self._turned = Phase.NEW, None
 
 
 def _waiting_for_release(served: MountEstimate) -> MountEstimate:

@@ -53,8 +53,8 @@ def judged(known: MountKnowledge, before: MountState, s: EstimatorSettings) -> M
     enough = known.straight >= NEEDED or before in GOOD
     slack = SLACK if known.has_past else YOUNG_SLACK
     usable_yaw = limits.usable_yaw
-    if _is_rest_hidden(known, s):  # begins at twice the limit, ends at 2.8 times
-        usable_yaw *= SLACK if before in GOOD else YOUNG_SLACK
+    if _is_rest_hidden(known, before, s):  # begins at twice the limit, ends at 2.8 times
+        usable_yaw *= YOUNG_SLACK * (SLACK / slack if before in GOOD else 1.0)
     levels = (
         Level(MountState.FINE, limits.fine_yaw, limits.fine_tilt, enough, SLACK),
         Level(MountState.USABLE, usable_yaw, limits.usable_tilt, enough, slack),
@@ -62,17 +62,21 @@ def judged(known: MountKnowledge, before: MountState, s: EstimatorSettings) -> M
     return best_level(levels, before, yaw, max(roll, pitch)) or MountState.LEVELLED
 
 
-def _is_rest_hidden(known: MountKnowledge, s: EstimatorSettings) -> bool:
+def _is_rest_hidden(known: MountKnowledge, before: MountState, s: EstimatorSettings) -> bool:
     """Whether of yaw only what cross-axis errors hide is left.
 
     Below the usual limit are then only mounts whose parts of the error that show are small by
     chance, and their hidden part knows nothing of that: the limit itself would choose those that
-    are wrong (docs/integrity.md). A limit that a user set is kept.
+    are wrong (docs/integrity.md). A limit that a user set is kept. A cross-axis error of c (part)
+    turns yaw by up to c rad, and so is compared with the limit. While the state is good it may be
+    less by `SLACK`: what is reckoned with becomes less as the drive goes on, and that is no reason
+    to end it.
     """
     limits = s.limits
-    if known.has_past or s.calibration.states.usable_yaw is not None:
+    if s.calibration.states.usable_yaw is not None:
         return False
-    return known.yaw_seen < limits.fine_yaw < limits.usable_yaw < known.cross_axis
+    least = limits.usable_yaw / (SLACK if before in GOOD else 1.0)
+    return known.yaw_seen < limits.fine_yaw < limits.usable_yaw and known.cross_axis > least
 
 
 def reported(

@@ -55,10 +55,11 @@ def mount_troubles(
     changed, where that is a fault.
     """
     if faults:
-        text = "; ".join(WORDS[fault] for fault in faults)
-        if level is not None:
-            text += f" ({level.before:.2f} to {level.after:.2f} m/s^2)"
-        return dict.fromkeys(ANGLES, text)
+        texts = {fault: WORDS[fault] for fault in faults}
+        if level is not None and StandingFault.ACCEL_LEVEL in texts:
+            sizes = f" ({level.before:.2f} to {level.after:.2f} m/s^2)"
+            texts[StandingFault.ACCEL_LEVEL] += sizes
+        return dict.fromkeys(ANGLES, "; ".join(texts.values()))
     if state is MountState.FINE:
         return {}
     if state in GOOD:

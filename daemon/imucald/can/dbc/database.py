@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from functools import lru_cache
 from pathlib import Path
 
 from msgspec.structs import replace
@@ -16,7 +17,7 @@ from imucald.core.regular_file import read_regular
 ENCODINGS: Mapping[str, str] = {"dbc": "cp1252", "sym": "cp1252", "kcd": "utf-8", "arxml": "utf-8"}
 """Text encoding of each format, as the tools that write them have it."""
 REMEMBERED = 4
-"""Databases that a process keeps in memory, where it was asked to ..."""
+"""Databases that a process keeps in memory: the next log most often needs the same ..."""
 REMEMBERED_TEXT = 2 * 2**20
 """... with no more characters than that: some tens of MiB in all."""
 
@@ -106,35 +107,18 @@ def _load_file(path: Path) -> list[Message]:
     return _parse(text, database_format, str(path))
 
 
-class _Memory:
-    """The last databases with their texts, by name; None until somebody reads many logs."""
-
-    databases: dict[str, tuple[str, list[Message]]] | None = None
-
-
-def remember_databases() -> None:
-    """Let this process keep what it parsed last: the next log most often needs the same.
-
-    A text that has changed is parsed again.
-    """
-    if _Memory.databases is None:
-        _Memory.databases = {}
-
-
 def _parse(text: str, database_format: str, source: str) -> list[Message]:
-    name, memory = f"{database_format} {source}", _Memory.databases
-    if memory is None or len(text) > REMEMBERED_TEXT:
-        return _parsed(text, database_format, source, name)
-    known, messages = memory.pop(name, ("", []))
-    if known != text:
-        messages = _parsed(text, database_format, source, name)
-    memory[name] = text, messages  # the last one again
-    while len(memory) > REMEMBERED:
-        del memory[next(iter(memory))]
-    return list(messages)
+    read = _remembered if len(text) <= REMEMBERED_TEXT else _parsed
+    return list(read(text, database_format, source))
 
 
-def _parsed(text: str, database_format: str, source: str, name: str) -> list[Message]:
+@lru_cache(maxsize=REMEMBERED)
+def _remembered(text: str, database_format: str, source: str) -> Sequence[Message]:
+    return _parsed(text, database_format, source)
+
+
+def _parsed(text: str, database_format: str, source: str) -> Sequence[Message]:
+    name = f"{database_format} {source}"
     messages = database_cache.find(text, name, Message)
     if messages is None:
         messages = parse_bounded(text, database_format, source)

@@ -1,0 +1,39 @@
+"""How many blocks it takes to accuse the gyroscope of another sign or another order of axes."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from imucald.mount.gyro_alternatives import TRIED, GyroAlternatives
+from imucald.mount.log_ratios import HELD
+
+AGAINST = np.full(len(TRIED) - 1, -100.0)
+FOR = -AGAINST
+
+
+def after(blocks: int) -> GyroAlternatives:
+    """A long sound drive, and then so many blocks that speak for another sign with all they have.
+
+    Each counts for little in the sum over the whole drive, which has that drive against it.
+    """
+    found = GyroAlternatives()
+    for _ in range(20):
+        found.add(FOR)
+        found.add_late(FOR)
+    assert float(found._sums.min()) == HELD
+    for _ in range(blocks):
+        found.add(AGAINST)
+        found.add_late(AGAINST)
+    return found
+
+
+def test_three_blocks_accuse_of_no_turn_in_mid_drive_and_four_do():
+    assert not after(3).is_accused
+    assert after(4).is_accused
+
+
+def test_blocks_that_speak_for_the_axes_as_they_are_take_back_what_some_said_against():
+    found = after(3)
+    for ratios in (FOR, FOR, FOR, AGAINST, AGAINST, AGAINST):
+        found.add_late(ratios)
+    assert not found.is_accused
