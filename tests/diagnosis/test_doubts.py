@@ -82,7 +82,7 @@ def with_a_drift(pull: float, nats: float = 20.0) -> tuple[State, Trial]:
     e = Estimate(one, 0.1 * one, 3.0, pull, 0.0 * one)
     h = Hypothesis("accel_bias_drift", ("accel.bias.x",), pattern=np.ones(4))
     range_of = np.array([[-1.0, 1.0]])
-    drift = Trial(h, e, np.ones(4), nats, 0.1 * one, range_of, 8.0, 2.0, 0.1 * one)
+    drift = Trial(h, e, np.ones(4), nats, 0.1 * one, range_of, 8.0, 2.0, 0.1 * one, np.arange(4))
     model = VehicleModel()
     return State((), model, model, {}, changes={"accel.bias.x": 0.3}, named=[drift]), drift
 
@@ -147,12 +147,12 @@ def beside_a_delay(shows_upward: float) -> tuple[Table, Trial]:
     table = Table(
         KEYS, sum(grams.values()), grams, np.full(4, 9), 30.0 * np.arange(4),
         np.zeros(4, dtype=int), np.ones(4), 0.01 * one, 0.0 * one, np.tile([-1.0, 1.0], (n, 1)),
-        {}, 30.0, {}, np.zeros((4, 2)),
+        {}, 30.0, {}, np.zeros((4, 2)), np.arange(4),
     )  # fmt: skip
     e = Estimate(0.06 * one[:1], 0.004 * one[:1], 3.0, 9.0, 0.0 * one[:1])
     h = Hypothesis("accel_scale", KEYS[:1], ({KEYS[0]: 1.0, KEYS[1]: 1.0},))
     return table, Trial(h, e, np.ones(4), 20.0, 0.01 * one[:1], np.array([[-1.0, 1.0]]), 8.0, 2.0,
-                        0.01 * one[:1])  # fmt: skip
+                        0.01 * one[:1], np.arange(4))  # fmt: skip
 
 
 @pytest.mark.parametrize("shows_upward", [0.001, 1.0])

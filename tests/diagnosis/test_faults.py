@@ -203,6 +203,27 @@ def test_frames_that_come_twice_are_no_faster_clock():
     )
 
 
+@pytest.mark.parametrize("share", [0.01, 0.03])
+def test_frames_that_share_a_stamp_and_differ_come_once_and_none_is_lost(share):
+    """A logger's clock is coarse now and then: two frames get the stamp of the first."""
+    samples = drive()
+    t, x = samples["accel"].t.copy(), samples["accel"].values
+    late = np.flatnonzero(np.random.default_rng(6).random(len(t) - 1) < share) + 1
+    t[late] = t[late - 1]
+    samples["accel"] = Series(t, x)
+    assert causes(samples) == {}
+
+
+def test_frames_that_come_twice_with_one_stamp_are_doubled():
+    samples = drive()
+    t, x = samples["accel"].t, samples["accel"].values
+    twice = np.flatnonzero(np.random.default_rng(6).random(len(t)) < 0.01)
+    samples["accel"] = Series(np.insert(t, twice, t[twice]), np.insert(x, twice, x[twice], axis=0))
+    found = causes(samples)
+    assert list(found) == ["duplicated_frames:accel"]
+    assert found["duplicated_frames:accel"].text.startswith(f"{len(twice)} frames come twice")
+
+
 def test_the_text_of_a_fault_names_its_signal():
     samples = drive()
     samples["yaw_rate"] = Series(samples["gyro"].t, samples["gyro"].values[:, 2])
@@ -250,6 +271,17 @@ def test_answers_whose_lateness_adds_up_have_no_clock(seed):
     samples["speed"] = Series(t, np.round(40.0 + 10.0 * np.sin(t / 11.0)) / 3.6)
     model = MODEL.with_changes({"speed.rate_hz": 1.0 / 0.105})
     assert "clock_drift:speed" not in causes(samples, model)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_a_sender_that_is_late_by_chance_keeps_its_clock(seed):
+    """Each frame is late by itself, by more than a logger's clock wanders: that adds up to none."""
+    rng, samples = np.random.default_rng(seed), drive()
+    t = 0.42 * (1.0 + 3000e-6) * np.arange(700) + rng.normal(0.0, 0.03, 700)
+    samples["speed"] = Series(t, np.round(40.0 + 10.0 * np.sin(t / 11.0)) / 3.6)
+    found = causes(samples, MODEL.with_changes({"speed.rate_hz": 1.0 / 0.42}))
+    value = found["clock_drift:speed"].values["speed.clock_drift_ppm"][0]
+    assert value == pytest.approx(3000.0, abs=100.0)
 
 
 def test_a_speed_that_sticks_is_found_also_after_a_long_stop():

@@ -15,7 +15,7 @@ from imucald.diagnosis.blocks import table_of
 from imucald.diagnosis.cause_keys import extended, mount_of, value, with_delay_rate, with_shifts
 from imucald.diagnosis.direct import Rest, rest_of
 from imucald.diagnosis.forward import Forward
-from imucald.diagnosis.signals import Channel, drive_of, duplicates
+from imucald.diagnosis.signals import Channel, drive_of, duplicates, unusable
 from imucald.model.model import VehicleModel, model_from_mapping
 
 ROWS = 300
@@ -90,7 +90,7 @@ def test_no_column_is_the_raw_signal_of_its_own_equation():
     """A gain told by the signal itself would be 1.0000 +- 0.0000."""
     f = forward()
     masks = f.usable()
-    f.settle(f.tilts(f.residuals({}), masks))
+    f.settle(f.tilts(f.residuals({}), masks), np.ones(f.blocks))
     base, measured = f.residuals({}, by_inertia=True), f.measured()
     for key in ("accel.scale.0", "accel.scale.1", "accel.scale.2", "gyro.scale.0", "gyro.scale.1",
                 "gyro.scale.2"):  # fmt: skip
@@ -155,6 +155,19 @@ def test_a_written_change_is_the_change_that_was_tried(changes, key):
         assert np.sqrt(np.mean((again.of[name] - y) ** 2)) < 0.1 * scale, name
 
 
+def test_columns_of_turning_do_not_feel_what_the_file_says_of_the_accelerometer_again():
+    """They are made of a rate without any error: a sensitivity that the file states leaves them as
+    they are, also the columns of gains and turns, in which it would not drop out."""
+    drive, model = world()
+    aware = model.with_changes({"gyro.g_sensitivity": [0.02, 0.02, 0.02]})
+    rate = np.random.default_rng(6).standard_normal((len(forward().t), 3))
+    felt = Forward(drive_of(drive.samples), aware, ROWS)
+    for changes in ({}, {"gyro.scale.2": 0.05}, {"mount.turn.x": 0.05}):
+        assert felt.triad("gyro", changes, rate) == pytest.approx(
+            forward().triad("gyro", changes, rate)
+        )
+
+
 def test_the_effect_of_a_bias_is_its_column():
     drive, model = world()
     table, _ = table_of([drive_of(drive.samples)], model)
@@ -193,6 +206,15 @@ def test_equal_values_soon_after_are_duplicates_and_slow_ones_are_not():
     series = Series(np.insert(t, twice, t[twice] - 0.49), np.insert(x, twice, x[twice] - 1.0))
     found = np.flatnonzero(duplicates(series, 0.5)).tolist()
     assert found == [5, 13, 32], "each where it was put in"
+
+
+def test_who_shares_a_stamp_and_says_something_else_is_kept_out_and_is_no_duplicate():
+    """A logger's clock is coarser than the cycle: when each of the two was, nobody knows."""
+    t, x = np.arange(0.0, 20.0, 0.5), np.arange(40.0)
+    t[20] = t[19]
+    assert not duplicates(Series(t, x), 0.5).any()
+    assert np.flatnonzero(unusable(Series(t, x), 0.5)).tolist() == [20]
+    assert 20.0 not in Channel.of(Series(t, x)).values
 
 
 def test_stops_are_those_that_speed_and_gyroscope_agree_on():

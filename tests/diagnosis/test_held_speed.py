@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 
 from imucald.core.samples import GRAVITY, Series
 from imucald.diagnosis.faults import find_faults
+from imucald.diagnosis.held_speed import contradicted
 from imucald.diagnosis.lost_readings import all_lost
 from imucald.model.model import VehicleModel
 
@@ -71,7 +73,27 @@ def test_a_speed_that_is_held_as_long_as_a_cruise_is_found_by_the_accelerometer(
         assert 779.0 <= high <= 785.0
 
 
+@pytest.mark.parametrize("seed", range(4))
+def test_a_tenth_of_what_a_held_speed_hides_is_enough_to_contradict_it_and_none_is_not(seed):
+    samples, span = drive(seed), (755.0, 779.0)
+    true, t = samples["speed"].values, samples["speed"].t
+    hidden = held(samples, 755, 25)["speed"].values - true
+    assert not contradicted(samples, (span,)).any()
+    assert contradicted({**samples, "speed": Series(t, true + 0.1 * hidden)}, (span,)).all()
+
+
 def test_without_an_accelerometer_that_speaks_against_it_nothing_is_said():
     samples = drive(0)
     still = Series(samples["accel"].t, np.tile([0.0, 0.0, GRAVITY], (len(samples["accel"].t), 1)))
     assert stuck({**held(samples, 755, 25), "accel": still}) == []
+
+
+@pytest.mark.parametrize(("first", "last"), [(0.0, 770.0), (0.0, 700.0), (765.0, SECONDS)])
+def test_nothing_is_said_of_a_stay_that_the_sensors_do_not_cover(first, last):
+    """They end in it, before it, or begin in it: neither it nor any sound cruise is called held."""
+    samples = held(drive(0), 755, 25)
+    for name in ("accel", "gyro"):
+        t, values = samples[name].t, samples[name].values
+        there = (t >= first) & (t <= last)
+        samples[name] = Series(t[there], values[there])
+    assert stuck(samples) == []

@@ -89,6 +89,7 @@ def test_a_signal_of_one_number_that_falls_back_to_its_largest_value_loses_readi
     x = np.cumsum(rng.standard_normal(len(t))) * 0.01 + 0.1 * rng.standard_normal(len(t))
     hit = rng.choice(np.arange(1, len(t) - 1, 20), 60, replace=False)
     x[hit] = 20.47
+    x[10] = -12.0  # one blow the other way is no range that ends there
     lost = lost_readings(Series(t, np.round(x, 2)), SIGNALS)
     assert lost is not None
     assert np.flatnonzero(lost.rows).tolist() == sorted(hit.tolist())

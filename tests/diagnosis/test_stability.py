@@ -35,6 +35,7 @@ def problem_of(y, X) -> Problem:
         KEYS, gram, {"accel_x": gram}, np.full(BLOCKS, y.shape[1]), 30.0 * np.arange(BLOCKS),
         np.zeros(BLOCKS, dtype=int), np.ones(BLOCKS), tolerance, np.zeros(2),
         np.array([[-1.0, 1.0], [-0.1, 0.1]]), {}, 30.0, {}, np.zeros((BLOCKS, 2)),
+        np.arange(BLOCKS),
     )  # fmt: skip
     return Problem(table, -tolerance, tolerance)
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -9,7 +11,7 @@ from imucald.diagnosis.blocks import Table
 from imucald.diagnosis.intervals import ERROR_RATE, Estimate
 from imucald.diagnosis.score import Hypothesis, Problem, held_out
 from imucald.diagnosis.search import _alike
-from imucald.diagnosis.trials import Trial, joined, likeliest, tried
+from imucald.diagnosis.trials import Trial, joined, likeliest, on_table, tried
 
 BLOCKS = 40
 
@@ -21,7 +23,7 @@ def trial(name: str, nats: float, value=0.5, se=0.05, pull=3.0, seed=0) -> Trial
     one = np.ones(1)
     e = Estimate(value * one, se * one, 3.0, pull, 0.0 * one)
     return Trial(Hypothesis(name, (name,)), e, gain, nats, 0.1 * one,
-                 np.array([[-1.0, 1.0]]), 8.0, 2.0, 0.1 * one)  # fmt: skip
+                 np.array([[-1.0, 1.0]]), 8.0, 2.0, 0.1 * one, np.arange(BLOCKS))  # fmt: skip
 
 
 def names(trials: list[Trial]) -> list[str]:
@@ -62,7 +64,7 @@ def test_each_element_that_joins_others_is_one_more_question():
     table = Table(
         keys, gram, {"accel_x": gram}, np.full(BLOCKS, 60), 30.0 * np.arange(BLOCKS),
         np.zeros(BLOCKS, dtype=int), np.ones(BLOCKS), np.full(n, 0.02), np.zeros(n),
-        np.tile([-1.0, 1.0], (n, 1)), {}, 30.0, {}, np.zeros((BLOCKS, 2)),
+        np.tile([-1.0, 1.0], (n, 1)), {}, 30.0, {}, np.zeros((BLOCKS, 2)), np.arange(BLOCKS),
     )  # fmt: skip
     problem = Problem.of(table, (), {})
     base = held_out(problem)
@@ -70,3 +72,37 @@ def test_each_element_that_joins_others_is_one_more_question():
               for k in keys]  # fmt: skip
     [both] = joined(problem, single, base)
     assert both.needed == pytest.approx(np.log(3 / ERROR_RATE))
+
+
+def test_what_was_asked_of_other_blocks_is_compared_on_those_that_both_have():
+    """Another delay may leave a block more or less. Only one of them was asked of the first
+    block, which speaks against it."""
+    rival = trial("rival", 36.0, seed=1)
+    rival = replace(rival, gain=np.concatenate([[-60.0], rival.gain[1:]]))
+    best = trial("best", 40.0)
+    shorter = replace(best, gain=best.gain[1:], number=best.number[1:])
+    assert _alike(shorter, [best, rival]) == [rival]
+    behind, _ = shorter.ahead_of(rival)
+    assert behind == pytest.approx(float((best.gain[1:] - rival.gain[1:]).sum()))
+
+
+def test_a_drift_is_asked_of_another_table_over_that_ones_blocks():
+    rng = np.random.default_rng(3)
+
+    def table(blocks: np.ndarray) -> Table:
+        A = rng.standard_normal((len(blocks), 60, 2))
+        gram = np.swapaxes(A, 1, 2) @ A
+        one = np.ones(1)
+        return Table(
+            ("accel.bias.x",), gram, {"accel_x": gram}, np.full(len(blocks), 60), 30.0 * blocks,
+            np.zeros(len(blocks), dtype=int), np.ones(len(blocks)), 0.02 * one, 0.0 * one,
+            np.array([[-1.0, 1.0]]), {}, 30.0, {}, np.zeros((len(blocks), 2)), blocks,
+        )  # fmt: skip
+
+    drift = Hypothesis("accel_bias_drift", ("accel.bias.x",), pattern=np.linspace(0.0, 1.0, BLOCKS))
+    same, fewer = table(np.arange(BLOCKS)), table(np.arange(0, BLOCKS, 2))
+    assert on_table(drift, same) is drift
+    problem = Problem.of(fewer, (), {})
+    again = tried(problem, on_table(drift, fewer), held_out(problem), 2)
+    assert len(again.gain) == len(fewer.start_s)
+    assert again.hypothesis.pattern == pytest.approx(np.linspace(0.0, 1.0, BLOCKS // 2))

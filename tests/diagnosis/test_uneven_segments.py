@@ -30,7 +30,7 @@ def of_segments(seed: int, extra=0.0, zero=0.0) -> Problem:
         ("accel.bias.x", "accel.scale.0"), 100.0 * gram, {"accel_x": 100.0 * gram},
         np.full(SEGMENTS, ROWS), 30.0 * np.arange(SEGMENTS), np.zeros(SEGMENTS, dtype=int),
         np.ones(SEGMENTS), tolerance, np.zeros(2), np.array([[-1.0, 1.0], [-0.1, 0.1]]),
-        {"accel_x": 1.0}, 30.0, {"accel_x": plain}, np.zeros((SEGMENTS, 2)),
+        {"accel_x": 1.0}, 30.0, {"accel_x": plain}, np.zeros((SEGMENTS, 2)), np.arange(SEGMENTS),
     )  # fmt: skip
     return Problem(table, -tolerance, tolerance)
 

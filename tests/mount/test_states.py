@@ -93,7 +93,9 @@ def test_what_no_driving_shows_of_yaw_may_be_twice_the_limit():
     assert judged(replace(hidden, std=known(2.9).std), usable, SETTINGS) == levelled
     assert judged(replace(hidden, yaw_seen=0.4 * DEG), levelled, SETTINGS) == levelled
     assert judged(replace(hidden, cross_axis=0.01), levelled, SETTINGS) == levelled
-    assert judged(replace(hidden, has_past=True), levelled, SETTINGS) == levelled
+    with_past = replace(hidden, has_past=True)  # it joins in mid-drive, and ends no good state
+    assert judged(with_past, levelled, SETTINGS) == usable
+    assert judged(replace(with_past, std=known(2.7).std), usable, SETTINGS) == usable
     stated = EstimatorSettings(CalibrationSettings(states=StateLimits(usable_yaw_deg=1.0)))
     assert judged(hidden, levelled, stated) == levelled
 

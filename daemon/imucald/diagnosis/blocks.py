@@ -81,6 +81,8 @@ class Table:
     """(B, 2, P+1, P+1) by equation: in its own unit, below and above `SLOW_BAND_HZ`."""
     levels: Array
     """(B, 2) mean tilt of each block, forward and left: force less what motion explains, over g."""
+    number: NDArrayInt
+    """(B,) which of all blocks of the drives each is; those are the same whatever the model."""
 
     def rms(self, equation: str, x: Array | None = None, band: int | None = None) -> float:
         """Residual of an equation [its unit] with parameters x (P,), or (B, P) a block."""
@@ -228,7 +230,7 @@ def _weighed(
         keys, whole[keep], {n: g[keep] for n, g in gram.items()}, count[keep],
         start[keep], drive[keep], moving[keep], tolerances, errors, bounds, top,
         next(iter(parts.values())).seconds, {n: g[keep] for n, g in _plain(parts).items()},
-        levels[keep],
+        levels[keep], np.flatnonzero(keep),
     )  # fmt: skip
 
 

@@ -152,7 +152,7 @@ def _left(state: State) -> tuple[Structure, ...]:
     problem = state.evaluated()
     return (
         *too_much(problem, state),
-        *uneven(problem, drift_of(state)),
+        *uneven(problem, drift_of(problem, state)),
         *outcome.implausible(state),
         *held_values(state.drives),
         *beyond_chance([*patterns(problem, state.forwards), *unstable(problem, state)]),

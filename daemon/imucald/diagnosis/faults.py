@@ -189,7 +189,7 @@ def _timed(name: str, series: Series, model: VehicleModel) -> Iterator[Fault]:
     """Lost frames, doubled frames, and a cycle that is not the stated one."""
     message = getattr(model, name)
     period = float(np.median(np.diff(series.t)))
-    again = duplicates(series, period)
+    again = duplicates(series, period)  # not what shares a stamp, and says something else
     doubled = int(again.sum())
     if doubled >= DOUBLED_FEWEST and doubled > DOUBLED_TOLERANCE * len(again):
         share = doubled / len(again)

@@ -64,11 +64,10 @@ class Forward(Reader):
     def _blocks(self, x: Array) -> Array:
         return x.reshape(self.blocks, self.rows)
 
-    def settle(self, tilt: Array, inertial: Array | None = None) -> None:
+    def settle(self, tilt: Array, inertial: Array) -> None:
         """Choose the signals that columns are made of. tilt: (B, 2) z0 of each block. inertial:
-        (B,) share of the accelerometer in the slope of the speed, else all of it."""
-        share = np.ones(self.blocks) if inertial is None else inertial
-        self.reference = VehicleMotion(self, {}, False).reference(tilt, share)
+        (B,) share of the accelerometer in the slope of the speed."""
+        self.reference = VehicleMotion(self, {}, False).reference(tilt, inertial)
 
     def inertial_share(self, base: Residuals, masks: Mapping[str, Mask], top_hz: float) -> Array:
         """(B,) share of the accelerometer in the best slope of the speed: its variance is that of

@@ -26,7 +26,7 @@ APART = 4
 
 def contradicted(samples: Samples, spans: Spans) -> Mask:
     """(S,) which of the spans in which the speed stays the sensors contradict; none is held against
-    another.
+    another, and nothing is said of one that the accelerometer does not cover.
 
     The logarithm of what is left, against that of windows of the same length in motion: Student's t
     for one more of a sample.
@@ -37,11 +37,14 @@ def contradicted(samples: Samples, spans: Spans) -> Mask:
     t, signals = _signals(samples)
     for k, (low, high) in enumerate(spans):
         n = round((high - low) / STEP_S)
+        first = int(np.searchsorted(t, low))
+        if not len(t) or low < t[0] - STEP_S or first + n > len(t):
+            continue
         starts = _windows(t, signals[:, 0], n, spans)
         if len(starts) < LEAST_WINDOWS or n < 2 * signals.shape[1]:
             continue
         windows = np.array([_detrended(signals[i : i + n]) for i in starts])
-        own = _detrended(signals[(i := int(np.searchsorted(t, low))) : i + n])
+        own = _detrended(signals[first : first + n])
         left = _left(windows, own[None])
         usual, here = np.log(left[:-1]), float(np.log(left[-1]))
         spread = float(np.std(usual, ddof=1)) * np.sqrt(1.0 + 1.0 / len(usual))

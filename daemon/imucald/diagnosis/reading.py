@@ -62,7 +62,8 @@ class Reader:
     def triad(self, name: str, changes: Changes, force: Array | None = None) -> Array:
         """(N, 3) along the vehicle's axes, with the model file's errors taken off.
 
-        force: (N, 3) along the vehicle's axes that takes the place of what was measured.
+        force: (N, 3) along the vehicle's axes that takes the place of what was measured, and has
+        none of the file's errors.
         """
         sensor = sensor_of(self.model, name, changes)
         if force is None:
@@ -74,7 +75,8 @@ class Reader:
             raw = raw - warm[:, None] * sensor.per_kelvin
         if sensor.per_force.any():
             stated = np.array(self.model.gyro.g_sensitivity)
-            raw = raw - stated * self.raw("accel", self.age("accel", changes))
+            if force is None:
+                raw = raw - stated * self.raw("accel", self.age("accel", changes))
             if (sensor.per_force != stated).any():
                 level = self.in_sensor(np.tile([0.0, 0.0, GRAVITY], (len(self.t), 1)), 0.0, name)
                 felt = self.raw("accel", self.age("accel", changes)) - level

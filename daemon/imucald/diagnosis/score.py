@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from imucald.diagnosis.blocks import Table
+from imucald.diagnosis.blocks import NDArrayInt, Table
 from imucald.diagnosis.box import box_fit
 from imucald.diagnosis.causes import family
 from imucald.diagnosis.signals import Array
@@ -161,7 +161,14 @@ def without_best(gain: Array) -> float:
     return float(np.sort(gain)[: len(gain) - one_in_fifteen(len(gain))].sum())
 
 
-def paired(first: Array, second: Array) -> tuple[float, float]:
-    """Difference of two losses, summed over blocks, and its standard error."""
+def paired(first: Array, second: Array, own: NDArrayInt, other: NDArrayInt) -> tuple[float, float]:
+    """Difference of two losses (B,), (C,), summed over blocks, and its standard error.
+
+    own, other: their numbers of blocks (`Table.number`). A table has no blocks that say nothing,
+    and another model, as another delay, may leave others: then those that both have are compared.
+    """
+    if len(first) != len(second):
+        _, one, two = np.intersect1d(own, other, assume_unique=True, return_indices=True)
+        first, second = first[one], second[two]
     d = first - second
     return float(d.sum()), float(np.sqrt(len(d)) * np.std(d, ddof=1)) if len(d) > 1 else np.inf

@@ -19,7 +19,15 @@ from imucald.diagnosis.score import Hypothesis, Problem, fitted, held_out, paire
 from imucald.diagnosis.shift import find_shift
 from imucald.diagnosis.standing import asked_again, demote, eliminate, let_go, set_aside, without
 from imucald.diagnosis.state import State, refit, shift_steps
-from imucald.diagnosis.trials import SINGLE_NATS, Trial, hypotheses, joined, likeliest, tried
+from imucald.diagnosis.trials import (
+    SINGLE_NATS,
+    Trial,
+    hypotheses,
+    joined,
+    likeliest,
+    on_table,
+    tried,
+)
 
 ALIKE_SE = 2.0
 MOST_NAMED = 6
@@ -134,12 +142,14 @@ def _beside_rivals(state: State, late: Callable[[], bool]) -> None:
                     other = without(other, trial)
                 _take(other, other.evaluated(), rival)
                 refit(other)
-                alone = held_out(other.evaluated())
-                both = held_out(state.evaluated(), None if h.pattern is None else h)
-                behind, se = paired(alone, both)
+                less, whole = other.evaluated(), state.evaluated()
+                alone = held_out(less)
+                both = held_out(whole, None if h.pattern is None else on_table(h, whole.table))
+                behind, se = paired(alone, both, less.table.number, whole.table.number)
                 if behind > max(ALIKE_SE * se, trial.needed):
                     continue
-                if not tried(other.evaluated(), h, alone, max(len(state.last), 1)).named:
+                asked = on_table(h, less.table)
+                if not tried(less, asked, alone, max(len(state.last), 1)).named:
                     set_aside(state, trial)
 
 
@@ -205,7 +215,7 @@ def _from_the_edge(problem: Problem, state: State, best: Trial) -> tuple[Trial, 
 
 
 def _is_near(best: Trial, other: Trial) -> bool:
-    behind, se = paired(best.gain, other.gain)
+    behind, se = best.ahead_of(other)
     return behind <= ALIKE_SE * se or behind <= SINGLE_NATS / 2.0
 
 
@@ -218,7 +228,7 @@ def _alike(best: Trial, trials: Sequence[Trial]) -> list[Trial]:
         name = t.hypothesis.name
         if name == best.hypothesis.name or name in found or not t.could_be:
             continue
-        behind, se = paired(best.gain, t.gain)
+        behind, se = best.ahead_of(t)
         if behind <= max(ALIKE_SE * se, best.needed):
             found[name] = t
     return list(found.values())

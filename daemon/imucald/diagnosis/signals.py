@@ -58,20 +58,19 @@ class Channel:
     t: Array
     values: Array
     period_s: float
-    doubled: int
     bad: Spans
     _integral: Array = field(repr=False)
 
     @staticmethod
     def of(series: Series, bad: Spans = ()) -> Channel:
-        """Drop duplicates and integrate."""
+        """Drop what is unusable and integrate."""
         t, values = series.t, series.values
         period = float(np.median(np.diff(t))) if len(t) > 2 else np.inf
-        again = duplicates(series, period)
-        t, values = t[~again], values[~again]
+        kept = ~unusable(series, period)
+        t, values = t[kept], values[kept]
         steps = np.diff(t).reshape(-1, *[1] * (values.ndim - 1))
         area = np.cumsum(0.5 * (values[1:] + values[:-1]) * steps, axis=0)
-        return Channel(t, values, period, int(again.sum()), bad,
+        return Channel(t, values, period, bad,
                        np.concatenate([np.zeros_like(values[:1]), area]))  # fmt: skip
 
     def means(self, t: Array, width: float = STEP_S) -> Array:
@@ -126,6 +125,14 @@ class DriveSignals:
         return name in self.channels
 
 
+def unusable(series: Series, period: float) -> Mask:
+    """Rows (N,) that are kept out of a fit: those that come twice, and those that share the stamp
+    of the one before them, whatever they say: a coarse clock does not tell when they were."""
+    again = duplicates(series, period)
+    again[1:] |= np.diff(series.t) <= 0.0
+    return again
+
+
 def duplicates(series: Series, period: float) -> Mask:
     """Rows (N,) that repeat the sample before them: a frame that was sent or logged twice."""
     t, values = series.t, series.values.reshape(len(series.t), -1)
@@ -139,7 +146,6 @@ def duplicates(series: Series, period: float) -> Mask:
         is_few = usual ** int(soon.sum()) >= CHANCE
         if is_few or binom.sf((soon & same).sum() - 1, soon.sum(), usual) < CHANCE:
             again[1:] = soon & same
-        again[1:] |= np.diff(t) <= 0.0
     return again
 
 

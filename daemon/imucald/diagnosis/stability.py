@@ -23,6 +23,7 @@ from imucald.diagnosis.result import DIFFERS, WANDERS, Structure
 from imucald.diagnosis.score import REACH, Hypothesis, Problem
 from imucald.diagnosis.signals import STEP_S, Array, DriveSignals, Mask
 from imucald.diagnosis.state import State
+from imucald.diagnosis.trials import on_table
 from imucald.mount.mount_words import SD_95
 
 ASKED = ("bias", "scale", "offset")
@@ -92,7 +93,7 @@ def unstable(problem: Problem, state: State) -> list[Question]:
     """Zeros and gains that wander from piece to piece, or differ between conditions."""
     if problem.table.blocks < LEAST_BLOCKS:
         return []
-    fit = Fit.of(problem, drift_of(state))
+    fit = Fit.of(problem, drift_of(problem, state))
     asked = [j for j, key in enumerate(problem.table.keys)
              if any(part in ASKED for part in key.split("."))
              and fit.curvature[:, j, j].any()]  # fmt: skip
@@ -103,9 +104,10 @@ def unstable(problem: Problem, state: State) -> list[Question]:
     ]
 
 
-def drift_of(state: State) -> Hypothesis | None:
+def drift_of(problem: Problem, state: State) -> Hypothesis | None:
     """What was named and has no place in the model file."""
-    return next((t.hypothesis for t in state.named if t.hypothesis.pattern is not None), None)
+    drifts = (t.hypothesis for t in state.named if t.hypothesis.pattern is not None)
+    return next((on_table(h, problem.table) for h in drifts), None)
 
 
 def _wandering(problem: Problem, fit: Fit, asked: list[int]) -> Iterator[Question]:

@@ -4,16 +4,16 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.stats import t as student
 
-from imucald.diagnosis.blocks import Table
+from imucald.diagnosis.blocks import NDArrayInt, Table
 from imucald.diagnosis.cause_keys import level_effect
 from imucald.diagnosis.causes import CAUSES, MODEL_ERROR, Cause, family
 from imucald.diagnosis.intervals import ERROR_RATE, Estimate, estimate
-from imucald.diagnosis.score import Hypothesis, Problem, held_out, without_best
+from imucald.diagnosis.score import Hypothesis, Problem, held_out, paired, without_best
 from imucald.diagnosis.signals import Array
 from imucald.model.model import VehicleModel
 
@@ -47,6 +47,12 @@ class Trial:
     """Quantile of one question asked alone."""
     reach: Array
     """(k,) smallest departure that takes anything that moves with it beyond its tolerance."""
+    number: NDArrayInt
+    """(B,) which of all blocks of the drives each of its gains is of."""
+
+    def ahead_of(self, other: Trial) -> tuple[float, float]:
+        """By how many nats it explains more than another, and the standard error of that."""
+        return paired(self.gain, other.gain, self.number, other.number)
 
     @property
     def outside(self) -> bool:
@@ -153,6 +159,13 @@ def _hypothesis(
     return Hypothesis(cause.name, keys, moved)
 
 
+def on_table(h: Hypothesis, table: Table) -> Hypothesis:
+    """A drift goes with the blocks that it was asked of; another model may leave others."""
+    if h.pattern is None or len(h.pattern) == table.blocks:
+        return h
+    return replace(h, pattern=_ramp(table))
+
+
 def _ramp(table: Table) -> Array:
     """From 0 to 1 over each drive's time."""
     made = np.zeros(table.blocks)
@@ -173,7 +186,8 @@ def tried(
     t = problem.table
     return Trial(h, estimate(problem, h, questions, null), gain, without_best(gain),
                  t.tolerance[index], t.plausible[index], math.log(questions / ERROR_RATE),
-                 float(student.ppf(1.0 - 0.5 * SINGLE, t.blocks - 1)), _reach(t, h))  # fmt: skip
+                 float(student.ppf(1.0 - 0.5 * SINGLE, t.blocks - 1)), _reach(t, h),
+                 t.number)  # fmt: skip
 
 
 def joined(problem: Problem, trials: Sequence[Trial], base: Array) -> list[Trial]:

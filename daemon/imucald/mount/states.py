@@ -54,7 +54,7 @@ def judged(known: MountKnowledge, before: MountState, s: EstimatorSettings) -> M
     slack = SLACK if known.has_past else YOUNG_SLACK
     usable_yaw = limits.usable_yaw
     if _is_rest_hidden(known, before, s):  # begins at twice the limit, ends at 2.8 times
-        usable_yaw *= SLACK if before in GOOD else YOUNG_SLACK
+        usable_yaw *= YOUNG_SLACK * (SLACK / slack if before in GOOD else 1.0)
     levels = (
         Level(MountState.FINE, limits.fine_yaw, limits.fine_tilt, enough, SLACK),
         Level(MountState.USABLE, usable_yaw, limits.usable_tilt, enough, slack),
@@ -73,7 +73,7 @@ def _is_rest_hidden(known: MountKnowledge, before: MountState, s: EstimatorSetti
     to end it.
     """
     limits = s.limits
-    if known.has_past or s.calibration.states.usable_yaw is not None:
+    if s.calibration.states.usable_yaw is not None:
         return False
     least = limits.usable_yaw / (SLACK if before in GOOD else 1.0)
     return known.yaw_seen < limits.fine_yaw < limits.usable_yaw and known.cross_axis > least
