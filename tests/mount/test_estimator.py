@@ -461,3 +461,15 @@ def test_ticks_that_are_only_kept_may_be_taken_at_once():
     assert taken == each
     assert quiet_in_all > 0.9 * len(ticks)
     assert np.array_equal(at_once.estimate().covariance, one_by_one.estimate().covariance)
+
+
+def test_a_mount_that_is_sought_anew_as_gravity_is_off_the_vertical_says_so():
+    samples = dict(drive(minutes=6.0).samples)
+    about_x = rotation_from_angles(math.radians(60.0), 0.0, 0.0)
+    for name in ("accel", "gyro"):
+        series = samples[name]
+        late = (series.t >= 240.0)[:, None]
+        samples[name] = Series(series.t, np.where(late, series.values @ about_x.T, series.values))
+    ticks = ticks_from_samples(samples, 0, 3600, {})
+    assert "off_vertical" not in after(ticks[:2400]).estimate().details
+    assert after(ticks).estimate().details["off_vertical"] >= 1

@@ -29,6 +29,7 @@ EVIDENCE = {
     "left_turns": "left turns",
     "right_turns": "right turns",
     "stops": "stops",
+    "off_vertical": "times begun again, as gravity was far off the vertical",
 }
 
 SHARE_SHOWN = 0.05

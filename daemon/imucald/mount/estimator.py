@@ -79,6 +79,7 @@ class FullEstimator:
         self._checks = SignalChecks(self._settings)
         self._changes = MountChanges(self._settings)
         self._level = ForceLevel()
+        self._off_vertical = 0
         self._failed_for = 0
         self._known = MountKnowledge(begun=False, accelerometer=False)
         self._rotation = ReportedRotation(self._settings)
@@ -202,6 +203,7 @@ class FullEstimator:
             changes.skip()
             return False
         if is_off_vertical(p, solver.R, p.speed * solver.turn_rate):
+            self._off_vertical += 1
             self._begin_without_rotation([p])
             return True
         changes.add(p, solver, self._signals)
@@ -319,6 +321,8 @@ class FullEstimator:
                 solver, self._signals, self._known, changes, checks, steering, self._served.good
             )
             details["gravity_change"] = level_details(self._level.change)
+        if self._off_vertical:
+            details["off_vertical"] = self._off_vertical
         targets = self._settings.targets
         return MountEstimate(state, R, covariance, words, codes, details, self.faults, targets)
 
