@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 import shuttle
-from imucald.can.dbc import bounded_parser
+from imucald.can.dbc import bounded_parser, database
 from imucald.service import parts as parts_module
 from imucald.service.calibration_store import CalibrationStore
 from imucald.service.journal import Journal
@@ -131,6 +131,7 @@ def test_wherever_it_breaks_nothing_has_changed_and_the_next_one_works(
 @pytest.mark.slow
 def test_the_loop_goes_on_while_a_large_database_is_read(bench, monkeypatch):
     """A parser that takes long (here: until it is let go) holds up no turn of the loop."""
+    database._remembered.cache_clear()  # else nothing is parsed
     go_on, asked = threading.Event(), threading.Event()
     parse = bounded_parser.parse
 
