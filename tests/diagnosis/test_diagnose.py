@@ -194,14 +194,14 @@ def test_three_elements_of_a_gain_are_one_cause_and_no_zero_error(seed):
     d = diagnose([made.samples], model_from_mapping(dict(made.model), "baseline"))
     (cause,) = d.causes
     assert cause.name == "accel_cross_axis"
-    told = {k: p.value for k, p in cause.parameters.items()}
-    assert set(true) <= set(told)
-    assert told == pytest.approx({k: true.get(k, 0.0) for k in told}, abs=0.02)
+    found = {k: p.value for k, p in cause.parameters.items()}
+    assert set(true) <= set(found)
+    assert found == pytest.approx({k: true.get(k, 0.0) for k in found}, abs=0.02)
 
 
 def test_what_falls_leaves_its_place_to_what_explains_as_much():
     """A zero of 0.25 m/s^2, taken for a gain of one axis at first, which did not stand at the end:
-    then nothing was said, with 2,000 nats unexplained."""
+    then nothing was reported, with 2,000 nats unexplained."""
     made = hidden_drive(1_341_502, (Effect("accel_bias", "medium"),), 20.0)
     d = diagnose([made.samples], model_from_mapping(dict(made.model), "baseline"))
     assert "accel_bias" in {c.name for c in d.causes}.union(*d.look_alikes)

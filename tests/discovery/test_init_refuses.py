@@ -68,7 +68,7 @@ def test_where_no_signal_is_recognised_nothing_is_written(tmp_path, capsys):
     lines = (f"({0.1 * k:.6f}) can0 123#{k % 256:02X}" for k in range(600))
     log.write_text("\n".join(lines) + "\n")
     assert cli.main(["init", str(log), "--out", str(out)]) == 1
-    told = capsys.readouterr().err
-    assert "no signal could be recognised" in told
-    assert "--database" in told
+    printed = capsys.readouterr().err
+    assert "no signal could be recognised" in printed
+    assert "--database" in printed
     assert not out.exists()

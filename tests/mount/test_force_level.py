@@ -45,7 +45,7 @@ def test_a_zero_that_steps_along_the_vertical_is_found_within_half_a_minute(step
     assert any(found[30:35])
 
 
-def test_the_sizes_before_and_after_are_told():
+def test_the_sizes_before_and_after_are_given():
     level = ForceLevel()
     for k in range(30):
         size = GRAVITY * (1.1 if k >= 20 else 1.0)
@@ -115,10 +115,10 @@ EDITS = {
 
 
 def test_the_estimator_tells_of_a_gap():
-    estimator, told = FullEstimator(full()), []
-    estimator._level.gap = lambda: told.append(True)  # type: ignore[method-assign]
+    estimator, calls = FullEstimator(full()), []
+    estimator._level.gap = lambda: calls.append(True)  # type: ignore[method-assign]
     estimator.gap()
-    assert told
+    assert calls
 
 
 @pytest.mark.slow

@@ -121,11 +121,11 @@ class Reader:
         offset = part.offset + changes.get(f"{name}.offset", 0.0)
         scale = part.scale + changes.get(f"{name}.scale", 0.0)
         if true is None:
-            said = self.raw(name, self.age(name, changes))
+            shown = self.raw(name, self.age(name, changes))
         else:
             later = changes.get(f"{name}.delay_s", 0.0)
-            said = np.interp(self.t + later, self.t, true) * (1.0 + part.scale) + part.offset
-        return np.asarray((said - offset) / (1.0 + scale))
+            shown = np.interp(self.t + later, self.t, true) * (1.0 + part.scale) + part.offset
+        return np.asarray((shown - offset) / (1.0 + scale))
 
     # evaluation ----------------------------------------------------------------------------------
 
