@@ -37,7 +37,7 @@ from imucald.mount.estimator_settings import EstimatorSettings
 from imucald.mount.force_level import ForceLevel
 from imucald.mount.hysteresis import GOOD
 from imucald.mount.large_change import LargeChange
-from imucald.mount.mount_changes import MountChange, MountChanges, blocks_since
+from imucald.mount.mount_changes import MountChange, MountChanges, blocks_since, may_be_zero
 from imucald.mount.off_vertical_limit import is_off_vertical
 from imucald.mount.reported_rotation import ReportedRotation
 from imucald.mount.restartable_solver import RestartableSolver
@@ -49,6 +49,7 @@ from imucald.mount.solver import MountSolver
 from imucald.mount.states import MountKnowledge
 from imucald.mount.steering import SteeringOffsetEstimator
 from imucald.mount.waiting_reasons import mount_troubles, waiting_reasons
+from imucald.mount.zero_step import Cause
 
 Array = NDArray[np.float64]
 
@@ -134,6 +135,7 @@ class FullEstimator:
         self._signals.restart()
         self._solvers.gap()
         self._level.gap()
+        self._changes.zero.restart()
         self._estimate = None
 
     # block by block -------------------------------------------------------------------------
@@ -218,6 +220,8 @@ class FullEstimator:
         after = blocks_since(found, self._solvers.kept)
         changes, block, good = self._changes, self._signals.blocks, self._served.good
         changes.end_of_mounting(good)
+        if may_be_zero(found, self._solver) and after and abs(found.size) <= AFRESH:
+            changes.zero.ask(float(after[0].t[0]))
         if self.state in GOOD and changes.is_bearable(found, self._solver, block):
             if changes.bear(found, block):
                 self._solvers.begin_beside(after, self._signals.offsets)
@@ -242,6 +246,7 @@ class FullEstimator:
         self._changes.end_of_mounting(self._served.good)
         self._served.has_moved = True
         self._changes.restart()
+        self._changes.zero.restart()
         self._checks.restart()
         self._solvers.begin_without_rotation(blocks)
 
@@ -254,6 +259,8 @@ class FullEstimator:
         checks.hold_against_orientation(solver, self._signals.blocks)
         if self._level.change is not None:
             checks.accuse_lasting(StandingFault.ACCEL_LEVEL, self._signals.blocks)
+        if self._changes.zero.cause is Cause.STEPPED:
+            checks.accuse_lasting(StandingFault.ACCEL_ZERO, self._signals.blocks)
         self._known = self._knowledge(p)
         self._served.judge(
             self._known,
