@@ -46,7 +46,7 @@ from imucald.mount.served_mount import ServedMount
 from imucald.mount.signal_blocks import SignalBlock, SignalBlockMaker
 from imucald.mount.signal_checks import SignalChecks
 from imucald.mount.solver import MountSolver
-from imucald.mount.states import MountKnowledge
+from imucald.mount.states import MountKnowledge, targets_in_force
 from imucald.mount.steering import SteeringOffsetEstimator
 from imucald.mount.waiting_reasons import mount_troubles, waiting_reasons
 from imucald.mount.zero_step import Cause
@@ -326,7 +326,7 @@ class FullEstimator:
             details["gravity_change"] = level_details(self._level.change)
         if self._off_vertical:
             details["off_vertical"] = self._off_vertical
-        targets = self._settings.targets
+        targets = targets_in_force(self._known, state, self._settings)
         return MountEstimate(state, R, covariance, words, codes, details, self.faults, targets)
 
     # what a person says, and what outlives the process; see `mount.restored` ------------------
