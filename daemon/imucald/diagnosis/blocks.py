@@ -182,6 +182,8 @@ def _rows(
         step = tolerance(model, key) or PARAMETERS[key].tolerance
         moved = f.residuals({key: step}, by_inertia=True)
         for name, rows in made.items():
+            if moved.of[name] is settled.of[name]:
+                continue
             change = (settled.of[name] - moved.of[name]) / step
             if np.any(change):
                 rows.X[:, :, j] = cosine(change, masks[name], rows.y.shape[1])
