@@ -27,9 +27,11 @@ def test_the_same_array_is_used_once_and_an_equal_one_again():
     assert calls == [2.0, 3.0, 2.0]
 
 
-def test_what_is_not_kept_is_made_again_and_what_was_kept_is_found():
+def test_what_is_not_kept_is_gone_with_its_owner_and_what_was_kept_is_found():
     known, x = {}, np.ones(3)
-    assert Once(known, False)(np.negative, x) is not Once(known, False)(np.negative, x)
+    once = Once(known, False)
+    assert once(np.negative, x) is once(np.negative, x)
+    assert Once(known, False)(np.negative, x) is not once(np.negative, x)
     kept = Once(known, True)(np.negative, x)
     assert Once(known, False)(np.negative, x) is kept
 

@@ -58,6 +58,12 @@ class Reader:
         self.knots = drive.knots.t
         self.reference: Reference | None = None
 
+    def forget(self) -> None:
+        """Let go of what was read: it is read again where it is asked for."""
+        self._read.clear()
+        self.known.clear()
+        self.reference = None
+
     def raw(self, name: str, later: float) -> Array:
         """Means over the grid's step, read later by so much [s]."""
         key = (name, round(later, 6))
