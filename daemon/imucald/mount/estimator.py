@@ -8,7 +8,8 @@ What happens, in order:
    of the force goes to windows in the frequency domain and to the mean of gravity.
 3. `SignalChecks` holds the signals against one another: a contradiction that begins or ends makes
    the solver begin anew. `ForceLevel` holds the size of gravity against its own past.
-4. `MountSolver.fit` turns all evidence so far into one rotation with variances.
+4. `MountSolver.fit` turns all evidence so far into one rotation with variances, as soon as enough
+   has come since the last one (`RestartableSolver.is_turn`).
 5. Once gyro bias and rotation are known, `RestartableSolver` goes through the first minutes again.
 6. After that `MountChanges` holds every block against what was known before it. A sensor that was
    moved makes the mount suspect; the solver starts again from what came after the change. Where the
@@ -36,7 +37,7 @@ from imucald.mount.estimator_settings import EstimatorSettings
 from imucald.mount.force_level import ForceLevel
 from imucald.mount.hysteresis import GOOD
 from imucald.mount.large_change import LargeChange
-from imucald.mount.mount_changes import MountChange, MountChanges, blocks_since
+from imucald.mount.mount_changes import MountChange, MountChanges, blocks_since, may_be_zero
 from imucald.mount.off_vertical_limit import is_off_vertical
 from imucald.mount.reported_rotation import ReportedRotation
 from imucald.mount.restartable_solver import RestartableSolver
@@ -48,13 +49,10 @@ from imucald.mount.solver import MountSolver
 from imucald.mount.states import MountKnowledge
 from imucald.mount.steering import SteeringOffsetEstimator
 from imucald.mount.waiting_reasons import mount_troubles, waiting_reasons
+from imucald.mount.zero_step import Cause
 
 Array = NDArray[np.float64]
 
-EAGER_BLOCKS = 20
-"""Up to so many blocks (128 s) each is followed by a fit."""
-LAZY_BLOCKS = 2
-"""Later every second (13 s): by then a block adds little, and fits are what costs."""
 FAILED_BLOCKS = 14
 """Numbers out of range stand as a fault for so long after the last of them (90 s)."""
 AFRESH = math.radians(20.0)
@@ -137,6 +135,7 @@ class FullEstimator:
         self._signals.restart()
         self._solvers.gap()
         self._level.gap()
+        self._changes.zero.restart()
         self._estimate = None
 
     # block by block -------------------------------------------------------------------------
@@ -165,9 +164,8 @@ class FullEstimator:
         elif self._checks.add(p, solvers.now, signals, solvers.kept):
             self._begin_without_rotation([p])
         is_refitting = solvers.is_refitting
-        is_turn = signals.blocks % LAZY_BLOCKS == 0 or changes.is_near
-        is_young = solvers.now.blocks <= EAGER_BLOCKS
-        if (is_turn or is_young) and solvers.fit():
+        is_turn = changes.is_near or solvers.is_turn(signals.blocks, self.state is MountState.FINE)
+        if (is_turn or solvers.is_young) and solvers.fit():
             self._checks.forget_forces()  # the forces spoke of another rotation
         self._take_beside()
         solvers.follow_creep(has_shifted=bool(changes.history))
@@ -222,6 +220,8 @@ class FullEstimator:
         after = blocks_since(found, self._solvers.kept)
         changes, block, good = self._changes, self._signals.blocks, self._served.good
         changes.end_of_mounting(good)
+        if may_be_zero(found, self._solver) and after and abs(found.size) <= AFRESH:
+            changes.zero.ask(float(after[0].t[0]))
         if self.state in GOOD and changes.is_bearable(found, self._solver, block):
             if changes.bear(found, block):
                 self._solvers.begin_beside(after, self._signals.offsets)
@@ -246,6 +246,7 @@ class FullEstimator:
         self._changes.end_of_mounting(self._served.good)
         self._served.has_moved = True
         self._changes.restart()
+        self._changes.zero.restart()
         self._checks.restart()
         self._solvers.begin_without_rotation(blocks)
 
@@ -258,6 +259,8 @@ class FullEstimator:
         checks.hold_against_orientation(solver, self._signals.blocks)
         if self._level.change is not None:
             checks.accuse_lasting(StandingFault.ACCEL_LEVEL, self._signals.blocks)
+        if self._changes.zero.cause is Cause.STEPPED:
+            checks.accuse_lasting(StandingFault.ACCEL_ZERO, self._signals.blocks)
         self._known = self._knowledge(p)
         self._served.judge(
             self._known,

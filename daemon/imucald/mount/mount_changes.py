@@ -23,12 +23,15 @@ from imucald.mount.large_change import LargeChange, LargeChangeDetector
 from imucald.mount.shift import Shift
 from imucald.mount.signal_blocks import SignalBlock, SignalBlockMaker
 from imucald.mount.solver import MountSolver
+from imucald.mount.zero_step import LEAST, ZeroStep
 
 Array = NDArray[np.float64]
 MountChange = Shift | GravityStep | LargeChange
 
-NEAR_SHIFT = 0.8
-"""While a change comes to so much of the threshold, every block is followed by a fit again."""
+NEAR_SHIFT = 0.7
+"""While a change comes to so much of the threshold, every block is followed by a fit again. As its
+deviations grow as the root of the road segments that show it, one that comes to less does not reach
+the threshold within the next segment: from one to two, by sqrt(2)."""
 SHIFTS_ALLOWED = 1
 """After more of them in one drive the mount is loose."""
 ALERT_LIMIT = math.radians(1.0)
@@ -70,6 +73,7 @@ class MountChanges:
 
     def __init__(self, settings: EstimatorSettings) -> None:
         self._large = LargeChangeDetector(settings)
+        self.zero = ZeroStep(settings)
         self.history: list[TakenChange] = []
         self._is_open = False  # the mount after the last change may still become better known
         self.is_near = False
@@ -99,6 +103,7 @@ class MountChanges:
         assert solver.R is not None
         has = not signals.without_speed, "reverse" in signals.seen
         self._large.add(p, solver.R, solver.motion(p, solver.R), *has)
+        self.zero.add(p, solver)
 
     def large(self, solver: MountSolver) -> LargeChange | None:
         """A turn by several degrees within the last blocks."""
@@ -120,9 +125,10 @@ class MountChanges:
     def is_bearable(self, found: MountChange, solver: MountSolver, blocks: int) -> bool:
         """Whether what is applied misleads nobody after a change, with the deviation stated now.
 
+        One of the tilt that a stepped zero of the accelerometer may be is not (`zero_step`).
         What the same change added to the deviation while it was in doubt does not count.
         """
-        if solver.fused is None:
+        if solver.fused is None or (abs(found.size) > LEAST and may_be_zero(found, solver)):
             return False
         variance = solver.fused.variance + self._variance(solver, blocks, self._of_borne())
         stated = ALERT_DEVIATIONS * math.sqrt(float(variance[found.axis]))
@@ -240,6 +246,11 @@ def probability(excess: float) -> float:
     At the threshold as probable as not; below it the odds are those of a normal variable.
     """
     return 1.0 / (1.0 + math.exp(0.5 * NORMAL_LEVEL**2 * (1.0 - min(excess, 1.0) ** 2)))
+
+
+def may_be_zero(found: MountChange, solver: MountSolver) -> bool:
+    """Whether a stepped zero looks like this change, and a gyroscope can say that it was none."""
+    return found.axis < 2 and solver.own_gyro
 
 
 def blocks_since(change: MountChange, kept: Sequence[SignalBlock]) -> list[SignalBlock]:
