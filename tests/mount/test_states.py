@@ -102,7 +102,7 @@ def test_what_no_driving_shows_of_yaw_may_be_more_than_the_limit():
 
 
 @pytest.mark.parametrize(
-    ("cross_axis", "stated", "degrees"), [(0.04, None, 2.0), (0.01, None, 1.0), (0.04, 1.0, 1.0)]
+    ("cross_axis", "stated", "degrees"), [(0.04, None, 2.8), (0.01, None, 1.0), (0.04, 1.0, 1.0)]
 )
 def test_the_target_of_yaw_is_the_limit_that_is_in_force(cross_axis, stated, degrees):
     settings = EstimatorSettings(CalibrationSettings(states=StateLimits(usable_yaw_deg=stated)))
