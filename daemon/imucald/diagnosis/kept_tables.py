@@ -13,7 +13,7 @@ MOST_BYTES = 200_000_000
 """Of rows and matrices that are kept: some twenty tables of half an hour."""
 
 
-class Tables:
+class KeptTables:
     """Of the same drives beside one model file after another; those last used are kept."""
 
     def __init__(self) -> None:
