@@ -263,5 +263,5 @@ def blocks_since(change: MountChange, kept: Sequence[SignalBlock]) -> list[Signa
     elif isinstance(change, LargeChange):
         after = change.blocks - 1  # the oldest holds the change itself
     else:
-        after = change.blocks
+        after = change.blocks - 2  # and its time is known to a block either way
     return list(kept)[max(len(kept) - after, 0) :]
