@@ -8,7 +8,8 @@ What happens, in order:
    of the force goes to windows in the frequency domain and to the mean of gravity.
 3. `SignalChecks` holds the signals against one another: a contradiction that begins or ends makes
    the solver begin anew. `ForceLevel` holds the size of gravity against its own past.
-4. `MountSolver.fit` turns all evidence so far into one rotation with variances.
+4. `MountSolver.fit` turns all evidence so far into one rotation with variances, as soon as enough
+   has come since the last one (`RestartableSolver.is_turn`).
 5. Once gyro bias and rotation are known, `RestartableSolver` goes through the first minutes again.
 6. After that `MountChanges` holds every block against what was known before it. A sensor that was
    moved makes the mount suspect; the solver starts again from what came after the change. Where the
@@ -45,17 +46,13 @@ from imucald.mount.served_mount import ServedMount
 from imucald.mount.signal_blocks import BLOCK_S, SignalBlock, SignalBlockMaker
 from imucald.mount.signal_checks import SignalChecks
 from imucald.mount.solver import MountSolver
-from imucald.mount.states import MountKnowledge
+from imucald.mount.states import MountKnowledge, targets_in_force
 from imucald.mount.steering import SteeringOffsetEstimator
 from imucald.mount.waiting_reasons import mount_troubles, waiting_reasons
 from imucald.mount.zero_step import GravityMoved
 
 Array = NDArray[np.float64]
 
-EAGER_BLOCKS = 20
-"""Up to so many blocks (128 s) each is followed by a fit."""
-LAZY_BLOCKS = 2
-"""Later every second (13 s): by then a block adds little, and fits are what costs."""
 FAILED_BLOCKS = 14
 """Numbers out of range stand as a fault for so long after the last of them (90 s)."""
 AFRESH = math.radians(20.0)
@@ -167,9 +164,8 @@ class FullEstimator:
         elif self._checks.add(p, solvers.now, signals, solvers.kept):
             self._begin_without_rotation([p])
         is_refitting = solvers.is_refitting
-        is_turn = signals.blocks % LAZY_BLOCKS == 0 or changes.is_near
-        is_young = solvers.now.blocks <= EAGER_BLOCKS
-        if (is_turn or is_young) and solvers.fit():
+        is_turn = changes.is_near or solvers.is_turn(signals.blocks, self.state is MountState.FINE)
+        if (is_turn or solvers.is_young) and solvers.fit():
             self._checks.forget_forces()  # the forces spoke of another rotation
         self._take_beside()
         solvers.follow_creep(has_shifted=bool(changes.history))
@@ -336,7 +332,7 @@ class FullEstimator:
             details["gravity_change"] = level_details(self._level.change)
         if self._off_vertical:
             details["off_vertical"] = self._off_vertical
-        targets = self._settings.targets
+        targets = targets_in_force(self._known, state, self._settings)
         return MountEstimate(state, R, covariance, words, codes, details, self.faults, targets)
 
     # what a person says, and what outlives the process; see `mount.restored` ------------------

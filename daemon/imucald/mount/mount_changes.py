@@ -28,8 +28,10 @@ from imucald.mount.zero_step import LEAST, ZeroStep
 Array = NDArray[np.float64]
 MountChange = Shift | GravityStep | LargeChange
 
-NEAR_SHIFT = 0.8
-"""While a change comes to so much of the threshold, every block is followed by a fit again."""
+NEAR_SHIFT = 0.7
+"""While a change comes to so much of the threshold, every block is followed by a fit again. As its
+deviations grow as the root of the road segments that show it, one that comes to less does not reach
+the threshold within the next segment: from one to two, by sqrt(2)."""
 SHIFTS_ALLOWED = 1
 """After more of them in one drive the mount is loose."""
 ALERT_LIMIT = math.radians(1.0)

@@ -86,6 +86,8 @@ class MountSolver:
         self.yaw_known = False
         self.starts = 0
         """How often a first rotation was found."""
+        self.fitted_segment = 0
+        """Road segment that was being driven at the last fit."""
         self.fused: Fused | None = None
         self.sources: dict[str, AngleEvidence] = {}
         self.bias: Array | None = None
@@ -202,6 +204,7 @@ class MountSolver:
 
     def fit(self) -> None:
         """Fit the rotation to all evidence so far."""
+        self.fitted_segment = self.response.segment
         if not self.gravity.known:
             return
         bias, bias_cov = self.vertical.bias(self._cross_axis.bias_spread)
