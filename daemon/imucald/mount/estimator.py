@@ -37,7 +37,7 @@ from imucald.mount.estimator_settings import EstimatorSettings
 from imucald.mount.force_level import ForceLevel
 from imucald.mount.hysteresis import GOOD
 from imucald.mount.large_change import LargeChange
-from imucald.mount.mount_changes import MountChange, MountChanges, blocks_since, may_be_zero
+from imucald.mount.mount_changes import MountChange, MountChanges, blocks_since
 from imucald.mount.off_vertical_limit import is_off_vertical
 from imucald.mount.reported_rotation import ReportedRotation
 from imucald.mount.restartable_solver import RestartableSolver
@@ -220,20 +220,25 @@ class FullEstimator:
         after = blocks_since(found, self._solvers.kept)
         changes, block, good = self._changes, self._signals.blocks, self._served.good
         changes.end_of_mounting(good)
-        if may_be_zero(found, self._solver) and abs(found.size) <= AFRESH:
-            kept = self._solvers.kept
-            changes.zero.ask(float(after[0].t[0] if after else kept[-1].t[0] + BLOCK_S))
         if self.state in GOOD and changes.is_bearable(found, self._solver, block):
             if changes.bear(found, block):
+                self._ask_for_zero(found, after)
                 self._solvers.begin_beside(after, self._signals.offsets)
             return
         if abs(found.size) > AFRESH:
             self._begin_without_rotation(after)
         else:
+            self._ask_for_zero(found, after)
             self._served.has_moved = True
             changes.restart()
             self._solvers.begin_after_change(after, self._signals.offsets)
         changes.take(found, block, good)
+
+    def _ask_for_zero(self, found: MountChange, after: list[SignalBlock]) -> None:
+        """A zero of the accelerometer that steps looks like a tilt; the gyroscope knows which."""
+        if found.axis < 2 and self._solver.own_gyro:
+            end = float(self._solvers.kept[-1].t[0]) + BLOCK_S
+            self._changes.zero.ask(float(after[0].t[0]) if after else end)
 
     def _take_beside(self) -> None:
         """Go on with what came after a change that misled nobody, once it knows the mount."""

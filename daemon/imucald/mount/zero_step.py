@@ -60,8 +60,8 @@ STANDING_METRES = 0.3
 """A block of standing counts as so much road [m]: it sees one place."""
 
 AXIS_PRIOR = 0.07
-"""The axis of turning lies that far from gravity [rad], 4 deg, before any bend: in two measured
-vans it did by 3 to 4 deg (`docs/integrity.md`)."""
+"""The axis of turning lies that far from gravity [rad], 4 deg, before any bend: in a measured van
+it lies 3 to 4 deg beside what its INS says."""
 NO_PRIOR = 1e-6
 NO_ROWS: Array = np.zeros((0, 8))
 """Of each block: force without motion (3,) [m/s^2], turn (3,) [rad], sensor axes; road [m]; when it
