@@ -121,7 +121,7 @@ class Ideal:
     def _columns(self, f: Forward) -> dict[str, Array]:
         """(B, K, P) of each equation: what a parameter makes of it that is wrong by all that a
         vehicle or a sensor can have."""
-        f.settle(f.tilts(f.residuals({}), self.masks))
+        f.settle(f.tilts(f.residuals({}), self.masks), np.ones(f.blocks))
         settled = f.residuals({}, by_inertia=True).of
         made: dict[str, list[Array]] = {n: [] for n in self.base}
         for key, row in PARAMETERS.items():

@@ -23,6 +23,7 @@ from imucald.mount.large_change import LargeChange, LargeChangeDetector
 from imucald.mount.shift import Shift
 from imucald.mount.signal_blocks import SignalBlock, SignalBlockMaker
 from imucald.mount.solver import MountSolver
+from imucald.mount.zero_step import LEAST, ZeroStep
 
 Array = NDArray[np.float64]
 MountChange = Shift | GravityStep | LargeChange
@@ -72,6 +73,7 @@ class MountChanges:
 
     def __init__(self, settings: EstimatorSettings) -> None:
         self._large = LargeChangeDetector(settings)
+        self.zero = ZeroStep(settings)
         self.history: list[TakenChange] = []
         self._is_open = False  # the mount after the last change may still become better known
         self.is_near = False
@@ -101,14 +103,20 @@ class MountChanges:
         assert solver.R is not None
         has = not signals.without_speed, "reverse" in signals.seen
         self._large.add(p, solver.R, solver.motion(p, solver.R), *has)
+        self.zero.add(p, solver)
 
     def large(self, solver: MountSolver) -> LargeChange | None:
         """A turn by several degrees within the last blocks."""
         return self._large.found((0, 1, 2) if solver.own_gyro else (0, 1))
 
-    def small(self, solver: MountSolver, thoroughly: bool) -> Shift | GravityStep | None:
-        """A step in gravity now; thoroughly: a small change in the last minutes too."""
-        step = solver.step()
+    def small(
+        self, solver: MountSolver, thoroughly: bool, is_good: bool
+    ) -> Shift | GravityStep | None:
+        """A step in gravity now; thoroughly: a small change in the last minutes too.
+
+        is_good: the rotation is served as good.
+        """
+        step = solver.step(is_good)
         if step is not None or not thoroughly:
             return step
         found = solver.largest_change()
@@ -122,9 +130,10 @@ class MountChanges:
     def is_bearable(self, found: MountChange, solver: MountSolver, blocks: int) -> bool:
         """Whether what is applied misleads nobody after a change, with the deviation stated now.
 
+        One of the tilt that a stepped zero of the accelerometer may be is not (`zero_step`).
         What the same change added to the deviation while it was in doubt does not count.
         """
-        if solver.fused is None:
+        if solver.fused is None or (abs(found.size) > LEAST and may_be_zero(found, solver)):
             return False
         variance = solver.fused.variance + self._variance(solver, blocks, self._of_borne())
         stated = ALERT_DEVIATIONS * math.sqrt(float(variance[found.axis]))
@@ -242,6 +251,11 @@ def probability(excess: float) -> float:
     At the threshold as probable as not; below it the odds are those of a normal variable.
     """
     return 1.0 / (1.0 + math.exp(0.5 * NORMAL_LEVEL**2 * (1.0 - min(excess, 1.0) ** 2)))
+
+
+def may_be_zero(found: MountChange, solver: MountSolver) -> bool:
+    """Whether a stepped zero looks like this change, and a gyroscope can say that it was none."""
+    return found.axis < 2 and solver.own_gyro
 
 
 def blocks_since(change: MountChange, kept: Sequence[SignalBlock]) -> list[SignalBlock]:
