@@ -102,6 +102,8 @@ class ForceLevel:
 
     def _found(self) -> LevelChange | None:
         level, best = self._rows[:, 0], None
+        if level.max() - level.min() < LEAST:  # two means lie no further apart
+            return None
         most = DEVIATIONS
         for after in AFTER:
             k = len(level) - after
