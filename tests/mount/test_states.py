@@ -21,6 +21,7 @@ from imucald.mount.states import (
     YOUNG_SLACK,
     MountKnowledge,
     judged,
+    targets_in_force,
     waiting_for,
 )
 from imucald.simulation import random_model, simulate
@@ -98,6 +99,21 @@ def test_what_no_driving_shows_of_yaw_may_be_more_than_the_limit():
     assert judged(replace(with_past, std=known(3.8).std), usable, SETTINGS) == usable
     stated = EstimatorSettings(CalibrationSettings(states=StateLimits(usable_yaw_deg=1.0)))
     assert judged(hidden, levelled, stated) == levelled
+
+
+@pytest.mark.parametrize(
+    ("cross_axis", "stated", "degrees"), [(0.04, None, 2.8), (0.01, None, 1.0), (0.04, 1.0, 1.0)]
+)
+def test_the_target_of_yaw_is_the_limit_that_is_in_force(cross_axis, stated, degrees):
+    settings = EstimatorSettings(CalibrationSettings(states=StateLimits(usable_yaw_deg=stated)))
+    levelled = MountState.LEVELLED
+    for yaw, state in ((0.99 * degrees, MountState.USABLE), (1.01 * degrees, levelled)):
+        found = replace(known(yaw), yaw_seen=0.2 * DEG, cross_axis=cross_axis)
+        assert judged(found, levelled, settings) == state
+        targets = targets_in_force(found, levelled, settings)
+        assert math.degrees(targets.usable[2]) == pytest.approx(degrees)
+        assert targets.usable[:2] == settings.targets.usable[:2]
+        assert targets.fine == settings.targets.fine
 
 
 def test_a_cross_axis_error_that_becomes_less_ends_no_good_state():

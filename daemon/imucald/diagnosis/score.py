@@ -165,9 +165,10 @@ def paired(first: Array, second: Array, own: NDArrayInt, other: NDArrayInt) -> t
     """Difference of two losses (B,), (C,), summed over blocks, and its standard error.
 
     own, other: their numbers of blocks (`Table.number`). A table has no blocks that say nothing,
-    and another model, as another delay, may leave others: then those that both have are compared.
+    and another model, as another delay, may leave others, be they as many: those that both have
+    are compared.
     """
-    if len(first) != len(second):
+    if not np.array_equal(own, other):
         _, one, two = np.intersect1d(own, other, assume_unique=True, return_indices=True)
         first, second = first[one], second[two]
     d = first - second

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from imucald.diagnosis.blocks import Table, table_of
+from imucald.diagnosis.blocks import Table
 from imucald.diagnosis.box import box_fit
 from imucald.diagnosis.cause_keys import Changes, extended, with_delay_rate, with_shifts
 from imucald.diagnosis.causes import PARAMETERS
@@ -16,6 +16,7 @@ from imucald.diagnosis.intervals import Estimate, estimate, quantile
 from imucald.diagnosis.score import Hypothesis, Problem
 from imucald.diagnosis.shift import FittedShift
 from imucald.diagnosis.signals import Array, DriveSignals
+from imucald.diagnosis.tables import Tables
 from imucald.diagnosis.trials import Trial
 from imucald.model.model import VehicleModel
 
@@ -53,6 +54,8 @@ class State:
     shift: FittedShift | None = None
     table: Table | None = None
     forwards: list[Forward] = field(default_factory=list)
+    tables: Tables = field(default_factory=Tables)
+    """Shared with the states that are made of this one."""
     _evaluated: VehicleModel | None = None
 
     @property
@@ -63,7 +66,7 @@ class State:
     def evaluated(self) -> Problem:
         """Put the drives beside the model as it is now."""
         if self.table is None or self._evaluated != self.model:
-            self.table, self.forwards = table_of(self.drives, self.model)
+            self.table, self.forwards = self.tables.of(self.drives, self.model)
             self._evaluated = self.model
         return Problem.of(self.table, [k for k in self.free if k in self.table.keys], self.bounds)
 

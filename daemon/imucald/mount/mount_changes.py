@@ -109,9 +109,14 @@ class MountChanges:
         """A turn by several degrees within the last blocks."""
         return self._large.found((0, 1, 2) if solver.own_gyro else (0, 1))
 
-    def small(self, solver: MountSolver, thoroughly: bool) -> Shift | GravityStep | None:
-        """A step in gravity now; thoroughly: a small change in the last minutes too."""
-        step = solver.step()
+    def small(
+        self, solver: MountSolver, thoroughly: bool, is_good: bool
+    ) -> Shift | GravityStep | None:
+        """A step in gravity now; thoroughly: a small change in the last minutes too.
+
+        is_good: the rotation is served as good.
+        """
+        step = solver.step(is_good)
         if step is not None or not thoroughly:
             return step
         found = solver.largest_change()

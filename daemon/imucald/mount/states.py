@@ -5,8 +5,9 @@ from __future__ import annotations
 import math
 
 from msgspec import Struct
+from msgspec.structs import replace
 
-from imucald.mount.estimate import Missing, MountState
+from imucald.mount.estimate import Missing, MountState, Targets
 from imucald.mount.estimator_settings import EstimatorSettings
 from imucald.mount.hysteresis import GOOD, Level, best_level
 from imucald.mount.manoeuvres import HARD_ACCEL
@@ -60,12 +61,22 @@ def judged(known: MountKnowledge, before: MountState, s: EstimatorSettings) -> M
     slack = SLACK if known.has_past else YOUNG_SLACK
     usable_yaw = limits.usable_yaw
     if _is_rest_hidden(known, before, s):  # ends at 1.4 times where it began, as all do
-        usable_yaw *= HIDDEN_SLACK * (SLACK / slack if before in GOOD else 1.0)
+        usable_yaw = targets_in_force(known, before, s).usable[2]
+        usable_yaw *= SLACK / slack if before in GOOD else 1.0
     levels = (
         Level(MountState.FINE, limits.fine_yaw, limits.fine_tilt, enough, SLACK),
         Level(MountState.USABLE, usable_yaw, limits.usable_tilt, enough, slack),
     )
     return best_level(levels, before, yaw, max(roll, pitch)) or MountState.LEVELLED
+
+
+def targets_in_force(known: MountKnowledge, before: MountState, s: EstimatorSettings) -> Targets:
+    """What deviations must fall below now; before: the state that is reported."""
+    targets = s.targets
+    if not _is_rest_hidden(known, before, s):
+        return targets
+    x, y, yaw = targets.usable
+    return replace(targets, usable=(x, y, HIDDEN_SLACK * yaw))
 
 
 def _is_rest_hidden(known: MountKnowledge, before: MountState, s: EstimatorSettings) -> bool:
