@@ -20,11 +20,11 @@ beyond what chance makes of a mount that nothing contradicts (chosen after a loo
 `benchmarks.integrity` from 700,000 on, judged on those from 720,000). Beside past drives a
 deviation grows by contradiction alone."""
 HIDDEN_SLACK = 2.8
-"""*Usable* begins at so many times its usual limit where only the hidden part of a cross-axis error
-of yaw is left. That part of 4 %, 1.6 deg, is judged by the size of three to five that show.
-Where a limit chooses those that seem small, an interval of 95 % holds in 87, 89 and 91 % of mounts
-below 2 deg (three, four, five that show; Student's distribution, cut off), below 2.8 deg in 93 to
-94 %, without a limit in 95 %."""
+"""*Usable* begins at so many times its usual limit where of yaw only the hidden part of a
+cross-axis error is left. That part of 4 %, 1.6 deg, is judged by the size of three to five others
+that show. Where a limit chooses those that seem small, an interval of 95 % holds in 87, 89 and 91 %
+of the mounts below 2 deg (three, four, five that show; Student's distribution, cut off), below
+2.8 deg in 93 to 94 %, without a limit in 95 %."""
 NEEDED = 3
 """Launches or brakings before yaw can be usable."""
 NO_SAMPLES = "samples of the accelerometer that can be used: they are faulty, or come too seldom"
