@@ -13,7 +13,10 @@ published source, before anything of the tests was looked at or changed that eve
 before the judge of draw 15. clock_step and tyre_growth were written on 2026-11-23 at 01:45, before
 anything of the tests was changed that day, and not run before the judge of draw 16. (A third of
 that hour, a gyroscope that feels acceleration, was taken out before its outcome was looked at: the
-catalogue has that cause.)
+catalogue has that cause.) uneven_gain, outer_wheel, engine_beat and tone_wheel were written on
+2026-11-23 at 05:10, each from a published source, before anything of the tests was looked at or
+changed in that session, and not run before the judge of draw 17; only what an ideal filter sees of
+them was computed.
 """
 
 from __future__ import annotations
@@ -234,6 +237,56 @@ def _tyre_growth(s: Drive, size: float, rng: np.random.Generator, R: Array) -> f
     return size
 
 
+def _uneven_gain(s: Drive, size: float, rng: np.random.Generator, R: Array) -> float:
+    """A gyroscope whose gain is this share too high for one way of turning and too low for the
+    other (IEEE Std 528-2019: scale factor asymmetry)."""
+    x = s["gyro"].values
+    _set(s, "gyro", x + rng.choice([-1.0, 1.0]) * size * np.abs(x))
+    return size
+
+
+def _outer_wheel(s: Drive, size: float, rng: np.random.Generator, R: Array) -> float:
+    """The speed is that of the fastest wheel ("select high") and not of the middle: in a bend it is
+    too high by the yaw rate's amount times half the track, size [m] (Rajamani, Vehicle Dynamics and
+    Control, 2012, 8.2: speeds of the left and the right wheels)."""
+    gyro, t, v = s["gyro"], s["speed"].t, s["speed"].values
+    n = max(1, round(0.2 / float(np.median(np.diff(gyro.t)))))
+    upward = np.convolve(gyro.values @ R[2], np.ones(n) / n, "same")
+    turn = np.abs(np.interp(t, gyro.t, upward))
+    _set(s, "speed", v + size * turn * (np.abs(v) > 0.5))
+    return size
+
+
+def _engine_beat(s: Drive, size: float, rng: np.random.Generator, R: Array) -> float:
+    """Firing of a four-cylinder engine shakes an accelerometer that has no filter before its
+    converter: upward, with this amplitude [m/s^2], twice a turn of the crankshaft. What is sampled
+    is a beat, slow where the firing comes near a multiple of the sample rate (Oppenheim, Schafer,
+    Discrete-Time Signal Processing, 2010, 4.2; two firings a turn: Heywood, Internal Combustion
+    Engine Fundamentals, 1988, 2.1). Five gears, shifted at 40 turns a second."""
+    t = s["accel"].t
+    grid = np.arange(t[0], t[-1] + 0.01, 0.01)
+    v = np.interp(grid, s["speed"].t, np.abs(s["speed"].values))
+    wheel = np.convolve(v, np.ones(100) / 100.0, "same") / (2.0 * np.pi * 0.3)
+    turns = np.full(len(grid), 13.0)  # idle
+    for overall in (3.2, 4.0, 5.5, 8.0, 13.5):
+        at = overall * wheel
+        turns = np.where((at > 20.0) & (at < 40.0), at, turns)
+    phase = 4.0 * np.pi * np.cumsum(turns) * 0.01
+    shake = size * np.sin(np.interp(t, grid, phase))
+    _set(s, "accel", s["accel"].values + shake[:, None] * R[2])
+    return size
+
+
+def _tone_wheel(s: Drive, size: float, rng: np.random.Generator, R: Array) -> float:
+    """The speed is that of one wheel whose toothed ring is not centred: it swings by this share
+    once a turn of the wheel, 1.9 m (Persson, Gustafsson, Event based sampling with application to
+    vibration analysis in pneumatic tires, ICASSP 2001: errors of the teeth)."""
+    t, v = s["speed"].t, s["speed"].values
+    way = np.concatenate([[0.0], np.cumsum(0.5 * (v[1:] + v[:-1]) * np.diff(t))])
+    _set(s, "speed", v * (1.0 + size * np.sin(2.0 * np.pi * way / 1.9 + rng.uniform(0.0, 6.0))))
+    return size
+
+
 OUTSIDE: Mapping[str, tuple[Put, float, str]] = {
     "shaking": (_shaking, 0.3, "accel"),
     "swing": (_swing, 0.4, "accel"),
@@ -252,7 +305,11 @@ OUTSIDE: Mapping[str, tuple[Put, float, str]] = {
     "speedometer": (_speedometer, 4.0 / 3.6, "speed"),
     "clock_step": (_clock_step, 0.15, "speed"),
     "tyre_growth": (_tyre_growth, 0.015, "speed"),
+    "uneven_gain": (_uneven_gain, 0.05, "gyro"),
+    "outer_wheel": (_outer_wheel, 0.75, "gyro"),
+    "engine_beat": (_engine_beat, 1.0, "accel"),
+    "tone_wheel": (_tone_wheel, 0.02, "speed"),
 }
-"""Effect, medium size [SI], signal that it is put into."""
-NOT_RUN = ("clock_step", "tyre_growth")
-"""Not run before the judge of draw 16."""
+"""Effect, medium size [SI], signal that must be there."""
+NOT_RUN = ("uneven_gain", "outer_wheel", "engine_beat", "tone_wheel")
+"""Not run before the judge of draw 17."""

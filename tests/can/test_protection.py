@@ -131,6 +131,40 @@ def test_a_counter_that_stands_still_is_stuck_or_sent_again() -> None:
     assert verdicts == expected
 
 
+@pytest.mark.parametrize("spec", [PROTECTED, COUNTED])
+def test_a_frame_that_comes_twice_at_one_stamp_counts_once_and_as_doubled(spec) -> None:
+    sound = frames(spec, 20)
+    checker = MessageChecker(spec)
+    verdicts = [checker.check(i // 2 * CYCLE, sound[i // 2]) or "" for i in range(40)]
+    assert verdicts == ["", "doubled"] * 20
+    assert checker.rejected == {"doubled": 20}
+    assert checker.accepted == 20
+    assert checker.lost == 0
+
+
+def test_only_one_copy_with_every_bit_at_the_same_stamp_is_a_doubled_frame() -> None:
+    one, other = counted(COUNTED, [6])[0], bytes([1, 6, 0, 0, 0, 0, 0, 0])
+    for t, again in ((1e-6, one), (0.0, other), (0.0, one + b"\0")):
+        checker = MessageChecker(COUNTED)
+        assert [checker.check(0.0, one), checker.check(t, again)] == [None, "counter_repeated"]
+    checker = MessageChecker(COUNTED)
+    verdicts = [checker.check(0.0, one) or "" for _ in range(6)]
+    assert verdicts == ["", "doubled", *["counter_repeated"] * 4]
+
+
+def test_copies_neither_end_nor_prolong_the_distrust_after_a_fault() -> None:
+    checker = MessageChecker(COUNTED)
+    sent = [(i, value) for i, value in enumerate([0, 9, 10, 11, 12, 13]) for _ in range(2)]
+    verdicts = [checker.check(i * CYCLE, counted(COUNTED, [v])[0]) or "" for i, v in sent]
+    assert verdicts[::2] == ["", "counter_jump", *["untrusted"] * 3, ""]
+    assert verdicts[1::2] == ["doubled"] * 6
+
+
+def test_without_a_counter_the_next_frame_may_look_the_same() -> None:
+    checker = MessageChecker(replace(COUNTED, counter=None))
+    assert [checker.check(0.0, bytes(SIZE)) for _ in range(3)] == [None] * 3
+
+
 def test_a_counter_that_goes_back_is_an_old_frame() -> None:
     checker = MessageChecker(COUNTED)
     verdicts = judge(checker, counted(COUNTED, [5, 6, 5, 6, 7, 8, 9]))
@@ -223,7 +257,7 @@ def test_a_counter_lies_where_its_signal_lies() -> None:
     assert [f.hex() for f in sent] == ["ffc0", "ffc1", "ffc2"]
     checker = MessageChecker(spec)
     assert [checker.check(0.0, f) for f in sent] == [None] * 3
-    assert checker.check(0.0, sent[2]) == "counter_repeated"
+    assert checker.check(CYCLE, sent[2]) == "counter_repeated"
 
 
 @pytest.mark.parametrize(
@@ -287,7 +321,7 @@ def troubled(
             received.append(frame)
             times.append(t)
             continue
-        kind = rng.randrange(8)
+        kind = rng.randrange(9)
         if kind == 0:
             frame = frame[: rng.randrange(8)]
         elif kind == 1:
@@ -301,8 +335,11 @@ def troubled(
         elif kind == 5:
             t -= CYCLE * rng.uniform(0.0, 5.0)
         elif kind == 6:
-            received.append(frame)  # twice
-            times.append(t)
+            more = rng.randrange(1, 4)  # twice, or more often
+            received += [frame] * more
+            times += [t] * more
+        elif kind == 7:
+            frame = received[-1] if received else frame  # what it follows, at another time
         else:
             continue  # lost
         received.append(frame)
@@ -319,6 +356,7 @@ def as_columns(received: list[bytes]) -> tuple[np.ndarray, np.ndarray]:
 
 def state(checker: MessageChecker) -> tuple[object, ...]:
     position = (checker._last_t, checker._last_counter, checker._missed, checker._distrust)
+    position += (checker._last_data,)
     return (checker.accepted, checker.rejected, checker.lost, *position)
 
 

@@ -224,21 +224,45 @@ def test_a_speed_too_late_for_the_calibration_is_named(frames: Frames, late: flo
     assert "s behind the accelerometer; up to 1.2 s are allowed for" in warned["speed"]
 
 
-def test_frames_that_all_come_twice_leave_no_accelerometer(frames: Frames) -> None:
-    twice = [chunk.take(np.repeat(np.arange(len(chunk)), 2)) for chunk in frames]
-    report = checked(twice)
+def twice(frames: Frames, later: float = 0.0) -> Frames:
+    """Every frame again, so many seconds later."""
+    found = []
+    for chunk in frames:
+        again = chunk.take(np.repeat(np.arange(len(chunk)), 2))
+        found.append(replace(again, t=again.t + later * (np.arange(len(again)) % 2)))
+    return found
+
+
+def test_frames_that_all_come_twice_at_one_stamp_count_once_and_are_named(frames: Frames) -> None:
+    once, report = checked(frames), checked(twice(frames))
+    assert report["usable"]
+    assert set(findings(report, "error")) == set(findings(once, "error"))
+    row = next(m for m in report["messages"] if m["name"] == "IMU_Accel")
+    own = next(m for m in once["messages"] if m["name"] == "IMU_Accel")
+    assert row["rejected"] == {"doubled": own["frames"]}
+    assert row["cycle_s"] == own["cycle_s"]
+    warned = findings(report, "warning")["accelerometer"]
+    assert "of IMU_Accel are rejected (doubled" in warned
+    assert "each counts once" in warned
+
+
+def test_frames_that_all_come_again_a_little_later_leave_no_accelerometer(frames: Frames) -> None:
+    report = checked(twice(frames, later=1e-6))
     assert not report["usable"]
     assert "nearly all of it is rejected" in findings(report, "error")["accelerometer"]
     assert "counter_repeated" in findings(report, "error")["accelerometer"]
+    assert "see 'counter:'" in findings(report, "warning")["accelerometer"]
 
 
-def test_half_of_the_frames_doubled_is_an_error_where_most_are_rejected(frames: Frames) -> None:
+def test_half_of_the_frames_again_later_is_an_error_where_most_are_rejected(frames: Frames) -> None:
     random = np.random.default_rng(8)
-    twice = [
-        chunk.take(np.repeat(np.arange(len(chunk)), random.integers(1, 3, len(chunk))))
-        for chunk in frames
-    ]
-    report = checked(twice)
+    some = []
+    for chunk in frames:
+        copies = random.integers(1, 3, len(chunk))
+        again = chunk.take(np.repeat(np.arange(len(chunk)), copies))
+        is_copy = np.concatenate([[False], np.diff(again.t) == 0.0])
+        some.append(replace(again, t=again.t + 1e-6 * is_copy))
+    report = checked(some)
     row = next(m for m in report["messages"] if m["name"] == "IMU_Accel")
     assert sum(row["rejected"].values()) > 0.8 * row["frames"], "what is planted"
     assert not report["usable"]

@@ -11,7 +11,7 @@ from scipy.optimize import lsq_linear
 from imucald.diagnosis.blocks import Table
 from imucald.diagnosis.box import box_fit
 from imucald.diagnosis.intervals import estimate, quantile
-from imucald.diagnosis.score import Hypothesis, Problem, fitted, held_out, without_best
+from imucald.diagnosis.score import Hypothesis, Problem, held_out, without_best
 
 KEYS = ("accel.bias.x", "accel.bias.y", "speed.scale")
 
@@ -132,9 +132,9 @@ def test_a_direction_moves_its_parameters_together():
 def test_direct_evidence_bounds_the_fit():
     t = table((0.5, 0.0, 0.0))
     bound = Problem.of(t, (), {"accel.bias.x": (-0.02, 0.02)})
-    assert abs(fitted(bound)[0]) <= 0.02 + 1e-9
+    assert abs(bound.fit()[0]) <= 0.02 + 1e-9
     free = Problem.of(t, ("accel.bias.x",), {})
-    assert fitted(free)[0] == pytest.approx(0.5, abs=0.08)
+    assert free.fit()[0] == pytest.approx(0.5, abs=0.08)
 
 
 def test_one_block_does_not_decide():
@@ -146,4 +146,4 @@ def test_one_block_does_not_decide():
 def test_rows_that_are_not_there_change_nothing():
     t = table((0.5, 0.0, 0.0))
     empty = replace(t, gram=np.concatenate([t.gram, np.zeros((3, 4, 4))]))
-    assert fitted(problem(empty)) == pytest.approx(fitted(problem(t)))
+    assert problem(empty).fit() == pytest.approx(problem(t).fit())

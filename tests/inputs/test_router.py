@@ -217,6 +217,24 @@ def test_a_damaged_protected_frame_is_dropped_whole_and_trust_comes_back(tmp_pat
     assert bus.router.rejected == {"checksum": 1, "untrusted": 2}
 
 
+def test_a_frame_that_came_twice_at_one_stamp_is_used_once_and_nothing_is_refused(tmp_path):
+    text = f"{HEAD}messages:\n  ACC: {{counter: {{signal: ACNT}}}}\n"
+    bus = Bus(text, tmp_path)
+    frames = [bus._sender.frame(0.01 * i, "ACC", AX=1.0, AY=0.0, AZ=9.8) for i in range(40)]
+    twice = [frame for frame in frames for _ in range(2)]
+    got = [bus.raw(*frame) for frame in twice]
+    assert all("accel" in found and "rejected" not in found for found in got[::2])
+    assert got[1::2] == [{}] * 40
+    columns = compile_router(load(text, tmp_path))
+    taken = columns_of(twice, "can0")
+    routed = columns.columns(taken.t, taken)
+    assert len(routed.samples["accel"].t) == 40
+    assert not routed.rejected
+    for router in (bus.router, columns):
+        assert router.rejected == {"doubled": 40}
+        assert router.used == 40
+
+
 def test_j1939_messages_are_heard_from_any_source_address(tmp_path):
     bus = Bus(
         "database: {path: bus.dbc, j1939: true}\nsignals:\n"

@@ -37,3 +37,13 @@ def test_blocks_that_speak_for_the_axes_as_they_are_take_back_what_some_said_aga
     for ratios in (FOR, FOR, FOR, AGAINST, AGAINST, AGAINST):
         found.add_late(ratios)
     assert not found.is_accused
+
+
+def test_what_is_forgotten_accuses_of_nothing_more():
+    found = after(4)
+    assert found.is_accused
+    found.forget()
+    assert not found.is_accused
+    for _ in range(3):
+        found.add_late(AGAINST)
+    assert not found.is_accused

@@ -36,7 +36,13 @@ _NO_SIDE = "unknown: a road crown reads as mount roll (about 0.7 deg); say left 
 _REMEDIES = {
     "checksum": "; see 'checksum:' (kind, id_bytes, data_id) of the message",
     "counter": "; see 'counter:' (signal, modulus, max_step) of the message",
+    "doubled": "; each counts once, nothing is lost: a gateway or the logger wrote copies",
     "short_frame": "; the database describes a longer frame: is it this vehicle's?",
+    "long_frame": "; the database describes a shorter frame: is it this vehicle's?",
+    "timeout": "; the message stops now and then: its cable, its sender, or 'cycle_time:'",
+    "duplicate_sender": "; a second unit sends this identifier",
+    "too_fast": "; it comes far more often than usual: see its sender, or 'cycle_time:'",
+    "status": "; the sensor says that it cannot be used, or see 'valid_when:' of the source",
     "out_of_range": "; see 'range:' of the source, and its unit",
     "not_available": "; the sender says so, or see 'not_available:' of the source",
     "saturated": "; the sensor runs into its end, or the database's range is too narrow",
@@ -149,7 +155,7 @@ class Decoding:
         ours = [
             p for p in self.probes if any(tap.channel == "accel" for tap in p.taps) and p.frames
         ]
-        refused = sum((probe.rejected for probe in ours), Counter[str]())
+        refused = sum((probe.refused for probe in ours), Counter[str]())
         rejected = refused.copy()
         for source in self.sources:
             if source.wanted.channel == "accel":
@@ -161,7 +167,7 @@ class Decoding:
                 f"sample every {ACCEL_GAP:g} s, {left} came in {self.duration:.0f} s"
             )
             yield Finding("error", "accelerometer", text)
-        elif left and all(2 * p.rejected.total() > p.frames for p in ours):
+        elif left and all(2 * p.refused.total() > p.frames for p in ours):
             text = (
                 f"most of its frames are rejected ({refused.total()} of "
                 f"{sum(p.frames for p in ours)}: {counts_text(refused)}): the calibration does not "
@@ -215,8 +221,10 @@ class Decoding:
 
 
 def _remedy(reasons: Counter[str]) -> str:
-    """A hint for the most frequent reason."""
-    return _REMEDIES.get(reasons.most_common(1)[0][0], "")
+    """A hint for the most frequent reason; "untrusted" is what follows any other."""
+    causes = [reason for reason, _ in reasons.most_common() if reason != "untrusted"]
+    kind = causes[0] if causes else ""
+    return _REMEDIES.get("counter" if kind.startswith("counter") else kind, "")
 
 
 def counts_text(reasons: Counter[str]) -> str:

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from imucald.can.columns import FrameColumns, IdMatch
+from imucald.can.e2e.protection import DOUBLED
 from imucald.inputs.conversion import REASONS, Conversion
 from imucald.inputs.rate_guard import RateGuard
 from imucald.inputs.routes import Columns, Physical, Raw, SignalRoute, Tap
@@ -125,6 +126,11 @@ class Probe:
         return self.route.stated_cycle
 
     @property
+    def refused(self) -> Counter[str]:
+        """The same without copies: of a frame that came twice one is taken, and nothing is lost."""
+        return Counter({reason: n for reason, n in self.rejected.items() if reason != DOUBLED})
+
+    @property
     def cycle(self) -> float | None:
         """Median time between frames [s], None before two of them."""
         if not self._interval_count:
@@ -150,6 +156,8 @@ class Probe:
         for rows in reasons.values():
             ours[rows] = True
         self.frames += int(np.count_nonzero(ours))
+        if DOUBLED in reasons:  # their original has the time
+            ours[reasons[DOUBLED]] = False
         self._time(t[ours])
         return ok, reasons
 

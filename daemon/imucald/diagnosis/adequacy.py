@@ -22,7 +22,7 @@ from imucald.diagnosis.result import (
     TOO_MUCH,
     Structure,
 )
-from imucald.diagnosis.score import Hypothesis, Problem, fitted, held_out, one_in_fifteen
+from imucald.diagnosis.score import Hypothesis, Problem, held_out, one_in_fifteen
 from imucald.diagnosis.signals import STEP_S, Array, Mask
 from imucald.diagnosis.state import State
 from imucald.diagnosis.trials import BIAS, tried
@@ -93,7 +93,7 @@ def too_much(problem: Problem, state: State) -> list[Structure]:
     name = "accel_y"
     if not {name, "gyro_x"} <= set(problem.table.plain):
         return []
-    z = np.concatenate([[1.0], -fitted(problem)])
+    z = np.concatenate([[1.0], -problem.fit()])
     power = np.sort(np.einsum("i,bkij,j->b", z, problem.table.plain[name], z))
     power = power[power > 0.0]
     # One block must not decide: the one in which a sensor is knocked belongs to no mount.
@@ -138,7 +138,7 @@ def _spectra(problem: Problem, forwards: Sequence[Forward]) -> Mapping[str, Spec
 
     Everything within its tolerance is fitted.
     """
-    x = fitted(problem)
+    x = problem.fit()
     changes = {k: float(v) for k, v in zip(problem.table.keys, x, strict=True) if v}
     parts: dict[str, list[Spectra]] = {}
     for f in forwards:

@@ -7,7 +7,7 @@ Waugh). What is kept of block b is G_b = [y X]'[y X]: every fit, fold and interv
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -109,6 +109,30 @@ class Table:
 NDArrayInt = np.ndarray[tuple[int], np.dtype[np.int64]]
 
 
+class MadeLater(Mapping[str, Array]):
+    """Arrays by name, made of the rows when one of them is asked for: most tables of a search are
+    never asked. nbytes: of the rows."""
+
+    def __init__(
+        self, names: Sequence[str], make: Callable[[], Mapping[str, Array]], nbytes: int
+    ) -> None:
+        self._names, self._make, self.nbytes = tuple(names), make, nbytes
+        self._made: Mapping[str, Array] | None = None
+
+    def __getitem__(self, name: str) -> Array:
+        if name not in self._names:
+            raise KeyError(name)
+        if self._made is None:
+            self._made = self._make()
+        return self._made[name]
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._names)
+
+    def __len__(self) -> int:
+        return len(self._names)
+
+
 @dataclass
 class _Rows:
     """One equation of one drive, transformed: y (B, K), X (B, K, P), tilt (B, K, 2) or None."""
@@ -137,6 +161,8 @@ def table_of(drives: Sequence[DriveSignals], model: VehicleModel) -> tuple[Table
     for rows_of in merged.values():
         rows_of.good &= moving >= MOVING_SHARE
     levels = np.concatenate([f.levels() for f in forwards])
+    for f in forwards:
+        f.forget()
     return _weighed(merged, keys, model, blocks, start, moving, top, levels), forwards
 
 
@@ -182,6 +208,8 @@ def _rows(
         step = tolerance(model, key) or PARAMETERS[key].tolerance
         moved = f.residuals({key: step}, by_inertia=True)
         for name, rows in made.items():
+            if moved.of[name] is settled.of[name]:
+                continue
             change = (settled.of[name] - moved.of[name]) / step
             if np.any(change):
                 rows.X[:, :, j] = cosine(change, masks[name], rows.y.shape[1])
@@ -225,11 +253,18 @@ def _weighed(
         free = box_fit(total[1:, 1:], total[1:, 0], bounds[:, 0], bounds[:, 1])
     whole = np.asarray(sum(gram.values()))
     count = np.asarray(sum((w > 0.0).sum(axis=1) for w in weights.values()))
-    keep = count > 0
+    keep, nbytes = count > 0, sum(rows.X.nbytes for rows in parts.values())
+
+    def by_equation() -> Mapping[str, Array]:
+        return {n: g[keep] for n, g in _gram(parts, weights).items()}
+
+    def plain() -> Mapping[str, Array]:
+        return {n: g[keep] for n, g in _plain(parts).items()}
+
     return Table(
-        keys, whole[keep], {n: g[keep] for n, g in gram.items()}, count[keep],
+        keys, whole[keep], MadeLater(list(gram), by_equation, nbytes), count[keep],
         start[keep], drive[keep], moving[keep], tolerances, errors, bounds, top,
-        next(iter(parts.values())).seconds, {n: g[keep] for n, g in _plain(parts).items()},
+        next(iter(parts.values())).seconds, MadeLater(list(parts), plain, nbytes),
         levels[keep], np.flatnonzero(keep),
     )  # fmt: skip
 

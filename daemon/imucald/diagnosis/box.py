@@ -26,32 +26,32 @@ def box_fit(H: Array, c: Array, low: Array, high: Array, start: Array | None = N
     x = np.clip(np.zeros(len(c)) if start is None else start / scale, low, high)
     slope = H @ x - c
     held = ((x <= low) & (slope > 0.0)) | ((x >= high) & (slope < 0.0))
-    for _ in range(STEPS * len(c)):
-        step = _newton_step(H, H @ x - c, held)
-        with np.errstate(divide="ignore", invalid="ignore"):
-            room = np.where(step > 0.0, (high - x) / step, (low - x) / step)
-        room[step == 0.0] = np.inf
-        first = int(np.argmin(room))
-        if room[first] < 1.0:
-            x = np.clip(x + max(room[first], 0.0) * step, low, high)
-            x[first] = high[first] if step[first] > 0.0 else low[first]
-            held[first] = True
-            continue
-        x = np.clip(x + step, low, high)
-        slope = H @ x - c
-        pull = np.where(x >= high, slope, -slope) * held
-        worst = int(np.argmax(pull))
-        if pull[worst] <= CLOSE * (1.0 + abs(c[worst])):
-            break
-        held[worst] = False
+    with np.errstate(divide="ignore", invalid="ignore"):
+        for _ in range(STEPS * len(c)):
+            step = _newton_step(H, H @ x - c, held)
+            room = np.where(step > 0.0, high - x, low - x) / step
+            room[step == 0.0] = np.inf
+            first = int(room.argmin())
+            if room[first] < 1.0:
+                x = np.minimum(np.maximum(x + max(room[first], 0.0) * step, low), high)
+                x[first] = high[first] if step[first] > 0.0 else low[first]
+                held[first] = True
+                continue
+            x = np.minimum(np.maximum(x + step, low), high)
+            slope = H @ x - c
+            pull = np.where(x >= high, slope, -slope) * held
+            worst = int(pull.argmax())
+            if pull[worst] <= CLOSE * (1.0 + abs(c[worst])):
+                break
+            held[worst] = False
     return np.asarray(x * scale)
 
 
 def _newton_step(H: Array, slope: Array, held: Mask) -> Array:
     step = np.zeros(len(slope))
-    free = np.flatnonzero(~held)
+    free = (~held).nonzero()[0]
     if len(free):
-        step[free] = -_solved(H[np.ix_(free, free)], slope[free])
+        step[free] = -_solved(H[free[:, None], free], slope[free])
     return step
 
 

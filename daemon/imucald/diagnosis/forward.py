@@ -16,7 +16,8 @@ from scipy.fft import dct
 
 from imucald.core.samples import GRAVITY
 from imucald.diagnosis.cause_keys import Changes, age
-from imucald.diagnosis.motion import VehicleMotion, slope
+from imucald.diagnosis.kinematics import slope
+from imucald.diagnosis.motion import VehicleMotion
 from imucald.diagnosis.reading import Reader
 from imucald.diagnosis.signals import STANDING_MPS, STEP_S, Array, Channel, Mask
 from imucald.diagnosis.single_track import SLOW_MPS
@@ -59,7 +60,7 @@ class Forward(Reader):
             motion.vertical(found)
             motion.turning(found)
         motion.vehicle(found)
-        return Residuals({k: self._blocks(v) for k, v in found.items()}, tilt)
+        return Residuals({k: motion.once(self._blocks, v) for k, v in found.items()}, tilt)
 
     def _blocks(self, x: Array) -> Array:
         return x.reshape(self.blocks, self.rows)

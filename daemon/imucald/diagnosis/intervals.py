@@ -8,7 +8,6 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.stats import t as student
 
-from imucald.diagnosis.box import box_fit
 from imucald.diagnosis.sandwich import QUARTERS, between_quarters, ridge, scatters, variances
 from imucald.diagnosis.score import Hypothesis, Problem
 from imucald.diagnosis.signals import Array
@@ -58,7 +57,7 @@ def estimate(
     gram, low, high = problem.widened(h)
     own = problem.own(h)
     total = gram.sum(axis=0)
-    x = box_fit(total[1:, 1:], total[1:, 0], low, high)
+    x = problem.fit(h)
     # What is bounded by a box is as uncertain as an even spread over it.
     prior = np.zeros(len(low))
     others = np.setdiff1d(np.arange(len(low)), own)
@@ -91,7 +90,7 @@ def _pull(
     total = gram.sum(axis=0)
     H, c = total[1:, 1:], total[1:, 0]
     base = problem.table.gram.sum(axis=0)
-    null = box_fit(base[1:, 1:], base[1:, 0], null_of.low, null_of.high)
+    null = null_of.fit()
     rise = (c @ x - 0.5 * x @ H @ x) - (base[1:, 0] @ null - 0.5 * null @ base[1:, 1:] @ null)
     width = high - low
     inside = np.flatnonzero((x > low + 1e-6 * width) & (x < high - 1e-6 * width))

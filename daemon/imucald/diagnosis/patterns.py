@@ -20,7 +20,7 @@ from imucald.diagnosis.chance import Question
 from imucald.diagnosis.forward import UNITS, Forward
 from imucald.diagnosis.result import GOES_WITH_LEVEL, GOES_WITH_SHAKING, Structure
 from imucald.diagnosis.sandwich import scatters, variances
-from imucald.diagnosis.score import Problem, fitted, without_best
+from imucald.diagnosis.score import Problem, without_best
 from imucald.diagnosis.signals import STEP_S, Array
 from imucald.diagnosis.trials import SINGLE_NATS
 
@@ -69,7 +69,7 @@ def patterns(problem: Problem, forwards: Sequence[Forward]) -> list[Question]:
     Each shape is fitted beside value, slope and the block's tilt. Large is what is larger than the
     zero error that a correct file may have, or later than its delay, and not owed to one block.
     """
-    x = fitted(problem)
+    x = problem.fit()
     changes = {k: float(v) for k, v in zip(problem.table.keys, x, strict=True) if v}
     parts: dict[str, list[ShapeRows]] = {}
     for f in forwards:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -9,10 +10,18 @@ import numpy as np
 from imucald.core.rotations import rotation_from_vector
 from imucald.core.samples import GRAVITY
 from imucald.diagnosis.cause_keys import Changes, age, along_vehicle, mounts, sensor_of
+from imucald.diagnosis.once import Known, Once
 from imucald.diagnosis.signals import Array, DriveSignals
 from imucald.model.model import VehicleModel
 
 REFERENCE_DEGC = 25.0
+Part = tuple[tuple[str, float], ...]
+"""Changes, as items."""
+OF_TRIAD = {
+    "accel": ("accel.", "mount.turn."),
+    "gyro": ("gyro.", "mount.turn.", "accel.delay_s"),
+}
+"""How keys begin that change what a triad says."""
 
 
 @dataclass(frozen=True)
@@ -45,8 +54,15 @@ class Reader:
         self.has_turning = drive.has("gyro") or drive.has("yaw_rate")
         self.middle_s = float(self.t[len(self.t) // 2]) if self.blocks else 0.0
         self._read: dict[tuple[str, float], Array] = {}
+        self.known: Known = {}
         self.knots = drive.knots.t
         self.reference: Reference | None = None
+
+    def forget(self) -> None:
+        """Let go of what was read: it is read again where it is asked for."""
+        self._read.clear()
+        self.known.clear()
+        self.reference = None
 
     def raw(self, name: str, later: float) -> Array:
         """Means over the grid's step, read later by so much [s]."""
@@ -59,12 +75,23 @@ class Reader:
         """How old a signal is when it comes [s]."""
         return age(self.model, name) + changes.get(f"{name}.delay_s", 0.0)
 
+    def knots_at(self, late: float, rate: float) -> Array:
+        """Times of the speed's knots. late: of its delay [s]; rate: by how much that grows."""
+        age = late + self.model.speed.delay_rate * self.knots
+        age += rate * (self.knots - self.middle_s)
+        return np.asarray(self.knots - age)
+
     def triad(self, name: str, changes: Changes, force: Array | None = None) -> Array:
         """(N, 3) along the vehicle's axes, with the model file's errors taken off.
 
         force: (N, 3) along the vehicle's axes that takes the place of what was measured, and has
         none of the file's errors.
         """
+        own = _part(changes, OF_TRIAD[name])
+        return Once(self.known, not own)(self._triad, name, own, force)
+
+    def _triad(self, name: str, own: Part, force: Array | None) -> Array:
+        changes = dict(own)
         sensor = sensor_of(self.model, name, changes)
         if force is None:
             raw = self.raw(name, self.age(name, changes)) - sensor.bias
@@ -78,35 +105,46 @@ class Reader:
             if force is None:
                 raw = raw - stated * self.raw("accel", self.age("accel", changes))
             if (sensor.per_force != stated).any():
-                level = self.in_sensor(np.tile([0.0, 0.0, GRAVITY], (len(self.t), 1)), 0.0, name)
-                felt = self.raw("accel", self.age("accel", changes)) - level
+                felt = self.raw("accel", self.age("accel", changes)) - self._level(name)
                 raw = raw - (sensor.per_force - stated) * felt
         true = raw @ np.linalg.inv(sensor.gain).T
         if name == "accel" and any(_is_gain(key) for key in changes):
             # A gain turns about one g upright; what it makes of that is a zero error.
-            level = self.in_sensor(np.tile([0.0, 0.0, GRAVITY], (len(self.t), 1)), 0.0, name)
             stated = np.linalg.inv(sensor_of(self.model, name, {}).gain)
-            true += level @ (stated - np.linalg.inv(sensor.gain)).T
-        made = np.empty_like(true)
+            true += self._level(name) @ (stated - np.linalg.inv(sensor.gain)).T
         turn = rotation_from_vector(along_vehicle(changes, "mount.turn"))
-        for start, R in mounts(self.model):
-            after = self.t >= start
-            made[after] = true[after] @ (turn @ R).T
+        made = self._turned(true, [(start, (turn @ R).T) for start, R in mounts(self.model)])
         made -= along_vehicle(changes, f"{name}.bias")
         drift = along_vehicle(changes, f"{name}.bias_temperature")
         if warm is not None and drift.any():
             made -= warm[:, None] * drift
         return made
 
+    def _turned(self, x: Array, turns: Sequence[tuple[float, Array]]) -> Array:
+        """x (N, 3) times the matrix that holds from a time [s] on, the first from the start."""
+        made = x @ turns[0][1]
+        for start, R in turns[1:]:
+            after = self.t >= start
+            made[after] = x[after] @ R
+        return np.asarray(made)
+
     def in_sensor(self, force: Array, later: float, name: str) -> Array:
         """What a triad without a zero error would say of a force (N, 3) at a later time."""
+        return Once(self.known, not later)(self._in_sensor, force, later, name)
+
+    def _in_sensor(self, force: Array, later: float, name: str) -> Array:
         if later:
             force = np.column_stack([np.interp(self.t + later, self.t, x) for x in force.T])
-        turned = np.empty_like(force)
-        for start, R in mounts(self.model):
-            after = self.t >= start
-            turned[after] = force[after] @ R
+        turned = self._turned(force, mounts(self.model))
         return np.asarray(turned @ sensor_of(self.model, name, {}).gain.T)
+
+    def _level(self, name: str) -> Array:
+        """The same of one g upright."""
+        return Once(self.known, True)(self._level_in_sensor, name)
+
+    def _level_in_sensor(self, name: str) -> Array:
+        upright = np.tile([0.0, 0.0, GRAVITY], (len(self.t), 1))
+        return self._in_sensor(upright, 0.0, name)
 
     def above_reference(self) -> Array:
         """Temperature less that at which the file's zero errors hold [K]."""
@@ -117,7 +155,11 @@ class Reader:
 
         true: (N,) what takes the place of the measured one, as it is without any error.
         """
-        part = getattr(self.model, name)
+        own = _part(changes, (f"{name}.",))
+        return Once(self.known, not own)(self._scalar, name, own, true)
+
+    def _scalar(self, name: str, own: Part, true: Array | None) -> Array:
+        part, changes = getattr(self.model, name), dict(own)
         offset = part.offset + changes.get(f"{name}.offset", 0.0)
         scale = part.scale + changes.get(f"{name}.scale", 0.0)
         if true is None:
@@ -127,7 +169,9 @@ class Reader:
             shown = np.interp(self.t + later, self.t, true) * (1.0 + part.scale) + part.offset
         return np.asarray((shown - offset) / (1.0 + scale))
 
-    # evaluation ----------------------------------------------------------------------------------
+
+def _part(changes: Changes, beginnings: tuple[str, ...]) -> Part:
+    return tuple((key, x) for key, x in changes.items() if key.startswith(beginnings))
 
 
 def _is_gain(key: str) -> bool:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -80,9 +81,44 @@ class Problem:
 
     def widened(self, h: Hypothesis | None) -> tuple[Array, Array, Array]:
         """Gram matrices (B, Q+1, Q+1) and bounds (Q,) with a hypothesis' parameters freed."""
-        gram, low, high = self.table.gram, self.low, self.high
         if h is None:
-            return gram, low, high
+            return self.table.gram, self.low, self.high
+        for known, made in self._asked:
+            if known is h:
+                return made
+        # The last one alone: it is asked of a few times in a row.
+        self._asked[:] = [(h, self._widened(h))]
+        return self._asked[0][1]
+
+    def fit(self, h: Hypothesis | None = None) -> Array:
+        """(Q,) all parameters within their bounds; those of a patterned hypothesis last."""
+        gram, low, high = self.widened(h)
+        if h is None:
+            return self._whole
+        for known, x in self._fitted:
+            if known is h:
+                return x
+        total, start = gram.sum(axis=0), np.zeros(len(low))
+        start[: len(self._whole)] = self._whole
+        x = box_fit(total[1:, 1:], total[1:, 0], low, high, start)
+        self._fitted[:] = [(h, x)]
+        return x
+
+    @cached_property
+    def _whole(self) -> Array:
+        total = self.table.gram.sum(axis=0)
+        return box_fit(total[1:, 1:], total[1:, 0], self.low, self.high)
+
+    @cached_property
+    def _asked(self) -> list[tuple[Hypothesis, tuple[Array, Array, Array]]]:
+        return []
+
+    @cached_property
+    def _fitted(self) -> list[tuple[Hypothesis, Array]]:
+        return []
+
+    def _widened(self, h: Hypothesis) -> tuple[Array, Array, Array]:
+        gram, low, high = self.table.gram, self.low, self.high
         index = self.table.index(h.keys)
         wide = REACH * self.table.plausible[index]
         low, high = low.copy(), high.copy()
@@ -134,7 +170,7 @@ def held_out(problem: Problem, h: Hypothesis | None = None) -> Array:
     gram, low, high = problem.widened(h)
     total = gram.sum(axis=0)
     fold = folds(len(gram))
-    whole = box_fit(total[1:, 1:], total[1:, 0], low, high)
+    whole = problem.fit(h)
     lost = np.empty(len(gram))
     for k in range(int(fold.max()) + 1):
         out = fold == k
@@ -142,13 +178,6 @@ def held_out(problem: Problem, h: Hypothesis | None = None) -> Array:
         x = box_fit(rest[1:, 1:], rest[1:, 0], low, high, whole)
         lost[out] = losses(gram[out], x)
     return lost
-
-
-def fitted(problem: Problem, h: Hypothesis | None = None) -> Array:
-    """(Q,) parameters, those of a patterned hypothesis last."""
-    gram, low, high = problem.widened(h)
-    total = gram.sum(axis=0)
-    return box_fit(total[1:, 1:], total[1:, 0], low, high)
 
 
 def one_in_fifteen(blocks: int) -> int:
@@ -165,9 +194,10 @@ def paired(first: Array, second: Array, own: NDArrayInt, other: NDArrayInt) -> t
     """Difference of two losses (B,), (C,), summed over blocks, and its standard error.
 
     own, other: their numbers of blocks (`Table.number`). A table has no blocks that say nothing,
-    and another model, as another delay, may leave others: then those that both have are compared.
+    and another model, as another delay, may leave others, be they as many: those that both have
+    are compared.
     """
-    if len(first) != len(second):
+    if not np.array_equal(own, other):
         _, one, two = np.intersect1d(own, other, assume_unique=True, return_indices=True)
         first, second = first[one], second[two]
     d = first - second

@@ -15,7 +15,7 @@ import numpy as np
 
 from imucald.diagnosis.cause_keys import with_shifts
 from imucald.diagnosis.causes import family
-from imucald.diagnosis.score import Hypothesis, Problem, fitted, held_out, paired
+from imucald.diagnosis.score import Hypothesis, Problem, held_out, paired
 from imucald.diagnosis.shift import find_shift
 from imucald.diagnosis.standing import (
     asked_again,
@@ -283,7 +283,7 @@ def _changes(problem: Problem, h: Hypothesis, only: Sequence[str] = ()) -> dict[
     the others are fitted within their tolerance, and not moved."""
     if only:
         h = replace(h, keys=tuple(only))
-    x = fitted(problem, h)
+    x = problem.fit(h)
     own = problem.own(h)
     changes: dict[str, float] = {}
     for k, key in enumerate(h.keys):

@@ -11,7 +11,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from imucald.diagnosis.blocks import Table
-from imucald.diagnosis.box import box_fit
 from imucald.diagnosis.causes import DEG
 from imucald.diagnosis.intervals import estimate, quantile
 from imucald.diagnosis.score import Hypothesis, Problem, held_out, without_best
@@ -86,9 +85,8 @@ def _hypothesis(pattern: Array) -> Hypothesis:
 
 def _in_sample(problem: Problem, pattern: Array) -> float:
     """Nats by which a step explains the kinematics better."""
-    gram, low, high = problem.widened(_hypothesis(pattern))
-    total = gram.sum(axis=0)
-    x = box_fit(total[1:, 1:], total[1:, 0], low, high)
+    h = _hypothesis(pattern)
+    total, x = problem.widened(h)[0].sum(axis=0), problem.fit(h)
     return float(total[1:, 0] @ x - 0.5 * x @ total[1:, 1:] @ x)
 
 

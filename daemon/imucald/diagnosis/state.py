@@ -7,12 +7,12 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from imucald.diagnosis.blocks import Table, table_of
-from imucald.diagnosis.box import box_fit
+from imucald.diagnosis.blocks import Table
 from imucald.diagnosis.cause_keys import Changes, extended, with_delay_rate, with_shifts
 from imucald.diagnosis.causes import PARAMETERS
 from imucald.diagnosis.forward import Forward
 from imucald.diagnosis.intervals import Estimate, estimate, quantile
+from imucald.diagnosis.kept_tables import KeptTables
 from imucald.diagnosis.score import Hypothesis, Problem
 from imucald.diagnosis.shift import FittedShift
 from imucald.diagnosis.signals import Array, DriveSignals
@@ -53,6 +53,8 @@ class State:
     shift: FittedShift | None = None
     table: Table | None = None
     forwards: list[Forward] = field(default_factory=list)
+    tables: KeptTables = field(default_factory=KeptTables)
+    """Shared with the states that are made of this one."""
     _evaluated: VehicleModel | None = None
 
     @property
@@ -63,7 +65,7 @@ class State:
     def evaluated(self) -> Problem:
         """Put the drives beside the model as it is now."""
         if self.table is None or self._evaluated != self.model:
-            self.table, self.forwards = table_of(self.drives, self.model)
+            self.table, self.forwards = self.tables.of(self.drives, self.model)
             self._evaluated = self.model
         return Problem.of(self.table, [k for k in self.free if k in self.table.keys], self.bounds)
 
@@ -93,8 +95,7 @@ def refit(state: State) -> None:
     """All found parameters together, the model evaluated again where it is now."""
     for _ in range(REFITS):
         problem = state.evaluated()
-        total = problem.table.gram.sum(axis=0)
-        x = box_fit(total[1:, 1:], total[1:, 0], problem.low, problem.high)
+        x = problem.fit()
         keys = [k for k in state.free if k in problem.table.keys]
         moves = {k: float(x[problem.table.keys.index(k)]) for k in keys}
         state.apply(moves)

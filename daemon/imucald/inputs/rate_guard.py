@@ -14,6 +14,8 @@ from collections.abc import Collection, Mapping, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from imucald.can.e2e.protection import DOUBLED
+
 TOO_FAST, DUPLICATE = "too_fast", "duplicate_sender"
 LEARNT_S = 10
 """Seconds with frames from which the usual rate is taken."""
@@ -30,8 +32,8 @@ FAULTY_COUNTERS = 0.05
 """And two counters interleave: a fault in seventeen frames where the other sends sixteen."""
 HELD_S = 2
 """A sender is trusted again so many seconds after the other fell silent."""
-_DAMAGED = frozenset(("checksum", "short_frame"))
-"""Frames that nobody knows to be of a sender."""
+_NOT_SENT = frozenset(("checksum", "short_frame", DOUBLED))
+"""Frames that nobody knows to be of a sender, and copies that none has sent."""
 
 Rows = NDArray[np.int64]
 
@@ -58,7 +60,7 @@ class RateGuard:
         if t >= self._ends:
             self._enter(int(t))
         if reason:
-            if reason not in _DAMAGED:
+            if reason not in _NOT_SENT:
                 self._seen += 1
                 self._faults += reason.startswith("counter")
             return reason
@@ -82,7 +84,7 @@ class RateGuard:
         fault_count = np.zeros(n, np.int64)
         for reason, rows in reasons.items():
             count = np.bincount(of[rows], minlength=n)
-            if reason not in _DAMAGED:
+            if reason not in _NOT_SENT:
                 seen_count = seen_count + count
             if reason.startswith("counter"):
                 fault_count += count

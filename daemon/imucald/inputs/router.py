@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from imucald.can.columns import FrameColumns, IdMatch
+from imucald.can.e2e.protection import DOUBLED
 from imucald.inputs.column_samples import (
     ColumnSamples,
     Routed,
@@ -123,7 +124,8 @@ class Router:
             reason = route.guard.judge(t, reason)
             if reason:
                 self.rejected[reason] += 1
-                refused += route.taps
+                if reason != DOUBLED:  # the frame itself was judged, and nothing is lost
+                    refused += route.taps
                 continue
             accepted += 1
             raw, physical = route.numbers(data)
@@ -211,6 +213,8 @@ class Router:
             for reason, bad in reasons.items():
                 self.rejected[reason] += len(bad)
                 events.append(rows[bad])
+                if reason == DOUBLED:
+                    continue
                 refused += [(tap, rows[bad]) for tap in route.taps]
             if not ok.all():
                 rows = rows[ok]

@@ -13,6 +13,7 @@ from imucald.config.base import MAX_SPEED_DELAY
 from imucald.mount.mount_changes import MountChanges
 from imucald.mount.signal_checks import SignalChecks
 from imucald.mount.solver import MountSolver
+from imucald.mount.zero_step import GravityMoved
 
 NO_SIDES = (
     "a signal that separates left from right (yaw rate, steering angle, lateral acceleration, "
@@ -20,6 +21,10 @@ NO_SIDES = (
     "accelerometer with all signs turned looks the same"
 )
 """What keeps an estimate that is certain enough from being *fine* where no signal has sides."""
+WHY_GRAVITY_MOVED = (
+    "more bends: gravity points elsewhere than before, and the axis of turning will say whether "
+    "the sensor was turned or a zero of its accelerometer stepped"
+)
 LATE_SPEED = (
     f"a speed that comes sooner: it seems later than {MAX_SPEED_DELAY:g} s behind the accelerometer"
 )
@@ -39,6 +44,8 @@ class Acceptance(Struct, frozen=True):
             return None
         if self.solver.delay_speed.is_beyond:
             return LATE_SPEED
+        if self.changes.zero.cause is GravityMoved.UNKNOWN:
+            return WHY_GRAVITY_MOVED
         return self.checks.missing_to_be_good()
 
     def may_be_fine(self) -> bool:

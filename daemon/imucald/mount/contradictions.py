@@ -73,6 +73,7 @@ class StandingFault(enum.StrEnum):
     ORIENTATION = "accelerometer_against_orientation"
     FORWARD = "forward_against_orientation"
     ACCEL_LEVEL = "accelerometer_zero_or_gain"
+    ACCEL_ZERO = "accelerometer_zero"
     NUMERICS = "numbers_out_of_range"
 
 
@@ -94,6 +95,8 @@ WORDS = {
     "line is wrong, or the reverse signal",
     StandingFault.ACCEL_LEVEL: "the accelerometer's zero or gain has changed in mid-drive: gravity "
     "is larger or smaller than before",
+    StandingFault.ACCEL_ZERO: "the accelerometer's zero has changed in mid-drive: gravity points "
+    "elsewhere than before, and the gyroscope's axis of turning does not",
     StandingFault.NUMERICS: "numbers out of range: a unit is wrong",
 }
 

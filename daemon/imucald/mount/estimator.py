@@ -8,7 +8,8 @@ What happens, in order:
    of the force goes to windows in the frequency domain and to the mean of gravity.
 3. `SignalChecks` holds the signals against one another: a contradiction that begins or ends makes
    the solver begin anew. `ForceLevel` holds the size of gravity against its own past.
-4. `MountSolver.fit` turns all evidence so far into one rotation with variances.
+4. `MountSolver.fit` turns all evidence so far into one rotation with variances, as soon as enough
+   has come since the last one (`RestartableSolver.is_turn`).
 5. Once gyro bias and rotation are known, `RestartableSolver` goes through the first minutes again.
 6. After that `MountChanges` holds every block against what was known before it. A sensor that was
    moved makes the mount suspect; the solver starts again from what came after the change. Where the
@@ -42,19 +43,16 @@ from imucald.mount.reported_rotation import ReportedRotation
 from imucald.mount.restartable_solver import RestartableSolver
 from imucald.mount.saved_information import SavedInformation
 from imucald.mount.served_mount import ServedMount
-from imucald.mount.signal_blocks import SignalBlock, SignalBlockMaker
+from imucald.mount.signal_blocks import BLOCK_S, SignalBlock, SignalBlockMaker
 from imucald.mount.signal_checks import SignalChecks
 from imucald.mount.solver import MountSolver
-from imucald.mount.states import MountKnowledge
+from imucald.mount.states import MountKnowledge, targets_in_force
 from imucald.mount.steering import SteeringOffsetEstimator
 from imucald.mount.waiting_reasons import mount_troubles, waiting_reasons
+from imucald.mount.zero_step import GravityMoved
 
 Array = NDArray[np.float64]
 
-EAGER_BLOCKS = 20
-"""Up to so many blocks (128 s) each is followed by a fit."""
-LAZY_BLOCKS = 2
-"""Later every second (13 s): by then a block adds little, and fits are what costs."""
 FAILED_BLOCKS = 14
 """Numbers out of range stand as a fault for so long after the last of them (90 s)."""
 AFRESH = math.radians(20.0)
@@ -137,6 +135,7 @@ class FullEstimator:
         self._signals.restart()
         self._solvers.gap()
         self._level.gap()
+        self._changes.zero.restart()
         self._estimate = None
 
     # block by block -------------------------------------------------------------------------
@@ -165,9 +164,8 @@ class FullEstimator:
         elif self._checks.add(p, solvers.now, signals, solvers.kept):
             self._begin_without_rotation([p])
         is_refitting = solvers.is_refitting
-        is_turn = signals.blocks % LAZY_BLOCKS == 0 or changes.is_near
-        is_young = solvers.now.blocks <= EAGER_BLOCKS
-        if (is_turn or is_young) and solvers.fit():
+        is_turn = changes.is_near or solvers.is_turn(signals.blocks, self.state is MountState.FINE)
+        if (is_turn or solvers.is_young) and solvers.fit():
             self._checks.forget_forces()  # the forces spoke of another rotation
         self._take_beside()
         solvers.follow_creep(has_shifted=bool(changes.history))
@@ -175,7 +173,7 @@ class FullEstimator:
             return
         if not solvers.has_looked_again:
             solvers.look_again(signals.offsets)
-        elif (change := changes.small(solvers.now, thoroughly=is_turn)) is not None:
+        elif (change := changes.small(solvers.now, is_turn, self.state in GOOD)) is not None:
             self._take_change(change)
 
     def _follow_steering(self, p: SignalBlock) -> None:
@@ -224,15 +222,23 @@ class FullEstimator:
         changes.end_of_mounting(good)
         if self.state in GOOD and changes.is_bearable(found, self._solver, block):
             if changes.bear(found, block):
+                self._ask_for_zero(found, after)
                 self._solvers.begin_beside(after, self._signals.offsets)
             return
         if abs(found.size) > AFRESH:
             self._begin_without_rotation(after)
         else:
+            self._ask_for_zero(found, after)
             self._served.has_moved = True
             changes.restart()
             self._solvers.begin_after_change(after, self._signals.offsets)
         changes.take(found, block, good)
+
+    def _ask_for_zero(self, found: MountChange, after: list[SignalBlock]) -> None:
+        """A zero of the accelerometer that steps looks like a tilt; the gyroscope knows which."""
+        if found.axis < 2 and self._solver.own_gyro:
+            end = float(self._solvers.kept[-1].t[0]) + BLOCK_S
+            self._changes.zero.ask(float(after[0].t[0]) if after else end)
 
     def _take_beside(self) -> None:
         """Go on with what came after a change that misled nobody, once it knows the mount."""
@@ -246,6 +252,7 @@ class FullEstimator:
         self._changes.end_of_mounting(self._served.good)
         self._served.has_moved = True
         self._changes.restart()
+        self._changes.zero.restart()
         self._checks.restart()
         self._solvers.begin_without_rotation(blocks)
 
@@ -258,6 +265,8 @@ class FullEstimator:
         checks.hold_against_orientation(solver, self._signals.blocks)
         if self._level.change is not None:
             checks.accuse_lasting(StandingFault.ACCEL_LEVEL, self._signals.blocks)
+        if self._changes.zero.cause is GravityMoved.STEPPED:
+            checks.accuse_lasting(StandingFault.ACCEL_ZERO, self._signals.blocks)
         self._known = self._knowledge(p)
         self._served.judge(
             self._known,
@@ -323,7 +332,7 @@ class FullEstimator:
             details["gravity_change"] = level_details(self._level.change)
         if self._off_vertical:
             details["off_vertical"] = self._off_vertical
-        targets = self._settings.targets
+        targets = targets_in_force(self._known, state, self._settings)
         return MountEstimate(state, R, covariance, words, codes, details, self.faults, targets)
 
     # what a person says, and what outlives the process; see `mount.restored` ------------------

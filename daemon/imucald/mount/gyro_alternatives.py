@@ -57,7 +57,8 @@ class GyroAlternatives:
 
     def forget(self) -> None:
         """Begin again."""
-        self._sums[:], self.blocks = 0.0, 0
+        self._sums[:] = self._late[:] = 0.0
+        self.blocks = 0
 
     def add(self, ratios: Array) -> None:
         """Take the log ratios (13,) of a block (`gyro_ratios`)."""

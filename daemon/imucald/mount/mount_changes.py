@@ -23,12 +23,15 @@ from imucald.mount.large_change import LargeChange, LargeChangeDetector
 from imucald.mount.shift import Shift
 from imucald.mount.signal_blocks import SignalBlock, SignalBlockMaker
 from imucald.mount.solver import MountSolver
+from imucald.mount.zero_step import LEAST, ZeroStep
 
 Array = NDArray[np.float64]
 MountChange = Shift | GravityStep | LargeChange
 
-NEAR_SHIFT = 0.8
-"""While a change comes to so much of the threshold, every block is followed by a fit again."""
+NEAR_SHIFT = 0.7
+"""While a change comes to so much of the threshold, every block is followed by a fit again. As its
+deviations grow as the root of the road segments that show it, one that comes to less does not reach
+the threshold within the next segment: from one to two, by sqrt(2)."""
 SHIFTS_ALLOWED = 1
 """After more of them in one drive the mount is loose."""
 ALERT_LIMIT = math.radians(1.0)
@@ -70,6 +73,7 @@ class MountChanges:
 
     def __init__(self, settings: EstimatorSettings) -> None:
         self._large = LargeChangeDetector(settings)
+        self.zero = ZeroStep(settings)
         self.history: list[TakenChange] = []
         self._is_open = False  # the mount after the last change may still become better known
         self.is_near = False
@@ -99,14 +103,20 @@ class MountChanges:
         assert solver.R is not None
         has = not signals.without_speed, "reverse" in signals.seen
         self._large.add(p, solver.R, solver.motion(p, solver.R), *has)
+        self.zero.add(p, solver)
 
     def large(self, solver: MountSolver) -> LargeChange | None:
         """A turn by several degrees within the last blocks."""
         return self._large.found((0, 1, 2) if solver.own_gyro else (0, 1))
 
-    def small(self, solver: MountSolver, thoroughly: bool) -> Shift | GravityStep | None:
-        """A step in gravity now; thoroughly: a small change in the last minutes too."""
-        step = solver.step()
+    def small(
+        self, solver: MountSolver, thoroughly: bool, is_good: bool
+    ) -> Shift | GravityStep | None:
+        """A step in gravity now; thoroughly: a small change in the last minutes too.
+
+        is_good: the rotation is served as good.
+        """
+        step = solver.step(is_good)
         if step is not None or not thoroughly:
             return step
         found = solver.largest_change()
@@ -120,13 +130,19 @@ class MountChanges:
     def is_bearable(self, found: MountChange, solver: MountSolver, blocks: int) -> bool:
         """Whether what is applied misleads nobody after a change, with the deviation stated now.
 
-        What the same change added to the deviation while it was in doubt does not count.
+        What the same change added to the deviation while it was in doubt does not count. A sudden
+        tilt may be a stepped zero, which no deviation of the mount covers (`zero_step`).
         """
-        if solver.fused is None:
+        if solver.fused is None or self._may_be_zero(found, solver):
             return False
         variance = solver.fused.variance + self._variance(solver, blocks, self._of_borne())
         stated = ALERT_DEVIATIONS * math.sqrt(float(variance[found.axis]))
         return abs(found.size) <= max(ALERT_LIMIT, stated)
+
+    @staticmethod
+    def _may_be_zero(found: MountChange, solver: MountSolver) -> bool:
+        is_sudden_tilt = found.axis < 2 and not isinstance(found, Shift)
+        return is_sudden_tilt and abs(found.size) > LEAST and solver.own_gyro
 
     def bear(self, found: MountChange, block: int) -> bool:
         """Take a change that misleads nobody; return whether it was not known yet."""
@@ -249,5 +265,5 @@ def blocks_since(change: MountChange, kept: Sequence[SignalBlock]) -> list[Signa
     elif isinstance(change, LargeChange):
         after = change.blocks - 1  # the oldest holds the change itself
     else:
-        after = change.blocks
+        after = change.blocks - 2  # and its time is known to a block either way
     return list(kept)[max(len(kept) - after, 0) :]

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from imucald.mount.creep import P_CONSTANT, P_CONSTANT_AGAIN
 from imucald.mount.estimator_settings import EstimatorSettings, Limits
+from imucald.mount.evidence_response import GROUP
 from imucald.mount.manoeuvres import Manoeuvres
 from imucald.mount.offsets import Offsets
 from imucald.mount.refit import KEPT_BLOCKS, Refit
@@ -32,6 +33,16 @@ FIRST_LOOK_BLOCKS = 14
 """The second look takes at least that many blocks (90 s)."""
 LAST_LOOK_BLOCKS = 28
 """Without a rest to know the gyro bias from, it waits no longer than that (3 min)."""
+EAGER_BLOCKS = 20
+"""Up to so many blocks (128 s) each is followed by a fit: it is 5 % of the evidence or more."""
+LAZY_BLOCKS = 2
+"""Later every second (13 s), ..."""
+SEGMENT_BLOCKS = EAGER_BLOCKS * GROUP
+"""... and from so many (9 min) on, while the mount is *fine*, each time that a road segment has
+ended: only then a whole one is no more than 5 %. Of evidence that has grown by a share g since the
+fit, all would move an angle by sqrt(g / (1 + g)) of its deviation and make that smaller by
+1 - 1 / sqrt(1 + g): with 5 % by 0.22 and 0.024 at most. Creep is tested once a road segment anyway;
+where a small change is near, every block is followed by a fit again (`mount_changes`)."""
 
 
 class RestartableSolver:
@@ -108,6 +119,21 @@ class RestartableSolver:
             self.now, self._refit = self._refit.fresh, None
         elif self._follows_change:
             self.driven.add(*done)
+
+    @property
+    def is_young(self) -> bool:
+        """Whether each block is much of the evidence so far."""
+        return self.now.blocks <= EAGER_BLOCKS
+
+    def is_turn(self, block: int, is_fine: bool) -> bool:
+        """Whether enough has come since the last fit for another.
+
+        block: its number in the drive. is_fine: nothing better is waited for.
+        """
+        now = self.now
+        if is_fine and now.blocks > SEGMENT_BLOCKS and self._beside is None:
+            return now.response.segment != now.fitted_segment
+        return block % LAZY_BLOCKS == 0
 
     def fit(self) -> bool:
         """Fit the rotation to all evidence so far; return whether it is a first one."""

@@ -29,7 +29,9 @@ AGAINST_A_PERSON: dict[Stated, StandingFault] = {
 }
 
 
-OF_NO_PAIR = frozenset({*AGAINST_A_PERSON.values(), StandingFault.ACCEL_LEVEL})
+OF_NO_PAIR = frozenset(
+    {*AGAINST_A_PERSON.values(), StandingFault.ACCEL_LEVEL, StandingFault.ACCEL_ZERO}
+)
 """Faults that are not of signals against one another: another rotation ends none of them."""
 
 

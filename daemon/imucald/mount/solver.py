@@ -86,6 +86,8 @@ class MountSolver:
         self.yaw_known = False
         self.starts = 0
         """How often a first rotation was found."""
+        self.fitted_segment = 0
+        """Road segment that was being driven at the last fit."""
         self.fused: Fused | None = None
         self.sources: dict[str, AngleEvidence] = {}
         self.bias: Array | None = None
@@ -202,6 +204,7 @@ class MountSolver:
 
     def fit(self) -> None:
         """Fit the rotation to all evidence so far."""
+        self.fitted_segment = self.response.segment
         if not self.gravity.known:
             return
         bias, bias_cov = self.vertical.bias(self._cross_axis.bias_spread)
@@ -248,12 +251,15 @@ class MountSolver:
             sources[name] = AngleEvidence(value, variance, 0.0, slope)
         return sources
 
-    def step(self) -> GravityStep | None:
-        """A step in gravity that the gyroscope did not see, in the last minute; for every block."""
+    def step(self, is_good: bool) -> GravityStep | None:
+        """A step in gravity that the gyroscope did not see, in the last minute; for every block.
+
+        is_good: R is served as good.
+        """
         if self.R is None or not self.sure() or not self.own_gyro:
             self.vertical.steps.history.go_on()
             return None
-        return self.vertical.steps.found(self.R)
+        return self.vertical.steps.found(self.R, is_good)
 
     @property
     def cross_axis_std(self) -> float:

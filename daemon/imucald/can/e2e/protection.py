@@ -13,10 +13,16 @@ of the last good frame: "counter_repeated" (stuck, or a frame sent again), "coun
 by no more than the window: an old frame), "counter_jump" (more lost than allowed). Frames dropped
 for a wrong checksum or length are known to be missing and widen the allowed step, so that one
 damaged frame is one fault.
+
+"doubled" goes before all that: the frame before once more, every bit and the time stamp. No bus
+carries two frames at once, so a gateway or a logger has made a copy; it is dropped and says
+nothing of the sender. A third one is "counter_repeated". Only a counter shows a copy: without one
+the next frame may well look the same.
 """
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 import numpy as np
@@ -53,10 +59,13 @@ REASONS = (
     "counter_reversed",
     "counter_jump",
     "untrusted",
+    "doubled",
 )
 """Text of each reason code; code 0 is an accepted frame."""
 
-OK, SHORT, LONG, CHECKSUM, INVALID, TIMEOUT, REPEATED, REVERSED, JUMP, UNTRUSTED = range(10)
+OK, SHORT, LONG, CHECKSUM, INVALID, TIMEOUT, REPEATED, REVERSED, JUMP, UNTRUSTED, COPY = range(11)
+
+DOUBLED = REASONS[COPY]
 
 
 _FD_LENGTHS = (8, 12, 16, 20, 24, 32, 48, 64)
@@ -134,6 +143,7 @@ class MessageChecker:
         self._counts = [0] * len(REASONS)
         self._last_t: float | None = None
         self._last_counter: int | None = None
+        self._last_data = b""  # of the last frame that was good in itself, if its counter was new
         self._missed = 0  # frames known to be missing since the last good one
         self._distrust = 0  # good frames still to be dropped
         self.lost = 0
@@ -163,7 +173,13 @@ class MessageChecker:
             value = None if counter is None else read_bits(data, counter.field)
             if value is not None and counter is not None and value >= counter.modulus:
                 code = INVALID
+            elif value is not None and t == self._last_t and data == self._last_data:
+                self._counts[COPY] += 1
+                self._last_data = b""
+                return DOUBLED
             else:
+                if value is not None:
+                    self._last_data = b"" if value == self._last_counter else bytes(data)
                 if self._timeout is not None or value is not None:
                     code = self._sequence(t, value)
                 self._last_t = t
@@ -210,6 +226,51 @@ class MessageChecker:
         if count == 0:
             return codes
         counters = self._judge_each(codes, data, length)
+        copies = None if counters is None else self._copies(codes, counters, t, data, length)
+        if counters is not None and copies is not None:
+            kept = ~copies
+            rest = codes[kept]
+            self._judge_in_order(rest, t[kept], counters[kept])
+            codes[kept], codes[copies] = rest, COPY
+        else:
+            self._judge_in_order(codes, t, counters)
+        found = np.bincount(codes, minlength=len(REASONS)).tolist()
+        self._counts = [a + b for a, b in zip(self._counts, found, strict=True)]
+        return codes
+
+    def _copies(
+        self,
+        codes: NDArray[np.uint8],
+        counters: NDArray[np.int64],
+        t: NDArray[np.float64],
+        data: Columns,
+        length: NDArray[np.uint8],
+    ) -> NDArray[np.bool_] | None:
+        """Which frames (N,) are copies; None: none. The last frame is remembered."""
+        good = np.flatnonzero(codes == OK)
+        if not len(good):
+            return None
+        before = -1 if self._last_counter is None else self._last_counter
+        is_new = _differences(counters[good], before) != 0
+        since = _differences(t[good], math.nan if self._last_t is None else self._last_t)
+        final, last = int(good[-1]), self._last_data
+        self._last_data = data[final, : length[final]].tobytes() if is_new[-1] else b""
+        if not (since == 0.0).any():
+            return None
+        again = repeated_rows(data[good], length[good], last)
+        again &= since == 0.0
+        again[1:] &= is_new[:-1]
+        copies = np.zeros(len(codes), dtype=bool)
+        copies[good] = again
+        return copies if again.any() else None
+
+    def _judge_in_order(
+        self,
+        codes: NDArray[np.uint8],
+        t: NDArray[np.float64],
+        counters: NDArray[np.int64] | None,
+    ) -> None:
+        """Judge frames (N,) without copies: time-outs, counters, and what follows faults."""
         good = np.flatnonzero(codes == OK)
         if len(good):
             if counters is not None or self._timeout is not None:
@@ -217,14 +278,11 @@ class MessageChecker:
                     t[good], None if counters is None else counters[good], good
                 )
             self._last_t = float(t[good[-1]])
-            self._missed = count - 1 - int(good[-1])
+            self._missed = len(codes) - 1 - int(good[-1])
         else:
-            self._missed += count
-        if self._distrust or codes.any():
+            self._missed += len(codes)
+        if len(codes) and (self._distrust or codes.any()):
             self._distrust_columns(codes)
-        found = np.bincount(codes, minlength=len(REASONS)).tolist()
-        self._counts = [a + b for a, b in zip(self._counts, found, strict=True)]
-        return codes
 
     def _judge_each(
         self, codes: NDArray[np.uint8], data: Columns, length: NDArray[np.uint8]
@@ -288,3 +346,11 @@ def _differences(values: NDArray[Any], first: float) -> NDArray[Any]:
     out[0] = values[0] - first
     np.subtract(values[1:], values[:-1], out=out[1:])
     return out
+
+
+def repeated_rows(data: Columns, length: NDArray[np.uint8], last: bytes) -> NDArray[np.bool_]:
+    """Which frames (N,), N > 0, have every byte of the one before; last: the one before them."""
+    same = np.empty(len(data), dtype=bool)
+    same[0] = data[0, : length[0]].tobytes() == last
+    same[1:] = (data[1:] == data[:-1]).all(axis=1) & (length[1:] == length[:-1])
+    return same

@@ -1,0 +1,198 @@
+"""Was the sensor turned, or did a zero of its accelerometer step? The axis of turning knows.
+
+Both change where gravity points. A sensor that is turned turns its gyroscope too: the axis that
+the vehicle turns about in bends goes along in sensor axes. A zero that steps moves gravity alone.
+So after each change of the tilt the axis of before and of after it are held against each other.
+In sensor axes, about the mean gravity u of before, with c the change of gravity's direction
+(tangent plane of u) and x the part of the axis' change that goes along with c,
+
+    sensor turned: x = |c|,    zero stepped: x = 0,
+
+which is a test of two simple hypotheses (Neyman and Pearson, Phil. Trans. R. Soc. A 231, 1933).
+Neither is believed until its likelihood stands out enough. A turn that the gyroscope felt while
+gravity moved speaks for the first, too; that it felt none says little, as it may have slept.
+
+The axis: in a block the vehicle turns by the vector w. Its part along u is the turn, the rest is
+what slope and lean of road and body differ by from the block's beginning to its end, which does
+not grow with the turn. So the rest is a regression on the turn.
+"""
+
+from __future__ import annotations
+
+import enum
+import math
+
+import numpy as np
+from msgspec import Struct
+from numpy.typing import NDArray
+
+from imucald.motion.ticks import TICK_S
+from imucald.mount.estimator_settings import EstimatorSettings
+from imucald.mount.large_change import LEAST_TICKS
+from imucald.mount.shift import UNEVEN_STD
+from imucald.mount.signal_blocks import BLOCK_S, SignalBlock
+from imucald.mount.solver import MountSolver
+
+Array = NDArray[np.float64]
+
+REMEMBERED = 240
+"""Blocks (26 min)."""
+LEAST = 0.04
+"""Changes of gravity that are asked about begin there [rad]: 40 mg, what a zero is off by over a
+sensor's life (BMI160 data sheet). What is smaller is within the deviation."""
+MOST = 0.35
+"""And end there [rad], 20 deg: no zero is 350 mg off, and no rotation of before is kept."""
+FEWEST = 2
+"""Blocks since a change that gravity is known from."""
+TILTED, TILTED_BLOCKS = 0.03, 8.0
+"""What slope and lean differ by over a block [rad], and its weight in blocks: two slopes of
+`SLOPE_STD` that have nothing to do with each other."""
+STAYS = math.sqrt(2.0) * UNEVEN_STD["roll_axis"]
+"""The axis of turning differs by that much [rad] between two roads."""
+BELIEVED = math.log(20.0)
+"""Log of the ratio of likelihoods at which at most one in twenty is wrong, if both are as
+probable."""
+FELT_BLOCKS = 3
+"""A turn that the gyroscope felt lies in so many blocks up to the first that is after it."""
+FELT_PART = 0.5
+"""Of sensors that are turned, while the bus is awake: as many as not (assumption)."""
+STANDING_METRES = 0.3
+"""A block of standing counts as so much road [m]: it sees one place."""
+
+AXIS_PRIOR = 0.07
+"""The axis of turning lies that far from gravity [rad], 4 deg, before any bend: in a measured van
+it lies 3 to 4 deg beside what its INS says."""
+NO_PRIOR = 1e-6
+NO_ROWS: Array = np.zeros((0, 8))
+"""Of each block: force without motion (3,) [m/s^2], turn (3,) [rad], sensor axes; road [m]; when it
+began [s]."""
+
+
+class GravityMoved(enum.Enum):
+    """What moved gravity."""
+
+    NOTHING = "nothing that is asked about"
+    UNKNOWN = "not known yet"
+    TURNED = "the sensor was turned"
+    STEPPED = "a zero of the accelerometer stepped"
+
+
+class SeenOver(Struct, frozen=True):
+    """Of some blocks: how far gravity and the axis of turning lie from a vertical, tangent vectors
+    (3,) [rad], each with the variance of a component."""
+
+    gravity: Array
+    gravity_variance: float
+    axis: Array
+    axis_variance: float
+
+
+class ZeroStep:
+    """Asks after each change of the tilt what it was.
+
+    cause: of the last change that was asked about.
+    """
+
+    def __init__(self, settings: EstimatorSettings) -> None:
+        self._slope = settings.slope_std * max(settings.unevenness)
+        self._length = settings.slope_length
+        self._rows = NO_ROWS
+        self._before: Array | None = None
+        self._felt = np.zeros(3)
+        self.cause = GravityMoved.NOTHING
+
+    def restart(self) -> None:
+        """What comes next has nothing to do with the last blocks; what is asked stays asked."""
+        self._rows = NO_ROWS
+
+    def ask(self, since: float) -> None:
+        """Gravity has moved; since: when the first block began that is wholly after that [s]."""
+        began = self._rows[:, 7]
+        lately = (began > since - (FELT_BLOCKS + 0.5) * BLOCK_S) & (began < since - 0.5 * BLOCK_S)
+        if self._before is None:
+            self._felt = self._rows[lately, 3:6].sum(axis=0)
+            self._before = self._rows[began < since - 1.5 * BLOCK_S]
+        self._rows = self._rows[began > since - 0.5 * BLOCK_S]
+        self.cause = GravityMoved.UNKNOWN
+        self._judge()
+
+    def add(self, p: SignalBlock, solver: MountSolver) -> None:
+        """Take a block; solver: it has a rotation, and has taken the block already."""
+        assert solver.R is not None
+        use = p.learn & (p.ok_speed | p.rest)
+        n = int(np.count_nonzero(use))
+        if n < LEAST_TICKS:
+            return
+        gains = solver.gains()
+        motion = np.zeros(3)
+        motion[0] = gains[0] * float(use @ p.accel) / n
+        motion[1] = gains[1] * float(use @ (p.speed * solver.turn_rate)) / n
+        force = use @ p.force / n - motion @ solver.R
+        turn = p.ok_rate @ p.rate * TICK_S
+        metres = float(use @ np.abs(p.speed)) * TICK_S + STANDING_METRES
+        row = np.concatenate([force, turn, [metres, p.t[0]]])
+        self._rows = np.concatenate([self._rows[1 - REMEMBERED :], row[None]])
+        self._judge()
+
+    def _judge(self) -> None:
+        rows = self._before
+        if rows is None:
+            return
+        if len(rows) < FEWEST:  # nothing to compare with
+            self._before, self.cause = None, GravityMoved.NOTHING
+            return
+        if len(self._rows) < FEWEST:
+            return
+        mean = rows[:, 6] @ rows[:, :3]
+        up = mean / np.linalg.norm(mean)
+        before = self._seen(rows, up, TILTED * TILTED / (AXIS_PRIOR * AXIS_PRIOR))
+        after = self._seen(self._rows, up, NO_PRIOR)
+        change = after.gravity - before.gravity
+        size = float(np.linalg.norm(change))
+        variance = before.gravity_variance + after.gravity_variance
+        if size > MOST:
+            self._before, self.cause = None, GravityMoved.TURNED
+            return
+        reach = 2.0 * math.sqrt(variance)
+        if size < LEAST:
+            self.cause = GravityMoved.NOTHING
+            if size + reach < LEAST:
+                self._before = None
+            return
+        along = float((after.axis - before.axis) @ change) / size
+        still = before.axis_variance + after.axis_variance + STAYS * STAYS
+        turned = still + variance
+        left = along - size
+        ratio = 0.5 * (along * along / still - left * left / turned + math.log(still / turned))
+        ratio += self._felt_ratio(up, change / size, size, before)
+        if ratio > BELIEVED:
+            self._before, self.cause = None, GravityMoved.TURNED
+        else:
+            is_stepped = ratio < -BELIEVED and size - reach > LEAST
+            self.cause = GravityMoved.STEPPED if is_stepped else GravityMoved.UNKNOWN
+
+    def _felt_ratio(self, up: Array, along: Array, size: float, before: SeenOver) -> float:
+        """What the turn that was felt adds to the log of the ratio, for a change of gravity by size
+        [rad] along a direction (3,); a sensor that turns by it turns about along x up."""
+        left = self._felt - float(self._felt @ up) * (up + before.axis)
+        felt = float(left @ np.cross(along, up))
+        more = size * (2.0 * felt - size) / (2.0 * TILTED * TILTED)
+        return math.log(1.0 - FELT_PART + FELT_PART * math.exp(min(more, 50.0)))
+
+    def _seen(self, rows: Array, up: Array, prior: float) -> SeenOver:
+        """About a vertical (3,); prior: turning [rad^2] that has shown the axis to be there."""
+        force, turn, metres = rows[:, :3], rows[:, 3:6], rows[:, 6]
+        mean = metres @ force / float(metres.sum())
+        q = max(float(metres.sum()) / self._length, 1e-3)
+        part = 2.0 / q * (1.0 - (1.0 - math.exp(-q)) / q)
+        about = turn @ up
+        across = turn - about[:, None] * up
+        square = about * about
+        known = float(square.sum())
+        axis = about @ across / (known + prior)
+        left = across - about[:, None] * axis
+        blocks = known * known / max(float((square * square).sum()), 1e-12)
+        spread = 0.5 * float(square @ (left * left).sum(axis=1)) / max(known, 1e-12)
+        noise = (TILTED_BLOCKS * TILTED**2 + blocks * spread) / (TILTED_BLOCKS + blocks)
+        gravity = mean / float(mean @ up) - up
+        return SeenOver(gravity, self._slope**2 * part, axis, noise / (known + prior))
