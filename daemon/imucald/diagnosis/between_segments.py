@@ -18,7 +18,7 @@ from imucald.diagnosis.chance import Question
 from imucald.diagnosis.intervals import ERROR_RATE
 from imucald.diagnosis.outcome import SEEN_SHARE, signals_of
 from imucald.diagnosis.result import WANDERS, Structure
-from imucald.diagnosis.score import Hypothesis, Problem, fitted, one_in_fifteen
+from imucald.diagnosis.score import Hypothesis, Problem, one_in_fifteen, what_leaves
 from imucald.diagnosis.search import beyond
 from imucald.diagnosis.signals import Array
 from imucald.diagnosis.stability import EVENLY, amount
@@ -43,7 +43,7 @@ def gains_apart(problem: Problem, state: State, drift: Hypothesis | None) -> lis
     table = problem.table
     if table.blocks < LEAST_BLOCKS:
         return []
-    z = _left(problem, drift)
+    z = what_leaves(problem, drift)
     asked = [h for h in hypotheses(table, state.model, []) if _is_gain(h)]
     return [q for h in asked for q in _questions(problem, h, h.keys, z)]
 
@@ -54,7 +54,7 @@ def named_apart(problem: Problem, state: State, drift: Hypothesis | None) -> lis
     table = problem.table
     if table.blocks < LEAST_BLOCKS:
         return []
-    z = _left(problem, drift)
+    z = what_leaves(problem, drift)
     asked = [q for t in state.named
              for q in _questions(problem, on_table(t.hypothesis, table), beyond(t), z)]  # fmt: skip
     return [q.structure for q in asked if q.is_large and q.p * len(asked) < ERROR_RATE]
@@ -62,17 +62,6 @@ def named_apart(problem: Problem, state: State, drift: Hypothesis | None) -> lis
 
 def _is_gain(h: Hypothesis) -> bool:
     return h.pattern is None and all(key.split(".")[1] == "scale" for key in h.keys)
-
-
-def _left(problem: Problem, drift: Hypothesis | None) -> Array:
-    """(B, P+1) what makes a segment's residual of its rows, everything fitted in its box."""
-    table, x = problem.table, fitted(problem, drift)
-    own = len(table.keys)
-    z = np.tile(np.concatenate([[1.0], -x[:own]]), (table.blocks, 1))
-    if drift is not None and drift.pattern is not None:
-        for key, slope in zip(drift.keys, x[own:], strict=True):
-            z[:, table.keys.index(key) + 1] -= slope * drift.pattern
-    return z
 
 
 def _questions(

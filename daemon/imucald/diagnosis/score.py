@@ -180,6 +180,18 @@ def held_out(problem: Problem, h: Hypothesis | None = None) -> Array:
     return lost
 
 
+def what_leaves(problem: Problem, drift: Hypothesis | None) -> Array:
+    """(B, P+1) what makes of each segment's rows what is left of them, everything fitted in its
+    box. drift: of what was named and has no place in the model file; it is fitted beside."""
+    table, x = problem.table, problem.fit(drift)
+    own = len(table.keys)
+    z = np.tile(np.concatenate([[1.0], -x[:own]]), (table.blocks, 1))
+    if drift is not None and drift.pattern is not None:
+        for key, slope in zip(drift.keys, x[own:], strict=True):
+            z[:, table.keys.index(key) + 1] -= slope * drift.pattern
+    return z
+
+
 def one_in_fifteen(blocks: int) -> int:
     """So many of these blocks must not decide; of few, one."""
     return max(1, round(blocks / 15))
