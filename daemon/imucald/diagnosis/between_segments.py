@@ -116,10 +116,12 @@ def _scatter(x: Array, variance: Array, may: float) -> tuple[float, float]:
     """Deviation between segments beyond their errors (DerSimonian and Laird 1986), and the chance
     of their scatter (Cochran 1954) where the values themselves scatter by `may`. One segment in
     fifteen must not decide."""
+    far = (x - np.median(x)) ** 2 / (variance + may**2)
+    kept = np.argsort(far)[: len(x) - one_in_fifteen(len(x))]
+    x, variance = x[kept], variance[kept]
     w = 1.0 / variance
     excess = float(w @ (x - w @ x / w.sum()) ** 2) - (len(x) - 1)
     size = float(np.sqrt(max(excess, 0.0) / (w.sum() - w @ w / w.sum())))
     w = 1.0 / (variance + may**2)
-    terms = np.sort(w * (x - w @ x / w.sum()) ** 2)
-    terms = terms[: len(terms) - one_in_fifteen(len(terms))]
-    return size, float(chi2.sf(terms.sum(), len(terms) - 1))
+    power = float(w @ (x - w @ x / w.sum()) ** 2)
+    return size, float(chi2.sf(power, len(x) - 1))
