@@ -86,13 +86,14 @@ def test_one_segment_in_fifteen_does_not_decide():
     assert q.p > 0.05
 
 
-@pytest.mark.parametrize("is_named", [True, False])
-def test_a_zero_is_asked_where_it_was_named(is_named):
-    zero = 4.0 * ZERO * np.random.default_rng(4).standard_normal(BLOCKS)
-    p = problem(2, zero, "accel.bias.x", ZERO)
-    named = [trial(Hypothesis("accel_bias", ("accel.bias.x",)))] if is_named else []
-    assert bool(named_apart(p, state(*named), None)) == is_named
-    assert gains_apart(p, state(*named), None) == []
+@pytest.mark.parametrize("seed", range(3))
+def test_a_named_gain_is_held_to_what_is_asked_of_names(seed):
+    named = state(trial(Hypothesis("wheel_speed_scale", ("speed.scale",))))
+    one = problem(seed, np.full(BLOCKS, 0.08), "speed.scale", GAIN)
+    apart = problem(seed, heated(seed), "speed.scale", GAIN)
+    assert named_apart(one, named, None) == []
+    assert [s.parameter for s in named_apart(apart, named, None)] == ["speed.scale"]
+    assert named_apart(apart, state(), None) == []
 
 
 @pytest.mark.parametrize(("grows", "is_even"), [(RAMP, True), (STEP, False)])
