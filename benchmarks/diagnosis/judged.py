@@ -47,13 +47,13 @@ def meets_its_own(line: Line) -> bool:
 
 
 def zero_is_true(line: Line) -> bool:
-    """A gyroscope's zero that an effect moved beyond its tolerance, and that is named: every 95 %
-    interval holds what plain means at stops say (a high-pass takes the zero out of what the file
-    takes off)."""
+    """A gyroscope's zero that is named and that plain means at stops confirm: they are beyond its
+    tolerance by 1.96 deviations, and each 95 % interval holds them. A high-pass takes out the zero
+    that the file takes off; a gain changes it with all else."""
     rest, named = line.get("at_rest") or {}, line["values"]
     keys = [key for key in rest if key in named]
-    moved = any(abs(rest[k][2]) > PARAMETERS[k].tolerance for k in keys)
-    return moved and all(
+    off = any(abs(rest[k][0]) > PARAMETERS[k].tolerance + SD_95 * rest[k][1] for k in keys)
+    return off and all(
         abs(named[k][0] - rest[k][0]) <= SD_95 * float(np.hypot(named[k][1], rest[k][1]))
         for k in keys
     )

@@ -86,9 +86,8 @@ def outcome(case: Case) -> dict[str, Any]:
             for c in d.candidates for key, p in c.parameters.items()
         },
     }  # fmt: skip
-    if case.part == "outside" and "gyro_bias" in result["said"]:
-        as_it_is = read_log(case.log).pieces(case.pieces)[case.piece]
-        result["at_rest"] = zero_at_rest(samples, as_it_is, model)
+    if case.part in {"measured", "outside"} and "gyro_bias" in result["said"]:
+        result["at_rest"] = zero_at_rest(samples, model)
     if case.part == "measured" and truth and truth["key"]:
         result["own"] = _named_as_it_is(case.log, case.pieces, case.piece).get(truth["key"])
     if case.part in {"measured", "nulls"} and d.causes:
@@ -106,24 +105,18 @@ def longest_stop_s(samples: Samples) -> float:
     return round(longest, 1)
 
 
-def zero_at_rest(
-    samples: Samples, as_it_is: Samples, model: VehicleModel
-) -> dict[str, list[float]]:
-    """By key: mean of the gyroscope at stops less what the file states, its deviation between
-    stops, and by how much the effect moved it. By the speed and plain means alone, so that what the
-    diagnosis reads at stops can be held against it."""
-    means = [_at_stops(s) @ mount_of(model).T for s in (samples, as_it_is)]
-    if min(map(len, means)) < 2:
+def zero_at_rest(samples: Samples, model: VehicleModel) -> dict[str, list[float]]:
+    """By key: mean of the gyroscope at stops less what the file states, and its deviation between
+    stops. By the speed and plain means alone, so that what the diagnosis says of it can be held
+    against it."""
+    means = _at_stops(samples) @ mount_of(model).T
+    if len(means) < 2:
         return {}
-    zero, before = (m.mean(axis=0) for m in means)
-    se = means[0].std(axis=0, ddof=1) / np.sqrt(len(means[0]))
+    zero, se = means.mean(axis=0), means.std(axis=0, ddof=1) / np.sqrt(len(means))
     return {
-        f"gyro.bias.{axis}": [
-            float(zero[i] - value(model, f"gyro.bias.{axis}")), float(se[i]),
-            float(zero[i] - before[i]),
-        ]
+        f"gyro.bias.{axis}": [float(zero[i] - value(model, f"gyro.bias.{axis}")), float(se[i])]
         for i, axis in enumerate("xyz")
-    }  # fmt: skip
+    }
 
 
 def _at_stops(samples: Samples) -> np.ndarray:
