@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 from benchmarks.diagnosis.measured_logs import KNOWN
+from benchmarks.diagnosis.outside_effects import NOT_RUN
 from benchmarks.diagnosis.real_effects import EFFECTS
 
 Line = Mapping[str, Any]
@@ -36,6 +38,21 @@ def wrong_names(line: Line) -> list[str]:
     return [n for n in line["said"] if n not in right | alike]
 
 
+def is_wrong_alone(line: Line) -> bool:
+    """One name, and no look-alike, and it is wrong."""
+    return len(line["said"]) == 1 and not line["sets"] and bool(wrong_names(line))
+
+
+def asked_of(lines: Sequence[Line]) -> list[Line]:
+    """Without the cases whose log has no such signal; what was refused or crashed is missed."""
+    return [x for x in lines if "lacks" not in x]
+
+
+def long_logs(lines: Sequence[Line]) -> set[str]:
+    """Measured logs whose halves last long enough."""
+    return {x["log"] for x in lines if x.get("minutes", 0.0) >= LONG_MIN}
+
+
 def _row(*cells: object) -> str:
     return "| " + " | ".join(str(c) for c in cells) + " |"
 
@@ -57,10 +74,11 @@ def nulls(lines: Sequence[Line]) -> Iterator[str]:
 
 def hidden(lines: Sequence[Line], null_lines: Sequence[Line]) -> Iterator[str]:
     """Effects hidden in measured logs, by effect and size."""
-    lines = [x for x in lines if "refused" not in x]
+    lines = asked_of(lines)
     yield _row("effect", *(f"size {i + 1}" for i in range(4)), "wrong names", "in 15 min and more")
     yield _row(*["---"] * 7)
     wrong = single = 0
+    of_15_min = long_logs(lines)
     for name, effect in EFFECTS.items():
         own = [x for x in lines if x["effect"] == name]
         if not own:
@@ -75,14 +93,13 @@ def hidden(lines: Sequence[Line], null_lines: Sequence[Line]) -> Iterator[str]:
                 cells.append("-")
         bad = [n for x in own for n in wrong_names(x)]
         wrong += sum(bool(wrong_names(x)) for x in own)
-        single += sum(len(x["said"]) == 1 and not x["sets"] and bool(wrong_names(x)) for x in own)
-        long = [x for x in own if x["minutes"] >= LONG_MIN]
+        single += sum(map(is_wrong_alone, own))
+        long = [x for x in own if x["log"] in of_15_min]
         by_level = [
             f"{sum(is_right(x) for x in long if x['level'] == i)}/"
             f"{sum(x['level'] == i for x in long)}" for i in range(4)
         ]  # fmt: skip
-        shown = ", ".join(f"{n} x{bad.count(n)}" for n in sorted(set(bad))) or "-"
-        yield _row(name, *cells, shown, " ".join(by_level))
+        yield _row(name, *cells, _counted(bad), " ".join(by_level))
     held, sized = intervals(lines, null_lines)
     total = len(lines)
     yield ""
@@ -98,7 +115,7 @@ def intervals(lines: Sequence[Line], null_lines: Sequence[Line]) -> tuple[int, i
     as it is says of the parameter, named or not."""
     own = {
         (x["log"], _piece(x)): {k: v[:2] for k, v in {**x["others"], **x["values"]}.items()}
-        for x in null_lines if "refused" not in x
+        for x in null_lines
     }  # fmt: skip
     held = sized = 0
     for x in lines:
@@ -121,34 +138,60 @@ def _piece(line: Line) -> str:
 def outside(lines: Sequence[Line], null_lines: Sequence[Line]) -> Iterator[str]:
     """How many effects that the catalogue lacks are seen, in logs that are not `unknown` anyway;
     what no test could see that does not know the effect is counted by itself."""
-    already = {(x["log"], _piece(x)) for x in null_lines if x.get("verdict") == "unknown"}
-    there = [x for x in lines if "refused" not in x and (x["log"], _piece(x)) not in already]
-    fair = [x for x in there if _is_visible(x)]
+    fair = fair_outside(lines, null_lines)
+    kept = {id(x) for x in fair}
+    logs = list(dict.fromkeys(x["log"] for x in fair))
+    yield _row("effect", *logs, "seen", "wrong names")
+    yield _row(*["---"] * (len(logs) + 3))
     for effect in dict.fromkeys(x["effect"] for x in fair):
         own = [x for x in fair if x["effect"] == effect]
-        yield f"- {effect}: seen in {sum(map(is_right, own))} of {len(own)}."
-    hard = [x for x in there if not _is_visible(x)]
-    said = ", ".join(f"{x['effect']} in {x['log']} ({_ratio(x)})" for x in hard)
+        cells = [_share([x for x in own if x["log"] == log]) for log in logs]
+        bad = [n for x in own for n in wrong_names(x)]
+        new = " (new)" if effect in NOT_RUN else ""
+        yield _row(effect + new, *cells, _share(own), _counted(bad))
+    wrong = sum(bool(wrong_names(x)) for x in fair)
+    yield ""
     yield (
-        f"- In all {sum(map(is_right, fair))} of {len(fair)}, with a wrong name in "
-        f"{sum(bool(wrong_names(x)) for x in fair)}; pieces that are `unknown` as they are "
-        f"({len(already)}) are left out."
+        f"In all {_share(fair)}, with a wrong name in {wrong}; pieces that are `unknown` as they "
+        f"are ({len(_already(null_lines))}) are left out."
     )
+    hard = [x for x in asked_of(lines) if id(x) not in kept and not _is_visible(x)]
     if hard:
-        yield (
-            f"- Too small at any size tried for a test that does not know their shape (deviations "
-            f"of the ideal filter, needed): {said}; seen in {sum(map(is_right, hard))}, a wrong "
-            f"name in {sum(bool(wrong_names(x)) for x in hard)}."
+        cases = ", ".join(
+            f"{effect} in {log} ({n})" if n > 1 else f"{effect} in {log}"
+            for (effect, log), n in Counter((x["effect"], x["log"]) for x in hard).items()
         )
+        yield ""
+        yield (
+            "Too small at any size tried for a test that does not know their shape (an ideal "
+            f"filter gives less than such a test needs): {cases}; seen in "
+            f"{sum(map(is_right, hard))}, a wrong name in "
+            f"{sum(bool(wrong_names(x)) for x in hard)}."
+        )
+
+
+def fair_outside(lines: Sequence[Line], null_lines: Sequence[Line]) -> list[Line]:
+    """Of pieces that are not `unknown` as they are, what an ideal filter could see."""
+    already = _already(null_lines)
+    there = [x for x in asked_of(lines) if (x["log"], _piece(x)) not in already]
+    return [x for x in there if _is_visible(x)]
+
+
+def _already(null_lines: Sequence[Line]) -> set[tuple[str, str]]:
+    return {(x["log"], _piece(x)) for x in null_lines if x["verdict"] == "unknown"}
+
+
+def _share(lines: Sequence[Line]) -> str:
+    return f"{sum(map(is_right, lines))}/{len(lines)}" if lines else "-"
+
+
+def _counted(names: Sequence[str]) -> str:
+    return ", ".join(f"{n} x{names.count(n)}" for n in sorted(set(names))) or "-"
 
 
 def _is_visible(line: Line) -> bool:
     truth = line.get("truth") or {}
     return bool(truth.get("ideal", 1.0) >= truth.get("needed", 0.0))
-
-
-def _ratio(line: Line) -> str:
-    return f"{line['truth']['ideal']:.1f}, {line['truth']['needed']:.1f}"
 
 
 def drives(lines: Sequence[Line], what: str) -> Iterator[str]:
@@ -171,7 +214,7 @@ def drives(lines: Sequence[Line], what: str) -> Iterator[str]:
 
 def summary(part: str, lines: Sequence[Line]) -> str:
     """One line a part."""
-    lines = [x for x in lines if "refused" not in x]
+    lines = [x for x in asked_of(lines) if part != "nulls" or "refused" not in x]
     if not lines:
         return f"{part}: nothing to tell"
     good = [x for x in lines if is_right(x)]
@@ -183,33 +226,25 @@ def summary(part: str, lines: Sequence[Line]) -> str:
     )
 
 
+def statements(lines: Sequence[Line]) -> tuple[int, int, int, int]:
+    """How many were told as certain, how many of these are right, and the same of likely ones."""
+    sure = [(n, x) for x in lines for n in x["said"]]
+    bad = sum(n in wrong_names(x) for n, x in sure)
+    likely = [(n, x) for x in lines for n in x["likely"]]
+    good = sum(n in {*x["right"], *KNOWN.get(x["log"], ())} for n, x in likely)
+    return len(sure), len(sure) - bad, len(likely), good
+
+
 def calibration(lines: Sequence[Line]) -> Iterator[str]:
     """Of what was told as certain and as likely, how much was there."""
     yield _row("world", "certain", "right", "likely", "right")
     yield _row(*["---"] * 5)
     for part in dict.fromkeys(x["part"] for x in lines):
-        own = [x for x in lines if x["part"] == part and "refused" not in x]
-        sure = [(n, x) for x in own for n in x["said"]]
-        bad = sum(n in wrong_names(x) for n, x in sure)
-        likely = [(n, x) for x in own for n in x["likely"]]
-        good = sum(n in {*x["right"], *KNOWN.get(x["log"], ())} for n, x in likely)
-        yield _row(part, len(sure), len(sure) - bad, len(likely), good)
+        yield _row(part, *statements([x for x in lines if x["part"] == part]))
+    yield _row("all", *statements(lines))
 
 
-def file_alone(lines: Sequence[Line]) -> str:
-    """Whether the written file does alone what the page says, within 5 %."""
+def file_alone(lines: Sequence[Line]) -> tuple[int, int]:
+    """How many signals the written file brings alone to what the page says, within 5 %; of all."""
     pairs = [v for x in lines for v in (x.get("file") or {}).values() if v[2] > 0.0]
-    near = sum(abs(after - alone) <= 0.05 * alone for _, after, alone in pairs)
-    return f"Within 5 % of what the page says: {near} of {len(pairs)} signals."
-
-
-def cost(lines: Sequence[Line]) -> str:
-    """Processor time and memory."""
-    per_hour = sorted(x["cpu_s_per_h"] for x in lines if x.get("minutes", 0.0) >= LONG_MIN)
-    if not per_hour:
-        return "No drive of 15 min."
-    middle = per_hour[len(per_hour) // 2]
-    return (
-        f"Processor time per hour of driving: median {middle:.0f} s, most {per_hour[-1]:.0f} s; "
-        f"memory up to {max(x['mib'] for x in lines if 'mib' in x)} MiB."
-    )
+    return sum(abs(after - alone) <= 0.05 * alone for _, after, alone in pairs), len(pairs)

@@ -45,6 +45,8 @@ accelerometer by 0.15 s in independent fits (the data's own page). vehsense_2018
 the zero forward is -0.1 deg/s in both quarters before the first long stop and 0 in both after it,
 where stops say 0 as well; at its five stops |f| is 10.036 to 10.045 m/s^2, where g is 9.80, and
 forward -0.03 to -0.43 m/s^2: its accelerometer's zero, or gain, is off (the data's own page)."""
+LOOSE = ("vehsense_2017_10_25_1829", "vehsense_2017_10_23_2245")
+"""Phones that are held loosely (the data's own page), so that `unknown` is right of them."""
 STATED = {
     "vehsense_2017_10_23_2245": [[0, 0, -1], [0, 1, 0], [1, 0, 0]],
     "quat_orient_21": [[1, 0, 0], [0, 1, 0], [0, 0, 1]],

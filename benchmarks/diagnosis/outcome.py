@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import hashlib
-import json
 import math
+import os
 import pickle
 import resource
 import time
 from collections.abc import Mapping
-from functools import cache
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -24,12 +24,14 @@ from hidden import Effect, hidden_drive
 from imucald.core.errors import EstimateError
 from imucald.core.samples import Samples
 from imucald.diagnosis.cause_keys import mount_of
+from imucald.diagnosis.causes import PARAMETERS
 from imucald.diagnosis.diagnose import diagnose
 from imucald.diagnosis.recording import read_samples
 from imucald.diagnosis.result import Diagnosis
 from imucald.model.model import VehicleModel, load_model, model_from_mapping
 from imucald.runtime.session import open_config
 
+STANDS_MPS = 0.15
 SIZES = ("small", "medium", "large")
 SECOND_WORLD: Mapping[str, tuple[str, ...]] = {
     "none": (), "steering_ratio_error": ("steering_ratio",), "understeer": ("understeer",),
@@ -48,27 +50,35 @@ GENERATED: Mapping[str, tuple[str, ...]] = {
 """As above; slope and cross fall drop out of what is compared, so nothing is right."""
 
 
+def line_of(case: Case, right: tuple[str, ...]) -> dict[str, Any]:
+    """What every outcome says of its case."""
+    return {"key": case.key, "part": case.part, "log": case.log, "effect": case.effect,
+            "level": case.level, "draw": case.draw, "right": list(right), "said": [],
+            "likely": [], "sets": [], "left": [], "values": {}, "others": {},
+            "state": STATE}  # fmt: skip
+
+
 def outcome(case: Case) -> dict[str, Any]:
     """Diagnose one case."""
     samples, model, right, truth = _prepared(case)
+    line = line_of(case, right)
+    if not samples:
+        return {**line, "verdict": "refused", "lacks": "a signal that it needs"}
     began = time.process_time()
     try:
         d = diagnose([samples], model)
     except EstimateError as error:
-        return {"key": case.key, "part": case.part, "log": case.log, "effect": case.effect,
-                "level": case.level, "right": list(right), "refused": str(error),
-                "state": STATE}  # fmt: skip
+        return {**line, "verdict": "refused", "refused": str(error)}
     seconds = time.process_time() - began
     hours = d.duration_s / 3600.0
     result = {
-        "key": case.key, "part": case.part, "log": case.log, "effect": case.effect,
-        "level": case.level, "right": list(right), "minutes": round(60.0 * hours, 1),
+        **line, "minutes": round(60.0 * hours, 1), "longest_stop_s": longest_stop_s(samples),
         "verdict": d.verdict, "said": [c.name for c in d.causes],
         "likely": [c.name for c in d.likely], "sets": [list(s) for s in d.look_alikes],
         "left": sorted({s.kind for s in d.structure}), "recommended": d.recommended,
         "cpu_s": round(seconds, 2), "cpu_s_per_h": round(seconds / hours, 1),
         "mib": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss // 1024,
-        "values": _values(d), "truth": truth,
+        "values": _values(d), "truth": truth, "implausible": _implausible(d),
         "others": {
             key: [p.value - p.stated, p.std]
             for c in d.candidates for key, p in c.parameters.items()
@@ -76,7 +86,17 @@ def outcome(case: Case) -> dict[str, Any]:
     }  # fmt: skip
     if case.part in {"measured", "nulls"} and d.causes:
         result["file"] = _file_alone(d, samples)
-    return {**result, "state": STATE}
+    return result
+
+
+def longest_stop_s(samples: Samples) -> float:
+    """By the speed alone, which is below a walk's tenth."""
+    t, v = samples["speed"].t, samples["speed"].values
+    longest, start = 0.0, None
+    for at, slow in zip(t, np.abs(v) < STANDS_MPS, strict=True):
+        start = (at if start is None else start) if slow else None
+        longest = max(longest, 0.0 if start is None else float(at - start))
+    return round(longest, 1)
 
 
 def _prepared(case: Case) -> tuple[Samples, VehicleModel, tuple[str, ...], Any]:
@@ -145,7 +165,7 @@ def of_medium_size(case: Case) -> tuple[Samples, float, Seen] | None:
     return made[0]
 
 
-@cache
+@lru_cache(6)
 def _ideal(log: str, pieces: int, piece: int) -> Ideal:
     case = Case("outside", log, pieces=pieces, piece=piece)
     return Ideal(read_log(log).pieces(pieces)[piece], piece_model(case))
@@ -165,7 +185,9 @@ def piece_model(case: Case) -> VehicleModel:
     log = read_log(case.log)
     others = [p for i, p in enumerate(log.pieces(case.pieces)) if i != case.piece]
     model = extended(log.baseline, others)
-    path.write_bytes(pickle.dumps(model))
+    making = path.with_name(f"making-{os.getpid()}-{path.name}")
+    making.write_bytes(pickle.dumps(model))
+    making.rename(path)
     return model
 
 
@@ -179,6 +201,17 @@ def _values(d: Diagnosis) -> dict[str, list[float]]:
     }
 
 
+def _implausible(d: Diagnosis) -> list[str]:
+    """Found parameters that no vehicle and no sensor can have."""
+    made = []
+    for key, p in ((k, p) for c in d.causes for k, p in c.parameters.items() if k in PARAMETERS):
+        low, high = PARAMETERS[key].plausible
+        by = abs(p.stated) if PARAMETERS[key].relative else 1.0
+        if not low * by <= p.value - p.stated <= high * by:
+            made.append(key)
+    return made
+
+
 def _file_alone(d: Diagnosis, samples: Samples) -> dict[str, list[float]]:
     """By signal: rms that the page says *after*, and that of the written file put to the test."""
     try:
@@ -190,7 +223,3 @@ def _file_alone(d: Diagnosis, samples: Samples) -> dict[str, list[float]]:
         for name, s in d.signals.items()
         if name in again.signals
     }
-
-
-def as_line(result: Mapping[str, Any]) -> str:
-    return json.dumps(result, ensure_ascii=False, default=float)

@@ -219,6 +219,29 @@ def test_pieces_of_one_recording_are_joined_on_request(tmp_path, capsys):
     assert "--joined" in capsys.readouterr().err
 
 
+@pytest.mark.parametrize(("pieces", "said"), [
+    ((0, 6000, 4000, 9000), "2.log begins {shared:.1f} s before {folder}/1.log ends"),
+    ((4000, 9000, 0, 6000), "1.log begins {shared:.1f} s before {folder}/2.log ends"),
+    ((6000, 9000, 0, 6000), "2.log is earlier than {folder}/1.log, which is read before it"),
+    ((0, 6000, 6000, 9000), ""),
+])  # fmt: skip
+def test_pieces_that_hold_the_same_seconds_or_are_exchanged_are_named(
+    tmp_path, capsys, pieces, said
+):
+    """An overlap is a warning, and no error: both pieces are replayed."""
+    lines = log().read_bytes().splitlines(keepends=True)[:9000]
+    names = [tmp_path / "1.log", tmp_path / "2.log"]
+    for name, start, stop in zip(names, pieces[::2], pieces[1::2], strict=True):
+        name.write_bytes(b"".join(lines[start:stop]))
+    stamps = [float(line.split()[0].strip(b"()")) for line in (lines[4000], lines[5999])]
+    command = ["replay", "--config", str(CONFIG), *map(str, names), "--joined"]
+    assert cli.main(command) == 0
+    noted = [line for line in capsys.readouterr().err.splitlines() if ".log" in line]
+    said = said.format(shared=stamps[1] - stamps[0], folder=tmp_path)
+    assert len(noted) == bool(said)
+    assert all(f"{tmp_path}/{said}" in line for line in noted)
+
+
 def test_the_same_recording_twice_is_refused_as_pieces_of_one(tmp_path, capsys):
     start = b"".join(log().read_bytes().splitlines(keepends=True)[:5000])
     first, again, packed = (tmp_path / name for name in ("1.log", "again.log", "2.log.gz"))

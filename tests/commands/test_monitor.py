@@ -22,6 +22,7 @@ from imucald.commands.monitor_view import monitor_picture
 from imucald.commands.status import exit_status
 from imucald.commands.status_view import picture
 from imucald.mount.contradictions import WORDS, StandingFault
+from imucald.mount.estimate import ANGLES
 from imucald.service.journal import Journal
 from imucald.service.service import Service
 from imucald.service.service_options import ServiceOptions
@@ -133,6 +134,31 @@ def test_inputs_say_what_is_wrong_with_them(status):
     assert "100/s" in accel
     assert "stuck (y)" in accel
     assert "silent" in speed
+
+
+def now(status) -> str:
+    (line,) = (line for line in drawn(picture(status), 400) if line.lstrip().startswith("now"))
+    return line.partition("now")[2].strip()
+
+
+def test_nothing_wrong_is_said_only_where_neither_mount_nor_signals_are(status):
+    assert now(status) == "nothing wrong"
+    trouble = WORDS[StandingFault.ACCEL_LEVEL] + " (9.81 to 10.40 m/s^2)"
+    suspect = status | {"state": "suspect", "waiting_for": dict.fromkeys(ANGLES, trouble)}
+    assert now(suspect) == trouble
+    suspect["health"] = suspect["health"] | {"accelerometer_faulty": True}
+    assert now(suspect) == f"accelerometer faulty; {trouble}"
+    unexplained = status | {"state": "suspect"}
+    assert now(unexplained).startswith("the mount is suspect: new evidence contradicts the mount")
+
+
+def test_after_a_restart_status_says_why_the_mount_was_suspect(status):
+    restored = {"phase": "doubted", "given": False, "doubt": "gravity is larger than before"}
+    suspect = status | {"state": "suspect", "details": {"restored": restored}}
+    said = "the mount was suspect when it was saved: gravity is larger than before"
+    assert now(suspect) == said
+    suspect["details"]["restored"]["phase"] = "confirmed"
+    assert now(suspect | {"state": "usable"}) == "nothing wrong"
 
 
 def test_a_daemon_that_has_just_begun_is_starting_and_a_silent_one_has_a_fault(silent):

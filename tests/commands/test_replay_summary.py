@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
 import numpy as np
@@ -10,6 +11,7 @@ from msgspec.structs import replace
 
 from imucald import cli
 from imucald.can.logs.log_reader import CandumpWriter
+from imucald.core.rotations import angles_from_rotation
 from imucald.simulation import random_model, simulate
 from imucald.traffic.can_log import bus_frames
 from imucald.traffic.drive_encoder import BusEncoder, example_config
@@ -55,3 +57,28 @@ def test_a_sound_drive_has_no_such_line(capsys: pytest.CaptureFixture[str], tmp_
     lines = replayed(capsys, tmp_path, None)
     assert lines[0].startswith("state:")
     assert not [line for line in lines if line.startswith("at ")]
+
+
+def test_a_stated_mount_that_is_wrong_is_reported_also_after_the_new_one_took_over(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    """In text and in JSON, with the angle by which it is wrong."""
+    drive = simulate(random_model(6, standing_first=True), 6, 8.0)
+    log, car, out = (tmp_path / name for name in ("drive.log", "car.yaml", "drive.json"))
+    with CandumpWriter(log) as writer:
+        for chunk in bus_frames(drive, BusEncoder(example_config())):
+            writer.write_columns(chunk)
+    roll, pitch, yaw = np.degrees(angles_from_rotation(drive.truth.mounts[0][1]))
+    stated = f"roll_deg: {roll}, pitch_deg: {pitch}, yaw_deg: {yaw + 12.0}, std_deg: 0.3"
+    text = EXAMPLE.read_text().replace("../../dbc", str(ROOT / "dbc"))
+    car.write_text(f"{text}calibration: {{mount: {{{stated}}}}}\n")
+    assert cli.main(["replay", "--config", str(car), str(log)]) == 0
+    said = "the mount that is stated is not how the sensor sits in this drive: it is found turned"
+    lines = [x for x in capsys.readouterr().out.splitlines() if x.startswith("at ") and said in x]
+    assert len(lines) == 1
+    assert cli.main(["replay", "--config", str(car), str(log), "--json", str(out), "--quiet"]) == 0
+    found = json.loads(out.read_text())
+    assert found["state"] in {"usable", "fine"}
+    turned = found["details"]["restored"]["contradicted"]["turned_deg"]
+    assert turned == pytest.approx(12.0, abs=1.5)
+    assert f"turned by {turned:.0f} deg" in lines[0]

@@ -66,7 +66,10 @@ def test_shorthands_and_long_forms_are_the_same():
         ),
         (f"{HEAD}output:\n  ids:\n    health: 0x20000000\n", "dir/car.yaml:6: output.ids.health:"),
         (f"{HEAD}calibration:\n  static: {{samples: 1}}\n", "calibration.static.samples:"),
-        ("signals: {accelerometer: {x: M.X, y: M.Y}}\n", "dir/car.yaml:1: database: is missing"),
+        (
+            "signals: {accelerometer: {x: M.X, y: M.Y}}\n",
+            "dir/car.yaml:1: database: is missing; it is required",
+        ),
         ("database: a.dbc\nsignals: {}\n", "signals.accelerometer: is missing"),
         ("", "dir/car.yaml:1:"),
         ("[1, 2]\n", "dir/car.yaml:1: a configuration is a mapping"),

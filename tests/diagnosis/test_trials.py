@@ -9,7 +9,7 @@ import pytest
 
 from imucald.diagnosis.blocks import Table
 from imucald.diagnosis.intervals import ERROR_RATE, Estimate
-from imucald.diagnosis.score import Hypothesis, Problem, held_out
+from imucald.diagnosis.score import Hypothesis, Problem, held_out, paired
 from imucald.diagnosis.search import _alike
 from imucald.diagnosis.trials import Trial, joined, likeliest, on_table, tried
 
@@ -84,6 +84,15 @@ def test_what_was_asked_of_other_blocks_is_compared_on_those_that_both_have():
     assert _alike(shorter, [best, rival]) == [rival]
     behind, _ = shorter.ahead_of(rival)
     assert behind == pytest.approx(float((best.gain[1:] - rival.gain[1:]).sum()))
+
+
+def test_as_many_blocks_that_are_not_the_same_are_compared_time_by_time():
+    """One lacks the first block, the other the last: by place, each would stand a block beside."""
+    level = 10.0 * np.arange(BLOCKS)
+    first, second = level[1:] + 0.5, level[:-1]
+    behind, se = paired(first, second, np.arange(1, BLOCKS), np.arange(BLOCKS - 1))
+    assert behind == pytest.approx(0.5 * (BLOCKS - 2))
+    assert se == pytest.approx(0.0, abs=1e-9)
 
 
 def test_a_drift_is_asked_of_another_table_over_that_ones_blocks():

@@ -16,6 +16,7 @@ from imucald.mount.estimate import ANGLES, MountEstimate, MountState
 from imucald.mount.method_a.estimator import PublishedEstimator
 from imucald.mount.restored import HAND_OVER_RATE, Phase, RestoredEstimator, StoredMount
 from imucald.mount.saved_information import SavedInformation
+from imucald.report.drive_events import reported_events
 from imucald.runtime.estimators import estimator_for
 from published_drive import Drive
 from simulated_bus import drive, loaded
@@ -144,6 +145,38 @@ def test_a_statement_that_the_drive_contradicts_is_called_so_with_the_angle(is_g
     inner.say(MountState.LEVELLED, turned(0.1), 1.0)
     run(estimator, 2.0)
     assert estimator.estimate().details["restored"]["turned_deg"] is None
+
+
+@pytest.mark.parametrize("is_given", [True, False])
+def test_a_mount_that_was_contradicted_is_reported_also_once_the_new_one_serves(is_given):
+    inner = Scripted()
+    covariance = np.diag(np.full(3, math.radians(0.2) ** 2))
+    stored = StoredMount(STORED.as_matrix(), covariance, MountState.FINE, is_given=is_given)
+    estimator = RestoredEstimator(inner, stored)
+    run(estimator, 60.0)
+    inner.say(MountState.USABLE, turned(pitch_deg=8.0), 0.5)
+    run(estimator, 60.0)
+    assert estimator.phase is Phase.NEW
+    details = estimator.estimate().details
+    assert details["restored"]["contradicted"]["t"] == pytest.approx(68.0, abs=2.0)
+    assert details["restored"]["contradicted"]["turned_deg"] == pytest.approx(8.0)
+    (event,) = reported_events({"details": details})
+    whose = "that is stated" if is_given else "of an earlier drive"
+    assert event.text == (
+        f"the mount {whose} is not how the sensor sits in this drive: it is found turned by 8 deg "
+        "against that"
+    )
+
+
+def test_a_doubt_that_the_drive_takes_back_is_not_reported():
+    estimator, inner = restored()
+    inner.say(MountState.LEVELLED, turned(pitch_deg=8.0), 1.0)
+    run(estimator, 30.0)
+    assert estimator.estimate().details["restored"]["contradicted"] is not None
+    inner.say(MountState.USABLE, STORED, 1.0)
+    run(estimator, 10.0)
+    assert estimator.state is MountState.FINE
+    assert estimator.estimate().details["restored"]["contradicted"] is None
 
 
 def test_a_statement_is_not_called_wrong_where_the_drive_agrees_with_it_and_doubts_itself():

@@ -21,6 +21,7 @@ from imucald.mount.states import (
     YOUNG_SLACK,
     MountKnowledge,
     judged,
+    targets_in_force,
     waiting_for,
 )
 from imucald.simulation import random_model, simulate
@@ -83,31 +84,46 @@ def test_a_cross_axis_error_that_no_driving_makes_less_is_the_reason_for_yaw():
     assert waiting_for(still, SETTINGS)["yaw"][0] == "more driving"
 
 
-def test_what_no_driving_shows_of_yaw_may_be_twice_the_limit():
+def test_what_no_driving_shows_of_yaw_may_be_more_than_the_limit():
     """The limit would choose mounts whose seen errors are small by chance, whatever the unseen."""
-    hidden = replace(known(1.9), yaw_seen=0.2 * DEG, cross_axis=0.04)
+    hidden = replace(known(2.7), yaw_seen=0.2 * DEG, cross_axis=0.04)
     levelled, usable = MountState.LEVELLED, MountState.USABLE
     assert judged(hidden, levelled, SETTINGS) == usable
-    assert judged(replace(hidden, std=known(2.1).std), levelled, SETTINGS) == levelled
-    assert judged(replace(hidden, std=known(2.7).std), usable, SETTINGS) == usable
-    assert judged(replace(hidden, std=known(2.9).std), usable, SETTINGS) == levelled
+    assert judged(replace(hidden, std=known(2.9).std), levelled, SETTINGS) == levelled
+    assert judged(replace(hidden, std=known(3.8).std), usable, SETTINGS) == usable
+    assert judged(replace(hidden, std=known(4.0).std), usable, SETTINGS) == levelled
     assert judged(replace(hidden, yaw_seen=0.4 * DEG), levelled, SETTINGS) == levelled
     assert judged(replace(hidden, cross_axis=0.01), levelled, SETTINGS) == levelled
     with_past = replace(hidden, has_past=True)  # it joins in mid-drive, and ends no good state
     assert judged(with_past, levelled, SETTINGS) == usable
-    assert judged(replace(with_past, std=known(2.7).std), usable, SETTINGS) == usable
+    assert judged(replace(with_past, std=known(3.8).std), usable, SETTINGS) == usable
     stated = EstimatorSettings(CalibrationSettings(states=StateLimits(usable_yaw_deg=1.0)))
     assert judged(hidden, levelled, stated) == levelled
 
 
+@pytest.mark.parametrize(
+    ("cross_axis", "stated", "degrees"), [(0.04, None, 2.8), (0.01, None, 1.0), (0.04, 1.0, 1.0)]
+)
+def test_the_target_of_yaw_is_the_limit_that_is_in_force(cross_axis, stated, degrees):
+    settings = EstimatorSettings(CalibrationSettings(states=StateLimits(usable_yaw_deg=stated)))
+    levelled = MountState.LEVELLED
+    for yaw, state in ((0.99 * degrees, MountState.USABLE), (1.01 * degrees, levelled)):
+        found = replace(known(yaw), yaw_seen=0.2 * DEG, cross_axis=cross_axis)
+        assert judged(found, levelled, settings) == state
+        targets = targets_in_force(found, levelled, settings)
+        assert math.degrees(targets.usable[2]) == pytest.approx(degrees)
+        assert targets.usable[:2] == settings.targets.usable[:2]
+        assert targets.fine == settings.targets.fine
+
+
 def test_a_cross_axis_error_that_becomes_less_ends_no_good_state():
     limit = SETTINGS.limits.usable_yaw
-    hidden = replace(known(2.4), yaw_seen=0.2 * DEG, cross_axis=1.03 * limit)
+    hidden = replace(known(3.4), yaw_seen=0.2 * DEG, cross_axis=1.03 * limit)
     less = replace(hidden, cross_axis=0.97 * limit)
     levelled, usable = MountState.LEVELLED, MountState.USABLE
     assert judged(hidden, usable, SETTINGS) == usable
     assert judged(less, usable, SETTINGS) == usable
-    assert judged(replace(less, std=known(1.9).std), levelled, SETTINGS) == levelled
+    assert judged(replace(less, std=known(2.7).std), levelled, SETTINGS) == levelled
     assert judged(replace(hidden, cross_axis=limit / SLACK * 0.99), usable, SETTINGS) == levelled
 
 

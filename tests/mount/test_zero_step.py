@@ -17,7 +17,7 @@ from imucald.motion.ticks import TICK_S
 from imucald.mount.contradictions import StandingFault
 from imucald.mount.estimator import FullEstimator
 from imucald.mount.signal_blocks import BLOCK_S, BLOCK_TICKS
-from imucald.mount.zero_step import Cause, ZeroStep
+from imucald.mount.zero_step import GravityMoved, ZeroStep
 from mount_settings import full
 from signal_block import block
 
@@ -31,7 +31,7 @@ def cause(
     zero: tuple[float, float, float] = (0.0, 0.0, 0.0),
     bends_after: bool = True,
     seed: int = 0,
-) -> Cause:
+) -> GravityMoved:
     """What is found after a sensor was turned [rad], or its zero stepped [m/s^2].
 
     The road's slope differs by 0.02 (rms) from block to block, and turns the sensor along.
@@ -67,7 +67,7 @@ def cause(
 def test_gravity_that_moves_without_the_axis_of_turning_is_a_zero_that_stepped(axis, seed):
     zero = np.zeros(3)
     zero[axis] = (-1.0) ** seed
-    assert cause(zero=tuple(zero), seed=seed) is Cause.STEPPED
+    assert cause(zero=tuple(zero), seed=seed) is GravityMoved.STEPPED
 
 
 @pytest.mark.parametrize("seed", range(5))
@@ -75,21 +75,21 @@ def test_gravity_that_moves_without_the_axis_of_turning_is_a_zero_that_stepped(a
 def test_an_axis_of_turning_that_goes_along_with_gravity_is_a_sensor_that_was_turned(axis, seed):
     turned = np.zeros(3)
     turned[axis] = math.radians(6.0) * (-1.0) ** seed
-    assert cause(turned=tuple(turned), seed=seed) is Cause.TURNED
+    assert cause(turned=tuple(turned), seed=seed) is GravityMoved.TURNED
 
 
 def test_without_a_bend_since_nobody_knows():
-    assert cause(zero=(1.0, 0.0, 0.0), bends_after=False) is Cause.UNKNOWN
-    assert cause(turned=(0.0, 0.1, 0.0), bends_after=False) is Cause.UNKNOWN
+    assert cause(zero=(1.0, 0.0, 0.0), bends_after=False) is GravityMoved.UNKNOWN
+    assert cause(turned=(0.0, 0.1, 0.0), bends_after=False) is GravityMoved.UNKNOWN
 
 
 def test_a_change_within_what_a_zero_may_be_off_by_is_not_asked_about():
-    assert cause(zero=(0.15, 0.0, 0.0)) is Cause.NOTHING
-    assert cause() is Cause.NOTHING
+    assert cause(zero=(0.15, 0.0, 0.0)) is GravityMoved.NOTHING
+    assert cause() is GravityMoved.NOTHING
 
 
 def test_a_sensor_that_is_turned_about_the_vertical_has_no_stepped_zero():
-    assert cause(turned=(0.0, 0.0, 0.5)) is Cause.NOTHING
+    assert cause(turned=(0.0, 0.0, 0.5)) is GravityMoved.NOTHING
 
 
 def test_a_zero_that_steps_back_is_a_fault_no_more():
@@ -113,8 +113,8 @@ def test_a_zero_that_steps_back_is_a_fault_no_more():
         if k in (43, 83):
             asked.ask(BLOCK_S * (k - 3))
         causes.append(asked.cause)
-    assert causes[79] is Cause.STEPPED
-    assert causes[119] is Cause.NOTHING
+    assert causes[79] is GravityMoved.STEPPED
+    assert causes[119] is GravityMoved.NOTHING
 
 
 @pytest.mark.slow

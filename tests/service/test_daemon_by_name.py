@@ -45,7 +45,7 @@ def daemon_of_the_configuration(
 
 def test_a_daemon_is_found_by_the_channel_that_its_status_shows(daemon_of_the_configuration):
     assert find_socket(None, CHANNEL) == daemon_of_the_configuration.path
-    with pytest.raises(LinkError, match="no running daemon found for can0"):
+    with pytest.raises(LinkError, match="no running daemon found for can0; start one"):
         find_socket(None, "can0")
 
 

@@ -8,8 +8,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from msgspec.structs import replace
 
 from imucald.can.columns import FrameColumns
+from imucald.mount.contradictions import WORDS, StandingFault
+from imucald.mount.estimate import ANGLES, MountState
 from imucald.mount.restored import RestoredEstimator
 from imucald.runtime.engine import Engine
 from imucald.runtime.session import make_engine
@@ -103,6 +106,36 @@ def test_it_is_in_the_estimate_again_after_a_restart_and_in_the_next_state(keepe
     keeper.close(estimator, 480.0)
     assert information(keepers) > 1.5 * before
     assert keepers.warnings == []
+
+
+class Troubled:
+    """An estimator whose accelerometer's zero has changed."""
+
+    state = MountState.SUSPECT
+    text = WORDS[StandingFault.ACCEL_LEVEL] + " (9.81 to 10.40 m/s^2)"
+
+    def __init__(self, served: RestoredEstimator) -> None:
+        self.correction = served.correction
+        said = dict.fromkeys(ANGLES, self.text)
+        self._estimate = replace(served.estimate(), state=self.state, waiting_for=said)
+
+    def estimate(self):
+        return self._estimate
+
+
+def test_why_the_mount_was_suspect_is_known_after_restarts_and_counts_as_one_remount(keepers):
+    keeper = keepers.keeper()
+    served = keeper.restore(make_engine(loaded()).pipeline.estimator)
+    keeper.update(Troubled(served), 10.0)
+    keeper.close(Troubled(served), 11.0)
+    for _ in range(2):
+        keeper = keepers.keeper()
+        estimator = keeper.restore(make_engine(loaded()).pipeline.estimator)
+        assert estimator.state is MountState.SUSPECT
+        assert estimator.estimate().details["restored"]["doubt"] == Troubled.text
+        keeper.update(estimator, 10.0)
+        keeper.close(estimator, 11.0)
+        assert keeper.status()["remounts"] == 1
 
 
 def information(keepers: Keepers) -> float:

@@ -62,6 +62,7 @@ def test_all_fields_come_back(tmp_path):
         offsets={"gyro_bias": [0.1, 0.2, 0.3]},
         shifts=({"at": 1.0, "angle_deg": 8.0},),
         evidence={"sums": [1.0, 2.0]},
+        doubt="gravity is larger or smaller than before",
     )
     StateStore(tmp_path, KEY).save(full)
     assert load(tmp_path).state == full
@@ -157,6 +158,7 @@ def test_a_bad_newest_is_set_aside_and_the_one_before_is_used(tmp_path, damage, 
         {"covariance": (math.nextafter(4.0, 5.0), *SMALL[1:])},
         {"covariance": (1e-4, 1e-5, *SMALL[2:])},
         {"state": "levelled"},
+        {"doubt": "\x1b[2J"},
     ],
 )
 def test_numbers_that_make_no_sense_are_not_believed_whatever_the_checksum(tmp_path, changes):

@@ -9,12 +9,12 @@ import numpy as np
 
 from imucald.api.drive import DriveResult
 from imucald.can.logs.first_frames import IS_THE_SAME
+from imucald.can.logs.overlaps import CLOCK_SET_S, overlap_words
 from imucald.core.angles import DEG_PER_RAD
 from imucald.core.rotations import vector_from_rotation
 from imucald.mount.estimate import BETWEEN_DRIVES_STD
 
-CLOCK_SET_US = 946_684_800_000_000
-"""Year 2000: a log that begins earlier has no time of day, it counts from its own start."""
+CLOCK_SET_US = round(1e6 * CLOCK_SET_S)
 LIKELY = 1e-3
 """Two mounts that chance makes so different in fewer than one of a thousand pairs are reported."""
 GOOD = ("usable", "fine")
@@ -36,7 +36,7 @@ def _overlaps(drives: Sequence[DriveResult]) -> Iterator[str]:
             if _is_same(latest, drive):
                 yield f"{_name(drive)} {IS_THE_SAME} {_name(latest)}"
             elif shared > 0.0:
-                yield f"{_name(drive)} begins {shared:.1f} s before {_name(latest)} ends"
+                yield overlap_words(_name(drive), _name(latest), shared)
         if latest is None or (drive.end_us or 0) > (latest.end_us or 0):
             latest = drive
 

@@ -15,7 +15,6 @@ LogSource = str | os.PathLike[str] | Any
 
 LOG_ENDINGS = (".log", ".log.gz", ".asc", ".blf", ".trc", ".mf4")
 """Files that are taken for logs when a folder is given; others are to be named."""
-_PATTERN = set("*?[")
 
 
 def opened(source: LogSource) -> Path | str | OpenLog:
@@ -52,13 +51,14 @@ def found_names(where: Sequence[str]) -> list[str]:
         if name != STDIN and Path(name).is_dir():
             inside = (p for p in sorted(Path(name).rglob("*")) if p.is_file())
             found += _some(name, (str(p) for p in inside if p.name.lower().endswith(LOG_ENDINGS)))
-        elif name != STDIN and set(name) & _PATTERN and not Path(name).exists():
+        elif name == STDIN or Path(name).exists():
+            found.append(name)
+        else:
             import glob  # noqa: PLC0415 - few name their logs so
 
-            matching = sorted(glob.glob(name, recursive=True))  # noqa: PTH207 - names as given
+            is_pattern = glob.has_magic(name)
+            matching = sorted(glob.glob(name, recursive=True)) if is_pattern else [name]  # noqa: PTH207 - names as given
             found += _some(name, matching)
-        else:
-            found.append(name)
     return found
 
 

@@ -150,6 +150,7 @@ class ReplayRun:
         left_out = self._recorder.events_left_out
         notes = [] if engine.preprocessing is None else list(engine.preprocessing.notes)
         notes = [f"not used of the model: {note}" for note in notes]
+        notes += reader.overlaps
         notes += [UNUSED] if engine.router.used == 0 else []
         notes += [f"{left_out} more events were left out"] if left_out else []
         tables = self.take_signals()

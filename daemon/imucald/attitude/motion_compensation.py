@@ -59,7 +59,7 @@ class AverageSpeed(NamedTuple):
 
 
 class SpeedAverager:
-    """v_avg: mean of the speed samples of the last `average` seconds, less their lateness."""
+    """v_avg: mean of the speed samples of the last `average` seconds, less their delay."""
 
     def __init__(self, settings: MotionCompensationSettings) -> None:
         self._settings = settings

@@ -25,7 +25,7 @@ from imucald.core.rotations import (
 )
 
 HISTORY_S = 8.0
-"""How far back intervals can be looked at [s]: an interval, its lateness, and a slow speed."""
+"""How far back intervals can be looked at [s]: an interval, its delay, and a slow speed."""
 MAX_HISTORY = 16_384
 MAX_PENDING = 64
 """Accelerometer samples that wait for a gyroscope sample to place them."""

@@ -24,7 +24,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Options of `init`."""
     parser.epilog = (
         "The recording should hold a drive of some minutes with stops and bends. Without a "
-        "recording names and units alone speak. Then: imucald check --config FILE LOG."
+        "recording it rests on names and units alone. Then: imucald check --config FILE LOG."
     )
     parser.add_argument("logs", nargs="*", metavar="LOG", help=LOG_HELP)
     parser.add_argument(

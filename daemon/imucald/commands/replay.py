@@ -27,7 +27,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Options of `replay`."""
     parser.epilog = (
         "Several logs are several drives, each replayed on its own; overlaps and mounts that "
-        "differ from drive to drive are reported. With --joined they are pieces of one recording. "
+        "differ from drive to drive are reported. With --joined they are pieces of one recording: "
+        "what two of them hold counts twice, and is reported. "
         "Exit status: 0 done (whatever the state reached), 1 a log could not be read or has no "
         "frame that can be used.\n\n"
         "  imucald replay --config car.yaml drive.log\n"

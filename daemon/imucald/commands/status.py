@@ -124,6 +124,9 @@ def find_socket(given: Path | None, channel: str | None) -> Path:
         return found[0]
     if not found:
         which = f" for {channel}" if channel else ""
-        raise LinkError(f"no running daemon found{which}; --socket PATH names its status socket")
+        raise LinkError(
+            f"no running daemon found{which}; start one (imucald run --config FILE, or systemctl "
+            "start imucald@can0), or name the status socket of one (--socket PATH)"
+        )
     choice = ", ".join(str(path) for path in found)
     raise LinkError(f"several daemons run, name one by channel or --socket: {choice}")

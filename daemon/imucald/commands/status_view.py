@@ -12,7 +12,8 @@ from rich.text import Text
 
 from imucald.commands.mount_view import mount_parts
 from imucald.core.clock_words import clock
-from imucald.mount.mount_words import EVIDENCE_KINDS
+from imucald.mount.mount_words import EVIDENCE_KINDS, is_trouble, reasons
+from imucald.report.drive_events import STATE_WORDS
 from imucald.runtime.alarms import is_starting, present_alarms
 
 STYLES = {
@@ -22,6 +23,7 @@ STYLES = {
     "suspect": "bold red",
     "recalibrating": "red",
 }
+DOUBTED = ("suspect", "recalibrating")
 QUALITIES = ("not available", "restored", "usable", "fine", "suspect")
 EVIDENCE = {
     "launches_and_brakings": "launches and brakings",
@@ -77,7 +79,7 @@ def facts(status: Mapping[str, Any], wanted: Collection[str] = ()) -> Table:
 def _rows(status: Mapping[str, Any]) -> dict[str, str | Text]:
     link, frames, process = status["link"], status["frames"], status["process"]
     rates = [f"{c} {row['rate_hz']:.4g}/s" for c, row in status["signals"].items()]
-    alarms = list(present_alarms(status).values())
+    wrong = [*present_alarms(status).values(), *_troubles(status)]
     well = "starting: the first samples may be on their way" if is_starting(status) else ""
     rejected = [f"{reason} {n}" for reason, n in frames["rejected"].items()]
     rss = "?" if process["rss_bytes"] is None else f"{process['rss_bytes'] / 2**20:.0f} MiB"
@@ -88,7 +90,7 @@ def _rows(status: Mapping[str, Any]) -> dict[str, str | Text]:
         "weights": _weights(status["details"]),
         "gates": _gates(status["details"]),
         "frames": f"{frames['used']} used, {status['frames_given_out']} sent",
-        "now": Text(", ".join(alarms) or well or "nothing wrong", style="red" if alarms else ""),
+        "now": Text("; ".join(wrong) or well or "nothing wrong", style="red" if wrong else ""),
         "sensors": _sensors(status["signal_health"]),
         "losses": f"{link['lost']} lost, {sum(link['send_errors'].values())} not sent, "
         f"{link['conflicts']} in conflict, {link['went_down']} times down, "
@@ -97,6 +99,17 @@ def _rows(status: Mapping[str, Any]) -> dict[str, str | Text]:
         "saved": _saved(status["saved_state"]),
         "process": f"pid {process['pid']}, {rss}, {share:.1f} % of a core since the start",
     }
+
+
+def _troubles(status: Mapping[str, Any]) -> list[str]:
+    """What is wrong with mount and signals; where nothing else is known, that it is suspect."""
+    found = [text for _, text in reasons(status["waiting_for"]) if is_trouble(text)]
+    restored = status["details"].get("restored", {})
+    if not found and restored.get("phase") == "doubted" and restored.get("doubt"):
+        found.append(f"the mount was suspect when it was saved: {restored['doubt']}")
+    if not found and status["state"] in DOUBTED:
+        found = [f"the mount is {status['state']}: {STATE_WORDS[status['state']]}"]
+    return found
 
 
 def _sensors(health: Mapping[str, Any]) -> Text:

@@ -115,8 +115,8 @@ class MethodASettings(Settings, frozen=True):
 class StateLimits(Settings, frozen=True):
     """Standard deviations below which a state is reached; it ends beyond 1.4 times or twice them.
 
-    Where they are not given, each estimator has its own; the full one then takes twice its
-    `usable_yaw_deg` where only cross-axis errors that show in nothing are left.
+    Where they are not given, each estimator has its own; the full one then takes 2.8 times
+    its `usable_yaw_deg` where only cross-axis errors that show in nothing are left.
     """
 
     usable_yaw_deg: Positive | None = None

@@ -36,7 +36,7 @@ _NO_SIDE = "unknown: a road crown reads as mount roll (about 0.7 deg); say left 
 _REMEDIES = {
     "checksum": "; see 'checksum:' (kind, id_bytes, data_id) of the message",
     "counter": "; see 'counter:' (signal, modulus, max_step) of the message",
-    "doubled": "; each counts once: the log has it twice with one time stamp, see who wrote it",
+    "doubled": "; each counts once, nothing is lost: a gateway or the logger wrote copies",
     "short_frame": "; the database describes a longer frame: is it this vehicle's?",
     "long_frame": "; the database describes a shorter frame: is it this vehicle's?",
     "timeout": "; the message stops now and then: its cable, its sender, or 'cycle_time:'",

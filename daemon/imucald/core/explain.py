@@ -105,7 +105,7 @@ def _of_fields(value: dict[Any, Any], model: type[Struct], place: Place) -> Iter
             yield (*place, key), _unknown(str(key), list(hints))
     for field in msgspec.structs.fields(model):
         if field.required and field.name not in value:
-            yield (*place, field.name), "is missing"
+            yield (*place, field.name), "is missing; it is required, add it"
 
 
 def _unknown(key: str, allowed: list[str]) -> str:

@@ -16,11 +16,13 @@ from imucald.core.errors import EstimateError
 from imucald.core.samples import Samples
 from imucald.diagnosis import outcome
 from imucald.diagnosis.adequacy import goes_against, too_much, what_is_left
+from imucald.diagnosis.between_segments import gains_apart, named_apart
 from imucald.diagnosis.blocks import Table
 from imucald.diagnosis.cause_keys import extended, mount_of, with_delay_rate, with_shifts
 from imucald.diagnosis.chance import beyond_chance
 from imucald.diagnosis.direct import Rest, rest_of
 from imucald.diagnosis.doubts import doubt
+from imucald.diagnosis.even_growth import uneven_growth
 from imucald.diagnosis.faults import find_faults, invalid_spans
 from imucald.diagnosis.gain import gain_of, summed
 from imucald.diagnosis.held_values import held_values
@@ -150,12 +152,21 @@ def _is_recommended(
 def _left(state: State) -> tuple[Structure, ...]:
     """What no cause explains."""
     problem = state.evaluated()
+    drift = drift_of(problem, state)
     return (
         *too_much(problem, state),
-        *uneven(problem, drift_of(problem, state)),
+        *uneven(problem, drift),
         *outcome.implausible(state),
         *held_values(state.drives),
-        *beyond_chance([*patterns(problem, state.forwards), *unstable(problem, state)]),
+        *beyond_chance(
+            [
+                *patterns(problem, state.forwards),
+                *unstable(problem, state),
+                *gains_apart(problem, state, drift),
+            ]
+        ),
+        *named_apart(problem, state, drift),
+        *uneven_growth(problem, state),
         *what_is_left(problem, state),
     )
 

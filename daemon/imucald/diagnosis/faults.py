@@ -268,7 +268,7 @@ def _cycle(t: Array) -> tuple[float, float, Array, bool] | None:
 
 
 def _adds_up(steps: Array, cycle: float) -> bool:
-    """Whether lateness adds up from frame to frame: then nothing sends in a cycle, and the mean of
+    """Whether delay adds up from frame to frame: then nothing sends in a cycle, and the mean of
     the steps is no clock's. steps: (N,) [s]."""
     late = steps - cycle * np.maximum(np.round(steps / cycle), 1.0)
     late = late[np.abs(late) < NEAR_SHARE * cycle]

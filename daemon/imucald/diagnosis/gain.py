@@ -1,7 +1,8 @@
-"""What the written model file brings by itself, on data that no fit saw.
+"""What the written model file brings by itself: nothing is fitted beside it.
 
-Folds of the data give the found parameters without seeing the rest; the rest is predicted with
-these and nothing else: no tolerance is used, nothing is fitted beside them.
+*After* is what the file leaves of these drives, as whoever puts it beside them again will find.
+Whether it is worth having is asked of data that no fit saw: folds of the data give the found
+parameters without seeing the rest, and the rest is predicted with these and nothing else.
 """
 
 from __future__ import annotations
@@ -54,8 +55,9 @@ def gain_of(
         if name not in before.plain or before.rms(name) == 0.0:
             continue
         one = SignalGain(
-            before.rms(name), table.rms(name, x), _floor(table, name), UNITS[name],
-            before.rms(name, band=0), table.rms(name, x, 0), left.get(name, ""),
+            before.rms(name), table.rms(name), _floor(table, name), UNITS[name],
+            before.rms(name, band=0), table.rms(name, band=0), left.get(name, ""),
+            table.rms(name, x),
         )  # fmt: skip
         signals[name] = one
         if _is_worse(before, table, name, x):

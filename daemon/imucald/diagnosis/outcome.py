@@ -12,6 +12,7 @@ from imucald.diagnosis.cause_keys import value
 from imucald.diagnosis.causes import BY_NAME, PARAMETERS
 from imucald.diagnosis.direct import Rest
 from imucald.diagnosis.result import (
+    GOES_AGAINST,
     NOT_PLAUSIBLE,
     TOO_MUCH,
     Candidate,
@@ -29,6 +30,9 @@ from imucald.diagnosis.trials import LEVELLED, SINGLE_NATS, Trial, questions
 from imucald.model.model import VehicleModel
 from imucald.mount.mount_words import SD_95
 
+MISSING = (NOT_PLAUSIBLE, TOO_MUCH, GOES_AGAINST)
+"""Kinds of structure beside which the model does not hold: a cause is missing, whatever is read
+directly."""
 SEEN_SHARE = 0.02
 """A signal shows a cause where it carries this share of what the cause explains."""
 DEG = 180.0 / math.pi
@@ -258,7 +262,7 @@ def verdict_of(
     causes: Sequence[FoundCause], sets: Sequence[Sequence[str]], structure: Sequence[Structure]
 ) -> Verdict:
     """The four verdicts."""
-    if any(s.kind in (NOT_PLAUSIBLE, TOO_MUCH) for s in structure):
+    if any(s.kind in MISSING for s in structure):
         return "unknown"
     if causes:
         return "ambiguous" if sets else "found"

@@ -80,6 +80,8 @@ class SignalGain:
     slow_after: float = math.nan
     left: str = ""
     """What is left, in words: an offset, a drift."""
+    rms_unseen: float = math.nan
+    """*After* of each segment by parameters that were found without it."""
 
 
 @dataclass(frozen=True)
@@ -192,6 +194,7 @@ class Diagnosis:
                 name: {
                     "rms_before": _plain(s.rms_before),
                     "rms_after": _plain(s.rms_after),
+                    "rms_unseen": _plain(s.rms_unseen),
                     "slow_before": _plain(s.slow_before),
                     "slow_after": _plain(s.slow_after),
                     "noise_floor": _plain(s.noise_floor),

@@ -179,6 +179,18 @@ def held_out(problem: Problem, h: Hypothesis | None = None) -> Array:
     return lost
 
 
+def what_leaves(problem: Problem, drift: Hypothesis | None) -> Array:
+    """(B, P+1) what makes of each segment's rows what is left of them, everything fitted in its
+    box. drift: of what was named and has no place in the model file; it is fitted beside."""
+    table, x = problem.table, problem.fit(drift)
+    own = len(table.keys)
+    z = np.tile(np.concatenate([[1.0], -x[:own]]), (table.blocks, 1))
+    if drift is not None and drift.pattern is not None:
+        for key, slope in zip(drift.keys, x[own:], strict=True):
+            z[:, table.keys.index(key) + 1] -= slope * drift.pattern
+    return z
+
+
 def one_in_fifteen(blocks: int) -> int:
     """So many of these blocks must not decide; of few, one."""
     return max(1, round(blocks / 15))
@@ -193,9 +205,10 @@ def paired(first: Array, second: Array, own: NDArrayInt, other: NDArrayInt) -> t
     """Difference of two losses (B,), (C,), summed over blocks, and its standard error.
 
     own, other: their numbers of blocks (`Table.number`). A table has no blocks that say nothing,
-    and another model, as another delay, may leave others: then those that both have are compared.
+    and another model, as another delay, may leave others, be they as many: those that both have
+    are compared.
     """
-    if len(first) != len(second):
+    if not np.array_equal(own, other):
         _, one, two = np.intersect1d(own, other, assume_unique=True, return_indices=True)
         first, second = first[one], second[two]
     d = first - second

@@ -17,7 +17,15 @@ from imucald.diagnosis.cause_keys import with_shifts
 from imucald.diagnosis.causes import family
 from imucald.diagnosis.score import Hypothesis, Problem, held_out, paired
 from imucald.diagnosis.shift import find_shift
-from imucald.diagnosis.standing import asked_again, demote, eliminate, let_go, set_aside, without
+from imucald.diagnosis.standing import (
+    asked_again,
+    demote,
+    eliminate,
+    let_go,
+    set_aside,
+    simplify,
+    without,
+)
 from imucald.diagnosis.state import State, refit, shift_steps
 from imucald.diagnosis.trials import (
     SINGLE_NATS,
@@ -115,6 +123,7 @@ def _grown(
             problem = state.evaluated()
         _take(state, problem, chosen)
         refit(state)
+        simplify(state, chosen)
         dropped += let_go(state)
     return dropped
 

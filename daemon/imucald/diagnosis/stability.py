@@ -128,7 +128,7 @@ def _wandering(problem: Problem, fit: Fit, asked: list[int]) -> Iterator[Questio
     for (i, k), size in np.ndenumerate(sd):
         key, tau = problem.table.keys[asked[k]], _may_be(problem, asked[k])
         p = float((1.0 + beaten[i, k]) / (DRAWS + 1.0))
-        text = f"{key} wanders by {_amount(key, float(size))} from piece to piece of the drive"
+        text = f"{key} wanders by {amount(key, float(size))} from piece to piece of the drive"
         yield _question(problem, key, WANDERS, p, float(size) / (EVENLY * tau), text)
 
 
@@ -153,12 +153,12 @@ def _jumping(problem: Problem, fit: Fit, asked: list[int]) -> Iterator[Question]
         key = problem.table.keys[j]
         size = abs(value) / (EITHER_SIDE * _may_be(problem, j))
         text = (
-            f"{key} is another by {_amount(key, value)} from {_moment(problem.table, int(name))} on"
+            f"{key} is another by {amount(key, value)} from {moment(problem.table, int(name))} on"
         )
         yield _question(problem, key, WANDERS, min(p * len(moments), 1.0), size, text)
 
 
-def _moment(table: Table, segment: int) -> str:
+def moment(table: Table, segment: int) -> str:
     """When a segment begins; of several drives, in which."""
     at, drive = f"{table.start_s[segment]:.0f} s", int(table.drive[segment])
     return at if not table.drive.any() else f"{at} of drive {drive + 1}"
@@ -176,7 +176,7 @@ def _conditional(
     for name, j, p, value in _score_tests(problem, fit, asked, shares):
         key = problem.table.keys[j]
         size = abs(value) / (EITHER_SIDE * _may_be(problem, j))
-        text = f"{key} differs by {_amount(key, value)} between {name} segments"
+        text = f"{key} differs by {amount(key, value)} between {name} segments"
         yield _question(problem, key, DIFFERS, p, size, text)
 
 
@@ -218,7 +218,7 @@ def _may_be(problem: Problem, j: int) -> float:
     return float(problem.table.tolerance[j] + SD_95 * problem.table.model_error[j])
 
 
-def _amount(key: str, x: float) -> str:
+def amount(key: str, x: float) -> str:
     """A number of the model file in the unit in which people think."""
     unit = PARAMETERS[key].unit
     if unit.startswith("rad"):

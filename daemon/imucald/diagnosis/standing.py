@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
 
-from imucald.diagnosis.score import held_out, without_best
+from imucald.diagnosis.causes import CAUSES
+from imucald.diagnosis.score import Hypothesis, Problem, held_out, without_best
 from imucald.diagnosis.state import State, refit
 from imucald.diagnosis.trials import SINGLE_NATS, Trial, tried
 
@@ -15,16 +16,11 @@ from imucald.diagnosis.trials import SINGLE_NATS, Trial, tried
 def asked_again(state: State, trial: Trial) -> Trial:
     """A hypothesis against the box of correct files, from where the model has moved by it."""
     problem, h = state.evaluated(), trial.hypothesis
-    table = problem.table
     kept = [k for k in h.keys if k in state.changes]
     index = [h.keys.index(k) for k in kept]
     if h.is_plain:
         h = replace(h, keys=tuple(kept), lead=min(h.lead, len(kept)))
-    low, high = problem.low.copy(), problem.high.copy()
-    for key in {k for d in h.directions for k in d} or set(kept):
-        i, x = table.keys.index(key), state.changes.get(key, 0.0)
-        low[i], high[i] = -table.tolerance[i] - x, table.tolerance[i] - x
-    null = replace(problem, low=low, high=high)
+    null = put_back(problem, state, list({k for d in h.directions for k in d} or kept))
     again = tried(problem, h, held_out(null), max(len(state.last), 1), null)
     moved = np.array([state.changes[k] for k in kept])
     e = replace(again.estimate, value=again.estimate.value + moved)
@@ -43,12 +39,7 @@ def let_go(state: State) -> list[str]:
         if not trial.hypothesis.is_plain:
             continue
         keys = [k for k in trial.hypothesis.keys if k in problem.table.keys and k in state.changes]
-        low, high = problem.low.copy(), problem.high.copy()
-        for key in keys:
-            i = problem.table.keys.index(key)
-            low[i] = -state.changes[key] - problem.table.tolerance[i]
-            high[i] = -state.changes[key] + problem.table.tolerance[i]
-        without = held_out(replace(problem, low=np.minimum(low, high), high=np.maximum(low, high)))
+        without = held_out(put_back(problem, state, keys))
         if without_best(without - base) < SINGLE_NATS:
             gone += keys
     if gone:
@@ -58,6 +49,44 @@ def let_go(state: State) -> list[str]:
         state.apply({})
         refit(state)
     return gone
+
+
+def put_back(problem: Problem, state: State, keys: Sequence[str]) -> Problem:
+    """The same with parameters in the box about the stated file, from where the model has moved."""
+    low, high = problem.low.copy(), problem.high.copy()
+    for key in keys:
+        i, x = problem.table.keys.index(key), state.changes.get(key, 0.0)
+        tau = problem.table.tolerance[i]
+        low[i], high[i] = -tau - x, tau - x
+    return replace(problem, low=low, high=high)
+
+
+def simplify(state: State, trial: Trial) -> None:
+    """A cause that grows stands if its growth pays by itself where the model has moved to; else
+    what it is without is named. Columns are slopes: beside a large delay they may need a growth
+    that is not there."""
+    h = trial.hypothesis
+    first, rest = h.keys[: h.lead], h.keys[h.lead :]
+    name = next((c.name for c in CAUSES if rest in c.variants), None)
+    if name is None or not first:
+        return
+    problem = state.evaluated()
+    if not set(h.keys) <= set(problem.table.keys):
+        return
+    without_it = held_out(put_back(problem, state, first))
+    if without_best(without_it - held_out(problem)) > trial.needed:
+        return
+    state.named.remove(trial)
+    for key in first:
+        state.changes.pop(key, None)
+    state.apply({})
+    refit(state)
+    n = h.lead
+    simple = replace(trial, hypothesis=Hypothesis(name, rest), tolerance=trial.tolerance[n:],
+                     plausible=trial.plausible[n:], reach=trial.reach[n:])  # fmt: skip
+    state.named.append(asked_again(state, simple))
+    rivals = state.rivals.pop(h.name, [])
+    state.rivals[name] = [t for t in rivals if t.hypothesis.name != name]
 
 
 def eliminate(state: State, late: Callable[[], bool]) -> None:

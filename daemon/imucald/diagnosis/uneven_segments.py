@@ -6,7 +6,7 @@ import numpy as np
 from scipy.stats import chi2
 
 from imucald.diagnosis.result import UNEVEN, Structure
-from imucald.diagnosis.score import Hypothesis, Problem, one_in_fifteen
+from imucald.diagnosis.score import Hypothesis, Problem, one_in_fifteen, what_leaves
 
 EVEN = ("accel_x", "accel_y", "accel_z")
 """Equations in which nothing of the road is left, nor of the springs."""
@@ -24,12 +24,7 @@ def uneven(problem: Problem, drift: Hypothesis | None) -> list[Structure]:
     it. One segment in fifteen must not decide. drift: of what was named and has no place in the
     model file; it is fitted beside.
     """
-    table, x = problem.table, problem.fit(drift)
-    own = len(table.keys)
-    z = np.tile(np.concatenate([[1.0], -x[:own]]), (table.blocks, 1))
-    if drift is not None and drift.pattern is not None:
-        for key, slope in zip(drift.keys, x[own:], strict=True):
-            z[:, table.keys.index(key) + 1] -= slope * drift.pattern
+    table, z = problem.table, what_leaves(problem, drift)
     found = []
     for name in EVEN:
         there = table.by_equation[name][:, 0, 0] > 0.0 if name in table.plain else np.zeros(0, bool)

@@ -78,7 +78,7 @@ def _notes(
 ) -> Iterator[str]:
     """What the head of the file says about the recording."""
     if not recording.frames:
-        yield "No recording was looked at: names and units alone speak, and all of it is unsure."
+        yield "No recording was given: this rests on names and units alone and is unsure."
         return
     names = {c.message.name for c in candidates}
     known = sum(bool(m.signals) for d in databases.values() for m in d.messages.values())

@@ -123,7 +123,7 @@ class StuckAxis:
         jumped: the longest lies between jumps, and is no usual run.
         """
         count, ended, longest, run = runs
-        self._rest_hops += not moving
+        self._rest_hops += not (moving or self.stuck)  # noise is counted in the others only
         open_before, self._run = self._run, run
         if ended:
             if not self.stuck and not jumped:  # else the longest is the one that was stuck

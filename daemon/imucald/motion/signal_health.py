@@ -172,8 +172,9 @@ class SignalHealth:
         }
         out = np.zeros(len(rows), dtype=bool)
         for fault, hold in HOLD_TICKS.items():
-            flags = self._anywhere(fault, len(rows))
-            if self._count(fault, flags):
+            flags = self._anywhere(fault)
+            if flags is not None:
+                self._count(fault, flags)
                 out |= spread_out(flags, hold)
         return out
 
@@ -185,17 +186,17 @@ class SignalHealth:
         allowed += CURVE_SHARE * self._track * turning
         return known & (rows[:, WHEEL_SPREAD.mean] > allowed)  # False for NaN
 
-    def _anywhere(self, fault: SignalFault, n: int) -> Flags:
-        """Ticks (N,) with a fault of any signal and axis."""
-        out = np.zeros(n, dtype=bool)
+    def _anywhere(self, fault: SignalFault) -> Flags | None:
+        """Ticks (N,) with a fault of any signal and axis; None: there are none."""
+        out: Flags | None = None
         for (_, kind), flags in self.found.items():
             if kind is fault and np.count_nonzero(flags):
-                out |= flags.any(axis=1) if flags.ndim > 1 else flags
+                ticks: Flags = np.any(flags, axis=1) if flags.ndim > 1 else flags
+                out = ticks if out is None else out | ticks
         return out
 
-    def _count(self, fault: SignalFault, flags: Flags) -> bool:
-        """Add the flagged ticks to a reason's number; True if there are any."""
+    def _count(self, fault: SignalFault, flags: Flags) -> None:
+        """Add the flagged ticks to a reason's number."""
         n = int(np.count_nonzero(flags))
         if n:
             self.counts[fault.value] += n
-        return n > 0

@@ -13,7 +13,7 @@ from imucald.config.base import MAX_SPEED_DELAY
 from imucald.mount.mount_changes import MountChanges
 from imucald.mount.signal_checks import SignalChecks
 from imucald.mount.solver import MountSolver
-from imucald.mount.zero_step import Cause
+from imucald.mount.zero_step import GravityMoved
 
 NO_SIDES = (
     "a signal that separates left from right (yaw rate, steering angle, lateral acceleration, "
@@ -44,7 +44,7 @@ class Acceptance(Struct, frozen=True):
             return None
         if self.solver.delay_speed.is_beyond:
             return LATE_SPEED
-        if self.changes.zero.cause is Cause.UNKNOWN:
+        if self.changes.zero.cause is GravityMoved.UNKNOWN:
             return WHY_GRAVITY_MOVED
         return self.checks.missing_to_be_good()
 

@@ -37,19 +37,19 @@ from imucald.mount.estimator_settings import EstimatorSettings
 from imucald.mount.force_level import ForceLevel
 from imucald.mount.hysteresis import GOOD
 from imucald.mount.large_change import LargeChange
-from imucald.mount.mount_changes import MountChange, MountChanges, blocks_since, may_be_zero
+from imucald.mount.mount_changes import MountChange, MountChanges, blocks_since
 from imucald.mount.off_vertical_limit import is_off_vertical
 from imucald.mount.reported_rotation import ReportedRotation
 from imucald.mount.restartable_solver import RestartableSolver
 from imucald.mount.saved_information import SavedInformation
 from imucald.mount.served_mount import ServedMount
-from imucald.mount.signal_blocks import SignalBlock, SignalBlockMaker
+from imucald.mount.signal_blocks import BLOCK_S, SignalBlock, SignalBlockMaker
 from imucald.mount.signal_checks import SignalChecks
 from imucald.mount.solver import MountSolver
-from imucald.mount.states import MountKnowledge
+from imucald.mount.states import MountKnowledge, targets_in_force
 from imucald.mount.steering import SteeringOffsetEstimator
 from imucald.mount.waiting_reasons import mount_troubles, waiting_reasons
-from imucald.mount.zero_step import Cause
+from imucald.mount.zero_step import GravityMoved
 
 Array = NDArray[np.float64]
 
@@ -173,7 +173,7 @@ class FullEstimator:
             return
         if not solvers.has_looked_again:
             solvers.look_again(signals.offsets)
-        elif (change := changes.small(solvers.now, thoroughly=is_turn)) is not None:
+        elif (change := changes.small(solvers.now, is_turn, self.state in GOOD)) is not None:
             self._take_change(change)
 
     def _follow_steering(self, p: SignalBlock) -> None:
@@ -220,19 +220,25 @@ class FullEstimator:
         after = blocks_since(found, self._solvers.kept)
         changes, block, good = self._changes, self._signals.blocks, self._served.good
         changes.end_of_mounting(good)
-        if may_be_zero(found, self._solver) and after and abs(found.size) <= AFRESH:
-            changes.zero.ask(float(after[0].t[0]))
         if self.state in GOOD and changes.is_bearable(found, self._solver, block):
             if changes.bear(found, block):
+                self._ask_for_zero(found, after)
                 self._solvers.begin_beside(after, self._signals.offsets)
             return
         if abs(found.size) > AFRESH:
             self._begin_without_rotation(after)
         else:
+            self._ask_for_zero(found, after)
             self._served.has_moved = True
             changes.restart()
             self._solvers.begin_after_change(after, self._signals.offsets)
         changes.take(found, block, good)
+
+    def _ask_for_zero(self, found: MountChange, after: list[SignalBlock]) -> None:
+        """A zero of the accelerometer that steps looks like a tilt; the gyroscope knows which."""
+        if found.axis < 2 and self._solver.own_gyro:
+            end = float(self._solvers.kept[-1].t[0]) + BLOCK_S
+            self._changes.zero.ask(float(after[0].t[0]) if after else end)
 
     def _take_beside(self) -> None:
         """Go on with what came after a change that misled nobody, once it knows the mount."""
@@ -259,7 +265,7 @@ class FullEstimator:
         checks.hold_against_orientation(solver, self._signals.blocks)
         if self._level.change is not None:
             checks.accuse_lasting(StandingFault.ACCEL_LEVEL, self._signals.blocks)
-        if self._changes.zero.cause is Cause.STEPPED:
+        if self._changes.zero.cause is GravityMoved.STEPPED:
             checks.accuse_lasting(StandingFault.ACCEL_ZERO, self._signals.blocks)
         self._known = self._knowledge(p)
         self._served.judge(
@@ -326,7 +332,7 @@ class FullEstimator:
             details["gravity_change"] = level_details(self._level.change)
         if self._off_vertical:
             details["off_vertical"] = self._off_vertical
-        targets = self._settings.targets
+        targets = targets_in_force(self._known, state, self._settings)
         return MountEstimate(state, R, covariance, words, codes, details, self.faults, targets)
 
     # what a person says, and what outlives the process; see `mount.restored` ------------------

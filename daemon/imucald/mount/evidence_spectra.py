@@ -235,7 +235,7 @@ def place(i: int, j: int) -> int:
 def band_products(s: Spectra, tau_speed: float, tau_turn: float) -> Array:
     """Products (BANDS, PRODUCTS) of spectra (BINS, MEASURED), those that are needed.
 
-    tau: lateness of the speed and of the yaw rate against the force [s].
+    tau: delay of the speed and of the yaw rate against the force [s].
     """
     x = np.empty((BINS, SIGNALS), dtype=np.complex128)
     x[:, :MEASURED] = s

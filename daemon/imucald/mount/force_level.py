@@ -42,7 +42,7 @@ NOISE, NOISE_BLOCKS = 0.05, 10.0
 gained or lost from its beginning to its end, as over the crest of a hill."""
 DEVIATIONS = 6.0
 """The spread comes from 20 blocks at least, `NOISE_BLOCKS` among them: 1e-5 by Student's t, and
-more as blocks next to one another are alike."""
+more as blocks next to one another are not independent."""
 AGREEING = 0.5
 """Every block since a change shows at least that share of it; the level is back where it was once
 no block of the last ones does."""
@@ -102,6 +102,8 @@ class ForceLevel:
 
     def _found(self) -> LevelChange | None:
         level, best = self._rows[:, 0], None
+        if level.max() - level.min() < LEAST:  # two means lie no further apart
+            return None
         most = DEVIATIONS
         for after in AFTER:
             k = len(level) - after

@@ -25,7 +25,7 @@ from imucald.mount.signal_blocks import BLOCK_TICKS, SignalBlock
 
 Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]
-_EYE = np.eye(3)
+_EYE, _EYE_4 = np.eye(3), np.eye(4)
 
 PULL_S = 16.0
 """Time constant of the pull to the accelerometer [s]."""
@@ -202,13 +202,13 @@ class GravityObserver:
             whole[:first, :3, :3] = _EYE  # nothing to turn yet
         whole[:, :3, 3] = (gain[:, 0] / GRAVITY) * force
         whole[:, :3, 4:] = gain * _EYE
-        whole[:, 3:, 3:] = np.eye(4)
+        whole[:, 3:, 3:] = _EYE_4
         carries = whole.reshape(-1, CARRY_TICKS, 7, 7)
         each = carries[:, :, :3].copy()
         for j in range(1, CARRY_TICKS):
             np.matmul(each[:, j], carries[:, j - 1], out=carries[:, j, :3])
         starts = np.zeros((len(carries), 1, 7, 7))
-        starts[:, 0, 3:, :4] = np.eye(4)
+        starts[:, 0, 3:, :4] = _EYE_4
         state = np.concatenate([self._state, _EYE], axis=1)
         np.matmul(turn[0], state, out=states[0])
         for start, end in zip(starts[:, 0], carries[:, -1, :3], strict=True):

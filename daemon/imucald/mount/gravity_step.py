@@ -34,7 +34,8 @@ SPREAD_PRIOR, SPREAD_WEIGHT = 0.05, 20.0
 SPREAD_MEMORY = 600.0
 """Hops over which the spread is learnt (an hour)."""
 SETTLED = 45
-"""Hops from which the drive has shown its own spread; until then a step is large, ..."""
+"""Hops from which the drive has shown its own spread; until then a step is found while the
+rotation is good, and is large, ..."""
 YOUNG_SIZE = 8.0 * SPREAD_PRIOR
 """... at least that [m/s^2], and stands out beyond `LIMIT` of the prior's spread, which serves."""
 LIMIT = 7.5
@@ -146,8 +147,12 @@ class GravityStepDetector:
         self._information += weighted @ answer
         self._start = end @ self._start
 
-    def found(self, R_vehicle_from_sensor: Matrix3) -> GravityStep | None:
-        """The step that stands out most, if any does; learns the usual spread as well."""
+    def found(self, R_vehicle_from_sensor: Matrix3, is_good: bool = False) -> GravityStep | None:
+        """The step that stands out most, if any does; learns the usual spread as well.
+
+        is_good: the rotation is served as good. Else one that is young and still wrong leaves
+        motion in the force, which only the drive's own spread distinguishes from steps.
+        """
         R = R_vehicle_from_sensor
         self.history.go_on()
         ages = min(self._blocks, AGES)
@@ -164,11 +169,11 @@ class GravityStepDetector:
         usual = self._square[:ages] + GRAVITY * GRAVITY * walked
         deviations = size / np.sqrt(usual + OTHER_AXIS * usual[:, ::-1])
         self._learn(size, ages)
-        if ages < FIRST_AGE:
+        is_young = self._seen < SETTLED
+        if ages < FIRST_AGE or (is_young and not is_good):
             return None
         # gravity seen to the left: the sensor rolled to the right about x; ahead: about -y
         turned, spreads = size[:, ::-1] * _SIGNS, deviations[:, ::-1] * _SIGNS
-        is_young = self._seen < SETTLED
         if not is_young:
             self.history.add(spreads[FIRST_AGE - 1 :])
         large = np.abs(spreads) * (np.abs(turned) > (YOUNG_SIZE if is_young else MIN_SIZE))

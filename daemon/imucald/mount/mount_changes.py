@@ -109,9 +109,14 @@ class MountChanges:
         """A turn by several degrees within the last blocks."""
         return self._large.found((0, 1, 2) if solver.own_gyro else (0, 1))
 
-    def small(self, solver: MountSolver, thoroughly: bool) -> Shift | GravityStep | None:
-        """A step in gravity now; thoroughly: a small change in the last minutes too."""
-        step = solver.step()
+    def small(
+        self, solver: MountSolver, thoroughly: bool, is_good: bool
+    ) -> Shift | GravityStep | None:
+        """A step in gravity now; thoroughly: a small change in the last minutes too.
+
+        is_good: the rotation is served as good.
+        """
+        step = solver.step(is_good)
         if step is not None or not thoroughly:
             return step
         found = solver.largest_change()
@@ -125,14 +130,19 @@ class MountChanges:
     def is_bearable(self, found: MountChange, solver: MountSolver, blocks: int) -> bool:
         """Whether what is applied misleads nobody after a change, with the deviation stated now.
 
-        One of the tilt that a stepped zero of the accelerometer may be is not (`zero_step`).
-        What the same change added to the deviation while it was in doubt does not count.
+        What the same change added to the deviation while it was in doubt does not count. A sudden
+        tilt may be a stepped zero, which no deviation of the mount covers (`zero_step`).
         """
-        if solver.fused is None or (abs(found.size) > LEAST and may_be_zero(found, solver)):
+        if solver.fused is None or self._may_be_zero(found, solver):
             return False
         variance = solver.fused.variance + self._variance(solver, blocks, self._of_borne())
         stated = ALERT_DEVIATIONS * math.sqrt(float(variance[found.axis]))
         return abs(found.size) <= max(ALERT_LIMIT, stated)
+
+    @staticmethod
+    def _may_be_zero(found: MountChange, solver: MountSolver) -> bool:
+        is_sudden_tilt = found.axis < 2 and not isinstance(found, Shift)
+        return is_sudden_tilt and abs(found.size) > LEAST and solver.own_gyro
 
     def bear(self, found: MountChange, block: int) -> bool:
         """Take a change that misleads nobody; return whether it was not known yet."""
@@ -248,11 +258,6 @@ def probability(excess: float) -> float:
     return 1.0 / (1.0 + math.exp(0.5 * NORMAL_LEVEL**2 * (1.0 - min(excess, 1.0) ** 2)))
 
 
-def may_be_zero(found: MountChange, solver: MountSolver) -> bool:
-    """Whether a stepped zero looks like this change, and a gyroscope can say that it was none."""
-    return found.axis < 2 and solver.own_gyro
-
-
 def blocks_since(change: MountChange, kept: Sequence[SignalBlock]) -> list[SignalBlock]:
     """Those of the kept blocks that came after a change."""
     if isinstance(change, Shift):
@@ -260,5 +265,5 @@ def blocks_since(change: MountChange, kept: Sequence[SignalBlock]) -> list[Signa
     elif isinstance(change, LargeChange):
         after = change.blocks - 1  # the oldest holds the change itself
     else:
-        after = change.blocks
+        after = change.blocks - 2  # and its time is known to a block either way
     return list(kept)[max(len(kept) - after, 0) :]

@@ -7,6 +7,7 @@ from msgspec.structs import replace
 
 from imucald.mount.estimate import MountEstimator, MountState
 from imucald.mount.hysteresis import GOOD
+from imucald.mount.mount_words import doubt_words
 from imucald.mount.restored import BAD, Phase, RestoredEstimator, StoredMount
 from imucald.mount.saved_information import SavedInformation, SavesInformation
 
@@ -18,14 +19,25 @@ def mount_in_force(estimator: MountEstimator) -> StoredMount | None:
         return None
     is_doubted = estimator.state in BAD
     if isinstance(estimator, RestoredEstimator) and estimator.serves_stored:
-        return replace(estimator.stored, doubted=is_doubted)
+        return replace(estimator.stored, doubted=is_doubted, doubt=doubt_of(estimator))
     C = estimator.estimate().covariance
     if C is None or not np.isfinite(C).all():
         return None
     state = estimator.state if estimator.state in GOOD else MountState.USABLE
     R = np.array(correction).reshape(3, 3)
     evidence = saved_information(estimator)
-    return StoredMount(R, 0.5 * (C + C.T), state, is_doubted, evidence)
+    doubt = doubt_of(estimator)
+    return StoredMount(R, 0.5 * (C + C.T), state, is_doubted, evidence, doubt=doubt)
+
+
+def doubt_of(estimator: MountEstimator) -> str:
+    """Why the mount that an estimator serves is suspect, in words; "" where nobody knows."""
+    if estimator.state not in BAD:
+        return ""
+    found = doubt_words(estimator.estimate().waiting_for)
+    if not found and isinstance(estimator, RestoredEstimator) and estimator.phase is Phase.DOUBTED:
+        return estimator.stored.doubt
+    return found
 
 
 def saved_information(estimator: MountEstimator) -> SavedInformation | None:
@@ -53,7 +65,8 @@ def released(estimator: RestoredEstimator, inner: MountEstimator) -> RestoredEst
 
     inner: a new one; what came during the hold is not used.
     """
-    stored = replace(estimator.stored, doubted=estimator.phase is Phase.DOUBTED)
+    is_doubted = estimator.phase is Phase.DOUBTED
+    stored = replace(estimator.stored, doubted=is_doubted, doubt=doubt_of(estimator))
     phase = Phase.CONFIRMED if estimator.phase is Phase.CONFIRMED else Phase.RESTORED
     return RestoredEstimator(inner, stored, phase=phase)
 

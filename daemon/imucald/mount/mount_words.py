@@ -32,6 +32,9 @@ UPSIDE_DOWN = (
     "upside down and backwards: if the sensor sits so, say 'calibration: {orientation: {up: AXIS}}'"
     "; if not, its accelerometer shows minus the specific force: give its axes 'sign: -1'"
 )
+STATED_WRONG = "the mount that is stated is not how the sensor sits in this drive"
+SAVED_WRONG = "the mount of an earlier drive is not how the sensor sits in this drive"
+"""What is said of a mount that the drive contradicts."""
 UNKNOWN_STD_DEG = math.degrees(1.0)
 """An angle with a larger standard deviation is as good as unknown [deg]."""
 UNKNOWN_HALF_DEG = SD_95 * UNKNOWN_STD_DEG
@@ -116,6 +119,22 @@ def reasons_line(waiting_for: Mapping[str, str]) -> str:
     troubles = [text for _, text in found if is_trouble(text)]
     parts = ([f"waiting for {'; '.join(waits)}"] if waits else []) + troubles
     return "; ".join(parts)
+
+
+def contradicted_words(turned_deg: float | None, is_given: bool = True) -> str:
+    """Why a mount that was stated, or saved, is wrong.
+
+    turned_deg: by how much the drive's own mount is turned against it [deg], where it has one.
+    """
+    text = STATED_WRONG if is_given else SAVED_WRONG
+    if turned_deg is None:
+        return f"{text}: with it gravity is further off the vertical than on any road"
+    return f"{text}: it is found turned by {turned_deg:.0f} deg against that"
+
+
+def doubt_words(waiting_for: Mapping[str, str]) -> str:
+    """What is wrong, of all that an estimate waits for; "" where nothing says so."""
+    return "; ".join(text for _, text in reasons(waiting_for) if is_trouble(text))
 
 
 def moved_words(shift: Mapping[str, Any]) -> str:

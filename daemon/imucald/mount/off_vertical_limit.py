@@ -45,11 +45,10 @@ def is_off_vertical(p: SignalBlock, R: Matrix3, turn: Array) -> bool:
     x, y, z = (R @ (p.force[use].sum(axis=0) / n)).tolist()
     if not math.hypot(x, y, z) >= 0.5 * GRAVITY:
         return False
+    if math.atan2(math.hypot(x, y), z) <= MAX_OFF_VERTICAL:
+        return False
     ahead, across = float(p.accel[use].sum()) / n, float(turn[use].sum()) / n
-    return all(
-        math.atan2(math.hypot(*level), z) > MAX_OFF_VERTICAL
-        for level in ((x, y), (x - ahead, y - across))
-    )
+    return math.atan2(math.hypot(x - ahead, y - across), z) > MAX_OFF_VERTICAL
 
 
 class PlumbLine:

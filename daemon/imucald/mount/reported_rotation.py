@@ -42,7 +42,8 @@ class ReportedRotation:
         """
         made_of = (solver.R, solver.fused, solver.creep, solver.yaw_known)
         is_made = self._made_of is not None and all(map(operator.is_, self._made_of, made_of))
-        if not is_made or not np.array_equal(self._moving, moving):
+        is_same = moving is self._moving or np.array_equal(self._moving, moving)
+        if not is_made or not is_same:
             self._made_of, self._moving = made_of, moving
             self._last = self._of(solver, moving)
         return self._last

@@ -26,7 +26,7 @@ from msgspec.structs import replace
 from numpy.typing import NDArray
 
 from imucald.core.rotations import Matrix3, vector_from_rotation
-from imucald.motion.ticks import TickRow
+from imucald.motion.ticks import TICK_S, TickRow
 from imucald.mount.estimate import (
     ANGLES,
     BETWEEN_DRIVES_STD,
@@ -38,6 +38,7 @@ from imucald.mount.estimate import (
     MountState,
 )
 from imucald.mount.hysteresis import GOOD
+from imucald.mount.mount_words import contradicted_words
 from imucald.mount.off_vertical_limit import PlumbLine
 from imucald.mount.saved_information import SavedInformation, SavesInformation
 from imucald.mount.slewing import SlewedRotation
@@ -55,8 +56,6 @@ CONTRADICTIONS = 15
 HAND_OVER_RATE = math.radians(1.0)
 """The applied rotation turns to the new estimate at this rate [rad/s]."""
 
-STATED_WRONG = "the mount that is stated is not how the sensor sits in this drive"
-"""What is said of a mount that a person stated and that the drive contradicts."""
 CLEAR_STD = math.radians(20.0)
 """An angle that is known worse says nothing of how far a stated mount is off [rad]."""
 HELD = "the end of the hold (imucald release)"
@@ -74,6 +73,7 @@ class StoredMount(Struct, frozen=True):
     R_vehicle_from_sensor: (3, 3). covariance: (3, 3) [rad^2], as in `MountEstimate`.
     state: the state it had, USABLE or FINE. doubted: it was suspect when it was stored.
     evidence: what it rests on, where the estimator keeps that. is_given: a person stated it.
+    doubt: why it was suspect, in words, where that is known.
     """
 
     R_vehicle_from_sensor: Matrix3
@@ -82,6 +82,7 @@ class StoredMount(Struct, frozen=True):
     doubted: bool = False
     evidence: SavedInformation | None = None
     is_given: bool = False
+    doubt: str = ""
 
 
 @runtime_checkable
@@ -91,6 +92,17 @@ class TakesStatedMount(Protocol):
     def take_stated_mount(self, R: Matrix3) -> None:
         """A person states R_vehicle_from_sensor."""
         ...
+
+
+class Contradicted(Struct, frozen=True):
+    """When the drive first showed that the mount in front is wrong.
+
+    t: ticks so far as seconds. turned: how far its own mount is turned against it [rad]; None: it
+    has none yet, and gravity is far off the vertical.
+    """
+
+    t: float
+    turned: float | None
 
 
 class Phase(enum.StrEnum):
@@ -125,6 +137,7 @@ class RestoredEstimator:
         self.distance = math.nan
         """Of the last comparison, as a chi-square with 3 degrees of freedom."""
         self._turned: float | None = None  # of the drive's own mount against it, contradicted [rad]
+        self._contradicted: Contradicted | None = None
         self.joined = False
         """Whether the stored evidence goes along with the new."""
         self._has_left = False
@@ -179,6 +192,7 @@ class RestoredEstimator:
         self._ticks += 1
         if self._ticks % COMPARE_TICKS == 0 and (self.joined or self.phase is not Phase.NEW):
             self._compare()
+            self._remember_contradiction()
 
     def gap(self) -> None:
         """Time jumped: nothing before this may be differenced with what follows."""
@@ -211,12 +225,8 @@ class RestoredEstimator:
 
     def _against_statement(self, served: MountEstimate) -> MountEstimate:
         """What speaks against the mount that a person stated, in words."""
-        text = STATED_WRONG
-        if self._turned is not None:
-            text += f": it is found turned by {math.degrees(self._turned):.0f} deg against that"
-        else:
-            text += ": with it gravity is further off the vertical than on any road"
-        words = dict.fromkeys(ANGLES, text)
+        turned = None if self._turned is None else math.degrees(self._turned)
+        words = dict.fromkeys(ANGLES, contradicted_words(turned))
         return replace(served, waiting_for=words, missing=dict.fromkeys(ANGLES, Missing.OTHER))
 
     def saved_information(self) -> SavedInformation | None:
@@ -236,7 +246,26 @@ class RestoredEstimator:
             "evidence_joined": self.joined,
             "held": self.is_held,
             "given": self.stored.is_given,
+            "doubt": self.stored.doubt,
+            "contradicted": None
+            if (found := self._contradicted) is None
+            else {
+                "t": found.t,
+                "turned_deg": None if found.turned is None else math.degrees(found.turned),
+            },
         }
+
+    def _remember_contradiction(self) -> None:
+        """Keep that the mount in front was wrong, also once this drive's own serves."""
+        if self.phase is Phase.CONFIRMED:
+            self._contradicted = None
+        is_shown = self._turned is not None or self._plumb_line.is_off
+        if not is_shown or self.phase not in (Phase.DOUBTED, Phase.HANDING_OVER):
+            return
+        if not self.inner.estimate().faults:
+            since = self._contradicted or Contradicted(self._ticks * TICK_S, None)
+            turned = since.turned if self._turned is None else self._turned
+            self._contradicted = Contradicted(since.t, turned)
 
     def _doubtful(self) -> bool:
         return self.joined and self._contradictions >= DOUBTS

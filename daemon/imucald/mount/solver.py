@@ -251,12 +251,15 @@ class MountSolver:
             sources[name] = AngleEvidence(value, variance, 0.0, slope)
         return sources
 
-    def step(self) -> GravityStep | None:
-        """A step in gravity that the gyroscope did not see, in the last minute; for every block."""
+    def step(self, is_good: bool) -> GravityStep | None:
+        """A step in gravity that the gyroscope did not see, in the last minute; for every block.
+
+        is_good: R is served as good.
+        """
         if self.R is None or not self.sure() or not self.own_gyro:
             self.vertical.steps.history.go_on()
             return None
-        return self.vertical.steps.found(self.R)
+        return self.vertical.steps.found(self.R, is_good)
 
     @property
     def cross_axis_std(self) -> float:

@@ -9,7 +9,8 @@ In sensor axes, about the mean gravity u of before, with c the change of gravity
     sensor turned: x = |c|,    zero stepped: x = 0,
 
 which is a test of two simple hypotheses (Neyman and Pearson, Phil. Trans. R. Soc. A 231, 1933).
-Neither is believed until it is `BELIEVED` times as likely as the other.
+Neither is believed until its likelihood stands out enough. A turn that the gyroscope felt while
+gravity moved speaks for the first, too; that it felt none says little, as it may have slept.
 
 The axis: in a block the vehicle turns by the vector w. Its part along u is the turn, the rest is
 what slope and lean of road and body differ by from the block's beginning to its end, which does
@@ -48,21 +49,26 @@ TILTED, TILTED_BLOCKS = 0.03, 8.0
 `SLOPE_STD` that have nothing to do with each other."""
 STAYS = math.sqrt(2.0) * UNEVEN_STD["roll_axis"]
 """The axis of turning differs by that much [rad] between two roads."""
-BELIEVED = math.log(100.0)
-"""Log of the ratio of likelihoods at which one in a hundred is wrong, if both are as probable."""
+BELIEVED = math.log(20.0)
+"""Log of the ratio of likelihoods at which at most one in twenty is wrong, if both are as
+probable."""
+FELT_BLOCKS = 3
+"""A turn that the gyroscope felt lies in so many blocks up to the first that is after it."""
+FELT_PART = 0.5
+"""Of sensors that are turned, while the bus is awake: as many as not (assumption)."""
 STANDING_METRES = 0.3
 """A block of standing counts as so much road [m]: it sees one place."""
 
 AXIS_PRIOR = 0.07
-"""The axis of turning lies that far from gravity [rad], 4 deg, before any bend: in two measured
-vans it did by 3 to 4 deg (`docs/integrity.md`)."""
+"""The axis of turning lies that far from gravity [rad], 4 deg, before any bend: in a measured van
+it lies 3 to 4 deg beside what its INS says."""
 NO_PRIOR = 1e-6
 NO_ROWS: Array = np.zeros((0, 8))
 """Of each block: force without motion (3,) [m/s^2], turn (3,) [rad], sensor axes; road [m]; when it
 began [s]."""
 
 
-class Cause(enum.Enum):
+class GravityMoved(enum.Enum):
     """What moved gravity."""
 
     NOTHING = "nothing that is asked about"
@@ -71,7 +77,7 @@ class Cause(enum.Enum):
     STEPPED = "a zero of the accelerometer stepped"
 
 
-class Seen(Struct, frozen=True):
+class SeenOver(Struct, frozen=True):
     """Of some blocks: how far gravity and the axis of turning lie from a vertical, tangent vectors
     (3,) [rad], each with the variance of a component."""
 
@@ -92,7 +98,8 @@ class ZeroStep:
         self._length = settings.slope_length
         self._rows = NO_ROWS
         self._before: Array | None = None
-        self.cause = Cause.NOTHING
+        self._felt = np.zeros(3)
+        self.cause = GravityMoved.NOTHING
 
     def restart(self) -> None:
         """What comes next has nothing to do with the last blocks; what is asked stays asked."""
@@ -101,10 +108,12 @@ class ZeroStep:
     def ask(self, since: float) -> None:
         """Gravity has moved; since: when the first block began that is wholly after that [s]."""
         began = self._rows[:, 7]
+        lately = (began > since - (FELT_BLOCKS + 0.5) * BLOCK_S) & (began < since - 0.5 * BLOCK_S)
         if self._before is None:
+            self._felt = self._rows[lately, 3:6].sum(axis=0)
             self._before = self._rows[began < since - 1.5 * BLOCK_S]
         self._rows = self._rows[began > since - 0.5 * BLOCK_S]
-        self.cause = Cause.UNKNOWN
+        self.cause = GravityMoved.UNKNOWN
         self._judge()
 
     def add(self, p: SignalBlock, solver: MountSolver) -> None:
@@ -130,7 +139,7 @@ class ZeroStep:
         if rows is None:
             return
         if len(rows) < FEWEST:  # nothing to compare with
-            self._before, self.cause = None, Cause.NOTHING
+            self._before, self.cause = None, GravityMoved.NOTHING
             return
         if len(self._rows) < FEWEST:
             return
@@ -142,11 +151,11 @@ class ZeroStep:
         size = float(np.linalg.norm(change))
         variance = before.gravity_variance + after.gravity_variance
         if size > MOST:
-            self._before, self.cause = None, Cause.TURNED
+            self._before, self.cause = None, GravityMoved.TURNED
             return
         reach = 2.0 * math.sqrt(variance)
         if size < LEAST:
-            self.cause = Cause.NOTHING
+            self.cause = GravityMoved.NOTHING
             if size + reach < LEAST:
                 self._before = None
             return
@@ -155,13 +164,22 @@ class ZeroStep:
         turned = still + variance
         left = along - size
         ratio = 0.5 * (along * along / still - left * left / turned + math.log(still / turned))
+        ratio += self._felt_ratio(up, change / size, size, before)
         if ratio > BELIEVED:
-            self._before, self.cause = None, Cause.TURNED
+            self._before, self.cause = None, GravityMoved.TURNED
         else:
             is_stepped = ratio < -BELIEVED and size - reach > LEAST
-            self.cause = Cause.STEPPED if is_stepped else Cause.UNKNOWN
+            self.cause = GravityMoved.STEPPED if is_stepped else GravityMoved.UNKNOWN
 
-    def _seen(self, rows: Array, up: Array, prior: float) -> Seen:
+    def _felt_ratio(self, up: Array, along: Array, size: float, before: SeenOver) -> float:
+        """What the turn that was felt adds to the log of the ratio, for a change of gravity by size
+        [rad] along a direction (3,); a sensor that turns by it turns about along x up."""
+        left = self._felt - float(self._felt @ up) * (up + before.axis)
+        felt = float(left @ np.cross(along, up))
+        more = size * (2.0 * felt - size) / (2.0 * TILTED * TILTED)
+        return math.log(1.0 - FELT_PART + FELT_PART * math.exp(min(more, 50.0)))
+
+    def _seen(self, rows: Array, up: Array, prior: float) -> SeenOver:
         """About a vertical (3,); prior: turning [rad^2] that has shown the axis to be there."""
         force, turn, metres = rows[:, :3], rows[:, 3:6], rows[:, 6]
         mean = metres @ force / float(metres.sum())
@@ -177,4 +195,4 @@ class ZeroStep:
         spread = 0.5 * float(square @ (left * left).sum(axis=1)) / max(known, 1e-12)
         noise = (TILTED_BLOCKS * TILTED**2 + blocks * spread) / (TILTED_BLOCKS + blocks)
         gravity = mean / float(mean @ up) - up
-        return Seen(gravity, self._slope**2 * part, axis, noise / (known + prior))
+        return SeenOver(gravity, self._slope**2 * part, axis, noise / (known + prior))

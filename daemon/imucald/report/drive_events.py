@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from imucald.mount.contradictions import WORDS
-from imucald.mount.mount_words import moved_words, reasons_line
+from imucald.mount.mount_words import contradicted_words, moved_words, reasons_line
 
 STATE_WORDS: Mapping[str, str] = {
     "waiting": "nothing is known yet",
@@ -47,6 +47,10 @@ def reported_events(result: Mapping[str, Any], gaps: Sequence[float] = ()) -> It
         yield Event(float(shift["t"]), "moved", f"the sensor was moved: {moved_words(shift)}")
     for fault in details.get("faults", ()):
         yield Event(float(fault["t"]), "fault", _fault_words(str(fault["fault"])))
+    restored = details.get("restored") or {}
+    if (wrong := restored.get("contradicted")) is not None:
+        text = contradicted_words(wrong["turned_deg"], restored["given"])
+        yield Event(float(wrong["t"]), "fault", text)
     for one in result.get("signal_health", {}).get("events", ()):
         axes = f" ({', '.join(one['axes'])})" if one.get("axes") else ""
         text = f"{one['sensor']} {one['fault']}{axes}"

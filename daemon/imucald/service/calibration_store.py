@@ -15,7 +15,12 @@ import numpy as np
 
 from imucald.core.errors import EstimateError
 from imucald.mount.estimate import MountEstimator, MountState
-from imucald.mount.mount_in_force import mount_in_force, saved_information, without_stored
+from imucald.mount.mount_in_force import (
+    doubt_of,
+    mount_in_force,
+    saved_information,
+    without_stored,
+)
 from imucald.mount.restored import RestoredEstimator, StoredMount
 from imucald.mount.saved_information import SavedInformation, saved_from
 from imucald.runtime.summary import plain
@@ -119,6 +124,7 @@ class CalibrationStore:
         self._driven_before = saved.driven_s
         text = f"mount restored from generation {loaded.generation}"
         text += ", doubted when it was saved" if saved.doubted else ""
+        text += f" ({saved.doubt})" if saved.doubted and saved.doubt else ""
         self._say(text + (", held: nothing is learnt" if saved.held else ""), NOTICE)
         return restored
 
@@ -156,9 +162,13 @@ class CalibrationStore:
     def _save(self, estimator: MountEstimator, driven_s: float) -> None:
         self._last_put = self._clock()
         if estimator.state in _BAD:
+            if self._is_saved_as_doubted(estimator):
+                return
             shift = {"at": round(self._wall(), 1), "driven_s": round(driven_s, 1)}
-            shifts = (*self._last.shifts, shift)[-SHIFTS_KEPT:]
-            self._last = replace(self._last, doubted=True, shifts=shifts)
+            shifts = (*self._last.shifts, *(() if self._last.doubted else (shift,)))
+            self._last = replace(
+                self._last, doubted=True, doubt=doubt_of(estimator), shifts=shifts[-SHIFTS_KEPT:]
+            )
         else:
             saved = saved_state(estimator, driven_s, self._wall(), self._last.shifts)
             if saved is None:
@@ -174,6 +184,10 @@ class CalibrationStore:
         if check is None:
             return saved
         return replace(saved, offsets={**saved.offsets, SENSOR_CHECK: check})
+
+    def _is_saved_as_doubted(self, estimator: MountEstimator) -> bool:
+        is_same = self._last.doubted and self._last.doubt == doubt_of(estimator)
+        return is_same and not self.writer.last_error
 
     def _is_saved(self, state: SavedState) -> bool:
         """Whether as good as the same was saved: a vehicle that stands wears out no memory."""
@@ -215,7 +229,7 @@ class CalibrationStore:
 
     def save_now(self, estimator: MountEstimator, driven_s: float) -> None:
         """Save the last estimate; wait for the disk, but not for long."""
-        if estimator.state in _GOOD:
+        if estimator.state in _GOOD or (estimator.state in _BAD and self._known):
             self._save(estimator, self._driven_before + driven_s)
         self.writer.flush(STOP_WAIT_S)
 
@@ -251,6 +265,7 @@ def stored_mount(saved: SavedState, evidence: SavedInformation | None) -> Stored
         saved.doubted,
         evidence,
         saved.given,
+        saved.doubt,
     )
 
 
@@ -282,6 +297,7 @@ def saved_state(
         covariance=tuple(symmetric.ravel().tolist()),
         state=state.name.lower(),
         doubted=stored is not None and stored.doubted,
+        doubt=stored.doubt if stored is not None and stored.doubted else "",
         held=is_held,
         given=in_front is not None and in_front.serves_stored and in_front.stored.is_given,
         saved_at=round(wall, 1),

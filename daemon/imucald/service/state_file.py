@@ -42,6 +42,8 @@ LARGEST_VARIANCE = 4.0
 """Variance of an angle [rad^2]; more than of one that is wholly unknown is nonsense."""
 LARGEST_NUMBER = 2**53
 """Of any number in a file; up to there a float holds every integer."""
+LONGEST_DOUBT = 2000
+"""Characters of what was wrong: all texts that there are, at once."""
 STATES = ("usable", "fine")
 ORDERED = ("held", "given")
 """Keys that stand in a file only where they are true: what people ordered."""
@@ -71,7 +73,7 @@ class SavedState:
     for people only. driven_s: seconds of driving behind it. offsets: of sensors and signals, SI.
     shifts: history of remounts, newest last. evidence: what the estimate rests on, for people, and
     as "sums" what the estimator goes on with (`mount.saved_information`). held: nothing was learnt.
-    given: a person stated the mount.
+    given: a person stated the mount. doubt: why it was suspect, in words.
     """
 
     rotation: tuple[float, ...]
@@ -85,6 +87,7 @@ class SavedState:
     evidence: Mapping[str, Any] = field(default_factory=dict)
     held: bool = False
     given: bool = False
+    doubt: str = ""
 
 
 @dataclass(frozen=True)
@@ -215,6 +218,7 @@ def encoded(key: StateKey, generation: int, state: SavedState) -> bytes:
         "shifts": [dict(shift) for shift in state.shifts],
         "evidence": dict(state.evidence),
         **{key: True for key in ORDERED if getattr(state, key)},
+        **({"doubt": state.doubt[:LONGEST_DOUBT]} if state.doubt else {}),
     }
     body = json.dumps(content, allow_nan=False, indent=1).encode()
     return with_checksum(f"{MAGIC} {VERSION} {len(body)}", body)
@@ -258,6 +262,9 @@ def _state_from(content: Mapping[str, Any]) -> SavedState:
         raise ValueError("held, given")
     if not isinstance(content["doubted"], bool) or not isinstance(content["shifts"], list):
         raise ValueError("doubted, shifts")
+    doubt = content.get("doubt", "")
+    if not isinstance(doubt, str) or len(doubt) > LONGEST_DOUBT or not doubt.isprintable():
+        raise ValueError("doubt")
     return SavedState(
         rotation=rotation,
         covariance=covariance,
@@ -268,6 +275,7 @@ def _state_from(content: Mapping[str, Any]) -> SavedState:
         offsets=dict(content["offsets"]),
         shifts=tuple(dict(shift) for shift in content["shifts"]),
         evidence=dict(content["evidence"]),
+        doubt=doubt,
         **ordered,
     )
 

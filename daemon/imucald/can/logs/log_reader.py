@@ -22,6 +22,7 @@ from imucald.can.logs.candump_line import shown
 from imucald.can.logs.candump_writer import CandumpWriter
 from imucald.can.logs.first_frames import FirstFrames, refuse_same_files
 from imucald.can.logs.log_format import CountsTime, Cycles, LogFormat, ReadStatistics
+from imucald.can.logs.overlaps import Overlaps
 from imucald.can.logs.text_blocks import OpenLog, is_read_once, looked_at
 from imucald.can.logs.unpacking import first_bytes, plain_ending
 from imucald.core.errors import LogError
@@ -86,6 +87,7 @@ class LogReader:
         self._progress = progress
         self._cycles = cycles
         self._statistics = ReadStatistics(strict)
+        self._overlaps = Overlaps()
         self._bytes_before = 0
         self._bytes_total: int | None = None
 
@@ -114,9 +116,15 @@ class LogReader:
         """Return the first rejections as texts, "file:line: reason: line"."""
         return list(self._statistics.problems)
 
+    @property
+    def overlaps(self) -> list[str]:
+        """Return which files so far share some time, or are in the wrong order, in words."""
+        return list(self._overlaps.texts())
+
     def __iter__(self) -> Iterator[FrameColumns]:
         """Yield chunks of bounded size, none of them empty. Raises LogError."""
         self._statistics = ReadStatistics(self._statistics.strict)
+        self._overlaps = Overlaps()
         self._bytes_before = 0
         self._bytes_total = _total_bytes(self._paths)
         refuse_same_files(self._paths)
@@ -130,6 +138,7 @@ class LogReader:
                     if len(columns):
                         if begins:
                             first_frames.take(path, columns)
+                        self._overlaps.take(path, columns)
                         begins = False
                         yield columns
             self._bytes_before += _file_bytes(path)
