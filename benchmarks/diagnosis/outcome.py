@@ -23,7 +23,7 @@ from benchmarks.measured import DATA, FOLDER
 from hidden import Effect, hidden_drive
 from imucald.core.errors import EstimateError
 from imucald.core.samples import Samples
-from imucald.diagnosis.cause_keys import mount_of
+from imucald.diagnosis.cause_keys import mount_of, value
 from imucald.diagnosis.causes import PARAMETERS
 from imucald.diagnosis.diagnose import diagnose
 from imucald.diagnosis.recording import read_samples
@@ -32,6 +32,8 @@ from imucald.model.model import VehicleModel, load_model, model_from_mapping
 from imucald.runtime.session import open_config
 
 STANDS_MPS = 0.15
+STOP_S, SETTLES_S = 5.0, 1.0
+"""A stop, and what of it is left out at either end."""
 SIZES = ("small", "medium", "large")
 SECOND_WORLD: Mapping[str, tuple[str, ...]] = {
     "none": (), "steering_ratio_error": ("steering_ratio",), "understeer": ("understeer",),
@@ -84,6 +86,11 @@ def outcome(case: Case) -> dict[str, Any]:
             for c in d.candidates for key, p in c.parameters.items()
         },
     }  # fmt: skip
+    if case.part == "outside" and "gyro_bias" in result["said"]:
+        as_it_is = read_log(case.log).pieces(case.pieces)[case.piece]
+        result["at_rest"] = zero_at_rest(samples, as_it_is, model)
+    if case.part == "measured" and truth and truth["key"]:
+        result["own"] = _named_as_it_is(case.log, case.pieces, case.piece).get(truth["key"])
     if case.part in {"measured", "nulls"} and d.causes:
         result["file"] = _file_alone(d, samples)
     return result
@@ -97,6 +104,50 @@ def longest_stop_s(samples: Samples) -> float:
         start = (at if start is None else start) if slow else None
         longest = max(longest, 0.0 if start is None else float(at - start))
     return round(longest, 1)
+
+
+def zero_at_rest(
+    samples: Samples, as_it_is: Samples, model: VehicleModel
+) -> dict[str, list[float]]:
+    """By key: mean of the gyroscope at stops less what the file states, its deviation between
+    stops, and by how much the effect moved it. By the speed and plain means alone, so that what the
+    diagnosis reads at stops can be held against it."""
+    means = [_at_stops(s) @ mount_of(model).T for s in (samples, as_it_is)]
+    if min(map(len, means)) < 2:
+        return {}
+    zero, before = (m.mean(axis=0) for m in means)
+    se = means[0].std(axis=0, ddof=1) / np.sqrt(len(means[0]))
+    return {
+        f"gyro.bias.{axis}": [
+            float(zero[i] - value(model, f"gyro.bias.{axis}")), float(se[i]),
+            float(zero[i] - before[i]),
+        ]
+        for i, axis in enumerate("xyz")
+    }  # fmt: skip
+
+
+def _at_stops(samples: Samples) -> np.ndarray:
+    """(N, 3) mean of the gyroscope at each stop, sensor axes [rad/s]."""
+    t, stands = samples["speed"].t, np.abs(samples["speed"].values) < STANDS_MPS
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], stands.astype(int), [0]])))
+    gyro, made = samples["gyro"], []
+    for first, end in edges.reshape(-1, 2):
+        if t[end - 1] - t[first] >= STOP_S:
+            inside = (gyro.t > t[first] + SETTLES_S) & (gyro.t < t[end - 1] - SETTLES_S)
+            if inside.any():
+                made.append(gyro.values[inside].mean(axis=0))
+    return np.reshape(made, (-1, 3))
+
+
+@lru_cache(32)
+def _named_as_it_is(log: str, pieces: int, piece: int) -> Mapping[str, list[float]]:
+    """What is named in a piece without an effect, beside the same file: value, deviation."""
+    case = Case("nulls", log, pieces=pieces, piece=piece)
+    try:
+        d = diagnose([read_log(log).pieces(pieces)[piece]], piece_model(case))
+    except EstimateError:
+        return {}
+    return {key: x[:2] for key, x in _values(d).items()}
 
 
 def _prepared(case: Case) -> tuple[Samples, VehicleModel, tuple[str, ...], Any]:

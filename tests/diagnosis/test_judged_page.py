@@ -9,7 +9,7 @@ import pytest
 from benchmarks.diagnosis.__main__ import mixed
 from benchmarks.diagnosis.bars import bars, found_at_or_below
 from benchmarks.diagnosis.cases import PARTS, Case
-from benchmarks.diagnosis.judged import drives
+from benchmarks.diagnosis.judged import drives, is_right, wrong_names
 from benchmarks.diagnosis.measured_logs import STATE
 from benchmarks.diagnosis.run import known, one, run
 
@@ -49,6 +49,26 @@ def test_an_effect_counts_where_the_size_asked_for_or_a_smaller_one_of_its_draw_
         hidden("gyro_scale", large, 19, True), hidden("gyro_scale", small, 20, True),
     ]  # fmt: skip
     assert found_at_or_below(lines) == {"gyro_scale": [True, True, False]}
+
+
+@pytest.mark.parametrize(("own", "right"), [(-0.16, True), (-0.09, False), (None, False)])
+def test_a_delay_that_the_logs_own_one_undoes_is_nothing(own, right):
+    """Together 0.04 or 0.11 s, where 0.03 s and 1.96 times 0.01 s may be."""
+    known = None if own is None else [own, 0.01]
+    late = hidden("speed_late", 1, 3, False, truth={"key": "speed.delay_s", "value": 0.2})
+    assert is_right({**late, "own": known}) == right
+
+
+@pytest.mark.parametrize(("by_means", "moved", "wrong"), [
+    (-0.0034, -0.004, []), (-0.0020, -0.004, ["gyro_bias"]), (-0.0034, 0.0, ["gyro_bias"]),
+])  # fmt: skip
+def test_a_zero_that_an_effect_moved_and_plain_means_at_stops_confirm_is_no_wrong_name(
+    by_means, moved, wrong
+):
+    key = "gyro.bias.y"
+    said = {**line("one", "gyro_bias"), "right": ["unknown"], "values": {key: [-0.0033, 2e-4, 3.0]}}
+    assert wrong_names({**said, "at_rest": {key: [by_means, 1e-4, moved]}}) == wrong
+    assert wrong_names(said) == ["gyro_bias"]
 
 
 def test_a_short_log_does_not_count_for_what_is_asked_of_long_ones():

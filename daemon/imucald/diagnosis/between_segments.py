@@ -1,8 +1,8 @@
 """Segments whose own best values differ by more than their errors say (random effects).
 
-A gain, or a parameter that was named, is one number. Where each segment has another, and the
-segments' own errors and all that a correct file may be wrong by do not account for it, that number
-is no statement about the drive: something changes it.
+A gain is one number. Where each segment has another, and the segments' own errors and all that a
+correct file may be wrong by do not account for it, that number is no statement about the drive:
+something changes it.
 """
 
 from __future__ import annotations
@@ -13,7 +13,6 @@ import numpy as np
 from scipy.stats import chi2
 
 from imucald.diagnosis.blocks import Table
-from imucald.diagnosis.causes import family
 from imucald.diagnosis.chance import Question
 from imucald.diagnosis.intervals import ERROR_RATE
 from imucald.diagnosis.outcome import SEEN_SHARE, signals_of
@@ -23,23 +22,18 @@ from imucald.diagnosis.search import beyond
 from imucald.diagnosis.signals import Array
 from imucald.diagnosis.stability import EVENLY, amount
 from imucald.diagnosis.state import State
-from imucald.diagnosis.trials import hypotheses, on_table
+from imucald.diagnosis.trials import hypotheses
 from imucald.mount.mount_words import SD_95
 
 LEAST_BLOCKS = 8
 OWN = 3
 """Numbers that a segment's noise is less by: two tilts, and the value itself."""
-NAMED = ("accel.bias", "accel.scale", "accel.cross_axis", "gyro.scale", "speed.scale",
-         "yaw_rate.scale", "lateral_accel.scale", "longitudinal_accel.scale")  # fmt: skip
-"""What is asked of if it was named. A segment's own zero of the gyroscope takes what turning on a
-slope makes about the level axes; delays, lever arm and springs take what the equations of the tyres
-err by, which goes with how a segment is driven."""
 
 
 def gains_apart(problem: Problem, state: State, drift: Hypothesis | None) -> list[Question]:
-    """Each gain, named or not. Zeros that nobody named are not asked: a segment's own takes what
-    its road makes of it. drift: of what was named and has no place in the model file; it is fitted
-    beside."""
+    """Each gain, named or not. Zeros are not asked: a segment's own takes what its road makes of
+    it; nor delays, lever arm and springs, which take what the equations of the tyres err by. drift:
+    of what was named and has no place in the model file; it is fitted beside."""
     table = problem.table
     if table.blocks < LEAST_BLOCKS:
         return []
@@ -49,14 +43,14 @@ def gains_apart(problem: Problem, state: State, drift: Hypothesis | None) -> lis
 
 
 def named_apart(problem: Problem, state: State, drift: Hypothesis | None) -> list[Structure]:
-    """What was named and is not one number, or one even drift: 1 % is shared over what is asked.
-    Whoever reads a name takes it for the drive, so it is not held to what all questions share."""
+    """Gains that were named and are not one number: 1 % is shared over these. Whoever reads a name
+    takes it for the drive, so it is not held to what all questions share."""
     table = problem.table
     if table.blocks < LEAST_BLOCKS:
         return []
     z = what_leaves(problem, drift)
-    asked = [q for t in state.named
-             for q in _questions(problem, on_table(t.hypothesis, table), beyond(t), z)]  # fmt: skip
+    asked = [q for t in state.named if _is_gain(t.hypothesis)
+             for q in _questions(problem, t.hypothesis, beyond(t), z)]  # fmt: skip
     return [q.structure for q in asked if q.is_large and q.p * len(asked) < ERROR_RATE]
 
 
@@ -71,7 +65,7 @@ def _questions(
     table = problem.table
     errors = problem.model_error(h)
     for k, key in enumerate(h.keys):
-        if key not in keys or family(key) not in NAMED:
+        if key not in keys:
             continue
         moved = h.directions[k] if h.directions else {key: 1.0}
         d = np.zeros(z.shape[1])
@@ -116,10 +110,12 @@ def _scatter(x: Array, variance: Array, may: float) -> tuple[float, float]:
     """Deviation between segments beyond their errors (DerSimonian and Laird 1986), and the chance
     of their scatter (Cochran 1954) where the values themselves scatter by `may`. One segment in
     fifteen must not decide."""
+    far = (x - np.median(x)) ** 2 / (variance + may**2)
+    kept = np.argsort(far)[: len(x) - one_in_fifteen(len(x))]
+    x, variance = x[kept], variance[kept]
     w = 1.0 / variance
     excess = float(w @ (x - w @ x / w.sum()) ** 2) - (len(x) - 1)
     size = float(np.sqrt(max(excess, 0.0) / (w.sum() - w @ w / w.sum())))
     w = 1.0 / (variance + may**2)
-    terms = np.sort(w * (x - w @ x / w.sum()) ** 2)
-    terms = terms[: len(terms) - one_in_fifteen(len(terms))]
-    return size, float(chi2.sf(terms.sum(), len(terms) - 1))
+    power = float(w @ (x - w @ x / w.sum()) ** 2)
+    return size, float(chi2.sf(power, len(x) - 1))

@@ -1,0 +1,142 @@
+"""Segments that differ by more than their errors say, and growth that is not even."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pytest
+
+from imucald.diagnosis.between_segments import gains_apart, named_apart
+from imucald.diagnosis.blocks import Table
+from imucald.diagnosis.even_growth import uneven_growth
+from imucald.diagnosis.intervals import Estimate
+from imucald.diagnosis.score import Hypothesis, Problem
+from imucald.diagnosis.standing import simplify
+from imucald.diagnosis.state import State
+from imucald.diagnosis.trials import Trial
+from imucald.model.model import VehicleModel
+
+BLOCKS, ROWS = 32, 60
+ZERO, GAIN = 0.06, 0.01
+RAMP = np.linspace(0.0, 1.0, BLOCKS)
+STEP = (np.arange(BLOCKS) >= 12).astype(float)
+
+
+def problem(seed: int, values, key: str, tolerance: float, size: float = 30.0) -> Problem:
+    """One equation of unit noise with one parameter. values: (BLOCKS,) of it in each segment."""
+    rng = np.random.default_rng(seed)
+    X = size * rng.standard_normal((BLOCKS, ROWS, 1))
+    y = rng.standard_normal((BLOCKS, ROWS)) + X[:, :, 0] * np.reshape(values, (-1, 1))
+    return problem_of(y, X, (key,), np.array([tolerance]))
+
+
+def problem_of(y, X, keys, tolerance) -> Problem:
+    A = np.concatenate([y[:, :, None], X], axis=2)
+    gram = np.swapaxes(A, 1, 2) @ A
+    n = len(keys)
+    table = Table(
+        keys, gram, {"accel_x": gram}, np.full(BLOCKS, ROWS), 30.0 * np.arange(BLOCKS),
+        np.zeros(BLOCKS, dtype=int), np.ones(BLOCKS), tolerance, np.zeros(n),
+        np.tile([-1.0, 1.0], (n, 1)), {"accel_x": 1.0}, 30.0, {}, np.zeros((BLOCKS, 2)),
+        np.arange(BLOCKS),
+    )  # fmt: skip
+    return Problem(table, -tolerance, tolerance)
+
+
+def trial(h: Hypothesis) -> Trial:
+    one = np.ones(len(h.keys))
+    e = Estimate(one, 0.01 * one, 3.0, 9.0, 0.0 * one)
+    wide = np.tile([-1.0, 1.0], (len(h.keys), 1))
+    return Trial(h, e, np.ones(BLOCKS), 50.0, 0.1 * one, wide, 8.0, 2.0, 0.1 * one,
+                 np.arange(BLOCKS))  # fmt: skip
+
+
+def state(*named: Trial) -> State:
+    return State((), VehicleModel(), VehicleModel(), {}, named=list(named))
+
+
+def heated(seed: int) -> np.ndarray:
+    """A gain that is another every two minutes, in a random half of them."""
+    return 6.0 * GAIN * np.repeat(np.random.default_rng(seed).integers(0, 2, 8), 4)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_gain_that_comes_and_goes_is_reported_with_its_size(seed):
+    gain = heated(seed + 10)
+    found = gains_apart(problem(seed, gain, "speed.scale", GAIN), state(), None)
+    assert [q.structure.parameter for q in found] == ["speed.scale"]
+    assert found[0].p < 1e-6
+    assert found[0].is_large
+    assert found[0].structure.size == pytest.approx(np.std(gain) * 3.0**0.5 / GAIN, rel=0.2)
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_one_gain_however_far_off_or_gains_within_tolerance_are_not(seed):
+    rng = np.random.default_rng(200 + seed)
+    for gain in (np.full(BLOCKS, 0.08), GAIN * rng.uniform(-1.0, 1.0, BLOCKS)):
+        (q,) = gains_apart(problem(seed, gain, "speed.scale", GAIN), state(), None)
+        assert q.p > 1e-3
+
+
+def test_one_segment_in_fifteen_does_not_decide():
+    gain = np.zeros(BLOCKS)
+    gain[[5, 20]] = 0.3
+    (q,) = gains_apart(problem(1, gain, "speed.scale", GAIN), state(), None)
+    assert q.p > 0.05
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_named_gain_is_held_to_what_is_asked_of_names(seed):
+    named = state(trial(Hypothesis("wheel_speed_scale", ("speed.scale",))))
+    one = problem(seed, np.full(BLOCKS, 0.08), "speed.scale", GAIN)
+    apart = problem(seed, heated(seed), "speed.scale", GAIN)
+    assert named_apart(one, named, None) == []
+    assert [s.parameter for s in named_apart(apart, named, None)] == ["speed.scale"]
+    assert named_apart(apart, state(), None) == []
+
+
+@pytest.mark.parametrize(("grows", "is_even"), [(RAMP, True), (STEP, False)])
+def test_a_drift_stands_where_no_step_does_as_well(grows, is_even):
+    drift = trial(Hypothesis("accel_bias_drift", ("accel.bias.x",), pattern=RAMP))
+    p = problem(3, 5.0 * ZERO * grows, "accel.bias.x", ZERO, size=3.0)
+    left = uneven_growth(p, state(drift))
+    assert (left == []) == is_even
+    if left:
+        assert left[0].parameter == "accel.bias.x"
+        assert "from 360 s on" in left[0].text
+
+
+@dataclass
+class Fixed(State):
+    """A model beside which nothing moves."""
+
+    problem: Problem | None = None
+
+    def evaluated(self) -> Problem:
+        assert self.problem is not None
+        free = [k for k in self.free if k in self.problem.table.keys]
+        return Problem.of(self.problem.table, free, {})
+
+    def apply(self, changes) -> None:
+        pass
+
+
+@pytest.mark.parametrize(("rate", "name"), [(0.0, "signal_delay"), (2e-3, "delay_rate")])
+def test_clocks_that_run_apart_stand_where_their_rate_pays_beside_a_delay(rate, name):
+    keys, rng = ("speed.delay_rate", "speed.delay_s"), np.random.default_rng(5)
+    slope = 3.0 * rng.standard_normal((BLOCKS, ROWS))
+    late = slope[:, :, None] * np.stack([300.0 * RAMP, np.ones(BLOCKS)], axis=1)[:, None, :]
+    y = rng.standard_normal((BLOCKS, ROWS)) + late @ np.array([rate, 0.3])
+    whole = problem_of(y, late, keys, np.array([2e-5, 0.03]))
+    grows = trial(Hypothesis("delay_rate", keys, lead=1))
+    known = Fixed((), VehicleModel(), VehicleModel(), {}, changes=dict.fromkeys(keys, 0.0),
+                  named=[grows], problem=whole)  # fmt: skip
+    known.rivals["delay_rate"] = [trial(Hypothesis("signal_delay", keys[1:]))]
+    simplify(known, replace(grows))
+    if name == "signal_delay":
+        assert [(t.hypothesis.name, t.hypothesis.keys) for t in known.named] == [(name, keys[1:])]
+        assert known.rivals == {"signal_delay": []}
+        assert "speed.delay_rate" not in known.changes
+    else:
+        assert known.named == [grows]
