@@ -244,14 +244,15 @@ def _weighed(
     errors = np.array([model_error(model, key) for key in keys])
     bounds = np.array([plausible(model, key) for key in keys]).reshape(-1, 2)
     free = np.zeros(len(keys))
-    for _ in range(PASSES):
+    for i in range(PASSES):
         left = _without_tilt(parts, free)
         weights = {name: noise_weights(left[name], rows.good) for name, rows in parts.items()}
         gram = _gram(parts, weights)
-        total = np.asarray(sum(gram.values())).sum(axis=0)
-        # What no sensor and no vehicle can have is no fit, however much noise it takes away.
-        free = box_fit(total[1:, 1:], total[1:, 0], bounds[:, 0], bounds[:, 1])
-    whole = np.asarray(sum(gram.values()))
+        whole = np.asarray(sum(gram.values()))
+        if i + 1 < PASSES:
+            total = whole.sum(axis=0)
+            # What no sensor and no vehicle can have is no fit, however much noise it takes away.
+            free = box_fit(total[1:, 1:], total[1:, 0], bounds[:, 0], bounds[:, 1])
     count = np.asarray(sum((w > 0.0).sum(axis=1) for w in weights.values()))
     keep, nbytes = count > 0, sum(rows.X.nbytes for rows in parts.values())
 

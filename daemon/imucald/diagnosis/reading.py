@@ -91,15 +91,29 @@ class Reader:
         return Once(self.known, not own)(self._triad, name, own, force)
 
     def _triad(self, name: str, own: Part, force: Array | None) -> Array:
+        """Less what the changes make of its zero, along the vehicle."""
+        zero = (f"{name}.bias.", f"{name}.bias_temperature.")
+        others = tuple((key, x) for key, x in own if not key.startswith(zero))
+        made = Once(self.known, not others)(self._with_its_zero, name, others, force)
+        changes = dict(own)
+        bias = along_vehicle(changes, f"{name}.bias")
+        drift = along_vehicle(changes, f"{name}.bias_temperature")
+        if bias.any():
+            made = made - bias
+        if drift.any() and self.drive.has("temperature"):
+            made = made - self.above_reference()[:, None] * drift
+        return made
+
+    def _with_its_zero(self, name: str, own: Part, force: Array | None) -> Array:
+        """As it is by the model file, with changes of anything but its zero."""
         changes = dict(own)
         sensor = sensor_of(self.model, name, changes)
         if force is None:
             raw = self.raw(name, self.age(name, changes)) - sensor.bias
         else:
             raw = self.in_sensor(force, changes.get(f"{name}.delay_s", 0.0), name)
-        warm = self.above_reference() if self.drive.has("temperature") else None
-        if warm is not None and sensor.per_kelvin.any() and force is None:
-            raw = raw - warm[:, None] * sensor.per_kelvin
+        if sensor.per_kelvin.any() and force is None and self.drive.has("temperature"):
+            raw = raw - self.above_reference()[:, None] * sensor.per_kelvin
         if sensor.per_force.any():
             stated = np.array(self.model.gyro.g_sensitivity)
             if force is None:
@@ -113,12 +127,7 @@ class Reader:
             stated = np.linalg.inv(sensor_of(self.model, name, {}).gain)
             true += self._level(name) @ (stated - np.linalg.inv(sensor.gain)).T
         turn = rotation_from_vector(along_vehicle(changes, "mount.turn"))
-        made = self._turned(true, [(start, (turn @ R).T) for start, R in mounts(self.model)])
-        made -= along_vehicle(changes, f"{name}.bias")
-        drift = along_vehicle(changes, f"{name}.bias_temperature")
-        if warm is not None and drift.any():
-            made -= warm[:, None] * drift
-        return made
+        return self._turned(true, [(start, (turn @ R).T) for start, R in mounts(self.model)])
 
     def _turned(self, x: Array, turns: Sequence[tuple[float, Array]]) -> Array:
         """x (N, 3) times the matrix that holds from a time [s] on, the first from the start."""

@@ -98,9 +98,8 @@ class Problem:
         for known, x in self._fitted:
             if known is h:
                 return x
-        total, start = gram.sum(axis=0), np.zeros(len(low))
-        start[: len(self._whole)] = self._whole
-        x = box_fit(total[1:, 1:], total[1:, 0], low, high, start)
+        total = gram.sum(axis=0)
+        x = box_fit(total[1:, 1:], total[1:, 0], low, high)
         self._fitted[:] = [(h, x)]
         return x
 
