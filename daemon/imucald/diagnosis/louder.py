@@ -22,7 +22,7 @@ from imucald.diagnosis.result import LOUDER, Structure
 from imucald.diagnosis.score import Problem
 from imucald.diagnosis.signals import STANDING_MPS, STEP_S, Array, Mask
 from imucald.diagnosis.state import State
-from imucald.model.leaves import BANDS_HZ, Leaves
+from imucald.model.leaves import BANDS_HZ, Bands, Leaves
 from imucald.model.model import VehicleModel
 
 LEAST_SEGMENTS = 10
@@ -78,10 +78,15 @@ def leaves_of(left: Left, segment_s: float) -> dict[str, Leaves]:
             low, high = np.quantile(v, INSIDE)
             logs = np.log(np.maximum(rms, LEAST_RMS))
             middle, spread = np.exp(np.median(logs, axis=0)), logs.std(axis=0, ddof=1)
-            numbers = [tuple(float(f"{x:.4g}") for x in each) for each in (middle, spread)]
             speeds = (round(float(low), 2), round(float(high), 2))
-            made[name] = Leaves(len(v), segment_s, speeds, *numbers)
+            made[name] = Leaves(len(v), segment_s, speeds, _short(middle), _short(spread))
     return made
+
+
+def _short(x: Array) -> Bands:
+    """Four digits of each number (6,)."""
+    a, b, c, d, e, f = (float(f"{each:.4g}") for each in x)
+    return a, b, c, d, e, f
 
 
 def with_leaves(model: VehicleModel, problem: Problem, state: State) -> VehicleModel:
