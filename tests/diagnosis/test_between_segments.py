@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pytest
 
+from imucald.diagnosis import diagnose
 from imucald.diagnosis.between_segments import gains_apart, named_apart
 from imucald.diagnosis.blocks import Table
 from imucald.diagnosis.even_growth import uneven_growth
@@ -101,6 +102,15 @@ def test_a_named_gain_is_held_to_what_is_asked_of_names(seed):
     assert named_apart(one, named, None) == []
     assert [s.parameter for s in named_apart(apart, named, None)] == ["speed.scale"]
     assert named_apart(apart, state(), None) == []
+
+
+def test_a_named_gain_that_is_asked_about_twice_is_reported_once(monkeypatch):
+    named = state(trial(Hypothesis("wheel_speed_scale", ("speed.scale",))))
+    apart = problem(0, heated(0), "speed.scale", GAIN)
+    monkeypatch.setattr(State, "evaluated", lambda _: apart)
+    for other in ("too_much", "uneven", "patterns", "unstable", "uneven_growth", "what_is_left"):
+        monkeypatch.setattr(diagnose, other, lambda *_: [])
+    assert [s.parameter for s in diagnose._left(named)] == ["speed.scale"]
 
 
 @pytest.mark.parametrize(("grows", "is_even"), [(RAMP, True), (STEP, False)])
