@@ -18,7 +18,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from imucald.service.state_file import MAX_BYTES, StateKey, StateStore, encoded
+from imucald.service.state_file import LONGEST_DOUBT, MAX_BYTES, StateKey, StateStore, encoded
 from service_files import IDENTITY, KEY, SMALL, state
 
 KILLS = 300
@@ -66,6 +66,13 @@ def test_all_fields_come_back(tmp_path):
     )
     StateStore(tmp_path, KEY).save(full)
     assert load(tmp_path).state == full
+
+
+def test_a_reason_of_any_length_is_saved_so_that_it_is_believed_again(tmp_path):
+    StateStore(tmp_path, KEY).save(state(1.0, doubted=True, doubt="gravity " * 1000))
+    loaded = load(tmp_path)
+    assert loaded.problems == ()
+    assert loaded.state.doubt == ("gravity " * 1000)[:LONGEST_DOUBT]
 
 
 def test_nothing_saved_is_no_state_and_no_problem(tmp_path):
