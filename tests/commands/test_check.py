@@ -251,7 +251,24 @@ def test_frames_that_all_come_again_a_little_later_leave_no_accelerometer(frames
     assert not report["usable"]
     assert "nearly all of it is rejected" in findings(report, "error")["accelerometer"]
     assert "counter_repeated" in findings(report, "error")["accelerometer"]
-    assert "see 'counter:'" in findings(report, "warning")["accelerometer"]
+    warned = findings(report, "warning")["accelerometer"]
+    assert "a gateway or a second log sends the same again, or see 'counter:'" in warned
+
+
+def test_a_message_without_counter_that_comes_twice_from_some_time_on_is_named(
+    frames: Frames,
+) -> None:
+    began, found = frames[0].t[0] + 100.0, []
+    for chunk in frames:
+        found.append(chunk.take(np.repeat(np.arange(len(chunk)), 1 + (chunk.t > began))))
+    report = checked(found)
+    rows = {m["name"]: m["rejected"] for m in report["messages"]}
+    assert rows["ESC_WheelSpeeds"]["duplicate_sender"] > 0.5 * 140.0 * 100.0, "of what came then"
+    by_message = sum(reasons.get("duplicate_sender", 0) for reasons in rows.values())
+    assert by_message == report["frames"]["rejected"]["duplicate_sender"]
+    text = findings(report, "warning")["wheel_speeds"]
+    assert "of ESC_WheelSpeeds are rejected (duplicate_sender" in text
+    assert "a second unit sends this identifier, or a gateway sends it again" in text
 
 
 def test_half_of_the_frames_again_later_is_an_error_where_most_are_rejected(frames: Frames) -> None:
