@@ -246,6 +246,17 @@ def test_frames_that_all_come_twice_at_one_stamp_count_once_and_are_named(frames
     assert "each counts once" in warned
 
 
+def test_copies_are_not_counted_among_the_frames_that_are_lost(frames: Frames) -> None:
+    """With a few faults beside them most frames are rejected, and most samples are taken."""
+    some = twice(frames)
+    first = np.arange(len(some[0])) < 400
+    some[0] = replace(some[0], t=some[0].t + 1e-6 * (first & (np.arange(len(first)) % 2 == 1)))
+    report = checked(some)
+    row = next(m for m in report["messages"] if m["name"] == "IMU_Accel")
+    assert 2 * sum(row["rejected"].values()) > row["frames"], "what is planted"
+    assert report["usable"]
+
+
 def test_frames_that_all_come_again_a_little_later_leave_no_accelerometer(frames: Frames) -> None:
     report = checked(twice(frames, later=1e-6))
     assert not report["usable"]
