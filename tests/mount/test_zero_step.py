@@ -24,6 +24,7 @@ from mount_settings import full
 from signal_block import block
 
 BEFORE, AFTER = 40, 30
+GRADE = 18
 BEND = 1.2
 """Of each third block, left and right in turn [rad]."""
 SOLVER: Any = SimpleNamespace(
@@ -39,19 +40,23 @@ def cause(
     seed: int = 0,
     felt: tuple[float, float, float] = (0.0, 0.0, 0.0),
     gap: int | None = None,
+    grade: float = 0.0,
 ) -> GravityMoved:
     """What is found after a sensor was turned [rad], or its zero stepped [m/s^2].
 
     The road's slope differs by 0.02 (rms) from block to block, and turns the sensor along. felt:
     what the gyroscope feels meanwhile [rad]. gap: number of the block before which time jumps.
+    grade: of a straight road [rad], for the first `GRADE` blocks after.
     """
     rng = np.random.default_rng(seed)
     asked = ZeroStep(full())
     slope = np.zeros(2)
     for k in range(BEFORE + AFTER):
         now = 0.02 * rng.standard_normal(2)
-        bend = BEND * (k % 3 == 0) * (-1.0) ** k * (bends_after or k < BEFORE)
         is_after = k >= BEFORE
+        is_grade = grade != 0.0 and BEFORE <= k < BEFORE + GRADE
+        now[1] += grade * is_grade
+        bend = BEND * (k % 3 == 0) * (-1.0) ** k * (bends_after or not is_after) * (not is_grade)
         # a vehicle's axes; the sensor's are those turned
         turn = np.array([now[0] - slope[0], now[1] - slope[1], bend])
         force = GRAVITY * np.array([-now[1], now[0], 1.0])
@@ -87,6 +92,12 @@ def test_an_axis_of_turning_that_goes_along_with_gravity_is_a_sensor_that_was_tu
     turned = np.zeros(3)
     turned[axis] = math.radians(6.0) * (-1.0) ** seed
     assert cause(turned=tuple(turned), seed=seed) is GravityMoved.TURNED
+
+
+@pytest.mark.parametrize("seed", range(10))
+@pytest.mark.parametrize("grade", [0.1, -0.14])
+def test_a_straight_grade_before_level_bends_is_no_zero_that_stepped(grade, seed):
+    assert cause(grade=grade, seed=seed) is not GravityMoved.STEPPED
 
 
 def test_without_a_bend_since_nobody_knows():

@@ -168,8 +168,20 @@ class ZeroStep:
         if ratio > BELIEVED:
             self._before, self.cause = None, GravityMoved.TURNED
         else:
-            is_stepped = ratio < -BELIEVED and size - reach > LEAST_TILT
+            is_stepped = (
+                ratio < -BELIEVED
+                and size - reach > LEAST_TILT
+                and self._is_off_in_bends(up, before, change)
+            )
             self.cause = GravityMoved.STEPPED if is_stepped else GravityMoved.UNKNOWN
+
+    def _is_off_in_bends(self, up: Array, before: SeenOver, change: Array) -> bool:
+        """Whether gravity was off where the axis has shown itself: by more than half of the change,
+        half way between a zero that stepped and a straight grade that is behind the vehicle."""
+        square = (self._rows[:, 3:6] @ up) ** 2
+        mean = square @ self._rows[:, :3]
+        there = mean / max(float(mean @ up), 1e-9) - up - before.gravity
+        return bool(there @ change > 0.5 * change @ change)
 
     def _felt_ratio(self, up: Array, along: Array, size: float, before: SeenOver) -> float:
         """What the turn that was felt adds to the log of the ratio, for a change of gravity by size
