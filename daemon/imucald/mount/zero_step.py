@@ -11,7 +11,7 @@ In sensor axes, about the mean gravity u of before, with c the change of gravity
 which is a test of two simple hypotheses (Neyman and Pearson, Phil. Trans. R. Soc. A 231, 1933).
 Neither is believed until its likelihood stands out enough. A turn that the gyroscope felt while
 gravity moved speaks for the first, too; that it felt none says little, as it may have slept.
-A straight grade moves gravity and shows no axis: a zero stepped only if gravity is off in bends too.
+A straight grade moves gravity and shows no axis: for a zero, gravity must be off in bends too.
 
 The axis: in a block the vehicle turns by the vector w. Its part along u is the turn, the rest is
 what slope and lean of road and body differ by from the block's beginning to its end, which does
