@@ -18,6 +18,7 @@ from imucald.diagnosis.result import (
     SignalGain,
     Structure,
 )
+from imucald.report.model_changes import model_changes
 from imucald.report.numbers import number, typographic
 from imucald.report.titles import cause_title, key_title, signal_title
 
@@ -142,7 +143,7 @@ def _advice(diagnosis: Diagnosis) -> str:
 
 def advice_in_short(diagnosis: Diagnosis) -> tuple[str, str]:
     """The same as a figure: advice, and what it rests on."""
-    if diagnosis.model_after == diagnosis.model_before:
+    if not model_changes(diagnosis.model_before, diagnosis.model_after):
         return "unchanged", "what was found has no key of its own in the model file"
     if not diagnosis.recommended:
         return "not recommended", "by what it brings alone"
