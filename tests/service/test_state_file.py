@@ -169,6 +169,17 @@ def test_numbers_that_make_no_sense_are_not_believed_whatever_the_checksum(tmp_p
     assert "makes no sense" in loaded.problems[0]
 
 
+@pytest.mark.parametrize("number", ["NaN", "-Infinity", "1e999"])
+def test_a_number_that_could_not_be_saved_again_is_not_believed(tmp_path, number):
+    """With it no later state could be written, and a doubt would not outlast a restart."""
+    whole = encoded(KEY, 2, state(2.0, offsets={"gyro_bias": [0.125]}))
+    body = whole.partition(b"\n")[2].replace(b"0.125", number.encode())
+    StateStore(tmp_path, KEY).path(0).write_bytes(with_body(body))
+    loaded = load(tmp_path)
+    assert loaded.state is None
+    assert f"{number} is no finite number" in loaded.problems[0]
+
+
 @settings(max_examples=200, deadline=None, suppress_health_check=list(HealthCheck))
 @given(data=st.data())
 def test_no_bit_flip_or_cut_is_ever_believed(tmp_path, data):

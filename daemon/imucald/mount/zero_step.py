@@ -37,10 +37,10 @@ Array = NDArray[np.float64]
 
 REMEMBERED = 240
 """Blocks (26 min)."""
-LEAST = 0.04
+LEAST_TILT = 0.04
 """Changes of gravity that are asked about begin there [rad]: 40 mg, what a zero is off by over a
 sensor's life (BMI160 data sheet). What is smaller is within the deviation."""
-MOST = 0.35
+MOST_TILT = 0.35
 """And end there [rad], 20 deg: no zero is 350 mg off, and no rotation of before is kept."""
 FEWEST = 2
 """Blocks since a change that gravity is known from."""
@@ -150,13 +150,13 @@ class ZeroStep:
         change = after.gravity - before.gravity
         size = float(np.linalg.norm(change))
         variance = before.gravity_variance + after.gravity_variance
-        if size > MOST:
+        if size > MOST_TILT:
             self._before, self.cause = None, GravityMoved.TURNED
             return
         reach = 2.0 * math.sqrt(variance)
-        if size < LEAST:
+        if size < LEAST_TILT:
             self.cause = GravityMoved.NOTHING
-            if size + reach < LEAST:
+            if size + reach < LEAST_TILT:
                 self._before = None
             return
         along = float((after.axis - before.axis) @ change) / size
@@ -168,7 +168,7 @@ class ZeroStep:
         if ratio > BELIEVED:
             self._before, self.cause = None, GravityMoved.TURNED
         else:
-            is_stepped = ratio < -BELIEVED and size - reach > LEAST
+            is_stepped = ratio < -BELIEVED and size - reach > LEAST_TILT
             self.cause = GravityMoved.STEPPED if is_stepped else GravityMoved.UNKNOWN
 
     def _felt_ratio(self, up: Array, along: Array, size: float, before: SeenOver) -> float:
