@@ -158,7 +158,7 @@ def _left(state: State) -> tuple[Structure, ...]:
     """What no cause explains."""
     problem = state.evaluated()
     drift = drift_of(problem, state)
-    return (
+    left = (
         *too_much(problem, state),
         *uneven(problem, drift),
         *outcome.implausible(state),
@@ -175,6 +175,7 @@ def _left(state: State) -> tuple[Structure, ...]:
         *uneven_growth(problem, state),
         *what_is_left(problem, state),
     )
+    return tuple(dict.fromkeys(left))  # a named gain is asked about twice
 
 
 def _silent(share: float, text: str) -> None:

@@ -69,6 +69,12 @@ def _with_rivals(text: str) -> str:
     return f"{rivals} {'does' if len(names) == 1 else 'do'}{AS_WELL.removeprefix(' does')}"
 
 
+def how_sure(cause: FoundCause, diagnosis: Diagnosis) -> str:
+    """One word: certain, likely, or ambiguous where these drives show others as well."""
+    is_confused = any(cause.name in group for group in diagnosis.look_alikes)
+    return "ambiguous" if is_confused and cause.certainty == "certain" else cause.certainty
+
+
 def verdict(diagnosis: Diagnosis) -> Words:
     """Return what the diagnosis says, with how sure it is."""
     titles = [cause_title(cause.name) for cause in diagnosis.causes]
@@ -105,7 +111,7 @@ def _unknown(diagnosis: Diagnosis, titles: Sequence[str], tail: str) -> Words:
     text = "The measured signals differ from the model in a way that no known cause explains."
     if NOT_PLAUSIBLE in kinds:
         first = next(s for s in diagnosis.structure if s.kind == NOT_PLAUSIBLE)
-        text = f"{first.text[:1].upper()}{first.text[1:]}."
+        text = typographic(f"{first.text[:1].upper()}{first.text[1:]}.")
     if titles:
         text += f" Besides, this was found: {in_series(titles)}."
     return Words(f"Unknown: something is left in {where}" if where else "Unknown", text + tail)
@@ -185,8 +191,8 @@ def outcome(candidate: Candidate) -> str:
 
 
 def size_shown(candidate: Candidate) -> str:
-    """Its size and the size from which it would be named; a pure number has no unit."""
-    return typographic(candidate.text).replace(" 1; named", "; named")
+    """Its size and the size from which it would be named."""
+    return typographic(candidate.text)
 
 
 def gain(found: Gain) -> str:
