@@ -25,10 +25,8 @@ from imucald.can.dbc.database import load_database_text
 from imucald.can.dbc.decode import compile_decode
 from imucald.can.dbc.encode import compile_encode
 from imucald.can.e2e.checksums import E2E_COUNTERS, crc8_j1850, e2e_profile_1
-from imucald.can.e2e.protection import (
-    MessageChecker,
-    ProtectionSpec,
-)
+from imucald.can.e2e.protection import MessageChecker
+from imucald.can.e2e.protection_spec import ProtectionSpec
 from imucald.can.e2e.protector import MessageProtector
 
 ROWS = 100_000

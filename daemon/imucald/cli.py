@@ -15,7 +15,7 @@ import importlib
 import os
 import signal
 import sys
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from contextlib import suppress
 from types import ModuleType
 from typing import Any
@@ -120,8 +120,13 @@ class _Parser(argparse.ArgumentParser):
         super().__init__(**{"formatter_class": _formatter, "allow_abbrev": False, **given})
 
 
-def build_parser(command: str | None = None) -> argparse.ArgumentParser:
-    """Return the parser; only the named command's options are loaded (all without one)."""
+def build_parser(
+    command: str | None = None, names: Iterable[str] = COMMANDS
+) -> argparse.ArgumentParser:
+    """Return the parser of the commands of these names.
+
+    Only the named command's options are loaded (all without one).
+    """
     parser = _Parser(
         prog="imucald",
         description="Finds out how an inertial sensor sits in a vehicle, from the signals on the "
@@ -133,7 +138,8 @@ def build_parser(command: str | None = None) -> argparse.ArgumentParser:
     subparsers = parser.add_subparsers(
         title="commands", dest="command", metavar="COMMAND", required=True
     )
-    for name, text in COMMANDS.items():
+    for name in names:
+        text = COMMANDS[name]
         about = f"{text[0].upper()}{text[1:]}."
         sub = subparsers.add_parser(name, help=text, description=about)
         if command is None or name == command:
@@ -204,7 +210,8 @@ def _done(argv: Sequence[str] | None) -> int:
     for name, value in PROCESS_SETTINGS.items():
         os.environ.setdefault(name, value)
     named = next((a for a in arguments if not a.startswith("-")), "")
-    parser = build_parser(named)
+    is_first = named in COMMANDS and arguments[0] == named  # nothing lists the other commands
+    parser = build_parser(named, [named] if is_first else COMMANDS)
     if not arguments:
         parser.print_help(sys.stderr)
         return WRONG_USAGE

@@ -233,9 +233,12 @@ def test_pieces_that_hold_the_same_seconds_or_are_exchanged_are_named(
     names = [tmp_path / "1.log", tmp_path / "2.log"]
     for name, start, stop in zip(names, pieces[::2], pieces[1::2], strict=True):
         name.write_bytes(b"".join(lines[start:stop]))
-    stamps = [float(line.split()[0].strip(b"()")) for line in (lines[4000], lines[5999])]
+    stamps = [float(lines[row].split()[0].strip(b"()")) for row in (4000, 5999, 0, -1)]
+    out = tmp_path / "out.json"
     command = ["replay", "--config", str(CONFIG), *map(str, names), "--joined"]
-    assert cli.main(command) == 0
+    assert cli.main([*command, "--json", str(out)]) == 0
+    lasts = json.loads(out.read_text())["duration_s"]
+    assert lasts == pytest.approx(stamps[3] - stamps[2], abs=0.1), "in whatever order"
     noted = [line for line in capsys.readouterr().err.splitlines() if ".log" in line]
     said = said.format(shared=stamps[1] - stamps[0], folder=tmp_path)
     assert len(noted) == bool(said)

@@ -23,13 +23,8 @@ from imucald.can.e2e.checksums import (
     e2e_profile_11,
     xor_checksum,
 )
-from imucald.can.e2e.protection import (
-    REASONS,
-    CounterSpec,
-    MessageChecker,
-    ProtectionSpec,
-    counter_of,
-)
+from imucald.can.e2e.protection import REASONS, MessageChecker
+from imucald.can.e2e.protection_spec import CounterSpec, ProtectionSpec, counter_of
 from imucald.can.e2e.protector import MessageProtector
 from imucald.core.errors import ConfigError, EncodeError
 

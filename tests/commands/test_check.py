@@ -246,12 +246,40 @@ def test_frames_that_all_come_twice_at_one_stamp_count_once_and_are_named(frames
     assert "each counts once" in warned
 
 
+def test_copies_are_not_counted_among_the_frames_that_are_lost(frames: Frames) -> None:
+    """With a few faults beside them most frames are rejected, and most samples are taken."""
+    some = twice(frames)
+    first = np.arange(len(some[0])) < 400
+    some[0] = replace(some[0], t=some[0].t + 1e-6 * (first & (np.arange(len(first)) % 2 == 1)))
+    report = checked(some)
+    row = next(m for m in report["messages"] if m["name"] == "IMU_Accel")
+    assert 2 * sum(row["rejected"].values()) > row["frames"], "what is planted"
+    assert report["usable"]
+
+
 def test_frames_that_all_come_again_a_little_later_leave_no_accelerometer(frames: Frames) -> None:
     report = checked(twice(frames, later=1e-6))
     assert not report["usable"]
     assert "nearly all of it is rejected" in findings(report, "error")["accelerometer"]
     assert "counter_repeated" in findings(report, "error")["accelerometer"]
-    assert "see 'counter:'" in findings(report, "warning")["accelerometer"]
+    warned = findings(report, "warning")["accelerometer"]
+    assert "a gateway or a second log sends the same again, or see 'counter:'" in warned
+
+
+def test_a_message_without_counter_that_comes_twice_from_some_time_on_is_named(
+    frames: Frames,
+) -> None:
+    began, found = frames[0].t[0] + 100.0, []
+    for chunk in frames:
+        found.append(chunk.take(np.repeat(np.arange(len(chunk)), 1 + (chunk.t > began))))
+    report = checked(found)
+    rows = {m["name"]: m["rejected"] for m in report["messages"]}
+    assert rows["ESC_WheelSpeeds"]["duplicate_sender"] > 0.5 * 140.0 * 100.0, "of what came then"
+    by_message = sum(reasons.get("duplicate_sender", 0) for reasons in rows.values())
+    assert by_message == report["frames"]["rejected"]["duplicate_sender"]
+    text = findings(report, "warning")["wheel_speeds"]
+    assert "of ESC_WheelSpeeds are rejected (duplicate_sender" in text
+    assert "a second unit sends this identifier, or a gateway sends it again" in text
 
 
 def test_half_of_the_frames_again_later_is_an_error_where_most_are_rejected(frames: Frames) -> None:

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pytest
 
+from imucald.diagnosis import diagnose
 from imucald.diagnosis.between_segments import gains_apart, named_apart
 from imucald.diagnosis.blocks import Table
 from imucald.diagnosis.even_growth import uneven_growth
@@ -86,6 +87,13 @@ def test_one_segment_in_fifteen_does_not_decide():
     assert q.p > 0.05
 
 
+def test_of_a_zero_segments_are_not_asked():
+    """A segment's own takes what its road makes of it."""
+    zero = problem(1, 6.0 * heated(1), "accel.bias.x", ZERO, size=3.0)
+    assert gains_apart(zero, state(), None) == []
+    assert named_apart(zero, state(trial(Hypothesis("accel_bias", ("accel.bias.x",)))), None) == []
+
+
 @pytest.mark.parametrize("seed", range(3))
 def test_a_named_gain_is_held_to_what_is_asked_of_names(seed):
     named = state(trial(Hypothesis("wheel_speed_scale", ("speed.scale",))))
@@ -94,6 +102,15 @@ def test_a_named_gain_is_held_to_what_is_asked_of_names(seed):
     assert named_apart(one, named, None) == []
     assert [s.parameter for s in named_apart(apart, named, None)] == ["speed.scale"]
     assert named_apart(apart, state(), None) == []
+
+
+def test_a_named_gain_that_is_asked_about_twice_is_reported_once(monkeypatch):
+    named = state(trial(Hypothesis("wheel_speed_scale", ("speed.scale",))))
+    apart = problem(0, heated(0), "speed.scale", GAIN)
+    monkeypatch.setattr(State, "evaluated", lambda _: apart)
+    for other in ("too_much", "uneven", "patterns", "unstable", "uneven_growth", "what_is_left"):
+        monkeypatch.setattr(diagnose, other, lambda *_: [])
+    assert [s.parameter for s in diagnose._left(named)] == ["speed.scale"]
 
 
 @pytest.mark.parametrize(("grows", "is_even"), [(RAMP, True), (STEP, False)])
@@ -105,6 +122,17 @@ def test_a_drift_stands_where_no_step_does_as_well(grows, is_even):
     if left:
         assert left[0].parameter == "accel.bias.x"
         assert "from 360 s on" in left[0].text
+
+
+@pytest.mark.parametrize(("seed", "tolerances"), [(3, 2.0), (1, 3.0), (2, 4.0)])
+def test_a_drift_that_is_ahead_of_every_step_by_no_more_than_chance_does_not_stand(
+    seed, tolerances
+):
+    """Small beside its noise: one question, 5 %."""
+    drift = trial(Hypothesis("accel_bias_drift", ("accel.bias.x",), pattern=RAMP))
+    p = problem(seed, tolerances * ZERO * RAMP, "accel.bias.x", ZERO, size=3.0)
+    (left,) = uneven_growth(p, state(drift))
+    assert left.size < BLOCKS, "no step is ahead"
 
 
 @dataclass
@@ -122,20 +150,39 @@ class Fixed(State):
         pass
 
 
-@pytest.mark.parametrize(("rate", "name"), [(0.0, "signal_delay"), (2e-3, "delay_rate")])
-def test_clocks_that_run_apart_stand_where_their_rate_pays_beside_a_delay(rate, name):
-    keys, rng = ("speed.delay_rate", "speed.delay_s"), np.random.default_rng(5)
+CLOCKS = ("speed.delay_rate", "speed.delay_s")
+
+
+def clocks(delay) -> tuple[Fixed, Trial]:
+    """A delay [s] of each segment (BLOCKS,), named as one that grows over 300 s."""
+    rng = np.random.default_rng(5)
     slope = 3.0 * rng.standard_normal((BLOCKS, ROWS))
     late = slope[:, :, None] * np.stack([300.0 * RAMP, np.ones(BLOCKS)], axis=1)[:, None, :]
-    y = rng.standard_normal((BLOCKS, ROWS)) + late @ np.array([rate, 0.3])
-    whole = problem_of(y, late, keys, np.array([2e-5, 0.03]))
-    grows = trial(Hypothesis("delay_rate", keys, lead=1))
-    known = Fixed((), VehicleModel(), VehicleModel(), {}, changes=dict.fromkeys(keys, 0.0),
+    y = rng.standard_normal((BLOCKS, ROWS)) + slope * np.reshape(delay, (-1, 1))
+    whole = problem_of(y, late, CLOCKS, np.array([2e-5, 0.03]))
+    grows = trial(Hypothesis("delay_rate", CLOCKS, lead=1))
+    known = Fixed((), VehicleModel(), VehicleModel(), {}, changes=dict.fromkeys(CLOCKS, 0.0),
                   named=[grows], problem=whole)  # fmt: skip
-    known.rivals["delay_rate"] = [trial(Hypothesis("signal_delay", keys[1:]))]
+    return known, grows
+
+
+@pytest.mark.parametrize(("grows", "is_even"), [(RAMP, True), (STEP, False)])
+def test_clocks_run_apart_where_no_step_of_the_delay_does_as_well(grows, is_even):
+    known, _ = clocks(0.1 + 0.6 * grows)
+    left = uneven_growth(known.evaluated(), known)
+    assert (left == []) == is_even
+    if left:
+        assert left[0].parameter == "speed.delay_rate"
+        assert "from 360 s on" in left[0].text
+
+
+@pytest.mark.parametrize(("rate", "name"), [(0.0, "signal_delay"), (2e-3, "delay_rate")])
+def test_clocks_that_run_apart_stand_where_their_rate_pays_beside_a_delay(rate, name):
+    known, grows = clocks(0.3 + 300.0 * rate * RAMP)
+    known.rivals["delay_rate"] = [trial(Hypothesis("signal_delay", CLOCKS[1:]))]
     simplify(known, replace(grows))
     if name == "signal_delay":
-        assert [(t.hypothesis.name, t.hypothesis.keys) for t in known.named] == [(name, keys[1:])]
+        assert [(t.hypothesis.name, t.hypothesis.keys) for t in known.named] == [(name, CLOCKS[1:])]
         assert known.rivals == {"signal_delay": []}
         assert "speed.delay_rate" not in known.changes
     else:

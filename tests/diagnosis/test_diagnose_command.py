@@ -89,6 +89,7 @@ def test_a_time_limit_is_handed_on(asked, diagnosed, log):
 
 @pytest.mark.parametrize(("verdict", "words"), [
     ("ambiguous", "a drive that shows which has:"),
+    ("ambiguous", "ambiguous: accelerometer bias. "),
     ("unknown", "at 0.62 Hz, while cornering"),
     ("nothing", "Nothing found: the model fits"),
 ])  # fmt: skip

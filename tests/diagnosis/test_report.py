@@ -20,6 +20,7 @@ from html_page import NAME_SPACES, Page
 from imucald.core.errors import ImucaldError
 from imucald.diagnosis.result import (
     GOES_AGAINST,
+    NOT_PLAUSIBLE,
     TOO_MUCH,
     Candidate,
     Estimated,
@@ -109,6 +110,11 @@ def test_ambiguous_says_what_it_may_be_and_how_to_tell():
     for way in ("curves both ways and stops facing both ways", "straight braking and slow"):
         assert way in text
     assert "What it may be" in text
+    tags = re.findall(r'<span class="tag (\w+)">(\w+)</span>', whole("ambiguous"))
+    assert tags == [("ambiguous", "ambiguous")], "none of them is certain"
+    assert ("certain", "certain") in re.findall(
+        r'<span class="tag (\w+)">(\w+)</span>', whole("found")
+    )
 
 
 def test_unknown_says_where_the_structure_lives():
@@ -352,6 +358,12 @@ def test_a_sure_cause_beside_an_ambiguous_one_is_reported():
     assert "Certain, and not one of these: body roll" in both.explanation
 
 
+def test_what_explains_the_numbers_and_cannot_be_has_its_signs_as_printed():
+    left = Structure("accel_x", NOT_PLAUSIBLE, 4.0, "accel scale off by 0.17 +- 0.03 explains it")
+    said = words.verdict(replace(made.nothing(), verdict="unknown", structure=(left,)))
+    assert said.explanation.startswith("Accel scale off by 0.17 ± 0.03 explains it.")
+
+
 def test_structure_beside_what_was_found_is_reported():
     said = words.verdict(made.found(structure=made.unknown().structure)).explanation
     assert "left besides, in accelerometer left and vehicle yaw rate" in said
@@ -487,6 +499,6 @@ def test_a_time_of_the_drive_is_in_seconds_and_a_pure_number_has_no_unit():
     assert numbers.for_people("_gyro.stuck_s", Estimated(99.98, 0.0, "s"))[0] == "99.98 s"
     assert numbers.for_people("speed.delay_s", Estimated(0.25, 0.0, "s"))[0] == "250.0 ms"
     assert titles.key_title("mount.shifts.t_s") == "time of the shift"
-    text = "gyro.scale.0 off by 0.54 +- 0.4 1; named from 0.85 on"
+    text = "gyro.scale.0 off by 0.54 +- 0.4; named from 0.85 on"
     candidate = Candidate("gyro_scale", "not ruled out", 1.0, text)
     assert words.outcome(candidate).endswith("off by 0.54 ± 0.4; named from 0.85 on")

@@ -27,7 +27,8 @@ import shuttle
 from imucald.can.dbc.bits import Field
 from imucald.can.dbc.database import load_database
 from imucald.can.e2e.checksums import crc8_j1850
-from imucald.can.e2e.protection import REASONS, CounterSpec, MessageChecker, ProtectionSpec
+from imucald.can.e2e.protection import REASONS, MessageChecker
+from imucald.can.e2e.protection_spec import CounterSpec, ProtectionSpec
 from imucald.can.logs.log_reader import LogReader
 from imucald.config import parse_config
 from imucald.core.errors import ImucaldError

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from imucald.can.e2e.protection import DOUBLED
 from imucald.inputs.rate_guard import DUPLICATE, TOO_FAST, RateGuard, Spaced
 
 
@@ -59,6 +60,15 @@ def test_a_second_sender_ends_the_trust_until_it_falls_silent(times: float) -> N
     assert (verdicts[t > 47.0] == "").all()
 
 
+def test_copies_of_frames_are_no_second_sender_whatever_is_lost() -> None:
+    """A logger that writes all twice, and a bus that loses one frame in eight."""
+    once, twice = sent(100.0, 0.0, 20.0), np.repeat(sent(100.0, 20.0, 40.0), 2)
+    reasons = [""] * len(once) + ["counter_jump" if i % 16 == 0 else DOUBLED if i % 2 else ""
+                                  for i in range(len(twice))]  # fmt: skip
+    t = np.concatenate([once, twice])
+    assert judged(RateGuard(None, counted=True), t, reasons) == reasons
+
+
 def test_a_sender_that_wakes_up_is_no_second_one() -> None:
     t = np.concatenate([sent(10.0, 0.0, 30.0), sent(100.0, 30.0, 60.0)])
     for counted in (True, False):
@@ -71,7 +81,7 @@ def test_columns_say_what_single_frames_do(seed: int) -> None:
     t = np.sort(np.concatenate([
         sent(100.0, 0.0, 40.0, seed), sent(float(rng.choice([90.0, 900.0])), 15.0, 25.0, seed + 1)
     ]))  # fmt: skip
-    kinds = ["", "", "", "counter_jump", "checksum"]
+    kinds = ["", "", "", "counter_jump", "checksum", DOUBLED]
     reasons = [str(x) for x in rng.choice(kinds, len(t))]
     single, other = RateGuard(0.01, counted=True), RateGuard(0.01, counted=True)
     expected = judged(single, t, reasons)

@@ -23,13 +23,14 @@ KEYS = {
     "by_hand": "6e2546b59bb02a5b6aadf4afb7bb651aa48c42f263d11796cd43424740209985",
 }
 """A saved calibration is found by these."""
-NEW_LINES = ("known_to: {}\n", "  delay_rate: 0.0\n")
+NEW_LINES = ("known_to: {}\n", "leaves: {}\n", "  delay_rate: 0.0\n")
 """What files did not have then, with its default, as it is written today."""
 
 
 def without_new(content: dict[str, Any]) -> dict[str, Any]:
     """A model's content without the keys that came since; they must hold their defaults."""
     assert content.pop("known_to") == {}
+    assert content.pop("leaves") == {}
     assert content["speed"].pop("delay_rate") == 0.0
     return content
 

@@ -14,10 +14,14 @@ from imucald.core.rotations import rotation_from_angles, vector_from_rotation
 from imucald.motion.column_ticks import ticks_from_samples
 from imucald.mount.estimate import MountState
 from imucald.mount.estimator import FullEstimator
-from imucald.mount.mount_changes import MountChanges, probability
+from imucald.mount.gravity_step import GravityStep
+from imucald.mount.large_change import LargeChange
+from imucald.mount.mount_changes import MountChanges, blocks_since, probability
 from imucald.mount.shift import Shift
+from imucald.mount.signal_blocks import BLOCK_S
 from imucald.simulation import random_model, simulate
 from mount_settings import full
+from signal_block import block
 
 DEG = math.pi / 180.0
 PITCH, YAW = 1, 2
@@ -35,9 +39,10 @@ def variance(std_deg: float) -> Any:
     return np.full(3, (std_deg * DEG) ** 2)
 
 
-def solver(std_deg: float, found: Shift | None = None) -> Any:
+def solver(std_deg: float, found: Shift | None = None, own_gyro: bool = True) -> Any:
     """What is asked of a solver: its deviations, and a change that it sees."""
     return SimpleNamespace(
+        own_gyro=own_gyro,
         creep=None,
         blocks=100,
         fused=SimpleNamespace(variance=variance(std_deg)),
@@ -52,6 +57,26 @@ def solver(std_deg: float, found: Shift | None = None) -> Any:
 )
 def test_a_change_within_a_degree_or_four_deviations_misleads_nobody(degrees, std, bearable):
     assert changes().is_bearable(shift(YAW, degrees), solver(std), 70) is bearable
+
+
+def test_a_sudden_tilt_that_may_be_a_stepped_zero_is_not_borne():
+    """No deviation of the mount covers an accelerometer that is wrong; a shift shows slowly."""
+    wide = solver(2.0)
+    for sudden in (GravityStep(PITCH, 3.0 * DEG, 9.0, 5), LargeChange(PITCH, 3.0 * DEG, 9.0, 5)):
+        assert not changes().is_bearable(sudden, wide, 70)
+        assert changes().is_bearable(sudden, solver(2.0, own_gyro=False), 70), "nobody could tell"
+    assert changes().is_bearable(GravityStep(PITCH, 2.0 * DEG, 9.0, 5), wide, 70), "within a zero's"
+    assert changes().is_bearable(LargeChange(YAW, 3.0 * DEG, 9.0, 5), wide, 70)
+    assert changes().is_bearable(shift(PITCH, 3.0), wide, 70)
+
+
+def test_what_comes_after_a_step_leaves_out_the_blocks_that_may_hold_it():
+    """Its time is known to a block either way."""
+    kept = [block(BLOCK_S * k) for k in range(12)]
+    after = blocks_since(GravityStep(PITCH, 3.0 * DEG, 9.0, 5), kept)
+    assert [p.t[0] for p in after] == [p.t[0] for p in kept[-3:]]
+    after = blocks_since(LargeChange(PITCH, 3.0 * DEG, 9.0, 5), kept)
+    assert [p.t[0] for p in after] == [p.t[0] for p in kept[-4:]]
 
 
 def test_the_interval_of_95_percent_reaches_from_the_old_angle_to_the_new_one():

@@ -10,7 +10,7 @@ import pytest
 from imucald.core.rotations import rotation_from_vector
 from imucald.core.samples import GRAVITY
 from imucald.mount.gravity_observer import GravityObserver
-from imucald.mount.gravity_step import GravityStep
+from imucald.mount.gravity_step import SETTLED, GravityStep
 from imucald.mount.signal_blocks import BLOCK_TICKS
 from signal_block import block
 
@@ -24,6 +24,7 @@ def watched(
     seed: int,
     turning: bool = False,
     tracker: GravityObserver | None = None,
+    is_good: bool = False,
 ) -> list[GravityStep | None]:
     """What is found block by block while the road's slope wanders, seen by the gyroscope as well.
 
@@ -52,7 +53,7 @@ def watched(
             force, turn = force @ R_moved, turn @ R_moved
         p = block(0.1 * BLOCK_TICKS * k, force=force, rate=turn)
         tracker.advance(p, np.zeros((BLOCK_TICKS, 3)), None, sure=True)
-        found.append(tracker.steps.found(np.eye(3)))
+        found.append(tracker.steps.found(np.eye(3), is_good))
     return found
 
 
@@ -78,6 +79,19 @@ def test_a_step_shows_how_long_ago_it_was():
     found = watched(80, 60, np.array([3.0 * DEG, 0.0, 0.0]), 5)
     block_found, step = next((k, s) for k, s in enumerate(found) if s is not None)
     assert abs((block_found + 1 - step.blocks) - 60) <= 1
+
+
+@pytest.mark.parametrize(
+    ("degrees", "is_good", "is_found"),
+    [(5.0, True, True), (5.0, False, False), (2.2, True, False)],
+)
+def test_before_the_drive_has_shown_its_spread_a_step_is_large_and_the_mount_good(
+    degrees, is_good, is_found
+):
+    assert SETTLED > 44
+    found = watched(44, 34, np.array([degrees * DEG, 0.0, 0.0]), 5, is_good=is_good)
+    assert not any(found[:34])
+    assert any(found) == is_found
 
 
 @pytest.mark.slow

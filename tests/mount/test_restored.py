@@ -14,6 +14,7 @@ from scipy.spatial.transform import Rotation
 from imucald.motion.column_ticks import ticks_from_samples
 from imucald.mount.estimate import ANGLES, MountEstimate, MountState
 from imucald.mount.method_a.estimator import PublishedEstimator
+from imucald.mount.mount_in_force import mount_in_force
 from imucald.mount.restored import HAND_OVER_RATE, Phase, RestoredEstimator, StoredMount
 from imucald.mount.saved_information import SavedInformation
 from imucald.report.drive_events import reported_events
@@ -166,6 +167,28 @@ def test_a_mount_that_was_contradicted_is_reported_also_once_the_new_one_serves(
         f"the mount {whose} is not how the sensor sits in this drive: it is found turned by 8 deg "
         "against that"
     )
+
+
+def test_a_drive_that_has_faults_of_its_own_contradicts_nothing_that_is_reported():
+    estimator, inner = restored()
+    inner.say(MountState.LEVELLED, turned(pitch_deg=8.0), 1.0)
+    inner.answer = replace(inner.answer, faults=("speed_unit",))
+    run(estimator, 30.0)
+    assert estimator.phase is Phase.DOUBTED
+    assert estimator.estimate().details["restored"]["contradicted"] is None
+
+
+def test_the_reason_of_a_doubt_goes_along_with_the_mount_until_the_drive_confirms_it():
+    estimator, inner = restored(doubted=True)
+    estimator.stored = replace(estimator.stored, doubt="the mount creeps")
+    in_force = mount_in_force(estimator)
+    assert in_force is not None
+    assert (in_force.doubted, in_force.doubt) == (True, "the mount creeps")
+    inner.say(MountState.USABLE, STORED, 1.0)
+    run(estimator, 10.0)
+    in_force = mount_in_force(estimator)
+    assert in_force is not None
+    assert (in_force.doubted, in_force.doubt) == (False, "")
 
 
 def test_a_doubt_that_the_drive_takes_back_is_not_reported():

@@ -116,6 +116,16 @@ def test_the_target_of_yaw_is_the_limit_that_is_in_force(cross_axis, stated, deg
         assert targets.fine == settings.targets.fine
 
 
+def test_the_target_in_force_stands_in_the_estimate():
+    estimator = FullEstimator(full())
+    usual = estimator.estimate().targets
+    estimator._known = replace(known(2.7), yaw_seen=0.2 * DEG, cross_axis=0.04)
+    estimator.gap()  # what was estimated is made anew
+    now = estimator.estimate().targets
+    assert now.usable[2] == pytest.approx(2.8 * usual.usable[2])
+    assert now.fine == usual.fine
+
+
 def test_a_cross_axis_error_that_becomes_less_ends_no_good_state():
     limit = SETTINGS.limits.usable_yaw
     hidden = replace(known(3.4), yaw_seen=0.2 * DEG, cross_axis=1.03 * limit)

@@ -14,16 +14,23 @@ from test_estimator import GOOD, drive
 from imucald.core.samples import GRAVITY, Series
 from imucald.motion.column_ticks import ticks_from_samples
 from imucald.motion.ticks import TICK_S
+from imucald.mount.acceptance import WHY_GRAVITY_MOVED, Acceptance
 from imucald.mount.contradictions import StandingFault
 from imucald.mount.estimator import FullEstimator
+from imucald.mount.mount_changes import MountChanges
 from imucald.mount.signal_blocks import BLOCK_S, BLOCK_TICKS
 from imucald.mount.zero_step import GravityMoved, ZeroStep
 from mount_settings import full
 from signal_block import block
 
 BEFORE, AFTER = 40, 30
+GRADE = 18
 BEND = 1.2
 """Of each third block, left and right in turn [rad]."""
+SOLVER: Any = SimpleNamespace(
+    R=np.eye(3), gains=lambda: (1.0, 1.0), turn_rate=np.zeros(BLOCK_TICKS)
+)
+"""It knows the mount, and that nothing turns."""
 
 
 def cause(
@@ -31,18 +38,25 @@ def cause(
     zero: tuple[float, float, float] = (0.0, 0.0, 0.0),
     bends_after: bool = True,
     seed: int = 0,
+    felt: tuple[float, float, float] = (0.0, 0.0, 0.0),
+    gap: int | None = None,
+    grade: float = 0.0,
 ) -> GravityMoved:
     """What is found after a sensor was turned [rad], or its zero stepped [m/s^2].
 
-    The road's slope differs by 0.02 (rms) from block to block, and turns the sensor along.
+    The road's slope differs by 0.02 (rms) from block to block, and turns the sensor along. felt:
+    what the gyroscope feels meanwhile [rad]. gap: number of the block before which time jumps.
+    grade: of a straight road [rad], for the first `GRADE` blocks after.
     """
     rng = np.random.default_rng(seed)
     asked = ZeroStep(full())
     slope = np.zeros(2)
     for k in range(BEFORE + AFTER):
         now = 0.02 * rng.standard_normal(2)
-        bend = BEND * (k % 3 == 0) * (-1.0) ** k * (bends_after or k < BEFORE)
         is_after = k >= BEFORE
+        is_grade = grade != 0.0 and BEFORE <= k < BEFORE + GRADE
+        now[1] += grade * is_grade
+        bend = BEND * (k % 3 == 0) * (-1.0) ** k * (bends_after or not is_after) * (not is_grade)
         # a vehicle's axes; the sensor's are those turned
         turn = np.array([now[0] - slope[0], now[1] - slope[1], bend])
         force = GRAVITY * np.array([-now[1], now[0], 1.0])
@@ -51,12 +65,14 @@ def cause(
         one = block(
             BLOCK_S * k,
             force=np.tile(force @ R + np.array(zero) * is_after, (BLOCK_TICKS, 1)),
-            rate=np.tile(turn @ R / (BLOCK_TICKS * TICK_S), (BLOCK_TICKS, 1)),
+            rate=np.tile(
+                (turn @ R + np.array(felt) * (k == BEFORE - 1)) / (BLOCK_TICKS * TICK_S),
+                (BLOCK_TICKS, 1),
+            ),
         )
-        solver: Any = SimpleNamespace(
-            R=np.eye(3), gains=lambda: (1.0, 1.0), turn_rate=np.zeros(BLOCK_TICKS)
-        )
-        asked.add(one, solver)
+        if k == gap:
+            asked.restart()
+        asked.add(one, SOLVER)
         if k == BEFORE + 3:
             asked.ask(BLOCK_S * BEFORE)
     return asked.cause
@@ -78,9 +94,45 @@ def test_an_axis_of_turning_that_goes_along_with_gravity_is_a_sensor_that_was_tu
     assert cause(turned=tuple(turned), seed=seed) is GravityMoved.TURNED
 
 
+@pytest.mark.parametrize("seed", range(10))
+@pytest.mark.parametrize("grade", [0.1, -0.14])
+def test_a_straight_grade_before_level_bends_is_no_zero_that_stepped(grade, seed):
+    assert cause(grade=grade, seed=seed) is not GravityMoved.STEPPED
+
+
 def test_without_a_bend_since_nobody_knows():
     assert cause(zero=(1.0, 0.0, 0.0), bends_after=False) is GravityMoved.UNKNOWN
     assert cause(turned=(0.0, 0.1, 0.0), bends_after=False) is GravityMoved.UNKNOWN
+
+
+def test_a_turn_that_the_gyroscope_felt_while_gravity_moved_says_it_without_a_bend():
+    turned = (math.radians(6.0), 0.0, 0.0)
+    assert cause(turned=turned, bends_after=False, felt=turned) is GravityMoved.TURNED
+    the_other_way, about_the_vertical = (-turned[0], 0.0, 0.0), (0.0, 0.0, turned[0])
+    for felt in (the_other_way, about_the_vertical):
+        assert cause(turned=turned, bends_after=False, felt=felt) is GravityMoved.UNKNOWN
+
+
+def test_no_zero_steps_by_thirty_degrees():
+    turned = (0.0, math.radians(30.0), 0.0)
+    assert cause(turned=turned, bends_after=False) is GravityMoved.TURNED
+
+
+def test_what_came_before_a_gap_is_not_compared_with_what_comes_after_it():
+    zero = (1.0, 0.0, 0.0)
+    assert cause(zero=zero, gap=BEFORE) is GravityMoved.NOTHING
+    assert cause(zero=zero, gap=BEFORE + 5) is GravityMoved.STEPPED, "it was asked already"
+
+
+def test_nothing_is_good_while_it_is_not_known_what_moved_gravity():
+    agreed: Any = SimpleNamespace(missing_to_be_good=lambda: None)
+    solver: Any = SimpleNamespace(delay_speed=SimpleNamespace(is_beyond=False))
+    changes = MountChanges(full())
+    question = Acceptance(solver, agreed, changes, has_speed=True)
+    for now in GravityMoved:
+        changes.zero.cause = now
+        missing = question.missing_to_be_good()
+        assert missing == (WHY_GRAVITY_MOVED if now is GravityMoved.UNKNOWN else None)
 
 
 def test_a_change_within_what_a_zero_may_be_off_by_is_not_asked_about():
@@ -93,11 +145,7 @@ def test_a_sensor_that_is_turned_about_the_vertical_has_no_stepped_zero():
 
 
 def test_a_zero_that_steps_back_is_a_fault_no_more():
-    asked = ZeroStep(full())
-    solver: Any = SimpleNamespace(
-        R=np.eye(3), gains=lambda: (1.0, 1.0), turn_rate=np.zeros(BLOCK_TICKS)
-    )
-    causes = []
+    asked, causes = ZeroStep(full()), []
     for k in range(120):
         bend = (k % 2) * (-1.0) ** (k // 2)
         zero = 1.0 if 40 <= k < 80 else 0.0
@@ -108,7 +156,7 @@ def test_a_zero_that_steps_back_is_a_fault_no_more():
                 force=np.tile([zero, 0.0, GRAVITY], (BLOCK_TICKS, 1)),
                 rate=np.tile(rate, (BLOCK_TICKS, 1)),
             ),
-            solver,
+            SOLVER,
         )
         if k in (43, 83):
             asked.ask(BLOCK_S * (k - 3))

@@ -114,9 +114,9 @@ class Troubled:
     state = MountState.SUSPECT
     text = WORDS[StandingFault.ACCEL_LEVEL] + " (9.81 to 10.40 m/s^2)"
 
-    def __init__(self, served: RestoredEstimator) -> None:
+    def __init__(self, served: RestoredEstimator, text: str = text) -> None:
         self.correction = served.correction
-        said = dict.fromkeys(ANGLES, self.text)
+        said = dict.fromkeys(ANGLES, text)
         self._estimate = replace(served.estimate(), state=self.state, waiting_for=said)
 
     def estimate(self):
@@ -136,6 +136,18 @@ def test_why_the_mount_was_suspect_is_known_after_restarts_and_counts_as_one_rem
         keeper.update(estimator, 10.0)
         keeper.close(estimator, 11.0)
         assert keeper.status()["remounts"] == 1
+
+
+def test_a_reason_that_is_found_later_is_saved_at_the_stop_and_is_no_second_remount(keepers):
+    keeper = keepers.keeper()
+    served = keeper.restore(make_engine(loaded()).pipeline.estimator)
+    keeper.update(Troubled(served, "the mount creeps"), 10.0)
+    keeper.update(Troubled(served), 11.0)
+    keeper.close(Troubled(served), 12.0)
+    keeper = keepers.keeper()
+    estimator = keeper.restore(make_engine(loaded()).pipeline.estimator)
+    assert estimator.estimate().details["restored"]["doubt"] == Troubled.text
+    assert keeper.status()["remounts"] == 1
 
 
 def information(keepers: Keepers) -> float:

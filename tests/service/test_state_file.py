@@ -18,7 +18,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from imucald.service.state_file import MAX_BYTES, StateKey, StateStore, encoded
+from imucald.service.state_file import LONGEST_DOUBT, MAX_BYTES, StateKey, StateStore, encoded
 from service_files import IDENTITY, KEY, SMALL, state
 
 KILLS = 300
@@ -66,6 +66,13 @@ def test_all_fields_come_back(tmp_path):
     )
     StateStore(tmp_path, KEY).save(full)
     assert load(tmp_path).state == full
+
+
+def test_a_reason_of_any_length_is_saved_so_that_it_is_believed_again(tmp_path):
+    StateStore(tmp_path, KEY).save(state(1.0, doubted=True, doubt="gravity " * 1000))
+    loaded = load(tmp_path)
+    assert loaded.problems == ()
+    assert loaded.state.doubt == ("gravity " * 1000)[:LONGEST_DOUBT]
 
 
 def test_nothing_saved_is_no_state_and_no_problem(tmp_path):
@@ -167,6 +174,17 @@ def test_numbers_that_make_no_sense_are_not_believed_whatever_the_checksum(tmp_p
     loaded = load(tmp_path)
     assert loaded.state is None
     assert "makes no sense" in loaded.problems[0]
+
+
+@pytest.mark.parametrize("number", ["NaN", "-Infinity", "1e999"])
+def test_a_number_that_could_not_be_saved_again_is_not_believed(tmp_path, number):
+    """With it no later state could be written, and a doubt would not outlast a restart."""
+    whole = encoded(KEY, 2, state(2.0, offsets={"gyro_bias": [0.125]}))
+    body = whole.partition(b"\n")[2].replace(b"0.125", number.encode())
+    StateStore(tmp_path, KEY).path(0).write_bytes(with_body(body))
+    loaded = load(tmp_path)
+    assert loaded.state is None
+    assert f"{number} is no finite number" in loaded.problems[0]
 
 
 @settings(max_examples=200, deadline=None, suppress_health_check=list(HealthCheck))

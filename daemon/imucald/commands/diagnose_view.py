@@ -56,7 +56,7 @@ def print_diagnosis(diagnosis: Diagnosis) -> None:
     console.print(Text(verdict.headline, style=COLOURS[diagnosis.verdict]))
     console.print(Text(verdict.explanation))
     for cause in (*diagnosis.causes, *diagnosis.likely):
-        _print_cause(console, cause)
+        _print_cause(console, cause, words.how_sure(cause, diagnosis))
     _print_open(console, diagnosis)
     console.print()
     _print_signals(console, diagnosis)
@@ -69,12 +69,12 @@ def print_diagnosis(diagnosis: Diagnosis) -> None:
         console.print(f"{len(diagnosis.notes) - SHOWN_NOTES} more notes are in the JSON")
 
 
-def _print_cause(console: Console, cause: FoundCause) -> None:
+def _print_cause(console: Console, cause: FoundCause, how_sure: str) -> None:
     from rich.padding import Padding
     from rich.text import Text
 
     console.print()
-    title = f"{cause.certainty}: {titles.cause_title(cause.name)}"
+    title = f"{how_sure}: {titles.cause_title(cause.name)}"
     console.print(Text.assemble((title, "bold"), f". {numbers.typographic(cause.text)}"))
     table = _table()
     table.add_column("parameter", overflow="fold")

@@ -12,6 +12,7 @@ from rich.text import Text
 
 from imucald.commands.mount_view import mount_parts
 from imucald.core.clock_words import clock
+from imucald.mount.hysteresis import BAD
 from imucald.mount.mount_words import EVIDENCE_KINDS, is_trouble, reasons
 from imucald.report.drive_events import STATE_WORDS
 from imucald.runtime.alarms import is_starting, present_alarms
@@ -23,7 +24,7 @@ STYLES = {
     "suspect": "bold red",
     "recalibrating": "red",
 }
-DOUBTED = ("suspect", "recalibrating")
+DOUBTED = frozenset(state.name.lower() for state in BAD)
 QUALITIES = ("not available", "restored", "usable", "fine", "suspect")
 EVIDENCE = {
     "launches_and_brakings": "launches and brakings",

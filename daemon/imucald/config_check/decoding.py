@@ -40,7 +40,9 @@ _REMEDIES = {
     "short_frame": "; the database describes a longer frame: is it this vehicle's?",
     "long_frame": "; the database describes a shorter frame: is it this vehicle's?",
     "timeout": "; the message stops now and then: its cable, its sender, or 'cycle_time:'",
-    "duplicate_sender": "; a second unit sends this identifier",
+    "counter_repeated": "; a gateway or a second log sends the same again, or see 'counter:' "
+    "(signal, modulus, max_step) of the message",
+    "duplicate_sender": "; a second unit sends this identifier, or a gateway sends it again",
     "too_fast": "; it comes far more often than usual: see its sender, or 'cycle_time:'",
     "status": "; the sensor says that it cannot be used, or see 'valid_when:' of the source",
     "out_of_range": "; see 'range:' of the source, and its unit",
@@ -224,7 +226,8 @@ def _remedy(reasons: Counter[str]) -> str:
     """A hint for the most frequent reason; "untrusted" is what follows any other."""
     causes = [reason for reason, _ in reasons.most_common() if reason != "untrusted"]
     kind = causes[0] if causes else ""
-    return _REMEDIES.get("counter" if kind.startswith("counter") else kind, "")
+    general = _REMEDIES["counter"] if kind.startswith("counter") else ""
+    return _REMEDIES.get(kind, general)
 
 
 def counts_text(reasons: Counter[str]) -> str:

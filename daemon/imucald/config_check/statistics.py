@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from imucald.can.columns import FrameColumns, IdMatch
 from imucald.can.e2e.protection import DOUBLED
 from imucald.inputs.conversion import REASONS, Conversion
-from imucald.inputs.rate_guard import RateGuard
+from imucald.inputs.rate_guard import JudgesRate, Rows
 from imucald.inputs.routes import Columns, Physical, Raw, SignalRoute, Tap
 
 Array = NDArray[np.float64]
@@ -82,6 +82,27 @@ class SignalStatistics:
             self.rejected[REASONS[code]] += int(np.count_nonzero(codes == code))
 
 
+class _CountingGuard:
+    """A route's guard; counts what it refuses, by reason."""
+
+    def __init__(self, guard: JudgesRate, refused: Counter[str]) -> None:
+        self._guard = guard
+        self._refused = refused
+
+    def judge(self, t: float, reason: str) -> str:
+        """As the guard; not counted."""
+        return self._guard.judge(t, reason)
+
+    def judge_columns(
+        self, t: Array, good: NDArray[np.bool_], reasons: Mapping[str, Rows]
+    ) -> dict[str, Rows]:
+        """As the guard; counted."""
+        found = self._guard.judge_columns(t, good, reasons)
+        for reason, rows in found.items():
+            self._refused[reason] += len(rows)
+        return found
+
+
 class Probe:
     """A route that keeps figures of what passes through it (columns only)."""
 
@@ -91,6 +112,7 @@ class Probe:
         """Frames of this kind, good or not."""
         self.rejected: Counter[str] = Counter()
         """Frames rejected whole, by reason."""
+        self.guard: JudgesRate = _CountingGuard(route.guard, self.rejected)
         self.signals = {
             (tap.channel, tap.rank, slot): SignalStatistics(component.conversion)
             for tap in route.taps
@@ -114,11 +136,6 @@ class Probe:
     def taps(self) -> tuple[Tap, ...]:
         """The route's taps."""
         return self.route.taps
-
-    @property
-    def guard(self) -> RateGuard:
-        """The route's guard."""
-        return self.route.guard
 
     @property
     def stated_cycle(self) -> float | None:

@@ -28,10 +28,12 @@ from imucald.diagnosis.gain import gain_of, summed
 from imucald.diagnosis.held_values import held_values
 from imucald.diagnosis.intervals import estimate, quantile
 from imucald.diagnosis.lost_readings import Lost, all_lost, as_structure
+from imucald.diagnosis.louder import louder, with_leaves
 from imucald.diagnosis.patterns import patterns
 from imucald.diagnosis.pictures import pictures_of
 from imucald.diagnosis.result import (
     GOES_AGAINST,
+    LOUDER,
     TOO_MUCH,
     VALUE_HELD,
     Diagnosis,
@@ -113,7 +115,10 @@ def diagnose(
     causes = _certain_causes(state, None if _is_gyro_held(left) else rest, faults, model)
     report(0.88, "what the written file brings")
     written = _written(state, problem)
+    changes = written != state.stated or state.stated != model
     problem = state.evaluated()
+    if not any(s.kind in (*UNBELIEVED, LOUDER) for s in left):
+        written = with_leaves(written, problem, state)
     gain, signals = gain_of(before, problem, state.free, state.forwards)
     if state.shift is not None:
         gain = summed(state.shift.gain, gain.worse)
@@ -134,7 +139,7 @@ def diagnose(
         pictures=pictures_of(forwards_before, state.forwards),
         model_before=model,
         model_after=written,
-        recommended=_is_recommended(causes, gain, left, written != model),
+        recommended=_is_recommended(causes, gain, left, changes),
         complete=not late.was,
     )
 
@@ -153,7 +158,7 @@ def _left(state: State) -> tuple[Structure, ...]:
     """What no cause explains."""
     problem = state.evaluated()
     drift = drift_of(problem, state)
-    return (
+    left = (
         *too_much(problem, state),
         *uneven(problem, drift),
         *outcome.implausible(state),
@@ -163,12 +168,14 @@ def _left(state: State) -> tuple[Structure, ...]:
                 *patterns(problem, state.forwards),
                 *unstable(problem, state),
                 *gains_apart(problem, state, drift),
+                *louder(problem, state),
             ]
         ),
         *named_apart(problem, state, drift),
         *uneven_growth(problem, state),
         *what_is_left(problem, state),
     )
+    return tuple(dict.fromkeys(left))  # a named gain is asked about twice
 
 
 def _silent(share: float, text: str) -> None:

@@ -10,6 +10,7 @@ from imucald.diagnosis.blocks import TAKES, Table
 from imucald.diagnosis.causes import family
 from imucald.diagnosis.outcome import SEEN_SHARE, signals_of
 from imucald.diagnosis.result import (
+    LOUDER,
     NOT_PLAUSIBLE,
     WANDERS,
     Structure,
@@ -33,7 +34,7 @@ def doubt(state: State, left: Sequence[Structure], faults: Sequence[Sequence[Fau
     missing = max((t.shown for t in state.implausible), default=0.0)
 
     def is_doubtful(trial: Trial) -> bool:
-        if any(s.kind not in (NOT_PLAUSIBLE, WANDERS) for s in left):
+        if any(s.kind not in (NOT_PLAUSIBLE, WANDERS, LOUDER) for s in left):
             # A cause is missing, and a fit shares out what it makes among those that it knows.
             return True
         if missing > 0.0 and trial.shown < (missing**0.5 + trial.needed**0.5) ** 2:

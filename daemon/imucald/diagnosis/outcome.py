@@ -93,7 +93,7 @@ def _against(state: State, trial: Trial) -> list[str]:
     for key, wander, spread in zip(trial.hypothesis.keys, e.wander, e.se, strict=True):
         if wander > spread:
             texts.append(
-                f"{key} moves by {wander:.2g} {PARAMETERS[key].unit} between quarters of the data"
+                f"{key} moves by {_with_unit(f'{wander:.2g}', key)} between quarters of the data"
             )
     rivals = state.rivals.get(trial.hypothesis.name, [])
     if rivals:
@@ -170,6 +170,10 @@ def cause_of_shift(shift: FittedShift, table: Table) -> FoundCause:
     )  # fmt: skip
 
 
+OTHERWISE = ", but something else may make it, or data that no fit saw do not show it"
+"""Why a cause that is large enough is not named."""
+
+
 def other_candidates(state: State) -> tuple[Candidate, ...]:
     """Every cause that was not named, with the size that these drives could have shown."""
     named = {t.hypothesis.name for t in (*state.named, *state.likely)}
@@ -181,7 +185,6 @@ def other_candidates(state: State) -> tuple[Candidate, ...]:
         i = int(np.argmax(np.abs(t.estimate.value) / np.maximum(t.estimate.se, 1e-30)))
         x, se, tau = (float(a[i]) for a in (t.estimate.value, t.estimate.se, t.tolerance))
         key, q = t.hypothesis.keys[i], t.estimate.quantile
-        unit = PARAMETERS[key].unit
         outcome: Outcome
         if not t.is_plausible and t.named:
             outcome = "not plausible"
@@ -193,7 +196,10 @@ def other_candidates(state: State) -> tuple[Candidate, ...]:
             outcome = "does not pay"
         else:
             outcome = "not decidable here"
-        text = f"{key} off by {_n(x)} +- {_n(SD_95 * se)} {unit}; named from {_n(tau + q * se)} on"
+        size = _with_unit(f"{_n(x)} +- {_n(SD_95 * se)}", key)
+        text = f"{key} off by {size}; named from {_n(tau + q * se)} on"
+        if outcome == "not ruled out" and abs(x) > tau + q * se:
+            text += OTHERWISE
         made.append(Candidate(name, outcome, t.shown, text, _freed(state, name)))
     return tuple(made)
 
@@ -212,6 +218,12 @@ def _freed(state: State, name: str) -> dict[str, Estimated]:
     return made
 
 
+def _with_unit(text: str, key: str) -> str:
+    """A number of a parameter; a pure number has no unit."""
+    unit = PARAMETERS[key].unit
+    return text if unit in ("", "1") else f"{text} {unit}"
+
+
 def _n(x: float) -> str:
     return f"{x:.2g}"
 
@@ -226,8 +238,9 @@ def implausible(state: State) -> tuple[Structure, ...]:
         low, high = t.plausible[i]
         signal = (signals_of(state.table, [key]) or ("accel_x",))[0]
         text = (
-            f"{t.hypothesis.name.replace('_', ' ')} with {key} off by {x:.3g} +- "
-            f"{SD_95 * float(t.estimate.se[i]):.2g} {PARAMETERS[key].unit} explains the numbers, "
+            f"{t.hypothesis.name.replace('_', ' ')} with {key} off by "
+            f"{_with_unit(f'{x:.3g} +- {SD_95 * float(t.estimate.se[i]):.2g}', key)} "
+            "explains the numbers, "
             f"but {'may be more than is' if t.is_plausible else 'is not'} physically plausible "
             f"({low:.3g} to {high:.3g} is): a cause is missing"
         )

@@ -116,6 +116,8 @@ DIFFERS = "differs by condition"
 """Kind where it is another when the vehicle is driven otherwise."""
 UNEVEN = "some segments leave more"
 """Kind where some segments leave what neither their noise nor a correct file leaves."""
+LOUDER = "more is left than the file states"
+"""Kind where more is left than the drives left that the model file was made of."""
 NOT_PLAUSIBLE = "not plausible"
 """Kind where a cause explains the numbers, but cannot be: a cause is missing."""
 

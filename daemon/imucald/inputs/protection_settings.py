@@ -5,7 +5,8 @@ from __future__ import annotations
 from imucald.can.dbc.message import Message
 from imucald.can.e2e.checksum_engine import ChecksumSpec
 from imucald.can.e2e.checksums import KINDS, NO_CHECKSUM, ChecksumKind
-from imucald.can.e2e.protection import CounterSpec, MessageChecker, ProtectionSpec, counter_of
+from imucald.can.e2e.protection import MessageChecker
+from imucald.can.e2e.protection_spec import CounterSpec, ProtectionSpec, counter_of
 from imucald.config import MessageProtection
 from imucald.core.errors import ConfigError
 

@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections import deque
 from collections.abc import Collection, Mapping, Sequence
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -36,6 +37,20 @@ _NOT_SENT = frozenset(("checksum", "short_frame", DOUBLED))
 """Frames that nobody knows to be of a sender, and copies that none has sent."""
 
 Rows = NDArray[np.int64]
+
+
+class JudgesRate(Protocol):
+    """What a route asks of how often its frames come, see `RateGuard`."""
+
+    def judge(self, t: float, reason: str) -> str:
+        """Of one frame."""
+        ...
+
+    def judge_columns(
+        self, t: NDArray[np.float64], good: NDArray[np.bool_], reasons: Mapping[str, Rows]
+    ) -> dict[str, Rows]:
+        """Of many."""
+        ...
 
 
 class RateGuard:

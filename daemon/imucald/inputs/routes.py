@@ -16,7 +16,7 @@ from imucald.can.e2e.protection import REASONS, MessageChecker
 from imucald.core.samples import GRAVITY
 from imucald.inputs.conversion import STATUS, Conversion
 from imucald.inputs.expression import Expression
-from imucald.inputs.rate_guard import RateGuard
+from imucald.inputs.rate_guard import JudgesRate, RateGuard
 
 ABSENT = -1
 """Code of a value that the frame does not carry (another multiplexer value)."""
@@ -120,7 +120,7 @@ class SignalRoute(Protocol):
         """What they carry."""
 
     @property
-    def guard(self) -> RateGuard:
+    def guard(self) -> JudgesRate:
         """How often they may come."""
 
     @property

@@ -17,6 +17,7 @@ from imucald.core.errors import ConfigError
 from imucald.core.locations import Document
 from imucald.core.typed import typed
 from imucald.core.yaml_lines import read_yaml_file
+from imucald.model.leaves import Leaves
 from imucald.model.plain import plain
 from imucald.model.section import NonNegative, Section
 from imucald.model.sensors import (
@@ -67,6 +68,8 @@ class VehicleModel(Section, frozen=True):
     known_to: dict[str, NonNegative] = msgspec.field(default_factory=dict)
     """Half widths within which numbers of this file are true, by the keys of `imucald diagnose`, in
     their SI units; others are held to what its catalogue takes for a correct file."""
+    leaves: dict[str, Leaves] = msgspec.field(default_factory=dict)
+    """By equation of `imucald diagnose`: what the drives that this file was made of leave of it."""
 
     def __post_init__(self) -> None:
         fastest = max(self.accel.rate_hz, self.gyro.rate_hz)

@@ -112,12 +112,13 @@ def hop_rows(values: Array, hop: Index, hops: int, carry: Carry) -> HopRows:
     size[np.isnan(size)] = 0.0
     level = np.bincount(cell, size, cells).reshape(axes, hops) / per
     starts = np.flatnonzero(new)
-    of_start = cell[starts]
-    step = _steps(size[starts], of_start, cells, axes, carry)
-    top, on_top = _extremes(v, edges, count, hop)
-    run = _runs(starts, edges, n, axes, carry)
-    ended = np.bincount(of_start, minlength=cells)
-    longest = _longest(starts, of_start, n, axes, hops, carry)
+    first = np.arange(axes)[:, None] * n
+    begun = np.searchsorted(starts, (first + edges).ravel()).reshape(axes, -1)  # before each edge
+    step = _steps(size.reshape(axes, n), edges, count, carry)
+    top, on_top = _extremes(v, edges, count, cell)
+    run = _runs(starts, begun[:, 1:], first, edges, carry)
+    ended = np.diff(begun)
+    longest = _longest(starts, begun[:, :-1], ended, first, carry)
     before = carry.last
     carry.last = v[:, -1].copy()
     carry.run, carry.step = run[:, -1].copy(), step[:, -1].copy()
@@ -126,7 +127,7 @@ def hop_rows(values: Array, hop: Index, hops: int, carry: Carry) -> HopRows:
         mean=mean.T,
         level=level.T,
         step=step.T,
-        ended=ended.reshape(axes, hops).T,
+        ended=ended.T,
         longest=longest.T,
         run=run.T,
         top=np.moveaxis(top, -1, 0),
@@ -137,47 +138,53 @@ def hop_rows(values: Array, hop: Index, hops: int, carry: Carry) -> HopRows:
     )
 
 
-def _steps(size: Array, cell: Index, cells: int, axes: int, carry: Carry) -> Array:
-    """Smallest change so far (axes, H)."""
-    least = np.full(cells, math.inf)
-    real = size > 0.0
-    np.minimum.at(least, cell[real], size[real])
-    first = np.minimum(least.reshape(axes, -1)[:, :1], carry.step[:, None])
-    joined = np.concatenate([first, least.reshape(axes, -1)[:, 1:]], axis=1)
-    return np.minimum.accumulate(joined, axis=1)
+def _steps(size: Array, edges: Index, count: Index, carry: Carry) -> Array:
+    """Smallest change so far (axes, H), from the sizes of changes (axes, N), 0 for none."""
+    some = count > 0
+    least = np.full((len(size), len(count)), math.inf)
+    changes = np.where(size > 0.0, size, math.inf)
+    least[:, some] = np.minimum.reduceat(changes, edges[:-1][some], axis=1)
+    least[:, 0] = np.minimum(least[:, 0], carry.step)
+    return np.minimum.accumulate(least, axis=1)
 
 
-def _extremes(v: Array, edges: Index, count: Index, hop: Index) -> tuple[Array, Index]:
-    """Largest values of each hop, and how many samples are on them (2, axes, H)."""
+def _extremes(v: Array, edges: Index, count: Index, cell: Index) -> tuple[Array, Index]:
+    """Largest values of each hop, and how many samples are on them (2, axes, H).
+
+    cell: (axes * N,) of each sample its axis and hop, as one number.
+    """
     some = count > 0
     top = np.full((SIDES, len(v), len(count)), -math.inf)
-    on_top = np.zeros(top.shape, np.int64)
     at = edges[:-1][some]
     top[0][:, some] = np.maximum.reduceat(v, at, axis=1)
     top[1][:, some] = -np.minimum.reduceat(v, at, axis=1)
-    on_top[0][:, some] = np.add.reduceat(v == top[0][:, hop], at, axis=1, dtype=np.int64)
-    on_top[1][:, some] = np.add.reduceat(-v == top[1][:, hop], at, axis=1, dtype=np.int64)
+    on_top = np.empty(top.shape, np.int64)
+    for side, ends in enumerate((top[0], -top[1])):
+        on = np.flatnonzero(v == np.repeat(ends, count, axis=1))
+        on_top[side] = np.bincount(cell[on], minlength=ends.size).reshape(ends.shape)
     return top, on_top
 
 
-def _runs(starts: Index, edges: Index, n: int, axes: int, carry: Carry) -> Index:
-    """Equal samples up to each hop's end (axes, H)."""
-    first = np.arange(axes)[:, None] * n
+def _runs(starts: Index, begun: Index, first: Index, edges: Index, carry: Carry) -> Index:
+    """Equal samples up to each hop's end (axes, H); begun: runs that have begun by then.
+
+    first: (axes, 1) where each axis begins.
+    """
     ends = first + edges[1:]
-    found = np.searchsorted(starts, ends.ravel() - 1, side="right").reshape(ends.shape) - 1
-    begun = starts[np.maximum(found, 0)] if len(starts) else np.full(ends.shape, -1)
-    own = (found >= 0) & (begun >= first)
-    return np.asarray(np.where(own, ends - begun, ends - first + carry.run[:, None]))
+    latest = starts[np.maximum(begun - 1, 0)] if len(starts) else np.full(ends.shape, -1)
+    own = (begun > 0) & (latest >= first)
+    return np.asarray(np.where(own, ends - latest, ends - first + carry.run[:, None]))
 
 
-def _longest(starts: Index, cell: Index, n: int, axes: int, hops: int, carry: Carry) -> Index:
-    """Longest run that ended in each hop (axes, H)."""
-    out = np.zeros(axes * hops, np.int64)
+def _longest(starts: Index, begun: Index, ended: Index, first: Index, carry: Carry) -> Index:
+    """Longest run that ended in each hop (axes, H); begun: runs that began before it."""
+    out = np.zeros(ended.shape, np.int64)
     if not len(starts):
-        return out.reshape(axes, hops)
-    axis, row = np.divmod(starts, n)
+        return out
     length = np.diff(starts, prepend=0)
-    first = np.concatenate([[True], axis[1:] != axis[:-1]])
-    length[first] = row[first] + carry.run[axis[first]]
-    np.maximum.at(out, cell, length)
-    return out.reshape(axes, hops)
+    some = ended > 0
+    has = some.any(axis=1)  # its first run that ends may have begun before
+    earliest = begun[has, 0]
+    length[earliest] = starts[earliest] - first[has, 0] + carry.run[has]
+    out[some] = np.maximum.reduceat(length, begun[some])
+    return out

@@ -58,12 +58,12 @@ class Rail:
         self.found = False
         self.surprise, self.value = 0.0, math.inf
 
-    def step(self, at: AxisHop, hop: int) -> bool:
+    def step(self, at: AxisHop, value: float, on: int, hop: int) -> bool:
         """Take a hop, the `hop`th of driving; -1 where the vehicle stands.
 
-        Returns whether the surprise has to be weighed again.
+        value, on: its top and the samples on it. Returns whether the surprise has to be weighed
+        again.
         """
-        value = at.tops[self._side]
         if self.found and value > self._rail + 0.5 * at.step:
             self.found = False
         if value > self.value:
@@ -73,7 +73,7 @@ class Rail:
                 self._tops.pop()
             return self._changed
         self.recent.append(value)
-        top = self._reached(value, at.on_tops[self._side], at.step, hop)
+        top = self._reached(value, on, at.step, hop)
         if top.pile is not None or top.born < hop or top.on >= LONG_STAY:
             if top.pile is None:
                 top.pile = Pile(at.runs.rate())
@@ -133,27 +133,28 @@ class Rail:
         """
         tops, one_below, two_below = self._tops, 0, 0
         one_step, two_steps = 1.5 * step, 2.5 * step
-        while tops and tops[-1].value < value:
-            old = tops.pop()
-            lower = value - old.value
-            if lower < one_step:
-                one_below += old.on
-                two_below += old.one_below
-            elif lower < two_steps:
-                two_below += old.on
+        while tops and (last := tops[-1]).value < value:
+            del tops[-1]
+            lower = value - last.value
+            if lower < two_steps:
+                if lower < one_step:
+                    one_below += last.on
+                    two_below += last.one_below
+                else:
+                    two_below += last.on
         if tops:
-            last = tops[-1]
             if last.value == value:
                 last.on += on  # those below it were added when they came
                 return last
             lower = last.value - value
-            if lower < one_step:
-                last.one_below += on
-            elif lower < two_steps:
-                last.two_below += on
+            if lower < two_steps:
+                if lower < one_step:
+                    last.one_below += on
+                else:
+                    last.two_below += on
+            if len(tops) == REMEMBERED:
+                del tops[next((k for k, one in enumerate(tops) if one.pile is None), 0)]
         new = Top(value, hop, on, one_below, two_below)
-        if len(tops) == REMEMBERED:
-            del tops[next((k for k, one in enumerate(tops) if one.pile is None), 0)]
         tops.append(new)
         return new
 
@@ -210,8 +211,9 @@ class AxisRails:
         elif moving:
             hop = self._hops
             self._hops += 1
-            self._usual += (at.level - self._usual) / min(self._hops, TAIL_HOPS)
-        is_high, is_low = high.step(at, hop), low.step(at, hop)
+            self._usual += (at.level - self._usual) / (hop + 1 if hop < TAIL_HOPS else TAIL_HOPS)
+        (top, bottom), (on_top, on_bottom) = at.tops, at.on_tops
+        is_high, is_low = high.step(at, top, on_top, hop), low.step(at, bottom, on_bottom, hop)
         if (is_high or is_low) and self._has_tail(at):
             if is_high:
                 high.weigh(at)

@@ -69,7 +69,8 @@ class Runs:
         if not samples:
             return
         self.count += count
-        self.longest = max(self.longest, longest)
+        if longest > self.longest:
+            self.longest = longest
         self._samples += samples
 
     def rate(self) -> float:

@@ -116,7 +116,7 @@ class CrossAxisFusion:
             return fuse(sources, self._sharing)
         entries = R[:, None, _OFF_ROW] * R[None, :, _OFF_COLUMN]
         bias_cov = R @ force.bias_cov @ R.T
-        left = np.diag(bias_cov) / (self.bias_spread * self.bias_spread)
+        left = bias_cov.diagonal() / (self.bias_spread * self.bias_spread)
         self.answers = _answers(sources, entries, left.tolist())
         seen = self._seen(entries, R @ force.bias, bias_cov, force)
         self._take(weighed_scales(sources, self._sharing, CROSS_AXIS, self.answers, seen))
@@ -126,10 +126,10 @@ class CrossAxisFusion:
         """Gravity's size, level bias, gains of motion, and turns against their own axis."""
         spread, known = self.bias_spread / GRAVITY, force.responses
         scale2 = self._scale_std * self._scale_std
-        rows = [(float(np.linalg.norm(force.mean)) / GRAVITY - 1.0, spread**2 + scale2)]
+        rows = [(math.sqrt(float(force.mean @ force.mean)) / GRAVITY - 1.0, spread**2 + scale2)]
         answers = [entries[2, 2]]
         for i, (value, variance) in enumerate(
-            zip(bias[:2].tolist(), np.diag(bias_cov).tolist()[:2], strict=True)
+            zip(bias[:2].tolist(), bias_cov.diagonal().tolist()[:2], strict=True)
         ):
             # what the prior has drawn the bias to zero by is taken back
             data = 1.0 / variance - 1.0 / self.bias_spread**2

@@ -66,13 +66,10 @@ class CommonCovariance:
         """Covariance of the sources of those names, their own variances included."""
         known = self.errors(names).copy()
         known.flat[:: len(names) + 1] += [sources[name].variance for name in names]
-        for i, gravity in enumerate(names):
-            axis = gravity.replace(*SAME_ROAD)
-            if axis != gravity and axis in names:
-                j = names.index(axis)
-                shared = min(sources[gravity].road, sources[axis].variance)
-                known[i, j] += shared
-                known[j, i] += shared
+        for i, j in _same_road(tuple(names)):
+            shared = min(sources[names[i]].road, sources[names[j]].variance)
+            known[i, j] += shared
+            known[j, i] += shared
         return known
 
 
@@ -100,17 +97,27 @@ class Seen(Struct, frozen=True):
 class _Places(Struct, frozen=True):
     """Which sources speak of which angle.
 
-    angles (A,): those that any speaks of; of_source (N,): each source's among them. names: of each
-    angle's sources. of_angle (A, n): the same as places among all, as many as the most have. used
-    (A, n): which of those hold one; both (A, n, n): pairs of them.
+    angles (A,): those that any speaks of; shown (N, A): 1 where a source speaks of one. names: of
+    each angle's sources. of_angle (A, n): the same as places among all, as many as the most have.
+    used (A, n): which of those hold one; both (A, n, n): pairs of them; alone (n, n): the identity.
+    count (A,): of an angle's sources.
     """
 
     angles: Index
-    of_source: Index
+    shown: Array
     names: Sequence[Sequence[str]]
     of_angle: Index
     used: Flags
     both: Flags
+    alone: Array
+    count: Index
+
+
+@cache
+def _same_road(names: tuple[str, ...]) -> list[tuple[int, int]]:
+    """Places of gravity and of the axis of the same angle (`SAME_ROAD`)."""
+    axes = [(i, name.replace(*SAME_ROAD)) for i, name in enumerate(names)]
+    return [(i, names.index(axis)) for i, axis in axes if axis != names[i] and axis in names]
 
 
 @cache
@@ -119,13 +126,16 @@ def _places(names: tuple[str, ...]) -> _Places:
     angles = [k for k, found in enumerate(by_axis) if found]
     most = max(map(len, by_axis))
     used = np.array([np.arange(most) < len(by_axis[k]) for k in angles])
+    shown = [[float(name.partition("_")[0] == AXES[k]) for k in angles] for name in names]
     return _Places(
         angles=np.array(angles),
-        of_source=np.array([angles.index(AXES.index(n.partition("_")[0])) for n in names]),
+        shown=np.array(shown),
         names=[[names[i] for i in by_axis[k]] for k in angles],
         of_angle=np.array([by_axis[k] + [0] * (most - len(by_axis[k])) for k in angles]),
         used=used,
         both=used[:, :, None] & used[:, None, :],
+        alone=np.eye(most),
+        count=used.sum(axis=1),
     )
 
 
@@ -151,12 +161,12 @@ def weighed_scales(
     sources and of what is seen besides, of which the three angles are free (restricted maximum
     likelihood, Patterson and Thompson, Biometrika 58, 1971).
     """
-    names = list(sources)
+    names = tuple(sources)
     n, more = len(names), len(seen.values)
     y = np.concatenate([[sources[name].value for name in names], seen.values])
-    of_source = _places(tuple(names)).of_source
-    X = np.zeros((n + more, int(of_source.max()) + 1))
-    X[np.arange(n), of_source] = 1.0
+    shown = _places(names).shown
+    X = np.zeros((n + more, shown.shape[1]))
+    X[:n] = shown
     known = np.zeros((n + more, n + more))
     known[:n, :n] = sharing.covariance(sources, names)
     known[n:, n:] = seen.covariance
@@ -197,7 +207,7 @@ def fuse(
     squares = np.array([scale * scale for scale, _ in scales])[:, None, None]
     V = sharing.covariance(sources, names) + squares * _scaled(names, answers or {})
     V = V[:, at.of_angle[:, :, None], at.of_angle[:, None, :]]  # (scales, A, n, n)
-    V = np.where(at.both, V, np.eye(V.shape[-1]))  # an unused place stands alone
+    V = np.where(at.both, V, at.alone)  # an unused place stands alone
     values = np.array([sources[name].value for name in names])[at.of_angle]
     probability = np.array([p for _, p in scales])
     inverse = np.linalg.inv(V)
@@ -205,7 +215,7 @@ def fuse(
     weight /= weight.sum(axis=2, keepdims=True)
     each = (weight * values).sum(axis=2)  # (scales, A)
     left = (values - each[:, :, None]) * at.used
-    n = at.used.sum(axis=1)
+    n = at.count
     free = np.maximum(n - 1, 1)
     chi2 = (left * (inverse @ left[..., None])[..., 0]).sum(axis=2)
     disagreement = np.minimum(np.maximum(chi2 / free, 1.0), MAX_WIDENED)

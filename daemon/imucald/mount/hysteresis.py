@@ -9,6 +9,8 @@ from imucald.mount.estimate import MountState
 
 GOOD = frozenset({MountState.USABLE, MountState.FINE})
 """States in which a mount is served without reserve."""
+BAD = frozenset({MountState.SUSPECT, MountState.RECALIBRATING})
+"""States in which a mount is served with doubts."""
 
 
 class Level(NamedTuple):

@@ -23,7 +23,7 @@ from imucald.mount.large_change import LargeChange, LargeChangeDetector
 from imucald.mount.shift import Shift
 from imucald.mount.signal_blocks import SignalBlock, SignalBlockMaker
 from imucald.mount.solver import MountSolver
-from imucald.mount.zero_step import LEAST, ZeroStep
+from imucald.mount.zero_step import LEAST_TILT, ZeroStep
 
 Array = NDArray[np.float64]
 MountChange = Shift | GravityStep | LargeChange
@@ -133,16 +133,16 @@ class MountChanges:
         What the same change added to the deviation while it was in doubt does not count. A sudden
         tilt may be a stepped zero, which no deviation of the mount covers (`zero_step`).
         """
-        if solver.fused is None or self._may_be_zero(found, solver):
+        if solver.fused is None or self._may_be_stepped_zero(found, solver):
             return False
         variance = solver.fused.variance + self._variance(solver, blocks, self._of_borne())
         stated = ALERT_DEVIATIONS * math.sqrt(float(variance[found.axis]))
         return abs(found.size) <= max(ALERT_LIMIT, stated)
 
     @staticmethod
-    def _may_be_zero(found: MountChange, solver: MountSolver) -> bool:
+    def _may_be_stepped_zero(found: MountChange, solver: MountSolver) -> bool:
         is_sudden_tilt = found.axis < 2 and not isinstance(found, Shift)
-        return is_sudden_tilt and abs(found.size) > LEAST and solver.own_gyro
+        return is_sudden_tilt and abs(found.size) > LEAST_TILT and solver.own_gyro
 
     def bear(self, found: MountChange, block: int) -> bool:
         """Take a change that misleads nobody; return whether it was not known yet."""

@@ -6,9 +6,9 @@ import numpy as np
 from msgspec.structs import replace
 
 from imucald.mount.estimate import MountEstimator, MountState
-from imucald.mount.hysteresis import GOOD
+from imucald.mount.hysteresis import BAD, GOOD
 from imucald.mount.mount_words import doubt_words
-from imucald.mount.restored import BAD, Phase, RestoredEstimator, StoredMount
+from imucald.mount.restored import Phase, RestoredEstimator, StoredMount
 from imucald.mount.saved_information import SavedInformation, SavesInformation
 
 

@@ -37,7 +37,7 @@ from imucald.mount.estimate import (
     MountEstimator,
     MountState,
 )
-from imucald.mount.hysteresis import GOOD
+from imucald.mount.hysteresis import BAD, GOOD
 from imucald.mount.mount_words import contradicted_words
 from imucald.mount.off_vertical_limit import PlumbLine
 from imucald.mount.saved_information import SavedInformation, SavesInformation
@@ -55,16 +55,12 @@ CONTRADICTIONS = 15
 """... and so many end it: one bad road is no remount."""
 HAND_OVER_RATE = math.radians(1.0)
 """The applied rotation turns to the new estimate at this rate [rad/s]."""
-
 CLEAR_STD = math.radians(20.0)
 """An angle that is known worse says nothing of how far a stated mount is off [rad]."""
 HELD = "the end of the hold (imucald release)"
 """What a held mount waits for."""
 
 NONE_JUDGED: Mapping[str, bool] = {}
-
-BAD = frozenset({MountState.SUSPECT, MountState.RECALIBRATING})
-"""States in which a mount is served with doubts."""
 
 
 class StoredMount(Struct, frozen=True):

@@ -10,7 +10,7 @@ from imucald.mount.contradictions import WORDS, StandingFault
 from imucald.mount.estimate import ANGLES, Missing, MountState
 from imucald.mount.estimator_settings import EstimatorSettings
 from imucald.mount.force_level import LevelChange
-from imucald.mount.hysteresis import GOOD
+from imucald.mount.hysteresis import BAD, GOOD
 from imucald.mount.states import MountKnowledge, waiting_for
 
 
@@ -31,7 +31,8 @@ def waiting_reasons(
     codes = {name: code for name, (_, code) in reasons.items()}
     for angle, text in troubles.items():
         words[angle], codes[angle] = text, Missing.OTHER
-    if state is MountState.LEVELLED and (held := acceptance.missing_to_be_good()) is not None:
+    is_withheld = state is MountState.LEVELLED or state in BAD
+    if is_withheld and (held := acceptance.missing_to_be_good()) is not None:
         words = {angle: words.get(angle, held) for angle in ANGLES}
         codes = {angle: codes.get(angle, Missing.AGREEMENT) for angle in ANGLES}
     if state is MountState.USABLE and (acceptance.has_no_sides or not words):

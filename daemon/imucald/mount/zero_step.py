@@ -11,6 +11,7 @@ In sensor axes, about the mean gravity u of before, with c the change of gravity
 which is a test of two simple hypotheses (Neyman and Pearson, Phil. Trans. R. Soc. A 231, 1933).
 Neither is believed until its likelihood stands out enough. A turn that the gyroscope felt while
 gravity moved speaks for the first, too; that it felt none says little, as it may have slept.
+A straight grade moves gravity and shows no axis: for a zero, gravity must be off in bends too.
 
 The axis: in a block the vehicle turns by the vector w. Its part along u is the turn, the rest is
 what slope and lean of road and body differ by from the block's beginning to its end, which does
@@ -37,10 +38,10 @@ Array = NDArray[np.float64]
 
 REMEMBERED = 240
 """Blocks (26 min)."""
-LEAST = 0.04
+LEAST_TILT = 0.04
 """Changes of gravity that are asked about begin there [rad]: 40 mg, what a zero is off by over a
 sensor's life (BMI160 data sheet). What is smaller is within the deviation."""
-MOST = 0.35
+MOST_TILT = 0.35
 """And end there [rad], 20 deg: no zero is 350 mg off, and no rotation of before is kept."""
 FEWEST = 2
 """Blocks since a change that gravity is known from."""
@@ -150,13 +151,13 @@ class ZeroStep:
         change = after.gravity - before.gravity
         size = float(np.linalg.norm(change))
         variance = before.gravity_variance + after.gravity_variance
-        if size > MOST:
+        if size > MOST_TILT:
             self._before, self.cause = None, GravityMoved.TURNED
             return
         reach = 2.0 * math.sqrt(variance)
-        if size < LEAST:
+        if size < LEAST_TILT:
             self.cause = GravityMoved.NOTHING
-            if size + reach < LEAST:
+            if size + reach < LEAST_TILT:
                 self._before = None
             return
         along = float((after.axis - before.axis) @ change) / size
@@ -168,8 +169,20 @@ class ZeroStep:
         if ratio > BELIEVED:
             self._before, self.cause = None, GravityMoved.TURNED
         else:
-            is_stepped = ratio < -BELIEVED and size - reach > LEAST
+            is_stepped = (
+                ratio < -BELIEVED
+                and size - reach > LEAST_TILT
+                and self._is_off_in_bends(up, before, change)
+            )
             self.cause = GravityMoved.STEPPED if is_stepped else GravityMoved.UNKNOWN
+
+    def _is_off_in_bends(self, up: Array, before: SeenOver, change: Array) -> bool:
+        """Whether gravity was off where the axis has shown itself: by more than half of the change,
+        half way between a zero that stepped and a straight grade that is behind the vehicle."""
+        square = (self._rows[:, 3:6] @ up) ** 2
+        mean = square @ self._rows[:, :3]
+        there = mean / max(float(mean @ up), 1e-9) - up - before.gravity
+        return bool(there @ change > 0.5 * change @ change)
 
     def _felt_ratio(self, up: Array, along: Array, size: float, before: SeenOver) -> float:
         """What the turn that was felt adds to the log of the ratio, for a change of gravity by size

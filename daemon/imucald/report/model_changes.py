@@ -22,9 +22,11 @@ class Change:
 
 
 def model_changes(before: VehicleModel, after: VehicleModel) -> list[Change]:
-    """Return every key whose value differs, in the file's order. Lists count as one value."""
-    old = dict(_flat(before.dump()))
-    new = dict(_flat(after.dump()))
+    """Return every key whose value differs, in the file's order. Lists count as one value.
+
+    What drives leave of the equations (`leaves`) is no parameter, and not told.
+    """
+    old, new = (dict(_flat({**model.dump(), "leaves": {}})) for model in (before, after))
     return [
         Change(key, old.get(key), new.get(key))
         for key in dict.fromkeys((*old, *new))

@@ -61,8 +61,8 @@ def report_page(diagnosis: Diagnosis, about: About) -> str:
         about=about,
         verdict=verdict,
         figures=_key_figures(diagnosis),
-        causes=[_card(cause) for cause in diagnosis.causes],
-        likely=[_card(cause) for cause in diagnosis.likely],
+        causes=[_card(cause, diagnosis) for cause in diagnosis.causes],
+        likely=[_card(cause, diagnosis) for cause in diagnosis.likely],
         groups=[
             ([titles.cause_title(n) for n in g], words.ways_apart(g))
             for g in diagnosis.look_alikes[:MAX_ROWS]
@@ -138,7 +138,7 @@ def _key_figures(diagnosis: Diagnosis) -> list[tuple[str, str, str]]:
     return figures
 
 
-def _card(cause: FoundCause) -> dict[str, Any]:
+def _card(cause: FoundCause, diagnosis: Diagnosis) -> dict[str, Any]:
     rows = []
     for key, p in list(cause.parameters.items())[:MAX_ROWS]:
         shown, stated = numbers.for_people(key, p)
@@ -152,7 +152,7 @@ def _card(cause: FoundCause) -> dict[str, Any]:
     return {
         "title": titles.cause_title(cause.name),
         "name": cause.name,
-        "certainty": cause.certainty,
+        "certainty": words.how_sure(cause, diagnosis),
         "text": numbers.typographic(cause.text),
         "rows": rows,
         "evidence": words.evidence(cause),

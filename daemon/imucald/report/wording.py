@@ -18,6 +18,7 @@ from imucald.diagnosis.result import (
     SignalGain,
     Structure,
 )
+from imucald.report.model_changes import model_changes
 from imucald.report.numbers import number, typographic
 from imucald.report.titles import cause_title, key_title, signal_title
 
@@ -68,6 +69,12 @@ def _with_rivals(text: str) -> str:
     return f"{rivals} {'does' if len(names) == 1 else 'do'}{AS_WELL.removeprefix(' does')}"
 
 
+def how_sure(cause: FoundCause, diagnosis: Diagnosis) -> str:
+    """One word: certain, likely, or ambiguous where these drives show others as well."""
+    is_confused = any(cause.name in group for group in diagnosis.look_alikes)
+    return "ambiguous" if is_confused and cause.certainty == "certain" else cause.certainty
+
+
 def verdict(diagnosis: Diagnosis) -> Words:
     """Return what the diagnosis says, with how sure it is."""
     titles = [cause_title(cause.name) for cause in diagnosis.causes]
@@ -104,7 +111,7 @@ def _unknown(diagnosis: Diagnosis, titles: Sequence[str], tail: str) -> Words:
     text = "The measured signals differ from the model in a way that no known cause explains."
     if NOT_PLAUSIBLE in kinds:
         first = next(s for s in diagnosis.structure if s.kind == NOT_PLAUSIBLE)
-        text = f"{first.text[:1].upper()}{first.text[1:]}."
+        text = typographic(f"{first.text[:1].upper()}{first.text[1:]}.")
     if titles:
         text += f" Besides, this was found: {in_series(titles)}."
     return Words(f"Unknown: something is left in {where}" if where else "Unknown", text + tail)
@@ -136,7 +143,7 @@ def _advice(diagnosis: Diagnosis) -> str:
 
 def advice_in_short(diagnosis: Diagnosis) -> tuple[str, str]:
     """The same as a figure: advice, and what it rests on."""
-    if diagnosis.model_after == diagnosis.model_before:
+    if not model_changes(diagnosis.model_before, diagnosis.model_after):
         return "unchanged", "what was found has no key of its own in the model file"
     if not diagnosis.recommended:
         return "not recommended", "by what it brings alone"
@@ -184,8 +191,8 @@ def outcome(candidate: Candidate) -> str:
 
 
 def size_shown(candidate: Candidate) -> str:
-    """Its size and the size from which it would be named; a pure number has no unit."""
-    return typographic(candidate.text).replace(" 1; named", "; named")
+    """Its size and the size from which it would be named."""
+    return typographic(candidate.text)
 
 
 def gain(found: Gain) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections import Counter
 from collections.abc import Callable, Iterator
@@ -35,7 +36,7 @@ class Replay(Struct):
     speed: float | None = None
 
     _first: float | None = None
-    _last: float | None = None
+    _span: tuple[float, float] | None = None
 
     def run(self) -> dict[str, Any]:
         """Replay to the end; return the summary. Raises LogError."""
@@ -52,7 +53,8 @@ class Replay(Struct):
             if self._first is None:
                 self._first = float(chunk.t[0])
                 began = time.monotonic()
-            self._last = float(chunk.t[-1])
+            earliest, latest = self._span or (math.inf, -math.inf)
+            self._span = min(earliest, float(chunk.t.min())), max(latest, float(chunk.t.max()))
             if self.speed is None:
                 self._feed(chunk)
             else:
@@ -61,8 +63,11 @@ class Replay(Struct):
 
     @property
     def span(self) -> tuple[float, float] | None:
-        """Stamps of our first and last frame so far [s]; None before there is any."""
-        return None if self._first is None or self._last is None else (self._first, self._last)
+        """Earliest and latest stamp of our frames so far [s]; None before there is any.
+
+        Pieces may come in the wrong order, and clocks are set back.
+        """
+        return self._span
 
     @property
     def lead(self) -> float:
@@ -72,9 +77,8 @@ class Replay(Struct):
 
     def summary(self) -> dict[str, Any]:
         """What the frames so far came to, as docs/json.md has it."""
-        first, last = self._first, self._last
-        duration = last - first if first is not None and last is not None else 0.0
-        return summary(self.engine, self.counts(), max(duration, 0.0), self.lead)
+        first, last = self._span or (0.0, 0.0)
+        return summary(self.engine, self.counts(), last - first, self.lead)
 
     def _feed(self, chunk: FrameColumns) -> None:
         out = self.engine.columns(chunk, keep=self.sink is not None)

@@ -15,6 +15,7 @@ import numpy as np
 
 from imucald.core.errors import EstimateError
 from imucald.mount.estimate import MountEstimator, MountState
+from imucald.mount.hysteresis import BAD, GOOD
 from imucald.mount.mount_in_force import (
     doubt_of,
     mount_in_force,
@@ -39,8 +40,6 @@ SHIFTS_KEPT = 32
 STOP_WAIT_S = 0.6
 """How long a stop waits for the disk [s]; it has a second in all."""
 
-_GOOD = frozenset({MountState.USABLE, MountState.FINE})
-_BAD = frozenset({MountState.SUSPECT, MountState.RECALIBRATING})
 _OFFSETS = ("accel_bias", "gyro_bias", "yaw_rate_offset", "steering_offset", "speed_delay")
 SUMS = "sums"
 """Where among a saved state's evidence the sums are that an estimator goes on with."""
@@ -153,15 +152,15 @@ class CalibrationStore:
         self.writer.report()
 
     def _wanted(self, state: MountState, changed: bool) -> bool:
-        if state in _BAD:  # once; what was good before is kept, as doubted
+        if state in BAD:  # once; what was good before is kept, as doubted
             return changed and self._known
-        if state not in _GOOD:
+        if state not in GOOD:
             return False
         return changed or self._clock() - self._last_put >= self._period
 
     def _save(self, estimator: MountEstimator, driven_s: float) -> None:
         self._last_put = self._clock()
-        if estimator.state in _BAD:
+        if estimator.state in BAD:
             if self._is_saved_as_doubted(estimator):
                 return
             shift = {"at": round(self._wall(), 1), "driven_s": round(driven_s, 1)}
@@ -229,7 +228,7 @@ class CalibrationStore:
 
     def save_now(self, estimator: MountEstimator, driven_s: float) -> None:
         """Save the last estimate; wait for the disk, but not for long."""
-        if estimator.state in _GOOD or (estimator.state in _BAD and self._known):
+        if estimator.state in GOOD or (estimator.state in BAD and self._known):
             self._save(estimator, self._driven_before + driven_s)
         self.writer.flush(STOP_WAIT_S)
 

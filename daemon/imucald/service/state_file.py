@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import contextlib
 import json
+import math
 import re
 import threading
 from collections.abc import Mapping
@@ -238,7 +239,7 @@ def decoded(data: bytes) -> tuple[int, StateKey, SavedState]:
     if not is_right:
         raise _NotBelievedError("corrupt", "its checksum is wrong")
     try:
-        content = json.loads(body)
+        content = json.loads(body, parse_constant=_finite_float, parse_float=_finite_float)
         generation = content["generation"]
         key = StateKey(str(content["vehicle"]), str(content["sensor"]))
         if type(generation) is not int or not 1 <= generation <= LARGEST_NUMBER:
@@ -278,6 +279,14 @@ def _state_from(content: Mapping[str, Any]) -> SavedState:
         doubt=doubt,
         **ordered,
     )
+
+
+def _finite_float(text: str) -> float:
+    """A number that can be saved again; raises ValueError where it is none."""
+    value = float(text)
+    if not math.isfinite(value):
+        raise ValueError(f"{text} is no finite number")
+    return value
 
 
 def _finite(value: Any) -> float:

@@ -15,7 +15,8 @@ from imucald.can.link.link import LinkCounters
 from imucald.config import LoadedConfig
 from imucald.core.regular_file import read_regular
 from imucald.motion.ticks import TICK_RATE
-from imucald.mount.estimate import MountEstimate, MountEstimator, MountState
+from imucald.mount.estimate import MountEstimate, MountEstimator
+from imucald.mount.hysteresis import BAD
 from imucald.runtime.engine import Engine
 from imucald.runtime.mount_orders import TESTER, MountOrders
 from imucald.uds.host import FrameCounts, Identity, Symptoms
@@ -26,7 +27,6 @@ STANDING_SPEED: Final = 0.1
 """A vehicle that is slower stands [m/s]: less than the first step of a coarse speed signal."""
 START_S: Final = 2.0
 """An input is not missed before it had so long to come [s]."""
-_MOVED: Final = frozenset({MountState.SUSPECT, MountState.RECALIBRATING})
 
 
 class RunningService(Protocol):
@@ -154,7 +154,7 @@ class LiveHost:
         }
         return Symptoms(
             usable=engine.pipeline.quality > 0,
-            moved=engine.pipeline.estimator.state in _MOVED,
+            moved=engine.pipeline.estimator.state in BAD,
             missing={name: missing[name] for c, name in watched.items() if c in channels},
             counts=self.counts(),
             state_corrupt=self._service.state_corrupt,

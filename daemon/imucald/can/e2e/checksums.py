@@ -20,7 +20,7 @@ from imucald.can.columns import CAN_EFF_MASK
 from imucald.can.dbc.bits import Field, field_of
 from imucald.can.dbc.message import Message
 from imucald.can.e2e.checksum_engine import ChecksumSpec
-from imucald.can.e2e.protection import CounterSpec
+from imucald.can.e2e.protection_spec import CounterSpec
 from imucald.core.errors import ConfigError
 
 J1850_POLYNOMIAL = 0x1D

@@ -1,4 +1,4 @@
-"""Protection of messages, and its check on frames that come in: length, checksum, counter, silence.
+"""The check on protected frames that come in: length, checksum, counter, silence.
 
 A frame that fails is dropped whole, with one counted reason. After a fault the next `recovery`
 good frames are dropped too ("untrusted"). One frame at a time (`check`) and columns
@@ -14,10 +14,10 @@ by no more than the window: an old frame), "counter_jump" (more lost than allowe
 for a wrong checksum or length are known to be missing and widen the allowed step, so that one
 damaged frame is one fault.
 
-"doubled" goes before all that: the frame before once more, every bit and the time stamp. No bus
-carries two frames at once, so a gateway or a logger has made a copy; it is dropped and says
-nothing of the sender. A third one is "counter_repeated". Only a counter shows a copy: without one
-the next frame may well look the same.
+"doubled" goes before "timeout" and what the counter says: the frame before once more, every bit and
+the time stamp. No bus carries two frames at once, so a gateway or a logger has made a copy; it is
+dropped and says nothing of the sender. A third one is "counter_repeated". Only a counter shows a
+copy: without one the next frame may well look the same.
 """
 
 from __future__ import annotations
@@ -26,27 +26,11 @@ import math
 from typing import Any
 
 import numpy as np
-from msgspec import Struct
 from numpy.typing import NDArray
 
-from imucald.can.dbc.bits import (
-    MAX_FRAME_BYTES,
-    Columns,
-    Field,
-    field_of,
-    read_bits,
-    read_column,
-    words_of,
-)
-from imucald.can.dbc.message import Signal
-from imucald.can.e2e.checksum_engine import Checksum, ChecksumSpec
-from imucald.core.errors import ConfigError
-
-DEFAULT_RECOVERY = 3
-"""Good frames in a row after a fault before a message is trusted again."""
-
-DEFAULT_TIMEOUT_CYCLES = 10.0
-"""Silence, in cycle times, after which a message is timed out."""
+from imucald.can.dbc.bits import Columns, read_bits, read_column, words_of
+from imucald.can.e2e.checksum_engine import Checksum
+from imucald.can.e2e.protection_spec import ProtectionSpec
 
 REASONS = (
     "",
@@ -66,66 +50,6 @@ REASONS = (
 OK, SHORT, LONG, CHECKSUM, INVALID, TIMEOUT, REPEATED, REVERSED, JUMP, UNTRUSTED, COPY = range(11)
 
 DOUBLED = REASONS[COPY]
-
-
-_FD_LENGTHS = (8, 12, 16, 20, 24, 32, 48, 64)
-"""Payloads that CAN FD has beside those of classic CAN [bytes] (ISO 11898-1)."""
-
-
-class CounterSpec(Struct, frozen=True):
-    """An alive counter: its bits, its number of values, the largest step accepted."""
-
-    field: Field
-    modulus: int
-    max_jump: int = 2
-
-    def __post_init__(self) -> None:
-        if not 2 <= self.modulus <= 1 << self.field.length:
-            raise ConfigError(f"{self.field.length} bits do not count {self.modulus} values")
-        if not 1 <= self.max_jump < self.modulus:
-            raise ConfigError(f"largest counter step {self.max_jump} of {self.modulus} values")
-
-
-class ProtectionSpec(Struct, frozen=True):
-    """How one message is protected. `size`: bytes it has. `cycle_time` [s]: None, no time-out."""
-
-    size: int
-    counter: CounterSpec | None = None
-    checksum: ChecksumSpec | None = None
-    cycle_time: float | None = None
-    timeout_cycles: float = DEFAULT_TIMEOUT_CYCLES
-    recovery: int = DEFAULT_RECOVERY
-
-    def __post_init__(self) -> None:
-        if not 0 <= self.size <= MAX_FRAME_BYTES:
-            raise ConfigError(f"a message of {self.size} bytes is no CAN frame")
-        if self.counter is not None and self.counter.field.end_byte > self.size:
-            raise ConfigError(f"the counter is beyond a message of {self.size} bytes")
-        if self.checksum is not None and self.checksum.size > self.size:
-            raise ConfigError(f"the checksum is beyond a message of {self.size} bytes")
-        if self.recovery < 0:
-            raise ConfigError("recovery frames cannot be negative")
-        if self.cycle_time is not None and not self.cycle_time * self.timeout_cycles > 0.0:
-            raise ConfigError("cycle time and time-out must be positive")
-
-    @property
-    def longest(self) -> int:
-        """Bytes of the longest frame that is taken: what lies beyond a checksum, nobody checks."""
-        if self.checksum is None:
-            return MAX_FRAME_BYTES
-        if self.size <= _FD_LENGTHS[0]:
-            return self.size
-        return next(length for length in _FD_LENGTHS if length >= self.size)
-
-    @property
-    def timeout(self) -> float | None:
-        """Silence that is a fault [s]; None where the cycle time is not known."""
-        return None if self.cycle_time is None else self.cycle_time * self.timeout_cycles
-
-
-def counter_of(signal: Signal, modulus: int | None = None, max_jump: int = 2) -> CounterSpec:
-    """Alive counter in a signal's bits; it wraps at the bits' end unless `modulus` is given."""
-    return CounterSpec(field_of(signal), modulus or 1 << signal.length, max_jump)
 
 
 class MessageChecker:

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from imucald.can.dbc.bits import Columns, Field, write_bits, write_column
 from imucald.can.e2e.checksum_engine import Checksum
-from imucald.can.e2e.protection import ProtectionSpec
+from imucald.can.e2e.protection_spec import ProtectionSpec
 from imucald.core.errors import EncodeError
 
 

@@ -20,7 +20,7 @@ from imucald.can.dbc.encode import EncodePlan, compile_encode
 from imucald.can.dbc.message import Message
 from imucald.can.e2e.checksum_engine import ChecksumSpec
 from imucald.can.e2e.checksums import NO_CHECKSUM, ONE_BYTE_KINDS
-from imucald.can.e2e.protection import ProtectionSpec, counter_of
+from imucald.can.e2e.protection_spec import ProtectionSpec, counter_of
 from imucald.can.e2e.protector import MessageProtector
 from imucald.config import STANDARD_ID_MAX
 

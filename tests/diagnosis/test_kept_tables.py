@@ -1,0 +1,54 @@
+"""Tables that a search comes back to."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from imucald.diagnosis import kept_tables
+from imucald.diagnosis.kept_tables import KeptTables
+
+
+@pytest.fixture
+def made(monkeypatch: pytest.MonkeyPatch) -> list[str]:
+    """Models that a table was made for, of 80 bytes each; three of them may be kept."""
+    of: list[str] = []
+
+    def table_of(drives, model):
+        of.append(model)
+        return SimpleNamespace(plain={}, gram=np.zeros(10)), [model]
+
+    monkeypatch.setattr(kept_tables, "table_of", table_of)
+    monkeypatch.setattr(kept_tables, "MOST_BYTES", 240)
+    return of
+
+
+def test_a_table_is_made_once_for_each_model(made):
+    tables = KeptTables()
+    first, forwards = tables.of((), "a")
+    assert forwards == ["a"]
+    assert tables.of((), "b")[0] is not first
+    assert tables.of((), "a")[0] is first
+    assert made == ["a", "b"]
+
+
+def test_what_was_not_asked_for_the_longest_makes_room(made):
+    tables = KeptTables()
+    for model in "abcad":
+        tables.of((), model)
+    made.clear()
+    for model in "acd":
+        tables.of((), model)
+    assert made == []
+    tables.of((), "b")
+    assert made == ["b"]
+
+
+def test_a_table_larger_than_all_room_is_kept_while_it_is_the_last(made, monkeypatch):
+    monkeypatch.setattr(kept_tables, "MOST_BYTES", 10)
+    tables = KeptTables()
+    for model in "aab":
+        tables.of((), model)
+    assert made == ["a", "b"]

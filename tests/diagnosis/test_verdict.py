@@ -1,0 +1,24 @@
+"""The verdict, of what was found and what is left."""
+
+from __future__ import annotations
+
+import made_diagnosis as made
+import pytest
+
+from imucald.diagnosis.outcome import verdict_of
+from imucald.diagnosis.result import GOES_AGAINST, NOT_PLAUSIBLE, TOO_MUCH, UNEVEN, Structure
+
+
+@pytest.mark.parametrize("kind", [NOT_PLAUSIBLE, TOO_MUCH, GOES_AGAINST])
+def test_beside_what_the_model_cannot_be_right_of_nothing_is_found(kind):
+    left = [Structure("accel_x", kind, 2.0, "")]
+    assert verdict_of(made.found().causes, (), left) == "unknown"
+    assert verdict_of((), (), left) == "unknown"
+
+
+def test_what_else_is_left_leaves_a_cause_standing():
+    causes, left = made.found().causes, [Structure("accel_x", UNEVEN, 2.0, "")]
+    assert verdict_of(causes, (), left) == "found"
+    assert verdict_of(causes, (("a", "b"),), left) == "ambiguous"
+    assert verdict_of((), (), left) == "unknown"
+    assert verdict_of((), (), ()) == "nothing"
