@@ -46,7 +46,10 @@ def test_a_sound_sensor_holds_no_value_nor_does_a_coarse_one(lsb, noise):
 
 
 def left_over(kind: str, size: float, seed: int = 5):
-    """Blocks of a residual of unit noise with a shape in it. Truth by its own formula."""
+    """Blocks of a residual of unit noise with a shape in it. Truth by its own formula.
+
+    turning: of a yaw rate of its own [rad/s], of either sign.
+    """
     rng = np.random.default_rng(seed)
     n = BLOCKS * ROWS
     x = np.convolve(rng.standard_normal(n + 8), np.ones(9) / 3.0, "valid")
@@ -55,12 +58,17 @@ def left_over(kind: str, size: float, seed: int = 5):
         state = float(np.sign(x[k])) if abs(x[k]) > np.std(x) else state
         held[k] = state
     one_sided = np.where(x > 0.0, np.gradient(x, 0.1), 0.0)
-    made = {"line": x, "memory": held, "bent": np.tanh(2.0 * x), "late on one side": one_sided}[
-        kind
-    ]
+    rate = np.convolve(
+        np.random.default_rng(seed + 100).standard_normal(n + 20), np.ones(21), "valid"
+    )
+    amount = np.gradient(np.abs(0.02 * rate), 0.1)
+    made = {"line": x, "memory": held, "bent": np.tanh(2.0 * x), "late on one side": one_sided,
+            "turning": amount,
+            "turning to one side": np.gradient(0.02 * rate, 0.1)}[kind]  # fmt: skip
     y = 0.05 * rng.standard_normal(n) + size * made
     of_signal, shaken = _shapes(x, 1.0), rng.random((n, len(SHAKEN_S)))
-    shapes = np.concatenate([of_signal, shaken], axis=1).reshape(BLOCKS, ROWS, -1)
+    every = np.concatenate([of_signal, shaken, amount[:, None]], axis=1)
+    shapes = every.reshape(BLOCKS, ROWS, -1)
     tilt = np.ones((BLOCKS, ROWS, 1))
     return _gram([ShapeRows(y.reshape(BLOCKS, ROWS), shapes, tilt, ROWS)])
 
@@ -81,6 +89,22 @@ def test_what_depends_on_its_own_signal_is_seen(kind):
 def test_what_is_linear_in_its_signal_is_no_pattern(seed):
     gram, squares = left_over("line", 0.3, seed)
     assert patterns_of("accel_x", gram, squares) == []
+
+
+def test_a_speed_that_goes_with_the_amount_of_turning_is_seen_whatever_its_zero_may_be():
+    gram, squares = left_over("turning", -0.75)
+    found = patterns_of("accel_x", gram, squares)
+    assert [s.signal for s in found] == ["accel_x"]
+    assert "how much the vehicle turns" in found[0].text
+
+
+@pytest.mark.parametrize(
+    ("kind", "metres"), [("turning", -0.2), ("turning to one side", -0.75), ("line", 0.3)]
+)
+def test_a_speed_of_a_point_beside_the_middle_does_not_go_with_the_amount(kind, metres):
+    """0.2 m: no more than that point is known to. To one side: the signed rate, which is odd."""
+    gram, squares = left_over(kind, metres)
+    assert not any("turns" in s.text for s in patterns_of("accel_x", gram, squares))
 
 
 def test_less_than_a_correct_zero_may_be_is_not_reported():

@@ -36,6 +36,11 @@ within a factor of 1.4 of any such level: the sign is then mostly the same."""
 SHAKEN_S = (1.0, 3.0, 10.0)
 """From what the grid resolves to what a block's tilt does not take."""
 LATE = "late"
+TURNING = "turning"
+"""A speed that is off by a length times the amount of the yaw rate (RESET with another input's even
+part; Ramsey 1969). A point beside the middle is off by its signed rate, which is odd."""
+BESIDE_M = PARAMETERS["mount.lever_arm_m.1"].tolerance
+"""By which the point that the speed is of may be off sideways in a correct file [m]."""
 DELAY_S = dict.fromkeys(ASKED, PARAMETERS["accel.delay_s"].tolerance) | {
     "accel_x": PARAMETERS["speed.delay_s"].tolerance
 }
@@ -48,7 +53,10 @@ SHAPES = {
     LATE: "is later on one side than on the other",
     **{f"memory {x:g}": "keeps the sign of the last large value" for x in LARGE},
     **{f"shaken {x:g}": f"goes with how much the sensor is shaken in {x:g} s" for x in SHAKEN_S},
+    TURNING: "goes with how much the vehicle turns, to whichever side",
 }
+SPEED_S = "accel_x"
+"""The equation of the speed's slope, which knows the yaw rate from another sensor."""
 
 
 @dataclass(frozen=True)
@@ -90,6 +98,7 @@ def _of_drive(
     masks, residuals = f.usable(), f.residuals(changes)
     measured = f.measured()
     shaken = [_shaken(f, seconds) for seconds in SHAKEN_S]
+    turning = _turning(f, top_hz)
     made = []
     for name in ASKED:
         if name not in residuals.of or name not in measured:
@@ -97,7 +106,8 @@ def _of_drive(
         good = masks[name].mean(axis=1) >= LEAST_SHARE
         count = max(1, int(2.0 * f.rows * STEP_S * top_hz[name]))
         own = measured[name] - np.median(measured[name])
-        columns = [*_shapes(own, top_hz[name]).T, *shaken]
+        beside = turning if name == SPEED_S else np.zeros(len(f.t))
+        columns = [*_shapes(own, top_hz[name]).T, *shaken, beside]
         shapes = [x.reshape(f.blocks, f.rows) for x in columns]
         tilt = residuals.tilt.get(name, (np.ones((f.blocks, f.rows)),))
         y, X, Z = (
@@ -137,8 +147,7 @@ def _without(A: Array, Z: Array) -> Array:
 
 def _shapes(x: Array, top_hz: float) -> Array:
     """(N, 2 + k): value and slope, then what is asked of. The usual size is the signal's rms."""
-    n = max(1, round(0.5 / (top_hz * STEP_S)))
-    smooth = np.convolve(x, np.ones(n) / n, "same")
+    smooth = _smooth(x, top_hz)
     size = max(float(np.sqrt(np.mean(smooth**2))), 1e-12)
     z = smooth / size
     slope = np.gradient(z, STEP_S)
@@ -148,6 +157,18 @@ def _shapes(x: Array, top_hz: float) -> Array:
     last = [np.sign(z[np.maximum.accumulate(np.where(np.abs(z) > x, rows, 0))]) for x in LARGE]
     shapes = [z / (1.0 + np.abs(z)), z**2, z * np.abs(z), quick, slope * np.sign(z), *last]
     return np.column_stack([smooth, slope, *shapes])
+
+
+def _smooth(x: Array, top_hz: float) -> Array:
+    n = max(1, round(0.5 / (top_hz * STEP_S)))
+    return np.asarray(np.convolve(x, np.ones(n) / n, "same"))
+
+
+def _turning(f: Forward, top_hz: Mapping[str, float]) -> Array:
+    """(N,) slope of the yaw rate's amount [rad/s^2]; none where nothing turns."""
+    if not f.has_turning or SPEED_S not in top_hz:
+        return np.zeros(len(f.t))
+    return np.asarray(np.gradient(np.abs(_smooth(f.yaw_rate(), top_hz[SPEED_S])), STEP_S))
 
 
 def _shaken(f: Forward, seconds: float) -> Array:
@@ -164,6 +185,8 @@ def _shaken(f: Forward, seconds: float) -> Array:
 
 def _asked(name: str, gram: Array, squares: Array) -> Iterator[Question]:
     for k, shape in enumerate(SHAPES):
+        if not squares[:, 3 + k].any():
+            continue  # not asked of this equation
         index = [0, 1, 2, 3 + k]
         value, sigma, p, gain = _fit(gram[:, index][:, :, index])
         size = abs(value) * float(np.sqrt(squares[:, 3 + k].mean()))
@@ -171,6 +194,8 @@ def _asked(name: str, gram: Array, squares: Array) -> Iterator[Question]:
         if shape == LATE:
             # One side is late by `value` seconds and the other early.
             is_large = abs(value) > DELAY_S[name]
+        elif shape == TURNING:
+            is_large = abs(value) > BESIDE_M
         elif shape.startswith("memory"):
             # A zero error of one sign or the other.
             size = abs(value)
