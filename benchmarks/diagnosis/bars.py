@@ -159,10 +159,10 @@ def _simulated(of: Mapping[str, Sequence[Line]]) -> Iterator[str]:
 def _calibrated(lines: Sequence[Line]) -> Iterator[str]:
     sure, right, likely, good = statements(lines)
     if sure:
-        yield _line(4, "told as certain and right", _part_of(right, sure), "97 %",
+        yield _line(4, "reported as certain and right", _part_of(right, sure), "97 %",
                     right >= 0.97 * sure)  # fmt: skip
     if likely:
-        yield _line(4, "told as likely and right", _part_of(good, likely), "80 to 97 %",
+        yield _line(4, "reported as likely and right", _part_of(good, likely), "80 to 97 %",
                     0.8 * likely <= good <= 0.97 * likely)  # fmt: skip
 
 

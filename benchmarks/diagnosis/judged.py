@@ -256,7 +256,7 @@ def summary(part: str, lines: Sequence[Line]) -> str:
 
 
 def statements(lines: Sequence[Line]) -> tuple[int, int, int, int]:
-    """How many were told as certain, how many of these are right, and the same of likely ones."""
+    """How many were reported as certain, how many of these are right, and the same of likely ones."""
     sure = [(n, x) for x in lines for n in x["said"]]
     bad = sum(n in wrong_names(x) for n, x in sure)
     likely = [(n, x) for x in lines for n in x["likely"]]
@@ -265,7 +265,7 @@ def statements(lines: Sequence[Line]) -> tuple[int, int, int, int]:
 
 
 def calibration(lines: Sequence[Line]) -> Iterator[str]:
-    """Of what was told as certain and as likely, how much was there."""
+    """Of what was reported as certain and as likely, how much was there."""
     yield _row("world", "certain", "right", "likely", "right")
     yield _row(*["---"] * 5)
     for part in dict.fromkeys(x["part"] for x in lines):
