@@ -36,7 +36,7 @@ AFTER = range(4, 10)
 LEAST = 0.3
 """A change is at least that large [m/s^2], 30 mg: 1 mg/K over 30 K, within five minutes."""
 ZEROS = 0.5
-"""Zeros of two axes differ by up to so much [m/s^2]: 50 mg (BMI160: 40 mg over its life)."""
+"""Zeros of two axes differ by up to so much [m/s^2]: 50 mg (BMI160: 40 mg once soldered)."""
 NOISE, NOISE_BLOCKS = 0.05, 10.0
 """Level of a block beside the drive's own spread [m/s^2], and its weight: 0.3 m/s of height that is
 gained or lost from its beginning to its end, as over the crest of a hill."""

@@ -39,8 +39,8 @@ Array = NDArray[np.float64]
 REMEMBERED = 240
 """Blocks (26 min)."""
 LEAST_TILT = 0.04
-"""Changes of gravity that are asked about begin there [rad]: 40 mg, what a zero is off by over a
-sensor's life (BMI160 data sheet). What is smaller is within the deviation."""
+"""Changes of gravity that are asked about begin there [rad]: 40 mg, what a zero is off by once the
+sensor is soldered (BMI160 data sheet). What is smaller is within the deviation."""
 MOST_TILT = 0.35
 """And end there [rad], 20 deg: no zero is 350 mg off, and no rotation of before is kept."""
 FEWEST = 2
