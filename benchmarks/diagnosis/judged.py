@@ -256,7 +256,7 @@ def summary(part: str, lines: Sequence[Line]) -> str:
 
 
 def statements(lines: Sequence[Line]) -> tuple[int, int, int, int]:
-    """How many were reported as certain, how many of these are right, and the same of likely ones."""
+    """How many are reported as certain, how many of these are right; the same of likely ones."""
     sure = [(n, x) for x in lines for n in x["said"]]
     bad = sum(n in wrong_names(x) for n, x in sure)
     likely = [(n, x) for x in lines for n in x["likely"]]
