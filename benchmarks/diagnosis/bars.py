@@ -52,8 +52,8 @@ def bars(by_part: Mapping[str, Sequence[Line]]) -> Iterator[str]:
         yield from _outside(of["outside"], nulls)
     near, signals = file_alone(everything)
     if signals:
-        told = f"{near} of {signals} signals"
-        yield _line(6, "written file within 5 % of what the page says", told, "all",
+        found = f"{near} of {signals} signals"
+        yield _line(6, "written file within 5 % of what the page says", found, "all",
                     near == signals)  # fmt: skip
     yield from _cost(everything)
     crashed = [x for x in everything if "crash" in x]

@@ -25,7 +25,7 @@ def names_of(line: Line) -> set[str]:
 
 def is_right(line: Line) -> bool:
     """The cause was named, alone or in a set. Where nothing of the catalogue is right: structure is
-    told, and no name that is not true of the log as it is."""
+    reported, and no name that is not true of the log as it is."""
     if "unknown" in line["right"]:
         seen = line["verdict"] == "unknown" or bool(line["left"])
         return seen and not wrong_names(line)

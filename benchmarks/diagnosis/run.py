@@ -13,7 +13,7 @@ from typing import Any
 from benchmarks.diagnosis.cases import Case
 from benchmarks.diagnosis.measured_logs import STATE
 
-TOLD_EVERY_S = 30.0
+REPORT_EVERY_S = 30.0
 
 
 def known(path: Path) -> dict[str, dict[str, Any]]:
@@ -37,7 +37,7 @@ def run(wanted: Sequence[Case], path: Path, jobs: int, seconds: float | None) ->
     path.parent.mkdir(parents=True, exist_ok=True)
     done = known(path)
     left = [case for case in wanted if case.key not in done]
-    began = told = time.monotonic()
+    began = reported = time.monotonic()
     with path.open("a", encoding="utf-8") as file:
         _own(file, path)
         file.write("\n")  # the last line may have been broken off
@@ -45,8 +45,8 @@ def run(wanted: Sequence[Case], path: Path, jobs: int, seconds: float | None) ->
             file.write(json.dumps(line, ensure_ascii=False, default=float) + "\n")
             file.flush()
             now = time.monotonic()
-            if sys.stderr.isatty() or now - told > TOLD_EVERY_S or i == len(left):
-                told = now
+            if sys.stderr.isatty() or now - reported > REPORT_EVERY_S or i == len(left):
+                reported = now
                 rest = (now - began) / i * (len(left) - i) / 60.0
                 _progress(f"{i} of {len(left)}, {rest:.0f} min left: {line['key']}")
             if seconds is not None and now - began > seconds:
@@ -84,5 +84,5 @@ def one(case: Case) -> dict[str, Any]:
     try:
         return outcome(case)
     except Exception as error:
-        told = f"{type(error).__name__}: {error}"
-        return {**line_of(case, ("no exception",)), "verdict": "crash", "crash": told}
+        why = f"{type(error).__name__}: {error}"
+        return {**line_of(case, ("no exception",)), "verdict": "crash", "crash": why}

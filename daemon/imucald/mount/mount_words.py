@@ -34,7 +34,7 @@ UPSIDE_DOWN = (
 )
 STATED_WRONG = "the mount that is stated is not how the sensor sits in this drive"
 SAVED_WRONG = "the mount of an earlier drive is not how the sensor sits in this drive"
-"""What is said of a mount that the drive contradicts."""
+"""What is reported of a mount that the drive contradicts."""
 UNKNOWN_STD_DEG = math.degrees(1.0)
 """An angle with a larger standard deviation is as good as unknown [deg]."""
 UNKNOWN_HALF_DEG = SD_95 * UNKNOWN_STD_DEG

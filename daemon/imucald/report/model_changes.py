@@ -24,7 +24,7 @@ class Change:
 def model_changes(before: VehicleModel, after: VehicleModel) -> list[Change]:
     """Return every key whose value differs, in the file's order. Lists count as one value.
 
-    What drives leave of the equations (`leaves`) is no parameter, and not told.
+    What drives leave of the equations (`leaves`) is no parameter, and not listed.
     """
     old, new = (dict(_flat({**model.dump(), "leaves": {}})) for model in (before, after))
     return [
