@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from functools import cache
 
 import numpy as np
@@ -42,6 +43,21 @@ def after(ticks: NDArray[np.float64], settings: EstimatorSettings | None = None)
     for row in ticks.tolist():
         estimator.step(row)
     return estimator
+
+
+def good_around(
+    samples: Mapping[str, Series], at: float, ticks: int
+) -> tuple[bool, list[bool], MountEstimate]:
+    """Whether the mount is good at a time [s], and in each tick from a minute after it on; the
+    last estimate."""
+    estimator, was_good, since = FullEstimator(full()), False, []
+    for k, row in enumerate(ticks_from_samples(samples, 0, ticks, {}).tolist()):
+        estimator.step(row)
+        if k >= 10 * (at + 60.0):
+            since.append(estimator.state in GOOD)
+        elif k == 10 * at:
+            was_good = estimator.state in GOOD
+    return was_good, since, estimator.estimate()
 
 
 @cache

@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from test_estimator import GOOD, drive
+from test_estimator import drive, good_around
 
 from imucald.core.samples import GRAVITY, Series
-from imucald.motion.column_ticks import ticks_from_samples
 from imucald.mount.contradictions import StandingFault
 from imucald.mount.estimator import FullEstimator
 from imucald.mount.force_level import ForceLevel
@@ -133,15 +132,9 @@ def test_a_step_in_mid_drive_is_never_good_after_a_minute_and_says_why(name):
     gain, zero = EDITS[name]
     values = np.where(late, gain * series.values + zero * axis, series.values)
     samples["accel"] = Series(series.t, values)
-    estimator, since = FullEstimator(full()), []
-    for k, row in enumerate(ticks_from_samples(samples, 0, 9000, {}).tolist()):
-        estimator.step(row)
-        if k >= 10 * (at + 60.0):
-            since.append(estimator.state in GOOD)
-        elif k == 10 * at:
-            assert estimator.state in GOOD
+    was_good, since, estimate = good_around(samples, at, 9000)
+    assert was_good
     assert not any(since)
-    estimate = estimator.estimate()
     assert StandingFault.ACCEL_LEVEL.value in estimate.faults
     assert "zero or gain has changed" in estimate.waiting_for["roll"]
     assert f"{estimate.details['gravity_change']['after']:.2f} m/s^2" in estimate.waiting_for["yaw"]

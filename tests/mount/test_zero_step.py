@@ -1,4 +1,4 @@
-"""A zero of the accelerometer that steps across the vertical, told from a sensor that is turned."""
+"""A zero of the accelerometer that steps across the vertical is no sensor that is turned."""
 
 from __future__ import annotations
 
@@ -9,14 +9,12 @@ from typing import Any
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
-from test_estimator import GOOD, drive
+from test_estimator import drive, good_around
 
 from imucald.core.samples import GRAVITY, Series
-from imucald.motion.column_ticks import ticks_from_samples
 from imucald.motion.ticks import TICK_S
 from imucald.mount.acceptance import WHY_GRAVITY_MOVED, Acceptance
 from imucald.mount.contradictions import StandingFault
-from imucald.mount.estimator import FullEstimator
 from imucald.mount.mount_changes import MountChanges
 from imucald.mount.signal_blocks import BLOCK_S, BLOCK_TICKS
 from imucald.mount.zero_step import GravityMoved, ZeroStep
@@ -175,14 +173,8 @@ def test_a_step_in_mid_drive_is_never_good_after_a_minute_and_says_why(at, sign)
     axis[np.argmin(np.abs(upright))] = sign
     series = samples["accel"]
     samples["accel"] = Series(series.t, series.values + (series.t >= at)[:, None] * axis)
-    estimator, since = FullEstimator(full()), []
-    for k, row in enumerate(ticks_from_samples(samples, 0, 12000, {}).tolist()):
-        estimator.step(row)
-        if k >= 10 * (at + 60.0):
-            since.append(estimator.state in GOOD)
-        elif k == 10 * at:
-            assert estimator.state in GOOD
+    was_good, since, estimate = good_around(samples, at, 12000)
+    assert was_good
     assert not any(since)
-    estimate = estimator.estimate()
     assert StandingFault.ACCEL_ZERO.value in estimate.faults
     assert "zero has changed" in estimate.waiting_for["roll"]

@@ -20,9 +20,8 @@ import numpy as np
 from msgspec import Struct
 from numpy.typing import NDArray
 
-from imucald.motion.ticks import TICK_S
 from imucald.mount.large_change import LEAST_TICKS
-from imucald.mount.signal_blocks import BLOCK_TICKS, SignalBlock
+from imucald.mount.signal_blocks import BLOCK_S, SignalBlock
 
 Array = NDArray[np.float64]
 
@@ -86,7 +85,7 @@ class ForceLevel:
         level = float(force @ up) / max(math.sqrt(float(up @ up)), 1e-9)
         t = float(p.t[0])
         row = np.array([[level, *force.tolist(), t]])
-        known = self._rows[:, 4] > t - (REMEMBERED - 0.5) * BLOCK_TICKS * TICK_S
+        known = self._rows[:, 4] > t - (REMEMBERED - 0.5) * BLOCK_S
         self._rows = np.concatenate([self._rows[known], row])
         if self.change is None:
             self.change = self._found()

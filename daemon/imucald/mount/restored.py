@@ -215,9 +215,13 @@ class RestoredEstimator:
 
     @property
     def _is_statement_wrong(self) -> bool:
-        """Whether this drive shows so; that it doubts its own mount as well shows nothing."""
-        is_shown = self._turned is not None or self._plumb_line.is_off
-        return is_shown and self.phase is Phase.DOUBTED and self.stored.is_given
+        return self._is_shown_wrong and self.phase is Phase.DOUBTED and self.stored.is_given
+
+    @property
+    def _is_shown_wrong(self) -> bool:
+        """Whether this drive shows it of the mount in front; that it doubts its own mount as well
+        shows nothing."""
+        return self._turned is not None or self._plumb_line.is_off
 
     def _against_statement(self, served: MountEstimate) -> MountEstimate:
         """What speaks against the mount that a person stated, in words."""
@@ -255,8 +259,7 @@ class RestoredEstimator:
         """Keep that the mount in front was wrong, also once this drive's own serves."""
         if self.phase is Phase.CONFIRMED:
             self._contradicted = None
-        is_shown = self._turned is not None or self._plumb_line.is_off
-        if not is_shown or self.phase not in (Phase.DOUBTED, Phase.HANDING_OVER):
+        if not self._is_shown_wrong or self.phase not in (Phase.DOUBTED, Phase.HANDING_OVER):
             return
         if not self.inner.estimate().faults:
             since = self._contradicted or Contradicted(self._ticks * TICK_S, None)
