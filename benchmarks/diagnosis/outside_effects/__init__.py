@@ -1,0 +1,45 @@
+"""Effects that the catalogue does not have, put into measured samples.
+
+Which were written when, what was left out then, and which judge ran them first: `history`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from benchmarks.diagnosis.outside_effects import accelerometer, gyroscope, speed
+from benchmarks.diagnosis.outside_effects.history import NOT_RUN
+from benchmarks.diagnosis.real_effects import Put
+
+__all__ = ["NOT_RUN", "OUTSIDE"]
+
+OUTSIDE: Mapping[str, tuple[Put, float, str]] = {
+    "shaking": (accelerometer.shaking, 0.3, "accel"),
+    "swing": (accelerometer.swing, 0.4, "accel"),
+    "gusts": (accelerometer.gusts, 0.4, "accel"),
+    "hysteresis": (accelerometer.hysteresis, 0.2, "accel"),
+    "dead_zone": (gyroscope.dead_zone, 0.035, "gyro"),
+    "glitches": (gyroscope.glitches, 0.2, "gyro"),
+    "fading": (gyroscope.fading, 0.25, "gyro"),
+    "restarts": (accelerometer.restarts, 0.3, "accel"),
+    "held_speed": (speed.held_speed, 1.0, "speed"),
+    "wheel_slip": (speed.wheel_slip, 0.15, "speed"),
+    "loose_contact": (accelerometer.loose_contact, 0.3, "accel"),
+    "heated_gain": (gyroscope.heated_gain, 0.15, "gyro"),
+    "gyro_highpass": (gyroscope.gyro_highpass, 0.016, "gyro"),
+    "supply_dips": (accelerometer.supply_dips, 0.005, "accel"),
+    "speedometer": (speed.speedometer, 4.0 / 3.6, "speed"),
+    "clock_step": (speed.clock_step, 0.15, "speed"),
+    "tyre_growth": (speed.tyre_growth, 0.015, "speed"),
+    "uneven_gain": (gyroscope.uneven_gain, 0.05, "gyro"),
+    "outer_wheel": (speed.outer_wheel, 0.75, "gyro"),
+    "engine_beat": (accelerometer.engine_beat, 1.0, "accel"),
+    "tone_wheel": (speed.tone_wheel, 0.02, "speed"),
+    "auto_zero": (accelerometer.auto_zero, 0.1, "accel"),
+    "learned_zero": (gyroscope.learned_zero, float(np.deg2rad(3.0)), "gyro"),
+    "whole_kmh": (speed.whole_kmh, 1.0 / 3.6, "speed"),
+    "slow_wheels": (speed.slow_wheels, 0.9, "speed"),
+}
+"""Effect, medium size [SI], signal that must be there."""

@@ -1,0 +1,129 @@
+"""Outside effects of the accelerometer, its supply and what shakes it."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from benchmarks.diagnosis.outside_effects.levels import set_values
+from benchmarks.diagnosis.real_effects import Array, Drive
+
+
+def shaking(s: Drive, size: float, rng: np.random.Generator, R: Array) -> float:
+    """The accelerometer's zero moves with the shaking: size is that of the roughest tenth."""
+    t, x = s["accel"].t, s["accel"].values
+    power = np.concatenate([[0.0], np.sum(np.diff(x, axis=0) ** 2, axis=1)])
+    n = max(1, round(10.0 / float(np.median(np.diff(t)))))
+    smooth = np.convolve(power, np.ones(n) / n, "same")
+    set_values(s, "accel", x + size * (smooth / np.quantile(smooth, 0.9))[:, None] * R[0])
+    return size
+
+
+def swing(s: Drive, size: float, rng: np.random.Generator, R: Array) -> float:
+    """A sideways force that swings at 0.5 Hz, in and out over minutes."""
+    t = s["accel"].t
+    loud = np.sin(np.pi * t / 170.0) ** 2
+    push = size * loud * np.sin(np.pi * t + 2.0 * np.sin(t / 31.0))
+    set_values(s, "accel", s["accel"].values + push[:, None] * R[1])
+    return size
+
+
+def gusts(s: Drive, size: float, rng: np.random.Generator, R: Array) -> float:
+    """Sideways forces that last seconds, rms `size`, while moving."""
+    t = s["accel"].t
+    grid = np.arange(t[0], t[-1] + 2.0, 1.0)
+    noise = rng.standard_normal(len(grid))
+    slow = np.convolve(noise, np.ones(3) / np.sqrt(3.0), "same")
+    speed = np.interp(t, s["speed"].t, s["speed"].values)
+    push = size * np.interp(t, grid, slow) * (speed > 3.0)
+    set_values(s, "accel", s["accel"].values + push[:, None] * R[1])
+    return size
+
+
+def hysteresis(s: Drive, size: float, rng: np.random.Generator, R: Array) -> float:
+    """The zero forward stays at +-size after each strong acceleration or braking."""
+    t, x = s["accel"].t, s["accel"].values
+    n = max(1, round(1.0 / float(np.median(np.diff(t)))))
+    forward = np.convolve(x @ R[0], np.ones(n) / n, "same")
+    forward -= np.median(forward)
+    state, held = np.empty(len(t)), 0.0
+    for k, f in enumerate(forward):
+        if abs(f) > 1.0:
+            held = float(np.sign(f))
+        state[k] = held
+    set_values(s, "accel", x + size * state[:, None] * R[0])
+    return size
+
+
+def restarts(s: Drive, size: float, rng: np.random.Generator, R: Array) -> float:
+    """The accelerometer starts anew every four minutes, each time with another zero (rms size)."""
+    t, x = s["accel"].t, s["accel"].values.copy()
+    for start in np.arange(t[0] + 90.0, t[-1], 240.0):
+        inside = (t >= start) & (t < start + 240.0)
+        x[inside] += size * rng.standard_normal(3)
+    set_values(s, "accel", x)
+    return size
+
+
+def loose_contact(s: Drive, size: float, rng: np.random.Generator, R: Array) -> float:
+    """A connector opens for `size` seconds twice a minute, and the accelerometer says 0 on all
+    axes."""
+    t, x = s["accel"].t, s["accel"].values.copy()
+    for start in np.arange(t[0], t[-1], 30.0):
+        at = start + rng.uniform(0.0, 30.0 - size)
+        x[(t >= at) & (t < at + size)] = 0.0
+    set_values(s, "accel", x)
+    return size
+
+
+def supply_dips(s: Drive, size: float, rng: np.random.Generator, R: Array) -> float:
+    """A fan on the sensor's supply, at irregular times: while it runs, the voltage falls by this
+    share. A ratiometric accelerometer's gain falls with it, and its zero, which is half the supply,
+    5 g above where it would say nothing (ADXL335 data sheet: 300 mV/g and 1.5 V, both at 3 V)."""
+    t, x = s["accel"].t, s["accel"].values
+    share, at = np.zeros(len(t)), float(t[0]) + rng.uniform(10.0, 60.0)
+    while at < t[-1]:
+        runs = rng.uniform(15.0, 40.0)
+        share[(t >= at) & (t < at + runs)] = size
+        at += runs + rng.uniform(30.0, 120.0)
+    set_values(s, "accel", x - share[:, None] * (x + 5.0 * 9.80665))
+    return size
+
+
+def engine_beat(s: Drive, size: float, rng: np.random.Generator, R: Array) -> float:
+    """Firing of a four-cylinder engine shakes an accelerometer that has no filter before its
+    converter: upward, with this amplitude [m/s^2], twice a turn of the crankshaft. What is sampled
+    is a beat, slow where the firing comes near a multiple of the sample rate (Oppenheim, Schafer,
+    Discrete-Time Signal Processing, 2010, 4.2; two firings a turn: Heywood, Internal Combustion
+    Engine Fundamentals, 1988, 2.1). Five gears, shifted at 40 turns a second."""
+    t = s["accel"].t
+    grid = np.arange(t[0], t[-1] + 0.01, 0.01)
+    v = np.interp(grid, s["speed"].t, np.abs(s["speed"].values))
+    wheel = np.convolve(v, np.ones(100) / 100.0, "same") / (2.0 * np.pi * 0.3)
+    turns = np.full(len(grid), 13.0)  # idle
+    for overall in (3.2, 4.0, 5.5, 8.0, 13.5):
+        at = overall * wheel
+        turns = np.where((at > 20.0) & (at < 40.0), at, turns)
+    phase = 4.0 * np.pi * np.cumsum(turns) * 0.01
+    shake = size * np.sin(np.interp(t, grid, phase))
+    set_values(s, "accel", s["accel"].values + shake[:, None] * R[2])
+    return size
+
+
+def auto_zero(s: Drive, size: float, rng: np.random.Generator, R: Array) -> float:
+    """An accelerometer that seeks its own zero: every 1.049 s each axis' zero moves by size [m/s^2]
+    towards what the last six such spans showed on average, where that is more than half of size
+    away. Long braking and long bends are taken for zero (NXP MMA68xx data sheet, 3.8.4, offset
+    cancellation: a quarter of an LSB; at a range of 20 to 25 g an LSB is 0.04 to 0.05 g)."""
+    t, x = s["accel"].t, s["accel"].values
+    span = ((t - t[0]) / 1.049).astype(int)
+    count = np.bincount(span)
+    about = np.median(x, axis=0)
+    sums = np.column_stack([np.bincount(span, axis) for axis in (x - about).T])
+    zero, zeros = np.zeros(3), np.zeros((len(count) + 1, 3))
+    for k in range(len(count)):
+        last = slice(max(0, k - 5), k + 1)
+        off = sums[last].sum(axis=0) / max(1, count[last].sum()) - zero
+        zero = zero + size * np.sign(off) * (np.abs(off) > 0.5 * size)
+        zeros[k + 1] = zero
+    set_values(s, "accel", x - zeros[span])
+    return size

@@ -1,0 +1,91 @@
+"""Outside effects of the gyroscope."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from benchmarks.diagnosis.outside_effects.levels import set_values
+from benchmarks.diagnosis.real_effects import Array, Drive
+
+
+def dead_zone(s: Drive, size: float, rng: np.random.Generator, R: Array) -> float:
+    """The gyroscope shows no rate below size [rad/s] on any axis."""
+    x = s["gyro"].values
+    set_values(s, "gyro", np.sign(x) * np.maximum(np.abs(x) - size, 0.0))
+    return size
+
+
+def glitches(s: Drive, size: float, rng: np.random.Generator, R: Array) -> float:
+    """The gyroscope jumps by size [rad/s] for a second, once a minute."""
+    t, x = s["gyro"].t, s["gyro"].values.copy()
+    for start in np.arange(t[0] + 20.0, t[-1], 60.0):
+        at = start + rng.uniform(0.0, 30.0)
+        x[(t >= at) & (t < at + 1.0), int(rng.integers(3))] += size * rng.choice([-1.0, 1.0])
+    set_values(s, "gyro", x)
+    return size
+
+
+def fading(s: Drive, size: float, rng: np.random.Generator, R: Array) -> float:
+    """The gyroscope's gain falls by this share within seconds of each strong turn, and recovers
+    over 20 s: a sensor that heats itself."""
+    t, x = s["gyro"].t, s["gyro"].values
+    heat, step = np.zeros(len(t)), np.diff(t, prepend=t[0])
+    load = np.minimum(np.linalg.norm(x, axis=1) / 0.2, 1.0)
+    for k in range(1, len(t)):
+        dt = min(float(step[k]), 1.0)
+        heat[k] = heat[k - 1] + dt * (load[k] * (1.0 - heat[k - 1]) / 3.0 - heat[k - 1] / 20.0)
+    set_values(s, "gyro", x * (1.0 - size * heat)[:, None])
+    return size
+
+
+def heated_gain(s: Drive, size: float, rng: np.random.Generator, R: Array) -> float:
+    """A heater beside the gyroscope goes on and off every two minutes; its gain follows by this
+    share within half a minute."""
+    t, x = s["gyro"].t, s["gyro"].values
+    on = np.floor((t - t[0]) / 120.0) % 2.0
+    warm, step = np.zeros(len(t)), np.minimum(np.diff(t, prepend=t[0]), 1.0)
+    for k in range(1, len(t)):
+        warm[k] = warm[k - 1] + (on[k] - warm[k - 1]) * step[k] / 30.0
+    set_values(s, "gyro", x * (1.0 + rng.choice([-1.0, 1.0]) * size * warm)[:, None])
+    return size
+
+
+def gyro_highpass(s: Drive, size: float, rng: np.random.Generator, R: Array) -> float:
+    """A gyroscope whose high-pass filter was left on, corner at size [Hz]: it forgets long bends
+    (ST LSM6DSO data sheet, CTRL7_G: HP_EN_G, 16 mHz is the lowest corner)."""
+    t, x = s["gyro"].t, s["gyro"].values
+    mean = np.zeros_like(x)
+    keep = np.exp(-2.0 * np.pi * size * np.diff(t, prepend=t[0]))
+    for k in range(1, len(t)):
+        mean[k] = keep[k] * mean[k - 1] + (1.0 - keep[k]) * x[k]
+    set_values(s, "gyro", x - mean)
+    return size
+
+
+def uneven_gain(s: Drive, size: float, rng: np.random.Generator, R: Array) -> float:
+    """A gyroscope whose gain is this share too high for one way of turning and too low for the
+    other (IEEE Std 528-2019: scale factor asymmetry)."""
+    x = s["gyro"].values
+    set_values(s, "gyro", x + rng.choice([-1.0, 1.0]) * size * np.abs(x))
+    return size
+
+
+def learned_zero(s: Drive, size: float, rng: np.random.Generator, R: Array) -> float:
+    """A gyroscope whose firmware learns its zero: after 5 s in which no axis showed more than size
+    [rad/s] it takes itself to be at rest, and what it shows for its zero, with a corner at 0.02 Hz.
+    It forgets gentle bends, and keeps what it learned there until the next rest (x-io Fusion,
+    FusionBias.c, its version of 2021: STATIONARY_PERIOD, CORNER_FREQUENCY; 3 deg/s is the threshold
+    of later versions)."""
+    t, x = s["gyro"].t, s["gyro"].values
+    about = np.median(x, axis=0)
+    zero, zeros, still = np.zeros(3), np.zeros_like(x), 0.0
+    for k, dt in enumerate(np.minimum(np.diff(t, prepend=t[0]), 1.0)):
+        zeros[k], shown = zero, x[k] - about - zero
+        if np.abs(shown).max() > size:
+            still = 0.0
+        elif still < 5.0:
+            still += float(dt)
+        else:
+            zero = zero + shown * (2.0 * np.pi * 0.02 * dt)
+    set_values(s, "gyro", x - zeros)
+    return size

@@ -1,0 +1,73 @@
+"""When each outside effect was written, and which judge asked it first.
+
+What is seen of an effect that was asked before the tests stood, or was looked at while they were
+changed, says little of an effect that nobody thought of. So each has its date here.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class Batch:
+    """Effects that were written at one time. first_draw: of the judge that ran them first; None:
+    they were run while the tests were made, before any judge."""
+
+    effects: tuple[str, ...]
+    written: str
+    """UTC."""
+    first_draw: int | None
+    known: str
+    """What the writer knew of the tests, and what was left out."""
+
+
+BATCHES = (
+    Batch(
+        ("shaking", "swing", "gusts", "hysteresis", "dead_zone", "glitches"),
+        "2026-11-22 07:42", None,
+        "The tests of `imucald.diagnosis.adequacy` and the generator's own outside effects were "
+        "known. Seen many times since (hysteresis and dead_zone also before `patterns` and "
+        "`held_values` were written).",
+    ),
+    Batch(
+        ("fading", "restarts", "held_speed"), "2026-11-22 16:30", 13,
+        "The method stood; they were not run before its judge.",
+    ),
+    Batch(
+        ("wheel_slip", "loose_contact", "heated_gain"), "2026-11-22 19:08", 14,
+        "Before anything of the tests was changed that day. Since 19:20 all effects are put in on "
+        "the sensor's own levels: before, a gain made every value but 0 a level of its own, which "
+        "gave it away.",
+    ),
+    Batch(
+        ("gyro_highpass", "supply_dips", "speedometer"), "2026-11-22 22:26", 15,
+        "Each from a published source, before anything of the tests was looked at or changed that "
+        "evening.",
+    ),
+    Batch(
+        ("clock_step", "tyre_growth"), "2026-11-23 01:45", 16,
+        "Before anything of the tests was changed that day. A third, a gyroscope that feels "
+        "acceleration, was taken out before its outcome was looked at: the catalogue has it.",
+    ),
+    Batch(
+        ("uneven_gain", "outer_wheel", "engine_beat", "tone_wheel"), "2026-11-23 05:10", 17,
+        "Each from a published source, before anything of the tests was looked at or changed in "
+        "that session; only what an ideal filter sees of them was computed.",
+    ),
+    Batch(
+        ("auto_zero", "learned_zero", "whole_kmh", "slow_wheels"), "2026-11-23 06:50", 23,
+        "Each from a published source, by one who read neither the tests nor their page; only what "
+        "an ideal filter sees of them was computed. A soft holder's resonance at 5 Hz and a cab "
+        "that pitches at 1.2 Hz were left out: the ideal filter saw each in no long log but one, "
+        "and there at twice the size. A speed held for 1 s and a jitter of stamps were left out "
+        "for these four.",
+    ),
+)  # fmt: skip
+"""In the order of writing."""
+LAST = BATCHES[-1]
+FIRST_DRAW: Mapping[str, int | None] = {x: b.first_draw for b in BATCHES for x in b.effects}
+"""Effect to the draw of the judge that ran it first."""
+NOT_RUN = LAST.effects
+"""Not run before the judge of their first draw."""

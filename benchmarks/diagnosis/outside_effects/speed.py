@@ -1,0 +1,102 @@
+"""Outside effects of the speed: wheels, instruments, receivers, and the clock that stamps it."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from benchmarks.diagnosis.outside_effects.levels import set_values
+from benchmarks.diagnosis.real_effects import Array, Drive
+from imucald.core.samples import Series
+
+
+def held_speed(s: Drive, size: float, rng: np.random.Generator, R: Array) -> float:
+    """The speed follows in braking, and holds back by `size` seconds when it rises."""
+    t, v = s["speed"].t, s["speed"].values
+    out = v.copy()
+    for k in range(1, len(t)):
+        keep = np.exp(-(t[k] - t[k - 1]) / size) if v[k] > out[k - 1] else 0.0
+        out[k] = keep * out[k - 1] + (1.0 - keep) * v[k]
+    set_values(s, "speed", out)
+    return size
+
+
+def wheel_slip(s: Drive, size: float, rng: np.random.Generator, R: Array) -> float:
+    """The driven wheels spin when the vehicle pulls away hard: for two seconds at the beginning of
+    every strong acceleration the speed is too high, by this share at most."""
+    t, v = s["speed"].t, s["speed"].values
+    grid = np.arange(t[0], t[-1], 0.1)
+    smooth = np.convolve(np.interp(grid, t, v), np.ones(20) / 20.0, "same")
+    pull = np.gradient(smooth, 0.1)
+    pulling = pull[pull > 0.2]
+    strong = pull > (np.quantile(pulling, 0.8) if len(pulling) else np.inf)
+    out = v.copy()
+    for start in grid[1:][strong[1:] & ~strong[:-1]]:
+        at = (t - start) / 2.0
+        inside = (at > 0.0) & (at < 1.0)
+        out[inside] = v[inside] * (1.0 + size * np.sin(np.pi * at[inside]) ** 2)
+    set_values(s, "speed", out)
+    return size
+
+
+def speedometer(s: Drive, size: float, rng: np.random.Generator, R: Array) -> float:
+    """The speed is that of the instrument, which by law never shows too little: above 10 km/h it
+    adds size [m/s] to the true one (UN Regulation 39, 5.3: up to 4 km/h and a tenth)."""
+    v = s["speed"].values
+    set_values(s, "speed", v + size * np.sign(v) * np.minimum(np.abs(v) * 3.6 / 10.0, 1.0))
+    return size
+
+
+def clock_step(s: Drive, size: float, rng: np.random.Generator, R: Array) -> float:
+    """The unit that stamps the speed sets its clock once: from then on stamps are late by size [s]
+    (ntpd steps a clock that is off by more than 0.128 s, RFC 5905, STEPT)."""
+    t = s["speed"].t
+    at = t[0] + rng.uniform(0.35, 0.65) * (t[-1] - t[0])
+    s["speed"] = Series(t + size * (t >= at), s["speed"].values)
+    return size
+
+
+def tyre_growth(s: Drive, size: float, rng: np.random.Generator, R: Array) -> float:
+    """Tyres grow with the square of the speed, by this share at 40 m/s, and wheels that count turns
+    show too little (Pacejka, Tyre and Vehicle Dynamics, 2012, 8.3.1: growth of the free radius)."""
+    v = s["speed"].values
+    set_values(s, "speed", v * (1.0 - size * (v / 40.0) ** 2))
+    return size
+
+
+def outer_wheel(s: Drive, size: float, rng: np.random.Generator, R: Array) -> float:
+    """The speed is that of the fastest wheel ("select high") and not of the middle: in a bend it is
+    too high by the yaw rate's amount times half the track, size [m] (Rajamani, Vehicle Dynamics and
+    Control, 2012, 8.2: speeds of the left and the right wheels)."""
+    gyro, t, v = s["gyro"], s["speed"].t, s["speed"].values
+    n = max(1, round(0.2 / float(np.median(np.diff(gyro.t)))))
+    upward = np.convolve(gyro.values @ R[2], np.ones(n) / n, "same")
+    turn = np.abs(np.interp(t, gyro.t, upward))
+    set_values(s, "speed", v + size * turn * (np.abs(v) > 0.5))
+    return size
+
+
+def tone_wheel(s: Drive, size: float, rng: np.random.Generator, R: Array) -> float:
+    """The speed is that of one wheel whose toothed ring is not centred: it swings by this share
+    once a turn of the wheel, 1.9 m (Persson, Gustafsson, Event based sampling with application to
+    vibration analysis in pneumatic tires, ICASSP 2001: errors of the teeth)."""
+    t, v = s["speed"].t, s["speed"].values
+    way = np.concatenate([[0.0], np.cumsum(0.5 * (v[1:] + v[:-1]) * np.diff(t))])
+    swing = np.sin(2.0 * np.pi * way / 1.9 + rng.uniform(0.0, 6.0))
+    set_values(s, "speed", v * (1.0 + size * swing))
+    return size
+
+
+def whole_kmh(s: Drive, size: float, rng: np.random.Generator, R: Array) -> float:
+    """The speed comes in whole steps of size [m/s], to the nearest (SAE J1979, PID 0x0D: one byte,
+    1 km/h a bit)."""
+    own = s["speed"]
+    s["speed"] = Series(own.t, size * np.round(own.values / size))
+    return size
+
+
+def slow_wheels(s: Drive, size: float, rng: np.random.Generator, R: Array) -> float:
+    """Passive (inductive) wheel sensors give too little voltage at a crawl: below size [m/s] the
+    speed says 0 (Tire Review, Passive wheel speed sensors: nothing at or below 2 mph)."""
+    own = s["speed"]
+    s["speed"] = Series(own.t, np.where(np.abs(own.values) <= size, 0.0, own.values))
+    return size
