@@ -1,6 +1,7 @@
 """Effects that the catalogue does not have, put into measured samples.
 
-Which were written when, what was left out then, and which judge ran them first: `history`.
+Which were written when, what was left out then, and which judge ran them first: `history`. The six
+of the last batch are not run before the judge of draw 29; the four before them have run in draw 23.
 """
 
 from __future__ import annotations
@@ -41,5 +42,11 @@ OUTSIDE: Mapping[str, tuple[Put, float, str]] = {
     "learned_zero": (gyroscope.learned_zero, float(np.deg2rad(3.0)), "gyro"),
     "whole_kmh": (speed.whole_kmh, 1.0 / 3.6, "speed"),
     "slow_wheels": (speed.slow_wheels, 0.9, "speed"),
+    "missing_bit": (accelerometer.missing_bit, 0.319, "accel"),
+    "brake_lamps": (accelerometer.brake_lamps, 0.3, "accel"),
+    "range_reset": (gyroscope.range_reset, 20.0, "gyro"),
+    "second_gyro": (gyroscope.second_gyro, float(np.deg2rad(0.3)), "gyro"),
+    "multipath": (speed.multipath, 0.4, "speed"),
+    "whole_seconds": (speed.whole_seconds, 1.0, "speed"),
 }
 """Effect, medium size [SI], signal that must be there."""

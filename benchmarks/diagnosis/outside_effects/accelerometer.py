@@ -127,3 +127,29 @@ def auto_zero(s: Drive, size: float, rng: np.random.Generator, R: Array) -> floa
         zeros[k + 1] = zero
     set_values(s, "accel", x - zeros[span])
     return size
+
+
+def missing_bit(s: Drive, size: float, rng: np.random.Generator, R: Array) -> float:
+    """One bit of the converter that all axes share stays 0: while it should be 1, an axis shows
+    size [m/s^2] too little (IEEE Std 1241-2010: missing codes; ISO 26262-5:2018, annex D: stuck-at
+    faults). Bit 3 of a 12-bit converter of 5 V weighs 9.8 mV, and a g is 300 mV (ADXL335 data
+    sheet). Each axis has its own zero among the codes."""
+    x = s["accel"].values
+    code = np.floor(x / size + rng.uniform(0.0, 2.0, 3))
+    set_values(s, "accel", x - size * (code % 2.0))
+    return size
+
+
+def brake_lamps(s: Drive, size: float, rng: np.random.Generator, R: Array) -> float:
+    """An analogue accelerometer that shares a poor ground with the brake lamps: while they are lit,
+    in braking and at a stop, each axis shows size [m/s^2] more. 4.5 A over 2 milliohm are 9 mV at
+    300 mV/g (ISO 16750-2:2012, 4.8: offsets of the reference ground up to 1 V; ADXL335 data
+    sheet)."""
+    t = s["accel"].t
+    grid = np.arange(t[0], t[-1], 0.1)
+    v = np.interp(grid, s["speed"].t, s["speed"].values)
+    smooth = np.convolve(v, np.ones(10) / 10.0, "same")
+    lit = (np.gradient(smooth, 0.1) < -0.4) | (v < 0.5)
+    on = np.interp(t, grid, lit.astype(float)) > 0.5
+    set_values(s, "accel", s["accel"].values + size * on[:, None])
+    return size

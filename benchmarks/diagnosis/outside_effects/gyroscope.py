@@ -89,3 +89,35 @@ def learned_zero(s: Drive, size: float, rng: np.random.Generator, R: Array) -> f
             zero = zero + shown * (2.0 * np.pi * 0.02 * dt)
     set_values(s, "gyro", x - zeros)
     return size
+
+
+def range_reset(s: Drive, size: float, rng: np.random.Generator, R: Array) -> float:
+    """Start-stop: where the engine starts again after a stop of 3 s and more, the supply falls so
+    far that the gyroscope's registers fall back to their reset values, +-250 deg/s in place of
+    +-500. It shows twice the rate, until the driver checks the registers size [s] later (MPU-9250
+    register map: awake after reset, FS_SEL 0; ISO 16750-2:2012, 4.6.3: starting profile). The
+    accelerometer is used in its default range and shows nothing of it."""
+    gyro, t, still = s["gyro"], s["speed"].t, s["speed"].values < 0.3
+    gain = np.ones(len(gyro.t))
+    for k in np.flatnonzero(still[:-1] & ~still[1:]) + 1:
+        moved = t[:k][~still[:k]]
+        if t[k] - (moved[-1] if len(moved) else t[0]) > 3.0:
+            start = t[k] - 1.0
+            gain[(gyro.t >= start) & (gyro.t < start + size)] = 2.0
+    set_values(s, "gyro", gyro.values * gain[:, None])
+    return size
+
+
+def second_gyro(s: Drive, size: float, rng: np.random.Generator, R: Array) -> float:
+    """Of two gyroscopes the first fails again and again for 10 to 40 s, and the second, whose zero
+    is size [rad/s] off on each axis, takes its place meanwhile (PX4-Autopilot,
+    DataValidatorGroup::get_best: the best sensor is shown, and the first again once it is sound).
+    0.05 deg/s a kelvin over 6 K (Bosch BMI160 data sheet: change of the zero with temperature)."""
+    t, x = s["gyro"].t, s["gyro"].values
+    second, at = np.zeros(len(t)), float(t[0]) + rng.uniform(10.0, 60.0)
+    while at < t[-1]:
+        runs = rng.uniform(10.0, 40.0)
+        second[(t >= at) & (t < at + runs)] = size
+        at += runs + rng.uniform(30.0, 120.0)
+    set_values(s, "gyro", x + second[:, None] * rng.choice([-1.0, 1.0], 3))
+    return size

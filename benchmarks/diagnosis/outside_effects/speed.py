@@ -100,3 +100,36 @@ def slow_wheels(s: Drive, size: float, rng: np.random.Generator, R: Array) -> fl
     own = s["speed"]
     s["speed"] = Series(own.t, np.where(np.abs(own.values) <= size, 0.0, own.values))
     return size
+
+
+def multipath(s: Drive, size: float, rng: np.random.Generator, R: Array) -> float:
+    """The speed is a satellite receiver's: between high buildings, 20 to 60 s at a time, reflected
+    signals with another Doppler shift put an error on it of rms size [m/s] that changes within 4 s
+    (Xie, Petovello, Measuring GNSS multipath distributions in urban canyon environments, IEEE
+    Transactions on Instrumentation and Measurement 64, 2015)."""
+    t, v = s["speed"].t, s["speed"].values
+    error, keep = np.zeros(len(t)), np.exp(-np.diff(t, prepend=t[0]) / 4.0)
+    for k in range(1, len(t)):
+        error[k] = keep[k] * error[k - 1]
+        error[k] += np.sqrt(1.0 - keep[k] ** 2) * rng.standard_normal()
+    high, at = np.zeros(len(t)), float(t[0]) + rng.uniform(10.0, 60.0)
+    while at < t[-1]:
+        runs = rng.uniform(20.0, 60.0)
+        high[(t >= at) & (t < at + runs)] = size
+        at += runs + rng.uniform(30.0, 120.0)
+    s["speed"] = Series(t, np.maximum(v + error * high * (v > 1.0), 0.0))
+    return size
+
+
+def whole_seconds(s: Drive, size: float, rng: np.random.Generator, R: Array) -> float:
+    """The logger of the speed has a clock of whole seconds, size [s], and asks it where a block is
+    written, every 8 to 12 s; stamps between are spread evenly (Maxim DS1307 data sheet: seconds are
+    its finest register). Half a second is added to what it says, so that stamps are right on
+    average."""
+    t = s["speed"].t
+    gaps = rng.uniform(8.0, 12.0, int((t[-1] - t[0]) / 8.0) + 3)
+    asked = t[0] - 12.0 + np.concatenate([[0.0], np.cumsum(gaps)])
+    phase = rng.uniform(0.0, size)
+    shown = size * (np.floor((asked + phase) / size) + 0.5) - phase
+    s["speed"] = Series(np.interp(t, asked, shown), s["speed"].values)
+    return size
