@@ -4,25 +4,29 @@ from __future__ import annotations
 
 import numpy as np
 from scipy.stats import chi2
+from scipy.stats import f as fisher
 
 from imucald.diagnosis.result import UNEVEN, Structure
 from imucald.diagnosis.score import Hypothesis, Problem, one_in_fifteen, what_leaves
 
 EVEN = ("accel_x", "accel_y", "accel_z")
 """Equations in which nothing of the road is left, nor of the springs."""
-LEAST_BLOCKS = 10
+LEAST_BLOCKS = 4
+"""Of fewer, half and the one that must not decide are not two groups."""
 CHANCE = 0.01
 """That a segment's noise alone is louder than what is taken for noise."""
+OF_MEDIAN = 2.0 / np.pi
+"""Variance of the mean over that of the median, of normal numbers."""
 
 
 def uneven(problem: Problem, drift: Hypothesis | None) -> list[Structure]:
     """Segments that leave more than their noise and than a correct file could: something acts in
     some of them that no parameter describes.
 
-    Noise is what half of the segments leave, and its scatter (chi-square of the coefficients of a
-    segment, 1 %). Beyond that a segment may leave what parameters off by their tolerances make in
-    it. One segment in fifteen must not decide. drift: of what was named and has no place in the
-    model file; it is fitted beside.
+    Noise is what half of the segments leave, and how one segment scatters beside their median
+    (Fisher's F, 1 %: of few segments the median is not known well). Beyond that a segment may leave
+    what parameters off by their tolerances make in it. One segment in fifteen must not decide.
+    drift: of what was named and has no place in the model file; it is fitted beside.
     """
     table, z = problem.table, what_leaves(problem, drift)
     found = []
@@ -34,7 +38,8 @@ def uneven(problem: Problem, drift: Hypothesis | None) -> list[Structure]:
         power = np.einsum("bi,bij,bj->b", z[there], gram, z[there])
         may = np.einsum("bjj,j->b", gram[:, 1:, 1:], table.tolerance**2)
         count = max(1, int(2.0 * table.seconds * table.top_hz[name]))
-        noise = float(np.median(power)) * chi2.isf(CHANCE, count) / chi2.median(count)
+        middle = float(np.median(power)) * count / chi2.median(count)
+        noise = middle * fisher.isf(CHANCE, count, OF_MEDIAN * count * len(power))
         over = np.sort((power - noise) / np.maximum(may, 1e-30))
         size = float(over[len(over) - one_in_fifteen(len(over)) - 1])
         if size > 1.0:
