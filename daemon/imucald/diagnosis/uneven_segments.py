@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy.stats import chi2
+from scipy.stats import beta, chi2
 from scipy.stats import f as fisher
 
 from imucald.diagnosis.result import UNEVEN, Structure
@@ -14,7 +14,7 @@ EVEN = ("accel_x", "accel_y", "accel_z")
 LEAST_BLOCKS = 4
 """Of fewer, half and the one that must not decide are not two groups."""
 CHANCE = 0.01
-"""That a segment's noise alone is louder than what is taken for noise."""
+"""That noise alone makes one segment in fifteen louder than what is taken for noise, and one more."""
 OF_MEDIAN = 2.0 / np.pi
 """Variance of the mean over that of the median, of normal numbers."""
 
@@ -24,9 +24,10 @@ def uneven(problem: Problem, drift: Hypothesis | None) -> list[Structure]:
     some of them that no parameter describes.
 
     Noise is what half of the segments leave, and how one segment scatters beside their median
-    (Fisher's F, 1 %: of few segments the median is not known well). Beyond that a segment may leave
-    what parameters off by their tolerances make in it. One segment in fifteen must not decide.
-    drift: of what was named and has no place in the model file; it is fitted beside.
+    (Fisher's F: of few segments the median is not known well), so far that more than one in fifteen
+    are beyond it with a chance of 1 % (binomial). Beyond that a segment may leave what parameters
+    off by their tolerances make in it. One segment in fifteen must not decide. drift: of what was
+    named and has no place in the model file; it is fitted beside.
     """
     table, z = problem.table, what_leaves(problem, drift)
     found = []
@@ -39,9 +40,12 @@ def uneven(problem: Problem, drift: Hypothesis | None) -> list[Structure]:
         may = np.einsum("bjj,j->b", gram[:, 1:, 1:], table.tolerance**2)
         count = max(1, int(2.0 * table.seconds * table.top_hz[name]))
         middle = float(np.median(power)) * count / chi2.median(count)
-        noise = middle * fisher.isf(CHANCE, count, OF_MEDIAN * count * len(power))
+        few, n = one_in_fifteen(len(power)), len(power)
+        # So that of n segments more than `few` are beyond it with that chance (Clopper, Pearson).
+        each = beta.ppf(CHANCE, few + 1, n - few)
+        noise = middle * fisher.isf(each, count, OF_MEDIAN * count * n)
         over = np.sort((power - noise) / np.maximum(may, 1e-30))
-        size = float(over[len(over) - one_in_fifteen(len(over)) - 1])
+        size = float(over[n - few - 1])
         if size > 1.0:
             text = (
                 f"one segment in fifteen leaves {np.sqrt(size):.2g} times what a correct file may "
