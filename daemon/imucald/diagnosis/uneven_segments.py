@@ -14,7 +14,7 @@ EVEN = ("accel_x", "accel_y", "accel_z")
 LEAST_BLOCKS = 4
 """Of fewer, half and the one that must not decide are not two groups."""
 CHANCE = 0.01
-"""That noise alone makes one segment in fifteen louder than what is taken for noise, and one more."""
+"""That noise alone makes more than one segment in fifteen louder than what is taken for noise."""
 OF_MEDIAN = 2.0 / np.pi
 """Variance of the mean over that of the median, of normal numbers."""
 
