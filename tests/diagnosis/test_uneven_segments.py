@@ -16,7 +16,12 @@ SEGMENTS, ROWS, TOLERANCE = 45, 60, 0.06
 
 
 def of_segments(
-    seed: int, extra=0.0, zero=0.0, segments: int = SEGMENTS, known_to: float = TOLERANCE
+    seed: int,
+    extra=0.0,
+    zero=0.0,
+    segments: int = SEGMENTS,
+    known_to: float = TOLERANCE,
+    gyro: bool = True,
 ) -> Problem:
     """Forward force with noise, a zero and a gain. extra: (segments,) noise that some have more;
     zero: (segments,) of each. known_to: tolerance of the zero."""
@@ -32,7 +37,8 @@ def of_segments(
         ("accel.bias.x", "accel.scale.0"), 100.0 * gram, {"accel_x": 100.0 * gram},
         np.full(segments, ROWS), 30.0 * np.arange(segments), np.zeros(segments, dtype=int),
         np.ones(segments), tolerance, np.zeros(2), np.array([[-1.0, 1.0], [-0.1, 0.1]]),
-        {"accel_x": 1.0}, 30.0, {"accel_x": plain}, np.zeros((segments, 2)), np.arange(segments),
+        {"accel_x": 1.0}, 30.0, {"accel_x": plain} | ({"gyro_x": plain} if gyro else {}),
+        np.zeros((segments, 2)), np.arange(segments),
     )  # fmt: skip
     return Problem(table, -tolerance, tolerance)
 
@@ -64,6 +70,11 @@ def test_what_acts_in_some_of_few_segments_is_reported_and_one_does_not_decide()
     assert [s.kind for s in uneven(of_segments(3, some, 0.0, 8), None)] != []
     one = np.where(np.arange(8) == 1, 3.0, 0.0)
     assert uneven(of_segments(4, one, 0.0, 8), None) == []
+
+
+def test_without_a_gyroscope_slopes_stand_in_the_segments_and_nothing_is_said():
+    some = np.where(np.arange(SEGMENTS) % 6 == 0, 0.3, 0.0)
+    assert uneven(of_segments(3, some, gyro=False), None) == []
 
 
 def test_what_a_correct_file_makes_of_some_segments_is_even():

@@ -10,7 +10,9 @@ from imucald.diagnosis.result import UNEVEN, Structure
 from imucald.diagnosis.score import Hypothesis, Problem, one_in_fifteen, what_leaves
 
 EVEN = ("accel_x", "accel_y", "accel_z")
-"""Equations in which nothing of the road is left, nor of the springs."""
+"""Equations in which nothing of the road is left, nor of the springs, where a gyroscope carries
+gravity."""
+CARRIED_BY = "gyro_x"
 LEAST_BLOCKS = 4
 """Of fewer, half and the one that must not decide are not two groups."""
 CHANCE = 0.01
@@ -30,7 +32,9 @@ def uneven(problem: Problem, drift: Hypothesis | None) -> list[Structure]:
     named and has no place in the model file; it is fitted beside.
     """
     table, z = problem.table, what_leaves(problem, drift)
-    found = []
+    found: list[Structure] = []
+    if CARRIED_BY not in table.plain:
+        return found  # each segment leaves its own road's slope
     for name in EVEN:
         there = table.by_equation[name][:, 0, 0] > 0.0 if name in table.plain else np.zeros(0, bool)
         if there.sum() < LEAST_BLOCKS:
