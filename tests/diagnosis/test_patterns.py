@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy.fft import dct
 
 from imucald.core.samples import Series
 from imucald.diagnosis.chance import beyond_chance
@@ -45,14 +46,17 @@ def test_a_sound_sensor_holds_no_value_nor_does_a_coarse_one(lsb, noise):
     assert held_values([drive(lsb=lsb, noise=noise)]) == []
 
 
-def left_over(kind: str, size: float, seed: int = 5):
+def left_over(kind: str, size: float, seed: int = 5, blocks: int = BLOCKS, rows: int = ROWS,
+              quiet: int = 0):  # fmt: skip
     """Blocks of a residual of unit noise with a shape in it. Truth by its own formula.
 
-    turning: of a yaw rate of its own [rad/s], of either sign.
+    turning: of a yaw rate of its own [rad/s], of either sign. quiet: last blocks in which the
+    signal hardly moves.
     """
     rng = np.random.default_rng(seed)
-    n = BLOCKS * ROWS
+    n = blocks * rows
     x = np.convolve(rng.standard_normal(n + 8), np.ones(9) / 3.0, "valid")
+    x[n - quiet * rows :] *= 0.05
     held, state = np.zeros(n), 0.0
     for k in range(n):
         state = float(np.sign(x[k])) if abs(x[k]) > np.std(x) else state
@@ -63,37 +67,40 @@ def left_over(kind: str, size: float, seed: int = 5):
     )
     amount = np.gradient(np.abs(0.02 * rate), 0.1)
     made = {"line": x, "memory": held, "bent": np.tanh(2.0 * x), "late on one side": one_sided,
-            "turning": amount,
+            "uneven gain": np.abs(x), "turning": amount,
             "turning to one side": np.gradient(0.02 * rate, 0.1)}[kind]  # fmt: skip
     y = 0.05 * rng.standard_normal(n) + size * made
     of_signal, shaken = _shapes(x, 1.0), rng.random((n, len(SHAKEN_S)))
     every = np.concatenate([of_signal, shaken, amount[:, None]], axis=1)
-    shapes = every.reshape(BLOCKS, ROWS, -1)
-    tilt = np.ones((BLOCKS, ROWS, 1))
-    return _gram([ShapeRows(y.reshape(BLOCKS, ROWS), shapes, tilt, ROWS)])
+    shapes = every.reshape(blocks, rows, -1)
+    tilt = np.ones((blocks, rows, 1))
+    # Blocks are handed over transformed; time in a block counts where parts of it are told apart.
+    y, shapes, tilt = (dct(part, type=2, axis=1, norm="ortho")
+                       for part in (y.reshape(blocks, rows), shapes, tilt))  # fmt: skip
+    return _gram([ShapeRows(y, shapes, tilt, rows)])
 
 
-def patterns_of(*of_equation):
-    return beyond_chance(list(_asked(*of_equation)))
+def patterns_of(name, gram):
+    return beyond_chance(list(_asked(name, gram)))
 
 
 @pytest.mark.parametrize("kind", ["memory", "bent", "late on one side"])
 def test_what_depends_on_its_own_signal_is_seen(kind):
-    gram, squares = left_over(kind, 0.15)
-    found = patterns_of("accel_x", gram, squares)
+    gram = left_over(kind, 0.15)
+    found = patterns_of("accel_x", gram)
     assert len(found) == 1
     assert found[0].signal == "accel_x"
 
 
 @pytest.mark.parametrize("seed", range(6))
 def test_what_is_linear_in_its_signal_is_no_pattern(seed):
-    gram, squares = left_over("line", 0.3, seed)
-    assert patterns_of("accel_x", gram, squares) == []
+    gram = left_over("line", 0.3, seed)
+    assert patterns_of("accel_x", gram) == []
 
 
 def test_a_speed_that_goes_with_the_amount_of_turning_is_seen_whatever_its_zero_may_be():
-    gram, squares = left_over("turning", -0.75)
-    found = patterns_of("accel_x", gram, squares)
+    gram = left_over("turning", -0.75)
+    found = patterns_of("accel_x", gram)
     assert [s.signal for s in found] == ["accel_x"]
     assert "how much the vehicle turns" in found[0].text
 
@@ -103,19 +110,39 @@ def test_a_speed_that_goes_with_the_amount_of_turning_is_seen_whatever_its_zero_
 )
 def test_a_speed_of_a_point_beside_the_middle_does_not_go_with_the_amount(kind, metres):
     """0.2 m: no more than that point is known to. To one side: the signed rate, which is odd."""
-    gram, squares = left_over(kind, metres)
-    assert not any("turns" in s.text for s in patterns_of("accel_x", gram, squares))
+    gram = left_over(kind, metres)
+    assert not any("turns" in s.text for s in patterns_of("accel_x", gram))
 
 
 def test_less_than_a_correct_zero_may_be_is_not_reported():
-    gram, squares = left_over("memory", 0.02)
-    assert patterns_of("accel_x", gram, squares) == []
+    gram = left_over("memory", 0.02)
+    assert patterns_of("accel_x", gram) == []
 
 
 def test_of_what_is_linear_chances_are_no_smaller_than_they_say():
-    """By blocks and by rows, each with its own law."""
-    p = [q.p for seed in range(60) for q in _asked("accel_x", *left_over("line", 0.1, seed))]
-    assert np.mean(np.array(p) < 0.05) < 0.05
+    """By parts and by rows, each with its own law; 0.01 is chance of the count."""
+    p = [q.p for seed in range(60) for q in _asked("accel_x", left_over("line", 0.1, seed))]
+    assert np.mean(np.array(p) < 0.05) < 0.06
+
+
+@pytest.mark.parametrize("quiet", [0, 6])
+def test_of_few_blocks_chances_are_no_smaller_than_they_say(quiet):
+    """Nine blocks of 20 s, also where three of them hold all that there is to know."""
+    made = [left_over("line", 0.1, seed, 9, 200, quiet) for seed in range(60)]
+    p = np.array([q.p for gram in made for q in _asked("accel_x", gram)])
+    assert np.mean(p < 0.05) < 0.05
+    assert np.mean(p < 0.002) < 0.002
+
+
+def test_of_few_blocks_what_depends_on_its_own_signal_is_seen():
+    assert patterns_of("accel_x", left_over("memory", 0.15, 5, 9, 200)) != []
+
+
+@pytest.mark.parametrize(("share", "seen"), [(0.08, True), (0.01, False)])
+def test_a_gain_that_differs_between_the_sides_is_held_against_what_a_gain_may_be(share, seen):
+    """Of a signal of rms 1; 8 % of its amount is 0.05 about its mean, below a zero's 0.06."""
+    found = patterns_of("accel_x", left_over("uneven gain", share, 5, 120))
+    assert any("one side and the other" in s.text for s in found) == seen
 
 
 def test_memory_is_that_of_the_last_large_value():

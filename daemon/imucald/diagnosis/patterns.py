@@ -10,12 +10,13 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.fft import idct
 from scipy.stats import norm
 from scipy.stats import t as student
 
 from imucald.core.samples import GRAVITY
 from imucald.diagnosis.blocks import LEAST_SHARE, cosine, noise_weights
-from imucald.diagnosis.causes import PARAMETERS
+from imucald.diagnosis.causes import MODEL_ERROR, PARAMETERS
 from imucald.diagnosis.chance import Question
 from imucald.diagnosis.forward import UNITS, Forward
 from imucald.diagnosis.result import GOES_WITH_LEVEL, GOES_WITH_SHAKING, Structure
@@ -23,13 +24,24 @@ from imucald.diagnosis.sandwich import scatters, variances
 from imucald.diagnosis.score import Problem, without_best
 from imucald.diagnosis.signals import STEP_S, Array
 from imucald.diagnosis.trials import SINGLE_NATS
+from imucald.mount.mount_words import SD_95
 
 ASKED = ("accel_x", "accel_y", "gyro_z", "lateral_accel", "longitudinal_accel")
 """Equations that know their signal from another sensor."""
 ZERO: Mapping[str, str] = {"gyro_z": "gyro.bias.z", "accel_x": "accel.bias.x",
                            "accel_y": "accel.bias.y"}  # fmt: skip
 """A zero error that a correct file may have: less than that is not reported."""
+GAIN: Mapping[str, str] = {
+    "accel_x": "speed.scale", "accel_y": "gyro.scale.2", "gyro_z": "gyro.scale.2",
+    "lateral_accel": "lateral_accel.scale", "longitudinal_accel": "longitudinal_accel.scale",
+}  # fmt: skip
+"""A gain that a correct file may have wrong, with what the equations err by."""
+GAINS = ("bent", "one-sided", "steeper")
+"""Shapes that are a gain which goes with the value: held against what a gain may be wrong by."""
 LEAST_BLOCKS = 8
+CLUSTER_S = 5.0
+"""Parts of a block whose scatter is taken beside that of blocks: as long as a manoeuvre lasts. What
+is whitened is independent after half the period of the band's end, a second or two."""
 LARGE = (0.5, 1.0, 2.0)
 """Times its rms: from where on a value may leave something behind. Octaves, of which one lies
 within a factor of 1.4 of any such level: the sign is then mostly the same."""
@@ -71,6 +83,21 @@ class ShapeRows:
     """Samples a block."""
 
 
+@dataclass(frozen=True)
+class Grams:
+    """Of one equation, whitened, the tilt projected out; residual first."""
+
+    parts: Array
+    """(B, C, P, P) of each block's parts, one or more."""
+    squares: Array
+    """(B, P) mean squares in their units."""
+
+    @property
+    def blocks(self) -> Array:
+        """(B, P, P)"""
+        return np.asarray(self.parts.sum(axis=1))
+
+
 def patterns(problem: Problem, forwards: Sequence[Forward]) -> list[Question]:
     """Residuals that depend on their own signal in a way that is not linear.
 
@@ -86,9 +113,9 @@ def patterns(problem: Problem, forwards: Sequence[Forward]) -> list[Question]:
     grams = {name: _gram(own) for name, own in parts.items()}
     return [
         question
-        for name, (gram, size) in grams.items()
-        if len(gram) >= LEAST_BLOCKS
-        for question in _asked(name, gram, size)
+        for name, gram in grams.items()
+        if len(gram.parts) >= LEAST_BLOCKS
+        for question in _asked(name, gram)
     ]
 
 
@@ -118,9 +145,7 @@ def _of_drive(
     return made
 
 
-def _gram(parts: Sequence[ShapeRows]) -> tuple[Array, Array]:
-    """Matrices (B, P, P) of whitened rows, residual first, the tilt projected out; and the mean
-    squares (B, P) in their units."""
+def _gram(parts: Sequence[ShapeRows]) -> Grams:
     A = np.concatenate([np.concatenate([p.y[:, :, None], p.X], axis=2) for p in parts])
     Z = np.concatenate([p.tilt for p in parts])
     A = _without(A, Z)
@@ -131,7 +156,15 @@ def _gram(parts: Sequence[ShapeRows]) -> tuple[Array, Array]:
     left = A[:, :, 0] - A[:, :, 1:3] @ line
     w = noise_weights(left, np.ones(len(A), dtype=bool))[:, :, None]
     A = _without(A * w, Z * w)
-    return np.swapaxes(A, 1, 2) @ A, squares
+    return Grams(_in_time(A, parts[0].rows * STEP_S), squares)
+
+
+def _in_time(A: Array, seconds: float) -> Array:
+    """Gram matrices (B, C, P, P) of the parts of transformed blocks (B, K, P), one after another
+    (Parseval: they add up to the block's)."""
+    count = max(1, min(round(seconds / CLUSTER_S), A.shape[1]))
+    cut = np.array_split(idct(A, type=2, axis=1, norm="ortho"), count, axis=1)
+    return np.stack([np.swapaxes(x, 1, 2) @ x for x in cut], axis=1)
 
 
 def _without(A: Array, Z: Array) -> Array:
@@ -183,12 +216,13 @@ def _shaken(f: Forward, seconds: float) -> Array:
     return np.asarray((mean - low) / max(float(high - low), 1e-12))
 
 
-def _asked(name: str, gram: Array, squares: Array) -> Iterator[Question]:
+def _asked(name: str, gram: Grams) -> Iterator[Question]:
+    squares = gram.squares
     for k, shape in enumerate(SHAPES):
         if not squares[:, 3 + k].any():
             continue  # not asked of this equation
         index = [0, 1, 2, 3 + k]
-        value, sigma, p, gain = _fit(gram[:, index][:, :, index])
+        value, sigma, p, gain = _fit(gram.parts[:, :, index][:, :, :, index])
         size = abs(value) * float(np.sqrt(squares[:, 3 + k].mean()))
         kind = GOES_WITH_LEVEL
         if shape == LATE:
@@ -204,6 +238,8 @@ def _asked(name: str, gram: Array, squares: Array) -> Iterator[Question]:
             # From one end of what a zero may be to the other.
             kind, size = GOES_WITH_SHAKING, abs(value)
             is_large = size > 2.0 * _least(name)
+        elif shape in GAINS:
+            is_large = size > _gain(name) * float(np.sqrt(squares[:, 1].mean()))
         else:
             is_large = size > _least(name)
         text = f"what is left {SHAPES[shape]}: {size:.2g} {UNITS[name]}, {sigma:.1f} deviations"
@@ -215,30 +251,53 @@ def _least(name: str) -> float:
     return row.tolerance if row is not None else 0.003 * GRAVITY
 
 
-def _fit(gram: Array) -> tuple[float, float, float, float]:
-    """Of the last column beside the others: value, its deviations, its chance, and nats on blocks
-    that its fit did not see. gram: (B, 1 + P, 1 + P), residual first.
+def _gain(name: str) -> float:
+    """Share of the value that a gain may be wrong by."""
+    key = GAIN[name]
+    base = next(k for k in MODEL_ERROR if key.startswith(k))
+    return PARAMETERS[key].tolerance + SD_95 * MODEL_ERROR[base]
 
-    It must be beyond chance by how the blocks scatter (Student, as many as there are) and by the
-    noise of all rows (normal), each with its own law: the larger deviation is not held against the
-    few blocks if it is not theirs.
+
+def _fit(parts: Array) -> tuple[float, float, float, float]:
+    """Of the last column beside the others: value, its deviations, its chance, and nats on blocks
+    that its fit did not see. parts: (B, C, 1 + P, 1 + P), residual first.
+
+    It must be beyond chance by how the parts scatter (Student, as many as hold something on it) and
+    by the noise of all rows (normal), each with its own law: the larger deviation is not held
+    against the few parts if it is not theirs.
     """
+    gram = parts.sum(axis=1)
     total = gram.sum(axis=0)
     value, whole = _solved(total), total[1:, 1:]
-    score = gram[:, 1:, 0] - gram[:, 1:, 1:] @ value
+    fine = parts.reshape(-1, *parts.shape[2:])
     inverse = np.linalg.pinv(whole)
-    blocks = max(float(variances(inverse, way)[-1]) for way in scatters(score, len(value)))
+    blocks = max(
+        float(variances(inverse, way)[-1])
+        for some in (gram, fine)
+        for way in scatters(some[:, 1:, 0] - some[:, 1:, 1:] @ value, len(value))
+    )
     rows = float(variances(inverse, whole)[-1])
     if min(blocks, rows) <= 0.0:  # rounding: nothing is known
         return float(value[-1]), 0.0, 1.0, 0.0
     by_blocks, by_rows = abs(value[-1]) / np.sqrt(blocks), abs(value[-1]) / np.sqrt(rows)
-    p = 2.0 * max(float(student.sf(by_blocks, len(gram) - 1)), float(norm.sf(by_rows)))
+    freedom = _effective(fine[:, 1:, 1:], inverse[-1]) - 1.0
+    p = 2.0 * max(float(student.sf(by_blocks, freedom)), float(norm.sf(by_rows)))
     gain = np.empty(len(gram))
     for b in range(len(gram)):
         rest = total - gram[b]
         with_it, without = _solved(rest), np.append(_solved(rest[:-1, :-1]), 0.0)
         gain[b] = 0.5 * (_loss(gram[b], without) - _loss(gram[b], with_it))
     return float(value[-1]), float(min(by_blocks, by_rows)), p, without_best(gain)
+
+
+def _effective(inner: Array, row: Array) -> float:
+    """How many parts a value rests on: their number, less where they hold unequal shares of it
+    (effective number of clusters; Carter, Schnepel and Steigerwald 2017); more than one.
+
+    inner: (C, P, P) of the columns. row: (P,) of the inverse Hessian.
+    """
+    share = np.einsum("i,cij,j->c", row, inner, row)
+    return max(float(share.sum() ** 2 / max(float(share @ share), 1e-300)), 1.0 + 1e-6)
 
 
 def _solved(gram: Array) -> Array:
