@@ -127,12 +127,12 @@ def _noise(state: State, top_hz: float) -> float:
 
 def what_is_left(problem: Problem, state: State) -> list[Structure]:
     """Structure beyond what roads and noise leave. problem: of the model as it was extended."""
-    spectra = _spectra(problem, state.forwards)
-    peaks = _peaks(spectra, _cut_offs(state.changes))
+    spectra = spectra_of(problem, state.forwards)
+    peaks = _peaks(spectra, cut_offs(state.changes))
     return [*_shared(spectra, state.forwards), *peaks, *_shaken(problem, state)]
 
 
-def _spectra(problem: Problem, forwards: Sequence[Forward]) -> Mapping[str, Spectra]:
+def spectra_of(problem: Problem, forwards: Sequence[Forward]) -> Mapping[str, Spectra]:
     """Transforms (B, F) of each equation's residual while driving, in its unit; NaN rows where it
     was not there. Beside them `_steering` and `_turning`, which move the vehicle.
 
@@ -159,7 +159,7 @@ def _spectra(problem: Problem, forwards: Sequence[Forward]) -> Mapping[str, Spec
     return {name: np.concatenate(p) for name, p in parts.items()}
 
 
-def _as_loud(z: Spectra) -> Spectra:
+def as_loud(z: Spectra) -> Spectra:
     """Each block as loud as the others."""
     loud = np.sqrt(np.mean(np.abs(z[:, 2:]) ** 2, axis=1, keepdims=True))
     return np.asarray(z / np.maximum(loud, 1e-30))
@@ -212,8 +212,8 @@ def _common(a: Spectra, b: Spectra, known: Spectra, band: Mask) -> tuple[float, 
     """Partial coherence in a band, how much of `a` that is [its unit], and what chance gives."""
     one = a[:, band]
     size = float(np.sqrt(np.sum(np.abs(one) ** 2, axis=1).mean()))
-    u = _left_of(_as_loud(a)[:, band], known[:, band])
-    w = _left_of(_as_loud(b)[:, band], known[:, band])
+    u = _left_of(as_loud(a)[:, band], known[:, band])
+    w = _left_of(as_loud(b)[:, band], known[:, band])
     cross = abs(np.sum(u * w.conj())) ** 2
     share = float(cross / (np.sum(np.abs(u) ** 2) * np.sum(np.abs(w) ** 2)))
     segments = (len(a) - known.shape[2]) * band.sum() / HANN_BINS
@@ -239,7 +239,7 @@ def _left_of(z: Spectra, known: Spectra) -> Spectra:
     return left
 
 
-def _cut_offs(changes: Mapping[str, float]) -> list[tuple[str, float, float]]:
+def cut_offs(changes: Mapping[str, float]) -> list[tuple[str, float, float]]:
     """Signal, and from where to where [Hz] the low-pass that a found delay x may be leaves a peak:
     within an octave of its cut-off, 1/(2 pi x) of first order, sqrt 2/(2 pi x) of second. Below it
     a delay does as well, above it no motion is. What is younger than stated is late nowhere: the
@@ -262,7 +262,7 @@ def _peaks(
     for name in PEAKED:
         if name not in spectra:
             continue
-        z = _as_loud(spectra[name][np.isfinite(spectra[name][:, 0])])
+        z = as_loud(spectra[name][np.isfinite(spectra[name][:, 0])])
         if len(z) < LEAST_BLOCKS:
             continue
         power = np.mean(np.abs(z) ** 2, axis=0)
