@@ -59,6 +59,8 @@ FIRST_ORDER_S_HZ = 1.0 / (2.0 * np.pi)
 """Delay of a first-order low-pass well below its cut-off, times the cut-off."""
 OCTAVE = 2.0
 SENSED = tuple(dict.fromkeys(signal for signals in TAKES.values() for signal in signals))
+DRIVEN = ("_winding", "_braking")
+"""Accelerations sideways and forward that the driver makes."""
 DRIVING_MPS = 2.0
 QUICK_HZ = 40.0
 """An accelerometer that is sampled faster sees the shaking."""
@@ -149,6 +151,10 @@ def spectra_of(problem: Problem, forwards: Sequence[Forward]) -> Mapping[str, Sp
             leveled["_turning"] = v * f.yaw_rate().reshape(v.shape)
             leveled["_steering"] = f.scalar("steering", {}).reshape(v.shape)
             masks |= dict.fromkeys(("_turning", "_steering"), masks["yaw_rate"])
+        if f.has_turning and "accel_x" in leveled:
+            leveled["_winding"] = v * f.yaw_rate().reshape(v.shape)
+            leveled["_braking"] = np.asarray(np.gradient(v, STEP_S, axis=1))
+            masks |= dict.fromkeys(DRIVEN, masks["accel_x"])
         # Squares of all bins add up to the mean square of a row.
         window = np.hanning(f.rows) * np.sqrt(2.0 / (0.375 * f.rows**2))
         for name, y in leveled.items():
@@ -212,8 +218,8 @@ def _common(a: Spectra, b: Spectra, known: Spectra, band: Mask) -> tuple[float, 
     """Partial coherence in a band, how much of `a` that is [its unit], and what chance gives."""
     one = a[:, band]
     size = float(np.sqrt(np.sum(np.abs(one) ** 2, axis=1).mean()))
-    u = _left_of(as_loud(a)[:, band], known[:, band])
-    w = _left_of(as_loud(b)[:, band], known[:, band])
+    u = left_of_known(as_loud(a)[:, band], known[:, band])
+    w = left_of_known(as_loud(b)[:, band], known[:, band])
     cross = abs(np.sum(u * w.conj())) ** 2
     share = float(cross / (np.sum(np.abs(u) ** 2) * np.sum(np.abs(w) ** 2)))
     segments = (len(a) - known.shape[2]) * band.sum() / HANN_BINS
@@ -231,7 +237,7 @@ def _calm(v: Array) -> float:
     return CALM * AIR * float(np.sqrt(np.mean(part * v**4)))
 
 
-def _left_of(z: Spectra, known: Spectra) -> Spectra:
+def left_of_known(z: Spectra, known: Spectra) -> Spectra:
     """(B, F) less what is linear in the inputs (B, F, 2), frequency by frequency."""
     left = z.copy()
     for i in range(z.shape[1]):

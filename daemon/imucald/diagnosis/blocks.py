@@ -135,7 +135,9 @@ class MadeLater(Mapping[str, Array]):
 
 @dataclass
 class Rows:
-    """One equation of one drive, transformed: y (B, K), X (B, K, P), tilt (B, K, 2) or None."""
+    """One equation of one drive, transformed: y (B, K), X (B, K, P), tilt (B, K, 2) or None.
+
+    good: (B,) blocks in which enough of it is there."""
 
     y: Array
     X: Array
@@ -223,6 +225,7 @@ def cosine(x: Array, mask: Mask, count: int) -> Array:
 
 
 def joined(parts: Sequence[Rows]) -> Rows:
+    """Rows of one drive after another."""
     tilt = None
     if parts[0].tilt is not None:
         tilt = np.concatenate([p.tilt for p in parts if p.tilt is not None])
@@ -290,7 +293,7 @@ def _inner(Z: Array) -> Array:
     return np.asarray(np.swapaxes(Z, 1, 2) @ Z + 1e-9 * np.eye(2))
 
 
-def _tilt_of(rows: _Rows) -> Array:
+def _tilt_of(rows: Rows) -> Array:
     assert rows.tilt is not None
     return rows.tilt
 

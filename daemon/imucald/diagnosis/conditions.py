@@ -8,7 +8,7 @@ import numpy as np
 from scipy.signal import lfilter
 
 from imucald.diagnosis.forward import Forward
-from imucald.diagnosis.signals import STANDING_MPS, STEP_S, Array, Channel
+from imucald.diagnosis.signals import STANDING_MPS, STEP_S, Array, Channel, Mask
 
 SMOOTH_S = 1.0
 """What turns and brakes a vehicle lasts longer than this."""
@@ -46,7 +46,7 @@ def conditions(f: Forward) -> dict[str, Array]:
     }
 
 
-def _of(x: Array, moves: Array, what: str, side: str) -> Mapping[str, Array]:
+def _of(x: Array, moves: Mask, what: str, side: str) -> Mapping[str, Array]:
     """Direction and amount of a quantity (N,), now and before. Its usual size is its rms."""
     z = x / max(float(np.sqrt(np.mean(x[moves] ** 2))), 1e-12)
     last = np.maximum.accumulate(np.where(np.abs(z) > 1.0, np.arange(len(z)), 0))
@@ -71,7 +71,7 @@ def _smooth(x: Array) -> Array:
     return np.asarray(np.convolve(x, np.ones(n) / n, "same"))
 
 
-def _since(stands: Array) -> Array:
+def _since(stands: Mask) -> Array:
     """(N,) how long ago [s] the vehicle stood; for ever, where it did not."""
     rows = np.arange(len(stands))
     last = np.maximum.accumulate(np.where(stands, rows, -1))

@@ -27,8 +27,8 @@ from imucald.diagnosis.faults import find_faults, invalid_spans
 from imucald.diagnosis.gain import gain_of, summed
 from imucald.diagnosis.held_values import held_values
 from imucald.diagnosis.intervals import estimate, quantile
-from imucald.diagnosis.lost_readings import Lost, all_lost, as_structure
 from imucald.diagnosis.lines import lines
+from imucald.diagnosis.lost_readings import Lost, all_lost, as_structure
 from imucald.diagnosis.louder import louder, with_leaves
 from imucald.diagnosis.orders import orders
 from imucald.diagnosis.pairs import pairs

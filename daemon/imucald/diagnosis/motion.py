@@ -251,7 +251,7 @@ class VehicleMotion:
     def _by_steering(self) -> Array:
         """Single track: r = v (delta - K (f_y - v r))/(L + K v^2), where delta is the angle as the
         vehicle follows it (Rajamani, Vehicle Dynamics and Control, ch. 2, 3)."""
-        f, c, once = self.f, self.f.model.chassis, self.once
+        c, once = self.f.model.chassis, self.once
         ratio = c.steering_ratio + self.changes.get("chassis.steering_ratio", 0.0)
         gradient = c.understeer_gradient + self.changes.get("chassis.understeer_gradient", 0.0)
         steer = self._scalar("steering")

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from scipy.stats import gamma
@@ -25,10 +26,11 @@ from imucald.diagnosis.state import State
 
 ROUND_M = 1.5, 2.3
 """Once round a tyre of a passenger car or van: 155/65 R13 is 1.60 m, 235/65 R17 is 2.27 m."""
-HARMONICS = 2
+ONCE = {1: "once", 2: "twice"}
+"""A turn: how often a wheel that is not centred, and one that is oval, swings."""
 RUN_OUT = 1.5 / 300.0
-"""Of the radius: a tyre on its wheel that is less round is to be exchanged (1.5 mm, workshop manuals
-of cars). A ring of teeth or magnets in a bearing is rounder."""
+"""Of the radius: a tyre on its wheel that is less round is to be exchanged (1.5 mm, workshop
+manuals of cars). A ring of teeth or magnets in a bearing is rounder."""
 DRIVING_MPS = 3.0
 LEAST_KNOTS = 20
 LEAST_SEGMENTS = 6
@@ -68,7 +70,7 @@ def asked_of(forwards: Sequence[Forward], changes: Mapping[str, float]) -> list[
     longest = max(float(s.way[-1] - s.way[0]) for s in some)
     low, high = 1.0 / ROUND_M[1], 1.0 / ROUND_M[0]
     made = []
-    for k in range(1, HARMONICS + 1):
+    for k in ONCE:
         count = int(FINE * k * (high - low) * longest) + 1
         made.append(_question(some, np.linspace(k * low, k * high, count), k))
     return made
@@ -89,9 +91,9 @@ def _question(some: Sequence[Stretch], turns: Array, harmonic: int) -> Question:
     p = min(len(turns) * float(gamma.sf(total[best] / usual, kept)), 1.0)
     size = float(np.sqrt(max(powers[:, best].sum(), 0.0) / energies[:, best].sum()))
     text = (
-        f"what is left swings {'once' if harmonic == 1 else 'twice'} in {harmonic / turns[best]:.2f}"
-        f" m of the way, by {100.0 * size:.2g} % of the speed to either side: it goes round with a "
-        f"wheel, where a sound one makes {100.0 * RUN_OUT:.2g} %"
+        f"what is left swings {ONCE[harmonic]} in {harmonic / turns[best]:.2f} m of the way, by "
+        f"{100.0 * size:.2g} % of the speed to either side: it goes round with a wheel, where a "
+        f"sound one makes {100.0 * RUN_OUT:.2g} %"
     )
     return Question(p, size > RUN_OUT, Structure("accel_x", TURNS_WITH_WHEEL, size / RUN_OUT, text))
 
@@ -132,10 +134,10 @@ def _stretches(f: Forward, changes: Mapping[str, float]) -> Iterator[Stretch]:
     block = np.where(good, row // f.rows, -1)
     edges = np.flatnonzero(np.diff(block, prepend=-2, append=-2))
     longest: dict[int, tuple[int, int]] = {}
-    for first, last in zip(edges[:-1], edges[1:], strict=True):
+    for first, last in pairwise(edges.tolist()):
         b = int(block[first])
-        if b >= 0 and last - first >= np.diff(longest.get(b, (0, 0)))[0]:
-            longest[b] = int(first), int(last)
+        if b >= 0 and last - first > _length(longest.get(b, (0, 0))):
+            longest[b] = first, last
     for first, last in longest.values():
         q = SLOW_TERMS + len(tilt)
         if last - first + 1 < max(LEAST_KNOTS, FREE * q / 2.0):
@@ -149,6 +151,10 @@ def _stretches(f: Forward, changes: Mapping[str, float]) -> Iterator[Stretch]:
         y = -sums[0]
         own = slice(first, last + 1)
         yield Stretch(way[own], v[own], y - known @ (known.T @ y), known)
+
+
+def _length(span: tuple[int, int]) -> int:
+    return span[1] - span[0]
 
 
 def _summed(x: Array) -> Array:

@@ -100,6 +100,8 @@ def asked_of(
     top_hz: Mapping[str, float], x: Array, plausible: Array,
 ) -> list[Question]:  # fmt: skip
     """Of drives beside a model file. x: (P,) departures that fit them, by keys."""
+    if not all(f.has_gravity for f in forwards):
+        return []  # the road's slope is left, and goes with anything
     some = [conditions(f) for f in forwards]
     asked = [
         (error, name)
@@ -174,7 +176,7 @@ def _unit(f: Forward, error: Error) -> Array:
         return np.tile(np.eye(3)[error.axis], (len(f.t), 1))
     if error.signal == "accel" and f.reference is not None:
         # One g upright is a zero.
-        return f.reference.force * np.array([1.0, 1.0, 0.0])
+        return np.asarray(f.reference.force * np.array([1.0, 1.0, 0.0]))
     if error.signal == "gyro" and f.reference is not None and f.reference.rate is not None:
         return f.reference.rate
     if error.signal == "speed":
