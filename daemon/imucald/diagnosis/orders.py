@@ -49,6 +49,7 @@ class Stretch:
     way: Array
     """Travelled [m]."""
     speed: Array
+    """As the accelerometer says it beside the speed's slow parts [m/s]."""
     left: Array
     """Speed less what the accelerometer says of it [m/s], slow parts taken off."""
     known: Array
@@ -126,7 +127,6 @@ def _stretches(f: Forward, changes: Mapping[str, float]) -> Iterator[Stretch]:
     tilt = [x.ravel() for x in found.tilt["accel_x"]]
     knots, v = f.knots, np.abs(f.drive.knots.values)
     dt = np.diff(knots)
-    way = np.concatenate([[0.0], np.cumsum(0.5 * (v[1:] + v[:-1]) * dt)])
     # Between two knots the equation is one number, which lasts.
     row = np.clip(np.searchsorted(f.t, 0.5 * (knots[1:] + knots[:-1])), 0, len(f.t) - 1)
     inside = (knots[:-1] >= f.t[0]) & (knots[1:] <= f.t[-1])
@@ -149,8 +149,11 @@ def _stretches(f: Forward, changes: Mapping[str, float]) -> Iterator[Stretch]:
         known = np.linalg.qr(np.column_stack([slow, *sums[1:]]))[0]
         # What is left of the force is the speed's slope with the other sign.
         y = -sums[0]
-        own = slice(first, last + 1)
-        yield Stretch(way[own], v[own], y - known @ (known.T @ y), known)
+        y -= known @ (known.T @ y)
+        # The way of a speed that swings between its samples is none.
+        smooth = v[first : last + 1] - y
+        way = _summed(0.5 * (smooth[1:] + smooth[:-1]) * dt[part])
+        yield Stretch(way, smooth, y, known)
 
 
 def _length(span: tuple[int, int]) -> int:

@@ -280,19 +280,24 @@ def _test(u: Array, h: Array) -> tuple[float, float, float, float]:
     """Value, its deviations, its chance, and nats on blocks that its fit did not see. u, h: (B,
     PARTS) slope and curvature of the loss.
 
-    Its deviation is the largest of the scatter between parts of segments, with their neighbours and
-    without, of that between segments likewise, and of the noise of all rows. What is known of it
-    lies in (sum h)^2 / sum h^2 parts (Carter, Schnepel and Steigerwald 2017).
+    Its deviation is by the scatter between parts of segments or between segments, whichever is
+    larger, with as many as what is known of it lies in; and by the noise of all rows.
     """
     information = float(h.sum())
     value = float(u.sum()) / information
     left = u - h * value
-    by_part, by_block = left.reshape(-1, 1), left.sum(axis=1)[:, None]
-    some = [float(v[0, 0]) for s in (by_part, by_block) for v in scatters(s, 1)]
-    by = abs(float(u.sum())) / np.sqrt(max(*some, 1e-300))
-    by_rows = abs(value) * np.sqrt(information)
-    parts = information**2 / float((h**2).sum())
-    p = 2.0 * max(float(student.sf(by, parts - 1.0)), float(norm.sf(by_rows)))
     U, H = u.sum(axis=1), h.sum(axis=1)
+    by, count = min(_deviations(u, h, left), _deviations(U, H, left.sum(axis=1)))
+    by_rows = abs(value) * np.sqrt(information)
+    p = 2.0 * max(float(student.sf(by, count - 1.0)), float(norm.sf(by_rows)))
     other = (U.sum() - U) / np.maximum(information - H, 1e-300)
     return value, float(min(by, by_rows)), p, without_best(other * U - 0.5 * other**2 * H)
+
+
+def _deviations(u: Array, h: Array, left: Array) -> tuple[float, float]:
+    """Of a sum of slopes u, by how what is left of them scatters, alone and with neighbours; and in
+    how many of them what is known lies, (sum h)^2 / sum h^2 (Carter, Schnepel and Steigerwald
+    2017)."""
+    scatter = max(float(s[0, 0]) for s in scatters(left.reshape(-1, 1), 1))
+    count = max(float(h.sum() ** 2 / (h**2).sum()), 2.0)
+    return abs(float(u.sum())) / float(np.sqrt(max(scatter, 1e-300))), count
