@@ -21,13 +21,13 @@ from scipy.stats import t as student
 from imucald.diagnosis.blocks import TILTED, Rows, cosine, joined, noise_weights, rows_of
 from imucald.diagnosis.cause_keys import model_error, tolerance
 from imucald.diagnosis.chance import Question
-from imucald.diagnosis.conditions import CRAWL_MPS, SPEEDS, TO_ONE_SIDE, conditions
-from imucald.diagnosis.forward import Forward
+from imucald.diagnosis.conditions import CRAWL_MPS, HARD, SPEEDS, TO_ONE_SIDE, conditions
+from imucald.diagnosis.forward import STOPPING_MPS2, Forward
 from imucald.diagnosis.result import GOES_WITH_ANOTHER, Structure
 from imucald.diagnosis.sandwich import scatters
-from imucald.diagnosis.score import Problem, without_best
+from imucald.diagnosis.score import Problem, what_leaves, without_best
 from imucald.diagnosis.signals import STEP_S, Array
-from imucald.diagnosis.stability import EITHER_SIDE, amount
+from imucald.diagnosis.stability import EITHER_SIDE, amount, drift_of
 from imucald.diagnosis.state import State
 from imucald.diagnosis.trials import SINGLE_NATS
 from imucald.model.model import VehicleModel
@@ -39,10 +39,12 @@ PARTS = 4
 LEAST_PARTS = 10.0
 """That carry what is known of an error."""
 LEAST_BLOCKS = 6
-OWN_SHARE = 1e-3
-"""Of a column that no column of the catalogue makes up for; less is rounding."""
+OWN_SHARE = 0.1
+"""Of a column's energy that columns of the catalogue do not make up for: beside less, its value is
+that of what the columns err by (a variance inflation factor of ten; Marquardt 1970)."""
 HALF_KMH = 0.5 / 3.6
 """A speed in whole km/h, as SAE J1979 has it, is off by so much [m/s]."""
+DELAY = "speed.delay_s"
 PRIOR = 3.0
 """Over the square of a half width: information of what lies evenly within it."""
 
@@ -90,16 +92,17 @@ Asked = tuple[Error, str]
 def pairs(problem: Problem, state: State) -> list[Question]:
     """One question for each error of a sensor and each condition."""
     table = problem.table
-    return asked_of(
-        state.forwards, state.model, table.keys, table.top_hz, problem.fit(), table.plausible
-    )
+    fitted = np.tile(problem.fit(), (sum(f.blocks for f in state.forwards), 1))
+    # What was named and has no place in the model file is another in each segment.
+    fitted[table.number] = -what_leaves(problem, drift_of(problem, state))[:, 1:]
+    return asked_of(state.forwards, state.model, table.keys, table.top_hz, fitted, table.plausible)
 
 
 def asked_of(
     forwards: Sequence[Forward], model: VehicleModel, keys: Sequence[str],
     top_hz: Mapping[str, float], x: Array, plausible: Array,
 ) -> list[Question]:  # fmt: skip
-    """Of drives beside a model file. x: (P,) departures that fit them, by keys."""
+    """Of drives beside a model file. x: (B, P) departures that fit their segments, by keys."""
     if not all(f.has_gravity for f in forwards):
         return []  # the road's slope is left, and goes with anything
     some = [conditions(f) for f in forwards]
@@ -125,7 +128,10 @@ def asked_of(
 
 def _can_be_asked(error: Error, condition: str) -> bool:
     """A tyre answers after so much of its way, not of time (relaxation length, Pacejka, ch. 5):
-    beside turning, a delay goes with the speed in every vehicle."""
+    beside turning, a delay goes with the speed in every vehicle. A zero that goes with its own
+    signal is a gain."""
+    if error.kind == ZERO and error.signal == "speed" and condition == SPEEDS[0]:
+        return False
     return error.kind != LATE or error.signal == "speed" or condition not in SPEEDS
 
 
@@ -133,7 +139,9 @@ def may_be(error: Error, condition: str, model: VehicleModel) -> float:
     """By how much a correct file may be wrong, with what the equations err by: where a vehicle
     would differ between its sides for it, that is not among it."""
     if not error.key:
-        return HALF_KMH
+        # A late speed is off by so much of the acceleration.
+        late = tolerance(model, DELAY) + SD_95 * model_error(model, DELAY)
+        return HALF_KMH + (STOPPING_MPS2 * late if condition in HARD else 0.0)
     half = tolerance(model, error.key)
     if condition in TO_ONE_SIDE:
         return half
@@ -191,11 +199,12 @@ def _scores(
     parts: Mapping[str, list[tuple[Rows, Array]]], x: Array, prior: Array
 ) -> tuple[Array, Array]:
     """(B, PARTS, E) slope of the loss along each column, and its curvature: beside all columns of
-    the catalogue, which go as far as is plausible (Frisch and Waugh), and the tilt."""
+    the catalogue, which go as far as is plausible (Frisch and Waugh), and the tilt. None of a
+    column that these make up for."""
     tilted = [n for n in TILTED if n in parts]
     groups = [*([tilted] if tilted else []), *([n] for n in parts if n not in tilted)]
     rows = [_whitened([parts[n] for n in group], x) for group in groups]
-    P = len(x)
+    P = x.shape[1]
     heads = [np.concatenate([a[:, :, : P + 1] for a in each], axis=1) for each, _ in rows]
     H = prior + sum(np.einsum("bki,bkj->ij", a[:, :, 1:], a[:, :, 1:]) for a in heads)
     mixed = sum(
@@ -203,14 +212,16 @@ def _scores(
         for each, _ in rows for a in each
     )  # fmt: skip
     w = np.linalg.pinv(H, hermitian=True) @ np.asarray(mixed)
-    u = h = np.zeros(1)
+    u = h = whole = np.zeros(1)
     for each, _ in rows:
         for a in each:
-            left = a[:, :, 0] - a[:, :, 1 : P + 1] @ x
+            left = a[:, :, 0] - np.einsum("bkp,bp->bk", a[:, :, 1 : P + 1], x)
             own = a[:, :, P + 1 :] - a[:, :, 1 : P + 1] @ w
             u = u + _by_part(left[:, :, None], own)
             h = h + _by_part(own, own)
-    return u, h
+            whole = whole + np.sum(a[:, :, P + 1 :] ** 2, axis=(0, 1))
+    is_own = h.sum(axis=(0, 1)) > OWN_SHARE * whole
+    return u * is_own, h * is_own
 
 
 def _whitened(some: Sequence[list[tuple[Rows, Array]]], x: Array) -> tuple[list[Array], int]:
@@ -222,8 +233,8 @@ def _whitened(some: Sequence[list[tuple[Rows, Array]]], x: Array) -> tuple[list[
         made.append(np.concatenate([rows.y[:, :, None], rows.X, columns], axis=2))
         tilts.append(rows.tilt)
     goods = [np.concatenate([r.good for r, _ in own]) for own in some]
-    P = len(x)
-    left = _apart([a[:, :, :1] - a[:, :, 1 : P + 1] @ x[:, None] for a in made], tilts)
+    P = x.shape[1]
+    left = _apart([a[:, :, :1] - a[:, :, 1 : P + 1] @ x[:, :, None] for a in made], tilts)
     weights = [noise_weights(y[:, :, 0], g) for y, g in zip(left, goods, strict=True)]
     made = [a * w[:, :, None] for a, w in zip(made, weights, strict=True)]
     tilts = [z if z is None else z * w[:, :, None] for z, w in zip(tilts, weights, strict=True)]
