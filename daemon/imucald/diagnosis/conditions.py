@@ -17,7 +17,7 @@ AFTER_STOP_S = 60.0
 MEMORY_S = 20.0
 """Of what was a while ago: between a bend's length and that of a segment."""
 SPEEDS = ("the speed", "crawling", "the time since standing")
-HARD = ("accelerating and braking", "the last strong acceleration", "the amount of acceleration")
+EITHER_WAY = ("accelerating and braking", "the last strong acceleration")
 TO_ONE_SIDE = ("the side it turns to", "the last strong turning")
 """Conditions that change their sign in a mirror, in which a vehicle is the same."""
 ENDS = (0.05, 0.95)
@@ -34,7 +34,7 @@ def conditions(f: Forward) -> dict[str, Array]:
     made = {SPEEDS[0]: v, SPEEDS[1]: np.exp(-v / CRAWL_MPS)}
     if not moves.all():
         made[SPEEDS[2]] = np.exp(-_since(~moves) / AFTER_STOP_S)
-    made |= _of(_accelerating(f), moves, "acceleration", HARD[0])
+    made |= _of(_accelerating(f), moves, "acceleration", EITHER_WAY[0])
     if f.has_turning:
         made |= _of(_smooth(f.yaw_rate()), moves, "turning", TO_ONE_SIDE[0])
     shaking = shaken(f, CRAWL_MPS)

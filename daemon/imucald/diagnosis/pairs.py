@@ -21,7 +21,7 @@ from scipy.stats import t as student
 from imucald.diagnosis.blocks import TILTED, Rows, cosine, joined, noise_weights, rows_of
 from imucald.diagnosis.cause_keys import model_error, tolerance
 from imucald.diagnosis.chance import Question
-from imucald.diagnosis.conditions import CRAWL_MPS, HARD, SPEEDS, TO_ONE_SIDE, conditions
+from imucald.diagnosis.conditions import CRAWL_MPS, EITHER_WAY, SPEEDS, TO_ONE_SIDE, conditions
 from imucald.diagnosis.forward import STOPPING_MPS2, Forward
 from imucald.diagnosis.result import GOES_WITH_ANOTHER, Structure
 from imucald.diagnosis.sandwich import scatters
@@ -45,6 +45,14 @@ that of what the columns err by (a variance inflation factor of ten; Marquardt 1
 HALF_KMH = 0.5 / 3.6
 """A speed in whole km/h, as SAE J1979 has it, is off by so much [m/s]."""
 DELAY = "speed.delay_s"
+BEND_MPS = 10.0
+OWN: Mapping[str, tuple[tuple[str, str], str, float]] = {
+    "accel.bias.x": (EITHER_WAY, "accel.scale.0", STOPPING_MPS2),
+    "accel.bias.y": (TO_ONE_SIDE, "accel.scale.1", STOPPING_MPS2),
+    "gyro.bias.z": (TO_ONE_SIDE, "gyro.scale.2", STOPPING_MPS2 / BEND_MPS),
+}
+"""Zeros beside which a condition is the sign of the signal itself: a gain that is off makes as much
+of a strong value."""
 PRIOR = 3.0
 """Over the square of a half width: information of what lies evenly within it."""
 
@@ -141,8 +149,11 @@ def may_be(error: Error, condition: str, model: VehicleModel) -> float:
     if not error.key:
         # A late speed is off by so much of the acceleration.
         late = tolerance(model, DELAY) + SD_95 * model_error(model, DELAY)
-        return HALF_KMH + (STOPPING_MPS2 * late if condition in HARD else 0.0)
+        return HALF_KMH + (STOPPING_MPS2 * late if condition in EITHER_WAY else 0.0)
     half = tolerance(model, error.key)
+    if error.key in OWN and condition in OWN[error.key][0]:
+        _, gain, strong = OWN[error.key]
+        half += strong * (tolerance(model, gain) + SD_95 * model_error(model, gain))
     if condition in TO_ONE_SIDE:
         return half
     half += SD_95 * model_error(model, error.key)
