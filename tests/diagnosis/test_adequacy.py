@@ -10,8 +10,8 @@ from imucald.diagnosis.adequacy import (
     MOST_LEFT_MPS2,
     _calm,
     _common,
-    _cut_offs,
     _peaks,
+    cut_offs,
 )
 
 BLOCKS, BINS = 40, 20
@@ -72,13 +72,13 @@ def test_a_peak_at_the_cut_off_of_a_found_low_pass_swings_not():
     spectra = {"accel_y": noise(np.random.default_rng(4), BLOCKS, 151) * size}
     assert [s.kind for s in _peaks(spectra)] == ["peak"]
     # 0.45 s late may be a second-order low-pass of 0.5 Hz; 0.1 s one of 2.2 Hz.
-    assert _peaks(spectra, _cut_offs({"gyro.delay_s": 0.45})) == []
-    assert _peaks(spectra, _cut_offs({"gyro.delay_s": 0.1, "gyro.scale.0": 0.4})) != []
-    assert _peaks(spectra, _cut_offs({"steering.delay_s": 0.45})) != []
-    assert _cut_offs({"gyro.delay_s": 0.01}) == []
+    assert _peaks(spectra, cut_offs({"gyro.delay_s": 0.45})) == []
+    assert _peaks(spectra, cut_offs({"gyro.delay_s": 0.1, "gyro.scale.0": 0.4})) != []
+    assert _peaks(spectra, cut_offs({"steering.delay_s": 0.45})) != []
+    assert cut_offs({"gyro.delay_s": 0.01}) == []
 
 
 def test_what_is_younger_than_stated_lets_the_signals_beside_it_be_low_passed():
-    assert "steering" not in {s for s, _, _ in _cut_offs({"steering.delay_s": -0.45})}
-    assert {"gyro", "yaw_rate"} <= {s for s, _, _ in _cut_offs({"steering.delay_s": -0.45})}
-    assert {s for s, _, _ in _cut_offs({"steering.delay_s": 0.45})} == {"steering"}
+    assert "steering" not in {s for s, _, _ in cut_offs({"steering.delay_s": -0.45})}
+    assert {"gyro", "yaw_rate"} <= {s for s, _, _ in cut_offs({"steering.delay_s": -0.45})}
+    assert {s for s, _, _ in cut_offs({"steering.delay_s": 0.45})} == {"steering"}

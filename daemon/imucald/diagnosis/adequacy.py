@@ -59,6 +59,8 @@ FIRST_ORDER_S_HZ = 1.0 / (2.0 * np.pi)
 """Delay of a first-order low-pass well below its cut-off, times the cut-off."""
 OCTAVE = 2.0
 SENSED = tuple(dict.fromkeys(signal for signals in TAKES.values() for signal in signals))
+DRIVEN = ("_winding", "_braking")
+"""Accelerations sideways and forward that the driver makes."""
 DRIVING_MPS = 2.0
 QUICK_HZ = 40.0
 """An accelerometer that is sampled faster sees the shaking."""
@@ -127,12 +129,12 @@ def _noise(state: State, top_hz: float) -> float:
 
 def what_is_left(problem: Problem, state: State) -> list[Structure]:
     """Structure beyond what roads and noise leave. problem: of the model as it was extended."""
-    spectra = _spectra(problem, state.forwards)
-    peaks = _peaks(spectra, _cut_offs(state.changes))
+    spectra = spectra_of(problem, state.forwards)
+    peaks = _peaks(spectra, cut_offs(state.changes))
     return [*_shared(spectra, state.forwards), *peaks, *_shaken(problem, state)]
 
 
-def _spectra(problem: Problem, forwards: Sequence[Forward]) -> Mapping[str, Spectra]:
+def spectra_of(problem: Problem, forwards: Sequence[Forward]) -> Mapping[str, Spectra]:
     """Transforms (B, F) of each equation's residual while driving, in its unit; NaN rows where it
     was not there. Beside them `_steering` and `_turning`, which move the vehicle.
 
@@ -149,6 +151,10 @@ def _spectra(problem: Problem, forwards: Sequence[Forward]) -> Mapping[str, Spec
             leveled["_turning"] = v * f.yaw_rate().reshape(v.shape)
             leveled["_steering"] = f.scalar("steering", {}).reshape(v.shape)
             masks |= dict.fromkeys(("_turning", "_steering"), masks["yaw_rate"])
+        if f.has_turning and "accel_x" in leveled:
+            leveled["_winding"] = v * f.yaw_rate().reshape(v.shape)
+            leveled["_braking"] = np.asarray(np.gradient(v, STEP_S, axis=1))
+            masks |= dict.fromkeys(DRIVEN, masks["accel_x"])
         # Squares of all bins add up to the mean square of a row.
         window = np.hanning(f.rows) * np.sqrt(2.0 / (0.375 * f.rows**2))
         for name, y in leveled.items():
@@ -159,7 +165,7 @@ def _spectra(problem: Problem, forwards: Sequence[Forward]) -> Mapping[str, Spec
     return {name: np.concatenate(p) for name, p in parts.items()}
 
 
-def _as_loud(z: Spectra) -> Spectra:
+def as_loud(z: Spectra) -> Spectra:
     """Each block as loud as the others."""
     loud = np.sqrt(np.mean(np.abs(z[:, 2:]) ** 2, axis=1, keepdims=True))
     return np.asarray(z / np.maximum(loud, 1e-30))
@@ -212,8 +218,8 @@ def _common(a: Spectra, b: Spectra, known: Spectra, band: Mask) -> tuple[float, 
     """Partial coherence in a band, how much of `a` that is [its unit], and what chance gives."""
     one = a[:, band]
     size = float(np.sqrt(np.sum(np.abs(one) ** 2, axis=1).mean()))
-    u = _left_of(_as_loud(a)[:, band], known[:, band])
-    w = _left_of(_as_loud(b)[:, band], known[:, band])
+    u = left_of_known(as_loud(a)[:, band], known[:, band])
+    w = left_of_known(as_loud(b)[:, band], known[:, band])
     cross = abs(np.sum(u * w.conj())) ** 2
     share = float(cross / (np.sum(np.abs(u) ** 2) * np.sum(np.abs(w) ** 2)))
     segments = (len(a) - known.shape[2]) * band.sum() / HANN_BINS
@@ -231,7 +237,7 @@ def _calm(v: Array) -> float:
     return CALM * AIR * float(np.sqrt(np.mean(part * v**4)))
 
 
-def _left_of(z: Spectra, known: Spectra) -> Spectra:
+def left_of_known(z: Spectra, known: Spectra) -> Spectra:
     """(B, F) less what is linear in the inputs (B, F, 2), frequency by frequency."""
     left = z.copy()
     for i in range(z.shape[1]):
@@ -239,7 +245,7 @@ def _left_of(z: Spectra, known: Spectra) -> Spectra:
     return left
 
 
-def _cut_offs(changes: Mapping[str, float]) -> list[tuple[str, float, float]]:
+def cut_offs(changes: Mapping[str, float]) -> list[tuple[str, float, float]]:
     """Signal, and from where to where [Hz] the low-pass that a found delay x may be leaves a peak:
     within an octave of its cut-off, 1/(2 pi x) of first order, sqrt 2/(2 pi x) of second. Below it
     a delay does as well, above it no motion is. What is younger than stated is late nowhere: the
@@ -262,7 +268,7 @@ def _peaks(
     for name in PEAKED:
         if name not in spectra:
             continue
-        z = _as_loud(spectra[name][np.isfinite(spectra[name][:, 0])])
+        z = as_loud(spectra[name][np.isfinite(spectra[name][:, 0])])
         if len(z) < LEAST_BLOCKS:
             continue
         power = np.mean(np.abs(z) ** 2, axis=0)

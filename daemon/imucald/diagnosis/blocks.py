@@ -134,8 +134,10 @@ class MadeLater(Mapping[str, Array]):
 
 
 @dataclass
-class _Rows:
-    """One equation of one drive, transformed: y (B, K), X (B, K, P), tilt (B, K, 2) or None."""
+class Rows:
+    """One equation of one drive, transformed: y (B, K), X (B, K, P), tilt (B, K, 2) or None.
+
+    good: (B,) blocks in which enough of it is there."""
 
     y: Array
     X: Array
@@ -153,13 +155,13 @@ def table_of(drives: Sequence[DriveSignals], model: VehicleModel) -> tuple[Table
     forwards = [Forward(drive, model, rows) for drive in drives]
     keys = _keys(drives)
     top = {name: min(_top_hz(drive, name) for drive in drives) for name in TAKES}
-    parts = [_rows(f, model, keys, top) for f in forwards]
-    merged = {name: _joined([part[name] for part in parts]) for name in parts[0]}
+    parts = [rows_of(f, model, keys, top) for f in forwards]
+    merged = {name: joined([part[name] for part in parts]) for name in parts[0]}
     blocks = np.concatenate([np.full(f.blocks, i) for i, f in enumerate(forwards)])
     start = np.concatenate([f.t[:: f.rows][: f.blocks] for f in forwards])
     moving = np.concatenate([_moving(f) for f in forwards])
-    for rows_of in merged.values():
-        rows_of.good &= moving >= MOVING_SHARE
+    for own in merged.values():
+        own.good &= moving >= MOVING_SHARE
     levels = np.concatenate([f.levels() for f in forwards])
     for f in forwards:
         f.forget()
@@ -184,9 +186,9 @@ def _moving(f: Forward) -> Array:
     return np.asarray((v.reshape(f.blocks, f.rows) > MOVING_MPS).mean(axis=1))
 
 
-def _rows(
+def rows_of(
     f: Forward, model: VehicleModel, keys: Sequence[str], top: Mapping[str, float]
-) -> dict[str, _Rows]:
+) -> dict[str, Rows]:
     """Residual and columns of each equation, transformed."""
     base = f.residuals({})
     masks = f.usable()
@@ -200,7 +202,7 @@ def _rows(
         if name in base.tilt:
             tilt = np.stack([cosine(z, mask, count) for z in base.tilt[name]], axis=2)
         good = mask.mean(axis=1) >= LEAST_SHARE
-        made[name] = _Rows(
+        made[name] = Rows(
             cosine(x, mask, count), np.zeros((f.blocks, count, len(keys))), tilt, good,
             f.rows * STEP_S,
         )  # fmt: skip
@@ -222,11 +224,12 @@ def cosine(x: Array, mask: Mask, count: int) -> Array:
     return made
 
 
-def _joined(parts: Sequence[_Rows]) -> _Rows:
+def joined(parts: Sequence[Rows]) -> Rows:
+    """Rows of one drive after another."""
     tilt = None
     if parts[0].tilt is not None:
         tilt = np.concatenate([p.tilt for p in parts if p.tilt is not None])
-    return _Rows(
+    return Rows(
         np.concatenate([p.y for p in parts]), np.concatenate([p.X for p in parts]), tilt,
         np.concatenate([p.good for p in parts]), parts[0].seconds,
     )  # fmt: skip
@@ -236,7 +239,7 @@ def _joined(parts: Sequence[_Rows]) -> _Rows:
 
 
 def _weighed(
-    parts: Mapping[str, _Rows], keys: tuple[str, ...], model: VehicleModel, drive: NDArrayInt,
+    parts: Mapping[str, Rows], keys: tuple[str, ...], model: VehicleModel, drive: NDArrayInt,
     start: Array, moving: Array, top: Mapping[str, float], levels: Array,
 ) -> Table:  # fmt: skip
     """Divide each equation by its noise: found from what is left of a fit of everything."""
@@ -245,7 +248,7 @@ def _weighed(
     bounds = np.array([plausible(model, key) for key in keys]).reshape(-1, 2)
     free = np.zeros(len(keys))
     for i in range(PASSES):
-        left = _without_tilt(parts, free)
+        left = without_tilt(parts, free)
         weights = {name: noise_weights(left[name], rows.good) for name, rows in parts.items()}
         gram = _gram(parts, weights)
         whole = np.asarray(sum(gram.values()))
@@ -270,7 +273,7 @@ def _weighed(
     )  # fmt: skip
 
 
-def _without_tilt(parts: Mapping[str, _Rows], x: Array) -> dict[str, Array]:
+def without_tilt(parts: Mapping[str, Rows], x: Array) -> dict[str, Array]:
     """Residual rows (B, K) less X x, the tilt fitted anew."""
     left = {name: rows.y - rows.X @ x for name, rows in parts.items()}
     tilted = [n for n in TILTED if n in parts]
@@ -290,7 +293,7 @@ def _inner(Z: Array) -> Array:
     return np.asarray(np.swapaxes(Z, 1, 2) @ Z + 1e-9 * np.eye(2))
 
 
-def _tilt_of(rows: _Rows) -> Array:
+def _tilt_of(rows: Rows) -> Array:
     assert rows.tilt is not None
     return rows.tilt
 
@@ -311,7 +314,7 @@ def noise_weights(left: Array, good: Mask) -> Array:
     return made
 
 
-def _plain(parts: Mapping[str, _Rows]) -> dict[str, Array]:
+def _plain(parts: Mapping[str, Rows]) -> dict[str, Array]:
     """Gram matrices in the equations' own units (squares per sample), in two bands."""
     made: dict[str, Array] = {}
     tilted = [n for n in TILTED if n in parts]
@@ -335,7 +338,7 @@ def _plain(parts: Mapping[str, _Rows]) -> dict[str, Array]:
     return made
 
 
-def _gram(parts: Mapping[str, _Rows], weights: Mapping[str, Array]) -> dict[str, Array]:
+def _gram(parts: Mapping[str, Rows], weights: Mapping[str, Array]) -> dict[str, Array]:
     """(B, P+1, P+1) by equation; those with gravity are one, named by the first."""
     made: dict[str, Array] = {}
     tilted = [n for n in TILTED if n in parts]

@@ -27,8 +27,11 @@ from imucald.diagnosis.faults import find_faults, invalid_spans
 from imucald.diagnosis.gain import gain_of, summed
 from imucald.diagnosis.held_values import held_values
 from imucald.diagnosis.intervals import estimate, quantile
+from imucald.diagnosis.lines import lines
 from imucald.diagnosis.lost_readings import Lost, all_lost, as_structure
 from imucald.diagnosis.louder import louder, with_leaves
+from imucald.diagnosis.orders import orders
+from imucald.diagnosis.pairs import pairs
 from imucald.diagnosis.patterns import patterns
 from imucald.diagnosis.pictures import pictures_of
 from imucald.diagnosis.result import (
@@ -166,6 +169,9 @@ def _left(state: State) -> tuple[Structure, ...]:
         *beyond_chance(
             [
                 *patterns(problem, state.forwards),
+                *pairs(problem, state),
+                *orders(problem, state),
+                *lines(problem, state),
                 *unstable(problem, state),
                 *gains_apart(problem, state, drift),
                 *louder(problem, state),

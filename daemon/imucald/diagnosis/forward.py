@@ -17,7 +17,7 @@ from scipy.fft import dct
 from imucald.core.samples import GRAVITY
 from imucald.diagnosis.cause_keys import Changes, age
 from imucald.diagnosis.kinematics import slope
-from imucald.diagnosis.motion import VehicleMotion
+from imucald.diagnosis.motion import NONE, VehicleMotion
 from imucald.diagnosis.reading import Reader
 from imucald.diagnosis.signals import STANDING_MPS, STEP_S, Array, Channel, Mask
 from imucald.diagnosis.single_track import SLOW_MPS
@@ -45,12 +45,15 @@ class Forward(Reader):
 
     # evaluation ----------------------------------------------------------------------------------
 
-    def residuals(self, changes: Changes, by_inertia: bool = False) -> Residuals:
+    def residuals(
+        self, changes: Changes, by_inertia: bool = False, added: Mapping[str, Array] = NONE
+    ) -> Residuals:
         """Measured less predicted with a changed model file, of every equation there is.
 
-        by_inertia: for columns, with the signals of `settle`.
+        by_inertia: for columns, with the signals of `settle`. added: by signal, what it shows too
+        much (N,), (N, 3) along the vehicle's axes.
         """
-        motion = VehicleMotion(self, changes, by_inertia)
+        motion = VehicleMotion(self, changes, by_inertia, added)
         found: dict[str, Array] = {}
         tilt: dict[str, tuple[Array, Array]] = {}
         motion.longitudinal(found, tilt)

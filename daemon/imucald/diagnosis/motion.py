@@ -12,6 +12,8 @@ z0, the tilt at the middle of the block, is free; so slope, cross fall and lean 
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import numpy as np
 
 from imucald.core.samples import GRAVITY
@@ -23,16 +25,21 @@ from imucald.diagnosis.reading import Reader, Reference
 from imucald.diagnosis.signals import STEP_S, Array
 from imucald.diagnosis.single_track import SLOW_MPS, followed_angle
 
+NONE: Mapping[str, Array] = {}
+
 
 class VehicleMotion:
     """The signals of one evaluation, along the vehicle's axes.
 
+    added: by signal, what is put on top of what it says, (N,) or (N, 3) along the vehicle's axes.
     What the changes do not touch is the same array as without any: see `Once`.
     """
 
-    def __init__(self, reader: Reader, changes: Changes, by_inertia: bool) -> None:
-        self.f, self.changes = reader, changes
-        self.once = once = Once(reader.known, not changes)
+    def __init__(
+        self, reader: Reader, changes: Changes, by_inertia: bool, added: Mapping[str, Array] = NONE
+    ) -> None:
+        self.f, self.changes, self.added = reader, changes, added
+        self.once = once = Once(reader.known, not changes and not added)
         drive, model = reader.drive, reader.model
         late, rate = reader.age("speed", changes), changes.get("speed.delay_rate", 0.0)
         self.knots = once(reader.knots_at, late, rate)
@@ -42,6 +49,12 @@ class VehicleMotion:
         self.settled = reference = reader.reference if by_inertia else None
         self.force = reader.triad("accel", changes, reference.force if reference else None)
         self.rate = reader.triad("gyro", changes) if drive.has("gyro") else None
+        if "speed" in added:
+            self.v = self.v + added["speed"]
+        if "accel" in added:
+            self.force = self.force + added["accel"]
+        if self.rate is not None and "gyro" in added:
+            self.rate = self.rate + added["gyro"]
         self.measured = self.rate
         if reference is not None and any(k.startswith("gyro.scale") for k in changes):
             # The gain of a rate is not shown by that rate itself.
@@ -59,7 +72,7 @@ class VehicleMotion:
                     kinematics.at_reference, self.force, self.rate, turning, tuple(lever)
                 )
         elif drive.has("yaw_rate"):
-            self.r = reader.scalar("yaw_rate", changes)
+            self.r = self._scalar("yaw_rate")
         else:
             self.r = once(np.zeros, len(reader.t))
         kappa = rear_slip(model) + changes.get("_tyre.rear_slip", 0.0)
@@ -68,10 +81,17 @@ class VehicleMotion:
         if reference is not None:
             slopes = reference.slopes
         self.slopes = once(np.divide, slopes, 1.0 + scale)
+        if "speed" in added:
+            at_knots = np.interp(self.knots, reader.t, added["speed"])
+            self.slopes = self.slopes + kinematics.mean_slope(at_knots, reader.knots)
         if driven:
             # Driven wheels turn faster than the vehicle moves: v_wheel = v (1 + c a).
             lead = self.v * self.held(self.slopes)
             self.slopes = self.slopes - driven * self._mean_slopes(np.gradient(lead, STEP_S))
+
+    def _scalar(self, name: str, true: Array | None = None) -> Array:
+        shown = self.f.scalar(name, self.changes, true)
+        return shown + self.added[name] if name in self.added else shown
 
     # operators -----------------------------------------------------------------------------------
 
@@ -211,7 +231,7 @@ class VehicleMotion:
     def _own_yaw_rate(self, true: Array | None) -> Array:
         """The vehicle's own yaw rate. true: (N, 3) of turning that takes its place."""
         z = None if true is None else self.once(kinematics.column, true, 2)
-        return self.f.scalar("yaw_rate", self.changes, z)
+        return self._scalar("yaw_rate", z)
 
     def _turning(self, true: Array | None) -> Array:
         """The gyroscope's yaw rate. true: (N, 3) of turning that takes its place."""
@@ -225,16 +245,16 @@ class VehicleMotion:
         force = (
             None if self.settled is None else self.once(kinematics.column, self.settled.force, axis)
         )
-        own = self.f.scalar(name, self.changes, force)
+        own = self._scalar(name, force)
         return self._apart(own, self.once(kinematics.column, self.force, axis))
 
     def _by_steering(self) -> Array:
         """Single track: r = v (delta - K (f_y - v r))/(L + K v^2), where delta is the angle as the
         vehicle follows it (Rajamani, Vehicle Dynamics and Control, ch. 2, 3)."""
-        f, c, once = self.f, self.f.model.chassis, self.once
+        c, once = self.f.model.chassis, self.once
         ratio = c.steering_ratio + self.changes.get("chassis.steering_ratio", 0.0)
         gradient = c.understeer_gradient + self.changes.get("chassis.understeer_gradient", 0.0)
-        steer = f.scalar("steering", self.changes)
+        steer = self._scalar("steering")
         steer = once(followed_angle, steer, once(np.abs, self.v), c, gradient)
         varying = self.changes.get("_steering.variable_ratio", 0.0)
         leaning = once(kinematics.slow, self._leaning())

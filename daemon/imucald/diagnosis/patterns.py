@@ -18,6 +18,7 @@ from imucald.core.samples import GRAVITY
 from imucald.diagnosis.blocks import LEAST_SHARE, cosine, noise_weights
 from imucald.diagnosis.causes import MODEL_ERROR, PARAMETERS
 from imucald.diagnosis.chance import Question
+from imucald.diagnosis.conditions import shaken
 from imucald.diagnosis.forward import UNITS, Forward
 from imucald.diagnosis.result import GOES_WITH_LEVEL, GOES_WITH_SHAKING, Structure
 from imucald.diagnosis.sandwich import scatters, variances
@@ -124,7 +125,7 @@ def _of_drive(
 ) -> list[tuple[str, ShapeRows]]:
     masks, residuals = f.usable(), f.residuals(changes)
     measured = f.measured()
-    shaken = [_shaken(f, seconds) for seconds in SHAKEN_S]
+    shaking = [shaken(f, seconds) for seconds in SHAKEN_S]
     turning = _turning(f, top_hz)
     made = []
     for name in ASKED:
@@ -134,7 +135,7 @@ def _of_drive(
         count = max(1, int(2.0 * f.rows * STEP_S * top_hz[name]))
         own = measured[name] - np.median(measured[name])
         beside = turning if name == SPEED_S else np.zeros(len(f.t))
-        columns = [*_shapes(own, top_hz[name]).T, *shaken, beside]
+        columns = [*_shapes(own, top_hz[name]).T, *shaking, beside]
         shapes = [x.reshape(f.blocks, f.rows) for x in columns]
         tilt = residuals.tilt.get(name, (np.ones((f.blocks, f.rows)),))
         y, X, Z = (
@@ -202,18 +203,6 @@ def _turning(f: Forward, top_hz: Mapping[str, float]) -> Array:
     if not f.has_turning or SPEED_S not in top_hz:
         return np.zeros(len(f.t))
     return np.asarray(np.gradient(np.abs(_smooth(f.yaw_rate(), top_hz[SPEED_S])), STEP_S))
-
-
-def _shaken(f: Forward, seconds: float) -> Array:
-    """(N,) mean square of the accelerometer's steps about each time, 1 from the smoothest twentieth
-    of the drive to the roughest."""
-    accel = f.drive.channels["accel"]
-    power = np.sum(np.diff(accel.values, axis=0) ** 2, axis=1)
-    area = np.concatenate([[0.0], np.cumsum(power)])
-    first, last = (np.searchsorted(accel.t[1:], f.t + x * seconds) for x in (-0.5, 0.5))
-    mean = (area[last] - area[first]) / np.maximum(last - first, 1)
-    low, high = np.quantile(mean, [0.05, 0.95])
-    return np.asarray((mean - low) / max(float(high - low), 1e-12))
 
 
 def _asked(name: str, gram: Grams) -> Iterator[Question]:

@@ -1,0 +1,158 @@
+"""Errors of a signal that depend on another, put into simulated drives by formulas of this file."""
+
+from __future__ import annotations
+
+from functools import cache
+
+import numpy as np
+import pytest
+from scipy.stats import norm
+
+from imucald.core.samples import Series
+from imucald.diagnosis.cause_keys import mount_of
+from imucald.diagnosis.chance import beyond_chance
+from imucald.diagnosis.conditions import SPEEDS, TO_ONE_SIDE, conditions
+from imucald.diagnosis.forward import Forward
+from imucald.diagnosis.pairs import ERRORS, _by_part, _can_be_asked, _test, may_be, pairs
+from imucald.diagnosis.result import GOES_WITH_ANOTHER
+from imucald.diagnosis.signals import drive_of
+from imucald.diagnosis.state import State
+from imucald.simulation import random_model, simulate
+
+MINUTES = 15.0
+SEED = 5
+
+
+@cache
+def sound():
+    model = random_model(SEED)
+    return model, dict(simulate(model, SEED, MINUTES).samples)
+
+
+def found(put=None):
+    model, samples = sound()
+    samples = dict(samples)
+    if put is not None:
+        put(samples, mount_of(model))
+    state = State([drive_of(samples)], model, model, {})
+    return beyond_chance(pairs(state.evaluated(), state))
+
+
+def uneven_gain(s, R, share=0.08):
+    """Turning left reads `share` more than turning right."""
+    t, w = s["gyro"].t, s["gyro"].values @ R.T
+    w[:, 2] *= 1.0 + 0.5 * share * np.sign(w[:, 2])
+    s["gyro"] = Series(t, w @ R)
+
+
+def late_when_it_pulls(s, R):
+    """The speed is late by 0.4 s while it rises, and not while it falls."""
+    t, v = s["speed"].t, s["speed"].values
+    rises = np.gradient(np.convolve(v, np.ones(50) / 50.0, "same")) > 0.0
+    s["speed"] = Series(t, np.where(rises, np.interp(t - 0.4, t, v), v))
+
+
+def zero_by_speed(s, R):
+    """The zero to the left goes from -0.3 to 0.3 m/s^2 with the speed."""
+    t, x = s["accel"].t, s["accel"].values
+    v = np.interp(t, s["speed"].t, s["speed"].values)
+    s["accel"] = Series(t, x + 0.3 * np.outer(np.tanh((v - 10.0) / 5.0), R[1]))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("put", "signal", "what"),
+    [(uneven_gain, "gyro", ("the side it turns to", "the amount of turning")),
+     (late_when_it_pulls, "speed", ("accelerating", "acceleration")),
+     (zero_by_speed, "accel", ("the speed", "crawling"))],
+)  # fmt: skip
+def test_an_error_that_goes_with_another_signal_is_seen_there(put, signal, what):
+    """A gain that goes with the side of a turn is a zero that goes with its amount."""
+    (own,) = [s for s in found(put) if s.signal == signal]
+    assert own.kind == GOES_WITH_ANOTHER
+    assert any(each in own.text for each in what)
+
+
+@pytest.mark.slow
+def test_a_sound_drive_leaves_nothing_that_goes_with_another_signal():
+    assert found() == []
+
+
+@pytest.mark.slow
+def test_less_than_a_correct_gain_may_differ_is_not_reported():
+    assert not any("gain" in s.text for s in found(lambda s, R: uneven_gain(s, R, 0.01)))
+
+
+@pytest.mark.parametrize("signal", ["gyro", "accel", "speed"])
+def test_what_a_signal_shows_too_much_changes_residuals_as_if_it_had_been_logged(signal):
+    model, samples = sound()
+    more = {"gyro": 0.01, "accel": 0.3, "speed": 0.5}[signal]
+    R = mount_of(model)
+    changed, t = dict(samples), samples[signal].t
+    wave = more * np.sin(0.3 * t)
+    own = np.outer(wave, R[1]) if signal != "speed" else wave
+    changed[signal] = Series(t, samples[signal].values + own)
+    base, logged = (Forward(drive_of(s), model, 300) for s in (samples, changed))
+    delay = getattr(model, signal).delay_s
+    on_grid = more * np.sin(0.3 * (base.t + delay))
+    added = np.outer(on_grid, [0.0, 1.0, 0.0]) if signal != "speed" else on_grid
+    before = base.residuals({}).of
+    one, other = base.residuals({}, added={signal: added}).of, logged.residuals({}).of
+    shown = {n for n, x in before.items() if np.std(other[n] - x) > 0.01 * np.std(x)}
+    assert shown
+    for name in shown:
+        change = other[name] - before[name]
+        assert np.std(one[name] - before[name] - change) <= 0.02 * np.std(change), name
+
+
+def test_conditions_run_from_one_end_to_the_other():
+    model, samples = sound()
+    f = Forward(drive_of(samples), model, 300)
+    v = np.interp(f.t, f.knots, np.abs(f.drive.knots.values))
+    some = conditions(f)
+    assert {*SPEEDS, *TO_ONE_SIDE, "shaking"} <= set(some)
+    for name in ("the speed", TO_ONE_SIDE[0]):
+        assert np.quantile(some[name][v > 0.05], [0.05, 0.95]) == pytest.approx([-0.5, 0.5])
+    assert np.corrcoef(some[TO_ONE_SIDE[0]], f.yaw_rate())[0, 1] > 0.5
+
+
+def test_a_vehicle_that_is_the_same_in_a_mirror_errs_to_neither_side():
+    model = sound()[0]
+    (gain,) = (e for e in ERRORS if e.text == "the gyroscope's gain")
+    assert may_be(gain, TO_ONE_SIDE[0], model) < may_be(gain, "shaking", model)
+
+
+def test_tyres_make_delays_of_turning_that_go_with_the_speed():
+    late = {e.signal: e for e in ERRORS if e.kind == "delay"}
+    assert not _can_be_asked(late["gyro"], "crawling")
+    assert _can_be_asked(late["speed"], "crawling")
+    assert _can_be_asked(late["gyro"], "shaking")
+
+
+def test_parts_of_a_segment_add_up_to_it():
+    a, b = np.random.default_rng(1).standard_normal((2, 5, 10, 3))
+    assert _by_part(a, b).sum(axis=1) == pytest.approx((a * b).sum(axis=1))
+
+
+@pytest.mark.parametrize("lasting", [False, True])
+def test_of_noise_chances_are_no_smaller_than_they_say(lasting):
+    """Independent parts, and noise that lasts for a segment."""
+    rng = np.random.default_rng(2)
+    below = 0
+    for _ in range(2000):
+        h = rng.exponential(1.0, (30, 4))
+        z = rng.standard_normal((30, 4))
+        if lasting:
+            z = np.sqrt(0.5) * (z + rng.standard_normal((30, 1)))
+        below += _test(1.5 * z * np.sqrt(h), h)[2] < 0.01
+    assert below < 30
+
+
+def test_a_value_is_found_with_its_deviations():
+    rng = np.random.default_rng(3)
+    h = np.full((50, 4), 2.0)
+    value, sigma, p, nats = _test(0.5 * h + np.sqrt(h) * rng.standard_normal(h.shape), h)
+    assert value == pytest.approx(0.5, abs=3.0 / np.sqrt(h.sum()))
+    assert sigma == pytest.approx(value * np.sqrt(h.sum()), rel=0.3)
+    assert p < norm.sf(5.0)
+    assert nats > 20.0
