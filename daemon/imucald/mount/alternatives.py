@@ -108,8 +108,9 @@ class Alternatives:
             return
         self._ask_the_person(R)
         known_bias = np.zeros(3) if bias is None else bias
+        ratios = None
         if self._blocks > YOUNG:
-            self._look_for_late_change(p, R, known_bias, gains)
+            ratios = self._look_for_late_change(p, R, known_bias, gains)
         is_seen = self.are_seen(TO_BE_FINE) and self.is_mirror_excluded
         if is_seen and self._blocks % RARELY:
             return
@@ -121,16 +122,22 @@ class Alternatives:
             for pair in self._pairs:
                 pair.forget()
         for one in blocks:
-            self._take(one, R, known_bias, gains, steering_offset)
+            self._take(one, R, known_bias, gains, steering_offset, ratios)
 
     def _look_for_late_change(
         self, p: SignalBlock, R: Matrix3, bias: Array, gains: tuple[float, float]
-    ) -> None:
-        """A sign of the gyroscope that turns in mid-drive, or axes that are exchanged."""
+    ) -> Array | None:
+        """A sign of the gyroscope that turns in mid-drive, or axes that are exchanged.
+
+        Returns the log ratios of the gyroscope's axes, where they were worked out.
+        """
         use = p.learn & p.ok_speed & p.ok_rate
         turned = TICK_S * np.abs(p.rate.sum(axis=0)).max()
-        if turned > LEAST_TURN and np.count_nonzero(use) >= LEAST_TICKS:
-            self._gyro.add_late(_gyro_ratios(p, R, (p.force - bias) @ R.T, gains))
+        if turned <= LEAST_TURN or np.count_nonzero(use) < LEAST_TICKS:
+            return None
+        ratios = _gyro_ratios(p, R, (p.force - bias) @ R.T, gains)
+        self._gyro.add_late(ratios)
+        return ratios
 
     def add_without_speed(self, p: SignalBlock, R: Matrix3 | None, seen: set[str]) -> None:
         """The same of a vehicle whose speed nobody knows: which way it turns, and no more."""
@@ -160,7 +167,9 @@ class Alternatives:
         bias: Array,
         gains: tuple[float, float],
         steering_offset: float,
+        ratios: Array | None,
     ) -> None:
+        """Take a block; ratios: of the gyroscope's axes, None where not worked out yet."""
         self._taken += 1
         use = p.learn & p.ok_speed
         force = (p.force - bias) @ R.T
@@ -181,7 +190,7 @@ class Alternatives:
             self._lateral.add(p.speed * rate, lateral, fast & known)
         self._add_heading(p, rate, fast)
         if has_gyro:
-            self._gyro.add(_gyro_ratios(p, R, force, gains))
+            self._gyro.add(_gyro_ratios(p, R, force, gains) if ratios is None else ratios)
 
     def are_seen(self, least: float) -> bool:
         """Whether every alternative that can be seen is ruled out by a log ratio of `least`."""

@@ -63,7 +63,8 @@ def block_yaw(m: BlockMotion, use: Flags) -> tuple[float, float]:
     each[5] = slope(m.turn_rate)
     each[6] = slope(accel)
     each = each[:, use]
-    each -= each.mean(axis=1, keepdims=True)
+    n = each.shape[1]
+    each -= each.sum(axis=1, keepdims=True) / n
     # all sums of products at once
     sums = each @ each.T
     power = float(sums[2, 2] + sums[3, 3])
@@ -73,7 +74,6 @@ def block_yaw(m: BlockMotion, use: Flags) -> tuple[float, float]:
     shown = math.hypot(across, along)
     if shown < FOLLOWED * power:
         return 0.0, 0.0
-    n = each.shape[1]
     left = float(sums[0, 0] + sums[1, 1]) + power - 2.0 * shown  # by the motion, turned
     noise = (PRIOR_TICKS * FORCE_NOISE**2 + 0.5 * left) / (PRIOR_TICKS + n)
     ahead, aside = float(sums[3, 4] + sums[2, 5]), float(sums[3, 5] - sums[2, 4])

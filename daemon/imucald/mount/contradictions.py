@@ -149,9 +149,11 @@ class PairWatch:
 
     def add(self, x: Array, y: Array, use: Flags) -> None:
         """Take a block; x: (N,) what is sure, y: (N,) what must follow it."""
-        if not np.count_nonzero(use):
+        n = np.count_nonzero(use)
+        if not n:
             return
-        x, y = x[use], y[use]
+        if n < len(use):
+            x, y = x[use], y[use]
         xx, xy, yy = self._sums
         self._sums = xx, xy, yy = xx + float(x @ x), xy + float(x @ y), yy + float(y @ y)
         self._blocks += 1
@@ -244,7 +246,8 @@ class Contradictions:
         if noise < HARD_TURNS:
             self.hard_turns.add(turn, force[:, 1], turning & (np.abs(turn) > HARD_TURNS))
         ahead, change = force[:, 0], p.accel[then]
-        self.speed.add(change - change.mean(), ahead - ahead.mean(), use)
+        count = len(ahead)
+        self.speed.add(change - change.sum() / count, ahead - ahead.sum() / count, use)
 
     @property
     def faults(self) -> tuple[StandingFault, ...]:

@@ -210,9 +210,9 @@ def _gaps(each: Array) -> Array:
 def _go_on(state: Array, P: Array, step: Array) -> None:
     """Level and covariance so many segments on, in place; the rate stays."""
     state[0] += step * state[1]
-    before = P[1].copy()
-    P[1] += step * P[2]
-    P[0] += step * (before + P[1] + WALK_VARIANCES)
+    after = P[1] + step * P[2]
+    P[0] += step * (P[1] + after + WALK_VARIANCES)
+    P[1] = after
 
 
 def _trend(left: Array, known: Array, each: Array) -> tuple[Array, Array, Array]:

@@ -74,6 +74,7 @@ class FullEstimator:
         self._signals = SignalBlockMaker(self._settings)
         self._steering = SteeringOffsetEstimator()
         self._solvers = RestartableSolver(self._settings)
+        self._is_catching_up = False  # as of the solvers, which each tick would have to ask
         self._checks = SignalChecks(self._settings)
         self._changes = MountChanges(self._settings)
         self._level = ForceLevel()
@@ -113,16 +114,18 @@ class FullEstimator:
     def step(self, tick: TickRow) -> None:
         """Take one tick."""
         self._served.step()
-        if self._solvers.is_catching_up:
+        if self._is_catching_up:
             self._solvers.step()
+            self._is_catching_up = self._solvers.is_catching_up
             self._estimate = None
         if self._signals.push(tick):
             self._take_block(self._signals.block())
+            self._is_catching_up = self._solvers.is_catching_up
             self._estimate = None
 
     def quiet_ticks(self) -> int:
         """Of the next ticks so many are only kept, see `mount.estimate.KeepsTicks`."""
-        if self._solvers.is_catching_up or self._served.is_turning:
+        if self._is_catching_up or self._served.is_turning:
             return 0
         return self._signals.until_block - 1
 
@@ -134,6 +137,7 @@ class FullEstimator:
         """Time jumped: signals before it are not joined with those after it."""
         self._signals.restart()
         self._solvers.gap()
+        self._is_catching_up = self._solvers.is_catching_up
         self._level.gap()
         self._changes.zero.restart()
         self._estimate = None

@@ -52,10 +52,12 @@ class Mirrored:
 
     def add(self, x: Array, y: Array, use: Flags) -> None:
         """Take a block's signals (N,)."""
-        if np.count_nonzero(use) < LEAST_TICKS:
+        n = np.count_nonzero(use)
+        if n < LEAST_TICKS:
             return
-        x, y = x[use], y[use]
-        x, y = x - x.mean(), y - y.mean()
+        if n < len(use):
+            x, y = x[use], y[use]
+        x, y = x - x.sum() / n, y - y.sum() / n
         both, cross = float(x @ x + y @ y) + self._floor, 2.0 * float(x @ y)
         ratio = 0.5 * self._independent * math.log((both + cross) / (both - cross))
         self.sum = min(max(self.sum + min(max(ratio, -MOST), MOST), -HELD), HELD)
