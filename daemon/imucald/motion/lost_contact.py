@@ -7,12 +7,17 @@ so that nothing jumps to it and away from it.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from numpy.typing import NDArray
 
 from imucald.motion.hops import HopRows
-from imucald.motion.rail_evidence import AxisHop
+from imucald.motion.rail_evidence import AxisHops
 from imucald.motion.sensor_judges import Runs
+
+Flags = NDArray[np.bool_]
+Counts = NDArray[np.int64]
 
 JUMP = 5.0
 """A jump is so many times the axis's mean change, where it changes at all (an axis that is coarser
@@ -36,9 +41,9 @@ class LostContact:
         self._open, self._entry = 0, 0.0
 
     def step(
-        self, at: AxisHop, axis: int, counts: tuple[int, int, int, int], usual: Runs
+        self, at: AxisHops, h: int, axis: int, counts: tuple[int, int, int, int], usual: Runs
     ) -> tuple[bool, bool]:
-        """Take a hop of an axis.
+        """Take hop h of an axis.
 
         counts: its count, ended, longest and run, as `HopRows` has them. usual: the runs of equal
         values of this axis so far. Returns whether a value between two jumps that lasted longer
@@ -47,16 +52,30 @@ class LostContact:
         count, ended, longest, run = counts
         found = jumped = False
         if longest >= MIN_RUN and longest > usual.longest:
-            lasted = self._between_jumps(at.rows, at.h, axis)
+            lasted = self._between_jumps(at.rows, h, axis)
             jumped = longest == lasted
             found = lasted > usual.limit()
         if not jumped:
-            self._change += at.level * count
+            self._change += at.level[h] * count
             self._changes += ended
         if run <= count:  # it began in this hop
-            self._entry = at.entry
+            self._entry = at.entry[h]
         self._open = run
         return found, jumped
+
+    def step_through(self, at: AxisHops, some: Flags, counts: Sequence[Counts]) -> None:
+        """Take the hops (H,) that have samples, where none has a run longer than usual.
+
+        counts: of each hop (H,) as `step` takes them.
+        """
+        count, ended, _, run = (x[some] for x in counts)
+        change = np.array(at.level)[some] * count
+        self._change = float(np.add.accumulate(np.append(self._change, change))[-1])
+        self._changes += int(ended.sum())
+        began = np.flatnonzero(run <= count)
+        if len(began):
+            self._entry = at.entry[int(np.flatnonzero(some)[began[-1]])]
+        self._open = int(run[-1])
 
     def _between_jumps(self, rows: HopRows, h: int, axis: int) -> int:
         """The longest run between two jumps that ended in the hop [samples]."""

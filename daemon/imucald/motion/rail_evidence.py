@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
 from msgspec import Struct, field
+from numpy.typing import NDArray
 
 from imucald.motion.hops import HopRows
 from imucald.motion.sensor_judges import Runs
+
+Array = NDArray[np.float64]
 
 LEAST_AT_EXTREME = 5
 PILE = 1.3
@@ -18,21 +22,27 @@ STAYS_COUNT = 0.5
 MOST_SAMPLES = 512
 
 
-class AxisHop(Struct, frozen=True):
-    """A hop of one axis. rows, h: hop h of the rows; runs: of the axis.
+class AxisHops(Struct, frozen=True):
+    """Hops of one axis, as many as the rows have. runs: of the axis.
 
-    level, step, tops, on_tops: of the axis in that hop, as `HopRows` has level, step, top and
-    on_top; entry: as it gives entries.
+    level, entry, step: of each hop, as `HopRows` has level, entries and step. tops, on_tops: the
+    same of top and on_top, first of the upper, then of the lower side.
     """
 
     rows: HopRows
-    h: int
     runs: Runs
-    level: float
-    entry: float
-    step: float
-    tops: tuple[float, float]
-    on_tops: tuple[int, int]
+    level: Sequence[float]
+    entry: Sequence[float]
+    step: Sequence[float]
+    tops: Sequence[Sequence[float]]
+    on_tops: Sequence[Sequence[int]]
+
+    @classmethod
+    def of(cls, axis: int, rows: HopRows, entries: Array, runs: Runs) -> AxisHops:
+        """Those of an axis of the sensor; entries: of the rows."""
+        sizes = (x[:, axis].tolist() for x in (rows.level, entries, rows.step))
+        sides = (x[:, :, axis].T.tolist() for x in (rows.top, rows.on_top))
+        return cls(rows, runs, *sizes, *sides)
 
 
 class Pile(Struct):
@@ -58,12 +68,12 @@ class Pile(Struct):
         """-log of the chance of all that was seen [nats]."""
         return self.met + STAYS_COUNT * _more_often(self.stays, self.at_it, self.rate)
 
-    def count(self, at: AxisHop, axis: int, side: int, value: float) -> bool:
-        """Count the samples of a hop on the value that are new; whether there are any.
+    def count(self, at: AxisHops, h: int, axis: int, side: int, value: float) -> bool:
+        """Count the samples of hop h on the value that are new; whether there are any.
 
         What was sent twice is not new. side: 0 for the largest value, 1 for the smallest, negated.
         """
-        samples, first, stop = at.rows.samples, at.rows.edges[at.h], at.rows.edges[at.h + 1]
+        samples, first, stop = at.rows.samples, at.rows.edges[h], at.rows.edges[h + 1]
         sample = value if side == 0 else -value
         at_it, seen = self.at_it, self.seen
         for k in (first + np.flatnonzero(samples[axis, first:stop] == sample)).tolist():

@@ -12,7 +12,7 @@ from collections import deque
 import numpy as np
 
 from imucald.motion.hops import SIDES
-from imucald.motion.rail_evidence import AxisHop, Pile, Top
+from imucald.motion.rail_evidence import AxisHops, Pile, Top
 
 TAIL_HOPS = 120
 """The tail of an axis is that of the largest values of so many hops of driving (a minute) ..."""
@@ -58,26 +58,26 @@ class Rail:
         self.found = False
         self.surprise, self.value = 0.0, math.inf
 
-    def step(self, at: AxisHop, value: float, on: int, hop: int) -> bool:
-        """Take a hop, the `hop`th of driving; -1 where the vehicle stands.
+    def step(self, at: AxisHops, h: int, hop: int) -> bool:
+        """Take hop h of the axis, the `hop`th of driving; -1 where the vehicle stands.
 
-        value, on: its top and the samples on it. Returns whether the surprise has to be weighed
-        again.
+        Returns whether the surprise has to be weighed again.
         """
-        if self.found and value > self._rail + 0.5 * at.step:
+        value, tops = at.tops[self._side][h], self._tops
+        if self.found and value > self._rail + 0.5 * at.step[h]:
             self.found = False
         if value > self.value:
             self.surprise, self.value = 0.0, math.inf
         if hop < 0:
-            while self._tops and self._tops[-1].value < value:
-                self._tops.pop()
+            while tops and tops[-1].value < value:
+                del tops[-1]
             return self._changed
         self.recent.append(value)
-        top = self._reached(value, on, at.step, hop)
-        if top.pile is not None or top.born < hop or top.on >= LONG_STAY:
+        top = self._reached(value, at.on_tops[self._side][h], at.step[h], hop)
+        if top is not None:
             if top.pile is None:
                 top.pile = Pile(at.runs.rate())
-            self._take(top, top.pile, at, hop)
+            self._take(top, top.pile, at, h, hop)
             self._changed = True
         return self._changed
 
@@ -96,9 +96,9 @@ class Rail:
         known = len(self.recent) >= LEAST_TAIL_HOPS
         return known and left_by > 0.0 and value >= max(self.recent)
 
-    def weigh(self, at: AxisHop) -> None:
-        """Of the values that may be a rail the one for which most speaks."""
-        last = float(at.rows.samples[self._axis, at.rows.edges[at.h + 1] - 1])
+    def weigh(self, at: AxisHops, h: int) -> None:
+        """Of the values that may be a rail the one for which most speaks, after hop h."""
+        last = float(at.rows.samples[self._axis, at.rows.edges[h + 1] - 1])
         now = last if self._side == 0 else -last
         # once it is left, nothing changes before the next arrival
         self._changed = bool(self._tops) and now == self._tops[-1].value
@@ -126,52 +126,56 @@ class Rail:
         n = len(below)
         return bool(n >= LEAST_TAIL_HOPS and value - below[-1] > below[-1] - below[n // 2])
 
-    def _reached(self, value: float, on: int, step: float, hop: int) -> Top:
-        """A value as the latest top; those that it goes beyond are no longer watched.
+    def _reached(self, value: float, on: int, step: float, hop: int) -> Top | None:
+        """Take a value as the latest top; those that it goes beyond are no longer watched.
 
-        on: samples of the hop on it.
+        on: samples of the hop on it. Returns the top where its samples have to be weighed: they
+        stay long, or it was reached before.
         """
         tops, one_below, two_below = self._tops, 0, 0
-        one_step, two_steps = 1.5 * step, 2.5 * step
-        while tops and (last := tops[-1]).value < value:
-            del tops[-1]
+        two_steps = 2.5 * step
+        while tops:
+            last = tops[-1]
             lower = value - last.value
+            if lower <= 0.0:
+                break
+            del tops[-1]
             if lower < two_steps:
-                if lower < one_step:
+                if lower < 1.5 * step:
                     one_below += last.on
                     two_below += last.one_below
                 else:
                     two_below += last.on
-        if tops:
-            if last.value == value:
-                last.on += on  # those below it were added when they came
-                return last
-            lower = last.value - value
-            if lower < two_steps:
-                if lower < one_step:
-                    last.one_below += on
-                else:
-                    last.two_below += on
-            if len(tops) == REMEMBERED:
-                del tops[next((k for k, one in enumerate(tops) if one.pile is None), 0)]
+        else:
+            lower = -math.inf
+        if lower == 0.0:
+            last.on += on  # those below it were added when they came
+            return last
+        if -lower < two_steps:
+            if -lower < 1.5 * step:
+                last.one_below += on
+            else:
+                last.two_below += on
+        if len(tops) == REMEMBERED:
+            del tops[next((k for k, one in enumerate(tops) if one.pile is None), 0)]
         new = Top(value, hop, on, one_below, two_below)
         tops.append(new)
-        return new
+        return new if on >= LONG_STAY else None
 
-    def _take(self, top: Top, pile: Pile, at: AxisHop, hop: int) -> None:
-        """Weigh the samples of a hop that are on its top."""
+    def _take(self, top: Top, pile: Pile, at: AxisHops, h: int, hop: int) -> None:
+        """Weigh the samples of hop h that are on its top."""
         pile.rate = pile.rate or at.runs.rate()
         is_arrival = hop - pile.last > 1
         if is_arrival:
             pile.before = pile.at_it, pile.stays
-        fresh = pile.count(at, self._axis, self._side, top.value)
+        fresh = pile.count(at, h, self._axis, self._side, top.value)
         pile.last = hop
         if not fresh:
             return
         if is_arrival:
             pile.arrivals += 1
             if pile.arrivals > 1:
-                pile.met += self._coincidence(top, at.step, hop)
+                pile.met += self._coincidence(top, at.step[h], hop)
 
     def _coincidence(self, top: Top, step: float, hop: int) -> float:
         """-log of the chance that one more peak of the tail meets the same step [nats]."""
@@ -197,28 +201,27 @@ class AxisRails:
         self._hops = 0
         self._usual = 0.0  # mean change from sample to sample while driving
 
-    def step(self, at: AxisHop, moving: bool, stuck: bool) -> bool:
-        """Take a hop that has samples; return whether the axis is on a rail.
+    def step(self, at: AxisHops, h: int, moving: bool, stuck: bool) -> bool:
+        """Take hop h, which has samples; return whether the axis is on a rail.
 
         stuck: whether it was stuck when the hop began; such a hop says nothing of rails.
         """
         high, low = self._high, self._low
         hop = -1
         if stuck:
-            high.stick(at.tops[0])
-            low.stick(at.tops[1])
-            self._look_at_end(at)
+            high.stick(at.tops[0][h])
+            low.stick(at.tops[1][h])
+            self._look_at_end(at, h)
         elif moving:
             hop = self._hops
             self._hops += 1
-            self._usual += (at.level - self._usual) / (hop + 1 if hop < TAIL_HOPS else TAIL_HOPS)
-        (top, bottom), (on_top, on_bottom) = at.tops, at.on_tops
-        is_high, is_low = high.step(at, top, on_top, hop), low.step(at, bottom, on_bottom, hop)
-        if (is_high or is_low) and self._has_tail(at):
+            self._usual += (at.level[h] - self._usual) / (hop + 1 if hop < TAIL_HOPS else TAIL_HOPS)
+        is_high, is_low = high.step(at, h, hop), low.step(at, h, hop)
+        if (is_high or is_low) and self._has_tail(at.step[h]):
             if is_high:
-                high.weigh(at)
+                high.weigh(at, h)
             if is_low:
-                low.weigh(at)
+                low.weigh(at, h)
         if high.surprise > 0.0 or low.surprise > 0.0:
             both = high.surprise + low.surprise > BOTH_ENDS
             for rail in (high, low):
@@ -227,20 +230,20 @@ class AxisRails:
                     rail.on_rail()
         return high.found or low.found
 
-    def _has_tail(self, at: AxisHop) -> bool:
+    def _has_tail(self, step: float) -> bool:
         high, low = self._high.recent, self._low.recent
-        return bool(high) and max(high) + max(low) >= LEAST_STEPS * at.step
+        return bool(high) and max(high) + max(low) >= LEAST_STEPS * step
 
-    def _look_at_end(self, at: AxisHop) -> None:
+    def _look_at_end(self, at: AxisHops, h: int) -> None:
         """The axis was stuck: has that ended, and was it a rail that held it?"""
-        rows, first = at.rows, at.rows.edges[at.h]
-        own = rows.samples[self._axis, first : rows.edges[at.h + 1]]
+        rows, first = at.rows, at.rows.edges[h]
+        own = rows.samples[self._axis, first : rows.edges[h + 1]]
         value = float(rows.previous(first)[self._axis])
         other = np.flatnonzero(own != value)
-        if not len(other) or not self._has_tail(at):
+        if not len(other) or not self._has_tail(at.step[h]):
             return
         change = float(own[other[0]]) - value
-        if abs(change) > USUAL_CHANGE * max(self._usual, at.step):
+        if abs(change) > USUAL_CHANGE * max(self._usual, at.step[h]):
             return
         if self._high.is_held(value, -change):
             self._high.on_rail(value)

@@ -17,9 +17,9 @@ from numpy.typing import NDArray
 from imucald.core.angles import DEG_PER_RAD
 from imucald.core.samples import Samples, Series
 from imucald.motion.faults_in_force import EVENTS, FaultEvent, Faults, FaultsInForce
-from imucald.motion.hops import HOP_S, HOP_TICKS, SIDES, Carry, HopRows, hop_rows
-from imucald.motion.lost_contact import LostContact
-from imucald.motion.rail_evidence import AxisHop
+from imucald.motion.hops import HOP_S, HOP_TICKS, Carry, HopRows, hop_rows
+from imucald.motion.lost_contact import MIN_RUN, LostContact
+from imucald.motion.rail_evidence import AxisHops
 from imucald.motion.rails import AxisRails
 from imucald.motion.sensor_judges import (
     FORCE_HOPS,
@@ -44,6 +44,8 @@ NOISE: Mapping[str, float] = {"accel": 0.0018, "gyro": 0.00012, "mag": 8e-8}
 0.6 uT rms at 20 Hz and more (BMM150 data sheet, regular preset: 0.08 uT by that is less)."""
 WATCHED = ("accel", "gyro", "mag")
 AXES = "xyz"
+SEVERAL = 8
+"""So many hops are taken at once where nothing is unusual in any of them; few cost less singly."""
 _UNITS = {"gyro": DEG_PER_RAD}
 
 Array = NDArray[np.float64]
@@ -101,15 +103,12 @@ class _Sensor(FaultsInForce):
         if self._unit is not None:
             of = rows.level[some], rows.ended[some]
             wild[some] |= self._unit.step(*of, other[some], moving[some])
-        moves, counts = moving.tolist(), rows.count.tolist()
-        columns = [x.T.tolist() for x in (rows.level, rows.entries(), rows.step)]
-        each = [
-            self._judge_axis(axis, rows, moves, [x[axis] for x in columns])
-            for axis in range(self.axes)
-        ]
+        entries = rows.entries()
+        each = [self._judge_axis(axis, rows, entries, moving) for axis in range(self.axes)]
         shown = [(SignalFault.STUCK, AXES[i], stuck) for i, (stuck, _) in enumerate(each)]
         shown += [(SignalFault.SATURATED, AXES[i], on) for i, (_, on) in enumerate(each)]
         shown += [(SignalFault.IMPLAUSIBLE, AXES[: self.axes], wild.tolist())]
+        counts = rows.count.tolist()
         found: list[dict[SignalFault, str]] = [{} for _ in counts]
         for fault, axes, flags in shown:
             if True in flags:
@@ -119,27 +118,27 @@ class _Sensor(FaultsInForce):
         return [faults if count else None for faults, count in zip(found, counts, strict=True)]
 
     def _judge_axis(
-        self, axis: int, rows: HopRows, moves: list[bool], sizes: list[list[float]]
+        self, axis: int, rows: HopRows, entries: Array, moving: Flags
     ) -> tuple[list[bool], list[bool]]:
-        """At the end of which hops an axis is stuck, and on a rail; False without samples.
-
-        sizes: level, entry and step of the axis, as an `AxisHop` has them.
-        """
+        """At the end of which hops an axis is stuck, and on a rail; False without samples."""
         judge, rails, contact = self.stuck[axis], self.rails[axis], self.contacts[axis]
-        counts = [x[:, axis].tolist() for x in (rows.ended, rows.longest, rows.run)]
-        of_runs = zip(rows.count.tolist(), *counts, strict=True)
-        of_sides = [
-            zip(*(x[:, side, axis].tolist() for side in range(SIDES)), strict=True)
-            for x in (rows.top, rows.on_top)
-        ]
+        at = AxisHops.of(axis, rows, entries, judge.moving)
+        counts = rows.count, rows.ended[:, axis], rows.longest[:, axis], rows.run[:, axis]
+        moves = moving.tolist()
         stuck, saturated = [False] * len(moves), [False] * len(moves)
-        of_hops = zip(moves, of_runs, *sizes, *of_sides, strict=True)
-        for h, (moving, runs, level, entry, step, tops, on_tops) in enumerate(of_hops):
+        if len(moves) >= SEVERAL and judge.is_usual(moving, counts, MIN_RUN):
+            some = rows.count > 0
+            contact.step_through(at, some, counts)
+            judge.step_through(moving[some], [x[some] for x in counts])
+            for h in np.flatnonzero(some).tolist():
+                saturated[h] = rails.step(at, h, moves[h], stuck=False)
+            return stuck, saturated
+        of_runs = zip(*(x.tolist() for x in counts), strict=True)
+        for h, (is_moving, runs) in enumerate(zip(moves, of_runs, strict=True)):
             if runs[0]:
-                hop = AxisHop(rows, h, judge.moving, level, entry, step, tops, on_tops)
-                saturated[h] = rails.step(hop, moving, judge.stuck)
-                lost, jumped = contact.step(hop, axis, runs, judge.usual(moving))
-                stuck[h] = judge.step(moving, runs, step, jumped) or lost
+                saturated[h] = rails.step(at, h, is_moving, judge.stuck)
+                lost, jumped = contact.step(at, h, axis, runs, judge.usual(is_moving))
+                stuck[h] = judge.step(is_moving, runs, at.step[h], jumped) or lost
         return stuck, saturated
 
 
