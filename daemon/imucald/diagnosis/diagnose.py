@@ -27,6 +27,7 @@ from imucald.diagnosis.faults import find_faults, invalid_spans
 from imucald.diagnosis.gain import gain_of, summed
 from imucald.diagnosis.held_values import held_values
 from imucald.diagnosis.intervals import estimate, quantile
+from imucald.diagnosis.levels import coarser, holes, with_levels
 from imucald.diagnosis.lines import lines
 from imucald.diagnosis.lost_readings import Lost, all_lost, as_structure
 from imucald.diagnosis.louder import louder, with_leaves
@@ -35,15 +36,19 @@ from imucald.diagnosis.pairs import pairs
 from imucald.diagnosis.patterns import patterns
 from imucald.diagnosis.pictures import pictures_of
 from imucald.diagnosis.result import (
+    CHANGES_OTHERWISE,
+    COARSER,
     GOES_AGAINST,
     LOUDER,
     TOO_MUCH,
     VALUE_HELD,
+    VALUES_MISSING,
     Diagnosis,
     FoundCause,
     Gain,
     Structure,
 )
+from imucald.diagnosis.sample_changes import changes_missing, changes_otherwise, with_changes
 from imucald.diagnosis.score import Hypothesis, Problem
 from imucald.diagnosis.search import search
 from imucald.diagnosis.signals import DriveSignals, drive_of, require
@@ -61,6 +66,8 @@ LEAST_BLOCKS = 4
 LITTLE_MIN = 10.0
 UNBELIEVED = (GOES_AGAINST, TOO_MUCH)
 """Structure beside which no fit is believed."""
+NOT_AS_STATED = (LOUDER, COARSER, VALUES_MISSING, CHANGES_OTHERWISE)
+"""Structure beside which a file keeps what it says of its own drives."""
 HALF = 0.5
 """A file is not held to less than this share of a tolerance: one drive's pieces share temperature,
 load and weather."""
@@ -120,8 +127,9 @@ def diagnose(
     written = _written(state, problem)
     changes = written != state.stated or state.stated != model
     problem = state.evaluated()
-    if not any(s.kind in (*UNBELIEVED, LOUDER) for s in left):
+    if not any(s.kind in (*UNBELIEVED, *NOT_AS_STATED) for s in left):
         written = with_leaves(written, problem, state)
+        written = with_changes(with_levels(written, parts), parts, state.model)
     gain, signals = gain_of(before, problem, state.free, state.forwards)
     if state.shift is not None:
         gain = summed(state.shift.gain, gain.worse)
@@ -175,6 +183,10 @@ def _left(state: State) -> tuple[Structure, ...]:
                 *unstable(problem, state),
                 *gains_apart(problem, state, drift),
                 *louder(problem, state),
+                *coarser(state.drives, state.stated),
+                *holes(state.drives),
+                *changes_missing(state.drives),
+                *changes_otherwise(state.drives, state.stated, state.model),
             ]
         ),
         *named_apart(problem, state, drift),

@@ -10,6 +10,8 @@ from imucald.diagnosis.blocks import TAKES, Table
 from imucald.diagnosis.causes import family
 from imucald.diagnosis.outcome import SEEN_SHARE, signals_of
 from imucald.diagnosis.result import (
+    CHANGES_OTHERWISE,
+    COARSER,
     LOUDER,
     NOT_PLAUSIBLE,
     WANDERS,
@@ -20,6 +22,9 @@ from imucald.diagnosis.standing import unsettle
 from imucald.diagnosis.state import State
 from imucald.diagnosis.stuck import Fault
 from imucald.diagnosis.trials import Trial
+
+BESIDE = (NOT_PLAUSIBLE, WANDERS, LOUDER, COARSER, CHANGES_OTHERWISE)
+"""Structure that moves no value to one side: what a fit names beside it may stand."""
 
 
 def doubt(state: State, left: Sequence[Structure], faults: Sequence[Sequence[Fault]]) -> None:
@@ -34,7 +39,7 @@ def doubt(state: State, left: Sequence[Structure], faults: Sequence[Sequence[Fau
     missing = max((t.shown for t in state.implausible), default=0.0)
 
     def is_doubtful(trial: Trial) -> bool:
-        if any(s.kind not in (NOT_PLAUSIBLE, WANDERS, LOUDER) for s in left):
+        if any(s.kind not in BESIDE for s in left):
             # A cause is missing, and a fit shares out what it makes among those that it knows.
             return True
         if missing > 0.0 and trial.shown < (missing**0.5 + trial.needed**0.5) ** 2:

@@ -12,7 +12,8 @@ from scipy.stats import binom
 
 from imucald.core.samples import Samples, Series
 from imucald.diagnosis.lost_readings import INERTIAL, Lost
-from imucald.diagnosis.signals import Array, Mask, Spans, duplicates
+from imucald.diagnosis.sample_changes import stays_until_off
+from imucald.diagnosis.signals import Array, Channel, Mask, Spans, duplicates
 from imucald.diagnosis.stuck import Fault, stuck
 from imucald.diagnosis.visits import PILE_RATIO, visited_too_often
 from imucald.model.model import VehicleModel
@@ -65,7 +66,10 @@ def find_faults(
         read = none[name].kept(series) if name in none else series
         piled = list(_piled(name, read, model)) if name in INERTIAL else []
         own = (series.t, series.values) if name == "speed" else moving
-        found += [*piled, *stuck(name, series, samples, own, piled)]
+        held = list(stuck(name, series, samples, own, piled))
+        if held and stays_until_off(name, Channel.of(series)):
+            held = []
+        found += [*piled, *held]
         found += _timed(name, series, model)
     return found
 

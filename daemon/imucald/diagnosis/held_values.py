@@ -76,7 +76,7 @@ def _held(x: Array, questions: int) -> tuple[float, float, float] | None:
     value, count = levels[at], int(counts[at])
     # Codes that are never met leave gaps; no two levels lie closer than one code.
     width = float(np.quantile(np.diff(levels), 0.1))
-    noise = _noise(x, float(value))
+    noise = noise_about(x, float(value))
     # Readings that were turned after they were rounded lie in heaps, no further than the noise.
     near = np.abs(levels - value) <= max((BESIDE + 0.5) * width, noise)
     near[at] = False
@@ -93,7 +93,7 @@ def _held(x: Array, questions: int) -> tuple[float, float, float] | None:
     return float(value) + 0.0, count / len(x), count / max(beside, 1)
 
 
-def _noise(x: Array, value: float) -> float:
+def noise_about(x: Array, value: float = np.nan) -> float:
     """Deviation from sample to sample where a sensor is quiet; 0 where too little is away from a
     value to show. A step has the noise twice."""
     steps = np.diff(x) ** 2 / 2.0

@@ -79,14 +79,19 @@ def leaves_of(left: Left, segment_s: float) -> dict[str, Leaves]:
             logs = np.log(np.maximum(rms, LEAST_RMS))
             middle, spread = np.exp(np.median(logs, axis=0)), logs.std(axis=0, ddof=1)
             speeds = (round(float(low), 2), round(float(high), 2))
-            made[name] = Leaves(len(v), segment_s, speeds, _short(middle), _short(spread))
+            made[name] = Leaves(len(v), segment_s, speeds, six(middle), six(spread))
     return made
 
 
-def _short(x: Array) -> Bands:
-    """Four digits of each number (6,)."""
-    a, b, c, d, e, f = (float(f"{each:.4g}") for each in x)
+def six(x: Array) -> Bands:
+    """The numbers (6,) of a section of the file."""
+    a, b, c, d, e, f = (short(each) for each in x)
     return a, b, c, d, e, f
+
+
+def short(x: float) -> float:
+    """Four digits of a number."""
+    return float(f"{x:.4g}")
 
 
 def with_leaves(model: VehicleModel, problem: Problem, state: State) -> VehicleModel:

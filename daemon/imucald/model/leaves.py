@@ -1,4 +1,8 @@
-"""What the drives that a model file was made of leave of an equation (section of the file)."""
+"""What the drives that a model file was made of leave of an equation (section of the file).
+
+Two more kinds of entries have the same form, so that an older version reads the file and passes
+over them: how signals change from sample to sample, and the levels in which they come.
+"""
 
 from __future__ import annotations
 
@@ -10,11 +14,21 @@ from imucald.model.section import NonNegative, Positive, Section
 
 BANDS_HZ = (0.0, 0.1, 0.2, 0.4, 1.0, 2.5, 5.0)
 """Edges of the bands."""
+LAGS = (1, 2, 4, 8, 16, 32)
+"""Samples over which changes of a signal are taken, in place of the bands."""
+GAP_QUANTILES = (0.1, 0.25, 0.5, 0.75, 0.9, 1.0)
+"""Of gaps between levels that occur; the first is one step: codes may be missing."""
 Bands = tuple[NonNegative, NonNegative, NonNegative, NonNegative, NonNegative, NonNegative]
 
 
 class Leaves(Section, frozen=True):
-    """Of the segments of those drives, in motion; bands as in `BANDS_HZ`."""
+    """Of the segments of those drives, in motion; bands as in `BANDS_HZ`.
+
+    `changes of AXIS at RATE Hz`: lags as in `LAGS` in place of bands, and the ratio to the other
+    axes in place of the rms. `levels of SIGNAL`: `segments` gaps between levels in a drive of
+    `segment_s`; `rms` their quantiles (`GAP_QUANTILES`), each known to `spread`; the least value
+    beside 0 and the largest as `speeds_mps`, in the signal's unit.
+    """
 
     segments: Annotated[int, Meta(ge=1)]
     segment_s: Positive

@@ -69,7 +69,8 @@ class VehicleModel(Section, frozen=True):
     """Half widths within which numbers of this file are true, by the keys of `imucald diagnose`, in
     their SI units; others are held to what its catalogue takes for a correct file."""
     leaves: dict[str, Leaves] = msgspec.field(default_factory=dict)
-    """By equation of `imucald diagnose`: what the drives that this file was made of leave of it."""
+    """By equation of `imucald diagnose`: what the drives that this file was made of leave of it;
+    and how their signals come (`imucald.model.leaves`)."""
 
     def __post_init__(self) -> None:
         fastest = max(self.accel.rate_hz, self.gyro.rate_hz)

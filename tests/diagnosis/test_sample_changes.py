@@ -1,0 +1,146 @@
+"""How signals change from one sample to the next: against the file's drives, and by themselves."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from imucald.core.samples import GRAVITY, Series
+from imucald.diagnosis.cause_keys import mount_of
+from imucald.diagnosis.chance import beyond_chance
+from imucald.diagnosis.faults import find_faults
+from imucald.diagnosis.result import CHANGES_MISSING, CHANGES_OTHERWISE
+from imucald.diagnosis.sample_changes import (
+    changes_missing,
+    changes_of,
+    changes_otherwise,
+    with_changes,
+)
+from imucald.diagnosis.signals import drive_of
+from imucald.model.model import VehicleModel, load_model
+
+RATE_HZ, LENGTH_S, LSB = 50.0, 600.0, 0.001
+PLAIN = VehicleModel()
+TURNED = PLAIN.with_changes({"mount.yaw_deg": 70.0, "mount.roll_deg": 80.0})
+
+
+def samples(seed: int, shaken=(1.0, 1.0, 1.0), model=PLAIN, **changes):
+    """A drive on roads that differ by a half from one half minute to the next, about vehicle axes
+    that are shaken so much; in the sensor's axes."""
+    rng = np.random.default_rng(seed)
+    t = np.arange(0.0, LENGTH_S, 1.0 / RATE_HZ)
+    road = np.exp(0.4 * rng.standard_normal(int(LENGTH_S / 30.0) + 1))[(t / 30.0).astype(int)]
+    R = mount_of(model)
+    made = {"speed": Series(t[::10], 15.0 + np.sin(t[::10] / 20.0))}
+    for name, size, mean in (("accel", 0.3, GRAVITY), ("gyro", 0.02, 0.0)):
+        x = size * road[:, None] * rng.standard_normal((len(t), 3)) * shaken + [0.0, 0.0, mean]
+        made[name] = Series(t, LSB * np.round(x @ R / LSB))
+    return made | changes
+
+
+def file_of(model=PLAIN, **how):
+    return with_changes(model, [drive_of(samples(1, model=model, **how))], model)
+
+
+def found(file, made, model=PLAIN):
+    return beyond_chance(changes_otherwise([drive_of(made)], file, model))
+
+
+def test_the_ratio_to_the_other_axes_is_carried_by_rate():
+    file = file_of(shaken=(1.0, 1.0, 3.0))
+    ratios = file.leaves["changes of accel_z at 50 Hz"]
+    assert ratios.rms == pytest.approx([3.0] * 6, rel=0.1)
+    assert ratios.segments == 59
+
+
+def test_another_road_and_a_rougher_one_are_nothing():
+    file = file_of()
+    assert [found(file, samples(seed)) for seed in range(2, 12)] == [[]] * 10
+    assert found(file, samples(2, shaken=(3.0, 3.0, 3.0))) == []
+
+
+@pytest.mark.parametrize(("times", "words"), [(3.0, " 3 times"), (0.33, "0.33 times")])
+def test_an_axis_that_is_shaken_otherwise_is_reported_with_its_ratio(times, words):
+    left = found(file_of(), samples(2, shaken=(1.0, times, 1.0)))
+    assert {(s.signal, s.kind) for s in left} >= {("accel_y", CHANGES_OTHERWISE)}
+    one = next(s for s in left if s.signal == "accel_y")
+    assert one.size == pytest.approx(max(times, 1 / times) / 2**0.5, rel=0.15)
+    assert "model file states" in one.text
+
+
+def test_a_sensor_that_is_turned_is_held_against_the_vehicles_axes():
+    shaken = (1.0, 1.0, 3.0)
+    file = file_of(shaken=shaken)
+    assert found(file, samples(2, shaken, TURNED), TURNED) == []
+    # Beside the wrong mount it is another one.
+    assert found(file, samples(2, shaken, TURNED), PLAIN) != []
+
+
+def test_another_rate_is_not_compared():
+    made = samples(2, shaken=(1.0, 5.0, 1.0))
+    half = {k: Series(s.t[::2], s.values[::2]) for k, s in made.items() if k != "speed"}
+    file = file_of()
+    assert changes_otherwise([drive_of(made | half)], file, PLAIN) == []
+
+
+def test_an_extended_file_is_read_as_it_was_written(tmp_path):
+    file = file_of()
+    path = tmp_path / "model.yaml"
+    path.write_text(file.to_yaml())
+    assert load_model(path).leaves == file.leaves
+
+
+# sent on change ----------------------------------------------------------------------------------
+
+
+def on_change(x: np.ndarray, by: float) -> np.ndarray:
+    """What is sent of a signal where each number stays until it is off by so much."""
+    out, held = np.empty_like(x), x[0].copy()
+    for k, now in enumerate(x):
+        send = np.abs(now - held) >= by
+        held[send] = now[send]
+        out[k] = held
+    return out
+
+
+def test_sound_signals_change_by_little_oftener_than_by_much():
+    for seed in range(10):
+        assert beyond_chance(changes_missing([drive_of(samples(seed))])) == []
+
+
+def test_a_pure_vibration_is_no_signal_that_stays():
+    """Of all motions it has the fewest small changes."""
+    made = samples(2)
+    t = made["gyro"].t
+    x = 0.3 * np.sin(2.0 * np.pi * 11.3 * t)[:, None] * [1.0, 0.7, 0.4]
+    made["gyro"] = Series(t, LSB * np.round(x / LSB))
+    assert beyond_chance(changes_missing([drive_of(made)])) == []
+
+
+def test_what_is_sent_on_change_is_reported_and_not_called_stuck():
+    made = samples(2)
+    slow = np.sin(made["gyro"].t / 9.0)[:, None] * [0.2, 0.1, 0.1]
+    x = LSB * np.round((slow + 0.1 * made["gyro"].values) / LSB)
+    made["gyro"] = Series(made["gyro"].t, on_change(x, 0.04))
+    left = beyond_chance(changes_missing([drive_of(made)]))
+    assert {(s.signal, s.kind) for s in left} == {
+        (f"gyro_{axis}", CHANGES_MISSING) for axis in "xyz"
+    }
+    assert not [f for f in find_faults(made, PLAIN) if f.cause == "stuck_signal"]
+
+
+def test_a_stuck_sensor_is_still_called_so():
+    made = samples(2)
+    values = made["gyro"].values.copy()
+    values[10_000:11_000] = values[10_000]
+    made["gyro"] = Series(made["gyro"].t, values)
+    assert [f.cause for f in find_faults(made, PLAIN)] == ["stuck_signal"]
+
+
+def test_nothing_is_asked_of_few_changes():
+    made = {k: Series(s.t[s.t < 60.0], s.values[s.t < 60.0]) for k, s in samples(2).items()}
+    made["gyro"] = Series(made["gyro"].t, np.zeros_like(made["gyro"].values))
+    drive = drive_of(made)
+    assert not [q for q in changes_missing([drive]) if q.structure.signal.startswith("gyro")]
+    names = {f"changes of {n}_{a} at 50 Hz" for n in ("accel", "gyro") for a in "xyz"}
+    assert set(changes_of([drive], PLAIN)) <= names
