@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import msgspec
 import numpy as np
 import pytest
 
@@ -71,6 +72,13 @@ def test_an_extended_file_is_read_as_it_was_written(tmp_path):
 
 def test_a_file_without_levels_is_held_against_nothing():
     assert coarser([drive_of(samples(2, 1.0 / 3.6))], VehicleModel()) == []
+
+
+def test_a_file_with_a_step_of_nothing_is_held_against_nothing():
+    """As a person may write it."""
+    file = file_of()
+    leaves = {name: {**msgspec.to_builtins(x), "rms": [0.0] * 6} for name, x in file.leaves.items()}
+    assert found(file.with_changes({"leaves": leaves}), samples(2, 1.0 / 3.6)) == []
 
 
 def test_a_file_whose_drives_never_stopped_says_nothing_of_standing():

@@ -143,9 +143,9 @@ def _in_steps(signal: Numbers, lsb: float, known_to: float) -> Iterator[Question
     file's grid, of which as many levels occur, far more would be."""
     levels = levels_of(signal.values)
     step = step_of(levels)
-    ratio = step / lsb
-    if step <= GAIN * (lsb + known_to):
+    if lsb == 0.0 or step <= GAIN * (lsb + known_to):
         return
+    ratio = step / lsb
     gaps = np.diff(levels)
     # One in `ratio` of the file's levels occurs: so often another comes before the step is over.
     narrow = 1.0 - (1.0 - 1.0 / ratio) ** (np.ceil(ratio - OFF_STEP) - 1.0)
