@@ -146,7 +146,7 @@ def _of_axis(name: str, ratio: Array, file: Leaves) -> Iterator[Question]:
     for i, lag in enumerate(LAGS):
         times = float(np.exp(more[i]))
         text = (
-            f"in half of the segments its changes over {lag} samples at {rate} Hz are "
+            f"in half of the segments its changes over {_samples(lag)} at {rate} Hz are "
             f"{np.exp(np.median(logs[:, i])):.2g} times those of the other axes and more, "
             f"{times:.2g} times what the model file states of its own drives; a road shakes all "
             f"axes, and one beside the others by {ROUGHER:.2g} times as much or as little"
@@ -154,6 +154,10 @@ def _of_axis(name: str, ratio: Array, file: Leaves) -> Iterator[Question]:
         size = max(times, 1.0 / times) / ROUGHER
         structure = Structure(signal, CHANGES_OTHERWISE, size, text)
         yield Question(float(chance[i]), bool(abs(more[i]) - se[i] > rougher), structure)
+
+
+def _samples(lag: int) -> str:
+    return "1 sample" if lag == 1 else f"{lag} samples"
 
 
 # without a file ----------------------------------------------------------------------------------
