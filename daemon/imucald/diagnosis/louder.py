@@ -119,16 +119,22 @@ def louder(problem: Problem, state: State) -> list[Question]:
     return asked
 
 
-def _of_equation(name: str, rms: Array, file: Leaves) -> list[Question]:
-    """One question a band. rms: (B, bands)."""
+def beside_file(rms: Array, file: Leaves) -> tuple[Array, Array, Array, float]:
+    """Logarithms (B, 6) of what segments leave, by how much their medians (6,) exceed the file's,
+    its deviations, and degrees of freedom."""
     logs = np.log(np.maximum(rms, LEAST_RMS))
     own, known = len(logs) / ONE_IN, file.segments / ONE_IN
     more = np.median(logs, axis=0) - np.log(np.maximum(file.rms, LEAST_RMS))
     variance = logs.var(axis=0, ddof=1) / own + np.square(file.spread) / known
-    se = MEDIAN * np.sqrt(np.maximum(variance, 1e-12))
+    return logs, more, MEDIAN * np.sqrt(np.maximum(variance, 1e-12)), own + known - 2.0
+
+
+def _of_equation(name: str, rms: Array, file: Leaves) -> list[Question]:
+    """One question a band. rms: (B, bands)."""
+    logs, more, se, free = beside_file(rms, file)
     road = np.log(ROAD_CLASS)
     null = road if name in SHAKEN else 0.0
-    chance = student.sf((more - null) / se, own + known - 2.0)
+    chance = student.sf((more - null) / se, free)
     made = []
     for i, (low, high) in enumerate(pairwise(BANDS_HZ)):
         ratio = float(np.exp(more[i]))

@@ -21,12 +21,10 @@ from imucald.diagnosis.chance import Question, beyond_chance
 from imucald.diagnosis.held_values import noise_about
 from imucald.diagnosis.levels import Numbers, levels_of, numbers_of, signals_of, step_of
 from imucald.diagnosis.louder import (
-    LEAST_RMS,
     LEAST_SEGMENTS,
-    MEDIAN,
-    ONE_IN,
     ROAD_CLASS,
     Left,
+    beside_file,
     leaves_of,
 )
 from imucald.diagnosis.result import CHANGES_MISSING, CHANGES_OTHERWISE, Structure
@@ -135,13 +133,9 @@ def changes_otherwise(
 
 def _of_axis(name: str, ratio: Array, file: Leaves) -> Iterator[Question]:
     """One question a lag. ratio: (B, lags)."""
-    logs = np.log(ratio)
-    own, known = len(logs) / ONE_IN, file.segments / ONE_IN
-    more = np.median(logs, axis=0) - np.log(np.maximum(file.rms, LEAST_RMS))
-    variance = logs.var(axis=0, ddof=1) / own + np.square(file.spread) / known
-    se = MEDIAN * np.sqrt(np.maximum(variance, 1e-12))
+    logs, more, se, free = beside_file(ratio, file)
     rougher = np.log(ROUGHER)
-    chance = np.minimum(2.0 * student.sf((np.abs(more) - rougher) / se, own + known - 2.0), 1.0)
+    chance = np.minimum(2.0 * student.sf((np.abs(more) - rougher) / se, free), 1.0)
     _, _, signal, _, rate, _ = name.split()
     for i, lag in enumerate(LAGS):
         times = float(np.exp(more[i]))
