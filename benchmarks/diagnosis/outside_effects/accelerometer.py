@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from benchmarks.diagnosis.outside_effects.levels import set_values
+from benchmarks.diagnosis.outside_effects.spells import in_spells
 from benchmarks.diagnosis.real_effects import Array, Drive
 
 
@@ -80,11 +81,7 @@ def supply_dips(s: Drive, size: float, rng: np.random.Generator, R: Array) -> fl
     share. A ratiometric accelerometer's gain falls with it, and its zero, which is half the supply,
     5 g above where it would say nothing (ADXL335 data sheet: 300 mV/g and 1.5 V, both at 3 V)."""
     t, x = s["accel"].t, s["accel"].values
-    share, at = np.zeros(len(t)), float(t[0]) + rng.uniform(10.0, 60.0)
-    while at < t[-1]:
-        runs = rng.uniform(15.0, 40.0)
-        share[(t >= at) & (t < at + runs)] = size
-        at += runs + rng.uniform(30.0, 120.0)
+    share = size * in_spells(t, 15.0, rng)
     set_values(s, "accel", x - share[:, None] * (x + 5.0 * 9.80665))
     return size
 

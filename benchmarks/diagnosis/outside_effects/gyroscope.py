@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from benchmarks.diagnosis.outside_effects.levels import set_values
+from benchmarks.diagnosis.outside_effects.spells import in_spells
 from benchmarks.diagnosis.real_effects import Array, Drive
 
 
@@ -114,10 +115,6 @@ def second_gyro(s: Drive, size: float, rng: np.random.Generator, R: Array) -> fl
     DataValidatorGroup::get_best: the best sensor is shown, and the first again once it is sound).
     0.05 deg/s a kelvin over 6 K (Bosch BMI160 data sheet: change of the zero with temperature)."""
     t, x = s["gyro"].t, s["gyro"].values
-    second, at = np.zeros(len(t)), float(t[0]) + rng.uniform(10.0, 60.0)
-    while at < t[-1]:
-        runs = rng.uniform(10.0, 40.0)
-        second[(t >= at) & (t < at + runs)] = size
-        at += runs + rng.uniform(30.0, 120.0)
+    second = size * in_spells(t, 10.0, rng)
     set_values(s, "gyro", x + second[:, None] * rng.choice([-1.0, 1.0], 3))
     return size

@@ -74,7 +74,7 @@ BATCHES = (
         "change were left out: it takes what the sensor held a few ms before, which a log of 10 Hz "
         "does not have. Stalls of a logger were left out: samples 1 ms apart, which the ideal "
         "filter sees 41 times over in css_canmod_164. A speed over the last 8 m was left out: its "
-        "mean lateness is a delay, which the catalogue has. A gyroscope's zero that moves with a "
+        "mean delay is one, which the catalogue has. A gyroscope's zero that moves with a "
         "resonance of its board was seen, and left out for these six.",
     ),
 )  # fmt: skip

@@ -248,7 +248,7 @@ def _weighed(
     bounds = np.array([plausible(model, key) for key in keys]).reshape(-1, 2)
     free = np.zeros(len(keys))
     for i in range(PASSES):
-        left = without_tilt(parts, free)
+        left = _without_tilt(parts, free)
         weights = {name: noise_weights(left[name], rows.good) for name, rows in parts.items()}
         gram = _gram(parts, weights)
         whole = np.asarray(sum(gram.values()))
@@ -273,7 +273,7 @@ def _weighed(
     )  # fmt: skip
 
 
-def without_tilt(parts: Mapping[str, Rows], x: Array) -> dict[str, Array]:
+def _without_tilt(parts: Mapping[str, Rows], x: Array) -> dict[str, Array]:
     """Residual rows (B, K) less X x, the tilt fitted anew."""
     left = {name: rows.y - rows.X @ x for name, rows in parts.items()}
     tilted = [n for n in TILTED if n in parts]

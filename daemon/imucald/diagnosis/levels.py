@@ -115,7 +115,7 @@ def step_of(levels: Array) -> float:
 
 def is_one_grid(levels: Array, step: float) -> bool:
     """Whether all levels lie on one grid, from end to end. Readings that were turned after being
-    rounded lie in heaps: their gaps are alike, and add up to no grid."""
+    rounded lie in heaps: their gaps are equal, and add up to no grid."""
     code = np.cumsum(np.round(np.diff(levels, prepend=levels[0]) / step))
     slope, start = np.polyfit(code, levels, 1)
     off = np.abs(levels - start - slope * code)

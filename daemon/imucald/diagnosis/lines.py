@@ -108,6 +108,6 @@ def _question(name: str, z: Spectra, hz: Array, asked: NDArrayInt, tau: float) -
 
 
 def _beside(power: Array, i: int) -> float:
-    """The higher of what lies to both sides: a slope and a broad hump have no line on them."""
+    """The higher of what lies to both sides: a slope and a broad rise have no line on them."""
     sides = power[max(i - FAR, 1) : i - NEAR + 1], power[i + NEAR : i + FAR + 1]
     return max(float(np.median(side)) for side in sides if len(side))

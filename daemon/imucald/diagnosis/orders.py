@@ -119,7 +119,7 @@ def _of_stretch(s: Stretch, turns: Array) -> tuple[Array, Array, Array]:
 
 
 def _stretches(f: Forward, changes: Mapping[str, float]) -> Iterator[Stretch]:
-    """The longest stretch of each segment that has all that is needed."""
+    """The longest part of each segment that has all that is needed."""
     found, masks = f.residuals(changes), f.usable()
     if "accel_x" not in found.of or not f.has_gravity:
         return

@@ -288,9 +288,9 @@ def _questions(
         value, sigma, p, gain = _test(own, known)
         # An end less its error of one deviation.
         is_large = abs(value) * (1.0 - 1.0 / max(sigma, 1.0)) > may and gain > SINGLE_NATS
-        said = amount(error.key, value) if error.key else f"{value:.2g} m/s"
+        size = amount(error.key, value) if error.key else f"{value:.2g} m/s"
         text = (
-            f"{error.text} goes with {condition}: it differs by {said} from one end to the other, "
+            f"{error.text} goes with {condition}: it differs by {size} from one end to the other, "
             f"{sigma:.1f} deviations, where a correct file's may not ({abs(value) / may:.1f} times "
             "what it may)"
         )
