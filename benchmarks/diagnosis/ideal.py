@@ -4,14 +4,10 @@ The effect is put in by the judge, so the residual with it less the residual wit
 A filter made of that difference is the best that any test can do (matched filter); its output over
 its own deviation is *ideal*. What a catalogue of wrong parameters and the tilts of the segments
 could take of the difference is taken off first. None of the diagnosis' own tests is asked here.
-
-    python -m benchmarks.diagnosis.ideal
 """
 
 from __future__ import annotations
 
-import argparse
-import sys
 from collections.abc import Mapping
 from dataclasses import dataclass
 
@@ -30,6 +26,8 @@ from imucald.diagnosis.fit.blocks import (
     MOVING_MPS,
     MOVING_SHARE,
     SHORT_BLOCK_S,
+    TAKES,
+    _top_hz,
     cosine,
     noise_weights,
 )
@@ -159,30 +157,4 @@ class Ideal:
 
 
 def _tops(drive: DriveSignals) -> Mapping[str, float]:
-    from imucald.diagnosis.fit.blocks import TAKES, _top_hz
-
     return {name: _top_hz(drive, name) for name in TAKES}
-
-
-def main() -> int:
-    from benchmarks.diagnosis.cases import cases
-    from benchmarks.diagnosis.outcome import of_medium_size
-    from benchmarks.diagnosis.outside_effects import OUTSIDE
-
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--effects", nargs="+", choices=list(OUTSIDE), default=list(OUTSIDE))
-    parser.add_argument("--draw", type=int, default=0)
-    options = parser.parse_args()
-    print("| log | effect | size | shows in | ideal [sd] | needed [sd] |")
-    print("| --- | --- | --- | --- | --- | --- |")
-    for case in cases("outside", range(options.draw, options.draw + 1)):
-        made = of_medium_size(case) if case.effect in options.effects else None
-        if made is not None:
-            _, size, seen = made
-            print(f"| {case.log} | {case.effect} | {size:.3g} | {seen.equation} | {seen.ideal:.1f} "
-                  f"| {seen.needed:.1f} |", flush=True)  # fmt: skip
-    return 0
-
-
-if __name__ == "__main__":
-    sys.exit(main())
