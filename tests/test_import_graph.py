@@ -47,6 +47,15 @@ NEVER = {
 }
 """Rooms that never reach these rooms, directly or through others."""
 
+DIAGNOSIS_ROOMS: Mapping[str, set[str]] = {
+    "equations": set(),
+    "fit": {"equations"},
+    "search": {"equations", "fit"},
+    "direct": {"equations", "fit"},
+    "left_over": {"equations", "fit", "search"},
+}
+"""Rooms of the diagnosis, and those of its others that each imports."""
+
 LAZY_LIBRARIES = {
     "aiohttp", "asammdf", "can", "difflib", "dpkt", "isotp", "jinja2", "kuksa_client", "matplotlib",
     "paho", "rich", "scipy", "subprocess", "yaml", "zstandard",
@@ -214,6 +223,24 @@ def test_rooms_reach_only_the_rooms_they_may():
         for way in way_into(name, NEVER.get(room(name), set())):
             found.add(f"{room(name)}: {way[-2]} -> {way[-1]}")
     hold("room", found, "an import leaves its room in a direction that is not allowed:")
+
+
+def test_rooms_of_the_diagnosis_call_one_way():
+    rooms = {
+        part[1] for name in modules() if len(part := name.split(".")) > 2 and part[0] == "diagnosis"
+    }
+    assert rooms == set(DIAGNOSIS_ROOMS)
+    found = {
+        f"{name} -> {to}"
+        for own, allowed in DIAGNOSIS_ROOMS.items()
+        for name in modules()
+        if name.startswith(f"diagnosis.{own}.")
+        for to in arrows()[name]
+        if to.split(".")[1:2]
+        and to.split(".")[1] in rooms - allowed - {own}
+        and room(to) == "diagnosis"
+    }
+    hold("room", found, "an import leaves its room of the diagnosis in the wrong direction:")
 
 
 def test_no_modules_import_each_other_in_a_circle():

@@ -8,11 +8,11 @@ import pytest
 from imucald.core.errors import ConfigError
 from imucald.core.samples import Series
 from imucald.diagnosis.cause_keys import mount_of
+from imucald.diagnosis.fit.beside_file import leaves_of
 from imucald.diagnosis.fit.chance import beyond_chance
 from imucald.diagnosis.left_over.louder import (
     _by_band,
     _of_equation,
-    leaves_of,
     louder,
     with_leaves,
 )

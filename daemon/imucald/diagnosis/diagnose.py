@@ -29,7 +29,7 @@ from imucald.diagnosis.fit.chance import beyond_chance
 from imucald.diagnosis.fit.intervals import estimate, quantile
 from imucald.diagnosis.fit.score import Hypothesis, Problem
 from imucald.diagnosis.gain import gain_of, summed
-from imucald.diagnosis.left_over.adequacy import goes_against, too_much, what_is_left
+from imucald.diagnosis.left_over.adequacy import goes_against, spectra_of, too_much, what_is_left
 from imucald.diagnosis.left_over.between_segments import gains_apart, named_apart
 from imucald.diagnosis.left_over.even_growth import uneven_growth
 from imucald.diagnosis.left_over.lines import lines
@@ -169,6 +169,7 @@ def _left(state: State) -> tuple[Structure, ...]:
     """What no cause explains."""
     problem = state.evaluated()
     drift = drift_of(problem, state)
+    spectra = spectra_of(problem, state.forwards)
     left = (
         *too_much(problem, state),
         *uneven(problem, drift),
@@ -179,7 +180,7 @@ def _left(state: State) -> tuple[Structure, ...]:
                 *patterns(problem, state.forwards),
                 *pairs(problem, state),
                 *orders(problem, state),
-                *lines(problem, state),
+                *lines(state, spectra),
                 *unstable(problem, state),
                 *gains_apart(problem, state, drift),
                 *louder(problem, state),
@@ -191,7 +192,7 @@ def _left(state: State) -> tuple[Structure, ...]:
         ),
         *named_apart(problem, state, drift),
         *uneven_growth(problem, state),
-        *what_is_left(problem, state),
+        *what_is_left(problem, state, spectra),
     )
     return tuple(dict.fromkeys(left))  # a named gain is asked about twice
 

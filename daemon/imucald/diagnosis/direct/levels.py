@@ -17,8 +17,8 @@ import numpy as np
 from scipy.stats import binom
 
 from imucald.diagnosis.causes import PARAMETERS
+from imucald.diagnosis.fit.beside_file import short, six, with_entries
 from imucald.diagnosis.fit.chance import Question
-from imucald.diagnosis.left_over.louder import short, six
 from imucald.diagnosis.result import COARSER, VALUES_MISSING, Structure
 from imucald.diagnosis.signals import Array, Channel, DriveSignals, Mask
 from imucald.model.leaves import GAP_QUANTILES, Leaves
@@ -238,7 +238,7 @@ def with_levels(model: VehicleModel, drives: Sequence[DriveSignals]) -> VehicleM
             name, found = f"levels of {signal.channel}", _stated(signal, drive.duration_s)
             if found is not None:
                 made[name] = _closer(made.get(name, found), found)
-    return model.with_changes({"leaves": msgspec.to_builtins({**model.leaves, **made})})
+    return with_entries(model, made)
 
 
 def _stated(signal: Numbers, duration_s: float) -> Leaves | None:

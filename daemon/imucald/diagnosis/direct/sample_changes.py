@@ -11,7 +11,6 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from itertools import pairwise
 
-import msgspec
 import numpy as np
 from scipy.stats import binom
 from scipy.stats import t as student
@@ -19,14 +18,15 @@ from scipy.stats import t as student
 from imucald.diagnosis.cause_keys import mounts
 from imucald.diagnosis.direct.held_values import noise_about
 from imucald.diagnosis.direct.levels import Numbers, levels_of, numbers_of, signals_of, step_of
-from imucald.diagnosis.fit.chance import Question, beyond_chance
-from imucald.diagnosis.left_over.louder import (
-    LEAST_SEGMENTS,
+from imucald.diagnosis.fit.beside_file import (
     ROAD_CLASS,
     Left,
     beside_file,
+    in_both,
     leaves_of,
+    with_entries,
 )
+from imucald.diagnosis.fit.chance import Question, beyond_chance
 from imucald.diagnosis.result import CHANGES_MISSING, CHANGES_OTHERWISE, Structure
 from imucald.diagnosis.signals import STANDING_MPS, Array, Channel, DriveSignals, Mask
 from imucald.model.leaves import LAGS, Leaves
@@ -110,8 +110,7 @@ def with_changes(
     model: VehicleModel, drives: Sequence[DriveSignals], found: VehicleModel
 ) -> VehicleModel:
     """The model file with how these drives change. found: their mount."""
-    made = leaves_of(changes_of(drives, found), SEGMENT_S)
-    return model.with_changes({"leaves": msgspec.to_builtins({**model.leaves, **made})})
+    return with_entries(model, leaves_of(changes_of(drives, found), SEGMENT_S))
 
 
 def changes_otherwise(
@@ -120,15 +119,8 @@ def changes_otherwise(
     """Whether an axis changes by more than the others, or by less, than the model file states."""
     if not stated.leaves:
         return []
-    asked: list[Question] = []
-    for name, (v, ratio) in changes_of(drives, found).items():
-        file = stated.leaves.get(name)
-        if file is None:
-            continue
-        inside = (v >= file.speeds_mps[0]) & (v <= file.speeds_mps[1])
-        if min(inside.sum(), file.segments) >= LEAST_SEGMENTS:
-            asked += _of_axis(name, ratio[inside], file)
-    return asked
+    asked = in_both(changes_of(drives, found), stated.leaves, SEGMENT_S)
+    return [q for name, ratio, file in asked for q in _of_axis(name, ratio, file)]
 
 
 def _of_axis(name: str, ratio: Array, file: Leaves) -> Iterator[Question]:

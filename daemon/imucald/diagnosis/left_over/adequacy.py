@@ -127,9 +127,8 @@ def _noise(state: State, top_hz: float) -> float:
     return float(max(found))
 
 
-def what_is_left(problem: Problem, state: State) -> list[Structure]:
+def what_is_left(problem: Problem, state: State, spectra: Mapping[str, Spectra]) -> list[Structure]:
     """Structure beyond what roads and noise leave. problem: of the model as it was extended."""
-    spectra = spectra_of(problem, state.forwards)
     peaks = _peaks(spectra, cut_offs(state.changes))
     return [*_shared(spectra, state.forwards), *peaks, *_shaken(problem, state)]
 
@@ -147,12 +146,14 @@ def spectra_of(problem: Problem, forwards: Sequence[Forward]) -> Mapping[str, Sp
         masks, found = f.usable(), f.residuals(changes)
         leveled = f.level(found, masks)
         v = np.interp(f.t, f.knots, np.abs(f.drive.knots.values)).reshape(f.blocks, f.rows)
+        # One product under two masks: a segment may lack one of the two equations.
+        sideways = v * f.yaw_rate().reshape(v.shape) if f.has_turning else v
         if "yaw_rate" in leveled:
-            leveled["_turning"] = v * f.yaw_rate().reshape(v.shape)
+            leveled["_turning"] = sideways
             leveled["_steering"] = f.scalar("steering", {}).reshape(v.shape)
             masks |= dict.fromkeys(("_turning", "_steering"), masks["yaw_rate"])
         if f.has_turning and "accel_x" in leveled:
-            leveled["_winding"] = v * f.yaw_rate().reshape(v.shape)
+            leveled["_winding"] = sideways
             leveled["_braking"] = np.asarray(np.gradient(v, STEP_S, axis=1))
             masks |= dict.fromkeys(DRIVEN, masks["accel_x"])
         # Squares of all bins add up to the mean square of a row.

@@ -18,7 +18,7 @@ from imucald.diagnosis.causes import PARAMETERS
 from imucald.diagnosis.equations.forward import UNITS
 from imucald.diagnosis.fit.blocks import CARRIED, OF_SPEED, TAKES, NDArrayInt
 from imucald.diagnosis.fit.chance import Question
-from imucald.diagnosis.fit.score import Problem, one_in_fifteen
+from imucald.diagnosis.fit.score import one_in_fifteen
 from imucald.diagnosis.left_over.adequacy import (
     DRIVEN,
     LEAST_BLOCKS,
@@ -28,7 +28,6 @@ from imucald.diagnosis.left_over.adequacy import (
     as_loud,
     cut_offs,
     left_of_known,
-    spectra_of,
 )
 from imucald.diagnosis.result import Structure
 from imucald.diagnosis.search.state import State
@@ -50,9 +49,8 @@ ZEROS: Mapping[str, str] = {
 """Zero error that a correct file may have: a smaller swing is not reported."""
 
 
-def lines(problem: Problem, state: State) -> list[Question]:
+def lines(state: State, spectra: Mapping[str, Spectra]) -> list[Question]:
     """One question an equation: of its strongest line."""
-    spectra = spectra_of(problem, state.forwards)
     made = []
     for name, tau in ZEROS.items():
         if name not in spectra or not set(DRIVEN) <= set(spectra):

@@ -10,33 +10,30 @@ from __future__ import annotations
 
 from itertools import pairwise
 
-import msgspec
 import numpy as np
 from scipy.fft import dct
 from scipy.stats import t as student
 
 from imucald.diagnosis.equations.forward import UNITS
+from imucald.diagnosis.fit.beside_file import (
+    ROAD_CLASS,
+    Left,
+    beside_file,
+    in_both,
+    leaves_of,
+    with_entries,
+)
 from imucald.diagnosis.fit.blocks import LEAST_SHARE, MOVING_SHARE
 from imucald.diagnosis.fit.chance import Question
 from imucald.diagnosis.fit.score import Problem
 from imucald.diagnosis.result import LOUDER, Structure
 from imucald.diagnosis.search.state import State
 from imucald.diagnosis.signals import STANDING_MPS, STEP_S, Array, Mask
-from imucald.model.leaves import BANDS_HZ, Bands, Leaves
+from imucald.model.leaves import BANDS_HZ, Leaves
 from imucald.model.model import VehicleModel
 
-LEAST_SEGMENTS = 10
-ROAD_CLASS = 2.0
-"""rms of a road over that of the next class (ISO 8608: spectral densities are 4 apart)."""
 SHAKEN = ("accel_y", "accel_z", "gyro_x", "gyro_y", "lateral_accel")
 """Equations in which the road's unevenness stands: chance starts from a road of the next class."""
-ONE_IN = 4.0
-"""Slow roads last over neighbours: so many segments count as one."""
-MEDIAN = float(np.sqrt(0.5 * np.pi))
-"""Deviation of the median over that of the mean, of normal numbers."""
-LEAST_RMS = 1e-9
-INSIDE = (0.05, 0.95)
-Left = dict[str, tuple[Array, Array]]
 
 
 def left_of(problem: Problem, state: State) -> Left:
@@ -70,34 +67,9 @@ def _by_band(y: Array, mask: Mask) -> Array:
     return np.asarray(np.sqrt(sums / np.maximum(mask.sum(axis=1), 1)[:, None]))
 
 
-def leaves_of(left: Left, segment_s: float) -> dict[str, Leaves]:
-    """What a model file carries of that."""
-    made = {}
-    for name, (v, rms) in left.items():
-        if len(v) >= LEAST_SEGMENTS:
-            low, high = np.quantile(v, INSIDE)
-            logs = np.log(np.maximum(rms, LEAST_RMS))
-            middle, spread = np.exp(np.median(logs, axis=0)), logs.std(axis=0, ddof=1)
-            speeds = (round(float(low), 2), round(float(high), 2))
-            made[name] = Leaves(len(v), segment_s, speeds, six(middle), six(spread))
-    return made
-
-
-def six(x: Array) -> Bands:
-    """The numbers (6,) of a section of the file."""
-    a, b, c, d, e, f = (short(each) for each in x)
-    return a, b, c, d, e, f
-
-
-def short(x: float) -> float:
-    """Four digits of a number."""
-    return float(f"{x:.4g}")
-
-
 def with_leaves(model: VehicleModel, problem: Problem, state: State) -> VehicleModel:
     """The model file with what these drives leave; of other equations with what it had."""
-    leaves = leaves_of(left_of(problem, state), problem.table.seconds)
-    return model.with_changes({"leaves": msgspec.to_builtins({**model.leaves, **leaves})})
+    return with_entries(model, leaves_of(left_of(problem, state), problem.table.seconds))
 
 
 def louder(problem: Problem, state: State) -> list[Question]:
@@ -108,25 +80,8 @@ def louder(problem: Problem, state: State) -> list[Question]:
     stated = state.stated.leaves
     if not stated:
         return []
-    asked = []
-    for name, (v, rms) in left_of(problem, state).items():
-        file = stated.get(name)
-        if file is None or file.segment_s != problem.table.seconds:
-            continue
-        inside = (v >= file.speeds_mps[0]) & (v <= file.speeds_mps[1])
-        if min(inside.sum(), file.segments) >= LEAST_SEGMENTS:
-            asked += _of_equation(name, rms[inside], file)
-    return asked
-
-
-def beside_file(rms: Array, file: Leaves) -> tuple[Array, Array, Array, float]:
-    """Logarithms (B, 6) of what segments leave, by how much their medians (6,) exceed the file's,
-    its deviations, and degrees of freedom."""
-    logs = np.log(np.maximum(rms, LEAST_RMS))
-    own, known = len(logs) / ONE_IN, file.segments / ONE_IN
-    more = np.median(logs, axis=0) - np.log(np.maximum(file.rms, LEAST_RMS))
-    variance = logs.var(axis=0, ddof=1) / own + np.square(file.spread) / known
-    return logs, more, MEDIAN * np.sqrt(np.maximum(variance, 1e-12)), own + known - 2.0
+    asked = in_both(left_of(problem, state), stated, problem.table.seconds)
+    return [q for name, rms, file in asked for q in _of_equation(name, rms, file)]
 
 
 def _of_equation(name: str, rms: Array, file: Leaves) -> list[Question]:

@@ -1,0 +1,81 @@
+"""Segments of a drive beside those that a model file was made of.
+
+A model file carries what half of the segments of its own drives show, number by number, and how far
+segments differ. Here such an entry is made, written and compared, whatever its numbers are.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+
+import msgspec
+import numpy as np
+
+from imucald.diagnosis.signals import Array
+from imucald.model.leaves import Bands, Leaves
+from imucald.model.model import VehicleModel
+
+LEAST_SEGMENTS = 10
+ROAD_CLASS = 2.0
+"""rms of a road over that of the next class (ISO 8608: spectral densities are 4 apart)."""
+ONE_IN = 4.0
+"""Slow roads last over neighbours: so many segments count as one."""
+MEDIAN = float(np.sqrt(0.5 * np.pi))
+"""Deviation of the median over that of the mean, of normal numbers."""
+LEAST_RMS = 1e-9
+INSIDE = (0.05, 0.95)
+Left = dict[str, tuple[Array, Array]]
+"""By name: mean speed (B,) of each segment, and its numbers (B, 6)."""
+
+
+def leaves_of(left: Left, segment_s: float) -> dict[str, Leaves]:
+    """What a model file carries of segments of a length [s]."""
+    made = {}
+    for name, (v, rms) in left.items():
+        if len(v) >= LEAST_SEGMENTS:
+            low, high = np.quantile(v, INSIDE)
+            logs = np.log(np.maximum(rms, LEAST_RMS))
+            middle, spread = np.exp(np.median(logs, axis=0)), logs.std(axis=0, ddof=1)
+            speeds = (round(float(low), 2), round(float(high), 2))
+            made[name] = Leaves(len(v), segment_s, speeds, six(middle), six(spread))
+    return made
+
+
+def six(x: Array) -> Bands:
+    """The numbers (6,) of a section of the file."""
+    a, b, c, d, e, f = (short(each) for each in x)
+    return a, b, c, d, e, f
+
+
+def short(x: float) -> float:
+    """Four digits of a number."""
+    return float(f"{x:.4g}")
+
+
+def with_entries(model: VehicleModel, made: Mapping[str, Leaves]) -> VehicleModel:
+    """The model file with these entries, beside others that it had."""
+    return model.with_changes({"leaves": msgspec.to_builtins({**model.leaves, **made})})
+
+
+def in_both(
+    left: Left, stated: Mapping[str, Leaves], segment_s: float
+) -> Iterator[tuple[str, Array, Leaves]]:
+    """Name, numbers (B, 6) and the file's entry, where enough segments of the same length were
+    driven at the speeds of the file's."""
+    for name, (v, x) in left.items():
+        file = stated.get(name)
+        if file is None or file.segment_s != segment_s:
+            continue
+        inside = (v >= file.speeds_mps[0]) & (v <= file.speeds_mps[1])
+        if min(inside.sum(), file.segments) >= LEAST_SEGMENTS:
+            yield name, x[inside], file
+
+
+def beside_file(rms: Array, file: Leaves) -> tuple[Array, Array, Array, float]:
+    """Logarithms (B, 6) of what segments leave, by how much their medians (6,) exceed the file's,
+    its deviations, and degrees of freedom."""
+    logs = np.log(np.maximum(rms, LEAST_RMS))
+    own, known = len(logs) / ONE_IN, file.segments / ONE_IN
+    more = np.median(logs, axis=0) - np.log(np.maximum(file.rms, LEAST_RMS))
+    variance = logs.var(axis=0, ddof=1) / own + np.square(file.spread) / known
+    return logs, more, MEDIAN * np.sqrt(np.maximum(variance, 1e-12)), own + known - 2.0
