@@ -20,7 +20,10 @@ from numpy.typing import NDArray
 from scipy.stats import norm
 
 from imucald.core.samples import Samples
-from imucald.diagnosis.blocks import (
+from imucald.diagnosis.cause_keys import tolerance
+from imucald.diagnosis.causes import PARAMETERS
+from imucald.diagnosis.equations.forward import Forward
+from imucald.diagnosis.fit.blocks import (
     BLOCK_S,
     FEW_S,
     LEAST_SHARE,
@@ -30,9 +33,6 @@ from imucald.diagnosis.blocks import (
     cosine,
     noise_weights,
 )
-from imucald.diagnosis.cause_keys import tolerance
-from imucald.diagnosis.causes import PARAMETERS
-from imucald.diagnosis.forward import Forward
 from imucald.diagnosis.signals import STEP_S, DriveSignals, drive_of
 from imucald.model.model import VehicleModel
 
@@ -159,7 +159,7 @@ class Ideal:
 
 
 def _tops(drive: DriveSignals) -> Mapping[str, float]:
-    from imucald.diagnosis.blocks import TAKES, _top_hz
+    from imucald.diagnosis.fit.blocks import TAKES, _top_hz
 
     return {name: _top_hz(drive, name) for name in TAKES}
 

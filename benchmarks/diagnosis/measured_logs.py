@@ -24,7 +24,7 @@ from imucald.model.model import VehicleModel
 from imucald.runtime.session import open_config
 
 STATE = hashlib.sha256(
-    b"".join(p.read_bytes() for p in sorted(Path(imucald.diagnosis.__file__).parent.glob("*.py")))
+    b"".join(p.read_bytes() for p in sorted(Path(imucald.diagnosis.__file__).parent.rglob("*.py")))
 ).hexdigest()[:12]
 """Of the diagnosis' own code: what another state of it gave is made again."""
 MOST_EXTENSIONS = 3

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from imucald.diagnosis.adequacy import (
+from imucald.diagnosis.left_over.adequacy import (
     BANDS_HZ,
     MOST_LEFT_MPS2,
     _calm,

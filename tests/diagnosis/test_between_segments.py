@@ -8,14 +8,14 @@ import numpy as np
 import pytest
 
 from imucald.diagnosis import diagnose
-from imucald.diagnosis.between_segments import gains_apart, named_apart
-from imucald.diagnosis.blocks import Table
-from imucald.diagnosis.even_growth import uneven_growth
-from imucald.diagnosis.intervals import Estimate
-from imucald.diagnosis.score import Hypothesis, Problem
-from imucald.diagnosis.standing import simplify
-from imucald.diagnosis.state import State
-from imucald.diagnosis.trials import Trial
+from imucald.diagnosis.fit.blocks import Table
+from imucald.diagnosis.fit.intervals import Estimate
+from imucald.diagnosis.fit.score import Hypothesis, Problem
+from imucald.diagnosis.left_over.between_segments import gains_apart, named_apart
+from imucald.diagnosis.left_over.even_growth import uneven_growth
+from imucald.diagnosis.search.standing import simplify
+from imucald.diagnosis.search.state import State
+from imucald.diagnosis.search.trials import Trial
 from imucald.model.model import VehicleModel
 
 BLOCKS, ROWS = 32, 60

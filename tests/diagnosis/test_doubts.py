@@ -7,10 +7,11 @@ import pytest
 
 from hidden import Effect, hidden_drive
 from imucald.core.samples import Samples, Series
-from imucald.diagnosis.blocks import Table
 from imucald.diagnosis.diagnose import diagnose
 from imucald.diagnosis.doubts import _may_be_a_low_pass, doubt
-from imucald.diagnosis.intervals import Estimate
+from imucald.diagnosis.fit.blocks import Table
+from imucald.diagnosis.fit.intervals import Estimate
+from imucald.diagnosis.fit.score import Hypothesis
 from imucald.diagnosis.result import (
     DIFFERS,
     NOT_PLAUSIBLE,
@@ -19,10 +20,9 @@ from imucald.diagnosis.result import (
     Diagnosis,
     Structure,
 )
-from imucald.diagnosis.score import Hypothesis
-from imucald.diagnosis.standing import unsettle
-from imucald.diagnosis.state import State
-from imucald.diagnosis.trials import Trial
+from imucald.diagnosis.search.standing import unsettle
+from imucald.diagnosis.search.state import State
+from imucald.diagnosis.search.trials import Trial
 from imucald.model.model import VehicleModel, model_from_mapping
 
 SEED = 160_031

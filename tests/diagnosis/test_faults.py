@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from imucald.core.samples import Series
-from imucald.diagnosis.faults import find_faults, invalid_spans
-from imucald.diagnosis.lost_readings import all_lost
+from imucald.diagnosis.direct.faults import find_faults, invalid_spans
+from imucald.diagnosis.direct.lost_readings import all_lost
 from imucald.diagnosis.outcome import cause_of_fault
 from imucald.model.model import VehicleModel
 

@@ -11,10 +11,10 @@ import pytest
 from hidden import Effect, hidden_drive
 from imucald.core.rotations import rotation_from_vector
 from imucald.core.samples import Series
-from imucald.diagnosis.blocks import table_of
 from imucald.diagnosis.cause_keys import extended, mount_of, value, with_delay_rate, with_shifts
-from imucald.diagnosis.direct import Rest, rest_of
-from imucald.diagnosis.forward import Forward
+from imucald.diagnosis.direct.direct import Rest, rest_of
+from imucald.diagnosis.equations.forward import Forward
+from imucald.diagnosis.fit.blocks import table_of
 from imucald.diagnosis.signals import Channel, drive_of, duplicates, unusable
 from imucald.model.model import VehicleModel, model_from_mapping
 

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from imucald.core.samples import GRAVITY, Series
-from imucald.diagnosis.faults import find_faults
-from imucald.diagnosis.held_speed import contradicted
-from imucald.diagnosis.lost_readings import all_lost
+from imucald.diagnosis.direct.faults import find_faults
+from imucald.diagnosis.direct.held_speed import contradicted
+from imucald.diagnosis.direct.lost_readings import all_lost
 from imucald.model.model import VehicleModel
 
 SECONDS = 1500.0

@@ -7,8 +7,8 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from imucald.diagnosis import kept_tables
-from imucald.diagnosis.kept_tables import KeptTables
+from imucald.diagnosis.fit import kept_tables
+from imucald.diagnosis.fit.kept_tables import KeptTables
 
 
 @pytest.fixture

@@ -8,8 +8,8 @@ import pytest
 
 from imucald.core.rotations import rotation_from_vector
 from imucald.core.samples import GRAVITY, Series
-from imucald.diagnosis.chance import beyond_chance
-from imucald.diagnosis.levels import coarser, holes, levels_of, step_of, with_levels
+from imucald.diagnosis.direct.levels import coarser, holes, levels_of, step_of, with_levels
+from imucald.diagnosis.fit.chance import beyond_chance
 from imucald.diagnosis.result import COARSER, VALUES_MISSING
 from imucald.diagnosis.signals import drive_of
 from imucald.model.model import VehicleModel, load_model

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from imucald.diagnosis.chance import beyond_chance
-from imucald.diagnosis.lines import _question
+from imucald.diagnosis.fit.chance import beyond_chance
+from imucald.diagnosis.left_over.lines import _question
 
 SEGMENTS, ROWS = 40, 300
 HZ = np.fft.rfftfreq(ROWS, 0.1)

@@ -7,7 +7,7 @@ import pytest
 
 from imucald.core.samples import Series
 from imucald.diagnosis.diagnose import _is_gyro_held
-from imucald.diagnosis.lost_readings import all_lost, as_structure, lost_readings
+from imucald.diagnosis.direct.lost_readings import all_lost, as_structure, lost_readings
 from imucald.diagnosis.result import READINGS_LOST
 
 RATE_HZ, SECONDS = 50.0, 300.0

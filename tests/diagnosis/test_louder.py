@@ -8,11 +8,17 @@ import pytest
 from imucald.core.errors import ConfigError
 from imucald.core.samples import Series
 from imucald.diagnosis.cause_keys import mount_of
-from imucald.diagnosis.chance import beyond_chance
-from imucald.diagnosis.louder import _by_band, _of_equation, leaves_of, louder, with_leaves
+from imucald.diagnosis.fit.chance import beyond_chance
+from imucald.diagnosis.left_over.louder import (
+    _by_band,
+    _of_equation,
+    leaves_of,
+    louder,
+    with_leaves,
+)
 from imucald.diagnosis.result import LOUDER
+from imucald.diagnosis.search.state import State
 from imucald.diagnosis.signals import STEP_S, drive_of
-from imucald.diagnosis.state import State
 from imucald.model.model import VehicleModel, load_model, model_from_mapping
 from imucald.simulation import random_model, simulate
 

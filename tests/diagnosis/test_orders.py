@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from imucald.core.samples import Series
-from imucald.diagnosis.chance import beyond_chance
-from imucald.diagnosis.forward import Forward
-from imucald.diagnosis.orders import RUN_OUT, asked_of
+from imucald.diagnosis.equations.forward import Forward
+from imucald.diagnosis.fit.chance import beyond_chance
+from imucald.diagnosis.left_over.orders import RUN_OUT, asked_of
 from imucald.diagnosis.result import TURNS_WITH_WHEEL
 from imucald.diagnosis.signals import drive_of
 from imucald.simulation import random_model, simulate

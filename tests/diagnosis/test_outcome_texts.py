@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from imucald.diagnosis.intervals import Estimate
+from imucald.diagnosis.fit.intervals import Estimate
+from imucald.diagnosis.fit.score import Hypothesis
 from imucald.diagnosis.outcome import OTHERWISE, _against, implausible, other_candidates
-from imucald.diagnosis.score import Hypothesis
-from imucald.diagnosis.state import State
-from imucald.diagnosis.trials import Trial
+from imucald.diagnosis.search.state import State
+from imucald.diagnosis.search.trials import Trial
 from imucald.model.model import VehicleModel
 
 NAMED_FROM = 0.4

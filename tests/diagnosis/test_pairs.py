@@ -10,13 +10,13 @@ from scipy.stats import norm
 
 from imucald.core.samples import Series
 from imucald.diagnosis.cause_keys import mount_of
-from imucald.diagnosis.chance import beyond_chance
-from imucald.diagnosis.conditions import SPEEDS, TO_ONE_SIDE, conditions
-from imucald.diagnosis.forward import Forward
-from imucald.diagnosis.pairs import ERRORS, _by_part, _can_be_asked, _test, may_be, pairs
+from imucald.diagnosis.equations.forward import Forward
+from imucald.diagnosis.fit.chance import beyond_chance
+from imucald.diagnosis.left_over.conditions import SPEEDS, TO_ONE_SIDE, conditions
+from imucald.diagnosis.left_over.pairs import ERRORS, _by_part, _can_be_asked, _test, may_be, pairs
 from imucald.diagnosis.result import GOES_WITH_ANOTHER
+from imucald.diagnosis.search.state import State
 from imucald.diagnosis.signals import drive_of
-from imucald.diagnosis.state import State
 from imucald.simulation import random_model, simulate
 
 MINUTES = 15.0

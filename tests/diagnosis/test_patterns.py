@@ -7,9 +7,9 @@ import pytest
 from scipy.fft import dct
 
 from imucald.core.samples import Series
-from imucald.diagnosis.chance import beyond_chance
-from imucald.diagnosis.held_values import held_values
-from imucald.diagnosis.patterns import LARGE, SHAKEN_S, ShapeRows, _asked, _gram, _shapes
+from imucald.diagnosis.direct.held_values import held_values
+from imucald.diagnosis.fit.chance import beyond_chance
+from imucald.diagnosis.left_over.patterns import LARGE, SHAKEN_S, ShapeRows, _asked, _gram, _shapes
 from imucald.diagnosis.signals import drive_of
 
 SECONDS = 300.0

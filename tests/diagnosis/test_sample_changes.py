@@ -7,15 +7,15 @@ import pytest
 
 from imucald.core.samples import GRAVITY, Series
 from imucald.diagnosis.cause_keys import mount_of
-from imucald.diagnosis.chance import beyond_chance
-from imucald.diagnosis.faults import find_faults
-from imucald.diagnosis.result import CHANGES_MISSING, CHANGES_OTHERWISE
-from imucald.diagnosis.sample_changes import (
+from imucald.diagnosis.direct.faults import find_faults
+from imucald.diagnosis.direct.sample_changes import (
     changes_missing,
     changes_of,
     changes_otherwise,
     with_changes,
 )
+from imucald.diagnosis.fit.chance import beyond_chance
+from imucald.diagnosis.result import CHANGES_MISSING, CHANGES_OTHERWISE
 from imucald.diagnosis.signals import drive_of
 from imucald.model.model import VehicleModel, load_model
 

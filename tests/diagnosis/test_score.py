@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 from scipy.optimize import lsq_linear
 
-from imucald.diagnosis.blocks import Table
-from imucald.diagnosis.box import box_fit
-from imucald.diagnosis.intervals import estimate, quantile
-from imucald.diagnosis.score import Hypothesis, Problem, held_out, without_best
+from imucald.diagnosis.fit.blocks import Table
+from imucald.diagnosis.fit.box import box_fit
+from imucald.diagnosis.fit.intervals import estimate, quantile
+from imucald.diagnosis.fit.score import Hypothesis, Problem, held_out, without_best
 
 KEYS = ("accel.bias.x", "accel.bias.y", "speed.scale")
 

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from hidden import hidden_drive
-from imucald.diagnosis import search as searching
+from imucald.diagnosis.search import search as searching
+from imucald.diagnosis.search.state import State
 from imucald.diagnosis.signals import drive_of
-from imucald.diagnosis.state import State
 from imucald.model.model import model_from_mapping
 
 SEED, MINUTES = 21, 10.0

@@ -7,11 +7,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from imucald.diagnosis.blocks import Table
-from imucald.diagnosis.chance import Question, beyond_chance
+from imucald.diagnosis.fit.blocks import Table
+from imucald.diagnosis.fit.chance import Question, beyond_chance
+from imucald.diagnosis.fit.score import Problem
+from imucald.diagnosis.left_over.stability import Fit, _conditional, _jumping, _wandering
 from imucald.diagnosis.result import Structure
-from imucald.diagnosis.score import Problem
-from imucald.diagnosis.stability import Fit, _conditional, _jumping, _wandering
 
 BLOCKS, ROWS = 48, 60
 TOLERANCE = 0.06

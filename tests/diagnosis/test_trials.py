@@ -7,11 +7,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from imucald.diagnosis.blocks import Table
-from imucald.diagnosis.intervals import ERROR_RATE, Estimate
-from imucald.diagnosis.score import Hypothesis, Problem, held_out, paired
-from imucald.diagnosis.search import _alike
-from imucald.diagnosis.trials import Trial, joined, likeliest, on_table, tried
+from imucald.diagnosis.fit.blocks import Table
+from imucald.diagnosis.fit.intervals import ERROR_RATE, Estimate
+from imucald.diagnosis.fit.score import Hypothesis, Problem, held_out, paired
+from imucald.diagnosis.search.search import _alike
+from imucald.diagnosis.search.trials import Trial, joined, likeliest, on_table, tried
 
 BLOCKS = 40
 

@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from imucald.diagnosis.blocks import Table
-from imucald.diagnosis.score import Hypothesis, Problem
+from imucald.diagnosis.fit.blocks import Table
+from imucald.diagnosis.fit.score import Hypothesis, Problem
+from imucald.diagnosis.left_over.uneven_segments import uneven
+from imucald.diagnosis.search.state import State
 from imucald.diagnosis.signals import drive_of
-from imucald.diagnosis.state import State
-from imucald.diagnosis.uneven_segments import uneven
 from imucald.simulation import random_model, simulate
 
 SEGMENTS, ROWS, TOLERANCE = 45, 60, 0.06

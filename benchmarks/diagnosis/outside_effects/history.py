@@ -27,7 +27,7 @@ BATCHES = (
     Batch(
         ("shaking", "swing", "gusts", "hysteresis", "dead_zone", "glitches"),
         "2026-11-22 07:42", None,
-        "The tests of `imucald.diagnosis.adequacy` and the generator's own outside effects were "
+        "The tests of `diagnosis.left_over.adequacy` and the generator's own outside effects were "
         "known. Seen many times since (hysteresis and dead_zone also before `patterns` and "
         "`held_values` were written).",
     ),

@@ -15,25 +15,30 @@ import numpy as np
 from imucald.core.errors import EstimateError
 from imucald.core.samples import Samples
 from imucald.diagnosis import outcome
-from imucald.diagnosis.adequacy import goes_against, too_much, what_is_left
-from imucald.diagnosis.between_segments import gains_apart, named_apart
-from imucald.diagnosis.blocks import Table
 from imucald.diagnosis.cause_keys import extended, mount_of, with_delay_rate, with_shifts
-from imucald.diagnosis.chance import beyond_chance
-from imucald.diagnosis.direct import Rest, rest_of
+from imucald.diagnosis.direct.direct import Rest, rest_of
+from imucald.diagnosis.direct.faults import find_faults, invalid_spans
+from imucald.diagnosis.direct.held_values import held_values
+from imucald.diagnosis.direct.levels import coarser, holes, with_levels
+from imucald.diagnosis.direct.lost_readings import Lost, all_lost, as_structure
+from imucald.diagnosis.direct.sample_changes import changes_missing, changes_otherwise, with_changes
+from imucald.diagnosis.direct.stuck import Fault
 from imucald.diagnosis.doubts import doubt
-from imucald.diagnosis.even_growth import uneven_growth
-from imucald.diagnosis.faults import find_faults, invalid_spans
+from imucald.diagnosis.fit.blocks import Table
+from imucald.diagnosis.fit.chance import beyond_chance
+from imucald.diagnosis.fit.intervals import estimate, quantile
+from imucald.diagnosis.fit.score import Hypothesis, Problem
 from imucald.diagnosis.gain import gain_of, summed
-from imucald.diagnosis.held_values import held_values
-from imucald.diagnosis.intervals import estimate, quantile
-from imucald.diagnosis.levels import coarser, holes, with_levels
-from imucald.diagnosis.lines import lines
-from imucald.diagnosis.lost_readings import Lost, all_lost, as_structure
-from imucald.diagnosis.louder import louder, with_leaves
-from imucald.diagnosis.orders import orders
-from imucald.diagnosis.pairs import pairs
-from imucald.diagnosis.patterns import patterns
+from imucald.diagnosis.left_over.adequacy import goes_against, too_much, what_is_left
+from imucald.diagnosis.left_over.between_segments import gains_apart, named_apart
+from imucald.diagnosis.left_over.even_growth import uneven_growth
+from imucald.diagnosis.left_over.lines import lines
+from imucald.diagnosis.left_over.louder import louder, with_leaves
+from imucald.diagnosis.left_over.orders import orders
+from imucald.diagnosis.left_over.pairs import pairs
+from imucald.diagnosis.left_over.patterns import patterns
+from imucald.diagnosis.left_over.stability import drift_of, unstable
+from imucald.diagnosis.left_over.uneven_segments import uneven
 from imucald.diagnosis.pictures import pictures_of
 from imucald.diagnosis.result import (
     CHANGES_OTHERWISE,
@@ -48,14 +53,9 @@ from imucald.diagnosis.result import (
     Gain,
     Structure,
 )
-from imucald.diagnosis.sample_changes import changes_missing, changes_otherwise, with_changes
-from imucald.diagnosis.score import Hypothesis, Problem
-from imucald.diagnosis.search import search
+from imucald.diagnosis.search.search import search
+from imucald.diagnosis.search.state import State, final_estimates, shift_steps
 from imucald.diagnosis.signals import DriveSignals, drive_of, require
-from imucald.diagnosis.stability import drift_of, unstable
-from imucald.diagnosis.state import State, final_estimates, shift_steps
-from imucald.diagnosis.stuck import Fault
-from imucald.diagnosis.uneven_segments import uneven
 from imucald.model.model import VehicleModel
 
 Progress = Callable[[float, str], None]

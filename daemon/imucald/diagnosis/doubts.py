@@ -6,8 +6,9 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from imucald.diagnosis.blocks import TAKES, Table
 from imucald.diagnosis.causes import family
+from imucald.diagnosis.direct.stuck import Fault
+from imucald.diagnosis.fit.blocks import TAKES, Table
 from imucald.diagnosis.outcome import SEEN_SHARE, signals_of
 from imucald.diagnosis.result import (
     CHANGES_OTHERWISE,
@@ -17,11 +18,10 @@ from imucald.diagnosis.result import (
     WANDERS,
     Structure,
 )
+from imucald.diagnosis.search.standing import unsettle
+from imucald.diagnosis.search.state import State
+from imucald.diagnosis.search.trials import Trial
 from imucald.diagnosis.signals import Array
-from imucald.diagnosis.standing import unsettle
-from imucald.diagnosis.state import State
-from imucald.diagnosis.stuck import Fault
-from imucald.diagnosis.trials import Trial
 
 BESIDE = (NOT_PLAUSIBLE, WANDERS, LOUDER, COARSER, CHANGES_OTHERWISE)
 """Structure that moves no value to one side: what a fit names beside it may stand."""

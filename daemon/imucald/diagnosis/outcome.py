@@ -7,10 +7,11 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from imucald.diagnosis.blocks import Table
 from imucald.diagnosis.cause_keys import value
 from imucald.diagnosis.causes import BY_NAME, PARAMETERS
-from imucald.diagnosis.direct import Rest
+from imucald.diagnosis.direct.direct import Rest
+from imucald.diagnosis.direct.stuck import Fault
+from imucald.diagnosis.fit.blocks import Table
 from imucald.diagnosis.result import (
     GOES_AGAINST,
     NOT_PLAUSIBLE,
@@ -23,10 +24,9 @@ from imucald.diagnosis.result import (
     Structure,
     Verdict,
 )
-from imucald.diagnosis.shift import KEYS, FittedShift
-from imucald.diagnosis.state import State
-from imucald.diagnosis.stuck import Fault
-from imucald.diagnosis.trials import LEVELLED, SINGLE_NATS, Trial, questions
+from imucald.diagnosis.search.shift import KEYS, FittedShift
+from imucald.diagnosis.search.state import State
+from imucald.diagnosis.search.trials import LEVELLED, SINGLE_NATS, Trial, questions
 from imucald.model.model import VehicleModel
 from imucald.mount.mount_words import SD_95
 

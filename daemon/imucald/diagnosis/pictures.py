@@ -7,8 +7,8 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from scipy.signal import welch
 
-from imucald.diagnosis.blocks import TILTED
-from imucald.diagnosis.forward import UNITS, Forward
+from imucald.diagnosis.equations.forward import UNITS, Forward
+from imucald.diagnosis.fit.blocks import TILTED
 from imucald.diagnosis.result import SignalPicture
 from imucald.diagnosis.signals import STEP_S, Array
 

@@ -1,0 +1,197 @@
+"""How a signal changes from one sample to the next.
+
+A road shakes all axes of a sensor. By how much one axis changes over 1, 2, 4, ... samples, beside
+the others, is a matter of the vehicle and the sensor, which two drives share: a model file carries
+what half of the segments of its drives show, along the vehicle's axes. And small changes are more
+common than large ones, whatever the signal.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from itertools import pairwise
+
+import msgspec
+import numpy as np
+from scipy.stats import binom
+from scipy.stats import t as student
+
+from imucald.diagnosis.cause_keys import mounts
+from imucald.diagnosis.direct.held_values import noise_about
+from imucald.diagnosis.direct.levels import Numbers, levels_of, numbers_of, signals_of, step_of
+from imucald.diagnosis.fit.chance import Question, beyond_chance
+from imucald.diagnosis.left_over.louder import (
+    LEAST_SEGMENTS,
+    ROAD_CLASS,
+    Left,
+    beside_file,
+    leaves_of,
+)
+from imucald.diagnosis.result import CHANGES_MISSING, CHANGES_OTHERWISE, Structure
+from imucald.diagnosis.signals import STANDING_MPS, Array, Channel, DriveSignals, Mask
+from imucald.model.leaves import LAGS, Leaves
+from imucald.model.model import VehicleModel
+
+TRIADS = ("accel", "gyro")
+ROUGHER = ROAD_CLASS**0.5
+"""Half a class of roads, which shakes all axes: by so much one may differ from the others."""
+SEGMENT_S = 10.0
+LEAST_ROWS, MOVING_SHARE = 100, 0.8
+"""A segment has so many rows at least, and drives for this share of them."""
+BELOW_HALF = 1.0 / 3.0
+"""Of a pure vibration's changes a third is below half of the largest (arcsine distribution): of all
+motions it has the fewest."""
+LEAST_CHANGES, LEAST_CODES, MOST_CODES = 30, 2, 1000
+
+
+# against the file --------------------------------------------------------------------------------
+
+
+def changes_of(drives: Sequence[DriveSignals], model: VehicleModel) -> Left:
+    """By axis and rate: (B,) mean speed of each segment, (B, lags) rms of its changes over the
+    geometric mean of the other axes'."""
+    parts: dict[str, list[tuple[Array, Array]]] = {}
+    for drive in drives:
+        for name in TRIADS:
+            if drive.has(name) and len(drive.channels[name].t) > LEAST_ROWS and not drive.planar:
+                for own, found in _of_triad(name, drive, model):
+                    parts.setdefault(own, []).append(found)
+    return {
+        name: (np.concatenate([v for v, _ in p]), np.concatenate([ratio for _, ratio in p]))
+        for name, p in parts.items()
+    }
+
+
+def _of_triad(
+    name: str, drive: DriveSignals, model: VehicleModel
+) -> Iterator[tuple[str, tuple[Array, Array]]]:
+    channel = drive.channels[name]
+    t, table = channel.t, _along_vehicle(channel.t, channel.values, model)
+    good = np.ones(len(t), dtype=bool)
+    for start, stop in channel.bad:
+        good &= (t < start) | (t > stop)
+    v = np.interp(t, drive.knots.t, np.abs(drive.knots.values))
+    edges = np.searchsorted(t, np.arange(t[0], t[-1], SEGMENT_S))
+    speeds, rows = [], []
+    for a, b in pairwise(edges):
+        inside = slice(a, b)
+        if b - a < LEAST_ROWS or (v[inside] > STANDING_MPS).mean() < MOVING_SHARE:
+            continue
+        size = _sizes(t[inside], table[inside], good[inside], channel.period_s)
+        if (size > 0.0).all():
+            speeds.append(float(v[inside].mean()))
+            rows.append(np.log(size))
+    logs = np.reshape(rows, (-1, 3, len(LAGS)))
+    rate = float(f"{1.0 / channel.period_s:.2g}")
+    for i, axis in enumerate("xyz"):
+        ratio = np.exp(1.5 * (logs[:, i] - logs.mean(axis=1)))  # of one to the two others
+        yield f"changes of {name}_{axis} at {rate:g} Hz", (np.array(speeds), ratio)
+
+
+def _along_vehicle(t: Array, table: Array, model: VehicleModel) -> Array:
+    """Vectors (N, 3) in the vehicle's axes."""
+    made = table.copy()
+    for start, R in mounts(model):
+        made[t >= start] = table[t >= start] @ R.T
+    return made
+
+
+def _sizes(t: Array, table: Array, good: Mask, period: float) -> Array:
+    """(W, lags) rms of what a table (N, W) changes by over some samples; 0 where few are left."""
+    made = np.zeros((table.shape[1], len(LAGS)))
+    for k, lag in enumerate(LAGS):
+        there = (t[lag:] - t[:-lag] < (lag + 0.5) * period) & good[lag:] & good[:-lag]
+        if there.sum() >= LEAST_ROWS // 2:
+            made[:, k] = np.sqrt(np.mean((table[lag:] - table[:-lag])[there] ** 2, axis=0))
+    return made
+
+
+def with_changes(
+    model: VehicleModel, drives: Sequence[DriveSignals], found: VehicleModel
+) -> VehicleModel:
+    """The model file with how these drives change. found: their mount."""
+    made = leaves_of(changes_of(drives, found), SEGMENT_S)
+    return model.with_changes({"leaves": msgspec.to_builtins({**model.leaves, **made})})
+
+
+def changes_otherwise(
+    drives: Sequence[DriveSignals], stated: VehicleModel, found: VehicleModel
+) -> list[Question]:
+    """Whether an axis changes by more than the others, or by less, than the model file states."""
+    if not stated.leaves:
+        return []
+    asked: list[Question] = []
+    for name, (v, ratio) in changes_of(drives, found).items():
+        file = stated.leaves.get(name)
+        if file is None:
+            continue
+        inside = (v >= file.speeds_mps[0]) & (v <= file.speeds_mps[1])
+        if min(inside.sum(), file.segments) >= LEAST_SEGMENTS:
+            asked += _of_axis(name, ratio[inside], file)
+    return asked
+
+
+def _of_axis(name: str, ratio: Array, file: Leaves) -> Iterator[Question]:
+    """One question a lag. ratio: (B, lags)."""
+    logs, more, se, free = beside_file(ratio, file)
+    rougher = np.log(ROUGHER)
+    chance = np.minimum(2.0 * student.sf((np.abs(more) - rougher) / se, free), 1.0)
+    _, _, signal, _, rate, _ = name.split()
+    for i, lag in enumerate(LAGS):
+        times = float(np.exp(more[i]))
+        text = (
+            f"in half of the segments its changes over {_samples(lag)} at {rate} Hz are "
+            f"{np.exp(np.median(logs[:, i])):.2g} times those of the other axes and more, "
+            f"{times:.2g} times what the model file states of its own drives; a road shakes all "
+            f"axes, and one beside the others by {ROUGHER:.2g} times as much or as little"
+        )
+        size = max(times, 1.0 / times) / ROUGHER
+        structure = Structure(signal, CHANGES_OTHERWISE, size, text)
+        yield Question(float(chance[i]), bool(abs(more[i]) - se[i] > rougher), structure)
+
+
+def _samples(lag: int) -> str:
+    return "1 sample" if lag == 1 else f"{lag} samples"
+
+
+# without a file ----------------------------------------------------------------------------------
+
+
+def changes_missing(drives: Sequence[DriveSignals]) -> list[Question]:
+    """Whether signals stay where they are until they change by much."""
+    return [q for drive in drives for signal in signals_of(drive) for q in _missing(signal)]
+
+
+def stays_until_off(name: str, channel: Channel) -> bool:
+    """Whether a signal is sent on change: what stays is not stuck then."""
+    asked = [q for signal in numbers_of(name, channel) for q in _missing(signal)]
+    return bool(beyond_chance(asked))
+
+
+def _missing(signal: Numbers) -> Iterator[Question]:
+    """Of changes of up to twice some size at least a third is below half of that; asked of all
+    sizes, the chance multiplied by their number."""
+    step = step_of(levels_of(signal.values))
+    changes = np.abs(np.diff(signal.values)[signal.is_next])
+    changes = changes[changes > 0.0]
+    if step == 0.0 or len(changes) < LEAST_CHANGES:
+        return
+    codes = np.round(changes / step).astype(int)
+    counts = np.cumsum(np.bincount(np.minimum(codes, 2 * MOST_CODES)))
+    # Half of 2 k - 1 codes, the middle one in the upper half.
+    half = np.arange(LEAST_CODES, min(MOST_CODES, len(counts) // 2))
+    if not len(half):
+        return
+    below, all_ = counts[half - 1], counts[2 * half - 2]
+    chance = binom.cdf(below, all_, BELOW_HALF)
+    k = int(np.argmin(chance))
+    many, size = int(all_[k]), float(half[k] * step)
+    text = (
+        f"of {many} changes by up to {2.0 * size:.2g} {signal.unit} from one sample to the next "
+        f"{100.0 * below[k] / max(many, 1):.2g} % are below {size:.2g}, where any motion has a "
+        "third or more: it stays until it is off by so much"
+    )
+    p = min(1.0, float(chance[k]) * len(half))
+    # Below its noise a coarse converter's own steps show.
+    is_large = bool(below[k] < 0.5 * BELOW_HALF * many) and size > noise_about(signal.values)
+    yield Question(p, is_large, Structure(signal.name, CHANGES_MISSING, 1.0 / max(p, 1e-12), text))

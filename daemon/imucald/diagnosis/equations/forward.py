@@ -1,0 +1,206 @@
+"""Residuals of a drive against a model file, block by block: physics, and nothing of statistics.
+
+Each equation (see `motion`) is a residual, measured less predicted, on the grid. A column of a fit
+is how the residual changes with a parameter, found by evaluating it again: there the slope of the
+speed is the best mean of speed and accelerometer, and the sideways force the predicted one, so that
+no column goes with the noise that stands in its equation.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+from scipy.fft import dct
+
+from imucald.core.samples import GRAVITY
+from imucald.diagnosis.cause_keys import Changes, age
+from imucald.diagnosis.equations.kinematics import slope
+from imucald.diagnosis.equations.motion import NONE, VehicleMotion
+from imucald.diagnosis.equations.reading import Reader
+from imucald.diagnosis.equations.single_track import SLOW_MPS
+from imucald.diagnosis.signals import STANDING_MPS, STEP_S, Array, Channel, Mask
+
+STOPPING_MPS2 = 3.4
+"""Most drivers stop no harder (AASHTO, Green Book: stopping sight distance)."""
+UNITS: Mapping[str, str] = {
+    "accel_x": "m/s^2", "accel_y": "m/s^2", "accel_z": "m/s^2", "gyro_x": "rad/s",
+    "gyro_y": "rad/s", "gyro_z": "rad/s", "yaw_rate": "rad/s", "lateral_accel": "m/s^2",
+    "longitudinal_accel": "m/s^2", "speed": "m/s",
+}  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Residuals:
+    """One evaluation. Arrays (B, n): blocks and rows in them."""
+
+    of: Mapping[str, Array]
+    tilt: Mapping[str, tuple[Array, Array]] = field(default_factory=dict)
+    """Of an equation with gravity in it: how it changes with the two parts of z0."""
+
+
+class Forward(Reader):
+    """Residuals of one drive against a model file, block by block."""
+
+    # evaluation ----------------------------------------------------------------------------------
+
+    def residuals(
+        self, changes: Changes, by_inertia: bool = False, added: Mapping[str, Array] = NONE
+    ) -> Residuals:
+        """Measured less predicted with a changed model file, of every equation there is.
+
+        by_inertia: for columns, with the signals of `settle`. added: by signal, what it shows too
+        much (N,), (N, 3) along the vehicle's axes.
+        """
+        motion = VehicleMotion(self, changes, by_inertia, added)
+        found: dict[str, Array] = {}
+        tilt: dict[str, tuple[Array, Array]] = {}
+        motion.longitudinal(found, tilt)
+        if self.has_turning:
+            motion.lateral(found, tilt)
+        if self.has_gravity:
+            motion.vertical(found)
+            motion.turning(found)
+        motion.vehicle(found)
+        return Residuals({k: motion.once(self._blocks, v) for k, v in found.items()}, tilt)
+
+    def _blocks(self, x: Array) -> Array:
+        return x.reshape(self.blocks, self.rows)
+
+    def settle(self, tilt: Array, inertial: Array) -> None:
+        """Choose the signals that columns are made of. tilt: (B, 2) z0 of each block. inertial:
+        (B,) share of the accelerometer in the slope of the speed."""
+        self.reference = VehicleMotion(self, {}, False).reference(tilt, inertial)
+
+    def inertial_share(self, base: Residuals, masks: Mapping[str, Mask], top_hz: float) -> Array:
+        """(B,) share of the accelerometer in the best slope of the speed: its variance is that of
+        the speed's own noise over that of what both leave of each other up to a frequency.
+
+        The best mean of two measurements is the one that does not go with their difference, which
+        is what stands in the equation.
+        """
+        if "accel_x" not in base.of or self.rows < 1:
+            return np.ones(self.blocks)
+        left = np.where(masks["accel_x"], self.level(base, masks)["accel_x"], 0.0)
+        count = max(1, int(2.0 * self.rows * STEP_S * top_hz))
+        power = (dct(left, type=2, axis=1, norm="ortho")[:, :count] ** 2).sum(axis=1) / self.rows
+        noise = _slope_noise(self.drive.knots, top_hz)
+        return np.asarray(np.clip(noise / np.maximum(power, 1e-30), 0.0, 1.0))
+
+    def tilts(self, base: Residuals, masks: Mapping[str, Mask]) -> Array:
+        """(B, 2) tilt of each block by plain least squares."""
+        tilt = np.zeros((self.blocks, 2))
+        for b in range(self.blocks):
+            rows, values = [], []
+            for name, (first, second) in base.tilt.items():
+                good = masks[name][b]
+                rows.append(np.column_stack([first[b][good], second[b][good]]))
+                values.append(base.of[name][b][good])
+            if sum(map(len, values)) > 10:
+                A, y = np.concatenate(rows), np.concatenate(values)
+                tilt[b] = np.linalg.lstsq(A, y, rcond=None)[0]
+        return tilt
+
+    def level(self, found: Residuals, masks: Mapping[str, Mask]) -> dict[str, Array]:
+        """Residuals (B, n) with the tilt of each block taken off."""
+        tilt, made = self.tilts(found, masks), dict(found.of)
+        for name, (first, second) in found.tilt.items():
+            made[name] = made[name] - tilt[:, :1] * first - tilt[:, 1:] * second
+        return made
+
+    def yaw_rate(self) -> Array:
+        """(N,) yaw rate of the vehicle that the equations use [rad/s]."""
+        return np.asarray(VehicleMotion(self, {}, False).r)
+
+    def measured(self) -> dict[str, Array]:
+        """What each equation's sensor says, with the model file's errors taken off."""
+        m = VehicleMotion(self, {}, False)
+        found = {f"accel_{axis}": m.force[:, i] for i, axis in enumerate("xyz")}
+        found["accel_x"] = m.as_speed_sees(m.force[:, 0])
+        if m.rate is not None:
+            found |= {f"gyro_{axis}": m.rate[:, i] for i, axis in enumerate("xyz")}
+        if self.has_turning:
+            found["yaw_rate"] = m.yaw_rate()
+        for name in ("lateral_accel", "longitudinal_accel"):
+            if self.drive.has(name):
+                found[name] = self.scalar(name, {})
+        found["speed"] = np.abs(m.v)
+        return found
+
+    def levels(self) -> Array:
+        """(B, 2) mean of u over each block as the forces show it, without the gyroscope's carry."""
+        motion = VehicleMotion(self, {}, False)
+        x = motion.force[:, 0] + motion.r * motion.v_y - motion.held(motion.slopes)
+        y = motion.force[:, 1] - motion.v * motion.r - slope(motion.v_y)
+        means = [self._blocks(part).mean(axis=1) / GRAVITY for part in (x, y)]
+        return np.column_stack(means)
+
+    def usable(self) -> dict[str, Mask]:
+        """(B, n) rows of each equation in which all of its signals were there."""
+        there = {
+            name: channel.present(self.t + self._age_or_0(name))
+            for name, channel in self.drive.channels.items()
+        }
+        speed = np.interp(self.t, self.knots, np.abs(self.drive.knots.values))
+        drive, base = self.drive, there["accel"] & there["speed"]
+        yaw = there["yaw_rate"] if drive.has("yaw_rate") else np.ones(len(self.t), dtype=bool)
+        turning = there["gyro"] if drive.has("gyro") else yaw
+        inertial = there["accel"] & turning
+        masks = {
+            "accel_x": (base & turning if self.has_turning else base)
+            & self._knots_inside() & ~self._starts_or_stops(),
+            "accel_y": base & turning, "accel_z": base & turning, "gyro_x": inertial & base,
+            "gyro_y": inertial & base, "gyro_z": yaw & turning,
+        }  # fmt: skip
+        if drive.has("steering") and self.has_turning:
+            masks["yaw_rate"] = base & turning & yaw & there["steering"] & (speed > SLOW_MPS)
+        for name in ("lateral_accel", "longitudinal_accel"):
+            if drive.has(name):
+                masks[name] = there[name] & inertial
+        if drive.has("wheel_speeds"):
+            masks["speed"] = there["speed"] & there["wheel_speeds"] & (speed > SLOW_MPS)
+        return {name: mask.reshape(self.blocks, self.rows) for name, mask in masks.items()}
+
+    def _age_or_0(self, name: str) -> float:
+        return age(self.model, name) if hasattr(getattr(self.model, name, None), "delay_s") else 0.0
+
+    def _knots_inside(self) -> Mask:
+        """Rows between two knots of the speed that lie in the same block."""
+        late = age(self.model, "speed") + self.model.speed.delay_rate * self.knots
+        knots = self.knots - late
+        index = np.searchsorted(knots, self.t)
+        inside = (index > 0) & (index < len(knots))
+        block = np.arange(len(self.t)) // self.rows
+        left = knots[np.clip(index - 1, 0, None)]
+        right = knots[np.clip(index, 0, len(knots) - 1)]
+        start = self.t[block * self.rows]
+        stop = self.t[np.minimum((block + 1) * self.rows, len(self.t)) - 1]
+        slack = STEP_S
+        return np.asarray(inside & (left >= start - slack) & (right <= stop + slack))
+
+    def _starts_or_stops(self) -> Mask:
+        """Rows in which the speed leaves zero or comes to it by a jump. Below some 0.3 m/s it is
+        not measured (dead band), and no car's slope is that."""
+        speed = self.drive.channels["speed"]
+        size = np.abs(speed.values)
+        stands, step = size < STANDING_MPS, np.abs(np.diff(size))
+        jumps = step > STOPPING_MPS2 * np.diff(speed.t)
+        k = np.flatnonzero((stands[1:] != stands[:-1]) & jumps)
+        late = age(self.model, "speed") + self.model.speed.delay_rate * speed.t
+        t = speed.t - late
+        hit = np.zeros(len(self.t), dtype=bool)
+        # A knot is a mean over a step, and a row is one between knots.
+        first = np.searchsorted(self.t, t[k] - 2.0 * STEP_S)
+        last = np.searchsorted(self.t, t[k + 1] + 2.0 * STEP_S)
+        for a, b in zip(first, last, strict=True):
+            hit[a:b] = True
+        return hit
+
+
+def _slope_noise(knots: Channel, top_hz: float) -> float:
+    """Mean square of the slope up to a frequency that white noise of the speed makes [m^2/s^4], at
+    most: a second difference has the noise six times, and the vehicle's jerk besides."""
+    power = float(np.mean(np.diff(knots.values, 2) ** 2)) / 6.0
+    # A spectrum of 2 s^2 T, times (2 pi f)^2, up to top_hz.
+    return 2.0 * power * knots.period_s * (2.0 * np.pi) ** 2 * top_hz**3 / 3.0

@@ -1,0 +1,158 @@
+"""The equations' parts as functions of arrays alone: (N,) on the grid, or (N, 3)."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from imucald.core.samples import GRAVITY
+from imucald.diagnosis.equations.single_track import slip_delay
+from imucald.diagnosis.signals import STEP_S, Array
+from imucald.model.vehicle import Chassis
+
+Complex = NDArray[np.complex128]
+SMOOTH_STEPS = 5
+"""What comes of the speed's slopes, and the road's lean, are smoothed over so many steps."""
+SMOOTHER = np.ones(SMOOTH_STEPS) / SMOOTH_STEPS
+TRANSITION_S = 2.0
+"""Superelevation is built up along the transition curve: two seconds of travel (desirable length
+of a spiral, AASHTO, A Policy on Geometric Design of Highways and Streets)."""
+TRANSITION = np.hanning(round(TRANSITION_S / STEP_S) + 1)
+TRANSITION /= TRANSITION.sum()
+
+
+def column(x: Array, i: int) -> Array:
+    """One axis (N,) of x (N, 3), in one piece."""
+    return np.ascontiguousarray(x[:, i])
+
+
+def speed(t: Array, knots: Array, shown: Array, scale: float) -> Array:
+    """Speed on the grid. shown: at its knots, too large by `scale`."""
+    return np.interp(t, knots, shown / (1.0 + scale))
+
+
+def mean_slope(x: Array, t: Array) -> Array:
+    """Between each two knots."""
+    return np.asarray(np.diff(x) / np.diff(t))
+
+
+def slopes(x: Array) -> Array:
+    """`slope` of each axis of x (N, 3)."""
+    return np.column_stack([slope(c) for c in x.T])
+
+
+def at_reference(force: Array, w: Array, turning: Array, lever: tuple[float, ...]) -> Array:
+    """Less the acceleration of a point at `lever` against it: w' x l + w x (w x l)."""
+    return np.asarray(force - (np.cross(turning, lever) + np.cross(w, np.cross(w, lever))))
+
+
+def sideways(v: Array, r: Array, t: Array, kappa: float, chassis: Chassis) -> Array:
+    """Speed sideways."""
+    slip = kappa * np.abs(v)
+    late = slip_delay(v, slip, chassis)
+    return np.asarray(chassis.cg_to_rear_m * r - slip * v * np.interp(t - late, t, r))
+
+
+def between_knots(x: Array, knots: Array, t: Array) -> Array:
+    """Mean of x between each two knots."""
+    area = np.cumsum(x) * STEP_S
+    return np.asarray(np.diff(np.interp(knots, t + 0.5 * STEP_S, area)) / np.diff(knots))
+
+
+def step_of(knots: Array, t: Array) -> NDArray[np.int64]:
+    """(N,) between which two knots each time is."""
+    return np.clip(np.searchsorted(knots, t) - 1, 0, len(knots) - 2)
+
+
+def carried(rate: Array, rows: int) -> tuple[Complex, Complex]:
+    """u with z0 = 0, and e^(-i psi) by which z0 counts; (N,), by blocks of so many rows."""
+    p, q, r = (rate[:, i].reshape(-1, rows) for i in range(3))
+    psi = from_middle(r)
+    turned = np.exp(1j * psi)
+    return (from_middle(turned * (-q + 1j * p)) / turned).ravel(), (1.0 / turned).ravel()
+
+
+def along(force: Array, r: Array, v_y: Array, u: Complex | None) -> Array:
+    """Forward acceleration; u: gravity as the gyroscope carries it."""
+    x = force[:, 0] + r * v_y
+    return np.asarray(x if u is None else x - GRAVITY * u.real)
+
+
+def across(force: Array, v: Array, r: Array, v_y: Array, u: Complex | None) -> Array:
+    """Sideways force that turning does not explain."""
+    y = left_of_turn(force, v, r) - slope(v_y)
+    return np.asarray(y if u is None else y - GRAVITY * u.imag)
+
+
+def left_of_turn(force: Array, v: Array, r: Array) -> Array:
+    """Sideways force less speed times yaw rate."""
+    return np.asarray(force[:, 1] - v * r)
+
+
+def upward(force: Array, v: Array, rate: Array) -> Array:
+    """Upward force that one g and a vertical curve do not explain."""
+    return np.asarray(force[:, 2] - GRAVITY + v * rate[:, 1])
+
+
+def rolling(across: Array, t: Array, roll: float, late: float, superelevation: float) -> Array:
+    """Rate of roll that sideways acceleration brings. roll: gradient [rad/(m/s^2)]."""
+    leaning = roll * later(across, t, late)
+    if superelevation:
+        # A curve's road leans inward with its curvature, which a transition curve spreads out.
+        leaning -= superelevation * np.convolve(across, TRANSITION, "same")
+    return np.asarray(np.gradient(leaning, STEP_S))
+
+
+def pitching(along: Array, t: Array, squat: float, dive: float, late: float) -> Array:
+    """Rate nose up."""
+    nose_up = squat * np.maximum(along, 0.0) + dive * np.minimum(along, 0.0)
+    return np.asarray(np.gradient(later(nose_up, t, late), STEP_S))
+
+
+def later(x: Array, t: Array, late: float) -> Array:
+    """The body follows as a damped spring: late by 2 zeta / omega well below its own motion."""
+    return np.asarray(np.interp(t - late, t, x))
+
+
+def slow(x: Array) -> Array:
+    """Smoothed over `SMOOTH_STEPS`."""
+    return np.asarray(np.convolve(x, SMOOTHER, "same"))
+
+
+def beside_wheels(v: Array, shown: Array, own: tuple[float, ...], scale: float) -> Array:
+    """shown: (N, 4). scale: of the rear wheels beyond the file's own."""
+    wheels = shown / (1.0 + np.array(own))
+    return np.asarray(np.abs(v) - wheels[:, 2:].mean(axis=1) / scale)
+
+
+def turning_by(rate: Array | None, steered: Array) -> Array:
+    """(N, 3) with another yaw rate."""
+    level = np.zeros((len(steered), 2)) if rate is None else rate[:, :2]
+    return np.column_stack([level, steered])
+
+
+def single_track(
+    v: Array, steer: Array, leaning: Array, ratio: float, gradient: float, varying: float,
+    wheelbase_m: float,
+) -> Array:  # fmt: skip
+    """Yaw rate by the steering angle: see `VehicleMotion._by_steering`."""
+    angle = np.clip(steer / ratio, -1.2, 1.2)
+    angle = angle + varying * angle**3
+    turn = np.tan(angle) - gradient * leaning
+    return np.asarray(v * turn / np.maximum(wheelbase_m + gradient * v * v, 0.3))
+
+
+def slope(x: Array) -> Array:
+    """Slope of x (N,) on the grid [1/s], to fourth order: right to 0.5 % up to 1 Hz, where the
+    difference of two neighbours loses 6.5 %."""
+    padded = np.concatenate([x[:1], x[:1], x, x[-1:], x[-1:]])
+    near, far = padded[3:-1] - padded[1:-3], padded[4:] - padded[:-4]
+    return np.asarray((8.0 * near - far) / (12.0 * STEP_S))
+
+
+def from_middle(x: Array) -> Array:
+    """Integral from the middle of each block; (B, n), trapezoids."""
+    area = np.cumsum(0.5 * (x[:, 1:] + x[:, :-1]), axis=1) * STEP_S
+    area = np.concatenate([np.zeros_like(x[:, :1]), area], axis=1)
+    made: Array = area - area[:, x.shape[1] // 2, None]
+    return made

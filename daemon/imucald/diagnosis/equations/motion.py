@@ -1,0 +1,275 @@
+"""The equations of one drive: what its signals should show of each other.
+
+Gravity is carried by the gyroscope. In a block, with vehicle axes x forward, y left, z up, rates w
+and heading psi, the horizontal part u = u_x + i u_y of the vertical in the body obeys
+u' = -w_y + i w_x - i w_z u (Wu et al. 2011, to first order in the tilt):
+
+    u(t) = e^(-i psi) (z0 + integral of e^(i psi) (-w_y + i w_x) dt)
+    f_x = dv/dt - r v_y + g u_x,   f_y = v r + dv_y/dt + g u_y,   v_y = l_r r - kappa v |v| r
+
+z0, the tilt at the middle of the block, is free; so slope, cross fall and lean need not be known.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from imucald.core.samples import GRAVITY
+from imucald.diagnosis.cause_keys import Changes, age, along_vehicle, rear_slip
+from imucald.diagnosis.equations import kinematics
+from imucald.diagnosis.equations.kinematics import Complex
+from imucald.diagnosis.equations.once import Once
+from imucald.diagnosis.equations.reading import Reader, Reference
+from imucald.diagnosis.equations.single_track import SLOW_MPS, followed_angle
+from imucald.diagnosis.signals import STEP_S, Array
+
+NONE: Mapping[str, Array] = {}
+
+
+class VehicleMotion:
+    """The signals of one evaluation, along the vehicle's axes.
+
+    added: by signal, what is put on top of what it says, (N,) or (N, 3) along the vehicle's axes.
+    What the changes do not touch is the same array as without any: see `Once`.
+    """
+
+    def __init__(
+        self, reader: Reader, changes: Changes, by_inertia: bool, added: Mapping[str, Array] = NONE
+    ) -> None:
+        self.f, self.changes, self.added = reader, changes, added
+        self.once = once = Once(reader.known, not changes and not added)
+        drive, model = reader.drive, reader.model
+        late, rate = reader.age("speed", changes), changes.get("speed.delay_rate", 0.0)
+        self.knots = once(reader.knots_at, late, rate)
+        scale = model.speed.scale + changes.get("speed.scale", 0.0)
+        driven = changes.get("_speed.driven_slip", 0.0)
+        self.v = once(kinematics.speed, reader.t, self.knots, drive.knots.values, scale)
+        self.settled = reference = reader.reference if by_inertia else None
+        self.force = reader.triad("accel", changes, reference.force if reference else None)
+        self.rate = reader.triad("gyro", changes) if drive.has("gyro") else None
+        if "speed" in added:
+            self.v = self.v + added["speed"]
+        if "accel" in added:
+            self.force = self.force + added["accel"]
+        if self.rate is not None and "gyro" in added:
+            self.rate = self.rate + added["gyro"]
+        self.measured = self.rate
+        if reference is not None and any(k.startswith("gyro.scale") for k in changes):
+            # The gain of a rate is not shown by that rate itself.
+            ungained = {k: x for k, x in changes.items() if not k.startswith("gyro.scale")}
+            self.measured = reader.triad("gyro", ungained)
+        if self.rate is not None:
+            self.r = once(kinematics.column, self.rate, 2)
+            lever = np.array(model.mount.lever_arm_m) * float(model.mount.lever_arm)
+            lever += np.array([changes.get(f"mount.lever_arm_m.{i}", 0.0) for i in range(3)])
+            if reference is not None:
+                lever -= np.array(model.mount.lever_arm_m) * float(model.mount.lever_arm)
+            if lever.any():
+                turning = once(kinematics.slopes, self.rate)
+                self.force = once(
+                    kinematics.at_reference, self.force, self.rate, turning, tuple(lever)
+                )
+        elif drive.has("yaw_rate"):
+            self.r = self._scalar("yaw_rate")
+        else:
+            self.r = once(np.zeros, len(reader.t))
+        kappa = rear_slip(model) + changes.get("_tyre.rear_slip", 0.0)
+        self.v_y = once(kinematics.sideways, self.v, self.r, reader.t, kappa, model.chassis)
+        slopes = once(kinematics.mean_slope, drive.knots.values, reader.knots)
+        if reference is not None:
+            slopes = reference.slopes
+        self.slopes = once(np.divide, slopes, 1.0 + scale)
+        if "speed" in added:
+            at_knots = np.interp(self.knots, reader.t, added["speed"])
+            self.slopes = self.slopes + kinematics.mean_slope(at_knots, reader.knots)
+        if driven:
+            # Driven wheels turn faster than the vehicle moves: v_wheel = v (1 + c a).
+            lead = self.v * self.held(self.slopes)
+            self.slopes = self.slopes - driven * self._mean_slopes(np.gradient(lead, STEP_S))
+
+    def _scalar(self, name: str, true: Array | None = None) -> Array:
+        shown = self.f.scalar(name, self.changes, true)
+        return shown + self.added[name] if name in self.added else shown
+
+    # operators -----------------------------------------------------------------------------------
+
+    def _mean_slopes(self, x: Array) -> Array:
+        """Mean of x between each two knots of the speed: what these say of an acceleration."""
+        return self.once(kinematics.between_knots, x, self.knots, self.f.t)
+
+    def held(self, slopes: Array) -> Array:
+        """A value between each two knots, on the grid."""
+        return self.once(np.take, slopes, self.once(kinematics.step_of, self.knots, self.f.t))
+
+    def as_speed_sees(self, x: Array) -> Array:
+        """Means of x between two knots of the speed, on the grid."""
+        return self.held(self._mean_slopes(x))
+
+    def _gravity(self) -> tuple[Complex, Complex]:
+        """u with z0 = 0, and e^(-i psi) by which z0 counts; complex (N,), by blocks."""
+        return self.once(kinematics.carried, self.rate, self.f.rows)
+
+    def reference(self, tilt: Array, inertial: Array) -> Reference:
+        """Signals for columns, with the tilt (B, 2) of each block. inertial: (B,) share of the
+        accelerometer in the slope of the speed; all of it where the vehicle hardly moves, and
+        speeds jump to 0."""
+        f, force = self.f, self.force.copy()
+        x = force[:, 0]
+        if self.f.has_turning:
+            force[:, 1] = self.v * self.r + kinematics.slope(self.v_y)
+        if self.rate is not None:
+            u, turned = self._gravity()
+            u = u + np.repeat(tilt[:, 0] + 1j * tilt[:, 1], f.rows) * turned
+            x = x - GRAVITY * u.real
+            force[:, 1] += GRAVITY * u.imag
+        force[:, 2] = GRAVITY
+        along = x + self.r * self.v_y
+        by_speed = np.where(np.abs(self.v) > SLOW_MPS, np.repeat(1.0 - inertial, f.rows), 0.0)
+        moved = by_speed * (self.held(self.slopes) - along)
+        force[:, 0] += moved
+        slopes = self._mean_slopes(along + moved) * (1.0 + f.model.speed.scale)
+        rate = None if self.rate is None else self.rate.copy()
+        if rate is not None and f.drive.has("yaw_rate"):
+            rate[:, 2] = f.scalar("yaw_rate", {})
+        steered = self._by_steering() if f.drive.has("steering") and f.has_turning else None
+        return Reference(slopes, force, self.force[:, 1] - self.v * self.r, rate, steered)
+
+    # equations -----------------------------------------------------------------------------------
+
+    def longitudinal(self, found: dict[str, Array], tilt: dict[str, tuple[Array, Array]]) -> None:
+        """Forward force against the speed's slope. Columns have no tilt: it is the base's."""
+        f, u = self.f, None
+        if self.rate is None:
+            one = np.ones(len(f.t))
+            tilt["accel_x"] = self._two(-GRAVITY * self.as_speed_sees(one), 0.0 * one)
+        else:
+            u, turned = self._gravity()
+            if self.settled is None:
+                parts = (turned.real, -turned.imag)
+                tilt["accel_x"] = self._two(*(self.as_speed_sees(-GRAVITY * z) for z in parts))
+        along = self.once(kinematics.along, self.force, self.r, self.v_y, u)
+        found["accel_x"] = self._apart(self.as_speed_sees(along), self.held(self.slopes))
+        if f.drive.has("longitudinal_accel"):
+            found["longitudinal_accel"] = self._felt("longitudinal_accel", 0)
+
+    def _in_blocks(self, x: Array) -> Array:
+        return x.reshape(self.f.blocks, self.f.rows)
+
+    def _two(self, first: Array, second: Array) -> tuple[Array, Array]:
+        return self._in_blocks(first), self._in_blocks(second)
+
+    def _apart(self, first: Array, second: Array) -> Array:
+        return self.once(np.subtract, first, second)
+
+    def lateral(self, found: dict[str, Array], tilt: dict[str, tuple[Array, Array]]) -> None:
+        """Sideways force against speed times yaw rate."""
+        u = None
+        if self.rate is None:
+            one = np.ones(len(self.f.t))
+            tilt["accel_y"] = self._two(0.0 * one, -GRAVITY * one)
+        else:
+            u, turned = self._gravity()
+            if self.settled is None:
+                tilt["accel_y"] = self._two(-GRAVITY * turned.imag, -GRAVITY * turned.real)
+        found["accel_y"] = self.once(kinematics.across, self.force, self.v, self.r, self.v_y, u)
+
+    def vertical(self, found: dict[str, Array]) -> None:
+        """Upward force; on a vertical curve the vehicle pitches as it goes."""
+        if not self.f.drive.planar:
+            found["accel_z"] = self.once(kinematics.upward, self.force, self.v, self.rate)
+
+    def turning(self, found: dict[str, Array]) -> None:
+        """Rates of roll and pitch: the springs' part is known, the road's is noise."""
+        assert self.measured is not None
+        s, c, t, once = self.f.model.suspension, self.changes, self.f.t, self.once
+        # Of motion alone: gravity's part of the force turns with the rates themselves.
+        along = once(kinematics.slow, self.held(self.slopes))
+        across = once(kinematics.slow, once(np.multiply, self.v, self.r))
+        roll = s.roll_gradient * float(s.body_roll) + c.get("suspension.roll_gradient", 0.0)
+        squat = s.squat_gradient * float(s.squat_dive) + c.get("suspension.squat_gradient", 0.0)
+        dive = s.dive_gradient * float(s.squat_dive) + c.get("suspension.dive_gradient", 0.0)
+        late = s.roll_damping / (np.pi * s.roll_frequency_hz)
+        superelevation = c.get("_road.superelevation", 0.0)
+        rolling = once(kinematics.rolling, across, t, roll, late, superelevation)
+        found["gyro_x"] = self._apart(once(kinematics.column, self.measured, 0), rolling)
+        late = s.pitch_damping / (np.pi * s.pitch_frequency_hz)
+        pitching = once(kinematics.pitching, along, t, squat, dive, late)
+        found["gyro_y"] = once(np.add, once(kinematics.column, self.measured, 1), pitching)
+        if self.f.drive.has("yaw_rate"):
+            true = None if self.settled is None else self.settled.rate
+            found["gyro_z"] = self._apart(self._turning(true), self._own_yaw_rate(true))
+
+    def vehicle(self, found: dict[str, Array]) -> None:
+        """What the vehicle's own sensors say beside each other."""
+        f, drive = self.f, self.f.drive
+        if drive.has("lateral_accel") and self.f.has_turning:
+            found["lateral_accel"] = self._felt("lateral_accel", 1)
+        if drive.has("wheel_speeds"):
+            # Wheels and speed come of one unit, and are late together.
+            late = age(f.model, "wheel_speeds") + self.changes.get("speed.delay_s", 0.0)
+            # Tyres that are smaller than stated make wheels and speed too fast by the same factor.
+            scale = 1.0 + self.changes.get("wheel_speeds.scale", 0.0)
+            scale *= 1.0 + self.changes.get("speed.scale", 0.0)
+            shown, own = f.raw("wheel_speeds", late), f.model.wheel_speeds.scale
+            found["speed"] = self.once(kinematics.beside_wheels, self.v, shown, own, scale)
+        if drive.has("steering") and f.has_turning:
+            found["yaw_rate"] = self._apart(self.yaw_rate(), self._by_steering())
+
+    def yaw_rate(self) -> Array:
+        """The vehicle's own yaw rate, else the gyroscope's [rad/s]."""
+        true, s = None, self.settled
+        if s is not None and s.steered is not None:
+            # Of two gains of one equation, each made of its own signal, the difference is the
+            # equation itself, with its noise: both are made of the same.
+            true = self.once(kinematics.turning_by, s.rate, s.steered)
+        if self.f.drive.has("yaw_rate"):
+            return self._own_yaw_rate(true)
+        return self._turning(true)
+
+    def _own_yaw_rate(self, true: Array | None) -> Array:
+        """The vehicle's own yaw rate. true: (N, 3) of turning that takes its place."""
+        z = None if true is None else self.once(kinematics.column, true, 2)
+        return self._scalar("yaw_rate", z)
+
+    def _turning(self, true: Array | None) -> Array:
+        """The gyroscope's yaw rate. true: (N, 3) of turning that takes its place."""
+        if true is None:
+            return np.asarray(self.r)
+        return self.once(kinematics.column, self.f.triad("gyro", self.changes, true), 2)
+
+    def _felt(self, name: str, axis: int) -> Array:
+        """An acceleration by the vehicle's own sensor, less the force; for columns, of that of
+        `settle`."""
+        force = (
+            None if self.settled is None else self.once(kinematics.column, self.settled.force, axis)
+        )
+        own = self._scalar(name, force)
+        return self._apart(own, self.once(kinematics.column, self.force, axis))
+
+    def _by_steering(self) -> Array:
+        """Single track: r = v (delta - K (f_y - v r))/(L + K v^2), where delta is the angle as the
+        vehicle follows it (Rajamani, Vehicle Dynamics and Control, ch. 2, 3)."""
+        c, once = self.f.model.chassis, self.once
+        ratio = c.steering_ratio + self.changes.get("chassis.steering_ratio", 0.0)
+        gradient = c.understeer_gradient + self.changes.get("chassis.understeer_gradient", 0.0)
+        steer = self._scalar("steering")
+        steer = once(followed_angle, steer, once(np.abs, self.v), c, gradient)
+        varying = self.changes.get("_steering.variable_ratio", 0.0)
+        leaning = once(kinematics.slow, self._leaning())
+        return once(
+            kinematics.single_track, self.v, steer, leaning, ratio, gradient, varying, c.wheelbase_m
+        )
+
+    def _leaning(self) -> Array:
+        """Sideways force that the road's lean brings [m/s^2].
+
+        It acts through the understeer gradient, which nobody knows to a tenth: zeros and the mount
+        move it, but gains are not to be read from it.
+        """
+        if self.settled is None:
+            return self.once(kinematics.left_of_turn, self.force, self.v, self.r)
+        moved = along_vehicle(self.changes, "accel.bias")[1]
+        moved += GRAVITY * along_vehicle(self.changes, "mount.turn")[0]
+        return self._apart(self.settled.leaning, moved)

@@ -1,0 +1,187 @@
+"""One drive read against a model file: each signal at its age, with its known errors taken off."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from imucald.core.rotations import rotation_from_vector
+from imucald.core.samples import GRAVITY
+from imucald.diagnosis.cause_keys import Changes, age, along_vehicle, mounts, sensor_of
+from imucald.diagnosis.equations.once import Known, Once
+from imucald.diagnosis.signals import Array, DriveSignals
+from imucald.model.model import VehicleModel
+
+REFERENCE_DEGC = 25.0
+Part = tuple[tuple[str, float], ...]
+"""Changes, as items."""
+OF_TRIAD = {
+    "accel": ("accel.", "mount.turn."),
+    "gyro": ("gyro.", "mount.turn.", "accel.delay_s"),
+}
+"""How keys begin that change what a triad says."""
+
+
+@dataclass(frozen=True)
+class Reference:
+    """Signals for columns, each without the noise of the equation in which it stands."""
+
+    slopes: Array
+    """Of the speed between its knots, by speed and accelerometer."""
+    force: Array
+    """(N, 3) along the vehicle: forward by speed and accelerometer, sideways as predicted, upward
+    gravity."""
+    leaning: Array
+    """(N,) sideways force less speed times yaw rate, as measured: what leans the vehicle."""
+    rate: Array | None = None
+    """(N, 3) of turning, about the vertical by the vehicle's own yaw rate where there is one."""
+    steered: Array | None = None
+    """(N,) yaw rate by the steering angle."""
+
+
+class Reader:
+    """Signals of a drive on its grid, block by block; arrays (N,) or (N, 3)."""
+
+    def __init__(self, drive: DriveSignals, model: VehicleModel, rows: int) -> None:
+        self.drive, self.model = drive, model
+        self.rows = rows
+        self.blocks = len(drive.t) // rows
+        spare = len(drive.t) - self.blocks * rows
+        self.t = drive.t[spare // 2 : spare // 2 + self.blocks * rows]
+        self.has_gravity = drive.has("gyro")
+        self.has_turning = drive.has("gyro") or drive.has("yaw_rate")
+        self.middle_s = float(self.t[len(self.t) // 2]) if self.blocks else 0.0
+        self._read: dict[tuple[str, float], Array] = {}
+        self.known: Known = {}
+        self.knots = drive.knots.t
+        self.reference: Reference | None = None
+
+    def forget(self) -> None:
+        """Let go of what was read: it is read again where it is asked for."""
+        self._read.clear()
+        self.known.clear()
+        self.reference = None
+
+    def raw(self, name: str, later: float) -> Array:
+        """Means over the grid's step, read later by so much [s]."""
+        key = (name, round(later, 6))
+        if key not in self._read:
+            self._read[key] = self.drive.channels[name].means(self.t + later)
+        return self._read[key]
+
+    def age(self, name: str, changes: Changes) -> float:
+        """How old a signal is when it comes [s]."""
+        return age(self.model, name) + changes.get(f"{name}.delay_s", 0.0)
+
+    def knots_at(self, late: float, rate: float) -> Array:
+        """Times of the speed's knots. late: of its delay [s]; rate: by how much that grows."""
+        age = late + self.model.speed.delay_rate * self.knots
+        age += rate * (self.knots - self.middle_s)
+        return np.asarray(self.knots - age)
+
+    def triad(self, name: str, changes: Changes, force: Array | None = None) -> Array:
+        """(N, 3) along the vehicle's axes, with the model file's errors taken off.
+
+        force: (N, 3) along the vehicle's axes that takes the place of what was measured, and has
+        none of the file's errors.
+        """
+        own = _part(changes, OF_TRIAD[name])
+        return Once(self.known, not own)(self._triad, name, own, force)
+
+    def _triad(self, name: str, own: Part, force: Array | None) -> Array:
+        """Less what the changes make of its zero, along the vehicle."""
+        zero = (f"{name}.bias.", f"{name}.bias_temperature.")
+        others = tuple((key, x) for key, x in own if not key.startswith(zero))
+        made = Once(self.known, not others)(self._with_its_zero, name, others, force)
+        changes = dict(own)
+        bias = along_vehicle(changes, f"{name}.bias")
+        drift = along_vehicle(changes, f"{name}.bias_temperature")
+        if bias.any():
+            made = made - bias
+        if drift.any() and self.drive.has("temperature"):
+            made = made - self.above_reference()[:, None] * drift
+        return made
+
+    def _with_its_zero(self, name: str, own: Part, force: Array | None) -> Array:
+        """As it is by the model file, with changes of anything but its zero."""
+        changes = dict(own)
+        sensor = sensor_of(self.model, name, changes)
+        if force is None:
+            raw = self.raw(name, self.age(name, changes)) - sensor.bias
+        else:
+            raw = self.in_sensor(force, changes.get(f"{name}.delay_s", 0.0), name)
+        if sensor.per_kelvin.any() and force is None and self.drive.has("temperature"):
+            raw = raw - self.above_reference()[:, None] * sensor.per_kelvin
+        if sensor.per_force.any():
+            stated = np.array(self.model.gyro.g_sensitivity)
+            if force is None:
+                raw = raw - stated * self.raw("accel", self.age("accel", changes))
+            if (sensor.per_force != stated).any():
+                felt = self.raw("accel", self.age("accel", changes)) - self._level(name)
+                raw = raw - (sensor.per_force - stated) * felt
+        true = raw @ np.linalg.inv(sensor.gain).T
+        if name == "accel" and any(_is_gain(key) for key in changes):
+            # A gain turns about one g upright; what it makes of that is a zero error.
+            stated = np.linalg.inv(sensor_of(self.model, name, {}).gain)
+            true += self._level(name) @ (stated - np.linalg.inv(sensor.gain)).T
+        turn = rotation_from_vector(along_vehicle(changes, "mount.turn"))
+        return self._turned(true, [(start, (turn @ R).T) for start, R in mounts(self.model)])
+
+    def _turned(self, x: Array, turns: Sequence[tuple[float, Array]]) -> Array:
+        """x (N, 3) times the matrix that holds from a time [s] on, the first from the start."""
+        made = x @ turns[0][1]
+        for start, R in turns[1:]:
+            after = self.t >= start
+            made[after] = x[after] @ R
+        return np.asarray(made)
+
+    def in_sensor(self, force: Array, later: float, name: str) -> Array:
+        """What a triad without a zero error would say of a force (N, 3) at a later time."""
+        return Once(self.known, not later)(self._in_sensor, force, later, name)
+
+    def _in_sensor(self, force: Array, later: float, name: str) -> Array:
+        if later:
+            force = np.column_stack([np.interp(self.t + later, self.t, x) for x in force.T])
+        turned = self._turned(force, mounts(self.model))
+        return np.asarray(turned @ sensor_of(self.model, name, {}).gain.T)
+
+    def _level(self, name: str) -> Array:
+        """The same of one g upright."""
+        return Once(self.known, True)(self._level_in_sensor, name)
+
+    def _level_in_sensor(self, name: str) -> Array:
+        upright = np.tile([0.0, 0.0, GRAVITY], (len(self.t), 1))
+        return self._in_sensor(upright, 0.0, name)
+
+    def above_reference(self) -> Array:
+        """Temperature less that at which the file's zero errors hold [K]."""
+        return np.asarray(self.raw("temperature", 0.0) - REFERENCE_DEGC)
+
+    def scalar(self, name: str, changes: Changes, true: Array | None = None) -> Array:
+        """A signal of the vehicle's bus with offset and scale taken off.
+
+        true: (N,) what takes the place of the measured one, as it is without any error.
+        """
+        own = _part(changes, (f"{name}.",))
+        return Once(self.known, not own)(self._scalar, name, own, true)
+
+    def _scalar(self, name: str, own: Part, true: Array | None) -> Array:
+        part, changes = getattr(self.model, name), dict(own)
+        offset = part.offset + changes.get(f"{name}.offset", 0.0)
+        scale = part.scale + changes.get(f"{name}.scale", 0.0)
+        if true is None:
+            shown = self.raw(name, self.age(name, changes))
+        else:
+            later = changes.get(f"{name}.delay_s", 0.0)
+            shown = np.interp(self.t + later, self.t, true) * (1.0 + part.scale) + part.offset
+        return np.asarray((shown - offset) / (1.0 + scale))
+
+
+def _part(changes: Changes, beginnings: tuple[str, ...]) -> Part:
+    return tuple((key, x) for key, x in changes.items() if key.startswith(beginnings))
+
+
+def _is_gain(key: str) -> bool:
+    return key.startswith(("accel.scale", "accel.cross_axis"))

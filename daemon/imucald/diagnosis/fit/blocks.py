@@ -1,0 +1,361 @@
+"""Residuals and columns of all drives as one table of numbers a block (Gram matrices).
+
+Each equation goes through a cosine transform of the block, up to the frequency that its slowest
+signal carries, and is divided by its own noise there; then the tilt z0 is projected out (Frisch and
+Waugh). What is kept of block b is G_b = [y X]'[y X]: every fit, fold and interval is algebra on it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.fft import dct
+
+from imucald.diagnosis.cause_keys import model_error, plausible, tolerance
+from imucald.diagnosis.causes import PARAMETERS
+from imucald.diagnosis.equations.forward import Forward
+from imucald.diagnosis.fit.box import box_fit
+from imucald.diagnosis.signals import STEP_S, Array, DriveSignals, Mask
+from imucald.model.model import VehicleModel
+
+BLOCK_S, SHORT_BLOCK_S = 30.0, 20.0
+FEW_S = 600.0
+"""Drives shorter than this in all are cut into short blocks: intervals need blocks."""
+TOP_HZ = 1.0
+SLOW_HZ = 0.1
+"""Of equations whose quick part is the road's: upward force, wheels beside speed."""
+SLOW = ("accel_z", "speed")
+OF_SPEED = ("accel_x",)
+CARRIED = 0.4
+"""A signal carries motion up to this share of its rate."""
+TILTED = ("accel_x", "accel_y")
+"""Equations that share the tilt of a block."""
+LEAST_SHARE = 0.6
+"""Of a block's rows that must be there."""
+MOVING_MPS, MOVING_SHARE = 1.5, 0.15
+"""A block in which the vehicle hardly moves says nothing but what stops say."""
+SLOW_BAND_HZ = 0.2
+SMOOTH = 7
+"""Coefficients of the spectrum that are averaged."""
+PASSES = 3
+TAKES: Mapping[str, tuple[str, ...]] = {
+    "accel_x": ("accel", "gyro", "speed"), "accel_y": ("accel", "gyro", "yaw_rate"),
+    "accel_z": ("accel", "gyro"), "gyro_x": ("gyro", "accel"), "gyro_y": ("gyro", "accel"),
+    "gyro_z": ("gyro", "yaw_rate"), "yaw_rate": ("steering", "yaw_rate", "gyro"),
+    "lateral_accel": ("lateral_accel", "accel"),
+    "longitudinal_accel": ("longitudinal_accel", "accel"),
+    "speed": ("speed", "wheel_speeds"),
+}  # fmt: skip
+"""Signals whose rate bounds the band of an equation."""
+
+
+@dataclass(frozen=True)
+class Table:
+    """The blocks of all drives against one model file.
+
+    keys: (P,) parameters. gram: (B, P+1, P+1), residual first. by_equation: likewise for each
+    equation alone. Times in stream time of the drive.
+    """
+
+    keys: tuple[str, ...]
+    gram: Array
+    by_equation: Mapping[str, Array]
+    rows: Array
+    """(B,) whitened rows a block."""
+    start_s: Array
+    drive: NDArrayInt
+    moving: Array
+    """(B,) share of each block in motion."""
+    tolerance: Array
+    """(P,) half widths."""
+    model_error: Array
+    """(P,) deviations of what the equations themselves err by."""
+    plausible: Array
+    """(P, 2)"""
+    top_hz: Mapping[str, float]
+    seconds: float
+    """Length of a block."""
+    plain: Mapping[str, Array]
+    """(B, 2, P+1, P+1) by equation: in its own unit, below and above `SLOW_BAND_HZ`."""
+    levels: Array
+    """(B, 2) mean tilt of each block, forward and left: force less what motion explains, over g."""
+    number: NDArrayInt
+    """(B,) which of all blocks of the drives each is; those are the same whatever the model."""
+
+    def rms(self, equation: str, x: Array | None = None, band: int | None = None) -> float:
+        """Residual of an equation [its unit] with parameters x (P,), or (B, P) a block."""
+        gram = self.plain[equation]
+        z = np.zeros((len(gram), gram.shape[2]))
+        z[:, 0] = 1.0
+        if x is not None:
+            z[:, 1:] = -x
+        power = np.einsum("bi,bkij,bj->bk", z, gram, z)
+        there = self.by_equation[equation][:, 0, 0] > 0.0
+        chosen = power[there] if band is None else power[there][:, band : band + 1]
+        return float(np.sqrt(np.maximum(chosen.sum() / max(int(there.sum()), 1), 0.0)))
+
+    @property
+    def blocks(self) -> int:
+        """How many."""
+        return len(self.gram)
+
+    def index(self, keys: Sequence[str]) -> list[int]:
+        """Places of keys."""
+        return [self.keys.index(key) for key in keys]
+
+
+NDArrayInt = np.ndarray[tuple[int], np.dtype[np.int64]]
+
+
+class MadeLater(Mapping[str, Array]):
+    """Arrays by name, made of the rows when one of them is asked for: most tables of a search are
+    never asked. nbytes: of the rows."""
+
+    def __init__(
+        self, names: Sequence[str], make: Callable[[], Mapping[str, Array]], nbytes: int
+    ) -> None:
+        self._names, self._make, self.nbytes = tuple(names), make, nbytes
+        self._made: Mapping[str, Array] | None = None
+
+    def __getitem__(self, name: str) -> Array:
+        if name not in self._names:
+            raise KeyError(name)
+        if self._made is None:
+            self._made = self._make()
+        return self._made[name]
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._names)
+
+    def __len__(self) -> int:
+        return len(self._names)
+
+
+@dataclass
+class Rows:
+    """One equation of one drive, transformed: y (B, K), X (B, K, P), tilt (B, K, 2) or None.
+
+    good: (B,) blocks in which enough of it is there."""
+
+    y: Array
+    X: Array
+    tilt: Array | None
+    good: Mask
+    seconds: float
+    """Length of a block."""
+
+
+def table_of(drives: Sequence[DriveSignals], model: VehicleModel) -> tuple[Table, list[Forward]]:
+    """Evaluate all drives against a model file."""
+    total = sum(drive.duration_s for drive in drives)
+    seconds = BLOCK_S if total > FEW_S else SHORT_BLOCK_S
+    rows = round(seconds / STEP_S)
+    forwards = [Forward(drive, model, rows) for drive in drives]
+    keys = _keys(drives)
+    top = {name: min(_top_hz(drive, name) for drive in drives) for name in TAKES}
+    parts = [rows_of(f, model, keys, top) for f in forwards]
+    merged = {name: joined([part[name] for part in parts]) for name in parts[0]}
+    blocks = np.concatenate([np.full(f.blocks, i) for i, f in enumerate(forwards)])
+    start = np.concatenate([f.t[:: f.rows][: f.blocks] for f in forwards])
+    moving = np.concatenate([_moving(f) for f in forwards])
+    for own in merged.values():
+        own.good &= moving >= MOVING_SHARE
+    levels = np.concatenate([f.levels() for f in forwards])
+    for f in forwards:
+        f.forget()
+    return _weighed(merged, keys, model, blocks, start, moving, top, levels), forwards
+
+
+def _keys(drives: Sequence[DriveSignals]) -> tuple[str, ...]:
+    drive = drives[0]
+    return tuple(key for key, row in PARAMETERS.items() if all(drive.has(n) for n in row.needs))
+
+
+def _top_hz(drive: DriveSignals, equation: str) -> float:
+    periods = [drive.channels[n].period_s for n in TAKES[equation] if drive.has(n)]
+    if equation not in OF_SPEED and "speed" in TAKES[equation]:
+        periods.append(drive.channels["speed"].period_s)
+    top = SLOW_HZ if equation in SLOW else TOP_HZ
+    return min([top, *(CARRIED / p for p in periods)])
+
+
+def _moving(f: Forward) -> Array:
+    v = np.interp(f.t, f.knots, np.abs(f.drive.knots.values))
+    return np.asarray((v.reshape(f.blocks, f.rows) > MOVING_MPS).mean(axis=1))
+
+
+def rows_of(
+    f: Forward, model: VehicleModel, keys: Sequence[str], top: Mapping[str, float]
+) -> dict[str, Rows]:
+    """Residual and columns of each equation, transformed."""
+    base = f.residuals({})
+    masks = f.usable()
+    f.settle(f.tilts(base, masks), f.inertial_share(base, masks, top["accel_x"]))
+    settled = f.residuals({}, by_inertia=True)
+    made = {}
+    for name, x in base.of.items():
+        mask = masks[name]
+        count = max(1, int(2.0 * f.rows * STEP_S * top[name]))
+        tilt = None
+        if name in base.tilt:
+            tilt = np.stack([cosine(z, mask, count) for z in base.tilt[name]], axis=2)
+        good = mask.mean(axis=1) >= LEAST_SHARE
+        made[name] = Rows(
+            cosine(x, mask, count), np.zeros((f.blocks, count, len(keys))), tilt, good,
+            f.rows * STEP_S,
+        )  # fmt: skip
+    for j, key in enumerate(keys):
+        step = tolerance(model, key) or PARAMETERS[key].tolerance
+        moved = f.residuals({key: step}, by_inertia=True)
+        for name, rows in made.items():
+            if moved.of[name] is settled.of[name]:
+                continue
+            change = (settled.of[name] - moved.of[name]) / step
+            if np.any(change):
+                rows.X[:, :, j] = cosine(change, masks[name], rows.y.shape[1])
+    return made
+
+
+def cosine(x: Array, mask: Mask, count: int) -> Array:
+    """First coefficients of a block's cosine transform, without rows that were not there."""
+    made: Array = dct(np.where(mask, x, 0.0), type=2, axis=1, norm="ortho")[:, :count]
+    return made
+
+
+def joined(parts: Sequence[Rows]) -> Rows:
+    """Rows of one drive after another."""
+    tilt = None
+    if parts[0].tilt is not None:
+        tilt = np.concatenate([p.tilt for p in parts if p.tilt is not None])
+    return Rows(
+        np.concatenate([p.y for p in parts]), np.concatenate([p.X for p in parts]), tilt,
+        np.concatenate([p.good for p in parts]), parts[0].seconds,
+    )  # fmt: skip
+
+
+# weights -----------------------------------------------------------------------------------------
+
+
+def _weighed(
+    parts: Mapping[str, Rows], keys: tuple[str, ...], model: VehicleModel, drive: NDArrayInt,
+    start: Array, moving: Array, top: Mapping[str, float], levels: Array,
+) -> Table:  # fmt: skip
+    """Divide each equation by its noise: found from what is left of a fit of everything."""
+    tolerances = np.array([tolerance(model, key) for key in keys])
+    errors = np.array([model_error(model, key) for key in keys])
+    bounds = np.array([plausible(model, key) for key in keys]).reshape(-1, 2)
+    free = np.zeros(len(keys))
+    for i in range(PASSES):
+        left = _without_tilt(parts, free)
+        weights = {name: noise_weights(left[name], rows.good) for name, rows in parts.items()}
+        gram = _gram(parts, weights)
+        whole = np.asarray(sum(gram.values()))
+        if i + 1 < PASSES:
+            total = whole.sum(axis=0)
+            # What no sensor and no vehicle can have is no fit, however much noise it takes away.
+            free = box_fit(total[1:, 1:], total[1:, 0], bounds[:, 0], bounds[:, 1])
+    count = np.asarray(sum((w > 0.0).sum(axis=1) for w in weights.values()))
+    keep, nbytes = count > 0, sum(rows.X.nbytes for rows in parts.values())
+
+    def by_equation() -> Mapping[str, Array]:
+        return {n: g[keep] for n, g in _gram(parts, weights).items()}
+
+    def plain() -> Mapping[str, Array]:
+        return {n: g[keep] for n, g in _plain(parts).items()}
+
+    return Table(
+        keys, whole[keep], MadeLater(list(gram), by_equation, nbytes), count[keep],
+        start[keep], drive[keep], moving[keep], tolerances, errors, bounds, top,
+        next(iter(parts.values())).seconds, MadeLater(list(parts), plain, nbytes),
+        levels[keep], np.flatnonzero(keep),
+    )  # fmt: skip
+
+
+def _without_tilt(parts: Mapping[str, Rows], x: Array) -> dict[str, Array]:
+    """Residual rows (B, K) less X x, the tilt fitted anew."""
+    left = {name: rows.y - rows.X @ x for name, rows in parts.items()}
+    tilted = [n for n in TILTED if n in parts]
+    if not tilted:
+        return left
+    Z = np.concatenate([_tilt_of(parts[n]) for n in tilted], axis=1)
+    y = np.concatenate([left[n] for n in tilted], axis=1)[:, :, None]
+    y = (y - Z @ np.linalg.solve(_inner(Z), np.swapaxes(Z, 1, 2) @ y))[:, :, 0]
+    at = 0
+    for n in tilted:
+        k = left[n].shape[1]
+        left[n], at = y[:, at : at + k], at + k
+    return left
+
+
+def _inner(Z: Array) -> Array:
+    return np.asarray(np.swapaxes(Z, 1, 2) @ Z + 1e-9 * np.eye(2))
+
+
+def _tilt_of(rows: Rows) -> Array:
+    assert rows.tilt is not None
+    return rows.tilt
+
+
+def noise_weights(left: Array, good: Mask) -> Array:
+    """1 over the noise: spectrum as the median over blocks, loud blocks weighed down."""
+    if not good.any():
+        return np.zeros_like(left)
+    power = np.median(left[good] ** 2, axis=0) / 0.455
+    # The median of a squared normal number is 0.455 of its mean.
+    pad = np.pad(power, SMOOTH // 2, mode="edge") if len(power) > SMOOTH else power
+    smooth = np.convolve(pad, np.ones(SMOOTH) / SMOOTH, "valid") if len(power) > SMOOTH else power
+    smooth = np.maximum(smooth, 1e-12 + 1e-6 * smooth.max())
+    white = left / np.sqrt(smooth)
+    loud = np.sqrt(np.mean(white**2, axis=1))
+    loud = np.maximum(loud, 1.0)
+    made: Array = good[:, None] / (np.sqrt(smooth) * loud[:, None])
+    return made
+
+
+def _plain(parts: Mapping[str, Rows]) -> dict[str, Array]:
+    """Gram matrices in the equations' own units (squares per sample), in two bands."""
+    made: dict[str, Array] = {}
+    tilted = [n for n in TILTED if n in parts]
+    full = {
+        n: np.concatenate([r.y[:, :, None], r.X], axis=2) * r.good[:, None, None]
+        for n, r in parts.items()
+    }
+    if tilted:
+        A = np.concatenate([full[n] for n in tilted], axis=1)
+        Z = np.concatenate([_tilt_of(parts[n]) * parts[n].good[:, None, None] for n in tilted], 1)
+        A = A - Z @ np.linalg.solve(_inner(Z), np.swapaxes(Z, 1, 2) @ A)
+        at = 0
+        for n in tilted:
+            k = parts[n].y.shape[1]
+            full[n], at = A[:, at : at + k], at + k
+    for n, a in full.items():
+        # Coefficient k of a block of T seconds lies at k / 2T.
+        cut = max(1, round(2.0 * SLOW_BAND_HZ * parts[n].seconds))
+        halves = [np.swapaxes(b, 1, 2) @ b for b in (a[:, :cut], a[:, cut:])]
+        made[n] = np.stack(halves, axis=1) / (parts[n].seconds / STEP_S)
+    return made
+
+
+def _gram(parts: Mapping[str, Rows], weights: Mapping[str, Array]) -> dict[str, Array]:
+    """(B, P+1, P+1) by equation; those with gravity are one, named by the first."""
+    made: dict[str, Array] = {}
+    tilted = [n for n in TILTED if n in parts]
+    both = [np.concatenate([parts[n].y[:, :, None], parts[n].X], axis=2)
+            * weights[n][:, :, None] for n in tilted]  # fmt: skip
+    if both:
+        A = np.concatenate(both, axis=1)
+        Z = np.concatenate([_tilt_of(parts[n]) * weights[n][:, :, None] for n in tilted], axis=1)
+        A = A - Z @ np.linalg.solve(_inner(Z), np.swapaxes(Z, 1, 2) @ A)
+        at = 0
+        for n in tilted:
+            k = parts[n].y.shape[1]
+            a = A[:, at : at + k]
+            made[n] = np.swapaxes(a, 1, 2) @ a
+            at += k
+    for name, rows in parts.items():
+        if name not in tilted:
+            a = np.concatenate([rows.y[:, :, None], rows.X], axis=2) * weights[name][:, :, None]
+            made[name] = np.swapaxes(a, 1, 2) @ a
+    return made

@@ -1,0 +1,318 @@
+"""What is left when the search has ended, tested without a cause in mind.
+
+Two equations without a sensor in common that leave the same motion; a narrow peak in a residual's
+spectrum; a zero error that goes with the shaking. And, first of all, a signal that moves against
+what is predicted.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from imucald.diagnosis.cause_keys import BUTTERWORTH_S_HZ, mount_of
+from imucald.diagnosis.causes import PARAMETERS
+from imucald.diagnosis.equations.forward import Forward
+from imucald.diagnosis.fit.blocks import TAKES
+from imucald.diagnosis.fit.score import Hypothesis, Problem, held_out, one_in_fifteen
+from imucald.diagnosis.result import (
+    GOES_AGAINST,
+    GOES_WITH_SHAKING,
+    TOO_MUCH,
+    Structure,
+)
+from imucald.diagnosis.search.state import State
+from imucald.diagnosis.search.trials import BIAS, tried
+from imucald.diagnosis.signals import STEP_S, Array, Mask
+from imucald.mount.mount_words import SD_95
+
+Spectra = NDArray[np.complex128]
+OPPOSITE = -0.4
+"""Correlation of a signal with its prediction below which a sign is wrong."""
+LEAST_ROWS = 300
+LEAST_BLOCKS = 10
+CHANCE = 0.01
+"""Shared out over the bands: of a coherence that noise has by itself."""
+HANN_BINS = 1.5
+"""Neighbouring bins that count as one: noise bandwidth of a Hann window (Harris 1978)."""
+BANDS_HZ = ((0.1, 0.3), (0.3, 0.6))
+PAIRS = (("accel_y", "yaw_rate"),)
+"""Equations without a sensor in common, where gyroscope and yaw rate are both there."""
+AIR = 0.5 * 1.2 * 2.2 * 2.3 / 1500.0
+"""Sideways push of the air by speed squared and angle of attack [1/m]: half its density, 2.2 m^2,
+2.3 per radian, 1500 kg (a passenger car; Hucho, Aerodynamics of Road Vehicles, ch. 5)."""
+CALM, GUSTY = 0.02, 0.10
+"""Turbulence sideways, over the speed, that cars meet on roads: least and most (Wordley and
+Saunders, On-road Turbulence, SAE 2008-01-0475)."""
+EDDY_M = 10.0
+"""Length scale of that turbulence (the same)."""
+FAST_MPS = 30.0
+MOST_LEFT_MPS2 = GUSTY * AIR * FAST_MPS**2
+"""Sideways, after a fit of everything within its tolerance: what gusty air does to a car on a
+motorway, 0.18 m/s^2. The accelerometer's own noise is added."""
+PEAK, PEAK_BINS = 4.0, 3
+"""A peak is so many times the spectrum 0.2 Hz to both sides of it."""
+PEAKED = ("accel_y", "yaw_rate")
+FIRST_ORDER_S_HZ = 1.0 / (2.0 * np.pi)
+"""Delay of a first-order low-pass well below its cut-off, times the cut-off."""
+OCTAVE = 2.0
+SENSED = tuple(dict.fromkeys(signal for signals in TAKES.values() for signal in signals))
+DRIVEN = ("_winding", "_braking")
+"""Accelerations sideways and forward that the driver makes."""
+DRIVING_MPS = 2.0
+QUICK_HZ = 40.0
+"""An accelerometer that is sampled faster sees the shaking."""
+
+
+def goes_against(forwards: Sequence[Forward]) -> list[Structure]:
+    """Signals that move against what is predicted: a wrong sign in the configuration."""
+    found = []
+    f = max(forwards, key=lambda f: f.blocks)
+    measured, masks = f.measured(), f.usable()
+    residual = f.level(f.residuals({}), masks)
+    for name in ("accel_x", "accel_y", "gyro_z", "yaw_rate", "lateral_accel"):
+        if name not in residual or name not in masks:
+            continue
+        good = masks[name].ravel()
+        if good.sum() < LEAST_ROWS:
+            continue
+        y = measured[name][good]
+        p = y - residual[name].ravel()[good]
+        if np.std(y) == 0.0 or np.std(p) == 0.0:
+            continue
+        r = float(np.corrcoef(y, p)[0, 1])
+        if r < OPPOSITE:
+            text = f"measured and predicted go against each other (correlation {r:.2f})"
+            found.append(Structure(name, GOES_AGAINST, abs(r), text))
+    return found
+
+
+def too_much(problem: Problem, state: State) -> list[Structure]:
+    """More left of the sideways force than any measured car leaves: a cause is missing, and what a
+    fit says while it is missing is not to be believed."""
+    name = "accel_y"
+    if not {name, "gyro_x"} <= set(problem.table.plain):
+        return []
+    z = np.concatenate([[1.0], -problem.fit()])
+    power = np.sort(np.einsum("i,bkij,j->b", z, problem.table.plain[name], z))
+    power = power[power > 0.0]
+    # One block must not decide: the one in which a sensor is knocked belongs to no mount.
+    power = power[: len(power) - one_in_fifteen(len(power))]
+    left = float(np.sqrt(power[-1])) if len(power) else 0.0
+    limit = float(np.hypot(MOST_LEFT_MPS2, _noise(state, problem.table.top_hz[name])))
+    if left <= limit:
+        return []
+    text = (
+        f"{left:.2g} m/s^2 and more is left of the sideways force in one of fifteen segments, "
+        f"whatever is fitted, where gusty air and "
+        f"the accelerometer's noise leave {limit:.2g}: the sensor is not fixed to the vehicle, or "
+        "something acts on it that neither speed nor turning shows"
+    )
+    return [Structure(name, TOO_MUCH, left / limit, text)]
+
+
+def _noise(state: State, top_hz: float) -> float:
+    """The accelerometer's own noise sideways up to a frequency [m/s^2], if it is as loud there as
+    from sample to sample."""
+    across = mount_of(state.model)[1]
+    found = []
+    for drive in state.drives:
+        accel = drive.channels["accel"]
+        steps = np.diff(accel.values @ across)
+        # The median of a squared normal number is 0.455 of its mean; a step has the noise twice.
+        power = float(np.median(steps**2)) / 0.455 / 2.0
+        found.append(np.sqrt(power * min(2.0 * top_hz * accel.period_s, 1.0)))
+    return float(max(found))
+
+
+def what_is_left(problem: Problem, state: State) -> list[Structure]:
+    """Structure beyond what roads and noise leave. problem: of the model as it was extended."""
+    spectra = spectra_of(problem, state.forwards)
+    peaks = _peaks(spectra, cut_offs(state.changes))
+    return [*_shared(spectra, state.forwards), *peaks, *_shaken(problem, state)]
+
+
+def spectra_of(problem: Problem, forwards: Sequence[Forward]) -> Mapping[str, Spectra]:
+    """Transforms (B, F) of each equation's residual while driving, in its unit; NaN rows where it
+    was not there. Beside them `_steering` and `_turning`, which move the vehicle.
+
+    Everything within its tolerance is fitted.
+    """
+    x = problem.fit()
+    changes = {k: float(v) for k, v in zip(problem.table.keys, x, strict=True) if v}
+    parts: dict[str, list[Spectra]] = {}
+    for f in forwards:
+        masks, found = f.usable(), f.residuals(changes)
+        leveled = f.level(found, masks)
+        v = np.interp(f.t, f.knots, np.abs(f.drive.knots.values)).reshape(f.blocks, f.rows)
+        if "yaw_rate" in leveled:
+            leveled["_turning"] = v * f.yaw_rate().reshape(v.shape)
+            leveled["_steering"] = f.scalar("steering", {}).reshape(v.shape)
+            masks |= dict.fromkeys(("_turning", "_steering"), masks["yaw_rate"])
+        if f.has_turning and "accel_x" in leveled:
+            leveled["_winding"] = v * f.yaw_rate().reshape(v.shape)
+            leveled["_braking"] = np.asarray(np.gradient(v, STEP_S, axis=1))
+            masks |= dict.fromkeys(DRIVEN, masks["accel_x"])
+        # Squares of all bins add up to the mean square of a row.
+        window = np.hanning(f.rows) * np.sqrt(2.0 / (0.375 * f.rows**2))
+        for name, y in leveled.items():
+            left = np.where(masks[name], y, 0.0)
+            z = np.fft.rfft((left - left.mean(axis=1, keepdims=True)) * window, axis=1)
+            good = (masks[name].mean(axis=1) > 0.6) & ((v > DRIVING_MPS).mean(axis=1) > 0.5)
+            parts.setdefault(name, []).append(np.where(good[:, None], z, np.nan))
+    return {name: np.concatenate(p) for name, p in parts.items()}
+
+
+def as_loud(z: Spectra) -> Spectra:
+    """Each block as loud as the others."""
+    loud = np.sqrt(np.mean(np.abs(z[:, 2:]) ** 2, axis=1, keepdims=True))
+    return np.asarray(z / np.maximum(loud, 1e-30))
+
+
+def _shared(spectra: Mapping[str, Spectra], forwards: Sequence[Forward]) -> list[Structure]:
+    """The same motion in two equations that have no sensor in common.
+
+    Partial coherence: what goes with steering and turning, by whatever dynamics, is taken off both
+    (Bendat and Piersol, Random Data, ch. 7), so that an error of the handling is no motion. What
+    is reported exceeds chance, 1 - p^(1/(n - 1)) for n segments, and what calm air does at this
+    speed: as a push, or as the acceleration v r of the turn that the push brings.
+    """
+    drive = forwards[0].drive
+    if not (drive.has("gyro") and drive.has("yaw_rate")):
+        return []
+    v = np.concatenate([f.drive.knots.values for f in forwards])
+    calm, fast = _calm(v), float(np.sqrt(np.mean(v[np.abs(v) > DRIVING_MPS] ** 2)))
+    hz = np.fft.rfftfreq(forwards[0].rows, STEP_S)
+    found = []
+    for first, second in PAIRS:
+        if not {first, second, "_steering"} <= set(spectra):
+            continue
+        known = np.stack([spectra["_steering"], spectra["_turning"]], axis=2)
+        a, b = spectra[first], spectra[second]
+        good = np.isfinite(a[:, 0]) & np.isfinite(b[:, 0]) & np.isfinite(known[:, 0]).all(axis=1)
+        if good.sum() < LEAST_BLOCKS:
+            continue
+        bands = [(hz >= x) & (hz < y) for x, y in BANDS_HZ]
+        pushed = [_common(a[good], b[good], known[good], band) for band in bands]
+        turned = [_common(fast * b[good], a[good], known[good], band) for band in bands]
+        sure = [(share, moved) for share, moved, chance in pushed if share > chance]
+        total = max(
+            float(np.sqrt(sum(moved**2 for share, moved, chance in each if share > chance)))
+            for each in (pushed, turned)
+        )
+        if total > calm:
+            share = max(share for share, _ in sure)
+            text = (
+                f"between {BANDS_HZ[0][0]} and {BANDS_HZ[-1][1]} Hz it shares up to "
+                f"{100 * share:.0f} % ({total:.2g} m/s^2) with what is left of "
+                f"{second.replace('_', ' ')}, which has no sensor in common with it: something "
+                "moves the vehicle that neither speed nor steering shows"
+            )
+            found.append(Structure(first, "shared motion", share, text))
+    return found
+
+
+def _common(a: Spectra, b: Spectra, known: Spectra, band: Mask) -> tuple[float, float, float]:
+    """Partial coherence in a band, how much of `a` that is [its unit], and what chance gives."""
+    one = a[:, band]
+    size = float(np.sqrt(np.sum(np.abs(one) ** 2, axis=1).mean()))
+    u = left_of_known(as_loud(a)[:, band], known[:, band])
+    w = left_of_known(as_loud(b)[:, band], known[:, band])
+    cross = abs(np.sum(u * w.conj())) ** 2
+    share = float(cross / (np.sum(np.abs(u) ** 2) * np.sum(np.abs(w) ** 2)))
+    segments = (len(a) - known.shape[2]) * band.sum() / HANN_BINS
+    chance = 1.0 - (CHANCE / len(BANDS_HZ)) ** (1.0 / max(segments - 1.0, 1.0))
+    return share, size * float(np.sqrt(share)), float(chance)
+
+
+def _calm(v: Array) -> float:
+    """What calm air does to a car in the bands that are looked at, rms [m/s^2]. v: (N,) speed."""
+    v = np.abs(v[np.abs(v) > DRIVING_MPS])
+    low, high = BANDS_HZ[0][0], BANDS_HZ[-1][1]
+    travel = 2.0 * np.pi * EDDY_M / v
+    # Of a spectrum 1/(1 + (2 pi f L/v)^2) (Dryden).
+    part = (np.arctan(high * travel) - np.arctan(low * travel)) / (0.5 * np.pi)
+    return CALM * AIR * float(np.sqrt(np.mean(part * v**4)))
+
+
+def left_of_known(z: Spectra, known: Spectra) -> Spectra:
+    """(B, F) less what is linear in the inputs (B, F, 2), frequency by frequency."""
+    left = z.copy()
+    for i in range(z.shape[1]):
+        left[:, i] -= known[:, i] @ np.linalg.lstsq(known[:, i], z[:, i], rcond=None)[0]
+    return left
+
+
+def cut_offs(changes: Mapping[str, float]) -> list[tuple[str, float, float]]:
+    """Signal, and from where to where [Hz] the low-pass that a found delay x may be leaves a peak:
+    within an octave of its cut-off, 1/(2 pi x) of first order, sqrt 2/(2 pi x) of second. Below it
+    a delay does as well, above it no motion is. What is younger than stated is late nowhere: the
+    signals beside it are."""
+    made = []
+    for key, x in changes.items():
+        if key.endswith("delay_s") and abs(x) > PARAMETERS[key].tolerance:
+            own = key.partition(".")[0]
+            late = [own] if x > 0.0 else [s for s in SENSED if s != own]
+            band = FIRST_ORDER_S_HZ / abs(x) / OCTAVE, OCTAVE * BUTTERWORTH_S_HZ / abs(x)
+            made += [(signal, *band) for signal in late]
+    return made
+
+
+def _peaks(
+    spectra: Mapping[str, Spectra], cut_offs: Sequence[tuple[str, float, float]] = ()
+) -> list[Structure]:
+    """A narrow peak: something that swings, unless a low-pass explains it."""
+    found = []
+    for name in PEAKED:
+        if name not in spectra:
+            continue
+        z = as_loud(spectra[name][np.isfinite(spectra[name][:, 0])])
+        if len(z) < LEAST_BLOCKS:
+            continue
+        power = np.mean(np.abs(z) ** 2, axis=0)
+        hz = np.arange(len(power)) / (2.0 * (len(power) - 1) * STEP_S)
+        size = len(power) // PEAK_BINS * PEAK_BINS
+        bands = power[:size].reshape(-1, PEAK_BINS).mean(axis=1)
+        middle = hz[:size].reshape(-1, PEAK_BINS).mean(axis=1)
+        for i in range(3, len(bands) - 2):
+            if not 0.25 < middle[i] < 1.2:
+                continue
+            if any(s in TAKES[name] and a < middle[i] < b for s, a, b in cut_offs):
+                continue
+            beside = max(bands[i - 2], bands[i + 2])
+            if bands[i] > PEAK * beside and bands[i] == bands[i - 2 : i + 3].max():
+                text = f"a peak at {middle[i]:.2f} Hz, {bands[i] / beside:.0f} times what is beside"
+                found.append(Structure(name, "peak", float(bands[i] / beside), text))
+                break
+    return found
+
+
+def _shaken(problem: Problem, state: State) -> list[Structure]:
+    """A zero error of the accelerometer that goes with how much it is shaken."""
+    table = problem.table
+    drives = state.drives
+    if not set(BIAS) <= set(table.keys) or not all(
+        d.has("gyro") and d.channels["accel"].period_s < 1.0 / QUICK_HZ for d in drives
+    ):
+        return []
+    power = np.empty(table.blocks)
+    for b in range(table.blocks):
+        accel = drives[table.drive[b]].channels["accel"]
+        first, last = np.searchsorted(accel.t, [table.start_s[b], table.start_s[b] + table.seconds])
+        power[b] = 0.5 * np.mean(np.sum(np.diff(accel.values[first:last], axis=0) ** 2, axis=1))
+    low, high = np.quantile(power, [0.05, 0.95])
+    if not high > 2.0 * low:
+        return []
+    h = Hypothesis("accel_bias", BIAS, pattern=(power - low) / (high - low))
+    trial = tried(problem, h, held_out(problem), len(BIAS))
+    if not trial.named:
+        return []
+    i = int(np.argmax(np.abs(trial.estimate.value) / trial.estimate.se))
+    text = (
+        f"the zero {('forward', 'left', 'up')[i]} moves by {trial.estimate.value[i]:+.2g} +- "
+        f"{SD_95 * trial.estimate.se[i]:.2g} m/s^2 from smooth to shaken segments"
+    )
+    size = float(abs(trial.estimate.value[i]) / trial.estimate.se[i])
+    return [Structure(f"accel_{'xyz'[i]}", GOES_WITH_SHAKING, size, text)]

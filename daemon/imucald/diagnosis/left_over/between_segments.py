@@ -1,0 +1,121 @@
+"""Segments whose own best values differ by more than their errors say (random effects).
+
+A gain is one number. Where each segment has another, and the segments' own errors and all that a
+correct file may be wrong by do not account for it, that number is no statement about the drive:
+something changes it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+from scipy.stats import chi2
+
+from imucald.diagnosis.fit.blocks import Table
+from imucald.diagnosis.fit.chance import Question
+from imucald.diagnosis.fit.intervals import ERROR_RATE
+from imucald.diagnosis.fit.score import Hypothesis, Problem, one_in_fifteen, what_leaves
+from imucald.diagnosis.left_over.stability import EVENLY, amount
+from imucald.diagnosis.outcome import SEEN_SHARE, signals_of
+from imucald.diagnosis.result import WANDERS, Structure
+from imucald.diagnosis.search.search import beyond
+from imucald.diagnosis.search.state import State
+from imucald.diagnosis.search.trials import hypotheses
+from imucald.diagnosis.signals import Array
+from imucald.mount.mount_words import SD_95
+
+LEAST_BLOCKS = 8
+OWN = 3
+"""Numbers that a segment's noise is less by: two tilts, and the value itself."""
+
+
+def gains_apart(problem: Problem, state: State, drift: Hypothesis | None) -> list[Question]:
+    """Each gain, named or not. Zeros are not asked: a segment's own takes what its road makes of
+    it; nor delays, lever arm and springs, which take what the equations of the tyres err by. drift:
+    of what was named and has no place in the model file; it is fitted beside."""
+    table = problem.table
+    if table.blocks < LEAST_BLOCKS:
+        return []
+    z = what_leaves(problem, drift)
+    asked = [h for h in hypotheses(table, state.model, []) if _is_gain(h)]
+    return [q for h in asked for q in _questions(problem, h, h.keys, z)]
+
+
+def named_apart(problem: Problem, state: State, drift: Hypothesis | None) -> list[Structure]:
+    """Gains that were named and are not one number: 1 % is shared over these. Whoever reads a name
+    takes it for the drive, so it is not held to what all questions share."""
+    table = problem.table
+    if table.blocks < LEAST_BLOCKS:
+        return []
+    z = what_leaves(problem, drift)
+    asked = [q for t in state.named if _is_gain(t.hypothesis)
+             for q in _questions(problem, t.hypothesis, beyond(t), z)]  # fmt: skip
+    return [q.structure for q in asked if q.is_large and q.p * len(asked) < ERROR_RATE]
+
+
+def _is_gain(h: Hypothesis) -> bool:
+    return h.pattern is None and all(key.split(".")[1] == "scale" for key in h.keys)
+
+
+def _questions(
+    problem: Problem, h: Hypothesis, keys: Sequence[str], z: Array
+) -> Iterator[Question]:
+    """keys: those of the hypothesis that are asked of."""
+    table = problem.table
+    errors = problem.model_error(h)
+    for k, key in enumerate(h.keys):
+        if key not in keys:
+            continue
+        moved = h.directions[k] if h.directions else {key: 1.0}
+        d = np.zeros(z.shape[1])
+        for name, factor in moved.items():
+            d[table.keys.index(name) + 1] = factor
+        may = float(table.tolerance[table.keys.index(key)] + SD_95 * errors[k])
+        x, variance = _own_values(table, d, z)
+        if len(x) >= LEAST_BLOCKS:
+            size, p = _scatter(x, variance, EVENLY * may)
+            text = (
+                f"{key} differs from segment to segment by {amount(key, size)} more than its own "
+                "errors say, where a correct file's may not "
+                f"({size / (EVENLY * may):.1f} times what it may)"
+            )
+            signal = (signals_of(table, [key]) or ("accel_x",))[0]
+            size /= EVENLY * may
+            yield Question(p, size > 1.0, Structure(signal, WANDERS, size, text, key))
+
+
+def _own_values(table: Table, d: Array, z: Array) -> tuple[Array, Array]:
+    """Departure of each segment from the fit along a direction d (P+1,), and its variance: by the
+    segment's own noise, that of each equation in which the direction shows."""
+    energy = {n: np.einsum("i,bij,j->b", d, g, d) for n, g in table.by_equation.items()}
+    total = sum(float(e.sum()) for e in energy.values())
+    score, information, spread = np.zeros((3, table.blocks))
+    for name, gram in table.by_equation.items():
+        h = energy[name]
+        if h.sum() <= SEEN_SHARE * total:
+            continue
+        s = np.einsum("i,bij,bj->b", d, gram, z)
+        power = np.einsum("bi,bij,bj->b", z, gram, z)
+        power = power - np.divide(s**2, h, out=np.zeros_like(h), where=h > 0.0)
+        count = int(2.0 * table.seconds * table.top_hz[name])
+        score, information = score + s, information + h
+        spread = spread + h * np.maximum(power, 0.0) / max(count - OWN, 1)
+    there = (information > 0.0) & (spread > 0.0)
+    x = score[there] / information[there]
+    return x, spread[there] / information[there] ** 2
+
+
+def _scatter(x: Array, variance: Array, may: float) -> tuple[float, float]:
+    """Deviation between segments beyond their errors (DerSimonian and Laird 1986), and the chance
+    of their scatter (Cochran 1954) where the values themselves scatter by `may`. One segment in
+    fifteen must not decide."""
+    far = (x - np.median(x)) ** 2 / (variance + may**2)
+    kept = np.argsort(far)[: len(x) - one_in_fifteen(len(x))]
+    x, variance = x[kept], variance[kept]
+    w = 1.0 / variance
+    excess = float(w @ (x - w @ x / w.sum()) ** 2) - (len(x) - 1)
+    size = float(np.sqrt(max(excess, 0.0) / (w.sum() - w @ w / w.sum())))
+    w = 1.0 / (variance + may**2)
+    power = float(w @ (x - w @ x / w.sum()) ** 2)
+    return size, float(chi2.sf(power, len(x) - 1))

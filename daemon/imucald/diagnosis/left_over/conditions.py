@@ -1,0 +1,98 @@
+"""What a sensor's error may go with: quantities of the drive itself, instant by instant."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+from scipy.signal import lfilter
+
+from imucald.diagnosis.equations.forward import Forward
+from imucald.diagnosis.signals import STANDING_MPS, STEP_S, Array, Channel, Mask
+
+SMOOTH_S = 1.0
+"""What turns and brakes a vehicle lasts longer than this."""
+CRAWL_MPS = 3.0
+AFTER_STOP_S = 60.0
+MEMORY_S = 20.0
+"""Of what was a while ago: between a bend's length and that of a segment."""
+SPEEDS = ("the speed", "crawling", "the time since standing")
+EITHER_WAY = ("accelerating and braking", "the last strong acceleration")
+TO_ONE_SIDE = ("the side it turns to", "the last strong turning")
+"""Conditions that change their sign in a mirror, in which a vehicle is the same."""
+ENDS = (0.05, 0.95)
+BEYOND = 0.5
+"""How far beyond these ends a condition is followed, as a share of what lies between them."""
+
+
+def conditions(f: Forward) -> dict[str, Array]:
+    """(N,) by name: from -0.5 at the 5th to 0.5 at the 95th of a hundred rows in motion."""
+    v = np.interp(f.t, f.knots, np.abs(f.drive.knots.values))
+    moves = v > STANDING_MPS
+    if not moves.any():
+        return {}
+    made = {SPEEDS[0]: v, SPEEDS[1]: np.exp(-v / CRAWL_MPS)}
+    if not moves.all():
+        made[SPEEDS[2]] = np.exp(-_since(~moves) / AFTER_STOP_S)
+    made |= _of(_accelerating(f), moves, "acceleration", EITHER_WAY[0])
+    if f.has_turning:
+        made |= _of(_smooth(f.yaw_rate()), moves, "turning", TO_ONE_SIDE[0])
+    shaking = shaken(f, CRAWL_MPS)
+    made |= {"shaking": shaking, f"shaking in {MEMORY_S:g} s": _remembered(shaking)}
+    ends = {name: np.quantile(x[moves], ENDS) for name, x in made.items()}
+    return {
+        name: np.clip((x - low) / (high - low), -BEYOND, 1.0 + BEYOND) - 0.5
+        for (name, x), (low, high) in zip(made.items(), ends.values(), strict=True)
+        if high > low
+    }
+
+
+def _of(x: Array, moves: Mask, what: str, side: str) -> Mapping[str, Array]:
+    """Direction and amount of a quantity (N,), now and before. Its usual size is its rms."""
+    z = x / max(float(np.sqrt(np.mean(x[moves] ** 2))), 1e-12)
+    last = np.maximum.accumulate(np.where(np.abs(z) > 1.0, np.arange(len(z)), 0))
+    amount = np.abs(z)
+    return {
+        side: np.tanh(z),
+        f"the last strong {what}": np.sign(z[last]),
+        f"the amount of {what}": amount,
+        f"the amount of {what} in {MEMORY_S:g} s": _remembered(amount),
+    }
+
+
+def _accelerating(f: Forward) -> Array:
+    """(N,) slope of the speed [m/s^2]."""
+    knots: Channel = f.drive.knots
+    slopes = np.diff(knots.values) / np.diff(knots.t)
+    return _smooth(np.interp(f.t, 0.5 * (f.knots[1:] + f.knots[:-1]), slopes))
+
+
+def _smooth(x: Array) -> Array:
+    n = round(SMOOTH_S / STEP_S)
+    return np.asarray(np.convolve(x, np.ones(n) / n, "same"))
+
+
+def _since(stands: Mask) -> Array:
+    """(N,) how long ago [s] the vehicle stood; for ever, where it did not."""
+    rows = np.arange(len(stands))
+    last = np.maximum.accumulate(np.where(stands, rows, -1))
+    return np.where(last >= 0, (rows - last) * STEP_S, np.inf)
+
+
+def _remembered(x: Array) -> Array:
+    """(N,) mean of what was, which fades with `MEMORY_S`."""
+    share = 1.0 - np.exp(-STEP_S / MEMORY_S)
+    made, _ = lfilter([share], [1.0, share - 1.0], x, zi=[x[0] * (1.0 - share)])
+    return np.asarray(made)
+
+
+def shaken(f: Forward, seconds: float) -> Array:
+    """(N,) mean square of the accelerometer's steps about each time, 1 from the smoothest twentieth
+    of the drive to the roughest."""
+    accel = f.drive.channels["accel"]
+    power = np.sum(np.diff(accel.values, axis=0) ** 2, axis=1)
+    area = np.concatenate([[0.0], np.cumsum(power)])
+    first, last = (np.searchsorted(accel.t[1:], f.t + x * seconds) for x in (-0.5, 0.5))
+    mean = (area[last] - area[first]) / np.maximum(last - first, 1)
+    low, high = np.quantile(mean, ENDS)
+    return np.asarray((mean - low) / max(float(high - low), 1e-12))

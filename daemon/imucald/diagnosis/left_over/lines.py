@@ -1,0 +1,113 @@
+"""A line in the spectrum of what an equation leaves: something that swings at one frequency.
+
+What the driver does periodically, as in a slalom, is taken off: what is linear in the vehicle's
+accelerations, by whatever dynamics (frequency by frequency; Bendat and Piersol, ch. 7). A body on
+its springs swings in a band that is as wide as its damping makes it (0.2 of critical at 1.2 Hz:
+half a hertz), and a road excites all of it. What is narrower is driven: a fan, a pump, a supply
+that is sampled too seldom.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+from scipy.stats import gamma
+
+from imucald.diagnosis.causes import PARAMETERS
+from imucald.diagnosis.equations.forward import UNITS
+from imucald.diagnosis.fit.blocks import CARRIED, OF_SPEED, TAKES, NDArrayInt
+from imucald.diagnosis.fit.chance import Question
+from imucald.diagnosis.fit.score import Problem, one_in_fifteen
+from imucald.diagnosis.left_over.adequacy import (
+    DRIVEN,
+    LEAST_BLOCKS,
+    PEAK,
+    PEAKED,
+    Spectra,
+    as_loud,
+    cut_offs,
+    left_of_known,
+    spectra_of,
+)
+from imucald.diagnosis.result import Structure
+from imucald.diagnosis.search.state import State
+from imucald.diagnosis.signals import STEP_S, Array
+
+BAND_HZ = 0.25, 4.5
+"""From what the tilt of a segment does not take to below half the grid's rate."""
+BROAD_HZ = 1.2
+"""Up to which `adequacy` looks for broader peaks of `PEAKED`."""
+NEAR, FAR = 3, 9
+"""Bins beside a line, on each side: beyond what a Hann window spreads of it, and as near as to see
+its slope (0.1 to 0.3 Hz in segments of 30 s)."""
+ZEROS: Mapping[str, str] = {
+    "accel_x": "accel.bias.x", "accel_y": "accel.bias.y", "accel_z": "accel.bias.z",
+    "gyro_x": "gyro.bias.x", "gyro_y": "gyro.bias.y", "gyro_z": "gyro.bias.z",
+    "yaw_rate": "yaw_rate.offset", "lateral_accel": "lateral_accel.offset",
+    "longitudinal_accel": "longitudinal_accel.offset",
+}  # fmt: skip
+"""Zero error that a correct file may have: a smaller swing is not reported."""
+
+
+def lines(problem: Problem, state: State) -> list[Question]:
+    """One question an equation: of its strongest line."""
+    spectra = spectra_of(problem, state.forwards)
+    made = []
+    for name, tau in ZEROS.items():
+        if name not in spectra or not set(DRIVEN) <= set(spectra):
+            continue
+        known = np.stack([spectra[each] for each in DRIVEN], axis=2)
+        z = spectra[name]
+        good = np.isfinite(z[:, 0]) & np.isfinite(known[:, 0]).all(axis=1)
+        if good.sum() < LEAST_BLOCKS:
+            continue
+        z = left_of_known(z[good], known[good])
+        hz = np.arange(z.shape[1]) / (2.0 * (z.shape[1] - 1) * STEP_S)
+        asked = (hz >= _from_hz(name)) & (hz <= _to_hz(name, state))
+        for s, low, high in cut_offs(state.changes):
+            if s in TAKES[name]:
+                asked &= (hz < low) | (hz > high)
+        if asked.any():
+            made.append(_question(name, z, hz, np.flatnonzero(asked), PARAMETERS[tau].tolerance))
+    return made
+
+
+def _from_hz(name: str) -> float:
+    return BROAD_HZ if name in PEAKED else BAND_HZ[0]
+
+
+def _to_hz(name: str, state: State) -> float:
+    """Between two samples of the speed nothing is known."""
+    if name not in OF_SPEED:
+        return BAND_HZ[1]
+    return min(BAND_HZ[1], *(CARRIED / d.channels["speed"].period_s for d in state.drives))
+
+
+def _question(name: str, z: Spectra, hz: Array, asked: NDArrayInt, tau: float) -> Question:
+    """z: (B, F) of segments; asked: places of frequencies."""
+    # One segment in fifteen must not decide.
+    kept = len(z) - one_in_fifteen(len(z))
+    power, loud = (np.sort(np.abs(x) ** 2, axis=0)[:kept].mean(axis=0) for x in (as_loud(z), z))
+    beside = np.array([_beside(power, int(i)) for i in asked])
+    count = kept - len(DRIVEN)
+    ratio = power[asked] / beside
+    best = int(np.argmax(ratio))
+    i = int(asked[best])
+    # Of normal noise a segment's power is exponential, and the mean of B gamma.
+    p = min(len(asked) * float(gamma.sf(ratio[best] * count, count)), 1.0)
+    own = slice(i - 1, i + 2)
+    rest = loud[own].sum() - 3.0 * _beside(loud, i)
+    size = float(np.sqrt(2.0 * max(rest, 0.0)))
+    text = (
+        f"a line at {hz[i]:.2f} Hz, {ratio[best]:.0f} times what is beside: it swings by "
+        f"{size:.2g} {UNITS[name]} to either side"
+    )
+    return Question(p, bool(ratio[best] > PEAK and size > tau),
+                    Structure(name, "peak", float(ratio[best]), text))  # fmt: skip
+
+
+def _beside(power: Array, i: int) -> float:
+    """The higher of what lies to both sides: a slope and a broad rise have no line on them."""
+    sides = power[max(i - FAR, 1) : i - NEAR + 1], power[i + NEAR : i + FAR + 1]
+    return max(float(np.median(side)) for side in sides if len(side))

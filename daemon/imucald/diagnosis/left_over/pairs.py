@@ -1,0 +1,331 @@
+"""Errors of one signal that depend on another: products and even parts, of every pair.
+
+A parameter of the model file is one number, and a cause of the catalogue is linear in the signals.
+What a sensor shows too much may as well go with the speed, with the side that the vehicle turns to,
+or with how hard it was driven a while ago: a zero that does is an even or a bent part of the other
+signal, a gain or a delay that does is a product of two (Volterra terms of second order; as a test
+of a linear model: Ramsey 1969; Lee, White and Granger 1993). Every sensor's zero, gain and delay is
+asked beside every condition, by the equations' own physics.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.fft import idct
+from scipy.stats import norm
+from scipy.stats import t as student
+
+from imucald.diagnosis.cause_keys import model_error, tolerance
+from imucald.diagnosis.equations.forward import STOPPING_MPS2, Forward
+from imucald.diagnosis.fit.blocks import TILTED, Rows, cosine, joined, noise_weights, rows_of
+from imucald.diagnosis.fit.chance import Question
+from imucald.diagnosis.fit.sandwich import scatters
+from imucald.diagnosis.fit.score import Problem, what_leaves, without_best
+from imucald.diagnosis.left_over.conditions import (
+    CRAWL_MPS,
+    EITHER_WAY,
+    SPEEDS,
+    TO_ONE_SIDE,
+    conditions,
+)
+from imucald.diagnosis.left_over.stability import EITHER_SIDE, amount, drift_of
+from imucald.diagnosis.result import GOES_WITH_ANOTHER, Structure
+from imucald.diagnosis.search.state import State
+from imucald.diagnosis.search.trials import SINGLE_NATS
+from imucald.diagnosis.signals import STEP_S, Array
+from imucald.model.model import VehicleModel
+from imucald.mount.mount_words import SD_95
+
+ZERO, GAIN, LATE = "zero", "gain", "delay"
+PARTS = 4
+"""Of a segment, whose scatter is looked at: a bend or a braking lasts some seconds."""
+LEAST_PARTS = 10.0
+"""That carry what is known of an error."""
+LEAST_BLOCKS = 6
+OWN_SHARE = 0.1
+"""Of a column's energy that columns of the catalogue do not make up for: beside less, its value is
+that of what the columns err by (a variance inflation factor of ten; Marquardt 1970)."""
+HALF_KMH = 0.5 / 3.6
+"""A speed in whole km/h, as SAE J1979 has it, is off by so much [m/s]."""
+DELAY = "speed.delay_s"
+BEND_MPS = 10.0
+OWN: Mapping[str, tuple[tuple[str, str], str, float]] = {
+    "accel.bias.x": (EITHER_WAY, "accel.scale.0", STOPPING_MPS2),
+    "accel.bias.y": (TO_ONE_SIDE, "accel.scale.1", STOPPING_MPS2),
+    "gyro.bias.z": (TO_ONE_SIDE, "gyro.scale.2", STOPPING_MPS2 / BEND_MPS),
+}
+"""Zeros beside which a condition is the sign of the signal itself: a gain that is off makes as much
+of a strong value."""
+PRIOR = 3.0
+"""Over the square of a half width: information of what lies evenly within it."""
+
+
+@dataclass(frozen=True)
+class Error:
+    """Something that a sensor shows too much."""
+
+    text: str
+    signal: str
+    kind: str
+    key: str
+    """Parameter of the catalogue that it is like, with its tolerance; empty: the speed's zero."""
+    axis: int | None = None
+
+
+ERRORS = (
+    Error("the accelerometer's zero forward", "accel", ZERO, "accel.bias.x", 0),
+    Error("the accelerometer's zero to the left", "accel", ZERO, "accel.bias.y", 1),
+    Error("the accelerometer's zero upward", "accel", ZERO, "accel.bias.z", 2),
+    Error("the gyroscope's zero about the forward axis", "gyro", ZERO, "gyro.bias.x", 0),
+    Error("the gyroscope's zero about the left axis", "gyro", ZERO, "gyro.bias.y", 1),
+    Error("the gyroscope's zero about the upward axis", "gyro", ZERO, "gyro.bias.z", 2),
+    Error("the speed's zero", "speed", ZERO, ""),
+    Error("the yaw rate's zero", "yaw_rate", ZERO, "yaw_rate.offset"),
+    Error("the steering angle's zero", "steering", ZERO, "steering.offset"),
+    Error("the lateral acceleration's zero", "lateral_accel", ZERO, "lateral_accel.offset"),
+    Error("the longitudinal acceleration's zero", "longitudinal_accel", ZERO,
+          "longitudinal_accel.offset"),
+    Error("the accelerometer's gain", "accel", GAIN, "accel.scale.0"),
+    Error("the gyroscope's gain", "gyro", GAIN, "gyro.scale.0"),
+    Error("the speed's gain", "speed", GAIN, "speed.scale"),
+    Error("the yaw rate's gain", "yaw_rate", GAIN, "yaw_rate.scale"),
+    Error("the steering angle's gain", "steering", GAIN, "chassis.steering_ratio"),
+    Error("the accelerometer's delay", "accel", LATE, "accel.delay_s"),
+    Error("the gyroscope's delay", "gyro", LATE, "gyro.delay_s"),
+    Error("the speed's delay", "speed", LATE, "speed.delay_s"),
+    Error("the yaw rate's delay", "yaw_rate", LATE, "yaw_rate.delay_s"),
+    Error("the steering angle's delay", "steering", LATE, "steering.delay_s"),
+)  # fmt: skip
+Asked = tuple[Error, str]
+"""An error, and a condition that it may go with."""
+
+
+def pairs(problem: Problem, state: State) -> list[Question]:
+    """One question for each error of a sensor and each condition."""
+    table = problem.table
+    fitted = np.tile(problem.fit(), (sum(f.blocks for f in state.forwards), 1))
+    # What was named and has no place in the model file is another in each segment.
+    fitted[table.number] = -what_leaves(problem, drift_of(problem, state))[:, 1:]
+    return asked_of(state.forwards, state.model, table.keys, table.top_hz, fitted, table.plausible)
+
+
+def asked_of(
+    forwards: Sequence[Forward], model: VehicleModel, keys: Sequence[str],
+    top_hz: Mapping[str, float], x: Array, plausible: Array,
+) -> list[Question]:  # fmt: skip
+    """Of drives beside a model file. x: (B, P) departures that fit their segments, by keys."""
+    if not all(f.has_gravity for f in forwards):
+        return []  # the road's slope is left, and goes with anything
+    some = [conditions(f) for f in forwards]
+    asked = [
+        (error, name)
+        for error in ERRORS
+        if all(f.drive.has(error.signal) for f in forwards)
+        for name in some[0]
+        if all(name in each for each in some) and _can_be_asked(error, name)
+    ]
+    parts: dict[str, list[tuple[Rows, Array]]] = {}
+    for f, own in zip(forwards, some, strict=True):
+        rows = rows_of(f, model, keys, top_hz)
+        columns = _columns(f, rows, model, asked, own)
+        f.forget()
+        for name, r in rows.items():
+            parts.setdefault(name, []).append((r, columns[name]))
+    if not asked or sum(f.blocks for f in forwards) < LEAST_BLOCKS:
+        return []
+    prior = np.diag(PRIOR / np.maximum(np.abs(plausible).max(axis=1), 1e-12) ** 2)
+    return list(_questions(asked, *_scores(parts, x, prior), model))
+
+
+def _can_be_asked(error: Error, condition: str) -> bool:
+    """A tyre answers after so much of its way, not of time (relaxation length, Pacejka, ch. 5):
+    beside turning, a delay goes with the speed in every vehicle. A zero that goes with its own
+    signal is a gain."""
+    if error.kind == ZERO and error.signal == "speed" and condition == SPEEDS[0]:
+        return False
+    return error.kind != LATE or error.signal == "speed" or condition not in SPEEDS
+
+
+def may_be(error: Error, condition: str, model: VehicleModel) -> float:
+    """By how much a correct file may be wrong, with what the equations err by: where a vehicle
+    would differ between its sides for it, that is not among it."""
+    if not error.key:
+        # A late speed is off by so much of the acceleration.
+        late = tolerance(model, DELAY) + SD_95 * model_error(model, DELAY)
+        return HALF_KMH + (STOPPING_MPS2 * late if condition in EITHER_WAY else 0.0)
+    half = tolerance(model, error.key)
+    if error.key in OWN and condition in OWN[error.key][0]:
+        _, gain, strong = OWN[error.key]
+        half += strong * (tolerance(model, gain) + SD_95 * model_error(model, gain))
+    if condition in TO_ONE_SIDE:
+        return half
+    half += SD_95 * model_error(model, error.key)
+    if error.kind == GAIN and condition in SPEEDS:
+        # So much of a crawl is half a km/h.
+        half += HALF_KMH / CRAWL_MPS if condition != SPEEDS[0] else 0.0
+    return half
+
+
+# columns -----------------------------------------------------------------------------------------
+
+
+def _columns(
+    f: Forward, rows: Mapping[str, Rows], model: VehicleModel, asked: Sequence[Asked],
+    some: Mapping[str, Array],
+) -> dict[str, Array]:  # fmt: skip
+    """(B, K, E) by equation: what an error of one from one end of a condition to the other adds."""
+    masks, base = f.usable(), f.residuals({}).of
+    made = {n: np.zeros((*r.y.shape, len(asked))) for n, r in rows.items()}
+    for e, (error, name) in enumerate(asked):
+        step = may_be(error, name, model)
+        unit = _unit(f, error)
+        added = step * (some[name] * unit.T).T
+        moved = f.residuals({}, added={error.signal: added}).of
+        for n, r in rows.items():
+            if moved[n] is not base[n]:
+                made[n][:, :, e] = cosine((moved[n] - base[n]) / step, masks[n], r.y.shape[1])
+    return made
+
+
+def _unit(f: Forward, error: Error) -> Array:
+    """(N,), or (N, 3) along the vehicle: what a zero, a gain or a delay of one adds."""
+    if error.kind == LATE:
+        level = _unit(f, replace(error, kind=GAIN))
+        return np.asarray(-np.gradient(level, STEP_S, axis=0))
+    if error.kind == ZERO:
+        if error.axis is None:
+            return np.ones(len(f.t))
+        return np.tile(np.eye(3)[error.axis], (len(f.t), 1))
+    if error.signal == "accel" and f.reference is not None:
+        # One g upright is a zero.
+        return np.asarray(f.reference.force * np.array([1.0, 1.0, 0.0]))
+    if error.signal == "gyro" and f.reference is not None and f.reference.rate is not None:
+        return f.reference.rate
+    if error.signal == "speed":
+        return np.asarray(np.interp(f.t, f.knots, f.drive.knots.values))
+    return f.scalar(error.signal, {})
+
+
+# scores ------------------------------------------------------------------------------------------
+
+
+def _scores(
+    parts: Mapping[str, list[tuple[Rows, Array]]], x: Array, prior: Array
+) -> tuple[Array, Array]:
+    """(B, PARTS, E) slope of the loss along each column, and its curvature: beside all columns of
+    the catalogue, which go as far as is plausible (Frisch and Waugh), and the tilt. None of a
+    column that these make up for."""
+    tilted = [n for n in TILTED if n in parts]
+    groups = [*([tilted] if tilted else []), *([n] for n in parts if n not in tilted)]
+    rows = [_whitened([parts[n] for n in group], x) for group in groups]
+    P = x.shape[1]
+    heads = [np.concatenate([a[:, :, : P + 1] for a in each], axis=1) for each, _ in rows]
+    H = prior + sum(np.einsum("bki,bkj->ij", a[:, :, 1:], a[:, :, 1:]) for a in heads)
+    mixed = sum(
+        np.einsum("bki,bke->ie", a[:, :, 1 : P + 1], a[:, :, P + 1 :], optimize=True)
+        for each, _ in rows for a in each
+    )  # fmt: skip
+    w = np.linalg.pinv(H, hermitian=True) @ np.asarray(mixed)
+    u = h = whole = np.zeros(1)
+    for each, _ in rows:
+        for a in each:
+            left = a[:, :, 0] - np.einsum("bkp,bp->bk", a[:, :, 1 : P + 1], x)
+            own = a[:, :, P + 1 :] - a[:, :, 1 : P + 1] @ w
+            u = u + _by_part(left[:, :, None], own)
+            h = h + _by_part(own, own)
+            whole = whole + np.sum(a[:, :, P + 1 :] ** 2, axis=(0, 1))
+    is_own = h.sum(axis=(0, 1)) > OWN_SHARE * whole
+    return u * is_own, h * is_own
+
+
+def _whitened(some: Sequence[list[tuple[Rows, Array]]], x: Array) -> tuple[list[Array], int]:
+    """(B, K, 1 + P + E) of each equation of a group that shares its tilt, which is taken off."""
+    made, tilts = [], []
+    for own in some:
+        rows = joined([r for r, _ in own])
+        columns = np.concatenate([c for _, c in own])
+        made.append(np.concatenate([rows.y[:, :, None], rows.X, columns], axis=2))
+        tilts.append(rows.tilt)
+    goods = [np.concatenate([r.good for r, _ in own]) for own in some]
+    P = x.shape[1]
+    left = _apart([a[:, :, :1] - a[:, :, 1 : P + 1] @ x[:, :, None] for a in made], tilts)
+    weights = [noise_weights(y[:, :, 0], g) for y, g in zip(left, goods, strict=True)]
+    made = [a * w[:, :, None] for a, w in zip(made, weights, strict=True)]
+    tilts = [z if z is None else z * w[:, :, None] for z, w in zip(tilts, weights, strict=True)]
+    return _apart(made, tilts), P
+
+
+def _apart(some: Sequence[Array], tilts: Sequence[Array | None]) -> list[Array]:
+    """Rows without what the tilt of each block makes of them."""
+    known = [z for z in tilts if z is not None]
+    if not known:
+        return list(some)
+    A, Z = np.concatenate(some, axis=1), np.concatenate(known, axis=1)
+    inner = np.swapaxes(Z, 1, 2) @ Z + 1e-9 * np.eye(Z.shape[2])
+    A = A - Z @ np.linalg.solve(inner, np.swapaxes(Z, 1, 2) @ A)
+    return np.split(A, np.cumsum([a.shape[1] for a in some])[:-1], axis=1)
+
+
+def _by_part(a: Array, b: Array) -> Array:
+    """(B, PARTS, E) sums of products of two rows of coefficients, by time within each block."""
+    n = -(-a.shape[1] // PARTS) * PARTS
+    first, second = (idct(x, type=2, axis=1, norm="ortho", n=n) for x in (a, b))
+    product = first * second
+    return np.asarray(product.reshape(len(a), PARTS, n // PARTS, -1).sum(axis=2))
+
+
+# questions ---------------------------------------------------------------------------------------
+
+
+def _questions(
+    asked: Sequence[Asked], u: Array, h: Array, model: VehicleModel
+) -> Iterator[Question]:
+    there = h.sum(axis=(1, 2)) > 0.0
+    u, h = u[there], h[there]
+    for e, (error, condition) in enumerate(asked):
+        own, known = u[:, :, e], np.maximum(h[:, :, e], 0.0)
+        information = float(known.sum())
+        if information <= 0.0 or information**2 < LEAST_PARTS * float((known**2).sum()):
+            continue
+        may = EITHER_SIDE * may_be(error, condition, model)
+        value, sigma, p, gain = _test(own, known)
+        # An end less its error of one deviation.
+        is_large = abs(value) * (1.0 - 1.0 / max(sigma, 1.0)) > may and gain > SINGLE_NATS
+        size = amount(error.key, value) if error.key else f"{value:.2g} m/s"
+        text = (
+            f"{error.text} goes with {condition}: it differs by {size} from one end to the other, "
+            f"{sigma:.1f} deviations, where a correct file's may not ({abs(value) / may:.1f} times "
+            "what it may)"
+        )
+        structure = Structure(error.signal, GOES_WITH_ANOTHER, abs(value) / may, text)
+        yield Question(p, is_large, structure)
+
+
+def _test(u: Array, h: Array) -> tuple[float, float, float, float]:
+    """Value, its deviations, its chance, and nats on blocks that its fit did not see. u, h: (B,
+    PARTS) slope and curvature of the loss.
+
+    Its deviation is by the scatter between parts of segments or between segments, whichever is
+    larger, with as many as what is known of it lies in; and by the noise of all rows.
+    """
+    information = float(h.sum())
+    value = float(u.sum()) / information
+    left = u - h * value
+    U, H = u.sum(axis=1), h.sum(axis=1)
+    by, count = min(_deviations(u, h, left), _deviations(U, H, left.sum(axis=1)))
+    by_rows = abs(value) * np.sqrt(information)
+    p = 2.0 * max(float(student.sf(by, count - 1.0)), float(norm.sf(by_rows)))
+    other = (U.sum() - U) / np.maximum(information - H, 1e-300)
+    return value, float(min(by, by_rows)), p, without_best(other * U - 0.5 * other**2 * H)
+
+
+def _deviations(u: Array, h: Array, left: Array) -> tuple[float, float]:
+    """Of a sum of slopes u, by how what is left of them scatters, alone and with neighbours; and in
+    how many of them what is known lies, (sum h)^2 / sum h^2 (Carter, Schnepel and Steigerwald
+    2017)."""
+    scatter = max(float(s[0, 0]) for s in scatters(left.reshape(-1, 1), 1))
+    count = max(float(h.sum() ** 2 / (h**2).sum()), 2.0)
+    return abs(float(u.sum())) / float(np.sqrt(max(scatter, 1e-300))), count

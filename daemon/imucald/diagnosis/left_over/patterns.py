@@ -1,0 +1,298 @@
+"""What an equation leaves over as a function of its own signal: bent, one-sided, or with memory.
+
+A model that is linear in its errors leaves nothing that depends on the level, the direction or the
+last large value of a signal, whatever its parameters. What does is no cause of the catalogue.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.fft import idct
+from scipy.stats import norm
+from scipy.stats import t as student
+
+from imucald.core.samples import GRAVITY
+from imucald.diagnosis.causes import MODEL_ERROR, PARAMETERS
+from imucald.diagnosis.equations.forward import UNITS, Forward
+from imucald.diagnosis.fit.blocks import LEAST_SHARE, cosine, noise_weights
+from imucald.diagnosis.fit.chance import Question
+from imucald.diagnosis.fit.sandwich import scatters, variances
+from imucald.diagnosis.fit.score import Problem, without_best
+from imucald.diagnosis.left_over.conditions import shaken
+from imucald.diagnosis.result import GOES_WITH_LEVEL, GOES_WITH_SHAKING, Structure
+from imucald.diagnosis.search.trials import SINGLE_NATS
+from imucald.diagnosis.signals import STEP_S, Array
+from imucald.mount.mount_words import SD_95
+
+ASKED = ("accel_x", "accel_y", "gyro_z", "lateral_accel", "longitudinal_accel")
+"""Equations that know their signal from another sensor."""
+ZERO: Mapping[str, str] = {"gyro_z": "gyro.bias.z", "accel_x": "accel.bias.x",
+                           "accel_y": "accel.bias.y"}  # fmt: skip
+"""A zero error that a correct file may have: less than that is not reported."""
+GAIN: Mapping[str, str] = {
+    "accel_x": "speed.scale", "accel_y": "gyro.scale.2", "gyro_z": "gyro.scale.2",
+    "lateral_accel": "lateral_accel.scale", "longitudinal_accel": "longitudinal_accel.scale",
+}  # fmt: skip
+"""A gain that a correct file may have wrong, with what the equations err by."""
+GAINS = ("bent", "one-sided", "steeper")
+"""Shapes that are a gain which goes with the value: held against what a gain may be wrong by."""
+LEAST_BLOCKS = 8
+CLUSTER_S = 5.0
+"""Parts of a block whose scatter is taken beside that of blocks: as long as a manoeuvre lasts. What
+is whitened is independent after half the period of the band's end, a second or two."""
+LARGE = (0.5, 1.0, 2.0)
+"""Times its rms: from where on a value may leave something behind. Octaves, of which one lies
+within a factor of 1.4 of any such level: the sign is then mostly the same."""
+SHAKEN_S = (1.0, 3.0, 10.0)
+"""From what the grid resolves to what a block's tilt does not take."""
+LATE = "late"
+TURNING = "turning"
+"""A speed that is off by a length times the amount of the yaw rate (RESET with another input's even
+part; Ramsey 1969). A point beside the middle is off by its signed rate, which is odd."""
+BESIDE_M = PARAMETERS["mount.lever_arm_m.1"].tolerance
+"""By which the point that the speed is of may be off sideways in a correct file [m]."""
+DELAY_S = dict.fromkeys(ASKED, PARAMETERS["accel.delay_s"].tolerance) | {
+    "accel_x": PARAMETERS["speed.delay_s"].tolerance
+}
+"""By which a signal of the equation may be late in a correct file [s]."""
+SHAPES = {
+    "bent": "is less steep for large values than for small ones",
+    "one-sided": "differs between one side and the other",
+    "steeper": "grows faster than the value",
+    "by direction": "depends on whether the value rises or falls",
+    LATE: "is later on one side than on the other",
+    **{f"memory {x:g}": "keeps the sign of the last large value" for x in LARGE},
+    **{f"shaken {x:g}": f"goes with how much the sensor is shaken in {x:g} s" for x in SHAKEN_S},
+    TURNING: "goes with how much the vehicle turns, to whichever side",
+}
+SPEED_S = "accel_x"
+"""The equation of the speed's slope, which knows the yaw rate from another sensor."""
+
+
+@dataclass(frozen=True)
+class ShapeRows:
+    """Blocks of one equation, transformed. Residual (B, K), shapes (B, K, 2 + k): the value itself,
+    its slope, and k more; beside them the tilt (B, K, Z)."""
+
+    y: Array
+    X: Array
+    tilt: Array
+    rows: int
+    """Samples a block."""
+
+
+@dataclass(frozen=True)
+class Grams:
+    """Of one equation, whitened, the tilt projected out; residual first."""
+
+    parts: Array
+    """(B, C, P, P) of each block's parts, one or more."""
+    squares: Array
+    """(B, P) mean squares in their units."""
+
+    @property
+    def blocks(self) -> Array:
+        """(B, P, P)"""
+        return np.asarray(self.parts.sum(axis=1))
+
+
+def patterns(problem: Problem, forwards: Sequence[Forward]) -> list[Question]:
+    """Residuals that depend on their own signal in a way that is not linear.
+
+    Each shape is fitted beside value, slope and the block's tilt. Large is what is larger than the
+    zero error that a correct file may have, or later than its delay, and not owed to one block.
+    """
+    x = problem.fit()
+    changes = {k: float(v) for k, v in zip(problem.table.keys, x, strict=True) if v}
+    parts: dict[str, list[ShapeRows]] = {}
+    for f in forwards:
+        for name, rows in _of_drive(f, changes, problem.table.top_hz):
+            parts.setdefault(name, []).append(rows)
+    grams = {name: _gram(own) for name, own in parts.items()}
+    return [
+        question
+        for name, gram in grams.items()
+        if len(gram.parts) >= LEAST_BLOCKS
+        for question in _asked(name, gram)
+    ]
+
+
+def _of_drive(
+    f: Forward, changes: Mapping[str, float], top_hz: Mapping[str, float]
+) -> list[tuple[str, ShapeRows]]:
+    masks, residuals = f.usable(), f.residuals(changes)
+    measured = f.measured()
+    shaking = [shaken(f, seconds) for seconds in SHAKEN_S]
+    turning = _turning(f, top_hz)
+    made = []
+    for name in ASKED:
+        if name not in residuals.of or name not in measured:
+            continue
+        good = masks[name].mean(axis=1) >= LEAST_SHARE
+        count = max(1, int(2.0 * f.rows * STEP_S * top_hz[name]))
+        own = measured[name] - np.median(measured[name])
+        beside = turning if name == SPEED_S else np.zeros(len(f.t))
+        columns = [*_shapes(own, top_hz[name]).T, *shaking, beside]
+        shapes = [x.reshape(f.blocks, f.rows) for x in columns]
+        tilt = residuals.tilt.get(name, (np.ones((f.blocks, f.rows)),))
+        y, X, Z = (
+            np.stack([cosine(x, masks[name], count) for x in some], axis=2)[good]
+            for some in ([residuals.of[name]], shapes, tilt)
+        )
+        made.append((name, ShapeRows(y[:, :, 0], X, Z, f.rows)))
+    return made
+
+
+def _gram(parts: Sequence[ShapeRows]) -> Grams:
+    A = np.concatenate([np.concatenate([p.y[:, :, None], p.X], axis=2) for p in parts])
+    Z = np.concatenate([p.tilt for p in parts])
+    A = _without(A, Z)
+    squares = np.sum(A**2, axis=1) / parts[0].rows
+    # What is left beside value and slope is the noise.
+    total = np.einsum("bki,bkj->ij", A[:, :, :3], A[:, :, :3])
+    line = np.linalg.lstsq(total[1:, 1:], total[1:, 0], rcond=None)[0]
+    left = A[:, :, 0] - A[:, :, 1:3] @ line
+    w = noise_weights(left, np.ones(len(A), dtype=bool))[:, :, None]
+    A = _without(A * w, Z * w)
+    return Grams(_in_time(A, parts[0].rows * STEP_S), squares)
+
+
+def _in_time(A: Array, seconds: float) -> Array:
+    """Gram matrices (B, C, P, P) of the parts of transformed blocks (B, K, P), one after another
+    (Parseval: they add up to the block's)."""
+    count = max(1, min(round(seconds / CLUSTER_S), A.shape[1]))
+    cut = np.array_split(idct(A, type=2, axis=1, norm="ortho"), count, axis=1)
+    return np.stack([np.swapaxes(x, 1, 2) @ x for x in cut], axis=1)
+
+
+def _without(A: Array, Z: Array) -> Array:
+    inner = np.swapaxes(Z, 1, 2) @ Z
+    inner = (
+        inner
+        + 1e-9
+        * np.eye(Z.shape[2])
+        * np.maximum(np.trace(inner, axis1=1, axis2=2), 1.0)[:, None, None]
+    )
+    return np.asarray(A - Z @ np.linalg.solve(inner, np.swapaxes(Z, 1, 2) @ A))
+
+
+def _shapes(x: Array, top_hz: float) -> Array:
+    """(N, 2 + k): value and slope, then what is asked of. The usual size is the signal's rms."""
+    smooth = _smooth(x, top_hz)
+    size = max(float(np.sqrt(np.mean(smooth**2))), 1e-12)
+    z = smooth / size
+    slope = np.gradient(z, STEP_S)
+    quick = np.tanh(slope / max(float(np.std(slope)), 1e-12))
+    slope *= size
+    rows = np.arange(len(z))
+    last = [np.sign(z[np.maximum.accumulate(np.where(np.abs(z) > x, rows, 0))]) for x in LARGE]
+    shapes = [z / (1.0 + np.abs(z)), z**2, z * np.abs(z), quick, slope * np.sign(z), *last]
+    return np.column_stack([smooth, slope, *shapes])
+
+
+def _smooth(x: Array, top_hz: float) -> Array:
+    n = max(1, round(0.5 / (top_hz * STEP_S)))
+    return np.asarray(np.convolve(x, np.ones(n) / n, "same"))
+
+
+def _turning(f: Forward, top_hz: Mapping[str, float]) -> Array:
+    """(N,) slope of the yaw rate's amount [rad/s^2]; none where nothing turns."""
+    if not f.has_turning or SPEED_S not in top_hz:
+        return np.zeros(len(f.t))
+    return np.asarray(np.gradient(np.abs(_smooth(f.yaw_rate(), top_hz[SPEED_S])), STEP_S))
+
+
+def _asked(name: str, gram: Grams) -> Iterator[Question]:
+    squares = gram.squares
+    for k, shape in enumerate(SHAPES):
+        if not squares[:, 3 + k].any():
+            continue  # not asked of this equation
+        index = [0, 1, 2, 3 + k]
+        value, sigma, p, gain = _fit(gram.parts[:, :, index][:, :, :, index])
+        size = abs(value) * float(np.sqrt(squares[:, 3 + k].mean()))
+        kind = GOES_WITH_LEVEL
+        if shape == LATE:
+            # One side is late by `value` seconds and the other early.
+            is_large = abs(value) > DELAY_S[name]
+        elif shape == TURNING:
+            is_large = abs(value) > BESIDE_M
+        elif shape.startswith("memory"):
+            # A zero error of one sign or the other.
+            size = abs(value)
+            is_large = size > _least(name)
+        elif shape.startswith("shaken"):
+            # From one end of what a zero may be to the other.
+            kind, size = GOES_WITH_SHAKING, abs(value)
+            is_large = size > 2.0 * _least(name)
+        elif shape in GAINS:
+            is_large = size > _gain(name) * float(np.sqrt(squares[:, 1].mean()))
+        else:
+            is_large = size > _least(name)
+        text = f"what is left {SHAPES[shape]}: {size:.2g} {UNITS[name]}, {sigma:.1f} deviations"
+        yield Question(p, gain > SINGLE_NATS and is_large, Structure(name, kind, sigma, text))
+
+
+def _least(name: str) -> float:
+    row = PARAMETERS.get(ZERO.get(name, ""))
+    return row.tolerance if row is not None else 0.003 * GRAVITY
+
+
+def _gain(name: str) -> float:
+    """Share of the value that a gain may be wrong by."""
+    key = GAIN[name]
+    base = next(k for k in MODEL_ERROR if key.startswith(k))
+    return PARAMETERS[key].tolerance + SD_95 * MODEL_ERROR[base]
+
+
+def _fit(parts: Array) -> tuple[float, float, float, float]:
+    """Of the last column beside the others: value, its deviations, its chance, and nats on blocks
+    that its fit did not see. parts: (B, C, 1 + P, 1 + P), residual first.
+
+    It must be beyond chance by how the parts scatter (Student, as many as hold something on it) and
+    by the noise of all rows (normal), each with its own law: the larger deviation is not held
+    against the few parts if it is not theirs.
+    """
+    gram = parts.sum(axis=1)
+    total = gram.sum(axis=0)
+    value, whole = _solved(total), total[1:, 1:]
+    fine = parts.reshape(-1, *parts.shape[2:])
+    inverse = np.linalg.pinv(whole)
+    blocks = max(
+        float(variances(inverse, way)[-1])
+        for some in (gram, fine)
+        for way in scatters(some[:, 1:, 0] - some[:, 1:, 1:] @ value, len(value))
+    )
+    rows = float(variances(inverse, whole)[-1])
+    if min(blocks, rows) <= 0.0:  # rounding: nothing is known
+        return float(value[-1]), 0.0, 1.0, 0.0
+    by_blocks, by_rows = abs(value[-1]) / np.sqrt(blocks), abs(value[-1]) / np.sqrt(rows)
+    freedom = _effective(fine[:, 1:, 1:], inverse[-1]) - 1.0
+    p = 2.0 * max(float(student.sf(by_blocks, freedom)), float(norm.sf(by_rows)))
+    gain = np.empty(len(gram))
+    for b in range(len(gram)):
+        rest = total - gram[b]
+        with_it, without = _solved(rest), np.append(_solved(rest[:-1, :-1]), 0.0)
+        gain[b] = 0.5 * (_loss(gram[b], without) - _loss(gram[b], with_it))
+    return float(value[-1]), float(min(by_blocks, by_rows)), p, without_best(gain)
+
+
+def _effective(inner: Array, row: Array) -> float:
+    """How many parts a value rests on: their number, less where they hold unequal shares of it
+    (effective number of clusters; Carter, Schnepel and Steigerwald 2017); more than one.
+
+    inner: (C, P, P) of the columns. row: (P,) of the inverse Hessian.
+    """
+    share = np.einsum("i,cij,j->c", row, inner, row)
+    return max(float(share.sum() ** 2 / max(float(share @ share), 1e-300)), 1.0 + 1e-6)
+
+
+def _solved(gram: Array) -> Array:
+    return np.asarray(np.linalg.lstsq(gram[1:, 1:], gram[1:, 0], rcond=None)[0])
+
+
+def _loss(gram: Array, x: Array) -> float:
+    z = np.concatenate([[1.0], -x])
+    return float(z @ gram @ z)

@@ -1,0 +1,293 @@
+"""From a table of blocks to names: candidates compete on data that their fit did not see.
+
+A cause is named when its held-out gain, without the best block in fifteen, exceeds what chance
+gives in all questions together, when it leaves the box of correct files, and when its value is
+plausible. Rivals within two standard errors of the paired difference, or behind by less than what
+names a cause, are named with it. Then it is freed, and the question is asked anew.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from imucald.diagnosis.cause_keys import with_shifts
+from imucald.diagnosis.causes import family
+from imucald.diagnosis.fit.score import Hypothesis, Problem, held_out, paired
+from imucald.diagnosis.search.shift import find_shift
+from imucald.diagnosis.search.standing import (
+    asked_again,
+    demote,
+    eliminate,
+    let_go,
+    set_aside,
+    simplify,
+    without,
+)
+from imucald.diagnosis.search.state import State, refit, shift_steps
+from imucald.diagnosis.search.trials import (
+    SINGLE_NATS,
+    Trial,
+    hypotheses,
+    joined,
+    likeliest,
+    on_table,
+    tried,
+)
+
+ALIKE_SE = 2.0
+MOST_NAMED = 6
+
+Tick = Callable[[str], None]
+
+
+def search(state: State, tick: Tick, late: Callable[[], bool], skip: Sequence[str] = ()) -> None:
+    """Name what pays, one after another; then refit all, and let go what no longer pays. What falls
+    leaves its place to what explains as much, and is not named again."""
+    dropped: list[str] = []
+    fallen: set[str] = set()
+    while True:
+        dropped += _grown(state, tick, late, [*skip, *dropped], fallen)
+        eliminate(state, late)
+        demote(state)
+        _beside_rivals(state, late)
+        more = {t.hypothesis.name for t in state.doubtful} - fallen
+        fallen |= more
+        if not more or _is_ended(state) or late():
+            break
+    if state.doubtful:
+        state.last = _trials(state.evaluated(), state, [*skip, *dropped])
+    known = {t.hypothesis.name for t in (*state.named, *state.doubtful)}
+    if state.shift is None:
+        state.likely = [
+            t
+            for t in likeliest(state.last)
+            if t.hypothesis.name not in known
+            and all(_is_form_of(t, other) for other in _alike(t, state.last))
+        ]
+
+
+def _is_ended(state: State) -> bool:
+    """Whether what was found leaves nothing else to be asked."""
+    drifts = any(t.hypothesis.pattern is not None for t in state.named)
+    return drifts or state.shift is not None or bool(state.implausible)
+
+
+def _grown(
+    state: State, tick: Tick, late: Callable[[], bool], skip: Sequence[str], fallen: set[str]
+) -> list[str]:
+    """Name what pays, one after another; returns parameters of what no longer does. fallen: causes
+    that are not named again."""
+    dropped: list[str] = []
+    while len(state.named) < MOST_NAMED and not late():
+        problem = state.evaluated()
+        state.last = _trials(problem, state, [*skip, *dropped])
+        open_to = [t for t in state.last if t.hypothesis.name not in fallen]
+        best = _winner(open_to) or _nearly(problem, replace(state, last=open_to))
+        shift = find_shift(problem, problem.table.levels)
+        if shift is not None and shift.named and (best is None or shift.shown > best.shown):
+            # Either side of a shift is another drive: nothing else is asked of this one.
+            state.shift = shift
+            state.model = with_shifts(state.model, shift_steps(shift))
+            state.evaluated()
+            break
+        if best is None:
+            break
+        alike = _alike(best, state.last)
+        best, edge = _from_the_edge(problem, state, best)
+        chosen = next(
+            (
+                t
+                for t in [best, *alike, *_behind(best, state.last)]
+                if t.is_plausible and t.hypothesis.name not in fallen
+            ),
+            None,
+        )
+        if chosen is None:
+            state.implausible.append(best)
+            break
+        name = chosen.hypothesis.name
+        tick(f"found {name.replace('_', ' ')}, looking further")
+        state.rivals[name] = [t for t in alike if t is not chosen and t.is_plausible]
+        if best is not chosen and best.is_plausible:
+            state.rivals[name].append(best)
+        state.named.append(chosen)
+        if chosen.hypothesis.pattern is not None:
+            # The model file has no place for a drift: like a shift, it ends the search.
+            break
+        if edge and chosen is best:
+            # It was asked from the edge, and is taken from there.
+            state.apply({key: edge[key] for key in beyond(chosen)})
+            problem = state.evaluated()
+        _take(state, problem, chosen)
+        refit(state)
+        simplify(state, chosen)
+        dropped += let_go(state)
+    return dropped
+
+
+def _beside_rivals(state: State, late: Callable[[], bool]) -> None:
+    """Of look-alikes any may be the right one. What else is named does not stand where another of
+    them alone does as well, and leaves nothing of it: it may be what the one that was taken leaves.
+    """
+    for first in list(state.named):
+        if first.hypothesis.pattern is not None:
+            continue
+        rivals = [t for t in state.rivals.get(first.hypothesis.name, [])
+                  if t.hypothesis.pattern is None]  # fmt: skip
+        for trial in [t for t in state.named if t is not first]:
+            h = trial.hypothesis
+            if set(h.keys) & set(first.hypothesis.keys) and h.pattern is None:
+                continue
+            for rival in rivals:
+                if late() or first not in state.named or trial not in state.named:
+                    break
+                if set(rival.hypothesis.keys) & set(h.keys) and h.pattern is None:
+                    continue
+                other = without(state, first)
+                if h.pattern is None:
+                    other = without(other, trial)
+                _take(other, other.evaluated(), rival)
+                refit(other)
+                less, whole = other.evaluated(), state.evaluated()
+                alone = held_out(less)
+                both = held_out(whole, None if h.pattern is None else on_table(h, whole.table))
+                behind, se = paired(alone, both, less.table.number, whole.table.number)
+                if behind > max(ALIKE_SE * se, trial.needed):
+                    continue
+                asked = on_table(h, less.table)
+                if not tried(less, asked, alone, max(len(state.last), 1)).named:
+                    set_aside(state, trial)
+
+
+def _trials(problem: Problem, state: State, skip: Sequence[str]) -> list[Trial]:
+    asked = hypotheses(problem.table, state.model, [*state.changes, *skip])
+    base = held_out(problem)
+    made = [tried(problem, h, base, len(asked)) for h in asked]
+    return [*made, *joined(problem, made, base)]
+
+
+def _winner(trials: Sequence[Trial]) -> Trial | None:
+    """The one with most gain of those that pass; of one cause's forms the simplest that does, also
+    of a cause that is part of it: a delay that grows is named where its growth pays by itself."""
+    passing = [t for t in trials if t.named]
+    if not passing:
+        return None
+    best = max(passing, key=lambda t: t.gain.sum())
+    if len(best.hypothesis.directions) > 1:
+        # Elements that joined one by one imitate what one other cause does by itself.
+        fewer = [t for t in passing if len(t.hypothesis.keys) < len(best.hypothesis.keys)]
+        best = max((t for t in fewer if _is_near(best, t)), default=best,
+                   key=lambda t: t.gain.sum())  # fmt: skip
+    same = [t for t in passing if _is_form_of(t, best)]
+    simple = [t for t in same if _is_near(best, t)]
+    return min(simple, key=lambda t: (len(t.hypothesis.keys), -t.gain.sum()))
+
+
+def _is_form_of(t: Trial, best: Trial) -> bool:
+    """Whether it is the same cause, or frees some of the same parameters and no other."""
+    one, all_of = t.hypothesis, best.hypothesis
+    is_part = one.is_plain and all_of.is_plain and set(one.keys) < set(all_of.keys)
+    return one.name == all_of.name or is_part
+
+
+def _nearly(problem: Problem, state: State) -> Trial | None:
+    """What falls short by one step from the stated file may pass where that step led: a column is
+    a slope, and 0.002 of understeer at 20 m/s changes its own column by a fifth."""
+    close = [t for t in state.last if t.is_suspect and t.shown > t.needed and t.is_testable
+             and t.is_plausible and t.hypothesis.is_plain]  # fmt: skip
+    if not close:
+        return None
+    best = max(close, key=lambda t: t.shown)
+    there = replace(state, changes=dict(state.changes), table=None)
+    there.apply(_changes(problem, best.hypothesis))
+    again = asked_again(there, best)
+    return again if again.named and again.is_plausible else None
+
+
+def _from_the_edge(problem: Problem, state: State, best: Trial) -> tuple[Trial, dict[str, float]]:
+    """What leads beyond the plausible is asked again from its edge: a column is a slope, and that
+    of a ratio that is a third lower leads to half of it. Returns the trial, and the step to where
+    it was asked; none where that did not help."""
+    if best.is_plausible or not best.hypothesis.is_plain:
+        return best, {}
+    table, step = problem.table, _changes(problem, best.hypothesis)
+    for key, x in step.items():
+        low, high = table.plausible[table.keys.index(key)]
+        step[key] = float(np.clip(x, low, high))
+    there = replace(state, changes=dict(state.changes), table=None)
+    there.apply(step)
+    again = asked_again(there, best)
+    return (again, step) if again.named and again.is_plausible else (best, {})
+
+
+def _is_near(best: Trial, other: Trial) -> bool:
+    behind, se = best.ahead_of(other)
+    return behind <= ALIKE_SE * se or behind <= SINGLE_NATS / 2.0
+
+
+def _alike(best: Trial, trials: Sequence[Trial]) -> list[Trial]:
+    """Other causes that do as well within two standard errors, or whose likelihood ratio on unseen
+    data is less than what names a cause: what is ruled out is so at the error rate of what is
+    named. One form of each."""
+    found: dict[str, Trial] = {}
+    for t in sorted(trials, key=lambda t: -t.gain.sum()):
+        name = t.hypothesis.name
+        if name == best.hypothesis.name or name in found or not t.could_be:
+            continue
+        behind, se = best.ahead_of(t)
+        if behind <= max(ALIKE_SE * se, best.needed):
+            found[name] = t
+    return list(found.values())
+
+
+def _behind(best: Trial, trials: Sequence[Trial]) -> list[Trial]:
+    """What passes with half the gain of an explanation that cannot be: it is tried first."""
+    if best.is_plausible:
+        return []
+    passing = [t for t in trials if t.named and t.gain.sum() > 0.5 * best.gain.sum()]
+    return sorted(passing, key=lambda t: -t.gain.sum())
+
+
+def _take(state: State, problem: Problem, chosen: Trial) -> None:
+    """Move the model by a named hypothesis; a direction is evaluated once more where it led."""
+    h = chosen.hypothesis
+    if not h.directions:
+        state.apply(_changes(problem, h, beyond(chosen)))
+        return
+    freed = set(state.free)
+    for _ in range(2):
+        state.apply(_changes(problem, h))
+        state.held |= {k for d in h.directions for k in d} - freed
+        problem = state.evaluated()
+    half = chosen.estimate.quantile * chosen.estimate.se
+    for k, d in enumerate(h.directions):
+        for key in d:
+            if family(key) == family(h.keys[0]):
+                state.bounds[key] = (-float(half[k]), float(half[k]))
+
+
+def beyond(trial: Trial) -> tuple[str, ...]:
+    """Of a hypothesis' parameters those that leave their tolerance; the others stay within it."""
+    e, h = trial.estimate, trial.hypothesis
+    sure = (np.abs(e.value) - trial.tolerance) / np.maximum(e.se, 1e-30)
+    far = sure > min(trial.single, float(sure.max()) * 0.999)
+    far |= np.arange(len(h.keys)) < h.lead
+    return tuple(k for k, is_far in zip(h.keys, far, strict=True) if is_far)
+
+
+def _changes(problem: Problem, h: Hypothesis, only: Sequence[str] = ()) -> dict[str, float]:
+    """Departures of a hypothesis' own parameters, with what moves with them. only: these of them;
+    the others are fitted within their tolerance, and not moved."""
+    if only:
+        h = replace(h, keys=tuple(only))
+    x = problem.fit(h)
+    own = problem.own(h)
+    changes: dict[str, float] = {}
+    for k, key in enumerate(h.keys):
+        moved = h.directions[k] if h.directions else {key: 1.0}
+        for name, factor in moved.items():
+            changes[name] = changes.get(name, 0.0) + factor * float(x[own[k]])
+    return changes

@@ -1,0 +1,142 @@
+"""A sensor that is turned in mid-drive: step or creep of the mount, by two witnesses.
+
+Kinematics (forces and turning, which know nothing of the road) and the level (mean force less what
+motion explains, over g, which knows the road's slope only by its long-run scatter).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from imucald.diagnosis.causes import DEG
+from imucald.diagnosis.fit.blocks import Table
+from imucald.diagnosis.fit.intervals import estimate, quantile
+from imucald.diagnosis.fit.score import Hypothesis, Problem, held_out, without_best
+from imucald.diagnosis.signals import Array
+
+KEYS = ("mount.turn.x", "mount.turn.y", "mount.turn.z")
+LEAST_BLOCKS, LEAST_SHARE = 4, 0.2
+"""On each side of a candidate."""
+LEAST_TURN = 0.3 * DEG
+SEARCH = 1.3
+"""Factor on the quantile for having looked at many times (Andrews 1993, for the middle 60 %)."""
+AGREE_SD, SEEN_SD = 3.0, 2.0
+NEIGHBOURS = 3
+LEAST_NATS = 8.0
+"""As for any cause, with some thirty times at which it may have happened: ln(30 / 0.01)."""
+
+
+@dataclass(frozen=True)
+class FittedShift:
+    """A turn (3,) [rad] about the vehicle's axes, at once or evenly over the drive."""
+
+    kind: str
+    """`step` or `creep`."""
+    start_s: float
+    turn: Array
+    se: Array
+    quantile: float
+    gain: Array
+    """(B,) held-out nats."""
+    shown: float
+    pattern: Array
+    low_s: float
+    high_s: float
+    """The interval of time in which it happened."""
+
+    @property
+    def named(self) -> bool:
+        """Beyond what chance and a search over times give."""
+        beyond = np.abs(self.turn) > LEAST_TURN + SEARCH * self.quantile * self.se
+        return bool(np.any(beyond) and self.shown > LEAST_NATS)
+
+
+def find_shift(problem: Problem, levels: Array) -> FittedShift | None:
+    """The best step or creep of one drive. levels: (B, 2) mean tilt forward and left of each block.
+
+    None where the data cannot show one.
+    """
+    table = problem.table
+    if not set(KEYS) <= set(table.keys) or len(set(table.drive.tolist())) != 1:
+        return None
+    blocks = table.blocks
+    edge = max(LEAST_BLOCKS, int(np.ceil(LEAST_SHARE * blocks)))
+    places = range(edge, blocks - edge + 1)
+    if len(places) == 0:
+        return None
+    steps = [(np.arange(blocks) >= k).astype(float) for k in places]
+    scores = [_in_sample(problem, p) + _level_gain(levels, p) for p in steps]
+    best = int(np.argmax(scores))
+    ramp = np.linspace(0.0, 1.0, blocks)
+    found = _shift(problem, levels, steps[best], "step", table, places[best])
+    creeping = _in_sample(problem, ramp) + _level_gain(levels, ramp)
+    if creeping > scores[best] + np.log(len(places)):
+        creep = _shift(problem, levels, ramp, "creep", table, 0)
+        if creep.named:
+            return creep
+    return found
+
+
+def _hypothesis(pattern: Array) -> Hypothesis:
+    return Hypothesis("mount_shift", KEYS, pattern=pattern)
+
+
+def _in_sample(problem: Problem, pattern: Array) -> float:
+    """Nats by which a step explains the kinematics better."""
+    h = _hypothesis(pattern)
+    total, x = problem.widened(h)[0].sum(axis=0), problem.fit(h)
+    return float(total[1:, 0] @ x - 0.5 * x @ total[1:, 1:] @ x)
+
+
+def _level_step(levels: Array, pattern: Array) -> tuple[Array, Array]:
+    """Regression of the level on a pattern: (2,) step and its deviation, slow roads counted."""
+    x = pattern - pattern.mean()
+    step = x @ levels / (x @ x)
+    left = levels - levels.mean(axis=0) - np.outer(x, step)
+    size = len(left) // NEIGHBOURS * NEIGHBOURS
+    means = left[:size].reshape(-1, NEIGHBOURS, 2).mean(axis=1)
+    variance = np.maximum(means.var(axis=0, ddof=1) * NEIGHBOURS, left.var(axis=0, ddof=1))
+    se = np.sqrt(variance / (x @ x))
+    return step, se
+
+
+def _level_gain(levels: Array, pattern: Array) -> float:
+    step, se = _level_step(levels, pattern)
+    return float(0.5 * ((step / np.maximum(se, 1e-6)) ** 2).sum()) if len(levels) > 6 else 0.0
+
+
+def _shift(
+    problem: Problem, levels: Array, pattern: Array, kind: str, table: Table, place: int
+) -> FittedShift:
+    """Both witnesses, weighed by their variances."""
+    h = _hypothesis(pattern)
+    e = estimate(problem, h, 3)
+    gain = held_out(problem) - held_out(problem, h)
+    turn, se = e.value.copy(), e.se.copy()
+    step, step_se = _level_step(levels, pattern)
+    # A sensor turned by d about y (nose down) feels -g d forward, about x +g d to the left.
+    by_level = np.array([step[1], -step[0]])
+    level_se = step_se[::-1]
+    nats = 0.0
+    for i in range(2):
+        apart = abs(turn[i] - by_level[i]) / np.hypot(se[i], level_se[i])
+        seen = abs(turn[i]) > SEEN_SD * se[i]
+        if apart < AGREE_SD and seen:
+            w, v = 1.0 / se[i] ** 2, 1.0 / level_se[i] ** 2
+            turn[i] = (w * turn[i] + v * by_level[i]) / (w + v)
+            se[i] = (w + v) ** -0.5
+            nats += 0.5 * (by_level[i] / level_se[i]) ** 2
+        elif apart >= AGREE_SD:
+            # Two witnesses that contradict each other show nothing.
+            se[i] = max(se[i], abs(turn[i] - by_level[i]))
+    if kind == "creep":
+        low, start, high = (float(table.start_s[i]) for i in (0, 0, -1))
+    else:
+        start = float(table.start_s[place])
+        low, high = float(table.start_s[place - 1]), start
+    return FittedShift(
+        kind, start, turn, se, quantile(table.blocks, 3), gain,
+        without_best(gain) + nats, pattern, low, high,
+    )  # fmt: skip

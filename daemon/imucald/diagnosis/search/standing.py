@@ -1,0 +1,163 @@
+"""What stands of the causes that were named: each is asked again beside the others."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from imucald.diagnosis.causes import CAUSES
+from imucald.diagnosis.fit.score import Hypothesis, Problem, held_out, without_best
+from imucald.diagnosis.search.state import State, refit
+from imucald.diagnosis.search.trials import SINGLE_NATS, Trial, tried
+
+
+def asked_again(state: State, trial: Trial) -> Trial:
+    """A hypothesis against the box of correct files, from where the model has moved by it."""
+    problem, h = state.evaluated(), trial.hypothesis
+    kept = [k for k in h.keys if k in state.changes]
+    index = [h.keys.index(k) for k in kept]
+    if h.is_plain:
+        h = replace(h, keys=tuple(kept), lead=min(h.lead, len(kept)))
+    null = put_back(problem, state, list({k for d in h.directions for k in d} or kept))
+    again = tried(problem, h, held_out(null), max(len(state.last), 1), null)
+    moved = np.array([state.changes[k] for k in kept])
+    e = replace(again.estimate, value=again.estimate.value + moved)
+    return replace(again, estimate=e, tolerance=trial.tolerance[index],
+                   plausible=trial.plausible[index], reach=trial.reach[index])  # fmt: skip
+
+
+def let_go(state: State) -> list[str]:
+    """Causes that no longer pay beside the later ones are put back; returns their parameters."""
+    if len(state.named) < 2:
+        return []
+    problem = state.evaluated()
+    base = held_out(problem)
+    gone: list[str] = []
+    for trial in state.named[:-1]:
+        if not trial.hypothesis.is_plain:
+            continue
+        keys = [k for k in trial.hypothesis.keys if k in problem.table.keys and k in state.changes]
+        without = held_out(put_back(problem, state, keys))
+        if without_best(without - base) < SINGLE_NATS:
+            gone += keys
+    if gone:
+        state.named = [t for t in state.named if not set(t.hypothesis.keys) & set(gone)]
+        for key in gone:
+            state.changes.pop(key, None)
+        state.apply({})
+        refit(state)
+    return gone
+
+
+def put_back(problem: Problem, state: State, keys: Sequence[str]) -> Problem:
+    """The same with parameters in the box about the stated file, from where the model has moved."""
+    low, high = problem.low.copy(), problem.high.copy()
+    for key in keys:
+        i, x = problem.table.keys.index(key), state.changes.get(key, 0.0)
+        tau = problem.table.tolerance[i]
+        low[i], high[i] = -tau - x, tau - x
+    return replace(problem, low=low, high=high)
+
+
+def simplify(state: State, trial: Trial) -> None:
+    """A cause that grows stands if its growth pays by itself where the model has moved to; else
+    what it is without is named. Columns are slopes: beside a large delay they may need a growth
+    that is not there."""
+    h = trial.hypothesis
+    first, rest = h.keys[: h.lead], h.keys[h.lead :]
+    name = next((c.name for c in CAUSES if rest in c.variants), None)
+    if name is None or not first:
+        return
+    problem = state.evaluated()
+    if not set(h.keys) <= set(problem.table.keys):
+        return
+    without_it = held_out(put_back(problem, state, first))
+    if without_best(without_it - held_out(problem)) > trial.needed:
+        return
+    state.named.remove(trial)
+    for key in first:
+        state.changes.pop(key, None)
+    state.apply({})
+    refit(state)
+    n = h.lead
+    simple = replace(trial, hypothesis=Hypothesis(name, rest), tolerance=trial.tolerance[n:],
+                     plausible=trial.plausible[n:], reach=trial.reach[n:])  # fmt: skip
+    state.named.append(asked_again(state, simple))
+    rivals = state.rivals.pop(h.name, [])
+    state.rivals[name] = [t for t in rivals if t.hypothesis.name != name]
+
+
+def eliminate(state: State, late: Callable[[], bool]) -> None:
+    """Backward elimination: each cause is asked again from where the others alone lead, weakest
+    first. A greedy start may have named a look-alike, or a slope taken at the wrong place."""
+    asked: set[str] = set()
+    while len(state.named) > 1 and not late():
+        left = [t for t in state.named if t.hypothesis.name not in asked]
+        if not left:
+            break
+        trial = min(left, key=lambda t: t.shown)
+        asked.add(trial.hypothesis.name)
+        if trial.hypothesis.pattern is not None:
+            continue
+        less = without(state, trial)
+        problem = less.evaluated()
+        again = tried(problem, trial.hypothesis, held_out(problem), max(len(state.last), 1))
+        if again.named and again.is_plausible:
+            continue
+        _drop(state, less, trial)
+        asked.clear()
+
+
+def without(state: State, trial: Trial) -> State:
+    """The others alone, fitted again."""
+    h = trial.hypothesis
+    keys = {k for d in h.directions for k in d} or set(h.keys)
+    less = replace(
+        state,
+        changes={k: x for k, x in state.changes.items() if k not in keys},
+        held=state.held - keys,
+        bounds={k: b for k, b in state.bounds.items() if not h.directions or k not in keys},
+        table=None,
+    )
+    less.apply({})
+    refit(less)
+    return less
+
+
+def _drop(state: State, less: State, trial: Trial) -> None:
+    """A cause does not stand beside the others, whose state is `less`."""
+    state.named.remove(trial)
+    state.doubtful.append(trial)
+    state.changes, state.held, state.bounds = less.changes, less.held, less.bounds
+    state.apply({})
+
+
+def demote(state: State) -> None:
+    """What would not be named again beside all others does not stand, nor what may be beyond the
+    plausible: then something else explains it, and that is said."""
+    for trial in list(state.named):
+        if trial.hypothesis.pattern is None:
+            again = asked_again(state, trial)
+            if again.outside and again.is_surely_plausible:
+                continue
+            _drop(state, without(state, trial), trial)
+            if again.outside:
+                state.implausible.append(again)
+
+
+def set_aside(state: State, trial: Trial) -> None:
+    """A cause that was named is not ruled out, and no more."""
+    if trial.hypothesis.pattern is None:
+        _drop(state, without(state, trial), trial)
+    else:  # it has no place in the model file: nothing moves
+        state.named.remove(trial)
+        state.doubtful.append(trial)
+
+
+def unsettle(state: State, doubts: Callable[[Trial], bool]) -> None:
+    """Named causes that something else may make are not ruled out, and no more: the fit gives them
+    what the other thing makes."""
+    for trial in [t for t in state.named if doubts(t)]:
+        set_aside(state, trial)

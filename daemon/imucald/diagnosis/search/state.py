@@ -1,0 +1,129 @@
+"""What a search knows so far, and where that moves the model to."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from imucald.diagnosis.cause_keys import Changes, extended, with_delay_rate, with_shifts
+from imucald.diagnosis.causes import PARAMETERS
+from imucald.diagnosis.equations.forward import Forward
+from imucald.diagnosis.fit.blocks import Table
+from imucald.diagnosis.fit.intervals import Estimate, estimate, quantile
+from imucald.diagnosis.fit.kept_tables import KeptTables
+from imucald.diagnosis.fit.score import Hypothesis, Problem
+from imucald.diagnosis.search.shift import FittedShift
+from imucald.diagnosis.search.trials import Trial
+from imucald.diagnosis.signals import Array, DriveSignals
+from imucald.model.model import VehicleModel
+
+REFITS = 3
+CREEP_STEPS = 8
+SMALL_STEP = 0.05
+"""A refit has settled when nothing moves by more than this share of its tolerance."""
+
+
+@dataclass
+class State:
+    """What is known so far."""
+
+    drives: Sequence[DriveSignals]
+    stated: VehicleModel
+    """The model file that is put to the test."""
+    model: VehicleModel
+    """The same with what was found."""
+    bounds: dict[str, tuple[float, float]]
+    """Boxes from direct evidence, as departures from `model`."""
+    at_rest: dict[str, float] = field(default_factory=dict)
+    """Departures from `stated` that stops show; every fit keeps within `bounds` of them."""
+    changes: dict[str, float] = field(default_factory=dict)
+    """Found departures from `stated`, by key."""
+    held: set[str] = field(default_factory=set)
+    """Parameters that moved by a direction: kept within their interval by `bounds`."""
+    named: list[Trial] = field(default_factory=list)
+    rivals: dict[str, list[Trial]] = field(default_factory=dict)
+    implausible: list[Trial] = field(default_factory=list)
+    likely: list[Trial] = field(default_factory=list)
+    doubtful: list[Trial] = field(default_factory=list)
+    """What was named for a while, and does not stand."""
+    last: list[Trial] = field(default_factory=list)
+    """All trials beside what was found: what each could have been."""
+    shift: FittedShift | None = None
+    table: Table | None = None
+    forwards: list[Forward] = field(default_factory=list)
+    tables: KeptTables = field(default_factory=KeptTables)
+    """Shared with the states that are made of this one."""
+    _evaluated: VehicleModel | None = None
+
+    @property
+    def free(self) -> list[str]:
+        """Parameters that were found to be off, and are fitted with all others."""
+        return [key for key in self.changes if key not in self.held]
+
+    def evaluated(self) -> Problem:
+        """Put the drives beside the model as it is now."""
+        if self.table is None or self._evaluated != self.model:
+            self.table, self.forwards = self.tables.of(self.drives, self.model)
+            self._evaluated = self.model
+        return Problem.of(self.table, [k for k in self.free if k in self.table.keys], self.bounds)
+
+    def give_up(self) -> None:
+        """No fit is to be believed: what was named is not ruled out, and no more."""
+        self.doubtful = [*self.named, *self.likely, *self.doubtful]
+        self.named, self.likely, self.shift = [], [], None
+        for key in self.held:
+            self.bounds.pop(key, None)
+        self.changes, self.held = {}, set()
+        self.apply({})
+
+    def apply(self, changes: Changes) -> None:
+        """Move the model by found departures."""
+        for key, x in changes.items():
+            self.changes[key] = self.changes.get(key, 0.0) + x
+        middle = self.forwards[0].middle_s if self.forwards else 0.0
+        every = dict(self.at_rest)
+        for key, x in self.changes.items():
+            every[key] = every.get(key, 0.0) + x
+        self.model = extended(self.stated, with_delay_rate(every, middle))
+        if self.shift is not None:
+            self.model = with_shifts(self.model, shift_steps(self.shift))
+
+
+def refit(state: State) -> None:
+    """All found parameters together, the model evaluated again where it is now."""
+    for _ in range(REFITS):
+        problem = state.evaluated()
+        x = problem.fit()
+        keys = [k for k in state.free if k in problem.table.keys]
+        moves = {k: float(x[problem.table.keys.index(k)]) for k in keys}
+        state.apply(moves)
+        if all(abs(v) < SMALL_STEP * _size(problem, k) for k, v in moves.items()):
+            break
+
+
+def _size(problem: Problem, key: str) -> float:
+    return float(problem.table.tolerance[problem.table.keys.index(key)])
+
+
+def shift_steps(shift: FittedShift) -> list[tuple[float, Array]]:
+    """A step, or a creep as a staircase."""
+    if shift.kind == "step":
+        return [(shift.start_s, shift.turn)]
+    times = np.linspace(0.0, 1.0, CREEP_STEPS + 2)[1:-1]
+    starts = shift.low_s + times * (shift.high_s - shift.low_s)
+    return [(float(t), shift.turn / CREEP_STEPS) for t in starts]
+
+
+def final_estimates(state: State) -> dict[str, tuple[float, float, float]]:
+    """By found parameter: departure from the stated model, deviation, quantile; others fitted."""
+    if state.table is None or not state.changes:
+        return {}
+    problem = state.evaluated()
+    keys = tuple(k for k in state.free if k in problem.table.keys)
+    if not keys:
+        return {}
+    e: Estimate = estimate(problem, Hypothesis("all", keys), len(PARAMETERS))
+    q = quantile(problem.table.blocks, 1)
+    return {key: (state.changes[key], float(se), q) for key, se in zip(keys, e.se, strict=True)}

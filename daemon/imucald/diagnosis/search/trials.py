@@ -1,0 +1,259 @@
+"""Hypotheses of the catalogue, and what freeing each comes to."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.stats import t as student
+
+from imucald.diagnosis.cause_keys import level_effect
+from imucald.diagnosis.causes import CAUSES, MODEL_ERROR, Cause, family
+from imucald.diagnosis.fit.blocks import NDArrayInt, Table
+from imucald.diagnosis.fit.intervals import ERROR_RATE, Estimate, estimate
+from imucald.diagnosis.fit.score import Hypothesis, Problem, held_out, paired, without_best
+from imucald.diagnosis.signals import Array
+from imucald.model.model import VehicleModel
+
+SINGLE = 0.05
+"""Error rate of a single question: what falls short of it is not worth a look."""
+SINGLE_NATS = -math.log(SINGLE)
+"""A likelihood ratio on data that the fit did not see exceeds 1/p with a chance of p at most, where
+nothing is wrong (Markov)."""
+FALSE_SHARE = 0.2
+"""Of what is called likely, one in five may be false."""
+RESAMPLED = 1000
+LEVELLED = ("accel_scale", "accel_cross_axis")
+BIAS = ("accel.bias.x", "accel.bias.y", "accel.bias.z")
+
+
+@dataclass(frozen=True)
+class Trial:
+    """What freeing a hypothesis' parameters came to."""
+
+    hypothesis: Hypothesis
+    estimate: Estimate
+    gain: Array
+    """(B,) nats by which each block is likelier, by a fit that did not see it."""
+    shown: float
+    """Sum of it without the best blocks."""
+    tolerance: Array
+    plausible: Array
+    needed: float
+    """Nats that it takes, shared out over the questions asked."""
+    single: float
+    """Quantile of one question asked alone."""
+    reach: Array
+    """(k,) smallest departure that takes anything that moves with it beyond its tolerance."""
+    number: NDArrayInt
+    """(B,) which of all blocks of the drives each of its gains is of."""
+
+    def ahead_of(self, other: Trial) -> tuple[float, float]:
+        """By how many nats it explains more than another, and the standard error of that."""
+        return paired(self.gain, other.gain, self.number, other.number)
+
+    @property
+    def outside(self) -> bool:
+        """The box of correct files is left by more than chance."""
+        return self._beyond and self.estimate.pull > self.estimate.quantile
+
+    @property
+    def _beyond(self) -> bool:
+        """A value lies beyond its tolerance, by a deviation at least."""
+        beyond = np.abs(self.estimate.value) > self.tolerance + self.estimate.se
+        return bool(np.any(beyond[: self.hypothesis.lead or len(beyond)]))
+
+    @property
+    def is_suspect(self) -> bool:
+        """The same at the error rate of a single question."""
+        return self._beyond and self.estimate.pull > self.single
+
+    @property
+    def is_plausible(self) -> bool:
+        """What leaves its tolerance stays within what a vehicle or a sensor can have."""
+        v, tau = self.estimate.value, self.tolerance
+        low, high = self.plausible.T
+        return bool(np.all((np.abs(v) <= tau) | ((v >= low) & (v <= high))))
+
+    @property
+    def is_surely_plausible(self) -> bool:
+        """The same by a deviation at least, as for the tolerance."""
+        v, half = self.estimate.value, self.estimate.se
+        if self.hypothesis.directions:
+            # A zero within its tolerance moves it by as much: that is no sign of another cause.
+            half = np.maximum(half - self.reach, 0.0)
+        low, high = self.plausible.T
+        within = (v - half >= low) & (v + half <= high)
+        return bool(np.all((np.abs(v) <= self.tolerance) | within))
+
+    @property
+    def is_testable(self) -> bool:
+        """The data show its parameters more sharply than plausibility does."""
+        e = self.estimate
+        return bool(np.all(e.quantile * e.se < 0.5 * (self.plausible[:, 1] - self.plausible[:, 0])))
+
+    @property
+    def could_be(self) -> bool:
+        """Pays, with a value beyond its tolerance: a rival need not be sure of itself."""
+        far = (np.abs(self.estimate.value) > self.reach)[: self.hypothesis.lead or None]
+        return self.shown > SINGLE_NATS and bool(np.any(far)) and self.is_testable
+
+    @property
+    def named(self) -> bool:
+        """Passes all that one hypothesis passes by itself."""
+        return self.shown > self.needed and self.outside and self.is_testable
+
+
+def hypotheses(table: Table, model: VehicleModel, skip: Sequence[str]) -> list[Hypothesis]:
+    """The catalogue's causes as far as their signals are there."""
+    made = []
+    for cause in CAUSES:
+        if cause.drift and f"{cause.name}!" in skip:
+            continue
+        for whole in (*cause.variants, *([cause.together] if cause.together else [])):
+            if not all(key in table.keys for key in whole):
+                continue
+            # What follows its leading parameters may be free already: only these are asked of.
+            keys = whole[: cause.lead] + tuple(
+                k for k in whole[cause.lead :] if not cause.lead or k not in skip
+            )
+            if (set(keys) & set(skip) and not cause.drift) or not any(
+                _shows(table, key) for key in keys
+            ):
+                continue
+            beside = dict(cause.with_it)
+            if beside and set(beside) <= set(table.keys) and not set(beside) & set(skip):
+                made.append(Hypothesis(cause.name, keys, ({keys[0]: 1.0, **beside},)))
+            level = cause.name in LEVELLED and not set(BIAS) & set(skip)
+            made.append(_hypothesis(cause, keys, model, table, level))
+    return made
+
+
+def _shows(table: Table, key: str) -> bool:
+    i = table.keys.index(key) + 1
+    return bool(table.gram[:, i, i].sum() * table.tolerance[i - 1] ** 2 > 0.0)
+
+
+def _hypothesis(
+    cause: Cause, keys: tuple[str, ...], model: VehicleModel, table: Table, level: bool
+) -> Hypothesis:
+    """level: a gain of the accelerometer moves what it reads of one g with it. Once its zero was
+    found to be off, only motion shows the gain."""
+    if cause.drift:
+        return Hypothesis(cause.name, keys, pattern=_ramp(table))
+    if keys == cause.together:
+        whole: dict[str, float] = dict.fromkeys(keys, 1.0)
+        for key in keys if level else ():
+            for name, x in level_effect(model, key).items():
+                whole[name] = whole.get(name, 0.0) + x
+        # All axes at once turn with the vehicle whichever way the sensor sits: one gain shows as
+        # well as that of an upright axis.
+        of_one = {family(key) for key in keys}
+        error = MODEL_ERROR.get(of_one.pop(), 0.0) if len(of_one) == 1 else None
+        return Hypothesis(cause.name, keys[:1], (whole,), error=error)
+    if not level:
+        return Hypothesis(cause.name, keys, lead=cause.lead)
+    moved = tuple({key: 1.0, **level_effect(model, key)} for key in keys)
+    return Hypothesis(cause.name, keys, moved)
+
+
+def on_table(h: Hypothesis, table: Table) -> Hypothesis:
+    """A drift goes with the blocks that it was asked of; another model may leave others."""
+    if h.pattern is None or len(h.pattern) == table.blocks:
+        return h
+    return replace(h, pattern=_ramp(table))
+
+
+def _ramp(table: Table) -> Array:
+    """From 0 to 1 over each drive's time."""
+    made = np.zeros(table.blocks)
+    for i in set(table.drive.tolist()):
+        own = table.drive == i
+        t = table.start_s[own]
+        made[own] = (t - t.min()) / max(float(np.ptp(t)), 1.0)
+    return made
+
+
+def tried(
+    problem: Problem, h: Hypothesis, base: Array, questions: int, null: Problem | None = None
+) -> Trial:
+    """Free a hypothesis and score it. base: (B,) held-out losses of the box of correct files; null:
+    that box, where the model has moved out of it already."""
+    gain = base - held_out(problem, h)
+    index = problem.table.index(h.keys)
+    t = problem.table
+    return Trial(h, estimate(problem, h, questions, null), gain, without_best(gain),
+                 t.tolerance[index], t.plausible[index], math.log(questions / ERROR_RATE),
+                 float(student.ppf(1.0 - 0.5 * SINGLE, t.blocks - 1)), _reach(t, h),
+                 t.number)  # fmt: skip
+
+
+def joined(problem: Problem, trials: Sequence[Trial], base: Array) -> list[Trial]:
+    """Variants of one cause together: one after another joins that pays on unseen data beside those
+    before it. Three elements of a gain are off at once as easily as one. Each asks once more."""
+    made, asked = [], len(trials)
+    for cause in CAUSES:
+        own = [t for t in trials if cause.joins and t.hypothesis.name == cause.name]
+        best = max(own, key=lambda t: t.gain.sum(), default=None)
+        while best is not None and best.shown > best.needed:
+            beside = [t for t in own if not set(t.hypothesis.keys) & set(best.hypothesis.keys)]
+            asked += len(beside)
+            more = [tried(problem, _both(best.hypothesis, t.hypothesis), base, asked)
+                    for t in beside]  # fmt: skip
+            following = max(more, key=lambda t: t.gain.sum(), default=None)
+            if following is None or without_best(following.gain - best.gain) <= best.needed:
+                break
+            made.append(best := following)
+    return made
+
+
+def _both(one: Hypothesis, other: Hypothesis) -> Hypothesis:
+    directions = (*one.directions, *other.directions)
+    return Hypothesis(one.name, (*one.keys, *other.keys), directions)
+
+
+def _reach(table: Table, h: Hypothesis) -> Array:
+    """A gain of 1 % that moves a zero by 1 % of one g is beyond where that zero may be."""
+    own = table.tolerance[table.index(h.keys)]
+    if not h.directions:
+        return np.asarray(own)
+    return np.array(
+        [
+            min(table.tolerance[table.keys.index(k)] / abs(x) for k, x in d.items() if x)
+            for d in h.directions
+        ]
+    )
+
+
+def questions(trials: Sequence[Trial]) -> dict[str, Trial]:
+    """The best trial of each cause, most gain first."""
+    best: dict[str, Trial] = {}
+    for t in sorted(trials, key=lambda t: -t.shown):
+        best.setdefault(t.hypothesis.name, t)
+    return best
+
+
+def likeliest(trials: Sequence[Trial]) -> list[Trial]:
+    """What is right in four of five: of all questions at once, and against all rivals.
+
+    A likelihood ratio on unseen data is an e-value, so with the k largest of M above M/(k share)
+    no more than that share of them is false, however they depend on each other (e-BH; Wang and
+    Ramdas 2022). And in that share of resampled drives no other cause explains more (pseudo-BMA
+    with the Bayesian bootstrap over blocks; Yao et al. 2018).
+    """
+    best = list(questions(trials).values())
+    nats = [t.shown - math.log(len(trials) / (FALSE_SHARE * (k + 1))) for k, t in enumerate(best)]
+    count = max((k + 1 for k, x in enumerate(nats) if x >= 0.0), default=0)
+    if not count:
+        return []
+    gains = np.array([t.gain for t in best])
+    weights = np.random.default_rng(0).dirichlet(np.ones(gains.shape[1]), RESAMPLED)
+    first = np.argmax(gains @ weights.T, axis=0)
+    share = np.bincount(first, minlength=len(best)) / RESAMPLED
+    return [
+        t
+        for t, x in zip(best[:count], share[:count], strict=True)
+        if x >= 1.0 - FALSE_SHARE and t.is_suspect and t.is_surely_plausible and t.is_testable
+    ]
