@@ -18,7 +18,15 @@ from scipy.fft import idct
 from scipy.stats import norm
 from scipy.stats import t as student
 
-from imucald.diagnosis.blocks import TILTED, Rows, cosine, joined, noise_weights, rows_of
+from imucald.diagnosis.blocks import (
+    TILTED,
+    Rows,
+    cosine,
+    joined,
+    noise_weights,
+    rows_of,
+    without_tilt,
+)
 from imucald.diagnosis.cause_keys import model_error, tolerance
 from imucald.diagnosis.chance import Question
 from imucald.diagnosis.conditions import CRAWL_MPS, EITHER_WAY, SPEEDS, TO_ONE_SIDE, conditions
@@ -258,9 +266,7 @@ def _apart(some: Sequence[Array], tilts: Sequence[Array | None]) -> list[Array]:
     if not known:
         return list(some)
     A, Z = np.concatenate(some, axis=1), np.concatenate(known, axis=1)
-    inner = np.swapaxes(Z, 1, 2) @ Z + 1e-9 * np.eye(Z.shape[2])
-    A = A - Z @ np.linalg.solve(inner, np.swapaxes(Z, 1, 2) @ A)
-    return np.split(A, np.cumsum([a.shape[1] for a in some])[:-1], axis=1)
+    return np.split(without_tilt(A, Z), np.cumsum([a.shape[1] for a in some])[:-1], axis=1)
 
 
 def _by_part(a: Array, b: Array) -> Array:

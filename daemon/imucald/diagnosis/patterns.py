@@ -15,7 +15,7 @@ from scipy.stats import norm
 from scipy.stats import t as student
 
 from imucald.core.samples import GRAVITY
-from imucald.diagnosis.blocks import LEAST_SHARE, cosine, noise_weights
+from imucald.diagnosis.blocks import LEAST_SHARE, cosine, noise_weights, without_tilt
 from imucald.diagnosis.causes import MODEL_ERROR, PARAMETERS
 from imucald.diagnosis.chance import Question
 from imucald.diagnosis.conditions import shaken
@@ -149,14 +149,14 @@ def _of_drive(
 def _gram(parts: Sequence[ShapeRows]) -> Grams:
     A = np.concatenate([np.concatenate([p.y[:, :, None], p.X], axis=2) for p in parts])
     Z = np.concatenate([p.tilt for p in parts])
-    A = _without(A, Z)
+    A = without_tilt(A, Z)
     squares = np.sum(A**2, axis=1) / parts[0].rows
     # What is left beside value and slope is the noise.
     total = np.einsum("bki,bkj->ij", A[:, :, :3], A[:, :, :3])
     line = np.linalg.lstsq(total[1:, 1:], total[1:, 0], rcond=None)[0]
     left = A[:, :, 0] - A[:, :, 1:3] @ line
     w = noise_weights(left, np.ones(len(A), dtype=bool))[:, :, None]
-    A = _without(A * w, Z * w)
+    A = without_tilt(A * w, Z * w)
     return Grams(_in_time(A, parts[0].rows * STEP_S), squares)
 
 
@@ -166,17 +166,6 @@ def _in_time(A: Array, seconds: float) -> Array:
     count = max(1, min(round(seconds / CLUSTER_S), A.shape[1]))
     cut = np.array_split(idct(A, type=2, axis=1, norm="ortho"), count, axis=1)
     return np.stack([np.swapaxes(x, 1, 2) @ x for x in cut], axis=1)
-
-
-def _without(A: Array, Z: Array) -> Array:
-    inner = np.swapaxes(Z, 1, 2) @ Z
-    inner = (
-        inner
-        + 1e-9
-        * np.eye(Z.shape[2])
-        * np.maximum(np.trace(inner, axis1=1, axis2=2), 1.0)[:, None, None]
-    )
-    return np.asarray(A - Z @ np.linalg.solve(inner, np.swapaxes(Z, 1, 2) @ A))
 
 
 def _shapes(x: Array, top_hz: float) -> Array:
