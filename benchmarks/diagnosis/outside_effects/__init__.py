@@ -1,7 +1,7 @@
 """Effects that the catalogue does not have, put into measured samples.
 
 Which were written when, what was left out then, and which judge ran them first: `history`. The six
-of the last batch are not run before the judge of draw 30; the six before them have run in draw 29.
+of the last batch are not run before the judge of draw 35; the six before them have run in draw 29.
 """
 
 from __future__ import annotations
