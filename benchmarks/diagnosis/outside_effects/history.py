@@ -84,9 +84,10 @@ BATCHES = (
         "Each from a published source, by one who read neither the tests nor their page; only the "
         "size of the change and what an ideal filter sees of it were computed, the latter on draw "
         "0, and of the sizes one was changed before that, as it changed a log by up to 0.93 m/s2 "
-        "rms: a share of 0.005 lost differences, half of another source's limit, to 0.001. No steering and no yaw rate, since no log has them. "
-        "A repeated block, a ground speed radar that pitches and a speed of two sources, one late, "
-        "were left out: too near to stuck values, to what was left out before, and to a delay.",
+        "rms: a share of 0.005 lost differences, half of another source's limit, to 0.001. "
+        "No steering and no yaw rate, since no log has them. A repeated block, a ground speed "
+        "radar that pitches and a speed of two sources, one late, were left out: too near to stuck "
+        "values, to what was left out before, and to a delay.",
     ),
 )  # fmt: skip
 """In the order of writing."""
