@@ -20,6 +20,7 @@ from imucald.diagnosis.between_segments import gains_apart, named_apart
 from imucald.diagnosis.blocks import Table
 from imucald.diagnosis.cause_keys import extended, mount_of, with_delay_rate, with_shifts
 from imucald.diagnosis.chance import beyond_chance
+from imucald.diagnosis.delay_course import delay_course
 from imucald.diagnosis.direct import Rest, rest_of
 from imucald.diagnosis.doubts import doubt
 from imucald.diagnosis.even_growth import uneven_growth
@@ -189,6 +190,7 @@ def _left(state: State) -> tuple[Structure, ...]:
                 *changes_otherwise(state.drives, state.stated, state.model),
             ]
         ),
+        *beyond_chance(delay_course(problem, state)),
         *named_apart(problem, state, drift),
         *uneven_growth(problem, state),
         *what_is_left(problem, state),
