@@ -109,7 +109,7 @@ def test_a_named_gain_that_is_asked_about_twice_is_reported_once(monkeypatch):
     apart = problem(0, heated(0), "speed.scale", GAIN)
     monkeypatch.setattr(State, "evaluated", lambda _: apart)
     others = ("too_much", "uneven", "patterns", "pairs", "orders", "lines", "unstable",
-              "uneven_growth", "spectra_of", "what_is_left")  # fmt: skip
+              "delay_course", "uneven_growth", "spectra_of", "what_is_left")  # fmt: skip
     for other in others:
         monkeypatch.setattr(diagnose, other, lambda *_: [])
     assert [s.parameter for s in diagnose._left(named)] == ["speed.scale"]

@@ -5,15 +5,26 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from scipy.fft import dct
+from scipy.stats import binom
 
 from imucald.core.samples import Series
 from imucald.diagnosis.direct.held_values import held_values
 from imucald.diagnosis.fit.chance import beyond_chance
-from imucald.diagnosis.left_over.patterns import LARGE, SHAKEN_S, ShapeRows, _asked, _gram, _shapes
-from imucald.diagnosis.signals import drive_of
+from imucald.diagnosis.left_over.patterns import (
+    LARGE,
+    SHAKEN_S,
+    SHAPES,
+    ShapeRows,
+    _asked,
+    _gram,
+    _shapes,
+)
+from imucald.diagnosis.signals import STEP_S, drive_of
 
 SECONDS = 300.0
 BLOCKS, ROWS = 40, 64
+TOP_HZ = 1.0
+"""Where the equations' band ends."""
 
 
 def drive(dead=0.0, lsb=0.0005, noise=0.01):
@@ -47,19 +58,19 @@ def test_a_sound_sensor_holds_no_value_nor_does_a_coarse_one(lsb, noise):
 
 
 def left_over(kind: str, size: float, seed: int = 5, blocks: int = BLOCKS, rows: int = ROWS,
-              quiet: int = 0):  # fmt: skip
+              quiet: int = 0, gain: float = 0.0):  # fmt: skip
     """Blocks of a residual of unit noise with a shape in it. Truth by its own formula.
 
     turning: of a yaw rate of its own [rad/s], of either sign. quiet: last blocks in which the
-    signal hardly moves.
+    signal hardly moves. gain: share of the signal itself that is left beside the shape.
     """
     rng = np.random.default_rng(seed)
     n = blocks * rows
     x = np.convolve(rng.standard_normal(n + 8), np.ones(9) / 3.0, "valid")
     x[n - quiet * rows :] *= 0.05
-    held, state = np.zeros(n), 0.0
+    held, state, large = np.zeros(n), 0.0, np.std(x)
     for k in range(n):
-        state = float(np.sign(x[k])) if abs(x[k]) > np.std(x) else state
+        state = float(np.sign(x[k])) if abs(x[k]) > large else state
         held[k] = state
     one_sided = np.where(x > 0.0, np.gradient(x, 0.1), 0.0)
     rate = np.convolve(
@@ -68,14 +79,17 @@ def left_over(kind: str, size: float, seed: int = 5, blocks: int = BLOCKS, rows:
     amount = np.gradient(np.abs(0.02 * rate), 0.1)
     made = {"line": x, "memory": held, "bent": np.tanh(2.0 * x), "late on one side": one_sided,
             "uneven gain": np.abs(x), "turning": amount,
+            "late": np.append(x[:1], x[:-1]) - x,
+            "low pass": np.convolve(x, np.ones(5) / 5.0, "same") - x,
             "turning to one side": np.gradient(0.02 * rate, 0.1)}[kind]  # fmt: skip
-    y = 0.05 * rng.standard_normal(n) + size * made
-    of_signal, shaken = _shapes(x, 1.0), rng.random((n, len(SHAKEN_S)))
+    y = 0.05 * rng.standard_normal(n) + size * made + gain * x
+    of_signal, shaken = _shapes(x, TOP_HZ), rng.random((n, len(SHAKEN_S)))
     every = np.concatenate([of_signal, shaken, amount[:, None]], axis=1)
     shapes = every.reshape(blocks, rows, -1)
     tilt = np.ones((blocks, rows, 1))
     # Blocks are handed over transformed; time in a block counts where parts of it are told apart.
-    y, shapes, tilt = (dct(part, type=2, axis=1, norm="ortho")
+    count = int(2.0 * rows * STEP_S * TOP_HZ)
+    y, shapes, tilt = (dct(part, type=2, axis=1, norm="ortho")[:, :count]
                        for part in (y.reshape(blocks, rows), shapes, tilt))  # fmt: skip
     return _gram([ShapeRows(y, shapes, tilt, rows)])
 
@@ -119,18 +133,43 @@ def test_less_than_a_correct_zero_may_be_is_not_reported():
     assert patterns_of("accel_x", gram) == []
 
 
-def test_of_what_is_linear_chances_are_no_smaller_than_they_say():
-    """By parts and by rows, each with its own law; 0.01 is chance of the count."""
-    p = [q.p for seed in range(60) for q in _asked("accel_x", left_over("line", 0.1, seed))]
-    assert np.mean(np.array(p) < 0.05) < 0.06
+def chances(kind, size, seeds, *sizes):
+    """(seeds, shapes)"""
+    return np.array(
+        [[q.p for q in _asked("accel_x", left_over(kind, size, s, *sizes))] for s in range(seeds)]
+    )
+
+
+def most_by_chance(seeds, p):
+    """Share of seeds below p that one of all shapes passes in one run of a hundred (binomial)."""
+    return binom.isf(0.01 / len(SHAPES), seeds, p) / seeds
+
+
+@pytest.mark.parametrize("kind", ["line", "late", "low pass"])
+def test_of_what_is_linear_chances_are_no_smaller_than_they_say(kind):
+    """Of each shape but for chance of the count, and of all together: a gain, a delay of 0.1 s, a
+    mean over 0.5 s."""
+    p = chances(kind, 0.3, 60)
+    assert p.shape[1] == len(SHAPES)
+    assert np.mean(p < 0.05) < 0.05
+    assert np.mean(p < 0.05, axis=0).max() <= most_by_chance(60, 0.05)
+
+
+@pytest.mark.parametrize("kind", ["line", "memory"])
+def test_a_gain_that_is_off_changes_no_chance(kind):
+    """Neither of what is not there nor of what is: 3 % of it beside a gain of 30 %."""
+    without, beside = (
+        [q.p for q in _asked("accel_x", left_over(kind, 0.03, gain=gain))] for gain in (0.0, 0.3)
+    )
+    assert beside == pytest.approx(without, rel=1e-6)
 
 
 @pytest.mark.parametrize("quiet", [0, 6])
 def test_of_few_blocks_chances_are_no_smaller_than_they_say(quiet):
     """Nine blocks of 20 s, also where three of them hold all that there is to know."""
-    made = [left_over("line", 0.1, seed, 9, 200, quiet) for seed in range(60)]
-    p = np.array([q.p for gram in made for q in _asked("accel_x", gram)])
+    p = chances("line", 0.3, 60, 9, 200, quiet)
     assert np.mean(p < 0.05) < 0.05
+    assert np.mean(p < 0.05, axis=0).max() <= most_by_chance(60, 0.05)
     assert np.mean(p < 0.002) < 0.002
 
 

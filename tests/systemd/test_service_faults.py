@@ -24,6 +24,9 @@ ROOT = HERE.parents[1]
 LIMIT_S = 700.0
 USABLE_AGAIN_S = 2.0
 RESUME_S = 1.0
+OVER_BARE = 1.25
+"""On a machine where even a bare Python with the same libraries needs longer than RESUME_S for its
+start as a unit (an emulated kernel beside other tests does), at most a quarter longer than it."""
 MOST_RESTARTS = 10
 """In a minute."""
 
@@ -204,7 +207,9 @@ def test_it_comes_and_goes_with_its_interface(outcome):
     found = scene(outcome, "interface_lost")
     assert max(found["down"]) < RESUME_S
     print("frames back after a new interface [s]:", in_words(found["times"]))
-    assert max(found["times"]) < RESUME_S
+    print("a bare Python with its libraries starts in [s]:", in_words(found["peer"]))
+    slow_machine = OVER_BARE * statistics.median(found["peer"])
+    assert max(found["times"]) < max(RESUME_S, slow_machine)
     assert found["same_process"]
 
 

@@ -1,7 +1,7 @@
 """Effects that the catalogue does not have, put into measured samples.
 
 Which were written when, what was left out then, and which judge ran them first: `history`. The six
-of the last batch are not run before the judge of draw 29; the four before them have run in draw 23.
+of the last batch are not run before the judge of draw 35; the six before them have run in draw 29.
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from benchmarks.diagnosis.outside_effects import accelerometer, gyroscope, speed
+from benchmarks.diagnosis.outside_effects import accelerometer, gyroscope, speed, transport
 from benchmarks.diagnosis.outside_effects.history import NOT_RUN
 from benchmarks.diagnosis.real_effects import Put
 
@@ -48,5 +48,11 @@ OUTSIDE: Mapping[str, tuple[Put, float, str]] = {
     "second_gyro": (gyroscope.second_gyro, float(np.deg2rad(0.3)), "gyro"),
     "multipath": (speed.multipath, 0.4, "speed"),
     "whole_seconds": (speed.whole_seconds, 1.0, "speed"),
+    "shifted_words": (transport.shifted_words, 0.85, "gyro"),
+    "lost_differences": (transport.lost_differences, 0.001, "accel"),
+    "compass_pull": (gyroscope.compass_pull, float(np.deg2rad(10.0)), "gyro"),
+    "handlebar": (gyroscope.handlebar, 1.4, "gyro"),
+    "curve_logging": (transport.curve_logging, 1.0, "speed"),
+    "predicted": (speed.predicted, 8.0, "speed"),
 }
 """Effect, medium size [SI], signal that must be there."""

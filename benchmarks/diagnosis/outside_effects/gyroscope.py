@@ -118,3 +118,47 @@ def second_gyro(s: Drive, size: float, rng: np.random.Generator, R: Array) -> fl
     second = size * in_spells(t, 10.0, rng)
     set_values(s, "gyro", x + second[:, None] * rng.choice([-1.0, 1.0], 3))
     return size
+
+
+def compass_pull(s: Drive, size: float, rng: np.random.Generator, R: Array) -> float:
+    """The unit shows rates less the zero that its attitude filter learns, and the filter follows a
+    compass: beside trucks and below bridges, 5 to 40 s at a time, the field points size [rad] to
+    one side, and the zero about the upward axis runs off and comes back (PX4-Autopilot,
+    attitude_estimator_q: ATT_W_MAG 0.1, ATT_W_GYRO_BIAS 0.1, ATT_BIAS_MAX 0.05 rad/s). 50 mG across
+    a level field of 200 to 300 mG are 10 to 14 deg (Caruso, Withanawasam, Vehicle detection and
+    compass applications using AMR magnetic sensors, Sensors Expo 1999)."""
+    t, step = s["gyro"].t, 0.1
+    grid = np.arange(t[0], t[-1] + step, step)
+    beside = in_spells(grid, 5.0, rng)
+    place = np.cumsum(np.diff(beside.astype(int), prepend=0) > 0)
+    field = size * beside * rng.choice([-1.0, 1.0], int(place[-1]) + 1)[place]
+    heading, zero, zeros = 0.0, 0.0, np.zeros(len(grid))
+    for k, to in enumerate(field):
+        pull = 0.1 * (to - heading)
+        zero = float(np.clip(zero + 0.1 * pull * step, -0.05, 0.05))
+        heading += (zero + pull) * step
+        zeros[k] = zero
+    set_values(s, "gyro", s["gyro"].values + np.interp(t, grid, zeros)[:, None] * R[2])
+    return size
+
+
+def handlebar(s: Drive, size: float, rng: np.random.Generator, R: Array) -> float:
+    """The sensor is clamped to what steers, as a handlebar: in a bend of radius r it stands turned
+    by atan(size / r) about the upward axis, with a wheelbase of size [m], and it feels the steering
+    as a rate (Cossalter, Motorcycle Dynamics, 2006, 1.4: kinematic steering angle; wheelbases of
+    1.2 to 1.6 m). Below 2 m/s the angle is that at 2 m/s."""
+    gyro, speed = s["gyro"], s["speed"]
+    grid = np.arange(gyro.t[0], gyro.t[-1] + 0.1, 0.1)
+    turn = np.interp(grid, gyro.t, gyro.values @ R[2] - np.median(gyro.values @ R[2]))
+    turn = np.convolve(turn, np.ones(10) / 10.0, "same")
+    v = np.interp(grid, speed.t, np.abs(speed.values))
+    angle = np.arctan(size * turn * (v > 0.5) / np.maximum(v, 2.0))
+    angle = np.convolve(angle, np.ones(5) / 5.0, "same")
+    steers = np.interp(gyro.t, grid, np.gradient(angle, 0.1))
+    for name in ("accel", "gyro"):
+        x, by = s[name].values, np.interp(s[name].t, grid, angle)[:, None]
+        up = (x @ R[2])[:, None] * R[2]
+        # A sensor that turns to the left sees the vehicle turned to the right.
+        x = up + np.cos(by) * (x - up) - np.sin(by) * np.cross(R[2], x)
+        set_values(s, name, x + steers[:, None] * R[2] if name == "gyro" else x)
+    return size

@@ -133,3 +133,22 @@ def whole_seconds(s: Drive, size: float, rng: np.random.Generator, R: Array) -> 
     shown = size * (np.floor((asked + phase) / size) + 0.5) - phase
     s["speed"] = Series(np.interp(t, asked, shown), s["speed"].values)
     return size
+
+
+def predicted(s: Drive, size: float, rng: np.random.Generator, R: Array) -> float:
+    """The speed is a satellite receiver's that sees nothing for size [s], as below a wide bridge,
+    once in one to two minutes. Its filter goes on with the acceleration of the last 2 s, which it
+    takes to fade over 20 s (Singer, Estimating optimal tracking filter performance for manned
+    maneuvering targets, IEEE Transactions on Aerospace and Electronic Systems 6, 1970; u-blox
+    ANTARIS 4 manual, 4.6.5.2: extrapolation until the dead reckoning timeout)."""
+    t, v = s["speed"].t, s["speed"].values
+    out, at = v.copy(), float(t[0])
+    while (at := at + rng.uniform(60.0, 120.0)) < t[-1]:
+        last = float(np.interp(at, t, v))
+        pull = (last - float(np.interp(at - 2.0, t, v))) / 2.0
+        inside = (t >= at) & (t < at + size)
+        gained = pull * 20.0 * (1.0 - np.exp(-(t[inside] - at) / 20.0))
+        out[inside] = np.maximum(last + gained, 0.0)
+        at += size
+    set_values(s, "speed", out)
+    return size

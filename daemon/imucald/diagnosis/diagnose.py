@@ -31,6 +31,7 @@ from imucald.diagnosis.fit.score import Hypothesis, Problem
 from imucald.diagnosis.gain import gain_of, summed
 from imucald.diagnosis.left_over.adequacy import goes_against, spectra_of, too_much, what_is_left
 from imucald.diagnosis.left_over.between_segments import gains_apart, named_apart
+from imucald.diagnosis.left_over.delay_course import delay_course
 from imucald.diagnosis.left_over.even_growth import uneven_growth
 from imucald.diagnosis.left_over.lines import lines
 from imucald.diagnosis.left_over.louder import louder, with_leaves
@@ -190,6 +191,7 @@ def _left(state: State) -> tuple[Structure, ...]:
                 *changes_otherwise(state.drives, state.stated, state.model),
             ]
         ),
+        *beyond_chance(delay_course(problem, state)),
         *named_apart(problem, state, drift),
         *uneven_growth(problem, state),
         *what_is_left(problem, state, spectra),

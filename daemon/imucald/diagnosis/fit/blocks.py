@@ -281,7 +281,7 @@ def _without_tilt(parts: Mapping[str, Rows], x: Array) -> dict[str, Array]:
         return left
     Z = np.concatenate([_tilt_of(parts[n]) for n in tilted], axis=1)
     y = np.concatenate([left[n] for n in tilted], axis=1)[:, :, None]
-    y = (y - Z @ np.linalg.solve(_inner(Z), np.swapaxes(Z, 1, 2) @ y))[:, :, 0]
+    y = without_tilt(y, Z)[:, :, 0]
     at = 0
     for n in tilted:
         k = left[n].shape[1]
@@ -289,8 +289,10 @@ def _without_tilt(parts: Mapping[str, Rows], x: Array) -> dict[str, Array]:
     return left
 
 
-def _inner(Z: Array) -> Array:
-    return np.asarray(np.swapaxes(Z, 1, 2) @ Z + 1e-9 * np.eye(2))
+def without_tilt(A: Array, Z: Array) -> Array:
+    """Rows (B, K, P) without what the tilt (B, K, Z) of each block makes of them."""
+    inner = np.swapaxes(Z, 1, 2) @ Z + 1e-9 * np.eye(Z.shape[2])
+    return np.asarray(A - Z @ np.linalg.solve(inner, np.swapaxes(Z, 1, 2) @ A))
 
 
 def _tilt_of(rows: Rows) -> Array:
@@ -325,7 +327,7 @@ def _plain(parts: Mapping[str, Rows]) -> dict[str, Array]:
     if tilted:
         A = np.concatenate([full[n] for n in tilted], axis=1)
         Z = np.concatenate([_tilt_of(parts[n]) * parts[n].good[:, None, None] for n in tilted], 1)
-        A = A - Z @ np.linalg.solve(_inner(Z), np.swapaxes(Z, 1, 2) @ A)
+        A = without_tilt(A, Z)
         at = 0
         for n in tilted:
             k = parts[n].y.shape[1]
@@ -347,7 +349,7 @@ def _gram(parts: Mapping[str, Rows], weights: Mapping[str, Array]) -> dict[str, 
     if both:
         A = np.concatenate(both, axis=1)
         Z = np.concatenate([_tilt_of(parts[n]) * weights[n][:, :, None] for n in tilted], axis=1)
-        A = A - Z @ np.linalg.solve(_inner(Z), np.swapaxes(Z, 1, 2) @ A)
+        A = without_tilt(A, Z)
         at = 0
         for n in tilted:
             k = parts[n].y.shape[1]

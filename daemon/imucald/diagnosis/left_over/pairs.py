@@ -20,7 +20,15 @@ from scipy.stats import t as student
 
 from imucald.diagnosis.cause_keys import model_error, tolerance
 from imucald.diagnosis.equations.forward import STOPPING_MPS2, Forward
-from imucald.diagnosis.fit.blocks import TILTED, Rows, cosine, joined, noise_weights, rows_of
+from imucald.diagnosis.fit.blocks import (
+    TILTED,
+    Rows,
+    cosine,
+    joined,
+    noise_weights,
+    rows_of,
+    without_tilt,
+)
 from imucald.diagnosis.fit.chance import Question
 from imucald.diagnosis.fit.sandwich import scatters
 from imucald.diagnosis.fit.score import Problem, what_leaves, without_best
@@ -264,9 +272,7 @@ def _apart(some: Sequence[Array], tilts: Sequence[Array | None]) -> list[Array]:
     if not known:
         return list(some)
     A, Z = np.concatenate(some, axis=1), np.concatenate(known, axis=1)
-    inner = np.swapaxes(Z, 1, 2) @ Z + 1e-9 * np.eye(Z.shape[2])
-    A = A - Z @ np.linalg.solve(inner, np.swapaxes(Z, 1, 2) @ A)
-    return np.split(A, np.cumsum([a.shape[1] for a in some])[:-1], axis=1)
+    return np.split(without_tilt(A, Z), np.cumsum([a.shape[1] for a in some])[:-1], axis=1)
 
 
 def _by_part(a: Array, b: Array) -> Array:

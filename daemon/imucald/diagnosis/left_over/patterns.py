@@ -2,6 +2,10 @@
 
 A model that is linear in its errors leaves nothing that depends on the level, the direction or the
 last large value of a signal, whatever its parameters. What does is no cause of the catalogue.
+
+All that is linear in the signal is fitted beside a shape (as in the test of Lee, White and Granger
+1993): the last large value foretells the value, so that a gain which is not wholly taken off would
+look like memory.
 """
 
 from __future__ import annotations
@@ -17,7 +21,7 @@ from scipy.stats import t as student
 from imucald.core.samples import GRAVITY
 from imucald.diagnosis.causes import MODEL_ERROR, PARAMETERS
 from imucald.diagnosis.equations.forward import UNITS, Forward
-from imucald.diagnosis.fit.blocks import LEAST_SHARE, cosine, noise_weights
+from imucald.diagnosis.fit.blocks import LEAST_SHARE, cosine, noise_weights, without_tilt
 from imucald.diagnosis.fit.chance import Question
 from imucald.diagnosis.fit.sandwich import scatters, variances
 from imucald.diagnosis.fit.score import Problem, without_best
@@ -39,6 +43,9 @@ GAIN: Mapping[str, str] = {
 """A gain that a correct file may have wrong, with what the equations err by."""
 GAINS = ("bent", "one-sided", "steeper")
 """Shapes that are a gain which goes with the value: held against what a gain may be wrong by."""
+LINEAR = 3
+"""Columns for what is linear in the signal: value, slope and bend, for a gain, a delay and a filter
+(the first three terms of a transfer function's Taylor series about frequency 0)."""
 LEAST_BLOCKS = 8
 CLUSTER_S = 5.0
 """Parts of a block whose scatter is taken beside that of blocks: as long as a manoeuvre lasts. What
@@ -74,8 +81,8 @@ SPEED_S = "accel_x"
 
 @dataclass(frozen=True)
 class ShapeRows:
-    """Blocks of one equation, transformed. Residual (B, K), shapes (B, K, 2 + k): the value itself,
-    its slope, and k more; beside them the tilt (B, K, Z)."""
+    """Blocks of one equation, transformed. Residual (B, K), shapes (B, K, LINEAR + k): the value
+    itself, its slope and bend, and k more; beside them the tilt (B, K, Z)."""
 
     y: Array
     X: Array
@@ -102,8 +109,9 @@ class Grams:
 def patterns(problem: Problem, forwards: Sequence[Forward]) -> list[Question]:
     """Residuals that depend on their own signal in a way that is not linear.
 
-    Each shape is fitted beside value, slope and the block's tilt. Large is what is larger than the
-    zero error that a correct file may have, or later than its delay, and not owed to one block.
+    Each shape is fitted beside value, slope, bend and the block's tilt. Large is what is larger
+    than the zero error that a correct file may have, or later than its delay, and not owed to one
+    block.
     """
     x = problem.fit()
     changes = {k: float(v) for k, v in zip(problem.table.keys, x, strict=True) if v}
@@ -149,14 +157,14 @@ def _of_drive(
 def _gram(parts: Sequence[ShapeRows]) -> Grams:
     A = np.concatenate([np.concatenate([p.y[:, :, None], p.X], axis=2) for p in parts])
     Z = np.concatenate([p.tilt for p in parts])
-    A = _without(A, Z)
+    A = without_tilt(A, Z)
     squares = np.sum(A**2, axis=1) / parts[0].rows
-    # What is left beside value and slope is the noise.
-    total = np.einsum("bki,bkj->ij", A[:, :, :3], A[:, :, :3])
-    line = np.linalg.lstsq(total[1:, 1:], total[1:, 0], rcond=None)[0]
-    left = A[:, :, 0] - A[:, :, 1:3] @ line
+    # What is left beside the linear columns is the noise.
+    linear = A[:, :, : 1 + LINEAR]
+    line = _solved(np.einsum("bki,bkj->ij", linear, linear))
+    left = A[:, :, 0] - linear[:, :, 1:] @ line
     w = noise_weights(left, np.ones(len(A), dtype=bool))[:, :, None]
-    A = _without(A * w, Z * w)
+    A = without_tilt(A * w, Z * w)
     return Grams(_in_time(A, parts[0].rows * STEP_S), squares)
 
 
@@ -168,19 +176,10 @@ def _in_time(A: Array, seconds: float) -> Array:
     return np.stack([np.swapaxes(x, 1, 2) @ x for x in cut], axis=1)
 
 
-def _without(A: Array, Z: Array) -> Array:
-    inner = np.swapaxes(Z, 1, 2) @ Z
-    inner = (
-        inner
-        + 1e-9
-        * np.eye(Z.shape[2])
-        * np.maximum(np.trace(inner, axis1=1, axis2=2), 1.0)[:, None, None]
-    )
-    return np.asarray(A - Z @ np.linalg.solve(inner, np.swapaxes(Z, 1, 2) @ A))
-
-
 def _shapes(x: Array, top_hz: float) -> Array:
-    """(N, 2 + k): value and slope, then what is asked of. The usual size is the signal's rms."""
+    """(N, LINEAR + k): value, slope and bend of the signal (N,) as it is, then what is asked of it
+    without what its noise would make. The usual size is the signal's rms. [unit, unit/s, unit/s^2]
+    """
     smooth = _smooth(x, top_hz)
     size = max(float(np.sqrt(np.mean(smooth**2))), 1e-12)
     z = smooth / size
@@ -188,9 +187,15 @@ def _shapes(x: Array, top_hz: float) -> Array:
     quick = np.tanh(slope / max(float(np.std(slope)), 1e-12))
     slope *= size
     rows = np.arange(len(z))
-    last = [np.sign(z[np.maximum.accumulate(np.where(np.abs(z) > x, rows, 0))]) for x in LARGE]
+    last = [np.sign(z[np.maximum.accumulate(np.where(np.abs(z) > n, rows, 0))]) for n in LARGE]
     shapes = [z / (1.0 + np.abs(z)), z**2, z * np.abs(z), quick, slope * np.sign(z), *last]
-    return np.column_stack([smooth, slope, *shapes])
+    return np.column_stack([x, np.gradient(x, STEP_S), _bend(x), *shapes])
+
+
+def _bend(x: Array) -> Array:
+    """(N,) second difference, which is there up to half the rate of samples."""
+    padded = np.pad(x, 1, mode="edge")
+    return np.asarray(np.diff(padded, 2) / STEP_S**2)
 
 
 def _smooth(x: Array, top_hz: float) -> Array:
@@ -208,11 +213,12 @@ def _turning(f: Forward, top_hz: Mapping[str, float]) -> Array:
 def _asked(name: str, gram: Grams) -> Iterator[Question]:
     squares = gram.squares
     for k, shape in enumerate(SHAPES):
-        if not squares[:, 3 + k].any():
+        at = 1 + LINEAR + k
+        if not squares[:, at].any():
             continue  # not asked of this equation
-        index = [0, 1, 2, 3 + k]
+        index = [*range(1 + LINEAR), at]
         value, sigma, p, gain = _fit(gram.parts[:, :, index][:, :, :, index])
-        size = abs(value) * float(np.sqrt(squares[:, 3 + k].mean()))
+        size = abs(value) * float(np.sqrt(squares[:, at].mean()))
         kind = GOES_WITH_LEVEL
         if shape == LATE:
             # One side is late by `value` seconds and the other early.

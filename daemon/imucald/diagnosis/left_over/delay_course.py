@@ -1,0 +1,318 @@
+"""The course of the speed's delay over a drive: does it follow its own stamps, or step?
+
+A file states one delay, or one that grows evenly. What sends in a cycle stamps in a cycle; where
+stamps leave it, the sender may have, or the clock that stamps. The forward force tells them apart:
+summed up it is a speed that has no such stamps, and beside it a wrong stamp is a delay of as much.
+Speeds are compared as speeds, so that the column of a delay, which is the force, has none of the
+noise that stands in the comparison (see `forward`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.stats import norm
+from scipy.stats import t as student
+
+from imucald.core.samples import GRAVITY
+from imucald.diagnosis.cause_keys import Changes
+from imucald.diagnosis.equations import kinematics
+from imucald.diagnosis.equations.forward import Forward
+from imucald.diagnosis.equations.motion import VehicleMotion
+from imucald.diagnosis.equations.single_track import SLOW_MPS
+from imucald.diagnosis.fit.chance import Question
+from imucald.diagnosis.fit.sandwich import scatters
+from imucald.diagnosis.fit.score import Problem
+from imucald.diagnosis.left_over.stability import EITHER_SIDE, LEAST_SIDE, amount
+from imucald.diagnosis.result import WANDERS, Structure
+from imucald.diagnosis.search.state import State
+from imucald.diagnosis.signals import STEP_S, Array, Mask
+from imucald.mount.mount_words import SD_95
+
+DELAY = "speed.delay_s"
+PAUSE_S = 10.0
+"""After a longer hole a sender begins anew, at any phase of its cycle."""
+QUICK_S = 30.0
+"""Stamps that are asked for one by one walk off slowly: what is quicker than this is asked by
+itself."""
+MEMORY = 0.5
+"""Of one sample's error to the next: between the white noise of steps and that which is summed up;
+deviations are by the scatter between segments, whatever it is."""
+LEAST_SAMPLES, LEAST_BLOCKS, LEAST_COUNT = 10, 6, 3.0
+"""Of a segment; segments; segments that carry what is known."""
+FURTHEST_S, EDGE_S = 1.0, 0.5
+"""Delays beside the model's that are followed; what is left of a segment for the column of one."""
+STEPS = 3
+MANY_S = 1000.0
+ENDS = (0.05, 0.95)
+
+
+@dataclass(frozen=True)
+class Pieces:
+    """One drive beside a model file, ready to be compared at any delay."""
+
+    at: Array
+    """(N,) instants of the speed's samples by their stamps and the model."""
+    shown: Array
+    """(N,) [m/s]"""
+    usable: Mask
+    growth: Array
+    """(N,) time from the drive's middle [1000 s]."""
+    stamps: Array
+    """(N, 2) by how much stamps are late beside an even cycle [s], in all and quickly."""
+    edges: Array
+    """(B, n + 1) of the grid's steps."""
+    sums: Array
+    """(3, B, n + 1) forward force summed up: without a tilt, and with each of its parts."""
+
+
+@dataclass(frozen=True)
+class Course:
+    """What segments say of delays about a point, each whitened, and free of what is unknown of it
+    (speed and tilt)."""
+
+    y: list[Array]
+    """(n,) measured speed less summed-up force, over its own deviation."""
+    even: list[Array]
+    """(n, 3) how that goes with a delay, with its even growth, and with its part by speed."""
+    asked: list[Array]
+    """(n,) and with a delay that follows a pattern."""
+    start_s: list[float]
+    drive: list[int]
+
+
+@dataclass(frozen=True)
+class Found:
+    """By how much a delay follows a pattern."""
+
+    value: float
+    sigma: float
+    """Its deviations."""
+    p: float
+    even: Array
+    """(3,) the even parts beside it."""
+
+
+def off_cycle(t: Array) -> Array:
+    """(N,) by how much stamps are late [s] beside an even cycle. t: (N,) stamps [s], rising.
+
+    Steps are whole cycles, and lost frames are no lateness.
+    """
+    steps = np.diff(t)
+    if len(steps) < LEAST_SAMPLES:
+        return np.zeros(len(t))
+    cycle = float(np.median(steps))
+    late = steps - cycle * np.maximum(np.round(steps / cycle), 1.0)
+    late[steps > PAUSE_S] = 0.0
+    total = np.concatenate([[0.0], np.cumsum(late)])
+    return _beside_a_line(total, t)
+
+
+def _beside_a_line(x: Array, t: Array) -> Array:
+    line = np.column_stack([np.ones(len(t)), t - t.mean()])
+    return np.asarray(x - line @ np.linalg.lstsq(line, x, rcond=None)[0])
+
+
+def _quick(x: Array, t: Array) -> Array:
+    """x (N,) less its mean over `QUICK_S`."""
+    n = max(1, round(QUICK_S / float(np.median(np.diff(t)))))
+    ones = np.ones(n)
+    return np.asarray(x - np.convolve(x, ones, "same") / np.convolve(np.ones(len(x)), ones, "same"))
+
+
+# what segments say -------------------------------------------------------------------------------
+
+
+def pieces_of(f: Forward, changes: Changes) -> Pieces:
+    """A drive beside a model file. changes: of the model, at the best fit."""
+    m, drive = VehicleMotion(f, changes, False), f.drive
+    shown = drive.knots.values / (1.0 + f.model.speed.scale + changes.get("speed.scale", 0.0))
+    usable = drive.channels["speed"].present(drive.knots.t) & (np.abs(shown) > SLOW_MPS)
+    for name in ("accel", "gyro"):
+        usable &= drive.channels[name].present(m.knots)
+    growth = (m.knots - f.middle_s) / MANY_S
+    stamps = drive.channels["speed"].t
+    late = off_cycle(stamps)
+    by_stamps = [np.interp(drive.knots.t, stamps, x) for x in (late, _quick(late, stamps))]
+    first = f.t.reshape(f.blocks, f.rows)[:, :1]
+    edges = first + STEP_S * (np.arange(f.rows + 1) - 0.5)
+    sums = _summed(f, m)
+    return Pieces(m.knots, shown, usable, growth, np.column_stack(by_stamps), edges, sums)
+
+
+def _summed(f: Forward, m: VehicleMotion) -> Array:
+    rate = np.zeros((len(f.t), 3)) if m.rate is None else m.rate
+    u, turned = kinematics.carried(rate, f.rows)
+    along = kinematics.along(m.force, m.r, m.v_y, u)
+    parts = [along, GRAVITY * turned.real, GRAVITY * turned.imag]
+    areas = [np.cumsum(x.reshape(f.blocks, f.rows), axis=1) * STEP_S for x in parts]
+    return np.stack([np.pad(x, ((0, 0), (1, 0))) for x in areas])
+
+
+def course_of(
+    drives: Sequence[Pieces], pattern: Sequence[Array], value: float, even: Array
+) -> Course:
+    """About delays that are late by `even` (3,) and `value` times a pattern: (N,) [s] a drive."""
+    made = Course([], [], [], [], [])
+    for i, (d, x) in enumerate(zip(drives, pattern, strict=True)):
+        parts = np.column_stack([np.ones(len(d.at)), d.growth, d.shown])
+        late = np.clip(parts @ even + value * x, -FURTHEST_S, FURTHEST_S)
+        true = d.at - late
+        for b, edges in enumerate(d.edges):
+            inside = (true >= edges[0] + EDGE_S) & (true <= edges[-1] - EDGE_S)
+            k = np.flatnonzero(inside & d.usable)
+            if len(k) < LEAST_SAMPLES:
+                continue
+            rows = _of_segment(true[k], d.shown[k], parts[k], x[k], edges, d.sums[:, b])
+            if rows is not None:
+                made.y.append(rows[:, 0])
+                made.even.append(rows[:, 1:4])
+                made.asked.append(rows[:, 4])
+                made.start_s.append(float(edges[0]))
+                made.drive.append(i)
+    return made
+
+
+def _of_segment(
+    at: Array, shown: Array, parts: Array, x: Array, edges: Array, sums: Array
+) -> Array | None:
+    """(n - 1, 5) whitened: the comparison; even delays; one by the pattern x."""
+    read = np.column_stack([np.interp(at, edges, s) for s in sums])
+    free = np.column_stack([np.ones(len(at)), read[:, 1:]])
+    y = shown - read[:, 0]
+    tilt = np.linalg.lstsq(free, y, rcond=None)[0]
+    speed = sums[0] + tilt[1:] @ sums[1:]
+    delay = _between(at, np.full(len(at), STEP_S), edges, speed) / STEP_S
+    rows = np.column_stack([y, delay[:, None] * parts, _between(at, x, edges, speed)])
+    rows, free = (z[1:] - MEMORY * z[:-1] for z in (rows, free))
+    rows = rows - free @ np.linalg.lstsq(free, rows, rcond=None)[0]
+    known = rows[:, [1, 4]]
+    left = rows[:, 0] - known @ np.linalg.lstsq(known, rows[:, 0], rcond=None)[0]
+    dof = len(rows) - free.shape[1] - 2
+    noise = float(np.sqrt(left @ left / dof)) if dof > 0 else 0.0
+    return np.asarray(rows / noise) if noise > 0.0 else None
+
+
+def _between(at: Array, late: Array, edges: Array, speed: Array) -> Array:
+    """(n,) what a delay `late` [s] about each time makes of a speed: over its whole length, since
+    the force changes meanwhile."""
+    half = 0.5 * np.clip(late, -2.0 * EDGE_S, 2.0 * EDGE_S)
+    return np.asarray(np.interp(at - half, edges, speed) - np.interp(at + half, edges, speed))
+
+
+# questions ---------------------------------------------------------------------------------------
+
+
+def delay_course(problem: Problem, state: State) -> list[Question]:
+    """Whether the delay of the speed follows its stamps, or is another from some moment on.
+
+    Three questions at most, which share a chance of their own: of stamps that leave their cycle
+    by more than a delay may be off, some reason is due whatever else is asked of a drive.
+    """
+    if not all(f.has_gravity for f in state.forwards) or DELAY not in problem.table.keys:
+        return []  # the road's slope is left, and is summed up
+    x = problem.fit()
+    changes = {k: float(v) for k, v in zip(problem.table.keys, x, strict=True) if v}
+    drives = [pieces_of(f, changes) for f in state.forwards]
+    j = problem.table.keys.index(DELAY)
+    may = float(problem.table.tolerance[j] + SD_95 * problem.table.model_error[j])
+    return [*_by_stamps(drives, EITHER_SIDE * may), *stepping(drives, EITHER_SIDE * may)]
+
+
+def _by_stamps(drives: Sequence[Pieces], may: float) -> list[Question]:
+    """One question in all, one of what is quick; none where stamps stay within what a delay may
+    be off by."""
+    made = []
+    for i, how in enumerate(("", " quickly")):
+        pattern = [d.stamps[:, i] for d in drives]
+        seen = np.concatenate([x[d.usable] for d, x in zip(drives, pattern, strict=True)])
+        spread = float(np.subtract(*np.quantile(seen, ENDS[::-1]))) if len(seen) else 0.0
+        found = settled(drives, pattern) if spread > may else None
+        if found is None:
+            continue
+        text = (
+            f"its stamps leave an even cycle{how}, by {amount(DELAY, spread)} from the 5th to the "
+            f"95th of a hundred, and its delay beside the accelerometer goes with them: by "
+            f"{found.value:.2g} s a second, {found.sigma:.1f} deviations"
+        )
+        made.append(_question(found, abs(found.value) * spread / may, text))
+    return made
+
+
+def stepping(drives: Sequence[Pieces], may: float) -> list[Question]:
+    """The likeliest of all steps (sup-Wald; Andrews 1993), its chance shared out over moments."""
+    course = course_of(drives, [np.zeros(len(d.at)) for d in drives], 0.0, np.zeros(3))
+    moments = range(LEAST_SIDE, len(course.y) - LEAST_SIDE + 1)
+    best: tuple[int, Found] | None = None
+    for k in moments:
+        after = [e[:, 0] * float(b >= k) for b, e in enumerate(course.even)]
+        found = followed(course, after, 0.0)
+        if found is not None and (best is None or found.p < best[1].p):
+            best = k, found
+    if best is None:
+        return []
+    k, found = best
+    drive, start = course.drive[k], course.start_s[k]
+    text = (
+        f"its delay is another by {amount(DELAY, found.value)} from {start:.0f} s"
+        f"{f' of drive {drive + 1}' if max(course.drive) > 0 else ''} on, {found.sigma:.1f} "
+        f"deviations, where a correct file's may not ({abs(found.value) / may:.1f} times what it "
+        "may)"
+    )
+    shared = replace(found, p=min(1.0, found.p * len(moments)))
+    return [_question(shared, abs(found.value) / may, text)]
+
+
+def _question(found: Found, size: float, text: str) -> Question:
+    """size: over what may be; an end less its error of one deviation counts."""
+    is_large = size * (1.0 - 1.0 / max(found.sigma, 1.0)) > 1.0
+    return Question(found.p, is_large, Structure("speed", WANDERS, size, text, DELAY))
+
+
+def settled(drives: Sequence[Pieces], pattern: Sequence[Array]) -> Found | None:
+    """By how much the delay follows a pattern, asked again from where the answer leads: a column is
+    a slope, and the force is another half a second later. None where too little is known."""
+    found = Found(0.0, 0.0, 1.0, np.zeros(3))
+    for _ in range(STEPS):
+        course = course_of(drives, pattern, found.value, found.even)
+        if len(course.y) < LEAST_BLOCKS:
+            return None
+        again = followed(course, course.asked, found.value)
+        if again is None:
+            return None
+        found = replace(again, even=found.even + again.even)
+    return found
+
+
+def followed(course: Course, column: list[Array], before: float) -> Found | None:
+    """Value of a column beside a delay that is even, on top of what it was `before`.
+
+    Its chance is by the scatter between segments (sandwich, with as many degrees of freedom as
+    segments carry what is known of it; Carter, Schnepel and Steigerwald 2017), and by the noise of
+    all rows.
+    """
+    if not course.y:
+        return None
+    E, y, x = (np.concatenate(each) for each in (course.even, course.y, column))
+    size = np.maximum(np.linalg.norm(E, axis=0), 1e-12)
+    Q, R = np.linalg.qr(E / size)
+    both = np.column_stack([y, x])
+    both = both - Q @ (Q.T @ both)
+    first = np.cumsum([0, *(len(each) for each in course.y[:-1])])
+    u = np.add.reduceat(both[:, 0] * both[:, 1], first)
+    h = np.add.reduceat(both[:, 1] ** 2, first)
+    information = float(h.sum())
+    count = information**2 / max(float(h @ h), 1e-300)
+    if information <= 0.0 or count < LEAST_COUNT:
+        return None
+    step = float(u.sum()) / information
+    left = (u - h * step).reshape(-1, 1)
+    scatter = max(float(s[0, 0]) for s in scatters(left, 1))
+    value = before + step
+    by_blocks = abs(value) * information / float(np.sqrt(max(scatter, 1e-300)))
+    by_rows = abs(value) * float(np.sqrt(information))
+    p = 2.0 * max(float(student.sf(by_blocks, count - 1.0)), float(norm.sf(by_rows)))
+    even = np.linalg.lstsq(R, Q.T @ (y - step * x), rcond=None)[0] / size
+    return Found(value, min(by_blocks, by_rows), p, even)
