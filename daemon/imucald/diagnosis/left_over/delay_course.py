@@ -84,7 +84,7 @@ class Course:
 
 
 @dataclass(frozen=True)
-class Found:
+class Followed:
     """By how much a delay follows a pattern."""
 
     value: float
@@ -245,7 +245,7 @@ def stepping(drives: Sequence[Pieces], may: float) -> list[Question]:
     """The likeliest of all steps (sup-Wald; Andrews 1993), its chance shared out over moments."""
     course = course_of(drives, [np.zeros(len(d.at)) for d in drives], 0.0, np.zeros(3))
     moments = range(LEAST_SIDE, len(course.y) - LEAST_SIDE + 1)
-    best: tuple[int, Found] | None = None
+    best: tuple[int, Followed] | None = None
     for k in moments:
         after = [e[:, 0] * float(b >= k) for b, e in enumerate(course.even)]
         found = followed(course, after, 0.0)
@@ -265,16 +265,16 @@ def stepping(drives: Sequence[Pieces], may: float) -> list[Question]:
     return [_question(shared, abs(found.value) / may, text)]
 
 
-def _question(found: Found, size: float, text: str) -> Question:
+def _question(found: Followed, size: float, text: str) -> Question:
     """size: over what may be; an end less its error of one deviation counts."""
     is_large = size * (1.0 - 1.0 / max(found.sigma, 1.0)) > 1.0
     return Question(found.p, is_large, Structure("speed", WANDERS, size, text, DELAY))
 
 
-def settled(drives: Sequence[Pieces], pattern: Sequence[Array]) -> Found | None:
+def settled(drives: Sequence[Pieces], pattern: Sequence[Array]) -> Followed | None:
     """By how much the delay follows a pattern, asked again from where the answer leads: a column is
     a slope, and the force is another half a second later. None where too little is known."""
-    found = Found(0.0, 0.0, 1.0, np.zeros(3))
+    found = Followed(0.0, 0.0, 1.0, np.zeros(3))
     for _ in range(STEPS):
         course = course_of(drives, pattern, found.value, found.even)
         if len(course.y) < LEAST_BLOCKS:
@@ -286,7 +286,7 @@ def settled(drives: Sequence[Pieces], pattern: Sequence[Array]) -> Found | None:
     return found
 
 
-def followed(course: Course, column: list[Array], before: float) -> Found | None:
+def followed(course: Course, column: list[Array], before: float) -> Followed | None:
     """Value of a column beside a delay that is even, on top of what it was `before`.
 
     Its chance is by the scatter between segments (sandwich, with as many degrees of freedom as
@@ -315,4 +315,4 @@ def followed(course: Course, column: list[Array], before: float) -> Found | None
     by_rows = abs(value) * float(np.sqrt(information))
     p = 2.0 * max(float(student.sf(by_blocks, count - 1.0)), float(norm.sf(by_rows)))
     even = np.linalg.lstsq(R, Q.T @ (y - step * x), rcond=None)[0] / size
-    return Found(value, min(by_blocks, by_rows), p, even)
+    return Followed(value, min(by_blocks, by_rows), p, even)
