@@ -144,7 +144,7 @@ class GravityObserver:
         states = self._carry(turn, force, self._use, pull)
         gravity = GRAVITY * states[:, :, 0]
         answer = _EYE - states[:, :, 1:4]  # to a bias
-        answered = np.zeros(3) if bias is None else answer @ bias
+        answered = np.zeros(3) if bias is None else (answer.reshape(-1, 3) @ bias).reshape(-1, 3)
         if motion is not None and with_gyro:
             innovation = force - gravity
             unexplained = innovation - answered
