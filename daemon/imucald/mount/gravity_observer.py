@@ -135,7 +135,7 @@ class GravityObserver:
         """
         turn = _turned(-TICK_S * (p.rate - self.drift) * p.ok_rate[:, None])
         force = p.force if motion is None else p.force - motion
-        with_gyro = np.count_nonzero(p.ok_rate) > 0
+        with_gyro = bool(np.count_nonzero(p.ok_rate))
         pull = _PULL[with_gyro]
         # without its speed nobody knows how much of the force is the vehicle's motion
         self._use = p.learn if motion is None else p.learn & (p.ok_speed | p.rest)
@@ -229,7 +229,7 @@ class GravityObserver:
         e x (m - G), with G the motion as the vertical follows it (turning while it does so left
         out).
         """
-        with_gyro = np.count_nonzero(p.ok_rate) > 0
+        with_gyro = bool(np.count_nonzero(p.ok_rate))
         state = self._taken
         if state is None:
             state = np.zeros(motion.shape[1])

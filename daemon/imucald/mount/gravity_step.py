@@ -160,7 +160,8 @@ class GravityStepDetector:
             return None
         information = (R @ self._information[:ages] @ R.T)[:, :2, :2]
         score = (self._score[:ages] @ R.T)[:, :2]
-        size = np.linalg.solve(information + _PRIOR, score[:, :, None])[:, :, 0]
+        solved = np.linalg.solve(information + _PRIOR, score[:, :, None])
+        size = np.asarray(solved[:, :, 0], dtype=np.float64)
         # a turn about y moves gravity ahead, one about x aside
         walked = (R @ self._walked @ R.T).diagonal()[1::-1]
         usual = self._square[:ages] + GRAVITY * GRAVITY * walked

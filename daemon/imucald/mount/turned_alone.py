@@ -72,7 +72,7 @@ class TurnedAlone:
         both = np.empty((2, known + len(ok)))
         both[:, :known], both[0, known:], both[1, known:] = self._before, turn_rate, vehicle
         if np.count_nonzero(ok) < len(ok):
-            both = both[:, known + int((~ok).nonzero()[0][-1]) + 1 :]
+            both = both[:, known + int(np.flatnonzero(~ok)[-1]) + 1 :]
         self._before = both[:, -APART:]
         if both.shape[1] <= APART:
             return 0.0
