@@ -77,7 +77,8 @@ class TurnedAlone:
         if both.shape[1] <= APART:
             return 0.0
         sizes = np.abs(both)
-        still = (sizes < STILL_RATE).all(axis=0)
+        hardly = sizes < STILL_RATE
+        still = hardly[0] & hardly[1]
         use = still[APART:] & still[:-APART]
         turned = (both[0] - both[1]).cumsum() * TICK_S
         alone = turned[APART:] - turned[:-APART]
