@@ -239,12 +239,13 @@ class Contradictions:
         force = p.force[now] @ R.T
         use = moving[then] & (p.ok_force & p.learn)[now]
         turn = p.speed[then] * turn_rate[now]
+        sizes, across = np.abs(turn), force[:, 1]
         turning = use & (p.ok_rate | p.ok_yaw)[now]
         noise = NOISE * own * float(np.abs(p.speed).max())
         if noise < TURNS:
-            self.turns.add(turn, force[:, 1], turning & (np.abs(turn) > TURNS))
+            self.turns.add(turn, across, turning & (sizes > TURNS))
         if noise < HARD_TURNS:
-            self.hard_turns.add(turn, force[:, 1], turning & (np.abs(turn) > HARD_TURNS))
+            self.hard_turns.add(turn, across, turning & (sizes > HARD_TURNS))
         ahead, change = force[:, 0], p.accel[then]
         count = len(ahead)
         self.speed.add(change - change.sum() / count, ahead - ahead.sum() / count, use)

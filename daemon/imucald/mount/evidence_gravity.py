@@ -90,11 +90,11 @@ class GravityEvidence:
         use = p.learn & (p.ok_speed | p.rest)
         if not np.count_nonzero(use):
             return
-        weight = np.where(p.rest, 0.0, np.abs(p.speed) * 0.1)
+        sizes = np.abs(p.speed)
+        weight = np.where(p.rest, 0.0, sizes * 0.1)
         hard2 = p.accel * p.accel + turn * turn
         weight *= use / (1.0 + hard2 * (SHARE / STILL) ** 2)
-        moved = bool((np.abs(p.speed) > 1.0).any())
-        if moved:
+        if np.count_nonzero(sizes > 1.0):
             self._stop_used, self._resting = 0.0, False
         resting = p.rest & use
         n = np.count_nonzero(resting)
@@ -111,7 +111,7 @@ class GravityEvidence:
         self._force += weight @ p.force
         self._motion[0] += float(weight @ p.accel)
         self._motion[1] += float(weight @ turn)
-        self.metres += float((np.abs(p.speed) * use).sum()) * 0.1
+        self.metres += float((sizes * use).sum()) * 0.1
 
     @property
     def known(self) -> bool:

@@ -6,6 +6,8 @@ a fit then is a few large sums instead of some hundred small ones.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -26,6 +28,7 @@ from imucald.mount.evidence_rows import (
 from imucald.mount.evidence_spectra import BAND_OMEGA2, BANDS, PAIR, Term
 
 Array = NDArray[np.float64]
+Index = NDArray[np.int64]
 
 KNOWN = (
     ((Term.DVDT, GX), (Term.DVDT_QUARTER, GX_QUARTER)),
@@ -47,24 +50,30 @@ _LEFT = [
 ]  # fmt: skip
 _LEFT.sort(key=lambda term: term[0])
 _LEFT_PAIR = np.array([pair for _, pair, _, _ in _LEFT])
-_LEFT_FACTOR = [
-    0 if gain < 0 else 1 + gain + (0 if square >= 0 else len(GAINS)) for _, _, gain, square in _LEFT
-]
+_LEFT_FACTOR = np.array(
+    [0 if k < 0 else 1 + k + (0 if square >= 0 else len(GAINS)) for _, _, k, square in _LEFT]
+)
 _ONE = np.ones((1, BANDS))
 _LEFT_START = np.searchsorted([row for row, _, _, _ in _LEFT], np.arange(len(TARGETS)))
 
 _PLACES = [(row, a) for row, spec in enumerate(ROWS) for a in range(len(spec.regressors))]
-_TERMS = [
-    (k, row, a, PAIR[signal, ROWS[row].regressors[a]], gain)
-    for k, (row, a) in enumerate(_PLACES)
-    for signal, gain in ((TARGETS[row], -1), *KNOWN[row])
-]
-_TERM_PAIR = np.array([pair for _, _, _, pair, _ in _TERMS])
-_TERM_ROW = np.array([row for _, row, _, _, _ in _TERMS])
-_TERM_SIGN = [1 + gain for *_, gain in _TERMS]
-_TERM_START = np.searchsorted([k for k, _, _, _, _ in _TERMS], np.arange(len(_PLACES)))
-_SCORE_ROW = np.array([row for row, _ in _PLACES])
-_SCORE_A = np.array([a for _, a in _PLACES])
+_PLACES.sort(key=lambda place: -len(KNOWN[place[0]]))  # those with most terms come first
+_SCORE_ROW, _SCORE_A = np.array(_PLACES).T
+
+
+def _terms(places: Sequence[tuple[int, int]], rank: int) -> tuple[Index, Index]:
+    """Of each place that has so many terms and one more: that one's pair, and where its sign is."""
+    signals = [((TARGETS[row], -1), *KNOWN[row]) for row, _ in places]
+    found = [
+        (PAIR[terms[rank][0], ROWS[row].regressors[a]], 1 + terms[rank][1])
+        for (row, a), terms in zip(places, signals, strict=True)
+        if len(terms) > rank
+    ]
+    pair, sign = np.array(found).T
+    return pair, sign
+
+
+_TERMS = tuple(_terms(_PLACES, rank) for rank in range(1 + max(map(len, KNOWN))))
 
 _ENTRIES = [
     (row, a, b, PAIR[spec.regressors[a], spec.regressors[b]])
@@ -85,15 +94,20 @@ def left_over(P: Array, gains: Array) -> Array:
     P: products in vehicle axes (pairs, n, BANDS); gains: (gains, BANDS).
     """
     factor = np.concatenate([_ONE, gains**2, -2.0 * gains])[_LEFT_FACTOR]
-    terms = P[_LEFT_PAIR] * factor[:, None, :]
+    terms = P.take(_LEFT_PAIR, axis=0)
+    terms *= factor[:, None, :]
     out: Array = np.add.reduceat(terms, _LEFT_START, axis=0)
     return np.maximum(out, 0.0, out=out)
 
 
-_ANGLE = [term for term in _TERMS if _PLACES[term[0]][1] == 0]
-_ANGLE_PAIR = np.array([pair for _, _, _, pair, _ in _ANGLE])
-_ANGLE_SIGN = [1 + gain for *_, gain in _ANGLE]
-_ANGLE_START = np.searchsorted([row for _, row, _, _, _ in _ANGLE], np.arange(len(ROWS)))
+_ANGLE = [
+    (row, PAIR[signal, spec.regressors[0]], gain)
+    for row, spec in enumerate(ROWS)
+    for signal, gain in ((TARGETS[row], -1), *KNOWN[row])
+]
+_ANGLE_PAIR = np.array([pair for _, pair, _ in _ANGLE])
+_ANGLE_SIGN = np.array([1 + gain for *_, gain in _ANGLE])
+_ANGLE_START = np.searchsorted([row for row, _, _ in _ANGLE], np.arange(len(ROWS)))
 _ANGLE_POWER = np.array([PAIR[spec.regressors[0], spec.regressors[0]] for spec in ROWS])
 _ANGLE_AXIS = np.array([spec.axis for spec in ROWS])
 
@@ -143,8 +157,11 @@ def scores(P: Array, weight: Array, gains: Array) -> tuple[Array, Array]:
     n = P.shape[1]
     weight = weight * _USED
     factor = factors(gains)
-    sign = np.concatenate([_ONE, -gains])[_TERM_SIGN]
-    target = np.add.reduceat(P[_TERM_PAIR] * sign[:, None, :], _TERM_START, axis=0)
+    signs = np.concatenate([_ONE, -gains])
+    target, known, *more = (P.take(pair, axis=0) * signs[sign][:, None] for pair, sign in _TERMS)
+    for terms in more:
+        known[: len(terms)] += terms
+    target[: len(known)] += known
     mine = factor[_SCORE_ROW, _SCORE_A]
     score = np.zeros((len(ROWS), n, MAX_REGRESSORS))
     target *= weight[_SCORE_ROW]

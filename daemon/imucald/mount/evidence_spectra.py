@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import enum
 import math
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -221,15 +222,22 @@ _PLACE = {int(k): i for i, k in enumerate(_NEEDED)}
 def _pair_map(R_vehicle_from_sensor: Matrix3, without_speed: bool) -> Array:
     """Matrix (len(PAIRS), PRODUCTS): products in vehicle axes from those of the signals."""
     turn = _turning(R_vehicle_from_sensor, without_speed)
-    left = turn[:, _NEEDED_LEFT]
-    right = turn[:, _NEEDED_RIGHT]
-    out: Array = left[_LEFT_OF] * right[_RIGHT_OF]
+    left = turn.take(_NEEDED_LEFT, axis=1)
+    right = turn.take(_NEEDED_RIGHT, axis=1)
+    out: Array = left.take(_LEFT_OF, axis=0)
+    out *= right.take(_RIGHT_OF, axis=0)
     return out
 
 
 def place(i: int, j: int) -> int:
     """Place of the product of two signals (sensor axes) in `band_products`."""
     return _PLACE[i * SIGNALS + j] if i * SIGNALS + j in _PLACE else _PLACE[j * SIGNALS + i]
+
+
+@lru_cache(maxsize=8)
+def _shifted(tau: float) -> Spectra:
+    """What a delay [s] takes from the spectrum of a signal (BINS,); it changes seldom."""
+    return np.asarray(np.exp(1j * OMEGA * tau))
 
 
 def band_products(s: Spectra, tau_speed: float, tau_turn: float) -> Array:
@@ -239,11 +247,11 @@ def band_products(s: Spectra, tau_speed: float, tau_turn: float) -> Array:
     """
     x = np.empty((BINS, SIGNALS), dtype=np.complex128)
     x[:, :MEASURED] = s
-    late = np.exp(1j * OMEGA * tau_speed)
+    late = _shifted(tau_speed)
     for column in _LATE:
         x[:, column] *= late
     if tau_turn:
-        x[:, Measured.LATERAL] *= np.exp(1j * OMEGA * tau_turn)
+        x[:, Measured.LATERAL] *= _shifted(tau_turn)
     x[:, Measured.DVDT_QUARTER] = 1j * x[:, Measured.DVDT]
     x[:, Measured.LATERAL_QUARTER] = 1j * x[:, Measured.LATERAL]
     both = np.concatenate([x.real, x.imag], axis=1).reshape(BINS * 2, SIGNALS)

@@ -83,7 +83,8 @@ def _turned(step: Array) -> Array:
 
 def _sizes(vectors: Array) -> Array:
     """Of vectors (N, 3)."""
-    return np.asarray(np.sqrt((vectors * vectors).sum(axis=1)))
+    sizes: Array = np.sqrt((vectors * vectors).sum(axis=1))
+    return sizes
 
 
 _REMAINING = {with_gyro: _followed(pull) for with_gyro, pull in _PULL.items()}
@@ -134,7 +135,8 @@ class GravityObserver:
         """
         turn = _turned(-TICK_S * (p.rate - self.drift) * p.ok_rate[:, None])
         force = p.force if motion is None else p.force - motion
-        pull = _PULL[bool(p.ok_rate.any())]
+        with_gyro = bool(np.count_nonzero(p.ok_rate))
+        pull = _PULL[with_gyro]
         # without its speed nobody knows how much of the force is the vehicle's motion
         self._use = p.learn if motion is None else p.learn & (p.ok_speed | p.rest)
         self._note_holes(p.ok_rate)
@@ -142,8 +144,8 @@ class GravityObserver:
         states = self._carry(turn, force, self._use, pull)
         gravity = GRAVITY * states[:, :, 0]
         answer = _EYE - states[:, :, 1:4]  # to a bias
-        answered = np.zeros(3) if bias is None else answer @ bias
-        if motion is not None and p.ok_rate.any():
+        answered = np.zeros(3) if bias is None else (answer.reshape(-1, 3) @ bias).reshape(-1, 3)
+        if motion is not None and with_gyro:
             innovation = force - gravity
             unexplained = innovation - answered
             if sure:
@@ -164,7 +166,7 @@ class GravityObserver:
     def _note_holes(self, ok_rate: Flags) -> None:
         """After a long one the vertical has yet to come back from where it was left alone."""
         self._settling = max(self._settling - 1, 0)
-        at = np.flatnonzero(self._use)
+        at = self._use.nonzero()[0]
         alone = self._alone + (int(at[0]) if len(at) else len(self._use))
         if alone > MAX_ALONE or np.count_nonzero(~ok_rate) > MAX_BLIND:
             self._settling = SETTLING_BLOCKS
@@ -190,7 +192,7 @@ class GravityObserver:
                 return states
             first = int(np.argmax(use))
             self._state = np.concatenate([force[first, :, None] / GRAVITY, _EYE], axis=1)
-        count = self._n + np.cumsum(use)
+        count = self._n + use.cumsum()
         gain = np.where(count > SETTLE_TICKS, pull, np.maximum(pull, 1.0 / np.maximum(count, 1)))
         gain = np.where(use, gain, 0.0)[:, None, None]
         self._n = int(count[-1])
@@ -227,12 +229,12 @@ class GravityObserver:
         e x (m - G), with G the motion as the vertical follows it (turning while it does so left
         out).
         """
-        with_gyro = bool(p.ok_rate.any())
+        with_gyro = bool(np.count_nonzero(p.ok_rate))
         state = self._taken
         if state is None:
             state = np.zeros(motion.shape[1])
         keep, decay = _REMAINING[with_gyro]
-        if self._use.all() and len(motion) == len(decay):
+        if np.count_nonzero(self._use) == len(motion) == len(decay):
             out: Array = keep @ motion - decay[:, None] * state
             self._taken = motion[-1] - (1.0 - _PULL[with_gyro]) * out[-1]
             return out

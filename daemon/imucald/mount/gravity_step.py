@@ -60,6 +60,7 @@ class GravityStep(Struct, frozen=True):
 
 
 _SIGNS = np.array([1.0, -1.0])
+_PRIOR = np.eye(2) / (4.0 * SPREAD_PRIOR) ** 2
 
 
 class GravityStepHistory:
@@ -141,8 +142,7 @@ class GravityStepDetector:
         n = len(weight)
         carried = (left.reshape(3 * n, 3) @ self._start).reshape(AGES, n, 3, 3)
         answer = (answer + carried).reshape(AGES, 3 * n, 3)
-        weights = np.repeat(weight, 3)
-        weighted = (answer * weights[:, None]).transpose(0, 2, 1)
+        weighted = (answer * weight.repeat(3)[:, None]).transpose(0, 2, 1)
         self._score += weighted @ innovation.reshape(3 * n)
         self._information += weighted @ answer
         self._start = end @ self._start
@@ -160,10 +160,8 @@ class GravityStepDetector:
             return None
         information = (R @ self._information[:ages] @ R.T)[:, :2, :2]
         score = (self._score[:ages] @ R.T)[:, :2]
-        prior = np.eye(2) / (4.0 * SPREAD_PRIOR) ** 2
-        size = np.asarray(
-            np.linalg.solve(information + prior, score[:, :, None])[:, :, 0], np.float64
-        )
+        solved = np.linalg.solve(information + _PRIOR, score[:, :, None])
+        size = np.asarray(solved[:, :, 0], dtype=np.float64)
         # a turn about y moves gravity ahead, one about x aside
         walked = (R @ self._walked @ R.T).diagonal()[1::-1]
         usual = self._square[:ages] + GRAVITY * GRAVITY * walked
@@ -178,7 +176,7 @@ class GravityStepDetector:
             self.history.add(spreads[FIRST_AGE - 1 :])
         large = np.abs(spreads) * (np.abs(turned) > (YOUNG_SIZE if is_young else MIN_SIZE))
         large[: FIRST_AGE - 1] = 0.0
-        age, axis = divmod(int(np.argmax(large)), 2)
+        age, axis = divmod(int(large.argmax()), 2)
         if large[age, axis] < LIMIT:
             return None
         return GravityStep(

@@ -102,14 +102,15 @@ def _left_over(
 
     Rates with all signs turned make the opposite changes, so those of one half are enough.
     """
-    rates = np.matmul(rate, np.matmul(R, TRIED[:HALF]).transpose(0, 2, 1))  # (7, N, 3)
-    turning = rates[:, :, 2]
+    rates = np.matmul(np.matmul(R, TRIED[:HALF]), rate.T)  # (7, 3, N)
+    turning = rates[:, 2]
     aside = (gain / GRAVITY) * speed * turning
     smooth = [_smoothed(x) for x in (ahead, across - aside[0])]
     change = np.empty((HALF, 2, len(ahead)))
-    np.subtract(turning * smooth[1], rates[:, :, 1], out=change[:, 0])
-    np.subtract(rates[:, :, 0], turning * smooth[0], out=change[:, 1])
-    moved = TICK_S * np.cumsum(change, axis=2)
+    np.subtract(turning * smooth[1], rates[:, 1], out=change[:, 0])
+    np.subtract(rates[:, 0], turning * smooth[0], out=change[:, 1])
+    moved = np.add.accumulate(change, axis=2)
+    moved *= TICK_S
     left = np.empty((2 * HALF, 2, len(ahead)))
     np.subtract(ahead, moved[:, 0], out=left[:HALF, 0])
     np.subtract(across - aside, moved[:, 1], out=left[:HALF, 1])
@@ -126,9 +127,10 @@ def _left_over(
 
 def _smoothed(x: Array) -> Array:
     """Means over a second of (N,), the ends carried on."""
-    more = len(SMOOTH) // 2
-    ends = np.full(more, x[0]), np.full(more, x[-1])
-    return np.convolve(np.concatenate([ends[0], x, ends[1]]), SMOOTH, "valid")
+    more, n = len(SMOOTH) // 2, len(x)
+    longer = np.empty(n + 2 * more)
+    longer[:more], longer[more : more + n], longer[more + n :] = x[0], x, x[-1]
+    return np.correlate(longer, SMOOTH, "valid")  # as numpy.convolve: the weights are even
 
 
 def _held(x: Array, low: float, high: float) -> Array:

@@ -13,6 +13,7 @@ spread of both begins at a prior and is learnt.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
 from msgspec import Struct
@@ -69,6 +70,13 @@ LATE_TICKS = 22
 at 1 m/s^2). So the last ticks of standing are looked at only once more of them have come."""
 
 
+TILTS = (0, 1)
+YAW, METRES, TILT_WEIGHT, YAW_WEIGHT = 2, 3, 4, 5
+NO_ROWS: Array = np.zeros((0, 6))
+"""Of each block: roll, pitch and yaw about R [rad], road [m], the weights of its tilt (metres and a
+little) and of its yaw (information [1/rad^2])."""
+
+
 class LargeChange(Struct, frozen=True):
     """axis: 0 roll, 1 pitch, 2 yaw. size [rad], in standard deviations, blocks since."""
 
@@ -91,9 +99,7 @@ class LargeChangeDetector:
     def restart(self) -> None:
         """What comes next is compared with nothing before."""
         self._alone.restart()
-        self._e = np.zeros((0, 3))
-        self._metres = np.zeros(0)
-        self._weight = np.zeros((0, 3))  # of tilt (metres and a little), of yaw (information)
+        self._rows = NO_ROWS
         self._R: Matrix3 | None = None
         self._forget_standing()
 
@@ -102,11 +108,6 @@ class LargeChangeDetector:
         self._stopped_at: Array | None = None
         self._turned = np.zeros(3)
         self._standing = np.zeros((0, 6))  # force and rate of ticks not looked at yet
-
-    def forget(self, blocks: int) -> None:
-        """Keep only the last blocks."""
-        self._e, self._metres = self._e[-blocks:], self._metres[-blocks:]
-        self._weight = self._weight[-blocks:]
 
     def add(
         self, p: SignalBlock, R: Matrix3, motion: BlockMotion, has_speed: bool, has_reverse: bool
@@ -117,7 +118,7 @@ class LargeChangeDetector:
             if math.sqrt(moved @ moved) > 0.35:
                 self.restart()
             else:
-                self._e -= moved
+                self._rows[:, :METRES] -= moved
         self._R = R
         use = p.learn & (p.ok_speed | p.rest)
         if not has_speed or np.count_nonzero(use) < LEAST_TICKS:
@@ -130,81 +131,70 @@ class LargeChangeDetector:
         if abs(yaw) > BACKWARDS and not has_reverse and np.abs(p.speed[use]).max() < MAX_REVERSE:
             known = 0.0
         metres = float(np.abs(p.speed[use]).sum()) * TICK_S
-        row = np.array([math.atan2(y, z), math.atan2(-x, math.hypot(y, z)), yaw])
-        self._e = np.concatenate([self._e[1 - REMEMBERED :], row[None]])
-        self._metres = np.append(self._metres[1 - REMEMBERED :], metres)
-        weight = np.array([metres + 3.0, metres + 3.0, known])
-        self._weight = np.concatenate([self._weight[1 - REMEMBERED :], weight[None]])
+        e = math.atan2(y, z), math.atan2(-x, math.hypot(y, z)), yaw
+        row = np.array([[*e, metres, metres + 3.0, known]])
+        self._rows = np.concatenate([self._rows[1 - REMEMBERED :], row])
 
-    def found(self, axes: tuple[int, ...]) -> LargeChange | None:
-        """The change that stands out most, where it is one."""
+    def found(self, with_yaw: bool) -> LargeChange | None:
+        """The change that stands out most, where it is one; with_yaw: yaw is asked too."""
+        rows = self._rows
+        changes = [self._best(TILTS, rows[:, :YAW], rows[:, TILT_WEIGHT], range(len(rows)))]
+        if with_yaw:
+            at = (rows[:, YAW_WEIGHT] > 0.0).nonzero()[0]
+            known = rows[at]
+            changes.append(self._best((YAW,), known[:, YAW:METRES], known[:, YAW_WEIGHT], at))
         best: LargeChange | None = None
         excess = 1.0
-        for axis in axes:
-            change = self._tilt(axis) if axis < 2 else self._yaw()
-            if change is not None and abs(change.deviations) / LIMITS[axis] > excess:
-                best, excess = change, abs(change.deviations) / LIMITS[axis]
+        for change in changes:
+            if change is not None and abs(change.deviations) / LIMITS[change.axis] > excess:
+                best, excess = change, abs(change.deviations) / LIMITS[change.axis]
         return best
-
-    def _tilt(self, axis: int) -> LargeChange | None:
-        e, w, n = self._e[:, axis], self._weight[:, axis], len(self._e)
-        return self._best(
-            axis, e, w, np.arange(n), lambda m, metres: self._tilt_variance(axis, m, metres)
-        )
 
     def _tilt_variance(self, axis: int, blocks: int, metres: float) -> float:
         q = max(metres / self._length, 1e-3)
         part = 2.0 / q * (1.0 - (1.0 - math.exp(-q)) / q)
         return float(self._slope[axis] ** 2) * part + TILT_NOISE**2 / blocks
 
-    def _yaw(self) -> LargeChange | None:
-        at = np.flatnonzero(self._weight[:, 2] > 0.0)
-        return self._best(2, self._e[at, 2], self._weight[at, 2], at, None)
-
     def _best(
-        self,
-        axis: int,
-        e: Array,
-        w: Array,
-        at: NDArray[np.int64],
-        variance: object,
+        self, axes: tuple[int, ...], e: Array, w: Array, at: Sequence[int] | NDArray[np.int64]
     ) -> LargeChange | None:
+        """Of axes with as many rows: e (n, axes), their weights (n,), and where they are (n,)."""
         n = len(e)
         best: LargeChange | None = None
-        most = min(MOST_AFTER, n - LEAST_BEFORE[axis])  # blocks after the change, from two on
+        most = min(MOST_AFTER, n - LEAST_BEFORE[axes[0]])  # blocks after the change, from two on
         if most < 2:
             return None
-        weights, sums = w[::-1].cumsum(), (w * e)[::-1].cumsum()
+        weights, sums = w[::-1].cumsum(), (w[:, None] * e)[::-1].cumsum(axis=0)
         new_w, new_e = weights[1:most], sums[1:most]
         old_w, old_e = weights[-1] - new_w, sums[-1] - new_e
-        sizes = new_e / new_w - old_e / old_w
-        if max(sizes.max(), -sizes.min()) < MIN_SIZE[axis]:
+        sizes = new_e / new_w[:, None] - old_e / old_w[:, None]
+        if max(sizes.max(), -sizes.min()) < MIN_SIZE[axes[0]]:
             return None
-        for j in np.flatnonzero(np.abs(sizes) >= MIN_SIZE[axis]).tolist():
-            after, size = j + 2, float(sizes[j])
-            k = n - after
+        columns, times = np.nonzero(np.abs(sizes.T) >= MIN_SIZE[axes[0]])
+        for column, j in zip(columns.tolist(), times.tolist(), strict=True):
+            after, size = j + 2, float(sizes[j, column])
+            k, one = n - after, e[:, column]
             wa, wb = float(new_w[j]), float(old_w[j])
-            old = float(old_e[j]) / wb
-            shown = (e[k:] - old) / size
-            if axis == 2:
+            old = float(old_e[j, column]) / wb
+            shown = (one[k:] - old) / size
+            if axes[column] == YAW:
                 shown = shown[w[k:] * (size * size) >= CLEAR * CLEAR]
             if len(shown) < CLEAR_BLOCKS or float(shown.min()) < AGREEING:
                 continue
-            left = e[:k] - old
-            if axis == 2:
+            left = one[:k] - old
+            if axes[column] == YAW:
                 spread = float(np.minimum(w[:k] * left * left, CLIP * CLIP).sum()) / k
                 each, before = 1.0 / wa, 1.0 / wb
             else:
-                metres = self._metres[at]
-                one = self._tilt_variance(axis, 1, float(metres[:k].mean()))
-                spread = float(w[:k] @ (left * left)) / wb / one
+                metres, axis = self._rows[:, METRES], axes[column]
+                usual = self._tilt_variance(axis, 1, float(metres[:k].mean()))
+                spread = float(w[:k] @ (left * left)) / wb / usual
                 each = self._tilt_variance(axis, after, float(metres[k:].sum()))
                 before = self._tilt_variance(axis, k, float(metres[:k].sum()))
             scale = max((PRIOR_BLOCKS + k * spread) / (PRIOR_BLOCKS + k), 0.8)
             deviations = size / math.sqrt(scale * (each + before))
             if best is None or abs(deviations) > abs(best.deviations):
-                blocks = n - k if axis < 2 else int(len(self._e) - at[k])
-                best = LargeChange(axis, size, deviations, blocks)
+                best = LargeChange(axes[column], size, deviations, len(self._rows) - int(at[k]))
         return best
 
     def while_driving(

@@ -107,7 +107,7 @@ class MountChanges:
 
     def large(self, solver: MountSolver) -> LargeChange | None:
         """A turn by several degrees within the last blocks."""
-        return self._large.found((0, 1, 2) if solver.own_gyro else (0, 1))
+        return self._large.found(with_yaw=solver.own_gyro)
 
     def small(
         self, solver: MountSolver, thoroughly: bool, is_good: bool

@@ -42,7 +42,8 @@ def is_off_vertical(p: SignalBlock, R: Matrix3, turn: Array) -> bool:
     n = int(np.count_nonzero(use))
     if n < LEAST_TICKS:
         return False
-    x, y, z = (R @ (p.force[use].sum(axis=0) / n)).tolist()
+    force = p.force if n == len(use) else p.force[use]
+    x, y, z = (R @ (force.sum(axis=0) / n)).tolist()
     if not math.hypot(x, y, z) >= 0.5 * GRAVITY:
         return False
     if math.atan2(math.hypot(x, y), z) <= MAX_OFF_VERTICAL:

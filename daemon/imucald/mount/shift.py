@@ -164,12 +164,12 @@ def changes(series: list[ScoreSeries], spans: NDArray[np.int64]) -> tuple[Array,
     """
     shape = len(spans), len(series)
     sizes, variances = np.zeros(shape), np.full(shape, np.inf)
-    by_shape: dict[tuple[int, ...], list[tuple[int, AngleFit]]] = {}
+    by_length: dict[int, list[tuple[int, AngleFit]]] = {}
     for k, one in enumerate(series):
         fit = one.fitted() if len(one.score) > spans[0] else None
         if fit is not None:
-            by_shape.setdefault(fit.rows.shape, []).append((k, fit))
-    for group in by_shape.values():
+            by_length.setdefault(len(fit.left), []).append((k, fit))
+    for group in by_length.values():
         columns = [k for k, _ in group]
         size, known = _changes_of([fit for _, fit in group], spans)
         sizes[:, columns] = size.T
@@ -236,17 +236,20 @@ def _step_for(ratio: Array, size: Array, steps: Array) -> Array:
 
 
 def _changes_of(fits: list[AngleFit], spans: NDArray[np.int64]) -> tuple[Array, Array]:
-    """Changes of K sources, of as many segments and regressors each, over their last spans (S,).
+    """Changes of K sources, of as many segments each, over their last spans (S,).
 
     Returns sizes [rad] and informations (K, S). With M the information of angle and nuisance from
     all segments, w what the new segments have of its first row and U their scores left over by the
     common fit, the change is U / V with V = w_0 - w' M^-1 w (the score test of a linear model;
     exact). What new segments say of the angle is not used where it cannot be separated from
-    nuisance that only they show.
+    nuisance that only they show. Where a source has fewer regressors than another, the rest are 0.
     """
     left = np.array([fit.left for fit in fits])  # (K, G)
-    rows = np.array([fit.rows for fit in fits])  # (K, G, regressors)
-    inverse = np.array([fit.inverse for fit in fits])
+    most = max(fit.rows.shape[1] for fit in fits)
+    rows, inverse = np.zeros((*left.shape, most)), np.zeros((len(fits), most, most))
+    for k, fit in enumerate(fits):
+        own = slice(fit.rows.shape[1])
+        rows[k, :, own], inverse[k, own, own] = fit.rows, fit.inverse
     n = rows[:, :, 0]
     spans = np.minimum(spans, n.shape[1] - 1)
     longest = int(spans.max())

@@ -50,7 +50,9 @@ class SteeringOffsetEstimator:
             return
         self.seen, self._fit = True, None
         v, r = speed[use], yaw_rate[use]
-        rows = np.stack([np.ones(len(v)), r / v, r * v], axis=1)
+        rows = np.ones((len(v), 3))
+        np.divide(r, v, out=rows[:, 1])
+        np.multiply(r, v, out=rows[:, 2])
         weight = 1.0 / (NOISE * NOISE * CORRELATION_TICKS)
         self._normal = KEEP * self._normal + weight * (rows.T @ rows)
         self._right = KEEP * self._right + weight * (rows.T @ angle[use])

@@ -68,20 +68,24 @@ class TurnedAlone:
 
     def add(self, turn_rate: Array, vehicle: Array, ok: Flags, by: Witness = YAW_RATE) -> float:
         """Take a block (N,) [rad/s]; return by how much the sensor turned alone [rad], or 0."""
-        both = np.concatenate([self._before, np.stack([turn_rate, vehicle])], axis=1)
-        if not ok.all():
-            both = both[:, both.shape[1] - len(ok) + int(np.flatnonzero(~ok)[-1]) + 1 :]
+        known = self._before.shape[1]
+        both = np.empty((2, known + len(ok)))
+        both[:, :known], both[0, known:], both[1, known:] = self._before, turn_rate, vehicle
+        if np.count_nonzero(ok) < len(ok):
+            both = both[:, known + int(np.flatnonzero(~ok)[-1]) + 1 :]
         self._before = both[:, -APART:]
         if both.shape[1] <= APART:
             return 0.0
-        still = (np.abs(both) < STILL_RATE).all(axis=0)
+        sizes = np.abs(both)
+        hardly = sizes < STILL_RATE
+        still = hardly[0] & hardly[1]
         use = still[APART:] & still[:-APART]
-        turned = np.cumsum(both[0] - both[1]) * TICK_S
+        turned = (both[0] - both[1]).cumsum() * TICK_S
         alone = turned[APART:] - turned[:-APART]
-        path = np.cumsum(np.abs(both[1])) * TICK_S
+        path = sizes[1].cumsum() * TICK_S
         excess = np.abs(alone) - by.gain_share * (path[APART:] - path[:-APART])
         excess[~use] = 0.0
-        k = int(np.argmax(excess))
+        k = int(excess.argmax())
         if excess[k] < by.least:
             return 0.0
         own = float(both[0, k + 1 : k + APART + 1].sum()) * TICK_S
