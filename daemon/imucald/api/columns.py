@@ -126,14 +126,6 @@ def columns_from(columns: tuple[TableColumn, ...], arrays: list[Any]) -> Columns
     return Columns(columns, tuple(typed))
 
 
-def joined(parts: list[Columns]) -> Columns:
-    """Parts of one table, in their order."""
-    if len(parts) == 1:
-        return parts[0]
-    arrays = zip(*(part.arrays for part in parts), strict=True)
-    return Columns(parts[0].columns, tuple(np.concatenate(a) for a in arrays))
-
-
 def no_rows(columns: tuple[TableColumn, ...]) -> Columns:
     """A table of these columns without a row."""
     return columns_from(columns, [[] for _ in columns])

@@ -17,7 +17,6 @@ from imucald.api.columns import (
     TableColumn,
     columns_from,
     corrected_columns,
-    joined,
     raw_columns,
 )
 from imucald.core.angles import DEG_PER_RAD
@@ -41,6 +40,9 @@ _UPPER = (0, 1, 2, 4, 5, 8)
 
 Array = NDArray[np.float64]
 
+_Part = tuple[Array, Array, list[NDArray[Any]]]
+"""Samples of a segment: stream times, stamps, and the values of some columns."""
+
 
 class Recorder:
     """Gathers history, events and (with `signals`) samples; give its methods to the engine."""
@@ -60,7 +62,7 @@ class Recorder:
         self._shifts: list[Mapping[str, Any]] = []
         self._segments: list[tuple[float, float]] = []  # stream time of the start, stamp minus it
         self._last_stamp = math.nan
-        self._parts: dict[str, list[tuple[Array, Array, list[NDArray[Any]]]]] = {}
+        self._parts: dict[str, list[_Part]] = {}
         self.rows = 0
         """Rows of samples that have not been taken."""
 
@@ -157,7 +159,7 @@ class Recorder:
             channel = name.removeprefix(RAW)
             kind = kinds.get(channel, channel)
             columns = raw_columns(channel, kind) if name != channel else corrected_columns(kind)
-            found[name] = joined([_table(columns, lead, *part) for part in parts])
+            found[name] = _table(columns, lead, parts)
         return found
 
     def _times(self, t: Array) -> NDArray[np.int64]:
@@ -196,18 +198,19 @@ def _sensor_faults(engine: Engine) -> list[tuple[float, str, str]]:
     return found
 
 
-def _table(
-    columns: tuple[TableColumn, ...],
-    lead: float,
-    t: Array,
-    stamps: Array,
-    values: list[NDArray[Any]],
-) -> Columns:
-    measured = values[0]
-    by_axis = list(measured.T) if measured.ndim == 2 else [measured]
-    return columns_from(columns, [t + lead, microseconds(stamps), *by_axis, *values[1:]])
+def _table(columns: tuple[TableColumn, ...], lead: float, parts: list[_Part]) -> Columns:
+    """A table of samples, each column in one allocation."""
+    times, stamps, values = zip(*parts, strict=True)
+    t = np.concatenate(times)
+    t += lead
+    measured, *others = zip(*values, strict=True)
+    by_axis = np.concatenate([np.atleast_2d(part.T) for part in measured], axis=1)
+    more = [np.concatenate(one) for one in others]
+    return columns_from(columns, [t, microseconds(np.concatenate(stamps)), *by_axis, *more])
 
 
 def microseconds(stamps: Array) -> NDArray[np.int64]:
     """Stamps [s] as whole microseconds."""
-    return np.clip(np.rint(stamps * 1e6), -LATEST_US, LATEST_US).astype(np.int64)
+    exact = stamps * 1e6
+    np.rint(exact, out=exact)
+    return np.clip(exact, -LATEST_US, LATEST_US, out=exact).astype(np.int64)

@@ -49,6 +49,9 @@ class _SignalsOnly:
     def estimate(self) -> MountEstimate:
         return MountEstimate(self.state)
 
+    def expect(self, ticks: NDArray[np.float64]) -> None:
+        self._blocks.expect(ticks)
+
     def quiet_ticks(self) -> int:
         return self._blocks.until_block - 1
 

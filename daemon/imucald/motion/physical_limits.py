@@ -83,8 +83,8 @@ def is_saturated(tick: TickRow, full_scale: float) -> bool:
 
 
 def saturated_axes(rows: Array, full_scale: float) -> Flags:
-    """The same of ticks (N, COLUMNS), axis by axis (N, 3); a rejected sample counts for all."""
-    high = rows[:, ACCEL.max_x : ACCEL.max_z + 1]
-    low = rows[:, ACCEL.min_x : ACCEL.min_z + 1]
+    """The same of ticks (..., COLUMNS), axis by axis (..., 3); a rejected sample counts for all."""
+    high = rows[..., ACCEL.max_x : ACCEL.max_z + 1]
+    low = rows[..., ACCEL.min_x : ACCEL.min_z + 1]
     clipped: Flags = np.maximum(high, -low) > NEAR_FULL_SCALE * full_scale
-    return clipped | (rows[:, ACCEL.bad] > 0)[:, None]
+    return clipped | (rows[..., ACCEL.bad] > 0)[..., None]

@@ -77,14 +77,17 @@ class Pile(Struct):
         sample = value if side == 0 else -value
         at_it, seen = self.at_it, self.seen
         for k in (first + np.flatnonzero(samples[axis, first:stop] == sample)).tolist():
-            two = np.array([at.rows.previous(k), samples[:, k]])
-            if len(seen) == MOST_SAMPLES or (two[0] == two[1]).all():
+            if len(seen) == MOST_SAMPLES:
+                break
+            two = samples[:, k - 1 : k + 1] if k else np.stack([at.rows.before, samples[:, 0]], 1)
+            of_axes = two.tolist()
+            if all(before == now for before, now in of_axes):
                 continue
             known = len(seen)
             seen[two.tobytes()] = None
             if len(seen) > known:
                 self.at_it += 1
-                self.stays += bool(two[0, axis] == sample)
+                self.stays += of_axes[axis][0] == sample
         return self.at_it > at_it
 
     def count_stay_once(self) -> None:

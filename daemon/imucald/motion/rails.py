@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -73,13 +74,15 @@ class Rail:
                 del tops[-1]
             return self._changed
         self.recent.append(value)
-        top = self._reached(value, at.on_tops[self._side][h], at.step[h], hop)
+        top = self.reached(value, at.on_tops[self._side][h], at.step[h], hop)
         if top is not None:
-            if top.pile is None:
-                top.pile = Pile(at.runs.rate())
-            self._take(top, top.pile, at, h, hop)
-            self._changed = True
+            self.pile_up(top, at, h, hop)
         return self._changed
+
+    @property
+    def is_clear(self) -> bool:
+        """Whether nothing speaks for a rail: then a hop's value is but to be `reached`."""
+        return not (self._changed or self.found) and self.value == math.inf
 
     def stick(self, value: float) -> None:
         """The axis is stuck at a value: what stays there is the axis, and no rail holds it."""
@@ -126,7 +129,7 @@ class Rail:
         n = len(below)
         return bool(n >= LEAST_TAIL_HOPS and value - below[-1] > below[-1] - below[n // 2])
 
-    def _reached(self, value: float, on: int, step: float, hop: int) -> Top | None:
+    def reached(self, value: float, on: int, step: float, hop: int) -> Top | None:
         """Take a value as the latest top; those that it goes beyond are no longer watched.
 
         on: samples of the hop on it. Returns the top where its samples have to be weighed: they
@@ -162,8 +165,12 @@ class Rail:
         tops.append(new)
         return new if on >= LONG_STAY else None
 
-    def _take(self, top: Top, pile: Pile, at: AxisHops, h: int, hop: int) -> None:
-        """Weigh the samples of hop h that are on its top."""
+    def pile_up(self, top: Top, at: AxisHops, h: int, hop: int) -> None:
+        """Count the samples of hop h that are on its top."""
+        self._changed = True
+        pile = top.pile
+        if pile is None:
+            pile = top.pile = Pile(at.runs.rate())
         pile.rate = pile.rate or at.runs.rate()
         is_arrival = hop - pile.last > 1
         if is_arrival:
@@ -213,10 +220,49 @@ class AxisRails:
             low.stick(at.tops[1][h])
             self._look_at_end(at, h)
         elif moving:
-            hop = self._hops
-            self._hops += 1
-            self._usual += (at.level[h] - self._usual) / (hop + 1 if hop < TAIL_HOPS else TAIL_HOPS)
-        is_high, is_low = high.step(at, h, hop), low.step(at, h, hop)
+            hop = self._drive(at.level[h])
+        return self._weigh(at, h, high.step(at, h, hop), low.step(at, h, hop))
+
+    def step_through(self, at: AxisHops, hops: Sequence[int], moving: Sequence[bool]) -> list[bool]:
+        """As `step`, for hops that have samples, in none of which the axis is stuck.
+
+        moving: of all hops of the rows. Most hops only lie below values that were reached before.
+        """
+        high, low, steps = self._high, self._low, at.step
+        (highest, lowest), (on_high, on_low) = at.tops, at.on_tops
+        found: list[bool] = []
+        is_clear = high.is_clear and low.is_clear
+        for h in hops:
+            if not (is_clear and moving[h]):
+                found.append(self.step(at, h, moving[h], stuck=False))
+                is_clear = high.is_clear and low.is_clear
+                continue
+            hop, value, other = self._drive(at.level[h]), highest[h], lowest[h]
+            high.recent.append(value)
+            low.recent.append(other)
+            top = high.reached(value, on_high[h], steps[h], hop)
+            bottom = low.reached(other, on_low[h], steps[h], hop)
+            if top is None and bottom is None:
+                found.append(False)
+                continue
+            if top is not None:
+                high.pile_up(top, at, h, hop)
+            if bottom is not None:
+                low.pile_up(bottom, at, h, hop)
+            found.append(self._weigh(at, h, top is not None, bottom is not None))
+            is_clear = high.is_clear and low.is_clear
+        return found
+
+    def _drive(self, level: float) -> int:
+        """Take a hop of driving with this mean change; return its number."""
+        hop = self._hops
+        self._hops += 1
+        self._usual += (level - self._usual) / (hop + 1 if hop < TAIL_HOPS else TAIL_HOPS)
+        return hop
+
+    def _weigh(self, at: AxisHops, h: int, is_high: bool, is_low: bool) -> bool:
+        """Whether the axis is on a rail after hop h; which of them have to be weighed again."""
+        high, low = self._high, self._low
         if (is_high or is_low) and self._has_tail(at.step[h]):
             if is_high:
                 high.weigh(at, h)

@@ -130,8 +130,9 @@ class _Sensor(FaultsInForce):
             some = rows.count > 0
             contact.step_through(at, some, counts)
             judge.step_through(moving[some], [x[some] for x in counts])
-            for h in np.flatnonzero(some).tolist():
-                saturated[h] = rails.step(at, h, moves[h], stuck=False)
+            hops = np.flatnonzero(some).tolist()
+            for h, on_rail in zip(hops, rails.step_through(at, hops, moves), strict=True):
+                saturated[h] = on_rail
             return stuck, saturated
         of_runs = zip(*(x.tolist() for x in counts), strict=True)
         for h, (is_moving, runs) in enumerate(zip(moves, of_runs, strict=True)):

@@ -85,7 +85,8 @@ class SignalHealth:
 
     full_scale: full scale of the accelerometer [m/s^2]; track: between left and right wheels [m].
     new: which of the rows of a call no call before had among these; they are counted.
-    found: of the last block, by signal and fault, the ticks (N,), or (N, axes), that have it.
+    found: of the last block, by signal and fault, the ticks (N,), or (N, axes), that have it;
+    absent where none has.
     """
 
     def __init__(self, new: slice, full_scale: float = math.inf, track: float = 1.55) -> None:
@@ -110,10 +111,15 @@ class SignalHealth:
         self._yaw_rate.restart()
         self.found = {}
 
+    @staticmethod
+    def is_possible(rows: Array) -> bool:
+        """Whether ticks (N, COLUMNS) hold no number that cannot be, as they nearly always do."""
+        sizes, counts = np.abs(rows[:, _COLUMNS]), rows[:, _COUNTS]
+        return bool(((sizes <= _MOST) | (counts == 0)).all())
+
     def drop_impossible(self, rows: Array) -> None:
         """Empty, in place, the sensors of new ticks that hold a number that cannot be, or none."""
-        sizes, counts = np.abs(rows[:, _COLUMNS]), rows[:, _COUNTS]
-        if ((sizes <= _MOST) | (counts == 0)).all():  # as nearly always
+        if self.is_possible(rows):
             return
         for count, columns, largest in MAX_TICK:
             sound = np.abs(rows[:, columns]).max(axis=1) <= largest  # False for NaN
@@ -134,6 +140,30 @@ class SignalHealth:
         else:
             flags = self._sensors[signal].flags(rows)
         return self._note_stuck(signal, flags)
+
+    def sensor_moves(self, signal: str) -> None:
+        """Take new ticks in which "accel" or "gyro" never repeats its mean: it is not stuck."""
+        self._sensors[signal].restart()
+        self.found.pop((signal, SignalFault.STUCK), None)
+
+    def speed_moves(self, first: float, lasted: Array, change: Array) -> bool:
+        """Take new ticks with a speed that `stuck` finds nothing in; False: it has to look.
+
+        For the arguments see `StuckSpeed.take_short_runs`. No speed may be zero.
+        """
+        if not self._speed.take_short_runs(first, lasted, change):
+            return False
+        self.stuck_now["speed"] = False
+        self.found.pop(("speed", SignalFault.STUCK), None)
+        return True
+
+    def yaw_rate_moves(self, first: float, driven: Array, change: Array) -> bool:
+        """The same of the yaw rate, see `StuckYawRate.take_short_runs`."""
+        if not self._yaw_rate.take_short_runs(first, driven, change):
+            return False
+        self.stuck_now["yaw_rate"] = False
+        self.found.pop(("yaw_rate", SignalFault.STUCK), None)
+        return True
 
     def stuck_yaw_rate(self, rows: Array, turning: Array, driving: Flags) -> Flags:
         """Ticks (N,) at which the yaw rate is stuck; see `StuckYawRate`."""
@@ -160,16 +190,7 @@ class SignalHealth:
         rows: (N, COLUMNS). force: (N, 3) [m/s^2]; speed: (N,) [m/s], where they are known.
         turning: (N,) size of the yaw rate [rad/s].
         """
-        low, high = ROAD_FORCE
-        size2 = (force * force).sum(axis=1)
-        wild = np.abs(slope(speed)) > MAX_ROAD_DVDT
-        self.found |= {
-            ("accel", SignalFault.IMPLAUSIBLE): ok_force & ((size2 < low**2) | (size2 > high**2)),
-            ("gyro", SignalFault.IMPLAUSIBLE): turning > MAX_ROAD_RATE,
-            ("accel", SignalFault.SATURATED): saturated_axes(rows, self._full_scale),
-            ("wheel_speeds", SignalFault.WHEEL_SLIP): self._slipping(rows, speed, turning),
-            ("speed", SignalFault.SPEED_JUMP): ok_speed & wild,
-        }
+        self.found |= self._faults(rows, force, ok_force, speed, ok_speed, turning)
         out = np.zeros(len(rows), dtype=bool)
         for fault, hold in HOLD_TICKS.items():
             flags = self._anywhere(fault)
@@ -178,13 +199,57 @@ class SignalHealth:
                 out |= spread_out(flags, hold)
         return out
 
+    def calm_blocks(
+        self,
+        rows: Array,
+        force: Array,
+        ok_force: Flags,
+        speed: Array,
+        ok_speed: Flags,
+        turning: Array,
+    ) -> list[bool]:
+        """Of blocks (B, N, COLUMNS) and so on, whether `untrusted` finds nothing in each.
+
+        Nor does it where the vehicle turns faster, up to MAX_ROAD_RATE.
+        """
+        any_fault = np.zeros(len(rows), dtype=bool)
+        for flags in self._faults(rows, force, ok_force, speed, ok_speed, turning).values():
+            any_fault |= flags.reshape(len(rows), -1).any(axis=1)
+        return [not one for one in any_fault.tolist()]
+
+    def are_trusted(self) -> None:
+        """Take new ticks in which `untrusted` finds nothing."""
+        for key in [key for key in self.found if key[1] is not SignalFault.STUCK]:
+            del self.found[key]
+
+    def _faults(
+        self,
+        rows: Array,
+        force: Array,
+        ok_force: Flags,
+        speed: Array,
+        ok_speed: Flags,
+        turning: Array,
+    ) -> dict[tuple[str, SignalFault], Flags]:
+        """As `untrusted` takes them, or those of several blocks (B, N)."""
+        low, high = ROAD_FORCE
+        size2 = (force * force).sum(axis=-1)
+        wild = np.abs(slope(speed)) > MAX_ROAD_DVDT
+        return {
+            ("accel", SignalFault.IMPLAUSIBLE): ok_force & ((size2 < low**2) | (size2 > high**2)),
+            ("gyro", SignalFault.IMPLAUSIBLE): turning > MAX_ROAD_RATE,
+            ("accel", SignalFault.SATURATED): saturated_axes(rows, self._full_scale),
+            ("wheel_speeds", SignalFault.WHEEL_SLIP): self._slipping(rows, speed, turning),
+            ("speed", SignalFault.SPEED_JUMP): ok_speed & wild,
+        }
+
     def _slipping(self, rows: Array, speed: Array, turning: Array) -> Flags:
-        known: Flags = rows[:, WHEEL_SPREAD.n] > 0
+        known: Flags = rows[..., WHEEL_SPREAD.n] > 0
         if not np.count_nonzero(known):
             return known
         allowed = SPREAD_FLOOR + SPREAD_SLOPE * np.abs(speed)
         allowed += CURVE_SHARE * self._track * turning
-        return known & (rows[:, WHEEL_SPREAD.mean] > allowed)  # False for NaN
+        return known & (rows[..., WHEEL_SPREAD.mean] > allowed)  # False for NaN
 
     def _anywhere(self, fault: SignalFault) -> Flags | None:
         """Ticks (N,) with a fault of any signal and axis; None: there are none."""

@@ -166,6 +166,18 @@ class StuckSpeed:
             self._lasted = float(lasted[i]) - float(ends[i] - kept) * TICK_S
         return one_more(out)
 
+    def take_short_runs(self, first: float, lasted: Array, change: Array) -> bool:
+        """Take ticks all of which have a speed that keeps no value for long, see `short_runs`.
+
+        first: their first speed [m/s]. lasted: (M,) of the runs while driving [s]; change: (M,)
+        [m/s]. False: the first of them goes on from before, and `flags` has to look.
+        """
+        if abs(first - self._value) <= SAME_SPEED:
+            return False
+        self._ended.add(lasted, change)
+        self._value = math.nan
+        return True
+
     def _limit(self) -> float:
         """A run longer than that is stuck [s]; never, until the signal is known."""
         if not self._ended.known:

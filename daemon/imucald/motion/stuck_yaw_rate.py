@@ -80,6 +80,18 @@ class StuckYawRate:
         self._carry(value[first], begins, ends, driven, turned, leaving)
         return out
 
+    def take_short_runs(self, first: float, driven: Array, change: Array) -> bool:
+        """Take ticks all of which have a yaw rate that keeps no value for long, see `short_runs`.
+
+        first: their first yaw rate [rad/s]. driven: (M,) of the runs while driving [ticks]; change:
+        (M,) [rad/s]. False: the first of them goes on from before, and `flags` has to look.
+        """
+        if abs(first - self._value) <= SAME_RATE:
+            return False
+        self._ended.add(driven, change)
+        self.restart()
+        return True
+
     def _carry(
         self,
         values: Array,

@@ -37,6 +37,32 @@ def runs_of(values: Array, same: float) -> EqualRuns:
     return EqualRuns(first, last, change)
 
 
+SHORT_TICKS = 11
+"""No run of so many ticks lasts longer than MIN_STUCK_S."""
+
+
+def short_runs(
+    values: Array, same: float, leaving: int
+) -> tuple[NDArray[np.bool_], Places, Places, Places, Array]:
+    """Runs in each row of values (B, N) that end among its first `leaving`.
+
+    Returns whether all of a row's runs are short and none goes on from the first `leaving` to the
+    others (B,); and of each run (M,) its row, the places of its first and last value, and the size
+    of the change after it.
+    """
+    change = np.abs(values[:, 1:] - values[:, :-1])
+    is_over = change > same
+    ended = np.zeros(values.shape, np.int64)
+    np.cumsum(is_over, axis=1, out=ended[:, 1:])
+    simple = (ended[:, SHORT_TICKS:] > ended[:, :-SHORT_TICKS]).all(axis=1)
+    simple &= is_over[:, leaving - 1]
+    row, last = np.nonzero(is_over[:, :leaving])
+    first = np.zeros_like(last)
+    goes_on = np.flatnonzero(row[1:] == row[:-1])
+    first[goes_on + 1] = last[goes_on] + 1
+    return simple, row, first, last, change[row, last]
+
+
 class UsualRuns:
     """The last RUNS_REMEMBERED runs that ended: how long each lasted, and the change after it."""
 

@@ -166,6 +166,13 @@ class KeepsTicks(Protocol):
     What comes of it equals `step` tick by tick, to the last bit.
     """
 
+    def expect(self, ticks: NDArray[np.float64]) -> None:
+        """Be told of the ticks (n, COLUMNS) that come next: some of the work is less in one go.
+
+        They are still to be taken, by `step` or `keep_quiet`, unless time jumps before.
+        """
+        ...
+
     def quiet_ticks(self) -> int:
         """Of the next ticks so many change neither correction, state nor estimate."""
         ...

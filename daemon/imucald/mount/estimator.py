@@ -123,6 +123,10 @@ class FullEstimator:
             self._is_catching_up = self._solvers.is_catching_up
             self._estimate = None
 
+    def expect(self, ticks: Array) -> None:
+        """Be told of ticks (n, COLUMNS) that come next, see `mount.estimate.KeepsTicks`."""
+        self._signals.expect(ticks)
+
     def quiet_ticks(self) -> int:
         """Of the next ticks so many are only kept, see `mount.estimate.KeepsTicks`."""
         if self._is_catching_up or self._served.is_turning:

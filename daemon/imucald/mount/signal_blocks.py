@@ -7,6 +7,7 @@ be interpolated between samples on both sides. Says for every tick whether it ma
 from __future__ import annotations
 
 import math
+from collections import deque
 from collections.abc import Mapping
 
 import numpy as np
@@ -15,38 +16,48 @@ from msgspec.structs import replace
 from numpy.typing import NDArray
 
 from imucald.motion import ticks as tk
+from imucald.motion.physical_limits import MAX_ROAD_RATE
 from imucald.motion.signal_health import SignalHealth
-from imucald.motion.standstill import (
-    DRIVING_SPEED,
-    ROLLING_SPEED,
-    STEADY_TICKS,
-    ZERO_SPEED,
-    is_parked,
-)
+from imucald.motion.standstill import DRIVING_SPEED
 from imucald.motion.straight import yaw_rate_with_understeer
 from imucald.motion.ticks import TICK_S, TickRow, empty_rows
+from imucald.mount.block_speed import BlockSpeed
 from imucald.mount.estimator_settings import EstimatorSettings
+from imucald.mount.even_signals import (
+    ACCEL_GAP,
+    BEFORE,
+    BLOCK_TICKS,
+    KEEP,
+    LAG,
+    MID,
+    PART,
+    ROWS,
+    SPEED_GAP,
+    EvenBlock,
+    bridged,
+    even_blocks,
+    times_of,
+)
 from imucald.mount.gyro_walk import sampling_walk
 from imucald.mount.offsets import Offsets
+
+__all__ = [
+    "ACCEL_GAP",
+    "BEFORE",
+    "BLOCK_S",
+    "BLOCK_TICKS",
+    "KEEP",
+    "LAG",
+    "SPEED_GAP",
+    "SignalBlock",
+    "SignalBlockMaker",
+]
 
 Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]
 
-BLOCK_TICKS = 64
-"""Ticks per block: 6.4 s between two looks at the data, whose cost is per look."""
 BLOCK_S = BLOCK_TICKS * TICK_S
-LAG = 16
-"""Ticks the work runs behind: a speed of 1 Hz with jitter must have come."""
-BEFORE = 24
-"""Ticks of context in front of a block."""
-KEEP = BEFORE + LAG
-ACCEL_GAP = 0.35
-"""Longest hole bridged in accelerometer or gyroscope [s]; 5 Hz with one loss."""
-SPEED_GAP = 2.3
-"""Longest hole bridged in speed [s]; 1 Hz with one loss."""
 YAW_GAP = 0.5
-REST_TICKS = 12
-"""Speed must have been zero that long before it counts as rest: braking jerk dies out."""
 NOMINAL_SPEED = 12.0
 """Where there is no speed signal, v r is taken with this [m/s]; its gain is free."""
 BLOCKS_WITHOUT_SPEED = 4
@@ -85,45 +96,21 @@ class SignalBlock(Struct):
         return replace(self, rate=rate, ok_rate=self.had_rate, gyro_bias=gyro_bias)
 
 
-def bridged(at: Array, times: Array, values: Array, longest: float) -> tuple[Array, Flags]:
-    """Interpolate samples (M,) or (M, w) at times (N,); False where the hole is too long."""
-    if len(times) < 1:
-        return np.zeros((len(at), *values.shape[1:])), np.zeros(len(at), dtype=bool)
-    after = np.searchsorted(times, at)
-    m = len(times)
-    low, high = np.maximum(after - 1, 0), np.minimum(after, m - 1)
-    right, left = times[high], times[low]
-    width = right - left
-    ok = width <= longest
-    if after[0] == 0 or after[-1] == m:  # before the first sample, or after the last
-        ends = (after == 0) | (after == m)
-        ok[ends] = np.abs(at - left)[ends] <= 0.3 * longest
-    if values.ndim == 1:
-        return np.interp(at, times, values), ok
-    if width.min() <= 0.0:
-        width[width <= 0.0] = math.inf
-    part = (at - left) / width
-    before = values[low]
-    out: Array = before + part[:, None] * (values[high] - before)
-    return out, ok
-
-
 class SignalBlockMaker:
     """Keeps the last ticks and cuts them into blocks."""
 
     def __init__(self, settings: EstimatorSettings) -> None:
         self._settings = settings
-        self._rows = empty_rows(KEEP + BLOCK_TICKS)
+        self._rows = empty_rows(ROWS)
         self._n = KEEP
+        self._expected: deque[tuple[float, EvenBlock | None]] = deque()  # of the ticks to come
         self.offsets = Offsets()
         self.steering_offset = 0.0
-        self._reverse = 0.0
-        self._rest_run = 0
         self._rate_walk = np.zeros((3, 3))
-        self._least_speed = DRIVING_SPEED
         new = slice(BEFORE, BEFORE + BLOCK_TICKS)
         self.health = SignalHealth(new, settings.calibration.full_scale, settings.vehicle.track)
         self.seen: set[str] = set()
+        self._speed = BlockSpeed(self.health, self.seen)
         self.blocks = 0
         self.stuck: Mapping[str, bool] = {}
         """Of the vehicle's signals, whether any tick of the last block was stuck."""
@@ -137,64 +124,98 @@ class SignalBlockMaker:
         """Take a tick; True when a block is complete and `block` is to be called."""
         self._rows[self._n] = tick
         self._n += 1
-        return self._n == KEEP + BLOCK_TICKS
+        return self._n == ROWS
 
     @property
     def until_block(self) -> int:
         """Ticks until a block is complete."""
-        return KEEP + BLOCK_TICKS - self._n
+        return ROWS - self._n
 
     def push_all(self, ticks: Array) -> None:
         """Take ticks (n, COLUMNS), fewer than `until_block`."""
         self._rows[self._n : self._n + len(ticks)] = ticks
         self._n += len(ticks)
 
+    def expect(self, ticks: Array) -> None:
+        """Work out what can be of all blocks that are complete with ticks (n, COLUMNS).
+
+        Those are the next ones, and are still to be pushed, or `restart` is called.
+        """
+        self._expected.clear()
+        rows = np.concatenate([self._rows[: self._n], ticks])
+        end = len(rows) - (len(rows) - KEEP) % BLOCK_TICKS
+        if end > ROWS and self.health.is_possible(rows[KEEP:end]):
+            blocks = even_blocks(rows[:end], self.health)
+            ends = rows[ROWS - 1 : end : BLOCK_TICKS, tk.T].tolist()
+            self._expected.extend(zip(ends, blocks, strict=True))
+
     def restart(self) -> None:
         """Forget the kept ticks: time jumped."""
         self._rows[:] = empty_rows(1)
         self._n = KEEP
-        self._rest_run = 0
+        self._speed.restart()
+        self._expected.clear()
         self.health.restart()
+
+    def _even(self) -> EvenBlock | None:
+        """What was worked out of this block beforehand, or is now."""
+        rows = self._rows
+        while self._expected:
+            end, block = self._expected.popleft()
+            if end == rows[-1, tk.T]:
+                return block
+        self.health.drop_impossible(rows[KEEP:])
+        return even_blocks(rows, self.health)[0]
 
     def block(self) -> SignalBlock:
         """Return the signals of the next block."""
         rows = self._rows
-        self.health.drop_impossible(rows[KEEP:])
-        part = slice(BEFORE - 1, BEFORE + BLOCK_TICKS + 1)  # one more at both ends, for dv/dt
-        end = rows[-1, tk.T]
-        t = end + (np.arange(len(rows)) - (len(rows) - 1)) * TICK_S
-        at = t[part] - 0.5 * TICK_S
-        mid = slice(1, BLOCK_TICKS + 1)
-        force, ok_force = self._vector(t, at, "accel", tk.ACCEL)
-        rate, ok_rate = self._vector(t, at, "gyro", tk.GYRO)
+        even = self._even()
+        t = times_of(rows[-1:, tk.T])
+        at = t[PART] - 0.5 * TICK_S
+        force, ok_force, is_even = self._force(t, at, even)
+        rate, ok_rate, rate_is_even = self._rate(t, at, even)
+        driven = even.driven if even is not None and is_even and rate_is_even else None
         self.blocks += 1
-        speed, ok_speed = self._speed(t, at)
-        self._silence_parked(speed, ok_speed, force, rate if ok_rate.any() else None)
-        yaw_rate, ok_yaw = self._yaw_rate(t, at, speed)
-        accel = (speed[2:] - speed[:-2]) / (2.0 * TICK_S)
-        rest = self._rest(speed[mid], ok_speed[mid], force[mid], rate[mid], ok_rate[mid])
-        curve = np.maximum(np.abs(yaw_rate), np.sqrt((rate * rate).sum(axis=1)) * ok_rate)
-        bad = self.health.untrusted(rows[part], force, ok_force, speed, ok_speed, curve)
+        speed, ok_speed, is_even = self._speed.of(rows, t, at, even)
+        driven = driven if is_even else None
+        if driven is None or not driven.rolls:
+            size = rate if ok_rate.any() else None
+            if self._speed.silence_parked(speed, ok_speed, force, size):
+                driven = None
+        yaw_rate, ok_yaw = self._yaw_rate(t, at, speed, even)
+        if driven is not None and driven.moves:
+            rest = self._speed.no_rest()
+        else:
+            rest = self._speed.rest(speed[MID], ok_speed[MID], force[MID], rate[MID], ok_rate[MID])
+        turning = np.abs(yaw_rate)
+        if driven is not None and driven.calm and turning.max() <= MAX_ROAD_RATE:
+            self.health.are_trusted()
+            learn = ok_force[MID].copy()
+        else:
+            curve = np.maximum(turning, np.sqrt((rate * rate).sum(axis=1)) * ok_rate)
+            bad = self.health.untrusted(rows[PART], force, ok_force, speed, ok_speed, curve)
+            learn = ~bad[MID] & ok_force[MID]
         prepared = SignalBlock(
-            t=t[part][mid],
-            force=force[mid],
-            rate=rate[mid],
-            speed=speed[mid],
-            accel=accel,
-            yaw_rate=yaw_rate[mid],
-            ok_force=ok_force[mid],
-            ok_rate=ok_rate[mid],
-            ok_speed=ok_speed[mid] & ok_speed[2:] & ok_speed[:-2],
-            ok_yaw=ok_yaw[mid],
+            t=t[PART][MID],
+            force=force[MID],
+            rate=rate[MID],
+            speed=speed[MID],
+            accel=(speed[2:] - speed[:-2]) / (2.0 * TICK_S) if driven is None else driven.accel,
+            yaw_rate=yaw_rate[MID],
+            ok_force=ok_force[MID],
+            ok_rate=ok_rate[MID],
+            ok_speed=ok_speed[MID] & ok_speed[2:] & ok_speed[:-2],
+            ok_yaw=ok_yaw[MID],
             rest=rest,
-            learn=~bad[mid] & ok_force[mid],
-            steering=self._steering[0][mid],
-            ok_steering=self._steering[1][mid],
-            had_rate=ok_rate[mid],
+            learn=learn,
+            steering=self._steering[0][MID],
+            ok_steering=self._steering[1][MID],
+            had_rate=ok_rate[MID],
             gyro_bias=self.offsets.gyro_bias,
-            sided=self._sided(t, at[mid]),
+            sided=self._sided(t, at[MID], even),
             rate_walk=self._rate_walk,
-            least_speed=self._least_speed,
+            least_speed=self._speed.least,
         )
         if self.without_speed:
             prepared.speed = np.where(rest, 0.0, NOMINAL_SPEED)
@@ -206,89 +227,66 @@ class SignalBlockMaker:
         self._n = KEEP
         return prepared
 
-    def _vector(
-        self, t: Array, at: Array, signal: str, columns: tk.AccelColumns | tk.GyroColumns
+    def _force(self, t: Array, at: Array, even: EvenBlock | None) -> tuple[Array, Flags, bool]:
+        """Force (N + 2, 3), where it is known, and whether it is as worked out beforehand."""
+        stuck = self._stuck_sensor("accel", even is None or even.force_repeats)
+        if even is not None and stuck is None:
+            return even.force, even.ok_force, True
+        times, values = self._known(t, tk.ACCEL, stuck)
+        return *bridged(at, times, values, ACCEL_GAP), False
+
+    def _rate(self, t: Array, at: Array, even: EvenBlock | None) -> tuple[Array, Flags, bool]:
+        """The same of the rate."""
+        stuck = self._stuck_sensor("gyro", even is None or even.rate_repeats)
+        is_even = even is not None and stuck is None
+        if is_even and even is not None and not even.rate_seldom:
+            self._rate_walk = np.zeros((3, 3))
+            return even.rate, even.ok_rate, True
+        times, values = self._known(t, tk.GYRO, stuck)
+        self._rate_walk = sampling_walk(times, values, ACCEL_GAP)
+        return *bridged(at, times, values, ACCEL_GAP), is_even
+
+    def _stuck_sensor(self, signal: str, may_be: bool) -> Flags | None:
+        """Ticks at which a sensor is stuck; None: at none."""
+        if not may_be:
+            self.health.sensor_moves(signal)
+            return None
+        stuck = self.health.stuck(signal, self._rows)
+        return stuck if np.count_nonzero(stuck) else None
+
+    def _known(
+        self, t: Array, columns: tk.AccelColumns | tk.GyroColumns, stuck: Flags | None
+    ) -> tuple[Array, Array]:
+        """Times (M,) and means (M, 3) of the ticks that have some."""
+        rows = self._rows
+        has = rows[:, columns.n] > 0
+        if stuck is not None:
+            has &= ~stuck
+        return t[has] - rows[has, columns.age], rows[has, columns.x : columns.z + 1]
+
+    def _steering_angle(self, t: Array, at: Array, even: EvenBlock | None) -> tuple[Array, Flags]:
+        rows = self._rows
+        if even is not None and even.steering is not None:
+            self.seen.add("steering")
+            return even.steering, np.ones(len(at), dtype=bool)
+        has = rows[:, tk.STEERING.n] > 0
+        if not np.count_nonzero(has):
+            return np.zeros(len(at)), np.zeros(len(at), dtype=bool)
+        self.seen.add("steering")
+        return bridged(at, t[has] - 0.5 * TICK_S, rows[has, tk.STEERING.mean], YAW_GAP)
+
+    def _yaw_rate(
+        self, t: Array, at: Array, speed: Array, even: EvenBlock | None
     ) -> tuple[Array, Flags]:
         rows = self._rows
-        has = (rows[:, columns.n] > 0) & ~self.health.stuck(signal, rows)
-        mean = slice(columns.x, columns.z + 1)
-        if has.all():
-            times = t - rows[:, columns.age]
-            values = rows[:, mean]
-        else:
-            times = t[has] - rows[has, columns.age]
-            values = rows[has, mean]
-        if signal == "gyro":
-            self._rate_walk = sampling_walk(times, values, ACCEL_GAP)
-        return bridged(at, times, values, ACCEL_GAP)
-
-    def _speed(self, t: Array, at: Array) -> tuple[Array, Flags]:
-        rows = self._rows
-        has = rows[:, tk.SPEED.n] > 0
-        if np.count_nonzero(has):
-            self.seen.add("speed")
-        has &= ~self.health.stuck("speed", rows)
-        self._follow_least_speed(np.abs(rows[has, tk.SPEED.mean]))
-        speed, ok = bridged(
-            at, t[has] - rows[has, tk.SPEED.age], rows[has, tk.SPEED.mean], SPEED_GAP
-        )
-        known = rows[:, tk.REVERSE]
-        if not np.isnan(known).all():
-            self.seen.add("reverse")
-        if self._reverse or np.count_nonzero(known > 0.5):
-            reverse = self._held(known)[BEFORE - 1 : BEFORE + BLOCK_TICKS + 1]
-            speed = np.where(reverse > 0.5, -speed, speed)
-        return speed, ok
-
-    def _silence_parked(self, speed: Array, ok: Flags, force: Array, rate: Array | None) -> None:
-        """Where a speed is noise and the sensor as still as a parked vehicle's: zero.
-
-        Wheels that turn so slowly may be silent (`DRIVING_SPEED`): who creeps rests by them too.
-        """
-        sizes = np.abs(speed)
-        if self._reverse or not ok.all() or sizes.min() > ROLLING_SPEED:
-            return
-        end = len(speed) - 1
-        for first in range(1, end, STEADY_TICKS):
-            part = slice(first, first + STEADY_TICKS)
-            if not ZERO_SPEED < float(sizes[part].mean()) < ROLLING_SPEED:
-                continue
-            if is_parked(force[part], None if rate is None else rate[part]).all():
-                speed[first - (first == 1) : part.stop + (part.stop == end)] = 0.0
-
-    def _follow_least_speed(self, sizes: Array) -> None:
-        """The least that the speed showed between two other speeds; a tick may be half zero."""
-        moves = sizes > ZERO_SPEED
-        between = moves[1:-1] & moves[:-2] & moves[2:]
-        if np.count_nonzero(between):
-            self._least_speed = min(self._least_speed, float(sizes[1:-1][between].min()))
-
-    def _held(self, known: Array) -> Array:
-        """Reverse gear, the last known value held; remembers the one at the block's start."""
-        out = np.empty(len(known))
-        value = self._reverse
-        for i, k in enumerate(known.tolist()):
-            if not math.isnan(k):
-                value = k
-            out[i] = value
-            if i == BLOCK_TICKS - 1:
-                self._reverse = value
-        return out
-
-    def _yaw_rate(self, t: Array, at: Array, speed: Array) -> tuple[Array, Flags]:
-        rows = self._rows
-        has = rows[:, tk.STEERING.n] > 0
-        angle, ok_angle = np.zeros(len(at)), np.zeros(len(at), dtype=bool)
-        if np.count_nonzero(has):
-            self.seen.add("steering")
-            angle, ok_angle = bridged(
-                at, t[has] - 0.5 * TICK_S, rows[has, tk.STEERING.mean], YAW_GAP
-            )
-        self._steering = angle, ok_angle
+        self._steering = angle, ok_angle = self._steering_angle(t, at, even)
         has = rows[:, tk.YAW_RATE.n] > 0
         if np.count_nonzero(has):
             self.seen.add("yaw_rate")
-            has &= ~self._stuck_yaw_rate()
+            stuck = self._stuck_yaw_rate(even)
+            if even is not None and even.yaw_rate is not None and not np.count_nonzero(stuck):
+                return even.yaw_rate, np.ones(len(at), dtype=bool)
+            has &= ~stuck
             return bridged(at, t[has] - 0.5 * TICK_S, rows[has, tk.YAW_RATE.mean], YAW_GAP)
         s = self._settings
         if not s.uses_steering or not np.count_nonzero(ok_angle):
@@ -297,12 +295,20 @@ class SignalBlockMaker:
         turning = (vehicle.steering_ratio, vehicle.wheelbase, s.understeer)
         return yaw_rate_with_understeer(speed, steered, *turning), ok_angle
 
-    def _stuck_yaw_rate(self) -> Flags:
+    def _stuck_yaw_rate(self, even: EvenBlock | None) -> Flags:
         """Ticks of the rows at which the yaw rate stands still and steering or gyroscope does not.
 
         Where there is steering it alone is asked: a sensor that is turned by hand turns too.
         """
         rows, v = self._rows, self._settings.vehicle
+        runs = None if even is None else even.yaw_runs
+        is_known = "steering" not in self.seen or (even is not None and even.steering is not None)
+        if (
+            runs is not None
+            and is_known
+            and self.health.yaw_rate_moves(runs.first, runs.lasted, runs.change)
+        ):
+            return np.zeros(len(rows), dtype=bool)
         speed = np.where(rows[:, tk.SPEED.n] > 0, rows[:, tk.SPEED.mean], 0.0)
         if "steering" in self.seen:
             known = rows[:, tk.STEERING.n] > 0
@@ -317,11 +323,13 @@ class SignalBlockMaker:
             turns = np.where(known, rate, 0.0)
         return self.health.stuck_yaw_rate(rows, turns, known & (np.abs(speed) > DRIVING_SPEED))
 
-    def _sided(self, t: Array, at: Array) -> dict[str, tuple[Array, Flags]]:
+    def _sided(self, t: Array, at: Array, even: EvenBlock | None) -> dict[str, tuple[Array, Flags]]:
         """Lateral acceleration and heading at times (N,), where they come."""
         rows, found = self._rows, {}
         has = rows[:, tk.LATERAL_ACCEL.n] > 0
-        if np.count_nonzero(has):
+        if even is not None and even.lateral is not None:
+            found["lateral_accel"] = even.lateral[MID], np.ones(len(at), dtype=bool)
+        elif np.count_nonzero(has):
             values = rows[has, tk.LATERAL_ACCEL.mean]
             found["lateral_accel"] = bridged(at, t[has] - 0.5 * TICK_S, values, YAW_GAP)
         has = ~np.isnan(rows[:, tk.HEADING])
@@ -330,23 +338,6 @@ class SignalBlockMaker:
             found["heading"] = bridged(at, t[has] - 0.5 * TICK_S, values, SPEED_GAP)
         self.seen.update(found)
         return found
-
-    def _rest(self, speed: Array, ok: Flags, force: Array, rate: Array, ok_rate: Flags) -> Flags:
-        """At rest: speed zero (where there is one) and the force still."""
-        rest = np.zeros(len(speed), dtype=bool)
-        if np.count_nonzero(ok):
-            still = ok & (np.abs(speed) < ZERO_SPEED)
-        else:
-            still = is_parked(force, rate if ok_rate.any() else None)
-        run = self._rest_run
-        if not np.count_nonzero(still):
-            self._rest_run = 0
-            return rest
-        for i, s in enumerate(still.tolist()):
-            run = run + 1 if s else 0
-            rest[i] = run > REST_TICKS
-        self._rest_run = run
-        return rest
 
     def _take_offsets(self, p: SignalBlock) -> None:
         """Learn the offsets at rest and take them off."""

@@ -82,17 +82,29 @@ class TickCorrections(Struct, frozen=True, dict=True):
     unfit: Mapping[str, NDArray[np.bool_]] = field(default_factory=dict)
 
     @cached_property
-    def rotations(self) -> NDArray[np.float64]:
-        """(n, 9), rows of R_vehicle_from_sensor; NaN where not usable."""
+    def _spells(self) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+        """Rows of R_vehicle_from_sensor (m, 9), and from which tick on (m,) each holds."""
         nothing = (np.nan,) * 9
         which = np.fromiter(map(id, self.corrections), np.uint64, len(self.corrections))
-        first = (
-            np.flatnonzero(which[1:] != which[:-1]) + 1
-        )  # most ticks have that of the one before
-        first = np.concatenate([[0], first])
+        first = np.append(0, np.flatnonzero(which[1:] != which[:-1]) + 1)
         different = [self.corrections[i] for i in first.tolist()]
-        rows = np.array([nothing if row is None else row for row in different])
-        return np.repeat(rows, np.diff(first, append=len(which)), axis=0)
+        return np.array([nothing if row is None else row for row in different]), first
+
+    @cached_property
+    def rotations(self) -> NDArray[np.float64]:
+        """(n, 9), rows of R_vehicle_from_sensor; NaN where not usable."""
+        rows, first = self._spells
+        return np.repeat(rows, np.diff(first, append=len(self.corrections)), axis=0)
+
+    def rotations_in(self, ticks: NDArray[np.int64]) -> NDArray[np.float64]:
+        """Those in force during ticks (N,), counted from `first`: (N, 9).
+
+        (1, 9) where it is the same in all n ticks, as most of the time.
+        """
+        rows, first = self._spells
+        if len(rows) == 1:
+            return rows
+        return rows.take(np.searchsorted(first, ticks, side="right") - 1, axis=0)
 
     @cached_property
     def quality(self) -> NDArray[np.uint8]:
@@ -218,6 +230,8 @@ class Pipeline:
             quality.append(self.quality)
             closed = ticks_from_samples(samples, first + 1, last, rejected)
             all_fit = not any(faults)
+            if all_fit and self._preprocessor is None and self._keeps is not None:
+                self._keeps.expect(closed)
             while self.k < last:
                 left = closed[self.k - first - 1 :]
                 quiet = self._keep_quiet(left, taken) if all_fit else 0

@@ -62,13 +62,13 @@ def corrected_samples(
     found = {c: routed.samples[c] for c in output.triads if c in routed.samples}
     tick = {c: ticks[series.row] - corrections.first for c, series in found.items()}
     turned = {
-        channel: times_columns(corrections.rotations[tick[channel]], series.values)
+        channel: times_columns(corrections.rotations_in(tick[channel]), series.values)
         for channel, series in found.items()
     }
     if preprocessing is not None:
         turned = preprocessing.corrected_columns(found, turned)
     for channel in output.planar & found.keys():
-        rotations = corrections.rotations[tick[channel]]
+        rotations = corrections.rotations_in(tick[channel])
         turned[channel] = times_level_columns(rotations, found[channel].values)
     corrected: dict[str, CorrectedSamples] = {}
     for channel, series in found.items():

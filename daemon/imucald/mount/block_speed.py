@@ -1,0 +1,137 @@
+"""The speed of blocks of ticks, on their even grid: its sign, and where the vehicle is at rest."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from imucald.motion import ticks as tk
+from imucald.motion.signal_health import SignalHealth
+from imucald.motion.standstill import (
+    DRIVING_SPEED,
+    ROLLING_SPEED,
+    STEADY_TICKS,
+    ZERO_SPEED,
+    is_parked,
+)
+from imucald.mount.even_signals import BLOCK_TICKS, PART, SPEED_GAP, EvenBlock, bridged
+
+Array = NDArray[np.float64]
+Flags = NDArray[np.bool_]
+
+REST_TICKS = 12
+"""Speed must have been zero that long before it counts as rest: braking jerk dies out."""
+
+
+class BlockSpeed:
+    """Follows the speed from block to block, N = BLOCK_TICKS.
+
+    seen: takes "speed" and "reverse" where they come. least: up to so much the vehicle may creep
+    while its speed is zero [m/s].
+    """
+
+    def __init__(self, health: SignalHealth, seen: set[str]) -> None:
+        self._health, self._seen = health, seen
+        self._reverse = 0.0
+        self._rest_run = 0
+        self.least = DRIVING_SPEED
+
+    def restart(self) -> None:
+        """Time jumped."""
+        self._rest_run = 0
+
+    def of(
+        self, rows: Array, t: Array, at: Array, even: EvenBlock | None
+    ) -> tuple[Array, Flags, bool]:
+        """Speed (N + 2,) of a block, where it is known, and whether it is as in `even`.
+
+        rows: (ROWS, COLUMNS) with their ends t; at: (N + 2,) times of the speed [s].
+        """
+        driven = None if even is None else even.driven
+        runs = None if driven is None else driven.runs
+        stuck = None
+        if runs is None or not self._health.speed_moves(runs.first, runs.lasted, runs.change):
+            stuck = self._health.stuck("speed", rows)
+        is_even = driven is not None and (stuck is None or not np.count_nonzero(stuck))
+        if driven is not None and is_even:
+            self._seen.add("speed")
+            self.least = min(self.least, driven.least)
+            speed, ok = driven.speed, driven.ok
+        else:
+            has = rows[:, tk.SPEED.n] > 0
+            if np.count_nonzero(has):
+                self._seen.add("speed")
+            has &= True if stuck is None else ~stuck
+            mean = rows[has, tk.SPEED.mean]
+            self._follow_least_speed(np.abs(mean))
+            speed, ok = bridged(at, t[has] - rows[has, tk.SPEED.age], mean, SPEED_GAP)
+        known = rows[:, tk.REVERSE]
+        if not np.isnan(known).all():
+            self._seen.add("reverse")
+        if self._reverse or np.count_nonzero(known > 0.5):
+            reverse = self._held(known)[PART]
+            return np.where(reverse > 0.5, -speed, speed), ok, False
+        return speed, ok, is_even
+
+    def silence_parked(self, speed: Array, ok: Flags, force: Array, rate: Array | None) -> bool:
+        """Where a speed is noise and the sensor as still as a parked vehicle's: zero.
+
+        Returns whether it changed the speed. Wheels that turn so slowly may be silent
+        (`DRIVING_SPEED`): who creeps rests by them too.
+        """
+        sizes = np.abs(speed)
+        if self._reverse or not ok.all() or sizes.min() > ROLLING_SPEED:
+            return False
+        is_silenced = False
+        end = len(speed) - 1
+        for first in range(1, end, STEADY_TICKS):
+            part = slice(first, first + STEADY_TICKS)
+            if not ZERO_SPEED < float(sizes[part].mean()) < ROLLING_SPEED:
+                continue
+            if is_parked(force[part], None if rate is None else rate[part]).all():
+                speed[first - (first == 1) : part.stop + (part.stop == end)] = 0.0
+                is_silenced = True
+        return is_silenced
+
+    def _follow_least_speed(self, sizes: Array) -> None:
+        """The least that the speed showed between two other speeds; a tick may be half zero."""
+        moves = sizes > ZERO_SPEED
+        between = moves[1:-1] & moves[:-2] & moves[2:]
+        if np.count_nonzero(between):
+            self.least = min(self.least, float(sizes[1:-1][between].min()))
+
+    def _held(self, known: Array) -> Array:
+        """Reverse gear, the last known value held; remembers the one at the block's start."""
+        out = np.empty(len(known))
+        value = self._reverse
+        for i, k in enumerate(known.tolist()):
+            if not math.isnan(k):
+                value = k
+            out[i] = value
+            if i == BLOCK_TICKS - 1:
+                self._reverse = value
+        return out
+
+    def no_rest(self) -> Flags:
+        """Take a block (N,) that is nowhere at rest."""
+        self._rest_run = 0
+        return np.zeros(BLOCK_TICKS, dtype=bool)
+
+    def rest(self, speed: Array, ok: Flags, force: Array, rate: Array, ok_rate: Flags) -> Flags:
+        """At rest: speed zero (where there is one) and the force still."""
+        rest = np.zeros(len(speed), dtype=bool)
+        if np.count_nonzero(ok):
+            still = ok & (np.abs(speed) < ZERO_SPEED)
+        else:
+            still = is_parked(force, rate if ok_rate.any() else None)
+        run = self._rest_run
+        if not np.count_nonzero(still):
+            self._rest_run = 0
+            return rest
+        for i, s in enumerate(still.tolist()):
+            run = run + 1 if s else 0
+            rest[i] = run > REST_TICKS
+        self._rest_run = run
+        return rest

@@ -1,0 +1,269 @@
+"""What blocks of ticks come to where their signals have no holes: of many blocks at once.
+
+Live each block is worked out when it is complete, in replay all blocks of a chunk together; both go
+through `even_signals`, so they give the same bits. What has a hole or may be stuck is marked, and
+left to `signal_blocks`, which looks at such blocks one by one.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from msgspec import Struct
+from numpy.typing import NDArray
+
+from imucald.motion import ticks as tk
+from imucald.motion.signal_health import SignalHealth
+from imucald.motion.standstill import DRIVING_SPEED, ROLLING_SPEED, ZERO_SPEED
+from imucald.motion.stuck import SAME, SAME_SPEED
+from imucald.motion.stuck_yaw_rate import SAME_RATE
+from imucald.motion.ticks import TICK_S
+from imucald.motion.usual_runs import short_runs
+from imucald.mount.gyro_walk import SELDOM
+
+Array = NDArray[np.float64]
+Flags = NDArray[np.bool_]
+
+BLOCK_TICKS = 64
+"""Ticks per block: 6.4 s between two looks at the data, whose cost is per look."""
+LAG = 16
+"""Ticks the work runs behind: a speed of 1 Hz with jitter must have come."""
+BEFORE = 24
+"""Ticks of context in front of a block."""
+KEEP = BEFORE + LAG
+ROWS = KEEP + BLOCK_TICKS
+"""Ticks that a block is made of."""
+ACCEL_GAP = 0.35
+"""Longest hole bridged in accelerometer or gyroscope [s]; 5 Hz with one loss."""
+SPEED_GAP = 2.3
+"""Longest hole bridged in speed [s]; 1 Hz with one loss."""
+PART = slice(BEFORE - 1, BEFORE + BLOCK_TICKS + 1)
+"""Of those ticks the block's own, with one more at both ends, for dv/dt."""
+MID = slice(1, BLOCK_TICKS + 1)
+"""Of `PART` the block's own."""
+_BACK = (np.arange(ROWS) - (ROWS - 1)) * TICK_S
+
+
+class Runs(Struct, frozen=True):
+    """Runs of equal values of a block, all of them short and none across its end.
+
+    first: the first value. lasted: (M,) of those while driving, how long; change: (M,) after each.
+    """
+
+    first: float
+    lasted: Array
+    change: Array
+
+
+class Driven(Struct, frozen=True):
+    """Speed of a block whose ticks all have one.
+
+    speed: (N + 2,) [m/s], ok: (N + 2,), see `PART`; accel: (N,) dv/dt [m/s^2]. least: the least
+    speed between two other speeds [m/s]. rolls: all speeds say so. moves: none says zero. runs:
+    None where a speed may be stuck. calm: no tick's force, rate, speed or wheels are implausible.
+    """
+
+    speed: Array
+    ok: Flags
+    accel: Array
+    least: float
+    rolls: bool
+    moves: bool
+    runs: Runs | None
+    calm: bool
+
+
+class EvenBlock(Struct, frozen=True):
+    """A block whose ticks all have a force and a rate, N = BLOCK_TICKS.
+
+    force, rate: (N + 2, 3), ok_force, ok_rate: (N + 2,). repeats: two ticks in a row have the same
+    mean, as those of a stuck sensor. rate_seldom: some tick may have no sample of its own.
+    steering, yaw_rate, lateral: (N + 2,), where all ticks have them. yaw_runs: None where the yaw
+    rate may be stuck.
+    """
+
+    force: Array
+    ok_force: Flags
+    force_repeats: bool
+    rate: Array
+    ok_rate: Flags
+    rate_repeats: bool
+    rate_seldom: bool
+    driven: Driven | None
+    steering: Array | None
+    yaw_rate: Array | None
+    yaw_runs: Runs | None
+    lateral: Array | None
+
+
+def bridged_blocks(at: Array, times: Array, values: Array, longest: float) -> tuple[Array, Flags]:
+    """Interpolate samples (B, M) or (B, M, w) at times (B, N); False where the hole is too long."""
+    m = times.shape[1]
+    after = np.array([one.searchsorted(x) for one, x in zip(times, at, strict=True)])
+    low, high = np.maximum(after - 1, 0), np.minimum(after, m - 1)
+    of = np.arange(len(at))[:, None]
+    right, left = times[of, high], times[of, low]
+    width = right - left
+    ok = width <= longest
+    ends = (after == 0) | (after == m)  # before the first sample, or after the last
+    if ends.any():
+        ok[ends] = np.abs(at - left)[ends] <= 0.3 * longest
+    if values.ndim == 2:
+        return np.array([np.interp(*of_one) for of_one in zip(at, times, values, strict=True)]), ok
+    width[width <= 0.0] = math.inf
+    part = (at - left) / width
+    before = values[of, low]
+    out: Array = before + part[..., None] * (values[of, high] - before)
+    return out, ok
+
+
+def bridged(at: Array, times: Array, values: Array, longest: float) -> tuple[Array, Flags]:
+    """Interpolate samples (M,) or (M, w) at times (N,); False where the hole is too long."""
+    if len(times) < 1:
+        return np.zeros((len(at), *values.shape[1:])), np.zeros(len(at), dtype=bool)
+    out, ok = bridged_blocks(at[None], times[None], values[None], longest)
+    return out[0], ok[0]
+
+
+def times_of(end: Array) -> Array:
+    """Ends of the ticks (..., ROWS) of blocks whose last tick ends at `end` (..., 1) [s]."""
+    return np.asarray(end + _BACK)
+
+
+def even_blocks(rows: Array, health: SignalHealth) -> list[EvenBlock | None]:
+    """The blocks of ticks (KEEP + B * BLOCK_TICKS, COLUMNS); None where force or rate has a hole.
+
+    No number may be impossible, see `SignalHealth.drop_impossible`.
+    """
+    windows = np.lib.stride_tricks.sliding_window_view(rows, ROWS, axis=0)[::BLOCK_TICKS]
+    windows = windows.transpose(0, 2, 1)
+    whole = _whole(windows, tk.ACCEL.n) & _whole(windows, tk.GYRO.n)
+    found: list[EvenBlock | None] = [None] * len(windows)
+    if not whole.any():
+        return found
+    if not whole.all():
+        windows = windows[whole]
+    t = times_of(windows[:, -1:, tk.T])
+    at = t[:, PART] - 0.5 * TICK_S
+    force, ok_force, force_repeats, _ = _sensed(windows, t, at, tk.ACCEL)
+    rate, ok_rate, rate_repeats, rate_seldom = _sensed(windows, t, at, tk.GYRO)
+    driven = _driven(windows, t, at, (force, ok_force, rate, ok_rate), health)
+    columns = tk.STEERING, tk.YAW_RATE, tk.LATERAL_ACCEL
+    steering, yaw_rate, lateral = (_means(windows, of) for of in columns)
+    yaw_runs = _yaw_runs(windows)
+    for i, b in enumerate(np.flatnonzero(whole).tolist()):
+        found[b] = EvenBlock(
+            force=force[i],
+            ok_force=ok_force[i],
+            force_repeats=force_repeats[i],
+            rate=rate[i],
+            ok_rate=ok_rate[i],
+            rate_repeats=rate_repeats[i],
+            rate_seldom=rate_seldom[i],
+            driven=driven[i],
+            steering=steering[i],
+            yaw_rate=yaw_rate[i],
+            yaw_runs=yaw_runs[i],
+            lateral=lateral[i],
+        )
+    return found
+
+
+def _whole(windows: Array, count: int) -> Flags:
+    """Blocks (B,) all of whose ticks have samples."""
+    return np.asarray((windows[:, :, count] > 0).all(axis=1))
+
+
+def _sensed(
+    windows: Array, t: Array, at: Array, columns: tk.AccelColumns | tk.GyroColumns
+) -> tuple[Array, Flags, list[bool], list[bool]]:
+    """Values (B, N + 2, 3), where they are known, and of each block `repeats` and `seldom`."""
+    times = t - windows[:, :, columns.age]
+    mean = windows[:, :, columns.x : columns.z + 1]
+    same = np.all(np.abs(mean[:, 1:] - mean[:, :-1]) < SAME, axis=2)
+    gaps = times[:, 1:] - times[:, :-1]
+    seldom: Flags = 0.5 * (gaps[:, :-1] + gaps[:, 1:]) > SELDOM
+    values, ok = bridged_blocks(at, times, mean, ACCEL_GAP)
+    return values, ok, np.any(same, axis=1).tolist(), np.any(seldom, axis=1).tolist()
+
+
+def _means(windows: Array, columns: tk.SignalColumns) -> list[Array | None]:
+    """Means over the ticks, which are taken for their middles: nothing to interpolate."""
+    whole, values = _whole(windows, columns.n).tolist(), windows[:, PART, columns.mean]
+    return [values[b].copy() if has else None for b, has in enumerate(whole)]
+
+
+def _driven(
+    windows: Array,
+    t: Array,
+    at: Array,
+    sensed: tuple[Array, Flags, Array, Flags],
+    health: SignalHealth,
+) -> list[Driven | None]:
+    """sensed: force and rate, each with where it is known."""
+    whole = _whole(windows, tk.SPEED.n)
+    found: list[Driven | None] = [None] * len(windows)
+    if not whole.any():
+        return found
+    if not whole.all():
+        windows, t, at = windows[whole], t[whole], at[whole]
+        sensed = tuple(one[whole] for one in sensed)  # type: ignore[assignment]
+    mean = windows[:, :, tk.SPEED.mean]
+    speed, ok = bridged_blocks(at, t - windows[:, :, tk.SPEED.age], mean, SPEED_GAP)
+    size = np.abs(mean)
+    moves: Flags = size > ZERO_SPEED
+    between = moves[:, 1:-1] & moves[:, :-2] & moves[:, 2:]
+    least = np.where(between, size[:, 1:-1], math.inf).min(axis=1).tolist()
+    accel = (speed[:, 2:] - speed[:, :-2]) / (2.0 * TICK_S)
+    bridged_size = np.abs(speed)
+    rolls = [least > ROLLING_SPEED for least in bridged_size.min(axis=1).tolist()]
+    ok_mid = ok[:, MID]
+    rests = np.any(ok_mid & (bridged_size[:, MID] < ZERO_SPEED), axis=1)
+    is_moving = (np.any(ok_mid, axis=1) & ~rests).tolist()
+    runs = _speed_runs(mean, size)
+    force, ok_force, rate, ok_rate = sensed
+    turning = np.sqrt((rate * rate).sum(axis=2)) * ok_rate
+    calm = health.calm_blocks(windows[:, PART], force, ok_force, speed, ok, turning)
+    for i, b in enumerate(np.flatnonzero(whole).tolist()):
+        found[b] = Driven(
+            speed[i], ok[i], accel[i], least[i], rolls[i], is_moving[i], runs[i], calm[i]
+        )
+    return found
+
+
+def _speed_runs(mean: Array, size: Array) -> list[Runs | None]:
+    """Of speeds (B, ROWS) and their sizes; also None where one is zero: wheels may turn then."""
+    simple, block, first, last, change = short_runs(mean, SAME_SPEED, BLOCK_TICKS)
+    simple &= size.min(axis=1) > SAME_SPEED
+    use: Flags = size[block, first] > DRIVING_SPEED
+    lasted = (last - first).astype(np.float64)[use] * TICK_S + TICK_S
+    return _by_block(mean, simple, block[use], lasted, change[use])
+
+
+def _yaw_runs(windows: Array) -> list[Runs | None]:
+    """Lengths are ticks in which the vehicle drives [ticks]."""
+    mean = windows[:, :, tk.YAW_RATE.mean]
+    whole = _whole(windows, tk.YAW_RATE.n)
+    if not whole.any():
+        return [None] * len(windows)
+    known = windows[:, :, tk.SPEED.n] > 0
+    drives = known & (np.abs(windows[:, :, tk.SPEED.mean]) > DRIVING_SPEED)
+    driven: Array = np.zeros((len(windows), ROWS + 1))
+    np.cumsum(drives, axis=1, out=driven[:, 1:])
+    simple, block, first, last, change = short_runs(mean, SAME_RATE, BLOCK_TICKS)
+    lasted = driven[block, last + 1] - driven[block, first]
+    use = lasted > 0.0
+    return _by_block(mean, simple & whole, block[use], lasted[use], change[use])
+
+
+def _by_block(
+    values: Array, simple: Flags, block: NDArray[np.int64], lasted: Array, change: Array
+) -> list[Runs | None]:
+    edges = np.searchsorted(block, np.arange(len(simple) + 1)).tolist()
+    return [
+        Runs(float(values[b, 0]), lasted[edges[b] : edges[b + 1]], change[edges[b] : edges[b + 1]])
+        if is_simple
+        else None
+        for b, is_simple in enumerate(simple.tolist())
+    ]
