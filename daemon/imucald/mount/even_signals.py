@@ -45,7 +45,7 @@ MID = slice(1, BLOCK_TICKS + 1)
 _BACK = (np.arange(ROWS) - (ROWS - 1)) * TICK_S
 
 
-class Runs(Struct, frozen=True):
+class BlockRuns(Struct, frozen=True):
     """Runs of equal values of a block, all of them short and none across its end.
 
     first: the first value. lasted: (M,) of those while driving, how long; change: (M,) after each.
@@ -70,7 +70,7 @@ class Driven(Struct, frozen=True):
     least: float
     rolls: bool
     moves: bool
-    runs: Runs | None
+    runs: BlockRuns | None
     calm: bool
 
 
@@ -93,7 +93,7 @@ class EvenBlock(Struct, frozen=True):
     driven: Driven | None
     steering: Array | None
     yaw_rate: Array | None
-    yaw_runs: Runs | None
+    yaw_runs: BlockRuns | None
     lateral: Array | None
 
 
@@ -232,7 +232,7 @@ def _driven(
     return found
 
 
-def _speed_runs(mean: Array, size: Array) -> list[Runs | None]:
+def _speed_runs(mean: Array, size: Array) -> list[BlockRuns | None]:
     """Of speeds (B, ROWS) and their sizes; also None where one is zero: wheels may turn then."""
     simple, block, first, last, change = short_runs(mean, SAME_SPEED, BLOCK_TICKS)
     simple &= size.min(axis=1) > SAME_SPEED
@@ -241,7 +241,7 @@ def _speed_runs(mean: Array, size: Array) -> list[Runs | None]:
     return _by_block(mean, simple, block[use], lasted, change[use])
 
 
-def _yaw_runs(windows: Array) -> list[Runs | None]:
+def _yaw_runs(windows: Array) -> list[BlockRuns | None]:
     """Lengths are ticks in which the vehicle drives [ticks]."""
     mean = windows[:, :, tk.YAW_RATE.mean]
     whole = _whole(windows, tk.YAW_RATE.n)
@@ -259,10 +259,12 @@ def _yaw_runs(windows: Array) -> list[Runs | None]:
 
 def _by_block(
     values: Array, simple: Flags, block: NDArray[np.int64], lasted: Array, change: Array
-) -> list[Runs | None]:
+) -> list[BlockRuns | None]:
     edges = np.searchsorted(block, np.arange(len(simple) + 1)).tolist()
     return [
-        Runs(float(values[b, 0]), lasted[edges[b] : edges[b + 1]], change[edges[b] : edges[b + 1]])
+        BlockRuns(
+            float(values[b, 0]), lasted[edges[b] : edges[b + 1]], change[edges[b] : edges[b + 1]]
+        )
         if is_simple
         else None
         for b, is_simple in enumerate(simple.tolist())
