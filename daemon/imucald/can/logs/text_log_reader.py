@@ -18,10 +18,10 @@ from imucald.core.errors import LogError
 PADDING: Final = 512
 """Bytes by which a block is longer than its text, so that runs may be read from any place."""
 
-CHUNK_FRAMES: Final = 65_536
+CHUNK_FRAMES: Final = 32_768
 """Frames gathered from blocks before they are passed on: what follows has costs per chunk."""
 
-CHUNK_BLOCKS: Final = 16
+CHUNK_BLOCKS: Final = 8
 """Blocks after which they are passed on however few they are, so that progress shows."""
 
 PIECE_LINES: Final = 64
