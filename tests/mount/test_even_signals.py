@@ -133,10 +133,10 @@ UNUSUAL: dict[str, Edit] = {
 }
 
 
-def blocks_of(rows: np.ndarray, told: list[int]) -> list[tuple[SignalBlock, dict[str, int]]]:
-    """Blocks, each with what had been counted; told: so many ticks are expected at a time."""
+def blocks_of(rows: np.ndarray, sizes: list[int]) -> list[tuple[SignalBlock, dict[str, int]]]:
+    """Blocks, each with what had been counted; sizes: so many ticks are expected at a time."""
     maker, found, k = SignalBlockMaker(full()), [], 0
-    for n in told:
+    for n in sizes:
         maker.expect(rows[k : k + n])
         for row in rows[k : k + n].tolist():
             if maker.push(row):

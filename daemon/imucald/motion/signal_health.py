@@ -153,16 +153,14 @@ class SignalHealth:
         """
         if not self._speed.take_short_runs(first, lasted, change):
             return False
-        self.stuck_now["speed"] = False
-        self.found.pop(("speed", SignalFault.STUCK), None)
+        self._note_moving("speed")
         return True
 
     def yaw_rate_moves(self, first: float, driven: Array, change: Array) -> bool:
         """The same of the yaw rate, see `StuckYawRate.take_short_runs`."""
         if not self._yaw_rate.take_short_runs(first, driven, change):
             return False
-        self.stuck_now["yaw_rate"] = False
-        self.found.pop(("yaw_rate", SignalFault.STUCK), None)
+        self._note_moving("yaw_rate")
         return True
 
     def stuck_yaw_rate(self, rows: Array, turning: Array, driving: Flags) -> Flags:
@@ -170,6 +168,10 @@ class SignalHealth:
         flags = self._yaw_rate.flags(rows, turning, driving, self._new.stop - self._new.start)
         self.stuck_now["yaw_rate"] = bool(flags[self._new].any())
         return self._note_stuck("yaw_rate", flags)
+
+    def _note_moving(self, signal: str) -> None:
+        self.stuck_now[signal] = False
+        self.found.pop((signal, SignalFault.STUCK), None)
 
     def _note_stuck(self, signal: str, flags: Flags) -> Flags:
         self.found[signal, SignalFault.STUCK] = flags

@@ -167,7 +167,7 @@ class KeepsTicks(Protocol):
     """
 
     def expect(self, ticks: NDArray[np.float64]) -> None:
-        """Be told of the ticks (n, COLUMNS) that come next: some of the work is less in one go.
+        """Look at the ticks (n, COLUMNS) that come next: some of the work is less in one go.
 
         They are still to be taken, by `step` or `keep_quiet`, unless time jumps before.
         """

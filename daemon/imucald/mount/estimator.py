@@ -124,7 +124,7 @@ class FullEstimator:
             self._estimate = None
 
     def expect(self, ticks: Array) -> None:
-        """Be told of ticks (n, COLUMNS) that come next, see `mount.estimate.KeepsTicks`."""
+        """Look at the ticks (n, COLUMNS) that come next, see `mount.estimate.KeepsTicks`."""
         self._signals.expect(ticks)
 
     def quiet_ticks(self) -> int:

@@ -103,6 +103,10 @@ class Problem:
         self._fitted[:] = [(h, x)]
         return x
 
+    def fitted_changes(self) -> dict[str, float]:
+        """What the fit within all bounds makes of the model file: key to value, without zeros."""
+        return {k: float(v) for k, v in zip(self.table.keys, self.fit(), strict=True) if v}
+
     @cached_property
     def _whole(self) -> Array:
         total = self.table.gram.sum(axis=0)

@@ -139,8 +139,7 @@ def spectra_of(problem: Problem, forwards: Sequence[Forward]) -> Mapping[str, Sp
 
     Everything within its tolerance is fitted.
     """
-    x = problem.fit()
-    changes = {k: float(v) for k, v in zip(problem.table.keys, x, strict=True) if v}
+    changes = problem.fitted_changes()
     parts: dict[str, list[Spectra]] = {}
     for f in forwards:
         masks, found = f.usable(), f.residuals(changes)

@@ -1,8 +1,9 @@
 """The course of the speed's delay over a drive: does it follow its own stamps, or step?
 
 A file states one delay, or one that grows evenly. What sends in a cycle stamps in a cycle; where
-stamps leave it, the sender may have, or the clock that stamps. The forward force tells them apart:
-summed up it is a speed that has no such stamps, and beside it a wrong stamp is a delay of as much.
+stamps leave it, the sender may have, or the clock that stamps. The forward force separates the
+two: summed up it is a speed that has no such stamps, and beside it a wrong stamp is a delay of as
+much.
 Speeds are compared as speeds, so that the column of a delay, which is the force, has none of the
 noise that stands in the comparison (see `forward`).
 """
@@ -98,7 +99,7 @@ class Followed:
 def off_cycle(t: Array) -> Array:
     """(N,) by how much stamps are late [s] beside an even cycle. t: (N,) stamps [s], rising.
 
-    Steps are whole cycles, and lost frames are no lateness.
+    Steps are whole cycles: a lost frame does not make the next one late.
     """
     steps = np.diff(t)
     if len(steps) < LEAST_SAMPLES:
@@ -213,8 +214,7 @@ def delay_course(problem: Problem, state: State) -> list[Question]:
     """
     if not all(f.has_gravity for f in state.forwards) or DELAY not in problem.table.keys:
         return []  # the road's slope is left, and is summed up
-    x = problem.fit()
-    changes = {k: float(v) for k, v in zip(problem.table.keys, x, strict=True) if v}
+    changes = problem.fitted_changes()
     drives = [pieces_of(f, changes) for f in state.forwards]
     j = problem.table.keys.index(DELAY)
     may = float(problem.table.tolerance[j] + SD_95 * problem.table.model_error[j])

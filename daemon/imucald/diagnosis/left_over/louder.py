@@ -39,8 +39,7 @@ SHAKEN = ("accel_y", "accel_z", "gyro_x", "gyro_y", "lateral_accel")
 def left_of(problem: Problem, state: State) -> Left:
     """By equation: (B,) mean speed of each segment in motion, (B, bands) rms that is left of it in
     the equation's unit, everything fitted in its box."""
-    x = problem.fit()
-    changes = {k: float(v) for k, v in zip(problem.table.keys, x, strict=True) if v}
+    changes = problem.fitted_changes()
     parts: dict[str, list[tuple[Array, Array]]] = {}
     for f in state.forwards:
         masks = f.usable()

@@ -58,9 +58,7 @@ class Stretch:
 
 def orders(problem: Problem, state: State) -> list[Question]:
     """Whether what is left of the speed goes round with a wheel."""
-    x = problem.fit()
-    changes = {k: float(v) for k, v in zip(problem.table.keys, x, strict=True) if v}
-    return asked_of(state.forwards, changes)
+    return asked_of(state.forwards, problem.fitted_changes())
 
 
 def asked_of(forwards: Sequence[Forward], changes: Mapping[str, float]) -> list[Question]:

@@ -113,8 +113,7 @@ def patterns(problem: Problem, forwards: Sequence[Forward]) -> list[Question]:
     than the zero error that a correct file may have, or later than its delay, and not owed to one
     block.
     """
-    x = problem.fit()
-    changes = {k: float(v) for k, v in zip(problem.table.keys, x, strict=True) if v}
+    changes = problem.fitted_changes()
     parts: dict[str, list[ShapeRows]] = {}
     for f in forwards:
         for name, rows in _of_drive(f, changes, problem.table.top_hz):
