@@ -11,10 +11,10 @@ from collections.abc import Mapping
 import numpy as np
 
 from benchmarks.diagnosis.outside_effects import accelerometer, gyroscope, speed, transport
-from benchmarks.diagnosis.outside_effects.history import NOT_RUN
+from benchmarks.diagnosis.outside_effects.history import NOT_RUN, OF_BAR
 from benchmarks.diagnosis.real_effects import Put
 
-__all__ = ["NOT_RUN", "OUTSIDE"]
+__all__ = ["NOT_RUN", "OF_BAR", "OUTSIDE"]
 
 OUTSIDE: Mapping[str, tuple[Put, float, str]] = {
     "shaking": (accelerometer.shaking, 0.3, "accel"),

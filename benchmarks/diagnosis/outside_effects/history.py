@@ -96,3 +96,6 @@ FIRST_DRAW: Mapping[str, int | None] = {x: b.first_draw for b in BATCHES for x i
 """Effect to the draw of the judge that ran it first."""
 NOT_RUN = LAST.effects
 """Not run before the judge of their first draw. Those of the batch before have run in draw 29."""
+OF_BAR = BATCHES[-2].effects + NOT_RUN
+"""What the bar of new effects is asked of: as many that were looked at since their judge as such
+that nobody has run."""
