@@ -47,7 +47,8 @@ def test_overlapping_windows_keep_the_power_of_a_signal():
     assert total == pytest.approx(float((used**2).sum()), rel=0.02)
 
 
-def test_products_turn_like_the_signals():
+@pytest.mark.parametrize("without_speed", [False, True])
+def test_products_turn_like_the_signals(without_speed):
     rng = np.random.default_rng(4)
     R = rotation_from_angles(0.3, -0.2, 1.1)
     s = rng.standard_normal((sp.BINS, sp.MEASURED)) + 1j * rng.standard_normal(
@@ -56,8 +57,10 @@ def test_products_turn_like_the_signals():
     turned = s.copy()
     for first in (0, 5, 8):
         turned[:, first : first + 3] = s[:, first : first + 3] @ R.T
-    here = sp.in_vehicle_axes(sp.band_products(s, 0.1, 0.0)[None], R)
-    there = sp.in_vehicle_axes(sp.band_products(turned, 0.1, 0.0)[None], np.eye(3))
+    here = sp.in_vehicle_axes(sp.band_products(s, 0.1, 0.0)[:, None], R, without_speed)
+    there = sp.in_vehicle_axes(
+        sp.band_products(turned, 0.1, 0.0)[:, None], np.eye(3), without_speed
+    )
     assert np.allclose(here, there)
 
 
@@ -155,7 +158,7 @@ def test_what_a_turned_window_leaves_over_is_noise_once_its_angle_is_taken_off(a
     signals[:, :3] = force - np.cross(error, force) + 0.01 * rng.standard_normal((sp.WINDOW, 3))
     put_motion(signals, a, v)
     s = sp.spectra(signals, np.ones(sp.WINDOW, dtype=bool))
-    P = sp.in_vehicle_axes(sp.band_products(s, 0.0, 0.0)[None], np.eye(3))
+    P = sp.in_vehicle_axes(sp.band_products(s, 0.0, 0.0)[:, None], np.eye(3))
     gains = np.zeros((len(GAINS), sp.BANDS))
     gains[:2] = 1.0
     left = left_over(P, gains)

@@ -91,7 +91,7 @@ class ResponseEvidence:
     """Windows of products, their fit for a given R, and the sums of those gone by."""
 
     def __init__(self) -> None:
-        self._products = np.zeros((KEPT, BANDS, PRODUCTS))
+        self._products = np.zeros((PRODUCTS, KEPT, BANDS))
         self._spectra = np.zeros((KEPT, BINS, MEASURED), dtype=np.complex128)
         self._block_number = np.zeros(KEPT, dtype=np.int64)
         self._n = self._scored = 0
@@ -140,7 +140,7 @@ class ResponseEvidence:
             self._fold()
         k = self._n
         self._spectra[k] = s
-        self._products[k] = sp.band_products(s, *self.delays)
+        self._products[:, k] = sp.band_products(s, *self.delays)
         self._block_number[k] = self.blocks
         self._n += 1
 
@@ -158,7 +158,7 @@ class ResponseEvidence:
         """Form the kept windows' products afresh with other delays [s]."""
         self.delays = (speed, turn)
         for i in range(self._n):
-            self._products[i] = sp.band_products(self._spectra[i], speed, turn)
+            self._products[:, i] = sp.band_products(self._spectra[i], speed, turn)
         self._scored = 0
 
     def forget_sums(self) -> None:
@@ -167,7 +167,7 @@ class ResponseEvidence:
 
     def direction_sums(self) -> tuple[Array, Array, float, float]:
         """Sums over windows and bands: response to A (3,), to V (3,), power of A, of V."""
-        p = self._products[: self._n].sum(axis=(0, 1))
+        p = self._products[:, : self._n].sum(axis=(1, 2))
         to_a = np.array([p[sp.place(i, Measured.DVDT)] for i in range(3)])
         to_v = np.array([p[sp.place(i, Measured.LATERAL)] for i in range(3)])
         return (
@@ -183,7 +183,7 @@ class ResponseEvidence:
         The principal axis of the level force, what turning explains taken off; forward is where
         the force to the left goes with turning to the left. The sign's sureness is a correlation.
         """
-        p = self._products[: self._n].sum(axis=(0, 1))
+        p = self._products[:, : self._n].sum(axis=(1, 2))
         C = np.array([[p[sp.place(i, j)] for j in range(3)] for i in range(3)])
         C = level @ C @ level.T
         to_v = level @ np.array([p[sp.place(i, Measured.LATERAL)] for i in range(3)])
@@ -245,7 +245,8 @@ class ResponseEvidence:
             self._old_score = np.add.reduceat(self._old_score, half, axis=1)
             self._old_normal = np.add.reduceat(self._old_normal, half, axis=1)
         left = self._n - cut
-        for kept in (self._products, self._spectra, self._block_number):
+        self._products[:, :left] = self._products[:, cut : self._n].copy()
+        for kept in (self._spectra, self._block_number):
             kept[:left] = kept[cut : self._n].copy()
         self._score[:, :left] = self._score[:, cut : self._n].copy()
         self._normal[:, :left] = self._normal[:, cut : self._n].copy()
@@ -255,7 +256,7 @@ class ResponseEvidence:
     def _weigh(self, R: Matrix3) -> None:
         """Score the windows that are not scored yet; all of them also renew levels and gains."""
         first = self._scored
-        P = sp.in_vehicle_axes(self._products[first : self._n], R, self.without_speed)
+        P = sp.in_vehicle_axes(self._products[:, first : self._n], R, self.without_speed)
         weight = self._weights(self._left_over(P))
         if first == 0:
             self.gains = renewed_gains(P, weight)

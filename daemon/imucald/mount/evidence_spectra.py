@@ -10,7 +10,8 @@ from __future__ import annotations
 
 import enum
 import math
-from functools import lru_cache
+from collections import defaultdict
+from functools import cache, lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,6 +22,7 @@ from imucald.mount.signal_blocks import BLOCK_TICKS
 
 Array = NDArray[np.float64]
 Spectra = NDArray[np.complex128]
+Index = NDArray[np.int64]
 
 WINDOW = 256
 """Ticks per window; with BLOCK_TICKS = 64 a quarter of it."""
@@ -219,7 +221,7 @@ PRODUCTS = len(_NEEDED)
 _PLACE = {int(k): i for i, k in enumerate(_NEEDED)}
 
 
-def _pair_map(R_vehicle_from_sensor: Matrix3, without_speed: bool) -> Array:
+def _coefficients(R_vehicle_from_sensor: Matrix3, without_speed: bool) -> Array:
     """Matrix (len(PAIRS), PRODUCTS): products in vehicle axes from those of the signals."""
     turn = _turning(R_vehicle_from_sensor, without_speed)
     left = turn.take(_NEEDED_LEFT, axis=1)
@@ -227,6 +229,28 @@ def _pair_map(R_vehicle_from_sensor: Matrix3, without_speed: bool) -> Array:
     out: Array = left.take(_LEFT_OF, axis=0)
     out *= right.take(_RIGHT_OF, axis=0)
     return out
+
+
+@cache
+def _groups(without_speed: bool) -> tuple[tuple[Index, Index], ...]:
+    """Rows (g, r) of the coefficients and their columns (g, c): all that are not 0, which are 2 %.
+
+    Rows with the same columns are a group, and groups of one size are stacked. A group with fewer
+    rows than others repeats its last one.
+    """
+    is_used = _coefficients(np.ones((3, 3)), without_speed) != 0.0
+    rows_of: dict[tuple[int, ...], list[int]] = defaultdict(list)
+    for row, used in enumerate(is_used):
+        rows_of[tuple(np.flatnonzero(used).tolist())].append(row)
+    sizes: dict[int, list[tuple[list[int], tuple[int, ...]]]] = defaultdict(list)
+    for columns, rows in rows_of.items():
+        sizes[len(columns)].append((rows, columns))
+    made = []
+    for stack in sizes.values():
+        most = max(len(rows) for rows, _ in stack)
+        padded = [rows + rows[-1:] * (most - len(rows)) for rows, _ in stack]
+        made.append((np.array(padded), np.array([columns for _, columns in stack])))
+    return tuple(made)
 
 
 def place(i: int, j: int) -> int:
@@ -241,7 +265,7 @@ def _shifted(tau: float) -> Spectra:
 
 
 def band_products(s: Spectra, tau_speed: float, tau_turn: float) -> Array:
-    """Products (BANDS, PRODUCTS) of spectra (BINS, MEASURED), those that are needed.
+    """Products (PRODUCTS, BANDS) of spectra (BINS, MEASURED), those that are needed.
 
     tau: delay of the speed and of the yaw rate against the force [s].
     """
@@ -259,14 +283,20 @@ def band_products(s: Spectra, tau_speed: float, tau_turn: float) -> Array:
     for k in range(BANDS):
         part = both[2 * (BAND_EDGES[k] - FIRST_BIN) : 2 * (BAND_EDGES[k + 1] - FIRST_BIN)]
         np.matmul(part.T, part, out=every[k])
-    return every.reshape(BANDS, -1).take(_NEEDED, axis=1)
+    return every.reshape(BANDS, -1).take(_NEEDED, axis=1).T
 
 
 def in_vehicle_axes(
     products: Array, R_vehicle_from_sensor: Matrix3, without_speed: bool = False
 ) -> Array:
-    """Turn products (n, BANDS, PRODUCTS) into vehicle axes: (len(PAIRS), n, BANDS)."""
-    matrix = _pair_map(R_vehicle_from_sensor, without_speed)
-    n = len(products)
-    out: Array = (matrix @ products.reshape(n * BANDS, PRODUCTS).T).reshape(-1, n, BANDS)
-    return out
+    """Turn products (PRODUCTS, n, BANDS) into vehicle axes: (len(PAIRS), n, BANDS)."""
+    coefficients = _coefficients(R_vehicle_from_sensor, without_speed)
+    _, n, bands = products.shape
+    out = np.empty((len(PAIRS), n * bands))
+    for rows, columns in _groups(without_speed):
+        some = products.take(columns, axis=0).reshape(*columns.shape, n * bands)
+        if columns.shape[1] == 1:
+            out[rows] = some  # as they come
+        else:
+            out[rows] = coefficients[rows[:, :, None], columns[:, None, :]] @ some
+    return out.reshape(-1, n, bands)
