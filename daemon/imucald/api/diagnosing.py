@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from imucald import __version__
+from imucald.api.blas_threads import on_one_thread
 from imucald.api.configuration import Configuration, PathLike
 from imucald.api.html import html_table
 from imucald.api.logs import pieces
@@ -132,6 +133,7 @@ def diagnose(
     return diagnosis_of(config, names, recordings, vehicle, time_limit_s, progress)
 
 
+@on_one_thread
 def diagnosis_of(
     config: Configuration,
     logs: Sequence[str],

@@ -7,6 +7,7 @@ from collections.abc import Callable, Sequence
 from typing import BinaryIO, Literal, overload
 
 from imucald.api.between_drives import notes_between
+from imucald.api.blas_threads import on_one_thread
 from imucald.api.configuration import Configuration
 from imucald.api.drive import DriveResult
 from imucald.api.drives import DriveSet
@@ -85,6 +86,7 @@ def replay(
     return DriveSet(drives, notes_between(drives))
 
 
+@on_one_thread
 def _replayed(
     config: Configuration,
     logs: Sequence[LogSource],
