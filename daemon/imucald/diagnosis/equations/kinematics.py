@@ -6,11 +6,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from imucald.core.samples import GRAVITY
-from imucald.diagnosis.equations.single_track import slip_delay
+from imucald.diagnosis.equations.single_track import Complex, slip_delay
 from imucald.diagnosis.signals import STEP_S, Array
 from imucald.model.vehicle import Chassis
 
-Complex = NDArray[np.complex128]
 SMOOTH_STEPS = 5
 """What comes of the speed's slopes, and the road's lean, are smoothed over so many steps."""
 SMOOTHER = np.ones(SMOOTH_STEPS) / SMOOTH_STEPS

@@ -19,11 +19,11 @@ import numpy as np
 from imucald.core.samples import GRAVITY
 from imucald.diagnosis.cause_keys import Changes, age, along_vehicle, rear_slip
 from imucald.diagnosis.equations import kinematics
-from imucald.diagnosis.equations.kinematics import Complex
 from imucald.diagnosis.equations.once import Once
 from imucald.diagnosis.equations.reading import Reader, Reference
-from imucald.diagnosis.equations.single_track import SLOW_MPS, followed_angle
+from imucald.diagnosis.equations.single_track import SLOW_MPS, Complex, followed_angle
 from imucald.diagnosis.signals import STEP_S, Array
+from imucald.model.vehicle import Chassis
 
 NONE: Mapping[str, Array] = {}
 
@@ -47,6 +47,7 @@ class VehicleMotion:
         driven = changes.get("_speed.driven_slip", 0.0)
         self.v = once(kinematics.speed, reader.t, self.knots, drive.knots.values, scale)
         self.settled = reference = reader.reference if by_inertia else None
+        self.is_column = reference is not None or bool(added)
         self.force = reader.triad("accel", changes, reference.force if reference else None)
         self.rate = reader.triad("gyro", changes) if drive.has("gyro") else None
         if "speed" in added:
@@ -146,7 +147,7 @@ class VehicleMotion:
             tilt["accel_x"] = self._two(-GRAVITY * self.as_speed_sees(one), 0.0 * one)
         else:
             u, turned = self._gravity()
-            if self.settled is None:
+            if not self.is_column:
                 parts = (turned.real, -turned.imag)
                 tilt["accel_x"] = self._two(*(self.as_speed_sees(-GRAVITY * z) for z in parts))
         along = self.once(kinematics.along, self.force, self.r, self.v_y, u)
@@ -171,7 +172,7 @@ class VehicleMotion:
             tilt["accel_y"] = self._two(0.0 * one, -GRAVITY * one)
         else:
             u, turned = self._gravity()
-            if self.settled is None:
+            if not self.is_column:
                 tilt["accel_y"] = self._two(-GRAVITY * turned.imag, -GRAVITY * turned.real)
         found["accel_y"] = self.once(kinematics.across, self.force, self.v, self.r, self.v_y, u)
 
@@ -255,12 +256,15 @@ class VehicleMotion:
         ratio = c.steering_ratio + self.changes.get("chassis.steering_ratio", 0.0)
         gradient = c.understeer_gradient + self.changes.get("chassis.understeer_gradient", 0.0)
         steer = self._scalar("steering")
-        steer = once(followed_angle, steer, once(np.abs, self.v), c, gradient)
+        steer = once(self._followed, steer, once(np.abs, self.v), c, gradient)
         varying = self.changes.get("_steering.variable_ratio", 0.0)
         leaning = once(kinematics.slow, self._leaning())
         return once(
             kinematics.single_track, self.v, steer, leaning, ratio, gradient, varying, c.wheelbase_m
         )
+
+    def _followed(self, steer: Array, speed: Array, chassis: Chassis, gradient: float) -> Array:
+        return followed_angle(steer, speed, chassis, gradient, self.once)
 
     def _leaning(self) -> Array:
         """Sideways force that the road's lean brings [m/s^2].
