@@ -23,6 +23,7 @@ from imucald.diagnosis.equations.forward import STOPPING_MPS2, Forward
 from imucald.diagnosis.fit.blocks import (
     TILTED,
     Rows,
+    Table,
     cosine,
     joined,
     noise_weights,
@@ -117,14 +118,14 @@ def pairs(problem: Problem, state: State) -> list[Question]:
     fitted = np.tile(problem.fit(), (sum(f.blocks for f in state.forwards), 1))
     # What was named and has no place in the model file is another in each segment.
     fitted[table.number] = -what_leaves(problem, drift_of(problem, state))[:, 1:]
-    return asked_of(state.forwards, state.model, table.keys, table.top_hz, fitted, table.plausible)
+    return asked_of(state.forwards, state.model, table, fitted)
 
 
 def asked_of(
-    forwards: Sequence[Forward], model: VehicleModel, keys: Sequence[str],
-    top_hz: Mapping[str, float], x: Array, plausible: Array,
-) -> list[Question]:  # fmt: skip
-    """Of drives beside a model file. x: (B, P) departures that fit their segments, by keys."""
+    forwards: Sequence[Forward], model: VehicleModel, table: Table, x: Array
+) -> list[Question]:
+    """Of drives beside a model file, whose table this is. x: (all blocks, P) departures that fit
+    their segments."""
     if not all(f.has_gravity for f in forwards):
         return []  # the road's slope is left, and goes with anything
     some = [conditions(f) for f in forwards]
@@ -136,15 +137,18 @@ def asked_of(
         if all(name in each for each in some) and _can_be_asked(error, name)
     ]
     parts: dict[str, list[tuple[Rows, Array]]] = {}
+    at = 0
     for f, own in zip(forwards, some, strict=True):
-        rows = rows_of(f, model, keys, top_hz)
+        known = {name: X[at : at + f.blocks] for name, X in table.columns.items()}
+        at += f.blocks
+        rows = rows_of(f, model, table.keys, table.top_hz, known)
         columns = _columns(f, rows, model, asked, own)
         f.forget()
         for name, r in rows.items():
             parts.setdefault(name, []).append((r, columns[name]))
     if not asked or sum(f.blocks for f in forwards) < LEAST_BLOCKS:
         return []
-    prior = np.diag(PRIOR / np.maximum(np.abs(plausible).max(axis=1), 1e-12) ** 2)
+    prior = np.diag(PRIOR / np.maximum(np.abs(table.plausible).max(axis=1), 1e-12) ** 2)
     return list(_questions(asked, *_scores(parts, x, prior), model))
 
 
