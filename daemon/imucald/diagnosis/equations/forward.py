@@ -115,10 +115,10 @@ class Forward(Reader):
     def measured(self) -> dict[str, Array]:
         """What each equation's sensor says, with the model file's errors taken off."""
         m = VehicleMotion(self, {}, False)
-        found = {f"accel_{axis}": m.force[:, i] for i, axis in enumerate("xyz")}
-        found["accel_x"] = m.as_speed_sees(m.force[:, 0])
+        found = {f"accel_{axis}": x for axis, x in zip("xyz", m.force, strict=True)}
+        found["accel_x"] = m.as_speed_sees(m.force[0])
         if m.rate is not None:
-            found |= {f"gyro_{axis}": m.rate[:, i] for i, axis in enumerate("xyz")}
+            found |= {f"gyro_{axis}": x for axis, x in zip("xyz", m.rate, strict=True)}
         if self.has_turning:
             found["yaw_rate"] = m.yaw_rate()
         for name in ("lateral_accel", "longitudinal_accel"):
@@ -130,8 +130,8 @@ class Forward(Reader):
     def levels(self) -> Array:
         """(B, 2) mean of u over each block as the forces show it, without the gyroscope's carry."""
         motion = VehicleMotion(self, {}, False)
-        x = motion.force[:, 0] + motion.r * motion.v_y - motion.held(motion.slopes)
-        y = motion.force[:, 1] - motion.v * motion.r - slope(motion.v_y)
+        x = motion.force[0] + motion.r * motion.v_y - motion.held(motion.slopes)
+        y = motion.force[1] - motion.v * motion.r - slope(motion.v_y)
         means = [self._blocks(part).mean(axis=1) / GRAVITY for part in (x, y)]
         return np.column_stack(means)
 
