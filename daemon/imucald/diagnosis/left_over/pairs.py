@@ -234,19 +234,15 @@ def _scores(
     groups = [*([tilted] if tilted else []), *([n] for n in parts if n not in tilted)]
     rows = [_whitened([parts[n] for n in group], x) for group in groups]
     P = x.shape[1]
-    heads = [np.concatenate([a[:, :, : P + 1] for a in each], axis=1) for each, _ in rows]
-    H = prior + sum(np.einsum("bki,bkj->ij", a[:, :, 1:], a[:, :, 1:]) for a in heads)
-    mixed = sum(
-        np.einsum("bki,bke->ie", a[:, :, 1 : P + 1], a[:, :, P + 1 :], optimize=True)
-        for each, _ in rows for a in each
-    )  # fmt: skip
-    w = np.linalg.pinv(H, hermitian=True) @ np.asarray(mixed)
+    flat = [a.reshape(-1, a.shape[2])[:, 1:] for each, _ in rows for a in each]
+    inner = np.asarray(sum(a[:, :P].T @ a for a in flat))
+    w = np.linalg.pinv(prior + inner[:, :P], hermitian=True) @ inner[:, P:]
     u = h = whole = np.zeros(1)
     for each, _ in rows:
         for a in each:
-            left = a[:, :, 0] - np.einsum("bkp,bp->bk", a[:, :, 1 : P + 1], x)
-            own = a[:, :, P + 1 :] - a[:, :, 1 : P + 1] @ w
-            u = u + _by_part(left[:, :, None], own)
+            left = _in_time(a[:, :, :1] - a[:, :, 1 : P + 1] @ x[:, :, None])
+            own = _in_time(a[:, :, P + 1 :] - a[:, :, 1 : P + 1] @ w)
+            u = u + _by_part(left, own)
             h = h + _by_part(own, own)
             whole = whole + np.sum(a[:, :, P + 1 :] ** 2, axis=(0, 1))
     is_own = h.sum(axis=(0, 1)) > OWN_SHARE * whole
@@ -279,12 +275,16 @@ def _apart(some: Sequence[Array], tilts: Sequence[Array | None]) -> list[Array]:
     return np.split(without_tilt(A, Z), np.cumsum([a.shape[1] for a in some])[:-1], axis=1)
 
 
-def _by_part(a: Array, b: Array) -> Array:
-    """(B, PARTS, E) sums of products of two rows of coefficients, by time within each block."""
+def _in_time(a: Array) -> Array:
+    """(B, n, E) of coefficients (B, K, E), n a multiple of `PARTS`."""
     n = -(-a.shape[1] // PARTS) * PARTS
-    first, second = (idct(x, type=2, axis=1, norm="ortho", n=n) for x in (a, b))
-    product = first * second
-    return np.asarray(product.reshape(len(a), PARTS, n // PARTS, -1).sum(axis=2))
+    return np.asarray(idct(a, type=2, axis=1, norm="ortho", n=n))
+
+
+def _by_part(a: Array, b: Array) -> Array:
+    """(B, PARTS, E) sums of products of two, by time within each block."""
+    product = a * b
+    return np.asarray(product.reshape(len(a), PARTS, a.shape[1] // PARTS, -1).sum(axis=2))
 
 
 # questions ---------------------------------------------------------------------------------------
