@@ -91,7 +91,7 @@ class Ideal:
         for columns in (nothing, *[X] * PASSES):
             left = {n: self._without(n, y[n], columns[n]) for n in y}
             self.weights = {n: noise_weights(left[n], self.good[n]) for n in y}
-        self.y, self.X = y, X
+        self.X, self.left = X, {n: self._without(n, y[n], X[n]) for n in y}
 
     def of(self, changed: Samples) -> list[Seen]:
         """By equation, the clearest first. changed: the piece with an effect."""
@@ -100,8 +100,7 @@ class Ideal:
         made = []
         for n, x in self.base.items():
             d = self._without(n, self._cosine(n, new[n] - x), self.X[n])
-            r = self._without(n, self.y[n], self.X[n])
-            d, r = d * self.weights[n], r * self.weights[n]
+            d, r = d * self.weights[n], self.left[n] * self.weights[n]
             own = np.sum(d * d, axis=1)
             chance = np.sum((d * r).sum(axis=1) ** 2)
             size = float(own.sum() / np.sqrt(max(own.sum(), chance))) if own.any() else 0.0

@@ -25,7 +25,7 @@ from imucald.core.errors import EstimateError
 from imucald.core.samples import Samples
 from imucald.diagnosis.cause_keys import mount_of, value
 from imucald.diagnosis.causes import PARAMETERS
-from imucald.diagnosis.diagnose import diagnose
+from imucald.diagnosis.diagnose import diagnose, rms_beside
 from imucald.diagnosis.recording import read_samples
 from imucald.diagnosis.result import Diagnosis
 from imucald.model.model import VehicleModel, load_model, model_from_mapping
@@ -273,11 +273,11 @@ def _implausible(d: Diagnosis) -> list[str]:
 def _file_alone(d: Diagnosis, samples: Samples) -> dict[str, list[float]]:
     """By signal: rms that the page says *after*, and that of the written file put to the test."""
     try:
-        again = diagnose([samples], d.model_after, limit_s=0.0)
+        again = rms_beside([samples], d.model_after)
     except EstimateError:
         return {}
     return {
-        name: [s.rms_before, s.rms_after, again.signals[name].rms_before]
+        name: [s.rms_before, s.rms_after, again[name]]
         for name, s in d.signals.items()
-        if name in again.signals
+        if name in again
     }

@@ -47,7 +47,8 @@ def test_a_column_is_the_same_whether_anything_was_evaluated_before_it_or_not():
     model, signals = model_from_mapping(dict(drive.model), "baseline"), drive_of(drive.samples)
     used = Forward(signals, model, 200)
     base, masks = used.residuals({}), used.usable()
-    tilt, share = used.tilts(base, masks), used.inertial_share(base, masks, 0.4)
+    tilt = used.tilts(base, masks)
+    share = used.inertial_share(base, masks, 0.4, tilt)
     used.settle(tilt, share)
     settled, moved = used.residuals({}, by_inertia=True), 0
     for key, row in PARAMETERS.items():

@@ -13,7 +13,15 @@ from imucald.diagnosis.cause_keys import mount_of
 from imucald.diagnosis.equations.forward import Forward
 from imucald.diagnosis.fit.chance import beyond_chance
 from imucald.diagnosis.left_over.conditions import SPEEDS, TO_ONE_SIDE, conditions
-from imucald.diagnosis.left_over.pairs import ERRORS, _by_part, _can_be_asked, _test, may_be, pairs
+from imucald.diagnosis.left_over.pairs import (
+    ERRORS,
+    _by_part,
+    _can_be_asked,
+    _in_time,
+    _test,
+    may_be,
+    pairs,
+)
 from imucald.diagnosis.result import GOES_WITH_ANOTHER
 from imucald.diagnosis.search.state import State
 from imucald.diagnosis.signals import drive_of
@@ -131,7 +139,7 @@ def test_tyres_make_delays_of_turning_that_go_with_the_speed():
 
 def test_parts_of_a_segment_add_up_to_it():
     a, b = np.random.default_rng(1).standard_normal((2, 5, 10, 3))
-    assert _by_part(a, b).sum(axis=1) == pytest.approx((a * b).sum(axis=1))
+    assert _by_part(_in_time(a), _in_time(b)).sum(axis=1) == pytest.approx((a * b).sum(axis=1))
 
 
 @pytest.mark.parametrize("lasting", [False, True])

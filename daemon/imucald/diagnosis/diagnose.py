@@ -86,25 +86,11 @@ def diagnose(
     minutes of them. limit_s: processor time after which what was found so far is reported.
     Raises EstimateError where nothing can be diagnosed.
     """
-    if not drives:
-        raise EstimateError("diagnosis needs at least one drive")
-    for samples in drives:
-        require(samples)
     report = progress or _silent
     until = time.process_time() + limit_s
     late = _Late(until)
-    report(0.02, "samples and time stamps")
-    lost = [all_lost(samples) for samples in drives]
-    faults, model_now = _faults(drives, model, lost)
-    report(0.08, "stops")
-    bad = [invalid_spans(*each) for each in zip(faults, drives, lost, strict=True)]
-    parts = [drive_of(s, b) for s, b in zip(drives, bad, strict=True)]
-    rest = rest_of(parts, model_now, len(GYRO_BIAS))
-    state = _started(parts, model_now, rest)
-    report(0.12, "forward model and residuals")
-    first = state.evaluated()
-    before, forwards_before = first.table, state.forwards
-    _refuse_short(before)
+    lost, faults, parts, rest, state = _begun(drives, model, report)
+    before, forwards_before = state.evaluated().table, state.forwards
     steps = [0.15]
 
     def tick(text: str) -> None:
@@ -154,6 +140,35 @@ def diagnose(
         recommended=_is_recommended(causes, gain, left, changes),
         complete=not late.was,
     )
+
+
+def rms_beside(drives: Sequence[Samples], model: VehicleModel) -> dict[str, float]:
+    """By signal: what a model file leaves of it [its unit], as `SignalGain.rms_before` has it;
+    nothing is looked for. Raises as `diagnose` does."""
+    table = _begun(drives, model, _silent)[-1].evaluated().table
+    return {name: rms for name in table.plain if (rms := table.rms(name))}
+
+
+def _begun(
+    drives: Sequence[Samples], model: VehicleModel, report: Progress
+) -> tuple[list[dict[str, Lost]], list[list[Fault]], list[DriveSignals], Rest | None, State]:
+    """All that comes before the search: lost readings and faults of each drive, its signals, what
+    stops show, and the drives beside the model file."""
+    if not drives:
+        raise EstimateError("diagnosis needs at least one drive")
+    for samples in drives:
+        require(samples)
+    report(0.02, "samples and time stamps")
+    lost = [all_lost(samples) for samples in drives]
+    faults, model_now = _faults(drives, model, lost)
+    report(0.08, "stops")
+    bad = [invalid_spans(*each) for each in zip(faults, drives, lost, strict=True)]
+    parts = [drive_of(s, b) for s, b in zip(drives, bad, strict=True)]
+    rest = rest_of(parts, model_now, len(GYRO_BIAS))
+    state = _started(parts, model_now, rest)
+    report(0.12, "forward model and residuals")
+    _refuse_short(state.evaluated().table)
+    return lost, faults, parts, rest, state
 
 
 def _is_recommended(

@@ -73,16 +73,18 @@ class Forward(Reader):
         (B,) share of the accelerometer in the slope of the speed."""
         self.reference = VehicleMotion(self, {}, False).reference(tilt, inertial)
 
-    def inertial_share(self, base: Residuals, masks: Mapping[str, Mask], top_hz: float) -> Array:
+    def inertial_share(
+        self, base: Residuals, masks: Mapping[str, Mask], top_hz: float, tilt: Array
+    ) -> Array:
         """(B,) share of the accelerometer in the best slope of the speed: its variance is that of
         the speed's own noise over that of what both leave of each other up to a frequency.
 
         The best mean of two measurements is the one that does not go with their difference, which
-        is what stands in the equation.
+        is what stands in the equation. tilt: (B, 2) of each block, by `tilts`.
         """
         if "accel_x" not in base.of or self.rows < 1:
             return np.ones(self.blocks)
-        left = np.where(masks["accel_x"], self.level(base, masks)["accel_x"], 0.0)
+        left = np.where(masks["accel_x"], _without(base, tilt)["accel_x"], 0.0)
         count = max(1, int(2.0 * self.rows * STEP_S * top_hz))
         power = (dct(left, type=2, axis=1, norm="ortho")[:, :count] ** 2).sum(axis=1) / self.rows
         noise = _slope_noise(self.drive.knots, top_hz)
@@ -104,10 +106,7 @@ class Forward(Reader):
 
     def level(self, found: Residuals, masks: Mapping[str, Mask]) -> dict[str, Array]:
         """Residuals (B, n) with the tilt of each block taken off."""
-        tilt, made = self.tilts(found, masks), dict(found.of)
-        for name, (first, second) in found.tilt.items():
-            made[name] = made[name] - tilt[:, :1] * first - tilt[:, 1:] * second
-        return made
+        return _without(found, self.tilts(found, masks))
 
     def yaw_rate(self) -> Array:
         """(N,) yaw rate of the vehicle that the equations use [rad/s]."""
@@ -116,10 +115,10 @@ class Forward(Reader):
     def measured(self) -> dict[str, Array]:
         """What each equation's sensor says, with the model file's errors taken off."""
         m = VehicleMotion(self, {}, False)
-        found = {f"accel_{axis}": m.force[:, i] for i, axis in enumerate("xyz")}
-        found["accel_x"] = m.as_speed_sees(m.force[:, 0])
+        found = {f"accel_{axis}": x for axis, x in zip("xyz", m.force, strict=True)}
+        found["accel_x"] = m.as_speed_sees(m.force[0])
         if m.rate is not None:
-            found |= {f"gyro_{axis}": m.rate[:, i] for i, axis in enumerate("xyz")}
+            found |= {f"gyro_{axis}": x for axis, x in zip("xyz", m.rate, strict=True)}
         if self.has_turning:
             found["yaw_rate"] = m.yaw_rate()
         for name in ("lateral_accel", "longitudinal_accel"):
@@ -131,8 +130,8 @@ class Forward(Reader):
     def levels(self) -> Array:
         """(B, 2) mean of u over each block as the forces show it, without the gyroscope's carry."""
         motion = VehicleMotion(self, {}, False)
-        x = motion.force[:, 0] + motion.r * motion.v_y - motion.held(motion.slopes)
-        y = motion.force[:, 1] - motion.v * motion.r - slope(motion.v_y)
+        x = motion.force[0] + motion.r * motion.v_y - motion.held(motion.slopes)
+        y = motion.force[1] - motion.v * motion.r - slope(motion.v_y)
         means = [self._blocks(part).mean(axis=1) / GRAVITY for part in (x, y)]
         return np.column_stack(means)
 
@@ -196,6 +195,13 @@ class Forward(Reader):
         for a, b in zip(first, last, strict=True):
             hit[a:b] = True
         return hit
+
+
+def _without(found: Residuals, tilt: Array) -> dict[str, Array]:
+    made = dict(found.of)
+    for name, (first, second) in found.tilt.items():
+        made[name] = made[name] - tilt[:, :1] * first - tilt[:, 1:] * second
+    return made
 
 
 def _slope_noise(knots: Channel, top_hz: float) -> float:

@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
 from imucald.core.samples import GRAVITY
-from imucald.diagnosis.equations.single_track import slip_delay
+from imucald.diagnosis.equations.single_track import Complex, slip_delay
 from imucald.diagnosis.signals import STEP_S, Array
 from imucald.model.vehicle import Chassis
 
-Complex = NDArray[np.complex128]
+Axes = tuple[Array, Array, Array]
+"""(N,) along each of the vehicle's axes."""
 SMOOTH_STEPS = 5
 """What comes of the speed's slopes, and the road's lean, are smoothed over so many steps."""
 SMOOTHER = np.ones(SMOOTH_STEPS) / SMOOTH_STEPS
@@ -36,14 +39,17 @@ def mean_slope(x: Array, t: Array) -> Array:
     return np.asarray(np.diff(x) / np.diff(t))
 
 
-def slopes(x: Array) -> Array:
-    """`slope` of each axis of x (N, 3)."""
-    return np.column_stack([slope(c) for c in x.T])
+def of_lever(x: Array, y: Array, z: Array, lever: tuple[float, float, float]) -> Axes:
+    """Acceleration of a point at `lever` against the reference, by the rates of turning about x, y
+    and z: w' x l + w x (w x l)."""
+    w = x, y, z
+    turning = _cross((slope(x), slope(y), slope(z)), lever)
+    round_it = _cross(w, _cross(w, lever))
+    return turning[0] + round_it[0], turning[1] + round_it[1], turning[2] + round_it[2]
 
 
-def at_reference(force: Array, w: Array, turning: Array, lever: tuple[float, ...]) -> Array:
-    """Less the acceleration of a point at `lever` against it: w' x l + w x (w x l)."""
-    return np.asarray(force - (np.cross(turning, lever) + np.cross(w, np.cross(w, lever))))
+def _cross(a: Axes, b: Axes | tuple[float, float, float]) -> Axes:
+    return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
 
 
 def sideways(v: Array, r: Array, t: Array, kappa: float, chassis: Chassis) -> Array:
@@ -64,17 +70,22 @@ def step_of(knots: Array, t: Array) -> NDArray[np.int64]:
     return np.clip(np.searchsorted(knots, t) - 1, 0, len(knots) - 2)
 
 
-def carried(rate: Array, rows: int) -> tuple[Complex, Complex]:
-    """u with z0 = 0, and e^(-i psi) by which z0 counts; (N,), by blocks of so many rows."""
-    p, q, r = (rate[:, i].reshape(-1, rows) for i in range(3))
-    psi = from_middle(r)
-    turned = np.exp(1j * psi)
-    return (from_middle(turned * (-q + 1j * p)) / turned).ravel(), (1.0 / turned).ravel()
+def turned(r: Array, rows: int) -> tuple[Complex, Complex]:
+    """e^(i psi) (B, n) by blocks of so many rows, and e^(-i psi) (N,), by which z0 counts."""
+    made: Complex = np.exp(1j * from_middle(r.reshape(-1, rows)))
+    back: Complex = np.divide(1.0, made)
+    return made, back.ravel()
+
+
+def carried(p: Array, q: Array, turned: Complex) -> Complex:
+    """(N,) u with z0 = 0."""
+    p, q = p.reshape(turned.shape), q.reshape(turned.shape)
+    return np.asarray((from_middle(turned * (-q + 1j * p)) / turned).ravel())
 
 
 def along(force: Array, r: Array, v_y: Array, u: Complex | None) -> Array:
-    """Forward acceleration; u: gravity as the gyroscope carries it."""
-    x = force[:, 0] + r * v_y
+    """Forward acceleration. force: forward; u: gravity as the gyroscope carries it."""
+    x = force + r * v_y
     return np.asarray(x if u is None else x - GRAVITY * u.real)
 
 
@@ -86,12 +97,12 @@ def across(force: Array, v: Array, r: Array, v_y: Array, u: Complex | None) -> A
 
 def left_of_turn(force: Array, v: Array, r: Array) -> Array:
     """Sideways force less speed times yaw rate."""
-    return np.asarray(force[:, 1] - v * r)
+    return np.asarray(force - v * r)
 
 
-def upward(force: Array, v: Array, rate: Array) -> Array:
-    """Upward force that one g and a vertical curve do not explain."""
-    return np.asarray(force[:, 2] - GRAVITY + v * rate[:, 1])
+def upward(force: Array, v: Array, q: Array) -> Array:
+    """Upward force that one g and a vertical curve do not explain. q: rate nose down."""
+    return np.asarray(force - GRAVITY + v * q)
 
 
 def rolling(across: Array, t: Array, roll: float, late: float, superelevation: float) -> Array:
@@ -150,9 +161,9 @@ def slope(x: Array) -> Array:
     return np.asarray((8.0 * near - far) / (12.0 * STEP_S))
 
 
-def from_middle(x: Array) -> Array:
+def from_middle(x: NDArray[Any]) -> NDArray[Any]:
     """Integral from the middle of each block; (B, n), trapezoids."""
     area = np.cumsum(0.5 * (x[:, 1:] + x[:, :-1]), axis=1) * STEP_S
     area = np.concatenate([np.zeros_like(x[:, :1]), area], axis=1)
-    made: Array = area - area[:, x.shape[1] // 2, None]
+    made: NDArray[Any] = area - area[:, x.shape[1] // 2, None]
     return made

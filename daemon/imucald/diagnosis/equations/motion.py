@@ -19,11 +19,12 @@ import numpy as np
 from imucald.core.samples import GRAVITY
 from imucald.diagnosis.cause_keys import Changes, age, along_vehicle, rear_slip
 from imucald.diagnosis.equations import kinematics
-from imucald.diagnosis.equations.kinematics import Complex
+from imucald.diagnosis.equations.kinematics import Axes
 from imucald.diagnosis.equations.once import Once
 from imucald.diagnosis.equations.reading import Reader, Reference
-from imucald.diagnosis.equations.single_track import SLOW_MPS, followed_angle
+from imucald.diagnosis.equations.single_track import SLOW_MPS, Complex, followed_angle
 from imucald.diagnosis.signals import STEP_S, Array
+from imucald.model.vehicle import Chassis
 
 NONE: Mapping[str, Array] = {}
 
@@ -47,30 +48,30 @@ class VehicleMotion:
         driven = changes.get("_speed.driven_slip", 0.0)
         self.v = once(kinematics.speed, reader.t, self.knots, drive.knots.values, scale)
         self.settled = reference = reader.reference if by_inertia else None
+        self.is_column = reference is not None or bool(added)
         self.force = reader.triad("accel", changes, reference.force if reference else None)
         self.rate = reader.triad("gyro", changes) if drive.has("gyro") else None
         if "speed" in added:
             self.v = self.v + added["speed"]
         if "accel" in added:
-            self.force = self.force + added["accel"]
+            self.force = _more(self.force, added["accel"])
         if self.rate is not None and "gyro" in added:
-            self.rate = self.rate + added["gyro"]
+            self.rate = _more(self.rate, added["gyro"])
         self.measured = self.rate
         if reference is not None and any(k.startswith("gyro.scale") for k in changes):
             # The gain of a rate is not shown by that rate itself.
             ungained = {k: x for k, x in changes.items() if not k.startswith("gyro.scale")}
             self.measured = reader.triad("gyro", ungained)
         if self.rate is not None:
-            self.r = once(kinematics.column, self.rate, 2)
+            self.r = self.rate[2]
             lever = np.array(model.mount.lever_arm_m) * float(model.mount.lever_arm)
             lever += np.array([changes.get(f"mount.lever_arm_m.{i}", 0.0) for i in range(3)])
             if reference is not None:
                 lever -= np.array(model.mount.lever_arm_m) * float(model.mount.lever_arm)
             if lever.any():
-                turning = once(kinematics.slopes, self.rate)
-                self.force = once(
-                    kinematics.at_reference, self.force, self.rate, turning, tuple(lever)
-                )
+                x, y, z = once(kinematics.of_lever, *self.rate, tuple(lever))
+                forward, left, upward = self.force
+                self.force = self._apart(forward, x), self._apart(left, y), self._apart(upward, z)
         elif drive.has("yaw_rate"):
             self.r = self._scalar("yaw_rate")
         else:
@@ -109,13 +110,16 @@ class VehicleMotion:
 
     def _gravity(self) -> tuple[Complex, Complex]:
         """u with z0 = 0, and e^(-i psi) by which z0 counts; complex (N,), by blocks."""
-        return self.once(kinematics.carried, self.rate, self.f.rows)
+        assert self.rate is not None
+        p, q, r = self.rate
+        turned, back = self.once(kinematics.turned, r, self.f.rows)
+        return self.once(kinematics.carried, p, q, turned), back
 
     def reference(self, tilt: Array, inertial: Array) -> Reference:
         """Signals for columns, with the tilt (B, 2) of each block. inertial: (B,) share of the
         accelerometer in the slope of the speed; all of it where the vehicle hardly moves, and
         speeds jump to 0."""
-        f, force = self.f, self.force.copy()
+        f, force = self.f, np.column_stack(self.force)
         x = force[:, 0]
         if self.f.has_turning:
             force[:, 1] = self.v * self.r + kinematics.slope(self.v_y)
@@ -130,11 +134,11 @@ class VehicleMotion:
         moved = by_speed * (self.held(self.slopes) - along)
         force[:, 0] += moved
         slopes = self._mean_slopes(along + moved) * (1.0 + f.model.speed.scale)
-        rate = None if self.rate is None else self.rate.copy()
+        rate = None if self.rate is None else np.column_stack(self.rate)
         if rate is not None and f.drive.has("yaw_rate"):
             rate[:, 2] = f.scalar("yaw_rate", {})
         steered = self._by_steering() if f.drive.has("steering") and f.has_turning else None
-        return Reference(slopes, force, self.force[:, 1] - self.v * self.r, rate, steered)
+        return Reference(slopes, force, self.force[1] - self.v * self.r, rate, steered)
 
     # equations -----------------------------------------------------------------------------------
 
@@ -146,10 +150,10 @@ class VehicleMotion:
             tilt["accel_x"] = self._two(-GRAVITY * self.as_speed_sees(one), 0.0 * one)
         else:
             u, turned = self._gravity()
-            if self.settled is None:
+            if not self.is_column:
                 parts = (turned.real, -turned.imag)
                 tilt["accel_x"] = self._two(*(self.as_speed_sees(-GRAVITY * z) for z in parts))
-        along = self.once(kinematics.along, self.force, self.r, self.v_y, u)
+        along = self.once(kinematics.along, self.force[0], self.r, self.v_y, u)
         found["accel_x"] = self._apart(self.as_speed_sees(along), self.held(self.slopes))
         if f.drive.has("longitudinal_accel"):
             found["longitudinal_accel"] = self._felt("longitudinal_accel", 0)
@@ -171,14 +175,15 @@ class VehicleMotion:
             tilt["accel_y"] = self._two(0.0 * one, -GRAVITY * one)
         else:
             u, turned = self._gravity()
-            if self.settled is None:
+            if not self.is_column:
                 tilt["accel_y"] = self._two(-GRAVITY * turned.imag, -GRAVITY * turned.real)
-        found["accel_y"] = self.once(kinematics.across, self.force, self.v, self.r, self.v_y, u)
+        found["accel_y"] = self.once(kinematics.across, self.force[1], self.v, self.r, self.v_y, u)
 
     def vertical(self, found: dict[str, Array]) -> None:
         """Upward force; on a vertical curve the vehicle pitches as it goes."""
+        assert self.rate is not None
         if not self.f.drive.planar:
-            found["accel_z"] = self.once(kinematics.upward, self.force, self.v, self.rate)
+            found["accel_z"] = self.once(kinematics.upward, self.force[2], self.v, self.rate[1])
 
     def turning(self, found: dict[str, Array]) -> None:
         """Rates of roll and pitch: the springs' part is known, the road's is noise."""
@@ -193,10 +198,10 @@ class VehicleMotion:
         late = s.roll_damping / (np.pi * s.roll_frequency_hz)
         superelevation = c.get("_road.superelevation", 0.0)
         rolling = once(kinematics.rolling, across, t, roll, late, superelevation)
-        found["gyro_x"] = self._apart(once(kinematics.column, self.measured, 0), rolling)
+        found["gyro_x"] = self._apart(self.measured[0], rolling)
         late = s.pitch_damping / (np.pi * s.pitch_frequency_hz)
         pitching = once(kinematics.pitching, along, t, squat, dive, late)
-        found["gyro_y"] = once(np.add, once(kinematics.column, self.measured, 1), pitching)
+        found["gyro_y"] = once(np.add, self.measured[1], pitching)
         if self.f.drive.has("yaw_rate"):
             true = None if self.settled is None else self.settled.rate
             found["gyro_z"] = self._apart(self._turning(true), self._own_yaw_rate(true))
@@ -237,7 +242,7 @@ class VehicleMotion:
         """The gyroscope's yaw rate. true: (N, 3) of turning that takes its place."""
         if true is None:
             return np.asarray(self.r)
-        return self.once(kinematics.column, self.f.triad("gyro", self.changes, true), 2)
+        return self.f.triad("gyro", self.changes, true)[2]
 
     def _felt(self, name: str, axis: int) -> Array:
         """An acceleration by the vehicle's own sensor, less the force; for columns, of that of
@@ -246,7 +251,7 @@ class VehicleMotion:
             None if self.settled is None else self.once(kinematics.column, self.settled.force, axis)
         )
         own = self._scalar(name, force)
-        return self._apart(own, self.once(kinematics.column, self.force, axis))
+        return self._apart(own, self.force[axis])
 
     def _by_steering(self) -> Array:
         """Single track: r = v (delta - K (f_y - v r))/(L + K v^2), where delta is the angle as the
@@ -255,12 +260,15 @@ class VehicleMotion:
         ratio = c.steering_ratio + self.changes.get("chassis.steering_ratio", 0.0)
         gradient = c.understeer_gradient + self.changes.get("chassis.understeer_gradient", 0.0)
         steer = self._scalar("steering")
-        steer = once(followed_angle, steer, once(np.abs, self.v), c, gradient)
+        steer = once(self._followed, steer, once(np.abs, self.v), c, gradient)
         varying = self.changes.get("_steering.variable_ratio", 0.0)
         leaning = once(kinematics.slow, self._leaning())
         return once(
             kinematics.single_track, self.v, steer, leaning, ratio, gradient, varying, c.wheelbase_m
         )
+
+    def _followed(self, steer: Array, speed: Array, chassis: Chassis, gradient: float) -> Array:
+        return followed_angle(steer, speed, chassis, gradient, self.once)
 
     def _leaning(self) -> Array:
         """Sideways force that the road's lean brings [m/s^2].
@@ -269,7 +277,13 @@ class VehicleMotion:
         move it, but gains are not to be read from it.
         """
         if self.settled is None:
-            return self.once(kinematics.left_of_turn, self.force, self.v, self.r)
+            return self.once(kinematics.left_of_turn, self.force[1], self.v, self.r)
         moved = along_vehicle(self.changes, "accel.bias")[1]
         moved += GRAVITY * along_vehicle(self.changes, "mount.turn")[0]
         return self._apart(self.settled.leaning, moved)
+
+
+def _more(axes: Axes, added: Array) -> Axes:
+    """With what is added (N, 3); an axis to which nothing is added stays the same array."""
+    x, y, z = (c + a if a.any() else c for c, a in zip(axes, added.T, strict=True))
+    return x, y, z

@@ -10,6 +10,7 @@ import numpy as np
 from imucald.core.rotations import rotation_from_vector
 from imucald.core.samples import GRAVITY
 from imucald.diagnosis.cause_keys import Changes, age, along_vehicle, mounts, sensor_of
+from imucald.diagnosis.equations.kinematics import Axes, column
 from imucald.diagnosis.equations.once import Known, Once
 from imucald.diagnosis.signals import Array, DriveSignals
 from imucald.model.model import VehicleModel
@@ -81,8 +82,9 @@ class Reader:
         age += rate * (self.knots - self.middle_s)
         return np.asarray(self.knots - age)
 
-    def triad(self, name: str, changes: Changes, force: Array | None = None) -> Array:
-        """(N, 3) along the vehicle's axes, with the model file's errors taken off.
+    def triad(self, name: str, changes: Changes, force: Array | None = None) -> Axes:
+        """(N,) along each of the vehicle's axes, with the model file's errors taken off. An axis
+        that the changes do not touch is the same array as without them.
 
         force: (N, 3) along the vehicle's axes that takes the place of what was measured, and has
         none of the file's errors.
@@ -90,19 +92,22 @@ class Reader:
         own = _part(changes, OF_TRIAD[name])
         return Once(self.known, not own)(self._triad, name, own, force)
 
-    def _triad(self, name: str, own: Part, force: Array | None) -> Array:
+    def _triad(self, name: str, own: Part, force: Array | None) -> Axes:
         """Less what the changes make of its zero, along the vehicle."""
         zero = (f"{name}.bias.", f"{name}.bias_temperature.")
         others = tuple((key, x) for key, x in own if not key.startswith(zero))
-        made = Once(self.known, not others)(self._with_its_zero, name, others, force)
+        once = Once(self.known, not others)
+        whole = once(self._with_its_zero, name, others, force)
         changes = dict(own)
         bias = along_vehicle(changes, f"{name}.bias")
         drift = along_vehicle(changes, f"{name}.bias_temperature")
-        if bias.any():
-            made = made - bias
-        if drift.any() and self.drive.has("temperature"):
-            made = made - self.above_reference()[:, None] * drift
-        return made
+        is_warm = drift.any() and self.drive.has("temperature")
+        made = []
+        for i in range(3):
+            x = once(column, whole, i)
+            x = x - bias[i] if bias[i] else x
+            made.append(x - self.above_reference() * drift[i] if is_warm and drift[i] else x)
+        return made[0], made[1], made[2]
 
     def _with_its_zero(self, name: str, own: Part, force: Array | None) -> Array:
         """As it is by the model file, with changes of anything but its zero."""

@@ -10,10 +10,13 @@ With S_k = a^k C_f + (-b)^k C_r and tyres that build up their force by h = 1 + s
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
+from imucald.diagnosis.equations.once import Once
 from imucald.diagnosis.signals import STEP_S, Array
 from imucald.model.vehicle import STEERING_GEAR_S, Chassis
 
+Complex = NDArray[np.complex128]
 SLOW_MPS = 2.5
 """Below this play and tyres decide on the yaw rate, not the steering angle."""
 RELAXATION_M = 0.4
@@ -22,32 +25,54 @@ LEVEL_MPS = 4.0
 """It is solved at speeds so far apart; between two of them the solutions are interpolated."""
 
 
-def followed_angle(steer: Array, speed: Array, chassis: Chassis, gradient: float) -> Array:
+def followed_angle(
+    steer: Array, speed: Array, chassis: Chassis, gradient: float, once: Once | None = None
+) -> Array:
     """Steering angle as the yaw rate follows it, with gain 1 for a steady angle.
 
     steer (N,) [rad], speed (N,) [m/s], every `STEP_S`; gradient: of understeer [rad/(m/s^2)].
+    once: keeps what does not go with the speed, or with the angle.
     """
-    c, n = chassis, len(steer)
+    once = once or Once({}, True)
+    spectrum = once(spectrum_of, steer)
+    place = np.maximum(speed, SLOW_MPS) / LEVEL_MPS
+    made = np.zeros(len(steer))
+    for level in range(int(place.min()), int(place.max()) + 2):
+        share = np.clip(1.0 - np.abs(place - level), 0.0, 1.0)
+        if share.any():
+            response = once(response_at, len(steer), level, chassis, gradient)
+            made += share * once(at_level, spectrum, response, len(steer))
+    return made
+
+
+def _frequencies(n: int) -> Complex:
+    return np.asarray(2j * np.pi * np.fft.rfftfreq(2 * n, STEP_S))
+
+
+def spectrum_of(steer: Array) -> Complex:
+    """(N + 1,) of an angle behind the steering gear, mirrored at its end, so that a drive's last
+    angle does not run into its first."""
+    gear = np.exp(-STEERING_GEAR_S * _frequencies(len(steer)))
+    return np.asarray(np.fft.rfft(np.concatenate([steer, steer[::-1]])) * gear)
+
+
+def at_level(spectrum: Complex, response: Complex, n: int) -> Array:
+    """(n,) the angle as it is followed at one speed."""
+    return np.asarray(np.fft.irfft(spectrum * response / response[0], 2 * n)[:n])
+
+
+def response_at(n: int, level: int, chassis: Chassis, gradient: float) -> Complex:
+    """(n + 1,) by frequency, of the followed angle to the angle, at a level of the speed."""
+    c, s = chassis, _frequencies(n)
     rear, length, m = c.rear_cornering_stiffness_npr, c.wheelbase_m, c.mass_kg
     a, b, inertia = c.cg_to_front_m, c.cg_to_rear_m, c.yaw_inertia_kgm2
     front = b / max(gradient * length / m + a / rear, 1e-9)
     s0, s1, s2 = front + rear, a * front - b * rear, a * a * front + b * b * rear
-    s = 2j * np.pi * np.fft.rfftfreq(2 * n, STEP_S)
-    # Mirrored at its end, so that a drive's last angle does not run into its first.
-    spectrum = np.fft.rfft(np.concatenate([steer, steer[::-1]])) * np.exp(-STEERING_GEAR_S * s)
-    place = np.maximum(speed, SLOW_MPS) / LEVEL_MPS
-    made = np.zeros(n)
-    for level in range(int(place.min()), int(place.max()) + 2):
-        share = np.clip(1.0 - np.abs(place - level), 0.0, 1.0)
-        if not share.any():
-            continue
-        v = max(level * LEVEL_MPS, SLOW_MPS)
-        h = 1.0 + s * RELAXATION_M / v
-        fixed = (s0 * s2 - s1 * s1) / v**2 - m * h * s1
-        under = inertia * m * (h * s) ** 2 + h * s * (m * s2 + inertia * s0) / v + fixed
-        response = (a * m * h * s + rear * length / v) / under
-        made += share * np.fft.irfft(spectrum * response / response[0], 2 * n)[:n]
-    return made
+    v = max(level * LEVEL_MPS, SLOW_MPS)
+    h = 1.0 + s * RELAXATION_M / v
+    fixed = (s0 * s2 - s1 * s1) / v**2 - m * h * s1
+    under = inertia * m * (h * s) ** 2 + h * s * (m * s2 + inertia * s0) / v + fixed
+    return np.asarray((a * m * h * s + rear * length / v) / under)
 
 
 def slip_delay(speed: Array, slip: Array, chassis: Chassis) -> Array:

@@ -8,7 +8,7 @@ Waugh). What is kept of block b is G_b = [y X]'[y X]: every fit, fold and interv
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from scipy.fft import dct
@@ -83,6 +83,8 @@ class Table:
     """(B, 2) mean tilt of each block, forward and left: force less what motion explains, over g."""
     number: NDArrayInt
     """(B,) which of all blocks of the drives each is; those are the same whatever the model."""
+    columns: Mapping[str, Array] = field(default_factory=dict)
+    """(all blocks, K, P) by equation, transformed: what the Gram matrices are made of."""
 
     def rms(self, equation: str, x: Array | None = None, band: int | None = None) -> float:
         """Residual of an equation [its unit] with parameters x (P,), or (B, P) a block."""
@@ -187,13 +189,15 @@ def _moving(f: Forward) -> Array:
 
 
 def rows_of(
-    f: Forward, model: VehicleModel, keys: Sequence[str], top: Mapping[str, float]
-) -> dict[str, Rows]:
-    """Residual and columns of each equation, transformed."""
+    f: Forward, model: VehicleModel, keys: Sequence[str], top: Mapping[str, float],
+    known: Mapping[str, Array] | None = None,
+) -> dict[str, Rows]:  # fmt: skip
+    """Residual and columns of each equation, transformed. known: the columns (B, K, P), where they
+    were made before."""
     base = f.residuals({})
     masks = f.usable()
-    f.settle(f.tilts(base, masks), f.inertial_share(base, masks, top["accel_x"]))
-    settled = f.residuals({}, by_inertia=True)
+    leaning = f.tilts(base, masks)
+    f.settle(leaning, f.inertial_share(base, masks, top["accel_x"], leaning))
     made = {}
     for name, x in base.of.items():
         mask = masks[name]
@@ -202,10 +206,11 @@ def rows_of(
         if name in base.tilt:
             tilt = np.stack([cosine(z, mask, count) for z in base.tilt[name]], axis=2)
         good = mask.mean(axis=1) >= LEAST_SHARE
-        made[name] = Rows(
-            cosine(x, mask, count), np.zeros((f.blocks, count, len(keys))), tilt, good,
-            f.rows * STEP_S,
-        )  # fmt: skip
+        X = np.zeros((f.blocks, count, len(keys))) if known is None else known[name]
+        made[name] = Rows(cosine(x, mask, count), X, tilt, good, f.rows * STEP_S)
+    if known is not None:
+        return made
+    settled = f.residuals({}, by_inertia=True)
     for j, key in enumerate(keys):
         step = tolerance(model, key) or PARAMETERS[key].tolerance
         moved = f.residuals({key: step}, by_inertia=True)
@@ -269,7 +274,7 @@ def _weighed(
         keys, whole[keep], MadeLater(list(gram), by_equation, nbytes), count[keep],
         start[keep], drive[keep], moving[keep], tolerances, errors, bounds, top,
         next(iter(parts.values())).seconds, MadeLater(list(parts), plain, nbytes),
-        levels[keep], np.flatnonzero(keep),
+        levels[keep], np.flatnonzero(keep), {n: rows.X for n, rows in parts.items()},
     )  # fmt: skip
 
 

@@ -165,7 +165,7 @@ def folds(blocks: int) -> Array:
 def losses(gram: Array, x: Array) -> Array:
     """(B,) half the squared whitened residual of each block."""
     z = np.concatenate([[1.0], -x])
-    return np.asarray(0.5 * np.einsum("i,bij,j->b", z, gram, z))
+    return np.asarray(0.5 * (gram @ z @ z))
 
 
 def held_out(problem: Problem, h: Hypothesis | None = None) -> Array:

@@ -144,9 +144,9 @@ def pieces_of(f: Forward, changes: Changes) -> Pieces:
 
 
 def _summed(f: Forward, m: VehicleMotion) -> Array:
-    rate = np.zeros((len(f.t), 3)) if m.rate is None else m.rate
-    u, turned = kinematics.carried(rate, f.rows)
-    along = kinematics.along(m.force, m.r, m.v_y, u)
+    p, q, r = m.rate or [np.zeros(len(f.t))] * 3
+    by_blocks, turned = kinematics.turned(r, f.rows)
+    along = kinematics.along(m.force[0], m.r, m.v_y, kinematics.carried(p, q, by_blocks))
     parts = [along, GRAVITY * turned.real, GRAVITY * turned.imag]
     areas = [np.cumsum(x.reshape(f.blocks, f.rows), axis=1) * STEP_S for x in parts]
     return np.stack([np.pad(x, ((0, 0), (1, 0))) for x in areas])

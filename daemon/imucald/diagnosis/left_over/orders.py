@@ -102,10 +102,10 @@ def _of_stretch(s: Stretch, turns: Array) -> tuple[Array, Array, Array]:
     and the energy of a swing of one."""
     phase = 2.0 * np.pi * np.outer(s.way, turns)
     X = np.stack([np.cos(phase), np.sin(phase)]) * s.speed[:, None]
-    X = X - np.einsum("nq,cqf->cnf", s.known, np.einsum("nq,cnf->cqf", s.known, X))
-    cc, ss = np.einsum("cnf,cnf->cf", X, X)
-    cs = np.einsum("nf,nf->f", X[0], X[1])
-    c, d = np.einsum("cnf,n->cf", X, s.left)
+    X -= s.known @ (s.known.T @ X)
+    cc, ss = (X * X).sum(axis=1)
+    cs = (X[0] * X[1]).sum(axis=0)
+    c, d = s.left @ X
     room = np.maximum(cc * ss - cs**2, 1e-9 * (cc + ss) ** 2 + 1e-300)
     explained = (ss * c**2 - 2.0 * cs * c * d + cc * d**2) / room
     whole = float(s.left @ s.left)

@@ -23,6 +23,7 @@ from imucald.diagnosis.equations.forward import STOPPING_MPS2, Forward
 from imucald.diagnosis.fit.blocks import (
     TILTED,
     Rows,
+    Table,
     cosine,
     joined,
     noise_weights,
@@ -117,14 +118,14 @@ def pairs(problem: Problem, state: State) -> list[Question]:
     fitted = np.tile(problem.fit(), (sum(f.blocks for f in state.forwards), 1))
     # What was named and has no place in the model file is another in each segment.
     fitted[table.number] = -what_leaves(problem, drift_of(problem, state))[:, 1:]
-    return asked_of(state.forwards, state.model, table.keys, table.top_hz, fitted, table.plausible)
+    return asked_of(state.forwards, state.model, table, fitted)
 
 
 def asked_of(
-    forwards: Sequence[Forward], model: VehicleModel, keys: Sequence[str],
-    top_hz: Mapping[str, float], x: Array, plausible: Array,
-) -> list[Question]:  # fmt: skip
-    """Of drives beside a model file. x: (B, P) departures that fit their segments, by keys."""
+    forwards: Sequence[Forward], model: VehicleModel, table: Table, x: Array
+) -> list[Question]:
+    """Of drives beside a model file, whose table this is. x: (all blocks, P) departures that fit
+    their segments."""
     if not all(f.has_gravity for f in forwards):
         return []  # the road's slope is left, and goes with anything
     some = [conditions(f) for f in forwards]
@@ -136,15 +137,18 @@ def asked_of(
         if all(name in each for each in some) and _can_be_asked(error, name)
     ]
     parts: dict[str, list[tuple[Rows, Array]]] = {}
+    at = 0
     for f, own in zip(forwards, some, strict=True):
-        rows = rows_of(f, model, keys, top_hz)
+        known = {name: X[at : at + f.blocks] for name, X in table.columns.items()}
+        at += f.blocks
+        rows = rows_of(f, model, table.keys, table.top_hz, known)
         columns = _columns(f, rows, model, asked, own)
         f.forget()
         for name, r in rows.items():
             parts.setdefault(name, []).append((r, columns[name]))
     if not asked or sum(f.blocks for f in forwards) < LEAST_BLOCKS:
         return []
-    prior = np.diag(PRIOR / np.maximum(np.abs(plausible).max(axis=1), 1e-12) ** 2)
+    prior = np.diag(PRIOR / np.maximum(np.abs(table.plausible).max(axis=1), 1e-12) ** 2)
     return list(_questions(asked, *_scores(parts, x, prior), model))
 
 
@@ -230,19 +234,15 @@ def _scores(
     groups = [*([tilted] if tilted else []), *([n] for n in parts if n not in tilted)]
     rows = [_whitened([parts[n] for n in group], x) for group in groups]
     P = x.shape[1]
-    heads = [np.concatenate([a[:, :, : P + 1] for a in each], axis=1) for each, _ in rows]
-    H = prior + sum(np.einsum("bki,bkj->ij", a[:, :, 1:], a[:, :, 1:]) for a in heads)
-    mixed = sum(
-        np.einsum("bki,bke->ie", a[:, :, 1 : P + 1], a[:, :, P + 1 :], optimize=True)
-        for each, _ in rows for a in each
-    )  # fmt: skip
-    w = np.linalg.pinv(H, hermitian=True) @ np.asarray(mixed)
+    flat = [a.reshape(-1, a.shape[2])[:, 1:] for each, _ in rows for a in each]
+    inner = np.asarray(sum(a[:, :P].T @ a for a in flat))
+    w = np.linalg.pinv(prior + inner[:, :P], hermitian=True) @ inner[:, P:]
     u = h = whole = np.zeros(1)
     for each, _ in rows:
         for a in each:
-            left = a[:, :, 0] - np.einsum("bkp,bp->bk", a[:, :, 1 : P + 1], x)
-            own = a[:, :, P + 1 :] - a[:, :, 1 : P + 1] @ w
-            u = u + _by_part(left[:, :, None], own)
+            left = _in_time(a[:, :, :1] - a[:, :, 1 : P + 1] @ x[:, :, None])
+            own = _in_time(a[:, :, P + 1 :] - a[:, :, 1 : P + 1] @ w)
+            u = u + _by_part(left, own)
             h = h + _by_part(own, own)
             whole = whole + np.sum(a[:, :, P + 1 :] ** 2, axis=(0, 1))
     is_own = h.sum(axis=(0, 1)) > OWN_SHARE * whole
@@ -275,12 +275,16 @@ def _apart(some: Sequence[Array], tilts: Sequence[Array | None]) -> list[Array]:
     return np.split(without_tilt(A, Z), np.cumsum([a.shape[1] for a in some])[:-1], axis=1)
 
 
-def _by_part(a: Array, b: Array) -> Array:
-    """(B, PARTS, E) sums of products of two rows of coefficients, by time within each block."""
+def _in_time(a: Array) -> Array:
+    """(B, n, E) of coefficients (B, K, E), n a multiple of `PARTS`."""
     n = -(-a.shape[1] // PARTS) * PARTS
-    first, second = (idct(x, type=2, axis=1, norm="ortho", n=n) for x in (a, b))
-    product = first * second
-    return np.asarray(product.reshape(len(a), PARTS, n // PARTS, -1).sum(axis=2))
+    return np.asarray(idct(a, type=2, axis=1, norm="ortho", n=n))
+
+
+def _by_part(a: Array, b: Array) -> Array:
+    """(B, PARTS, E) sums of products of two, by time within each block."""
+    product = a * b
+    return np.asarray(product.reshape(len(a), PARTS, a.shape[1] // PARTS, -1).sum(axis=2))
 
 
 # questions ---------------------------------------------------------------------------------------

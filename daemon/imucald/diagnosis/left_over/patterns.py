@@ -276,11 +276,8 @@ def _fit(parts: Array) -> tuple[float, float, float, float]:
     by_blocks, by_rows = abs(value[-1]) / np.sqrt(blocks), abs(value[-1]) / np.sqrt(rows)
     freedom = _effective(fine[:, 1:, 1:], inverse[-1]) - 1.0
     p = 2.0 * max(float(student.sf(by_blocks, freedom)), float(norm.sf(by_rows)))
-    gain = np.empty(len(gram))
-    for b in range(len(gram)):
-        rest = total - gram[b]
-        with_it, without = _solved(rest), np.append(_solved(rest[:-1, :-1]), 0.0)
-        gain[b] = 0.5 * (_loss(gram[b], without) - _loss(gram[b], with_it))
+    rest = total - gram
+    gain = _losses(gram[:, :-1, :-1], _solved(rest[:, :-1, :-1])) - _losses(gram, _solved(rest))
     return float(value[-1]), float(min(by_blocks, by_rows)), p, without_best(gain)
 
 
@@ -295,9 +292,13 @@ def _effective(inner: Array, row: Array) -> float:
 
 
 def _solved(gram: Array) -> Array:
-    return np.asarray(np.linalg.lstsq(gram[1:, 1:], gram[1:, 0], rcond=None)[0])
+    """(..., P) least squares of Gram matrices (..., 1 + P, 1 + P), residual first."""
+    inner, slope = gram[..., 1:, 1:], gram[..., 1:, :1]
+    least = np.finfo(float).eps * inner.shape[-1]
+    return np.asarray((np.linalg.pinv(inner, rcond=least, hermitian=True) @ slope)[..., 0])
 
 
-def _loss(gram: Array, x: Array) -> float:
-    z = np.concatenate([[1.0], -x])
-    return float(z @ gram @ z)
+def _losses(gram: Array, x: Array) -> Array:
+    """(B,) half the squares that x (B, P) leaves of blocks (B, 1 + P, 1 + P)."""
+    z = np.concatenate([np.ones((len(x), 1)), -x], axis=1)[:, :, None]
+    return np.asarray(0.5 * (np.swapaxes(z, 1, 2) @ gram @ z)[:, 0, 0])
