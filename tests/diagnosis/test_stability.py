@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import permutations
+from math import comb
 
 import numpy as np
 import pytest
@@ -10,7 +12,14 @@ import pytest
 from imucald.diagnosis.fit.blocks import Table
 from imucald.diagnosis.fit.chance import Question, beyond_chance
 from imucald.diagnosis.fit.score import Problem
-from imucald.diagnosis.left_over.stability import Fit, _conditional, _jumping, _wandering
+from imucald.diagnosis.left_over.stability import (
+    Fit,
+    _conditional,
+    _jumping,
+    _share_of_orders,
+    _swinging,
+    _wandering,
+)
 from imucald.diagnosis.result import Structure
 
 BLOCKS, ROWS = 48, 60
@@ -42,7 +51,7 @@ def problem_of(y, X) -> Problem:
 
 def structures(p: Problem, condition=None) -> set[tuple[str, str]]:
     fit = Fit.of(p, None)
-    asked = list(_wandering(p, fit, [0, 1]))
+    asked = [*_wandering(p, fit, [0, 1]), *_swinging(p, fit, [0, 1])]
     if condition is not None:
         asked += _conditional(p, fit, [0, 1], {"slow and fast": condition})
     return {(s.kind, s.text.split()[0]) for s in beyond_chance(asked)}
@@ -130,3 +139,45 @@ def test_of_several_drives_the_one_in_which_a_gain_jumps_is_told():
     p = replace(p, table=replace(p.table, drive=drive, start_s=start))
     [found] = beyond_chance(list(_jumping(p, Fit.of(p, None), [0, 1])))
     assert "from 180 s of drive 2 on" in found.text
+
+
+def test_what_swings_is_seen_where_neighbours_do_not_agree():
+    """A period of 2.4 segments: nearly each is followed by one of the other sign."""
+    swing = 2.0 * TOLERANCE * np.sin(2.0 * np.pi * np.arange(BLOCKS) / 2.4)
+    p = problem(11, swing)
+    found = beyond_chance(list(_swinging(p, Fit.of(p, None), [0, 1])))
+    assert [s.parameter for s in found] == ["accel.bias.x"]
+    # Its rms, over that of what goes anywhere within its tolerance.
+    assert found[0].size == pytest.approx(np.sqrt(2.0) * np.sqrt(3.0), rel=0.1)
+    assert "every 72 s" in found[0].text
+
+
+def neighbours(x):
+    return np.sum(x[:, 1:] * x[:, :-1], axis=1)
+
+
+def test_a_share_of_orders_is_that_of_all_orders():
+    s = np.random.default_rng(12).standard_t(4, 8)
+    sizes = np.sort(neighbours(s[np.array(list(permutations(range(8))))]))
+    for share in (0.3, 0.03, 0.003):
+        at = sizes[-round(share * len(sizes))]
+        order = next(o for o in permutations(range(8)) if neighbours(s[[list(o)]])[0] == at)
+        got = _share_of_orders(s[list(order)], np.eye(8), neighbours)
+        assert got == pytest.approx(np.mean(sizes >= at), rel=0.35)
+
+
+def test_evidence_that_one_order_in_a_million_has_is_not_lost():
+    """All ones before all others: two orders of all that differ."""
+    s = np.repeat([1.0, -1.0], 12)
+    got = _share_of_orders(s, np.eye(24), neighbours)
+    assert got == pytest.approx(2.0 / comb(24, 12), rel=0.6)
+
+
+def test_segments_that_differ_by_chance_have_even_chances():
+    """Of 200 questions to noise a tenth has a chance below a tenth."""
+    rng = np.random.default_rng(13)
+    waves = np.exp(2j * np.pi * np.outer(np.arange(24), np.arange(3, 13) / 24))
+    p = [_share_of_orders(rng.standard_t(4, 24), waves, lambda z: np.abs(z).max(axis=1))
+         for _ in range(200)]  # fmt: skip
+    assert 8 <= np.sum(np.array(p) < 0.1) <= 34
+    assert np.median(p) == pytest.approx(0.5, abs=0.12)

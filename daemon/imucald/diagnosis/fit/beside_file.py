@@ -18,8 +18,8 @@ from imucald.model.model import VehicleModel
 LEAST_SEGMENTS = 10
 ROAD_CLASS = 2.0
 """rms of a road over that of the next class (ISO 8608: spectral densities are 4 apart)."""
-ONE_IN = 4.0
-"""Slow roads last over neighbours: so many segments count as one."""
+MOST_CORRELATED = 0.6
+"""Correlation of neighbours from which on no more is taken for it: four segments count as one."""
 MEDIAN = float(np.sqrt(0.5 * np.pi))
 """Deviation of the median over that of the mean, of normal numbers."""
 LEAST_RMS = 1e-9
@@ -71,11 +71,25 @@ def in_both(
             yield name, x[inside], file
 
 
-def beside_file(rms: Array, file: Leaves) -> tuple[Array, Array, Array, float]:
+def beside_file(rms: Array, file: Leaves) -> tuple[Array, Array, Array, Array]:
     """Logarithms (B, 6) of what segments leave, by how much their medians (6,) exceed the file's,
-    its deviations, and degrees of freedom."""
+    its deviations, and degrees of freedom (6,).
+
+    Roads last over neighbours: segments count for as many as correlated ones do.
+    """
     logs = np.log(np.maximum(rms, LEAST_RMS))
-    own, known = len(logs) / ONE_IN, file.segments / ONE_IN
+    one = _count_as_one(logs)
+    own, known = len(logs) / one, file.segments / one
     more = np.median(logs, axis=0) - np.log(np.maximum(file.rms, LEAST_RMS))
     variance = logs.var(axis=0, ddof=1) / own + np.square(file.spread) / known
     return logs, more, MEDIAN * np.sqrt(np.maximum(variance, 1e-12)), own + known - 2.0
+
+
+def _count_as_one(x: Array) -> Array:
+    """(6,) how many segments of x (B, 6) count as one, (1 + r)/(1 - r) where neighbours have the
+    correlation r (first-order autoregression; Bayley and Hammersley 1946): the one that they show
+    and a deviation of it, 1/sqrt(B), more."""
+    x = x - x.mean(axis=0)
+    r = np.sum(x[1:] * x[:-1], axis=0) / np.maximum(np.sum(x * x, axis=0), 1e-300)
+    r = np.clip(r + len(x) ** -0.5, 0.0, MOST_CORRELATED)
+    return np.asarray((1.0 + r) / (1.0 - r))

@@ -32,8 +32,11 @@ from imucald.diagnosis.signals import STANDING_MPS, STEP_S, Array, Mask
 from imucald.model.leaves import BANDS_HZ, Leaves
 from imucald.model.model import VehicleModel
 
-SHAKEN = ("accel_y", "accel_z", "gyro_x", "gyro_y", "lateral_accel")
-"""Equations in which the road's unevenness stands: chance starts from a road of the next class."""
+SHAKEN_FROM_HZ = {"accel_y": 0.4, "lateral_accel": 0.4, "accel_z": 0.0, "gyro_x": 0.0,
+                  "gyro_y": 0.0}  # fmt: skip
+"""Equations in which the road's unevenness stands, and from where on: chance starts from a road of
+the next class. Well below its resonances (1 Hz and more; Rajamani, ch. 10) the body stands on the
+road as it lies, and its tilt, which is all that the road does sideways, the gyroscope carries."""
 
 
 def left_of(problem: Problem, state: State) -> Left:
@@ -87,8 +90,8 @@ def _of_equation(name: str, rms: Array, file: Leaves) -> list[Question]:
     """One question a band. rms: (B, bands)."""
     logs, more, se, free = beside_file(rms, file)
     road = np.log(ROAD_CLASS)
-    null = road if name in SHAKEN else 0.0
-    chance = student.sf((more - null) / se, free)
+    is_shaken = np.array(BANDS_HZ[:-1]) >= SHAKEN_FROM_HZ.get(name, np.inf)
+    chance = student.sf((more - road * is_shaken) / se, free)
     made = []
     for i, (low, high) in enumerate(pairwise(BANDS_HZ)):
         ratio = float(np.exp(more[i]))

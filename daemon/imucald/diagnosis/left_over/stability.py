@@ -7,8 +7,9 @@ no parameter describes. Every zero and gain is asked, whether it was found to be
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from scipy.stats import t as student
@@ -34,7 +35,12 @@ LAGS = (1, 2, 3)
 something lasts is not known: each is asked."""
 LEAST_SIDE = 3
 """Segments on either side of a moment, at least."""
-DRAWS, AT_ONCE = 20000, 1000
+ORDERS, KEPT = 1000, 100
+"""Orders of the segments that are drawn at a level, and those of them that reach the next."""
+MOST_LEVELS = 8
+"""1e-8 is less than any family of questions asks."""
+LEAST_WAVES = 3
+"""What swings less often within a drive wanders."""
 LEAST_BLOCKS = 8
 EVENLY = 3.0**-0.5
 """Deviation of what goes anywhere within its tolerance, over the tolerance."""
@@ -99,6 +105,7 @@ def unstable(problem: Problem, state: State) -> list[Question]:
              and fit.curvature[:, j, j].any()]  # fmt: skip
     return [
         *_wandering(problem, fit, asked),
+        *_swinging(problem, fit, asked),
         *_jumping(problem, fit, asked),
         *_conditional(problem, fit, asked, conditions(problem, state)),
     ]
@@ -116,27 +123,105 @@ def _wandering(problem: Problem, fit: Fit, asked: list[int]) -> Iterator[Questio
     Of scores s_b with information h_b, s_b s_(b+l) has the expectation h_b h_(b+l) sigma^2, where
     sigma is by how much the parameter wanders. Chance: the same segments in any order.
     """
-    h = np.stack([fit.curvature[:, j, j] for j in asked], axis=1)
-    s = fit.scores[:, asked]
-    s = s - h * (s.sum(axis=0) / h.sum(axis=0))
-    got, rng = _shared(s), np.random.default_rng(0)
-    beaten = np.zeros_like(got)
-    for _ in range(DRAWS // AT_ONCE):
-        order = np.argsort(rng.random((AT_ONCE, len(s))), axis=1)
-        beaten += (_shared(s[order]) >= got[:, None]).sum(axis=1)
-    sd = np.sqrt(np.maximum(got, 0.0) / np.maximum(_shared(h), 1e-300))
-    for (i, k), size in np.ndenumerate(sd):
-        key, tau = problem.table.keys[asked[k]], _may_be(problem, asked[k])
-        p = float((1.0 + beaten[i, k]) / (DRAWS + 1.0))
-        text = f"{key} wanders by {amount(key, float(size))} from piece to piece of the drive"
-        yield _question(problem, key, WANDERS, p, float(size) / (EVENLY * tau), text)
+    for j in asked:
+        h, s = _departures(fit, j)
+        for lag in LAGS:
+            together = partial(_shared, lag=lag)
+            size = np.sqrt(max(float(together(s)), 0.0) / max(float(together(h)), 1e-300))
+            p = _share_of_orders(s, np.eye(len(s)), together)
+            yield _wander(
+                problem, j, p, float(size), "wanders by {} from piece to piece of the drive"
+            )
 
 
-def _shared(s: Array) -> Array:
-    """Sum over neighbours up to each lag of their products; segments last but one: (..., B, K) to
-    (lags, ..., K)."""
-    parts = [np.einsum("...bk,...bk->...k", s[..., n:, :], s[..., :-n, :]) for n in LAGS]
-    return np.cumsum(parts, axis=0)
+def _swinging(problem: Problem, fit: Fit, asked: list[int]) -> Iterator[Question]:
+    """Segments a period apart that agree: of all waves the strongest.
+
+    Where a parameter swings by A cos(w t), sum s_b e^(i w t) has the expectation A/2 sum h_b. The
+    phases of several drives are their own. Chance: the same segments in any order.
+    """
+    table = problem.table
+    apart = np.eye(int(table.drive.max()) + 1)[table.drive]
+    hz = _frequencies(table)
+    if not len(hz):
+        return
+    waves = np.exp(2j * np.pi * np.outer(table.start_s, hz))
+    image = (apart[:, :, None] * waves[:, None, :]).reshape(table.blocks, -1)
+
+    def power(z: Array) -> Array:
+        """(N, F) of drives' sums along the waves (N, D F)."""
+        return np.asarray((np.abs(z.reshape(len(z), -1, len(hz))) ** 2).sum(axis=1))
+
+    def strongest(z: Array) -> Array:
+        return np.asarray(power(z).max(axis=1))
+
+    for j in asked:
+        h, s = _departures(fit, j)
+        own = power((s @ image)[None])[0]
+        size = float(np.sqrt(2.0 * own.max() / np.sum((h @ apart) ** 2)))
+        period = f"{1.0 / hz[own.argmax()]:.0f} s"
+        how = f"comes and goes by {{}} every {period}, or faster than segments show"
+        yield _wander(problem, j, _share_of_orders(s, image, strongest), size, how)
+
+
+def _departures(fit: Fit, j: int) -> tuple[Array, Array]:
+    """Information (B,) on a parameter and scores, which add up to none."""
+    h, s = fit.curvature[:, j, j], fit.scores[:, j]
+    return h, s - h * (s.sum() / h.sum())
+
+
+def _wander(problem: Problem, j: int, p: float, size: float, how: str) -> Question:
+    """how: with a place for the amount, which is `size`."""
+    key = problem.table.keys[j]
+    text = f"{key} {how.format(amount(key, size))}"
+    return _question(problem, key, WANDERS, p, size / (EVENLY * _may_be(problem, j)), text)
+
+
+def _frequencies(table: Table) -> Array:
+    """(F,) of waves that come again within a drive, up to one in two segments [Hz]."""
+    last = [float(np.ptp(table.start_s[table.drive == d])) for d in np.unique(table.drive)]
+    whole = max(last) + table.seconds
+    return np.arange(LEAST_WAVES, int(whole / (2.0 * table.seconds)) + 1) / whole
+
+
+def _shared(s: Array, lag: int) -> Array:
+    """Sum over neighbours up to a lag of their products: (..., B) to (...)."""
+    return np.asarray(
+        sum(np.einsum("...b,...b->...", s[..., n:], s[..., :-n]) for n in range(1, lag + 1))
+    )
+
+
+def _share_of_orders(s: Array, image: Array, size_of: Callable[[Array], Array]) -> float:
+    """Share of all orders of s (B,) that have the size of its own, or more. image: (B, F), what a
+    size is made of is linear in s; size_of: (N, F) to (N,).
+
+    Subset simulation (Au and Beck 2001): of orders that reach a level a tenth reach the next; they
+    are drawn by exchanging two places, from orders that did, and stay where they would fall below
+    the level. So a share of 1e-6 takes six times as many draws as one of a tenth, not 1e5 times.
+    """
+    rng, rows, share = np.random.default_rng(0), np.arange(ORDERS), 1.0
+    x = s[np.argsort(rng.random((ORDERS, len(s))), axis=1)]
+    z = x @ image
+    got, size = size_of((s @ image)[None])[0], size_of(z)
+    for _ in range(MOST_LEVELS):
+        level = np.sort(size)[-KEPT]
+        if level >= got:
+            break
+        reach = np.flatnonzero(size >= level)
+        share *= len(reach) / ORDERS
+        drawn = rng.choice(reach, ORDERS)
+        x, z, size = x[drawn], z[drawn], size[drawn]
+        for _ in range(len(s)):
+            i, k = rng.integers(len(s), size=(2, ORDERS))
+            by = x[rows, k] - x[rows, i]
+            other = z + by[:, None] * (image[i] - image[k])
+            new = size_of(other)
+            stays = new < level
+            z, size = np.where(stays[:, None], z, other), np.where(stays, size, new)
+            by[stays] = 0.0
+            x[rows, i] += by
+            x[rows, k] -= by
+    return share * float((1 + np.sum(size >= got)) / (ORDERS + 1))
 
 
 def _jumping(problem: Problem, fit: Fit, asked: list[int]) -> Iterator[Question]:
