@@ -12,28 +12,26 @@ import numpy as np
 from scipy.stats import t as student
 
 from imucald.core.samples import Samples, Series
-from imucald.diagnosis.signals import Array, Mask, Spans
+from imucald.diagnosis.signals import Array, Spans
 
 STEP_S = 0.2
 MOVING_MPS = 2.0
-CHANCE = 0.01
-"""Of a drive; shared out over the spans asked."""
 LEAST_WINDOWS = 8
 """Of the same length, to hold a span against."""
 APART = 4
 """A window that falls into a stop is tried again this share of its length later."""
 
 
-def contradicted(samples: Samples, spans: Spans) -> Mask:
-    """(S,) which of the spans in which the speed stays the sensors contradict; none is held against
-    another, and nothing is said of one that the accelerometer does not cover.
+def chances_of_sensors(samples: Samples, spans: Spans) -> Array:
+    """(S,) chance of what the sensors say in each span in which the speed stays, if it does so by
+    itself; none is held against another. NaN where the sensors do not cover it.
 
     The logarithm of what is left, against that of windows of the same length in motion: Student's t
     for one more of a sample.
     """
-    hit = np.zeros(len(spans), dtype=bool)
+    made = np.full(len(spans), np.nan)
     if not spans or "accel" not in samples:
-        return hit
+        return made
     t, signals = _signals(samples)
     for k, (low, high) in enumerate(spans):
         n = round((high - low) / STEP_S)
@@ -48,9 +46,8 @@ def contradicted(samples: Samples, spans: Spans) -> Mask:
         left = _left(windows, own[None])
         usual, here = np.log(left[:-1]), float(np.log(left[-1]))
         spread = float(np.std(usual, ddof=1)) * np.sqrt(1.0 + 1.0 / len(usual))
-        p = student.sf((here - usual.mean()) / max(spread, 1e-12), len(usual) - 1)
-        hit[k] = p < CHANCE / len(spans)
-    return hit
+        made[k] = student.sf((here - usual.mean()) / max(spread, 1e-12), len(usual) - 1)
+    return made
 
 
 def _signals(samples: Samples) -> tuple[Array, Array]:

@@ -10,7 +10,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from imucald.core.samples import Samples, Series
-from imucald.diagnosis.direct.held_speed import contradicted
+from imucald.diagnosis.direct.held_speed import chances_of_sensors
+from imucald.diagnosis.direct.own_stays import (
+    FEW_STAYS,
+    chance_of_any,
+    chance_of_change,
+    number_as_long,
+)
 from imucald.diagnosis.signals import Array, Mask, Spans
 
 Index = NDArray[np.intp]
@@ -18,8 +24,11 @@ QUICK = ("accel", "gyro", "yaw_rate", "lateral_accel", "longitudinal_accel")
 """Sensors whose noise moves them from sample to sample."""
 MOVING_MPS = 2.0
 STUCK_S, STUCK_SLOW_S, STUCK_RUNS = 0.5, 8.0, 4.0
-"""A quick sensor is stuck from so long on, a slow one; and only if so many times the usual."""
-FEW_RUNS, FEW_STAYS = 20, 3
+"""A quick sensor is stuck from so long on, a slow one; and only if so many times the usual, or if
+chance does not make it (`own_stays`)."""
+FEW_OTHERS = 3
+CHANCE = 0.01
+"""Of each slow signal of a sound drive."""
 PARTNER_SHARE = 0.5
 """A slow signal is stuck where others go on moving by this share of their usual spread."""
 
@@ -69,16 +78,22 @@ def stuck(
     long = length > max(least, STUCK_RUNS * usual)
     for k in np.flatnonzero(long):
         long[k] = length[k] > STUCK_RUNS * _usual_of(table[first], length, int(k))
-        if name not in QUICK and usual == 0.0:
-            long[k] &= _jumps_when_released(table[:, 0], int(last[k]))
-    spans = [(float(t[a]), float(t[b])) for a, b in zip(first[long], last[long], strict=True)]
-    if name not in QUICK:
-        spans = [s for s in spans if _others_move(name, samples, s)]
-    if name == "speed":
+    stays = [(float(t[a]), float(t[b])) for a, b in zip(first, last, strict=True)]
+    if name in QUICK:
+        spans = [stays[k] for k in np.flatnonzero(long)]
+    else:
         asked = np.flatnonzero(length > STUCK_SLOW_S)
-        stays = tuple((float(t[first[k]]), float(t[last[k]])) for k in asked)
-        hit = contradicted(samples, stays)
-        spans = sorted({*spans, *(s for s, is_hit in zip(stays, hit, strict=True) if is_hit)})
+        felt = np.full(len(stays), np.nan)
+        if name == "speed":
+            felt[asked] = chances_of_sensors(samples, tuple(stays[k] for k in asked))
+        sole = _chances(t, table[:, 0], last, length, asked, felt) < CHANCE
+        # A chance that holds what the sensors say needs no other witness.
+        sure, maybe = sole & np.isfinite(felt), sole | (long & (usual > 0.0))
+        spans = [
+            stays[k]
+            for k in np.flatnonzero(maybe)
+            if sure[k] or _others_move(name, samples, stays[k])
+        ]
     spans = [s for s in spans if not _is_shown_often(t, table, first, s)]
     total = sum(b - a for a, b in spans)
     if not spans or (name not in QUICK and total < STUCK_SLOW_S):
@@ -108,7 +123,7 @@ def _on_a_rail(
 def _usual(length: Array) -> float:
     """How long values stay, but for one in a hundred; of few the longest is no measure of it."""
     length = length[length > 0.0]
-    return float(np.quantile(length, 0.99, method="lower")) if len(length) > FEW_RUNS else 0.0
+    return float(np.quantile(length, 0.99, method="lower")) if len(length) > FEW_STAYS else 0.0
 
 
 def _usual_of(values: Array, length: Array, k: int) -> float:
@@ -123,18 +138,36 @@ def _is_shown_often(t: Array, table: Array, first: Index, span: tuple[float, flo
     inside = (t >= span[0]) & (t <= span[1])
     value = table[inside][0]
     others = first[~inside[first]]
-    if len(others) < FEW_STAYS:
+    if len(others) < FEW_OTHERS:
         return False
     return bool((table[others] == value).all(axis=1).mean() > 0.5)
 
 
-def _jumps_when_released(x: Array, last: int) -> bool:
-    """Whether a slow signal goes on elsewhere than where it was held. Where few values stay, one
-    that stays may be a cruise, seen through a filter."""
-    steps = np.abs(np.diff(x))
-    if last + 1 >= len(x):
-        return True
-    return bool(steps[last] > np.quantile(steps[steps > 0.0], 0.9))
+def _chances(t: Array, x: Array, last: Index, length: Array, asked: Index, felt: Array) -> Array:
+    """(S,) chance that any stay of a sound slow signal x (N,) is as much out of the ordinary: as
+    long, ends with as large a change, and the sensors speak as much against it. 1 where not asked.
+
+    last: rows at which stays end; length: of each while driving [s]; felt: chance of what the
+    sensors say, NaN where they say nothing.
+    """
+    made = np.ones(len(length))
+    if not len(asked):
+        return made
+    steps = np.round(length / np.median(np.diff(t))).astype(np.intp)
+    changes = np.abs(np.diff(x))
+    ends = last < len(changes)
+    for k in asked:
+        others = steps > 0
+        others[k] = False
+        factors = [number_as_long(steps[others], int(steps[k]))]
+        if ends[k]:
+            like = changes[last[others & ends]]
+            own = like if len(like) > FEW_STAYS else changes[changes > 0.0]
+            factors.append(chance_of_change(own, float(changes[last[k]])))
+        if np.isfinite(felt[k]):
+            factors.append(float(felt[k]))
+        made[k] = chance_of_any(float(np.prod(factors)), len(factors), len(asked))
+    return made
 
 
 def _others_move(name: str, samples: Samples, span: tuple[float, float]) -> bool:
