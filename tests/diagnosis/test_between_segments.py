@@ -178,6 +178,13 @@ def test_clocks_run_apart_where_no_step_of_the_delay_does_as_well(grows, is_even
         assert "from 360 s on" in left[0].text
 
 
+def test_a_rate_that_does_not_pay_leaves_nothing_where_the_model_has_moved_by_no_delay():
+    known, grows = clocks(0.0 * RAMP)
+    known.changes = {"speed.delay_rate": 0.0}
+    simplify(known, grows)
+    assert (known.named, known.doubtful, known.changes) == ([], [grows], {})
+
+
 @pytest.mark.parametrize(("rate", "name"), [(0.0, "signal_delay"), (2e-3, "delay_rate")])
 def test_clocks_that_run_apart_stand_where_their_rate_pays_beside_a_delay(rate, name):
     known, grows = clocks(0.3 + 300.0 * rate * RAMP)

@@ -81,11 +81,14 @@ def simplify(state: State, trial: Trial) -> None:
         state.changes.pop(key, None)
     state.apply({})
     refit(state)
+    rivals = state.rivals.pop(h.name, [])
+    if not any(key in state.changes for key in rest):
+        state.doubtful.append(trial)  # the model has moved by nothing that it is without the growth
+        return
     n = h.lead
     simple = replace(trial, hypothesis=Hypothesis(name, rest), tolerance=trial.tolerance[n:],
                      plausible=trial.plausible[n:], reach=trial.reach[n:])  # fmt: skip
     state.named.append(asked_again(state, simple))
-    rivals = state.rivals.pop(h.name, [])
     state.rivals[name] = [t for t in rivals if t.hypothesis.name != name]
 
 
