@@ -1,7 +1,7 @@
 """Effects that the catalogue does not have, put into measured samples.
 
 Which were written when, what was left out then, and which judge ran them first: `history`. The six
-of the last batch are not run before the judge of draw 35; the six before them have run in draw 29.
+of the last batch are not run before the judge of draw 41; the six before them have run in draw 35.
 """
 
 from __future__ import annotations
@@ -10,7 +10,14 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from benchmarks.diagnosis.outside_effects import accelerometer, gyroscope, speed, transport
+from benchmarks.diagnosis.outside_effects import (
+    accelerometer,
+    carriers,
+    electronics,
+    gyroscope,
+    speed,
+    transport,
+)
 from benchmarks.diagnosis.outside_effects.history import NOT_RUN, OF_BAR
 from benchmarks.diagnosis.real_effects import Put
 
@@ -51,8 +58,14 @@ OUTSIDE: Mapping[str, tuple[Put, float, str]] = {
     "shifted_words": (transport.shifted_words, 0.85, "gyro"),
     "lost_differences": (transport.lost_differences, 0.001, "accel"),
     "compass_pull": (gyroscope.compass_pull, float(np.deg2rad(10.0)), "gyro"),
-    "handlebar": (gyroscope.handlebar, 1.4, "gyro"),
+    "handlebar": (carriers.handlebar, 1.4, "gyro"),
     "curve_logging": (transport.curve_logging, 1.0, "speed"),
     "predicted": (speed.predicted, 8.0, "speed"),
+    "wheel_wire": (electronics.wheel_wire, 0.25, "gyro"),
+    "idle_pulses": (electronics.idle_pulses, 1.0, "speed"),
+    "left_charge": (electronics.left_charge, 0.006, "accel"),
+    "loose_screw": (carriers.loose_screw, float(np.deg2rad(2.0)), "gyro"),
+    "board_resonance": (carriers.board_resonance, float(np.deg2rad(0.3)), "gyro"),
+    "swapped_blocks": (transport.swapped_blocks, 0.05, "accel"),
 }
 """Effect, medium size [SI], signal that must be there."""

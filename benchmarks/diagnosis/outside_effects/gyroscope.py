@@ -140,25 +140,3 @@ def compass_pull(s: Drive, size: float, rng: np.random.Generator, R: Array) -> f
         zeros[k] = zero
     set_values(s, "gyro", s["gyro"].values + np.interp(t, grid, zeros)[:, None] * R[2])
     return size
-
-
-def handlebar(s: Drive, size: float, rng: np.random.Generator, R: Array) -> float:
-    """The sensor is clamped to what steers, as a handlebar: in a bend of radius r it stands turned
-    by atan(size / r) about the upward axis, with a wheelbase of size [m], and it feels the steering
-    as a rate (Cossalter, Motorcycle Dynamics, 2006, 1.4: kinematic steering angle; wheelbases of
-    1.2 to 1.6 m). Below 2 m/s the angle is that at 2 m/s."""
-    gyro, speed = s["gyro"], s["speed"]
-    grid = np.arange(gyro.t[0], gyro.t[-1] + 0.1, 0.1)
-    turn = np.interp(grid, gyro.t, gyro.values @ R[2] - np.median(gyro.values @ R[2]))
-    turn = np.convolve(turn, np.ones(10) / 10.0, "same")
-    v = np.interp(grid, speed.t, np.abs(speed.values))
-    angle = np.arctan(size * turn * (v > 0.5) / np.maximum(v, 2.0))
-    angle = np.convolve(angle, np.ones(5) / 5.0, "same")
-    steers = np.interp(gyro.t, grid, np.gradient(angle, 0.1))
-    for name in ("accel", "gyro"):
-        x, by = s[name].values, np.interp(s[name].t, grid, angle)[:, None]
-        up = (x @ R[2])[:, None] * R[2]
-        # A sensor that turns to the left sees the vehicle turned to the right.
-        x = up + np.cos(by) * (x - up) - np.sin(by) * np.cross(R[2], x)
-        set_values(s, name, x + steers[:, None] * R[2] if name == "gyro" else x)
-    return size
