@@ -35,6 +35,8 @@ OF_MEDIAN = 2.0 / np.pi
 """Variance of the mean over that of the median, of normal numbers."""
 SHARES = {15: "one segment in fifteen leaves", 4: "one segment in four leaves",
           2: "half of the segments leave"}  # fmt: skip
+FLAT = ("accel_x", "longitudinal_accel", "gyro_z", "yaw_rate", "speed")
+"""Equations in which no road's unevenness stands."""
 FAR = 6.0
 LASTING = np.linspace(-FAR, FAR, 121)
 """Deviations by which all segments together may differ from the file's."""
@@ -91,11 +93,12 @@ def more_than_stated(problem: Problem, state: State) -> list[Question]:
 def _of_equation(name: str, rms: Array, file: Leaves) -> Iterator[Question]:
     """One question, of all bands but the last. rms: (B, bands) of each segment.
 
-    By how much a segment exceeds the file in the last band it may in all: a rougher road is rougher
-    in every band (ISO 8608: classes have one slope).
+    Where the road shakes, a segment may exceed the file in all bands by as much as in the last: a
+    rougher road is rougher in every band (ISO 8608: classes have one slope).
     """
-    road = np.maximum(rms[:, -1:] / max(file.rms[-1], LEAST_RMS), 1.0)
-    logs, _, _, free = beside_file(rms / road, file)
+    if name not in FLAT:
+        rms = rms / np.maximum(rms[:, -1:] / max(file.rms[-1], LEAST_RMS), 1.0)
+    logs, _, _, free = beside_file(rms, file)
     logs = logs - np.log(np.maximum(file.rms, LEAST_RMS))
     n, few, spread = len(logs), one_in_fifteen(len(logs)), np.asarray(file.spread)
     # So many neighbours count as one for a mean; for a spread fewer do (Bartlett 1946).
@@ -104,13 +107,13 @@ def _of_equation(name: str, rms: Array, file: Leaves) -> Iterator[Question]:
     known = np.maximum(file.segments * (1.0 - r2) / (1.0 + r2) - 1.0, 1.0)
     lasting = spread * np.sqrt(one * (1.0 / n + 1.0 / file.segments) / OF_MEDIAN)
     made = []
-    for (i, (low, high)), share in product(enumerate(pairwise(BANDS_HZ[:-1])), SHARES):
-        k = max(few + 1, n // share)
+    counted = {max(few + 1, n // share): words for share, words in SHARES.items()}
+    for (i, (low, high)), k in product(enumerate(pairwise(BANDS_HZ[:-1])), counted):
         x = float(np.sort(logs[:, i])[-k])
         # What as many of the file's own segments leave.
         own = max(float(spread[i] * stdtrit(known[i], 1.0 - k / (n + 1.0))), 0.0)
         text = (
-            f"between {low:g} and {high:g} Hz {SHARES[share]} at least {np.exp(x):.2g} times what "
+            f"between {low:g} and {high:g} Hz {counted[k]} at least {np.exp(x):.2g} times what "
             "half of the segments of the model file's own drives leave, where as many of those "
             f"leave {np.exp(own):.2g} times as much, and a road of the next class {ROAD_CLASS:g} "
             "times: something acts there that the file does not know"
