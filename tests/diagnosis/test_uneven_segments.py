@@ -5,9 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from imucald.diagnosis.fit.beside_file import leaves_of
 from imucald.diagnosis.fit.blocks import Table
+from imucald.diagnosis.fit.chance import Question, beyond_chance
 from imucald.diagnosis.fit.score import Hypothesis, Problem
-from imucald.diagnosis.left_over.uneven_segments import uneven
+from imucald.diagnosis.left_over.uneven_segments import _of_equation, uneven
 from imucald.diagnosis.search.state import State
 from imucald.diagnosis.signals import drive_of
 from imucald.simulation import random_model, simulate
@@ -96,3 +98,76 @@ def test_a_speed_that_is_zero_below_its_dead_band_leaves_nothing_at_stops(seed):
     model = random_model(seed)
     state = State([drive_of(simulate(model, seed, 10.0).samples)], model, model, {})
     assert uneven(state.evaluated(), None) == []
+
+
+STATED, BAND = 40, 1
+
+
+def leaving(seed: int, count: int, lasts: float = 0.0):
+    """rms (count, 6) of segments that differ as roads do; lasts: correlation of neighbours."""
+    rng = np.random.default_rng(seed)
+    own = rng.normal(size=(count, 6))
+    for b in range(1, count):
+        own[b] = lasts * own[b - 1] + np.sqrt(1.0 - lasts**2) * own[b]
+    return 0.1 * np.exp(0.5 * own)
+
+
+def beside_stated(rms, seed: int = 0, lasts: float = 0.0, name: str = "accel_y") -> Question:
+    """rms of a later drive beside a file that other segments of the same kind gave."""
+    speeds = np.full(STATED, 10.0)
+    file = leaves_of({name: (speeds, leaving(900 + seed, STATED, lasts))}, 30.0)[name]
+    (asked,) = _of_equation(name, rms, file)
+    return asked
+
+
+@pytest.mark.parametrize("name", ["accel_x", "accel_y"])
+@pytest.mark.parametrize("lasts", [0.0, 0.3])
+@pytest.mark.parametrize("count", [4, 8, 40])
+def test_later_segments_that_differ_as_the_files_do_are_within_chance(count, lasts, name):
+    asked = [beside_stated(leaving(s, count, lasts), s, lasts, name) for s in range(200)]
+    assert np.mean([q.p < 0.05 for q in asked]) <= 0.05
+    assert beyond_chance(asked) == []
+
+
+@pytest.mark.parametrize(
+    ("each", "least", "own"), [(10, -1.03, 1.29), (3, -0.53, 0.69), (1, 0.0, 0.0)]
+)
+def test_what_acts_in_any_share_of_the_segments_is_seen_beside_the_file_with_its_size(
+    each, least, own
+):
+    """least: expected deviation of the quietest of those that count (4 of 4, 10 of 14, half); own:
+    of as many of all segments. A class of road is 2."""
+    rms = leaving(1, STATED)
+    rms[::each, BAND] *= 40.0
+    (found,) = beyond_chance([beside_stated(rms)])
+    assert found.kind == "more is left than the file states"
+    assert "between 0.1 and 0.2 Hz" in found.text
+    assert found.size == pytest.approx(40.0 * np.exp(0.5 * (least - own)) / 2.0, rel=0.5)
+
+
+def test_one_segment_does_not_decide_beside_the_file():
+    rms = leaving(1, STATED)
+    rms[7, BAND] *= 1000.0
+    assert beyond_chance([beside_stated(rms)]) == []
+
+
+def test_six_segments_are_enough_where_half_of_them_leave_far_more():
+    rms = leaving(1, 6)
+    rms[::2, BAND] *= 100.0
+    assert beyond_chance([beside_stated(rms)]) != []
+
+
+def test_a_rougher_road_is_rougher_in_every_band_and_nothing_is_said():
+    rms = leaving(1, STATED)
+    rms[::4] *= 20.0
+    assert beyond_chance([beside_stated(rms)]) == []
+    assert beyond_chance([beside_stated(rms, name="accel_x")]) != []  # no road pushes forward
+
+
+def test_less_than_a_class_of_road_is_not_said_however_sure_it_is():
+    spread = leaving(2, 4000) ** 0.02
+    rms = spread * np.where(np.arange(6) == BAND, 1.8, 1.0)
+    file = leaves_of({"accel_x": (np.full(4000, 10.0), leaving(3, 4000) ** 0.02)}, 30.0)["accel_x"]
+    (asked,) = _of_equation("accel_x", rms, file)
+    assert asked.p < 1e-6
+    assert not asked.is_large

@@ -39,7 +39,7 @@ from imucald.diagnosis.left_over.orders import orders
 from imucald.diagnosis.left_over.pairs import pairs
 from imucald.diagnosis.left_over.patterns import patterns
 from imucald.diagnosis.left_over.stability import drift_of, unstable
-from imucald.diagnosis.left_over.uneven_segments import uneven
+from imucald.diagnosis.left_over.uneven_segments import more_than_stated, uneven
 from imucald.diagnosis.pictures import pictures_of
 from imucald.diagnosis.result import (
     CHANGES_OTHERWISE,
@@ -200,6 +200,7 @@ def _left(state: State) -> tuple[Structure, ...]:
                 *unstable(problem, state),
                 *gains_apart(problem, state, drift),
                 *louder(problem, state),
+                *more_than_stated(problem, state),
                 *coarser(state.drives, state.stated),
                 *holes(state.drives),
                 *changes_missing(state.drives),

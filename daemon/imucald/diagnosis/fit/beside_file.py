@@ -58,16 +58,16 @@ def with_entries(model: VehicleModel, made: Mapping[str, Leaves]) -> VehicleMode
 
 
 def in_both(
-    left: Left, stated: Mapping[str, Leaves], segment_s: float
+    left: Left, stated: Mapping[str, Leaves], segment_s: float, least: int = LEAST_SEGMENTS
 ) -> Iterator[tuple[str, Array, Leaves]]:
-    """Name, numbers (B, 6) and the file's entry, where enough segments of the same length were
-    driven at the speeds of the file's."""
+    """Name, numbers (B, 6) and the file's entry, where at least so many segments of the same length
+    were driven at the speeds of the file's."""
     for name, (v, x) in left.items():
         file = stated.get(name)
         if file is None or file.segment_s != segment_s:
             continue
         inside = (v >= file.speeds_mps[0]) & (v <= file.speeds_mps[1])
-        if min(inside.sum(), file.segments) >= LEAST_SEGMENTS:
+        if inside.sum() >= least and file.segments >= LEAST_SEGMENTS:
             yield name, x[inside], file
 
 
