@@ -80,7 +80,7 @@ def outcome(case: Case) -> dict[str, Any]:
         "left": sorted({s.kind for s in d.structure}), "recommended": d.recommended,
         "cpu_s": round(seconds, 2), "cpu_s_per_h": round(seconds / hours, 1),
         "mib": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss // 1024,
-        "values": _values(d), "truth": truth, "implausible": _implausible(d),
+        "values": values_of(d), "truth": truth, "implausible": _implausible(d),
         "others": {
             key: [p.value - p.stated, p.std]
             for c in d.candidates for key, p in c.parameters.items()
@@ -154,7 +154,7 @@ def _named_as_it_is(log: str, pieces: int, piece: int) -> Mapping[str, list[floa
         d = diagnose([read_log(log).pieces(pieces)[piece]], piece_model(case))
     except EstimateError:
         return {}
-    return {key: x[:2] for key, x in _values(d).items()}
+    return {key: x[:2] for key, x in values_of(d).items()}
 
 
 def _prepared(case: Case) -> tuple[Samples, VehicleModel, tuple[str, ...], Any]:
@@ -249,7 +249,7 @@ def piece_model(case: Case) -> VehicleModel:
     return model
 
 
-def _values(d: Diagnosis) -> dict[str, list[float]]:
+def values_of(d: Diagnosis) -> dict[str, list[float]]:
     """Found parameter: departure, deviation, quantile."""
     return {
         key: [p.value - p.stated, p.std, c.evidence.get("quantile", 3.0)]

@@ -14,7 +14,13 @@ import sys
 from benchmarks.diagnosis.cases import Case
 from benchmarks.diagnosis.judged import wrong_names
 from benchmarks.diagnosis.measured_logs import LOGS, read_log
-from benchmarks.diagnosis.outcome import of_medium_size, piece_model, rng_of
+from benchmarks.diagnosis.outcome import (
+    of_medium_size,
+    piece_model,
+    rng_of,
+    values_of,
+    zero_at_rest,
+)
 from benchmarks.diagnosis.outside_effects import NOT_RUN, OUTSIDE
 from imucald.diagnosis.cause_keys import mount_of
 from imucald.diagnosis.diagnose import diagnose
@@ -56,7 +62,8 @@ def _one(case: Case, size: float) -> tuple[bool, bool]:
     put(changed, size, rng_of(case), mount_of(model))
     d = diagnose([changed], model)
     line = {"log": case.log, "right": ["unknown"], "said": [c.name for c in d.causes],
-            "sets": d.look_alikes}  # fmt: skip
+            "sets": d.look_alikes, "values": values_of(d),
+            "at_rest": zero_at_rest(changed, model)}  # fmt: skip
     return d.verdict == "unknown" or bool(d.structure), bool(wrong_names(line))
 
 

@@ -12,10 +12,11 @@ from imucald.diagnosis.direct.sample_changes import (
     changes_missing,
     changes_of,
     changes_otherwise,
+    jumps_alone,
     with_changes,
 )
 from imucald.diagnosis.fit.chance import beyond_chance
-from imucald.diagnosis.result import CHANGES_MISSING, CHANGES_OTHERWISE
+from imucald.diagnosis.result import CHANGES_MISSING, CHANGES_OTHERWISE, JUMPS_ALONE
 from imucald.diagnosis.signals import drive_of
 from imucald.model.model import VehicleModel, load_model
 
@@ -144,3 +145,90 @@ def test_nothing_is_asked_of_few_changes():
     assert not [q for q in changes_missing([drive]) if q.structure.signal.startswith("gyro")]
     names = {f"changes of {n}_{a} at 50 Hz" for n in ("accel", "gyro") for a in "xyz"}
     assert set(changes_of([drive], PLAIN)) <= names
+
+
+# jumps -------------------------------------------------------------------------------------------
+
+
+def jumping(made):
+    """Signals that are reported."""
+    left = beyond_chance(jumps_alone([drive_of(made)]))
+    assert {s.kind for s in left} <= {JUMPS_ALONE}
+    return {s.signal for s in left}
+
+
+def wrong_now_and_then(x, share, rng):
+    """A share of the readings is anywhere within 5 of the true value."""
+    hit = rng.random(len(x)) < share
+    return x + hit * rng.uniform(-5.0, 5.0, len(x))
+
+
+def test_wrong_values_now_and_then_are_reported_where_they_are():
+    made = samples(2)
+    x = made["accel"].values.copy()
+    x[:, 1] = wrong_now_and_then(x[:, 1], 0.006, np.random.default_rng(1))
+    made["accel"] = Series(made["accel"].t, LSB * np.round(x / LSB))
+    assert jumping(made) == {"accel_y"}
+
+
+def test_axes_that_change_places_now_and_then_are_reported():
+    made = samples(2)
+    x = made["accel"].values.copy()
+    hit = np.random.default_rng(1).random(len(x)) < 0.01
+    x[hit] = x[hit][:, [2, 1, 0]]
+    made["accel"] = Series(made["accel"].t, x)
+    assert jumping(made) == {"accel_x", "accel_z"}
+
+
+def test_a_wrong_value_or_two_are_no_fault_of_the_sensor():
+    made = samples(2)
+    x = made["accel"].values.copy()
+    x[::5000, 1] += 5.0
+    made["accel"] = Series(made["accel"].t, x)
+    assert jumping(made) == set()
+
+
+def test_what_is_normal_jumps_nowhere_on_any_road():
+    for seed in range(10):
+        assert jumping(samples(seed)) == set()
+
+
+def test_blows_of_the_road_shake_on():
+    """A wheel that hops at 12 Hz, a tenth of critical, once in two seconds."""
+    made = samples(2)
+    t, rng = made["accel"].t, np.random.default_rng(1)
+    x = 0.2 * made["accel"].values
+    after = np.arange(0.0, 1.0, 1.0 / RATE_HZ)
+    ringing = np.exp(-7.5 * after) * np.sin(75.0 * after)
+    for at in rng.integers(0, len(t) - len(after), 300):
+        x[at : at + len(after), 2] += rng.uniform(2.0, 8.0) * ringing
+    made["accel"] = Series(t, LSB * np.round(x / LSB))
+    assert jumping(made) == set()
+
+
+def test_a_sensor_that_is_read_faster_than_it_measures_does_not_jump():
+    made = samples(2)
+    fresh = np.arange(len(made["gyro"].t)) // 12 * 12
+    made["gyro"] = Series(made["gyro"].t, made["gyro"].values[fresh])
+    assert jumping(made) == set()
+
+
+def test_a_speed_that_leaves_zero_by_a_jump_is_sound():
+    made = samples(2)
+    t = made["speed"].t
+    v = np.maximum(2.0 * np.sin(t / 2.0), 0.0)
+    made["speed"] = Series(t, np.where(v < 0.25, 0.0, 0.01 * np.round(v / 0.01)))
+    assert jumping(made) == set()
+
+
+@pytest.mark.parametrize("freedom", [3.0, 5.0])
+def test_of_noise_with_long_tails_chances_are_no_smaller_than_they_say(freedom):
+    """Student's law, down to what has a variance and not much more."""
+    rng, below = np.random.default_rng(4), 0
+    first = {name: Series(s.t[s.t < 60.0], s.values[s.t < 60.0]) for name, s in samples(0).items()}
+    t = first["gyro"].t
+    for _ in range(150):
+        x = rng.standard_t(freedom, (len(t), 3))
+        asked = jumps_alone([drive_of(first | {"gyro": Series(t, LSB * np.round(x / LSB))})])
+        below += sum(q.p < 0.01 for q in asked if q.structure.signal.startswith("gyro"))
+    assert below <= 10  # of 450

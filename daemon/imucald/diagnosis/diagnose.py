@@ -21,7 +21,12 @@ from imucald.diagnosis.direct.faults import find_faults, invalid_spans
 from imucald.diagnosis.direct.held_values import held_values
 from imucald.diagnosis.direct.levels import coarser, holes, with_levels
 from imucald.diagnosis.direct.lost_readings import Lost, all_lost, as_structure
-from imucald.diagnosis.direct.sample_changes import changes_missing, changes_otherwise, with_changes
+from imucald.diagnosis.direct.sample_changes import (
+    changes_missing,
+    changes_otherwise,
+    jumps_alone,
+    with_changes,
+)
 from imucald.diagnosis.direct.stuck import Fault
 from imucald.diagnosis.doubts import doubt
 from imucald.diagnosis.fit.blocks import Table
@@ -45,6 +50,7 @@ from imucald.diagnosis.result import (
     CHANGES_OTHERWISE,
     COARSER,
     GOES_AGAINST,
+    JUMPS_ALONE,
     LOUDER,
     TOO_MUCH,
     VALUE_HELD,
@@ -67,7 +73,7 @@ LEAST_BLOCKS = 4
 LITTLE_MIN = 10.0
 UNBELIEVED = (GOES_AGAINST, TOO_MUCH)
 """Structure beside which no fit is believed."""
-NOT_AS_STATED = (LOUDER, COARSER, VALUES_MISSING, CHANGES_OTHERWISE)
+NOT_AS_STATED = (LOUDER, COARSER, VALUES_MISSING, CHANGES_OTHERWISE, JUMPS_ALONE)
 """Structure beside which a file keeps what it says of its own drives."""
 HALF = 0.5
 """A file is not held to less than this share of a tolerance: one drive's pieces share temperature,
@@ -204,6 +210,7 @@ def _left(state: State) -> tuple[Structure, ...]:
                 *coarser(state.drives, state.stated),
                 *holes(state.drives),
                 *changes_missing(state.drives),
+                *jumps_alone(state.drives),
                 *changes_otherwise(state.drives, state.stated, state.model),
             ]
         ),

@@ -3,21 +3,32 @@
 A road shakes all axes of a sensor. By how much one axis changes over 1, 2, 4, ... samples, beside
 the others, is a matter of the vehicle and the sensor, which two drives share: a model file carries
 what half of the segments of its drives show, along the vehicle's axes. And small changes are more
-common than large ones, whatever the signal.
+common than large ones, whatever the signal, also beside those just before and after.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from itertools import pairwise
+from itertools import combinations, pairwise
+from math import comb
 
 import numpy as np
+from scipy.ndimage import maximum_filter1d
 from scipy.stats import binom
 from scipy.stats import t as student
 
 from imucald.diagnosis.cause_keys import mounts
 from imucald.diagnosis.direct.held_values import noise_about
-from imucald.diagnosis.direct.levels import Numbers, levels_of, numbers_of, signals_of, step_of
+from imucald.diagnosis.direct.levels import (
+    OBD_STEP,
+    OF_WHEELS,
+    Numbers,
+    levels_of,
+    numbers_of,
+    signals_of,
+    step_of,
+)
+from imucald.diagnosis.direct.lost_readings import PASSES_HALF
 from imucald.diagnosis.fit.beside_file import (
     ROAD_CLASS,
     Left,
@@ -27,7 +38,12 @@ from imucald.diagnosis.fit.beside_file import (
     with_entries,
 )
 from imucald.diagnosis.fit.chance import Question, beyond_chance
-from imucald.diagnosis.result import CHANGES_MISSING, CHANGES_OTHERWISE, Structure
+from imucald.diagnosis.result import (
+    CHANGES_MISSING,
+    CHANGES_OTHERWISE,
+    JUMPS_ALONE,
+    Structure,
+)
 from imucald.diagnosis.signals import STANDING_MPS, Array, Channel, DriveSignals, Mask
 from imucald.model.leaves import LAGS, Leaves
 from imucald.model.model import VehicleModel
@@ -42,6 +58,15 @@ BELOW_HALF = 1.0 / 3.0
 """Of a pure vibration's changes a third is below half of the largest (arcsine distribution): of all
 motions it has the fewest."""
 LEAST_CHANGES, LEAST_CODES, MOST_CODES = 30, 2, 1000
+BESIDE = np.array([1.0] * 6 + [0.0] * 5 + [1.0] * 6)
+"""Changes that one is held against: the third to the eighth before it and after it. The two next to
+it a wrong value makes itself, and what a filter spreads of it."""
+LEVELS = (4.0, 8.0, 16.0, 32.0, 64.0, 128.0)
+"""Times the rms of the changes beside it, octaves. Of normal noise with a rms of twelve one in 500
+exceeds the first (Student)."""
+ALONE_SHARE = 0.001
+"""Of the changes of a signal that jump. Fewer a blow or a stone makes; of frames so many come twice
+without a fault (`faults`)."""
 
 
 # against the file --------------------------------------------------------------------------------
@@ -187,3 +212,52 @@ def _missing(signal: Numbers) -> Iterator[Question]:
     # Below its noise a coarse converter's own steps show.
     is_large = bool(below[k] < 0.5 * BELOW_HALF * many) and size > noise_about(signal.values)
     yield Question(p, is_large, Structure(signal.name, CHANGES_MISSING, 1.0 / max(p, 1e-12), text))
+
+
+def jumps_alone(drives: Sequence[DriveSignals]) -> list[Question]:
+    """Whether signals jump, again and again, where they change by little before and after."""
+    return [q for drive in drives for signal in signals_of(drive) for q in _alone(signal)]
+
+
+def _alone(signal: Numbers) -> Iterator[Question]:
+    """Of changes that are larger than those beside them by some factor at most a quarter is so by
+    twice the factor: tails of what has a variance fall faster than 1/x^2. A road's blows shake on,
+    and are beside themselves. Asked of every two factors, the chance multiplied by their number."""
+    changes, times = _beside(signal)
+    # A wrong value jumps there and back: it counts once.
+    times = times[times == maximum_filter1d(times, len(BESIDE), mode="constant")]
+    counts = [int((times > level).sum()) for level in LEVELS]
+    asked = [
+        (float(binom.sf(counts[j] - 1, counts[i], PASSES_HALF ** (j - i))), i, j)
+        for i, j in combinations(range(len(LEVELS)), 2)
+        if counts[j] > ALONE_SHARE * len(changes)
+    ]
+    chance, i, j = min(asked, default=(1.0, 0, 1))
+    text = (
+        f"{counts[j]} times it jumps by more than {LEVELS[j]:g} times what it changes by just "
+        f"before and after, where {counts[i]} jumps by more than {LEVELS[i]:g} times make "
+        f"{counts[i] * PASSES_HALF ** (j - i):.0f} such at most in any motion and noise: single "
+        "values are wrong, or it goes from one source to another"
+    )
+    p = min(1.0, chance * comb(len(LEVELS), 2))
+    yield Question(p, bool(asked), Structure(signal.name, JUMPS_ALONE, float(counts[j]), text))
+
+
+def _beside(signal: Numbers) -> tuple[Array, Array]:
+    """(N,) changes between values that differ, and how many times they are the rms of those beside
+    them. Below its noise, or its step, none is measured, and no speed is below 1 km/h: it leaves
+    zero by a jump (dead band)."""
+    new = np.flatnonzero(np.concatenate([[True], np.diff(signal.values) != 0.0]))
+    gaps = np.concatenate([[0], np.cumsum(~signal.is_next)])[new]
+    x = signal.values[new]
+    there = np.diff(gaps) == 0
+    if signal.channel in OF_WHEELS:
+        there &= np.minimum(np.abs(x[1:]), np.abs(x[:-1])) > OBD_STEP
+    changes = np.diff(x) * there
+    least = max(step_of(levels_of(x)), noise_about(signal.values))
+    if len(changes) < len(BESIDE) or least == 0.0:
+        return changes[:0], changes[:0]
+    power = np.convolve(changes**2, BESIDE, "same")
+    count = np.convolve(there.astype(float), BESIDE, "same")
+    rms = np.sqrt(power / np.maximum(count, 1.0) + least**2)
+    return changes, np.abs(changes) / rms
