@@ -1,7 +1,7 @@
 """Effects that the catalogue does not have, put into measured samples.
 
 Which were written when, what was left out then, and which judge ran them first: `history`. The six
-of the last batch are not run before the judge of draw 41; the six before them have run in draw 35.
+of the last batch are not run before the judge of draw 47; the six before them have run in draw 41.
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ from benchmarks.diagnosis.outside_effects import (
     carriers,
     electronics,
     gyroscope,
+    signal_sources,
     speed,
     transport,
 )
@@ -67,5 +68,11 @@ OUTSIDE: Mapping[str, tuple[Put, float, str]] = {
     "loose_screw": (carriers.loose_screw, float(np.deg2rad(2.0)), "gyro"),
     "board_resonance": (carriers.board_resonance, float(np.deg2rad(0.3)), "gyro"),
     "swapped_blocks": (transport.swapped_blocks, 0.05, "accel"),
+    "tyre_difference": (signal_sources.tyre_difference, 0.003, "gyro"),
+    "steered_axle": (signal_sources.steered_axle, 5.9, "gyro"),
+    "after_jolts": (signal_sources.after_jolts, 2.5, "accel"),
+    "peaks_kept": (signal_sources.peaks_kept, 0.5, "accel"),
+    "sent_on_change": (signal_sources.sent_on_change, float(np.deg2rad(2.0)), "gyro"),
+    "full_queue": (signal_sources.full_queue, 1.5, "speed"),
 }
 """Effect, medium size [SI], signal that must be there."""

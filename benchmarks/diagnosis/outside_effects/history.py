@@ -103,13 +103,26 @@ BATCHES = (
         "buffer's end are a delay, and a noise of radio or of a motor's current was too near to "
         "what is there.",
     ),
+    Batch(
+        ("tyre_difference", "steered_axle", "after_jolts", "peaks_kept", "sent_on_change",
+         "full_queue"),
+        "2026-11-23 19:07", 47,
+        "Each from a published source, cited from memory, by one who read neither the tests nor "
+        "their page nor an outcome, but this package and the ideal filter; only the size of the "
+        "change was computed before they were kept, and no size was changed after. A low byte "
+        "taken as signed was left out: a missing bit in another place. Stamps of a FIFO spread by "
+        "a nominal rate were left out: too near to stamps of whole seconds; a phone that is "
+        "picked up: a row of mount shifts; a gyroscope made of a compass and an accelerometer, and "
+        "rates with an attitude filter's correction in them: too near to body roll and to a "
+        "gyroscope that feels acceleration; a spring broken on one side: half of it is body roll.",
+    ),
 )  # fmt: skip
 """In the order of writing."""
 LAST = BATCHES[-1]
 FIRST_DRAW: Mapping[str, int | None] = {x: b.first_draw for b in BATCHES for x in b.effects}
 """Effect to the draw of the judge that ran it first."""
 NOT_RUN = LAST.effects
-"""Not run before the judge of their first draw. Those of the batch before have run in draw 35."""
+"""Not run before the judge of their first draw. Those of the batch before have run in draw 41."""
 OF_BAR = BATCHES[-2].effects + NOT_RUN
 """What the bar of new effects is asked of: as many that were looked at since their judge as such
 that nobody has run."""

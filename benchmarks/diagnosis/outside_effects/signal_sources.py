@@ -1,0 +1,121 @@
+"""Outside effects of where a signal is taken from, and of which of its values go on."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from benchmarks.diagnosis.outside_effects.levels import set_values
+from benchmarks.diagnosis.outside_effects.spells import in_spells
+from benchmarks.diagnosis.real_effects import Array, Drive
+from imucald.core.samples import GRAVITY, Series
+
+TRACK_M = 1.5
+
+
+def tyre_difference(s: Drive, size: float, rng: np.random.Generator, R: Array) -> float:
+    """There is no gyroscope about the upward axis: the unit takes the difference of the left and
+    the right wheels' speeds over the track of 1.5 m, and the tyres' radii differ by this share, so
+    that it shows a bend that grows with the speed (Gustafsson, Ahlqvist, Forssell, Persson, Sensor
+    fusion for accurate computation of yaw rate and absolute velocity, SAE 2001-01-1064: offset of
+    the relative tyre radius). 0.003 is 1 mm of rubber on a radius of 0.31 m, as after one new tyre
+    or with one that is low: 2.3 deg/s at 20 m/s, a heading that is lost within a minute. Noise of
+    the wheels is left out."""
+    gyro = s["gyro"]
+    v = np.interp(gyro.t, s["speed"].t, np.abs(s["speed"].values))
+    rate = rng.choice([-1.0, 1.0]) * size * v / TRACK_M
+    set_values(s, "gyro", gyro.values + rate[:, None] * R[2])
+    return size
+
+
+def steered_axle(s: Drive, size: float, rng: np.random.Generator, R: Array) -> float:
+    """The speed is the mean of the two steered wheels, which go a wider way than the rear axle:
+    with a wheelbase of size [m] it is the root of v^2 and of (wheelbase * yaw rate)^2 (Rajamani,
+    Vehicle Dynamics and Control, 2012, 2.2: kinematic model; tachographs and dongles take what the
+    vehicle sends and do not ask of which axle). 5.9 m is a city bus of 12 m: at a corner of 10 m
+    radius the speed is 16 % too high. A car's 2.7 m give 4 %, which nobody minds."""
+    gyro, t, v = s["gyro"], s["speed"].t, s["speed"].values
+    n = max(1, round(0.5 / float(np.median(np.diff(gyro.t)))))
+    upward = gyro.values @ R[2]
+    upward = np.convolve(upward - np.median(upward), np.ones(n) / n, "same")
+    # 0.5 m/s: what the gyroscope shows at a stop turns no wheel.
+    across = size * np.interp(t, gyro.t, upward) * (np.abs(v) > 0.5)
+    # A wheel is steered by 45 deg at most.
+    across = np.minimum(np.abs(across), np.abs(v))
+    set_values(s, "speed", np.where(v < 0.0, -1.0, 1.0) * np.hypot(v, across))
+    return size
+
+
+def after_jolts(s: Drive, size: float, rng: np.random.Generator, R: Array) -> float:
+    """A jolt leaves the accelerometer's zero shifted, by size [m/s^2] after a jolt of 1 g, more
+    after a stronger one, to the same side of each axis every time; it comes back within 5 s (Chu,
+    Zeroshift of piezoelectric accelerometers in pyroshock measurements, Shock and Vibration
+    Bulletin 57, 1987; Walter, Accelerometer zero shift, PCB Piezotronics TN-24: an amplifier that
+    is driven into its stops by the resonance comes back with the time constant of its coupling).
+    A jolt counts from 0.2 g, or from what one sample in 200 passes where the road is smoother.
+    What is shown of a jolt in a log of 10 Hz is a fraction of it, so 1 g shown was some 5 g, and
+    0.05 of them, Chu's percents of the peak, are 2.5 m/s^2: a tilt that is wrong by degrees for
+    seconds after each pothole."""
+    t, x = s["accel"].t, s["accel"].values
+    upward = x @ R[2]
+    jolt = np.abs(upward - np.median(upward)) / GRAVITY
+    jolt = np.where(jolt > min(0.2, float(np.quantile(jolt, 0.995))), jolt, 0.0)
+    keep = np.exp(-np.minimum(np.diff(t, prepend=t[0]), 60.0) / 5.0)
+    left, zero = 0.0, np.zeros(len(t))
+    for k in range(len(t)):
+        zero[k] = left * keep[k]
+        # Charge that is there already leaves no room for that of a weaker jolt.
+        left = max(float(zero[k]), float(jolt[k]))
+    set_values(s, "accel", x + size * zero[:, None] * rng.choice([-1.0, 1.0], 3))
+    return size
+
+
+def peaks_kept(s: Drive, size: float, rng: np.random.Generator, R: Array) -> float:
+    """The logger keeps of each span of size [s] not the mean but the peak: of each axis the value
+    that is farthest from its mean over the last minute (Extech VB300 manual, 3-axis g-force
+    datalogger: the peak of each interval is stored; the same in units that look for harsh braking).
+    Spans are centred on the stamps, so nothing is late. 0.5 s is of the order of what such units
+    have: in a bend or in braking the peak of the shaking is added to the force, and lever, tilt and
+    mount come out too large."""
+    t, x = s["accel"].t, s["accel"].values
+    step = float(np.median(np.diff(t)))
+    half, minute = max(1, round(0.5 * size / step)), max(1, round(60.0 / step))
+    sums = np.cumsum(np.concatenate([np.zeros((1, 3)), x]), axis=0)
+    ends = np.arange(1, len(t) + 1)
+    first = np.maximum(ends - minute, 0)
+    off = x - (sums[ends] - sums[first]) / (ends - first)[:, None]
+    # Before the first minute is over the mean is that of what there is.
+    edges = np.pad(off, ((half, half), (0, 0)), mode="edge")
+    spans = np.lib.stride_tricks.sliding_window_view(edges, 2 * half + 1, axis=0)
+    at = np.argmax(np.abs(spans), axis=2)
+    rows = np.clip(np.arange(len(t))[:, None] + at - half, 0, len(t) - 1)
+    set_values(s, "accel", np.take_along_axis(x, rows, axis=0))
+    return size
+
+
+def sent_on_change(s: Drive, size: float, rng: np.random.Generator, R: Array) -> float:
+    """Each axis of the gyroscope is sent when it has changed by size [rad/s] since it was sent
+    last, and the receiver goes on with what came last (OMA LightweightM2M 1.0, 5.1.2, attribute
+    Step; IPSO object 3334, Gyrometer; Miskowicz, Send-on-delta concept, Sensors 6, 2006). After a
+    bend a rate of up to 2 deg/s can stand on a straight road, so that a heading runs off by 20 deg
+    in ten seconds; so coarse a step is chosen where each message costs."""
+    x = s["gyro"].values
+    shown, last = np.empty_like(x), x[0]
+    for k, now in enumerate(x):
+        last = np.where(np.abs(now - last) >= size, now, last)
+        shown[k] = last
+    set_values(s, "gyro", shown)
+    return size
+
+
+def full_queue(s: Drive, size: float, rng: np.random.Generator, R: Array) -> float:
+    """The speed comes over a cellular link and is stamped where it arrives. While something else
+    loads the link, 15 to 40 s at a time, a queue before it fills: the speed is late by up to size
+    [s] more, which builds up and goes away within 5 s (Jiang, Wang, Lee, Rhee, Tackling bufferbloat
+    in 3G/4G networks, IMC 2012: round trips of one second and more under load; Gettys, Nichols,
+    Bufferbloat: dark buffers in the internet, ACM Queue 9, 2011). Less than 0.5 s would be taken
+    for the link itself."""
+    t = s["speed"].t
+    grid = np.arange(t[0], t[-1] + 0.1, 0.1)
+    loaded = np.convolve(in_spells(grid, 15.0, rng), np.ones(50) / 50.0)[: len(grid)]
+    s["speed"] = Series(t + size * np.interp(t, grid, loaded), s["speed"].values)
+    return size
