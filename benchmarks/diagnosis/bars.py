@@ -30,10 +30,9 @@ ASKED: Mapping[str, float] = {
 }  # fmt: skip
 """Effect to the size [SI] that is to be found in 15 min and more with a gyroscope."""
 GYRO_BIAS_WITHOUT_STOPS, STOP_S = 0.3 * DEG, 10.0
-"""A mean over 10 s knows the zero to 0.002 deg/s (BMI160 data sheet: 0.007 deg/s a root Hz). The
-stop is asked of the piece and of what made its file (since draw 41; of the piece alone before)."""
+"""A mean over 10 s knows the zero to 0.002 deg/s (BMI160 data sheet: 0.007 deg/s a root Hz)."""
 HALF_NEW = "the last twelve, of which six were never run before"
-"""What is asked of new effects is asked of such as half of nobody thought of."""
+"""Effects of the bar for new ones: nobody thought of half of them while the method was made."""
 PER_HOUR_S, MIDDLE_S, MIB = 60.0, 30.0, 1024.0
 
 
@@ -124,7 +123,7 @@ def _asked_size(of_draw: Sequence[Line]) -> float:
     asked = ASKED[of_draw[0]["effect"]]
     if of_draw[0]["effect"] == "gyro_bias":
         piece = [x for x in of_draw if _size(x) == asked]
-        if not all(x.get("stop_s", 0.0) >= STOP_S for x in piece):
+        if not all(x.get("longest_stop_s", 0.0) >= STOP_S for x in piece):
             return GYRO_BIAS_WITHOUT_STOPS
     return asked
 
@@ -175,18 +174,21 @@ def _outside(lines: Sequence[Line], nulls: Sequence[Line]) -> Iterator[str]:
     of_bar = [x for x in fair if x["effect"] in OF_BAR]
     for what, own in (("all", fair), (HALF_NEW, of_bar)):
         if own:
-            seen = sum(map(is_right, own))
-            wrong = sum(bool(wrong_names(x)) for x in own)
+            seen, wrong = _seen_and_wrong(own)
             yield _line(5, f"outside effects seen in measured logs, {what}",
                         _part_of(seen, len(own)), "80 %", seen >= 0.8 * len(own))  # fmt: skip
             yield _line(5, f"a wrong name for an outside effect, {what}",
                         _part_of(wrong, len(own)), "5 %", wrong <= 0.05 * len(own))  # fmt: skip
     if new:
-        seen, wrong = sum(map(is_right, new)), sum(bool(wrong_names(x)) for x in new)
+        seen, wrong = _seen_and_wrong(new)
         yield (
             f"- 5, of these the ones that were never run before: seen {_part_of(seen, len(new))}, "
             f"a wrong name in {_part_of(wrong, len(new))} (no bar of their own)."
         )
+
+
+def _seen_and_wrong(lines: Sequence[Line]) -> tuple[int, int]:
+    return sum(map(is_right, lines)), sum(bool(wrong_names(x)) for x in lines)
 
 
 def _cost(lines: Sequence[Line]) -> Iterator[str]:

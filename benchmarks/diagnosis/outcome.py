@@ -74,7 +74,7 @@ def outcome(case: Case) -> dict[str, Any]:
     seconds = time.process_time() - began
     hours = d.duration_s / 3600.0
     result = {
-        **line, "minutes": round(60.0 * hours, 1), "stop_s": _stop_of_both_s(case, samples),
+        **line, "minutes": round(60.0 * hours, 1), "longest_stop_s": longest_stop_s(samples),
         "verdict": d.verdict, "said": [c.name for c in d.causes],
         "likely": [c.name for c in d.likely], "sets": [list(s) for s in d.look_alikes],
         "left": sorted({s.kind for s in d.structure}), "recommended": d.recommended,
@@ -93,20 +93,6 @@ def outcome(case: Case) -> dict[str, Any]:
     if case.part in {"measured", "nulls"} and d.causes:
         result["file"] = _file_alone(d, samples)
     return result
-
-
-def _stop_of_both_s(case: Case, samples: Samples) -> float:
-    """Longest stop of the piece, or of what made its file where that is shorter: the file's own
-    zero is known no better than its stops know it, and a departure is measured from it."""
-    if case.part not in {"nulls", "measured", "outside"}:
-        return longest_stop_s(samples)
-    return min(longest_stop_s(samples), _stop_of_file_s(case.log, case.pieces, case.piece))
-
-
-@lru_cache(32)
-def _stop_of_file_s(log: str, pieces: int, piece: int) -> float:
-    others = (p for i, p in enumerate(read_log(log).pieces(pieces)) if i != piece)
-    return max(map(longest_stop_s, others))
 
 
 def longest_stop_s(samples: Samples) -> float:

@@ -20,7 +20,7 @@ def hidden(effect: str, level: int, draw: int, named: bool, **more: object) -> d
         "effect": effect, "level": level, "draw": draw, "right": ["it"], "minutes": 20.0,
         "said": ["it"] if named else [], "likely": [], "sets": [], "left": [], "values": {},
         "others": {}, "verdict": "found" if named else "nothing", "cpu_s_per_h": 10.0, "mib": 100,
-        "stop_s": 60.0, **more,
+        "longest_stop_s": 60.0, **more,
     }  # fmt: skip
 
 
@@ -75,9 +75,9 @@ def test_a_short_log_does_not_count_for_what_is_asked_of_long_ones():
     assert found_at_or_below([hidden("lost", 2, 17, True, minutes=14.0)]) == {}
 
 
-@pytest.mark.parametrize(("stop_s", "found"), [(60.0, [False]), (2.0, [True])])
-def test_a_gyroscopes_zero_of_a_drive_without_stops_may_be_larger(stop_s, found):
-    stands = {"stop_s": stop_s}
+@pytest.mark.parametrize(("longest_stop_s", "found"), [(60.0, [False]), (2.0, [True])])
+def test_a_gyroscopes_zero_of_a_drive_without_stops_may_be_larger(longest_stop_s, found):
+    stands = {"longest_stop_s": longest_stop_s}
     lines = [hidden("gyro_bias", 0, 17, False, **stands), hidden("gyro_bias", 2, 17, True)]
     assert found_at_or_below(lines) == {"gyro_bias": found}
 

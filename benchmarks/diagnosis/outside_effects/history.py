@@ -124,5 +124,5 @@ FIRST_DRAW: Mapping[str, int | None] = {x: b.first_draw for b in BATCHES for x i
 NOT_RUN = LAST.effects
 """Not run before the judge of their first draw. Those of the batch before have run in draw 41."""
 OF_BAR = BATCHES[-2].effects + NOT_RUN
-"""What the bar of new effects is asked of: as many that were looked at since their judge as such
-that nobody has run."""
+"""The bar of new effects counts these: the batch before, which was looked at since its judge, and
+the last, which nobody has run."""
