@@ -196,8 +196,8 @@ def rows_of(
     were made before."""
     base = f.residuals({})
     masks = f.usable()
-    leaning = f.tilts(base, masks)
-    f.settle(leaning, f.inertial_share(base, masks, top["accel_x"], leaning))
+    block_tilt = f.tilts(base, masks)
+    f.settle(block_tilt, f.inertial_share(base, masks, top["accel_x"], block_tilt))
     made = {}
     for name, x in base.of.items():
         mask = masks[name]
