@@ -1,7 +1,7 @@
 """Effects that the catalogue does not have, put into measured samples.
 
 Which were written when, what was left out then, and which judge ran them first: `history`. The six
-of the last batch are not run before the judge of draw 47; the six before them have run in draw 41.
+of the last batch are not run before the judge of draw 53; the six before them have run in draw 47.
 """
 
 from __future__ import annotations
@@ -74,5 +74,11 @@ OUTSIDE: Mapping[str, tuple[Put, float, str]] = {
     "peaks_kept": (signal_sources.peaks_kept, 0.5, "accel"),
     "sent_on_change": (signal_sources.sent_on_change, float(np.deg2rad(2.0)), "gyro"),
     "full_queue": (signal_sources.full_queue, 1.5, "speed"),
+    "auto_sleep": (accelerometer.auto_sleep, 1.0 / 1.56, "accel"),
+    "lost_sign": (transport.lost_sign, 1.0, "accel"),
+    "bit_errors": (transport.bit_errors, 0.01, "accel"),
+    "filled_gaps": (transport.filled_gaps, 4.0, "accel"),
+    "virtual_gyro": (signal_sources.virtual_gyro, 82.5 / 3.6, "gyro"),
+    "rounded_positions": (signal_sources.rounded_positions, 1.11, "speed"),
 }
 """Effect, medium size [SI], signal that must be there."""

@@ -7,6 +7,7 @@ import numpy as np
 from benchmarks.diagnosis.outside_effects.levels import set_values
 from benchmarks.diagnosis.outside_effects.spells import in_spells
 from benchmarks.diagnosis.real_effects import Array, Drive
+from imucald.core.samples import GRAVITY, Series
 
 
 def shaking(s: Drive, size: float, rng: np.random.Generator, R: Array) -> float:
@@ -149,4 +150,27 @@ def brake_lamps(s: Drive, size: float, rng: np.random.Generator, R: Array) -> fl
     lit = (np.gradient(smooth, 0.1) < -0.4) | (v < 0.5)
     on = np.interp(t, grid, lit.astype(float)) > 0.5
     set_values(s, "accel", s["accel"].values + size * on[:, None])
+    return size
+
+
+def auto_sleep(s: Drive, size: float, rng: np.random.Generator, R: Array) -> float:
+    """An accelerometer that saves current: after 5 s in which no axis has moved by more than 0.25 g
+    past a high-pass filter of 2 Hz it sleeps, and makes a new value every size [s] only, with no
+    filter before it but its own; what is read between is the last one. The first value that has
+    moved by so much wakes it (Freescale MMA8451Q data sheet, 6.7, auto-wake and sleep, and register
+    0x1F: steps of 0.063 g; AN4074). 1.56 Hz is its slowest rate. Vibration comes through as it is
+    at that instant, and stands."""
+    t, x = s["accel"].t, s["accel"].values
+    mean, made, read = x[0], float(t[0]), np.zeros(len(t), dtype=int)
+    moved, last = float(t[0]), 0
+    for k in range(1, len(t)):
+        asleep = made - moved > 5.0
+        if not asleep or t[k] - made >= size:
+            keep = np.exp(-2.0 * np.pi * 2.0 * (t[k] - made))
+            mean = keep * mean + (1.0 - keep) * x[last]
+            made, last = float(t[k]), k
+            if np.abs(x[k] - mean).max() > 0.25 * GRAVITY:
+                moved = made
+        read[k] = last
+    s["accel"] = Series(t, x[read])
     return size

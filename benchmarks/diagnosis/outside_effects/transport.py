@@ -101,6 +101,58 @@ def swapped_blocks(s: Drive, size: float, rng: np.random.Generator, R: Array) ->
     return size
 
 
+def lost_sign(s: Drive, size: float, rng: np.random.Generator, R: Array) -> float:
+    """The logger writes the accelerometer as text, the whole part and the fraction one after the
+    other, and a whole part of 0 has no sign: what lies between -size and 0 [m/s^2] comes out
+    positive. 1 m/s^2 is the unit that is written (ARMmbed/mbed-os, issue 13783: minimal-printf
+    doesn't display decimals between -1 to 0 correctly; the same in apache/mynewt-core, 1337)."""
+    x = s["accel"].values
+    set_values(s, "accel", np.where((x > -size) & (x < 0.0), -x, x))
+    return size
+
+
+def bit_errors(s: Drive, size: float, rng: np.random.Generator, R: Array) -> float:
+    """The accelerometer comes by radio in packets of 20 bytes, three samples of three words, and
+    nobody looks at the checksum: in this share of the packets one bit is wrong. 0.01 of the packets
+    is where a data sheet ends the range of its receiver (Texas Instruments CC1101 data sheet,
+    sensitivity). Words are those of an MPU-6050 at +-8 g, 4096 a g; each of the 16 bits is as
+    likely as the others."""
+    x, per_g = s["accel"].values.copy(), 4096.0 / GRAVITY
+    packets = np.flatnonzero(rng.random(len(x) // 3) < size)
+    rows, axes = (
+        3 * packets + rng.integers(3, size=len(packets)),
+        rng.integers(3, size=len(packets)),
+    )
+    word = np.clip(np.round(x[rows, axes] * per_g), -32768, 32767).astype(np.int64)
+    wrong = (word & 0xFFFF) ^ (1 << rng.integers(16, size=len(packets)))
+    signed = (wrong ^ 0x8000) - 0x8000  # two's complement
+    x[rows, axes] += (signed - word) / per_g
+    set_values(s, "accel", x)
+    return size
+
+
+def filled_gaps(s: Drive, size: float, rng: np.random.Generator, R: Array) -> float:
+    """A wireless sensor loses its link once in 20 to 60 s, for size [s], until both sides notice it
+    and connect anew (Bluetooth Core Specification, volume 6, part B, 4.5.2: supervision timeout, up
+    to 32 s; Apple, Accessory Design Guidelines: 2 to 6 s). What is missing is filled in later by
+    straight lines, so that no stamp is missing (John et al., An open-source monitor-independent
+    movement summary for accelerometer data processing, Journal for the Measurement of Physical
+    Behaviour 2, 2019, and its interpolate_signal: gaps are filled by interpolation)."""
+    start, stop = (float(x) for x in s["accel"].t[[0, -1]])
+    gaps, at = [], start + rng.uniform(20.0, 60.0)
+    while at + size < stop:
+        gaps.append(at)
+        at += size + rng.uniform(20.0, 60.0)
+    for name in ("accel", "gyro"):
+        if name in s:
+            t, x = s[name].t, s[name].values
+            kept = np.ones(len(t), dtype=bool)
+            for at in gaps:
+                kept &= (t < at) | (t >= at + size)
+            set_values(s, name, _at(t, t[kept], x[kept]))
+    return size
+
+
 def _at(t: Array, own: Array, values: Array) -> Array:
     """(N, 3) values at other times."""
     return np.column_stack([np.interp(t, own, axis) for axis in values.T])
