@@ -99,7 +99,11 @@ class Ideal:
         new = f.residuals({}).of
         made = []
         for n, x in self.base.items():
-            d = self._without(n, self._cosine(n, new[n] - x), self.X[n])
+            # An effect that loses the last frames can make the piece shorter by a block.
+            both = min(len(x), len(new[n]))
+            change = np.zeros_like(x)
+            change[:both] = new[n][:both] - x[:both]
+            d = self._without(n, self._cosine(n, change), self.X[n])
             d, r = d * self.weights[n], self.left[n] * self.weights[n]
             own = np.sum(d * d, axis=1)
             chance = np.sum((d * r).sum(axis=1) ** 2)
