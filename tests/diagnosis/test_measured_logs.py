@@ -100,6 +100,21 @@ def test_half_an_hour_beside_its_own_first_half_shows_no_more_than_its_clocks():
     assert set(said(diagnose([samples], model))) <= {"signal_delay", "delay_rate"}
 
 
+def test_a_speed_that_is_late_is_found_where_one_step_from_the_file_explains_little():
+    """Of 0.2 s the first step finds 0.13 +- 0.05 s, for a delayed speed is another signal where it
+    changes fast; by itself the half says 0.02 s beside the other's file."""
+    recording, model = log("css_canmod_164")
+    half = 0.5 * recording.duration_s
+    first = diagnose([part(recording.samples, 0.0, half)], model)
+    late = part(recording.samples, half, 2.0 * half + 1.0)
+    late["speed"] = Series(late["speed"].t + 0.2, late["speed"].values)
+    d = diagnose([late], first.model_after)
+    found = {name for group in d.look_alikes for name in group} | set(said(d))
+    assert "signal_delay" in found
+    delay = said(d)["signal_delay"].parameters["speed.delay_s"]
+    assert delay.value - delay.stated == pytest.approx(0.2, abs=0.04)
+
+
 def test_a_bias_hidden_in_a_measured_drive_is_found_with_its_size():
     samples, model = kingston()
     shifted = dict(samples)

@@ -57,10 +57,10 @@ class Trial:
     @property
     def outside(self) -> bool:
         """The box of correct files is left by more than chance."""
-        return self._beyond and self.estimate.pull > self.estimate.quantile
+        return self.is_beyond and self.estimate.pull > self.estimate.quantile
 
     @property
-    def _beyond(self) -> bool:
+    def is_beyond(self) -> bool:
         """A value lies beyond its tolerance, by a deviation at least."""
         beyond = np.abs(self.estimate.value) > self.tolerance + self.estimate.se
         return bool(np.any(beyond[: self.hypothesis.lead or len(beyond)]))
@@ -68,7 +68,7 @@ class Trial:
     @property
     def is_suspect(self) -> bool:
         """The same at the error rate of a single question."""
-        return self._beyond and self.estimate.pull > self.single
+        return self.is_beyond and self.estimate.pull > self.single
 
     @property
     def is_plausible(self) -> bool:
