@@ -24,12 +24,12 @@ NOISE = 0.01
 """Of each axis [m/s^2]."""
 
 
-def sensor_frame(noise: random.Random) -> bytes:
-    """Accelerometer frame of a level sensor at yaw 25 deg in a vehicle that accelerates.
+def sensor_frame(noise: random.Random, ahead: float = AHEAD) -> bytes:
+    """Accelerometer frame of a level sensor at yaw 25 deg in a vehicle that accelerates [m/s^2].
 
     With the noise of a real one: the daemon takes a sensor without any for a stuck one.
     """
-    force = (0.90630779 * AHEAD, -0.42261826 * AHEAD, 9.80665)
+    force = (0.90630779 * ahead, -0.42261826 * ahead, 9.80665)
     return struct.pack("<4h", *(round(noise.gauss(one, NOISE) / 0.002) for one in force), 0)
 
 
@@ -44,7 +44,7 @@ def calibrated(folder: Path) -> Iterator[tuple[Bench, Service]]:
 
 
 @contextmanager
-def traffic(channel: str, rate: float = 100.0) -> Iterator[threading.Event]:
+def traffic(channel: str, rate: float = 100.0, ahead: float = AHEAD) -> Iterator[threading.Event]:
     """Sensor frames without end; setting the event makes the sensor silent."""
     silent, ended = threading.Event(), threading.Event()
 
@@ -53,7 +53,7 @@ def traffic(channel: str, rate: float = 100.0) -> Iterator[threading.Event]:
         with can.Bus(interface="virtual", channel=channel) as bus:
             while not ended.wait(1.0 / rate):
                 if not silent.is_set():
-                    data = sensor_frame(noise)
+                    data = sensor_frame(noise, ahead)
                     bus.send(can.Message(arbitration_id=0x200, data=data, is_extended_id=False))
 
     thread = threading.Thread(target=send)

@@ -66,6 +66,17 @@ class Databroker(grpc_v1.VALServicer, grpc_v2.VALServicer):
     def stop(self) -> None:
         self._server.stop(None).wait()
 
+    def present(self, path: str) -> Any:
+        """The value of a signal as soon as it has one, read once: it may be gone any time."""
+        found: list[Any] = []
+
+        def is_there() -> bool:
+            found.append(self.values.get(path))
+            return found[-1] is not None
+
+        wait_until(is_there)
+        return found[-1]
+
     def metadata(self, request: Any) -> Any:
         answer = val_v1.GetResponse()
         for entry in request.entries:
@@ -143,17 +154,17 @@ def test_corrected_values_and_the_mount_become_vss_signals(tmp_path):
         )
         ahead, above = "Vehicle.Acceleration.Longitudinal", "Vehicle.Acceleration.Vertical"
         with fed(feed):
-            wait_until(lambda: broker.values.get(ahead) is not None)
-            wait_until(lambda: broker.values.get(above) is not None)
-            assert broker.values[ahead] == pytest.approx(AHEAD, abs=0.15)
-            assert broker.values[above] == pytest.approx(9.8, abs=0.15)
-            assert broker.values["Vehicle.AngularVelocity.Yaw"] is None
-            own = "Vehicle.Private.Imucald"
+            # the signals of a reading come one by one: each is waited for before it is looked at
+            assert broker.present(ahead) == pytest.approx(AHEAD, abs=0.15)
+            assert broker.present(above) == pytest.approx(9.8, abs=0.15)
+            turning, own = "Vehicle.AngularVelocity.Yaw", "Vehicle.Private.Imucald"
+            wait_until(lambda: turning in broker.values)
+            assert broker.values[turning] is None, "there is no gyroscope on the bus"
             wait_until(lambda: f"{own}.Mount.DeviationZ" in broker.values)
             truth = service.status()
-            assert broker.values[f"{own}.State"] == truth["state"]
-            assert broker.values[f"{own}.IsHeld"] is True
-            yaw = broker.values[f"{own}.Mount.Yaw"]
+            assert broker.present(f"{own}.State") == truth["state"]
+            assert broker.present(f"{own}.IsHeld") is True
+            yaw = broker.present(f"{own}.Mount.Yaw")
             assert yaw == pytest.approx(truth["mount"]["yaw_deg"], abs=0.01)
             silent.set()
             wait_until(lambda: broker.values[ahead] is None)

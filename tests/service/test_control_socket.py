@@ -2,26 +2,30 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
+import random
 import socket
 import stat
 import subprocess
 import sys
 import threading
 import time
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import can
 import pytest
 
+from feed_bench import sensor_frame, traffic, wait_until
+from imucald.core.errors import LinkError
 from imucald.service.asking import ask
 from imucald.service.control import BURST, ControlServer
-from imucald.service.line_server import CLIENT_S, CLIENTS_MAX, REQUEST_MAX, Peer
+from imucald.service.line_server import CLIENT_S, CLIENTS_MAX, REQUEST_MAX, LineServer, Peer
 from paths import ROOT
 from service_bench import Bench, running
-
-ACCEL = bytes.fromhex("0000000027130000")
 
 
 class Orders:
@@ -197,9 +201,11 @@ ATTACK = """
 import contextlib, random, socket, sys, time
 path, end = sys.argv[1], time.monotonic() + float(sys.argv[2])
 kept, tried, n = [], 0, 0
+print("begun", flush=True)
 data = [b"", b"x" * 100_000, bytes(range(256)) * 20, b'{"order": "reset"', b"status\\n",
         b"\\n" * 5000, b'{"order": "hold"}\\n' * 100]
-while time.monotonic() < end:
+# a busy machine takes longer than the time for so many: they are what the test is about
+while (now := time.monotonic()) < end or (tried <= 1000 or n <= 100) and now < end + 30.0:
     connection = socket.socket(socket.AF_UNIX)
     connection.setblocking(False)
     tried += 1
@@ -229,30 +235,50 @@ def test_thousands_of_hostile_connections_hold_up_no_frame(tmp_path):
             )
             for server in (service.sockets.control, service.sockets.status)
         ]
-        latencies = exchanged(service.link.channel, 2.5)
+        for attack in attacks:  # a busy machine takes its time to start them
+            assert attack.stdout is not None
+            assert attack.stdout.readline() == "begun\n"
+        is_attacked = lambda: any(attack.poll() is None for attack in attacks)  # noqa: E731
+        latencies = exchanged(service.link.channel, is_attacked)
         counts = [
             tuple(int(n) for n in attack.communicate(timeout=10)[0].split()) for attack in attacks
         ]
         assert all(tried > 1000 and came > 100 for tried, came in counts), counts
         late = sorted(latencies)
         print(f"{counts} connections; latency {late[len(late) // 2]:.4f} {late[-1]:.4f} s")
-        assert None not in latencies
         assert late[-1] < 0.5
-        time.sleep(1.2)  # until the places are free
-        assert (
-            json.loads(ask(service.sockets.status.path, "status"))["state"] == "levelled"
-        )  # it stood still
-        assert "done" in json.loads(ask(service.sockets.control.path, '{"order": "reset"}'))
+        # it learns what the frames say: levelled after a standstill of 2 s and half a second more,
+        # in tenths of a second that each had a frame. A busy machine leaves holes, so that the
+        # attack alone may be too short: the vehicle stands until it is seen
+        with traffic(service.link.channel, ahead=0.0):
+            wait_until(lambda: answer(service.sockets.status, "status").get("state") == "levelled")
+        # the attack has used up the orders that are taken in its last second (BURST, PERIOD_S)
+        wait_until(lambda: "done" in answer(service.sockets.control, '{"order": "reset"}'))
 
 
-def exchanged(channel: str, seconds: float) -> list[float]:
+def answer(server: LineServer | None, request: str) -> dict[str, Any]:
+    """What a socket says; asked again while what the attack has left takes its places."""
+    assert server is not None
+    found: dict[str, Any] = {}
+
+    def is_answered() -> bool:
+        with contextlib.suppress(LinkError, ValueError):  # turned away before or after the question
+            found.update(json.loads(ask(server.path, request)))
+        return bool(found)
+
+    wait_until(is_answered)
+    return found
+
+
+def exchanged(channel: str, goes_on: Callable[[], bool]) -> list[float]:
     """Send accelerometer frames and wait for the corrected one of each; how long that took [s]."""
     found = []
+    noise = random.Random(1)
     with can.Bus(interface="virtual", channel=channel) as bus:
-        end = time.monotonic() + seconds
-        while time.monotonic() < end:
+        while goes_on():
+            data = sensor_frame(noise, ahead=0.0)
             began = time.monotonic()
-            bus.send(can.Message(arbitration_id=0x200, data=ACCEL, is_extended_id=False))
+            bus.send(can.Message(arbitration_id=0x200, data=data, is_extended_id=False))
             while True:
                 answer = bus.recv(2.0)
                 assert answer is not None, "no corrected frame within 2 s"

@@ -44,6 +44,12 @@ def show(name):
     return shell("systemctl", "show", UNIT, f"--property={name}", "--value").strip()
 
 
+def journal(lines):
+    """The last lines of the unit's log, those included that are still on their way to the disk."""
+    shell("journalctl", "--sync")
+    return shell("journalctl", "-u", UNIT, "-n", str(lines))
+
+
 def status():
     return json.loads(shell("imucald", "status", "vcan0", "--json", check=False))
 
@@ -204,7 +210,7 @@ def heavy_database():
     found |= {
         "code": show("ExecMainStatus"),
         "restarts": int(show("NRestarts")),
-        "told": "MiB of memory" in shell("journalctl", "-u", UNIT, "-n", "20"),
+        "told": "MiB of memory" in journal(20),
     }
     heavy.write_bytes(good)
     shell("systemctl", "start", UNIT)
@@ -229,7 +235,7 @@ def hung():
     result = {
         "took": took,
         "restarts": int(show("NRestarts")) - restarts,
-        "said": "watchdog" in shell("journalctl", "-u", UNIT, "-n", "60").lower(),
+        "said": "watchdog" in journal(60).lower(),
     }
     (folder / "hang.conf").unlink()
     folder.rmdir()
@@ -244,13 +250,13 @@ def reloaded():
     good = config.read_text()
     config.write_text(good.replace("status_rate: 10", "status_rate: 5"))
     shell("systemctl", "reload", UNIT)
-    wait(lambda: "was read again" in shell("journalctl", "-u", UNIT, "-n", "20"))
+    wait(lambda: "was read again" in journal(20))
     after = status()
     config.write_text(good + "nonsense: 1\n")
     refused = subprocess.run(["systemctl", "reload", UNIT], check=False).returncode
-    told = "vcan0.yaml:" in shell("journalctl", "-u", UNIT, "-n", "20")
+    told = "vcan0.yaml:" in journal(20)
     os.kill(int(pid), signal.SIGHUP)  # whoever leaves systemctl out
-    wait(lambda: "not reloaded" in shell("journalctl", "-u", UNIT, "-n", "20"))
+    wait(lambda: "not reloaded" in journal(20))
     still = status()
     config.write_text(good)
     return {
@@ -302,7 +308,7 @@ def ordered():
     found["set"] = said("imucald", "set-mount", "vcan0", "0", "0", "25", "--std", "0.5")
     found["yaw"] = status()["mount"]["yaw_deg"]
     found["events"] = said("imucald", "events", "vcan0", user="nobody")
-    found["journal"] = shell("journalctl", "-u", UNIT, "-n", "20")
+    found["journal"] = journal(20)
     time.sleep(2.5)  # inputs are missed from 2 s on
     found["quiet"] = said("imucald", "status", "vcan0", "-q")
     found["reset"] = said("imucald", "reset", "vcan0")
@@ -396,7 +402,7 @@ def bare_start():
 def interface_lost():
     sensor = Sensor()
     wait(lambda: sensor.good_since(0.0))
-    times, peer = [], []
+    times, peer = [], [bare_start()]  # one before and one after each attempt
     for _ in range(DELETIONS):
         shell("ip", "link", "del", "dev", "vcan0")
         wait(lambda: show("ActiveState") == "inactive")
@@ -456,7 +462,7 @@ def corrupted():
         "quality": said["quality"],
         "problems": said["saved_state"]["problems"],
         "aside": aside,
-        "told": "checksum is wrong" in shell("journalctl", "-u", UNIT, "-n", "20"),
+        "told": "checksum is wrong" in journal(20),
     }
 
 
@@ -468,7 +474,7 @@ def misconfigured():
     return {
         "active": show("ActiveState"),
         "code": show("ExecMainStatus"),
-        "told": "vcan0.yaml:" in shell("journalctl", "-u", UNIT, "-n", "20"),
+        "told": "vcan0.yaml:" in journal(20),
     }
 
 

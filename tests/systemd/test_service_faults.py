@@ -5,6 +5,7 @@ All scenes (see scenario.py) play on one machine, one after the other: a boot co
 
 from __future__ import annotations
 
+import itertools
 import json
 import statistics
 import subprocess
@@ -26,7 +27,12 @@ USABLE_AGAIN_S = 2.0
 RESUME_S = 1.0
 OVER_BARE = 1.25
 """On a machine where even a bare Python with the same libraries needs longer than RESUME_S for its
-start as a unit (an emulated kernel beside other tests does), at most a quarter longer than it."""
+start as a unit (an emulated kernel beside other tests does), at most a quarter longer than it.
+
+Each attempt stands beside the bare starts just before and just after it, and the longer of the two
+counts. Load comes in spells of several attempts: in one run a bare start took 1.2 to 1.4 s and then
+1.9 to 2.7 s, and so did ours. The longest of ten beside the median of the others, as it was once,
+tells of the spell and not of the service; beside its neighbours no attempt goes unjudged."""
 MOST_RESTARTS = 10
 """In a minute."""
 
@@ -208,8 +214,13 @@ def test_it_comes_and_goes_with_its_interface(outcome):
     assert max(found["down"]) < RESUME_S
     print("frames back after a new interface [s]:", in_words(found["times"]))
     print("a bare Python with its libraries starts in [s]:", in_words(found["peer"]))
-    slow_machine = OVER_BARE * statistics.median(found["peer"])
-    assert max(found["times"]) < max(RESUME_S, slow_machine)
+    beside = [max(pair) for pair in itertools.pairwise(found["peer"])]
+    late = [
+        (took, bare)
+        for took, bare in zip(found["times"], beside, strict=True)
+        if took >= max(RESUME_S, OVER_BARE * bare)  # a quick machine: within RESUME_S, each
+    ]
+    assert not late, "longer than a second, and than the machine explains"
     assert found["same_process"]
 
 
