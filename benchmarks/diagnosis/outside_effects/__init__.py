@@ -84,7 +84,7 @@ OUTSIDE: Mapping[str, tuple[Put, float, str]] = {
     "outliers_filled": (transport.outliers_filled, 3.0, "accel"),
     "engine_gear": (speed.engine_gear, 1.0, "speed"),
     "by_distance": (signal_sources.by_distance, 30.0, "speed"),
-    "banked_bends": (carriers.banked_bends, 0.08, "gyro"),
+    "flat_degrees": (signal_sources.flat_degrees, float(np.sqrt(2.0)) - 1.0, "gyro"),
     "camera_scale": (signal_sources.camera_scale, 0.055, "speed"),
 }
 """Effect, medium size [SI], signal that must be there."""

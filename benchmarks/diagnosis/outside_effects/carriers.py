@@ -1,4 +1,4 @@
-"""Outside effects of what carries the sensor: its board, its bracket, a handlebar, the road."""
+"""Outside effects of what carries the sensor: its board, its bracket, a handlebar."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ def handlebar(s: Drive, size: float, rng: np.random.Generator, R: Array) -> floa
     turn = np.convolve(turn, np.ones(10) / 10.0, "same")
     v = np.interp(grid, speed.t, np.abs(speed.values))
     angle = np.arctan(size * turn * (v > 0.5) / np.maximum(v, 2.0))
-    _turn_by(s, grid, np.convolve(angle, np.ones(5) / 5.0, "same"), R[2])
+    _turn_by(s, grid, np.convolve(angle, np.ones(5) / 5.0, "same"), R)
     return size
 
 
@@ -37,7 +37,7 @@ def loose_screw(s: Drive, size: float, rng: np.random.Generator, R: Array) -> fl
     strong = np.abs(force) > 1.0
     last = np.maximum.accumulate(np.where(strong, np.arange(len(grid)), 0))
     angle = size * np.sign(force[last]) * strong[last]
-    _turn_by(s, grid, np.convolve(angle, np.ones(3) / 3.0, "same"), R[2])
+    _turn_by(s, grid, np.convolve(angle, np.ones(3) / 3.0, "same"), R)
     return size
 
 
@@ -61,33 +61,12 @@ def board_resonance(s: Drive, size: float, rng: np.random.Generator, R: Array) -
     return size
 
 
-def banked_bends(s: Drive, size: float, rng: np.random.Generator, R: Array) -> float:
-    """The road leans into its bends, the more the tighter they are, whatever the speed: by size
-    from a radius of 229 m on and in proportion to the curvature of wider ones, over 58 m in and out
-    (AASHTO, A Policy on Geometric Design of Highways and Streets, 2018, table 3-7: design speed of
-    80 km/h, 8 % and a side friction of 0.14; runoff of one lane at that slope). Corners tighter
-    than 100 m are those of streets, which are flat. 4 to 12 % are built; 8 % take 0.78 m/s2 off the
-    force to the side, all of it at 13 m/s in a bend of 229 m and a fifth at 30 m/s, so that no
-    share of it is body roll."""
-    gyro, speed = s["gyro"], s["speed"]
-    grid = np.arange(gyro.t[0], gyro.t[-1] + 0.1, 0.1)
-    turn = np.interp(grid, gyro.t, gyro.values @ R[2] - np.median(gyro.values @ R[2]))
-    turn = np.convolve(turn, np.ones(10) / 10.0, "same")
-    v = np.interp(grid, speed.t, np.abs(speed.values))
-    # Below 5 m/s what is divided is noise of the gyroscope.
-    bend = turn * (v > 5.0) / np.maximum(v, 5.0)
-    bank = size * np.clip(bend * 229.0, -1.0, 1.0) * (np.abs(bend) < 1.0 / 100.0)
-    # 58 m at 80 km/h. The side that the bend is on goes down.
-    _turn_by(s, grid, -np.convolve(bank, np.ones(26) / 26.0, "same"), R[0])
-    return size
-
-
-def _turn_by(s: Drive, grid: Array, angle: Array, axis: Array) -> None:
-    """The sensor turned by an angle [rad] about an axis of the vehicle, at times 0.1 s apart."""
+def _turn_by(s: Drive, grid: Array, angle: Array, R: Array) -> None:
+    """The sensor turned by an angle [rad] about the vehicle's upward axis, at times 0.1 s apart."""
     rate = np.interp(s["gyro"].t, grid, np.gradient(angle, 0.1))
     for name in ("accel", "gyro"):
         x, by = s[name].values, np.interp(s[name].t, grid, angle)[:, None]
-        along = (x @ axis)[:, None] * axis
-        # A sensor that turns to the left sees forces turned to the right.
-        x = along + np.cos(by) * (x - along) - np.sin(by) * np.cross(axis, x)
-        set_values(s, name, x + rate[:, None] * axis if name == "gyro" else x)
+        up = (x @ R[2])[:, None] * R[2]
+        # A sensor that turns to the left sees the vehicle turned to the right.
+        x = up + np.cos(by) * (x - up) - np.sin(by) * np.cross(R[2], x)
+        set_values(s, name, x + rate[:, None] * R[2] if name == "gyro" else x)

@@ -136,29 +136,32 @@ BATCHES = (
         "loose that slides (too rare), and a speed that a filter makes of the accelerometer too.",
     ),
     Batch(
-        ("unit_length", "outliers_filled", "engine_gear", "by_distance", "banked_bends",
+        ("unit_length", "outliers_filled", "engine_gear", "by_distance", "flat_degrees",
          "camera_scale"),
-        "2026-11-24 14:51", 59,
+        "2026-11-24 15:06", 59,
         "Each from a published source, by one who read neither the tests nor their page nor an "
         "outcome, but this package, the ideal filter and a few titles of changes to the diagnosis. "
-        "Looked up: the issues on unit_length and by_distance, the rule of outliers_filled, the "
-        "formula and the times of engine_gear, the table of banked_bends (at 4 and 6 %; its "
-        "friction is the same at 8 %); from memory: the runoff of banked_bends, the paper and the "
-        "numbers of camera_scale. The 200 m of camera_scale, the flat corners below 100 m of "
-        "banked_bends and the turns at which engine_gear shifts are the writer's choice. Each size "
+        "Looked up: the issues on unit_length, by_distance and flat_degrees, the rule of "
+        "outliers_filled, the formula and the times of engine_gear; from memory: the paper and the "
+        "numbers of camera_scale. The 200 m of camera_scale, the turns at which engine_gear shifts "
+        "and that flat_degrees is right over the log are the writers' choice. Each size "
         "was fixed before anything of that effect was computed; then only the size of the change "
         "and what an ideal filter sees of it, in the first halves beside the plain car, one draw "
         "from a generator of its own. It sees each in all logs with a gyroscope, at its own size "
-        "but for both loose phones with banked_bends and one with unit_length, at 1.5 times; where "
-        "there is no gyroscope, engine_gear and by_distance alone. by_distance is the nearest to "
-        "what is there: values stand in sent_on_change too, but there until they change. Left out: "
-        "rates that run over a word of 16 bits at 32.768 deg/s (hardly a log turns so fast: the "
-        "filter saw 0.9 deviations of it in one, nothing in the others; camera_scale took its "
-        "place), a limit on how fast the speed of an ABS changes (a patent without a number), "
-        "increments divided by the gaps of their arrival (no number either), a speed set to 0 on "
-        "a smooth road (a stuck signal), fractions without their leading zeros and numbers without "
-        "their exponent (too near to a lost sign), a crab-like walk and a slide (too near to a "
-        "loose screw), and digits misread from a picture (too near to bit errors).",
+        "but for one loose phone with flat_degrees and one with unit_length, at 1.5 times; where "
+        "there is no gyroscope, engine_gear and by_distance alone. A sixth, roads that lean into "
+        "their bends (banked_bends, dated 14:51 with the other five), was taken out before any "
+        "run: a road is no error of a vehicle or a sensor, and of a cross fall the judge counts "
+        "nothing as right elsewhere. A second writer, as blind, wrote flat_degrees in its place. "
+        "by_distance is the nearest to what is there: values stand in sent_on_change too, but "
+        "there until they change. Left out: rates that run over a word of 16 bits at 32.768 "
+        "deg/s (hardly a log turns so fast: the filter saw 0.9 deviations of it in one, nothing "
+        "in the others; camera_scale took its place), a limit on how fast the speed of an ABS "
+        "changes (a patent without a number), increments divided by the gaps of their arrival "
+        "(no number either), a speed set to 0 on a smooth road (a stuck signal), fractions "
+        "without their leading zeros and numbers without their exponent (too near to a lost "
+        "sign), a crab-like walk and a slide (too near to a loose screw), and digits misread "
+        "from a picture (too near to bit errors).",
     ),
 )  # fmt: skip
 """In the order of writing."""
