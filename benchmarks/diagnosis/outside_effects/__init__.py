@@ -1,7 +1,7 @@
 """Effects that the catalogue does not have, put into measured samples.
 
 Which were written when, what was left out then, and which judge ran them first: `history`. The six
-of the last batch are not run before the judge of draw 53; the six before them have run in draw 47.
+of the last batch are not run before the judge of draw 59; the six before them have run in draw 53.
 """
 
 from __future__ import annotations
@@ -80,5 +80,11 @@ OUTSIDE: Mapping[str, tuple[Put, float, str]] = {
     "filled_gaps": (transport.filled_gaps, 4.0, "accel"),
     "virtual_gyro": (signal_sources.virtual_gyro, 82.5 / 3.6, "gyro"),
     "rounded_positions": (signal_sources.rounded_positions, 1.11, "speed"),
+    "unit_length": (accelerometer.unit_length, 1.0, "accel"),
+    "outliers_filled": (transport.outliers_filled, 3.0, "accel"),
+    "engine_gear": (speed.engine_gear, 1.0, "speed"),
+    "by_distance": (signal_sources.by_distance, 30.0, "speed"),
+    "flat_degrees": (signal_sources.flat_degrees, float(np.sqrt(2.0)) - 1.0, "gyro"),
+    "camera_scale": (signal_sources.camera_scale, 0.055, "speed"),
 }
 """Effect, medium size [SI], signal that must be there."""

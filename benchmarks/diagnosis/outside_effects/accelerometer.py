@@ -174,3 +174,17 @@ def auto_sleep(s: Drive, size: float, rng: np.random.Generator, R: Array) -> flo
         read[k] = last
     s["accel"] = Series(t, x[read])
     return size
+
+
+def unit_length(s: Drive, size: float, rng: np.random.Generator, R: Array) -> float:
+    """The unit sends the accelerometer after its attitude filter has scaled the vector to length 1
+    for its own use, so that only the direction is left (Madgwick's filter as it is copied from one
+    library to the next: kriswiner/MPU9250, ax *= norm; jremington/ICM_20948-AHRS, issue 15, where a
+    user who publishes the vectors has to copy them before). The receiver takes 1 for g. Each bump
+    makes the forces forward and sideways smaller, each hollow larger, and strong braking is shown
+    weaker. size 1 is the whole of it. What length 1 stands for is right on average, so that no gain
+    is put in."""
+    x = s["accel"].values
+    length = np.maximum(np.linalg.norm(x, axis=1), 1e-3)
+    set_values(s, "accel", x * ((np.median(length) / length) ** size)[:, None])
+    return size

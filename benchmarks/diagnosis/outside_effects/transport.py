@@ -153,6 +153,23 @@ def filled_gaps(s: Drive, size: float, rng: np.random.Generator, R: Array) -> fl
     return size
 
 
+def outliers_filled(s: Drive, size: float, rng: np.random.Generator, R: Array) -> float:
+    """The log was cleaned: on each axis of the accelerometer and of the gyroscope what lies more
+    than size scaled median absolute deviations off the median of the whole log counts as an
+    outlier, and straight lines take its place (MathWorks, filloutliers, method linear; three is
+    what it takes without being asked). Most of a drive is straight, so bends and hard braking are
+    outliers."""
+    for name in ("accel", "gyro"):
+        if name in s:
+            t, x = s[name].t, s[name].values.copy()
+            off = np.abs(x - np.median(x, axis=0))
+            kept = off <= size * 1.4826 * np.median(off, axis=0)
+            for axis, own in enumerate(kept.T):
+                x[:, axis] = np.interp(t, t[own], x[own, axis])
+            set_values(s, name, x)
+    return size
+
+
 def _at(t: Array, own: Array, values: Array) -> Array:
     """(N, 3) values at other times."""
     return np.column_stack([np.interp(t, own, axis) for axis in values.T])
