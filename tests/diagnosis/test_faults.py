@@ -58,6 +58,25 @@ def test_values_that_pile_up_are_a_rail(share):
     assert all(any(a <= t <= b for a, b in spans) for t in hit)
 
 
+@pytest.mark.parametrize("lsb", [0.002, 0.125])
+def test_an_axis_of_a_vector_of_one_length_ends_where_it_is_met_most_and_is_not_clipped(lsb):
+    """Some software scales a force to the length of gravity: its upright axis cannot be longer."""
+    samples = drive(lsb=1e-6)
+    force = samples["accel"].values
+    made = 9.81 * force / np.linalg.norm(force, axis=1)[:, None]
+    samples["accel"] = Series(samples["accel"].t, np.round(made / lsb) * lsb)
+    assert "saturation:accel" not in causes(samples)
+
+
+def test_an_axis_is_clipped_also_where_a_third_of_it_is_on_the_rail():
+    """Between the median and the rail values get rarer: it cuts a tail."""
+    samples = drive()
+    x = samples["accel"].values.copy()
+    x[:, 0] = np.minimum(x[:, 0], float(np.quantile(x[:, 0], 0.67)))
+    samples["accel"] = Series(samples["accel"].t, x)
+    assert "saturation:accel" in causes(samples)
+
+
 def test_readings_that_drop_to_zero_are_no_rail():
     samples = drive()
     x = samples["accel"].values.copy()

@@ -173,7 +173,7 @@ def _begun(
     rest = rest_of(parts, model_now, len(GYRO_BIAS))
     state = _started(parts, model_now, rest)
     report(0.12, "forward model and residuals")
-    _refuse_short(state.evaluated().table)
+    _refuse_short(state.evaluated().table, faults)
     return lost, faults, parts, rest, state
 
 
@@ -281,11 +281,16 @@ def _zero_of(rest: Rest, state: State, model: VehicleModel) -> Rest:
     return replace(rest, rate=net)
 
 
-def _refuse_short(table: Table) -> None:
-    if table.blocks < LEAST_BLOCKS:
-        raise EstimateError(
-            f"only {table.blocks} segments of driving hold all that is needed: give longer drives"
-        )
+def _refuse_short(table: Table, faults: Sequence[Sequence[Fault]]) -> None:
+    """Longer drives are no remedy where a fault has taken what there was."""
+    if table.blocks >= LEAST_BLOCKS:
+        return
+    taken = [fault.text for part in faults for fault in part if fault.spans]
+    remedy = f"mend what took others, or give longer drives. {' '.join(taken)}"
+    raise EstimateError(
+        f"only {table.blocks} segments of driving hold all that is needed: "
+        f"{remedy if taken else 'give longer drives'}"
+    )
 
 
 def _certain_causes(

@@ -133,9 +133,22 @@ def _rail(x: Array, still: Mask) -> float | None:
     top = float(x.max())
     near = 1e-9 * max(1.0, abs(top))
     at = (x >= top - near) & ~still
-    if at.sum() < PILE_SHARE * len(x):
+    if at.sum() < PILE_SHARE * len(x) or _is_thickest_there(x[~still], top, near):
         return None
     return top if _is_crowded(x[~still], top, near) or _is_held(x, at) else None
+
+
+def _is_thickest_there(x: Array, top: float, near: float) -> bool:
+    """Whether values do not get rarer from the median on towards the largest. A rail cuts a tail;
+    what cannot be larger by its nature, as an axis of a vector of one length, ends where it is met
+    most."""
+    middle = float(np.median(x))
+    between = x[(x > middle + near) & (x < top - near)] - 0.5 * (middle + top)
+    if middle >= top - near:
+        return True
+    above, below = int((between > near).sum()), int((between < -near).sum())
+    chance = binom.sf(above - 1, above + below, PILE_RATIO / (PILE_RATIO + 1.0))
+    return bool(chance < CHANCE / QUESTIONS)
 
 
 def _is_crowded(x: Array, top: float, near: float) -> bool:
