@@ -260,8 +260,8 @@ def heading_jumps(s: Drive, size: float, rng: np.random.Generator, R: Array) -> 
     has it."""
     own, x = s["gyro"].t, s["gyro"].values
     upward = x @ R[2]
-    heading = rng.uniform(0.0, 2.0 * np.pi)
-    heading += np.cumsum((upward - np.median(upward)) * np.diff(own, prepend=own[0]))
+    turned = np.cumsum((upward - np.median(upward)) * np.diff(own, prepend=own[0]))
+    heading = rng.uniform(0.0, 2.0 * np.pi) + turned
     before, after = (
         np.floor(np.interp(own + half, own, heading) / (2.0 * np.pi)) for half in (-0.5, 0.5)
     )
