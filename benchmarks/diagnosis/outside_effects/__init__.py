@@ -1,7 +1,7 @@
 """Effects that the catalogue does not have, put into measured samples.
 
 Which were written when, what was left out then, and which judge ran them first: `history`. The six
-of the last batch are not run before the judge of draw 59; the six before them have run in draw 53.
+of the last batch are not run before the judge of draw 65; the six before them have run in draw 59.
 """
 
 from __future__ import annotations
@@ -86,5 +86,11 @@ OUTSIDE: Mapping[str, tuple[Put, float, str]] = {
     "by_distance": (signal_sources.by_distance, 30.0, "speed"),
     "flat_degrees": (signal_sources.flat_degrees, float(np.sqrt(2.0)) - 1.0, "gyro"),
     "camera_scale": (signal_sources.camera_scale, 0.055, "speed"),
+    "pitot": (signal_sources.pitot, 1.64, "gyro"),
+    "fixed_height": (signal_sources.fixed_height, 0.02, "speed"),
+    "vibration_alert": (accelerometer.vibration_alert, 1.3, "accel"),
+    "other_answers": (transport.other_answers, 0.04, "speed"),
+    "slope_overload": (transport.slope_overload, float(np.deg2rad(9.7)), "gyro"),
+    "heading_jumps": (signal_sources.heading_jumps, float(2.0 * np.pi), "gyro"),
 }
 """Effect, medium size [SI], signal that must be there."""

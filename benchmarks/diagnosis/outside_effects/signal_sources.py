@@ -216,3 +216,54 @@ def flat_degrees(s: Drive, size: float, rng: np.random.Generator, R: Array) -> f
     way = np.abs(v) * np.diff(t, prepend=t[0])
     set_values(s, "speed", v * longer * way.sum() / (longer * way).sum())
     return size
+
+
+def pitot(s: Drive, size: float, rng: np.random.Generator, R: Array) -> float:
+    """The speed is that of a pitot tube, as race cars have one: what it feels is the air, so that
+    the wind is added where the road leads into it and taken off where it follows (AiM and MoTeC
+    sell them beside wheel sensors). Over land the wind at 10 m is 3.28 m/s on average (Archer,
+    Jacobson, Evaluation of global wind power, Journal of Geophysical Research 110, 2005), and half
+    of it, size [m/s], at 1 m over a roughness of 0.1 m, with gusts of 1 / ln(1 / 0.1) = 0.43 of it
+    (EN 1991-1-4:2005, 4.3.2 and 4.4). A gust turns into the next within 5 s."""
+    t, v, gyro = s["speed"].t, s["speed"].values, s["gyro"]
+    upward = gyro.values @ R[2]
+    turned = np.cumsum((upward - np.median(upward)) * np.diff(gyro.t, prepend=gyro.t[0]))
+    heading = rng.uniform(0.0, 2.0 * np.pi) + np.interp(t, gyro.t, turned)
+    grid = np.arange(t[0], t[-1] + 10.0, 5.0)
+    gust = np.interp(t, grid, rng.standard_normal(len(grid)))
+    wind = size * np.cos(heading) * (1.0 + 0.43 * gust)
+    set_values(s, "speed", np.maximum(v + wind, 0.0))
+    return size
+
+
+def fixed_height(s: Drive, size: float, rng: np.random.Generator, R: Array) -> float:
+    """The speed is that of an optical flow sensor below the front bumper, which takes its height
+    for fixed (ArduPilot/ardupilot, pull request 21510: FLOW_HEIGHT, the sensor of a rover is a
+    fixed height above the ground; PX4/PX4-Flow, issue 109: the flow gives no speed without one).
+    In braking the front dives, the ground comes nearer and goes by faster: the height changes by
+    this share for each m/s^2. 1.5 deg a g (Gillespie, Fundamentals of Vehicle Dynamics, 1992:
+    dive and squat) 2.25 m before the middle are 6 mm of 0.3 m, 0.02."""
+    t, v = s["speed"].t, s["speed"].values
+    grid = np.arange(t[0], t[-1] + 0.1, 0.1)
+    smooth = np.convolve(np.interp(grid, t, v), np.ones(10) / 10.0, "same")
+    pull = np.interp(t, grid, np.gradient(smooth, 0.1))
+    set_values(s, "speed", v / (1.0 + size * np.clip(pull, -10.0, 10.0)))
+    return size
+
+
+def heading_jumps(s: Drive, size: float, rng: np.random.Generator, R: Array) -> float:
+    """The rate about the upward axis is the difference of two headings 1 s apart, half a second
+    before and after its stamp, and a heading goes from 360 degrees to 0: each time that the vehicle
+    comes through north, a whole turn, size [rad], is missing or too much for 1 s
+    (autowarefoundation/autoware, issue 1132: the rate jumps near a yaw of 180 deg;
+    microsoft/AirSim, pull request 2956: the same). All else of such a rate is left as the gyroscope
+    has it."""
+    own, x = s["gyro"].t, s["gyro"].values
+    upward = x @ R[2]
+    turned = np.cumsum((upward - np.median(upward)) * np.diff(own, prepend=own[0]))
+    heading = rng.uniform(0.0, 2.0 * np.pi) + turned
+    before, after = (
+        np.floor(np.interp(own + half, own, heading) / (2.0 * np.pi)) for half in (-0.5, 0.5)
+    )
+    set_values(s, "gyro", x - (size * (after - before))[:, None] * R[2])
+    return size

@@ -170,6 +170,36 @@ def outliers_filled(s: Drive, size: float, rng: np.random.Generator, R: Array) -
     return size
 
 
+def other_answers(s: Drive, size: float, rng: np.random.Generator, R: Array) -> float:
+    """Answers to several questions come under one identifier, and the decoder does not look at
+    which question each answers: in this share of the frames, evenly spaced, the speed is what
+    another quantity has in the same byte (collin80/SavvyCAN, issue 754: a multiplexed signal
+    toggles between its value and a wrong one; bit-dream/candied, issue 44: the same with OBD-II;
+    danielhrisca/asammdf, issue 257: every 25th value is another). 0.04 is that. The other is the
+    coolant's temperature, 90 degrees, which is 130 in its byte, and 130 km/h (SAE J1979, PIDs 0x05
+    and 0x0D)."""
+    t, v = s["speed"].t, s["speed"].values
+    every = max(2, round(1.0 / size))
+    other = np.arange(len(t)) % every == int(rng.integers(every))
+    s["speed"] = Series(t, np.where(other, 130.0 / 3.6, v))
+    return size
+
+
+def slope_overload(s: Drive, size: float, rng: np.random.Generator, R: Array) -> float:
+    """The gyroscope is sent as differences of one byte, and what does not fit is cut: no axis can
+    follow a rate that changes faster than size [rad/s^2], and comes after when the change is over
+    (Jayant, Noll, Digital Coding of Waveforms, 1984, chapter 8: slope overload of delta
+    modulation). 127 steps of 1 / 131 deg/s (MPU-6050 data sheet) ten times a second are 9.7
+    deg/s^2: a bend begins late and ends late, the more so the sharper it is."""
+    t, x = s["gyro"].t, s["gyro"].values
+    shown, last = np.empty_like(x), x[0]
+    for k, most in enumerate(size * np.diff(t, prepend=t[0])):
+        last = last + np.clip(x[k] - last, -most, most)
+        shown[k] = last
+    set_values(s, "gyro", shown)
+    return size
+
+
 def _at(t: Array, own: Array, values: Array) -> Array:
     """(N, 3) values at other times."""
     return np.column_stack([np.interp(t, own, axis) for axis in values.T])
