@@ -286,7 +286,7 @@ def _refuse_short(table: Table, faults: Sequence[Sequence[Fault]]) -> None:
     if table.blocks >= LEAST_BLOCKS:
         return
     taken = [fault.text for part in faults for fault in part if fault.spans]
-    remedy = f"mend what took others, or give longer drives. {' '.join(taken)}"
+    remedy = f"repair what took the others, or give longer drives. {' '.join(taken)}"
     raise EstimateError(
         f"only {table.blocks} segments of driving hold all that is needed: "
         f"{remedy if taken else 'give longer drives'}"
