@@ -17,6 +17,9 @@ MAX_EVENTS = 20_000
 MAX_NUMBER = 64
 """Longest number [characters]; those in base 60 (1:30:00) take the square of their length."""
 
+_NESTED = "nested too deeply"
+_TOO_DEEP = "exceeded maximum nesting depth"
+"""libyaml's own word for it (met first with PyYAML 6.0.4): it looks ahead of the events."""
 _NUMBER_TAGS = ("tag:yaml.org,2002:int", "tag:yaml.org,2002:float")
 _EXPONENT = re.compile(r"[-+]?[0-9]+(\.[0-9]*)?[eE][-+]?[0-9]+")
 """Numbers that YAML 1.1, unlike 1.2, takes for text: 1e-3."""
@@ -41,6 +44,8 @@ def parse_yaml(text: str, name: str) -> tuple[Any, Marks]:
         mark = getattr(error, "problem_mark", None)
         line = mark.line + 1 if mark is not None else 1
         problem = getattr(error, "problem", None) or str(error).splitlines()[0]
+        if problem == _TOO_DEEP:
+            raise ConfigError(f"{name}:{line}: {_NESTED}") from None
         if _has_tab(text, line):
             problem += "; indent with spaces, not tabs"
         raise ConfigError(f"{name}:{line}: not valid YAML: {problem}") from None
@@ -59,7 +64,7 @@ def _refuse_heavy(text: str, loader: type, name: str) -> None:
         depth += isinstance(event, yaml.CollectionStartEvent)
         depth -= isinstance(event, yaml.CollectionEndEvent)
         if depth > MAX_DEPTH:
-            raise ConfigError(f"{name}:{line}: nested too deeply")
+            raise ConfigError(f"{name}:{line}: {_NESTED}")
         if count > MAX_EVENTS:
             raise ConfigError(f"{name}:{line}: more keys and values than any real file has")
 
