@@ -44,15 +44,16 @@ class IdFilter:
         self.verdict = np.full(16**3, NO_ID, np.uint8)
         """(4096,) u1, for three hexadecimal digits: WANTED, UNWANTED or, above 7FF, NO_ID."""
         self.verdict[: len(ids)] = np.where(wanted, WANTED, UNWANTED)
-        self._exact = np.array(sorted(i for i, m in extended if m == CAN_EFF_MASK), np.uint32)
-        self._masked = sorted(pair for pair in extended if pair[1] != CAN_EFF_MASK)
+        self.exact = np.array(sorted(i for i, m in extended if m == CAN_EFF_MASK), np.uint32)
+        """(N,) wanted 29-bit ids; and pairs of id and mask."""
+        self.masked = sorted(pair for pair in extended if pair[1] != CAN_EFF_MASK)
 
     def extended(self, ids: NDArray[np.uint32]) -> NDArray[np.bool_]:
         """Say which 29-bit ids (N,), without flag, are wanted."""
         if self.everything:
             return np.ones(len(ids), np.bool_)
-        wanted = np.isin(ids, self._exact) if len(self._exact) else np.zeros(len(ids), np.bool_)
-        for can_id, mask in self._masked:
+        wanted = np.isin(ids, self.exact) if len(self.exact) else np.zeros(len(ids), np.bool_)
+        for can_id, mask in self.masked:
             wanted |= (ids & np.uint32(mask)) == np.uint32(can_id)
         return wanted
 

@@ -17,7 +17,8 @@ from imucald.can.columns import FrameColumns, IdMatch
 from imucald.can.e2e.protection import DOUBLED
 from imucald.inputs.conversion import REASONS, Conversion
 from imucald.inputs.rate_guard import JudgesRate, Rows
-from imucald.inputs.routes import Columns, Physical, Raw, SignalRoute, Tap
+from imucald.inputs.routes import SignalRoute
+from imucald.inputs.taps import Columns, Physical, Raw, Tap, TapColumns, arrays_of
 
 Array = NDArray[np.float64]
 
@@ -198,3 +199,7 @@ class Probe:
                     raw, physical = raw[present], physical[present]
                 self.signals[tap.channel, tap.rank, slot].add(raw, physical)
         return columns
+
+    def tap_columns(self, frames: FrameColumns) -> TapColumns:
+        """As the route; ranges are taken."""
+        return arrays_of(self.route.taps, self.number_columns(frames))

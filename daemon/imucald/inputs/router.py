@@ -24,8 +24,9 @@ from imucald.inputs.column_samples import (
     width_of,
 )
 from imucald.inputs.conversion import REASONS
-from imucald.inputs.routes import Physical, Raw, SignalRoute, Tap
+from imucald.inputs.routes import SignalRoute
 from imucald.inputs.source_selector import SourceSelector
+from imucald.inputs.taps import Physical, Raw, Tap
 from imucald.inputs.triad_assembler import TapSamples, TriadAssembler
 
 MAX_KNOWN_IDS = 4096
@@ -253,9 +254,7 @@ class Router:
         refused: list[tuple[Tap, Rows]],
         events: list[Rows],
     ) -> None:
-        columns = route.number_columns(frames)
-        for tap in route.taps:
-            values, codes = tap.array(columns)
+        for tap, (values, codes) in zip(route.taps, route.tap_columns(frames), strict=True):
             bad = codes > 0
             if bad.any():
                 events.append(rows[bad])

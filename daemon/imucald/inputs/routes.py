@@ -7,101 +7,16 @@ from collections.abc import Mapping, Sequence
 from typing import Protocol
 
 import numpy as np
-from msgspec import Struct
 from numpy.typing import NDArray
 
 from imucald.can.columns import FrameColumns, IdMatch
 from imucald.can.dbc.decode import DecodePlan
 from imucald.can.e2e.protection import REASONS, MessageChecker
-from imucald.core.samples import GRAVITY
-from imucald.inputs.conversion import STATUS, Conversion
+from imucald.core import compiled
+from imucald.inputs.compiled_tap import CompiledTap
 from imucald.inputs.expression import Expression
 from imucald.inputs.rate_guard import JudgesRate, RateGuard
-
-ABSENT = -1
-"""Code of a value that the frame does not carry (another multiplexer value)."""
-
-PLANAR_Z = GRAVITY
-"""What a planar accelerometer's missing z axis is taken as [m/s^2]: it is level by declaration."""
-
-Raw = Sequence[int | float | None]
-Physical = Sequence[float | None]
-Columns = Sequence[tuple[NDArray[np.generic], NDArray[np.float64], NDArray[np.bool_] | None]]
-"""Raw values, physical values and presence (None: always) of each signal."""
-
-
-class Component(Struct, frozen=True):
-    """One number of a tap: position among the route's signals, and what is done with it."""
-
-    index: int
-    conversion: Conversion
-
-
-class Status(Struct, frozen=True):
-    """A signal of the same message that says whether the values can be used.
-
-    index: position among the route's signals. values: physical ones at which they can.
-    """
-
-    index: int
-    values: tuple[float, ...]
-
-
-class Tap(Struct, frozen=True):
-    """What a route gives to one channel.
-
-    slots: positions in the channel's values, in the order of components. complete: they are all
-    of them. third: what the third axis of a sensor of two is taken as; None: it has three. rank: 0
-    is the preferred source. statuses: all must say that the values can be used.
-    """
-
-    channel: str
-    rank: int
-    components: tuple[Component, ...]
-    slots: tuple[int, ...]
-    complete: bool
-    third: float | None = None
-    statuses: tuple[Status, ...] = ()
-
-    def scalar(self, raw: Raw, physical: Physical) -> tuple[Sequence[float], int]:
-        """Values in SI and code (see `quantities.REASONS`) from the numbers of one frame."""
-        values = []
-        for component in self.components:
-            number = physical[component.index]
-            if number is None:
-                return (), ABSENT
-            value, code = component.conversion.scalar(raw[component.index] or 0, number)
-            if code:
-                return (), code
-            values.append(value)
-        for status in self.statuses:
-            if physical[status.index] not in status.values:
-                return (), STATUS
-        if self.third is not None:
-            values.append(self.third)
-        return values, 0
-
-    def array(self, columns: Columns) -> tuple[NDArray[np.float64], NDArray[np.int8]]:
-        """Values (N,) or (N, k) in SI and codes (N,); the first fault of a row counts."""
-        n = len(columns[self.components[0].index][1])
-        codes = np.zeros(n, dtype=np.int8)
-        values = np.empty((n, len(self.components) + (self.third is not None)))
-        for i, component in enumerate(self.components):
-            raw, physical, present = columns[component.index]
-            values[:, i], found = component.conversion.array(raw, physical)
-            if present is not None:
-                found = np.where(present, found, ABSENT)
-            if found.any():
-                codes = np.where(codes == 0, found, codes).astype(np.int8)
-        for status in self.statuses:
-            _, physical, present = columns[status.index]
-            good = np.isin(physical, status.values)
-            if present is not None:
-                good &= present
-            codes[(codes == 0) & ~good] = STATUS
-        if self.third is not None:
-            values[:, -1] = self.third
-        return (values[:, 0] if values.shape[1] == 1 else values), codes
+from imucald.inputs.taps import Columns, Physical, Raw, Tap, TapColumns, arrays_of
 
 
 class SignalRoute(Protocol):
@@ -141,6 +56,9 @@ class SignalRoute(Protocol):
     def number_columns(self, frames: FrameColumns) -> Columns:
         """Raw and physical values of good frames, one entry a signal."""
 
+    def tap_columns(self, frames: FrameColumns) -> TapColumns:
+        """What each of the taps takes of good frames (see `Tap.array`), in their order."""
+
 
 class MessageRoute:
     """Frames that a database describes."""
@@ -153,6 +71,7 @@ class MessageRoute:
         self.taps = tuple(sorted(taps, key=lambda tap: tap.rank))
         self.stated_cycle = checker.spec.cycle_time or plan.message.cycle_time
         self.guard = RateGuard(self.stated_cycle, checker.spec.counter is not None)
+        self._compiled = [CompiledTap(plan, tap) for tap in self.taps]
 
     def check(self, t: float, data: bytes) -> str | None:
         """Length, checksum, counter, time-out."""
@@ -179,6 +98,13 @@ class MessageRoute:
         """Decode columns."""
         found = self.plan.decode_columns(frames.data, frames.length)
         return list(zip(found.raw, found.values, found.present, strict=True))
+
+    def tap_columns(self, frames: FrameColumns) -> TapColumns:
+        """Decode, scale and judge; signal by signal only where the compiled part cannot."""
+        kernels = compiled.kernels
+        if kernels is None or not all(one.can_take(frames) for one in self._compiled):
+            return arrays_of(self.taps, self.number_columns(frames))
+        return [one.array(kernels, frames) for one in self._compiled]
 
 
 class RawRoute:
@@ -223,3 +149,7 @@ class RawRoute:
         """The values."""
         numbers = self._value.numbers(frames.data, frames.length)
         return [(numbers, numbers, None)]
+
+    def tap_columns(self, frames: FrameColumns) -> TapColumns:
+        """What the tap takes of them."""
+        return arrays_of(self.taps, self.number_columns(frames))

@@ -9,7 +9,7 @@ import numpy as np
 from msgspec import Struct
 from numpy.typing import NDArray
 
-from imucald.inputs.routes import Tap
+from imucald.inputs.taps import Tap
 
 MAX_SKEW = 0.1
 """Parts of a triad from different frames belong together within this [s]: one tick."""

@@ -22,15 +22,8 @@ from imucald.inputs.expression import Expression
 from imucald.inputs.protection_settings import checker_for
 from imucald.inputs.quantities import Place, Wanted, wanted_numbers
 from imucald.inputs.router import Router
-from imucald.inputs.routes import (
-    PLANAR_Z,
-    Component,
-    MessageRoute,
-    RawRoute,
-    SignalRoute,
-    Status,
-    Tap,
-)
+from imucald.inputs.routes import MessageRoute, RawRoute, SignalRoute
+from imucald.inputs.taps import PLANAR_Z, Component, Status, Tap
 from imucald.inputs.units import Unit, find_unit, unit_names
 from imucald.inputs.value_table import no_values
 

@@ -7,6 +7,7 @@ from collections.abc import Mapping
 import numpy as np
 from numpy.typing import NDArray
 
+from imucald.core import compiled
 from imucald.core.samples import Samples, Series
 from imucald.motion.ticks import (
     ACCEL,
@@ -39,6 +40,8 @@ def ticks_from_samples(
         return out
     out[:, T] = (np.arange(first, stop) + 1) / TICK_RATE
     for channel, whole in samples.items():
+        if _fill_compiled(out, channel, first, whole):
+            continue
         index, series = _within(whole, first, stop)
         if len(index):
             _fill(out, channel, index, series)
@@ -48,6 +51,34 @@ def ticks_from_samples(
             index = index[(index >= 0) & (index < n)]
             out[:, BAD[channel]] = np.bincount(index, minlength=n)
     return out
+
+
+_PLACES: Mapping[str, NDArray[np.int64]] = {
+    name: np.array(columns)
+    for name, columns in {
+        "accel": (ACCEL.n, ACCEL.x, ACCEL.xx, ACCEL.min_x, ACCEL.max_x, ACCEL.age),
+        "gyro": (GYRO.n, GYRO.x, -1, -1, -1, GYRO.age),
+        "speed": (SPEED.n, SPEED.mean, -1, -1, -1, SPEED.age),
+        "wheel_speeds": (WHEEL_SPREAD.n, WHEEL_SPREAD.mean, -1, -1, -1, -1),
+        **{name: (*columns, -1, -1, -1, -1) for name, columns in MEANS.items()},
+    }.items()
+}
+"""By channel the columns of count, first mean, mean square, least, largest and age; -1: none."""
+
+
+def _fill_compiled(out: NDArray[np.float64], channel: str, first: int, series: Series) -> bool:
+    """Fill a channel's columns by the compiled part; whether it could."""
+    places = _PLACES.get(channel)
+    if compiled.kernels is None or places is None:
+        return False
+    values = series.values
+    if channel == "wheel_speeds":
+        values = values.max(axis=1) - values.min(axis=1)
+    values = values.reshape(len(values), -1)[:, :3]
+    taken = compiled.kernels.tick_sums(
+        np.ascontiguousarray(series.t), values, places, first, TICK_RATE, out
+    )
+    return taken == 0
 
 
 def _within(series: Series, first: int, stop: int) -> tuple[NDArray[np.int64], Series]:

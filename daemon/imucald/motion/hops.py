@@ -13,6 +13,7 @@ import numpy as np
 from msgspec import Struct
 from numpy.typing import NDArray
 
+from imucald.core import compiled
 from imucald.motion.ticks import TICK_S
 
 Array = NDArray[np.float64]
@@ -98,8 +99,10 @@ def hop_rows(values: Array, hop: Index, hops: int, carry: Carry) -> HopRows:
     n, axes = values.shape
     edges = np.searchsorted(hop, np.arange(hops + 1))
     count = np.diff(edges)
-    # All axes in one long column, axis after axis: one call of each function instead of three.
     v = np.ascontiguousarray(values.T)
+    if compiled.kernels is not None:
+        return _by_kernel(compiled.kernels, v, edges, count, carry)
+    # All axes in one long column, axis after axis: one call of each function instead of three.
     change = np.empty((axes, n))
     change[:, 0] = v[:, 0] - carry.last
     np.subtract(v[:, 1:], v[:, :-1], out=change[:, 1:])
@@ -122,6 +125,36 @@ def hop_rows(values: Array, hop: Index, hops: int, carry: Carry) -> HopRows:
     before = carry.last
     carry.last = v[:, -1].copy()
     carry.run, carry.step = run[:, -1].copy(), step[:, -1].copy()
+    return HopRows(
+        count=count,
+        mean=mean.T,
+        level=level.T,
+        step=step.T,
+        ended=ended.T,
+        longest=longest.T,
+        run=run.T,
+        top=np.moveaxis(top, -1, 0),
+        on_top=np.moveaxis(on_top, -1, 0),
+        samples=v,
+        edges=edges,
+        before=before,
+    )
+
+
+def _by_kernel(
+    kernels: compiled.Kernels, v: Array, edges: Index, count: Index, carry: Carry
+) -> HopRows:
+    """As `hop_rows`; v: samples (axes, N), those of hop h from edges[h] on."""
+    shape = len(v), len(count)
+    mean, level, step = np.empty((3, *shape))
+    ended, longest, run = np.empty((3, *shape), np.int64)
+    top, on_top = np.empty((SIDES, *shape)), np.empty((SIDES, *shape), np.int64)
+    before = carry.last
+    carry.last, carry.run, carry.step = before.copy(), carry.run.copy(), carry.step.copy()
+    kernels.hop_figures(
+        v, edges, carry.last, carry.run, carry.step, mean, level, step, ended, longest, run, top,
+        on_top,
+    )  # fmt: skip
     return HopRows(
         count=count,
         mean=mean.T,

@@ -22,7 +22,8 @@ from imucald.config.example import example_path
 from imucald.core.errors import ConfigError
 from imucald.core.samples import Series
 from imucald.inputs.conversion import Conversion
-from imucald.inputs.routes import MessageRoute, Tap
+from imucald.inputs.routes import MessageRoute
+from imucald.inputs.taps import Tap
 from imucald.inputs.wiring import compile_router
 from imucald.simulation.drive import Drive
 from imucald.simulation.timing import frame_timing

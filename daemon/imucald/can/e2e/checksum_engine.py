@@ -76,6 +76,11 @@ class Checksum:
             self._starts *= self._many
         self._suffixes = spec.suffixes * (self._many if len(spec.suffixes) == 1 else 1)
 
+    @property
+    def tables(self) -> tuple[tuple[int, ...], tuple[int, ...], tuple[bytes, ...]]:
+        """The table of bytes; by counter value what the CRC starts from, and bytes fed last."""
+        return self._table, self._starts, self._suffixes
+
     def compute(self, data: bytes | bytearray) -> int:
         """Checksum that a frame of at least `size` bytes should have."""
         spec = self.spec

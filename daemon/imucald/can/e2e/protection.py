@@ -30,7 +30,9 @@ from numpy.typing import NDArray
 
 from imucald.can.dbc.bits import Columns, read_bits, read_column, words_of
 from imucald.can.e2e.checksum_engine import Checksum
+from imucald.can.e2e.compiled_protection import CompiledJudge, Past
 from imucald.can.e2e.protection_spec import ProtectionSpec
+from imucald.core import compiled
 
 REASONS = (
     "",
@@ -62,6 +64,7 @@ class MessageChecker:
         self.spec = spec
         self._size, self._longest = spec.size, spec.longest
         self._checksum = None if spec.checksum is None else Checksum(spec.checksum)
+        self._compiled = CompiledJudge(spec, self._checksum)
         self._counter = spec.counter
         self._timeout = spec.timeout
         self._counts = [0] * len(REASONS)
@@ -149,6 +152,10 @@ class MessageChecker:
         codes = np.zeros(count, np.uint8)
         if count == 0:
             return codes
+        if compiled.kernels is not None and self._compiled.can_judge:
+            codes = self._judge_compiled(compiled.kernels, t, data, length)
+            self._count(codes)
+            return codes
         counters = self._judge_each(codes, data, length)
         copies = None if counters is None else self._copies(codes, counters, t, data, length)
         if counters is not None and copies is not None:
@@ -158,8 +165,31 @@ class MessageChecker:
             codes[kept], codes[copies] = rest, COPY
         else:
             self._judge_in_order(codes, t, counters)
+        self._count(codes)
+        return codes
+
+    def _count(self, codes: NDArray[np.uint8]) -> None:
         found = np.bincount(codes, minlength=len(REASONS)).tolist()
         self._counts = [a + b for a, b in zip(self._counts, found, strict=True)]
+
+    def _judge_compiled(
+        self,
+        kernels: compiled.Kernels,
+        t: NDArray[np.float64],
+        data: Columns,
+        length: NDArray[np.uint8],
+    ) -> NDArray[np.uint8]:
+        past = Past(
+            self._last_t,
+            self._last_counter,
+            self._last_data,
+            self._missed,
+            self._distrust,
+            self.lost,
+        )
+        codes, past = self._compiled.judge(kernels, past, t, data, length)
+        self._last_t, self._last_counter, self._last_data = past.t, past.counter, past.data
+        self._missed, self._distrust, self.lost = past.missed, past.distrust, past.lost
         return codes
 
     def _copies(

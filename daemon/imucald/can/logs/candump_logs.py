@@ -6,12 +6,13 @@ and the number of digits are checked. What is left to know is whether all the re
 digits: the block is searched for other characters once, and their number must be just that of the
 marks and spaces the lines are known to hold. If not, they are counted line by line. Any line that
 falls out anywhere goes to the strict reader of single lines (`candump_line`), which decides.
+With the compiled part lines are taken one by one (`candump_lines`), to the same result.
 """
 
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 from typing import ClassVar, Final
 
@@ -22,11 +23,13 @@ from imucald.can.id_filter import IdFilters
 from imucald.can.logs.ascii_columns import Bytes, hex_bytes, runs_at
 from imucald.can.logs.candump_block import CandumpBlock, Hits
 from imucald.can.logs.candump_line import REASONS, Line, parse_line, shown
+from imucald.can.logs.candump_lines import LineReader
 from imucald.can.logs.candump_shape import Layout, Shape
 from imucald.can.logs.known_shapes import KnownShapes
 from imucald.can.logs.log_format import ReadStatistics
 from imucald.can.logs.text_blocks import OpenLog
 from imucald.can.logs.text_log_reader import PADDING, Place, read_text_log
+from imucald.core import compiled
 
 _LOG_LINE: Final = re.compile(rb"^\(\d{1,19}\.\d{1,19}\) {1,32}\S{1,32} [0-9A-Fa-f]{3,8}#", re.M)
 
@@ -39,19 +42,22 @@ class CandumpParser:
         self._channels = channels
         self._statistics = statistics
         self._shapes = KnownShapes[Shape, Hits](self._shape_of)
+        self._lines = LineReader(channels, filters.of, self._index_of)
 
     def parse(self, buf: Bytes, size: int, place: Place) -> tuple[FrameColumns, int]:
         """Return the wanted frames of `buf[:size]`, whole lines, and the number of lines.
 
         `buf` is (size + PADDING,) or longer. Raises LogError at a bad line of a strict reading.
         """
+        if compiled.kernels is not None:
+            return self._parse_compiled(compiled.kernels, buf, size, place)
         block = CandumpBlock(buf, size)
         _, hits = self._shapes.find(len(block), block.text, block.find)
         odd, wrong = block.settle()
         if wrong is not None:
             hits = [h.only(~wrong[h.line]) for h in hits]
         if self._statistics.first_stamp is None:
-            self._stamp_first(block)
+            self._stamp_first(block.text(number) for number in range(len(block)))
         singles: list[tuple[int, Line]] = []
         for number in odd.tolist():
             line = self.judge(block.text(number), (place[0], place[1] + number))
@@ -59,6 +65,34 @@ class CandumpParser:
                 singles.append((number, line))
         self._statistics.frames_read += len(block) - len(odd)
         return self._columns(buf, hits, singles), len(block)
+
+    def _parse_compiled(
+        self, kernels: compiled.Kernels, buf: Bytes, size: int, place: Place
+    ) -> tuple[FrameColumns, int]:
+        """As `parse`."""
+        found = self._lines.read(kernels, buf, size)
+        if self._statistics.first_stamp is None:
+            self._stamp_first(buf[:size].tobytes().split(b"\n"))
+        singles: list[tuple[int, Line]] = []
+        for number, start in found.odd.tolist():
+            text = self._text_at(buf, start, size)
+            line = self.judge(text, (place[0], place[1] + number))
+            if line is not None:
+                singles.append((start, line))
+        self._statistics.frames_read += found.count - len(found.odd)
+        if not singles:
+            return found.frames, found.count
+        both = [found.frames, _of_lines([line for _, line in singles], self._channels.names)]
+        order = np.argsort(np.concatenate([found.place, [at for at, _ in singles]]))
+        return concatenate(both).take(order), found.count
+
+    @staticmethod
+    def _text_at(buf: Bytes, start: int, size: int) -> bytes:
+        """The line that begins at a place, without its newline."""
+        length = 256
+        while (end := (text := buf[start : min(start + length, size)].tobytes()).find(b"\n")) < 0:
+            length *= 4
+        return text[:end]
 
     def parse_rest(self, text: bytes, place: Place) -> FrameColumns:
         """Return the frame (or none) of a file's last line, which lacks its newline.
@@ -92,13 +126,18 @@ class CandumpParser:
         self._statistics.frames_read += 1
         return line if self._filters.of(line.channel).wanted(line.can_id) else None
 
-    def _stamp_first(self, block: CandumpBlock) -> None:
+    def _stamp_first(self, lines: Iterable[bytes]) -> None:
         """Find the log's first frame, wanted or not."""
-        for number in range(len(block)):
-            line = parse_line(block.text(number))
+        for text in lines:
+            line = parse_line(text)
             if isinstance(line, Line):
                 self._statistics.stamp(line.t)
                 return
+
+    def _index_of(self, text: bytes) -> int | None:
+        """The index of a line's channel; None where it is no line, or there are too many."""
+        line = parse_line(text)
+        return self._channels.index(line.channel) if isinstance(line, Line) else None
 
     def _shape_of(self, text: bytes) -> Shape | None:
         line = parse_line(text)

@@ -1,0 +1,98 @@
+"""The judgement of protected frames by the compiled part, see `MessageChecker.check_columns`."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from msgspec import Struct
+from numpy.typing import NDArray
+
+from imucald.can.dbc.bits import MAX_FRAME_BYTES, Columns, Field
+from imucald.can.e2e.checksum_engine import Checksum
+from imucald.can.e2e.protection_spec import ProtectionSpec
+from imucald.core.compiled import Kernels
+
+_MOST_VALUES = 1 << 62
+"""Counters of more values are left to numpy."""
+_MOST_INDEX_BITS = 15
+
+
+class Past(Struct):
+    """What the next frame of a message is held against, see `MessageChecker`."""
+
+    t: float | None
+    counter: int | None
+    data: bytes
+    missed: int
+    distrust: int
+    lost: int
+
+
+def _places(field: Field | None) -> list[int]:
+    return [0, 0, 0] if field is None else [field.first_bit, field.length, int(field.is_big)]
+
+
+class CompiledJudge:
+    """A message's protection, as numbers and tables (see `core/kernels/frames.c`)."""
+
+    def __init__(self, spec: ProtectionSpec, checksum: Checksum | None) -> None:
+        counter, crc = spec.counter, spec.checksum
+        self.can_judge = counter is None or counter.modulus <= _MOST_VALUES
+        numbers = [spec.size, spec.longest, spec.recovery]
+        numbers += _places(None if counter is None else counter.field)
+        numbers += (
+            [1, 1] if counter is None else [min(counter.modulus, _MOST_VALUES), counter.max_jump]
+        )
+        fixed = None if crc is None else crc.fixed
+        index = None
+        self._table = np.zeros(256, np.uint16)
+        self._starts, self._suffixes = np.zeros(1, np.uint16), np.zeros((1, 0), np.uint8)
+        if crc is None or checksum is None:
+            numbers += [0, 0, 0, 0, 0]
+        else:
+            is_big = crc.byte_order == "big"
+            numbers += [crc.size, crc.position, crc.width, int(is_big), crc.final_xor]
+            table, starts, suffixes = checksum.tables
+            index = crc.counter if len(starts) > 1 else None
+            self._table, self._starts = np.array(table, np.uint16), np.array(starts, np.uint16)
+            text = b"".join(suffixes)
+            self._suffixes = np.frombuffer(text, np.uint8).reshape(len(suffixes), -1)
+            self.can_judge &= index is None or index.length <= _MOST_INDEX_BITS
+        numbers += _places(index)
+        numbers += _places(None if fixed is None else fixed[0])
+        numbers.append(0 if fixed is None else fixed[1])
+        self._numbers = np.array(numbers, np.int64)
+        self._timeout = math.inf if spec.timeout is None else spec.timeout
+
+    def judge(
+        self,
+        kernels: Kernels,
+        past: Past,
+        t: NDArray[np.float64],
+        data: Columns,
+        length: NDArray[np.uint8],
+    ) -> tuple[NDArray[np.uint8], Past]:
+        """Codes (N,) of frames, and what the next one is held against."""
+        codes = np.empty(len(length), np.uint8)
+        counter = -1 if past.counter is None else past.counter
+        known = len(past.data) or -1
+        state = np.array([counter, past.missed, past.distrust, past.lost, known], np.int64)
+        last_t = np.array([math.nan if past.t is None else past.t])
+        last_data = np.zeros(MAX_FRAME_BYTES, np.uint8)
+        last_data[: len(past.data)] = np.frombuffer(past.data, np.uint8)
+        kernels.judge_frames(
+            np.ascontiguousarray(t), np.ascontiguousarray(data), np.ascontiguousarray(length),
+            self._numbers, self._timeout, self._table, self._starts, self._suffixes, state, last_t,
+            last_data, codes,
+        )  # fmt: skip
+        counter, missed, distrust, lost, known = state.tolist()
+        when = float(last_t[0])
+        return codes, Past(
+            None if math.isnan(when) else when,
+            None if counter < 0 else counter,
+            last_data[:known].tobytes() if known > 0 else b"",
+            missed,
+            distrust,
+            lost,
+        )

@@ -1,0 +1,164 @@
+"""Blocks of candump text by the compiled part, which goes through their bytes once.
+
+What it takes, and what it leaves to the strict reader, is the same as in `candump_block`: that is
+what is used without it, and what it is held against.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, Final
+
+import numpy as np
+from msgspec import Struct
+from numpy.typing import NDArray
+
+from imucald.can.columns import CLASSIC_BYTES, FD_BYTES, Channels, FrameColumns
+from imucald.can.id_filter import IdFilter
+from imucald.can.logs.ascii_columns import Bytes, Index
+from imucald.core.compiled import Kernels
+
+LEAST_LINE: Final = len("(0.0) a 1#\n")
+"""Bytes of the shortest line of a frame."""
+ODD_LINES: Final = 4096
+"""Odd lines handed back at once."""
+_NAME_BYTES: Final = 32
+_IDS: Final = 16**3
+_NEW_CHANNEL, _ODD_IS_FULL, _LONG_FRAME = 1, 2, 3
+"""Why the kernel stopped before the end."""
+_PLACE, _NUMBER, _FRAMES, _ODD, _AS_TEXT, _ANY_FD = range(6)
+"""What it counts."""
+
+
+class Lines(Struct, frozen=True):
+    """What a block held.
+
+    frames: wanted ones, each with the place of its line (N,). odd: number and place of each line
+    that is left to the strict reader (M, 2). count: of all lines.
+    """
+
+    frames: FrameColumns
+    place: Index
+    odd: Index
+    count: int
+
+
+class _Known(Struct, frozen=True):
+    """The filters of the channels met so far, as arrays (see `core/kernels/candump.c`)."""
+
+    names: Bytes
+    verdicts: Bytes
+    everything: Bytes
+    exact: NDArray[np.uint32]
+    exact_of: Index
+    masked: NDArray[np.uint32]
+    masked_of: Index
+
+    @classmethod
+    def of(cls, channels: Channels, filter_of: Callable[[str], IdFilter]) -> _Known:
+        filters = [filter_of(name) for name in channels.names]
+        names = np.zeros((len(filters), 1 + _NAME_BYTES), np.uint8)
+        for row, name in zip(names, channels.names, strict=True):
+            row[0] = len(name)
+            row[1 : 1 + len(name)] = np.frombuffer(name.encode("ascii"), np.uint8)
+        masked = [pair for one in filters for pair in one.masked]
+        return cls(
+            names,
+            np.array([one.verdict for one in filters], np.uint8).reshape(len(filters), _IDS),
+            np.array([one.everything for one in filters], np.uint8),
+            np.concatenate([np.zeros(0, np.uint32), *(one.exact for one in filters)]),
+            np.cumsum([0, *(len(one.exact) for one in filters)]),
+            np.array(masked, np.uint32).reshape(len(masked), 2),
+            np.cumsum([0, *(len(one.masked) for one in filters)]),
+        )
+
+
+class LineReader:
+    """Reads the blocks of one recording.
+
+    index_of: takes a line that begins with a channel not met so far; gives it a number where the
+    line is one, and there is room.
+    """
+
+    def __init__(
+        self,
+        channels: Channels,
+        filter_of: Callable[[str], IdFilter],
+        index_of: Callable[[bytes], int | None],
+    ) -> None:
+        self._channels, self._filter_of, self._index_of = channels, filter_of, index_of
+        self._known: _Known | None = None
+        self._width = CLASSIC_BYTES
+        self._make(0)
+
+    def _make(self, most: int) -> None:
+        """Columns for so many frames."""
+        self._columns: tuple[NDArray[Any], ...] = (
+            np.empty(most),
+            np.empty(most, np.uint32),
+            np.empty(most, np.uint8),
+            np.empty((most, self._width), np.uint8),
+            np.empty(most, np.uint8),
+            np.empty(most, np.bool_),
+            np.empty(most, np.int64),
+        )
+
+    def read(self, kernels: Kernels, buf: Bytes, size: int) -> Lines:
+        """Read `buf[:size]`, whole lines; `buf` must be at least 16 bytes longer."""
+        if len(self._columns[0]) < size // LEAST_LINE + 1:
+            self._make(size // LEAST_LINE + 1)
+        odd: list[Index] = []
+        counts = np.zeros(6, np.int64)
+        while self._go_on(kernels, buf, size, odd, counts):
+            pass
+        n = int(counts[_FRAMES])
+        t, can_id, length, data, channel, fd, place = (
+            column[:n].copy() for column in self._columns
+        )
+        if counts[_AS_TEXT]:
+            for i in np.flatnonzero(np.isnan(t)).tolist():
+                start = int(place[i]) + 1
+                t[i] = float(buf[start : start + 40].tobytes().partition(b")")[0])
+        if not length.max(initial=0) > CLASSIC_BYTES:
+            data = np.ascontiguousarray(data[:, :CLASSIC_BYTES])
+        frames = FrameColumns(
+            t, can_id, length, data, channel, self._channels.names, fd if counts[_ANY_FD] else None
+        )
+        return Lines(frames, place, np.concatenate(odd), int(counts[_NUMBER]))
+
+    def _go_on(
+        self, kernels: Kernels, buf: Bytes, size: int, found: list[Index], counts: Index
+    ) -> bool:
+        """Read on until something is to be done; whether there is more."""
+        if self._known is None:
+            self._known = _Known.of(self._channels, self._filter_of)
+        odd = np.empty((ODD_LINES, 2), np.int64)
+        counts[_ODD] = 0
+        k = self._known
+        stopped = kernels.candump(
+            buf, size, k.names, k.verdicts, k.everything, k.exact, k.exact_of, k.masked,
+            k.masked_of, *self._columns, odd, counts,
+        )  # fmt: skip
+        found.append(odd[: counts[_ODD]])
+        if stopped == _NEW_CHANNEL:
+            self._meet(buf, size, found, counts)
+        elif stopped == _LONG_FRAME:
+            self._width = FD_BYTES
+            before = self._columns
+            self._make(len(before[0]))
+            for old, new in zip(before, self._columns, strict=True):
+                if old.ndim == 1:
+                    new[:] = old
+                else:
+                    new[:, :CLASSIC_BYTES], new[:, CLASSIC_BYTES:] = old, 0
+        return stopped != 0
+
+    def _meet(self, buf: Bytes, size: int, found: list[Index], counts: Index) -> None:
+        """Take the line that the kernel stopped at, with a channel that is not known."""
+        start = int(counts[_PLACE])
+        end = buf[start:size].tobytes().index(b"\n") + start
+        if self._index_of(buf[start:end].tobytes()) is not None:
+            self._known = None
+            return
+        found.append(np.array([[counts[_NUMBER], start]]))
+        counts[_PLACE], counts[_NUMBER] = end + 1, counts[_NUMBER] + 1

@@ -1,0 +1,114 @@
+"""The compiled part: loops in C, where a C compiler was there when the package was installed.
+
+Everything works without it, to the last bit the same, and a replay takes about twice as long.
+`setup.py` builds it from `core/kernels`; it is loaded here and nowhere else. Each kernel has its
+numpy version beside the place that calls it::
+
+    kernels = compiled.kernels
+    if kernels is not None:
+        kernels.candump(...)
+        return ...
+
+`kernels` is None where the library is not there, cannot be loaded, or was built from other sources
+than those that lie beside it, and with IMUCALD_COMPILED=0 in the environment.
+
+A kernel takes numpy arrays as they are and checks their types and shapes itself; it raises
+ValueError where one does not fit. It keeps none of them.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import os
+import zlib
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from importlib.machinery import EXTENSION_SUFFIXES
+from pathlib import Path
+from typing import Final
+
+SWITCH: Final = "IMUCALD_COMPILED"
+"""Set to 0 it leaves the compiled part out: it is not loaded, and not built."""
+NAME: Final = "_kernels"
+SOURCES: Final = Path(__file__).with_name("kernels")
+"""Of a checkout; an installed package is without them."""
+
+Kernel = Callable[..., int]
+
+_TYPES: Final = {"o": ctypes.py_object, "i": ctypes.c_long, "d": ctypes.c_double}
+
+
+class Kernels:
+    """The functions of the library.
+
+    Each has its arguments below, as letters: o an array, i a whole number, d a float. What they
+    mean stands beside the function in `core/kernels`.
+    """
+
+    candump: Kernel
+    hop_figures: Kernel
+    judge_frames: Kernel
+    signal_column: Kernel
+    tick_sums: Kernel
+
+    ARGUMENTS: Final = {
+        "candump": "oi" + 16 * "o",
+        "hop_figures": 13 * "o",
+        "judge_frames": "ooood" + 7 * "o",
+        "signal_column": 8 * "o",
+        "tick_sums": "oooido",
+    }
+
+    def __init__(self, library: ctypes.PyDLL) -> None:
+        for name, letters in self.ARGUMENTS.items():
+            function = getattr(library, name)
+            function.argtypes = [_TYPES[letter] for letter in letters]
+            function.restype = ctypes.c_long
+            setattr(self, name, function)
+
+
+kernels: Kernels | None = None
+"""The compiled part, or None."""
+state = ""
+"""Whether it is used, in words; and why not."""
+
+
+def load(folder: Path, sources: Path = SOURCES) -> tuple[Kernels | None, str]:
+    """The library of a folder, and what is to be said of it."""
+    if os.environ.get(SWITCH) == "0":
+        return None, f"switched off by {SWITCH}=0"
+    names = (folder / (NAME + suffix) for suffix in EXTENSION_SUFFIXES)
+    file = next((name for name in names if name.exists()), None)
+    if file is None:
+        return None, "not built"
+    try:
+        library = ctypes.PyDLL(str(file))
+        library.stamp.restype = ctypes.c_ulong
+        if sources.is_dir() and library.stamp() != stamp(sources):
+            return None, "built from other sources"
+        return Kernels(library), "in use"
+    except (OSError, AttributeError) as error:
+        return None, f"cannot be loaded: {error}"
+
+
+def stamp(sources: Path) -> int:
+    """A number that changes with the sources; the library says that of those it was built from."""
+    found = 0
+    for file in sorted(sources.iterdir()):
+        if file.suffix in (".c", ".h"):
+            found = zlib.crc32(file.read_bytes(), found)
+    return found
+
+
+@contextmanager
+def left_out() -> Iterator[None]:
+    """Do without the compiled part for a while; for tests, in one thread."""
+    global kernels  # noqa: PLW0603
+    kept, kernels = kernels, None
+    try:
+        yield
+    finally:
+        kernels = kept
+
+
+kernels, state = load(Path(__file__).parent)
