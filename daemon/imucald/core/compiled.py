@@ -27,6 +27,8 @@ from importlib.machinery import EXTENSION_SUFFIXES
 from pathlib import Path
 from typing import Final
 
+import numpy as np
+
 SWITCH: Final = "IMUCALD_COMPILED"
 """Set to 0 it leaves the compiled part out: it is not loaded, and not built."""
 NAME: Final = "_kernels"
@@ -35,6 +37,7 @@ SOURCES: Final = Path(__file__).with_name("kernels")
 
 Kernel = Callable[..., int]
 
+_HUGE, _ENDLESS, _ONE = np.array([1e300]), np.array([np.inf]), np.array([1.0])
 _TYPES: Final = {"o": ctypes.py_object, "i": ctypes.c_long, "d": ctypes.c_double}
 
 
@@ -50,6 +53,7 @@ class Kernels:
     judge_frames: Kernel
     signal_column: Kernel
     tick_sums: Kernel
+    vertical: Kernel
 
     ARGUMENTS: Final = {
         "candump": "oi" + 16 * "o",
@@ -57,6 +61,7 @@ class Kernels:
         "judge_frames": "ooood" + 7 * "o",
         "signal_column": 8 * "o",
         "tick_sums": "oooido",
+        "vertical": 9 * "o" + "diiii" + 5 * "o",
     }
 
     def __init__(self, library: ctypes.PyDLL) -> None:
@@ -98,6 +103,16 @@ def stamp(sources: Path) -> int:
         if file.suffix in (".c", ".h"):
             found = zlib.crc32(file.read_bytes(), found)
     return found
+
+
+def note(flags: int) -> None:
+    """Have numpy say what a kernel met, as its `errstate` asks for: it warns, or raises."""
+    if flags & 1:
+        np.multiply(_HUGE, _HUGE)
+    if flags & 2:
+        np.subtract(_ENDLESS, _ENDLESS)
+    if flags & 4:
+        np.divide(_ONE, 0.0)
 
 
 @contextmanager

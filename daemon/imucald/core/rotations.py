@@ -70,6 +70,17 @@ def times_level_columns(rows: NDArray[np.float64], v: NDArray[np.float64]) -> ND
     return np.stack(out, axis=1)
 
 
+def applied(matrices: NDArray[np.float64], columns: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Matrices (..., r, 3) times (..., 3, k), their sums taken from left to right.
+
+    A library's matrix product takes another order on each processor.
+    """
+    first = matrices[..., :, 0, None] * columns[..., None, 0, :]
+    first += matrices[..., :, 1, None] * columns[..., None, 1, :]
+    first += matrices[..., :, 2, None] * columns[..., None, 2, :]
+    return first
+
+
 def matrix_times(R: Matrix3, v: Vector) -> Vector:
     """Matrix (3, 3) times vector, as plain numbers."""
     x, y, z = (float(c) for c in R @ np.array(v))

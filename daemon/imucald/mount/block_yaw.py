@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from imucald.motion.signal_health import slope
 from imucald.motion.ticks import TICK_S
-from imucald.mount.gravity_observer import FORCE_NOISE
+from imucald.mount.vertical_block import FORCE_NOISE
 
 Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]

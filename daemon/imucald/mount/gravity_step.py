@@ -20,7 +20,7 @@ import numpy as np
 from msgspec import Struct
 from numpy.typing import NDArray
 
-from imucald.core.rotations import Matrix3
+from imucald.core.rotations import Matrix3, applied
 from imucald.core.samples import GRAVITY
 
 Array = NDArray[np.float64]
@@ -119,33 +119,25 @@ class GravityStepDetector:
         [rad^2], sensor axes: the mean of the blocks that a step may have been in."""
         self._walked += (walked - self._walked) / AGES
 
-    def add(
-        self,
-        before: Array,
-        answer: Array,
-        left: Array,
-        end: Array,
-        innovation: Array,
-        weight: Array,
-    ) -> None:
+    def add(self, before: Array, sums: Array, end: Array) -> None:
         """Take a block.
 
-        before: B at its beginning (3, 3); answer: I - B (N, 3, 3); left: what is left of the state
-        at the beginning (N, 3, 3), end: the same at its end (3, 3). innovation: (N, 3); weight:
-        (N,).
+        before: B at its beginning (3, 3). sums: (7, 6) information and, below it, score of (I - B,
+        what is left of the state at the beginning), see `vertical_block`. end: the latter at its
+        end (3, 3).
         """
         for kept in (self._start, self._score, self._information):
             kept[1:] = kept[:-1].copy()
             kept[0] = 0.0
         self._start[0] = before
         self._blocks += 1
-        n = len(weight)
-        carried = (left.reshape(3 * n, 3) @ self._start).reshape(AGES, n, 3, 3)
-        answer = (answer + carried).reshape(AGES, 3 * n, 3)
-        weighted = (answer * weight.repeat(3)[:, None]).transpose(0, 2, 1)
-        self._score += weighted @ innovation.reshape(3 * n)
-        self._information += weighted @ answer
-        self._start = end @ self._start
+        # C = (I - B) + left start, so the sums of C follow from those of both parts
+        start, turned = self._start, self._start.transpose(0, 2, 1)
+        both = applied(sums[:3, 3:], start)
+        self._information += sums[:3, :3] + both + both.transpose(0, 2, 1)
+        self._information += applied(turned, applied(sums[3:6, 3:], start))
+        self._score += sums[6, :3] + applied(turned, sums[6, 3:, None])[:, :, 0]
+        self._start = applied(end, start)
 
     def found(self, R_vehicle_from_sensor: Matrix3, is_good: bool = False) -> GravityStep | None:
         """The step that stands out most, if any does; learns the usual spread as well.

@@ -1,0 +1,167 @@
+/* The vertical's filter, block by block (`mount.vertical_block`, `mount.gravity_step`). */
+
+#include "numerics.h"
+
+enum { TOGETHER = 8, WIDE = 7, MOST_TICKS = 256 };
+enum Numbers { TICK_S, GRAVITY, SETTLE_TICKS, NOISE2, SHARE2, LARGE, LARGE_STEP, NUMBERS };
+
+/* (3, 3) of rows so far apart times (3, k): sums from left to right. */
+static inline void times(const double *m, Size m_row, const double *y, Size y_row, Size k,
+                         double *out, Size out_row)
+{
+    for (Size i = 0; i < 3; i++)
+        for (Size j = 0; j < k; j++)
+            out[i * out_row + j] = m[i * m_row] * y[j] + m[i * m_row + 1] * y[y_row + j] +
+                                   m[i * m_row + 2] * y[2 * y_row + j];
+}
+
+static inline double square_of(const double *v)
+{
+    return v[0] * v[0] + v[1] * v[1] + v[2] * v[2];
+}
+
+static void turn_by(const double *rate, const double *drift, double ok, double tick, double *turn)
+{
+    double s[3];
+    for (int k = 0; k < 3; k++)
+        s[k] = -tick * (rate[k] - drift[k]) * ok;
+    for (int i = 0; i < 3; i++)
+        for (int j = 0; j < 3; j++)
+            turn[3 * i + j] = 0.5 * s[i] * s[j];
+    double rest = 1.0 - (turn[0] + turn[4] + turn[8]);
+    turn[0] += rest;
+    turn[4] += rest;
+    turn[8] += rest;
+    turn[1] -= s[2];
+    turn[2] += s[1];
+    turn[5] -= s[0];
+    turn[3] += s[2];
+    turn[6] -= s[1];
+    turn[7] += s[0];
+}
+
+/* Add a row's part to information (k, k) and score (k,) below it. */
+static inline void weigh(const double *row, double left, double weight, int k, double *sums)
+{
+    for (int i = 0; i < k; i++) {
+        double own = row[i] * weight;
+        for (int j = 0; j < k; j++)
+            sums[i * k + j] += own * row[j];
+        sums[k * k + i] += own * left;
+    }
+}
+
+/* Carry the vertical through n ticks, as `vertical_block.carried` does from a state that is known.
+
+   last: (3, 7) state and what is left of it, at the beginning and then at the end. sums: of what is not
+   explained (3,), the largest answer, u at the last tick (3,). */
+KERNEL long vertical(PyObject *rate_, PyObject *drift_, PyObject *ok_rate_, PyObject *force_,
+                     PyObject *motion_, PyObject *bias_, PyObject *use_, PyObject *learn_,
+                     PyObject *numbers_, double pull, long first, long count, long has_motion,
+                     long weighed, PyObject *lone_, PyObject *last_, PyObject *sums_,
+                     PyObject *of_bias_, PyObject *of_steps_)
+{
+    Arrays a = {0};
+    const double *rate = doubles(&a, rate_, SHAPE(ANY, 3));
+    Size n = length_of(&a, 0);
+    const double *drift = doubles(&a, drift_, SHAPE(3));
+    const uint8_t *ok_rate = flags_in(&a, ok_rate_, SHAPE(n));
+    const double *force = doubles(&a, force_, SHAPE(n, 3));
+    const double *motion = doubles(&a, motion_, SHAPE(n, 3));
+    const double *bias = doubles(&a, bias_, SHAPE(3));
+    const uint8_t *use = flags_in(&a, use_, SHAPE(n));
+    const uint8_t *learn = flags_in(&a, learn_, SHAPE(n));
+    const double *number = doubles(&a, numbers_, SHAPE(NUMBERS));
+    double *lone = doubles_out(&a, lone_, SHAPE(n, 3));
+    double *last = doubles_out(&a, last_, SHAPE(3, WIDE));
+    double *sums = doubles_out(&a, sums_, SHAPE(WIDE));
+    double *of_bias = doubles_out(&a, of_bias_, SHAPE(4, 3));
+    double *of_steps = doubles_out(&a, of_steps_, SHAPE(7, 6));
+    if (a.failed)
+        return leave(&a, -1);
+    if (n < 1 || n > MOST_TICKS || n % TOGETHER || first < 0 || first >= n) {
+        PyErr_SetString(PyExc_ValueError, "a block of so many ticks is not carried");
+        a.failed = 1;
+        return leave(&a, -1);
+    }
+    begin();
+    double turn[MOST_TICKS][9], carry[MOST_TICKS][3 * WIDE], states[3 * WIDE], drawn[3 * WIDE];
+    double g = number[GRAVITY];
+    for (Size i = 0; i < n; i++) {
+        turn_by(rate + 3 * i, drift, ok_rate[i] ? 1.0 : 0.0, number[TICK_S], turn[i]);
+        count += use[i] != 0;
+        double gain = 0.0;
+        if (use[i])
+            gain = (double)count > number[SETTLE_TICKS]
+                       ? pull
+                       : larger(pull, 1.0 / (count > 1 ? (double)count : 1.0));
+        double *own = carry[i], part = gain / g;
+        for (int r = 0; r < 3; r++) {
+            for (int c = 0; c < 3; c++) {
+                own[WIDE * r + c] = i < first ? (r == c) : (1.0 - gain) * turn[i][3 * r + c];
+                own[WIDE * r + 4 + c] = r == c ? gain : 0.0;
+            }
+            double f = has_motion ? force[3 * i + r] - motion[3 * i + r] : force[3 * i + r];
+            own[WIDE * r + 3] = part * f;
+        }
+        if (i % TOGETHER) { /* put together with the ticks of the group before */
+            double both[3 * WIDE];
+            times(own, WIDE, carry[i - 1], WIDE, WIDE, both, WIDE);
+            for (int r = 0; r < 3; r++)
+                for (int c = 3; c < WIDE; c++)
+                    both[WIDE * r + c] += own[WIDE * r + c];
+            memcpy(own, both, sizeof both);
+        }
+    }
+    double start[3 * WIDE], largest = 0.0;
+    double left[MOST_TICKS][3];
+    memcpy(start, last, sizeof start);
+    memcpy(drawn, last, sizeof drawn);
+    for (Size i = 0; i < n; i++) {
+        times(turn[i], 3, drawn, WIDE, WIDE, states, WIDE);
+        if (i < first)
+            memset(states, 0, sizeof states);
+        times(carry[i], WIDE, start, WIDE, WIDE, drawn, WIDE);
+        for (int r = 0; r < 3; r++)
+            for (int c = 0; c < 4; c++)
+                drawn[WIDE * r + c] += carry[i][WIDE * r + 3 + c];
+        if (i % TOGETHER == TOGETHER - 1)
+            memcpy(start, drawn, sizeof start);
+        double innovation[3], answer[3][6], square = 0.0;
+        for (int r = 0; r < 3; r++) {
+            double gravity = g * states[WIDE * r];
+            for (int c = 0; c < 3; c++) {
+                answer[r][c] = (r == c) - states[WIDE * r + 1 + c];
+                answer[r][3 + c] = states[WIDE * r + 4 + c];
+                largest = larger(largest, fabs(answer[r][c]));
+            }
+            double answered = answer[r][0] * bias[0] + answer[r][1] * bias[1] + answer[r][2] * bias[2];
+            lone[3 * i + r] = force[3 * i + r] - gravity - answered;
+            if (has_motion) {
+                innovation[r] = force[3 * i + r] - motion[3 * i + r] - gravity;
+                left[i][r] = innovation[r] - answered;
+            }
+        }
+        if (!(has_motion && weighed))
+            continue;
+        double noise2 = number[NOISE2] + number[SHARE2] * square_of(motion + 3 * i);
+        square = sqrt(square_of(innovation));
+        double weight = (learn[i] ? 1.0 : 0.0) / noise2;
+        weight /= larger(square / number[LARGE], 1.0);
+        for (int r = 0; r < 3; r++)
+            weigh(answer[r], innovation[r], weight, 3, of_bias);
+        weight = (use[i] && ok_rate[i] ? 1.0 : 0.0) / noise2;
+        weight /= larger(sqrt(square_of(left[i])) / number[LARGE_STEP], 1.0);
+        for (int r = 0; r < 3; r++)
+            weigh(answer[r], left[i][r], weight, 6, of_steps);
+    }
+    for (int r = 0; r < 3; r++) {
+        sums[r] = 0.0;
+        for (Size i = 0; has_motion && i < n; i++)
+            sums[r] += left[i][r];
+        sums[4 + r] = states[WIDE * r];
+    }
+    sums[3] = largest;
+    memcpy(last, drawn, sizeof drawn);
+    return leave(&a, raised());
+}
