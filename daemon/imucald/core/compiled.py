@@ -48,7 +48,9 @@ class Kernels:
     mean stands beside the function in `core/kernels`.
     """
 
+    add_steps: Kernel
     candump: Kernel
+    find_step: Kernel
     hop_figures: Kernel
     judge_frames: Kernel
     signal_column: Kernel
@@ -56,7 +58,9 @@ class Kernels:
     vertical: Kernel
 
     ARGUMENTS: Final = {
+        "add_steps": 6 * "o",
         "candump": "oi" + 16 * "o",
+        "find_step": "oooooiiooo",
         "hop_figures": 13 * "o",
         "judge_frames": "ooood" + 7 * "o",
         "signal_column": 8 * "o",

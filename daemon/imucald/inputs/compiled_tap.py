@@ -45,8 +45,7 @@ class CompiledTap:
         self, kernels: Kernels, frames: FrameColumns
     ) -> tuple[NDArray[np.float64], NDArray[np.int8]]:
         """As `Tap.array`, of good frames (N,)."""
-        data, length = np.ascontiguousarray(frames.data), np.ascontiguousarray(frames.length)
-        n = len(length)
+        data, length, n = frames.data, frames.length, len(frames)
         codes = np.zeros(n, np.int8)
         values = np.empty((len(self._parts) + (self._third is not None), n))
         for column, numbers in zip(values, self._parts, strict=False):

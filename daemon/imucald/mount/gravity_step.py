@@ -20,6 +20,7 @@ import numpy as np
 from msgspec import Struct
 from numpy.typing import NDArray
 
+from imucald.core import compiled
 from imucald.core.rotations import Matrix3, applied
 from imucald.core.samples import GRAVITY
 
@@ -60,23 +61,24 @@ class GravityStep(Struct, frozen=True):
 
 
 _SIGNS = np.array([1.0, -1.0])
-_PRIOR = np.eye(2) / (4.0 * SPREAD_PRIOR) ** 2
+_PRIOR = 1.0 / (4.0 * SPREAD_PRIOR) ** 2
 
 
 class GravityStepHistory:
     """How far a step stood out at each of the last blocks, in roll and in pitch, both ways."""
 
     def __init__(self) -> None:
-        self._both = np.zeros((HISTORY_BLOCKS, 2, 2))  # by age; roll, pitch; the largest, the least
+        self.both = np.zeros((HISTORY_BLOCKS, 2, 2))
+        """By age; roll, pitch; the largest, the least."""
 
     def go_on(self) -> None:
         """A block has gone by."""
-        self._both[1:] = self._both[:-1].copy()
-        self._both[0] = 0.0
+        self.both[1:] = self.both[:-1].copy()
+        self.both[0] = 0.0
 
     def add(self, spreads: Array) -> None:
         """Take how far steps stand out now, from `FIRST_AGE` blocks ago on (ages, 2)."""
-        part = self._both[FIRST_AGE - 1 : FIRST_AGE - 1 + len(spreads)]
+        part = self.both[FIRST_AGE - 1 : FIRST_AGE - 1 + len(spreads)]
         np.maximum(part[:, :, 0], spreads, out=part[:, :, 0])
         np.minimum(part[:, :, 1], spreads, out=part[:, :, 1])
 
@@ -85,7 +87,7 @@ class GravityStepHistory:
         newest = np.maximum(np.array(ages, dtype=np.int64) - 1 - AROUND, 0)
         oldest = np.minimum(np.array(ages, dtype=np.int64) - 2 + AROUND, HISTORY_BLOCKS - 1)
         places = newest[:, None] + np.arange(2 * AROUND)
-        part = self._both[np.minimum(places, oldest[:, None])]  # the oldest may come twice
+        part = self.both[np.minimum(places, oldest[:, None])]  # the oldest may come twice
         found = np.stack([part[..., 0].max(axis=1), part[..., 1].min(axis=1)], axis=2)
         found[newest > oldest] = 0.0
         return found
@@ -126,11 +128,17 @@ class GravityStepDetector:
         what is left of the state at the beginning), see `vertical_block`. end: the latter at its
         end (3, 3).
         """
+        self._blocks += 1
+        if compiled.kernels is not None:
+            of_steps = self._start, self._score, self._information
+            flags = compiled.kernels.add_steps(*of_steps, before, sums, end)
+            if flags:
+                compiled.note(flags)
+            return
         for kept in (self._start, self._score, self._information):
             kept[1:] = kept[:-1].copy()
             kept[0] = 0.0
         self._start[0] = before
-        self._blocks += 1
         # C = (I - B) + left start, so the sums of C follow from those of both parts
         start, turned = self._start, self._start.transpose(0, 2, 1)
         both = applied(sums[:3, 3:], start)
@@ -145,38 +153,60 @@ class GravityStepDetector:
         is_good: the rotation is served as good. Else one that is young and still wrong leaves
         motion in the force, which only the drive's own spread distinguishes from steps.
         """
-        R = R_vehicle_from_sensor
         self.history.go_on()
         ages = min(self._blocks, AGES)
         if ages == 0:
             return None
-        information = (R @ self._information[:ages] @ R.T)[:, :2, :2]
-        score = (self._score[:ages] @ R.T)[:, :2]
-        solved = np.linalg.solve(information + _PRIOR, score[:, :, None])
-        size = np.asarray(solved[:, :, 0], dtype=np.float64)
-        # a turn about y moves gravity ahead, one about x aside
-        walked = (R @ self._walked @ R.T).diagonal()[1::-1]
-        usual = self._square[:ages] + GRAVITY * GRAVITY * walked
-        deviations = size / np.sqrt(usual + OTHER_AXIS * usual[:, ::-1])
-        self._learn(size, ages)
+        self._seen += 1
+        part = 1.0 / min(SPREAD_WEIGHT + self._seen, SPREAD_MEMORY)
         is_young = self._seen < SETTLED
-        if ages < FIRST_AGE or (is_young and not is_good):
+        least = YOUNG_SIZE if is_young else MIN_SIZE
+        found = self._largest(R_vehicle_from_sensor, ages, part, least, not is_young)
+        if found is None or (is_young and not is_good) or abs(found[3]) < LIMIT:
+            return None
+        age, axis, turned, spreads = found
+        return GravityStep(axis, turned / GRAVITY, spreads, age + 1)
+
+    def _largest(
+        self, R: Matrix3, ages: int, part: float, least: float, is_kept: bool
+    ) -> tuple[int, int, float, float] | None:
+        """Age, axis, size [m/s^2] and deviations of the step that stands out most of all that are
+        larger than `least`; None: none is. part: of what is usual that is learnt now; is_kept: all
+        go to the history.
+        """
+        walked = np.zeros(2)
+        if self._walked.any():  # a turn about y moves gravity ahead, one about x aside
+            walked = (R @ self._walked @ R.T).diagonal()[1::-1].copy()
+        if compiled.kernels is not None:
+            numbers = np.array([_PRIOR, GRAVITY * GRAVITY, OTHER_AXIS, part, least, is_kept])
+            found = np.zeros(5)
+            flags = compiled.kernels.find_step(
+                R, self._score, self._information, walked, numbers, ages, FIRST_AGE, self._square,
+                self.history.both, found,
+            )  # fmt: skip
+            if flags:
+                compiled.note(flags)
+            age, axis, size_of_it, deviations_of_it, large_of_it = found.tolist()
+            return (int(age), int(axis), size_of_it, deviations_of_it) if large_of_it else None
+        level = R[:2]
+        J = applied(applied(level, self._information[:ages]), level.T)
+        aside, ahead = (applied(level, self._score[:ages, :, None])[:, i, 0] for i in (1, 0))
+        a, b, c, d = J[:, 0, 0] + _PRIOR, J[:, 0, 1], J[:, 1, 0], J[:, 1, 1] + _PRIOR
+        det = a * d - b * c
+        size = np.stack([(d * ahead - b * aside) / det, (a * aside - c * ahead) / det], axis=1)
+        now = self._square[:ages]
+        usual = now + GRAVITY * GRAVITY * walked
+        deviations = size / np.sqrt(usual + OTHER_AXIS * usual[:, ::-1])
+        now += part * (np.minimum(size * size, 9.0 * now) - now)
+        if ages < FIRST_AGE:
             return None
         # gravity seen to the left: the sensor rolled to the right about x; ahead: about -y
         turned, spreads = size[:, ::-1] * _SIGNS, deviations[:, ::-1] * _SIGNS
-        if not is_young:
+        if is_kept:
             self.history.add(spreads[FIRST_AGE - 1 :])
-        large = np.abs(spreads) * (np.abs(turned) > (YOUNG_SIZE if is_young else MIN_SIZE))
+        large = np.abs(spreads) * (np.abs(turned) > least)
         large[: FIRST_AGE - 1] = 0.0
-        age, axis = divmod(int(large.argmax()), 2)
-        if large[age, axis] < LIMIT:
+        k, axis = divmod(int(large.argmax()), 2)
+        if large[k, axis] == 0.0:
             return None
-        return GravityStep(
-            axis, float(turned[age, axis]) / GRAVITY, float(spreads[age, axis]), age + 1
-        )
-
-    def _learn(self, size: Array, ages: int) -> None:
-        self._seen += 1
-        part = 1.0 / min(SPREAD_WEIGHT + self._seen, SPREAD_MEMORY)
-        now = self._square[:ages]
-        now += part * (np.minimum(size * size, 9.0 * now) - now)
+        return k, axis, float(turned[k, axis]), float(spreads[k, axis])

@@ -135,12 +135,10 @@ def _by_kernel(
     sums = np.empty(7)
     of_bias, of_steps = np.zeros((4, 3)), np.zeros((7, 6))
     last[:, :4], last[:, 4:] = state, _EYE
-    force = np.ascontiguousarray(p.force)
-    motion = force if p.motion is None else np.ascontiguousarray(p.motion)
+    motion = p.force if p.motion is None else p.motion
     flags = kernels.vertical(
-        np.ascontiguousarray(p.rate), p.drift, p.ok_rate, force, motion, p.bias, p.use, p.learn,
-        _NUMBERS, pull, first, count, p.motion is not None, weighed, lone, last, sums, of_bias,
-        of_steps,
+        p.rate, p.drift, p.ok_rate, p.force, motion, p.bias, p.use, p.learn, _NUMBERS, pull, first,
+        count, p.motion is not None, weighed, lone, last, sums, of_bias, of_steps,
     )  # fmt: skip
     if flags:
         compiled.note(flags)

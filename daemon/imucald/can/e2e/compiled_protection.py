@@ -82,9 +82,8 @@ class CompiledJudge:
         last_data = np.zeros(MAX_FRAME_BYTES, np.uint8)
         last_data[: len(past.data)] = np.frombuffer(past.data, np.uint8)
         kernels.judge_frames(
-            np.ascontiguousarray(t), np.ascontiguousarray(data), np.ascontiguousarray(length),
-            self._numbers, self._timeout, self._table, self._starts, self._suffixes, state, last_t,
-            last_data, codes,
+            t, data, length, self._numbers, self._timeout, self._table, self._starts,
+            self._suffixes, state, last_t, last_data, codes,
         )  # fmt: skip
         counter, missed, distrust, lost, known = state.tolist()
         when = float(last_t[0])

@@ -11,6 +11,7 @@ returns where one has another: no place is read or written that was not checked 
 #include <math.h>
 #include <stddef.h>
 #include <stdint.h>
+#include <stdlib.h>
 #include <string.h>
 
 #if FLT_EVAL_METHOD != 0
@@ -41,12 +42,13 @@ extern void PyErr_SetString(PyObject *, const char *);
 extern PyObject *PyExc_ValueError;
 
 enum { WRITABLE = 0x1, FORMAT = 0x4, STRIDES = 0x18, C_ORDER = 0x38 };
-enum { MOST_ARRAYS = 32, ANY = -1, END = -2 };
+enum { MOST_ARRAYS = 32, MOST_DIMENSIONS = 4, ANY = -1, END = -2 };
 
-/* The arrays that a kernel has taken; all are given back at its end. */
+/* The arrays that a kernel has taken, and copies of some; all are given back at its end. */
 typedef struct {
     Py_buffer taken[MOST_ARRAYS];
-    int count, failed;
+    void *copies[MOST_ARRAYS];
+    int count, copied, failed;
 } Arrays;
 
 #define SHAPE(...) ((const Size[]){__VA_ARGS__, END})
@@ -87,26 +89,67 @@ static inline Py_buffer *take_view(Arrays *a, PyObject *object, char kind, const
     return view;
 }
 
-/* The first element of an array that lies row by row; NULL where it does not fit. */
-static inline void *take(Arrays *a, PyObject *object, char kind, const Size *shape, int flags)
+/* The first element of an array that is written to, and must lie row by row; NULL where it does not
+   fit. */
+static inline void *take_out(Arrays *a, PyObject *object, char kind, const Size *shape)
 {
-    Py_buffer *view = take_view(a, object, kind, shape, flags | C_ORDER);
+    Py_buffer *view = take_view(a, object, kind, shape, C_ORDER | WRITABLE);
     return view ? view->buf : NULL;
+}
+
+/* The same of one that is only read: row by row, in a copy where it lies otherwise. */
+static inline const void *take(Arrays *a, PyObject *object, char kind, const Size *shape)
+{
+    Py_buffer *view = take_view(a, object, kind, shape, STRIDES);
+    if (!view)
+        return NULL;
+    Size apart = view->itemsize, places[MOST_DIMENSIONS] = {0};
+    int lies = 1;
+    for (int d = view->ndim - 1; d >= 0; d--) {
+        lies = lies && (view->shape[d] == 1 || view->strides[d] == apart);
+        apart *= view->shape[d];
+    }
+    if (lies || !view->len)
+        return view->buf;
+    char *copy = view->ndim > MOST_DIMENSIONS ? NULL : malloc((size_t)view->len);
+    if (!copy) {
+        PyErr_SetString(PyExc_ValueError, "no room for a copy of an array");
+        a->failed = 1;
+        return NULL;
+    }
+    a->copies[a->copied++] = copy;
+    for (Size at = 0; at < view->len; at += view->itemsize) {
+        const char *from = view->buf;
+        for (int d = 0; d < view->ndim; d++)
+            from += places[d] * view->strides[d];
+        memcpy(copy + at, from, (size_t)view->itemsize);
+        for (int d = view->ndim - 1; d >= 0 && ++places[d] == view->shape[d]; d--)
+            places[d] = 0;
+    }
+    return copy;
 }
 
 static inline const double *doubles(Arrays *a, PyObject *object, const Size *shape)
 {
-    return take(a, object, 'd', shape, 0);
+    return take(a, object, 'd', shape);
 }
 
 static inline double *doubles_out(Arrays *a, PyObject *object, const Size *shape)
 {
-    return take(a, object, 'd', shape, WRITABLE);
+    return take_out(a, object, 'd', shape);
 }
 
 static inline const uint8_t *flags_in(Arrays *a, PyObject *object, const Size *shape)
 {
-    return take(a, object, '?', shape, 0);
+    return take(a, object, '?', shape);
+}
+
+/* What a kernel returns where numbers that it was given lead beyond its arrays. */
+static inline long refuse(Arrays *a, const char *why)
+{
+    PyErr_SetString(PyExc_ValueError, why);
+    a->failed = 1;
+    return -1;
 }
 
 /* The length of the array that was taken last, along one of its dimensions. */
@@ -117,6 +160,8 @@ static inline Size length_of(const Arrays *a, int dimension)
 
 static inline long leave(Arrays *a, long result)
 {
+    while (a->copied)
+        free(a->copies[--a->copied]);
     while (a->count)
         PyBuffer_Release(&a->taken[--a->count]);
     return a->failed ? -1 : result;

@@ -246,30 +246,30 @@ KERNEL long candump(PyObject *text_, long size, PyObject *names_, PyObject *verd
 {
     Arrays a = {0};
     Channels known;
-    const uint8_t *text = take(&a, text_, 'B', SHAPE(ANY), 0);
+    const uint8_t *text = take(&a, text_, 'B', SHAPE(ANY));
     Size room = length_of(&a, 0);
-    known.names = take(&a, names_, 'B', SHAPE(ANY, 1 + NAME), 0);
+    known.names = take(&a, names_, 'B', SHAPE(ANY, 1 + NAME));
     known.count = length_of(&a, 0);
-    known.verdicts = take(&a, verdicts_, 'B', SHAPE(known.count, VERDICTS), 0);
-    known.everything = take(&a, everything_, 'B', SHAPE(known.count), 0);
-    known.exact = take(&a, exact_, 'I', SHAPE(ANY), 0);
+    known.verdicts = take(&a, verdicts_, 'B', SHAPE(known.count, VERDICTS));
+    known.everything = take(&a, everything_, 'B', SHAPE(known.count));
+    known.exact = take(&a, exact_, 'I', SHAPE(ANY));
     Size exact = length_of(&a, 0);
-    known.exact_of = take(&a, exact_of_, 'q', SHAPE(known.count + 1), 0);
-    known.masked = take(&a, masked_, 'I', SHAPE(ANY, 2), 0);
+    known.exact_of = take(&a, exact_of_, 'q', SHAPE(known.count + 1));
+    known.masked = take(&a, masked_, 'I', SHAPE(ANY, 2));
     Size masked = length_of(&a, 0);
-    known.masked_of = take(&a, masked_of_, 'q', SHAPE(known.count + 1), 0);
+    known.masked_of = take(&a, masked_of_, 'q', SHAPE(known.count + 1));
     double *t = doubles_out(&a, t_, SHAPE(ANY));
     Size most = length_of(&a, 0);
-    uint32_t *id = take(&a, id_, 'I', SHAPE(most), WRITABLE);
-    uint8_t *length = take(&a, length_, 'B', SHAPE(most), WRITABLE);
-    uint8_t *data = take(&a, data_, 'B', SHAPE(most, ANY), WRITABLE);
+    uint32_t *id = take_out(&a, id_, 'I', SHAPE(most));
+    uint8_t *length = take_out(&a, length_, 'B', SHAPE(most));
+    uint8_t *data = take_out(&a, data_, 'B', SHAPE(most, ANY));
     Size width = length_of(&a, 1);
-    uint8_t *channel = take(&a, channel_, 'B', SHAPE(most), WRITABLE);
-    uint8_t *fd = take(&a, fd_, '?', SHAPE(most), WRITABLE);
-    int64_t *place = take(&a, place_, 'q', SHAPE(most), WRITABLE);
-    int64_t *odd = take(&a, odd_, 'q', SHAPE(ANY, 2), WRITABLE);
+    uint8_t *channel = take_out(&a, channel_, 'B', SHAPE(most));
+    uint8_t *fd = take_out(&a, fd_, '?', SHAPE(most));
+    int64_t *place = take_out(&a, place_, 'q', SHAPE(most));
+    int64_t *odd = take_out(&a, odd_, 'q', SHAPE(ANY, 2));
     Size most_odd = length_of(&a, 0);
-    int64_t *counts = take(&a, counts_, 'q', SHAPE(COUNTS), WRITABLE);
+    int64_t *counts = take_out(&a, counts_, 'q', SHAPE(COUNTS));
     if (a.failed)
         return leave(&a, -1);
     int fits = size >= 0 && size + PADDING <= room && (width == CLASSIC || width == LONGEST) &&
@@ -280,11 +280,8 @@ KERNEL long candump(PyObject *text_, long size, PyObject *names_, PyObject *verd
                known.exact_of[c] <= known.exact_of[c + 1] && known.exact_of[c + 1] <= exact &&
                0 <= known.masked_of[c] && known.masked_of[c] <= known.masked_of[c + 1] &&
                known.masked_of[c + 1] <= masked;
-    if (!fits) {
-        PyErr_SetString(PyExc_ValueError, "numbers beyond the arrays of candump");
-        a.failed = 1;
-        return leave(&a, -1);
-    }
+    if (!fits)
+        return leave(&a, refuse(&a, "numbers beyond the arrays of candump"));
     enum Result result = DONE;
     Frame frame = {0};
     Size last = known.count ? 0 : -1, n = (Size)counts[FRAMES], at = (Size)counts[PLACE];

@@ -111,19 +111,19 @@ KERNEL long judge_frames(PyObject *t_, PyObject *data_, PyObject *length_, PyObj
     Arrays a = {0};
     const double *t = doubles(&a, t_, SHAPE(ANY));
     Size n = length_of(&a, 0);
-    const uint8_t *data = take(&a, data_, 'B', SHAPE(n, ANY), 0);
+    const uint8_t *data = take(&a, data_, 'B', SHAPE(n, ANY));
     Size width = length_of(&a, 1);
-    const uint8_t *length = take(&a, length_, 'B', SHAPE(n), 0);
-    const int64_t *spec = take(&a, spec_, 'q', SHAPE(SPEC), 0);
-    const uint16_t *table = take(&a, table_, 'H', SHAPE(TABLE), 0);
-    const uint16_t *starts = take(&a, starts_, 'H', SHAPE(ANY), 0);
+    const uint8_t *length = take(&a, length_, 'B', SHAPE(n));
+    const int64_t *spec = take(&a, spec_, 'q', SHAPE(SPEC));
+    const uint16_t *table = take(&a, table_, 'H', SHAPE(TABLE));
+    const uint16_t *starts = take(&a, starts_, 'H', SHAPE(ANY));
     Size many = length_of(&a, 0);
-    const uint8_t *suffixes = take(&a, suffixes_, 'B', SHAPE(many, ANY), 0);
+    const uint8_t *suffixes = take(&a, suffixes_, 'B', SHAPE(many, ANY));
     Size suffix = length_of(&a, 1);
-    int64_t *state = take(&a, state_, 'q', SHAPE(STATE), WRITABLE);
+    int64_t *state = take_out(&a, state_, 'q', SHAPE(STATE));
     double *last_t = doubles_out(&a, last_t_, SHAPE(1));
-    uint8_t *last_data = take(&a, last_data_, 'B', SHAPE(MOST_BYTES), WRITABLE);
-    uint8_t *codes = take(&a, codes_, 'B', SHAPE(n), WRITABLE);
+    uint8_t *last_data = take_out(&a, last_data_, 'B', SHAPE(MOST_BYTES));
+    uint8_t *codes = take_out(&a, codes_, 'B', SHAPE(n));
     if (a.failed)
         return leave(&a, -1);
     Field counter = {spec[COUNTER_FIRST], spec[COUNTER_LENGTH], spec[COUNTER_BIG] != 0};
@@ -146,11 +146,8 @@ KERNEL long judge_frames(PyObject *t_, PyObject *data_, PyObject *length_, PyObj
         good = table[k] < TABLE && (k >= many || starts[k] < TABLE);
     for (Size k = TABLE; good && crc == 1 && k < many; k++)
         good = starts[k] < TABLE;
-    if (!good) {
-        PyErr_SetString(PyExc_ValueError, "numbers beyond the arrays of judge_frames");
-        a.failed = 1;
-        return leave(&a, -1);
-    }
+    if (!good)
+        return leave(&a, refuse(&a, "numbers beyond the arrays of judge_frames"));
     uint8_t right[TOGETHER] = {1, 1, 1, 1};
     for (Size i = 0; i < n; i++) {
         const uint8_t *row = data + i * width;
@@ -239,25 +236,22 @@ KERNEL long signal_column(PyObject *data_, PyObject *length_, PyObject *wholes_,
                           PyObject *codes_)
 {
     Arrays a = {0};
-    const uint8_t *data = take(&a, data_, 'B', SHAPE(ANY, ANY), 0);
+    const uint8_t *data = take(&a, data_, 'B', SHAPE(ANY, ANY));
     Size n = length_of(&a, 0), width = length_of(&a, 1);
-    const uint8_t *length = take(&a, length_, 'B', SHAPE(n), 0);
-    const int64_t *whole = take(&a, wholes_, 'q', SHAPE(WHOLES), 0);
+    const uint8_t *length = take(&a, length_, 'B', SHAPE(n));
+    const int64_t *whole = take(&a, wholes_, 'q', SHAPE(WHOLES));
     const double *number = doubles(&a, numbers_, SHAPE(NUMBERS));
-    const int64_t *refused = take(&a, not_available_, 'q', SHAPE(ANY), 0);
+    const int64_t *refused = take(&a, not_available_, 'q', SHAPE(ANY));
     Size refusals = length_of(&a, 0);
     const double *on_values = doubles(&a, on_values_, SHAPE(ANY));
     Size on = length_of(&a, 0);
     double *values = doubles_out(&a, values_, SHAPE(n));
-    int8_t *codes = take(&a, codes_, 'b', SHAPE(n), WRITABLE);
+    int8_t *codes = take_out(&a, codes_, 'b', SHAPE(n));
     if (a.failed)
         return leave(&a, -1);
     Field field = {whole[FIELD_FIRST], whole[FIELD_LENGTH], whole[FIELD_BIG] != 0};
-    if (!fits(field, width) || width % 8) {
-        PyErr_SetString(PyExc_ValueError, "a signal beyond its frame");
-        a.failed = 1;
-        return leave(&a, -1);
-    }
+    if (!fits(field, width) || width % 8)
+        return leave(&a, refuse(&a, "a signal beyond its frame"));
     Size unused = WORD_BITS - field.length;
     int kind = (int)whole[KIND];
     double low = number[LOW], high = number[HIGH], limit = number[LIMIT];

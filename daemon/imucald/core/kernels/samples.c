@@ -20,7 +20,7 @@ KERNEL long tick_sums(PyObject *t_, PyObject *values_, PyObject *columns_, long 
     Size n = length_of(&a, 0);
     const Py_buffer *values = take_view(&a, values_, 'd', SHAPE(n, ANY), STRIDES);
     Size width = length_of(&a, 1);
-    const int64_t *columns = take(&a, columns_, 'q', SHAPE(COLUMNS), 0);
+    const int64_t *columns = take(&a, columns_, 'q', SHAPE(COLUMNS));
     double *out = doubles_out(&a, out_, SHAPE(ANY, ANY));
     Size ticks = length_of(&a, 0), row = length_of(&a, 1);
     if (a.failed)
@@ -30,11 +30,8 @@ KERNEL long tick_sums(PyObject *t_, PyObject *values_, PyObject *columns_, long 
         Size most = k == COUNT || k == AGE ? 1 : width;
         fits = fits && columns[k] >= NONE && columns[k] + most <= row;
     }
-    if (!fits) {
-        PyErr_SetString(PyExc_ValueError, "columns beyond those of a tick");
-        a.failed = 1;
-        return leave(&a, -1);
-    }
+    if (!fits)
+        return leave(&a, refuse(&a, "columns beyond those of a tick"));
     for (Size i = 1; i < n; i++)
         if (!(t[i] >= t[i - 1]))
             return leave(&a, 1);
@@ -92,29 +89,26 @@ KERNEL long hop_figures(PyObject *samples_, PyObject *edges_, PyObject *last_, P
     Arrays a = {0};
     const double *samples = doubles(&a, samples_, SHAPE(ANY, ANY));
     Size axes = length_of(&a, 0), n = length_of(&a, 1);
-    const int64_t *edges = take(&a, edges_, 'q', SHAPE(ANY), 0);
+    const int64_t *edges = take(&a, edges_, 'q', SHAPE(ANY));
     Size hops = length_of(&a, 0) - 1;
     double *last = doubles_out(&a, last_, SHAPE(axes));
-    int64_t *run = take(&a, run_, 'q', SHAPE(axes), WRITABLE);
+    int64_t *run = take_out(&a, run_, 'q', SHAPE(axes));
     double *step = doubles_out(&a, step_, SHAPE(axes));
     double *mean = doubles_out(&a, mean_, SHAPE(axes, hops));
     double *level = doubles_out(&a, level_, SHAPE(axes, hops));
     double *steps = doubles_out(&a, steps_, SHAPE(axes, hops));
-    int64_t *ended = take(&a, ended_, 'q', SHAPE(axes, hops), WRITABLE);
-    int64_t *longest = take(&a, longest_, 'q', SHAPE(axes, hops), WRITABLE);
-    int64_t *runs = take(&a, runs_, 'q', SHAPE(axes, hops), WRITABLE);
+    int64_t *ended = take_out(&a, ended_, 'q', SHAPE(axes, hops));
+    int64_t *longest = take_out(&a, longest_, 'q', SHAPE(axes, hops));
+    int64_t *runs = take_out(&a, runs_, 'q', SHAPE(axes, hops));
     double *top = doubles_out(&a, top_, SHAPE(2, axes, hops));
-    int64_t *on_top = take(&a, on_top_, 'q', SHAPE(2, axes, hops), WRITABLE);
+    int64_t *on_top = take_out(&a, on_top_, 'q', SHAPE(2, axes, hops));
     if (a.failed)
         return leave(&a, -1);
     int fits = hops >= 0 && edges[0] >= 0 && edges[hops] <= n;
     for (Size h = 0; fits && h < hops; h++)
         fits = edges[h] <= edges[h + 1];
-    if (!fits) {
-        PyErr_SetString(PyExc_ValueError, "hops beyond their samples");
-        a.failed = 1;
-        return leave(&a, -1);
-    }
+    if (!fits)
+        return leave(&a, refuse(&a, "hops beyond their samples"));
     for (Size axis = 0; axis < axes; axis++) {
         const double *own = samples + axis * n;
         double before = last[axis], least = step[axis];

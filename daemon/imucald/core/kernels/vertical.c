@@ -79,11 +79,8 @@ KERNEL long vertical(PyObject *rate_, PyObject *drift_, PyObject *ok_rate_, PyOb
     double *of_steps = doubles_out(&a, of_steps_, SHAPE(7, 6));
     if (a.failed)
         return leave(&a, -1);
-    if (n < 1 || n > MOST_TICKS || n % TOGETHER || first < 0 || first >= n) {
-        PyErr_SetString(PyExc_ValueError, "a block of so many ticks is not carried");
-        a.failed = 1;
-        return leave(&a, -1);
-    }
+    if (n < 1 || n > MOST_TICKS || n % TOGETHER || first < 0 || first >= n)
+        return leave(&a, refuse(&a, "a block of so many ticks is not carried"));
     begin();
     double turn[MOST_TICKS][9], carry[MOST_TICKS][3 * WIDE], states[3 * WIDE], drawn[3 * WIDE];
     double g = number[GRAVITY];
@@ -163,5 +160,124 @@ KERNEL long vertical(PyObject *rate_, PyObject *drift_, PyObject *ok_rate_, PyOb
     }
     sums[3] = largest;
     memcpy(last, drawn, sizeof drawn);
+    return leave(&a, raised());
+}
+
+enum { STEP_AGES = 10, HISTORY = 96 };
+
+/* Take a block's sums for each candidate, as `GravityStepDetector.add` does. */
+KERNEL long add_steps(PyObject *start_, PyObject *score_, PyObject *information_,
+                      PyObject *before_, PyObject *sums_, PyObject *end_)
+{
+    Arrays a = {0};
+    double *start = doubles_out(&a, start_, SHAPE(STEP_AGES, 3, 3));
+    double *score = doubles_out(&a, score_, SHAPE(STEP_AGES, 3));
+    double *information = doubles_out(&a, information_, SHAPE(STEP_AGES, 3, 3));
+    const double *before = doubles(&a, before_, SHAPE(3, 3));
+    const double *sums = doubles(&a, sums_, SHAPE(7, 6));
+    const double *end = doubles(&a, end_, SHAPE(3, 3));
+    if (a.failed)
+        return leave(&a, -1);
+    begin();
+    memmove(start + 9, start, (STEP_AGES - 1) * 9 * sizeof *start);
+    memmove(score + 3, score, (STEP_AGES - 1) * 3 * sizeof *score);
+    memmove(information + 9, information, (STEP_AGES - 1) * 9 * sizeof *information);
+    memcpy(start, before, 9 * sizeof *start);
+    memset(score, 0, 3 * sizeof *score);
+    memset(information, 0, 9 * sizeof *information);
+    for (int age = 0; age < STEP_AGES; age++) {
+        double *s = start + 9 * age, turned[9], both[9], inner[9], square[9], moved[9];
+        for (int i = 0; i < 3; i++)
+            for (int j = 0; j < 3; j++)
+                turned[3 * i + j] = s[3 * j + i];
+        times(sums + 3, 6, s, 3, 3, both, 3);
+        times(sums + 3 * 6 + 3, 6, s, 3, 3, inner, 3);
+        times(turned, 3, inner, 3, 3, square, 3);
+        for (int i = 0; i < 3; i++)
+            for (int j = 0; j < 3; j++) {
+                double *own = &information[9 * age + 3 * i + j];
+                *own += sums[6 * i + j] + both[3 * i + j] + both[3 * j + i];
+                *own += square[3 * i + j];
+            }
+        const double *left = sums + 6 * 6 + 3;
+        for (int i = 0; i < 3; i++)
+            score[3 * age + i] += sums[6 * 6 + i] + (turned[3 * i] * left[0] +
+                                                     turned[3 * i + 1] * left[1] +
+                                                     turned[3 * i + 2] * left[2]);
+        times(end, 3, s, 3, 3, moved, 3);
+        memcpy(s, moved, sizeof moved);
+    }
+    return leave(&a, raised());
+}
+
+enum Sizes { PRIOR, GRAVITY2, OTHER_AXIS, PART, LEAST_SIZE, IS_KEPT, SIZES };
+
+/* How large a step is at each candidate, and how far it stands out; as `GravityStepDetector.found`.
+
+   walked: (2,) of the vertical, ahead and aside. square: (AGES, 2) the usual, which learns. both:
+   (HISTORY, 2, 2) of the blocks gone by, from `first` blocks ago on. found: age, axis, size and
+   deviations of the one that stands out most, and how far. */
+KERNEL long find_step(PyObject *R_, PyObject *score_, PyObject *information_, PyObject *walked_,
+                      PyObject *numbers_, long ages, long first, PyObject *square_, PyObject *both_,
+                      PyObject *found_)
+{
+    Arrays a = {0};
+    const double *R = doubles(&a, R_, SHAPE(3, 3));
+    const double *score = doubles(&a, score_, SHAPE(STEP_AGES, 3));
+    const double *information = doubles(&a, information_, SHAPE(STEP_AGES, 3, 3));
+    const double *walked = doubles(&a, walked_, SHAPE(2));
+    const double *number = doubles(&a, numbers_, SHAPE(SIZES));
+    double *square = doubles_out(&a, square_, SHAPE(STEP_AGES, 2));
+    double *both = doubles_out(&a, both_, SHAPE(HISTORY, 2, 2));
+    double *found = doubles_out(&a, found_, SHAPE(5));
+    if (a.failed)
+        return leave(&a, -1);
+    if (ages < 0 || ages > STEP_AGES || first < 1 || first > STEP_AGES)
+        return leave(&a, refuse(&a, "candidates beyond those of find_step"));
+    begin();
+    for (long age = 0; age < ages; age++) {
+        const double *own = information + 9 * age;
+        double J[2][2], s[2];
+        for (int i = 0; i < 2; i++) {
+            double row[3];
+            for (int k = 0; k < 3; k++)
+                row[k] = R[3 * i] * own[k] + R[3 * i + 1] * own[3 + k] + R[3 * i + 2] * own[6 + k];
+            for (int j = 0; j < 2; j++)
+                J[i][j] = row[0] * R[3 * j] + row[1] * R[3 * j + 1] + row[2] * R[3 * j + 2];
+            const double *v = score + 3 * age;
+            s[i] = R[3 * i] * v[0] + R[3 * i + 1] * v[1] + R[3 * i + 2] * v[2];
+        }
+        double ahead = J[0][0] + number[PRIOR], aside = J[1][1] + number[PRIOR];
+        double det = ahead * aside - J[0][1] * J[1][0];
+        double size[2] = {(aside * s[0] - J[0][1] * s[1]) / det,
+                          (ahead * s[1] - J[1][0] * s[0]) / det};
+        double usual[2], deviations[2];
+        for (int k = 0; k < 2; k++)
+            usual[k] = square[2 * age + k] + number[GRAVITY2] * walked[k];
+        for (int k = 0; k < 2; k++) {
+            deviations[k] = size[k] / sqrt(usual[k] + number[OTHER_AXIS] * usual[1 - k]);
+            double *now = &square[2 * age + k], most = 9.0 * *now, seen = size[k] * size[k];
+            *now += number[PART] * ((isless(most, seen) ? most : seen) - *now);
+        }
+        if (age < first - 1)
+            continue;
+        /* gravity seen to the left: the sensor rolled to the right about x; ahead: about -y */
+        double turned[2] = {size[1], -size[0]}, spread[2] = {deviations[1], -deviations[0]};
+        for (int k = 0; k < 2; k++) {
+            if (number[IS_KEPT] != 0.0) {
+                double *kept = both + 4 * age + 2 * k;
+                kept[0] = larger(kept[0], spread[k]);
+                kept[1] = isless(spread[k], kept[1]) ? spread[k] : kept[1];
+            }
+            double large = fabs(spread[k]) * (fabs(turned[k]) > number[LEAST_SIZE] ? 1.0 : 0.0);
+            if (isgreater(large, found[4])) {
+                found[0] = (double)age;
+                found[1] = k;
+                found[2] = turned[k];
+                found[3] = spread[k];
+                found[4] = large;
+            }
+        }
+    }
     return leave(&a, raised());
 }
