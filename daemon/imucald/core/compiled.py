@@ -50,6 +50,7 @@ class Kernels:
 
     add_steps: Kernel
     candump: Kernel
+    creep_filters: Kernel
     find_step: Kernel
     hop_figures: Kernel
     judge_frames: Kernel
@@ -60,6 +61,7 @@ class Kernels:
     ARGUMENTS: Final = {
         "add_steps": 6 * "o",
         "candump": "oi" + 16 * "o",
+        "creep_filters": 11 * "o",
         "find_step": "oooooiiooo",
         "hop_figures": 13 * "o",
         "judge_frames": "ooood" + 7 * "o",

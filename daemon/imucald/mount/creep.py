@@ -21,10 +21,12 @@ import numpy as np
 from msgspec import Struct
 from numpy.typing import NDArray
 
+from imucald.core import compiled
 from imucald.mount.road_segments import AngleEvidence
 from imucald.mount.score_series import ScoreSeries
 
 Array = NDArray[np.float64]
+Flags = NDArray[np.bool_]
 
 SIZES = np.radians([0.03, 0.07, 0.15, 0.3, 0.6])
 """Standard deviations [rad/segment] of a walk from one road segment to the next, and of a steady
@@ -180,8 +182,41 @@ def _filtered(left: Array, known: Array, each: Array) -> tuple[Array, Array, Arr
     P = np.zeros((3, *shape))
     P[2] = RATES**2
     off, spread = np.zeros((len(each), *shape)), np.ones((len(each), *shape))
-    each_goes_on, any_begins = goes_on.all(axis=(1, 2)).tolist(), begins.any(axis=(1, 2)).tolist()
-    for k in range(len(each)):
+    last = np.where(has_begun[-1], 0.5 * float(each[-1]) + LATE, 0.0)
+    if compiled.kernels is not None:
+        columns = (one[:, :, 0] for one in (value, noise, gaps, goes_on, begins))
+        flags = compiled.kernels.creep_filters(
+            *columns, WALK_VARIANCES, last[:, 0], off, spread, state, P
+        )
+        if flags:
+            compiled.note(flags)
+    else:
+        _run(value, noise, gaps, goes_on, begins, off, spread, state, P)
+        _go_on(state, P, last)
+    loss = 0.5 * (off * off / spread + np.log(spread))
+    log = -np.where(goes_on, loss, 0.0).sum(axis=0)
+    return log, state[0] - state[0, :, :1], np.maximum(P[0] - 1.0 / total, 0.0)
+
+
+def _run(
+    value: Array,
+    noise: Array,
+    gaps: Array,
+    goes_on: Flags,
+    begins: Flags,
+    off: Array,
+    spread: Array,
+    state: Array,
+    P: Array,
+) -> None:
+    """The filters over all segments (n, 3, 1), in place.
+
+    off, spread: (n, 3, K) by how much each finds a value off, and the variance of that. state, P:
+    (2, 3, K), (3, 3, K) of the level and the rate, to the end.
+    """
+    each_goes_on = goes_on.all(axis=(1, 2)).tolist()
+    any_begins = begins.any(axis=(1, 2)).tolist()
+    for k in range(len(value)):
         _go_on(state, P, gaps[k])
         np.subtract(value[k], state[0], out=off[k])
         np.add(P[0], noise[k], out=spread[k])
@@ -194,10 +229,6 @@ def _filtered(left: Array, known: Array, each: Array) -> tuple[Array, Array, Arr
         if any_begins[k]:
             state[0] = np.where(begins[k], value[k], state[0])
             P[0] = np.where(begins[k], noise[k], P[0])
-    loss = 0.5 * (off * off / spread + np.log(spread))
-    log = -np.where(goes_on, loss, 0.0).sum(axis=0)
-    _go_on(state, P, np.where(has_begun[-1], 0.5 * float(each[-1]) + LATE, 0.0))
-    return log, state[0] - state[0, :, :1], np.maximum(P[0] - 1.0 / total, 0.0)
 
 
 def _gaps(each: Array) -> Array:
