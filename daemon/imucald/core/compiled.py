@@ -49,24 +49,32 @@ class Kernels:
     """
 
     add_steps: Kernel
+    band_products: Kernel
     candump: Kernel
     creep_filters: Kernel
     find_step: Kernel
     hop_figures: Kernel
     judge_frames: Kernel
+    left_over: Kernel
+    scores: Kernel
     signal_column: Kernel
     tick_sums: Kernel
+    vehicle_axes: Kernel
     vertical: Kernel
 
     ARGUMENTS: Final = {
         "add_steps": 6 * "o",
+        "band_products": "oooooio",
         "candump": "oi" + 16 * "o",
         "creep_filters": 11 * "o",
         "find_step": "oooooiiooo",
         "hop_figures": 13 * "o",
         "judge_frames": "ooood" + 7 * "o",
+        "left_over": 6 * "o",
+        "scores": 7 * "o" + "ioo",
         "signal_column": 8 * "o",
         "tick_sums": "oooido",
+        "vehicle_axes": "ooooooio",
         "vertical": 9 * "o" + "diiii" + 5 * "o",
     }
 

@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 from imucald.core.rotations import Matrix3, vector_from_rotation
 from imucald.mount import evidence_spectra as sp
 from imucald.mount.evidence_rows import GAINS, MAX_REGRESSORS, P_ROW, ROLL_ROW, ROWS
-from imucald.mount.evidence_scores import left_over, less_angle, renewed_gains, scores
+from imucald.mount.evidence_scores import left_over, less_angle, put_scores, renewed_gains
 from imucald.mount.evidence_spectra import (
     BAND_WIDTH,
     BANDS,
@@ -140,7 +140,7 @@ class ResponseEvidence:
             self._fold()
         k = self._n
         self._spectra[k] = s
-        self._products[:, k] = sp.band_products(s, *self.delays)
+        sp.put_products(self._products, k, s, *self.delays)
         self._block_number[k] = self.blocks
         self._n += 1
 
@@ -158,7 +158,7 @@ class ResponseEvidence:
         """Form the kept windows' products afresh with other delays [s]."""
         self.delays = (speed, turn)
         for i in range(self._n):
-            self._products[:, i] = sp.band_products(self._spectra[i], speed, turn)
+            sp.put_products(self._products, i, self._spectra[i], speed, turn)
         self._scored = 0
 
     def forget_sums(self) -> None:
@@ -256,7 +256,7 @@ class ResponseEvidence:
     def _weigh(self, R: Matrix3) -> None:
         """Score the windows that are not scored yet; all of them also renew levels and gains."""
         first = self._scored
-        P = sp.in_vehicle_axes(self._products[:, first : self._n], R, self.without_speed)
+        P = sp.in_vehicle_axes(self._products, R, self.without_speed, first, self._n)
         weight = self._weights(self._left_over(P))
         if first == 0:
             self.gains = renewed_gains(P, weight)
@@ -265,8 +265,7 @@ class ResponseEvidence:
             self._renew_evenness(left)
             self._renew_levels(P, weight, left)
             weight = self._weights(left)
-        use = slice(first, self._n)
-        self._score[:, use], self._normal[:, use] = scores(P, weight, self.gains)
+        put_scores(P, weight, self.gains, self._score, self._normal, first)
         self._scored = self._n
 
     def _left_over(self, P: Array) -> Array:

@@ -11,6 +11,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from imucald.core import compiled
 from imucald.mount.evidence_rows import (
     GAINS,
     GP_QUARTER,
@@ -54,7 +55,8 @@ _LEFT_FACTOR = np.array(
     [0 if k < 0 else 1 + k + (0 if square >= 0 else len(GAINS)) for _, _, k, square in _LEFT]
 )
 _ONE = np.ones((1, BANDS))
-_LEFT_START = np.searchsorted([row for row, _, _, _ in _LEFT], np.arange(len(TARGETS)))
+_LEFT_ENDS = np.searchsorted([row for row, _, _, _ in _LEFT], np.arange(len(TARGETS) + 1))
+_LEFT_START = _LEFT_ENDS[:-1]
 
 _PLACES = [(row, a) for row, spec in enumerate(ROWS) for a in range(len(spec.regressors))]
 _PLACES.sort(key=lambda place: -len(KNOWN[place[0]]))  # those with most terms come first
@@ -81,8 +83,21 @@ _ENTRIES = [
     for a in range(len(spec.regressors))
     for b in range(a, len(spec.regressors))
 ]
-_ENTRY_ROW, _ENTRY_A, _ENTRY_B, _ENTRY_PAIR = np.array(_ENTRIES).T
+_ENTRY_TABLE = np.array(_ENTRIES)
+_ENTRY_ROW, _ENTRY_A, _ENTRY_B, _ENTRY_PAIR = _ENTRY_TABLE.T
 
+
+def _place_table() -> Index:
+    """Of each place its row and regressor, then the pair of each term and where its sign is."""
+    table = np.full((len(_PLACES), 2 + 2 * len(_TERMS)), -1)
+    table[:, 0], table[:, 1] = _SCORE_ROW, _SCORE_A
+    for rank, (pair, sign) in enumerate(_TERMS):
+        table[: len(pair), 2 + 2 * rank], table[:, 3 + 2 * rank] = pair, 0
+        table[: len(pair), 3 + 2 * rank] = sign
+    return table
+
+
+_PLACE_TABLE = _place_table()
 _USED = np.zeros((len(ROWS), 1, BANDS))
 for _i, _row in enumerate(ROWS):
     _USED[_i, 0, _row.first : _row.bands] = 1.0
@@ -93,6 +108,12 @@ def left_over(P: Array, gains: Array) -> Array:
 
     P: products in vehicle axes (pairs, n, BANDS); gains: (gains, BANDS).
     """
+    if compiled.kernels is not None:
+        found = np.empty((len(TARGETS), *P.shape[1:]))
+        flags = compiled.kernels.left_over(P, gains, _LEFT_PAIR, _LEFT_FACTOR, _LEFT_ENDS, found)
+        if flags:
+            compiled.note(flags)
+        return found
     factor = np.concatenate([_ONE, gains**2, -2.0 * gains])[_LEFT_FACTOR]
     terms = P.take(_LEFT_PAIR, axis=0)
     terms *= factor[:, None, :]
@@ -149,27 +170,38 @@ def factors(gains: Array) -> Array:
     return out
 
 
-def scores(P: Array, weight: Array, gains: Array) -> tuple[Array, Array]:
-    """Scores (rows, n, most) and normal matrices (rows, n, most, most) of windows.
+def put_scores(
+    P: Array, weight: Array, gains: Array, score: Array, normal: Array, first: int
+) -> None:
+    """Put the scores of windows into (rows, N, most) from place `first` on, and their normal
+    matrices into (rows, N, most, most).
 
     P: (pairs, n, BANDS) in vehicle axes; weight: (rows, n, BANDS).
     """
+    factor = factors(gains)
+    if compiled.kernels is not None:
+        flags = compiled.kernels.scores(
+            P, weight, _USED[:, 0], gains, factor, _PLACE_TABLE, _ENTRY_TABLE, first, score, normal
+        )
+        if flags:
+            compiled.note(flags)
+        return
     n = P.shape[1]
     weight = weight * _USED
-    factor = factors(gains)
     signs = np.concatenate([_ONE, -gains])
     target, known, *more = (P.take(pair, axis=0) * signs[sign][:, None] for pair, sign in _TERMS)
     for terms in more:
         known[: len(terms)] += terms
     target[: len(known)] += known
-    mine = factor[_SCORE_ROW, _SCORE_A]
-    score = np.zeros((len(ROWS), n, MAX_REGRESSORS))
     target *= weight[_SCORE_ROW]
-    score[_SCORE_ROW, :, _SCORE_A] = np.matmul(target, mine[:, :, None])[:, :, 0]
+    target *= factor[_SCORE_ROW, _SCORE_A][:, None]
+    use = slice(first, first + n)
+    score[:, use], normal[:, use] = 0.0, 0.0
+    own_score, own_normal = score[:, use], normal[:, use]
+    own_score[_SCORE_ROW, :, _SCORE_A] = target.sum(axis=2)
     both = factor[_ENTRY_ROW, _ENTRY_A] * factor[_ENTRY_ROW, _ENTRY_B]
     entries = P[_ENTRY_PAIR] * weight[_ENTRY_ROW]
-    values = np.matmul(entries, both[:, :, None])[:, :, 0]
-    normal = np.zeros((len(ROWS), n, MAX_REGRESSORS, MAX_REGRESSORS))
-    normal[_ENTRY_ROW, :, _ENTRY_A, _ENTRY_B] = values
-    normal[_ENTRY_ROW, :, _ENTRY_B, _ENTRY_A] = values
-    return score, normal
+    entries *= both[:, None]
+    values = entries.sum(axis=2)
+    own_normal[_ENTRY_ROW, :, _ENTRY_A, _ENTRY_B] = values
+    own_normal[_ENTRY_ROW, :, _ENTRY_B, _ENTRY_A] = values

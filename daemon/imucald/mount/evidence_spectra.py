@@ -10,12 +10,13 @@ from __future__ import annotations
 
 import enum
 import math
-from collections import defaultdict
 from functools import cache, lru_cache
 
 import numpy as np
+from msgspec import Struct
 from numpy.typing import NDArray
 
+from imucald.core import compiled
 from imucald.core.rotations import Matrix3
 from imucald.motion.ticks import TICK_S
 from imucald.mount.signal_blocks import BLOCK_TICKS
@@ -73,6 +74,11 @@ _LATE = (
     Measured.DVDT_REMAINING,
 )  # fmt: skip
 """Columns that come with the speed's delay."""
+_LATE_COLUMNS, _LATERAL_COLUMN = np.array(_LATE), np.array([Measured.LATERAL])
+_QUARTERS = (
+    (Measured.DVDT_QUARTER, Measured.DVDT),
+    (Measured.LATERAL_QUARTER, Measured.LATERAL),
+)
 
 
 class Term(enum.IntEnum):
@@ -104,7 +110,9 @@ _TAPER = np.hanning(WINDOW + 1)[:WINDOW]
 _TAPER_SCALE = float(np.sqrt(2.0 / WINDOW / ((_TAPER**2).sum() / BLOCK_TICKS)))
 _HALF = math.sqrt(0.5)
 _TAPER_COLUMN = (_TAPER_SCALE * _TAPER)[:, None]
-_STARTS = np.array(BAND_EDGES[:-1]) - FIRST_BIN
+_EDGES = np.array(BAND_EDGES) - FIRST_BIN
+_STARTS = _EDGES[:-1]
+_BAND_ROWS = list(zip((2 * _EDGES[:-1]).tolist(), (2 * _EDGES[1:]).tolist(), strict=True))
 BAND_WIDTH = np.diff(BAND_EDGES).astype(float)
 """Bins per band."""
 OMEGA = 2.0 * np.pi * np.arange(FIRST_BIN, FIRST_BIN + BINS) / (WINDOW * TICK_S)
@@ -221,36 +229,35 @@ PRODUCTS = len(_NEEDED)
 _PLACE = {int(k): i for i, k in enumerate(_NEEDED)}
 
 
-def _coefficients(R_vehicle_from_sensor: Matrix3, without_speed: bool) -> Array:
-    """Matrix (len(PAIRS), PRODUCTS): products in vehicle axes from those of the signals."""
-    turn = _turning(R_vehicle_from_sensor, without_speed)
-    left = turn.take(_NEEDED_LEFT, axis=1)
-    right = turn.take(_NEEDED_RIGHT, axis=1)
-    out: Array = left.take(_LEFT_OF, axis=0)
-    out *= right.take(_RIGHT_OF, axis=0)
-    return out
+class _Parts(Struct, frozen=True):
+    """Of which products of signals each product in vehicle axes is made: 2 % of all.
+
+    column: (parts,) of the products, pair by pair. left, right: (parts,) places in `_turning` whose
+    product is the factor. starts: (pairs + 1,) where each pair's parts begin. by_rank: the same by
+    the part's place within its pair: pairs that have so many, their columns, left and right.
+    """
+
+    starts: Index
+    column: Index
+    left: Index
+    right: Index
+    by_rank: tuple[tuple[Index, Index, Index, Index], ...]
 
 
 @cache
-def _groups(without_speed: bool) -> tuple[tuple[Index, Index], ...]:
-    """Rows (g, r) of the coefficients and their columns (g, c): all that are not 0, which are 2 %.
-
-    Rows with the same columns are a group, and groups of one size are stacked. A group with fewer
-    rows than others repeats its last one.
-    """
-    is_used = _coefficients(np.ones((3, 3)), without_speed) != 0.0
-    rows_of: dict[tuple[int, ...], list[int]] = defaultdict(list)
-    for row, used in enumerate(is_used):
-        rows_of[tuple(np.flatnonzero(used).tolist())].append(row)
-    sizes: dict[int, list[tuple[list[int], tuple[int, ...]]]] = defaultdict(list)
-    for columns, rows in rows_of.items():
-        sizes[len(columns)].append((rows, columns))
-    made = []
-    for stack in sizes.values():
-        most = max(len(rows) for rows, _ in stack)
-        padded = [rows + rows[-1:] * (most - len(rows)) for rows, _ in stack]
-        made.append((np.array(padded), np.array([columns for _, columns in stack])))
-    return tuple(made)
+def _parts(without_speed: bool) -> _Parts:
+    turn = _turning(np.ones((3, 3)), without_speed) != 0.0
+    used = turn[_LEFT_OF][:, _NEEDED_LEFT] & turn[_RIGHT_OF][:, _NEEDED_RIGHT]
+    pair, column = np.nonzero(used)
+    left = _LEFT_OF[pair] * SIGNALS + _NEEDED_LEFT[column]
+    right = _RIGHT_OF[pair] * SIGNALS + _NEEDED_RIGHT[column]
+    starts = np.searchsorted(pair, np.arange(len(PAIRS) + 1))
+    rank = np.arange(len(pair)) - starts[pair]
+    by_rank = tuple(
+        (pair[of], column[of], left[of], right[of])
+        for of in (rank == k for k in range(int(rank.max()) + 1))
+    )
+    return _Parts(starts, column, left, right, by_rank)
 
 
 def place(i: int, j: int) -> int:
@@ -259,9 +266,9 @@ def place(i: int, j: int) -> int:
 
 
 @lru_cache(maxsize=8)
-def _shifted(tau: float) -> Spectra:
-    """What a delay [s] takes from the spectrum of a signal (BINS,); it changes seldom."""
-    return np.asarray(np.exp(1j * OMEGA * tau))
+def _phases(tau_speed: float, tau_turn: float) -> Spectra:
+    """What delays [s] take from the spectra of signals (2, BINS); they change seldom."""
+    return np.asarray(np.exp(1j * np.outer([tau_speed, tau_turn], OMEGA)))
 
 
 def band_products(s: Spectra, tau_speed: float, tau_turn: float) -> Array:
@@ -269,34 +276,63 @@ def band_products(s: Spectra, tau_speed: float, tau_turn: float) -> Array:
 
     tau: delay of the speed and of the yaw rate against the force [s].
     """
-    x = np.empty((BINS, SIGNALS), dtype=np.complex128)
-    x[:, :MEASURED] = s
-    late = _shifted(tau_speed)
-    for column in _LATE:
-        x[:, column] *= late
-    if tau_turn:
-        x[:, Measured.LATERAL] *= _shifted(tau_turn)
-    x[:, Measured.DVDT_QUARTER] = 1j * x[:, Measured.DVDT]
-    x[:, Measured.LATERAL_QUARTER] = 1j * x[:, Measured.LATERAL]
-    both = np.concatenate([x.real, x.imag], axis=1).reshape(BINS * 2, SIGNALS)
-    every = np.empty((BANDS, SIGNALS, SIGNALS))
-    for k in range(BANDS):
-        part = both[2 * (BAND_EDGES[k] - FIRST_BIN) : 2 * (BAND_EDGES[k + 1] - FIRST_BIN)]
-        np.matmul(part.T, part, out=every[k])
-    return every.reshape(BANDS, -1).take(_NEEDED, axis=1).T
+    out = np.empty((PRODUCTS, 1, BANDS))
+    put_products(out, 0, s, tau_speed, tau_turn)
+    return out[:, 0]
+
+
+def put_products(products: Array, k: int, s: Spectra, tau_speed: float, tau_turn: float) -> None:
+    """Put the products of a window's spectra in place k of products (PRODUCTS, n, BANDS)."""
+    phases = _phases(tau_speed, tau_turn)
+    if compiled.kernels is not None:
+        flags = compiled.kernels.band_products(
+            s, _LATE_COLUMNS, phases, _EDGES, _NEEDED, k, products
+        )
+        if flags:
+            compiled.note(flags)
+        return
+    both = np.empty((BINS, 2, SIGNALS))  # real and imaginary parts
+    both[:, 0, :MEASURED], both[:, 1, :MEASURED] = s.real, s.imag
+    for columns, phase in ((_LATE_COLUMNS, phases[0]), (_LATERAL_COLUMN, phases[1])):
+        x, y = both[:, 0, columns], both[:, 1, columns]
+        c, sine = phase.real[:, None], phase.imag[:, None]
+        both[:, 0, columns], both[:, 1, columns] = x * c - y * sine, x * sine + y * c
+    for quarter, column in _QUARTERS:
+        both[:, 0, quarter], both[:, 1, quarter] = -both[:, 1, column], both[:, 0, column]
+    rows = both.reshape(2 * BINS, SIGNALS)
+    every = rows.take(_NEEDED_LEFT, axis=1)
+    every *= rows.take(_NEEDED_RIGHT, axis=1)
+    for band, (first, stop) in enumerate(_BAND_ROWS):
+        products[:, k, band] = every[first:stop].sum(axis=0)
 
 
 def in_vehicle_axes(
-    products: Array, R_vehicle_from_sensor: Matrix3, without_speed: bool = False
+    products: Array,
+    R_vehicle_from_sensor: Matrix3,
+    without_speed: bool = False,
+    first: int = 0,
+    stop: int | None = None,
 ) -> Array:
-    """Turn products (PRODUCTS, n, BANDS) into vehicle axes: (len(PAIRS), n, BANDS)."""
-    coefficients = _coefficients(R_vehicle_from_sensor, without_speed)
-    _, n, bands = products.shape
-    out = np.empty((len(PAIRS), n * bands))
-    for rows, columns in _groups(without_speed):
-        some = products.take(columns, axis=0).reshape(*columns.shape, n * bands)
-        if columns.shape[1] == 1:
-            out[rows] = some  # as they come
-        else:
-            out[rows] = coefficients[rows[:, :, None], columns[:, None, :]] @ some
-    return out.reshape(-1, n, bands)
+    """Turn products (PRODUCTS, N, BANDS) of windows first .. stop-1 into vehicle axes.
+
+    Returns (len(PAIRS), n, BANDS).
+    """
+    turn, parts = _turning(R_vehicle_from_sensor, without_speed), _parts(without_speed)
+    if compiled.kernels is not None:
+        n = (products.shape[1] if stop is None else stop) - first
+        out = np.empty((len(PAIRS), n, BANDS))
+        flags = compiled.kernels.vehicle_axes(
+            products, turn, parts.starts, parts.column, parts.left, parts.right, first, out
+        )
+        if flags:
+            compiled.note(flags)
+        return out
+    products, turn = products[:, first:stop], turn.ravel()
+    out = np.empty((len(PAIRS), *products.shape[1:]))
+    for rank, (pair, column, left, right) in enumerate(parts.by_rank):
+        part = (turn[left] * turn[right])[:, None, None] * products[column]
+        if rank:
+            out[pair] += part
+        else:  # every pair has one
+            out[pair] = part
+    return out
