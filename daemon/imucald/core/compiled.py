@@ -53,6 +53,7 @@ class Kernels:
     candump: Kernel
     creep_filters: Kernel
     find_step: Kernel
+    fit_segments: Kernel
     hop_figures: Kernel
     judge_frames: Kernel
     left_over: Kernel
@@ -68,6 +69,7 @@ class Kernels:
         "candump": "oi" + 16 * "o",
         "creep_filters": 11 * "o",
         "find_step": "oooooiiooo",
+        "fit_segments": 11 * "o",
         "hop_figures": 13 * "o",
         "judge_frames": "ooood" + 7 * "o",
         "left_over": 6 * "o",

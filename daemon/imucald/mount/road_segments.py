@@ -11,6 +11,7 @@ import numpy as np
 from msgspec import Struct
 from numpy.typing import NDArray
 
+from imucald.core import compiled
 from imucald.mount.evidence_rows import MAX_REGRESSORS, ROWS, WITHOUT_SPEED
 from imucald.mount.score_series import AngleFit, ScoreSeries
 
@@ -62,7 +63,6 @@ def fit_regressions(
 
     score: (rows, groups, regressors), normal: (rows, groups, regressors, regressors).
     """
-    known = normal[:, :, 0, 0]
     total = normal.sum(axis=1)
     use = [
         i
@@ -71,18 +71,12 @@ def fit_regressions(
     ]
     if not use:
         return {}, []
-    if len(use) < len(ROWS):
-        score, normal, known, total = score[use], normal[use], known[use], total[use]
+    total = total[use]
     inverse = np.linalg.inv(total + _PRIORS[use])
-    value = np.matmul(inverse, score.sum(axis=1)[:, :, None])  # (used, regressors, 1)
-    left = score - np.matmul(normal, value[:, None])[:, :, :, 0]
-    u = np.matmul(left, inverse[:, 0, :, None])[:, :, 0]
-    model = inverse[:, 0, 0]
-    sums = total[:, 0, 0]
-    own = known * (1.0 / (sums * model))[:, None]  # what the nuisance leaves
-    flow = u / model[:, None] + own * value[:, 0]
-    groups = sums * sums / np.maximum((known * known).sum(axis=1), 1e-12)
-    variances = _variances(u, model * _MODEL_SHARES[use], groups)
+    fit = _fitted(score, normal, use, total, inverse)
+    model, sums = inverse[:, 0, 0], total[:, 0, 0]
+    groups = sums * sums / np.maximum(fit.squares, 1e-12)
+    variances = _variances(fit.spread, fit.beside, model * _MODEL_SHARES[use], groups)
     variances *= 1.0 + _FEW[use] / (groups + 3.0)
     sources: dict[str, AngleEvidence] = {}
     series: list[ScoreSeries] = []
@@ -91,10 +85,60 @@ def fit_regressions(
         variance = row.share * float(variances[k])
         if without_speed and row.name.endswith("axis"):
             variance *= WITHOUT_SPEED_SHARE
-        sources[row.name] = AngleEvidence(float(value[k, 0, 0]), variance, float(groups[k]))
-        fit = AngleFit(left[k, :, 0], normal[k, :, 0, :], inverse[k], float(value[k, 0, 0]))
-        series.append(ScoreSeries(row.name, flow[k], own[k], fit))
+        value = float(fit.value[k, 0])
+        sources[row.name] = AngleEvidence(value, variance, float(groups[k]))
+        angle = AngleFit(fit.left[k], normal[i, :, 0, :], inverse[k], value)
+        series.append(ScoreSeries(row.name, fit.flow[k], fit.own[k], angle))
     return sources, series
+
+
+class _Fit(Struct, frozen=True):
+    """Fits of U rows over G segments.
+
+    value: (U, regressors). left: (U, G) scores of the angle that are left over; own: what each
+    segment knows of it, nuisance apart; flow: its score. spread, beside: (U,) sums of the squares
+    of the shares in the value, and of each with the next. squares: of what they know.
+    """
+
+    value: Array
+    left: Array
+    own: Array
+    flow: Array
+    spread: Array
+    beside: Array
+    squares: Array
+
+
+def _fitted(score: Array, normal: Array, use: list[int], total: Array, inverse: Array) -> _Fit:
+    """score, normal: of all rows; the others of those in use."""
+    rows, n = len(use), score.shape[1]
+    if compiled.kernels is not None:
+        value, sums = np.empty((rows, MAX_REGRESSORS)), np.empty((rows, 3))
+        left, u, own, flow = np.empty((4, rows, n))
+        flags = compiled.kernels.fit_segments(
+            score, normal, np.array(use), total, inverse, value, left, u, own, flow, sums
+        )
+        if flags:
+            compiled.note(flags)
+        return _Fit(value, left, own, flow, *sums.T)
+    if rows < len(ROWS):
+        score, normal = score[use], normal[use]
+    value = _applied(inverse, score.sum(axis=1)[:, None])
+    rest = score - _applied(normal, value[:, None, None])
+    u = _applied(rest, inverse[:, None, 0])
+    model, known = inverse[:, 0, 0], normal[:, :, 0, 0]
+    own = known * (1.0 / (total[:, 0, 0] * model))[:, None]  # what the nuisance leaves
+    flow = u / model[:, None] + own * value[:, :1]
+    sums = ((x * y).sum(axis=1) for x, y in ((u, u), (u[:, 1:], u[:, :-1]), (known, known)))
+    return _Fit(value, rest[:, :, 0], own, flow, *sums)
+
+
+def _applied(rows: Array, column: Array) -> Array:
+    """Rows (..., regressors) times columns (..., regressors), summed from left to right."""
+    found: Array = rows[..., 0] * column[..., 0]
+    for k in range(1, MAX_REGRESSORS):
+        found += rows[..., k] * column[..., k]
+    return found
 
 
 def apart(one: ScoreSeries, other: ScoreSeries) -> AngleEvidence | None:
@@ -121,10 +165,8 @@ def _shares(of: ScoreSeries, fit: AngleFit) -> Array:
     return shares
 
 
-def _variances(u: Array, model: Array, groups: Array) -> Array:
-    """Variances from the groups' shares u (rows, groups) in the values, and from the model's."""
-    spread = (u * u).sum(axis=1)
-    beside = (u[:, 1:] * u[:, :-1]).sum(axis=1)
+def _variances(spread: Array, beside: Array, model: Array, groups: Array) -> Array:
+    """Variances from the groups' shares in the values, and from the model's; see `_Fit`."""
     spread = np.maximum(spread + 2.0 * beside, 0.6 * spread)
     out: Array = (MODEL_GROUPS * model + groups * spread) / (MODEL_GROUPS + groups)
     return out
