@@ -12,15 +12,12 @@ from msgspec import Struct
 from numpy.typing import NDArray
 
 from imucald.core import compiled
-from imucald.core.rotations import applied
 from imucald.core.samples import GRAVITY
 from imucald.motion.ticks import TICK_S
 
 Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]
 
-CARRY_TICKS = 8
-"""Ticks that are put together before they are carried on; a block holds a whole number of them."""
 SETTLE_TICKS = 25
 """The first ticks take the mean."""
 FORCE_NOISE = 0.06
@@ -90,34 +87,35 @@ def carried(p: BlockForces, state: Array | None, count: int, pull: float, weighe
         state = np.concatenate([force[:, None] / GRAVITY, _EYE], axis=1)
     if state is not None and compiled.kernels is not None:
         return _by_kernel(compiled.kernels, p, state, first, count, pull, weighed)
-    force = p.force if p.motion is None else p.force - p.motion
+    force = (p.force if p.motion is None else p.force - p.motion).T
     end = _EYE.copy()
-    states = np.zeros((len(force), 3, 7))
+    states = np.zeros((3, 7, len(p.use)))  # ticks last: long loops
     if state is not None:
-        turn = _turned(-TICK_S * (p.rate - p.drift) * p.ok_rate[:, None])
+        step = np.ascontiguousarray((-TICK_S * (p.rate - p.drift) * p.ok_rate[:, None]).T)
         gain = _gains(p.use, count, pull)
-        states, last = _states(turn, force, gain, state, first)
+        states, last = _states(_turned(step), force, gain, state, first)
         state, end = last[:, :4], last[:, 4:]
-    gravity = GRAVITY * states[:, :, 0]
-    answer = _EYE - states[:, :, 1:4]  # to a bias
-    answered = applied(answer, p.bias[:, None])[:, :, 0]
-    lone: Array = p.force - gravity - answered
+    gravity = GRAVITY * states[:, 0]
+    answer = _EYE[:, :, None] - states[:, 1:4]  # to a bias
+    answered = answer[:, 0] * p.bias[0] + answer[:, 1] * p.bias[1] + answer[:, 2] * p.bias[2]
+    lone = (p.force.T - gravity - answered).T
     largest = float(np.abs(answer).max())
     left, of_bias, of_steps = np.zeros(3), np.zeros((4, 3)), np.zeros((7, 6))
     if p.motion is not None:
         innovation = force - gravity
         unexplained = innovation - answered
-        left = unexplained.sum(axis=0)
+        left = np.ascontiguousarray(unexplained.T).sum(axis=0)
         if weighed:
-            noise2 = FORCE_NOISE * FORCE_NOISE + FORCE_SHARE * FORCE_SHARE * _squares(p.motion)
+            noise2 = FORCE_NOISE * FORCE_NOISE + FORCE_SHARE * FORCE_SHARE * _squares(p.motion.T)
             weight = p.learn / noise2
             weight /= np.maximum(np.sqrt(_squares(innovation)) / FORCE_LARGE, 1.0)
             of_bias = _weighed(answer, innovation, weight)
             weight = (p.use & p.ok_rate) / noise2
             weight /= np.maximum(np.sqrt(_squares(unexplained)) / (2.0 * FORCE_LARGE), 1.0)
-            both = np.concatenate([answer, states[:, :, 4:]], axis=2)
+            both = np.concatenate([answer, states[:, 4:]], axis=1)
             of_steps = _weighed(both, unexplained, weight)
-    return Carried(lone, states[-1, :, 0], state, end, largest, left, of_bias, of_steps)
+    up = states[:, 0, -1].copy()
+    return Carried(np.ascontiguousarray(lone), up, state, end, largest, left, of_bias, of_steps)
 
 
 def _by_kernel(
@@ -147,19 +145,19 @@ def _by_kernel(
 
 
 def _turned(step: Array) -> Array:
-    """Rotations (n, 3, 3) by small rotation vectors (n, 3), to second order."""
-    turn: Array = 0.5 * step[:, :, None] * step[:, None, :]
-    x, y, z = step[:, 0], step[:, 1], step[:, 2]
-    rest = 1.0 - (turn[:, 0, 0] + turn[:, 1, 1] + turn[:, 2, 2])
-    turn[:, 0, 0] += rest
-    turn[:, 1, 1] += rest
-    turn[:, 2, 2] += rest
-    turn[:, 0, 1] -= z
-    turn[:, 0, 2] += y
-    turn[:, 1, 2] -= x
-    turn[:, 1, 0] += z
-    turn[:, 2, 0] -= y
-    turn[:, 2, 1] += x
+    """Rotations (3, 3, n) by small rotation vectors (3, n), to second order."""
+    turn: Array = 0.5 * step[:, None] * step
+    x, y, z = step
+    rest = 1.0 - (turn[0, 0] + turn[1, 1] + turn[2, 2])
+    turn[0, 0] += rest
+    turn[1, 1] += rest
+    turn[2, 2] += rest
+    turn[0, 1] -= z
+    turn[0, 2] += y
+    turn[1, 2] -= x
+    turn[1, 0] += z
+    turn[2, 0] -= y
+    turn[2, 1] += x
     return turn
 
 
@@ -173,50 +171,53 @@ def _gains(use: Flags, count: int, pull: float) -> Array:
 def _states(
     turn: Array, force: Array, gain: Array, state: Array, first: int
 ) -> tuple[Array, Array]:
-    """The state turned tick by tick, as before each draw (N, 3, 7), and after the last (3, 7).
+    """The state turned tick by tick, as before each draw (3, 7, N), and after the last (3, 7).
 
-    Columns: u, B, and what is left of the state at the block's beginning. A tick's part is affine,
-    so ticks are put together first, some at once, and then carried on.
+    Columns: u, B, and what is left of the state at the beginning. A tick is an affine map, so
+    each is put together with all before it, twice as many a step, and then applied at once.
     """
-    n = len(turn)
-    carry = np.empty((n, 3, 7))  # what turns the state (3, 3), and what is added to u and B (3, 4)
-    carry[:, :, :3] = (1.0 - gain)[:, None, None] * turn
+    carry = np.empty((3, 7, len(gain)))  # what turns the state (3, 3), what u and B get (3, 4)
+    np.multiply(1.0 - gain, turn, out=carry[:, :3])
     if first:
-        carry[:first, :, :3] = _EYE  # nothing to turn yet
-    carry[:, :, 3] = (gain / GRAVITY)[:, None] * force
-    carry[:, :, 4:] = gain[:, None, None] * _EYE
-    groups = carry.reshape(-1, CARRY_TICKS, 3, 7)
-    for j in range(1, CARRY_TICKS):
-        both = applied(groups[:, j, :, :3], groups[:, j - 1])
-        both[:, :, 3:] += groups[:, j, :, 3:]
-        groups[:, j] = both
-    starts = np.empty((len(groups), 3, 7))
-    now = np.concatenate([state, _EYE], axis=1)
-    states = np.empty((n, 3, 7))
-    states[0] = applied(turn[0], now)
-    for start, last in zip(starts, groups[:, -1], strict=True):
-        start[:] = now
-        now = applied(last[:, :3], start)
-        now[:, :4] += last[:, 3:]
-    drawn = applied(groups[..., :3], starts[:, None])
-    drawn[..., :4] += groups[..., 3:]
-    states[1:] = applied(turn[1:], drawn.reshape(n, 3, 7)[:-1])
-    states[:first] = 0.0
-    return states, now
+        carry[:, :3, :first] = _EYE[:, :, None]  # nothing to turn yet
+    np.multiply(gain / GRAVITY, force, out=carry[:, 3])
+    np.multiply(gain, _EYE[:, :, None], out=carry[:, 4:])
+    apart = 1
+    while apart < len(gain):
+        later = carry[:, :, apart:]
+        both = _applied(later[:, :3], carry[:, :, :-apart])
+        both[:, 3:] += later[:, 3:]
+        carry[:, :, apart:] = both
+        apart *= 2
+    before = np.concatenate([state, _EYE], axis=1)
+    after = _applied(carry[:, :3], before[:, :, None])
+    after[:, :4] += carry[:, 3:]
+    drawn = np.concatenate([before[:, :, None], after[:, :, :-1]], axis=2)
+    states = _applied(turn, drawn)
+    states[:, :, :first] = 0.0
+    return states, after[:, :, -1].copy()
+
+
+def _applied(matrices: Array, columns: Array) -> Array:
+    """Matrices (3, 3, n) times (3, k, n), summed from left to right."""
+    out: Array = matrices[:, 0, None] * columns[0]
+    out += matrices[:, 1, None] * columns[1]
+    out += matrices[:, 2, None] * columns[2]
+    return out
 
 
 def _squares(vectors: Array) -> Array:
-    """Of vectors (N, 3)."""
-    x, y, z = vectors[:, 0], vectors[:, 1], vectors[:, 2]
+    """Of vectors (3, N)."""
+    x, y, z = vectors
     return np.asarray(x * x + y * y + z * z)
 
 
 def _weighed(answer: Array, left: Array, weight: Array) -> Array:
-    """Information (k, k) and score (k,), as (k + 1, k), of what answers (N, 3, k); left: (N, 3)."""
-    k = answer.shape[2]
-    rows = answer.reshape(-1, k)  # one for each axis of each tick
-    weighted = (answer * weight[:, None, None]).reshape(-1, k)
+    """Information (k, k) and score (k,), as (k + 1, k), of what answers (3, k, N); left: (3, N)."""
+    k = answer.shape[1]
+    rows = answer.transpose(2, 0, 1).reshape(-1, k)  # one for each axis of each tick
+    weighted = (answer * weight).transpose(2, 0, 1).reshape(-1, k)
     out = np.empty((k + 1, k))
     (weighted[:, :, None] * rows[:, None, :]).sum(axis=0, out=out[:k])
-    (weighted * left.reshape(-1, 1)).sum(axis=0, out=out[k])
+    (weighted * left.T.reshape(-1, 1)).sum(axis=0, out=out[k])
     return out

@@ -2,7 +2,7 @@
 
 #include "numerics.h"
 
-enum { TOGETHER = 8, WIDE = 7, MOST_TICKS = 256 };
+enum { WIDE = 7, MOST_TICKS = 256 };
 enum Numbers { TICK_S, GRAVITY, SETTLE_TICKS, NOISE2, SHARE2, LARGE, LARGE_STEP, NUMBERS };
 
 /* (3, 3) of rows so far apart times (3, k): sums from left to right. */
@@ -38,6 +38,29 @@ static void turn_by(const double *rate, const double *drift, double ok, double t
     turn[3] += s[2];
     turn[6] -= s[1];
     turn[7] += s[0];
+}
+
+/* Each carry with all before it, twice as many a step. */
+static void put_together(double (*carry)[3 * WIDE], Size n)
+{
+    for (Size apart = 1; apart < n; apart *= 2)
+        for (Size k = n - 1; k >= apart; k--) {
+            double both[3 * WIDE];
+            times(carry[k], WIDE, carry[k - apart], WIDE, WIDE, both, WIDE);
+            for (int r = 0; r < 3; r++)
+                for (int c = 3; c < WIDE; c++)
+                    both[WIDE * r + c] += carry[k][WIDE * r + c];
+            memcpy(carry[k], both, sizeof both);
+        }
+}
+
+/* The state after a carry. */
+static void draw(const double *carry, const double *state, double *after)
+{
+    times(carry, WIDE, state, WIDE, WIDE, after, WIDE);
+    for (int r = 0; r < 3; r++)
+        for (int c = 0; c < 4; c++)
+            after[WIDE * r + c] += carry[WIDE * r + 3 + c];
 }
 
 /* Add a row's part to information (k, k) and score (k,) below it. */
@@ -79,7 +102,7 @@ KERNEL long vertical(PyObject *rate_, PyObject *drift_, PyObject *ok_rate_, PyOb
     double *of_steps = doubles_out(&a, of_steps_, SHAPE(7, 6));
     if (a.failed)
         return leave(&a, -1);
-    if (n < 1 || n > MOST_TICKS || n % TOGETHER || first < 0 || first >= n)
+    if (n < 1 || n > MOST_TICKS || first < 0 || first >= n)
         return leave(&a, refuse(&a, "a block of so many ticks is not carried"));
     begin();
     double turn[MOST_TICKS][9], carry[MOST_TICKS][3 * WIDE], states[3 * WIDE], drawn[3 * WIDE];
@@ -101,29 +124,15 @@ KERNEL long vertical(PyObject *rate_, PyObject *drift_, PyObject *ok_rate_, PyOb
             double f = has_motion ? force[3 * i + r] - motion[3 * i + r] : force[3 * i + r];
             own[WIDE * r + 3] = part * f;
         }
-        if (i % TOGETHER) { /* put together with the ticks of the group before */
-            double both[3 * WIDE];
-            times(own, WIDE, carry[i - 1], WIDE, WIDE, both, WIDE);
-            for (int r = 0; r < 3; r++)
-                for (int c = 3; c < WIDE; c++)
-                    both[WIDE * r + c] += own[WIDE * r + c];
-            memcpy(own, both, sizeof both);
-        }
     }
-    double start[3 * WIDE], largest = 0.0;
-    double left[MOST_TICKS][3];
-    memcpy(start, last, sizeof start);
+    put_together(carry, n);
+    double largest = 0.0, left[MOST_TICKS][3];
     memcpy(drawn, last, sizeof drawn);
     for (Size i = 0; i < n; i++) {
         times(turn[i], 3, drawn, WIDE, WIDE, states, WIDE);
         if (i < first)
             memset(states, 0, sizeof states);
-        times(carry[i], WIDE, start, WIDE, WIDE, drawn, WIDE);
-        for (int r = 0; r < 3; r++)
-            for (int c = 0; c < 4; c++)
-                drawn[WIDE * r + c] += carry[i][WIDE * r + 3 + c];
-        if (i % TOGETHER == TOGETHER - 1)
-            memcpy(start, drawn, sizeof start);
+        draw(carry[i], last, drawn);
         double innovation[3], answer[3][6], square = 0.0;
         for (int r = 0; r < 3; r++) {
             double gravity = g * states[WIDE * r];
