@@ -15,8 +15,9 @@ from imucald.core.samples import GRAVITY, Series
 from imucald.motion.ticks import TICK_S
 from imucald.mount.acceptance import WHY_GRAVITY_MOVED, Acceptance
 from imucald.mount.contradictions import StandingFault
+from imucald.mount.block_sums import block_sums, driven
 from imucald.mount.mount_changes import MountChanges
-from imucald.mount.signal_blocks import BLOCK_S, BLOCK_TICKS
+from imucald.mount.signal_blocks import BLOCK_S, BLOCK_TICKS, SignalBlock
 from imucald.mount.zero_step import GravityMoved, ZeroStep
 from mount_settings import full
 from signal_block import block
@@ -29,6 +30,10 @@ SOLVER: Any = SimpleNamespace(
     R=np.eye(3), gains=lambda: (1.0, 1.0), turn_rate=np.zeros(BLOCK_TICKS)
 )
 """It knows the mount, and that nothing turns."""
+
+
+def take(asked: ZeroStep, one: SignalBlock) -> None:
+    asked.add(one, block_sums(one, SOLVER.turn_rate, driven(one)), SOLVER)
 
 
 def cause(
@@ -70,7 +75,7 @@ def cause(
         )
         if k == gap:
             asked.restart()
-        asked.add(one, SOLVER)
+        take(asked, one)
         if k == BEFORE + 3:
             asked.ask(BLOCK_S * BEFORE)
     return asked.cause
@@ -148,14 +153,8 @@ def test_a_zero_that_steps_back_is_a_fault_no_more():
         bend = (k % 2) * (-1.0) ** (k // 2)
         zero = 1.0 if 40 <= k < 80 else 0.0
         rate = np.array([0.0, 0.0, bend / (BLOCK_TICKS * TICK_S)])
-        asked.add(
-            block(
-                BLOCK_S * k,
-                force=np.tile([zero, 0.0, GRAVITY], (BLOCK_TICKS, 1)),
-                rate=np.tile(rate, (BLOCK_TICKS, 1)),
-            ),
-            SOLVER,
-        )
+        force = np.tile([zero, 0.0, GRAVITY], (BLOCK_TICKS, 1))
+        take(asked, block(BLOCK_S * k, force=force, rate=np.tile(rate, (BLOCK_TICKS, 1))))
         if k in (43, 83):
             asked.ask(BLOCK_S * (k - 3))
         causes.append(asked.cause)

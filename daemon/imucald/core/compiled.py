@@ -50,34 +50,46 @@ class Kernels:
 
     add_steps: Kernel
     band_products: Kernel
+    block_sums: Kernel
     candump: Kernel
     creep_filters: Kernel
     find_step: Kernel
     fit_segments: Kernel
+    gravity_sums: Kernel
+    gyro_energies: Kernel
     hop_figures: Kernel
     judge_frames: Kernel
     left_over: Kernel
+    pair_sums: Kernel
     scores: Kernel
     signal_column: Kernel
     tick_sums: Kernel
+    turned_alone: Kernel
     vehicle_axes: Kernel
     vertical: Kernel
+    yaw_sums: Kernel
 
     ARGUMENTS: Final = {
         "add_steps": 6 * "o",
         "band_products": "oooooio",
+        "block_sums": 6 * "o",
         "candump": "oi" + 16 * "o",
         "creep_filters": 11 * "o",
         "find_step": "oooooiiooo",
         "fit_segments": 11 * "o",
+        "gravity_sums": 8 * "o" + "do",
+        "gyro_energies": 7 * "o",
         "hop_figures": 13 * "o",
         "judge_frames": "ooood" + 7 * "o",
         "left_over": 6 * "o",
+        "pair_sums": "oooio",
         "scores": 7 * "o" + "ioo",
         "signal_column": 8 * "o",
         "tick_sums": "oooido",
+        "turned_alone": 8 * "o",
         "vehicle_axes": "ooooooio",
         "vertical": 9 * "o" + "diiii" + 5 * "o",
+        "yaw_sums": "oooooddoo",
     }
 
     def __init__(self, library: ctypes.PyDLL) -> None:

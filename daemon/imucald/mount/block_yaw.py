@@ -13,6 +13,7 @@ import numpy as np
 from msgspec import Struct
 from numpy.typing import NDArray
 
+from imucald.core import compiled
 from imucald.motion.signal_health import slope
 from imucald.motion.ticks import TICK_S
 from imucald.mount.vertical_block import FORCE_NOISE
@@ -55,28 +56,56 @@ class BlockMotion(Struct, frozen=True):
 
 def block_yaw(m: BlockMotion, use: Flags) -> tuple[float, float]:
     """Angle about z by which the sensor is turned from R [rad], and its information [1/rad^2]."""
-    ticks = np.arange(len(use))
-    accel = np.interp(ticks + m.delay / TICK_S, ticks, m.accel)
-    each = np.empty((7, len(use)))
-    each[:2] = m.force[:, :2].T
-    each[2], each[3], each[4] = accel, m.turn, m.turn_rate * m.turn_rate
-    each[5] = slope(m.turn_rate)
-    each[6] = slope(accel)
-    each = each[:, use]
-    n = each.shape[1]
-    each -= each.sum(axis=1, keepdims=True) / n
-    # all sums of products at once
-    sums = each @ each.T
-    power = float(sums[2, 2] + sums[3, 3])
+    n, s00, s11, s20, s21, s22, s24, s25, s30, s31, s33, s34, s35, s36 = _sums(m, use)
+    power = s22 + s33
     if power < LEAST_MOTION:
         return 0.0, 0.0
-    across, along = float(sums[3, 0] - sums[2, 1]), float(sums[2, 0] + sums[3, 1])
+    across, along = s30 - s21, s20 + s31
     shown = math.hypot(across, along)
     if shown < FOLLOWED * power:
         return 0.0, 0.0
-    left = float(sums[0, 0] + sums[1, 1]) + power - 2.0 * shown  # by the motion, turned
+    left = s00 + s11 + power - 2.0 * shown  # by the motion, turned
     noise = (PRIOR_TICKS * FORCE_NOISE**2 + 0.5 * left) / (PRIOR_TICKS + n)
-    ahead, aside = float(sums[3, 4] + sums[2, 5]), float(sums[3, 5] - sums[2, 4])
-    late = (m.delay_std * m.delay_std + DELAY_STD**2) * float(sums[3, 6]) ** 2
+    ahead, aside = s34 + s25, s35 - s24
+    late = (m.delay_std * m.delay_std + DELAY_STD**2) * s36**2
     turned2 = (ARM * ARM * (ahead * ahead + aside * aside) + late) / (power * power)
     return math.atan2(across, along), 1.0 / (TOGETHER * noise / power + turned2 + FLOOR**2)
+
+
+_PAIRS = np.array(
+    [
+        (0, 0), (1, 1), (2, 0), (2, 1), (2, 2), (2, 4), (2, 5), (3, 0), (3, 1), (3, 3), (3, 4),
+        (3, 5), (3, 6),
+    ]
+)  # fmt: skip
+"""Products of force ahead and across, dv/dt, v r, r^2, and the slopes of r and of dv/dt."""
+
+
+def _sums(m: BlockMotion, use: Flags) -> list[float]:
+    """How many ticks are in use, and sums of products about their means, see `_PAIRS`."""
+    late = m.delay / TICK_S
+    if compiled.kernels is not None:
+        out = np.empty(1 + len(_PAIRS))
+        flags = compiled.kernels.yaw_sums(
+            m.force, m.accel, m.turn, m.turn_rate, use, late, TICK_S, _PAIRS, out
+        )
+        if flags:
+            compiled.note(flags)
+        found: list[float] = out.tolist()
+        return found
+    n = len(use)
+    at = np.minimum(np.maximum(np.arange(n) + late, 0.0), n - 1.0)
+    before = np.minimum(at.astype(np.int64), n - 2)
+    low = m.accel[before]
+    accel = (m.accel[before + 1] - low) * (at - before) + low
+    each = np.array(
+        [
+            m.force[:, 0], m.force[:, 1], accel, m.turn, m.turn_rate * m.turn_rate,
+            slope(m.turn_rate), slope(accel),
+        ]
+    ).compress(use, axis=1)  # fmt: skip
+    count = each.shape[1]
+    if count:
+        each -= each.sum(axis=1, keepdims=True) / count
+    sums = (each.take(_PAIRS[:, 0], axis=0) * each.take(_PAIRS[:, 1], axis=0)).sum(axis=1)
+    return [float(count), *sums.tolist()]

@@ -23,6 +23,7 @@ from numpy.typing import NDArray
 from imucald.core.median import median
 from imucald.motion.straight import yaw_rate_with_understeer
 from imucald.motion.ticks import TICK_S
+from imucald.mount.block_sums import pair_sums
 from imucald.mount.estimator_settings import EstimatorSettings
 from imucald.mount.gyro_walk import SELDOM
 from imucald.mount.signal_blocks import SignalBlock
@@ -149,13 +150,11 @@ class PairWatch:
 
     def add(self, x: Array, y: Array, use: Flags) -> None:
         """Take a block; x: (N,) what is sure, y: (N,) what must follow it."""
-        n = np.count_nonzero(use)
+        n, *more = pair_sums(x, y, use)
         if not n:
             return
-        if n < len(use):
-            x, y = x[use], y[use]
-        xx, xy, yy = self._sums
-        self._sums = xx, xy, yy = xx + float(x @ x), xy + float(x @ y), yy + float(y @ y)
+        xx, xy, yy = (before + new for before, new in zip(self._sums, more, strict=True))
+        self._sums = xx, xy, yy
         self._blocks += 1
         if not math.isfinite(xx + yy):
             self._sums = NOTHING

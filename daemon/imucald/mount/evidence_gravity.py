@@ -17,8 +17,11 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
+from imucald.core import compiled
 from imucald.core.rotations import Matrix3
 from imucald.core.samples import GRAVITY
+from imucald.motion.ticks import TICK_S
+from imucald.mount.block_sums import driven
 from imucald.mount.score_series import ScoreSeries
 from imucald.mount.signal_blocks import SignalBlock
 
@@ -87,31 +90,23 @@ class GravityEvidence:
 
     def add(self, p: SignalBlock, turn: Array) -> None:
         """Take a block; turn: (N,) v r [m/s^2]."""
-        use = p.learn & (p.ok_speed | p.rest)
-        if not np.count_nonzero(use):
+        sums = _sums(p, turn, self._stop_used)
+        weight, x, y, z, accel, across, metres, used, resting, moving, each = sums
+        if not used:
             return
-        sizes = np.abs(p.speed)
-        weight = np.where(p.rest, 0.0, sizes * 0.1)
-        hard2 = p.accel * p.accel + turn * turn
-        weight *= use / (1.0 + hard2 * (SHARE / STILL) ** 2)
-        if np.count_nonzero(sizes > 1.0):
+        if moving:
             self._stop_used, self._resting = 0.0, False
-        resting = p.rest & use
-        n = np.count_nonzero(resting)
-        if n:
+        if resting:
             if not self._resting:
                 self._resting = True
                 self.stops += 1
-            each = min(REST_METRES_PER_TICK, max(STOP_METRES - self._stop_used, 0.0) / n)
-            self._stop_used += each * n
-            weight[resting] = each
-        if self._weight == 0.0 and not weight.any():
+            self._stop_used += each * resting
+        if self._weight == 0.0 and weight == 0.0:
             return
-        self._weight += float(weight.sum())
-        self._force += weight @ p.force
-        self._motion[0] += float(weight @ p.accel)
-        self._motion[1] += float(weight @ turn)
-        self.metres += float((sizes * use).sum()) * 0.1
+        self._weight += weight
+        self._force += (x, y, z)
+        self._motion += (accel, across)
+        self.metres += metres
 
     @property
     def known(self) -> bool:
@@ -142,3 +137,39 @@ class GravityEvidence:
             slope *= 2.0 / q * (1.0 - (1.0 - math.exp(-q)) / q)
         mean2 = float(self._motion @ self._motion) / max(self._weight, 1e-9) ** 2
         return slope + missed * missed * mean2 / GRAVITY**2
+
+
+_NUMBERS = np.array([(SHARE / STILL) ** 2, REST_METRES_PER_TICK, STOP_METRES, TICK_S])
+
+
+def _sums(p: SignalBlock, turn: Array, stop_used: float) -> list[float]:
+    """Over a block: the weight, and weighed with it force (3,), dv/dt, v r; metres; how many ticks
+    are in use, at rest, and move; metres that each tick at rest counts for.
+
+    turn: (N,) v r [m/s^2]; stop_used: metres that the stop so far has counted for.
+    """
+    if compiled.kernels is not None:
+        out = np.empty(11)
+        flags = compiled.kernels.gravity_sums(
+            p.learn, p.ok_speed, p.rest, p.force, p.speed, p.accel, turn, _NUMBERS, stop_used, out
+        )
+        if flags:
+            compiled.note(flags)
+        found: list[float] = out.tolist()
+        return found
+    use = driven(p)
+    sizes = np.abs(p.speed)
+    weight = np.where(p.rest, 0.0, sizes * TICK_S)
+    hard2 = p.accel * p.accel + turn * turn
+    weight *= use / (1.0 + hard2 * (SHARE / STILL) ** 2)
+    moving, resting, each = np.count_nonzero(sizes > 1.0), p.rest & use, 0.0
+    n = np.count_nonzero(resting)
+    if n:
+        left = STOP_METRES - (0.0 if moving else stop_used)
+        each = min(REST_METRES_PER_TICK, max(left, 0.0) / n)
+        weight[resting] = each
+    force = (weight[:, None] * p.force).sum(axis=0).tolist()
+    more = (float(one.sum()) for one in (weight * p.accel, weight * turn, sizes * use))
+    accel, across, metres = more
+    counts = np.count_nonzero(use), n, moving, each
+    return [float(weight.sum()), *force, accel, across, metres * TICK_S, *map(float, counts)]

@@ -81,7 +81,7 @@ class ForceLevel:
         n = int(np.count_nonzero(use))
         if up is None or n < LEAST_TICKS:
             return
-        force = use @ p.force / n
+        force = (p.force * use[:, None]).sum(axis=0) / n
         level = float(force @ up) / max(math.sqrt(float(up @ up)), 1e-9)
         t = float(p.t[0])
         row = np.array([[level, *force.tolist(), t]])

@@ -11,6 +11,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from imucald.core import compiled
 from imucald.core.rotations import Matrix3
 from imucald.core.samples import GRAVITY
 from imucald.motion.ticks import TICK_S
@@ -21,7 +22,10 @@ Array = NDArray[np.float64]
 
 TILT_FLOOR = 0.003
 """Least noise of the level parts [rad]: smaller values count as noise."""
-SMOOTH = np.ones(11) / 11.0
+LEAST_ENERGY = BLOCK_TICKS * TILT_FLOOR**2
+AROUND = 5
+"""Means are over so many ticks to both sides: a second."""
+WEIGHT = 1.0 / (2 * AROUND + 1)
 
 
 def _signed_permutations() -> Array:
@@ -102,10 +106,20 @@ def _left_over(
 
     Rates with all signs turned make the opposite changes, so those of one half are enough.
     """
-    rates = np.matmul(np.matmul(R, TRIED[:HALF]), rate.T)  # (7, 3, N)
+    turned = np.matmul(R, TRIED[:HALF])  # exact: each is a permutation
+    if compiled.kernels is not None:
+        numbers = np.array([gain / GRAVITY, TICK_S, WEIGHT, LEAST_ENERGY])
+        found = np.empty((2 * HALF, 2))
+        flags = compiled.kernels.gyro_energies(ahead, across, rate, speed, turned, numbers, found)
+        if flags:
+            compiled.note(flags)
+        return found
+    x, y, z = rate.T
+    rates = turned[:, :, 0, None] * x + turned[:, :, 1, None] * y  # (7, 3, N)
+    rates += turned[:, :, 2, None] * z
     turning = rates[:, 2]
     aside = (gain / GRAVITY) * speed * turning
-    smooth = [_smoothed(x) for x in (ahead, across - aside[0])]
+    smooth = _smoothed(np.array([ahead, across - aside[0]]))
     change = np.empty((HALF, 2, len(ahead)))
     np.subtract(turning * smooth[1], rates[:, 1], out=change[:, 0])
     np.subtract(rates[:, 0], turning * smooth[0], out=change[:, 1])
@@ -121,16 +135,19 @@ def _left_over(
     opposite[-1, 1] += across + aside[0]
     left -= left.sum(axis=2, keepdims=True) / len(ahead)
     left *= left
-    out: Array = left.sum(axis=2) + BLOCK_TICKS * TILT_FLOOR**2
+    out: Array = left.sum(axis=2) + LEAST_ENERGY
     return out
 
 
 def _smoothed(x: Array) -> Array:
-    """Means over a second of (N,), the ends carried on."""
-    more, n = len(SMOOTH) // 2, len(x)
-    longer = np.empty(n + 2 * more)
-    longer[:more], longer[more : more + n], longer[more + n :] = x[0], x, x[-1]
-    return np.correlate(longer, SMOOTH, "valid")  # as numpy.convolve: the weights are even
+    """Means over a second of (k, N), the ends carried on."""
+    longer = np.concatenate([x[:, :1]] * AROUND + [x] + [x[:, -1:]] * AROUND, axis=1)
+    n = x.shape[1]
+    out = longer[:, :n].copy()
+    for k in range(1, 2 * AROUND + 1):
+        out += longer[:, k : k + n]
+    out *= WEIGHT
+    return out
 
 
 def _held(x: Array, low: float, high: float) -> Array:

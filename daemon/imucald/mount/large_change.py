@@ -19,15 +19,17 @@ import numpy as np
 from msgspec import Struct
 from numpy.typing import NDArray
 
-from imucald.core.rotations import Matrix3, vector_from_rotation
+from imucald.core.rotations import Matrix3, matrix_times, vector_from_rotation
 from imucald.motion.ticks import TICK_S
 from imucald.mount.alternatives import MAX_REVERSE
+from imucald.mount.block_sums import BlockSums
 from imucald.mount.block_yaw import BlockMotion, block_yaw
 from imucald.mount.estimator_settings import EstimatorSettings
 from imucald.mount.signal_blocks import SignalBlock
 from imucald.mount.turned_alone import DEVIATIONS, FORCE, MIN_SPEED, YAW_RATE, TurnedAlone
 
 Array = NDArray[np.float64]
+Flags = NDArray[np.bool_]
 
 REMEMBERED = 50
 """Blocks (320 s)."""
@@ -110,9 +112,20 @@ class LargeChangeDetector:
         self._standing = np.zeros((0, 6))  # force and rate of ticks not looked at yet
 
     def add(
-        self, p: SignalBlock, R: Matrix3, motion: BlockMotion, has_speed: bool, has_reverse: bool
+        self,
+        sums: BlockSums,
+        use: Flags,
+        R: Matrix3,
+        motion: BlockMotion,
+        gains: tuple[float, float],
+        has_speed: bool,
+        has_reverse: bool,
     ) -> None:
-        """Take a block and its motion; R: the rotation so far. has_reverse: as a signal."""
+        """Take a block and its motion.
+
+        use: (N,) ticks that speak, sums: of those. R: the rotation so far, gains: of dv/dt and v r.
+        has_reverse: as a signal.
+        """
         if self._R is not None and R is not self._R:
             moved = vector_from_rotation(R @ self._R.T)
             if math.sqrt(moved @ moved) > 0.35:
@@ -120,17 +133,16 @@ class LargeChangeDetector:
             else:
                 self._rows[:, :METRES] -= moved
         self._R = R
-        use = p.learn & (p.ok_speed | p.rest)
-        if not has_speed or np.count_nonzero(use) < LEAST_TICKS:
+        n = sums.n
+        if not has_speed or n < LEAST_TICKS:
             return
-        force = p.force[use] @ R.T
-        x, y, z = (force.sum(axis=0) / len(force)).tolist()
-        x -= float(motion.accel[use].sum()) / len(force)
-        y -= float(motion.turn[use].sum()) / len(force)
+        x, y, z = matrix_times(R, (sums.force[0] / n, sums.force[1] / n, sums.force[2] / n))
+        x -= gains[0] * sums.accel / n
+        y -= gains[1] * sums.turn / n
         yaw, known = block_yaw(motion, use)
-        if abs(yaw) > BACKWARDS and not has_reverse and np.abs(p.speed[use]).max() < MAX_REVERSE:
+        if abs(yaw) > BACKWARDS and not has_reverse and sums.fastest < MAX_REVERSE:
             known = 0.0
-        metres = float(np.abs(p.speed[use]).sum()) * TICK_S
+        metres = sums.speed * TICK_S
         e = math.atan2(y, z), math.atan2(-x, math.hypot(y, z)), yaw
         row = np.array([[*e, metres, metres + 3.0, known]])
         self._rows = np.concatenate([self._rows[1 - REMEMBERED :], row])

@@ -16,6 +16,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
+from imucald.mount.block_sums import pair_sums
 from imucald.mount.signal_blocks import BLOCK_TICKS
 
 Array = NDArray[np.float64]
@@ -52,13 +53,10 @@ class Mirrored:
 
     def add(self, x: Array, y: Array, use: Flags) -> None:
         """Take a block's signals (N,)."""
-        n = np.count_nonzero(use)
-        if n < LEAST_TICKS:
+        if np.count_nonzero(use) < LEAST_TICKS:
             return
-        if n < len(use):
-            x, y = x[use], y[use]
-        x, y = x - x.sum() / n, y - y.sum() / n
-        both, cross = float(x @ x + y @ y) + self._floor, 2.0 * float(x @ y)
+        _, xx, xy, yy = pair_sums(x, y, use, centred=True)
+        both, cross = xx + yy + self._floor, 2.0 * xy
         ratio = 0.5 * self._independent * math.log((both + cross) / (both - cross))
         self.sum = min(max(self.sum + min(max(ratio, -MOST), MOST), -HELD), HELD)
         self.blocks += 1

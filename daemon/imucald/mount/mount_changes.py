@@ -15,6 +15,7 @@ from msgspec import Struct
 from numpy.typing import NDArray
 
 from imucald.core.rotations import vector_from_rotation
+from imucald.mount.block_sums import block_sums, driven
 from imucald.mount.estimate import Correction
 from imucald.mount.estimator_settings import EstimatorSettings
 from imucald.mount.evidence_response import GROUP
@@ -102,8 +103,11 @@ class MountChanges:
         """Take a block to be held against those before and after it."""
         assert solver.R is not None
         has = not signals.without_speed, "reverse" in signals.seen
-        self._large.add(p, solver.R, solver.motion(p, solver.R), *has)
-        self.zero.add(p, solver)
+        use = driven(p)
+        sums = block_sums(p, solver.turn_rate, use)
+        motion = solver.motion(p, solver.R)
+        self._large.add(sums, use, solver.R, motion, solver.gains(), *has)
+        self.zero.add(p, sums, solver)
 
     def large(self, solver: MountSolver) -> LargeChange | None:
         """A turn by several degrees within the last blocks."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import operator
 from collections import deque
 from collections.abc import Mapping
 
@@ -100,6 +101,8 @@ class MountSolver:
         self._began: deque[int] = deque([0], maxlen=int(SPANS[-1]))  # blocks, of road segments
         self.response.delays = (self.delay_speed.value, 0.0)
         self._gains_of: Array | None = None
+        self._motion_of: tuple[object, ...] = (None,) * 3
+        self._motion: BlockMotion
         self._gains = (0.0, 0.0)
         self._lever_arm = LeverArm(np.array(settings.lever_arm))
 
@@ -152,9 +155,14 @@ class MountSolver:
     def motion(self, p: SignalBlock, R: Matrix3) -> BlockMotion:
         """Of the block that was taken last, in axes of R."""
         gains, delay = self.gains(), self.delay_speed
-        turn = gains[1] * p.speed * self.turn_rate
-        force = self.lone @ R.T
-        return BlockMotion(force, gains[0] * p.accel, turn, self.turn_rate, delay.value, delay.std)
+        made_of = self.lone, R, gains
+        if any(map(operator.is_not, made_of, self._motion_of)):  # it is asked for twice a block
+            self._motion_of = made_of
+            turn = gains[1] * p.speed * self.turn_rate
+            force, ahead = self.lone @ R.T, gains[0] * p.accel
+            of_delay = delay.value, delay.std
+            self._motion = BlockMotion(force, ahead, turn, self.turn_rate, *of_delay)
+        return self._motion
 
     def sure(self) -> bool:
         """Whether yaw is known well enough for what is left over to speak of the bias.

@@ -16,6 +16,7 @@ import numpy as np
 from msgspec import Struct
 from numpy.typing import NDArray
 
+from imucald.core import compiled
 from imucald.motion.ticks import TICK_S
 
 Array = NDArray[np.float64]
@@ -68,6 +69,24 @@ class TurnedAlone:
 
     def add(self, turn_rate: Array, vehicle: Array, ok: Flags, by: Witness = YAW_RATE) -> float:
         """Take a block (N,) [rad/s]; return by how much the sensor turned alone [rad], or 0."""
+        if compiled.kernels is not None:
+            n = len(ok)
+            both, used, alone = np.empty((2, APART + n)), np.empty(1, np.int64), np.empty(1)
+            numbers = np.array([STILL_RATE, TICK_S, by.gain_share, by.least])
+            flags = compiled.kernels.turned_alone(
+                self._before, turn_rate, vehicle, ok, numbers, both, used, alone
+            )
+            if flags:
+                compiled.note(flags)
+            found = float(alone[0])
+            self._before = both[:, max(int(used[0]) - APART, 0) : used[0]]
+        else:
+            found = self._alone(turn_rate, vehicle, ok, by)
+        if found:
+            self.restart()
+        return found
+
+    def _alone(self, turn_rate: Array, vehicle: Array, ok: Flags, by: Witness) -> float:
         known = self._before.shape[1]
         both = np.empty((2, known + len(ok)))
         both[:, :known], both[0, known:], both[1, known:] = self._before, turn_rate, vehicle
@@ -91,5 +110,4 @@ class TurnedAlone:
         own = float(both[0, k + 1 : k + APART + 1].sum()) * TICK_S
         if own * float(alone[k]) < 0.0 or abs(own) < by.least:  # the vehicle's signal is odd
             return 0.0
-        self.restart()
         return float(alone[k])

@@ -28,6 +28,7 @@ from msgspec import Struct
 from numpy.typing import NDArray
 
 from imucald.motion.ticks import TICK_S
+from imucald.mount.block_sums import BlockSums
 from imucald.mount.estimator_settings import EstimatorSettings
 from imucald.mount.large_change import LEAST_TICKS
 from imucald.mount.shift import UNEVEN_STD
@@ -117,22 +118,23 @@ class ZeroStep:
         self.cause = GravityMoved.UNKNOWN
         self._judge()
 
-    def add(self, p: SignalBlock, solver: MountSolver) -> None:
-        """Take a block; solver: it has a rotation, and has taken the block already."""
+    def add(self, p: SignalBlock, sums: BlockSums, solver: MountSolver) -> None:
+        """Take a block; sums: over the ticks that speak.
+
+        solver: it has a rotation, and has taken the block already.
+        """
         assert solver.R is not None
-        use = p.learn & (p.ok_speed | p.rest)
-        n = int(np.count_nonzero(use))
+        n = sums.n
         if n < LEAST_TICKS:
             return
         gains = solver.gains()
-        motion = np.zeros(3)
-        motion[0] = gains[0] * float(use @ p.accel) / n
-        motion[1] = gains[1] * float(use @ (p.speed * solver.turn_rate)) / n
-        force = use @ p.force / n - motion @ solver.R
-        turn = p.ok_rate @ p.rate * TICK_S
-        metres = float(use @ np.abs(p.speed)) * TICK_S + STANDING_METRES
-        row = np.concatenate([force, turn, [metres, p.t[0]]])
-        self._rows = np.concatenate([self._rows[1 - REMEMBERED :], row[None]])
+        ahead, aside = gains[0] * sums.accel / n, gains[1] * sums.turn / n
+        row = np.empty((1, 8))
+        for k, (force, x, y) in enumerate(zip(sums.force, *solver.R[:2].tolist(), strict=True)):
+            row[0, k] = force / n - (ahead * x + aside * y)
+        np.multiply((p.rate * p.ok_rate[:, None]).sum(axis=0), TICK_S, out=row[0, 3:6])
+        row[0, 6:] = sums.speed * TICK_S + STANDING_METRES, p.t[0]
+        self._rows = np.concatenate([self._rows[1 - REMEMBERED :], row])
         self._judge()
 
     def _judge(self) -> None:
