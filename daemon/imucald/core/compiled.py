@@ -61,8 +61,10 @@ class Kernels:
     judge_frames: Kernel
     left_over: Kernel
     pair_sums: Kernel
+    push_window: Kernel
     scores: Kernel
     signal_column: Kernel
+    tapered: Kernel
     tick_sums: Kernel
     turned_alone: Kernel
     vehicle_axes: Kernel
@@ -83,8 +85,10 @@ class Kernels:
         "judge_frames": "ooood" + 7 * "o",
         "left_over": 6 * "o",
         "pair_sums": "oooio",
+        "push_window": 11 * "o" + "do",
         "scores": 7 * "o" + "ioo",
         "signal_column": 8 * "o",
+        "tapered": "oooio",
         "tick_sums": "oooido",
         "turned_alone": 8 * "o",
         "vehicle_axes": "ooooooio",

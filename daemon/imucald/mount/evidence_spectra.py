@@ -127,16 +127,17 @@ def spectra(signals: Array, mask: NDArray[np.bool_], keep_mean: bool = False) ->
     Scaled so that overlapping windows add up: the sum over windows and bins of |x|^2 is the sum
     over ticks of x^2 (in band). keep_mean: the mean is a signal as well; else it is taken off.
     """
-    if keep_mean:
-        x = signals * mask[:, None]
-    elif mask.all():
-        x = signals - signals.mean(axis=0)
+    x = np.empty_like(signals)
+    if compiled.kernels is not None:
+        flags = compiled.kernels.tapered(signals, mask, _TAPER_COLUMN[:, 0], keep_mean, x)
+        if flags:
+            compiled.note(flags)
     else:
-        n = max(float(mask.sum()), 1.0)
-        x = np.where(mask[:, None], signals, 0.0)
-        x -= x.sum(axis=0) / n
-        x *= mask[:, None]
-    x *= _TAPER_COLUMN
+        np.multiply(signals, mask[:, None], out=x)
+        if not keep_mean:
+            x -= x.sum(axis=0) / max(float(mask.sum()), 1.0)
+            x *= mask[:, None]
+        x *= _TAPER_COLUMN
     s: Spectra = np.fft.rfft(x, axis=0)[FIRST_BIN : FIRST_BIN + BINS]
     s[0] *= _HALF  # the only bin without a mirror image
     return s

@@ -43,19 +43,9 @@ SEEKING_BLOCKS = 3
 """After nothing carried the vertical it is found anew, and for so long nothing rests on it."""
 DRIFT_S = 150.0
 """Time constant with which a drifting gyro bias is followed while driving [s]."""
+TAKEN = 7
+"""Terms of the motion that the vertical takes up in part."""
 _PULL = {True: TICK_S / PULL_S, False: TICK_S / PULL_NO_GYRO_S}
-
-
-def _followed(pull: float) -> tuple[Array, Array]:
-    """What a first-order lag leaves of a block: (N, N) of its values, (N,) of its state."""
-    decay = np.asarray((1.0 - pull) ** np.arange(BLOCK_TICKS), dtype=np.float64)
-    lag = np.arange(BLOCK_TICKS)[:, None] - np.arange(BLOCK_TICKS)[None, :] - 1
-    taken = np.where(lag >= 0, pull * (1.0 - pull) ** np.maximum(lag, 0), 0.0)
-    left = np.asarray(np.eye(BLOCK_TICKS) - taken, dtype=np.float64)
-    return left, decay
-
-
-_REMAINING = {with_gyro: _followed(pull) for with_gyro, pull in _PULL.items()}
 
 
 class GravityObserver:
@@ -68,8 +58,11 @@ class GravityObserver:
         self._open_score = np.zeros(3)
         self._open_ticks = 0
         self.drift = np.zeros(3)
-        self._taken: Array | None = None
-        self._use: Flags = np.zeros(BLOCK_TICKS, dtype=bool)
+        self.taken: Array = np.zeros(TAKEN)
+        """Of each term of the motion, what the vertical has taken up."""
+        self.use: Flags = np.zeros(BLOCK_TICKS, dtype=bool)
+        self.pull = _PULL[False]
+        """In the last block: where the vertical followed the force (N,), and how fast."""
         self._alone = self._settling = self._seeking = 0
         self._closed_information = np.zeros((0, 3, 3))
         self._closed_score = np.zeros((0, 3))
@@ -101,17 +94,17 @@ class GravityObserver:
         bias: what is known of the accelerometer's bias (3,) [m/s^2]; its answer is taken off.
         """
         with_gyro = bool(np.count_nonzero(p.ok_rate))
-        pull = _PULL[with_gyro]
+        self.pull = pull = _PULL[with_gyro]
         # without its speed nobody knows how much of the force is the vehicle's motion
-        self._use = p.learn if motion is None else p.learn & (p.ok_speed | p.rest)
+        self.use = p.learn if motion is None else p.learn & (p.ok_speed | p.rest)
         self._note_holes(p.ok_rate)
         before = np.zeros((3, 3)) if self._state is None else self._state[:, 1:]
         learn = p.learn & p.ok_speed & ~p.rest
         known = np.zeros(3) if bias is None else bias
-        block = BlockForces(p.rate, self.drift, p.ok_rate, p.force, motion, known, self._use, learn)
+        block = BlockForces(p.rate, self.drift, p.ok_rate, p.force, motion, known, self.use, learn)
         found = carried(block, self._state, self._n, pull, weighed=sure and with_gyro)
         if found.state is not None:
-            self._n += int(np.count_nonzero(self._use))
+            self._n += int(np.count_nonzero(self.use))
         self._state = found.state
         if motion is not None and with_gyro:
             if sure:
@@ -128,37 +121,35 @@ class GravityObserver:
     def _note_holes(self, ok_rate: Flags) -> None:
         """After a long one the vertical has yet to come back from where it was left alone."""
         self._settling = max(self._settling - 1, 0)
-        at = self._use.nonzero()[0]
-        alone = self._alone + (int(at[0]) if len(at) else len(self._use))
+        at = self.use.nonzero()[0]
+        alone = self._alone + (int(at[0]) if len(at) else len(self.use))
         if alone > MAX_ALONE or np.count_nonzero(~ok_rate) > MAX_BLIND:
             self._settling = SETTLING_BLOCKS
         self._seeking = max(self._seeking - 1, 0)
-        if self._state is not None and np.count_nonzero(~ok_rate & ~self._use) > MAX_BLIND:
+        if self._state is not None and np.count_nonzero(~ok_rate & ~self.use) > MAX_BLIND:
             self._n, self._seeking = 0, SEEKING_BLOCKS
-        self._alone = len(self._use) - 1 - int(at[-1]) if len(at) else alone
+        self._alone = len(self.use) - 1 - int(at[-1]) if len(at) else alone
 
-    def remaining(self, motion: Array, p: SignalBlock) -> Array:
-        """What a wrong R leaves of motion (N, k) in the force, after the vertical took its part.
+    def remaining(self, motion: Array) -> Array:
+        """What a wrong R leaves of motion (N, TAKEN) in the force, once the vertical took its part.
 
         The vertical follows the force less the expected motion, so an error e of R shows as
         e x (m - G), with G the motion as the vertical follows it (turning while it does so left
         out).
         """
-        with_gyro = bool(np.count_nonzero(p.ok_rate))
-        state = self._taken
-        if state is None:
-            state = np.zeros(motion.shape[1])
-        keep, decay = _REMAINING[with_gyro]
-        if np.count_nonzero(self._use) == len(motion) == len(decay):
-            out: Array = keep @ motion - decay[:, None] * state
-            self._taken = motion[-1] - (1.0 - _PULL[with_gyro]) * out[-1]
-            return out
-        out = np.empty_like(motion)
-        for i, use in enumerate(self._use.tolist()):
-            out[i] = motion[i] - state
-            if use:
-                state = state + _PULL[with_gyro] * out[i]
-        self._taken = state
+        gain = np.where(self.use, self.pull, 0.0)
+        decay = 1.0 - gain
+        part = gain[:, None] * motion  # of each tick, and then of all up to it
+        apart = 1
+        while apart < len(gain):
+            part[apart:] += decay[apart:, None] * part[:-apart]
+            decay[apart:] *= decay[:-apart]
+            apart *= 2
+        taken = decay[:, None] * self.taken + part
+        out: Array = motion.copy()
+        out[0] -= self.taken
+        out[1:] -= taken[:-1]
+        self.taken[:] = taken[-1]
         return out
 
     def _follow_drift(self, p: SignalBlock, found: Carried, pull: float) -> None:

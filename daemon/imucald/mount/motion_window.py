@@ -9,6 +9,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from imucald.core import compiled
 from imucald.mount.evidence_spectra import (
     MEASURED,
     RATE,
@@ -60,6 +61,15 @@ class MotionWindow:
         yaw_rate: (N,) r [rad/s]; vertical: it has carried the vertical through the block.
         """
         w, m, new = self._values, self._mask, slice(-BLOCK_TICKS, None)
+        learn = p.learn & p.ok_speed & (not vertical.seeking)
+        if compiled.kernels is not None:
+            flags = compiled.kernels.push_window(
+                w, m, lone, p.accel, turn, yaw_rate, p.speed, p.rate, p.ok_rate, learn,
+                vertical.use, vertical.pull, vertical.taken,
+            )  # fmt: skip
+            if flags:
+                compiled.note(flags)
+            return
         w[:-BLOCK_TICKS] = w[BLOCK_TICKS:].copy()
         m[:-BLOCK_TICKS] = m[BLOCK_TICKS:].copy()
         a, r, rate = p.accel, yaw_rate, p.rate * p.ok_rate[:, None]
@@ -71,10 +81,10 @@ class MotionWindow:
         terms = np.empty((BLOCK_TICKS, len(_TAKEN)))
         for k, term in enumerate((a * a, turn * turn, r * r, a * np.abs(a), a * turn, a, turn)):
             terms[:, k] = term
-        w[new, _TAKEN] = vertical.remaining(terms, p)
+        w[new, _TAKEN] = vertical.remaining(terms)
         w[new, Measured.DVDT_YAW] = a * r
         w[new, Measured.LATERAL_YAW] = turn * r
-        m[new] = p.learn & p.ok_speed & (not vertical.seeking)
+        m[new] = learn
 
     def spectra(self, keep_mean: bool, needs_motion: bool) -> Spectra | None:
         """Spectra (BINS, MEASURED) of the window; None where it shows nothing.
