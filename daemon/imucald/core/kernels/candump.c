@@ -102,6 +102,14 @@ static inline uint64_t decimal(const uint8_t *p, Size count)
     return number;
 }
 
+/* Whether the text at p begins with a name of that length, of which NAME bytes are there. */
+static inline int is_named(const uint8_t *p, const uint8_t *name, Size length)
+{
+    if (length <= WORD)
+        return !((word_at(p) ^ word_at(name)) & first_bytes((unsigned)length));
+    return !memcmp(p, name, (size_t)length);
+}
+
 /* The channels that are known, each with the filter of its ids (`IdFilter`). */
 typedef struct {
     Size count;
@@ -175,7 +183,7 @@ static enum Judgement judge(const uint8_t *p, const uint8_t *end, const Channels
     if (last >= 0) {
         const uint8_t *name = known->names + last * (1 + NAME);
         length = name[0];
-        if (end - at > length && at[length] == ' ' && !memcmp(at, name + 1, (size_t)length))
+        if (end - at > length && at[length] == ' ' && is_named(at, name + 1, length))
             channel = last;
     }
     if (channel < 0) {
@@ -184,7 +192,7 @@ static enum Judgement judge(const uint8_t *p, const uint8_t *end, const Channels
             length++;
         for (Size c = 0; c < known->count && channel < 0; c++) {
             const uint8_t *name = known->names + c * (1 + NAME);
-            if (name[0] == length && !memcmp(at, name + 1, (size_t)length))
+            if (name[0] == length && is_named(at, name + 1, length))
                 channel = c;
         }
         if (at + length >= end || length < 1 || length > NAME)
@@ -286,11 +294,18 @@ KERNEL long candump(PyObject *text_, long size, PyObject *names_, PyObject *verd
     Frame frame = {0};
     Size last = known.count ? 0 : -1, n = (Size)counts[FRAMES], at = (Size)counts[PLACE];
     int64_t number = counts[NUMBER];
+    Size usual = 0; /* bytes of the line before */
     while (at < size) {
-        const uint8_t *newline = memchr(text + at, '\n', (size_t)(size - at));
-        if (!newline)
-            break;
-        enum Judgement judged = judge(text + at, newline, &known, last, &frame);
+        const uint8_t *newline = text + at + usual;
+        enum Judgement judged = ODD_LINE;
+        if (usual && usual < size - at && *newline == '\n') /* no line that is taken holds another */
+            judged = judge(text + at, newline, &known, last, &frame);
+        if (judged != TAKEN) {
+            newline = memchr(text + at, '\n', (size_t)(size - at));
+            if (!newline)
+                break;
+            judged = judge(text + at, newline, &known, last, &frame);
+        }
         if (judged == UNKNOWN_CHANNEL) {
             result = NEW_CHANNEL;
             break;
@@ -305,6 +320,7 @@ KERNEL long candump(PyObject *text_, long size, PyObject *names_, PyObject *verd
             counts[ODD]++;
         } else {
             last = frame.channel;
+            usual = newline - text - at;
             if (frame.is_wanted) {
                 Size bytes = frame.digits / 2;
                 if (n == most || bytes > width) {
@@ -326,11 +342,11 @@ KERNEL long candump(PyObject *text_, long size, PyObject *names_, PyObject *verd
                 fd[n] = (uint8_t)frame.is_fd;
                 counts[ANY_FD] |= frame.is_fd;
                 place[n] = at;
-                uint8_t *row = data + n * width;
-                memset(row, 0, (size_t)width);
-                for (Size k = 0; k < bytes; k += WORD) {
-                    uint64_t part = eight_bytes(frame.data + 2 * k, (unsigned)(bytes - k));
-                    memcpy(row + k, &part, (size_t)(bytes - k < WORD ? bytes - k : WORD));
+                for (Size k = 0; k < width; k += WORD) {
+                    uint64_t part = 0;
+                    if (k < bytes)
+                        part = eight_bytes(frame.data + 2 * k, (unsigned)(bytes - k));
+                    memcpy(data + n * width + k, &part, WORD);
                 }
                 n++;
             }

@@ -43,33 +43,34 @@ KERNEL long tick_sums(PyObject *t_, PyObject *values_, PyObject *columns_, long 
             i++;
             continue;
         }
-        Size count = 0;
-        double sum[MOST_WIDTH] = {0}, square[MOST_WIDTH] = {0}, least[MOST_WIDTH], most[MOST_WIDTH];
+        Size begun = i;
         double time = 0.0;
-        for (; i < n && floor(t[i] * rate) == place; i++, count++) {
-            for (Size k = 0; k < width; k++) {
-                double x = *(const double *)(base + i * down + k * across);
-                sum[k] += x;
-                square[k] += x * x;
-                if (!count || x < least[k])
-                    least[k] = x;
-                if (!count || x > most[k])
-                    most[k] = x;
-            }
+        for (; i < n && t[i] * rate < place + 1.0; i++)
             time += t[i];
-        }
-        double *tick = out + (Size)(place - (double)first) * row, samples = (double)count;
+        double *tick = out + (Size)(place - (double)first) * row, samples = (double)(i - begun);
         if (columns[COUNT] >= 0)
             tick[columns[COUNT]] = samples;
         for (Size k = 0; k < width; k++) {
+            const char *own = base + k * across;
+            double sum = 0.0, square = 0.0, least = INFINITY, most = -INFINITY;
+            for (Size at = begun; at < i; at++)
+                sum += *(const double *)(own + at * down);
             if (columns[MEAN] >= 0)
-                tick[columns[MEAN] + k] = sum[k] / samples;
+                tick[columns[MEAN] + k] = sum / samples;
+            if (columns[SQUARE] < 0 && columns[LEAST] < 0 && columns[MOST] < 0)
+                continue;
+            for (Size at = begun; at < i; at++) {
+                double x = *(const double *)(own + at * down);
+                square += x * x;
+                least = x < least ? x : least;
+                most = x > most ? x : most;
+            }
             if (columns[SQUARE] >= 0)
-                tick[columns[SQUARE] + k] = square[k] / samples;
+                tick[columns[SQUARE] + k] = square / samples;
             if (columns[LEAST] >= 0)
-                tick[columns[LEAST] + k] = least[k];
+                tick[columns[LEAST] + k] = least;
             if (columns[MOST] >= 0)
-                tick[columns[MOST] + k] = most[k];
+                tick[columns[MOST] + k] = most;
         }
         if (columns[AGE] >= 0)
             tick[columns[AGE]] = tick[0] - time / samples;
