@@ -55,6 +55,8 @@ class Kernels:
     creep_filters: Kernel
     find_step: Kernel
     fit_segments: Kernel
+    free_of_angles: Kernel
+    fused_means: Kernel
     gravity_sums: Kernel
     gyro_energies: Kernel
     hop_figures: Kernel
@@ -79,6 +81,8 @@ class Kernels:
         "creep_filters": 11 * "o",
         "find_step": "oooooiiooo",
         "fit_segments": 11 * "o",
+        "free_of_angles": 6 * "o",
+        "fused_means": "oooodooo",
         "gravity_sums": 8 * "o" + "do",
         "gyro_energies": 7 * "o",
         "hop_figures": 13 * "o",

@@ -9,6 +9,7 @@ import numpy as np
 from msgspec import Struct
 from numpy.typing import NDArray
 
+from imucald.core import compiled
 from imucald.mount.road_segments import AngleEvidence
 
 Array = NDArray[np.float64]
@@ -173,13 +174,9 @@ def weighed_scales(
     of = np.concatenate([[answers[name] for name in names], seen.answers])
     scales, prior = np.array(candidates).T
     V = known + (scales * scales)[:, None, None] * (of @ of.T)
-    inverse = np.linalg.inv(V)
-    to_angles = X.T @ inverse
-    information = to_angles @ X
-    angles = np.linalg.solve(information, (to_angles @ y)[:, :, None])
-    left = y - (X @ angles)[:, :, 0]
-    log = np.log(prior) - 0.5 * ((inverse @ left[:, :, None])[:, :, 0] * left).sum(axis=1)
-    log -= 0.5 * (np.linalg.slogdet(V)[1] + np.linalg.slogdet(information)[1])
+    squares, pivots, of_angles = _free_of_angles(V, X, y)
+    log = np.log(prior) - 0.5 * squares
+    log -= 0.5 * (np.log(pivots).sum(axis=1) + np.log(of_angles).sum(axis=1))
     weight = np.exp(log - log.max())
     return list(zip(scales.tolist(), (weight / weight.sum()).tolist(), strict=True))
 
@@ -210,24 +207,101 @@ def fuse(
     V = np.where(at.both, V, at.alone)  # an unused place stands alone
     values = np.array([sources[name].value for name in names])[at.of_angle]
     probability = np.array([p for _, p in scales])
-    inverse = np.linalg.inv(V)
-    weight = np.maximum(inverse.sum(axis=3), 0.0) * at.used
-    weight /= weight.sum(axis=2, keepdims=True)
-    each = (weight * values).sum(axis=2)  # (scales, A)
-    left = (values - each[:, :, None]) * at.used
-    n = at.count
-    free = np.maximum(n - 1, 1)
-    chi2 = (left * (inverse @ left[..., None])[..., 0]).sum(axis=2)
-    disagreement = np.minimum(np.maximum(chi2 / free, 1.0), MAX_WIDENED)
-    evenness = n / free * (1.0 - (weight * weight).sum(axis=2))
-    own = (weight * (V @ weight[..., None])[..., 0]).sum(axis=2)
-    own *= 1.0 + (disagreement - 1.0) * evenness
-    mean = probability @ each
-    error[at.angles] = mean
-    variance[at.angles] = probability @ (own + (each - mean) ** 2) + (mean - each[0]) ** 2
-    carried = (probability @ weight.reshape(len(weight), -1)).reshape(at.used.shape).tolist()
+    mean, around, carried = _means(V, values, at.used, probability)
+    error[at.angles], variance[at.angles] = mean, around
     shares = {
         AXES[k]: dict(zip(own, part, strict=False))  # behind its names a row has unused places
-        for k, own, part in zip(at.angles.tolist(), at.names, carried, strict=True)
+        for k, own, part in zip(at.angles.tolist(), at.names, carried.tolist(), strict=True)
     }
     return Fused(error, variance, shares)
+
+
+def _eliminated(V: Array, columns: Array) -> Array:
+    """Covariances (..., n, n), and columns (..., n, k) behind them, eliminated below the diagonal.
+
+    Without a search for pivots, which symmetric positive definite matrices do not need.
+    """
+    both = np.concatenate([V, columns], axis=-1)
+    for k in range(V.shape[-1] - 1):
+        below, row = both[..., k + 1 :, k:], both[..., k, None, k:]
+        below -= below[..., :1] / row[..., :1] * row
+    return both
+
+
+def _substituted(eliminated: Array) -> Array:
+    """The solution (..., n) of what was eliminated with one column (..., n, n + 1)."""
+    n = eliminated.shape[-2]
+    out = np.empty(eliminated.shape[:-1])
+    for i in range(n - 1, -1, -1):
+        sum_ = eliminated[..., i, n].copy()
+        for j in range(i + 1, n):
+            sum_ -= eliminated[..., i, j] * out[..., j]
+        out[..., i] = sum_ / eliminated[..., i, i]
+    return out
+
+
+def _in_order(terms: Array) -> Array:
+    """Sums over the last dimension from left to right; numpy takes longer ones in pairs."""
+    total: Array = terms[..., 0].copy()
+    for k in range(1, terms.shape[-1]):
+        total += terms[..., k]
+    return total
+
+
+def _free_of_angles(V: Array, X: Array, y: Array) -> tuple[Array, Array, Array]:
+    """Of covariances (S, n, n): left' V^-1 left (S,) of values y (n,) of which angles X (n, A) are
+    free; the pivots (S, n), whose product is the determinant; and those of the angles' information.
+    """
+    scales, n, angles = len(V), len(y), X.shape[1]
+    if compiled.kernels is not None:
+        squares, pivots, of_angles = (
+            np.empty(scales),
+            np.empty((scales, n)),
+            np.empty((scales, angles)),
+        )
+        flags = compiled.kernels.free_of_angles(V, X, y, squares, pivots, of_angles)
+        if flags:
+            compiled.note(flags)
+        return squares, pivots, of_angles
+    columns = np.broadcast_to(np.concatenate([X, y[:, None]], axis=1), (scales, n, angles + 1))
+    both = _eliminated(V, columns)
+    pivots = both.diagonal(axis1=1, axis2=2).copy()
+    shown = both[:, :, n:].transpose(0, 2, 1)  # (S, A + 1, n)
+    J = _in_order(shown[:, :angles, None] * shown[:, None] / pivots[:, None, None])
+    information = _eliminated(J[:, :, :angles], J[:, :, angles:])
+    found = _substituted(information)
+    left = shown[:, angles].copy()
+    for k in range(angles):
+        left -= shown[:, k] * found[:, k, None]
+    squares = _in_order(left * left / pivots)
+    return squares, pivots, information.diagonal(axis1=1, axis2=2).copy()
+
+
+def _means(V: Array, values: Array, used: Flags, probability: Array) -> tuple[Array, Array, Array]:
+    """Best means of angles (A,), their variances, and which share each source carries (A, n).
+
+    V: (scales, A, n, n); values, used: (A, n), see `_Places`; probability: (scales,).
+    """
+    if compiled.kernels is not None:
+        (mean, variance), carried = np.empty((2, len(values))), np.empty(values.shape)
+        flags = compiled.kernels.fused_means(
+            V, values, used, probability, MAX_WIDENED, mean, variance, carried
+        )
+        if flags:
+            compiled.note(flags)
+        return mean, variance, carried
+    weight = np.maximum(_substituted(_eliminated(V, np.ones((*V.shape[:-1], 1)))), 0.0) * used
+    weight /= _in_order(weight)[..., None]
+    each = _in_order(weight * values)  # (scales, A)
+    left = (values - each[:, :, None]) * used
+    n = used.sum(axis=1)
+    free = np.maximum(n - 1, 1)
+    chi2 = _in_order(left * _substituted(_eliminated(V, left[..., None])))
+    disagreement = np.minimum(np.maximum(chi2 / free, 1.0), MAX_WIDENED)
+    evenness = n / free * (1.0 - _in_order(weight * weight))
+    own = _in_order(weight * _in_order(V * weight[:, :, None]))
+    own *= 1.0 + (disagreement - 1.0) * evenness
+    mean = _in_order((probability[:, None] * each).T)
+    around = _in_order((probability[:, None] * (own + (each - mean) ** 2)).T)
+    carried = _in_order((probability[:, None, None] * weight).transpose(1, 2, 0))
+    return mean, around + (mean - each[0]) ** 2, carried
