@@ -62,8 +62,11 @@ class Kernels:
     hop_figures: Kernel
     judge_frames: Kernel
     left_over: Kernel
+    less_angle: Kernel
     pair_sums: Kernel
     push_window: Kernel
+    renew_levels: Kernel
+    renewed_gains: Kernel
     scores: Kernel
     signal_column: Kernel
     tapered: Kernel
@@ -71,6 +74,7 @@ class Kernels:
     turned_alone: Kernel
     vehicle_axes: Kernel
     vertical: Kernel
+    window_weights: Kernel
     yaw_sums: Kernel
 
     ARGUMENTS: Final = {
@@ -88,8 +92,11 @@ class Kernels:
         "hop_figures": 13 * "o",
         "judge_frames": "ooood" + 7 * "o",
         "left_over": 6 * "o",
+        "less_angle": 11 * "o",
         "pair_sums": "oooio",
         "push_window": 11 * "o" + "do",
+        "renew_levels": 8 * "o" + "dioo",
+        "renewed_gains": 7 * "o",
         "scores": 7 * "o" + "ioo",
         "signal_column": 8 * "o",
         "tapered": "oooio",
@@ -97,6 +104,7 @@ class Kernels:
         "turned_alone": 8 * "o",
         "vehicle_axes": "ooooooio",
         "vertical": 9 * "o" + "diiii" + 5 * "o",
+        "window_weights": "oooodo",
         "yaw_sums": "oooooddoo",
     }
 

@@ -23,6 +23,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from imucald.core import compiled
 from imucald.core.rotations import Matrix3, vector_from_rotation
 from imucald.mount import evidence_spectra as sp
 from imucald.mount.evidence_rows import GAINS, MAX_REGRESSORS, P_ROW, ROLL_ROW, ROWS
@@ -80,6 +81,15 @@ SLOW = slice(2, 4)
 _AXES = [row.axis for row in ROWS]
 _PRIOR = np.array([[FORCE_PRIOR]] * 4 + [[RATE_PRIOR]] * 2)
 _FLOOR = np.array([[FORCE_FLOOR]] * 4 + [[RATE_FLOOR]] * 2)
+LEAST_POWER = 1e-12
+_MOTION = PAIR[Term.DVDT, Term.DVDT], PAIR[Term.LATERAL, Term.LATERAL]
+_POWERS = np.array(
+    [_MOTION] * ROLL_ROW + [(_MOTION[1], -1)] + [(PAIR[Term.YAW_RATE, Term.YAW_RATE], -1)] * 2
+)
+"""Of each row, the products whose sum is a window's power; -1: none."""
+_LEVELS = np.array(
+    [LONE, LEAST_POWER, PER_TICK, TRUST, MEAN_SHARE, UNEVEN, UNEVEN_WINDOWS, NU_MIN, NU_MAX]
+)
 
 
 def _first_of_each(group: NDArray[np.int64]) -> NDArray[np.int64]:
@@ -262,7 +272,6 @@ class ResponseEvidence:
             self.gains = renewed_gains(P, weight)
             left = self._left_over(P)
             weight = self._weights(left)
-            self._renew_evenness(left)
             self._renew_levels(P, weight, left)
             weight = self._weights(left)
         put_scores(P, weight, self.gains, self._score, self._normal, first)
@@ -278,41 +287,65 @@ class ResponseEvidence:
         return less_angle(left, P, self.gains, angle)
 
     def _weights(self, left: Array) -> Array:
-        dof = 2.0 * BAND_WIDTH
-        nu = self.nu
+        nu, dof = self.nu, 2.0 * BAND_WIDTH
+        if compiled.kernels is not None:
+            found = np.empty_like(left)
+            flags = compiled.kernels.window_weights(
+                left, nu[:, 0, 0], self.noise, dof, 2.0 * PER_TICK, found
+            )
+            if flags:
+                compiled.note(flags)
+            return found
         out: Array = (nu + dof) / (nu * self.noise[:, None, :] + 2.0 * PER_TICK * left)
         return out
 
-    def _renew_evenness(self, left: Array) -> None:
+    def _renew_levels(self, P: Array, weight: Array, left: Array) -> None:
+        """Noise per tick, band and axis, and degrees of freedom, of windows and their weights."""
+        if compiled.kernels is None:
+            self.nu, self.noise = self._evenness(left), self._levels(P, weight, left)
+            return
+        noise, nu = self.noise.copy(), np.empty(len(ROWS))
+        flags = compiled.kernels.renew_levels(
+            P, weight, left, _POWERS, BAND_WIDTH, _PRIOR[:, 0], _FLOOR[:, 0], _LEVELS,
+            float(self._n), P_ROW, noise, nu,
+        )  # fmt: skip
+        if flags:
+            compiled.note(flags)
+        self.nu, self.noise = nu[:, None, None], noise
+
+    @staticmethod
+    def _evenness(left: Array) -> Array:
         """Degrees of freedom from the kurtosis of what is left: few where roads are uneven.
 
         For Student's t it is (nu - 2) / (nu - 4) times that of chi^2, which gives 4 + 2 / excess;
         lower by `NU_MIN` instead of 4 is what served best in simulated drives.
         """
-        size = left / np.maximum(left.mean(axis=1), 1e-12)[:, None, :]
-        kurtosis = (size * size).mean(axis=1) / (1.0 + 1.0 / BAND_WIDTH)
-        mean = kurtosis @ (BAND_WIDTH / BAND_WIDTH.sum())
         n = left.shape[1]
+        size = left / np.maximum(left.sum(axis=1) / n, LEAST_POWER)[:, None, :]
+        kurtosis = (size * size).sum(axis=1) / n / (1.0 + 1.0 / BAND_WIDTH)
+        mean = (kurtosis * (BAND_WIDTH / BAND_WIDTH.sum())).sum(axis=1)
         excess = (n * mean + UNEVEN_WINDOWS * UNEVEN) / (n + UNEVEN_WINDOWS) - 1.0
         nu = NU_MIN + 2.0 / np.maximum(excess, 0.05)
-        self.nu = np.minimum(nu, NU_MAX)[:, None, None]
+        return np.asarray(np.minimum(nu, NU_MAX)[:, None, None])
 
-    def _renew_levels(self, P: Array, weight: Array, left: Array) -> None:
+    def _levels(self, P: Array, weight: Array, left: Array) -> Array:
         """Noise per tick, band and axis, of windows weighted by what they show."""
-        power = np.empty_like(left)
-        power[:ROLL_ROW] = P[PAIR[Term.DVDT, Term.DVDT]] + P[PAIR[Term.LATERAL, Term.LATERAL]]
-        power[ROLL_ROW] = P[PAIR[Term.LATERAL, Term.LATERAL]]
-        power[P_ROW:] = P[PAIR[Term.YAW_RATE, Term.YAW_RATE]]
+        n = left.shape[1]
+        power = P[_POWERS[:, 0]]
+        power[:ROLL_ROW] += P[_POWERS[:ROLL_ROW, 1]]
         even = left * (weight * self.noise[:, None, :])
-        total = np.maximum(power.sum(axis=1), 1e-12)
+        total = np.maximum(power.sum(axis=1), LEAST_POWER)
         weighted = (power * even).sum(axis=1) / total
-        windows = total * total / np.maximum((power * power).sum(axis=1), 1e-24)
-        level = (windows * weighted + LONE * even.mean(axis=1)) / (windows + LONE)
+        square = np.maximum((power * power).sum(axis=1), LEAST_POWER * LEAST_POWER)
+        windows = total * total / square
+        level = (windows * weighted + LONE * (even.sum(axis=1) / n)) / (windows + LONE)
         fresh = PER_TICK * level / BAND_WIDTH
-        trust = 1.0 - (TRUST / (self._n + TRUST)) ** 2
-        self.noise = np.maximum(trust * fresh + (1.0 - trust) * _PRIOR, _FLOOR)
-        force = self.noise[:P_ROW]
+        part = TRUST / (self._n + TRUST)
+        trust = 1.0 - part * part
+        noise: Array = np.maximum(trust * fresh + (1.0 - trust) * _PRIOR, _FLOOR)
+        force = noise[:P_ROW]
         np.maximum(force[:, 0], MEAN_SHARE * force[:, 1], out=force[:, 0])
+        return noise
 
     def _sources(self) -> dict[str, AngleEvidence]:
         group = self._block_number[: self._n] // GROUP

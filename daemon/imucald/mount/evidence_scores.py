@@ -128,16 +128,27 @@ _ANGLE = [
 ]
 _ANGLE_PAIR = np.array([pair for _, pair, _ in _ANGLE])
 _ANGLE_SIGN = np.array([1 + gain for *_, gain in _ANGLE])
-_ANGLE_START = np.searchsorted([row for row, _, _ in _ANGLE], np.arange(len(ROWS)))
+_ANGLE_ENDS = np.searchsorted([row for row, _, _ in _ANGLE], np.arange(len(ROWS) + 1))
+_ANGLE_START = _ANGLE_ENDS[:-1]
 _ANGLE_POWER = np.array([PAIR[spec.regressors[0], spec.regressors[0]] for spec in ROWS])
 _ANGLE_AXIS = np.array([spec.axis for spec in ROWS])
 
 
 def less_angle(left: Array, P: Array, gains: Array, angle: Array) -> Array:
     """What is left over (6, n, BANDS) once each window's own angle (n, 3) [rad] is taken off."""
+    factor = factors(gains)[:, 0]
+    if compiled.kernels is not None:
+        found = np.empty_like(left)
+        flags = compiled.kernels.less_angle(
+            left, P, gains, _ANGLE_PAIR, _ANGLE_SIGN, _ANGLE_ENDS, _ANGLE_POWER, _ANGLE_AXIS,
+            factor, angle, found,
+        )  # fmt: skip
+        if flags:
+            compiled.note(flags)
+        return found
     sign = np.concatenate([_ONE, -gains])[_ANGLE_SIGN]
     target = np.add.reduceat(P[_ANGLE_PAIR] * sign[:, None, :], _ANGLE_START, axis=0)
-    answer = factors(gains)[:, 0][:, None, :] * angle.T[_ANGLE_AXIS][:, :, None]
+    answer = factor[:, None, :] * angle.T[_ANGLE_AXIS][:, :, None]
     out: Array = np.maximum(left + answer * (answer * P[_ANGLE_POWER] - 2.0 * target), 0.0)
     return out
 
@@ -147,10 +158,19 @@ _GAIN_POWER = np.array([PAIR[signal, signal] for _, _, signal, *_ in GAINS])
 _GAIN_CROSS = np.array([PAIR[target, signal] for _, target, signal, *_ in GAINS])
 _EXPECTED, _LOW, _HIGH = (np.array([[gain[k]] for gain in GAINS]) for k in (3, 4, 5))
 _SCALE = np.where(_GAIN_ROW < P_ROW, 4.0, 400.0)[:, None]
+_GAIN_NUMBERS = np.concatenate([_SCALE, _EXPECTED, _LOW, _HIGH], axis=1)
 
 
 def renewed_gains(P: Array, weight: Array) -> Array:
     """Gains per band (gains, BANDS): free, as squat, body roll and noise in dv/dt change them."""
+    if compiled.kernels is not None:
+        found = np.empty((len(GAINS), BANDS))
+        flags = compiled.kernels.renewed_gains(
+            P, weight, _GAIN_ROW, _GAIN_POWER, _GAIN_CROSS, _GAIN_NUMBERS, found
+        )
+        if flags:
+            compiled.note(flags)
+        return found
     w = weight[_GAIN_ROW]
     power = (w * P[_GAIN_POWER]).sum(axis=1) + _SCALE
     cross = (w * P[_GAIN_CROSS]).sum(axis=1) + _SCALE * _EXPECTED

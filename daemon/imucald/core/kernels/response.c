@@ -270,3 +270,198 @@ KERNEL long scores(PyObject *P_, PyObject *weight_, PyObject *used_, PyObject *g
     }
     return leave(&a, raised());
 }
+
+/* What is left over once each window's own angle is taken off, as `evidence_scores.less_angle` has it.
+
+   left: (ROWS, n, BANDS). pair, sign: (terms,) of the target, sign 0 one, k a gain taken off; starts:
+   (ROWS + 1,) by row. power, axis: (ROWS,) of the angle. factor: (ROWS, BANDS). angle: (n, 3). */
+KERNEL long less_angle(PyObject *left_, PyObject *P_, PyObject *gains_, PyObject *pair_,
+                       PyObject *sign_, PyObject *starts_, PyObject *power_, PyObject *axis_,
+                       PyObject *factor_, PyObject *angle_, PyObject *out_)
+{
+    Arrays a = {0};
+    const double *left = doubles(&a, left_, SHAPE(ROWS, ANY, BANDS));
+    Size n = length_of(&a, 1);
+    const double *P = doubles(&a, P_, SHAPE(ANY, n, BANDS));
+    Size pairs = length_of(&a, 0);
+    const double *gains = doubles(&a, gains_, SHAPE(GAINS, BANDS));
+    const int64_t *pair = take(&a, pair_, 'q', SHAPE(ANY));
+    Size terms = length_of(&a, 0);
+    const int64_t *sign = take(&a, sign_, 'q', SHAPE(terms));
+    const int64_t *starts = take(&a, starts_, 'q', SHAPE(ROWS + 1));
+    const int64_t *power = take(&a, power_, 'q', SHAPE(ROWS));
+    const int64_t *axis = take(&a, axis_, 'q', SHAPE(ROWS));
+    const double *factor = doubles(&a, factor_, SHAPE(ROWS, BANDS));
+    const double *angle = doubles(&a, angle_, SHAPE(n, 3));
+    double *out = take_out(&a, out_, 'd', SHAPE(ROWS, n, BANDS));
+    if (a.failed)
+        return leave(&a, -1);
+    int fits = starts[0] >= 0 && starts[ROWS] <= terms;
+    for (Size row = 0; row < ROWS; row++)
+        fits = fits && starts[row] < starts[row + 1] && power[row] >= 0 && power[row] < pairs &&
+               axis[row] >= 0 && axis[row] < 3;
+    for (Size k = 0; k < terms; k++)
+        fits = fits && pair[k] >= 0 && pair[k] < pairs && sign[k] >= 0 && sign[k] <= GAINS;
+    if (!fits)
+        return leave(&a, refuse(&a, "terms beyond the products"));
+    begin();
+    for (Size row = 0; row < ROWS; row++)
+        for (Size w = 0; w < n; w++)
+            for (Size band = 0; band < BANDS; band++) {
+                double first = 0.0, others = 0.0;
+                for (int64_t k = starts[row]; k < starts[row + 1]; k++) {
+                    double term = P[(pair[k] * n + w) * BANDS + band];
+                    term *= sign[k] ? -gains[(sign[k] - 1) * BANDS + band] : 1.0;
+                    if (k == starts[row])
+                        first = term;
+                    else
+                        others += term;
+                }
+                double answer = factor[row * BANDS + band] * angle[3 * w + axis[row]];
+                double own = answer * P[(power[row] * n + w) * BANDS + band] - 2.0 * (first + others);
+                Size at = (row * n + w) * BANDS + band;
+                out[at] = larger(left[at] + answer * own, 0.0);
+            }
+    return leave(&a, raised());
+}
+
+/* What windows count for, as `evidence_response._weights` has it. nu: (ROWS,); noise: (ROWS, BANDS). */
+KERNEL long window_weights(PyObject *left_, PyObject *nu_, PyObject *noise_, PyObject *dof_,
+                           double times, PyObject *out_)
+{
+    Arrays a = {0};
+    const double *left = doubles(&a, left_, SHAPE(ROWS, ANY, BANDS));
+    Size n = length_of(&a, 1);
+    const double *nu = doubles(&a, nu_, SHAPE(ROWS));
+    const double *noise = doubles(&a, noise_, SHAPE(ROWS, BANDS));
+    const double *dof = doubles(&a, dof_, SHAPE(BANDS));
+    double *out = take_out(&a, out_, 'd', SHAPE(ROWS, n, BANDS));
+    if (a.failed)
+        return leave(&a, -1);
+    begin();
+    for (Size row = 0; row < ROWS; row++)
+        for (Size w = 0; w < n; w++)
+            for (Size band = 0; band < BANDS; band++) {
+                Size at = (row * n + w) * BANDS + band;
+                out[at] = (nu[row] + dof[band]) /
+                          (nu[row] * noise[row * BANDS + band] + times * left[at]);
+            }
+    return leave(&a, raised());
+}
+
+enum Levels { LONE, LEAST_POWER, PER_TICK, TRUST, MEAN_SHARE, UNEVEN, UNEVEN_WINDOWS, NU_MIN, NU_MAX,
+              LEVELS };
+
+/* Gains per band, as `evidence_scores.renewed_gains` has them. row, power, cross: (GAINS,) of the
+   weights and the products; numbers: (GAINS, 4) scale, expected, least, most. */
+KERNEL long renewed_gains(PyObject *P_, PyObject *weight_, PyObject *row_, PyObject *power_,
+                          PyObject *cross_, PyObject *numbers_, PyObject *out_)
+{
+    Arrays a = {0};
+    const double *P = doubles(&a, P_, SHAPE(ANY, ANY, BANDS));
+    Size pairs = length_of(&a, 0), n = length_of(&a, 1);
+    const double *weight = doubles(&a, weight_, SHAPE(ROWS, n, BANDS));
+    const int64_t *row = take(&a, row_, 'q', SHAPE(GAINS));
+    const int64_t *power = take(&a, power_, 'q', SHAPE(GAINS));
+    const int64_t *cross = take(&a, cross_, 'q', SHAPE(GAINS));
+    const double *number = doubles(&a, numbers_, SHAPE(GAINS, 4));
+    double *out = take_out(&a, out_, 'd', SHAPE(GAINS, BANDS));
+    if (a.failed)
+        return leave(&a, -1);
+    int fits = 1;
+    for (Size k = 0; k < GAINS; k++)
+        fits = fits && row[k] >= 0 && row[k] < ROWS && power[k] >= 0 && power[k] < pairs &&
+               cross[k] >= 0 && cross[k] < pairs;
+    if (!fits)
+        return leave(&a, refuse(&a, "gains beyond the products"));
+    begin();
+    for (Size k = 0; k < GAINS; k++)
+        for (Size band = 0; band < BANDS; band++) {
+            double of_power = 0.0, of_cross = 0.0;
+            for (Size w = 0; w < n; w++) {
+                double own = weight[(row[k] * n + w) * BANDS + band];
+                of_power += own * P[(power[k] * n + w) * BANDS + band];
+                of_cross += own * P[(cross[k] * n + w) * BANDS + band];
+            }
+            of_power += number[4 * k];
+            of_cross += number[4 * k] * number[4 * k + 1];
+            double gain = larger(of_cross / of_power, number[4 * k + 2]);
+            out[k * BANDS + band] = isless(number[4 * k + 3], gain) ? number[4 * k + 3] : gain;
+        }
+    return leave(&a, raised());
+}
+
+/* Noise levels and evenness of windows, as `evidence_response` renews them.
+
+   powers: (ROWS, 2) products whose sum is a window's power, -1 for none. width: (BANDS,) bins. prior,
+   floor: (ROWS,). windows: that are kept. noise: (ROWS, BANDS) as it was, and then as it is; nu:
+   (ROWS,). */
+KERNEL long renew_levels(PyObject *P_, PyObject *weight_, PyObject *left_, PyObject *powers_,
+                         PyObject *width_, PyObject *prior_, PyObject *floor_, PyObject *numbers_,
+                         double windows, long forces, PyObject *noise_, PyObject *nu_)
+{
+    Arrays a = {0};
+    const double *P = doubles(&a, P_, SHAPE(ANY, ANY, BANDS));
+    Size pairs = length_of(&a, 0), n = length_of(&a, 1);
+    const double *weight = doubles(&a, weight_, SHAPE(ROWS, n, BANDS));
+    const double *left = doubles(&a, left_, SHAPE(ROWS, n, BANDS));
+    const int64_t *powers = take(&a, powers_, 'q', SHAPE(ROWS, 2));
+    const double *width = doubles(&a, width_, SHAPE(BANDS));
+    const double *prior = doubles(&a, prior_, SHAPE(ROWS));
+    const double *floors = doubles(&a, floor_, SHAPE(ROWS));
+    const double *number = doubles(&a, numbers_, SHAPE(LEVELS));
+    double *noise = take_out(&a, noise_, 'd', SHAPE(ROWS, BANDS));
+    double *nu = take_out(&a, nu_, 'd', SHAPE(ROWS));
+    if (a.failed)
+        return leave(&a, -1);
+    int fits = n >= 1 && forces >= 0 && forces <= ROWS;
+    for (Size k = 0; k < ROWS; k++)
+        fits = fits && powers[2 * k] >= 0 && powers[2 * k] < pairs && powers[2 * k + 1] >= -1 &&
+               powers[2 * k + 1] < pairs;
+    if (!fits)
+        return leave(&a, refuse(&a, "levels beyond the products"));
+    begin();
+    double count = (double)n, all = sum_of(width, BANDS, 1);
+    double trust = number[TRUST] / (windows + number[TRUST]);
+    trust = 1.0 - trust * trust;
+    for (Size row = 0; row < ROWS; row++) {
+        double kurtosis[BANDS];
+        for (Size band = 0; band < BANDS; band++) {
+            double total = 0.0, square = 0.0, weighted = 0.0, even = 0.0, mean = 0.0, fourth = 0.0;
+            double was = noise[row * BANDS + band];
+            for (Size w = 0; w < n; w++)
+                mean += left[(row * n + w) * BANDS + band];
+            mean = larger(mean / count, number[LEAST_POWER]);
+            for (Size w = 0; w < n; w++) {
+                Size at = (row * n + w) * BANDS + band;
+                double power = P[(powers[2 * row] * n + w) * BANDS + band];
+                if (powers[2 * row + 1] >= 0)
+                    power += P[(powers[2 * row + 1] * n + w) * BANDS + band];
+                double own = left[at] * (weight[at] * was), size = left[at] / mean;
+                fourth += size * size;
+                total += power;
+                square += power * power;
+                weighted += power * own;
+                even += own;
+            }
+            kurtosis[band] = fourth / count / (1.0 + 1.0 / width[band]) * (width[band] / all);
+            total = larger(total, number[LEAST_POWER]);
+            double shown = total * total / larger(square, number[LEAST_POWER] * number[LEAST_POWER]);
+            double level = (shown * (weighted / total) + number[LONE] * (even / count)) /
+                           (shown + number[LONE]);
+            double fresh = number[PER_TICK] * level / width[band];
+            noise[row * BANDS + band] =
+                larger(trust * fresh + (1.0 - trust) * prior[row], floors[row]);
+        }
+        if (row < forces) {
+            double *own = noise + row * BANDS;
+            own[0] = larger(own[0], number[MEAN_SHARE] * own[1]);
+        }
+        double excess = (count * sum_of(kurtosis, BANDS, 1) +
+                         number[UNEVEN_WINDOWS] * number[UNEVEN]) /
+                            (count + number[UNEVEN_WINDOWS]) - 1.0;
+        double free = number[NU_MIN] + 2.0 / larger(excess, 0.05);
+        nu[row] = isless(number[NU_MAX], free) ? number[NU_MAX] : free;
+    }
+    return leave(&a, raised());
+}
