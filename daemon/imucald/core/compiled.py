@@ -69,6 +69,7 @@ class Kernels:
     renewed_gains: Kernel
     scores: Kernel
     signal_column: Kernel
+    span_changes: Kernel
     tapered: Kernel
     tick_sums: Kernel
     turned_alone: Kernel
@@ -99,6 +100,7 @@ class Kernels:
         "renewed_gains": 7 * "o",
         "scores": 7 * "o" + "ioo",
         "signal_column": 8 * "o",
+        "span_changes": 8 * "o",
         "tapered": "oooio",
         "tick_sums": "oooido",
         "turned_alone": 8 * "o",

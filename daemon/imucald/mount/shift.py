@@ -24,7 +24,8 @@ import numpy as np
 from msgspec import Struct
 from numpy.typing import NDArray
 
-from imucald.mount.evidence_rows import SAME_NOISE
+from imucald.core import compiled
+from imucald.mount.evidence_rows import MAX_REGRESSORS, SAME_NOISE
 from imucald.mount.score_series import AngleFit, ScoreSeries
 
 Array = NDArray[np.float64]
@@ -75,6 +76,8 @@ MIN_KNOWN = 1e-6
 PRIOR_SEGMENTS, PRIOR_SPREAD, MIN_SPREAD = 6.0, 1.0, 0.8
 """The spread before is taken as the model's with that weight, and as no less than that share."""
 YAW = 2
+LEAST = 1e-12
+"""No sum that others are divided by is smaller."""
 NO_STEPS: Array = np.zeros((len(SPANS), 2, 2))
 """No step in gravity; see `largest_change`."""
 
@@ -245,36 +248,58 @@ def _changes_of(fits: list[AngleFit], spans: NDArray[np.int64]) -> tuple[Array, 
     nuisance that only they show. Where a source has fewer regressors than another, the rest are 0.
     """
     left = np.array([fit.left for fit in fits])  # (K, G)
-    most = max(fit.rows.shape[1] for fit in fits)
+    most = MAX_REGRESSORS
     rows, inverse = np.zeros((*left.shape, most)), np.zeros((len(fits), most, most))
     for k, fit in enumerate(fits):
         own = slice(fit.rows.shape[1])
         rows[k, :, own], inverse[k, own, own] = fit.rows, fit.inverse
+    spans = np.minimum(spans, left.shape[1] - 1)
+    if compiled.kernels is not None:
+        sizes, informations = np.empty((2, len(fits), len(spans)))
+        scratch = np.empty((4, left.shape[1]))
+        flags = compiled.kernels.span_changes(
+            left, rows, inverse, spans, _NUMBERS, scratch, sizes, informations
+        )
+        if flags:
+            compiled.note(flags)
+        return sizes, informations
     n = rows[:, :, 0]
-    spans = np.minimum(spans, n.shape[1] - 1)
     longest = int(spans.max())
     new, backwards = slice(-longest, None), slice(-1, -longest - 1, -1)
     old = (np.arange(n.shape[1]) < (n.shape[1] - spans)[:, None]).astype(np.float64)  # (S, G)
     w = np.cumsum(rows[:, backwards], axis=1)[:, spans - 1]
-    turned = w @ inverse
+    turned = _applied(w[:, :, None], inverse[:, None].swapaxes(2, 3))
     known = w[:, :, 0] - (turned * w).sum(axis=2)
     use = known > MIN_KNOWN * n.sum(axis=1)[:, None]
     known = np.where(use, known, 0.0)
     size = np.cumsum(left[:, backwards], axis=1)[:, spans - 1] / np.where(use, known, 1.0) * use
     # against the fit to the old ones
-    alone = left[:, None] + size[:, :, None] * (turned @ rows.transpose(0, 2, 1))
-    expected = np.maximum(n - ((rows @ inverse) * rows).sum(axis=2), 0.0)
-    ratio = (old * alone * alone).sum(axis=2) / np.maximum(_sums(old, expected), 1e-12)
-    segments = _sums(old, n) ** 2 / np.maximum(_sums(old, n * n), 1e-12)
+    fitted = _applied(rows[:, :, None], inverse[:, None].swapaxes(2, 3))
+    alone = left[:, None] + size[:, :, None] * _applied(turned[:, :, None], rows[:, None])
+    expected = np.maximum(n - (fitted * rows).sum(axis=2), 0.0)
+    ratio = (old * alone * alone).sum(axis=2) / np.maximum(_sums(old, expected), LEAST)
+    segments = _sums(old, n)
+    segments = segments * segments / np.maximum(_sums(old, n * n), LEAST)
     scale = (PRIOR_SEGMENTS * PRIOR_SPREAD + segments * np.maximum(ratio, MIN_SPREAD)) / (
         PRIOR_SEGMENTS + segments
     )
     limit = CLIP * np.sqrt(scale[:, :, None] * n[:, None, new])
     clipped = np.minimum(np.maximum(alone[:, :, new], -limit), limit)
     clipped = ((1.0 - old[:, new]) * clipped).sum(axis=2)
-    return clipped / np.maximum(w[:, :, 0], 1e-12) * use, known / scale
+    return clipped / np.maximum(w[:, :, 0], LEAST) * use, known / scale
+
+
+_NUMBERS = np.array([MIN_KNOWN, CLIP, PRIOR_SEGMENTS, PRIOR_SPREAD, MIN_SPREAD, LEAST])
+
+
+def _applied(rows: Array, columns: Array) -> Array:
+    """Rows (..., regressors) times columns (..., regressors), summed from left to right."""
+    found: Array = rows[..., 0] * columns[..., 0]
+    for k in range(1, MAX_REGRESSORS):
+        found += rows[..., k] * columns[..., k]
+    return found
 
 
 def _sums(old: Array, of: Array) -> Array:
     """Sums (K, S) of figures (K, G) over the old segments of each span (S, G)."""
-    return np.asarray((old @ of[:, :, None])[:, :, 0])
+    return np.asarray((old * of[:, None]).sum(axis=2))

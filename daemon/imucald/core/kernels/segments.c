@@ -71,3 +71,100 @@ KERNEL long fit_segments(PyObject *score_, PyObject *normal_, PyObject *use_, Py
     }
     return leave(&a, raised());
 }
+
+enum Change { MIN_KNOWN, CLIP, PRIOR_SEGMENTS, PRIOR_SPREAD, MIN_SPREAD, LEAST, CHANGE };
+enum { SCRATCH = 4 };
+
+/* Changes of sources over their last spans, as `shift._changes_of` has them.
+
+   left: (sources, G), rows: (sources, G, K), inverse: (sources, K, K); spans: (S,), none longer than
+   G - 1. scratch: (SCRATCH, G) room. size, known: (sources, S). */
+KERNEL long span_changes(PyObject *left_, PyObject *rows_, PyObject *inverse_, PyObject *spans_,
+                         PyObject *numbers_, PyObject *scratch_, PyObject *size_, PyObject *known_)
+{
+    Arrays a = {0};
+    const double *left = doubles(&a, left_, SHAPE(ANY, ANY));
+    Size sources = length_of(&a, 0), n = length_of(&a, 1);
+    const double *rows = doubles(&a, rows_, SHAPE(sources, n, K));
+    const double *inverse = doubles(&a, inverse_, SHAPE(sources, K, K));
+    const int64_t *spans = take(&a, spans_, 'q', SHAPE(ANY));
+    Size count = length_of(&a, 0);
+    const double *number = doubles(&a, numbers_, SHAPE(CHANGE));
+    double *scratch = doubles_out(&a, scratch_, SHAPE(SCRATCH, n));
+    double *size = doubles_out(&a, size_, SHAPE(sources, count));
+    double *known = doubles_out(&a, known_, SHAPE(sources, count));
+    if (a.failed)
+        return leave(&a, -1);
+    Size longest = 0;
+    int fits = 1;
+    for (Size s = 0; s < count; s++) {
+        fits = fits && spans[s] >= 1 && spans[s] < n;
+        longest = spans[s] > longest ? (Size)spans[s] : longest;
+    }
+    if (!fits)
+        return leave(&a, refuse(&a, "spans beyond the segments"));
+    begin();
+    double *alone = scratch, *expected = scratch + n, *square = scratch + 2 * n, *term = scratch + 3 * n;
+    for (Size k = 0; k < sources; k++) {
+        const double *u = left + k * n, *row = rows + k * n * K, *P = inverse + k * K * K;
+        double all = sum_of(row, n, K);
+        for (Size g = 0; g < n; g++) {
+            const double *x = row + g * K;
+            double fitted = 0.0;
+            for (int j = 0; j < K; j++)
+                fitted += (x[0] * P[j] + x[1] * P[K + j] + x[2] * P[2 * K + j] + x[3] * P[3 * K + j]) *
+                          x[j];
+            expected[g] = larger(x[0] - fitted, 0.0);
+            square[g] = x[0] * x[0];
+        }
+        for (Size s = 0; s < count; s++) {
+            Size span = (Size)spans[s], old = n - span, at = k * count + s;
+            double w[K] = {0}, change = 0.0, turned[K], own = 0.0;
+            for (Size g = n - 1; g >= old; g--) {
+                for (int j = 0; j < K; j++)
+                    w[j] += row[g * K + j];
+                change += u[g];
+            }
+            for (int j = 0; j < K; j++)
+                turned[j] = w[0] * P[j] + w[1] * P[K + j] + w[2] * P[2 * K + j] + w[3] * P[3 * K + j];
+            for (int j = 0; j < K; j++)
+                own += turned[j] * w[j];
+            own = w[0] - own;
+            int use = isgreater(own, number[MIN_KNOWN] * all);
+            own = use ? own : 0.0;
+            double moved = change / (use ? own : 1.0) * (use ? 1.0 : 0.0);
+            for (Size g = 0; g < n; g++) {
+                const double *x = row + g * K;
+                alone[g] = u[g] + moved * (turned[0] * x[0] + turned[1] * x[1] + turned[2] * x[2] +
+                                           turned[3] * x[3]);
+            }
+            /* sums over the old segments, the others as zeros among them */
+            double sums[4];
+            for (int i = 0; i < 4; i++) {
+                for (Size g = 0; g < n; g++) {
+                    double one = g < old ? 1.0 : 0.0;
+                    term[g] = i == 0   ? one * alone[g] * alone[g]
+                              : i == 1 ? one * expected[g]
+                              : i == 2 ? one * row[g * K]
+                                       : one * square[g];
+                }
+                sums[i] = sum_of(term, n, 1);
+            }
+            double ratio = sums[0] / larger(sums[1], number[LEAST]);
+            double segments = sums[2] * sums[2] / larger(sums[3], number[LEAST]);
+            double scale = (number[PRIOR_SEGMENTS] * number[PRIOR_SPREAD] +
+                            segments * larger(ratio, number[MIN_SPREAD])) /
+                           (number[PRIOR_SEGMENTS] + segments);
+            for (Size g = n - longest; g < n; g++) {
+                double limit = number[CLIP] * sqrt(scale * row[g * K]);
+                double held = larger(alone[g], -limit);
+                held = isless(limit, held) ? limit : held;
+                term[g] = (g < old ? 0.0 : 1.0) * held;
+            }
+            double held = sum_of(term + n - longest, longest, 1);
+            size[at] = held / larger(w[0], number[LEAST]) * (use ? 1.0 : 0.0);
+            known[at] = own / scale;
+        }
+    }
+    return leave(&a, raised());
+}
