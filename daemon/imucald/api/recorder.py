@@ -19,6 +19,7 @@ from imucald.api.columns import (
     corrected_columns,
     raw_columns,
 )
+from imucald.core import compiled
 from imucald.core.angles import DEG_PER_RAD
 from imucald.motion.ticks import TICK_RATE
 from imucald.mount.estimate import MountEstimate
@@ -40,8 +41,8 @@ _UPPER = (0, 1, 2, 4, 5, 8)
 
 Array = NDArray[np.float64]
 
-_Part = tuple[Array, Array, list[NDArray[Any]]]
-"""Samples of a segment: stream times, stamps, and the values of some columns."""
+_Part = tuple[Array, NDArray[np.int64], list[NDArray[Any]]]
+"""Samples of a segment: stream times, times of day [us], and the values of some columns."""
 
 
 class Recorder:
@@ -93,13 +94,16 @@ class Recorder:
         self._last_stamp = float(np.max(stamps))
         if not self._signals:
             return
+        times = microseconds(stamps)
         for channel, one in found.corrected().items():
-            self._put(channel, one.t, stamps[one.row], [one.values, one.quality])
+            self._put(channel, one.t, times[one.row], [one.values, one.quality])
         for channel, series in found.as_sensed.items():
-            self._put(f"{RAW}{channel}", series.t, stamps[series.row], [series.values])
+            self._put(f"{RAW}{channel}", series.t, times[series.row], [series.values])
 
-    def _put(self, name: str, t: Array, stamps: Array, values: list[NDArray[Any]]) -> None:
-        self._parts.setdefault(name, []).append((t, stamps, values))
+    def _put(
+        self, name: str, t: Array, times: NDArray[np.int64], values: list[NDArray[Any]]
+    ) -> None:
+        self._parts.setdefault(name, []).append((t, times, values))
         self.rows += len(t)
 
     def _take_changes(self, snapshot: Snapshot) -> None:
@@ -200,17 +204,21 @@ def _sensor_faults(engine: Engine) -> list[tuple[float, str, str]]:
 
 def _table(columns: tuple[TableColumn, ...], lead: float, parts: list[_Part]) -> Columns:
     """A table of samples, each column in one allocation."""
-    times, stamps, values = zip(*parts, strict=True)
-    t = np.concatenate(times)
+    stream, times, values = zip(*parts, strict=True)
+    t = np.concatenate(stream)
     t += lead
     measured, *others = zip(*values, strict=True)
     by_axis = np.concatenate([np.atleast_2d(part.T) for part in measured], axis=1)
     more = [np.concatenate(one) for one in others]
-    return columns_from(columns, [t, microseconds(np.concatenate(stamps)), *by_axis, *more])
+    return columns_from(columns, [t, np.concatenate(times), *by_axis, *more])
 
 
 def microseconds(stamps: Array) -> NDArray[np.int64]:
     """Stamps [s] as whole microseconds."""
+    if compiled.kernels is not None:
+        found = np.empty(stamps.shape, np.int64)
+        if compiled.kernels.microseconds(stamps, found) == 0:
+            return found
     exact = stamps * 1e6
     np.rint(exact, out=exact)
     return np.clip(exact, -LATEST_US, LATEST_US, out=exact).astype(np.int64)

@@ -63,6 +63,7 @@ class Kernels:
     judge_frames: Kernel
     left_over: Kernel
     less_angle: Kernel
+    microseconds: Kernel
     pair_sums: Kernel
     push_window: Kernel
     renew_levels: Kernel
@@ -72,6 +73,7 @@ class Kernels:
     span_changes: Kernel
     tapered: Kernel
     tick_sums: Kernel
+    turn_samples: Kernel
     turned_alone: Kernel
     vehicle_axes: Kernel
     vertical: Kernel
@@ -94,6 +96,7 @@ class Kernels:
         "judge_frames": "ooood" + 7 * "o",
         "left_over": 6 * "o",
         "less_angle": 11 * "o",
+        "microseconds": "oo",
         "pair_sums": "oooio",
         "push_window": 11 * "o" + "do",
         "renew_levels": 8 * "o" + "dioo",
@@ -103,6 +106,7 @@ class Kernels:
         "span_changes": 8 * "o",
         "tapered": "oooio",
         "tick_sums": "oooido",
+        "turn_samples": 5 * "o",
         "turned_alone": 8 * "o",
         "vehicle_axes": "ooooooio",
         "vertical": 9 * "o" + "diiii" + 5 * "o",

@@ -10,6 +10,7 @@ from msgspec import Struct
 from numpy.typing import NDArray
 
 from imucald.core import compiled
+from imucald.core.in_order import summed_in_order
 from imucald.mount.road_segments import AngleEvidence
 
 Array = NDArray[np.float64]
@@ -240,14 +241,6 @@ def _substituted(eliminated: Array) -> Array:
     return out
 
 
-def _in_order(terms: Array) -> Array:
-    """Sums over the last dimension from left to right; numpy takes longer ones in pairs."""
-    total: Array = terms[..., 0].copy()
-    for k in range(1, terms.shape[-1]):
-        total += terms[..., k]
-    return total
-
-
 def _free_of_angles(V: Array, X: Array, y: Array) -> tuple[Array, Array, Array]:
     """Of covariances (S, n, n): left' V^-1 left (S,) of values y (n,) of which angles X (n, A) are
     free; the pivots (S, n), whose product is the determinant; and those of the angles' information.
@@ -267,13 +260,13 @@ def _free_of_angles(V: Array, X: Array, y: Array) -> tuple[Array, Array, Array]:
     both = _eliminated(V, columns)
     pivots = both.diagonal(axis1=1, axis2=2).copy()
     shown = both[:, :, n:].transpose(0, 2, 1)  # (S, A + 1, n)
-    J = _in_order(shown[:, :angles, None] * shown[:, None] / pivots[:, None, None])
+    J = summed_in_order(shown[:, :angles, None] * shown[:, None] / pivots[:, None, None])
     information = _eliminated(J[:, :, :angles], J[:, :, angles:])
     found = _substituted(information)
     left = shown[:, angles].copy()
     for k in range(angles):
         left -= shown[:, k] * found[:, k, None]
-    squares = _in_order(left * left / pivots)
+    squares = summed_in_order(left * left / pivots)
     return squares, pivots, information.diagonal(axis1=1, axis2=2).copy()
 
 
@@ -291,17 +284,17 @@ def _means(V: Array, values: Array, used: Flags, probability: Array) -> tuple[Ar
             compiled.note(flags)
         return mean, variance, carried
     weight = np.maximum(_substituted(_eliminated(V, np.ones((*V.shape[:-1], 1)))), 0.0) * used
-    weight /= _in_order(weight)[..., None]
-    each = _in_order(weight * values)  # (scales, A)
+    weight /= summed_in_order(weight)[..., None]
+    each = summed_in_order(weight * values)  # (scales, A)
     left = (values - each[:, :, None]) * used
     n = used.sum(axis=1)
     free = np.maximum(n - 1, 1)
-    chi2 = _in_order(left * _substituted(_eliminated(V, left[..., None])))
+    chi2 = summed_in_order(left * _substituted(_eliminated(V, left[..., None])))
     disagreement = np.minimum(np.maximum(chi2 / free, 1.0), MAX_WIDENED)
-    evenness = n / free * (1.0 - _in_order(weight * weight))
-    own = _in_order(weight * _in_order(V * weight[:, :, None]))
+    evenness = n / free * (1.0 - summed_in_order(weight * weight))
+    own = summed_in_order(weight * summed_in_order(V * weight[:, :, None]))
     own *= 1.0 + (disagreement - 1.0) * evenness
-    mean = _in_order((probability[:, None] * each).T)
-    around = _in_order((probability[:, None] * (own + (each - mean) ** 2)).T)
-    carried = _in_order((probability[:, None, None] * weight).transpose(1, 2, 0))
+    mean = summed_in_order((probability[:, None] * each).T)
+    around = summed_in_order((probability[:, None] * (own + (each - mean) ** 2)).T)
+    carried = summed_in_order((probability[:, None, None] * weight).transpose(1, 2, 0))
     return mean, around + (mean - each[0]) ** 2, carried

@@ -12,6 +12,7 @@ from msgspec import Struct
 from numpy.typing import NDArray
 
 from imucald.core import compiled
+from imucald.core.in_order import summed_in_order
 from imucald.mount.evidence_rows import MAX_REGRESSORS, ROWS, WITHOUT_SPEED
 from imucald.mount.score_series import AngleFit, ScoreSeries
 
@@ -123,22 +124,14 @@ def _fitted(score: Array, normal: Array, use: list[int], total: Array, inverse: 
         return _Fit(value, left, own, flow, *sums.T)
     if rows < len(ROWS):
         score, normal = score[use], normal[use]
-    value = _applied(inverse, score.sum(axis=1)[:, None])
-    rest = score - _applied(normal, value[:, None, None])
-    u = _applied(rest, inverse[:, None, 0])
+    value = summed_in_order(inverse * score.sum(axis=1)[:, None])
+    rest = score - summed_in_order(normal * value[:, None, None])
+    u = summed_in_order(rest * inverse[:, None, 0])
     model, known = inverse[:, 0, 0], normal[:, :, 0, 0]
     own = known * (1.0 / (total[:, 0, 0] * model))[:, None]  # what the nuisance leaves
     flow = u / model[:, None] + own * value[:, :1]
     sums = ((x * y).sum(axis=1) for x, y in ((u, u), (u[:, 1:], u[:, :-1]), (known, known)))
     return _Fit(value, rest[:, :, 0], own, flow, *sums)
-
-
-def _applied(rows: Array, column: Array) -> Array:
-    """Rows (..., regressors) times columns (..., regressors), summed from left to right."""
-    found: Array = rows[..., 0] * column[..., 0]
-    for k in range(1, MAX_REGRESSORS):
-        found += rows[..., k] * column[..., k]
-    return found
 
 
 def apart(one: ScoreSeries, other: ScoreSeries) -> AngleEvidence | None:

@@ -25,6 +25,7 @@ from msgspec import Struct
 from numpy.typing import NDArray
 
 from imucald.core import compiled
+from imucald.core.in_order import summed_in_order
 from imucald.mount.evidence_rows import MAX_REGRESSORS, SAME_NOISE
 from imucald.mount.score_series import AngleFit, ScoreSeries
 
@@ -268,14 +269,14 @@ def _changes_of(fits: list[AngleFit], spans: NDArray[np.int64]) -> tuple[Array, 
     new, backwards = slice(-longest, None), slice(-1, -longest - 1, -1)
     old = (np.arange(n.shape[1]) < (n.shape[1] - spans)[:, None]).astype(np.float64)  # (S, G)
     w = np.cumsum(rows[:, backwards], axis=1)[:, spans - 1]
-    turned = _applied(w[:, :, None], inverse[:, None].swapaxes(2, 3))
+    turned = summed_in_order(w[:, :, None] * inverse[:, None].swapaxes(2, 3))
     known = w[:, :, 0] - (turned * w).sum(axis=2)
     use = known > MIN_KNOWN * n.sum(axis=1)[:, None]
     known = np.where(use, known, 0.0)
     size = np.cumsum(left[:, backwards], axis=1)[:, spans - 1] / np.where(use, known, 1.0) * use
     # against the fit to the old ones
-    fitted = _applied(rows[:, :, None], inverse[:, None].swapaxes(2, 3))
-    alone = left[:, None] + size[:, :, None] * _applied(turned[:, :, None], rows[:, None])
+    fitted = summed_in_order(rows[:, :, None] * inverse[:, None].swapaxes(2, 3))
+    alone = left[:, None] + size[:, :, None] * summed_in_order(turned[:, :, None] * rows[:, None])
     expected = np.maximum(n - (fitted * rows).sum(axis=2), 0.0)
     ratio = (old * alone * alone).sum(axis=2) / np.maximum(_sums(old, expected), LEAST)
     segments = _sums(old, n)
@@ -290,14 +291,6 @@ def _changes_of(fits: list[AngleFit], spans: NDArray[np.int64]) -> tuple[Array, 
 
 
 _NUMBERS = np.array([MIN_KNOWN, CLIP, PRIOR_SEGMENTS, PRIOR_SPREAD, MIN_SPREAD, LEAST])
-
-
-def _applied(rows: Array, columns: Array) -> Array:
-    """Rows (..., regressors) times columns (..., regressors), summed from left to right."""
-    found: Array = rows[..., 0] * columns[..., 0]
-    for k in range(1, MAX_REGRESSORS):
-        found += rows[..., k] * columns[..., k]
-    return found
 
 
 def _sums(old: Array, of: Array) -> Array:

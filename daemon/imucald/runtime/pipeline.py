@@ -16,6 +16,8 @@ import numpy as np
 from msgspec import Struct, field
 from numpy.typing import NDArray
 
+from imucald.core import compiled
+from imucald.core.rotations import times_columns
 from imucald.core.samples import Samples, Series
 from imucald.motion.column_ticks import ticks_from_samples
 from imucald.motion.faults_in_force import Faults
@@ -95,6 +97,15 @@ class TickCorrections(Struct, frozen=True, dict=True):
         """(n, 9), rows of R_vehicle_from_sensor; NaN where not usable."""
         rows, first = self._spells
         return np.repeat(rows, np.diff(first, append=len(self.corrections)), axis=0)
+
+    def turned(self, ticks: NDArray[np.int64], values: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Samples (N, 3) of ticks (N,), counted from `first`, in vehicle axes."""
+        if compiled.kernels is None:
+            return times_columns(self.rotations_in(ticks), values)
+        rows, first = self._spells
+        out = np.empty((3, len(ticks)))
+        compiled.kernels.turn_samples(values, ticks, rows, first, out)
+        return out.T
 
     def rotations_in(self, ticks: NDArray[np.int64]) -> NDArray[np.float64]:
         """Those in force during ticks (N,), counted from `first`: (N, 9).

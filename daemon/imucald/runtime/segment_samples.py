@@ -9,7 +9,7 @@ import numpy as np
 from msgspec import Struct
 from numpy.typing import NDArray
 
-from imucald.core.rotations import times_columns, times_level_columns
+from imucald.core.rotations import times_level_columns
 from imucald.inputs.column_samples import ColumnSamples, Routed
 from imucald.runtime.output.output_frames import OutputFrames
 from imucald.runtime.pipeline import TickCorrections
@@ -62,7 +62,7 @@ def corrected_samples(
     found = {c: routed.samples[c] for c in output.triads if c in routed.samples}
     tick = {c: ticks[series.row] - corrections.first for c, series in found.items()}
     turned = {
-        channel: times_columns(corrections.rotations_in(tick[channel]), series.values)
+        channel: corrections.turned(tick[channel], series.values)
         for channel, series in found.items()
     }
     if preprocessing is not None:

@@ -166,3 +166,68 @@ KERNEL long hop_figures(PyObject *samples_, PyObject *edges_, PyObject *last_, P
     }
     return leave(&a, 0);
 }
+
+/* Samples turned into vehicle axes, as `rotations.times_columns` has them.
+
+   values: (N, 3) of any strides. tick: (N,) of each, counted from the first. rows: (m, 9) rotations, each
+   from tick first[m] on. out: (3, N). */
+KERNEL long turn_samples(PyObject *values_, PyObject *tick_, PyObject *rows_, PyObject *first_,
+                         PyObject *out_)
+{
+    Arrays a = {0};
+    const Py_buffer *values = take_view(&a, values_, 'd', SHAPE(ANY, 3), STRIDES);
+    Size n = length_of(&a, 0);
+    const int64_t *tick = take(&a, tick_, 'q', SHAPE(n));
+    const double *rows = doubles(&a, rows_, SHAPE(ANY, 9));
+    Size spells = length_of(&a, 0);
+    const int64_t *first = take(&a, first_, 'q', SHAPE(spells));
+    double *out = doubles_out(&a, out_, SHAPE(3, n));
+    if (a.failed)
+        return leave(&a, -1);
+    int fits = spells >= 1;
+    for (Size k = 1; k < spells; k++)
+        fits = fits && first[k - 1] <= first[k];
+    if (!fits)
+        return leave(&a, refuse(&a, "rotations that are in no order"));
+    const char *base = values->buf;
+    Size down = values->strides[0], across = values->strides[1], at = 0;
+    for (Size i = 0; i < n; i++) {
+        while (at + 1 < spells && tick[i] >= first[at + 1])
+            at++;
+        while (at && tick[i] < first[at])
+            at--;
+        const char *own = base + i * down;
+        double x = *(const double *)own, y = *(const double *)(own + across),
+               z = *(const double *)(own + 2 * across);
+        const double *r = rows + 9 * at;
+        for (int k = 0; k < 3; k++)
+            out[k * n + i] = r[3 * k] * x + r[3 * k + 1] * y + r[3 * k + 2] * z;
+    }
+    return leave(&a, 0);
+}
+
+static const double WHOLE = 6755399441055744.0; /* 1.5 * 2^52: what is added to it is rounded */
+static const double MOST_US = 4611686018427387904.0;
+
+/* Stamps [s] as whole microseconds, as `recorder.microseconds` has them. */
+KERNEL long microseconds(PyObject *stamps_, PyObject *out_)
+{
+    Arrays a = {0};
+    const double *stamps = doubles(&a, stamps_, SHAPE(ANY));
+    Size n = length_of(&a, 0);
+    int64_t *out = take_out(&a, out_, 'q', SHAPE(n));
+    if (a.failed)
+        return leave(&a, -1);
+    for (Size k = 0; k < n; k++) {
+        double exact = stamps[k] * 1e6;
+        if (fabs(exact) < 2e15)
+            exact = (exact + WHOLE) - WHOLE;
+        else if (isnan(exact))
+            return leave(&a, 1);
+        else
+            exact = rint(exact);
+        exact = exact < -MOST_US ? -MOST_US : exact;
+        out[k] = (int64_t)(exact > MOST_US ? MOST_US : exact);
+    }
+    return leave(&a, 0);
+}
