@@ -14,8 +14,8 @@ from test_estimator import drive, good_around
 from imucald.core.samples import GRAVITY, Series
 from imucald.motion.ticks import TICK_S
 from imucald.mount.acceptance import WHY_GRAVITY_MOVED, Acceptance
-from imucald.mount.contradictions import StandingFault
 from imucald.mount.block_sums import block_sums, driven
+from imucald.mount.contradictions import StandingFault
 from imucald.mount.mount_changes import MountChanges
 from imucald.mount.signal_blocks import BLOCK_S, BLOCK_TICKS, SignalBlock
 from imucald.mount.zero_step import GravityMoved, ZeroStep

@@ -66,6 +66,7 @@ class Kernels:
     microseconds: Kernel
     pair_sums: Kernel
     push_window: Kernel
+    rail_hops: Kernel
     renew_levels: Kernel
     renewed_gains: Kernel
     scores: Kernel
@@ -99,6 +100,7 @@ class Kernels:
         "microseconds": "oo",
         "pair_sums": "oooio",
         "push_window": 11 * "o" + "do",
+        "rail_hops": "oi" + 10 * "o",
         "renew_levels": 8 * "o" + "dioo",
         "renewed_gains": 7 * "o",
         "scores": 7 * "o" + "ioo",

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from functools import cached_property
 
 import numpy as np
 from msgspec import Struct, field
@@ -22,27 +22,70 @@ STAYS_COUNT = 0.5
 MOST_SAMPLES = 512
 
 
-class AxisHops(Struct, frozen=True):
+class AxisHops(Struct, frozen=True, dict=True):
     """Hops of one axis, as many as the rows have. runs: of the axis.
 
-    level, entry, step: of each hop, as `HopRows` has level, entries and step. tops, on_tops: the
-    same of top and on_top, first of the upper, then of the lower side.
+    levels, steps: of each hop (H,), as `HopRows` has level and step; entries: of the rows.
+    top_values, top_counts: (2, H), the same of top and on_top, first of the upper, then of the
+    lower side. Their lists are made when they are first asked for.
     """
 
+    axis: int
     rows: HopRows
+    entries: Array
     runs: Runs
-    level: Sequence[float]
-    entry: Sequence[float]
-    step: Sequence[float]
-    tops: Sequence[Sequence[float]]
-    on_tops: Sequence[Sequence[int]]
 
-    @classmethod
-    def of(cls, axis: int, rows: HopRows, entries: Array, runs: Runs) -> AxisHops:
-        """Those of an axis of the sensor; entries: of the rows."""
-        sizes = (x[:, axis].tolist() for x in (rows.level, entries, rows.step))
-        sides = (x[:, :, axis].T.tolist() for x in (rows.top, rows.on_top))
-        return cls(rows, runs, *sizes, *sides)
+    @property
+    def levels(self) -> Array:
+        """(H,)"""
+        return self.rows.level[:, self.axis]
+
+    @property
+    def steps(self) -> Array:
+        """(H,)"""
+        return self.rows.step[:, self.axis]
+
+    @property
+    def top_values(self) -> Array:
+        """(2, H)"""
+        return self.rows.top[:, :, self.axis].T
+
+    @property
+    def top_counts(self) -> NDArray[np.int64]:
+        """(2, H)"""
+        return self.rows.on_top[:, :, self.axis].T
+
+    @cached_property
+    def level(self) -> list[float]:
+        """Mean change of each hop."""
+        return _listed(self.levels)
+
+    @cached_property
+    def entry(self) -> list[float]:
+        """Of each hop, see `HopRows.entries`."""
+        return _listed(self.entries[:, self.axis])
+
+    @cached_property
+    def step(self) -> list[float]:
+        """Smallest change so far, of each hop."""
+        return _listed(self.steps)
+
+    @cached_property
+    def tops(self) -> list[list[float]]:
+        """By side and hop."""
+        found: list[list[float]] = self.top_values.tolist()
+        return found
+
+    @cached_property
+    def on_tops(self) -> list[list[int]]:
+        """By side and hop."""
+        found: list[list[int]] = self.top_counts.tolist()
+        return found
+
+
+def _listed(figures: Array) -> list[float]:
+    found: list[float] = figures.tolist()
+    return found
 
 
 class Pile(Struct):
@@ -62,6 +105,10 @@ class Pile(Struct):
     met: float = 0.0
     seen: dict[bytes, None] = field(default_factory=dict)  # in the order in which they came
     before: tuple[int, int] = (0, 0)
+
+    def is_higher(self, one_below: int, two_below: int) -> bool:
+        """Whether more samples are on it than a tail has there, with so many on the steps below."""
+        return self.at_it >= LEAST_AT_EXTREME and self.at_it > PILE * max(one_below, two_below)
 
     @property
     def surprise(self) -> float:
@@ -96,27 +143,6 @@ class Pile(Struct):
         self.at_it = min(self.at_it, at_it + 1)
         while len(self.seen) > self.at_it:
             self.seen.popitem()
-
-
-class Top(Struct):
-    """A value that nothing has gone beyond since hop `born`.
-
-    on: samples on it, one_below, two_below: as many steps below, as far as they are tops of their
-    hops.
-    """
-
-    value: float
-    born: int
-    on: int
-    one_below: int
-    two_below: int
-    pile: Pile | None = None
-
-    @property
-    def is_piled_up(self) -> bool:
-        """Whether more samples are on it than a tail has there."""
-        at_it = 0 if self.pile is None else self.pile.at_it
-        return at_it >= LEAST_AT_EXTREME and at_it > PILE * max(self.one_below, self.two_below)
 
 
 def _more_often(stays: int, of: int, rate: float) -> float:

@@ -11,9 +11,14 @@ from collections import deque
 from collections.abc import Sequence
 
 import numpy as np
+from numpy.typing import NDArray
 
+from imucald.core import compiled
 from imucald.motion.hops import SIDES
-from imucald.motion.rail_evidence import AxisHops, Pile, Top
+from imucald.motion.rail_evidence import AxisHops, Pile
+from imucald.motion.rail_tops import BothRows, Top, TopList, TopRows
+
+Flags = NDArray[np.bool_]
 
 TAIL_HOPS = 120
 """The tail of an axis is that of the largest values of so many hops of driving (a minute) ..."""
@@ -28,13 +33,9 @@ BOTH_ENDS = SURPRISE + 4.0
 """A range that ends at both ends: for the sum of two surprises, as x + log(1 + x) has it."""
 BROAD = 3
 """The tail is measured from where it holds so many times the arrivals at the extreme."""
-LONG_STAY = 4
-"""Fewer samples on a value that is reached for the first time say nothing."""
 USUAL_CHANGE = 4.0
 """A rail is left as the axis goes, by so many times its mean change from sample to sample at most
 (three deviations of noise); a contact that closes again jumps."""
-REMEMBERED = 64
-"""Values that nothing has gone beyond since; they fall, so there are few of them."""
 
 
 class Rail:
@@ -50,33 +51,29 @@ class Rail:
     which it is. recent: tops of the last hops of driving.
     """
 
-    def __init__(self, side: int, axis: int) -> None:
-        self._side, self._axis = side, axis
-        self._tops: list[Top] = []  # their values fall
+    def __init__(self, side: int, axis: int, tops: TopList | TopRows) -> None:
+        self._side, self._axis, self._tops = side, axis, tops
         self.recent: deque[float] = deque(maxlen=TAIL_HOPS)
         self._rail = -math.inf
         self._changed = False
         self.found = False
         self.surprise, self.value = 0.0, math.inf
 
-    def step(self, at: AxisHops, h: int, hop: int) -> bool:
-        """Take hop h of the axis, the `hop`th of driving; -1 where the vehicle stands.
-
-        Returns whether the surprise has to be weighed again.
-        """
-        value, tops = at.tops[self._side][h], self._tops
+    def go_on(self, at: AxisHops, h: int) -> None:
+        """See what hop h makes of the rail: none, where a value lies beyond."""
+        value = at.tops[self._side][h]
         if self.found and value > self._rail + 0.5 * at.step[h]:
             self.found = False
         if value > self.value:
             self.surprise, self.value = 0.0, math.inf
-        if hop < 0:
-            while tops and tops[-1].value < value:
-                del tops[-1]
-            return self._changed
-        self.recent.append(value)
-        top = self.reached(value, at.on_tops[self._side][h], at.step[h], hop)
-        if top is not None:
-            self.pile_up(top, at, h, hop)
+
+    def stand(self, at: AxisHops, h: int) -> None:
+        """Take hop h, in which the vehicle stands, or the axis is stuck."""
+        self._tops.drop_below(at.tops[self._side][h])
+
+    @property
+    def changed(self) -> bool:
+        """Whether the surprise has to be weighed again."""
         return self._changed
 
     @property
@@ -86,9 +83,9 @@ class Rail:
 
     def stick(self, value: float) -> None:
         """The axis is stuck at a value: what stays there is the axis, and no rail holds it."""
-        top = self._tops[-1] if self._tops else None
-        if top is not None and top.value == value and top.pile is not None:
-            top.pile.count_stay_once()
+        top = self._tops.last
+        if top is not None and top.value == value and value in self._tops.piles:
+            self._tops.piles[value].count_stay_once()
 
     def is_held(self, value: float, left_by: float) -> bool:
         """Whether an axis that was stuck at a value is held there by a rail.
@@ -104,12 +101,12 @@ class Rail:
         last = float(at.rows.samples[self._axis, at.rows.edges[h + 1] - 1])
         now = last if self._side == 0 else -last
         # once it is left, nothing changes before the next arrival
-        self._changed = bool(self._tops) and now == self._tops[-1].value
+        top = self._tops.last
+        self._changed = top is not None and now == top.value
         piles = [
-            (one.pile.surprise, one.value)
-            for one in self._tops
-            if one.pile is not None
-            and one.is_piled_up
+            (pile.surprise, one.value)
+            for one, pile in self._tops.counted()
+            if pile.is_higher(one.one_below, one.two_below)
             and now < one.value
             and not self._is_apart(one.value)
         ]
@@ -129,48 +126,13 @@ class Rail:
         n = len(below)
         return bool(n >= LEAST_TAIL_HOPS and value - below[-1] > below[-1] - below[n // 2])
 
-    def reached(self, value: float, on: int, step: float, hop: int) -> Top | None:
-        """Take a value as the latest top; those that it goes beyond are no longer watched.
-
-        on: samples of the hop on it. Returns the top where its samples have to be weighed: they
-        stay long, or it was reached before.
-        """
-        tops, one_below, two_below = self._tops, 0, 0
-        two_steps = 2.5 * step
-        while tops:
-            last = tops[-1]
-            lower = value - last.value
-            if lower <= 0.0:
-                break
-            del tops[-1]
-            if lower < two_steps:
-                if lower < 1.5 * step:
-                    one_below += last.on
-                    two_below += last.one_below
-                else:
-                    two_below += last.on
-        else:
-            lower = -math.inf
-        if lower == 0.0:
-            last.on += on  # those below it were added when they came
-            return last
-        if -lower < two_steps:
-            if -lower < 1.5 * step:
-                last.one_below += on
-            else:
-                last.two_below += on
-        if len(tops) == REMEMBERED:
-            del tops[next((k for k, one in enumerate(tops) if one.pile is None), 0)]
-        new = Top(value, hop, on, one_below, two_below)
-        tops.append(new)
-        return new if on >= LONG_STAY else None
-
     def pile_up(self, top: Top, at: AxisHops, h: int, hop: int) -> None:
         """Count the samples of hop h that are on its top."""
         self._changed = True
-        pile = top.pile
+        pile = self._tops.piles.get(top.value)
         if pile is None:
-            pile = top.pile = Pile(at.runs.rate())
+            pile = Pile(at.runs.rate())
+            self._tops.add_pile(top, pile)
         pile.rate = pile.rate or at.runs.rate()
         is_arrival = hop - pile.last > 1
         if is_arrival:
@@ -204,7 +166,10 @@ class AxisRails:
 
     def __init__(self, axis: int) -> None:
         self._axis = axis
-        self._high, self._low = (Rail(side, axis) for side in range(SIDES))
+        self._both = None if compiled.kernels is None else BothRows(compiled.kernels)
+        self._lists = [TopList() for _ in range(SIDES)]
+        tops: Sequence[TopList | TopRows] = self._lists if self._both is None else self._both.sides
+        self._high, self._low = (Rail(side, axis, own) for side, own in enumerate(tops))
         self._hops = 0
         self._usual = 0.0  # mean change from sample to sample while driving
 
@@ -214,51 +179,82 @@ class AxisRails:
         stuck: whether it was stuck when the hop began; such a hop says nothing of rails.
         """
         high, low = self._high, self._low
-        hop = -1
         if stuck:
             high.stick(at.tops[0][h])
             low.stick(at.tops[1][h])
             self._look_at_end(at, h)
-        elif moving:
-            hop = self._drive(at.level[h])
-        return self._weigh(at, h, high.step(at, h, hop), low.step(at, h, hop))
+        for rail in (high, low):
+            rail.go_on(at, h)
+        if stuck or not moving:
+            for rail in (high, low):
+                rail.stand(at, h)
+        elif self._both is None:
+            self._pile_up(at, h, self._drive(at, h))
+        else:
+            _, tops = self._both.take(at, np.array([h]), 0, np.ones(len(at.levels), dtype=bool))
+            self._take_driven(at, (h,))
+            self._pile_up(at, h, tops)
+        return self._weigh(at, h, high.changed, low.changed)
 
-    def step_through(self, at: AxisHops, hops: Sequence[int], moving: Sequence[bool]) -> list[bool]:
+    def step_through(self, at: AxisHops, hops: Sequence[int], moving: Flags) -> list[bool]:
         """As `step`, for hops that have samples, in none of which the axis is stuck.
 
-        moving: of all hops of the rows. Most hops only lie below values that were reached before.
+        moving: (H,) of all hops of the rows. Most hops only lie below values that were reached
+        before.
         """
-        high, low, steps = self._high, self._low, at.step
-        (highest, lowest), (on_high, on_low) = at.tops, at.on_tops
+        high, low = self._high, self._low
+        places, moves = np.array(hops), moving.tolist()
         found: list[bool] = []
         is_clear = high.is_clear and low.is_clear
-        for h in hops:
-            if not (is_clear and moving[h]):
-                found.append(self.step(at, h, moving[h], stuck=False))
+        while (done := len(found)) < len(hops):
+            h = hops[done]
+            if not (is_clear and moves[h]):
+                found.append(self.step(at, h, moves[h], stuck=False))
                 is_clear = high.is_clear and low.is_clear
                 continue
-            hop, value, other = self._drive(at.level[h]), highest[h], lowest[h]
-            high.recent.append(value)
-            low.recent.append(other)
-            top = high.reached(value, on_high[h], steps[h], hop)
-            bottom = low.reached(other, on_low[h], steps[h], hop)
-            if top is None and bottom is None:
+            if self._both is None:
+                tops = self._drive(at, h)
+            else:
+                stopped, tops = self._both.take(at, places, done, moving)
+                is_weighed = tops != [None, None]
+                self._take_driven(at, hops[done : stopped + is_weighed])
+                found += [False] * (stopped - done)
+                if not is_weighed:
+                    continue
+                h = hops[stopped]
+            if tops == [None, None]:
                 found.append(False)
                 continue
-            if top is not None:
-                high.pile_up(top, at, h, hop)
-            if bottom is not None:
-                low.pile_up(bottom, at, h, hop)
-            found.append(self._weigh(at, h, top is not None, bottom is not None))
+            self._pile_up(at, h, tops)
+            found.append(self._weigh(at, h, tops[0] is not None, tops[1] is not None))
             is_clear = high.is_clear and low.is_clear
         return found
 
-    def _drive(self, level: float) -> int:
-        """Take a hop of driving with this mean change; return its number."""
+    def _drive(self, at: AxisHops, h: int) -> list[Top | None]:
+        """Take a hop of driving; by side the top that has to be weighed."""
         hop = self._hops
         self._hops += 1
-        self._usual += (level - self._usual) / (hop + 1 if hop < TAIL_HOPS else TAIL_HOPS)
-        return hop
+        self._usual += (at.level[h] - self._usual) / (hop + 1 if hop < TAIL_HOPS else TAIL_HOPS)
+        tops: list[Top | None] = []
+        for rail, own, value, on in zip(
+            (self._high, self._low), self._lists, at.tops, at.on_tops, strict=True
+        ):
+            rail.recent.append(value[h])
+            tops.append(own.reached(value[h], on[h], at.step[h], hop))
+        return tops
+
+    def _take_driven(self, at: AxisHops, hops: Sequence[int]) -> None:
+        """Take over what the compiled part made of hops of driving."""
+        if self._both is not None and len(hops):
+            self._hops, self._usual = int(self._both.hops[0]), float(self._both.usual[0])
+            for rail, values in zip((self._high, self._low), at.tops, strict=True):
+                rail.recent.extend([values[h] for h in hops[-TAIL_HOPS:]])
+
+    def _pile_up(self, at: AxisHops, h: int, tops: Sequence[Top | None]) -> None:
+        """Count the samples of hop h, of driving, that are on its tops."""
+        for rail, top in zip((self._high, self._low), tops, strict=True):
+            if top is not None:
+                rail.pile_up(top, at, h, self._hops - 1)
 
     def _weigh(self, at: AxisHops, h: int, is_high: bool, is_low: bool) -> bool:
         """Whether the axis is on a rail after hop h; which of them have to be weighed again."""
@@ -278,7 +274,10 @@ class AxisRails:
 
     def _has_tail(self, step: float) -> bool:
         high, low = self._high.recent, self._low.recent
-        return bool(high) and max(high) + max(low) >= LEAST_STEPS * step
+        if not high:
+            return False
+        least = LEAST_STEPS * step
+        return high[-1] + low[-1] >= least or max(high) + max(low) >= least
 
     def _look_at_end(self, at: AxisHops, h: int) -> None:
         """The axis was stuck: has that ended, and was it a rail that held it?"""

@@ -122,7 +122,7 @@ class _Sensor(FaultsInForce):
     ) -> tuple[list[bool], list[bool]]:
         """At the end of which hops an axis is stuck, and on a rail; False without samples."""
         judge, rails, contact = self.stuck[axis], self.rails[axis], self.contacts[axis]
-        at = AxisHops.of(axis, rows, entries, judge.moving)
+        at = AxisHops(axis, rows, entries, judge.moving)
         counts = rows.count, rows.ended[:, axis], rows.longest[:, axis], rows.run[:, axis]
         moves = moving.tolist()
         stuck, saturated = [False] * len(moves), [False] * len(moves)
@@ -131,7 +131,7 @@ class _Sensor(FaultsInForce):
             contact.step_through(at, some, counts)
             judge.step_through(moving[some], [x[some] for x in counts])
             hops = np.flatnonzero(some).tolist()
-            for h, on_rail in zip(hops, rails.step_through(at, hops, moves), strict=True):
+            for h, on_rail in zip(hops, rails.step_through(at, hops, moving), strict=True):
                 saturated[h] = on_rail
             return stuck, saturated
         of_runs = zip(*(x.tolist() for x in counts), strict=True)

@@ -65,12 +65,12 @@ def pair_sums(
             compiled.note(flags)
         n, xx, xy, yy = out.tolist()
         return int(n), xx, xy, yy
-    n = np.count_nonzero(use)
-    if not n:
+    count = int(np.count_nonzero(use))
+    if not count:
         return 0, 0.0, 0.0, 0.0
-    if n < len(use):
+    if count < len(use):
         x, y = x[use], y[use]
     if centred:
-        x, y = x - x.sum() / n, y - y.sum() / n
+        x, y = x - x.sum() / count, y - y.sum() / count
     xx, xy, yy = (float(one.sum()) for one in (x * x, x * y, y * y))
-    return n, xx, xy, yy
+    return count, xx, xy, yy

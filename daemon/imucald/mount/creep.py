@@ -214,8 +214,8 @@ def _run(
     off, spread: (n, 3, K) by how much each finds a value off, and the variance of that. state, P:
     (2, 3, K), (3, 3, K) of the level and the rate, to the end.
     """
-    each_goes_on = goes_on.all(axis=(1, 2)).tolist()
-    any_begins = begins.any(axis=(1, 2)).tolist()
+    each_goes_on: list[bool] = np.all(goes_on, axis=(1, 2)).tolist()
+    any_begins: list[bool] = np.any(begins, axis=(1, 2)).tolist()
     for k in range(len(value)):
         _go_on(state, P, gaps[k])
         np.subtract(value[k], state[0], out=off[k])

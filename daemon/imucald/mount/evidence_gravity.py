@@ -171,5 +171,5 @@ def _sums(p: SignalBlock, turn: Array, stop_used: float) -> list[float]:
     force = (weight[:, None] * p.force).sum(axis=0).tolist()
     more = (float(one.sum()) for one in (weight * p.accel, weight * turn, sizes * use))
     accel, across, metres = more
-    counts = np.count_nonzero(use), n, moving, each
-    return [float(weight.sum()), *force, accel, across, metres * TICK_S, *map(float, counts)]
+    counts = float(np.count_nonzero(use)), float(n), float(moving), each
+    return [float(weight.sum()), *force, accel, across, metres * TICK_S, *counts]

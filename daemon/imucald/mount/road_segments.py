@@ -130,8 +130,8 @@ def _fitted(score: Array, normal: Array, use: list[int], total: Array, inverse: 
     model, known = inverse[:, 0, 0], normal[:, :, 0, 0]
     own = known * (1.0 / (total[:, 0, 0] * model))[:, None]  # what the nuisance leaves
     flow = u / model[:, None] + own * value[:, :1]
-    sums = ((x * y).sum(axis=1) for x, y in ((u, u), (u[:, 1:], u[:, :-1]), (known, known)))
-    return _Fit(value, rest[:, :, 0], own, flow, *sums)
+    pairs = (u, u), (u[:, 1:], u[:, :-1]), (known, known)
+    return _Fit(value, rest[:, :, 0], own, flow, *((x * y).sum(axis=1) for x, y in pairs))
 
 
 def apart(one: ScoreSeries, other: ScoreSeries) -> AngleEvidence | None:

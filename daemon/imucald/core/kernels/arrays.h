@@ -118,12 +118,15 @@ static inline const void *take(Arrays *a, PyObject *object, char kind, const Siz
         return NULL;
     }
     a->copies[a->copied++] = copy;
-    for (Size at = 0; at < view->len; at += view->itemsize) {
+    int inner = view->ndim - 1; /* runs of it are copied at once where they lie together */
+    Size run = view->strides[inner] == view->itemsize ? view->shape[inner] : 1;
+    for (Size at = 0; at < view->len; at += run * view->itemsize) {
         const char *from = view->buf;
         for (int d = 0; d < view->ndim; d++)
             from += places[d] * view->strides[d];
-        memcpy(copy + at, from, (size_t)view->itemsize);
-        for (int d = view->ndim - 1; d >= 0 && ++places[d] == view->shape[d]; d--)
+        memcpy(copy + at, from, (size_t)(run * view->itemsize));
+        places[inner] += run - 1;
+        for (int d = inner; d >= 0 && ++places[d] == view->shape[d]; d--)
             places[d] = 0;
     }
     return copy;

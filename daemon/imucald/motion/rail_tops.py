@@ -1,0 +1,192 @@
+"""Values that nothing has gone beyond since they came: of one side of an axis, from high to low.
+
+Samples on a value, and one and two steps below it, show whether it is the end of a range. Both
+ways to keep them do the same: a list, one hop at a time, and an array, in which the compiled part
+takes all hops in a row that need no more (`core/kernels/rails.c`).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+
+import numpy as np
+from msgspec import Struct
+from numpy.typing import NDArray
+
+from imucald.core.compiled import Kernels
+from imucald.motion.hops import SIDES
+from imucald.motion.rail_evidence import AxisHops, Pile
+
+Array = NDArray[np.float64]
+Index = NDArray[np.int64]
+
+LONG_STAY = 4
+"""Fewer samples on a value that is reached for the first time say nothing."""
+REMEMBERED = 64
+"""Values that nothing has gone beyond since; they fall, so there are few of them."""
+
+
+class Top(Struct):
+    """A value that nothing has gone beyond since hop `born`.
+
+    on: samples on it, one_below, two_below: as many steps below, as far as they are tops of their
+    hops.
+    """
+
+    value: float
+    born: int
+    on: int
+    one_below: int
+    two_below: int
+
+
+class TopList:
+    """The tops of a side. piles: of those values whose samples are counted."""
+
+    def __init__(self) -> None:
+        self._tops: list[Top] = []
+        self.piles: dict[float, Pile] = {}
+
+    @property
+    def last(self) -> Top | None:
+        """The lowest; None before any."""
+        return self._tops[-1] if self._tops else None
+
+    def drop_below(self, value: float) -> None:
+        """Let go what lies below a value that was reached."""
+        tops = self._tops
+        while tops and tops[-1].value < value:
+            self.piles.pop(tops[-1].value, None)
+            del tops[-1]
+
+    def counted(self) -> Iterator[tuple[Top, Pile]]:
+        """Tops whose samples are counted."""
+        piles = self.piles
+        return ((one, piles[one.value]) for one in self._tops if one.value in piles)
+
+    def add_pile(self, top: Top, pile: Pile) -> None:
+        """Begin to count the samples of the lowest."""
+        self.piles[top.value] = pile
+
+    def reached(self, value: float, on: int, step: float, hop: int) -> Top | None:
+        """Take a value as the latest top; those that it goes beyond are no longer watched.
+
+        on: samples of the hop on it. Returns the top where its samples have to be weighed: they
+        stay long, or it was reached before.
+        """
+        tops, one_below, two_below = self._tops, 0, 0
+        two_steps = 2.5 * step
+        while tops:
+            last = tops[-1]
+            lower = value - last.value
+            if lower <= 0.0:
+                break
+            del tops[-1]
+            if self.piles:
+                self.piles.pop(last.value, None)
+            if lower < two_steps:
+                if lower < 1.5 * step:
+                    one_below += last.on
+                    two_below += last.one_below
+                else:
+                    two_below += last.on
+        else:
+            lower = -math.inf
+        if lower == 0.0:
+            last.on += on  # those below it were added when they came
+            return last
+        if -lower < two_steps:
+            if -lower < 1.5 * step:
+                last.one_below += on
+            else:
+                last.two_below += on
+        if len(tops) == REMEMBERED:
+            k = next((k for k, one in enumerate(tops) if one.value not in self.piles), 0)
+            self.piles.pop(tops[k].value, None)
+            del tops[k]
+        new = Top(value, hop, on, one_below, two_below)
+        tops.append(new)
+        return new if on >= LONG_STAY else None
+
+
+class TopRows:
+    """The same in rows of an array (`REMEMBERED` + 1, 6), of which depth (1,) are used."""
+
+    def __init__(self, rows: Array, depth: Index) -> None:
+        self._rows, self._depth = rows, depth
+        self.piles: dict[float, Pile] = {}
+
+    def _top(self, k: int) -> Top:
+        value, born, on, one_below, two_below, _ = self._rows[k].tolist()
+        return Top(value, int(born), int(on), int(one_below), int(two_below))
+
+    @property
+    def last(self) -> Top | None:
+        """The lowest; None before any."""
+        depth = int(self._depth[0])
+        return self._top(depth - 1) if depth else None
+
+    def drop_below(self, value: float) -> None:
+        """Let go what lies below a value that was reached."""
+        depth = int(self._depth[0])
+        while depth and self._rows[depth - 1, 0] < value:
+            depth -= 1
+        self._depth[0] = depth
+        self.forget_below(value)
+
+    def forget_below(self, value: float) -> None:
+        """Count no longer what a value has gone beyond."""
+        for one in [one for one in self.piles if one < value]:
+            del self.piles[one]
+
+    def counted(self) -> Iterator[tuple[Top, Pile]]:
+        """Tops whose samples are counted."""
+        if not self.piles:
+            return
+        for k in range(int(self._depth[0])):
+            pile = self.piles.get(float(self._rows[k, 0]))
+            if pile is not None:
+                yield self._top(k), pile
+
+    def add_pile(self, top: Top, pile: Pile) -> None:
+        """Begin to count the samples of the lowest."""
+        self.piles[top.value] = pile
+        self._rows[self._depth[0] - 1, 5] = 1.0
+
+
+class BothRows:
+    """The tops of both sides of an axis, for the compiled part.
+
+    usual: (1,) mean change from sample to sample while driving; hops: (1,) of driving.
+    """
+
+    def __init__(self, kernels: Kernels) -> None:
+        self._kernels = kernels
+        self._rows = np.zeros((SIDES, REMEMBERED + 1, 6))
+        self._depth = np.zeros(SIDES, np.int64)
+        self.usual, self.hops = np.zeros(1), np.zeros(1, np.int64)
+        self._found = np.empty(3 * SIDES)
+        self.sides = [TopRows(self._rows[k], self._depth[k : k + 1]) for k in range(SIDES)]
+
+    def take(
+        self, at: AxisHops, hops: Index, begin: int, moving: NDArray[np.bool_]
+    ) -> tuple[int, list[Top | None]]:
+        """Take hops of driving from place `begin` on, up to one whose tops have to be weighed.
+
+        Returns its place and, by side, which; or the place of the first hop that was not taken.
+        """
+        stopped = self._kernels.rail_hops(
+            hops, begin, moving, at.top_values, at.top_counts, at.steps, at.levels, self._rows,
+            self._depth, self.usual, self.hops, self._found,
+        )  # fmt: skip
+        high, low, *largest = self._found.tolist()
+        reached: list[Top | None] = []
+        for side, is_reached, value, dropped in zip(
+            self.sides, (high, low), largest[:2], largest[2:], strict=True
+        ):
+            if side.piles:
+                side.forget_below(value)
+                side.piles.pop(dropped, None)
+            reached.append(side.last if is_reached else None)
+        return stopped, reached
