@@ -6,7 +6,7 @@ all that is read of a line lies before its newline, or in the padding behind the
 
 #include "arrays.h"
 
-enum { PADDING = 16, NAME = 32, WORD = 8 };
+enum { PADDING = 16, NAME = 32, WORD = 8, LONGEST_HEAD = 64, USUAL_TAIL = 32 };
 enum { MOST_SECONDS = 19, MOST_FRACTION = 19, MOST_GAP = 32, MOST_DIGITS = 18 };
 enum { EXTENDED_DIGITS = 8, STANDARD_DIGITS = 3, CLASSIC = 8, LONGEST = 64, VERDICTS = 4096 };
 #define EFF_FLAG 0x80000000u
@@ -239,6 +239,80 @@ static enum Judgement judge(const uint8_t *p, const uint8_t *end, const Channels
     return are_hex(at, frame->digits) ? TAKEN : ODD_LINE;
 }
 
+/* What most lines begin with, up to the id: all but the digits is the same in line after line. */
+typedef struct {
+    Size length; /* bytes; 0 where no line was like that */
+    Size words;
+    Size seconds, fraction, channel; /* as in `Frame` */
+    uint64_t wanted[LONGEST_HEAD / WORD], leeway[LONGEST_HEAD / WORD], part[LONGEST_HEAD / WORD];
+} Head;
+
+static void learn_head(Head *head, const uint8_t *line, const Frame *frame, const uint8_t *id)
+{
+    Size length = id - line;
+    uint8_t wanted[LONGEST_HEAD], leeway[LONGEST_HEAD], part[LONGEST_HEAD];
+    head->length = 0;
+    if (length > LONGEST_HEAD)
+        return;
+    for (Size k = 0; k < LONGEST_HEAD; k++) {
+        int is_digit = k >= 1 && k < 2 + frame->seconds + frame->fraction && k != 1 + frame->seconds;
+        wanted[k] = k < length ? (is_digit ? '0' : line[k]) : 0;
+        leeway[k] = is_digit ? 0x76 : 0x7F; /* what is more than wanted carries into the highest bit */
+        part[k] = k < length ? 0x80 : 0;
+    }
+    memcpy(head->wanted, wanted, sizeof wanted);
+    memcpy(head->leeway, leeway, sizeof leeway);
+    memcpy(head->part, part, sizeof part);
+    head->length = length;
+    head->seconds = frame->seconds;
+    head->fraction = frame->fraction;
+    head->channel = frame->channel;
+    head->words = (length + WORD - 1) / WORD;
+}
+
+/* The newline of the line from p on, where it is like the lines before: a head, an id of 11 bits,
+   '#', data of a classic frame; NULL where it is not, or ends in another way. All bytes from p to
+   p + head->length + USUAL_TAIL can be read. */
+static inline const uint8_t *usual_line(const uint8_t *p, const Head *head, const Channels *known,
+                                        Frame *frame)
+{
+    uint64_t bad = 0;
+    for (Size k = 0; k < head->words; k++) {
+        uint64_t other = word_at(p + WORD * k) ^ head->wanted[k];
+        bad |= (other | ((other & EACH(0x7F)) + head->leeway[k])) & head->part[k];
+    }
+    const uint8_t *id = p + head->length, *data = id + STANDARD_DIGITS + 1;
+    if (bad || id[STANDARD_DIGITS] != '#' || !are_hex(id, STANDARD_DIGITS))
+        return NULL;
+    uint64_t first = word_at(data), second = word_at(data + WORD);
+    uint64_t other = first ^ EACH('\n');
+    uint64_t ends = (other - EACH(0x01)) & ~other & EACH(0x80);
+    Size digits = 0;
+    if (!ends) {
+        digits = WORD;
+        other = second ^ EACH('\n');
+        ends = (other - EACH(0x01)) & ~other & EACH(0x80);
+    }
+    if (ends)
+        digits += __builtin_ctzll(ends) / 8;
+    else if (data[digits = 2 * WORD] != '\n')
+        return NULL;
+    if (digits % 2 || !are_hex(data, digits))
+        return NULL;
+    frame->id = nibble(id[0]) << 8 | nibble(id[1]) << 4 | nibble(id[2]);
+    uint8_t verdict = known->verdicts[head->channel * VERDICTS + frame->id];
+    if (verdict > 1)
+        return NULL;
+    frame->is_wanted = verdict;
+    frame->seconds = head->seconds;
+    frame->fraction = head->fraction;
+    frame->channel = head->channel;
+    frame->is_fd = 0;
+    frame->data = data;
+    frame->digits = digits;
+    return data + digits;
+}
+
 /* Read the lines of text[:size], which are whole, from counts[PLACE] on.
 
    Wanted frames go to the columns t .. place, as many as those are long; lines that are odd to
@@ -294,17 +368,21 @@ KERNEL long candump(PyObject *text_, long size, PyObject *names_, PyObject *verd
     Frame frame = {0};
     Size last = known.count ? 0 : -1, n = (Size)counts[FRAMES], at = (Size)counts[PLACE];
     int64_t number = counts[NUMBER];
-    Size usual = 0; /* bytes of the line before */
+    Head head = {0};
     while (at < size) {
-        const uint8_t *newline = text + at + usual;
-        enum Judgement judged = ODD_LINE;
-        if (usual && usual < size - at && *newline == '\n') /* no line that is taken holds another */
-            judged = judge(text + at, newline, &known, last, &frame);
-        if (judged != TAKEN) {
+        const uint8_t *newline = NULL;
+        enum Judgement judged = TAKEN;
+        if (head.length && head.length + USUAL_TAIL <= size + PADDING - at)
+            newline = usual_line(text + at, &head, &known, &frame);
+        if (newline && newline >= text + size)
+            newline = NULL;
+        if (!newline) {
             newline = memchr(text + at, '\n', (size_t)(size - at));
             if (!newline)
                 break;
             judged = judge(text + at, newline, &known, last, &frame);
+            if (judged == TAKEN && !frame.is_fd && !(frame.id & EFF_FLAG))
+                learn_head(&head, text + at, &frame, frame.data - STANDARD_DIGITS - 1);
         }
         if (judged == UNKNOWN_CHANNEL) {
             result = NEW_CHANNEL;
@@ -320,7 +398,6 @@ KERNEL long candump(PyObject *text_, long size, PyObject *names_, PyObject *verd
             counts[ODD]++;
         } else {
             last = frame.channel;
-            usual = newline - text - at;
             if (frame.is_wanted) {
                 Size bytes = frame.digits / 2;
                 if (n == most || bytes > width) {
