@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -14,11 +14,11 @@ from imucald.api.columns import (
     HISTORY_COLUMNS,
     RAW,
     Columns,
-    TableColumn,
     columns_from,
     corrected_columns,
     raw_columns,
 )
+from imucald.api.growing_table import GrowingTable
 from imucald.core import compiled
 from imucald.core.angles import DEG_PER_RAD
 from imucald.motion.ticks import TICK_RATE
@@ -41,15 +41,15 @@ _UPPER = (0, 1, 2, 4, 5, 8)
 
 Array = NDArray[np.float64]
 
-_Part = tuple[Array, NDArray[np.int64], list[NDArray[Any]]]
-"""Samples of a segment: stream times, times of day [us], and the values of some columns."""
-
 
 class Recorder:
-    """Gathers history, events and (with `signals`) samples; give its methods to the engine."""
+    """Gathers history, events and (with `signals`) samples; give its methods to the engine.
 
-    def __init__(self, signals: bool) -> None:
-        self._signals = signals
+    share: gives the part of all logs that has been read; None where nobody knows.
+    """
+
+    def __init__(self, signals: bool, share: Callable[[], float | None] = lambda: None) -> None:
+        self._signals, self._share = signals, share
         self._states: list[str] = []
         self._rows: list[list[float]] = []
         self._blocks: list[Array] = []
@@ -63,7 +63,7 @@ class Recorder:
         self._shifts: list[Mapping[str, Any]] = []
         self._segments: list[tuple[float, float]] = []  # stream time of the start, stamp minus it
         self._last_stamp = math.nan
-        self._parts: dict[str, list[_Part]] = {}
+        self._tables: dict[str, GrowingTable] = {}
         self.rows = 0
         """Rows of samples that have not been taken."""
 
@@ -96,15 +96,17 @@ class Recorder:
             return
         times = microseconds(stamps)
         for channel, one in found.corrected().items():
-            self._put(channel, one.t, times[one.row], [one.values, one.quality])
+            of = one.t, times[one.row], *_by_axis(one.values), one.quality.view(np.int8)
+            self._put(channel, of)
         for channel, series in found.as_sensed.items():
-            self._put(f"{RAW}{channel}", series.t, times[series.row], [series.values])
+            self._put(f"{RAW}{channel}", (series.t, times[series.row], *_by_axis(series.values)))
 
-    def _put(
-        self, name: str, t: Array, times: NDArray[np.int64], values: list[NDArray[Any]]
-    ) -> None:
-        self._parts.setdefault(name, []).append((t, times, values))
-        self.rows += len(t)
+    def _put(self, name: str, columns: Sequence[NDArray[Any]]) -> None:
+        table = self._tables.get(name)
+        if table is None:
+            table = self._tables[name] = GrowingTable()
+        table.add(columns, self._share())
+        self.rows += len(columns[0])
 
     def _take_changes(self, snapshot: Snapshot) -> None:
         estimate = snapshot.estimate
@@ -157,13 +159,15 @@ class Recorder:
 
     def take_signals(self, lead: float, kinds: Mapping[str, str]) -> dict[str, Columns]:
         """The samples since the last call, by table; kinds: sensor of each parallel channel."""
-        taken, self._parts, self.rows = self._parts, {}, 0
+        taken, self._tables, self.rows = self._tables, {}, 0
         found: dict[str, Columns] = {}
-        for name, parts in taken.items():
+        for name, table in taken.items():
             channel = name.removeprefix(RAW)
             kind = kinds.get(channel, channel)
             columns = raw_columns(channel, kind) if name != channel else corrected_columns(kind)
-            found[name] = _table(columns, lead, parts)
+            arrays = table.columns()
+            arrays[0] += lead
+            found[name] = columns_from(columns, arrays)
         return found
 
     def _times(self, t: Array) -> NDArray[np.int64]:
@@ -202,15 +206,9 @@ def _sensor_faults(engine: Engine) -> list[tuple[float, str, str]]:
     return found
 
 
-def _table(columns: tuple[TableColumn, ...], lead: float, parts: list[_Part]) -> Columns:
-    """A table of samples, each column in one allocation."""
-    stream, times, values = zip(*parts, strict=True)
-    t = np.concatenate(stream)
-    t += lead
-    measured, *others = zip(*values, strict=True)
-    by_axis = np.concatenate([np.atleast_2d(part.T) for part in measured], axis=1)
-    more = [np.concatenate(one) for one in others]
-    return columns_from(columns, [t, np.concatenate(times), *by_axis, *more])
+def _by_axis(values: Array) -> Array:
+    """Samples (N,) or (N, axes), axes first."""
+    return np.atleast_2d(values.T)
 
 
 def microseconds(stamps: Array) -> NDArray[np.int64]:

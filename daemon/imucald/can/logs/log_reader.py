@@ -88,8 +88,13 @@ class LogReader:
         self._cycles = cycles
         self._statistics = ReadStatistics(strict)
         self._overlaps = Overlaps()
-        self._bytes_before = 0
+        self._bytes_before = self._bytes_read = 0
         self._bytes_total: int | None = None
+
+    @property
+    def share(self) -> float | None:
+        """Part of all bytes that has been read; None where standard input is among the files."""
+        return self._bytes_read / self._bytes_total if self._bytes_total else None
 
     @property
     def frames_read(self) -> int:
@@ -125,7 +130,7 @@ class LogReader:
         """Yield chunks of bounded size, none of them empty. Raises LogError."""
         self._statistics = ReadStatistics(self._statistics.strict)
         self._overlaps = Overlaps()
-        self._bytes_before = 0
+        self._bytes_before = self._bytes_read = 0
         self._bytes_total = _total_bytes(self._paths)
         refuse_same_files(self._paths)
         first_frames = FirstFrames(self._cycles)
@@ -145,8 +150,9 @@ class LogReader:
             self._report(0)
 
     def _report(self, bytes_of_file: int) -> None:
+        self._bytes_read = self._bytes_before + bytes_of_file
         if self._progress is not None:
-            self._progress(self._bytes_before + bytes_of_file, self._bytes_total)
+            self._progress(self._bytes_read, self._bytes_total)
 
 
 class _Readers:
