@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import math
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from msgspec import Struct, field
 from numpy.typing import NDArray
 
 from imucald.motion.hops import HopRows
-from imucald.motion.sensor_judges import Runs
+from imucald.motion.sensor_judges import Runs, rate_of
 
 Array = NDArray[np.float64]
 
@@ -23,17 +24,28 @@ MOST_SAMPLES = 512
 
 
 class AxisHops(Struct, frozen=True, dict=True):
-    """Hops of one axis, as many as the rows have. runs: of the axis.
+    """Hops of one axis, as many as the rows have.
 
-    levels, steps: of each hop (H,), as `HopRows` has level and step; entries: of the rows.
-    top_values, top_counts: (2, H), the same of top and on_top, first of the upper, then of the
-    lower side. Their lists are made when they are first asked for.
+    runs: of equal values of the axis, after all hops; or of each hop how many had ended before it
+    and how long the longest was. levels, steps: of each hop (H,), as `HopRows` has level and step;
+    entries: of the rows. top_values, top_counts: (2, H), the same of top and on_top, first of the
+    upper, then of the lower side. Their lists are made when they are first asked for.
     """
 
     axis: int
     rows: HopRows
     entries: Array
-    runs: Runs
+    runs: Runs | list[tuple[int, int]]
+
+    def rate(self, h: int) -> float:
+        """See `Pile`, as known at hop h."""
+        return self.runs.rate() if isinstance(self.runs, Runs) else rate_of(*self.runs[h])
+
+    @cached_property
+    def in_rows(self) -> tuple[NDArray[Any], ...]:
+        """top_values, top_counts, steps and levels, each row by row."""
+        of = self.top_values, self.top_counts, self.steps, self.levels
+        return tuple(np.ascontiguousarray(one) for one in of)
 
     @property
     def levels(self) -> Array:

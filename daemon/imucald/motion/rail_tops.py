@@ -8,7 +8,6 @@ takes all hops in a row that need no more (`core/kernels/rails.c`).
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
 
 import numpy as np
 from msgspec import Struct
@@ -60,10 +59,10 @@ class TopList:
             self.piles.pop(tops[-1].value, None)
             del tops[-1]
 
-    def counted(self) -> Iterator[tuple[Top, Pile]]:
-        """Tops whose samples are counted."""
-        piles = self.piles
-        return ((one, piles[one.value]) for one in self._tops if one.value in piles)
+    def below(self, value: float) -> tuple[int, int]:
+        """Samples one and two steps below a top."""
+        top = next(one for one in self._tops if one.value == value)
+        return top.one_below, top.two_below
 
     def add_pile(self, top: Top, pile: Pile) -> None:
         """Begin to count the samples of the lowest."""
@@ -140,14 +139,10 @@ class TopRows:
         for one in [one for one in self.piles if one < value]:
             del self.piles[one]
 
-    def counted(self) -> Iterator[tuple[Top, Pile]]:
-        """Tops whose samples are counted."""
-        if not self.piles:
-            return
-        for k in range(int(self._depth[0])):
-            pile = self.piles.get(float(self._rows[k, 0]))
-            if pile is not None:
-                yield self._top(k), pile
+    def below(self, value: float) -> tuple[int, int]:
+        """Samples one and two steps below a top."""
+        top = self._top(int(np.argmax(self._rows[: self._depth[0], 0] == value)))
+        return top.one_below, top.two_below
 
     def add_pile(self, top: Top, pile: Pile) -> None:
         """Begin to count the samples of the lowest."""
@@ -172,13 +167,13 @@ class BothRows:
     def take(
         self, at: AxisHops, hops: Index, begin: int, moving: NDArray[np.bool_]
     ) -> tuple[int, list[Top | None]]:
-        """Take hops of driving from place `begin` on, up to one whose tops have to be weighed.
+        """Take hops from place `begin` on, up to one whose tops have to be weighed.
 
         Returns its place and, by side, which; or the place of the first hop that was not taken.
         """
         stopped = self._kernels.rail_hops(
-            hops, begin, moving, at.top_values, at.top_counts, at.steps, at.levels, self._rows,
-            self._depth, self.usual, self.hops, self._found,
+            hops, begin, moving, *at.in_rows, self._rows, self._depth, self.usual, self.hops,
+            self._found,
         )  # fmt: skip
         high, low, *largest = self._found.tolist()
         reached: list[Top | None] = []

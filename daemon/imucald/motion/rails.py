@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from imucald.core import compiled
 from imucald.motion.hops import SIDES
-from imucald.motion.rail_evidence import AxisHops, Pile
+from imucald.motion.rail_evidence import LEAST_AT_EXTREME, AxisHops, Pile
 from imucald.motion.rail_tops import BothRows, Top, TopList, TopRows
 
 Flags = NDArray[np.bool_]
@@ -104,11 +104,12 @@ class Rail:
         top = self._tops.last
         self._changed = top is not None and now == top.value
         piles = [
-            (pile.surprise, one.value)
-            for one, pile in self._tops.counted()
-            if pile.is_higher(one.one_below, one.two_below)
-            and now < one.value
-            and not self._is_apart(one.value)
+            (pile.surprise, value)
+            for value, pile in self._tops.piles.items()
+            if pile.at_it >= LEAST_AT_EXTREME
+            and now < value
+            and pile.is_higher(*self._tops.below(value))
+            and not self._is_apart(value)
         ]
         self.surprise, self.value = max(piles, default=(0.0, math.inf))
 
@@ -131,9 +132,9 @@ class Rail:
         self._changed = True
         pile = self._tops.piles.get(top.value)
         if pile is None:
-            pile = Pile(at.runs.rate())
+            pile = Pile(at.rate(h))
             self._tops.add_pile(top, pile)
-        pile.rate = pile.rate or at.runs.rate()
+        pile.rate = pile.rate or at.rate(h)
         is_arrival = hop - pile.last > 1
         if is_arrival:
             pile.before = pile.at_it, pile.stays
@@ -192,7 +193,7 @@ class AxisRails:
             self._pile_up(at, h, self._drive(at, h))
         else:
             _, tops = self._both.take(at, np.array([h]), 0, np.ones(len(at.levels), dtype=bool))
-            self._take_driven(at, (h,))
+            self._take_driven(at, (h,), (True,) * len(at.levels))
             self._pile_up(at, h, tops)
         return self._weigh(at, h, high.changed, low.changed)
 
@@ -208,7 +209,7 @@ class AxisRails:
         is_clear = high.is_clear and low.is_clear
         while (done := len(found)) < len(hops):
             h = hops[done]
-            if not (is_clear and moves[h]):
+            if not is_clear or (self._both is None and not moves[h]):
                 found.append(self.step(at, h, moves[h], stuck=False))
                 is_clear = high.is_clear and low.is_clear
                 continue
@@ -217,7 +218,7 @@ class AxisRails:
             else:
                 stopped, tops = self._both.take(at, places, done, moving)
                 is_weighed = tops != [None, None]
-                self._take_driven(at, hops[done : stopped + is_weighed])
+                self._take_driven(at, hops[done : stopped + is_weighed], moves)
                 found += [False] * (stopped - done)
                 if not is_weighed:
                     continue
@@ -243,12 +244,13 @@ class AxisRails:
             tops.append(own.reached(value[h], on[h], at.step[h], hop))
         return tops
 
-    def _take_driven(self, at: AxisHops, hops: Sequence[int]) -> None:
-        """Take over what the compiled part made of hops of driving."""
+    def _take_driven(self, at: AxisHops, hops: Sequence[int], moves: Sequence[bool]) -> None:
+        """Take over what the compiled part made of hops."""
         if self._both is not None and len(hops):
             self._hops, self._usual = int(self._both.hops[0]), float(self._both.usual[0])
+            driven = [h for h in hops if moves[h]][-TAIL_HOPS:]
             for rail, values in zip((self._high, self._low), at.tops, strict=True):
-                rail.recent.extend([values[h] for h in hops[-TAIL_HOPS:]])
+                rail.recent.extend([values[h] for h in driven])
 
     def _pile_up(self, at: AxisHops, h: int, tops: Sequence[Top | None]) -> None:
         """Count the samples of hop h, of driving, that are on its tops."""

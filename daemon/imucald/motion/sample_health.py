@@ -9,6 +9,8 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Mapping, Sequence
+from itertools import groupby
+from operator import itemgetter
 from typing import Any
 
 import numpy as np
@@ -122,24 +124,35 @@ class _Sensor(FaultsInForce):
     ) -> tuple[list[bool], list[bool]]:
         """At the end of which hops an axis is stuck, and on a rail; False without samples."""
         judge, rails, contact = self.stuck[axis], self.rails[axis], self.contacts[axis]
-        at = AxisHops(axis, rows, entries, judge.moving)
         counts = rows.count, rows.ended[:, axis], rows.longest[:, axis], rows.run[:, axis]
         moves = moving.tolist()
         stuck, saturated = [False] * len(moves), [False] * len(moves)
         if len(moves) >= SEVERAL and judge.is_usual(moving, counts, MIN_RUN):
-            some = rows.count > 0
+            at, some = AxisHops(axis, rows, entries, judge.moving), rows.count > 0
             contact.step_through(at, some, counts)
             judge.step_through(moving[some], [x[some] for x in counts])
             hops = np.flatnonzero(some).tolist()
             for h, on_rail in zip(hops, rails.step_through(at, hops, moving), strict=True):
                 saturated[h] = on_rail
             return stuck, saturated
+        known: list[tuple[int, int]] = []
+        at = AxisHops(axis, rows, entries, known)
+        begins: list[tuple[int, bool]] = []  # of hops with samples; whether it was stuck then
         of_runs = zip(*(x.tolist() for x in counts), strict=True)
         for h, (is_moving, runs) in enumerate(zip(moves, of_runs, strict=True)):
+            known.append((judge.moving.count, judge.moving.longest))
             if runs[0]:
-                saturated[h] = rails.step(at, h, is_moving, judge.stuck)
+                begins.append((h, judge.stuck))
                 lost, jumped = contact.step(at, h, axis, runs, judge.usual(is_moving))
                 stuck[h] = judge.step(is_moving, runs, at.step[h], jumped) or lost
+        for was_stuck, of in groupby(begins, key=itemgetter(1)):
+            hops = [h for h, _ in of]
+            if was_stuck:
+                on_rail = [rails.step(at, h, moves[h], stuck=True) for h in hops]
+            else:
+                on_rail = rails.step_through(at, hops, moving)
+            for h, is_on in zip(hops, on_rail, strict=True):
+                saturated[h] = is_on
         return stuck, saturated
 
 

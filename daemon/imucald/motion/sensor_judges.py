@@ -75,12 +75,8 @@ class Runs:
         self._samples += samples
 
     def rate(self) -> float:
-        """-log of the chance that a run goes on, for one more sample [nats]; 0: not known.
-
-        The longest of N lengths, spread exponentially as those of noise are, is near log N times
-        their scale.
-        """
-        return 0.0 if self.count < MIN_RUNS else math.log(self.count) / max(self.longest, 1)
+        """-log of the chance that a run goes on, for one more sample [nats]; 0: not known."""
+        return rate_of(self.count, self.longest)
 
     def limit(self) -> float:
         """A run of more samples is stuck."""
@@ -90,6 +86,15 @@ class Runs:
         # of runs that noise makes, the mean times log N is no shorter than the longest
         wandered = self.longest * self.count / (self._samples * math.log(self.count))
         return max(SURPRISE / rate, max(LEAST_TIMES, wandered) * self.longest)
+
+
+def rate_of(count: int, longest: int) -> float:
+    """The rate of `Runs` from how many ended, and the longest.
+
+    The longest of N lengths, spread exponentially as those of noise are, is near log N times their
+    scale.
+    """
+    return 0.0 if count < MIN_RUNS else math.log(count) / max(longest, 1)
 
 
 class StuckAxis:

@@ -56,13 +56,21 @@ static int reach(double (*tops)[TOP], int64_t *depth, double value, double on, d
     return on >= LONG_STAY;
 }
 
-/* Take hops[begin], hops[begin + 1], ... of driving, up to one whose top has to be weighed.
+/* Let go what lies below a value that was reached at rest. */
+static void drop_below(double (*tops)[TOP], int64_t *depth, double value)
+{
+    while (*depth && tops[*depth - 1][VALUE] < value)
+        (*depth)--;
+}
+
+/* Take hops[begin], hops[begin + 1], ... up to one whose top has to be weighed, or after which a
+   pile is let go for want of room.
 
    moving: (H,) of all hops. tops, on: (SIDES, H); step, level: (H,). rows: (SIDES, REMEMBERED + 1, TOP)
    tops that nothing has gone beyond, depth: (SIDES,) how many. usual: (1,) mean change; count: (1,)
-   hops so far. found: (FOUND,) whether the last hop is to be weighed, by side; the largest value of these
-   hops; the value of a pile that was let go, if any. Returns the place of the hop that is to be weighed,
-   else of the first that was not taken. */
+   hops of driving so far. found: (FOUND,) whether the last hop is to be weighed, by side; the largest
+   value of these hops; the value of the pile that was let go. Returns the place of the hop that is to
+   be weighed, else of the first that was not taken. */
 KERNEL long rail_hops(PyObject *hops_, long begin, PyObject *moving_, PyObject *tops_, PyObject *on_,
                       PyObject *step_, PyObject *level_, PyObject *rows_, PyObject *depth_,
                       PyObject *usual_, PyObject *count_, PyObject *found_)
@@ -96,8 +104,17 @@ KERNEL long rail_hops(PyObject *hops_, long begin, PyObject *moving_, PyObject *
         found[DROPPED + side] = NAN;
     }
     Size k;
-    for (k = begin; k < n && moving[hops[k]]; k++) {
+    for (k = begin; k < n; k++) {
         Size h = (Size)hops[k];
+        if (!moving[h]) {
+            for (int side = 0; side < SIDES; side++) {
+                double value = tops[side * all + h];
+                double (*own)[TOP] = (double (*)[TOP])(rows + side * (REMEMBERED + 1) * TOP);
+                found[HIGHEST + side] = value > found[HIGHEST + side] ? value : found[HIGHEST + side];
+                drop_below(own, &depth[side], value);
+            }
+            continue;
+        }
         double hop = (double)(*count)++;
         *usual += (level[h] - *usual) / (hop < TAIL_HOPS ? hop + 1.0 : (double)TAIL_HOPS);
         for (int side = 0; side < SIDES; side++) {
@@ -109,6 +126,10 @@ KERNEL long rail_hops(PyObject *hops_, long begin, PyObject *moving_, PyObject *
         }
         if (found[IS_REACHED] != 0.0 || found[IS_REACHED + 1] != 0.0)
             break;
+        if (found[DROPPED] == found[DROPPED] || found[DROPPED + 1] == found[DROPPED + 1]) {
+            k++;
+            break;
+        }
     }
     return leave(&a, (long)k);
 }
