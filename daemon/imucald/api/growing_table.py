@@ -21,25 +21,26 @@ class GrowingTable:
 
     def __init__(self) -> None:
         self._columns: list[NDArray[Any]] = []
+        self._room = 0
         self.rows = 0
 
     def add(self, parts: Sequence[NDArray[Any]], share: float | None) -> None:
         """Add rows: of each column a part (n,). share: of all rows, as far as anyone knows."""
         before, self.rows = self.rows, self.rows + len(parts[0])
-        if not self._columns or self.rows > len(self._columns[0]):
+        if not self._columns or self.rows > self._room:
             self._grow(before, parts, share)
         for column, part in zip(self._columns, parts, strict=True):
             column[before : self.rows] = part
 
     def _grow(self, before: int, parts: Sequence[NDArray[Any]], share: float | None) -> None:
         expected = LEEWAY * self.rows / share if share else 0.0
-        room = int(min(max(expected, self.rows, 2 * before), MOST_TIMES * self.rows))
+        self._room = int(min(max(expected, self.rows, 2 * before), MOST_TIMES * self.rows))
         former = self._columns or [part[:0] for part in parts]
-        self._columns = [np.empty(room, column.dtype) for column in former]
+        self._columns = [np.empty(self._room, column.dtype) for column in former]
         for column, old in zip(self._columns, former, strict=True):
             column[:before] = old[:before]
 
     def columns(self) -> list[NDArray[Any]]:
         """The columns, as many rows as came."""
         found = [column[: self.rows] for column in self._columns]
-        return [one.copy() if SPARE * len(one) < len(one.base) else one for one in found]
+        return [one.copy() for one in found] if self._room > SPARE * self.rows else found

@@ -13,11 +13,11 @@ from collections.abc import Mapping
 import numpy as np
 from numpy.typing import NDArray
 
-from imucald.can.columns import FrameColumns, IdMatch
+from imucald.can.columns import IdMatch
 from imucald.can.e2e.protection import DOUBLED
 from imucald.inputs.conversion import REASONS, Conversion
 from imucald.inputs.rate_guard import JudgesRate, Rows
-from imucald.inputs.routes import SignalRoute
+from imucald.inputs.routes import Carried, SignalRoute
 from imucald.inputs.taps import Columns, Physical, Raw, Tap, TapColumns, arrays_of
 
 Array = NDArray[np.float64]
@@ -164,7 +164,7 @@ class Probe:
         return self.route.numbers(data)
 
     def check_columns(
-        self, t: Array, frames: FrameColumns
+        self, t: Array, frames: Carried
     ) -> tuple[NDArray[np.bool_], Mapping[str, NDArray[np.int64]]]:
         """As the route; counted."""
         ok, reasons = self.route.check_columns(t, frames)
@@ -189,7 +189,7 @@ class Probe:
             self._interval_count += len(intervals)
         self._last = float(t[-1])
 
-    def number_columns(self, frames: FrameColumns) -> Columns:
+    def number_columns(self, frames: Carried) -> Columns:
         """As the route; ranges are taken."""
         columns = self.route.number_columns(frames)
         for tap in self.route.taps:
@@ -200,6 +200,6 @@ class Probe:
                 self.signals[tap.channel, tap.rank, slot].add(raw, physical)
         return columns
 
-    def tap_columns(self, frames: FrameColumns) -> TapColumns:
+    def tap_columns(self, frames: Carried) -> TapColumns:
         """As the route; ranges are taken."""
         return arrays_of(self.route.taps, self.number_columns(frames))

@@ -63,6 +63,7 @@ class Kernels:
     judge_frames: Kernel
     left_over: Kernel
     less_angle: Kernel
+    match_frames: Kernel
     microseconds: Kernel
     pair_sums: Kernel
     push_window: Kernel
@@ -72,6 +73,7 @@ class Kernels:
     scores: Kernel
     signal_column: Kernel
     span_changes: Kernel
+    stream_times: Kernel
     tapered: Kernel
     tick_sums: Kernel
     turn_samples: Kernel
@@ -97,6 +99,7 @@ class Kernels:
         "judge_frames": "ooood" + 7 * "o",
         "left_over": 6 * "o",
         "less_angle": 11 * "o",
+        "match_frames": 6 * "o",
         "microseconds": "oo",
         "pair_sums": "oooio",
         "push_window": 11 * "o" + "do",
@@ -106,6 +109,7 @@ class Kernels:
         "scores": 7 * "o" + "ioo",
         "signal_column": 8 * "o",
         "span_changes": 8 * "o",
+        "stream_times": "oioo",
         "tapered": "oooio",
         "tick_sums": "oooido",
         "turn_samples": 5 * "o",

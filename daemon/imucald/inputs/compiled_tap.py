@@ -11,7 +11,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from imucald.can.columns import FrameColumns
+from imucald.can.columns import FrameColumns, Payloads
 from imucald.can.dbc.bits import WORD_BITS
 from imucald.can.dbc.decode import DecodePlan
 from imucald.can.dbc.resolved_signal import IntegerScaling, ResolvedSignal
@@ -42,7 +42,7 @@ class CompiledTap:
             ]
 
     def array(
-        self, kernels: Kernels, frames: FrameColumns
+        self, kernels: Kernels, frames: FrameColumns | Payloads
     ) -> tuple[NDArray[np.float64], NDArray[np.int8]]:
         """As `Tap.array`, of good frames (N,)."""
         data, length, n = frames.data, frames.length, len(frames)
@@ -54,7 +54,7 @@ class CompiledTap:
             values[-1] = self._third
         return (values[0] if len(values) == 1 else values.T), codes
 
-    def can_take(self, frames: FrameColumns) -> bool:
+    def can_take(self, frames: FrameColumns | Payloads) -> bool:
         """Whether the kernel knows such signals, and every one lies in the frames."""
         return self._is_plain and frames.data.shape[1] >= self._size
 

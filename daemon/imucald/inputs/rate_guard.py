@@ -91,14 +91,14 @@ class RateGuard:
         """The same of many frames: rows among the good ones (N,) that are rejected, by reason."""
         if not len(t):
             return {}
-        second = np.floor(t).astype(np.int64)
-        first = int(second[0])
-        of = second - first
-        n = int(of[-1]) + 1
-        good_count = seen_count = np.bincount(of if good.all() else of[good], minlength=n)
+        first = math.floor(t[0])
+        n = math.floor(t[-1]) - first + 1
+        edges = t.searchsorted(np.arange(first, first + n + 1))  # of seconds: times never decrease
+        before = edges if good.all() else np.append(0, np.cumsum(good))[edges]
+        good_count = seen_count = np.diff(before)
         fault_count = np.zeros(n, np.int64)
         for reason, rows in reasons.items():
-            count = np.bincount(of[rows], minlength=n)
+            count = np.diff(rows.searchsorted(edges))
             if reason not in _NOT_SENT:
                 seen_count = seen_count + count
             if reason.startswith("counter"):
@@ -111,20 +111,22 @@ class RateGuard:
             self._allowed = math.floor(self._limit())
             return {}
         refused: dict[str, list[Rows]] = {}
+        begins = edges.tolist()
         for i in range(n):
             frames, faults, sound = seen[i], faulty[i], sound_in[i]
-            if frames == sound == 0 and not self._any(of, i):
-                continue
+            of = slice(begins[i], begins[i + 1])
+            if of.start == of.stop:
+                continue  # no frame, damaged ones too
             self._enter(first + i)
             self._seen += frames
             self._faults += faults
             if self._second <= self._distrusted_until:
-                refused.setdefault(DUPLICATE, []).append(np.flatnonzero((of == i) & good))
+                refused.setdefault(DUPLICATE, []).append(of.start + np.flatnonzero(good[of]))
                 continue
             room = max(0, self._allowed - self._taken)
             self._taken += sound
             if sound > room:
-                rows = np.flatnonzero((of == i) & good)[room:]
+                rows = of.start + np.flatnonzero(good[of])[room:]
                 refused.setdefault(TOO_FAST, []).append(rows)
         return {reason: np.concatenate(rows) for reason, rows in refused.items()}
 
@@ -133,12 +135,6 @@ class RateGuard:
         open_second = self._seen + (seen[0] if first == self._second else 0)
         most = max(*seen, open_second, *(before for before, _ in self._before))
         return most <= TWO_SENDERS * self._usual < math.inf and first > self._distrusted_until
-
-    @staticmethod
-    def _any(of: Rows, i: int) -> bool:
-        """Whether any frame, damaged ones too, came in that second."""
-        at = int(np.searchsorted(of, i))
-        return at < len(of) and int(of[at]) == i
 
     def _limit(self) -> float:
         if math.isinf(self._usual):

@@ -20,11 +20,11 @@ from imucald.inputs.column_samples import (
     assembled,
     guarded,
     joined,
-    rows_of,
     width_of,
 )
 from imucald.inputs.conversion import REASONS
-from imucald.inputs.routes import SignalRoute
+from imucald.inputs.route_rows import RouteRows
+from imucald.inputs.routes import Carried, SignalRoute
 from imucald.inputs.source_selector import SourceSelector
 from imucald.inputs.taps import Physical, Raw, Tap
 from imucald.inputs.triad_assembler import TapSamples, TriadAssembler
@@ -51,6 +51,7 @@ class Router:
         derive_reverse: bool = False,
     ) -> None:
         self.routes = tuple(routes)
+        self._rows = RouteRows([route.match for route in self.routes])
         self.rejected: Counter[str] = Counter()
         """Rejected frames and samples by reason."""
         self.used = 0
@@ -198,19 +199,19 @@ class Router:
 
     def columns(self, t: NDArray[np.float64], frames: FrameColumns) -> Routed:
         """Samples of a chunk of frames; t: (N,) stream times of the frames."""
-        used = np.zeros(len(frames), dtype=bool)
+        found, is_disjoint = self._rows.of(frames)
+        used = np.zeros(0 if is_disjoint else len(frames), dtype=bool)
         parts: dict[str, list[TapSamples]] = {}
         refused: list[tuple[Tap, Rows]] = []
         events: list[Rows] = []
         for selector in self._selectors.values():
             selector.begin_chunk()
-        for route in self.routes:
-            rows = rows_of(route.match, frames)
+        for route, rows in zip(self.routes, found, strict=True):
             if not len(rows):
                 continue
-            chosen = frames if len(rows) == len(frames) else frames.take(rows)
-            ok, reasons = route.check_columns(t[rows], chosen)
-            ok, reasons = guarded(route, t[rows], ok, reasons)
+            times, chosen = t.take(rows), frames.payloads(rows)
+            ok, reasons = route.check_columns(times, chosen)
+            ok, reasons = guarded(route, times, ok, reasons)
             for reason, bad in reasons.items():
                 self.rejected[reason] += len(bad)
                 events.append(rows[bad])
@@ -218,12 +219,14 @@ class Router:
                     continue
                 refused += [(tap, rows[bad]) for tap in route.taps]
             if not ok.all():
-                rows = rows[ok]
-                chosen = chosen.take(ok)
-            used[rows] = True
-            self._take_columns(route, t, rows, chosen, parts, refused, events)
+                rows, times, chosen = rows[ok], times[ok], chosen.take(ok)  # noqa: PLW2901
+            if is_disjoint:
+                self.used += len(rows)
+            else:
+                used[rows] = True
+            self._take_columns(route, times, rows, chosen, parts, refused, events)
         self.used += int(np.count_nonzero(used))
-        samples = {c: self._joined(c, found, refused) for c, found in parts.items()}
+        samples = {c: self._joined(c, of, refused) for c, of in parts.items()}
         self._finish_columns(samples)
         return Routed(
             samples,
@@ -247,14 +250,18 @@ class Router:
     def _take_columns(
         self,
         route: SignalRoute,
-        t: NDArray[np.float64],
+        times: NDArray[np.float64],
         rows: Rows,
-        frames: FrameColumns,
+        frames: Carried,
         parts: dict[str, list[TapSamples]],
         refused: list[tuple[Tap, Rows]],
         events: list[Rows],
     ) -> None:
         for tap, (values, codes) in zip(route.taps, route.tap_columns(frames), strict=True):
+            part = TapSamples(tap, times, rows, values, codes)
+            if not codes.any():
+                parts.setdefault(tap.channel, []).append(part)
+                continue
             bad = codes > 0
             if bad.any():
                 events.append(rows[bad])
@@ -263,7 +270,6 @@ class Router:
                 if tap.complete:
                     refused.append((tap, rows[bad]))
             keep = codes == 0 if tap.complete else codes >= 0
-            part = TapSamples(tap, t[rows], rows, values, codes)
             if not keep.all():
                 part = part.take(keep)
             parts.setdefault(tap.channel, []).append(part)

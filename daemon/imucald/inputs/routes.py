@@ -9,7 +9,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from imucald.can.columns import FrameColumns, IdMatch
+from imucald.can.columns import FrameColumns, IdMatch, Payloads
 from imucald.can.dbc.decode import DecodePlan
 from imucald.can.e2e.protection import REASONS, MessageChecker
 from imucald.core import compiled
@@ -17,6 +17,9 @@ from imucald.inputs.compiled_tap import CompiledTap
 from imucald.inputs.expression import Expression
 from imucald.inputs.rate_guard import JudgesRate, RateGuard
 from imucald.inputs.taps import Columns, Physical, Raw, Tap, TapColumns, arrays_of
+
+Carried = FrameColumns | Payloads
+"""Frames (N,), of which a route looks at what they carry."""
 
 
 class SignalRoute(Protocol):
@@ -49,14 +52,14 @@ class SignalRoute(Protocol):
         """Raw and physical values of a good frame."""
 
     def check_columns(
-        self, t: NDArray[np.float64], frames: FrameColumns
+        self, t: NDArray[np.float64], frames: Carried
     ) -> tuple[NDArray[np.bool_], Mapping[str, NDArray[np.int64]]]:
         """Good frames (N,), and the rows of bad ones by reason."""
 
-    def number_columns(self, frames: FrameColumns) -> Columns:
+    def number_columns(self, frames: Carried) -> Columns:
         """Raw and physical values of good frames, one entry a signal."""
 
-    def tap_columns(self, frames: FrameColumns) -> TapColumns:
+    def tap_columns(self, frames: Carried) -> TapColumns:
         """What each of the taps takes of good frames (see `Tap.array`), in their order."""
 
 
@@ -83,7 +86,7 @@ class MessageRoute:
         return raw, self.plan.scale(raw)
 
     def check_columns(
-        self, t: NDArray[np.float64], frames: FrameColumns
+        self, t: NDArray[np.float64], frames: Carried
     ) -> tuple[NDArray[np.bool_], Mapping[str, NDArray[np.int64]]]:
         """`check` on columns."""
         codes = self.checker.check_columns(t, frames.data, frames.length)
@@ -94,12 +97,12 @@ class MessageRoute:
             REASONS[code]: np.flatnonzero(codes == code) for code in np.unique(codes[~ok]).tolist()
         }
 
-    def number_columns(self, frames: FrameColumns) -> Columns:
+    def number_columns(self, frames: Carried) -> Columns:
         """Decode columns."""
         found = self.plan.decode_columns(frames.data, frames.length)
         return list(zip(found.raw, found.values, found.present, strict=True))
 
-    def tap_columns(self, frames: FrameColumns) -> TapColumns:
+    def tap_columns(self, frames: Carried) -> TapColumns:
         """Decode, scale and judge; signal by signal only where the compiled part cannot."""
         kernels = compiled.kernels
         if kernels is None or not all(one.can_take(frames) for one in self._compiled):
@@ -135,7 +138,7 @@ class RawRoute:
         return (number,), (number if math.isfinite(number) else math.nan,)
 
     def check_columns(
-        self, t: NDArray[np.float64], frames: FrameColumns
+        self, t: NDArray[np.float64], frames: Carried
     ) -> tuple[NDArray[np.bool_], Mapping[str, NDArray[np.int64]]]:
         """`check` on columns."""
         ours = np.ones(len(frames), dtype=bool)
@@ -145,11 +148,11 @@ class RawRoute:
         reasons = {"short_frame": np.flatnonzero(short)} if short.any() else {}
         return ours & ~short, reasons
 
-    def number_columns(self, frames: FrameColumns) -> Columns:
+    def number_columns(self, frames: Carried) -> Columns:
         """The values."""
         numbers = self._value.numbers(frames.data, frames.length)
         return [(numbers, numbers, None)]
 
-    def tap_columns(self, frames: FrameColumns) -> TapColumns:
+    def tap_columns(self, frames: Carried) -> TapColumns:
         """What the tap takes of them."""
         return arrays_of(self.taps, self.number_columns(frames))

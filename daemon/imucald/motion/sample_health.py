@@ -148,11 +148,11 @@ class _Sensor(FaultsInForce):
         for was_stuck, of in groupby(begins, key=itemgetter(1)):
             hops = [h for h, _ in of]
             if was_stuck:
-                on_rail = [rails.step(at, h, moves[h], stuck=True) for h in hops]
+                flags = [rails.step(at, h, moves[h], stuck=True) for h in hops]
             else:
-                on_rail = rails.step_through(at, hops, moving)
-            for h, is_on in zip(hops, on_rail, strict=True):
-                saturated[h] = is_on
+                flags = rails.step_through(at, hops, moving)
+            for h, on_rail in zip(hops, flags, strict=True):
+                saturated[h] = on_rail
         return stuck, saturated
 
 

@@ -248,7 +248,7 @@ class Engine:
         watched, refused = routed.samples, routed.rejected
         if self.preprocessing is not None:
             routed = self.preprocessing.columns(routed, segment.t, self.router.rejected)
-        ticks = np.floor(segment.t * TICK_RATE).astype(np.int64)
+        ticks = cache(lambda: np.floor(segment.t * TICK_RATE).astype(np.int64))
         times = {c: segment.t[rows] for c, rows in routed.rejected.items()}
         first = self.pipeline.k
         wanted = keep or bool(self._group) or self._on_snapshot is not None
@@ -261,19 +261,20 @@ class Engine:
         if keep:
             yield from self._status_parts(
                 snapshots,
-                lambda k: base + int(np.searchsorted(ticks, k, side="right")),
+                lambda k: base + int(np.searchsorted(ticks(), k, side="right")),
                 events,
                 routed,
             )
         else:
             self._hand_on(snapshots)
-        self._watch.take_columns(routed, events, int(ticks[-1]), self.router.rejected.total())
+        last = tick_index(float(segment.t[-1]))
+        self._watch.take_columns(routed, events, last, self.router.rejected.total())
         if self._group:
-            parts = self._group.columns(routed, corrections, snapshots, ticks, base)
+            parts = self._group.columns(routed, corrections, snapshots, ticks(), base)
             yield from self._counted(parts)
         lost = self._lost_rows(routed, segment.t)
         corrected = cache(
-            lambda: corrected_samples(routed, corrections, ticks, self.output, self.preprocessing)
+            lambda: corrected_samples(routed, corrections, ticks(), self.output, self.preprocessing)
         )
         if self._on_samples is not None:
             self._on_samples(SegmentSamples(segment, chunk.t, watched, refused, corrected))

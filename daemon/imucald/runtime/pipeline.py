@@ -266,9 +266,10 @@ class Pipeline:
         if n < FEW_TICKS:
             return 0
         keeps.keep_quiet(rows[:n])
-        heard = np.flatnonzero(rows[:n, SPEED.n])
-        if len(heard):
-            newest = int(heard[-1])
+        newest = n - 1
+        if not rows[newest, SPEED.n]:
+            newest = int(np.flatnonzero(rows[:n, SPEED.n])[-1:].max(initial=-1))
+        if newest >= 0:
             self.speed = self.k + newest, float(rows[newest, SPEED.mean])
         first, self.k = self.k, self.k + n
         if snapshots is not None:

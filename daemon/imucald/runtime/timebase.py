@@ -17,6 +17,7 @@ import numpy as np
 from msgspec import Struct
 from numpy.typing import NDArray
 
+from imucald.core import compiled
 from imucald.motion.ticks import TICK_RATE
 
 BACKWARD_STEP = 1.0
@@ -24,6 +25,7 @@ BACKWARD_STEP = 1.0
 FORWARD_STEP = 10.0
 """A stamp newer than this is a clock step or a hole: nothing is carried across it [s]. Where stamps
 have been before, one newer than `BACKWARD_STEP` is a step."""
+_STEPS = BACKWARD_STEP, FORWARD_STEP
 
 HOLE_SHARE = 10.0
 """A second of frames for each whole hole, after a first one: more than that is no drive."""
@@ -92,12 +94,24 @@ class TimeBase:
                 gap = True
                 self._begin_segment(float(stamps[start]))
             self._newest = max(self._newest, float(stamps[start]))
-            stop = self._end_of_segment(stamps, start + 1)
-            t = np.maximum.accumulate(np.maximum(stamps[start:stop] - self._offset, self._now))
-            self._newest = max(self._newest, float(stamps[start:stop].max()))
-            self._now = self._frame = float(t[-1])
-            yield TimeSegment(start, stop, t, gap)
-            start = stop
+            t = self._times(stamps, start)
+            yield TimeSegment(start, start + len(t), t, gap)
+            start += len(t)
+
+    def _times(self, stamps: NDArray[np.float64], start: int) -> NDArray[np.float64]:
+        """Stream times of a segment that begins at row `start`, up to the next step."""
+        if compiled.kernels is not None:
+            numbers = np.array([self._offset, self._now, self._newest, self._highest, *_STEPS])
+            times = np.empty(len(stamps) - start)
+            stop = compiled.kernels.stream_times(stamps, start, numbers, times)
+            if stop > start:
+                self._now, self._newest = self._frame, _ = numbers[1:3].tolist()
+                return times[: stop - start]
+        stop = self._end_of_segment(stamps, start + 1)
+        times = np.maximum.accumulate(np.maximum(stamps[start:stop] - self._offset, self._now))
+        self._newest = max(self._newest, float(stamps[start:stop].max()))
+        self._now = self._frame = float(times[-1])
+        return times
 
     def _end_of_segment(self, stamps: NDArray[np.float64], start: int) -> int:
         """The first row from `start` on that steps; looked for in windows that double.

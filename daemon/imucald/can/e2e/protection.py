@@ -169,6 +169,9 @@ class MessageChecker:
         return codes
 
     def _count(self, codes: NDArray[np.uint8]) -> None:
+        if not codes.any():
+            self._counts[OK] += len(codes)
+            return
         found = np.bincount(codes, minlength=len(REASONS)).tolist()
         self._counts = [a + b for a, b in zip(self._counts, found, strict=True)]
 
