@@ -31,7 +31,8 @@ def kernels() -> Extension:
         define_macros=[("STAMP", f"{stamp()}ul")],
         extra_compile_args=[
             "-std=c11",
-            "-O2",
+            "-O3",
+            "-g0",
             "-fno-fast-math",
             "-ffp-contract=off",
             "-fvisibility=hidden",

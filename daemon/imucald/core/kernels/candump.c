@@ -66,6 +66,16 @@ static inline unsigned nibble(uint8_t c)
     return (c & 0x0Fu) + 9u * (c >> 6);
 }
 
+/* The number of a hexadecimal digit; so far below 0 where it is none that no digits make up for it. */
+#define NONE8 NONE, NONE, NONE, NONE, NONE, NONE, NONE, NONE
+#define NONE32 NONE8, NONE8, NONE8, NONE8
+enum { NONE = -(1 << 20) };
+static const int32_t HEX[256] = {
+    NONE32, NONE8, NONE8, 0, 1, 2, 3, 4, 5, 6, 7, 8, 9, NONE, NONE, NONE, NONE, NONE, NONE,
+    NONE, 10, 11, 12, 13, 14, 15, NONE, NONE8, NONE8, NONE8,
+    NONE, 10, 11, 12, 13, 14, 15, NONE, NONE8, NONE8, NONE8, NONE32, NONE32, NONE32, NONE32,
+};
+
 /* Bytes of hexadecimal digits that are known to be some; 16 digits are read. */
 static inline uint64_t eight_bytes(const uint8_t *p, unsigned count)
 {
@@ -100,6 +110,32 @@ static inline uint64_t decimal(const uint8_t *p, Size count)
     for (Size k = first; k < count; k += WORD)
         number = 100000000 * number + eight_digits(word_at(p + k) & EACH(0x0F));
     return number;
+}
+
+/* The whole seconds of the stamp before, which most stamps share. */
+typedef struct {
+    Size seconds, fraction; /* digits; none were read where there are none */
+    uint64_t first, second; /* the text of the first WORD digits, and of the rest */
+    uint64_t number;        /* times the power of the fraction's digits */
+} Second;
+
+/* The number of a stamp at p; not a number where no double holds its digits. */
+static inline double stamp_of(const uint8_t *p, Size seconds, Size fraction, Second *known)
+{
+    if (seconds + fraction > MOST_DIGITS)
+        return NAN;
+    uint64_t first = 0, second = 0;
+    if (seconds >= WORD) {
+        first = word_at(p);
+        second = word_at(p + WORD) & first_bytes((unsigned)(seconds - WORD));
+    }
+    if (seconds < WORD || seconds > 2 * WORD || seconds != known->seconds ||
+        fraction != known->fraction || first != known->first || second != known->second) {
+        *known = (Second){seconds, fraction, first, second,
+                          decimal(p, seconds) * (uint64_t)POWERS[fraction]};
+    }
+    uint64_t whole = known->number + decimal(p + seconds + 1, fraction);
+    return whole < EXACT ? (double)whole / POWERS[fraction] : NAN;
 }
 
 /* Whether the text at p begins with a name of that length, of which NAME bytes are there. */
@@ -244,10 +280,12 @@ typedef struct {
     Size length; /* bytes; 0 where no line was like that */
     Size words;
     Size seconds, fraction, channel; /* as in `Frame` */
+    const uint8_t *verdicts;
     uint64_t wanted[LONGEST_HEAD / WORD], leeway[LONGEST_HEAD / WORD], part[LONGEST_HEAD / WORD];
 } Head;
 
-static void learn_head(Head *head, const uint8_t *line, const Frame *frame, const uint8_t *id)
+static void learn_head(Head *head, const uint8_t *line, const Frame *frame, const uint8_t *id,
+                       const Channels *known)
 {
     Size length = id - line;
     uint8_t wanted[LONGEST_HEAD], leeway[LONGEST_HEAD], part[LONGEST_HEAD];
@@ -267,14 +305,14 @@ static void learn_head(Head *head, const uint8_t *line, const Frame *frame, cons
     head->seconds = frame->seconds;
     head->fraction = frame->fraction;
     head->channel = frame->channel;
+    head->verdicts = known->verdicts + frame->channel * VERDICTS;
     head->words = (length + WORD - 1) / WORD;
 }
 
 /* The newline of the line from p on, where it is like the lines before: a head, an id of 11 bits,
    '#', data of a classic frame; NULL where it is not, or ends in another way. All bytes from p to
    p + head->length + USUAL_TAIL can be read. */
-static inline const uint8_t *usual_line(const uint8_t *p, const Head *head, const Channels *known,
-                                        Frame *frame)
+static inline const uint8_t *usual_line(const uint8_t *p, const Head *head, Frame *frame)
 {
     uint64_t bad = 0;
     for (Size k = 0; k < head->words; k++) {
@@ -282,7 +320,8 @@ static inline const uint8_t *usual_line(const uint8_t *p, const Head *head, cons
         bad |= (other | ((other & EACH(0x7F)) + head->leeway[k])) & head->part[k];
     }
     const uint8_t *id = p + head->length, *data = id + STANDARD_DIGITS + 1;
-    if (bad || id[STANDARD_DIGITS] != '#' || !are_hex(id, STANDARD_DIGITS))
+    int number = 256 * HEX[id[0]] + 16 * HEX[id[1]] + HEX[id[2]];
+    if (bad || number < 0 || id[STANDARD_DIGITS] != '#')
         return NULL;
     uint64_t first = word_at(data), second = word_at(data + WORD);
     uint64_t other = first ^ EACH('\n');
@@ -299,10 +338,10 @@ static inline const uint8_t *usual_line(const uint8_t *p, const Head *head, cons
         return NULL;
     if (digits % 2 || !are_hex(data, digits))
         return NULL;
-    frame->id = nibble(id[0]) << 8 | nibble(id[1]) << 4 | nibble(id[2]);
-    uint8_t verdict = known->verdicts[head->channel * VERDICTS + frame->id];
+    uint8_t verdict = head->verdicts[number];
     if (verdict > 1)
         return NULL;
+    frame->id = (uint32_t)number;
     frame->is_wanted = verdict;
     frame->seconds = head->seconds;
     frame->fraction = head->fraction;
@@ -369,11 +408,12 @@ KERNEL long candump(PyObject *text_, long size, PyObject *names_, PyObject *verd
     Size last = known.count ? 0 : -1, n = (Size)counts[FRAMES], at = (Size)counts[PLACE];
     int64_t number = counts[NUMBER];
     Head head = {0};
+    Second second = {0};
     while (at < size) {
         const uint8_t *newline = NULL;
         enum Judgement judged = TAKEN;
         if (head.length && head.length + USUAL_TAIL <= size + PADDING - at)
-            newline = usual_line(text + at, &head, &known, &frame);
+            newline = usual_line(text + at, &head, &frame);
         if (newline && newline >= text + size)
             newline = NULL;
         if (!newline) {
@@ -382,7 +422,7 @@ KERNEL long candump(PyObject *text_, long size, PyObject *names_, PyObject *verd
                 break;
             judged = judge(text + at, newline, &known, last, &frame);
             if (judged == TAKEN && !frame.is_fd && !(frame.id & EFF_FLAG))
-                learn_head(&head, text + at, &frame, frame.data - STANDARD_DIGITS - 1);
+                learn_head(&head, text + at, &frame, frame.data - STANDARD_DIGITS - 1, &known);
         }
         if (judged == UNKNOWN_CHANNEL) {
             result = NEW_CHANNEL;
@@ -404,15 +444,9 @@ KERNEL long candump(PyObject *text_, long size, PyObject *names_, PyObject *verd
                     result = n == most ? FRAMES_FULL : LONG_FRAME;
                     break;
                 }
-                Size seconds = frame.seconds, fraction = frame.fraction;
-                t[n] = NAN;
-                if (seconds + fraction <= MOST_DIGITS) {
-                    uint64_t whole = decimal(text + at + 1, seconds) * (uint64_t)POWERS[fraction] +
-                                     decimal(text + at + 2 + seconds, fraction);
-                    if (whole < EXACT)
-                        t[n] = (double)whole / POWERS[fraction];
-                }
-                counts[AS_TEXT] += t[n] != t[n];
+                double stamp = stamp_of(text + at + 1, frame.seconds, frame.fraction, &second);
+                t[n] = stamp;
+                counts[AS_TEXT] += stamp != stamp;
                 id[n] = frame.id;
                 length[n] = (uint8_t)bytes;
                 channel[n] = (uint8_t)frame.channel;

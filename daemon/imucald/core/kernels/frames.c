@@ -141,7 +141,8 @@ KERNEL long judge_frames(PyObject *t_, PyObject *data_, PyObject *length_, PyObj
                (!fixed.length || fits(fixed, size)) &&
                (!crc || ((crc == 1 || crc == 2) && many >= 1 && spec[CRC_BYTES] <= size &&
                          spec[CRC_POSITION] >= 0 && spec[CRC_POSITION] + crc <= spec[CRC_BYTES])) &&
-               state[LAST_LENGTH] >= -1 && state[LAST_LENGTH] <= MOST_BYTES;
+               state[LAST_LENGTH] >= -1 && state[LAST_LENGTH] <= MOST_BYTES &&
+               (!counter.length || state[LAST_COUNTER] < spec[MODULUS]);
     for (Size k = 0; good && crc == 1 && k < TABLE; k++)
         good = table[k] < TABLE && (k >= many || starts[k] < TABLE);
     for (Size k = TABLE; good && crc == 1 && k < many; k++)
@@ -183,14 +184,16 @@ KERNEL long judge_frames(PyObject *t_, PyObject *data_, PyObject *length_, PyObj
                 if (value >= 0) {
                     int is_new = value != state[LAST_COUNTER];
                     state[LAST_LENGTH] = is_new ? length[i] : -1;
-                    if (is_new)
+                    if (is_new && width == 8)
+                        memcpy(last_data, row, 8);
+                    else if (is_new)
                         memcpy(last_data, row, length[i]);
                     int64_t last = state[LAST_COUNTER], missed = state[MISSED];
                     state[LAST_COUNTER] = value;
                     if (t[i] - *last_t > timeout)
                         code = TIMEOUT;
                     else if (last >= 0) {
-                        int64_t step = (value - last) % spec[MODULUS];
+                        int64_t step = value - last;
                         step = step < 0 ? step + spec[MODULUS] : step;
                         int64_t distance = step ? step : spec[MODULUS];
                         if (distance <= spec[MAX_JUMP] + missed) {
@@ -228,6 +231,74 @@ enum Whole { FIELD_FIRST, FIELD_LENGTH, FIELD_BIG, IS_SIGNED, IS_SCALED, FRAME_B
 enum Kind { QUANTITY, NOT_ZERO, ABOVE, AMONG };
 enum Refused { TAKEN, NOT_AVAILABLE, NOT_FINITE, SATURATED, OUT_OF_RANGE };
 
+/* A signal of frames, and where its values go. */
+typedef struct {
+    Size n, width, refusals, on;
+    const uint8_t *data, *length;
+    Field field;
+    const int64_t *whole, *refused;
+    const double *number, *on_values;
+    double *values;
+    int8_t *codes;
+} Signal;
+
+/* Always inlined with what is known of a signal, so that no frame asks for it again. */
+static inline __attribute__((always_inline)) void take_signal(const Signal *s, int is_signed,
+                                                              int is_scaled, int kind)
+{
+    Size n = s->n, width = s->width, refusals = s->refusals, on = s->on;
+    Size unused = WORD_BITS - s->field.length, least = (Size)s->whole[FRAME_BYTES];
+    const uint8_t *data = s->data, *length = s->length;
+    const int64_t *refused = s->refused;
+    const double *on_values = s->on_values;
+    double *values = s->values, above = s->number[ON_ABOVE];
+    int8_t *codes = s->codes;
+    Field field = s->field;
+    double scale = s->number[SCALE], shift = s->number[SHIFT], added = s->number[ADDED];
+    double factor = s->number[FACTOR], unit_added = s->number[UNIT_ADDED], sign = s->number[SIGN];
+    double low = s->number[LOW], high = s->number[HIGH], limit = s->number[LIMIT];
+    double rail_low = s->number[RAIL_LOW], rail_high = s->number[RAIL_HIGH];
+    for (Size i = 0; i < n; i++) {
+        int64_t raw = (int64_t)bits_of(data + i * width, field);
+        if (is_signed)
+            raw = (int64_t)((uint64_t)raw << unused) >> unused;
+        double physical = (double)raw;
+        if (is_scaled) {
+            physical *= scale;
+            physical += shift;
+        }
+        if (length[i] < least)
+            physical = NAN;
+        double value = physical;
+        if (kind == QUANTITY)
+            value = ((physical + added) * factor + unit_added) * sign;
+        else if (kind == NOT_ZERO)
+            value = physical != 0.0;
+        else if (kind == ABOVE)
+            value = physical > above;
+        else {
+            value = 0.0;
+            for (Size k = 0; k < on; k++)
+                if (physical == on_values[k])
+                    value = 1.0;
+        }
+        int is_refused = 0;
+        for (Size k = 0; k < refusals; k++)
+            is_refused |= raw == refused[k];
+        /* a number that is not one fails every comparison */
+        int fits = (low <= physical) & (physical <= high) & (-limit <= value) & (value <= limit);
+        int is_between = (rail_low < physical) & (physical < rail_high);
+        int is_finite = physical - physical == 0.0;
+        values[i] = value;
+        if (is_refused || !(fits & is_between & is_finite)) {
+            values[i] = NAN;
+            if (!codes[i])
+                codes[i] = is_refused ? NOT_AVAILABLE : !is_finite ? NOT_FINITE
+                            : !is_between ? SATURATED : OUT_OF_RANGE;
+        }
+    }
+}
+
 /* One signal of frames in SI, as `Scaling.column` and then `Conversion.array` make it of them.
 
    values: NaN where a number is refused; codes: why, where none of the signals before was. */
@@ -236,62 +307,30 @@ KERNEL long signal_column(PyObject *data_, PyObject *length_, PyObject *wholes_,
                           PyObject *codes_)
 {
     Arrays a = {0};
-    const uint8_t *data = take(&a, data_, 'B', SHAPE(ANY, ANY));
-    Size n = length_of(&a, 0), width = length_of(&a, 1);
-    const uint8_t *length = take(&a, length_, 'B', SHAPE(n));
-    const int64_t *whole = take(&a, wholes_, 'q', SHAPE(WHOLES));
-    const double *number = doubles(&a, numbers_, SHAPE(NUMBERS));
-    const int64_t *refused = take(&a, not_available_, 'q', SHAPE(ANY));
-    Size refusals = length_of(&a, 0);
-    const double *on_values = doubles(&a, on_values_, SHAPE(ANY));
-    Size on = length_of(&a, 0);
-    double *values = doubles_out(&a, values_, SHAPE(n));
-    int8_t *codes = take_out(&a, codes_, 'b', SHAPE(n));
+    Signal s;
+    s.data = take(&a, data_, 'B', SHAPE(ANY, ANY));
+    s.n = length_of(&a, 0);
+    s.width = length_of(&a, 1);
+    s.length = take(&a, length_, 'B', SHAPE(s.n));
+    s.whole = take(&a, wholes_, 'q', SHAPE(WHOLES));
+    s.number = doubles(&a, numbers_, SHAPE(NUMBERS));
+    s.refused = take(&a, not_available_, 'q', SHAPE(ANY));
+    s.refusals = length_of(&a, 0);
+    s.on_values = doubles(&a, on_values_, SHAPE(ANY));
+    s.on = length_of(&a, 0);
+    s.values = doubles_out(&a, values_, SHAPE(s.n));
+    s.codes = take_out(&a, codes_, 'b', SHAPE(s.n));
     if (a.failed)
         return leave(&a, -1);
-    Field field = {whole[FIELD_FIRST], whole[FIELD_LENGTH], whole[FIELD_BIG] != 0};
-    if (!fits(field, width) || width % 8)
+    s.field = (Field){s.whole[FIELD_FIRST], s.whole[FIELD_LENGTH], s.whole[FIELD_BIG] != 0};
+    if (!fits(s.field, s.width) || s.width % 8)
         return leave(&a, refuse(&a, "a signal beyond its frame"));
-    Size unused = WORD_BITS - field.length;
-    int kind = (int)whole[KIND];
-    double low = number[LOW], high = number[HIGH], limit = number[LIMIT];
-    for (Size i = 0; i < n; i++) {
-        int64_t raw = (int64_t)bits_of(data + i * width, field);
-        if (whole[IS_SIGNED])
-            raw = (int64_t)((uint64_t)raw << unused) >> unused;
-        double physical = (double)raw;
-        if (whole[IS_SCALED]) {
-            physical *= number[SCALE];
-            physical += number[SHIFT];
-        }
-        if (length[i] < whole[FRAME_BYTES])
-            physical = NAN;
-        double value = physical;
-        if (kind == QUANTITY)
-            value = ((physical + number[ADDED]) * number[FACTOR] + number[UNIT_ADDED]) * number[SIGN];
-        else if (kind == NOT_ZERO)
-            value = physical != 0.0;
-        else if (kind == ABOVE)
-            value = physical > number[ON_ABOVE];
-        else {
-            value = 0.0;
-            for (Size k = 0; k < on; k++)
-                if (physical == on_values[k])
-                    value = 1.0;
-        }
-        int found = TAKEN;
-        if (!(low <= physical && physical <= high) || !(-limit <= value && value <= limit))
-            found = OUT_OF_RANGE;
-        if (!(number[RAIL_LOW] < physical && physical < number[RAIL_HIGH]))
-            found = SATURATED;
-        if (!isfinite(physical))
-            found = NOT_FINITE;
-        for (Size k = 0; k < refusals; k++)
-            if (raw == refused[k])
-                found = NOT_AVAILABLE;
-        values[i] = found ? NAN : value;
-        if (found && !codes[i])
-            codes[i] = (int8_t)found;
-    }
+    int is_signed = s.whole[IS_SIGNED] != 0, is_scaled = s.whole[IS_SCALED] != 0;
+    if (s.whole[KIND] == QUANTITY && is_signed)
+        take_signal(&s, 1, is_scaled, QUANTITY);
+    else if (s.whole[KIND] == QUANTITY)
+        take_signal(&s, 0, is_scaled, QUANTITY);
+    else
+        take_signal(&s, is_signed, is_scaled, (int)s.whole[KIND]);
     return leave(&a, 0);
 }
