@@ -61,10 +61,13 @@ class Kernels:
     gyro_energies: Kernel
     hop_figures: Kernel
     judge_frames: Kernel
+    large_turns: Kernel
     left_over: Kernel
     less_angle: Kernel
+    masked_sums: Kernel
     match_frames: Kernel
     microseconds: Kernel
+    near_steps: Kernel
     pair_sums: Kernel
     push_window: Kernel
     rail_hops: Kernel
@@ -72,7 +75,9 @@ class Kernels:
     renewed_gains: Kernel
     scores: Kernel
     signal_column: Kernel
+    signal_pairs: Kernel
     span_changes: Kernel
+    steering_sums: Kernel
     stream_times: Kernel
     tapered: Kernel
     tick_sums: Kernel
@@ -97,10 +102,13 @@ class Kernels:
         "gyro_energies": 7 * "o",
         "hop_figures": 13 * "o",
         "judge_frames": "ooood" + 7 * "o",
+        "large_turns": "ooido",
         "left_over": 6 * "o",
         "less_angle": 11 * "o",
+        "masked_sums": "ooo",
         "match_frames": 6 * "o",
         "microseconds": "oo",
+        "near_steps": "ooio",
         "pair_sums": "oooio",
         "push_window": 11 * "o" + "do",
         "rail_hops": "oi" + 10 * "o",
@@ -108,7 +116,9 @@ class Kernels:
         "renewed_gains": 7 * "o",
         "scores": 7 * "o" + "ioo",
         "signal_column": 8 * "o",
+        "signal_pairs": 14 * "o" + "iio",
         "span_changes": 8 * "o",
+        "steering_sums": "ooooddo",
         "stream_times": "oioo",
         "tapered": "oooio",
         "tick_sums": "oooido",

@@ -117,6 +117,8 @@ def skew(v: ArrayLike) -> Matrix3:
 
 
 _EYE = np.eye(3)
+NEARLY = 1e-9
+"""A matrix whose rows are orthonormal but for less is a rotation but for rounding."""
 
 
 def rotation_from_vector(v: ArrayLike) -> Matrix3:
@@ -195,12 +197,21 @@ def levelling_rotation(gravity_sensor: ArrayLike) -> Matrix3:
 
 def orthonormalised(R: ArrayLike) -> Matrix3:
     """The nearest rotation to a (3, 3) matrix, in the least-squares sense (polar decomposition)."""
-    U, _, Vt = np.linalg.svd(np.asarray(R, dtype=float))
+    R = np.asarray(R, dtype=float)
+    left = R.T @ R - _EYE
+    if np.abs(left).max() < NEARLY and _turns_right(R):
+        nearest: Matrix3 = R - 0.5 * (R @ left)  # a step of Newton's: off by the square of what was
+        return nearest
+    U, _, Vt = np.linalg.svd(R)
     result: Matrix3 = U @ Vt
-    x, y, z = result.tolist()
-    if sum(a * b for a, b in zip(x, cross(y, z), strict=True)) < 0.0:  # it mirrors
+    if not _turns_right(result):  # it mirrors
         result = U @ np.diag([1.0, 1.0, -1.0]) @ Vt
     return result
+
+
+def _turns_right(R: Matrix3) -> bool:
+    x, y, z = R.tolist()
+    return bool(sum(a * b for a, b in zip(x, cross(y, z), strict=True)) >= 0.0)
 
 
 def quaternion_from_vector(x: float, y: float, z: float) -> Quaternion:

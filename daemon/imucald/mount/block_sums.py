@@ -74,3 +74,17 @@ def pair_sums(
         x, y = x - x.sum() / count, y - y.sum() / count
     xx, xy, yy = (float(one.sum()) for one in (x * x, x * y, y * y))
     return count, xx, xy, yy
+
+
+def masked_sums(values: Array, use: Flags) -> tuple[int, float, float, float]:
+    """How many ticks (N,) are in use, and the sums of their vectors (N, 3)."""
+    out = np.empty(4)
+    if compiled.kernels is not None:
+        flags = compiled.kernels.masked_sums(values, use, out)
+        if flags:
+            compiled.note(flags)
+    else:
+        out[0] = np.count_nonzero(use)
+        (values * use[:, None]).sum(axis=0, out=out[1:])
+    n, x, y, z = out.tolist()
+    return int(n), x, y, z

@@ -16,10 +16,12 @@ from __future__ import annotations
 import enum
 import math
 from collections import deque
+from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
+from imucald.core import compiled
 from imucald.core.median import median
 from imucald.motion.straight import yaw_rate_with_understeer
 from imucald.motion.ticks import TICK_S
@@ -102,11 +104,11 @@ WORDS = {
 }
 
 
-def _own_noise(signal: Array) -> float:
-    """Deviation of what is white in an even signal (N,): from the middle between its neighbours a
-    value differs by 1 + 1/4 + 1/4 times its variance. A vehicle turns for seconds."""
-    left = signal[1:-1] - 0.5 * (signal[:-2] + signal[2:])
-    return math.sqrt(float(left @ left) / (1.5 * len(left)))
+_YAW_RATE, _STEERING, _FORCES = 1, 2, 4
+"""Pairs that are asked of a block, as bits."""
+
+_Sums = Sequence[float]
+"""Ticks of a block, and over them x x, x y, y y of a pair."""
 
 
 class PairWatch:
@@ -150,7 +152,11 @@ class PairWatch:
 
     def add(self, x: Array, y: Array, use: Flags) -> None:
         """Take a block; x: (N,) what is sure, y: (N,) what must follow it."""
-        n, *more = pair_sums(x, y, use)
+        self.take(pair_sums(x, y, use))
+
+    def take(self, sums: _Sums) -> None:
+        """Take what a block comes to."""
+        n, *more = sums
         if not n:
             return
         xx, xy, yy = (before + new for before, new in zip(self._sums, more, strict=True))
@@ -212,42 +218,32 @@ class Contradictions:
 
         late: the speed, behind the force [s]; None: not known, and the force is not asked.
         """
-        moving = p.ok_speed & (np.abs(p.speed) > MOVING)
-        if own_gyro and measured_yaw_rate:
-            self.yaw_rate.add(p.yaw_rate, turn_rate, p.ok_yaw & p.ok_rate & moving)
-        if own_gyro or measured_yaw_rate:
-            s, v = self._settings, self._settings.vehicle
-            angle = p.steering - steering_offset
-            vehicle = (v.steering_ratio, v.wheelbase, s.understeer)
-            steered = yaw_rate_with_understeer(p.speed, angle, *vehicle)
-            self.steering.add(steered, turn_rate, p.ok_steering & moving & (p.ok_rate | p.ok_yaw))
+        walk = 0.0
+        asked = _YAW_RATE * (own_gyro and measured_yaw_rate)
+        asked += _STEERING * (own_gyro or measured_yaw_rate)
+        if R is not None and late is not None:
+            asked += _FORCES
+            up = np.asarray(R)[2]
+            walk = math.sqrt(float(up @ p.rate_walk @ up) / SELDOM) if own_gyro else 0.0
+        s, v = self._settings, self._settings.vehicle
+        vehicle = v.steering_ratio, v.wheelbase, s.understeer
+        ticks = 0 if late is None else round(late / TICK_S)
+        yaw_rate, steering, *forces = _sums_of_pairs(
+            p,
+            turn_rate,
+            asked,
+            steering_offset,
+            vehicle,
+            _NO_MOUNT if R is None else R,
+            walk,
+            ticks,
+        )
+        self.yaw_rate.take(yaw_rate)
+        self.steering.take(steering)
         if self.yaw_rate.last_unlike and self.steering.last_unlike:  # two witnesses of one bend
             self.yaw_rate.accused = self.steering.accused = True
-        if R is not None and late is not None:
-            walk = p.rate_walk if own_gyro else np.zeros((3, 3))
-            own = max(_own_noise(turn_rate), math.sqrt(float(R[2] @ walk @ R[2]) / SELDOM))
-            self._add_forces(p, turn_rate, own, np.asarray(R), moving, round(late / TICK_S))
-
-    def _add_forces(
-        self, p: SignalBlock, turn_rate: Array, own: float, R: Array, moving: Flags, late: int
-    ) -> None:
-        """The same of the force; own: noise of the turn rate [rad/s]; late: the speed [ticks]."""
-        n = len(turn_rate)
-        now = slice(max(-late, 0), n - max(late, 0))
-        then = slice(max(late, 0), n - max(-late, 0))
-        force = p.force[now] @ R.T
-        use = moving[then] & (p.ok_force & p.learn)[now]
-        turn = p.speed[then] * turn_rate[now]
-        sizes, across = np.abs(turn), force[:, 1]
-        turning = use & (p.ok_rate | p.ok_yaw)[now]
-        noise = NOISE * own * float(np.abs(p.speed).max())
-        if noise < TURNS:
-            self.turns.add(turn, across, turning & (sizes > TURNS))
-        if noise < HARD_TURNS:
-            self.hard_turns.add(turn, across, turning & (sizes > HARD_TURNS))
-        ahead, change = force[:, 0], p.accel[then]
-        count = len(ahead)
-        self.speed.add(change - change.sum() / count, ahead - ahead.sum() / count, use)
+        for pair, sums in zip((self.turns, self.hard_turns, self.speed), forces, strict=True):
+            pair.take(sums)
 
     @property
     def faults(self) -> tuple[StandingFault, ...]:
@@ -288,3 +284,68 @@ class Contradictions:
         """
         seen = [pair for pair in (self.yaw_rate, self.steering) if pair.pieces]
         return self.turns.agreed and all(pair.agreed for pair in seen)
+
+
+_NO_MOUNT = np.zeros((3, 3))
+_NOTHING_SEEN = (0, 0.0, 0.0, 0.0)
+
+
+def _sums_of_pairs(
+    p: SignalBlock,
+    turn_rate: Array,
+    asked: int,
+    steering_offset: float,
+    vehicle: tuple[float, float, float],
+    R: Array,
+    walk: float,
+    late: int,
+) -> Sequence[_Sums]:
+    """What a block comes to for yaw rate, steering, turns, hard turns, speed: where it is asked.
+
+    vehicle: steering ratio, wheelbase and understeer. R: the mount. walk: noise of the turn rate
+    [rad/s] that does not show in it. late: the speed, behind the force [ticks].
+    """
+    ratio, wheelbase, understeer = vehicle
+    if compiled.kernels is not None:
+        bend = ratio * wheelbase, understeer / wheelbase
+        figures = np.array([steering_offset, *bend, MOVING, walk, NOISE, TURNS, HARD_TURNS])
+        out = np.empty((5, 4))
+        flags = compiled.kernels.signal_pairs(
+            p.speed, p.accel, p.yaw_rate, turn_rate, p.steering, p.force, p.ok_speed, p.ok_yaw,
+            p.ok_rate, p.ok_force, p.ok_steering, p.learn, R, figures, late, asked, out,
+        )  # fmt: skip
+        if flags:
+            compiled.note(flags)
+        seen: list[list[float]] = out.tolist()
+        return seen
+    found: list[_Sums] = [_NOTHING_SEEN] * 5
+    moving = p.ok_speed & (np.abs(p.speed) > MOVING)
+    if asked & _YAW_RATE:
+        found[0] = pair_sums(p.yaw_rate, turn_rate, p.ok_yaw & p.ok_rate & moving)
+    if asked & _STEERING:
+        steered = yaw_rate_with_understeer(p.speed, p.steering - steering_offset, *vehicle)
+        found[1] = pair_sums(steered, turn_rate, p.ok_steering & moving & (p.ok_rate | p.ok_yaw))
+    if not asked & _FORCES:
+        return found
+    n = len(turn_rate)
+    now = slice(max(-late, 0), n - max(late, 0))
+    then = slice(max(late, 0), n - max(-late, 0))
+    x, y, z = p.force[now].T
+    ahead, across = (x * r[0] + y * r[1] + z * r[2] for r in R[:2])
+    use = moving[then] & (p.ok_force & p.learn)[now]
+    turn = p.speed[then] * turn_rate[now]
+    turning = use & (p.ok_rate | p.ok_yaw)[now]
+    noise = NOISE * max(_own_noise(turn_rate), walk) * float(np.abs(p.speed).max())
+    for k, least in ((2, TURNS), (3, HARD_TURNS)):
+        if noise < least:
+            found[k] = pair_sums(turn, across, turning & (np.abs(turn) > least))
+    change, count = p.accel[then], len(ahead)
+    found[4] = pair_sums(change - change.sum() / count, ahead - ahead.sum() / count, use)
+    return found
+
+
+def _own_noise(signal: Array) -> float:
+    """Deviation of what is white in an even signal (N,): from the middle between its neighbours a
+    value differs by 1 + 1/4 + 1/4 times its variance. A vehicle turns for seconds."""
+    left = signal[1:-1] - 0.5 * (signal[:-2] + signal[2:])
+    return math.sqrt(float((left * left).sum()) / (1.5 * len(left)))

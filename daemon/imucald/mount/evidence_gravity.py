@@ -13,6 +13,7 @@ the accelerometer stays whatever the road, and the mean lean of roads stays as w
 from __future__ import annotations
 
 import math
+import operator
 
 import numpy as np
 from numpy.typing import NDArray
@@ -51,12 +52,25 @@ class GravityEvidence:
         self.stops = 0
         self._stop_used = 0.0
         self._resting = False
-        self._ends = np.zeros((1, 7))  # of segments: weight, force (3), motion (2), metres
+        self._end = [0.0] * 7  # of the last segment: weight, force (3), motion (2), metres
+        self._rows = np.zeros((16, 7))  # of segments, see `_row`; the open one behind the others
+        self._closed = 0
+        self._rows_of: tuple[object, ...] = ()  # roads that the closed ones are for
+        self._each: list[list[float]] = []  # what closed ones came to, as `_end` has it
+        self._made: tuple[tuple[object, ...], list[ScoreSeries]] | None = None
+
+    def _sofar(self) -> list[float]:
+        return [self._weight, *self._force.tolist(), *self._motion.tolist(), self.metres]
+
+    def _open(self) -> list[float]:
+        """What the open segment comes to."""
+        return [now - end for now, end in zip(self._sofar(), self._end, strict=True)]
 
     def close_segment(self) -> None:
         """End a road segment, for `series`."""
-        sums = np.array([self._weight, *self._force, *self._motion, self.metres])
-        self._ends = np.concatenate([self._ends, sums[None]])
+        self._each.append(self._open())
+        self._end = self._sofar()
+        self._made = None
 
     def series(
         self,
@@ -70,26 +84,35 @@ class GravityEvidence:
 
         std: rms tangent of the roads across and along; length: over which it forgets itself [m].
         """
-        now = np.array([self._weight, *self._force, *self._motion, self.metres])
-        ends = np.concatenate([self._ends, now[None]])
-        each = ends[1:] - ends[:-1]
-        w = np.maximum(each[:, 0], 1e-9)[:, None]
-        F = (each[:, 1:4] / w - bias) @ R.T
-        motion = each[:, 4:6] / w
-        q = np.maximum(each[:, 6] / length, 1e-3)
-        mean = 2.0 / q * (1.0 - (1.0 - np.exp(-q)) / q)
-        missed = (SHARE / GRAVITY) ** 2 * (motion * motion).sum(axis=1)
-        use = each[:, 0] > MIN_WEIGHT
-        across, along = (np.where(use, 1.0 / (x * x * mean + missed), 0.0) for x in std)
-        e_x = (F[:, 1] - gains[1] * motion[:, 1]) / GRAVITY
-        e_y = -(F[:, 0] - gains[0] * motion[:, 0]) / GRAVITY
-        return [
+        key = R, bias, gains, std, length
+        if self._made is not None:  # it is asked for twice a road segment
+            known, found = self._made
+            if all(map(operator.is_, key[:2], known[:2])) and key[2:] == known[2:]:
+                return found
+        if self._rows_of != (std, length):
+            self._rows_of, self._closed = (std, length), 0
+        n = len(self._each)
+        if n >= len(self._rows):
+            self._rows = np.concatenate([self._rows, np.zeros_like(self._rows)])
+        for k in range(self._closed, n):
+            self._rows[k] = _row(self._each[k], std, length)
+        self._closed = n
+        self._rows[n] = _row(self._open(), std, length)
+        rows = self._rows[: n + 1]
+        F = (rows[:, :3] - bias) @ R.T
+        across, along = rows[:, 5].copy(), rows[:, 6].copy()
+        e_x = (F[:, 1] - gains[1] * rows[:, 4]) / GRAVITY
+        e_y = -(F[:, 0] - gains[0] * rows[:, 3]) / GRAVITY
+        found = [
             ScoreSeries("roll_gravity", across * e_x, across),
             ScoreSeries("pitch_gravity", along * e_y, along),
         ]
+        self._made = key, found
+        return found
 
     def add(self, p: SignalBlock, turn: Array) -> None:
         """Take a block; turn: (N,) v r [m/s^2]."""
+        self._made = None
         sums = _sums(p, turn, self._stop_used)
         weight, x, y, z, accel, across, metres, used, resting, moving, each = sums
         if not used:
@@ -137,6 +160,21 @@ class GravityEvidence:
             slope *= 2.0 / q * (1.0 - (1.0 - math.exp(-q)) / q)
         mean2 = float(self._motion @ self._motion) / max(self._weight, 1e-9) ** 2
         return slope + missed * missed * mean2 / GRAVITY**2
+
+
+def _row(each: list[float], std: tuple[float, float], length: float) -> list[float]:
+    """A segment's mean force (3,) and motion (2,), and informations of the tilts that they show.
+
+    each: see `GravityEvidence`; std, length: see `GravityEvidence.series`.
+    """
+    weight, *sums, metres = each
+    w = max(weight, 1e-9)
+    mean = [x / w for x in sums]
+    q = max(metres / length, 1e-3)
+    part = 2.0 / q * (1.0 - (1.0 - math.exp(-q)) / q)
+    missed = (SHARE / GRAVITY) ** 2 * (mean[3] * mean[3] + mean[4] * mean[4])
+    known = [1.0 / (x * x * part + missed) if weight > MIN_WEIGHT else 0.0 for x in std]
+    return [*mean, *known]
 
 
 _NUMBERS = np.array([(SHARE / STILL) ** 2, REST_METRES_PER_TICK, STOP_METRES, TICK_S])

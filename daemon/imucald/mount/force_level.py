@@ -20,6 +20,7 @@ import numpy as np
 from msgspec import Struct
 from numpy.typing import NDArray
 
+from imucald.mount.block_sums import masked_sums
 from imucald.mount.large_change import LEAST_TICKS
 from imucald.mount.signal_blocks import BLOCK_S, SignalBlock
 
@@ -77,16 +78,17 @@ class ForceLevel:
 
     def add(self, p: SignalBlock, up: Array | None) -> None:
         """Take a block; up: the vertical (3,) in sensor axes, of any length; None: not known."""
-        use = p.learn & p.ok_force
-        n = int(np.count_nonzero(use))
-        if up is None or n < LEAST_TICKS:
+        if up is None:
             return
-        force = (p.force * use[:, None]).sum(axis=0) / n
-        level = float(force @ up) / max(math.sqrt(float(up @ up)), 1e-9)
+        n, *sums = masked_sums(p.force, p.learn & p.ok_force)
+        if n < LEAST_TICKS:
+            return
+        force, direction = [x / n for x in sums], up.tolist()
+        along = math.fsum(x * y for x, y in zip(force, direction, strict=True))
+        level = along / max(math.sqrt(math.fsum(x * x for x in direction)), 1e-9)
         t = float(p.t[0])
-        row = np.array([[level, *force.tolist(), t]])
-        known = self._rows[:, 4] > t - (REMEMBERED - 0.5) * BLOCK_S
-        self._rows = np.concatenate([self._rows[known], row])
+        first = int(self._rows[:, 4].searchsorted(t - (REMEMBERED - 0.5) * BLOCK_S, side="right"))
+        self._rows = np.concatenate([self._rows[first:], [[level, *force, t]]])
         if self.change is None:
             self.change = self._found()
         elif self._is_back(self.change):

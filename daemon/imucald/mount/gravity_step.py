@@ -84,6 +84,10 @@ class GravityStepHistory:
 
     def near(self, ages: list[int]) -> Array:
         """The largest and the least (n, roll and pitch, 2) about so many blocks ago each."""
+        if compiled.kernels is not None:
+            out = np.empty((len(ages), 2, 2))
+            compiled.kernels.near_steps(self.both, np.array(ages, dtype=np.int64), AROUND, out)
+            return out
         newest = np.maximum(np.array(ages, dtype=np.int64) - 1 - AROUND, 0)
         oldest = np.minimum(np.array(ages, dtype=np.int64) - 2 + AROUND, HISTORY_BLOCKS - 1)
         places = newest[:, None] + np.arange(2 * AROUND)

@@ -19,6 +19,7 @@ import numpy as np
 from msgspec import Struct
 from numpy.typing import NDArray
 
+from imucald.core import compiled
 from imucald.core.rotations import Matrix3, matrix_times, vector_from_rotation
 from imucald.motion.ticks import TICK_S
 from imucald.mount.alternatives import MAX_REVERSE
@@ -176,6 +177,13 @@ class LargeChangeDetector:
         most = min(MOST_AFTER, n - LEAST_BEFORE[axes[0]])  # blocks after the change, from two on
         if most < 2:
             return None
+        if compiled.kernels is not None:
+            large = np.empty(1)
+            flags = compiled.kernels.large_turns(e, w, most, MIN_SIZE[axes[0]], large)
+            if flags:
+                compiled.note(flags)
+            if not large[0]:
+                return None
         weights, sums = w[::-1].cumsum(), (w[:, None] * e)[::-1].cumsum(axis=0)
         new_w, new_e = weights[1:most], sums[1:most]
         old_w, old_e = weights[-1] - new_w, sums[-1] - new_e

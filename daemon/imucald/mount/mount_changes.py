@@ -222,13 +222,13 @@ class MountChanges:
         that was found turned the same way again and again goes on at that rate. blocks: of the
         whole drive.
         """
-        doubted, borne = (self._doubted, self._probability), self._of_borne()
+        doubted = self._doubted, self._probability
         found, sizes = (solver.fused, solver.creep), (*doubted, self.borne)
         others = solver.blocks, blocks, len(self.history), *(x.tobytes() for x in sizes)
         is_made = self._found is not None and all(map(operator.is_, self._found, found))
         if not is_made or others != self._with:  # it is asked for three times a block
             self._found, self._with = found, others
-            self._last_variance = self._variance(solver, blocks, doubted, borne)
+            self._last_variance = self._variance(solver, blocks, doubted, self._of_borne())
         return self._last_variance
 
     def _of_borne(self) -> tuple[Array, Array]:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import cache
+
 import numpy as np
 from msgspec import Struct
 from numpy.typing import NDArray
@@ -9,6 +11,11 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 
 _AXES = {"roll": 0, "pitch": 1, "yaw": 2}
+
+
+@cache
+def _axis_of(kind: str) -> int:
+    return _AXES[kind.partition("_")[0]]
 
 
 class AngleFit(Struct, frozen=True):
@@ -40,7 +47,7 @@ class ScoreSeries(Struct, frozen=True):
     @property
     def axis(self) -> int:
         """The angle it is about: 0 roll, 1 pitch, 2 yaw."""
-        return _AXES[self.kind.partition("_")[0]]
+        return _axis_of(self.kind)
 
     def behind(self, score: Array, information: Array) -> ScoreSeries:
         """This series behind earlier segments (E,), which speak of the angle alone."""

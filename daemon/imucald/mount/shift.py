@@ -31,7 +31,8 @@ from imucald.mount.score_series import AngleFit, ScoreSeries
 
 Array = NDArray[np.float64]
 
-SPANS = np.arange(2, 13)
+FIRST_SPAN = 2
+SPANS = np.arange(FIRST_SPAN, 13)
 """Road segments that are held against all before."""
 MIN_BEFORE = (16, 10, 14)
 """Segments that must have been before, for roll, pitch and yaw."""
@@ -48,9 +49,9 @@ UNEVEN_STD = {
     "yaw_dvdt": 0.0035,
 }
 """What a source says differs by that much [rad] between town and motorway, without a shift."""
-TAIL = (1e6, 1e6, 8.0)
+TAILS = np.array((1e6, 1e6, 8.0))
 """Degrees of freedom of Student's t, for roll, pitch and yaw; many are as good as normal."""
-MIN_SIZE = (0.026, 0.026, 0.013)
+LEAST_SIZES = np.array((0.026, 0.026, 0.013))
 """A change that is tested against none is at least that large [rad]: 1.5, 1.5 and 0.75 deg."""
 STEP_MIN, STEP_MAX = 2.0, 5.5
 """A step in gravity counts from so many standard deviations on, and for so many at most, ..."""
@@ -58,6 +59,7 @@ STEP_FROM = 2.5
 """... and where the road segments alone come to so much."""
 NO_STEP = 1.15
 """Without a step, thresholds for roll and pitch are so much higher."""
+WITHOUT_STEP = np.array((NO_STEP, NO_STEP, 1.0))
 THRESHOLD = np.array(
     (
         (6.5, 6.5, 6.5, 6.5, 6.1, 6.1, 6.1, 6.1, 6.1, 6.1, 6.1),
@@ -112,45 +114,57 @@ def largest_change(
     unevenness: how many times the usual one roads have, across and along.
     fresh: segments of this drive, where series begin with those of earlier ones; no span is longer.
     """
-    best: Shift | None = None
     of_axes = [one for one in series if one.axis in axes]
-    longest = {axis: _longest_span(of_axes, axis, fresh) for axis in axes}
-    all_spans = SPANS[max(longest.values(), default=0) >= SPANS]
-    if not len(all_spans):
+    found = [(axis, *_columns_of(of_axes, axis, fresh)) for axis in axes]
+    asked = [(axis, columns, n) for axis, columns, n in found if columns and n]
+    if not asked:
         return None
-    all_sizes, all_variances = changes(of_axes, all_spans)
-    for axis in axes:
-        columns = [k for k, one in enumerate(of_axes) if one.axis == axis]
-        spans = SPANS[longest[axis] >= SPANS]
-        if not columns or not len(spans):
-            continue
-        mine = [of_axes[k] for k in columns]
-        sizes, variances = (found[: len(spans), columns] for found in (all_sizes, all_variances))
-        variances = _uneven(mine, variances, (*unevenness, 1.0)[axis])
-        size, ratio = likeliest(sizes, variances, TAIL[axis], MIN_SIZE[axis])
-        threshold = THRESHOLD[axis, : len(spans)]
-        if axis < 2:
-            step = _step_for(ratio, size, steps[: len(spans), axis])
-            ratio = np.hypot(ratio, step)
-            threshold = np.where(step > 0.0, threshold, NO_STEP * threshold)
-        if fresh is not None:
-            threshold = np.where(fresh - spans < MIN_BEFORE[axis], OTHER_ROADS, 1.0) * threshold
-        over = np.copysign(ratio / threshold, size)
-        if axis == YAW:
-            over = _with_neighbours(over)
-        k = int(np.argmax(np.abs(over)))
-        excess = float(abs(over[k]))
-        if best is None or excess > best.excess:
-            deviations = math.copysign(float(ratio[k]), size[k])
-            segments, mean = _most_likely_time(sizes, variances, spans, deviations)
-            best = Shift(axis, mean, deviations, segments, excess)
-    return best
+    most = max(n for _, _, n in asked)
+    spans, steps = SPANS[:most], steps[:most]
+    every, variances_of = changes(of_axes, spans)
+    # of all axes at once; what one has fewer sources than another says nothing
+    shape = len(asked), most, max(len(columns) for _, columns, _ in asked)
+    sizes, variances = np.zeros(shape), np.full(shape, np.inf)
+    for a, (axis, columns, _) in enumerate(asked):
+        own, mine = slice(len(columns)), [of_axes[k] for k in columns]
+        sizes[a, :, own] = every[:, columns]
+        times = (*unevenness, 1.0)[axis]
+        variances[a, :, own] = _uneven(mine, variances_of[:, columns], times)
+    of = np.array([axis for axis, _, _ in asked])
+    size, ratio = likeliest(sizes, variances, TAILS[of], LEAST_SIZES[of])
+    step = np.zeros(ratio.shape)
+    for a, axis in enumerate(of.tolist()):
+        if axis != YAW:
+            step[a] = _step_for(ratio[a], size[a], steps[:, axis])
+    ratio = np.hypot(ratio, step)
+    threshold = THRESHOLD[of, :most] * np.where(step > 0.0, 1.0, WITHOUT_STEP[of][:, None])
+    if fresh is not None:
+        before = np.array(MIN_BEFORE)[of][:, None]
+        threshold = threshold * np.where(fresh - spans < before, OTHER_ROADS, 1.0)
+    over = np.copysign(ratio / threshold, size)
+    best: tuple[float, int, int] | None = None
+    for a, (axis, _, n) in enumerate(asked):
+        excess = np.abs(_with_neighbours(over[a, :n]) if axis == YAW else over[a, :n])
+        k = int(excess.argmax())
+        if best is None or excess[k] > best[0]:
+            best = float(excess[k]), a, k
+    assert best is not None
+    excess_of_best, a, k = best
+    axis, columns, n = asked[a]
+    deviations = math.copysign(float(ratio[a, k]), size[a, k])
+    own = slice(len(columns))
+    seen = sizes[a, :n, own], variances[a, :n, own]
+    segments, mean = _most_likely_time(*seen, spans[:n], deviations)
+    return Shift(axis, mean, deviations, segments, excess_of_best)
 
 
-def _longest_span(series: list[ScoreSeries], axis: int, fresh: int | None) -> int:
-    """Segments that the longest span of an axis may have."""
-    n = max((len(one.score) for one in series if one.axis == axis), default=0)
-    return n - MIN_BEFORE[axis] if fresh is None else min(n - MIN_BEFORE[axis], fresh)
+def _columns_of(series: list[ScoreSeries], axis: int, fresh: int | None) -> tuple[list[int], int]:
+    """Which series are about an axis, and how many of `SPANS` they are long enough for."""
+    columns = [k for k, one in enumerate(series) if one.axis == axis]
+    longest = max((len(series[k].score) for k in columns), default=0) - MIN_BEFORE[axis]
+    if fresh is not None:
+        longest = min(longest, fresh)
+    return columns, min(max(longest - FIRST_SPAN + 1, 0), len(SPANS))
 
 
 def _with_neighbours(over: Array) -> Array:
@@ -209,27 +223,27 @@ def _subsets(n: int) -> Array:
     return ((np.arange(1, 2**n) >> np.arange(n)[:, None]) & 1).astype(np.float64)
 
 
-def likeliest(sizes: Array, variances: Array, tail: float, least: float) -> tuple[Array, Array]:
-    """The change that all sources speak for most: size (S,), (2 log L(size) / L(0))^0.5 (S,).
+def likeliest(sizes: Array, variances: Array, tail: Array, least: Array) -> tuple[Array, Array]:
+    """The change that all sources speak for most, of A axes: size (A, S), and the root of twice the
+    log of L(size) / L(0) (A, S).
 
-    sizes, variances: (S, sources), of what each source says. tail: degrees of freedom of Student's
-    t. least: changes below are not looked for. The maximum is sought among the weighted means of
-    all subsets of sources, near which it is wherever some sources agree.
+    sizes, variances: (A, S, sources), of what each source says. tail (A,): degrees of freedom of
+    Student's t. least (A,): changes below are not looked for. The maximum is sought among the
+    weighted means of all subsets of sources, near which it is wherever some sources agree.
     """
-    weight = 1.0 / variances
-    subset = _subsets(sizes.shape[1])
+    weight, tail = 1.0 / variances, tail[:, None, None]
+    subset = _subsets(sizes.shape[2])
     known = weight @ subset
     some = known > 0.0
     mean = np.where(some, (weight * sizes) @ subset / np.where(some, known, 1.0), 0.0)
-    mean = np.sign(mean) * np.maximum(np.abs(mean), least)
-    left = sizes[:, None, :] - mean[:, :, None]
-    gain = np.log1p(sizes * sizes * weight / tail)[:, None, :]
-    gain = gain - np.log1p(left * left * weight[:, None, :] / tail)
-    twice = (tail + 1.0) * gain.sum(axis=2)
-    best = np.argmax(twice, axis=1)
-    rows = np.arange(len(sizes))
-    ratio: Array = np.sqrt(np.maximum(twice[rows, best], 0.0))
-    return np.where(ratio > 0.0, mean[rows, best], 0.0), ratio
+    mean = np.sign(mean) * np.maximum(np.abs(mean), least[:, None, None])
+    left = sizes[:, :, None] - mean[:, :, :, None]
+    gain = np.log1p(sizes * sizes * weight / tail)[:, :, None]
+    gain = gain - np.log1p(left * left * weight[:, :, None] / tail[..., None])
+    twice = (tail + 1.0) * gain.sum(axis=3)
+    best = np.argmax(twice, axis=2)[:, :, None]
+    ratio: Array = np.sqrt(np.maximum(np.take_along_axis(twice, best, 2)[:, :, 0], 0.0))
+    return np.where(ratio > 0.0, np.take_along_axis(mean, best, 2)[:, :, 0], 0.0), ratio
 
 
 def _step_for(ratio: Array, size: Array, steps: Array) -> Array:

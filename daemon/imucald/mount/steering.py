@@ -13,6 +13,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
+from imucald.core import compiled
 from imucald.core.samples import GRAVITY
 
 Array = NDArray[np.float64]
@@ -31,31 +32,25 @@ BUMPS = 0.004
 """Offset that hysteresis and side wind leave [rad]."""
 PRIOR_STD = (0.15, 60.0, 2.0)
 """Offset [rad], n L [m], n K [rad/(m/s^2)] before data speak."""
-_PRIOR = np.diag([1.0 / (s * s) for s in PRIOR_STD])
+_PRIOR = [1.0 / (s * s) for s in PRIOR_STD]
+_WEIGHT = 1.0 / (NOISE * NOISE * CORRELATION_TICKS)
 
 
 class SteeringOffsetEstimator:
     """Running least squares; `offset` and `std` [rad]."""
 
     def __init__(self) -> None:
-        self._normal = np.zeros((3, 3))
-        self._right = np.zeros(3)
+        self._sums = [0.0] * 9  # of 1, x = r / v, y = r v; x x, x y, y y; the angle by 1, x, y
         self.seen = False
         self._fit: tuple[float, float, float] | None = None  # offset, variance, per lateral force
 
     def add(self, angle: Array, speed: Array, yaw_rate: Array, use: NDArray[np.bool_]) -> None:
         """Take a block: steering-wheel angle [rad], speed [m/s], yaw rate [rad/s], all (N,)."""
-        use = use & (speed > MIN_SPEED) & (np.abs(speed * yaw_rate) < MAX_LATERAL)
-        if not np.count_nonzero(use):
-            return
-        self.seen, self._fit = True, None
-        v, r = speed[use], yaw_rate[use]
-        rows = np.ones((len(v), 3))
-        np.divide(r, v, out=rows[:, 1])
-        np.multiply(r, v, out=rows[:, 2])
-        weight = 1.0 / (NOISE * NOISE * CORRELATION_TICKS)
-        self._normal = KEEP * self._normal + weight * (rows.T @ rows)
-        self._right = KEEP * self._right + weight * (rows.T @ angle[use])
+        new = _sums_of(angle, speed, yaw_rate, use)
+        if new[0]:
+            self.seen, self._fit = True, None
+            both = zip(self._sums, new, strict=True)
+            self._sums = [KEEP * before + _WEIGHT * now for before, now in both]
 
     def fitted(self, crown: float, crown_std: float) -> tuple[float, float] | None:
         """Offset and its standard deviation [rad], or None without data.
@@ -65,10 +60,47 @@ class SteeringOffsetEstimator:
         if not self.seen:
             return None
         if self._fit is None:
-            inverse = np.linalg.inv(self._normal + _PRIOR)
-            offset, _, per_lateral = (inverse @ self._right).tolist()
-            self._fit = offset, float(inverse[0, 0]), per_lateral
+            self._fit = self._solved()
         offset, variance, per_lateral = self._fit
         against = max(per_lateral, 0.0) * GRAVITY
         std = math.hypot(math.sqrt(variance), against * crown_std, BUMPS)
         return offset - against * crown, std
+
+    def _solved(self) -> tuple[float, float, float]:
+        """Offset, its variance, and angle per lateral force: by elimination, as L D L'."""
+        n, x, y, xx, xy, yy, *right = self._sums
+        p, q, r = _PRIOR
+        first = n + p
+        a, b = x / first, y / first
+        second = xx + q - a * x
+        below = xy - a * y
+        c = below / second
+        third = yy + r - b * y - c * below
+
+        def solution(u: float, v: float, w: float) -> tuple[float, float]:
+            v -= a * u
+            last = (w - b * u - c * v) / third
+            return u / first - a * (v / second - c * last) - b * last, last
+
+        offset, per_lateral = solution(*right)
+        return offset, solution(1.0, 0.0, 0.0)[0], per_lateral
+
+
+def _sums_of(angle: Array, speed: Array, yaw_rate: Array, use: NDArray[np.bool_]) -> list[float]:
+    """Of a block, see `SteeringOffsetEstimator`: over the ticks from which the offset is known."""
+    if compiled.kernels is not None:
+        out = np.empty(9)
+        flags = compiled.kernels.steering_sums(
+            angle, speed, yaw_rate, use, MIN_SPEED, MAX_LATERAL, out
+        )
+        if flags:
+            compiled.note(flags)
+        found: list[float] = out.tolist()
+        return found
+    lateral = speed * yaw_rate
+    use = use & (speed > MIN_SPEED) & (np.abs(lateral) < MAX_LATERAL)
+    y, angle = lateral[use], angle[use]
+    x, one = yaw_rate[use] / speed[use], np.ones(len(y))
+    columns = one, x, y, x * x, x * y, y * y, angle, angle * x, angle * y
+    summed: list[float] = np.stack(columns, axis=1).sum(axis=0).tolist()
+    return summed

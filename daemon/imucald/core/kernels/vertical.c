@@ -290,3 +290,38 @@ KERNEL long find_step(PyObject *R_, PyObject *score_, PyObject *information_, Py
     }
     return leave(&a, raised());
 }
+
+/* The largest and the least of what is remembered about so many blocks ago each
+   (`GravityStepHistory.near`).
+
+   both: (blocks, 2, 2); ages: (n,) from one on; around: blocks to both sides. out: (n, 2, 2). */
+KERNEL long near_steps(PyObject *both_, PyObject *ages_, long around, PyObject *out_)
+{
+    Arrays a = {0};
+    const double *both = doubles(&a, both_, SHAPE(ANY, 2, 2));
+    Size blocks = length_of(&a, 0);
+    const int64_t *ages = take(&a, ages_, 'q', SHAPE(ANY));
+    Size n = length_of(&a, 0);
+    double *out = doubles_out(&a, out_, SHAPE(n, 2, 2));
+    if (a.failed)
+        return leave(&a, -1);
+    if (around < 1 || around > blocks)
+        return leave(&a, refuse(&a, "more blocks than are remembered"));
+    memset(out, 0, (size_t)(4 * n) * sizeof *out);
+    for (Size i = 0; i < n; i++) {
+        double *own = out + 4 * i;
+        if (ages[i] < 0 || ages[i] - 1 - around > blocks)
+            continue;
+        Size newest = (Size)ages[i] - 1 - around, oldest = (Size)ages[i] - 2 + around;
+        newest = newest < 0 ? 0 : newest;
+        oldest = oldest > blocks - 1 ? blocks - 1 : oldest;
+        for (Size k = newest; k <= oldest; k++)
+            for (int axis = 0; axis < 2; axis++) {
+                const double *of = both + 4 * k + 2 * axis;
+                double *most = own + 2 * axis, *least = most + 1;
+                *most = k == newest || of[0] > *most ? of[0] : *most;
+                *least = k == newest || of[1] < *least ? of[1] : *least;
+            }
+    }
+    return leave(&a, 0);
+}
