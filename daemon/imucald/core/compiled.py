@@ -48,10 +48,12 @@ class Kernels:
     mean stands beside the function in `core/kernels`.
     """
 
+    add_cross_spectra: Kernel
     add_steps: Kernel
     band_products: Kernel
     block_sums: Kernel
     candump: Kernel
+    count_manoeuvres: Kernel
     creep_filters: Kernel
     find_step: Kernel
     fit_segments: Kernel
@@ -89,10 +91,12 @@ class Kernels:
     yaw_sums: Kernel
 
     ARGUMENTS: Final = {
+        "add_cross_spectra": "oodooo",
         "add_steps": 6 * "o",
         "band_products": "oooooio",
         "block_sums": 6 * "o",
         "candump": "oi" + 16 * "o",
+        "count_manoeuvres": "oooio",
         "creep_filters": 11 * "o",
         "find_step": "oooooiiooo",
         "fit_segments": 11 * "o",
@@ -111,7 +115,7 @@ class Kernels:
         "near_steps": "ooio",
         "pair_sums": "oooio",
         "push_window": 11 * "o" + "do",
-        "rail_hops": "oi" + 10 * "o",
+        "rail_hops": "oi" + 11 * "o",
         "renew_levels": 8 * "o" + "dioo",
         "renewed_gains": 7 * "o",
         "scores": 7 * "o" + "ioo",

@@ -8,6 +8,8 @@ takes all hops in a row that need no more (`core/kernels/rails.c`).
 from __future__ import annotations
 
 import math
+from collections import deque
+from collections.abc import Sequence
 
 import numpy as np
 from msgspec import Struct
@@ -22,6 +24,8 @@ Index = NDArray[np.int64]
 
 LONG_STAY = 4
 """Fewer samples on a value that is reached for the first time say nothing."""
+TAIL_HOPS = 120
+"""The tail of an axis is that of the largest values of so many hops of driving (a minute)."""
 REMEMBERED = 64
 """Values that nothing has gone beyond since; they fall, so there are few of them."""
 
@@ -45,7 +49,13 @@ class TopList:
 
     def __init__(self) -> None:
         self._tops: list[Top] = []
+        self._recent: deque[float] = deque(maxlen=TAIL_HOPS)
         self.piles: dict[float, Pile] = {}
+
+    @property
+    def recent(self) -> Sequence[float]:
+        """Tops of the last hops of driving."""
+        return self._recent
 
     @property
     def last(self) -> Top | None:
@@ -74,6 +84,7 @@ class TopList:
         on: samples of the hop on it. Returns the top where its samples have to be weighed: they
         stay long, or it was reached before.
         """
+        self._recent.append(value)
         tops, one_below, two_below = self._tops, 0, 0
         two_steps = 2.5 * step
         while tops:
@@ -110,11 +121,23 @@ class TopList:
 
 
 class TopRows:
-    """The same in rows of an array (`REMEMBERED` + 1, 6), of which depth (1,) are used."""
+    """The same in rows of an array (`REMEMBERED` + 1, 6), of which depth (1,) are used.
 
-    def __init__(self, rows: Array, depth: Index) -> None:
+    recent: (`TAIL_HOPS`,) tops of the last of so many hops (1,) of driving, in turn.
+    """
+
+    def __init__(self, rows: Array, depth: Index, recent: Array, hops: Index) -> None:
         self._rows, self._depth = rows, depth
+        self._recent, self._hops = recent, hops
         self.piles: dict[float, Pile] = {}
+
+    @property
+    def recent(self) -> Sequence[float]:
+        """Tops of the last hops of driving."""
+        hops = int(self._hops[0])
+        ring: list[float] = self._recent.tolist()
+        at = hops % TAIL_HOPS
+        return ring[:hops] if hops < TAIL_HOPS else ring[at:] + ring[:at]
 
     def _top(self, k: int) -> Top:
         value, born, on, one_below, two_below, _ = self._rows[k].tolist()
@@ -161,8 +184,12 @@ class BothRows:
         self._rows = np.zeros((SIDES, REMEMBERED + 1, 6))
         self._depth = np.zeros(SIDES, np.int64)
         self.usual, self.hops = np.zeros(1), np.zeros(1, np.int64)
+        self._recent = np.zeros((SIDES, TAIL_HOPS))
         self._found = np.empty(3 * SIDES)
-        self.sides = [TopRows(self._rows[k], self._depth[k : k + 1]) for k in range(SIDES)]
+        self.sides = [
+            TopRows(self._rows[k], self._depth[k : k + 1], self._recent[k], self.hops)
+            for k in range(SIDES)
+        ]
 
     def take(
         self, at: AxisHops, hops: Index, begin: int, moving: NDArray[np.bool_]
@@ -173,7 +200,7 @@ class BothRows:
         """
         stopped = self._kernels.rail_hops(
             hops, begin, moving, *at.in_rows, self._rows, self._depth, self.usual, self.hops,
-            self._found,
+            self._recent, self._found,
         )  # fmt: skip
         high, low, *largest = self._found.tolist()
         reached: list[Top | None] = []

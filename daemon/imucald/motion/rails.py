@@ -7,7 +7,6 @@ again, and stays. What is played twice to the last bit, such as a recording in a
 from __future__ import annotations
 
 import math
-from collections import deque
 from collections.abc import Sequence
 
 import numpy as np
@@ -16,14 +15,12 @@ from numpy.typing import NDArray
 from imucald.core import compiled
 from imucald.motion.hops import SIDES
 from imucald.motion.rail_evidence import LEAST_AT_EXTREME, AxisHops, Pile
-from imucald.motion.rail_tops import BothRows, Top, TopList, TopRows
+from imucald.motion.rail_tops import TAIL_HOPS, BothRows, Top, TopList, TopRows
 
 Flags = NDArray[np.bool_]
 
-TAIL_HOPS = 120
-"""The tail of an axis is that of the largest values of so many hops of driving (a minute) ..."""
 LEAST_TAIL_HOPS = 30
-"""... and known from so many (15 s)."""
+"""The tail of an axis is known from so many hops of driving (15 s)."""
 LEAST_STEPS = 8
 """A signal of fewer steps from end to end has no tail."""
 SURPRISE = 18.5
@@ -48,12 +45,11 @@ class Rail:
 
     surprise: -log of the chance of what is seen if there is none [nats], as far as it has been
     left again: an axis that sticks is none, and has arrived once when that has ended. value: for
-    which it is. recent: tops of the last hops of driving.
+    which it is.
     """
 
     def __init__(self, side: int, axis: int, tops: TopList | TopRows) -> None:
         self._side, self._axis, self._tops = side, axis, tops
-        self.recent: deque[float] = deque(maxlen=TAIL_HOPS)
         self._rail = -math.inf
         self._changed = False
         self.found = False
@@ -70,6 +66,11 @@ class Rail:
     def stand(self, at: AxisHops, h: int) -> None:
         """Take hop h, in which the vehicle stands, or the axis is stuck."""
         self._tops.drop_below(at.tops[self._side][h])
+
+    @property
+    def recent(self) -> Sequence[float]:
+        """Tops of the last hops of driving."""
+        return self._tops.recent
 
     @property
     def changed(self) -> bool:
@@ -93,8 +94,8 @@ class Rail:
         What sticks does so anywhere; the end of a range is the largest value of a minute's drive.
         left_by: how far the axis is from it now, and less than it goes beyond.
         """
-        known = len(self.recent) >= LEAST_TAIL_HOPS
-        return known and left_by > 0.0 and value >= max(self.recent)
+        recent = self.recent
+        return len(recent) >= LEAST_TAIL_HOPS and left_by > 0.0 and value >= max(recent)
 
     def weigh(self, at: AxisHops, h: int) -> None:
         """Of the values that may be a rail the one for which most speaks, after hop h."""
@@ -152,7 +153,7 @@ class Rail:
         n = min(hop - top.born + 1, TAIL_HOPS)
         if n < LEAST_TAIL_HOPS:
             return 0.0
-        peaks = np.array(self.recent)[-n:]
+        peaks = np.array(self._tops.recent)[-n:]
         on = int(np.count_nonzero(peaks == top.value))
         broad = min(BROAD * on, n)
         low = float(np.partition(peaks, n - broad)[n - broad])
@@ -193,7 +194,7 @@ class AxisRails:
             self._pile_up(at, h, self._drive(at, h))
         else:
             _, tops = self._both.take(at, np.array([h]), 0, np.ones(len(at.levels), dtype=bool))
-            self._take_driven(at, (h,), (True,) * len(at.levels))
+            self._take_over()
             self._pile_up(at, h, tops)
         return self._weigh(at, h, high.changed, low.changed)
 
@@ -218,7 +219,7 @@ class AxisRails:
             else:
                 stopped, tops = self._both.take(at, places, done, moving)
                 is_weighed = tops != [None, None]
-                self._take_driven(at, hops[done : stopped + is_weighed], moves)
+                self._take_over()
                 found += [False] * (stopped - done)
                 if not is_weighed:
                     continue
@@ -237,20 +238,14 @@ class AxisRails:
         self._hops += 1
         self._usual += (at.level[h] - self._usual) / (hop + 1 if hop < TAIL_HOPS else TAIL_HOPS)
         tops: list[Top | None] = []
-        for rail, own, value, on in zip(
-            (self._high, self._low), self._lists, at.tops, at.on_tops, strict=True
-        ):
-            rail.recent.append(value[h])
+        for own, value, on in zip(self._lists, at.tops, at.on_tops, strict=True):
             tops.append(own.reached(value[h], on[h], at.step[h], hop))
         return tops
 
-    def _take_driven(self, at: AxisHops, hops: Sequence[int], moves: Sequence[bool]) -> None:
-        """Take over what the compiled part made of hops."""
-        if self._both is not None and len(hops):
+    def _take_over(self) -> None:
+        """What the compiled part made of hops."""
+        if self._both is not None:
             self._hops, self._usual = int(self._both.hops[0]), float(self._both.usual[0])
-            driven = [h for h in hops if moves[h]][-TAIL_HOPS:]
-            for rail, values in zip((self._high, self._low), at.tops, strict=True):
-                rail.recent.extend([values[h] for h in driven])
 
     def _pile_up(self, at: AxisHops, h: int, tops: Sequence[Top | None]) -> None:
         """Count the samples of hop h, of driving, that are on its tops."""

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from imucald.config.base import MAX_SPEED_DELAY, MIN_SPEED_DELAY
+from imucald.core import compiled
 from imucald.mount.estimator_settings import DelayPrior
 from imucald.mount.evidence_spectra import OMEGA, WINDOW
 from imucald.mount.signal_blocks import BLOCK_TICKS
@@ -41,8 +42,7 @@ class DelaySearch:
         self._taus = np.arange(low, high + 0.5 * STEP, STEP) if prior.std > 0 else np.zeros(1)
         self._phases = np.exp(1j * np.outer(self._taus, OMEGA))
         self._cross = np.zeros((len(OMEGA), 3), dtype=np.complex128)
-        self._power = np.zeros(len(OMEGA))
-        self._force = np.zeros(len(OMEGA))
+        self._powers = np.zeros((2, len(OMEGA)))  # of the signal, and of the force
         self.windows = 0
         self.value = prior.mean
         self.std = prior.std
@@ -61,20 +61,33 @@ class DelaySearch:
 
     def add(self, signal: NDArray[np.complex128], force: NDArray[np.complex128]) -> None:
         """Take spectra of a window: signal (BINS,), force (BINS, 3)."""
-        power = signal.real**2 + signal.imag**2
+        if compiled.kernels is not None:
+            used = np.empty(1, np.int64)
+            flags = compiled.kernels.add_cross_spectra(
+                signal, force, MIN_POWER, self._cross, self._powers, used
+            )
+            if flags:
+                compiled.note(flags)
+            self.windows += int(used[0])
+            return
+        re, im = signal.real, signal.imag
+        power = re * re + im * im
         if power.sum() < MIN_POWER:
             return
         self.windows += 1
-        self._cross += np.conj(signal)[:, None] * force
-        self._power += power
-        self._force += (force.real**2 + force.imag**2).sum(axis=1)
+        x, y = force.real, force.imag
+        self._cross.real += re[:, None] * x + im[:, None] * y
+        self._cross.imag += re[:, None] * y - im[:, None] * x
+        self._powers[0] += power
+        self._powers[1] += (x * x + y * y).sum(axis=1)
 
     def search(self) -> float:
         """Return the delay [s]; `std` is its standard deviation."""
         p = self._prior
         if p.std <= 0.0 or self.windows < MIN_WINDOWS:
             return self.value
-        weight = 1.0 / (self._force + 0.02 * self._force.max() + 1e-9)
+        power, of_force = self._powers
+        weight = 1.0 / (of_force + 0.02 * of_force.max() + 1e-9)
         # force is x(t) and the signal x(t - tau): conj(signal) * force = P exp(+i w tau)
         gain = (np.conj(self._phases) @ (self._cross * weight[:, None])).real
         size = np.sqrt((gain * gain).sum(axis=1))
@@ -88,9 +101,7 @@ class DelaySearch:
         self._best = float(self._taus[best])
         d = gain[best] / max(float(size[best]), 1e-12)
         along = (self._cross @ d) * np.exp(-1j * OMEGA * tau)
-        coherence2 = np.minimum(
-            (along.real**2) / np.maximum(self._power * self._force, 1e-12), 0.98
-        )
+        coherence2 = np.minimum((along.real**2) / np.maximum(power * of_force, 1e-12), 0.98)
         information = float((2.0 * OMEGA**2 * coherence2 / (1.0 - coherence2)).sum())
         information *= self.windows * (BLOCK_TICKS / WINDOW)
         prior = 1.0 / (p.std * p.std)

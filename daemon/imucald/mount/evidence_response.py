@@ -94,7 +94,9 @@ _LEVELS = np.array(
 
 def _first_of_each(group: NDArray[np.int64]) -> NDArray[np.int64]:
     """Places at which another group begins, in (n,) that never decrease."""
-    return np.concatenate([[0], np.flatnonzero(group[1:] != group[:-1]) + 1])
+    begins = np.ones(len(group), dtype=bool)
+    np.not_equal(group[1:], group[:-1], out=begins[1:])
+    return begins.nonzero()[0]
 
 
 class ResponseEvidence:
@@ -134,8 +136,8 @@ class ResponseEvidence:
 
     def slow_gains(self) -> tuple[float, float]:
         """Of dv/dt and v r where neither slopes nor a slow source of the speed change them."""
-        x, y = self.gains[:2, SLOW].mean(axis=1).tolist()
-        return x, y
+        x, y = self.gains[:2, SLOW].sum(axis=1).tolist()
+        return x / 2.0, y / 2.0
 
     def start_from(self, other: ResponseEvidence) -> None:
         """Begin with another's gains, noise levels and delays."""

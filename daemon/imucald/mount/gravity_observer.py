@@ -18,6 +18,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from imucald.core.rotations import inverse_of_symmetric
 from imucald.core.samples import GRAVITY
 from imucald.motion.ticks import TICK_S
 from imucald.mount.gravity_step import GravityStepDetector
@@ -66,6 +67,7 @@ class GravityObserver:
         self._alone = self._settling = self._seeking = 0
         self._closed_information = np.zeros((0, 3, 3))
         self._closed_score = np.zeros((0, 3))
+        self._closed: tuple[Array, Array] = np.zeros((3, 3)), np.zeros(3)  # the sums of both
         self.steps = GravityStepDetector()
 
     def restart(self) -> None:
@@ -182,6 +184,7 @@ class GravityObserver:
             closed = self._closed_information, self._open_information[None]
             self._closed_information = np.concatenate(closed)
             self._closed_score = np.concatenate([self._closed_score, self._open_score[None]])
+            self._closed = self._closed_information.sum(axis=0), self._closed_score.sum(axis=0)
             self._open_information = np.zeros((3, 3))
             self._open_score = np.zeros(3)
             self._open_ticks = 0
@@ -194,9 +197,9 @@ class GravityObserver:
             up = self._state[:, 0]
             prior += np.outer(up, up) * 1e6
         a, b = self._closed_information, self._closed_score
-        closed = a.sum(axis=0)
-        information, score = closed + self._open_information, b.sum(axis=0) + self._open_score
-        covariance = np.asarray(np.linalg.inv(information + prior), dtype=np.float64)
+        closed, score = self._closed
+        information, score = closed + self._open_information, score + self._open_score
+        covariance = inverse_of_symmetric(information + prior)
         value = covariance @ score
         k = len(a)
         if k < 2:
@@ -208,6 +211,6 @@ class GravityObserver:
             seen = k * spread / max(model, 0.05)
             scale = (COLOUR * COLOUR_SEGMENTS + seen) / (COLOUR_SEGMENTS + k)
         scale = max(scale, 1.0)
-        covariance = np.asarray(np.linalg.inv(information / scale + prior), dtype=np.float64)
+        covariance = inverse_of_symmetric(information / scale + prior)
         value = covariance @ (score / scale)
         return value, covariance

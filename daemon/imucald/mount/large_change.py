@@ -20,7 +20,7 @@ from msgspec import Struct
 from numpy.typing import NDArray
 
 from imucald.core import compiled
-from imucald.core.rotations import Matrix3, matrix_times, vector_from_rotation
+from imucald.core.rotations import Matrix3, vector_from_rotation
 from imucald.motion.ticks import TICK_S
 from imucald.mount.alternatives import MAX_REVERSE
 from imucald.mount.block_sums import BlockSums
@@ -137,7 +137,8 @@ class LargeChangeDetector:
         n = sums.n
         if not has_speed or n < LEAST_TICKS:
             return
-        x, y, z = matrix_times(R, (sums.force[0] / n, sums.force[1] / n, sums.force[2] / n))
+        u, v, w = (force / n for force in sums.force)
+        x, y, z = (a * u + b * v + c * w for a, b, c in R.tolist())
         x -= gains[0] * sums.accel / n
         y -= gains[1] * sums.turn / n
         yaw, known = block_yaw(motion, use)
@@ -145,8 +146,8 @@ class LargeChangeDetector:
             known = 0.0
         metres = sums.speed * TICK_S
         e = math.atan2(y, z), math.atan2(-x, math.hypot(y, z)), yaw
-        row = np.array([[*e, metres, metres + 3.0, known]])
-        self._rows = np.concatenate([self._rows[1 - REMEMBERED :], row])
+        row = [*e, metres, metres + 3.0, known]
+        self._rows = np.concatenate([self._rows[1 - REMEMBERED :], [row]])
 
     def found(self, with_yaw: bool) -> LargeChange | None:
         """The change that stands out most, where it is one; with_yaw: yaw is asked too."""

@@ -17,10 +17,11 @@ class LeverArm:
 
     def __init__(self, arm: Array) -> None:
         self._arm = arm
+        self._is_long = bool(self._arm.any())
         self._last_rate: Array | None = None
 
     def __bool__(self) -> bool:
-        return bool(self._arm.any())
+        return self._is_long
 
     def restart(self) -> None:
         """Time jumped."""

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-from msgspec import Struct
 from numpy.typing import NDArray
+
+from imucald.core import compiled
 
 Array = NDArray[np.float64]
 
@@ -16,56 +17,54 @@ HARD_TICKS = 5
 """It must last that long."""
 
 
-class _Counter(Struct):
-    """Counts intervals of time above a level that last; the level must be left in between."""
-
-    level: float
-    count: int = 0
-    run: int = 0
-    over: bool = False
-
-    def feed(self, values: Array) -> None:
-        if not np.count_nonzero(values > self.level) and not self.over:
-            self.run = 0
-            return
-        for value in values.tolist():
-            if value > self.level:
-                self.run += 1
-                if self.run == HARD_TICKS and not self.over:
-                    self.count += 1
-                    self.over = True
-            elif value < 0.5 * self.level:
-                self.run = 0
-                self.over = False
+_LEVELS = np.array([HARD_ACCEL, HARD_ACCEL, HARD_TURN, HARD_TURN])
+_COUNT, _RUN, _OVER = range(3)
 
 
 class Manoeuvres:
-    """What was driven: launches, brakings, turns to either side."""
+    """What was driven: launches, brakings, turns to either side.
+
+    Counted are intervals of time above a level that last; the level must be left in between.
+    """
 
     def __init__(self) -> None:
-        self._launches = _Counter(HARD_ACCEL)
-        self._brakings = _Counter(HARD_ACCEL)
-        self._lefts = _Counter(HARD_TURN)
-        self._rights = _Counter(HARD_TURN)
+        self._state = np.zeros((4, 3), np.int64)
+        """Of launches, brakings, lefts, rights: how many; ticks of the last; whether it counted."""
 
     def add(self, accel: Array, turn: Array) -> None:
         """Take a block of dv/dt and v r, zero where not to be trusted."""
-        self._launches.feed(accel)
-        self._brakings.feed(-accel)
-        self._lefts.feed(turn)
-        self._rights.feed(-turn)
+        if compiled.kernels is not None:
+            compiled.kernels.count_manoeuvres(accel, turn, _LEVELS, HARD_TICKS, self._state)
+            return
+        for k, values in enumerate((accel, -accel, turn, -turn)):
+            self._feed(self._state[k], values, float(_LEVELS[k]))
+
+    @staticmethod
+    def _feed(state: NDArray[np.int64], values: Array, level: float) -> None:
+        count, run, over = state.tolist()
+        if not over and not np.count_nonzero(values > level):
+            state[_RUN] = 0
+            return
+        for value in values.tolist():
+            if value > level:
+                run += 1
+                if run == HARD_TICKS and not over:
+                    count, over = count + 1, 1
+            elif value < 0.5 * level:
+                run = over = 0
+        state[:] = count, run, over
 
     @property
     def straight(self) -> int:
         """Launches and brakings."""
-        return self._launches.count + self._brakings.count
+        return int(self._state[0, _COUNT] + self._state[1, _COUNT])
 
     @property
     def lefts(self) -> int:
         """Left turns."""
-        return self._lefts.count
+        return int(self._state[2, _COUNT])
 
     @property
     def rights(self) -> int:
         """Right turns."""
-        return self._rights.count
+        return int(self._state[3, _COUNT])

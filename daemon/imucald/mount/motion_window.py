@@ -95,5 +95,6 @@ class MotionWindow:
         if np.count_nonzero(self._mask) < LEAST_TICKS:
             return None
         s = spectra(self._values, self._mask, keep_mean=keep_mean)
-        power = s[:, 3:5].real ** 2 + s[:, 3:5].imag ** 2
-        return None if needs_motion and power.sum() < MIN_POWER * BLOCK_TICKS else s
+        motion = s[:, 3:5]
+        is_still = needs_motion and np.vdot(motion, motion).real < MIN_POWER * BLOCK_TICKS
+        return None if is_still else s

@@ -17,6 +17,7 @@ from imucald.core.rotations import Matrix3
 from imucald.core.samples import GRAVITY
 from imucald.motion.standstill import ZERO_SPEED
 from imucald.motion.ticks import ACCEL, SPEED, TickRow
+from imucald.mount.block_sums import masked_sums
 from imucald.mount.estimate import Correction
 from imucald.mount.large_change import LEAST_TICKS
 from imucald.mount.signal_blocks import SignalBlock
@@ -39,11 +40,11 @@ def is_off_vertical(p: SignalBlock, R: Matrix3, turn: Array) -> bool:
     speed or turn rate is taken for it.
     """
     use = p.ok_force
-    n = int(np.count_nonzero(use))
+    n, *sums = masked_sums(p.force, use)
     if n < LEAST_TICKS:
         return False
-    force = p.force if n == len(use) else p.force[use]
-    x, y, z = (R @ (force.sum(axis=0) / n)).tolist()
+    u, v, w = (x / n for x in sums)
+    x, y, z = (a * u + b * v + c * w for a, b, c in R.tolist())
     if not math.hypot(x, y, z) >= 0.5 * GRAVITY:
         return False
     if math.atan2(math.hypot(x, y), z) <= MAX_OFF_VERTICAL:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from functools import cache
+from functools import cache, cached_property
 
 import numpy as np
 from msgspec import Struct
@@ -32,7 +32,7 @@ class AngleFit(Struct, frozen=True):
     value: float
 
 
-class ScoreSeries(Struct, frozen=True):
+class ScoreSeries(Struct, frozen=True, dict=True):
     """Evidence about one angle from one source, segment by segment: scores and informations (G,).
 
     kind: the source, of those in `shift.UNEVEN_STD`. fit: where the angle was fitted together with
@@ -68,6 +68,10 @@ class ScoreSeries(Struct, frozen=True):
 
     def fitted(self) -> AngleFit | None:
         """The fit; without nuisance the mean. None without any information."""
+        return self._fitted
+
+    @cached_property
+    def _fitted(self) -> AngleFit | None:
         if self.fit is not None:
             return self.fit
         n, total = self.information, float(self.information.sum())

@@ -172,7 +172,7 @@ class MountSolver:
         if self.fused is None or not self.yaw_known:
             return False
         unseen = 0.5 * self._cross_axis.probable**2
-        return bool(self.fused.variance[2] - unseen < SURE_STD**2)
+        return self.fused.variance.item(2) - unseen < SURE_STD**2
 
     def _turn_rate(self, p: SignalBlock, up: Array | None) -> Array:
         if up is not None and np.count_nonzero(p.ok_rate) > 0.5 * len(p.ok_rate):
@@ -186,7 +186,8 @@ class MountSolver:
         of = self.response.gains
         if of is not self._gains_of:  # a fit makes new ones, and never changes them
             self._gains_of = of
-            self._gains = tuple(of[:2, 2:6].mean(axis=1).tolist())
+            x, y = of[:2, 2:6].sum(axis=1).tolist()
+            self._gains = x / 4.0, y / 4.0
         return self._gains
 
     def _take_window(self) -> None:

@@ -28,7 +28,7 @@ from msgspec import Struct
 from numpy.typing import NDArray
 
 from imucald.motion.ticks import TICK_S
-from imucald.mount.block_sums import BlockSums
+from imucald.mount.block_sums import BlockSums, masked_sums
 from imucald.mount.estimator_settings import EstimatorSettings
 from imucald.mount.large_change import LEAST_TICKS
 from imucald.mount.shift import UNEVEN_STD
@@ -129,12 +129,12 @@ class ZeroStep:
             return
         gains = solver.gains()
         ahead, aside = gains[0] * sums.accel / n, gains[1] * sums.turn / n
-        row = np.empty((1, 8))
-        for k, (force, x, y) in enumerate(zip(sums.force, *solver.R[:2].tolist(), strict=True)):
-            row[0, k] = force / n - (ahead * x + aside * y)
-        np.multiply((p.rate * p.ok_rate[:, None]).sum(axis=0), TICK_S, out=row[0, 3:6])
-        row[0, 6:] = sums.speed * TICK_S + STANDING_METRES, p.t[0]
-        self._rows = np.concatenate([self._rows[1 - REMEMBERED :], row])
+        axes = zip(sums.force, *solver.R[:2].tolist(), strict=True)
+        row = [force / n - (ahead * x + aside * y) for force, x, y in axes]
+        _, *turned = masked_sums(p.rate, p.ok_rate)
+        row += [rate * TICK_S for rate in turned]
+        row += [sums.speed * TICK_S + STANDING_METRES, p.t.item(0)]
+        self._rows = np.concatenate([self._rows[1 - REMEMBERED :], [row]])
         self._judge()
 
     def _judge(self) -> None:

@@ -364,3 +364,80 @@ KERNEL long gravity_sums(PyObject *learn_, PyObject *ok_speed_, PyObject *rest_,
     out[METRES] = sum_of(size, n, 1) * number[3];
     return leave(&a, raised());
 }
+
+/* Launches, brakings, turns to the left and to the right (`manoeuvres`): counted are runs above a
+   level. levels: (4,). state: (4, 3) how many, ticks of the run, whether it was counted. */
+KERNEL long count_manoeuvres(PyObject *accel_, PyObject *turn_, PyObject *levels_, long least,
+                             PyObject *state_)
+{
+    Arrays a = {0};
+    const double *accel = doubles(&a, accel_, SHAPE(ANY));
+    Size n = length_of(&a, 0);
+    const double *turn = doubles(&a, turn_, SHAPE(n));
+    const double *levels = doubles(&a, levels_, SHAPE(4));
+    int64_t *state = take_out(&a, state_, 'q', SHAPE(4, 3));
+    if (a.failed)
+        return leave(&a, -1);
+    for (int k = 0; k < 4; k++) {
+        const double *values = k < 2 ? accel : turn;
+        double sign = k % 2 ? -1.0 : 1.0, level = levels[k];
+        int64_t *own = state + 3 * k, *run = own + 1, *is_over = own + 2;
+        int is_above = *is_over != 0;
+        for (Size i = 0; i < n && !is_above; i++)
+            is_above = sign * values[i] > level;
+        if (!is_above) {
+            *run = 0;
+            continue;
+        }
+        for (Size i = 0; i < n; i++) {
+            double value = sign * values[i];
+            if (value > level) {
+                ++*run;
+                if (*run == least && !*is_over) {
+                    ++*own;
+                    *is_over = 1;
+                }
+            } else if (value < 0.5 * level)
+                *run = *is_over = 0;
+        }
+    }
+    return leave(&a, 0);
+}
+
+/* Add a window's spectra to the sums that a delay follows from (`delay`): signal (bins,), force
+   (bins, 3). cross: (bins, 3); powers: (2, bins) of the signal and of the force. used: (1,) whether the
+   signal has as much power as `least`. */
+KERNEL long add_cross_spectra(PyObject *signal_, PyObject *force_, double least, PyObject *cross_,
+                              PyObject *powers_, PyObject *used_)
+{
+    Arrays a = {0};
+    const double *signal = take(&a, signal_, 'D', SHAPE(ANY));
+    Size n = length_of(&a, 0);
+    const double *force = take(&a, force_, 'D', SHAPE(n, 3));
+    double *cross = take_out(&a, cross_, 'D', SHAPE(n, 3));
+    double *powers = doubles_out(&a, powers_, SHAPE(2, n));
+    int64_t *used = take_out(&a, used_, 'q', SHAPE(1));
+    if (a.failed)
+        return leave(&a, -1);
+    if (n < 1 || n > MOST_TICKS)
+        return leave(&a, refuse(&a, "more bins than a window has"));
+    begin();
+    double power[MOST_TICKS];
+    for (Size k = 0; k < n; k++)
+        power[k] = signal[2 * k] * signal[2 * k] + signal[2 * k + 1] * signal[2 * k + 1];
+    *used = !(sum_of(power, n, 1) < least);
+    if (!*used)
+        return leave(&a, raised());
+    for (Size k = 0; k < n; k++) {
+        double re = signal[2 * k], im = signal[2 * k + 1], sum = 0.0;
+        for (int i = 0; i < 3; i++) {
+            double x = force[6 * k + 2 * i], y = force[6 * k + 2 * i + 1];
+            cross[6 * k + 2 * i] += re * x + im * y;
+            cross[6 * k + 2 * i + 1] += re * y - im * x;
+            sum += x * x + y * y;
+        }
+        powers[k] += power[k];
+        powers[n + k] += sum;
+    }
+    return leave(&a, raised());
+}

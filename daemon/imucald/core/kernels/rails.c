@@ -68,12 +68,12 @@ static void drop_below(double (*tops)[TOP], int64_t *depth, double value)
 
    moving: (H,) of all hops. tops, on: (SIDES, H); step, level: (H,). rows: (SIDES, REMEMBERED + 1, TOP)
    tops that nothing has gone beyond, depth: (SIDES,) how many. usual: (1,) mean change; count: (1,)
-   hops of driving so far. found: (FOUND,) whether the last hop is to be weighed, by side; the largest
+   hops of driving so far. recent: (SIDES, TAIL_HOPS) tops of the last of them, in turn. found: (FOUND,) whether the last hop is to be weighed, by side; the largest
    value of these hops; the value of the pile that was let go. Returns the place of the hop that is to
    be weighed, else of the first that was not taken. */
 KERNEL long rail_hops(PyObject *hops_, long begin, PyObject *moving_, PyObject *tops_, PyObject *on_,
                       PyObject *step_, PyObject *level_, PyObject *rows_, PyObject *depth_,
-                      PyObject *usual_, PyObject *count_, PyObject *found_)
+                      PyObject *usual_, PyObject *count_, PyObject *recent_, PyObject *found_)
 {
     Arrays a = {0};
     const int64_t *hops = take(&a, hops_, 'q', SHAPE(ANY));
@@ -88,10 +88,11 @@ KERNEL long rail_hops(PyObject *hops_, long begin, PyObject *moving_, PyObject *
     int64_t *depth = take_out(&a, depth_, 'q', SHAPE(SIDES));
     double *usual = doubles_out(&a, usual_, SHAPE(1));
     int64_t *count = take_out(&a, count_, 'q', SHAPE(1));
+    double *recent = doubles_out(&a, recent_, SHAPE(SIDES, TAIL_HOPS));
     double *found = doubles_out(&a, found_, SHAPE(FOUND));
     if (a.failed)
         return leave(&a, -1);
-    int fits = begin >= 0 && begin <= n;
+    int fits = begin >= 0 && begin <= n && *count >= 0 && *count < INT64_MAX - n;
     for (int side = 0; side < SIDES; side++)
         fits = fits && depth[side] >= 0 && depth[side] <= REMEMBERED;
     for (Size k = 0; k < n; k++)
@@ -120,6 +121,7 @@ KERNEL long rail_hops(PyObject *hops_, long begin, PyObject *moving_, PyObject *
         for (int side = 0; side < SIDES; side++) {
             double value = tops[side * all + h];
             double (*own)[TOP] = (double (*)[TOP])(rows + side * (REMEMBERED + 1) * TOP);
+            recent[side * TAIL_HOPS + (Size)((*count - 1) % TAIL_HOPS)] = value;
             found[HIGHEST + side] = value > found[HIGHEST + side] ? value : found[HIGHEST + side];
             found[IS_REACHED + side] = reach(own, &depth[side], value, (double)on[side * all + h],
                                              step[h], hop, &found[DROPPED + side]);
