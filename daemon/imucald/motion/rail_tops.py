@@ -21,6 +21,9 @@ from imucald.motion.rail_evidence import AxisHops, Pile
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
+Flags = NDArray[np.bool_]
+Hops = Sequence[int] | Index
+Moves = Sequence[bool] | Flags
 
 LONG_STAY = 4
 """Fewer samples on a value that is reached for the first time say nothing."""
@@ -49,13 +52,9 @@ class TopList:
 
     def __init__(self) -> None:
         self._tops: list[Top] = []
-        self._recent: deque[float] = deque(maxlen=TAIL_HOPS)
-        self.piles: dict[float, Pile] = {}
-
-    @property
-    def recent(self) -> Sequence[float]:
+        self.recent: deque[float] = deque(maxlen=TAIL_HOPS)
         """Tops of the last hops of driving."""
-        return self._recent
+        self.piles: dict[float, Pile] = {}
 
     @property
     def last(self) -> Top | None:
@@ -84,7 +83,6 @@ class TopList:
         on: samples of the hop on it. Returns the top where its samples have to be weighed: they
         stay long, or it was reached before.
         """
-        self._recent.append(value)
         tops, one_below, two_below = self._tops, 0, 0
         two_steps = 2.5 * step
         while tops:
@@ -173,34 +171,87 @@ class TopRows:
         self._rows[self._depth[0] - 1, 5] = 1.0
 
 
-class BothRows:
-    """The tops of both sides of an axis, for the compiled part.
+class BothLists:
+    """The tops of both sides of an axis.
 
-    usual: (1,) mean change from sample to sample while driving; hops: (1,) of driving.
+    usual: mean change from sample to sample while driving. hops: of driving.
     """
+
+    def __init__(self) -> None:
+        self.sides = [TopList() for _ in range(SIDES)]
+        self.usual, self.hops = 0.0, 0
+
+    @staticmethod
+    def prepared(hops: Sequence[int], moving: Flags) -> tuple[Sequence[int], Sequence[bool]]:
+        """Hops, and whether the vehicle moves in each of all, as `take` has them quickest."""
+        return hops, moving.tolist()
+
+    def take(
+        self, at: AxisHops, hops: Hops, begin: int, moving: Moves
+    ) -> tuple[int, list[Top | None]]:
+        """Take hops from place `begin` on, up to one whose tops have to be weighed.
+
+        moving: of all hops. Returns its place and, by side, which; or the place of the first hop
+        that was not taken.
+        """
+        high, low = self.sides
+        level, steps, (highest, lowest), (on_high, on_low) = at.level, at.step, at.tops, at.on_tops
+        for k in range(begin, len(hops)):
+            h = hops[k]
+            value, other = highest[h], lowest[h]
+            if not moving[h]:
+                high.drop_below(value)
+                low.drop_below(other)
+                continue
+            hop = self.hops
+            self.hops += 1
+            self.usual += (level[h] - self.usual) / (hop + 1 if hop < TAIL_HOPS else TAIL_HOPS)
+            high.recent.append(value)
+            low.recent.append(other)
+            top = high.reached(value, on_high[h], steps[h], hop)
+            bottom = low.reached(other, on_low[h], steps[h], hop)
+            if top is not None or bottom is not None:
+                return k, [top, bottom]
+        return len(hops), [None, None]
+
+
+class BothRows:
+    """The same for the compiled part."""
 
     def __init__(self, kernels: Kernels) -> None:
         self._kernels = kernels
         self._rows = np.zeros((SIDES, REMEMBERED + 1, 6))
         self._depth = np.zeros(SIDES, np.int64)
-        self.usual, self.hops = np.zeros(1), np.zeros(1, np.int64)
+        self._usual, self._hops = np.zeros(1), np.zeros(1, np.int64)
         self._recent = np.zeros((SIDES, TAIL_HOPS))
         self._found = np.empty(3 * SIDES)
         self.sides = [
-            TopRows(self._rows[k], self._depth[k : k + 1], self._recent[k], self.hops)
+            TopRows(self._rows[k], self._depth[k : k + 1], self._recent[k], self._hops)
             for k in range(SIDES)
         ]
 
-    def take(
-        self, at: AxisHops, hops: Index, begin: int, moving: NDArray[np.bool_]
-    ) -> tuple[int, list[Top | None]]:
-        """Take hops from place `begin` on, up to one whose tops have to be weighed.
+    @property
+    def usual(self) -> float:
+        """See `BothLists`."""
+        return self._usual.item(0)
 
-        Returns its place and, by side, which; or the place of the first hop that was not taken.
-        """
+    @property
+    def hops(self) -> int:
+        """See `BothLists`."""
+        return self._hops.item(0)
+
+    @staticmethod
+    def prepared(hops: Sequence[int], moving: Flags) -> tuple[Index, Flags]:
+        """See `BothLists`."""
+        return np.array(hops, np.int64), moving
+
+    def take(
+        self, at: AxisHops, hops: Hops, begin: int, moving: Moves
+    ) -> tuple[int, list[Top | None]]:
+        """See `BothLists`."""
         stopped = self._kernels.rail_hops(
-            hops, begin, moving, *at.in_rows, self._rows, self._depth, self.usual, self.hops,
-            self._recent, self._found,
+            np.asarray(hops, np.int64), begin, np.asarray(moving, np.bool_), *at.in_rows,
+            self._rows, self._depth, self._usual, self._hops, self._recent, self._found,
         )  # fmt: skip
         high, low, *largest = self._found.tolist()
         reached: list[Top | None] = []

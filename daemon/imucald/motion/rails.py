@@ -13,9 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from imucald.core import compiled
-from imucald.motion.hops import SIDES
 from imucald.motion.rail_evidence import LEAST_AT_EXTREME, AxisHops, Pile
-from imucald.motion.rail_tops import TAIL_HOPS, BothRows, Top, TopList, TopRows
+from imucald.motion.rail_tops import TAIL_HOPS, BothLists, BothRows, Top, TopList, TopRows
 
 Flags = NDArray[np.bool_]
 
@@ -168,12 +167,10 @@ class AxisRails:
 
     def __init__(self, axis: int) -> None:
         self._axis = axis
-        self._both = None if compiled.kernels is None else BothRows(compiled.kernels)
-        self._lists = [TopList() for _ in range(SIDES)]
-        tops: Sequence[TopList | TopRows] = self._lists if self._both is None else self._both.sides
-        self._high, self._low = (Rail(side, axis, own) for side, own in enumerate(tops))
-        self._hops = 0
-        self._usual = 0.0  # mean change from sample to sample while driving
+        kernels = compiled.kernels
+        self._tops = BothLists() if kernels is None else BothRows(kernels)
+        sides: Sequence[TopList | TopRows] = self._tops.sides
+        self._high, self._low = (Rail(side, axis, own) for side, own in enumerate(sides))
 
     def step(self, at: AxisHops, h: int, moving: bool, stuck: bool) -> bool:
         """Take hop h, which has samples; return whether the axis is on a rail.
@@ -190,11 +187,8 @@ class AxisRails:
         if stuck or not moving:
             for rail in (high, low):
                 rail.stand(at, h)
-        elif self._both is None:
-            self._pile_up(at, h, self._drive(at, h))
         else:
-            _, tops = self._both.take(at, np.array([h]), 0, np.ones(len(at.levels), dtype=bool))
-            self._take_over()
+            _, tops = self._tops.take(at, (h,), 0, (True,) * len(at.levels))
             self._pile_up(at, h, tops)
         return self._weigh(at, h, high.changed, low.changed)
 
@@ -205,53 +199,30 @@ class AxisRails:
         before.
         """
         high, low = self._high, self._low
-        places, moves = np.array(hops), moving.tolist()
+        moves: list[bool] = moving.tolist()
+        places, flags = self._tops.prepared(hops, moving)
         found: list[bool] = []
         is_clear = high.is_clear and low.is_clear
         while (done := len(found)) < len(hops):
-            h = hops[done]
-            if not is_clear or (self._both is None and not moves[h]):
+            if not is_clear:
+                h = hops[done]
                 found.append(self.step(at, h, moves[h], stuck=False))
-                is_clear = high.is_clear and low.is_clear
-                continue
-            if self._both is None:
-                tops = self._drive(at, h)
             else:
-                stopped, tops = self._both.take(at, places, done, moving)
-                is_weighed = tops != [None, None]
-                self._take_over()
+                stopped, tops = self._tops.take(at, places, done, flags)
                 found += [False] * (stopped - done)
-                if not is_weighed:
+                if tops == [None, None]:
                     continue
                 h = hops[stopped]
-            if tops == [None, None]:
-                found.append(False)
-                continue
-            self._pile_up(at, h, tops)
-            found.append(self._weigh(at, h, tops[0] is not None, tops[1] is not None))
+                self._pile_up(at, h, tops)
+                found.append(self._weigh(at, h, tops[0] is not None, tops[1] is not None))
             is_clear = high.is_clear and low.is_clear
         return found
-
-    def _drive(self, at: AxisHops, h: int) -> list[Top | None]:
-        """Take a hop of driving; by side the top that has to be weighed."""
-        hop = self._hops
-        self._hops += 1
-        self._usual += (at.level[h] - self._usual) / (hop + 1 if hop < TAIL_HOPS else TAIL_HOPS)
-        tops: list[Top | None] = []
-        for own, value, on in zip(self._lists, at.tops, at.on_tops, strict=True):
-            tops.append(own.reached(value[h], on[h], at.step[h], hop))
-        return tops
-
-    def _take_over(self) -> None:
-        """What the compiled part made of hops."""
-        if self._both is not None:
-            self._hops, self._usual = int(self._both.hops[0]), float(self._both.usual[0])
 
     def _pile_up(self, at: AxisHops, h: int, tops: Sequence[Top | None]) -> None:
         """Count the samples of hop h, of driving, that are on its tops."""
         for rail, top in zip((self._high, self._low), tops, strict=True):
             if top is not None:
-                rail.pile_up(top, at, h, self._hops - 1)
+                rail.pile_up(top, at, h, self._tops.hops - 1)
 
     def _weigh(self, at: AxisHops, h: int, is_high: bool, is_low: bool) -> bool:
         """Whether the axis is on a rail after hop h; which of them have to be weighed again."""
@@ -285,7 +256,7 @@ class AxisRails:
         if not len(other) or not self._has_tail(at.step[h]):
             return
         change = float(own[other[0]]) - value
-        if abs(change) > USUAL_CHANGE * max(self._usual, at.step[h]):
+        if abs(change) > USUAL_CHANGE * max(self._tops.usual, at.step[h]):
             return
         if self._high.is_held(value, -change):
             self._high.on_rail(value)

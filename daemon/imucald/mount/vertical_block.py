@@ -104,7 +104,7 @@ def carried(p: BlockForces, state: Array | None, count: int, pull: float, weighe
     if p.motion is not None:
         innovation = force - gravity
         unexplained = innovation - answered
-        left = np.ascontiguousarray(unexplained.T).sum(axis=0)
+        left = unexplained.sum(axis=1)
         if weighed:
             noise2 = FORCE_NOISE * FORCE_NOISE + FORCE_SHARE * FORCE_SHARE * _squares(p.motion.T)
             weight = p.learn / noise2
@@ -214,10 +214,9 @@ def _squares(vectors: Array) -> Array:
 
 def _weighed(answer: Array, left: Array, weight: Array) -> Array:
     """Information (k, k) and score (k,), as (k + 1, k), of what answers (3, k, N); left: (3, N)."""
-    k = answer.shape[1]
-    rows = answer.transpose(2, 0, 1).reshape(-1, k)  # one for each axis of each tick
-    weighted = (answer * weight).transpose(2, 0, 1).reshape(-1, k)
-    out = np.empty((k + 1, k))
-    (weighted[:, :, None] * rows[:, None, :]).sum(axis=0, out=out[:k])
-    (weighted * left.T.reshape(-1, 1)).sum(axis=0, out=out[k])
-    return out
+    weighted = answer * weight
+    shown = np.concatenate([answer, left[:, None]], axis=1)  # (3, k + 1, N)
+    each = weighted[0] * shown[0, :, None]  # (k + 1, k, N)
+    each += weighted[1] * shown[1, :, None]
+    each += weighted[2] * shown[2, :, None]
+    return np.asarray(each.sum(axis=2))

@@ -40,18 +40,23 @@ static void turn_by(const double *rate, const double *drift, double ok, double t
     turn[7] += s[0];
 }
 
+/* A carry after an earlier one. */
+static void follow(double *carry, const double *earlier)
+{
+    double both[3 * WIDE];
+    times(carry, WIDE, earlier, WIDE, WIDE, both, WIDE);
+    for (int r = 0; r < 3; r++)
+        for (int c = 3; c < WIDE; c++)
+            both[WIDE * r + c] += carry[WIDE * r + c];
+    memcpy(carry, both, sizeof both);
+}
+
 /* Each carry with all before it, twice as many a step. */
 static void put_together(double (*carry)[3 * WIDE], Size n)
 {
     for (Size apart = 1; apart < n; apart *= 2)
-        for (Size k = n - 1; k >= apart; k--) {
-            double both[3 * WIDE];
-            times(carry[k], WIDE, carry[k - apart], WIDE, WIDE, both, WIDE);
-            for (int r = 0; r < 3; r++)
-                for (int c = 3; c < WIDE; c++)
-                    both[WIDE * r + c] += carry[k][WIDE * r + c];
-            memcpy(carry[k], both, sizeof both);
-        }
+        for (Size k = n - 1; k >= apart; k--)
+            follow(carry[k], carry[k - apart]);
 }
 
 /* The state after a carry. */
@@ -63,15 +68,28 @@ static void draw(const double *carry, const double *state, double *after)
             after[WIDE * r + c] += carry[WIDE * r + 3 + c];
 }
 
-/* Add a row's part to information (k, k) and score (k,) below it. */
-static inline void weigh(const double *row, double left, double weight, int k, double *sums)
+/* What n ticks show: answers (3, k) of each, k numbers of `wide`, what is left (3,), weights. */
+typedef struct {
+    double answer[3 * 6][MOST_TICKS], left[3][MOST_TICKS], weight[MOST_TICKS];
+} Shown;
+
+/* Information (k, k) and score (k,) below it. */
+static void weigh(const Shown *s, Size n, int k, double *sums)
 {
-    for (int i = 0; i < k; i++) {
-        double own = row[i] * weight;
-        for (int j = 0; j < k; j++)
-            sums[i * k + j] += own * row[j];
-        sums[k * k + i] += own * left;
-    }
+    double weighted[3 * 6][MOST_TICKS], each[MOST_TICKS];
+    for (int r = 0; r < 3; r++)
+        for (int i = 0; i < k; i++)
+            for (Size t = 0; t < n; t++)
+                weighted[6 * r + i][t] = s->answer[6 * r + i][t] * s->weight[t];
+    for (int j = 0; j < k + 1; j++)
+        for (int i = 0; i < k; i++) {
+            const double *x = j < k ? s->answer[j] : s->left[0];
+            const double *y = j < k ? s->answer[6 + j] : s->left[1];
+            const double *z = j < k ? s->answer[12 + j] : s->left[2];
+            for (Size t = 0; t < n; t++)
+                each[t] = weighted[i][t] * x[t] + weighted[6 + i][t] * y[t] + weighted[12 + i][t] * z[t];
+            sums[k * j + i] = sum_of(each, n, 1);
+        }
 }
 
 /* Carry the vertical through n ticks, as `vertical_block.carried` does from a state that is known.
@@ -126,46 +144,52 @@ KERNEL long vertical(PyObject *rate_, PyObject *drift_, PyObject *ok_rate_, PyOb
         }
     }
     put_together(carry, n);
-    double largest = 0.0, left[MOST_TICKS][3];
+    double largest = 0.0, innovation[3][MOST_TICKS];
+    Shown shown;
     memcpy(drawn, last, sizeof drawn);
     for (Size i = 0; i < n; i++) {
         times(turn[i], 3, drawn, WIDE, WIDE, states, WIDE);
         if (i < first)
             memset(states, 0, sizeof states);
         draw(carry[i], last, drawn);
-        double innovation[3], answer[3][6], square = 0.0;
         for (int r = 0; r < 3; r++) {
-            double gravity = g * states[WIDE * r];
+            double gravity = g * states[WIDE * r], answer[3];
             for (int c = 0; c < 3; c++) {
-                answer[r][c] = (r == c) - states[WIDE * r + 1 + c];
-                answer[r][3 + c] = states[WIDE * r + 4 + c];
-                largest = larger(largest, fabs(answer[r][c]));
+                answer[c] = (r == c) - states[WIDE * r + 1 + c];
+                shown.answer[6 * r + c][i] = answer[c];
+                shown.answer[6 * r + 3 + c][i] = states[WIDE * r + 4 + c];
+                largest = larger(largest, fabs(answer[c]));
             }
-            double answered = answer[r][0] * bias[0] + answer[r][1] * bias[1] + answer[r][2] * bias[2];
+            double answered = answer[0] * bias[0] + answer[1] * bias[1] + answer[2] * bias[2];
             lone[3 * i + r] = force[3 * i + r] - gravity - answered;
             if (has_motion) {
-                innovation[r] = force[3 * i + r] - motion[3 * i + r] - gravity;
-                left[i][r] = innovation[r] - answered;
+                innovation[r][i] = force[3 * i + r] - motion[3 * i + r] - gravity;
+                shown.left[r][i] = innovation[r][i] - answered;
             }
         }
-        if (!(has_motion && weighed))
-            continue;
-        double noise2 = number[NOISE2] + number[SHARE2] * square_of(motion + 3 * i);
-        square = sqrt(square_of(innovation));
-        double weight = (learn[i] ? 1.0 : 0.0) / noise2;
-        weight /= larger(square / number[LARGE], 1.0);
-        for (int r = 0; r < 3; r++)
-            weigh(answer[r], innovation[r], weight, 3, of_bias);
-        weight = (use[i] && ok_rate[i] ? 1.0 : 0.0) / noise2;
-        weight /= larger(sqrt(square_of(left[i])) / number[LARGE_STEP], 1.0);
-        for (int r = 0; r < 3; r++)
-            weigh(answer[r], left[i][r], weight, 6, of_steps);
     }
     for (int r = 0; r < 3; r++) {
-        sums[r] = 0.0;
-        for (Size i = 0; has_motion && i < n; i++)
-            sums[r] += left[i][r];
+        sums[r] = has_motion ? sum_of(shown.left[r], n, 1) : 0.0;
         sums[4 + r] = states[WIDE * r];
+    }
+    if (has_motion && weighed) {
+        double noise2[MOST_TICKS], unexplained[3][MOST_TICKS];
+        for (Size i = 0; i < n; i++) {
+            noise2[i] = number[NOISE2] + number[SHARE2] * square_of(motion + 3 * i);
+            double v[3] = {innovation[0][i], innovation[1][i], innovation[2][i]};
+            double weight = (learn[i] ? 1.0 : 0.0) / noise2[i];
+            shown.weight[i] = weight / larger(sqrt(square_of(v)) / number[LARGE], 1.0);
+        }
+        memcpy(unexplained, shown.left, sizeof unexplained);
+        memcpy(shown.left, innovation, sizeof innovation);
+        weigh(&shown, n, 3, of_bias);
+        memcpy(shown.left, unexplained, sizeof unexplained);
+        for (Size i = 0; i < n; i++) {
+            double v[3] = {unexplained[0][i], unexplained[1][i], unexplained[2][i]};
+            double weight = (use[i] && ok_rate[i] ? 1.0 : 0.0) / noise2[i];
+            shown.weight[i] = weight / larger(sqrt(square_of(v)) / number[LARGE_STEP], 1.0);
+        }
+        weigh(&shown, n, 6, of_steps);
     }
     sums[3] = largest;
     memcpy(last, drawn, sizeof drawn);
