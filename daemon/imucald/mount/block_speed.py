@@ -68,9 +68,14 @@ class BlockSpeed:
             self._follow_least_speed(np.abs(mean))
             speed, ok = bridged(at, t[has] - rows[has, tk.SPEED.age], mean, SPEED_GAP)
         known = rows[:, tk.REVERSE]
-        if not np.isnan(known).all():
+        if even is None:
+            has_reverse = bool(np.count_nonzero(~np.isnan(known)))
+            is_reverse = bool(np.count_nonzero(known > 0.5))
+        else:
+            has_reverse, is_reverse = even.has_reverse, even.is_reverse
+        if has_reverse:
             self._seen.add("reverse")
-        if self._reverse or np.count_nonzero(known > 0.5):
+        if self._reverse or is_reverse:
             reverse = self._held(known)[PART]
             return np.where(reverse > 0.5, -speed, speed), ok, False
         return speed, ok, is_even

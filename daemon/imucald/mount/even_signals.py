@@ -80,7 +80,8 @@ class EvenBlock(Struct, frozen=True):
     force, rate: (N + 2, 3), ok_force, ok_rate: (N + 2,). repeats: two ticks in a row have the same
     mean, as those of a stuck sensor. rate_seldom: some tick may have no sample of its own.
     steering, yaw_rate, lateral: (N + 2,), where all ticks have them. yaw_runs: None where the yaw
-    rate may be stuck.
+    rate may be stuck. has_heading, has_reverse: whether any tick has one; is_reverse: whether any
+    is in reverse.
     """
 
     force: Array
@@ -95,6 +96,9 @@ class EvenBlock(Struct, frozen=True):
     yaw_rate: Array | None
     yaw_runs: BlockRuns | None
     lateral: Array | None
+    has_heading: bool
+    has_reverse: bool
+    is_reverse: bool
 
 
 def bridged_blocks(at: Array, times: Array, values: Array, longest: float) -> tuple[Array, Flags]:
@@ -152,6 +156,9 @@ def even_blocks(rows: Array, health: SignalHealth) -> list[EvenBlock | None]:
     columns = tk.STEERING, tk.YAW_RATE, tk.LATERAL_ACCEL
     steering, yaw_rate, lateral = (_means(windows, of) for of in columns)
     yaw_runs = _yaw_runs(windows)
+    heading, reverse = windows[:, :, tk.HEADING], windows[:, :, tk.REVERSE]
+    has_heading, has_reverse = (np.any(~np.isnan(x), axis=1).tolist() for x in (heading, reverse))
+    is_reverse = np.any(reverse > 0.5, axis=1).tolist()
     for i, b in enumerate(np.flatnonzero(whole).tolist()):
         found[b] = EvenBlock(
             force=force[i],
@@ -166,6 +173,9 @@ def even_blocks(rows: Array, health: SignalHealth) -> list[EvenBlock | None]:
             yaw_rate=yaw_rate[i],
             yaw_runs=yaw_runs[i],
             lateral=lateral[i],
+            has_heading=has_heading[i],
+            has_reverse=has_reverse[i],
+            is_reverse=is_reverse[i],
         )
     return found
 

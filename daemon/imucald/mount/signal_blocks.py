@@ -280,13 +280,17 @@ class SignalBlockMaker:
     ) -> tuple[Array, Flags]:
         rows = self._rows
         self._steering = angle, ok_angle = self._steering_angle(t, at, even)
-        has = rows[:, tk.YAW_RATE.n] > 0
-        if np.count_nonzero(has):
+        is_even = even is not None and even.yaw_rate is not None
+        has = None if is_even else rows[:, tk.YAW_RATE.n] > 0
+        if has is None or np.count_nonzero(has):
             self.seen.add("yaw_rate")
             stuck = self._stuck_yaw_rate(even)
-            if even is not None and even.yaw_rate is not None and not np.count_nonzero(stuck):
+            is_stuck = stuck is not None and np.count_nonzero(stuck)
+            if even is not None and even.yaw_rate is not None and not is_stuck:
                 return even.yaw_rate, np.ones(len(at), dtype=bool)
-            has &= ~stuck
+            has = rows[:, tk.YAW_RATE.n] > 0
+            if stuck is not None:
+                has &= ~stuck
             return bridged(at, t[has] - 0.5 * TICK_S, rows[has, tk.YAW_RATE.mean], YAW_GAP)
         s = self._settings
         if not s.uses_steering or not np.count_nonzero(ok_angle):
@@ -295,8 +299,9 @@ class SignalBlockMaker:
         turning = (vehicle.steering_ratio, vehicle.wheelbase, s.understeer)
         return yaw_rate_with_understeer(speed, steered, *turning), ok_angle
 
-    def _stuck_yaw_rate(self, even: EvenBlock | None) -> Flags:
-        """Ticks of the rows at which the yaw rate stands still and steering or gyroscope does not.
+    def _stuck_yaw_rate(self, even: EvenBlock | None) -> Flags | None:
+        """Ticks of the rows at which the yaw rate stands still and steering or gyroscope does not;
+        None: none.
 
         Where there is steering it alone is asked: a sensor that is turned by hand turns too.
         """
@@ -308,7 +313,7 @@ class SignalBlockMaker:
             and is_known
             and self.health.yaw_rate_moves(runs.first, runs.lasted, runs.change)
         ):
-            return np.zeros(len(rows), dtype=bool)
+            return None
         speed = np.where(rows[:, tk.SPEED.n] > 0, rows[:, tk.SPEED.mean], 0.0)
         if "steering" in self.seen:
             known = rows[:, tk.STEERING.n] > 0
@@ -326,16 +331,16 @@ class SignalBlockMaker:
     def _sided(self, t: Array, at: Array, even: EvenBlock | None) -> dict[str, tuple[Array, Flags]]:
         """Lateral acceleration and heading at times (N,), where they come."""
         rows, found = self._rows, {}
-        has = rows[:, tk.LATERAL_ACCEL.n] > 0
         if even is not None and even.lateral is not None:
             found["lateral_accel"] = even.lateral[MID], np.ones(len(at), dtype=bool)
-        elif np.count_nonzero(has):
+        elif np.count_nonzero(has := rows[:, tk.LATERAL_ACCEL.n] > 0):
             values = rows[has, tk.LATERAL_ACCEL.mean]
             found["lateral_accel"] = bridged(at, t[has] - 0.5 * TICK_S, values, YAW_GAP)
-        has = ~np.isnan(rows[:, tk.HEADING])
-        if np.count_nonzero(has):
-            values = np.unwrap(rows[has, tk.HEADING])
-            found["heading"] = bridged(at, t[has] - 0.5 * TICK_S, values, SPEED_GAP)
+        if even is None or even.has_heading:
+            has = ~np.isnan(rows[:, tk.HEADING])
+            if np.count_nonzero(has):
+                values = np.unwrap(rows[has, tk.HEADING])
+                found["heading"] = bridged(at, t[has] - 0.5 * TICK_S, values, SPEED_GAP)
         self.seen.update(found)
         return found
 
