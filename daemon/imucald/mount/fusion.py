@@ -141,13 +141,13 @@ def _places(names: tuple[str, ...]) -> _Places:
     )
 
 
-def _scaled(names: Sequence[str], answers: Mapping[str, Array]) -> Array:
-    """Covariance of sources from the scaled errors at scale 1; zero where none answers."""
-    if not answers:
-        return np.zeros((len(names), len(names)))
-    of = np.array([answers[name] for name in names])
-    covariance: Array = of @ of.T
-    return covariance
+def _covariances(known: Array, answers: Array, squares: Array) -> Array:
+    """Of sources (n,) for each square of a scale (S,): known (n, n), and what is scaled besides.
+
+    answers: of the sources (n, m) to the scaled errors at scale 1.
+    """
+    scaled = summed_in_order(answers[:, None] * answers[None])
+    return np.asarray(known + squares[:, None, None] * scaled)
 
 
 def weighed_scales(
@@ -174,8 +174,7 @@ def weighed_scales(
     known[n:, n:] = seen.covariance
     of = np.concatenate([[answers[name] for name in names], seen.answers])
     scales, prior = np.array(candidates).T
-    V = known + (scales * scales)[:, None, None] * (of @ of.T)
-    squares, pivots, of_angles = _free_of_angles(V, X, y)
+    squares, pivots, of_angles = _free_of_angles(known, of, scales * scales, X, y)
     log = np.log(prior) - 0.5 * squares
     log -= 0.5 * (np.log(pivots).sum(axis=1) + np.log(of_angles).sum(axis=1))
     weight = np.exp(log - log.max())
@@ -202,13 +201,11 @@ def fuse(
         return Fused(error, variance, {})
     names = tuple(sources)
     at = _places(names)
-    squares = np.array([scale * scale for scale, _ in scales])[:, None, None]
-    V = sharing.covariance(sources, names) + squares * _scaled(names, answers or {})
-    V = V[:, at.of_angle[:, :, None], at.of_angle[:, None, :]]  # (scales, A, n, n)
-    V = np.where(at.both, V, at.alone)  # an unused place stands alone
-    values = np.array([sources[name].value for name in names])[at.of_angle]
-    probability = np.array([p for _, p in scales])
-    mean, around, carried = _means(V, values, at.used, probability)
+    squares, probability = np.array([(scale * scale, p) for scale, p in scales]).T
+    known = sharing.covariance(sources, names)
+    of = np.array([answers[name] for name in names]) if answers else np.zeros((len(names), 1))
+    values = np.array([sources[name].value for name in names])
+    mean, around, carried = _means(known, of, squares, values, at, probability)
     error[at.angles], variance[at.angles] = mean, around
     shares = {
         AXES[k]: dict(zip(own, part, strict=False))  # behind its names a row has unused places
@@ -241,21 +238,27 @@ def _substituted(eliminated: Array) -> Array:
     return out
 
 
-def _free_of_angles(V: Array, X: Array, y: Array) -> tuple[Array, Array, Array]:
-    """Of covariances (S, n, n): left' V^-1 left (S,) of values y (n,) of which angles X (n, A) are
-    free; the pivots (S, n), whose product is the determinant; and those of the angles' information.
+def _free_of_angles(
+    known: Array, answers: Array, scales2: Array, X: Array, y: Array
+) -> tuple[Array, Array, Array]:
+    """Of covariances V (S, n, n): left' V^-1 left (S,) of values y (n,) of which angles X (n, A)
+    are free; the pivots (S, n), whose product is the determinant; and those of the angles'
+    information. known, answers, scales2: see `_covariances`.
     """
-    scales, n, angles = len(V), len(y), X.shape[1]
+    scales, n, angles = len(scales2), len(y), X.shape[1]
     if compiled.kernels is not None:
         squares, pivots, of_angles = (
             np.empty(scales),
             np.empty((scales, n)),
             np.empty((scales, angles)),
         )
-        flags = compiled.kernels.free_of_angles(V, X, y, squares, pivots, of_angles)
+        flags = compiled.kernels.free_of_angles(
+            known, answers, scales2, X, y, squares, pivots, of_angles
+        )
         if flags:
             compiled.note(flags)
         return squares, pivots, of_angles
+    V = _covariances(known, answers, scales2)
     columns = np.broadcast_to(np.concatenate([X, y[:, None]], axis=1), (scales, n, angles + 1))
     both = _eliminated(V, columns)
     pivots = both.diagonal(axis1=1, axis2=2).copy()
@@ -270,19 +273,27 @@ def _free_of_angles(V: Array, X: Array, y: Array) -> tuple[Array, Array, Array]:
     return squares, pivots, information.diagonal(axis1=1, axis2=2).copy()
 
 
-def _means(V: Array, values: Array, used: Flags, probability: Array) -> tuple[Array, Array, Array]:
+def _means(
+    known: Array, answers: Array, scales2: Array, values: Array, at: _Places, probability: Array
+) -> tuple[Array, Array, Array]:
     """Best means of angles (A,), their variances, and which share each source carries (A, n).
 
-    V: (scales, A, n, n); values, used: (A, n), see `_Places`; probability: (scales,).
+    known, answers, scales2: see `_covariances`; values: of the sources; probability: of the scales.
     """
+    used = at.used
     if compiled.kernels is not None:
-        (mean, variance), carried = np.empty((2, len(values))), np.empty(values.shape)
+        (mean, variance), carried = np.empty((2, len(used))), np.empty(used.shape)
         flags = compiled.kernels.fused_means(
-            V, values, used, probability, MAX_WIDENED, mean, variance, carried
-        )
+            known, answers, scales2, values, at.of_angle, used, probability, MAX_WIDENED,
+            mean, variance, carried,
+        )  # fmt: skip
         if flags:
             compiled.note(flags)
         return mean, variance, carried
+    V = _covariances(known, answers, scales2)
+    V = V[:, at.of_angle[:, :, None], at.of_angle[:, None, :]]  # (scales, A, n, n)
+    V = np.where(at.both, V, at.alone)  # an unused place stands alone
+    values = values[at.of_angle]
     weight = np.maximum(_substituted(_eliminated(V, np.ones((*V.shape[:-1], 1)))), 0.0) * used
     weight /= summed_in_order(weight)[..., None]
     each = summed_in_order(weight * values)  # (scales, A)

@@ -73,8 +73,7 @@ def fit_regressions(
     if not use:
         return {}, []
     total = total[use]
-    inverse = np.linalg.inv(total + _PRIORS[use])
-    fit = _fitted(score, normal, use, total, inverse)
+    fit, inverse = _fitted(score, normal, use, total, _PRIORS[use])
     model, sums = inverse[:, 0, 0], total[:, 0, 0]
     groups = sums * sums / np.maximum(fit.squares, 1e-12)
     variances = _variances(fit.spread, fit.beside, model * _MODEL_SHARES[use], groups)
@@ -110,18 +109,37 @@ class _Fit(Struct, frozen=True):
     squares: Array
 
 
-def _fitted(score: Array, normal: Array, use: list[int], total: Array, inverse: Array) -> _Fit:
-    """score, normal: of all rows; the others of those in use."""
+def _inverses(matrices: Array) -> Array:
+    """Of symmetric positive definite ones (n, k, k), which need no search for pivots."""
+    out = matrices.copy()
+    k = out.shape[1]
+    others = [np.array([j for j in range(k) if j != i]) for i in range(k)]
+    for i, beside in enumerate(others):
+        pivot = 1.0 / out[:, i, i]
+        row, column = out[:, i, beside] * pivot[:, None], out[:, beside, i]
+        out[:, beside[:, None], beside] -= column[:, :, None] * row[:, None]
+        out[:, i, beside], out[:, beside, i] = row, -(column * pivot[:, None])
+        out[:, i, i] = pivot
+    return out
+
+
+def _fitted(
+    score: Array, normal: Array, use: list[int], total: Array, priors: Array
+) -> tuple[_Fit, Array]:
+    """The fit, and inverses of the informations. score, normal: of all rows; others of those in
+    use."""
     rows, n = len(use), score.shape[1]
     if compiled.kernels is not None:
+        inverse = np.empty(total.shape)
         value, sums = np.empty((rows, MAX_REGRESSORS)), np.empty((rows, 3))
         left, u, own, flow = np.empty((4, rows, n))
         flags = compiled.kernels.fit_segments(
-            score, normal, np.array(use), total, inverse, value, left, u, own, flow, sums
+            score, normal, np.array(use), total, priors, inverse, value, left, u, own, flow, sums
         )
         if flags:
             compiled.note(flags)
-        return _Fit(value, left, own, flow, *sums.T)
+        return _Fit(value, left, own, flow, *sums.T), inverse
+    inverse = _inverses(total + priors)
     if rows < len(ROWS):
         score, normal = score[use], normal[use]
     value = summed_in_order(inverse * score.sum(axis=1)[:, None])
@@ -131,7 +149,8 @@ def _fitted(score: Array, normal: Array, use: list[int], total: Array, inverse: 
     own = known * (1.0 / (total[:, 0, 0] * model))[:, None]  # what the nuisance leaves
     flow = u / model[:, None] + own * value[:, :1]
     pairs = (u, u), (u[:, 1:], u[:, :-1]), (known, known)
-    return _Fit(value, rest[:, :, 0], own, flow, *((x * y).sum(axis=1) for x, y in pairs))
+    spread, beside, squares = ((x * y).sum(axis=1) for x, y in pairs)
+    return _Fit(value, rest[:, :, 0], own, flow, spread, beside, squares), inverse
 
 
 def apart(one: ScoreSeries, other: ScoreSeries) -> AngleEvidence | None:

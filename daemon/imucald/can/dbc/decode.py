@@ -11,6 +11,8 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Callable, Mapping, Sequence
+from functools import lru_cache
+from types import CodeType
 from typing import Any, NoReturn
 
 import numpy as np
@@ -219,8 +221,14 @@ def _generated(
     lines += ["def decode(data):", *body, f"    return ({_listing(physical)})"]
     lines += ["def scale(raw):", *([f"    ({_listing(raw)}) = raw"] if raw else [])]
     lines += [f"    return ({_listing(physical)})"]
-    exec("\n".join(lines), scope)
+    exec(_compiled("\n".join(lines)), scope)
     return scope
+
+
+@lru_cache(maxsize=256)
+def _compiled(text: str) -> CodeType:
+    """Code of a plan; several drives of one configuration ask for the same."""
+    return compile(text, "<decode plan>", "exec")
 
 
 def _reading_lines(

@@ -77,10 +77,11 @@ class FirstFrames:
         """How many times too large every interval between frames of a message is."""
         found: list[float] = []
         for match, cycle in self._cycles:
-            ours = ((frames.can_id ^ match.can_id) & match.full_mask) == 0
-            for index in sorted(set(frames.channel[ours].tolist())):
+            ours = np.flatnonzero(((frames.can_id ^ match.can_id) & match.full_mask) == 0)
+            t, channel = frames.t[ours], frames.channel[ours]
+            for index in np.unique(channel).tolist():
                 if match.channel in (None, frames.channels[index]):
-                    between = np.diff(frames.t[ours & (frames.channel == index)])
+                    between = np.diff(t[channel == index])
                     found += [median(between) / cycle] if len(between) else []
         if len(found) < MIN_MESSAGES:
             return None

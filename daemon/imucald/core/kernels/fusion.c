@@ -29,16 +29,34 @@ static void substitute(const double *m, Size n, Size wide, Size c, double *out)
     }
 }
 
-/* How well S covariances (S, n, n) bear values y (n,) of which angles X (n, A) are free.
+/* Products of rows (n, m), each with each: (n, n). */
+static void products(const double *rows, Size n, Size m, double *out)
+{
+    for (Size i = 0; i < n; i++)
+        for (Size j = 0; j < n; j++) {
+            double sum = 0.0;
+            for (Size k = 0; k < m; k++)
+                sum += rows[i * m + k] * rows[j * m + k];
+            out[i * n + j] = sum;
+        }
+}
 
-   squares: (S,) left' V^-1 left; pivots: (S, n) and of the angles' information (S, A). */
-KERNEL long free_of_angles(PyObject *V_, PyObject *X_, PyObject *y_, PyObject *squares_,
-                           PyObject *pivots_, PyObject *of_angles_)
+/* How well covariances bear values y (n,) of which angles X (n, A) are free.
+
+   The covariances are known (n, n) and, for each of scales2 (S,), so many times more as answers (n, m)
+   make. squares: (S,) left' V^-1 left; pivots: (S, n) and of the angles' information (S, A). */
+KERNEL long free_of_angles(PyObject *known_, PyObject *answers_, PyObject *scales2_, PyObject *X_,
+                           PyObject *y_, PyObject *squares_, PyObject *pivots_,
+                           PyObject *of_angles_)
 {
     Arrays a = {0};
-    const double *V = doubles(&a, V_, SHAPE(ANY, ANY, ANY));
-    Size scales = length_of(&a, 0), n = length_of(&a, 1);
-    int square = n == length_of(&a, 2);
+    const double *known = doubles(&a, known_, SHAPE(ANY, ANY));
+    Size n = length_of(&a, 0);
+    int square = n == length_of(&a, 1);
+    const double *answers = doubles(&a, answers_, SHAPE(n, ANY));
+    Size terms = length_of(&a, 1);
+    const double *scales2 = doubles(&a, scales2_, SHAPE(ANY));
+    Size scales = length_of(&a, 0);
     const double *X = doubles(&a, X_, SHAPE(n, ANY));
     Size angles = length_of(&a, 1);
     const double *y = doubles(&a, y_, SHAPE(n));
@@ -52,10 +70,12 @@ KERNEL long free_of_angles(PyObject *V_, PyObject *X_, PyObject *y_, PyObject *s
     begin();
     Size wide = n + angles + 1, narrow = angles + 1;
     double m[MOST * (MOST + MOST_ANGLES + 1)], J[MOST_ANGLES * (MOST_ANGLES + 1)];
-    double found[MOST_ANGLES], product[MOST];
+    double found[MOST_ANGLES], product[MOST], scaled[MOST * MOST];
+    products(answers, n, terms, scaled);
     for (Size s = 0; s < scales; s++) {
         for (Size i = 0; i < n; i++) {
-            memcpy(m + i * wide, V + (s * n + i) * n, (size_t)n * sizeof *m);
+            for (Size j = 0; j < n; j++)
+                m[i * wide + j] = known[i * n + j] + scales2[s] * scaled[i * n + j];
             memcpy(m + i * wide + n, X + i * angles, (size_t)angles * sizeof *m);
             m[i * wide + n + angles] = y[i];
         }
@@ -86,18 +106,27 @@ KERNEL long free_of_angles(PyObject *V_, PyObject *X_, PyObject *y_, PyObject *s
     return leave(&a, raised());
 }
 
-/* Best means of A angles' sources by S covariances (S, A, n, n), as `fusion._means` has them.
+/* Best means of A angles' sources, as `fusion._means` has them.
 
-   values: (A, n); used: (A, n) which places hold one. probability: (S,). widest: of the spread of
-   sources that disagree. mean, variance: (A,); carried: (A, n) the sources' shares. */
-KERNEL long fused_means(PyObject *V_, PyObject *values_, PyObject *used_, PyObject *probability_,
-                        double widest, PyObject *mean_, PyObject *variance_, PyObject *carried_)
+   known, answers, scales2: the covariances of N sources, as for `free_of_angles`; values: (N,).
+   of_angle, used: (A, n) places of each angle's sources, and which of those hold one. probability:
+   (S,). widest: of the spread of sources that disagree. mean, variance: (A,); carried: (A, n) the
+   sources' shares. */
+KERNEL long fused_means(PyObject *known_, PyObject *answers_, PyObject *scales2_, PyObject *values_,
+                        PyObject *of_angle_, PyObject *used_, PyObject *probability_, double widest,
+                        PyObject *mean_, PyObject *variance_, PyObject *carried_)
 {
     Arrays a = {0};
-    const double *V = doubles(&a, V_, SHAPE(ANY, ANY, ANY, ANY));
-    Size scales = length_of(&a, 0), angles = length_of(&a, 1), n = length_of(&a, 2);
-    int square = n == length_of(&a, 3);
-    const double *values = doubles(&a, values_, SHAPE(angles, n));
+    const double *known = doubles(&a, known_, SHAPE(ANY, ANY));
+    Size sources = length_of(&a, 0);
+    int square = sources == length_of(&a, 1);
+    const double *answers = doubles(&a, answers_, SHAPE(sources, ANY));
+    Size terms = length_of(&a, 1);
+    const double *scales2 = doubles(&a, scales2_, SHAPE(ANY));
+    Size scales = length_of(&a, 0);
+    const double *values = doubles(&a, values_, SHAPE(sources));
+    const int64_t *of_angle = take(&a, of_angle_, 'q', SHAPE(ANY, ANY));
+    Size angles = length_of(&a, 0), n = length_of(&a, 1);
     const uint8_t *used = flags_in(&a, used_, SHAPE(angles, n));
     const double *probability = doubles(&a, probability_, SHAPE(scales));
     double *mean = doubles_out(&a, mean_, SHAPE(angles));
@@ -105,22 +134,32 @@ KERNEL long fused_means(PyObject *V_, PyObject *values_, PyObject *used_, PyObje
     double *carried = doubles_out(&a, carried_, SHAPE(angles, n));
     if (a.failed)
         return leave(&a, -1);
-    if (!square || n < 1 || n > MOST || scales < 1 || scales > MOST)
+    int fits = square && sources <= MOST && n >= 1 && n <= MOST && scales >= 1 && scales <= MOST;
+    for (Size k = 0; fits && k < angles * n; k++)
+        fits = of_angle[k] >= 0 && of_angle[k] < sources;
+    if (!fits)
         return leave(&a, refuse(&a, "more sources than are put together"));
     begin();
     Size wide = n + 1;
+    double scaled[MOST * MOST], C[MOST * MOST], x[MOST];
+    products(answers, sources, terms, scaled);
     double m[MOST * (MOST + 1)], solved[MOST], weight[MOST], left[MOST], each[MOST], own[MOST];
     for (Size angle = 0; angle < angles; angle++) {
-        const double *x = values + angle * n;
+        const int64_t *at = of_angle + angle * n;
         const uint8_t *is = used + angle * n;
         double count = 0.0;
         for (Size i = 0; i < n; i++) {
+            x[i] = values[at[i]];
             count += is[i] ? 1.0 : 0.0;
             carried[angle * n + i] = 0.0;
         }
         double of = count - 1.0 > 1.0 ? count - 1.0 : 1.0;
         for (Size s = 0; s < scales; s++) {
-            const double *C = V + (s * angles + angle) * n * n;
+            for (Size i = 0; i < n; i++)
+                for (Size j = 0; j < n; j++) { /* an unused place stands alone */
+                    Size place = (Size)at[i] * sources + (Size)at[j];
+                    C[i * n + j] = is[i] && is[j] ? known[place] + scales2[s] * scaled[place] : i == j;
+                }
             double total = 0.0, value = 0.0, squares = 0.0, spread = 0.0, even = 0.0;
             for (int pass = 0; pass < 2; pass++) {
                 for (Size i = 0; i < n; i++) {

@@ -4,13 +4,35 @@
 
 enum { K = 4 };
 
-/* The fits of rows over G segments, as `road_segments.fit_regressions` makes them of inverse.
+/* The inverse of a symmetric positive definite matrix, which needs no search for pivots. */
+static void invert(const double *of, double *out)
+{
+    memcpy(out, of, K * K * sizeof *out);
+    for (int k = 0; k < K; k++) {
+        double pivot = 1.0 / out[K * k + k];
+        for (int j = 0; j < K; j++)
+            if (j != k)
+                out[K * k + j] *= pivot;
+        for (int i = 0; i < K; i++) {
+            double own = out[K * i + k];
+            if (i == k)
+                continue;
+            for (int j = 0; j < K; j++)
+                if (j != k)
+                    out[K * i + j] -= own * out[K * k + j];
+            out[K * i + k] = -(own * pivot);
+        }
+        out[K * k + k] = pivot;
+    }
+}
 
-   score: (R, G, K), normal: (R, G, K, K), of which rows `use` (U,) are fitted. total: (U, K, K), inverse:
-   (U, K, K). value: (U, K). left, u, own, flow: (U, G). sums: (U, 3) of u u, of u and the next, of the
+/* The fits of rows over G segments, as `road_segments.fit_regressions` makes them.
+
+   score: (R, G, K), normal: (R, G, K, K), of which rows `use` (U,) are fitted. total, priors: (U, K, K)
+   information of all segments, and of the priors; inverse: (U, K, K) of both. value: (U, K). left, u, own, flow: (U, G). sums: (U, 3) of u u, of u and the next, of the
    square of what each segment knows. */
 KERNEL long fit_segments(PyObject *score_, PyObject *normal_, PyObject *use_, PyObject *total_,
-                         PyObject *inverse_, PyObject *value_, PyObject *left_, PyObject *u_,
+                         PyObject *priors_, PyObject *inverse_, PyObject *value_, PyObject *left_, PyObject *u_,
                          PyObject *own_, PyObject *flow_, PyObject *sums_)
 {
     Arrays a = {0};
@@ -20,7 +42,8 @@ KERNEL long fit_segments(PyObject *score_, PyObject *normal_, PyObject *use_, Py
     const int64_t *use = take(&a, use_, 'q', SHAPE(ANY));
     Size used = length_of(&a, 0);
     const double *total = doubles(&a, total_, SHAPE(used, K, K));
-    const double *inverse = doubles(&a, inverse_, SHAPE(used, K, K));
+    const double *priors = doubles(&a, priors_, SHAPE(used, K, K));
+    double *inverse = doubles_out(&a, inverse_, SHAPE(used, K, K));
     double *value = doubles_out(&a, value_, SHAPE(used, K));
     double *left = doubles_out(&a, left_, SHAPE(used, n));
     double *u = doubles_out(&a, u_, SHAPE(used, n));
@@ -37,7 +60,10 @@ KERNEL long fit_segments(PyObject *score_, PyObject *normal_, PyObject *use_, Py
     begin();
     for (Size k = 0; k < used; k++) {
         const double *s = score + use[k] * n * K, *m = normal + use[k] * n * K * K;
-        const double *P = inverse + k * K * K;
+        double *P = inverse + k * K * K, information[K * K];
+        for (int i = 0; i < K * K; i++)
+            information[i] = total[k * K * K + i] + priors[k * K * K + i];
+        invert(information, P);
         double *v = value + k * K, whole[K] = {0};
         for (Size g = 0; g < n; g++)
             for (int i = 0; i < K; i++)
