@@ -79,7 +79,7 @@ class FirstFrames:
         for match, cycle in self._cycles:
             ours = np.flatnonzero(((frames.can_id ^ match.can_id) & match.full_mask) == 0)
             t, channel = frames.t[ours], frames.channel[ours]
-            for index in np.unique(channel).tolist():
+            for index in sorted(set(channel.tolist())):
                 if match.channel in (None, frames.channels[index]):
                     between = np.diff(t[channel == index])
                     found += [median(between) / cycle] if len(between) else []
