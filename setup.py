@@ -6,11 +6,29 @@ IMUCALD_COMPILED=0 leaves it out, which gives a wheel for every processor.
 
 import os
 import zlib
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 from setuptools import Extension, setup
+from setuptools.command.build_ext import build_ext
 
 FOLDER = Path("daemon/imucald/core/kernels")
+
+
+class BuildKernels(build_ext):
+    """Compiles the files side by side: one after another they take 5 s."""
+
+    def build_extension(self, ext):
+        """As it is, but for the compiler."""
+        one = self.compiler.compile
+
+        def several(sources, **options):
+            with ThreadPoolExecutor(os.cpu_count()) as pool:
+                made = list(pool.map(lambda source: one([source], **options), sources))
+            return [name for names in made for name in names]
+
+        self.compiler.compile = several
+        super().build_extension(ext)
 
 
 def stamp() -> int:
@@ -31,7 +49,7 @@ def kernels() -> Extension:
         define_macros=[("STAMP", f"{stamp()}ul")],
         extra_compile_args=[
             "-std=c11",
-            "-O3",
+            "-O2",
             "-g0",
             "-fno-fast-math",
             "-ffp-contract=off",
@@ -44,4 +62,7 @@ def kernels() -> Extension:
 
 if __name__ == "__main__":
     left_out = os.environ.get("IMUCALD_COMPILED") == "0"
-    setup(ext_modules=[] if left_out else [kernels()])
+    setup(
+        ext_modules=[] if left_out else [kernels()],
+        cmdclass={"build_ext": BuildKernels},
+    )

@@ -25,6 +25,8 @@ from pathlib import Path
 import help_files
 from packaging.requirements import Requirement
 
+from imucald.core import compiled
+
 ROOT = Path(__file__).resolve().parents[1]
 LIBRARY = "usr/lib/imucald"
 LEFT_OUT = {"scipy"}
@@ -32,6 +34,8 @@ LEFT_OUT = {"scipy"}
 EXTRAS = ("diagnostics",)
 UNWANTED = ("tests", "__pycache__", "include", "_pyinstaller")
 """Folders of packages that a daemon has no use for."""
+OWN_UNWANTED = ("kernels",)
+"""And of imucald: the sources of its compiled part."""
 
 LAUNCHER = """#!/usr/bin/python3 -IS
 import sys
@@ -104,8 +108,12 @@ def _requirements(name: str, extras: tuple[str, ...]) -> Iterator[str]:
 
 def copy_packages(target: Path) -> None:
     """Copy the daemon and what it needs into one folder, byte-compiled."""
+    unwanted = [*UNWANTED, *OWN_UNWANTED]
+    if compiled.kernels is None:
+        print(f"note: the package has no compiled part: {compiled.state}", file=sys.stderr)
+        unwanted.append(f"{compiled.NAME}.*")
     shutil.copytree(
-        ROOT / "daemon/imucald", target / "imucald", ignore=shutil.ignore_patterns(*UNWANTED)
+        ROOT / "daemon/imucald", target / "imucald", ignore=shutil.ignore_patterns(*unwanted)
     )
     for distribution in needed():
         for file in distribution.files or ():

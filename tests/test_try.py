@@ -113,6 +113,19 @@ def test_settings_come_from_the_environment_then_from_the_users_file(
     assert script.pip_setting("no-such-setting") is None
 
 
+def test_the_installation_stands_until_the_compiled_part_has_other_sources(script: Any) -> None:
+    script.STAMP.write_text(script.json.dumps({**script.fingerprint(), "extras": []}))
+    kernels = script.ROOT / "daemon" / "imucald" / "core" / "kernels"
+    kernels.mkdir(parents=True)
+    (kernels / "notes.txt").write_text("no source")
+    assert script.is_done("")
+    for file in (kernels / "sums.c", kernels / "sums.h", script.ROOT / "setup.py"):
+        file.write_text("/* a source */")
+        assert not script.is_done("")
+        script.STAMP.write_text(script.json.dumps({**script.fingerprint(), "extras": []}))
+        assert script.is_done("")
+
+
 def test_the_installation_stands_until_the_project_file_changes(script: Any) -> None:
     assert not script.is_done("")
     script.STAMP.write_text(script.json.dumps({**script.fingerprint(), "extras": []}))

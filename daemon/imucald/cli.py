@@ -120,6 +120,19 @@ class _Parser(argparse.ArgumentParser):
         super().__init__(**{"formatter_class": _formatter, "allow_abbrev": False, **given})
 
 
+class _Version(argparse.Action):
+    """Says the version, and whether the compiled part is used; it is looked for only then."""
+
+    def __init__(self, **given: Any) -> None:
+        super().__init__(**{**given, "nargs": 0, "dest": argparse.SUPPRESS})
+
+    def __call__(self, parser: argparse.ArgumentParser, *_: Any) -> None:
+        from imucald.core import compiled  # it loads numpy
+
+        print(f"imucald {__version__} (compiled part: {compiled.state})")
+        parser.exit()
+
+
 def build_parser(
     command: str | None = None, names: Iterable[str] = COMMANDS
 ) -> argparse.ArgumentParser:
@@ -134,7 +147,7 @@ def build_parser(
         epilog="'imucald COMMAND --help' explains a command. First step: imucald demo.",
         formatter_class=lambda prog: _formatter(prog, _ByGroups),
     )
-    parser.add_argument("--version", action="version", version=f"imucald {__version__}")
+    parser.add_argument("--version", action=_Version, help="show the version and exit")
     subparsers = parser.add_subparsers(
         title="commands", dest="command", metavar="COMMAND", required=True
     )

@@ -9,8 +9,9 @@ numpy version beside the place that calls it::
         kernels.candump(...)
         return ...
 
-`kernels` is None where the library is not there, cannot be loaded, or was built from other sources
-than those that lie beside it, and with IMUCALD_COMPILED=0 in the environment.
+`kernels` is None where the library is not there, cannot be loaded, was built from other sources
+than those that lie beside it, or takes sums in another order than this numpy; and with
+IMUCALD_COMPILED=0 in the environment.
 
 A kernel takes numpy arrays as they are and checks their types and shapes itself; it raises
 ValueError where one does not fit. It keeps none of them.
@@ -81,6 +82,7 @@ class Kernels:
     span_changes: Kernel
     steering_sums: Kernel
     stream_times: Kernel
+    sums: Kernel
     tapered: Kernel
     tick_sums: Kernel
     turn_samples: Kernel
@@ -124,6 +126,7 @@ class Kernels:
         "span_changes": 8 * "o",
         "steering_sums": "ooooddo",
         "stream_times": "oioo",
+        "sums": "ooo",
         "tapered": "oooio",
         "tick_sums": "oooido",
         "turn_samples": 5 * "o",
@@ -145,7 +148,7 @@ class Kernels:
 kernels: Kernels | None = None
 """The compiled part, or None."""
 state = ""
-"""Whether it is used, in words; and why not."""
+"""Whether it is used, in words: "in use", or why not."""
 
 
 def load(folder: Path, sources: Path = SOURCES) -> tuple[Kernels | None, str]:
@@ -161,9 +164,23 @@ def load(folder: Path, sources: Path = SOURCES) -> tuple[Kernels | None, str]:
         library.stamp.restype = ctypes.c_ulong
         if sources.is_dir() and library.stamp() != stamp(sources):
             return None, "built from other sources"
-        return Kernels(library), "in use"
+        found = Kernels(library)
     except (OSError, AttributeError) as error:
         return None, f"cannot be loaded: {error}"
+    if not _sums_agree(found):
+        return None, "takes sums in another order than this numpy"
+    return found, "in use"
+
+
+def _sums_agree(found: Kernels) -> bool:
+    """Whether sums of the library are those of this numpy, whose order no document fixes."""
+    for shape in ((3, 200), (200, 3)):
+        terms = 1.0 / np.arange(1.0, 1.0 + shape[0] * shape[1]).reshape(shape)
+        rows, columns = np.empty(shape[0]), np.empty(shape[1])
+        found.sums(terms, rows, columns)
+        if (rows != terms.sum(axis=1)).any() or (columns != terms.sum(axis=0)).any():
+            return False
+    return True
 
 
 def stamp(sources: Path) -> int:

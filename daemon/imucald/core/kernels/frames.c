@@ -67,16 +67,26 @@ typedef struct {
 
 enum { TOGETHER = 4 };
 
+/* One byte more of each frame's checksum: of 8 bits, and of 16. */
+#define FEED_8(i) crc[i] = c->table[crc[i] ^ p[i][k]]
+#define FEED_16(i) crc[i] = (crc[i] << 8 & 0xFF00u) ^ c->table[crc[i] >> 8 ^ p[i][k]]
+
 static inline void feed(const Crc *c, unsigned *crc, const uint8_t *const *p, Size from, Size to)
 {
     if (c->width == 1)
-        for (Size k = from; k < to; k++)
-            for (int i = 0; i < TOGETHER; i++)
-                crc[i] = c->table[crc[i] ^ p[i][k]];
+        for (Size k = from; k < to; k++) {
+            FEED_8(0);
+            FEED_8(1);
+            FEED_8(2);
+            FEED_8(3);
+        }
     else
-        for (Size k = from; k < to; k++)
-            for (int i = 0; i < TOGETHER; i++)
-                crc[i] = (crc[i] << 8 & 0xFF00u) ^ c->table[crc[i] >> 8 ^ p[i][k]];
+        for (Size k = from; k < to; k++) {
+            FEED_16(0);
+            FEED_16(1);
+            FEED_16(2);
+            FEED_16(3);
+        }
 }
 
 /* Whether frames are right; some at once, as each byte of a frame waits for the one before. */

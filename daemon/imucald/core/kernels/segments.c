@@ -166,16 +166,18 @@ KERNEL long span_changes(PyObject *left_, PyObject *rows_, PyObject *inverse_, P
             }
             /* sums over the old segments, the others as zeros among them */
             double sums[4];
-            for (int i = 0; i < 4; i++) {
-                for (Size g = 0; g < n; g++) {
-                    double one = g < old ? 1.0 : 0.0;
-                    term[g] = i == 0   ? one * alone[g] * alone[g]
-                              : i == 1 ? one * expected[g]
-                              : i == 2 ? one * row[g * K]
-                                       : one * square[g];
-                }
-                sums[i] = sum_of(term, n, 1);
-            }
+            for (Size g = 0; g < n; g++)
+                term[g] = (g < old ? 1.0 : 0.0) * alone[g] * alone[g];
+            sums[0] = sum_of(term, n, 1);
+            for (Size g = 0; g < n; g++)
+                term[g] = (g < old ? 1.0 : 0.0) * expected[g];
+            sums[1] = sum_of(term, n, 1);
+            for (Size g = 0; g < n; g++)
+                term[g] = (g < old ? 1.0 : 0.0) * row[g * K];
+            sums[2] = sum_of(term, n, 1);
+            for (Size g = 0; g < n; g++)
+                term[g] = (g < old ? 1.0 : 0.0) * square[g];
+            sums[3] = sum_of(term, n, 1);
             double ratio = sums[0] / larger(sums[1], number[LEAST]);
             double segments = sums[2] * sums[2] / larger(sums[3], number[LEAST]);
             double scale = (number[PRIOR_SEGMENTS] * number[PRIOR_SPREAD] +
