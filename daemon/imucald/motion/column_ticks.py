@@ -74,7 +74,7 @@ def _fill_compiled(out: NDArray[np.float64], channel: str, first: int, series: S
     values = series.values
     if channel == "wheel_speeds":
         values = values.max(axis=1) - values.min(axis=1)
-    values = values.reshape(len(values), -1)[:, :3]
+    values = values[:, None] if values.ndim == 1 else values[:, :3]
     taken = compiled.kernels.tick_sums(series.t, values, places, first, TICK_RATE, out)
     return taken == 0
 

@@ -13,7 +13,7 @@ from imucald.can.e2e.checksum_engine import Checksum
 from imucald.can.e2e.protection_spec import ProtectionSpec
 from imucald.core.compiled import Kernels
 
-_MOST_VALUES = 1 << 62
+_MOST_VALUES = 1 << 59
 """Counters of more values are left to numpy."""
 _MOST_INDEX_BITS = 15
 
@@ -38,11 +38,14 @@ class CompiledJudge:
 
     def __init__(self, spec: ProtectionSpec, checksum: Checksum | None) -> None:
         counter, crc = spec.counter, spec.checksum
-        self.can_judge = counter is None or counter.modulus <= _MOST_VALUES
+        most = 0 if counter is None else max(counter.modulus, counter.max_jump)
+        self.can_judge = most <= _MOST_VALUES
         numbers = [spec.size, spec.longest, spec.recovery]
         numbers += _places(None if counter is None else counter.field)
         numbers += (
-            [1, 1] if counter is None else [min(counter.modulus, _MOST_VALUES), counter.max_jump]
+            [1, 1]
+            if counter is None
+            else [min(x, _MOST_VALUES) for x in (counter.modulus, counter.max_jump)]
         )
         fixed = None if crc is None else crc.fixed
         index = None

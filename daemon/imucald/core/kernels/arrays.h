@@ -8,6 +8,7 @@ returns where one has another: no place is read or written that was not checked 
 #define IMUCALD_ARRAYS_H
 
 #include <float.h>
+#include <limits.h>
 #include <math.h>
 #include <stddef.h>
 #include <stdint.h>
@@ -20,6 +21,9 @@ returns where one has another: no place is read or written that was not checked 
 #if __BYTE_ORDER__ != __ORDER_LITTLE_ENDIAN__
 #error "bytes are read as little-endian words"
 #endif
+
+/* No count that is carried on is larger. */
+#define LARGEST_COUNT (INT64_MAX / 2)
 
 #define KERNEL __attribute__((visibility("default")))
 

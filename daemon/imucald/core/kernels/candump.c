@@ -393,9 +393,10 @@ KERNEL long candump(PyObject *text_, long size, PyObject *names_, PyObject *verd
     int64_t *counts = take_out(&a, counts_, 'q', SHAPE(COUNTS));
     if (a.failed)
         return leave(&a, -1);
-    int fits = size >= 0 && size + PADDING <= room && (width == CLASSIC || width == LONGEST) &&
+    int fits = size >= 0 && size <= room - PADDING && (width == CLASSIC || width == LONGEST) &&
                counts[PLACE] >= 0 && counts[FRAMES] >= 0 && counts[ODD] >= 0 &&
-               counts[ODD] <= most_odd && counts[FRAMES] <= most;
+               counts[ODD] <= most_odd && counts[FRAMES] <= most && counts[NUMBER] >= 0 &&
+               counts[NUMBER] <= LARGEST_COUNT;
     for (Size c = 0; fits && c < known.count; c++)
         fits = known.names[c * (1 + NAME)] <= NAME && 0 <= known.exact_of[c] &&
                known.exact_of[c] <= known.exact_of[c + 1] && known.exact_of[c + 1] <= exact &&

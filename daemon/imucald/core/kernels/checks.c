@@ -378,6 +378,9 @@ KERNEL long count_manoeuvres(PyObject *accel_, PyObject *turn_, PyObject *levels
     int64_t *state = take_out(&a, state_, 'q', SHAPE(4, 3));
     if (a.failed)
         return leave(&a, -1);
+    for (int k = 0; k < 12; k++)
+        if (state[k] < 0 || state[k] > LARGEST_COUNT)
+            return leave(&a, refuse(&a, "counts beyond those of manoeuvres"));
     for (int k = 0; k < 4; k++) {
         const double *values = k < 2 ? accel : turn;
         double sign = k % 2 ? -1.0 : 1.0, level = levels[k];

@@ -145,14 +145,19 @@ KERNEL long judge_frames(PyObject *t_, PyObject *data_, PyObject *length_, PyObj
                     (uint64_t)spec[FIXED_VALUE], table, starts, suffixes};
     /* a frame of the message's length holds all of these; shorter ones are not looked at */
     int good = size >= 0 && size <= MOST_BYTES && width <= MOST_BYTES && width % 8 == 0 &&
-               (!counter.length || (fits(counter, size) && spec[MODULUS] >= 1)) &&
+               (!counter.length || (fits(counter, size) && spec[MODULUS] >= 1 &&
+                                    spec[MODULUS] <= LARGEST_COUNT / 4)) &&
                (!index.length || (fits(index, size) && index.length < 16 &&
                                   many >= (Size)1 << index.length)) &&
                (!fixed.length || fits(fixed, size)) &&
                (!crc || ((crc == 1 || crc == 2) && many >= 1 && spec[CRC_BYTES] <= size &&
-                         spec[CRC_POSITION] >= 0 && spec[CRC_POSITION] + crc <= spec[CRC_BYTES])) &&
+                         spec[CRC_POSITION] >= 0 && spec[CRC_POSITION] <= spec[CRC_BYTES] - crc)) &&
                state[LAST_LENGTH] >= -1 && state[LAST_LENGTH] <= MOST_BYTES &&
-               (!counter.length || state[LAST_COUNTER] < spec[MODULUS]);
+               state[LAST_COUNTER] >= -1 &&
+               (!counter.length || state[LAST_COUNTER] < spec[MODULUS]) && spec[MAX_JUMP] >= 0 &&
+               spec[MAX_JUMP] <= LARGEST_COUNT / 4 && spec[RECOVERY] >= 0 && state[DISTRUST] >= 0 &&
+               state[MISSED] >= 0 && state[MISSED] <= LARGEST_COUNT / 4 && state[LOST] >= 0 &&
+               state[LOST] <= LARGEST_COUNT;
     for (Size k = 0; good && crc == 1 && k < TABLE; k++)
         good = table[k] < TABLE && (k >= many || starts[k] < TABLE);
     for (Size k = TABLE; good && crc == 1 && k < many; k++)

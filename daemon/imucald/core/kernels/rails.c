@@ -92,7 +92,7 @@ KERNEL long rail_hops(PyObject *hops_, long begin, PyObject *moving_, PyObject *
     double *found = doubles_out(&a, found_, SHAPE(FOUND));
     if (a.failed)
         return leave(&a, -1);
-    int fits = begin >= 0 && begin <= n && *count >= 0 && *count < INT64_MAX - n;
+    int fits = begin >= 0 && begin <= n && *count >= 0 && *count <= LARGEST_COUNT;
     for (int side = 0; side < SIDES; side++)
         fits = fits && depth[side] >= 0 && depth[side] <= REMEMBERED;
     for (Size k = 0; k < n; k++)

@@ -103,7 +103,7 @@ KERNEL long vehicle_axes(PyObject *products_, PyObject *turn_, PyObject *starts_
     Size n = length_of(&a, 1);
     if (a.failed)
         return leave(&a, -1);
-    int fits = first >= 0 && first + n <= windows && pairs >= 0 && starts[0] >= 0 &&
+    int fits = first >= 0 && first <= windows - n && pairs >= 0 && starts[0] >= 0 &&
                starts[pairs] <= parts;
     for (Size p = 0; fits && p < pairs; p++)
         fits = starts[p] < starts[p + 1];
@@ -209,7 +209,7 @@ KERNEL long scores(PyObject *P_, PyObject *weight_, PyObject *used_, PyObject *g
     double *normal = take_out(&a, normal_, 'd', SHAPE(ROWS, windows, REGRESSORS, REGRESSORS));
     if (a.failed)
         return leave(&a, -1);
-    int fits = first >= 0 && first + n <= windows;
+    int fits = first >= 0 && first <= windows - n;
     for (Size k = 0; k < count; k++) {
         const int64_t *at = places + k * (2 + 2 * RANKS);
         fits = fits && at[0] >= 0 && at[0] < ROWS && at[1] >= 0 && at[1] < REGRESSORS && at[2] >= 0;

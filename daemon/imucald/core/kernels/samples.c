@@ -3,6 +3,7 @@
 #include "arrays.h"
 
 enum { MOST_WIDTH = 3 };
+#define MOST_TICKS 4503599627370496.0 /* whole numbers of doubles are exact up to there */
 
 enum Columns { COUNT, MEAN, SQUARE, LEAST, MOST, AGE, COLUMNS };
 enum { NONE = -1 };
@@ -25,10 +26,10 @@ KERNEL long tick_sums(PyObject *t_, PyObject *values_, PyObject *columns_, long 
     Size ticks = length_of(&a, 0), row = length_of(&a, 1);
     if (a.failed)
         return leave(&a, -1);
-    int fits = width <= MOST_WIDTH;
+    int fits = width <= MOST_WIDTH && fabs((double)first) <= MOST_TICKS;
     for (int k = 0; k < COLUMNS; k++) {
         Size most = k == COUNT || k == AGE ? 1 : width;
-        fits = fits && columns[k] >= NONE && columns[k] + most <= row;
+        fits = fits && columns[k] >= NONE && columns[k] <= row - most;
     }
     if (!fits)
         return leave(&a, refuse(&a, "columns beyond those of a tick"));
@@ -106,6 +107,8 @@ KERNEL long hop_figures(PyObject *samples_, PyObject *edges_, PyObject *last_, P
     if (a.failed)
         return leave(&a, -1);
     int fits = hops >= 0 && edges[0] >= 0 && edges[hops] <= n;
+    for (Size axis = 0; axis < axes; axis++)
+        fits = fits && run[axis] >= 0 && run[axis] <= LARGEST_COUNT;
     for (Size h = 0; fits && h < hops; h++)
         fits = edges[h] <= edges[h + 1];
     if (!fits)

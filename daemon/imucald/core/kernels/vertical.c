@@ -120,7 +120,7 @@ KERNEL long vertical(PyObject *rate_, PyObject *drift_, PyObject *ok_rate_, PyOb
     double *of_steps = doubles_out(&a, of_steps_, SHAPE(7, 6));
     if (a.failed)
         return leave(&a, -1);
-    if (n < 1 || n > MOST_TICKS || first < 0 || first >= n)
+    if (n < 1 || n > MOST_TICKS || first < 0 || first >= n || count < 0 || count > LONG_MAX - n)
         return leave(&a, refuse(&a, "a block of so many ticks is not carried"));
     begin();
     double turn[MOST_TICKS][9], carry[MOST_TICKS][3 * WIDE], states[3 * WIDE], drawn[3 * WIDE];

@@ -1,0 +1,179 @@
+"""The library is used where it is sound, and left alone without a word where it is not."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import subprocess
+import sys
+import time
+from importlib.machinery import EXTENSION_SUFFIXES
+from pathlib import Path
+
+import pytest
+from recorded_calls import CONFIG, needs_kernels, simulated
+
+import imucald
+from imucald.core import compiled
+from imucald.core.compiled import NAME, SOURCES, SWITCH, load
+from paths import ROOT
+
+FOLDER = SOURCES.parent
+SUFFIX = EXTENSION_SUFFIXES[0]
+NO_SOURCES = Path("/nothing/here")
+
+
+def library() -> Path:
+    """The one that is in use."""
+    return next(path for path in FOLDER.glob(f"{NAME}.*") if path.name[len(NAME) :] == SUFFIX)
+
+
+@pytest.fixture
+def beside(tmp_path: Path) -> Path:
+    """A folder with the library and its sources."""
+    if compiled.kernels is None:
+        pytest.skip(f"kernels: {compiled.state}")
+    shutil.copytree(SOURCES, tmp_path / "kernels")
+    shutil.copy(library(), tmp_path)
+    return tmp_path
+
+
+def test_where_there_is_a_compiler_the_tests_use_the_library() -> None:
+    if os.environ.get(SWITCH) == "0" or shutil.which("cc") is None:
+        pytest.skip("it is left out here")
+    assert compiled.state == "in use"
+
+
+def test_a_library_with_its_sources_is_used(beside: Path) -> None:
+    kernels, state = load(beside, beside / "kernels")
+    assert kernels is not None
+    assert state == "in use"
+
+
+def test_a_library_of_an_installed_package_has_no_sources(beside: Path) -> None:
+    assert load(beside, NO_SOURCES)[1] == "in use"
+
+
+def test_without_a_library_there_is_none(tmp_path: Path) -> None:
+    assert load(tmp_path) == (None, "not built")
+
+
+def test_a_library_of_other_sources_is_left_alone(beside: Path) -> None:
+    (beside / "kernels" / "more.c").write_text("/* new */")
+    assert load(beside, beside / "kernels") == (None, "built from other sources")
+
+
+def test_other_files_beside_the_sources_are_none(beside: Path) -> None:
+    (beside / "kernels" / "notes.txt").write_text("new")
+    assert load(beside, beside / "kernels")[1] == "in use"
+
+
+@pytest.mark.parametrize("content", [b"", b"no library", b"\x7fELF" + bytes(100)])
+def test_a_broken_library_is_left_alone(tmp_path: Path, content: bytes) -> None:
+    (tmp_path / (NAME + SUFFIX)).write_bytes(content)
+    kernels, state = load(tmp_path)
+    assert kernels is None
+    assert state.startswith("cannot be loaded: ")
+
+
+@pytest.mark.skipif(shutil.which("cc") is None, reason="there is no C compiler")
+@pytest.mark.parametrize(
+    ("text", "state"),
+    [
+        ("int stamp(void) { return 0; }", "cannot be loaded: "),
+        ("int nothing;", "cannot be loaded: "),
+    ],
+)
+def test_a_library_without_the_kernels_is_left_alone(tmp_path: Path, text: str, state: str) -> None:
+    (tmp_path / "other.c").write_text(text)
+    target = tmp_path / (NAME + SUFFIX)
+    made = ["cc", "-shared", "-fPIC", str(tmp_path / "other.c"), "-o", str(target)]
+    subprocess.run(made, check=True)
+    found, said = load(tmp_path, NO_SOURCES)
+    assert found is None
+    assert said.startswith(state)
+
+
+@needs_kernels
+def test_a_library_that_sums_in_another_order_is_left_alone(
+    beside: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(compiled, "_sums_agree", lambda _: False)
+    assert load(beside, NO_SOURCES) == (None, "takes sums in another order than this numpy")
+
+
+def test_the_switch_leaves_it_out(beside: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv(SWITCH, "0")
+    assert load(beside) == (None, f"switched off by {SWITCH}=0")
+    monkeypatch.setenv(SWITCH, "1")
+    assert load(beside, beside / "kernels")[1] == "in use"
+
+
+def test_a_replay_without_it_gives_the_same(tmp_path: Path) -> None:
+    log = simulated(tmp_path, 1.0)
+    code = (
+        "import imucald; from imucald.core import compiled; "
+        f"d = imucald.replay(imucald.Config.load({str(CONFIG)!r}), {str(log)!r}); "
+        "print(compiled.state); print(d.to_dict())"
+    )
+    command, without = [sys.executable, "-c", code], os.environ | {SWITCH: "0"}
+    done = subprocess.run(command, env=without, check=True, capture_output=True, text=True)
+    state, result = done.stdout.splitlines()
+    assert state == f"switched off by {SWITCH}=0"
+    assert result == str(imucald.replay(imucald.Config.load(CONFIG), log).to_dict())
+
+
+@needs_kernels
+def test_it_is_loaded_within_five_milliseconds(beside: Path) -> None:
+    took = []
+    for _ in range(20):
+        began = time.process_time()
+        load(FOLDER)
+        took.append(time.process_time() - began)
+    assert min(took) < 0.005
+
+
+def test_the_version_says_whether_it_is_used() -> None:
+    command = [sys.executable, "-m", "imucald", "--version"]
+    done = subprocess.run(command, check=True, capture_output=True, text=True)
+    said = f"imucald {imucald.__version__} (compiled part: {compiled.state})"
+    assert done.stdout.strip() == said
+
+
+def checkout(target: Path) -> Path:
+    """What a build of the compiled part looks at."""
+    shutil.copy(ROOT / "setup.py", target)
+    kernels = target / "daemon" / "imucald" / "core" / "kernels"
+    shutil.copytree(SOURCES, kernels)
+    (kernels.parent / "__init__.py").touch()
+    (kernels.parents[1] / "__init__.py").touch()
+    return target
+
+
+def built(folder: Path, **variables: str) -> tuple[str, list[Path]]:
+    """Output of a build, and the libraries that it made."""
+    command = [sys.executable, "setup.py", "-q", "build_ext", "--build-lib", "made"]
+    done = subprocess.run(
+        command, cwd=folder, env=os.environ | variables, check=True, capture_output=True, text=True
+    )
+    return done.stdout + done.stderr, list((folder / "made").rglob(f"{NAME}*"))
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(shutil.which("cc") is None, reason="there is no C compiler")
+def test_a_build_makes_a_library_that_is_used(tmp_path: Path) -> None:
+    pytest.importorskip("setuptools")
+    _, (made,) = built(checkout(tmp_path))
+    assert load(made.parent, SOURCES)[1] == "in use"
+
+
+def test_a_build_without_a_compiler_succeeds(tmp_path: Path) -> None:
+    pytest.importorskip("setuptools")
+    said, made = built(checkout(tmp_path), CC="/nothing/here/cc")
+    assert not made
+    assert "failed" in said
+
+
+def test_a_build_may_leave_it_out(tmp_path: Path) -> None:
+    pytest.importorskip("setuptools")
+    assert not built(checkout(tmp_path), **{SWITCH: "0"})[1]

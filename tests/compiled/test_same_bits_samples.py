@@ -1,0 +1,215 @@
+"""Kernels of samples and frames against numpy: the same bits, or the same refusal."""
+
+from __future__ import annotations
+
+import random
+
+import numpy as np
+import pytest
+from both_ways import agree, spiked
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from recorded_calls import needs_kernels
+
+from imucald.api.recorder import microseconds
+from imucald.can.columns import CAN_EFF_FLAG, FrameColumns, IdMatch
+from imucald.can.dbc.bits import Field
+from imucald.can.e2e.checksums import (
+    E2E_COUNTERS,
+    crc8_j1850,
+    e2e_profile_1,
+    e2e_profile_2,
+    e2e_profile_5,
+    xor_checksum,
+)
+from imucald.can.e2e.protection import MessageChecker
+from imucald.can.e2e.protection_spec import CounterSpec, ProtectionSpec
+from imucald.can.e2e.protector import MessageProtector
+from imucald.core import compiled
+from imucald.core.samples import Series
+from imucald.inputs.route_rows import RouteRows
+from imucald.motion.column_ticks import ticks_from_samples
+from imucald.motion.hops import Carry, hop_rows
+from imucald.motion.rail_evidence import AxisHops
+from imucald.motion.rails import AxisRails
+from imucald.motion.sensor_judges import Runs
+from imucald.runtime.pipeline import TickCorrections
+from imucald.runtime.timebase import TimeBase
+
+pytestmark = [needs_kernels, pytest.mark.slow]
+
+MANY = settings(max_examples=120, deadline=None, suppress_health_check=list(HealthCheck))
+SEEDS = given(st.integers(0, 2**32 - 1))
+
+
+def share_of(rng: np.random.Generator) -> float:
+    return float(rng.choice([0.0, 0.0, 0.002, 0.05]))
+
+
+def coarse(rng: np.random.Generator, shape: tuple[int, ...]) -> np.ndarray:
+    """Samples that meet their extremes now and then, and stay there."""
+    step, most = 10.0 ** rng.uniform(-3, 0), rng.choice([0.5, 1.5, 9.0])
+    values = np.round(rng.normal(size=shape) / step) * step
+    values = np.clip(values, -most, most)
+    stays = rng.random(shape) < rng.choice([0.0, 0.1, 0.9])
+    for k in range(1, shape[0]):
+        values[k] = np.where(stays[k], values[k - 1], values[k])
+    return np.asarray(values)
+
+
+@SEEDS
+@MANY
+def test_hops_and_their_rails(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    chunks = []
+    for _ in range(int(rng.integers(1, 4))):
+        hops, n = int(rng.integers(1, 60)), int(rng.integers(0, 800))
+        hop = np.sort(rng.integers(0, hops, n))
+        values = coarse(rng, (n, 3)) if n else np.zeros((0, 3))
+        chunks.append((hops, hop, spiked(rng, values, share_of(rng)), rng.random(hops) < 0.8))
+
+    def judged() -> object:
+        carry, rails, found = Carry.none(3), [AxisRails(axis) for axis in range(3)], []
+        for hops, hop, values, moving in chunks:
+            rows = hop_rows(values, hop, hops, carry)
+            entries = rows.entries() if len(values) else np.zeros((hops, 3))
+            some = np.flatnonzero(rows.count).tolist()
+            runs = Runs()
+            runs.add(100, 2, 150)
+            for axis in range(3):
+                at = AxisHops(axis, rows, entries, runs)
+                cut = len(some) // 2
+                on = rails[axis].step_through(at, some[:cut], moving)
+                on += [rails[axis].step(at, h, bool(moving[h]), h % 7 == 3) for h in some[cut:]]
+                both = rails[axis]._high, rails[axis]._low
+                figures = [(rail.surprise, rail.value, list(rail.recent)) for rail in both]
+                found.append((on, figures, rails[axis]._tops.hops, rails[axis]._tops.usual))
+            found.append((rows, carry.last.copy(), carry.run.copy(), carry.step.copy()))
+        return found
+
+    agree(judged, errors="ignore")
+
+
+@SEEDS
+@MANY
+def test_ticks_of_columns_of_samples(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    first, ticks = int(rng.integers(0, 1000)), int(rng.integers(0, 40))
+    samples = {}
+    for channel, shape in (("accel", (3,)), ("gyro", (3,)), ("speed", ()), ("yaw_rate", ()),
+                           ("wheel_speeds", (4,)), ("steering", ()), ("reverse", ())):  # fmt: skip
+        n = int(rng.integers(0, 300))
+        t = np.sort(rng.uniform(first - 5, first + ticks + 5, n)) / 10.0
+        t = np.where(rng.random(n) < 0.2, np.round(t, 1), t)
+        if rng.random() < 0.9:
+            t = np.sort(t)
+        samples[channel] = Series(t, spiked(rng, rng.normal(size=(n, *shape)), share_of(rng)))
+    agree(ticks_from_samples, samples, first, first + ticks, errors="ignore")
+
+
+@SEEDS
+@MANY
+def test_samples_are_turned_and_times_are_rounded(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    ticks, n = int(rng.integers(1, 60)), int(rng.integers(0, 200))
+    rows = [None, *(tuple(rng.normal(size=9).tolist()) for _ in range(3))]
+    which = np.sort(rng.integers(0, len(rows), ticks)).tolist()
+    values = spiked(rng, rng.normal(size=(n, 3)), share_of(rng), finite=False)
+    at = np.sort(rng.integers(0, ticks, n))
+
+    def turned() -> object:
+        held = TickCorrections(5, [rows[k] for k in which], [0] * ticks)
+        return held.turned(at, values)
+
+    agree(turned, errors="ignore")
+    stamps = spiked(rng, rng.uniform(-1e10, 1e10, n), share_of(rng), finite=False)
+    agree(microseconds, stamps, errors="ignore")
+
+
+@SEEDS
+@MANY
+def test_stream_times_of_stamps_that_step(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    n = int(rng.integers(0, 500))
+    steps = np.where(rng.random(n) < 0.02, rng.choice([-30.0, -0.5, 5.0, 60.0], n), 0.01)
+    stamps = 1.6e9 + np.cumsum(steps + 0.002 * rng.normal(size=n))
+
+    def segments() -> object:
+        base, found = TimeBase(), []
+        for part in np.array_split(stamps, 4):
+            found += list(base.segments(part))
+        return found, vars(base)
+
+    agree(segments, errors="ignore")
+
+
+@SEEDS
+@MANY
+def test_rows_of_routes(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    few = rng.integers(0, 2**11, 6).tolist() + (rng.integers(0, 2**29, 6) + CAN_EFF_FLAG).tolist()
+    masks = [0x7FF, 0x1FFFFFFF, 0x3FFFF00, 0x700, 0]
+    chosen = rng.choice(few, int(rng.integers(0, 7)), replace=False).tolist()
+    matches = [IdMatch(i, int(rng.choice(masks, p=[0.5, 0.3, 0.1, 0.07, 0.03]))) for i in chosen]
+    n = int(rng.integers(0, 300))
+    frames = FrameColumns(
+        np.zeros(n), rng.choice(few, n).astype(np.uint32), np.zeros(n, np.uint8),
+        np.zeros((n, 8), np.uint8), np.zeros(n, np.uint8), ("can0",),
+    )  # fmt: skip
+    rows, is_disjoint = RouteRows(matches).of(frames)
+    with compiled.left_out():
+        expected, _ = RouteRows(matches).of(frames)
+    assert [one.tolist() for one in rows] == [one.tolist() for one in expected]
+    if is_disjoint:
+        together = np.concatenate([np.zeros(0, np.int64), *rows])
+        assert len(set(together.tolist())) == len(together)
+
+
+COUNTER = CounterSpec(Field(8, 4, "little_endian"), 16, max_jump=2)
+SPECS = (
+    ProtectionSpec(8, COUNTER, crc8_j1850(8, 0, b"\x02\x00"), 0.01, 10.0, recovery=3),
+    ProtectionSpec(8, COUNTER, cycle_time=0.01, recovery=3),
+    ProtectionSpec(8, None, xor_checksum(8, 7), 0.01, 3.0, recovery=1),
+    ProtectionSpec(5, CounterSpec(Field(37, 3, "big_endian"), 7, max_jump=1), recovery=2),
+    ProtectionSpec(8, E2E_COUNTERS[1].at(0), e2e_profile_1(8, 0x123, "alternating"), 0.01, 5.0, 2),
+    ProtectionSpec(8, E2E_COUNTERS[2].at(0), e2e_profile_2(8, range(16)), 0.01, 5.0, 2),
+    ProtectionSpec(8, E2E_COUNTERS[5].at(0, max_jump=5), e2e_profile_5(8, 0x1234), 0.01, 5.0, 2),
+)
+
+
+@SEEDS
+@MANY
+def test_frames_of_a_protected_message(seed: int) -> None:
+    rng, draw = np.random.default_rng(seed), random.Random(seed)
+    spec = SPECS[seed % len(SPECS)]
+    protector, rows, t, now = MessageProtector(spec), [], [], 0.0
+    for _ in range(draw.randrange(1, 200)):
+        frame, kind = bytearray(protector.protect(draw.randbytes(spec.size))), draw.random()
+        if kind < 0.05:
+            frame[draw.randrange(len(frame))] ^= 1 << draw.randrange(8)
+        elif kind < 0.08:
+            continue  # lost
+        elif kind < 0.1:
+            frame = frame[: draw.randrange(len(frame))]
+        elif kind < 0.12:
+            frame += draw.randbytes(draw.randrange(4))
+        copies = 2 if draw.random() < 0.05 else 1
+        now += draw.choice([0.0, 0.01, 0.01, 0.01, 0.01, 1.0, -0.5]) if copies == 1 else 0.01
+        rows += [bytes(frame)] * copies
+        t += [now] * copies
+    width = 8 if max(map(len, rows), default=0) <= 8 else 64
+    data = np.zeros((len(rows), width), np.uint8)
+    for own, frame in zip(data, rows, strict=True):
+        own[: len(frame)] = np.frombuffer(frame, np.uint8)
+    length = np.array([len(frame) for frame in rows], np.uint8)
+    cuts = sorted(rng.integers(0, len(rows) + 1, 3).tolist())
+
+    def judged() -> object:
+        checker, codes, at = MessageChecker(spec), [], 0
+        for end in (*cuts, len(rows)):
+            codes.append(checker.check_columns(np.array(t[at:end]), data[at:end], length[at:end]))
+            at = end
+        kept = (checker._last_t, checker._last_counter, checker._missed, checker._distrust)
+        return codes, checker.accepted, dict(checker.rejected), checker.lost, kept
+
+    agree(judged)
