@@ -13,6 +13,7 @@ from imucald.diagnosis.outcome import SEEN_SHARE, signals_of
 from imucald.diagnosis.result import (
     CHANGES_OTHERWISE,
     COARSER,
+    FOLLOWS_OTHERWISE,
     LOUDER,
     NOT_PLAUSIBLE,
     WANDERS,
@@ -23,7 +24,7 @@ from imucald.diagnosis.search.state import State
 from imucald.diagnosis.search.trials import Trial
 from imucald.diagnosis.signals import Array
 
-BESIDE = (NOT_PLAUSIBLE, WANDERS, LOUDER, COARSER, CHANGES_OTHERWISE)
+BESIDE = (NOT_PLAUSIBLE, WANDERS, LOUDER, COARSER, CHANGES_OTHERWISE, FOLLOWS_OTHERWISE)
 """Structure that moves no value to one side: what a fit names beside it may stand."""
 
 

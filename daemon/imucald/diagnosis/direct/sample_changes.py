@@ -37,7 +37,7 @@ from imucald.diagnosis.fit.beside_file import (
     leaves_of,
     with_entries,
 )
-from imucald.diagnosis.fit.chance import Question, beyond_chance
+from imucald.diagnosis.fit.chance import Question, beyond_chance, chance_of_large
 from imucald.diagnosis.result import (
     CHANGES_MISSING,
     CHANGES_OTHERWISE,
@@ -92,9 +92,7 @@ def _of_triad(
 ) -> Iterator[tuple[str, tuple[Array, Array]]]:
     channel = drive.channels[name]
     t, table = channel.t, _along_vehicle(channel.t, channel.values, model)
-    good = np.ones(len(t), dtype=bool)
-    for start, stop in channel.bad:
-        good &= (t < start) | (t > stop)
+    good = channel.good()
     v = np.interp(t, drive.knots.t, np.abs(drive.knots.values))
     edges = np.searchsorted(t, np.arange(t[0], t[-1], SEGMENT_S))
     speeds, rows = [], []
@@ -164,7 +162,8 @@ def _of_axis(name: str, ratio: Array, file: Leaves) -> Iterator[Question]:
         )
         size = max(times, 1.0 / times) / ROUGHER
         structure = Structure(signal, CHANGES_OTHERWISE, size, text)
-        yield Question(float(chance[i]), bool(abs(more[i]) - se[i] > rougher), structure)
+        rare = chance_of_large(rougher, float(se[i]), float(free[i]))
+        yield Question(float(chance[i]), bool(abs(more[i]) - se[i] > rougher), structure, rare)
 
 
 def _samples(lag: int) -> str:
