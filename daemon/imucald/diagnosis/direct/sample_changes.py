@@ -37,7 +37,7 @@ from imucald.diagnosis.fit.beside_file import (
     leaves_of,
     with_entries,
 )
-from imucald.diagnosis.fit.chance import Question, beyond_chance, chance_of_large
+from imucald.diagnosis.fit.chance import Question, beyond_chance
 from imucald.diagnosis.result import (
     CHANGES_MISSING,
     CHANGES_OTHERWISE,
@@ -162,8 +162,7 @@ def _of_axis(name: str, ratio: Array, file: Leaves) -> Iterator[Question]:
         )
         size = max(times, 1.0 / times) / ROUGHER
         structure = Structure(signal, CHANGES_OTHERWISE, size, text)
-        rare = chance_of_large(rougher, float(se[i]), float(free[i]))
-        yield Question(float(chance[i]), bool(abs(more[i]) - se[i] > rougher), structure, rare)
+        yield Question(float(chance[i]), bool(abs(more[i]) - se[i] > rougher), structure)
 
 
 def _samples(lag: int) -> str:
