@@ -34,7 +34,7 @@ from imucald.diagnosis.signals import STANDING_MPS, Array, DriveSignals, Mask
 from imucald.model.leaves import Leaves
 from imucald.model.model import VehicleModel
 
-SEGMENT_S, SEGMENT_ROWS = 10.0, 30
+SEGMENT_S, SEGMENT_ROWS = 10.0, 15
 """Length of a segment, and how many samples it has at least."""
 LEAST_SHARE = 0.6
 """Of a segment's samples that must be there, and be of driving."""
@@ -68,8 +68,8 @@ TRAITS = (
           0.12),
     # Of white noise the second difference is 1.73 of the first, of a random walk 1.41.
     Trait("takes back more of each change", "takes back less of each change", 0.2),
-    # Over four samples white noise changes by 1 of a change, a random walk by 2: half of that way.
-    Trait("goes on further the way it changes", "goes on less far the way it changes", 0.35),
+    # Over four samples white noise changes by 1 of a change, a random walk by 2.
+    Trait("goes on further the way it changes", "goes on less far the way it changes", 0.7),
 )  # fmt: skip
 """In the order of the numbers."""
 
