@@ -75,8 +75,8 @@ def test_other_roads_and_other_drivers_are_nothing(file):
 @pytest.mark.parametrize(("change", "words"), [
     (in_gaps, "repeats the sample before more often"),
     (lambda x: np.repeat(x[::2], 2)[: len(x)], "repeats the sample before more often"),
-    (by_lines, "goes on further the way it changes"),
-    (lambda x: median_filter(x, 5), "goes on further the way it changes"),
+    (by_lines, "takes back less of each change"),
+    (lambda x: median_filter(x, 5), "has changes with heavier tails"),
 ])  # fmt: skip
 def test_what_comes_between_sensor_and_log_is_seen_on_all_axes_alike(file, change, words):
     """No equation shows it, and no axis differs from the others."""
