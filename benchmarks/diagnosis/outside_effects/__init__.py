@@ -1,7 +1,7 @@
 """Effects that the catalogue does not have, put into measured samples.
 
 Which were written when, what was left out then, and which judge ran them first: `history`. The six
-of the last batch are not run before the judge of draw 65; the six before them have run in draw 59.
+of the last batch are not run before the judge of draw 71; the six before them have run in draw 65.
 """
 
 from __future__ import annotations
@@ -92,5 +92,11 @@ OUTSIDE: Mapping[str, tuple[Put, float, str]] = {
     "other_answers": (transport.other_answers, 0.04, "speed"),
     "slope_overload": (transport.slope_overload, float(np.deg2rad(9.7)), "gyro"),
     "heading_jumps": (signal_sources.heading_jumps, float(2.0 * np.pi), "gyro"),
+    "north_frame": (signal_sources.north_frame, float(np.deg2rad(15.0)), "gyro"),
+    "fourier_blocks": (transport.fourier_blocks, 10.0, "accel"),
+    "steering_play": (signal_sources.steering_play, 0.013, "gyro"),
+    "supply_ripple": (electronics.supply_ripple, float(np.deg2rad(1.3)), "gyro"),
+    "smoothed_fixes": (signal_sources.smoothed_fixes, 1.7, "gyro"),
+    "other_gearbox": (speed.other_gearbox, 1.0, "speed"),
 }
 """Effect, medium size [SI], signal that must be there."""
