@@ -1,7 +1,7 @@
 """Effects that the catalogue does not have, put into measured samples.
 
-Which were written when, what was left out then, and which judge ran them first: `history`. The six
-of the last batch are not run before the judge of draw 71; the six before them have run in draw 65.
+Which were written when, what was left out then, and which judge ran them first: `history`. The
+twelve of the last two batches are not run before the judge of draw 71.
 """
 
 from __future__ import annotations
@@ -19,10 +19,10 @@ from benchmarks.diagnosis.outside_effects import (
     speed,
     transport,
 )
-from benchmarks.diagnosis.outside_effects.history import NOT_RUN, OF_BAR
+from benchmarks.diagnosis.outside_effects.history import NOT_RUN, WRITTEN_LAST
 from benchmarks.diagnosis.real_effects import Put
 
-__all__ = ["NOT_RUN", "OF_BAR", "OUTSIDE"]
+__all__ = ["NOT_RUN", "OUTSIDE", "WRITTEN_LAST"]
 
 OUTSIDE: Mapping[str, tuple[Put, float, str]] = {
     "shaking": (accelerometer.shaking, 0.3, "accel"),
