@@ -295,9 +295,9 @@ def steering_play(s: Drive, size: float, rng: np.random.Generator, R: Array) -> 
     gear to one end of its play, so that the wheel is turned further than the tyres are, by half of
     the play to that side, and stays so on the straight until a force of 0.3 m/s^2 to the other side
     (commaai/openpilot, issue 599: play in a damper of the steering shaft). 13 mm at a rim of 0.19 m
-    are where a test station rejects a rack and pinion (MOT inspection manual, 2.2, steering play;
-    75 mm for other gears). With a ratio of 16 and a wheelbase of 2.7 m that is 0.045 deg/s for each
-    m/s, 0.9 at 20 m/s. All else of such a rate is left as the gyroscope has it."""
+    are where a test station rejects a rack and pinion (British manual of yearly inspections, 2.2,
+    steering play; 75 mm for other gears). With a ratio of 16 and a wheelbase of 2.7 m that is 0.045
+    deg/s for each m/s, 0.9 at 20 m/s. All else of such a rate is left as the gyroscope has it."""
     gyro = s["gyro"]
     n = max(1, round(1.0 / float(np.median(np.diff(gyro.t)))))
     v = np.interp(gyro.t, s["speed"].t, np.abs(s["speed"].values))
