@@ -51,13 +51,16 @@ from imucald.diagnosis.result import (
     CHANGES_MISSING,
     CHANGES_OTHERWISE,
     COARSER,
+    DIFFERS,
     FOLLOWS_OTHERWISE,
     GOES_AGAINST,
+    GOES_WITH_ANOTHER,
     JUMPS_ALONE,
     LOUDER,
     TOO_MUCH,
     VALUE_HELD,
     VALUES_MISSING,
+    WANDERS,
     Diagnosis,
     FoundCause,
     Gain,
@@ -84,6 +87,8 @@ READ_FROM_VALUES = ("saturation", "stuck_signal", "duplicated_frames")
 """Faults that are read from how a signal's values follow each other."""
 ONE_SENSOR = ("accel", "gyro")
 """Signals that come from one sensor, over one wire."""
+MOVES = (WANDERS, DIFFERS, GOES_WITH_ANOTHER)
+"""Structure of a zero that is not the same all along."""
 BETWEEN = (FOLLOWS_OTHERWISE, VALUES_MISSING, CHANGES_MISSING, JUMPS_ALONE)
 """Structure of raw values that something between sensor and log makes."""
 HALF = 0.5
@@ -126,7 +131,7 @@ def diagnose(
     else:
         doubt(state, left, faults)
     problem = state.evaluated()
-    causes = _certain_causes(state, None if _is_gyro_held(left) else rest, faults, model)
+    causes = _certain_causes(state, rest if _shows_zero(left) else None, faults, model)
     report(0.88, "what the written file brings")
     written = _written(state, problem)
     changes = written != state.stated or state.stated != model
@@ -321,9 +326,11 @@ def _is_off(rest: Rest, model: VehicleModel) -> bool:
     return bool(np.any(np.abs(rest.rate) - rest.quantile * rest.se > rest.allowed(model)))
 
 
-def _is_gyro_held(left: Sequence[Structure]) -> bool:
-    """Whether what the gyroscope shows at rest may be the value that it shows for small rates."""
-    return any(s.kind == VALUE_HELD and s.signal.startswith("gyro") for s in left)
+def _shows_zero(left: Sequence[Structure]) -> bool:
+    """Whether the gyroscope's mean at stops is its zero all along: not where it may be the value
+    that it shows for small rates, nor where its zero is not the same all along."""
+    gyro = [s for s in left if s.signal.startswith("gyro") or s.parameter.startswith("gyro.bias")]
+    return not any(s.kind in (VALUE_HELD, *MOVES) for s in gyro)
 
 
 def _zero_of(rest: Rest, state: State, model: VehicleModel) -> Rest:

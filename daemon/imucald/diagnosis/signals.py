@@ -152,7 +152,7 @@ def duplicates(series: Series, period: float) -> Mask:
     t, values = series.t, series.values.reshape(len(series.t), -1)
     again = np.zeros(len(t), dtype=bool)
     if len(t) > 1:
-        soon = np.diff(t) < DUPLICATE_SHARE * period
+        soon = (np.diff(t) < DUPLICATE_SHARE * period) & ~_goes_on_from_second(t, period)
         same = (np.diff(values, axis=0) == 0.0).all(axis=1)
         usual = _usual(same, soon)
         # So few that all of them may repeat by chance show nothing.
@@ -160,6 +160,14 @@ def duplicates(series: Series, period: float) -> Mask:
         if is_few or binom.sf((soon & same).sum() - 1, soon.sum(), usual) < CHANCE:
             again[1:] = soon & same
     return again
+
+
+def _goes_on_from_second(t: Array, period: float) -> Mask:
+    """(N - 1,) steps after which the next frame comes a cycle after the second of two, and not of
+    the first: then the second was early, or the sender's clock was set, and none is too many."""
+    made = np.zeros(len(t) - 1, dtype=bool)
+    made[:-1] = np.abs(t[2:] - t[1:-1] - period) < np.abs(t[2:] - t[:-2] - period)
+    return made
 
 
 def _usual(same: Mask, soon: Mask) -> float:
