@@ -98,5 +98,11 @@ OUTSIDE: Mapping[str, tuple[Put, float, str]] = {
     "supply_ripple": (electronics.supply_ripple, float(np.deg2rad(1.3)), "gyro"),
     "smoothed_fixes": (signal_sources.smoothed_fixes, 1.7, "gyro"),
     "other_gearbox": (speed.other_gearbox, 1.0, "speed"),
+    "warm_gas": (accelerometer.warm_gas, 30.0, "accel"),
+    "tin_whisker": (accelerometer.tin_whisker, 0.5, "accel"),
+    "late_sign": (gyroscope.late_sign, 1.0, "gyro"),
+    "momentum": (speed.momentum, 1.0, "speed"),
+    "digits_as_hex": (transport.digits_as_hex, 1.0, "speed"),
+    "few_components": (transport.few_components, 0.05, "accel"),
 }
 """Effect, medium size [SI], signal that must be there."""

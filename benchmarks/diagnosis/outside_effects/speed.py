@@ -205,3 +205,29 @@ def other_gearbox(s: Drive, size: float, rng: np.random.Generator, R: Array) -> 
     last = np.clip(np.searchsorted(grid, t, "right") - 1, 0, len(grid) - 1)
     set_values(s, "speed", v * ((car / unit) ** size)[gears[last]])
     return size
+
+
+def momentum(s: Drive, size: float, rng: np.random.Generator, R: Array) -> float:
+    """The speed is a satellite receiver's, and an app smooths it once a second by a filter that has
+    a speed and an acceleration (an alpha-beta filter): steady acceleration comes through with no
+    delay, but where it begins the shown speed stays behind, and where it ends it goes on too far
+    (bastian2001/Kolibri-FC, pull request 48: speeds vary by around 1 m/s, and heavier filtering
+    overshoots in coming to a stop; commaai/opendbc, pull request 1533: the same near a stop). The
+    gains are those for a noise of size [m/s] beside an acceleration that changes by 0.5 m/s^2 from
+    one second to the next (Kalata, The tracking index, IEEE Transactions on Aerospace and
+    Electronic Systems 20, 1984): 0.63 and 0.31 at 1 m/s, the noise of that receiver. Below 0 it
+    shows 0."""
+    t = s["speed"].t
+    grid = np.arange(t[0], t[-1] + 1.0, 1.0)
+    index = 0.5 / size
+    r = (4.0 + index - np.sqrt(8.0 * index + index**2)) / 4.0
+    alpha, beta = 1.0 - r**2, 2.0 * (1.0 + r**2) - 4.0 * r
+    measured = np.interp(grid, t, s["speed"].values)
+    shown, last, pull = np.empty_like(grid), float(measured[0]), 0.0
+    for k, now in enumerate(measured):
+        expected = last + pull
+        last = expected + alpha * (now - expected)
+        pull += beta * (now - expected)
+        shown[k] = last
+    set_values(s, "speed", np.maximum(np.interp(t, grid, shown), 0.0))
+    return size

@@ -221,6 +221,53 @@ def fourier_blocks(s: Drive, size: float, rng: np.random.Generator, R: Array) ->
     return size
 
 
+def digits_as_hex(s: Drive, size: float, rng: np.random.Generator, R: Array) -> float:
+    """A tracker sends its speed in whole knots as decimal digits of four bits each, and the decoder
+    takes them for one number, so that a ten counts 16 (traccar/traccar, H02ProtocolDecoder: digits,
+    in knots; issue 1404: a device that sends digits where the decoder reads a number). The user has
+    set the gain by the way that the vehicle goes, so that it is right over the log, and the speed
+    grows too slowly within each ten and jumps at the next: 9 knots and 10 are 7 apart. A ten counts
+    10 and 6 * size, size 1 is the whole of it."""
+    own = s["speed"]
+    tens, ones = np.divmod(np.round(np.abs(own.values) / 0.5144), 10.0)
+    shown = (10.0 + 6.0 * size) * tens + ones
+    step = np.diff(own.t, prepend=own.t[0])
+    way, counted = float((np.abs(own.values) * step).sum()), float((shown * step).sum())
+    s["speed"] = Series(own.t, np.sign(own.values) * shown * way / max(counted, 1e-9))
+    return size
+
+
+def few_components(s: Drive, size: float, rng: np.random.Generator, R: Array) -> float:
+    """Accelerometer and gyroscope are sent as principal components: the axes of a minute, each less
+    its mean and over its deviation, are turned into components of which the largest are kept until
+    no more than this share of the variance is missing (Le Borgne, Raybaud, Bontempi, Distributed
+    principal component analysis for wireless sensor networks, Sensors 8, 2008; scikit-learn, PCA:
+    n_components below 1; 0.95 is what most examples keep). What is left out is not noise but how
+    the axes differ from what they mostly do together: if in that minute most bends are taken at one
+    speed, a faster one comes out with too much of the rate and too little of the force."""
+    names = [name for name in ("accel", "gyro") if name in s]
+    axes = {
+        at: np.column_stack([_at(s[at].t, s[name].t, s[name].values) for name in names])
+        for at in names
+    }
+    shown = {at: x.copy() for at, x in axes.items()}
+    for start in np.arange(s["accel"].t[0], s["accel"].t[-1] + 1e-6, 60.0):
+        minute = {at: (s[at].t >= start) & (s[at].t < start + 60.0) for at in names}
+        x = axes["accel"][minute["accel"]]
+        if len(x) < 10:
+            continue
+        mean, deviation = x.mean(axis=0), np.maximum(x.std(axis=0), 1e-9)
+        _, strength, ways = np.linalg.svd((x - mean) / deviation, full_matrices=False)
+        there = np.cumsum(strength**2) / max(float((strength**2).sum()), 1e-9)
+        ways = ways[: int(np.searchsorted(there, 1.0 - size)) + 1]
+        for at, inside in minute.items():
+            kept = (axes[at][inside] - mean) / deviation @ ways.T @ ways
+            shown[at][inside] = mean + kept * deviation
+    for k, name in enumerate(names):
+        set_values(s, name, shown[name][:, 3 * k : 3 * k + 3])
+    return size
+
+
 def _at(t: Array, own: Array, values: Array) -> Array:
     """(N, 3) values at other times."""
     return np.column_stack([np.interp(t, own, axis) for axis in values.T])
