@@ -1,7 +1,7 @@
 """Effects that the catalogue does not have, put into measured samples.
 
 Which were written when, what was left out then, and which judge ran them first: `history`. The six
-of the last batch are not run before the judge of draw 71; the six before them have run in draw 65.
+of the last batch are not run before the judge of draw 77.
 """
 
 from __future__ import annotations
@@ -98,5 +98,11 @@ OUTSIDE: Mapping[str, tuple[Put, float, str]] = {
     "supply_ripple": (electronics.supply_ripple, float(np.deg2rad(1.3)), "gyro"),
     "smoothed_fixes": (signal_sources.smoothed_fixes, 1.7, "gyro"),
     "other_gearbox": (speed.other_gearbox, 1.0, "speed"),
+    "rim_accelerometer": (speed.rim_accelerometer, 2.23, "speed"),
+    "coarse_ticks": (speed.coarse_ticks, 0.0156, "speed"),
+    "magnetic_turns": (signal_sources.magnetic_turns, float(np.deg2rad(15.0)), "gyro"),
+    "slow_passes": (accelerometer.slow_passes, 1.0, "accel"),
+    "held_at_one_end": (carriers.held_at_one_end, 0.0067, "gyro"),
+    "running_median": (transport.running_median, 5.0, "speed"),
 }
 """Effect, medium size [SI], signal that must be there."""
