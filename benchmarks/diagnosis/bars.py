@@ -19,7 +19,7 @@ from benchmarks.diagnosis.judged import (
     wrong_names,
 )
 from benchmarks.diagnosis.measured_logs import LOOSE
-from benchmarks.diagnosis.outside_effects import NOT_RUN, WRITTEN_LAST
+from benchmarks.diagnosis.outside_effects import NOT_RUN
 from benchmarks.diagnosis.real_effects import DEG, EFFECTS
 from benchmarks.measured import verdict
 
@@ -31,7 +31,7 @@ ASKED: Mapping[str, float] = {
 """Effect to the size [SI] that is to be found in 15 min and more with a gyroscope."""
 GYRO_BIAS_WITHOUT_STOPS, STOP_S = 0.3 * DEG, 10.0
 """A mean over 10 s knows the zero to 0.002 deg/s (BMI160 data sheet: 0.007 deg/s a root Hz)."""
-NEW = "the last twelve, none of which was run before"
+NEW = "the last twelve, none of which was run before this judge"
 PER_HOUR_S, MIDDLE_S, MIB = 60.0, 30.0, 1024.0
 
 
@@ -177,14 +177,6 @@ def _outside(lines: Sequence[Line], nulls: Sequence[Line]) -> Iterator[str]:
                         _part_of(seen, len(own)), "80 %", seen >= 0.8 * len(own))  # fmt: skip
             yield _line(5, f"a wrong name for an outside effect, {what}",
                         _part_of(wrong, len(own)), "5 %", wrong <= 0.05 * len(own))  # fmt: skip
-    last = [x for x in fair if x["effect"] in WRITTEN_LAST]
-    if last:
-        seen, wrong = _seen_and_wrong(last)
-        yield (
-            "- 5, of these the ones that were written after the last change of the tests: seen "
-            f"{_part_of(seen, len(last))}, a wrong name in {_part_of(wrong, len(last))} (no bar of "
-            "their own)."
-        )
 
 
 def _seen_and_wrong(lines: Sequence[Line]) -> tuple[int, int]:

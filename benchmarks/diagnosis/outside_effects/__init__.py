@@ -1,7 +1,7 @@
 """Effects that the catalogue does not have, put into measured samples.
 
 Which were written when, what was left out then, and which judge ran them first: `history`. The
-twelve of the last two batches are not run before the judge of draw 71.
+twelve of the last two batches are not run before the judge of draw 77.
 """
 
 from __future__ import annotations
@@ -19,10 +19,10 @@ from benchmarks.diagnosis.outside_effects import (
     speed,
     transport,
 )
-from benchmarks.diagnosis.outside_effects.history import NOT_RUN, WRITTEN_LAST
+from benchmarks.diagnosis.outside_effects.history import NOT_RUN
 from benchmarks.diagnosis.real_effects import Put
 
-__all__ = ["NOT_RUN", "OUTSIDE", "WRITTEN_LAST"]
+__all__ = ["NOT_RUN", "OUTSIDE"]
 
 OUTSIDE: Mapping[str, tuple[Put, float, str]] = {
     "shaking": (accelerometer.shaking, 0.3, "accel"),
@@ -104,5 +104,11 @@ OUTSIDE: Mapping[str, tuple[Put, float, str]] = {
     "momentum": (speed.momentum, 1.0, "speed"),
     "digits_as_hex": (transport.digits_as_hex, 1.0, "speed"),
     "few_components": (transport.few_components, 0.05, "accel"),
+    "rim_accelerometer": (speed.rim_accelerometer, 2.23, "speed"),
+    "coarse_ticks": (speed.coarse_ticks, 0.0156, "speed"),
+    "magnetic_turns": (signal_sources.magnetic_turns, float(np.deg2rad(15.0)), "gyro"),
+    "slow_passes": (accelerometer.slow_passes, 1.0, "accel"),
+    "held_at_one_end": (carriers.held_at_one_end, 0.0067, "gyro"),
+    "running_median": (transport.running_median, 5.0, "speed"),
 }
 """Effect, medium size [SI], signal that must be there."""

@@ -240,3 +240,20 @@ def tin_whisker(s: Drive, size: float, rng: np.random.Generator, R: Array) -> fl
     x[:, second] -= over
     set_values(s, "accel", x)
     return size
+
+
+def slow_passes(s: Drive, size: float, rng: np.random.Generator, R: Array) -> float:
+    """The sensor's controller smooths the accelerometer with a fixed weight for the newest value in
+    each pass of its loop, and not by the time that went by (PX4/PX4-Autopilot, pull request 24116:
+    such a filter has another time constant than is expected where the time between its steps
+    changes; Ardumower/ardumower, issue 22). With a weight of 0.3 and 100 passes a second it takes
+    0.03 s, which nobody minds. While the modem is asked, 5 to 40 s at a time, a pass takes 300 to
+    500 ms (arduino-libraries/MKRGSM, issue 109), and the filter 0.8 to 1.4 s: size [s] is 1. That
+    values stand between such passes is left out."""
+    t, x = s["accel"].t, s["accel"].values.copy()
+    asked = in_spells(t, 5.0, rng)
+    keep = asked * np.exp(-np.diff(t, prepend=t[0]) / size)
+    for k in range(1, len(t)):
+        x[k] = keep[k] * x[k - 1] + (1.0 - keep[k]) * x[k]
+    set_values(s, "accel", x)
+    return size

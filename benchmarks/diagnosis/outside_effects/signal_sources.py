@@ -332,6 +332,27 @@ def smoothed_fixes(s: Drive, size: float, rng: np.random.Generator, R: Array) ->
     return size
 
 
+def magnetic_turns(s: Drive, size: float, rng: np.random.Generator, R: Array) -> float:
+    """The rate about the upward axis is that of a heading which a filter makes of gyroscope and
+    compass, and which comes to the compass within 2 s (xioTechnologies/Fusion, issue 214: a gain of
+    0.5 a second; the heading is first as the gyroscope has it and then goes to the compass). Iron
+    in the car deflects the compass by up to size [rad], to one side on one course and to the other
+    on the opposite. So a bend is shown too long or too short by where the road leads, and goes on a
+    little where it is over (kriswiner/MPU9250, issue 182: of each quarter turn 10 to 15 deg are
+    missing). kriswiner/LSM9DS0, issue 8, saw 20 deg to one side at north, 21 to the other at south
+    and 8 between; 15 deg is less than that."""
+    own, x = s["gyro"].t, s["gyro"].values
+    off = size * np.sin(_heading(s, own, rng, R))
+    step = np.diff(own, prepend=own[0])
+    keep = np.exp(-step / 2.0)
+    followed = off.copy()
+    for k in range(1, len(own)):
+        followed[k] = keep[k] * followed[k - 1] + (1.0 - keep[k]) * off[k]
+    more = np.diff(followed, prepend=followed[0]) / np.maximum(step, 1e-3)
+    set_values(s, "gyro", x + more[:, None] * R[2])
+    return size
+
+
 def _heading(s: Drive, t: Array, rng: np.random.Generator, R: Array) -> Array:
     """By the gyroscope, from any course at the first sample on [rad]."""
     own, upward = s["gyro"].t, s["gyro"].values @ R[2]

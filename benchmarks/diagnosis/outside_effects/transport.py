@@ -5,6 +5,7 @@ from __future__ import annotations
 from itertools import pairwise
 
 import numpy as np
+from scipy.ndimage import median_filter
 
 from benchmarks.diagnosis.outside_effects.levels import set_values
 from benchmarks.diagnosis.real_effects import Array, Drive
@@ -265,6 +266,19 @@ def few_components(s: Drive, size: float, rng: np.random.Generator, R: Array) ->
             shown[at][inside] = mean + kept * deviation
     for k, name in enumerate(names):
         set_values(s, name, shown[name][:, 3 * k : 3 * k + 3])
+    return size
+
+
+def running_median(s: Drive, size: float, rng: np.random.Generator, R: Array) -> float:
+    """Before it was stored the speed went through a running median over size [s], against spikes:
+    five values, one a second (pnbruckner/ha-composite-tracker, issue 69: of mean, line and median
+    over five, the median does it; GoldenCheetah/GoldenCheetah, pull request 3887: it keeps sharp
+    edges). Each window has its stamp in its middle. Where the speed only rises or only falls, it is
+    right; where it turns, as where a driver brakes for a bend and pulls away again, the peak and
+    the hollow are cut off, and a halt of less than half of size is gone."""
+    t, v = s["speed"].t, s["speed"].values
+    half = max(1, round(0.5 * size / float(np.median(np.diff(t)))))
+    set_values(s, "speed", median_filter(v, 2 * half + 1, mode="nearest"))
     return size
 
 
