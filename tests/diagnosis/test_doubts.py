@@ -7,6 +7,7 @@ import pytest
 
 from hidden import Effect, hidden_drive
 from imucald.core.samples import Samples, Series
+from imucald.diagnosis.cause_keys import with_shifts
 from imucald.diagnosis.diagnose import diagnose
 from imucald.diagnosis.doubts import _may_be_a_low_pass, doubt
 from imucald.diagnosis.fit.blocks import Table
@@ -14,14 +15,16 @@ from imucald.diagnosis.fit.intervals import Estimate
 from imucald.diagnosis.fit.score import Hypothesis
 from imucald.diagnosis.result import (
     DIFFERS,
+    GOES_WITH_ANOTHER,
     NOT_PLAUSIBLE,
     UNEVEN,
     WANDERS,
     Diagnosis,
     Structure,
 )
+from imucald.diagnosis.search.shift import FittedShift
 from imucald.diagnosis.search.standing import unsettle
-from imucald.diagnosis.search.state import State
+from imucald.diagnosis.search.state import State, shift_steps
 from imucald.diagnosis.search.trials import Trial
 from imucald.model.model import VehicleModel, model_from_mapping
 
@@ -101,6 +104,18 @@ def test_beside_anything_that_is_left_no_fit_names_a_cause(kind):
     doubt(state, [Structure("accel_x", kind, 2.0, "", "speed.scale")], [])
     assert state.named == []
     assert state.doubtful == [drift]
+
+
+@pytest.mark.parametrize(("kind", "stands"), [(WANDERS, True), (GOES_WITH_ANOTHER, False)])
+def test_a_moved_mount_is_not_ruled_out_beside_what_no_turn_leaves(kind, stands):
+    """After a turn by 10 deg zeros and gains seem to wander: it is followed to first order."""
+    model, one = VehicleModel(), np.ones(3)
+    shift = FittedShift("step", 300.0, 0.1 * one, 0.01 * one, 3.0, one, 50.0, one, 270.0, 300.0)
+    state = State((), model, with_shifts(model, shift_steps(shift)), {}, shift=shift)
+    doubt(state, [Structure("accel_x", kind, 2.0, "", "accel.bias.x")], [])
+    assert (state.shift is shift) == stands
+    assert (state.doubtful_shift is shift) != stands
+    assert bool(state.model.mount.shifts) == stands
 
 
 @pytest.mark.parametrize("kind", [None, WANDERS])

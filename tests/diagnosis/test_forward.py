@@ -208,6 +208,19 @@ def test_equal_values_soon_after_are_duplicates_and_slow_ones_are_not():
     assert found == [5, 13, 32], "each where it was put in"
 
 
+def test_a_clock_that_is_set_and_a_late_frame_send_nothing_twice():
+    """The next frame comes a cycle after the second of the two, whatever they say."""
+    cycle = np.arange(0.0, 100.0, 0.01)
+    set_back = cycle - 0.008 * np.floor(cycle / 5.0 + 1e-9)
+    assert (np.diff(set_back) < 0.003).sum() == 19
+    assert not duplicates(Series(set_back, np.repeat(np.arange(2500.0), 4)), 0.01).any()
+    late = cycle.copy()
+    late[50::100] += 0.0085
+    x = np.arange(len(late)) * 1.0
+    x[51::100] = x[50::100]
+    assert not duplicates(Series(late, x), 0.01).any()
+
+
 def test_who_shares_a_stamp_and_says_something_else_is_kept_out_and_is_no_duplicate():
     """A logger's clock is coarser than the cycle: when each of the two was, nobody knows."""
     t, x = np.arange(0.0, 20.0, 0.5), np.arange(40.0)

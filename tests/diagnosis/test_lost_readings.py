@@ -6,9 +6,15 @@ import numpy as np
 import pytest
 
 from imucald.core.samples import Series
-from imucald.diagnosis.diagnose import _is_gyro_held
+from imucald.diagnosis.diagnose import _shows_zero
 from imucald.diagnosis.direct.lost_readings import all_lost, as_structure, lost_readings
-from imucald.diagnosis.result import READINGS_LOST
+from imucald.diagnosis.result import (
+    GOES_WITH_ANOTHER,
+    READINGS_LOST,
+    VALUE_HELD,
+    WANDERS,
+    Structure,
+)
 
 RATE_HZ, SECONDS = 50.0, 300.0
 SIGNALS = 5
@@ -100,4 +106,14 @@ def test_lost_readings_do_not_say_that_the_zero_at_stops_is_held():
     series, _ = opened(sensor(), (0.0, 0.0, 0.0))
     lost = lost_readings(series, SIGNALS)
     assert lost is not None
-    assert not _is_gyro_held([as_structure("gyro", lost)])
+    assert _shows_zero([as_structure("gyro", lost)])
+
+
+@pytest.mark.parametrize(("signal", "kind", "parameter", "shows"), [
+    ("gyro_x", VALUE_HELD, "", False), ("gyro", GOES_WITH_ANOTHER, "", False),
+    ("gyro_x", WANDERS, "gyro.bias.x", False), ("accel_x", WANDERS, "accel.bias.x", True),
+])  # fmt: skip
+def test_a_zero_that_is_not_the_same_all_along_is_not_what_stops_show(
+    signal, kind, parameter, shows
+):
+    assert _shows_zero([Structure(signal, kind, 2.0, "", parameter)]) == shows

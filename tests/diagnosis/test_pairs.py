@@ -12,6 +12,7 @@ from imucald.core.samples import Series
 from imucald.diagnosis.cause_keys import mount_of
 from imucald.diagnosis.equations.forward import Forward
 from imucald.diagnosis.fit.chance import beyond_chance
+from imucald.diagnosis.fit.moderated import moderated
 from imucald.diagnosis.left_over.conditions import SPEEDS, TO_ONE_SIDE, conditions
 from imucald.diagnosis.left_over.pairs import (
     ERRORS,
@@ -152,15 +153,39 @@ def test_of_noise_chances_are_no_smaller_than_they_say(lasting):
         z = rng.standard_normal((30, 4))
         if lasting:
             z = np.sqrt(0.5) * (z + rng.standard_normal((30, 1)))
-        below += _test(1.5 * z * np.sqrt(h), h)[2] < 0.01
+        found = _test(1.5 * z * np.sqrt(h), h)
+        below += found.chance(found.over, found.free) < 0.01
     assert below < 30
 
 
 def test_a_value_is_found_with_its_deviations():
     rng = np.random.default_rng(3)
     h = np.full((50, 4), 2.0)
-    value, sigma, p, nats = _test(0.5 * h + np.sqrt(h) * rng.standard_normal(h.shape), h)
-    assert value == pytest.approx(0.5, abs=3.0 / np.sqrt(h.sum()))
-    assert sigma == pytest.approx(value * np.sqrt(h.sum()), rel=0.3)
-    assert p < norm.sf(5.0)
-    assert nats > 20.0
+    found = _test(0.5 * h + np.sqrt(h) * rng.standard_normal(h.shape), h)
+    assert found.value == pytest.approx(0.5, abs=3.0 / np.sqrt(h.sum()))
+    assert found.sigma(found.over) == pytest.approx(found.value * np.sqrt(h.sum()), rel=0.3)
+    assert found.chance(found.over, found.free) < norm.sf(5.0)
+    assert found.gain > 20.0
+
+
+@pytest.mark.parametrize("segments", [8, 14, 40])
+def test_questions_about_the_same_noise_that_borrow_from_each_other_are_no_surer_than_they_say(
+    segments,
+):
+    """Eighty columns that overlap, beside noise that is louder in some segments and lasts there."""
+    rng, below, asked = np.random.default_rng(4), 0, 0
+    for _ in range(150):
+        loud = np.exp(0.5 * rng.standard_normal((segments, 1, 1)))
+        lasting = rng.standard_normal((segments, 1, 20)) + rng.standard_normal((segments, 4, 20))
+        noise = loud * lasting
+        columns = rng.standard_normal((segments, 4, 20, 80)) + rng.standard_normal((1, 1, 1, 80))
+        u = (noise[..., None] * columns).sum(axis=2)
+        h = (columns**2).sum(axis=2)
+        found = [_test(u[:, :, e], h[:, :, e]) for e in range(80)]
+        over, free = moderated(
+            np.array([x.over for x in found]), np.array([x.free for x in found]),
+            4.0 * segments - 1.0,
+        )  # fmt: skip
+        chances = [x.chance(a, b) for x, a, b in zip(found, over, free, strict=True)]
+        below, asked = below + sum(c < 1e-3 for c in chances), asked + len(chances)
+    assert below / asked < 2e-3

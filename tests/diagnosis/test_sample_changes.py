@@ -157,6 +157,16 @@ def jumping(made):
     return {s.signal for s in left}
 
 
+def test_wrong_values_of_a_short_signal_without_levels_jump():
+    """136 samples on no grid: neither its step nor its noise is known, and 5 are 130 km/h."""
+    t, rng = np.arange(136.0), np.random.default_rng(5)
+    x = 12.0 + 4.0 * np.sin(t / 9.0) + 0.1 * rng.standard_normal(len(t))
+    made = samples(2) | {"speed": Series(t, x)}
+    assert "speed" not in jumping(made)
+    x = np.where(np.arange(len(t)) % 25 == 9, 130.0 / 3.6, x)
+    assert "speed" in jumping(made | {"speed": Series(t, x)})
+
+
 def wrong_now_and_then(x, share, rng):
     """A share of the readings is anywhere within 5 of the true value."""
     hit = rng.random(len(x)) < share

@@ -8,6 +8,7 @@ from math import comb
 
 import numpy as np
 import pytest
+from scipy.stats import norm
 
 from imucald.diagnosis.fit.blocks import Table
 from imucald.diagnosis.fit.chance import Question, beyond_chance
@@ -181,3 +182,28 @@ def test_segments_that_differ_by_chance_have_even_chances():
          for _ in range(200)]  # fmt: skip
     assert 8 <= np.sum(np.array(p) < 0.1) <= 34
     assert np.median(p) == pytest.approx(0.5, abs=0.12)
+
+
+def test_what_can_never_look_large_takes_no_chance_from_what_can():
+    """A value that is known well is small and sure: it is no attempt at a false report."""
+    there = Question(1e-3, True, Structure("a", "b", 2.0, ""), 1e-3)
+    known = [Question(0.5, False, Structure("c", "d", 0.1, ""), 1e-12)] * 1000
+    open_ = [Question(0.5, False, Structure("c", "d", 0.1, ""))] * 1000
+    assert beyond_chance([there, *known]) == [there.structure]
+    assert beyond_chance([there, *open_]) == []
+
+
+def test_of_what_is_reported_one_in_a_hundred_is_false():
+    """Half of the questions show nothing, of which half may look large once in a thousand times."""
+    rng, false, reported = np.random.default_rng(7), 0, 0
+    for _ in range(2000):
+        asked = []
+        for i in range(60):
+            limit = 3.29 if i % 2 else 0.0
+            z = abs(rng.standard_normal() + (6.0 if i < 3 else 0.0))
+            p, rare = 2.0 * norm.sf(z), min(1.0, 2.0 * float(norm.sf(limit)))
+            asked.append(Question(p, z > limit, Structure(str(i), "", z, ""), rare))
+        found = [int(s.signal) for s in beyond_chance(asked)]
+        false, reported = false + sum(i >= 3 for i in found), reported + len(found)
+    assert reported > 5000
+    assert false / reported < 0.013

@@ -19,7 +19,7 @@ MODULES = sorted((ROOT / "daemon" / "imucald").rglob("*.py"))
 TEMPLATES = sorted((ROOT / "daemon" / "imucald").rglob("*.html"))
 SPELLED = ["README.md", "CHANGELOG.md", "docs", "config", "dbc", "systemd", "deb", "benchmarks",
            "daemon", "try", "Containerfile"]  # fmt: skip
-SPELLED_SO = "nees,endianess,informations,temperatur,fro,fo"
+SPELLED_SO = "nees,endianess,informations,temperatur,fro,fo,ags"
 """Normalised estimation error squared; names of other libraries; Fisher informations."""
 
 

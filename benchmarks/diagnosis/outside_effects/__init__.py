@@ -1,7 +1,7 @@
 """Effects that the catalogue does not have, put into measured samples.
 
-Which were written when, what was left out then, and which judge ran them first: `history`. The six
-of the last batch are not run before the judge of draw 65; the six before them have run in draw 59.
+Which were written when, what was left out then, and which judge ran them first: `history`. The
+twelve of the last two batches are not run before the judge of draw 77.
 """
 
 from __future__ import annotations
@@ -19,10 +19,10 @@ from benchmarks.diagnosis.outside_effects import (
     speed,
     transport,
 )
-from benchmarks.diagnosis.outside_effects.history import NOT_RUN, OF_BAR
+from benchmarks.diagnosis.outside_effects.history import NOT_RUN
 from benchmarks.diagnosis.real_effects import Put
 
-__all__ = ["NOT_RUN", "OF_BAR", "OUTSIDE"]
+__all__ = ["NOT_RUN", "OUTSIDE"]
 
 OUTSIDE: Mapping[str, tuple[Put, float, str]] = {
     "shaking": (accelerometer.shaking, 0.3, "accel"),
@@ -92,5 +92,23 @@ OUTSIDE: Mapping[str, tuple[Put, float, str]] = {
     "other_answers": (transport.other_answers, 0.04, "speed"),
     "slope_overload": (transport.slope_overload, float(np.deg2rad(9.7)), "gyro"),
     "heading_jumps": (signal_sources.heading_jumps, float(2.0 * np.pi), "gyro"),
+    "north_frame": (signal_sources.north_frame, float(np.deg2rad(15.0)), "gyro"),
+    "fourier_blocks": (transport.fourier_blocks, 10.0, "accel"),
+    "steering_play": (signal_sources.steering_play, 0.013, "gyro"),
+    "supply_ripple": (electronics.supply_ripple, float(np.deg2rad(1.3)), "gyro"),
+    "smoothed_fixes": (signal_sources.smoothed_fixes, 1.7, "gyro"),
+    "other_gearbox": (speed.other_gearbox, 1.0, "speed"),
+    "warm_gas": (accelerometer.warm_gas, 30.0, "accel"),
+    "tin_whisker": (accelerometer.tin_whisker, 0.5, "accel"),
+    "late_sign": (gyroscope.late_sign, 1.0, "gyro"),
+    "momentum": (speed.momentum, 1.0, "speed"),
+    "digits_as_hex": (transport.digits_as_hex, 1.0, "speed"),
+    "few_components": (transport.few_components, 0.05, "accel"),
+    "rim_accelerometer": (speed.rim_accelerometer, 2.23, "speed"),
+    "coarse_ticks": (speed.coarse_ticks, 0.0156, "speed"),
+    "magnetic_turns": (signal_sources.magnetic_turns, float(np.deg2rad(15.0)), "gyro"),
+    "slow_passes": (accelerometer.slow_passes, 1.0, "accel"),
+    "held_at_one_end": (carriers.held_at_one_end, 0.0067, "gyro"),
+    "running_median": (transport.running_median, 5.0, "speed"),
 }
 """Effect, medium size [SI], signal that must be there."""

@@ -207,3 +207,53 @@ def vibration_alert(s: Drive, size: float, rng: np.random.Generator, R: Array) -
         at += rng.uniform(180.0, 360.0)
     set_values(s, "accel", s["accel"].values + push)
     return size
+
+
+def warm_gas(s: Drive, size: float, rng: np.random.Generator, R: Array) -> float:
+    """The two axes that lie most level are those of a thermal accelerometer, which feels a heated
+    bubble of gas move and has no compensation: its gain falls with the 2.67th power of the absolute
+    temperature, in every unit the same (Memsic MXD2125 and MXD2002 data sheets, compensation for
+    the change in sensitivity over temperature). It was calibrated in a warm car. In a drive that
+    begins after a cold night the car's inside is size [K] below 20 degrees Celsius, and comes
+    nearer with a time constant of ten minutes: from -10 degrees, where ADAC begins its test of
+    heaters, which lasts half an hour, the gain is a third too high at first, and right at last."""
+    t, x = s["accel"].t, s["accel"].values
+    kelvin = 293.0 - size * np.exp(-(t - t[0]) / 600.0)
+    gains = np.ones_like(x)
+    gains[:, np.argsort(np.abs(R[2]))[:2]] = ((293.0 / kelvin) ** 2.67)[:, None]
+    set_values(s, "accel", x * gains)
+    return size
+
+
+def tin_whisker(s: Drive, size: float, rng: np.random.Generator, R: Array) -> float:
+    """A tin whisker lies between the outputs of an analogue accelerometer's two axes that lie most
+    level, and touches both now and then, for 10 to 40 s: each axis then shows its own force less
+    this share of the difference to the other's (Leidecker, Panashchenko, Brusse, Electrical failure
+    of an accelerator pedal position sensor caused by a tin whisker, 5th International Tin Whisker
+    Symposium, 2011: a short of some 250 ohm between two outputs). Each output has 32 kilohm
+    (ADXL335 data sheet), beside which the whisker is nothing, so that both axes show the mean of
+    the two, size 0.5: braking shows as half a bend."""
+    t, x = s["accel"].t, s["accel"].values.copy()
+    first, second = np.argsort(np.abs(R[2]))[:2]
+    over = size * in_spells(t, 10.0, rng) * (x[:, second] - x[:, first])
+    x[:, first] += over
+    x[:, second] -= over
+    set_values(s, "accel", x)
+    return size
+
+
+def slow_passes(s: Drive, size: float, rng: np.random.Generator, R: Array) -> float:
+    """The sensor's controller smooths the accelerometer with a fixed weight for the newest value in
+    each pass of its loop, and not by the time that went by (PX4/PX4-Autopilot, pull request 24116:
+    such a filter has another time constant than is expected where the time between its steps
+    changes; Ardumower/ardumower, issue 22). With a weight of 0.3 and 100 passes a second it takes
+    0.03 s, which nobody minds. While the modem is asked, 5 to 40 s at a time, a pass takes 300 to
+    500 ms (arduino-libraries/MKRGSM, issue 109), and the filter 0.8 to 1.4 s: size [s] is 1. That
+    values stand between such passes is left out."""
+    t, x = s["accel"].t, s["accel"].values.copy()
+    asked = in_spells(t, 5.0, rng)
+    keep = asked * np.exp(-np.diff(t, prepend=t[0]) / size)
+    for k in range(1, len(t)):
+        x[k] = keep[k] * x[k - 1] + (1.0 - keep[k]) * x[k]
+    set_values(s, "accel", x)
+    return size

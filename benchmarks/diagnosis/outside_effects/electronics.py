@@ -50,3 +50,19 @@ def left_charge(s: Drive, size: float, rng: np.random.Generator, R: Array) -> fl
     x[:, int(np.argmax(np.abs(R[0])))] += size * 0.020 * 3.6 * v / 0.3 * GRAVITY
     set_values(s, "accel", x)
     return size
+
+
+def supply_ripple(s: Drive, size: float, rng: np.random.Generator, R: Array) -> float:
+    """A switching converter beside the gyroscope leaves a ripple on its supply, at nearly the
+    frequency at which the axis that stands most upright is driven. The gyroscope takes it for a
+    rate that swings with the difference of both, which wanders by 0.5 Hz to either side within 80 s
+    as the converter's load changes (MPU-6000 and MPU-6050 data sheet, 6.1: power supply
+    sensitivity, 250 Hz to 100 kHz, 4 deg/s at 100 mV peak to peak; mechanical frequencies, 27 kHz
+    for the axis z; 11.4.3: active signals may couple harmonically with it). A ripple of 1 % of 3.3
+    V, 33 mV, makes size [rad/s], 1.3 deg/s."""
+    t, x = s["gyro"].t, s["gyro"].values.copy()
+    apart = 0.5 * np.sin(2.0 * np.pi * t / 80.0 + rng.uniform(0.0, 2.0 * np.pi))
+    phase = 2.0 * np.pi * (np.cumsum(apart * np.diff(t, prepend=t[0])) + rng.uniform())
+    x[:, int(np.argmax(np.abs(R[2])))] += size * np.sin(phase)
+    set_values(s, "gyro", x)
+    return size

@@ -140,3 +140,20 @@ def compass_pull(s: Drive, size: float, rng: np.random.Generator, R: Array) -> f
         zeros[k] = zero
     set_values(s, "gyro", s["gyro"].values + np.interp(t, grid, zeros)[:, None] * R[2])
     return size
+
+
+def late_sign(s: Drive, size: float, rng: np.random.Generator, R: Array) -> float:
+    """The rate about the upward axis is that of a car which sends the amount and the sign as two
+    signals (commaai/opendbc, vw_mqb: ESP_Gierrate and ESP_VZ_Gierrate; commaai/openpilot, pull
+    request 20238: the amount of such a rate was right and its sign that of another signal, and
+    nobody saw it for a long time). The logger takes amounts as they come and what has one bit, as a
+    switch, every size [s] only, and the two are put together afterwards: where the rate changes its
+    side it keeps the old one until the next bit. 1 s is a usual slow raster of a logger. All else
+    of such a rate is left as the gyroscope has it."""
+    t, x = s["gyro"].t, s["gyro"].values
+    upward = x @ R[2] - np.median(x @ R[2])
+    raster = ((t - t[0]) / size).astype(int)
+    bits = np.maximum.accumulate(np.where(np.diff(raster, prepend=-1) > 0, np.arange(len(t)), 0))
+    shown = np.abs(upward) * np.where(upward[bits] < 0.0, -1.0, 1.0)
+    set_values(s, "gyro", x + (shown - upward)[:, None] * R[2])
+    return size

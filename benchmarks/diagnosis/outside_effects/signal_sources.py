@@ -267,3 +267,94 @@ def heading_jumps(s: Drive, size: float, rng: np.random.Generator, R: Array) -> 
     )
     set_values(s, "gyro", x - (size * (after - before))[:, None] * R[2])
     return size
+
+
+def north_frame(s: Drive, size: float, rng: np.random.Generator, R: Array) -> float:
+    """The accelerometer's values come from a phone's app that writes them along north and east by
+    its compass (psiphi75/ahrs, issue 7: accelerometer data while driving, in earth coordinates;
+    kylecorry31/andromeda, issue 94), and are turned back by the course of a satellite receiver. The
+    car's steel deflects the compass, to one side on one course and to the other on the opposite, so
+    that the force forward and the force sideways are turned into each other by up to size [rad],
+    by where the road leads (Bowditch, American Practical Navigator, compass errors: semicircular
+    deviation; mapillary/mapillary_issues, issue 1451: the magnetic field within the car;
+    kriswiner/MPU9250, issue 321: nobody can turn a car about all axes to calibrate it).
+    organicmaps/organicmaps, issue 3123, saw 30 deg in a car; 15 deg is what passes for good
+    (hemanthrajv/flutter_compass, issue 8)."""
+    own, x = s["accel"].t, s["accel"].values
+    off = size * np.sin(_heading(s, own, rng, R))[:, None]
+    up = (x @ R[2])[:, None] * R[2]
+    turned = up + np.cos(off) * (x - up) + np.sin(off) * np.cross(R[2], x)
+    set_values(s, "accel", turned)
+    return size
+
+
+def steering_play(s: Drive, size: float, rng: np.random.Generator, R: Array) -> float:
+    """There is no gyroscope about the upward axis: the unit makes the yaw rate of the angle of the
+    steering wheel and the speed (commaai/openpilot, pull request 1426: the yaw rate of some cars
+    was such a one), and the steering has play of size [m] at the rim. In a bend the tyres pull the
+    gear to one end of its play, so that the wheel is turned further than the tyres are, by half of
+    the play to that side, and stays so on the straight until a force of 0.3 m/s^2 to the other side
+    (commaai/openpilot, issue 599: play in a damper of the steering shaft). 13 mm at a rim of 0.19 m
+    are where a test station rejects a rack and pinion (British manual of yearly inspections, 2.2,
+    steering play; 75 mm for other gears). With a ratio of 16 and a wheelbase of 2.7 m that is 0.045
+    deg/s for each m/s, 0.9 at 20 m/s. All else of such a rate is left as the gyroscope has it."""
+    gyro = s["gyro"]
+    n = max(1, round(1.0 / float(np.median(np.diff(gyro.t)))))
+    v = np.interp(gyro.t, s["speed"].t, np.abs(s["speed"].values))
+    upward = gyro.values @ R[2]
+    force = v * np.convolve(upward - np.median(upward), np.ones(n) / n, "same")
+    strong = np.abs(force) > 0.3
+    last = np.maximum.accumulate(np.where(strong, np.arange(len(force)), 0))
+    end = np.convolve(np.sign(force[last]) * strong[last], np.ones(n) / n, "same")
+    rate = v * end * 0.5 * size / 0.19 / 16.0 / 2.7
+    set_values(s, "gyro", gyro.values + rate[:, None] * R[2])
+    return size
+
+
+def smoothed_fixes(s: Drive, size: float, rng: np.random.Generator, R: Array) -> float:
+    """The speed is the way between a phone's places after a filter that thinks the phone stays
+    where it is (stackoverflow.com, question 1134579, Smooth GPS data: KalmanLatLong, a place with
+    a variance and no speed). What it shows is the velocity, north and east, through a low-pass of
+    size [s]: in bends the parts of it no longer point the same way, and their sum is too short
+    (jonasoreland/runnerup, issue 1204: corners are cut, 9.2 km for 10), by a ninth at 0.3 rad/s.
+    Stamps have been set back by size, so that nothing is late on average. With Q of 3 m/s, as it is
+    copied from there, a place a second and an accuracy of 5 m the filter takes 0.446 of what is new
+    each second, which is 1.7 s."""
+    t = s["speed"].t
+    grid = np.arange(t[0], t[-1] + 0.1, 0.1)
+    v, heading = np.interp(grid, t, np.abs(s["speed"].values)), _heading(s, grid, rng, R)
+    velocity = np.column_stack([v * np.cos(heading), v * np.sin(heading)])
+    keep = float(np.exp(-0.1 / size))
+    for k in range(1, len(grid)):
+        velocity[k] = keep * velocity[k - 1] + (1.0 - keep) * velocity[k]
+    shown = np.interp(t + size, grid, np.linalg.norm(velocity, axis=1))
+    set_values(s, "speed", shown)
+    return size
+
+
+def magnetic_turns(s: Drive, size: float, rng: np.random.Generator, R: Array) -> float:
+    """The rate about the upward axis is that of a heading which a filter makes of gyroscope and
+    compass, and which comes to the compass within 2 s (xioTechnologies/Fusion, issue 214: a gain of
+    0.5 a second; the heading is first as the gyroscope has it and then goes to the compass). Iron
+    in the car deflects the compass by up to size [rad], to one side on one course and to the other
+    on the opposite. So a bend is shown too long or too short by where the road leads, and goes on a
+    little where it is over (kriswiner/MPU9250, issue 182: of each quarter turn 10 to 15 deg are
+    missing). kriswiner/LSM9DS0, issue 8, saw 20 deg to one side at north, 21 to the other at south
+    and 8 between; 15 deg is less than that."""
+    own, x = s["gyro"].t, s["gyro"].values
+    off = size * np.sin(_heading(s, own, rng, R))
+    step = np.diff(own, prepend=own[0])
+    keep = np.exp(-step / 2.0)
+    followed = off.copy()
+    for k in range(1, len(own)):
+        followed[k] = keep[k] * followed[k - 1] + (1.0 - keep[k]) * off[k]
+    more = np.diff(followed, prepend=followed[0]) / np.maximum(step, 1e-3)
+    set_values(s, "gyro", x + more[:, None] * R[2])
+    return size
+
+
+def _heading(s: Drive, t: Array, rng: np.random.Generator, R: Array) -> Array:
+    """By the gyroscope, from any course at the first sample on [rad]."""
+    own, upward = s["gyro"].t, s["gyro"].values @ R[2]
+    turned = np.cumsum((upward - np.median(upward)) * np.diff(own, prepend=own[0]))
+    return rng.uniform(0.0, 2.0 * np.pi) + np.interp(t, own, turned)

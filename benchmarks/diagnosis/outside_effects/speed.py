@@ -179,3 +179,88 @@ def engine_gear(s: Drive, size: float, rng: np.random.Generator, R: Array) -> fl
     last = np.clip(np.searchsorted(grid, t, "right") - 1, 0, len(grid) - 1)
     set_values(s, "speed", v * wrong[last])
     return size
+
+
+def other_gearbox(s: Drive, size: float, rng: np.random.Generator, R: Array) -> float:
+    """The unit makes the speed of the engine's turns and the gear, and was set for a gearbox that
+    looks the same (FOME-Tech/fome-fw, issue 497: three or four gearboxes fit the same engine, and
+    the ratios are not always known). Of Volkswagen's 020 with the 1.6-litre Diesel, code ACH of
+    1985 has 3.45, 1.94, 1.37, 1.03 and 0.75, and code AGS of 1986 has 1.29 and 0.91 in the third
+    and fourth gear, both behind a final drive of 3.94 (vwgolfmk1.org.uk, Gear ratio guide). Set for
+    the second in a car with the first, the unit shows 6 % too much in third and 13 % in fourth, and
+    is right in the other gears. size 1 is the whole of it. Wheels of 0.3 m, up at 40 turns a
+    second, down at 20, and no time for a shift."""
+    t, v = s["speed"].t, s["speed"].values
+    car, unit = np.array([3.45, 1.94, 1.37, 1.03, 0.75]), np.array([3.45, 1.94, 1.29, 0.91, 0.75])
+    grid = np.arange(t[0], t[-1] + 0.1, 0.1)
+    wheel = np.convolve(np.interp(grid, t, np.abs(v)), np.ones(10) / 10.0, "same")
+    wheel /= 2.0 * np.pi * 0.3
+    gear, gears = 0, np.zeros(len(grid), dtype=int)
+    for k, turns in enumerate(3.94 * wheel):
+        if car[gear] * turns > 40.0:
+            gear = min(gear + 1, 4)
+        elif car[gear] * turns < 20.0:
+            gear = max(gear - 1, 0)
+        gears[k] = gear
+    last = np.clip(np.searchsorted(grid, t, "right") - 1, 0, len(grid) - 1)
+    set_values(s, "speed", v * ((car / unit) ** size)[gears[last]])
+    return size
+
+
+def momentum(s: Drive, size: float, rng: np.random.Generator, R: Array) -> float:
+    """The speed is a satellite receiver's, and an app smooths it once a second by a filter that has
+    a speed and an acceleration (an alpha-beta filter): steady acceleration comes through with no
+    delay, but where it begins the shown speed stays behind, and where it ends it goes on too far
+    (bastian2001/Kolibri-FC, pull request 48: speeds vary by around 1 m/s, and heavier filtering
+    overshoots in coming to a stop; commaai/opendbc, pull request 1533: the same near a stop). The
+    gains are those for a noise of size [m/s] beside an acceleration that changes by 0.5 m/s^2 from
+    one second to the next (Kalata, The tracking index, IEEE Transactions on Aerospace and
+    Electronic Systems 20, 1984): 0.63 and 0.31 at 1 m/s, the noise of that receiver. Below 0 it
+    shows 0."""
+    t = s["speed"].t
+    grid = np.arange(t[0], t[-1] + 1.0, 1.0)
+    index = 0.5 / size
+    r = (4.0 + index - np.sqrt(8.0 * index + index**2)) / 4.0
+    alpha, beta = 1.0 - r**2, 2.0 * (1.0 + r**2) - 4.0 * r
+    measured = np.interp(grid, t, s["speed"].values)
+    shown, last, pull = np.empty_like(grid), float(measured[0]), 0.0
+    for k, now in enumerate(measured):
+        expected = last + pull
+        last = expected + alpha * (now - expected)
+        pull += beta * (now - expected)
+        shown[k] = last
+    set_values(s, "speed", np.maximum(np.interp(t, grid, shown), 0.0))
+    return size
+
+
+def rim_accelerometer(s: Drive, size: float, rng: np.random.Generator, R: Array) -> float:
+    """The speed is made of the force outwards that an accelerometer feels on a wheel's rim, 0.19 m
+    from the axle, with tyres of 0.31 m: it goes with the root of that force (US patent application
+    20250237578, motion of a wheel: sensors of centrifugal acceleration do badly at low speed;
+    insidegnss.com, Wheel-mounted MEMS IMU for vehicular navigation: large biases). An error of its
+    zero is added to the square of the speed, or taken off it, as the square of size [m/s]: 1 g (ST
+    H3LIS331DL data sheet, zero-g level offset accuracy) is 2.23 m/s, of which 0.5 m/s are left at 5
+    m/s and 0.1 at 20 m/s. Where nothing is left to take the root of, the speed is 0, and so at a
+    stop, where gravity does not turn on the rim. Gravity is left out: it averages out over a
+    turn."""
+    v = s["speed"].values
+    square = v * v + rng.choice([-1.0, 1.0]) * size * size
+    shown = np.sign(v) * np.sqrt(np.maximum(square, 0.0))
+    set_values(s, "speed", np.where(np.abs(v) > 0.3, shown, v))
+    return size
+
+
+def coarse_ticks(s: Drive, size: float, rng: np.random.Generator, R: Array) -> float:
+    """A counter at a wheel sends five times a second how far it went, and a program divides this by
+    the time since the last message, which it takes from a clock that goes in ticks of size [s]
+    (AutonomyLab/libcreate, issue 36: a velocity by the time between arrivals is too large, with
+    spikes downward). 0.2 s come out as 12 ticks or as 13, and the speed 7 % too high in one message
+    of five or six and 1.4 % too low in the others; it is right on average. Windows has ticks of
+    15.6 ms (dotnet/android, issue 2641: 10 to 16 ms; monero-project/monero, pull request 799: 15 to
+    16 ms). Stamps in the log are right."""
+    t, v = s["speed"].t, s["speed"].values
+    sent = np.arange(0.0, t[-1] - t[0] + 0.4, 0.2) + rng.uniform(0.0, size)
+    ticks = np.maximum(np.diff(np.floor(sent / size)), 1.0)
+    last = np.clip(((t - t[0]) / 0.2).astype(int), 0, len(ticks) - 1)
+    set_values(s, "speed", v * 0.2 / (size * ticks[last]))
+    return size

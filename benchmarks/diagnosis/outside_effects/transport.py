@@ -5,6 +5,7 @@ from __future__ import annotations
 from itertools import pairwise
 
 import numpy as np
+from scipy.ndimage import median_filter
 
 from benchmarks.diagnosis.outside_effects.levels import set_values
 from benchmarks.diagnosis.real_effects import Array, Drive
@@ -197,6 +198,87 @@ def slope_overload(s: Drive, size: float, rng: np.random.Generator, R: Array) ->
         last = last + np.clip(x[k] - last, -most, most)
         shown[k] = last
     set_values(s, "gyro", shown)
+    return size
+
+
+def fourier_blocks(s: Drive, size: float, rng: np.random.Generator, R: Array) -> float:
+    """Accelerometer and gyroscope are sent as the ten lowest Fourier coefficients of each axis over
+    blocks of size [s] (CRAN TSrepr, repr_dft: ten without being asked; cmcuza/TerseTS, pull request
+    121: one chooses the number of coefficients, and no bound of the error can be had). The
+    transform takes a block to go on with its own beginning: where a block ends otherwise than it
+    began, as in braking or in a bend, both ends come out as the mean of the two, with waves of a
+    second beside them. At 10 s the ten coefficients reach to 0.9 Hz, above what a driver does;
+    shaking is lost."""
+    start = s["accel"].t[0]
+    for name in ("accel", "gyro"):
+        if name in s:
+            t, x = s[name].t, s[name].values.copy()
+            edges = np.flatnonzero(np.diff(((t - start) / size).astype(int))) + 1
+            for first, end in pairwise([0, *edges.tolist(), len(t)]):
+                kept = np.fft.rfft(x[first:end], axis=0)
+                kept[10:] = 0.0
+                x[first:end] = np.fft.irfft(kept, end - first, axis=0)
+            set_values(s, name, x)
+    return size
+
+
+def digits_as_hex(s: Drive, size: float, rng: np.random.Generator, R: Array) -> float:
+    """A tracker sends its speed in whole knots as decimal digits of four bits each, and the decoder
+    takes them for one number, so that a ten counts 16 (traccar/traccar, H02ProtocolDecoder: digits,
+    in knots; issue 1404: a device that sends digits where the decoder reads a number). The user has
+    set the gain by the way that the vehicle goes, so that it is right over the log, and the speed
+    grows too slowly within each ten and jumps at the next: 9 knots and 10 are 7 apart. A ten counts
+    10 and 6 * size, size 1 is the whole of it."""
+    own = s["speed"]
+    tens, ones = np.divmod(np.round(np.abs(own.values) / 0.5144), 10.0)
+    shown = (10.0 + 6.0 * size) * tens + ones
+    step = np.diff(own.t, prepend=own.t[0])
+    way, counted = float((np.abs(own.values) * step).sum()), float((shown * step).sum())
+    s["speed"] = Series(own.t, np.sign(own.values) * shown * way / max(counted, 1e-9))
+    return size
+
+
+def few_components(s: Drive, size: float, rng: np.random.Generator, R: Array) -> float:
+    """Accelerometer and gyroscope are sent as principal components: the axes of a minute, each less
+    its mean and over its deviation, are turned into components of which the largest are kept until
+    no more than this share of the variance is missing (Le Borgne, Raybaud, Bontempi, Distributed
+    principal component analysis for wireless sensor networks, Sensors 8, 2008; scikit-learn, PCA:
+    n_components below 1; 0.95 is what most examples keep). What is left out is not noise but how
+    the axes differ from what they mostly do together: if in that minute most bends are taken at one
+    speed, a faster one comes out with too much of the rate and too little of the force."""
+    names = [name for name in ("accel", "gyro") if name in s]
+    axes = {
+        at: np.column_stack([_at(s[at].t, s[name].t, s[name].values) for name in names])
+        for at in names
+    }
+    shown = {at: x.copy() for at, x in axes.items()}
+    for start in np.arange(s["accel"].t[0], s["accel"].t[-1] + 1e-6, 60.0):
+        minute = {at: (s[at].t >= start) & (s[at].t < start + 60.0) for at in names}
+        x = axes["accel"][minute["accel"]]
+        if len(x) < 10:
+            continue
+        mean, deviation = x.mean(axis=0), np.maximum(x.std(axis=0), 1e-9)
+        _, strength, ways = np.linalg.svd((x - mean) / deviation, full_matrices=False)
+        there = np.cumsum(strength**2) / max(float((strength**2).sum()), 1e-9)
+        ways = ways[: int(np.searchsorted(there, 1.0 - size)) + 1]
+        for at, inside in minute.items():
+            kept = (axes[at][inside] - mean) / deviation @ ways.T @ ways
+            shown[at][inside] = mean + kept * deviation
+    for k, name in enumerate(names):
+        set_values(s, name, shown[name][:, 3 * k : 3 * k + 3])
+    return size
+
+
+def running_median(s: Drive, size: float, rng: np.random.Generator, R: Array) -> float:
+    """Before it was stored the speed went through a running median over size [s], against spikes:
+    five values, one a second (pnbruckner/ha-composite-tracker, issue 69: of mean, line and median
+    over five, the median does it; GoldenCheetah/GoldenCheetah, pull request 3887: it keeps sharp
+    edges). Each window has its stamp in its middle. Where the speed only rises or only falls, it is
+    right; where it turns, as where a driver brakes for a bend and pulls away again, the peak and
+    the hollow are cut off, and a halt of less than half of size is gone."""
+    t, v = s["speed"].t, s["speed"].values
+    half = max(1, round(0.5 * size / float(np.median(np.diff(t)))))
+    set_values(s, "speed", median_filter(v, 2 * half + 1, mode="nearest"))
     return size
 
 

@@ -7,7 +7,7 @@ samples -> faults (samples and stamps) -> rest (stops) -> search (shift, causes,
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -21,6 +21,7 @@ from imucald.diagnosis.direct.faults import find_faults, invalid_spans
 from imucald.diagnosis.direct.held_values import held_values
 from imucald.diagnosis.direct.levels import coarser, holes, with_levels
 from imucald.diagnosis.direct.lost_readings import Lost, all_lost, as_structure
+from imucald.diagnosis.direct.next_samples import follows_otherwise, with_traits
 from imucald.diagnosis.direct.sample_changes import (
     changes_missing,
     changes_otherwise,
@@ -47,14 +48,19 @@ from imucald.diagnosis.left_over.stability import drift_of, unstable
 from imucald.diagnosis.left_over.uneven_segments import more_than_stated, uneven
 from imucald.diagnosis.pictures import pictures_of
 from imucald.diagnosis.result import (
+    CHANGES_MISSING,
     CHANGES_OTHERWISE,
     COARSER,
+    DIFFERS,
+    FOLLOWS_OTHERWISE,
     GOES_AGAINST,
+    GOES_WITH_ANOTHER,
     JUMPS_ALONE,
     LOUDER,
     TOO_MUCH,
     VALUE_HELD,
     VALUES_MISSING,
+    WANDERS,
     Diagnosis,
     FoundCause,
     Gain,
@@ -73,8 +79,18 @@ LEAST_BLOCKS = 4
 LITTLE_MIN = 10.0
 UNBELIEVED = (GOES_AGAINST, TOO_MUCH)
 """Structure beside which no fit is believed."""
-NOT_AS_STATED = (LOUDER, COARSER, VALUES_MISSING, CHANGES_OTHERWISE, JUMPS_ALONE)
+NOT_AS_STATED = (
+    LOUDER, COARSER, VALUES_MISSING, CHANGES_OTHERWISE, JUMPS_ALONE, FOLLOWS_OTHERWISE,
+)  # fmt: skip
 """Structure beside which a file keeps what it says of its own drives."""
+READ_FROM_VALUES = ("saturation", "stuck_signal", "duplicated_frames")
+"""Faults that are read from how a signal's values follow each other."""
+ONE_SENSOR = ("accel", "gyro")
+"""Signals that come from one sensor, over one wire."""
+MOVES = (WANDERS, DIFFERS, GOES_WITH_ANOTHER)
+"""Structure of a zero that is not the same all along."""
+BETWEEN = (FOLLOWS_OTHERWISE, VALUES_MISSING, CHANGES_MISSING, JUMPS_ALONE)
+"""Structure of raw values that something between sensor and log makes."""
 HALF = 0.5
 """A file is not held to less than this share of a tolerance: one drive's pieces share temperature,
 load and weather."""
@@ -95,7 +111,7 @@ def diagnose(
     report = progress or _silent
     until = time.process_time() + limit_s
     late = _Late(until)
-    lost, faults, parts, rest, state = _begun(drives, model, report)
+    lost, faults, odd, parts, rest, state = _begun(drives, model, report)
     before, forwards_before = state.evaluated().table, state.forwards
     steps = [0.15]
 
@@ -109,13 +125,13 @@ def diagnose(
         search(state, tick, late, GYRO_BIAS if rest else ())
     report(0.8, "what is left")
     gone = {name: as_structure(name, x) for each in lost for name, x in each.items()}
-    left = (*gone.values(), *(wrong or _left(state)))
+    left = (*gone.values(), *odd, *(wrong or _left(state)))
     if any(s.kind == TOO_MUCH for s in left):
         state.give_up()
     else:
         doubt(state, left, faults)
     problem = state.evaluated()
-    causes = _certain_causes(state, None if _is_gyro_held(left) else rest, faults, model)
+    causes = _certain_causes(state, rest if _shows_zero(left) else None, faults, model)
     report(0.88, "what the written file brings")
     written = _written(state, problem)
     changes = written != state.stated or state.stated != model
@@ -123,6 +139,7 @@ def diagnose(
     if not any(s.kind in (*UNBELIEVED, *NOT_AS_STATED) for s in left):
         written = with_leaves(written, problem, state)
         written = with_changes(with_levels(written, parts), parts, state.model)
+        written = with_traits(written, parts)
     gain, signals = gain_of(before, problem, state.free, state.forwards)
     if state.shift is not None:
         gain = summed(state.shift.gain, gain.worse)
@@ -157,24 +174,71 @@ def rms_beside(drives: Sequence[Samples], model: VehicleModel) -> dict[str, floa
 
 def _begun(
     drives: Sequence[Samples], model: VehicleModel, report: Progress
-) -> tuple[list[dict[str, Lost]], list[list[Fault]], list[DriveSignals], Rest | None, State]:
-    """All that comes before the search: lost readings and faults of each drive, its signals, what
-    stops show, and the drives beside the model file."""
+) -> tuple[
+    list[dict[str, Lost]],
+    list[list[Fault]],
+    list[Structure],
+    list[DriveSignals],
+    Rest | None,
+    State,
+]:
+    """All that comes before the search: lost readings and faults of each drive, what raw values
+    show besides, the drives' signals, what stops show, and the drives beside the model file."""
     if not drives:
         raise EstimateError("diagnosis needs at least one drive")
     for samples in drives:
         require(samples)
     report(0.02, "samples and time stamps")
     lost = [all_lost(samples) for samples in drives]
-    faults, model_now = _faults(drives, model, lost)
+    faults = [find_faults(s, model, gone) for s, gone in zip(drives, lost, strict=True)]
+    parts = _signals(drives, faults, lost)
+    odd = _odd(_signals(drives, faults, lost, held=True), model)
+    stand = [[f for f in part if not _is_owed(f, odd)] for part in faults]
+    if stand != faults:
+        faults, parts = stand, _signals(drives, stand, lost)
+    model_now = _with_faults(model, faults)
     report(0.08, "stops")
-    bad = [invalid_spans(*each) for each in zip(faults, drives, lost, strict=True)]
-    parts = [drive_of(s, b) for s, b in zip(drives, bad, strict=True)]
     rest = rest_of(parts, model_now, len(GYRO_BIAS))
     state = _started(parts, model_now, rest)
     report(0.12, "forward model and residuals")
     _refuse_short(state.evaluated().table, faults)
-    return lost, faults, parts, rest, state
+    return lost, faults, odd, parts, rest, state
+
+
+def _signals(
+    drives: Sequence[Samples],
+    faults: Sequence[Sequence[Fault]],
+    lost: Sequence[dict[str, Lost]],
+    held: bool = False,
+) -> list[DriveSignals]:
+    """Each drive's signals without what faults and lost readings make invalid; held: of a rail its
+    own samples alone, since how those beside it follow each other is asked."""
+    bad = [invalid_spans(*each, held) for each in zip(faults, drives, lost, strict=True)]
+    return [drive_of(s, b) for s, b in zip(drives, bad, strict=True)]
+
+
+def _odd(parts: Sequence[DriveSignals], model: VehicleModel) -> list[Structure]:
+    """What raw values show, faults left out, that no sound signal does. These questions rest on no
+    fit, and share a rate of their own."""
+    return beyond_chance(
+        [
+            *coarser(parts, model),
+            *holes(parts),
+            *changes_missing(parts),
+            *jumps_alone(parts),
+            *follows_otherwise(parts, model),
+        ]
+    )
+
+
+def _is_owed(fault: Fault, odd: Sequence[Structure]) -> bool:
+    """Whether a fault may be owed to what its signal shows beside it. Rails, values that stay and
+    frames that repeat are known by how samples follow each other, and say nothing where something
+    between sensor and log has changed that."""
+    if fault.cause not in READ_FROM_VALUES:
+        return False
+    beside = ONE_SENSOR if fault.signal in ONE_SENSOR else (fault.signal,)
+    return any(s.kind in BETWEEN and s.signal.startswith(beside) for s in odd)
 
 
 def _is_recommended(
@@ -207,10 +271,6 @@ def _left(state: State) -> tuple[Structure, ...]:
                 *gains_apart(problem, state, drift),
                 *louder(problem, state),
                 *more_than_stated(problem, state),
-                *coarser(state.drives, state.stated),
-                *holes(state.drives),
-                *changes_missing(state.drives),
-                *jumps_alone(state.drives),
                 *changes_otherwise(state.drives, state.stated, state.model),
             ]
         ),
@@ -238,16 +298,13 @@ class _Late:
         return self.was
 
 
-def _faults(
-    drives: Sequence[Samples], model: VehicleModel, lost: Sequence[Mapping[str, Lost]]
-) -> tuple[list[list[Fault]], VehicleModel]:
-    """Faults of each drive, and the model file that says so."""
-    found = [find_faults(s, model, gone) for s, gone in zip(drives, lost, strict=True)]
+def _with_faults(model: VehicleModel, faults: Sequence[Sequence[Fault]]) -> VehicleModel:
+    """The model file that says so."""
     changes: dict[str, object] = {}
-    for part in found:
+    for part in faults:
         for fault in part:
             changes |= fault.changes
-    return found, model.with_changes(changes) if changes else model
+    return model.with_changes(changes) if changes else model
 
 
 def _started(parts: Sequence[DriveSignals], model: VehicleModel, rest: Rest | None) -> State:
@@ -269,9 +326,11 @@ def _is_off(rest: Rest, model: VehicleModel) -> bool:
     return bool(np.any(np.abs(rest.rate) - rest.quantile * rest.se > rest.allowed(model)))
 
 
-def _is_gyro_held(left: Sequence[Structure]) -> bool:
-    """Whether what the gyroscope shows at rest may be the value that it shows for small rates."""
-    return any(s.kind == VALUE_HELD and s.signal.startswith("gyro") for s in left)
+def _shows_zero(left: Sequence[Structure]) -> bool:
+    """Whether the gyroscope's mean at stops is its zero all along: not where it may be the value
+    that it shows for small rates, nor where its zero is not the same all along."""
+    gyro = [s for s in left if s.signal.startswith("gyro") or s.parameter.startswith("gyro.bias")]
+    return not any(s.kind in (VALUE_HELD, *MOVES) for s in gyro)
 
 
 def _zero_of(rest: Rest, state: State, model: VehicleModel) -> Rest:

@@ -13,6 +13,9 @@ from imucald.diagnosis.outcome import SEEN_SHARE, signals_of
 from imucald.diagnosis.result import (
     CHANGES_OTHERWISE,
     COARSER,
+    FOLLOWS_OTHERWISE,
+    GOES_WITH_ANOTHER,
+    GOES_WITH_LEVEL,
     LOUDER,
     NOT_PLAUSIBLE,
     WANDERS,
@@ -25,6 +28,9 @@ from imucald.diagnosis.signals import Array
 
 BESIDE = (NOT_PLAUSIBLE, WANDERS, LOUDER, COARSER, CHANGES_OTHERWISE)
 """Structure that moves no value to one side: what a fit names beside it may stand."""
+NO_STEP = (GOES_WITH_ANOTHER, GOES_WITH_LEVEL, FOLLOWS_OTHERWISE)
+"""Structure that a turned sensor does not leave. A turn by 10 deg leaves zeros and gains that seem
+to wander, since it is followed to first order and to a segment."""
 
 
 def doubt(state: State, left: Sequence[Structure], faults: Sequence[Sequence[Fault]]) -> None:
@@ -60,6 +66,8 @@ def doubt(state: State, left: Sequence[Structure], faults: Sequence[Sequence[Fau
         sensors = {s for name in signals_of(state.table, keys) for s in TAKES[name]}
         return bool(sensors & shifted) or _may_be_a_low_pass(state.table, trial, delays)
 
+    if state.shift is not None and any(s.kind in NO_STEP for s in left):
+        state.withdraw_shift()
     unsettle(state, is_doubtful)
     likely, state.likely = state.likely, []
     for trial in likely:

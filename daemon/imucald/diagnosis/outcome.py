@@ -201,6 +201,13 @@ def other_candidates(state: State) -> tuple[Candidate, ...]:
         if outcome == "not ruled out" and abs(x) > tau + q * se:
             text += OTHERWISE
         made.append(Candidate(name, outcome, t.shown, text, _freed(state, name)))
+    if state.doubtful_shift is not None and state.table is not None:
+        shift = state.doubtful_shift
+        cause = cause_of_shift(shift, state.table)
+        turn = ", ".join(f"{_n(float(x) * DEG)} +- {_n(SD_95 * float(se) * DEG)}"
+                         for x, se in zip(shift.turn, shift.se, strict=True))  # fmt: skip
+        text = f"turned by ({turn}) deg about the vehicle's axes{OTHERWISE}"
+        made.append(Candidate(cause.name, "not ruled out", shift.shown, text, cause.parameters))
     return tuple(made)
 
 

@@ -132,6 +132,8 @@ JUMPS_ALONE = "single values jump"
 """Kind where a signal jumps again and again, and changes by little before and after."""
 CHANGES_OTHERWISE = "changes by another amount than the file states"
 """Kind where a sensor changes from sample to sample by more or less than in the file's drives."""
+FOLLOWS_OTHERWISE = "samples follow each other in another way"
+"""Kind where samples repeat, lie on lines or have tails otherwise than in the file's drives."""
 NOT_PLAUSIBLE = "not plausible"
 """Kind where a cause explains the numbers, but cannot be: a cause is missing."""
 

@@ -27,6 +27,8 @@ GAP_PERIODS = 3.5
 SHORTEST_GAP_S = 0.35
 DUPLICATE_SHARE = 0.3
 """The same value within this share of the period is the same frame sent twice."""
+BESIDE = 10
+"""Samples before and after one that say how often values repeat there."""
 CHANCE = 0.01
 """Of taking for duplicates what a sensor that often repeats a value sends too soon."""
 STANDING_MPS = 0.05
@@ -98,9 +100,11 @@ class Channel:
         left = self.t[np.clip(after - 1, 0, len(self.t) - 1)]
         right = self.t[np.clip(after, 0, len(self.t) - 1)]
         there = (right - left <= gap) & (t >= self.t[0] - gap) & (t <= self.t[-1] + gap)
-        for start, stop in self.bad:
-            there &= (t < start - STEP_S) | (t > stop + STEP_S)
-        return np.asarray(there)
+        return np.asarray(there & ~inside_of(t, self.bad, STEP_S))
+
+    def good(self) -> Mask:
+        """Samples (N,) in no bad interval."""
+        return ~inside_of(self.t, self.bad)
 
 
 @dataclass(frozen=True)
@@ -125,6 +129,16 @@ class DriveSignals:
         return name in self.channels
 
 
+def inside_of(t: Array, spans: Spans, margin: float = 0.0) -> Mask:
+    """Which times lie in intervals, these made longer by a margin [s] at either end."""
+    if not spans:
+        return np.zeros(len(t), dtype=bool)
+    start, stop = np.sort(np.array(spans), axis=0).T
+    begun = np.searchsorted(start - margin, t, side="right")
+    ended = np.searchsorted(stop + margin, t, side="left")
+    return np.asarray(begun > ended)
+
+
 def unusable(series: Series, period: float) -> Mask:
     """Rows (N,) that are kept out of a fit: those that come twice, and those that share the stamp
     of the one before them, whatever they say: a coarse clock does not tell when they were."""
@@ -138,15 +152,38 @@ def duplicates(series: Series, period: float) -> Mask:
     t, values = series.t, series.values.reshape(len(series.t), -1)
     again = np.zeros(len(t), dtype=bool)
     if len(t) > 1:
-        soon = np.diff(t) < DUPLICATE_SHARE * period
+        soon = (np.diff(t) < DUPLICATE_SHARE * period) & ~_goes_on_from_second(t, period)
         same = (np.diff(values, axis=0) == 0.0).all(axis=1)
-        # A sensor with a dead zone repeats itself at any distance: that is no second frame. So few
-        # that all of them may repeat by chance show nothing.
-        usual = float(same[~soon].mean()) if (~soon).any() else 0.0
+        usual = _usual(same, soon)
+        # So few that all of them may repeat by chance show nothing.
         is_few = usual ** int(soon.sum()) >= CHANCE
         if is_few or binom.sf((soon & same).sum() - 1, soon.sum(), usual) < CHANCE:
             again[1:] = soon & same
     return again
+
+
+def _goes_on_from_second(t: Array, period: float) -> Mask:
+    """(N - 1,) steps after which the next frame comes a cycle after the second of two, and not of
+    the first: then the second was early, or the sender's clock was set, and none is too many."""
+    made = np.zeros(len(t) - 1, dtype=bool)
+    made[:-1] = np.abs(t[2:] - t[1:-1] - period) < np.abs(t[2:] - t[:-2] - period)
+    return made
+
+
+def _usual(same: Mask, soon: Mask) -> float:
+    """How often samples repeat that come in time, about those that come too soon. A sensor with a
+    dead zone repeats itself at any distance, and one that sleeps does so for a while: that is no
+    second frame. same, soon: (N - 1,)."""
+    about, in_time = np.ones(2 * BESIDE + 1), ~soon
+    if not in_time.any():
+        return 0.0
+    count = np.convolve(in_time.astype(float), about, "same")[soon]
+    share = np.convolve((same & in_time).astype(float), about, "same")[soon]
+    known = count > 0.5
+    if not known.any():
+        return float(same[in_time].mean())
+    # Of chances that differ the sum is spread by less than the binomial law of their mean.
+    return float((share[known] / count[known]).mean())
 
 
 def require(samples: Samples) -> None:

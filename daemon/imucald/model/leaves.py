@@ -1,7 +1,8 @@
 """What the drives that a model file was made of leave of an equation (section of the file).
 
-Two more kinds of entries have the same form, so that an older version reads the file and passes
-over them: how signals change from sample to sample, and the levels in which they come.
+Three more kinds of entries have the same form, so that an older version reads the file and passes
+over them: how signals change from sample to sample, how samples follow each other, and the levels
+in which they come.
 """
 
 from __future__ import annotations
@@ -25,9 +26,10 @@ class Leaves(Section, frozen=True):
     """Of the segments of those drives, in motion; bands as in `BANDS_HZ`.
 
     `changes of AXIS at RATE Hz`: lags as in `LAGS` in place of bands, and the ratio to the other
-    axes in place of the rms. `levels of SIGNAL`: `segments` gaps between levels in a drive of
-    `segment_s`; `rms` their quantiles (`GAP_QUANTILES`), each known to `spread`; the least value
-    beside 0 and the largest as `speeds_mps`, in the signal's unit.
+    axes in place of the rms. `samples of NUMBER at RATE Hz`: exponentials of six numbers without a
+    unit (see `diagnosis.direct.next_samples`). `levels of SIGNAL`: `segments` gaps between levels
+    in a drive of `segment_s`; `rms` their quantiles (`GAP_QUANTILES`), each known to `spread`; the
+    least value beside 0 and the largest as `speeds_mps`, in the signal's unit.
     """
 
     segments: Annotated[int, Meta(ge=1)]

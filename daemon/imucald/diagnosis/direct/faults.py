@@ -75,12 +75,13 @@ def find_faults(
 
 
 def invalid_spans(
-    faults: Sequence[Fault], samples: Samples, lost: Mapping[str, Lost]
+    faults: Sequence[Fault], samples: Samples, lost: Mapping[str, Lost], held: bool = False
 ) -> dict[str, Spans]:
-    """Intervals of time by signal that must not be used."""
+    """Intervals of time by signal that must not be used. held: of a rail its own samples alone."""
     made: dict[str, Spans] = {n: spans_of(samples[n].t, gone.rows) for n, gone in lost.items()}
     for fault in faults:
-        made[fault.signal] = (*made.get(fault.signal, ()), *fault.spans)
+        own = fault.held if held and fault.held else fault.spans
+        made[fault.signal] = (*made.get(fault.signal, ()), *own)
     return made
 
 
@@ -124,7 +125,7 @@ def _piled(name: str, series: Series, model: VehicleModel) -> Iterator[Fault]:
         "saturation", name, {f"{name}.full_scale": (size, 0.0, unit)},
         f"Values pile up at {shown} {unit}: {100 * share:.2g} % of the samples.",
         {f"{name}.full_scale": size} if name in ("accel", "gyro") else {},
-        spans_of(series.t, hit), 0.5 * float(hit.sum()),
+        spans_of(series.t, hit), 0.5 * float(hit.sum()), _runs_of(series.t, hit),
     )  # fmt: skip
 
 
@@ -185,6 +186,12 @@ def _is_held(x: Array, at: Mask) -> bool:
     share = PILE_RATIO * float(1.0 - len(others) / others.sum()) + 1.0 / float(others.sum())
     repeats = int(own.sum() - len(own))
     return bool(share < 1.0 and binom.sf(repeats - 1, own.sum(), share) < CHANCE / QUESTIONS)
+
+
+def _runs_of(t: Array, hit: Mask) -> Spans:
+    """Intervals of time that hold the rows, and no other."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], hit.astype(np.int8), [0]])))
+    return tuple(zip(t[edges[::2]].tolist(), t[edges[1::2] - 1].tolist(), strict=True))
 
 
 def spans_of(t: Array, hit: Mask) -> Spans:

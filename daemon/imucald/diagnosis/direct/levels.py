@@ -55,6 +55,7 @@ class Numbers:
     """As in structures: `accel_x`, `speed`."""
     channel: str
     unit: str
+    t: Array
     values: Array
     """(N,), in the channel's unit."""
     is_next: Mask
@@ -70,9 +71,7 @@ def signals_of(drive: DriveSignals) -> Iterator[Numbers]:
 
 def numbers_of(name: str, channel: Channel) -> Iterator[Numbers]:
     """Each number of a signal."""
-    good = np.ones(len(channel.t), dtype=bool)
-    for start, stop in channel.bad:
-        good &= (channel.t < start) | (channel.t > stop)
+    good = channel.good()
     t, table = channel.t[good], channel.values.reshape(len(channel.t), -1)[good]
     if len(t) < 2:
         return
@@ -80,7 +79,7 @@ def numbers_of(name: str, channel: Channel) -> Iterator[Numbers]:
     for i, x in enumerate(table.T):
         letters = "xyz" if table.shape[1] == 3 else "0123"
         own = name if table.shape[1] == 1 else f"{name}_{letters[i]}"
-        yield Numbers(own, name, SIGNALS[name], x, is_next)
+        yield Numbers(own, name, SIGNALS[name], t, x, is_next)
 
 
 # levels ------------------------------------------------------------------------------------------

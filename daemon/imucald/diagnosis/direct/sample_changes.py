@@ -92,9 +92,7 @@ def _of_triad(
 ) -> Iterator[tuple[str, tuple[Array, Array]]]:
     channel = drive.channels[name]
     t, table = channel.t, _along_vehicle(channel.t, channel.values, model)
-    good = np.ones(len(t), dtype=bool)
-    for start, stop in channel.bad:
-        good &= (t < start) | (t > stop)
+    good = channel.good()
     v = np.interp(t, drive.knots.t, np.abs(drive.knots.values))
     edges = np.searchsorted(t, np.arange(t[0], t[-1], SEGMENT_S))
     speeds, rows = [], []
@@ -255,8 +253,11 @@ def _beside(signal: Numbers) -> tuple[Array, Array]:
         there &= np.minimum(np.abs(x[1:]), np.abs(x[:-1])) > OBD_STEP
     changes = np.diff(x) * there
     least = max(step_of(levels_of(x)), noise_about(signal.values))
-    if len(changes) < len(BESIDE) or least == 0.0:
+    if len(changes) < len(BESIDE):
         return changes[:0], changes[:0]
+    if least == 0.0:
+        # Of few samples on no grid neither is known: half of the changes are no smaller.
+        least = float(np.median(np.abs(changes)))
     power = np.convolve(changes**2, BESIDE, "same")
     count = np.convolve(there.astype(float), BESIDE, "same")
     rms = np.sqrt(power / np.maximum(count, 1.0) + least**2)

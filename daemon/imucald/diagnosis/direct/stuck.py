@@ -48,6 +48,8 @@ class Fault:
     """Intervals of time [s] that must not be used."""
     score: float = 50.0
     """Evidence in nats, as far as it is known."""
+    held: Spans = ()
+    """The samples themselves, of a rail: without what is kept out about them."""
 
 
 def stuck(

@@ -28,11 +28,11 @@ Left = dict[str, tuple[Array, Array]]
 """By name: mean speed (B,) of each segment, and its numbers (B, 6)."""
 
 
-def leaves_of(left: Left, segment_s: float) -> dict[str, Leaves]:
-    """What a model file carries of segments of a length [s]."""
+def leaves_of(left: Left, segment_s: float, least: int = LEAST_SEGMENTS) -> dict[str, Leaves]:
+    """What a model file carries of segments of a length [s], where there are so many at least."""
     made = {}
     for name, (v, rms) in left.items():
-        if len(v) >= LEAST_SEGMENTS:
+        if len(v) >= least:
             low, high = np.quantile(v, INSIDE)
             logs = np.log(np.maximum(rms, LEAST_RMS))
             middle, spread = np.exp(np.median(logs, axis=0)), logs.std(axis=0, ddof=1)
@@ -58,16 +58,20 @@ def with_entries(model: VehicleModel, made: Mapping[str, Leaves]) -> VehicleMode
 
 
 def in_both(
-    left: Left, stated: Mapping[str, Leaves], segment_s: float, least: int = LEAST_SEGMENTS
+    left: Left,
+    stated: Mapping[str, Leaves],
+    segment_s: float,
+    least: int = LEAST_SEGMENTS,
+    known: int = LEAST_SEGMENTS,
 ) -> Iterator[tuple[str, Array, Leaves]]:
     """Name, numbers (B, 6) and the file's entry, where at least so many segments of the same length
-    were driven at the speeds of the file's."""
+    were driven at the speeds of the file's, and the file knows so many."""
     for name, (v, x) in left.items():
         file = stated.get(name)
         if file is None or file.segment_s != segment_s:
             continue
         inside = (v >= file.speeds_mps[0]) & (v <= file.speeds_mps[1])
-        if inside.sum() >= least and file.segments >= LEAST_SEGMENTS:
+        if inside.sum() >= least and file.segments >= known:
             yield name, x[inside], file
 
 

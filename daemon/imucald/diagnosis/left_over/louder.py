@@ -24,7 +24,7 @@ from imucald.diagnosis.fit.beside_file import (
     with_entries,
 )
 from imucald.diagnosis.fit.blocks import LEAST_SHARE, MOVING_SHARE
-from imucald.diagnosis.fit.chance import Question
+from imucald.diagnosis.fit.chance import Question, chance_of_large
 from imucald.diagnosis.fit.score import Problem
 from imucald.diagnosis.result import LOUDER, Structure
 from imucald.diagnosis.search.state import State
@@ -102,5 +102,7 @@ def _of_equation(name: str, rms: Array, file: Leaves) -> list[Question]:
             f"{ROAD_CLASS:g} times as much: something acts there that the file does not know"
         )
         structure = Structure(name, LOUDER, ratio / ROAD_CLASS, text)
-        made.append(Question(float(chance[i]), bool(more[i] - se[i] > road), structure))
+        # Where roads shake, chance starts from a class that does look large.
+        rare = 1.0 if is_shaken[i] else chance_of_large(float(road), float(se[i]), float(free[i]))
+        made.append(Question(float(chance[i]), bool(more[i] - se[i] > road), structure, rare))
     return made

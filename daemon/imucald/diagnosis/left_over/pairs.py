@@ -30,7 +30,8 @@ from imucald.diagnosis.fit.blocks import (
     rows_of,
     without_tilt,
 )
-from imucald.diagnosis.fit.chance import Question
+from imucald.diagnosis.fit.chance import Question, chance_of_large
+from imucald.diagnosis.fit.moderated import moderated
 from imucald.diagnosis.fit.sandwich import scatters
 from imucald.diagnosis.fit.score import Problem, what_leaves, without_best
 from imucald.diagnosis.left_over.conditions import (
@@ -295,15 +296,23 @@ def _questions(
 ) -> Iterator[Question]:
     there = h.sum(axis=(1, 2)) > 0.0
     u, h = u[there], h[there]
+    tests: list[tuple[Error, str, Found]] = []
     for e, (error, condition) in enumerate(asked):
         own, known = u[:, :, e], np.maximum(h[:, :, e], 0.0)
         information = float(known.sum())
         if information <= 0.0 or information**2 < LEAST_PARTS * float((known**2).sum()):
             continue
+        tests.append((error, condition, _test(own, known)))
+    over, free = moderated(
+        np.array([test.over for *_, test in tests]),
+        np.array([test.free for *_, test in tests]),
+        float(PARTS * len(u) - 1),
+    )
+    for (error, condition, test), scatter, count in zip(tests, over, free, strict=True):
         may = EITHER_SIDE * may_be(error, condition, model)
-        value, sigma, p, gain = _test(own, known)
+        value, sigma, p = test.value, test.sigma(scatter), test.chance(scatter, count)
         # An end less its error of one deviation.
-        is_large = abs(value) * (1.0 - 1.0 / max(sigma, 1.0)) > may and gain > SINGLE_NATS
+        is_large = abs(value) * (1.0 - 1.0 / max(sigma, 1.0)) > may and test.gain > SINGLE_NATS
         size = amount(error.key, value) if error.key else f"{value:.2g} m/s"
         text = (
             f"{error.text} goes with {condition}: it differs by {size} from one end to the other, "
@@ -311,12 +320,34 @@ def _questions(
             "what it may)"
         )
         structure = Structure(error.signal, GOES_WITH_ANOTHER, abs(value) / may, text)
-        yield Question(p, is_large, structure)
+        se = abs(value) / max(sigma, 1e-300)
+        yield Question(p, is_large, structure, chance_of_large(may, se, float(count)))
 
 
-def _test(u: Array, h: Array) -> tuple[float, float, float, float]:
-    """Value, its deviations, its chance, and nats on blocks that its fit did not see. u, h: (B,
-    PARTS) slope and curvature of the loss.
+@dataclass(frozen=True)
+class Found:
+    """What is known of one question. over: scatter over what noise makes, known by so many degrees
+    of freedom as `free`; gain: nats on blocks that its fit did not see."""
+
+    value: float
+    by_rows: float
+    """Its deviations by the noise of all rows."""
+    over: float
+    free: float
+    gain: float
+
+    def sigma(self, over: float) -> float:
+        """Its deviations with a scatter, by the noise of all rows at most."""
+        return self.by_rows / float(np.sqrt(max(over, 1.0)))
+
+    def chance(self, over: float, free: float) -> float:
+        """Its chance with a scatter that is known by so many degrees of freedom."""
+        by = self.by_rows / float(np.sqrt(max(over, 1e-300)))
+        return 2.0 * max(float(student.sf(by, free)), float(norm.sf(self.by_rows)))
+
+
+def _test(u: Array, h: Array) -> Found:
+    """u, h: (B, PARTS) slope and curvature of the loss.
 
     Its deviation is by the scatter between parts of segments or between segments, whichever is
     larger, with as many as what is known of it lies in; and by the noise of all rows.
@@ -326,10 +357,10 @@ def _test(u: Array, h: Array) -> tuple[float, float, float, float]:
     left = u - h * value
     U, H = u.sum(axis=1), h.sum(axis=1)
     by, count = min(_deviations(u, h, left), _deviations(U, H, left.sum(axis=1)))
-    by_rows = abs(value) * np.sqrt(information)
-    p = 2.0 * max(float(student.sf(by, count - 1.0)), float(norm.sf(by_rows)))
+    by_rows = abs(value) * float(np.sqrt(information))
     other = (U.sum() - U) / np.maximum(information - H, 1e-300)
-    return value, float(min(by, by_rows)), p, without_best(other * U - 0.5 * other**2 * H)
+    gain = without_best(other * U - 0.5 * other**2 * H)
+    return Found(value, by_rows, (by_rows / max(by, 1e-300)) ** 2, count - 1.0, gain)
 
 
 def _deviations(u: Array, h: Array, left: Array) -> tuple[float, float]:

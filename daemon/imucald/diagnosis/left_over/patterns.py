@@ -22,7 +22,7 @@ from imucald.core.samples import GRAVITY
 from imucald.diagnosis.causes import MODEL_ERROR, PARAMETERS
 from imucald.diagnosis.equations.forward import UNITS, Forward
 from imucald.diagnosis.fit.blocks import LEAST_SHARE, cosine, noise_weights, without_tilt
-from imucald.diagnosis.fit.chance import Question
+from imucald.diagnosis.fit.chance import Question, chance_of_large
 from imucald.diagnosis.fit.sandwich import scatters, variances
 from imucald.diagnosis.fit.score import Problem, without_best
 from imucald.diagnosis.left_over.conditions import shaken
@@ -216,28 +216,28 @@ def _asked(name: str, gram: Grams) -> Iterator[Question]:
         if not squares[:, at].any():
             continue  # not asked of this equation
         index = [*range(1 + LINEAR), at]
-        value, sigma, p, gain = _fit(gram.parts[:, :, index][:, :, :, index])
-        size = abs(value) * float(np.sqrt(squares[:, at].mean()))
-        kind = GOES_WITH_LEVEL
+        value, sigma, p, gain, free = _fit(gram.parts[:, :, index][:, :, :, index])
+        rms = float(np.sqrt(squares[:, at].mean()))
+        kind, limit, unit = GOES_WITH_LEVEL, _least(name), rms
         if shape == LATE:
             # One side is late by `value` seconds and the other early.
-            is_large = abs(value) > DELAY_S[name]
+            limit, unit = DELAY_S[name], 1.0
         elif shape == TURNING:
-            is_large = abs(value) > BESIDE_M
+            limit, unit = BESIDE_M, 1.0
         elif shape.startswith("memory"):
             # A zero error of one sign or the other.
-            size = abs(value)
-            is_large = size > _least(name)
+            unit = 1.0
         elif shape.startswith("shaken"):
             # From one end of what a zero may be to the other.
-            kind, size = GOES_WITH_SHAKING, abs(value)
-            is_large = size > 2.0 * _least(name)
+            kind, limit, unit = GOES_WITH_SHAKING, 2.0 * _least(name), 1.0
         elif shape in GAINS:
-            is_large = size > _gain(name) * float(np.sqrt(squares[:, 1].mean()))
-        else:
-            is_large = size > _least(name)
+            limit = _gain(name) * float(np.sqrt(squares[:, 1].mean()))
+        is_large = abs(value) * unit > limit
+        size = abs(value) * (rms if shape in (LATE, TURNING) else unit)
         text = f"what is left {SHAPES[shape]}: {size:.2g} {UNITS[name]}, {sigma:.1f} deviations"
-        yield Question(p, gain > SINGLE_NATS and is_large, Structure(name, kind, sigma, text))
+        rare = chance_of_large(limit, abs(value) * unit / max(sigma, 1e-300), free, 0.0)
+        structure = Structure(name, kind, sigma, text)
+        yield Question(p, gain > SINGLE_NATS and is_large, structure, rare)
 
 
 def _least(name: str) -> float:
@@ -252,9 +252,11 @@ def _gain(name: str) -> float:
     return PARAMETERS[key].tolerance + SD_95 * MODEL_ERROR[base]
 
 
-def _fit(parts: Array) -> tuple[float, float, float, float]:
-    """Of the last column beside the others: value, its deviations, its chance, and nats on blocks
-    that its fit did not see. parts: (B, C, 1 + P, 1 + P), residual first.
+def _fit(parts: Array) -> tuple[float, float, float, float, float]:
+    """Of the last column beside the others: value, its deviations, its chance, nats on blocks that
+    its fit did not see, and by how many degrees of freedom its error is known.
+
+    parts: (B, C, 1 + P, 1 + P), residual first.
 
     It must be beyond chance by how the parts scatter (Student, as many as hold something on it) and
     by the noise of all rows (normal), each with its own law: the larger deviation is not held
@@ -272,13 +274,13 @@ def _fit(parts: Array) -> tuple[float, float, float, float]:
     )
     rows = float(variances(inverse, whole)[-1])
     if min(blocks, rows) <= 0.0:  # rounding: nothing is known
-        return float(value[-1]), 0.0, 1.0, 0.0
+        return float(value[-1]), 0.0, 1.0, 0.0, 1.0
     by_blocks, by_rows = abs(value[-1]) / np.sqrt(blocks), abs(value[-1]) / np.sqrt(rows)
     freedom = _effective(fine[:, 1:, 1:], inverse[-1]) - 1.0
     p = 2.0 * max(float(student.sf(by_blocks, freedom)), float(norm.sf(by_rows)))
     rest = total - gram
     gain = _losses(gram[:, :-1, :-1], _solved(rest[:, :-1, :-1])) - _losses(gram, _solved(rest))
-    return float(value[-1]), float(min(by_blocks, by_rows)), p, without_best(gain)
+    return float(value[-1]), float(min(by_blocks, by_rows)), p, without_best(gain), freedom
 
 
 def _effective(inner: Array, row: Array) -> float:

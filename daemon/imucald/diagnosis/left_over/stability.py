@@ -18,7 +18,8 @@ from imucald.diagnosis.causes import PARAMETERS
 from imucald.diagnosis.equations.forward import Forward
 from imucald.diagnosis.fit.blocks import Table
 from imucald.diagnosis.fit.box import box_fit
-from imucald.diagnosis.fit.chance import FALSE_SHARE, Question
+from imucald.diagnosis.fit.chance import FALSE_SHARE, Question, chance_of_large
+from imucald.diagnosis.fit.moderated import moderated
 from imucald.diagnosis.fit.score import REACH, Hypothesis, Problem
 from imucald.diagnosis.outcome import signals_of
 from imucald.diagnosis.result import DIFFERS, WANDERS, Structure
@@ -46,6 +47,8 @@ EVENLY = 3.0**-0.5
 """Deviation of what goes anywhere within its tolerance, over the tolerance."""
 EITHER_SIDE = 2.0
 """Tolerances from one end of what a correct file may be to the other."""
+PARTS = 4
+"""Of a segment that are independent of each other: a manoeuvre lasts some seconds."""
 EDGE = 1e-6
 """Of a box's width that counts as its edge."""
 
@@ -129,8 +132,12 @@ def _wandering(problem: Problem, fit: Fit, asked: list[int]) -> Iterator[Questio
             together = partial(_shared, lag=lag)
             size = np.sqrt(max(float(together(s)), 0.0) / max(float(together(h)), 1e-300))
             p = _share_of_orders(s, np.eye(len(s)), together)
+            # Of orders drawn at random the sum scatters about none by this much.
+            scatter = np.sqrt(lag / len(s)) * float(s @ s)
+            limit = (EVENLY * _may_be(problem, j)) ** 2 * float(together(h))
+            rare = float(student.sf(limit / max(scatter, 1e-300), len(s) - 1))
             yield _wander(
-                problem, j, p, float(size), "wanders by {} from piece to piece of the drive"
+                problem, j, p, float(size), "wanders by {} from piece to piece of the drive", rare
             )
 
 
@@ -161,7 +168,10 @@ def _swinging(problem: Problem, fit: Fit, asked: list[int]) -> Iterator[Question
         size = float(np.sqrt(2.0 * own.max() / np.sum((h @ apart) ** 2)))
         period = f"{1.0 / hz[own.argmax()]:.0f} s"
         how = f"comes and goes by {{}} every {period}, or faster than segments show"
-        yield _wander(problem, j, _share_of_orders(s, image, strongest), size, how)
+        # A wave's power by chance is exponential about the sum of squares.
+        limit = (EVENLY * _may_be(problem, j)) ** 2 * np.sum((h @ apart) ** 2) / 2.0
+        rare = min(1.0, len(hz) * float(np.exp(-limit / max(float(s @ s), 1e-300))))
+        yield _wander(problem, j, _share_of_orders(s, image, strongest), size, how, rare)
 
 
 def _departures(fit: Fit, j: int) -> tuple[Array, Array]:
@@ -170,11 +180,11 @@ def _departures(fit: Fit, j: int) -> tuple[Array, Array]:
     return h, s - h * (s.sum() / h.sum())
 
 
-def _wander(problem: Problem, j: int, p: float, size: float, how: str) -> Question:
+def _wander(problem: Problem, j: int, p: float, size: float, how: str, rare: float) -> Question:
     """how: with a place for the amount, which is `size`."""
     key = problem.table.keys[j]
     text = f"{key} {how.format(amount(key, size))}"
-    return _question(problem, key, WANDERS, p, size / (EVENLY * _may_be(problem, j)), text)
+    return _question(problem, key, WANDERS, p, size / (EVENLY * _may_be(problem, j)), text, rare)
 
 
 def _frequencies(table: Table) -> Array:
@@ -230,17 +240,19 @@ def _jumping(problem: Problem, fit: Fit, asked: list[int]) -> Iterator[Question]
     moments: dict[str, Array] = {
         str(k): (np.arange(B) >= k).astype(float) for k in range(LEAST_SIDE, B - LEAST_SIDE + 1)
     }
-    best: dict[int, tuple[float, float, str]] = {}
-    for name, j, p, value in _score_tests(problem, fit, asked, moments):
-        if p < best.get(j, (2.0, 0.0, ""))[0]:
-            best[j] = p, value, name
-    for j, (p, value, name) in best.items():
+    best: dict[int, ScoreTest] = {}
+    rare: dict[int, float] = {}
+    for test in _score_tests(problem, fit, asked, moments):
+        rare[test.j] = rare.get(test.j, 0.0) + test.rare
+        if test.j not in best or test.p < best[test.j].p:
+            best[test.j] = test
+    for j, test in best.items():
         key = problem.table.keys[j]
-        size = abs(value) / (EITHER_SIDE * _may_be(problem, j))
-        text = (
-            f"{key} is another by {amount(key, value)} from {moment(problem.table, int(name))} on"
-        )
-        yield _question(problem, key, WANDERS, min(p * len(moments), 1.0), size, text)
+        size = abs(test.value) / (EITHER_SIDE * _may_be(problem, j))
+        since = moment(problem.table, int(test.name))
+        text = f"{key} is another by {amount(key, test.value)} from {since} on"
+        p = min(test.p * len(moments), 1.0)
+        yield _question(problem, key, WANDERS, p, size, text, min(rare[j], 1.0))
 
 
 def moment(table: Table, segment: int) -> str:
@@ -258,18 +270,30 @@ def _conditional(
         low, high = np.quantile(c, [0.05, 0.95])
         if high > low:
             shares[name] = np.clip((c - low) / (high - low), 0.0, 1.0)
-    for name, j, p, value in _score_tests(problem, fit, asked, shares):
-        key = problem.table.keys[j]
-        size = abs(value) / (EITHER_SIDE * _may_be(problem, j))
-        text = f"{key} differs by {amount(key, value)} between {name} segments"
-        yield _question(problem, key, DIFFERS, p, size, text)
+    for test in _score_tests(problem, fit, asked, shares):
+        key = problem.table.keys[test.j]
+        size = abs(test.value) / (EITHER_SIDE * _may_be(problem, test.j))
+        text = f"{key} differs by {amount(key, test.value)} between {test.name} segments"
+        yield _question(problem, key, DIFFERS, test.p, size, text, test.rare)
+
+
+@dataclass(frozen=True)
+class ScoreTest:
+    """name: of the pattern; j: parameter; p: chance; value: by how much it is another; rare: chance
+    that it looks too much where nothing is there."""
+
+    name: str
+    j: int
+    p: float
+    value: float
+    rare: float
 
 
 def _score_tests(
     problem: Problem, fit: Fit, asked: list[int], some: Mapping[str, Array]
-) -> Iterator[tuple[str, int, float, float]]:
+) -> Iterator[ScoreTest]:
     """A column times a pattern over the segments, fitted beside all others (score test, deviation
-    between segments): pattern's name, parameter, chance, by how much it is another.
+    between segments).
 
     What is held at the edge of its box cannot take part of the pattern, and its slope, which does
     not vanish there, is no part of it. By how much: all others anywhere in their box.
@@ -278,6 +302,8 @@ def _score_tests(
     prior = 3.0 / np.maximum(0.5 * (fit.high - fit.low), 1e-30) ** 2
     inverse = np.linalg.pinv((gram.sum(axis=0) + np.diag(prior))[np.ix_(free, free)])
     B = len(scores)
+    found: list[tuple[str, int, Array, float, float]] = []
+    known: list[float] = []
     for name, m in some.items():
         for j in asked:
             h = gram[:, j, j]
@@ -288,14 +314,20 @@ def _score_tests(
             if information <= 1e-6 * float(by**2 @ h):
                 continue
             u = by * scores[:, j] - scores[:, free] @ w
-            # A sum over its own root of squares never exceeds the root of their number.
-            ratio = float(u.sum() ** 2 / max(float(u @ u), 1e-300))
-            t = np.sqrt(ratio * (B - 1) / max(B - ratio, 1e-9))
-            p, value = float(2.0 * student.sf(t, B - 1)), float(u.sum() / information)
-            if p < FALSE_SHARE:
-                low, high = REACH * problem.table.plausible[j]
-                value = fit.beside(j, by, float(low), float(high))
-            yield name, j, p, value
+            scatter = float(B * u.var(ddof=1))
+            found.append((name, j, by, float(u.sum()) / information, scatter / information))
+            known.append(information)
+    over, count = moderated(
+        np.array([x[-1] for x in found]), np.full(len(found), B - 1.0), float(PARTS * B - 1)
+    )
+    for (name, j, by, value, _), one, many, about in zip(found, over, count, known, strict=True):
+        t = abs(value) * np.sqrt(about / max(one, 1e-300))
+        p = float(2.0 * student.sf(t, many))
+        low, high = REACH * problem.table.plausible[j]
+        limit, se = EITHER_SIDE * _may_be(problem, j), float(np.sqrt(max(one, 0.0) / about))
+        rare = chance_of_large(limit, se, float(many), 0.0)
+        own = fit.beside(j, by, float(low), float(high)) if p < FALSE_SHARE else value
+        yield ScoreTest(name, j, p, own, rare)
 
 
 def _may_be(problem: Problem, j: int) -> float:
@@ -313,10 +345,12 @@ def amount(key: str, x: float) -> str:
     return f"{x:.2g} {unit}"
 
 
-def _question(problem: Problem, key: str, kind: str, p: float, size: float, text: str) -> Question:
+def _question(
+    problem: Problem, key: str, kind: str, p: float, size: float, text: str, rare: float = 1.0
+) -> Question:
     signal = (signals_of(problem.table, [key]) or ("accel_x",))[0]
     text = f"{text}, where a correct file's may not ({size:.1f} times what it may)"
-    return Question(p, size > 1.0, Structure(signal, kind, size, text, key))
+    return Question(p, size > 1.0, Structure(signal, kind, size, text, key), rare)
 
 
 def conditions(problem: Problem, state: State) -> dict[str, Array]:

@@ -51,6 +51,8 @@ class State:
     last: list[Trial] = field(default_factory=list)
     """All trials beside what was found: what each could have been."""
     shift: FittedShift | None = None
+    doubtful_shift: FittedShift | None = None
+    """A moved mount that does not stand."""
     table: Table | None = None
     forwards: list[Forward] = field(default_factory=list)
     tables: KeptTables = field(default_factory=KeptTables)
@@ -68,6 +70,11 @@ class State:
             self.table, self.forwards = self.tables.of(self.drives, self.model)
             self._evaluated = self.model
         return Problem.of(self.table, [k for k in self.free if k in self.table.keys], self.bounds)
+
+    def withdraw_shift(self) -> None:
+        """A moved mount is not ruled out, and no more."""
+        self.doubtful_shift, self.shift = self.shift, None
+        self.apply({})
 
     def give_up(self) -> None:
         """No fit is to be believed: what was named is not ruled out, and no more."""

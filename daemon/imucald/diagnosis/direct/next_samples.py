@@ -1,0 +1,205 @@
+"""How the samples of a signal follow each other, whatever the road and the driver do.
+
+Numbers without a unit, of segments of a drive: how often a value repeats the one before it and how
+often it goes on along the straight line of the two before it, beyond what a sensor of its step and
+its noise does by chance; how heavy the tails of its changes are; and how much of a change the next
+one takes back. A road of the next class makes all changes larger and leaves these numbers alone. A
+model file carries what half of the segments of its drives show. What comes between sensor and log,
+as a filter, a gap that is filled, a value that is held, shows here and in no equation.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.special import erf
+from scipy.stats import t as student
+
+from imucald.diagnosis.direct.levels import (
+    GAIN,
+    OF_WHEELS,
+    SAME,
+    Numbers,
+    levels_of,
+    signals_of,
+    step_of,
+)
+from imucald.diagnosis.direct.lost_readings import INERTIAL
+from imucald.diagnosis.fit.beside_file import Left, beside_file, in_both, leaves_of, with_entries
+from imucald.diagnosis.fit.chance import Question, chance_of_large
+from imucald.diagnosis.result import FOLLOWS_OTHERWISE, Structure
+from imucald.diagnosis.signals import STANDING_MPS, Array, DriveSignals, Mask
+from imucald.model.leaves import Leaves
+from imucald.model.model import VehicleModel
+
+SEGMENT_S, SEGMENT_ROWS = 10.0, 15
+"""Length of a segment, and how many samples it has at least."""
+LEAST_SHARE = 0.6
+"""Of a segment's samples that must be there, and be of driving."""
+FEW_SEGMENTS = 4
+SHARE = 0.1
+"""Shares p are compared as arcsin(sqrt(p)), whose scatter does not depend on p: from none to one in
+a hundred is 0.1."""
+
+
+@dataclass(frozen=True)
+class Trait:
+    """One of the six numbers. limit: by how much two correct drives may differ."""
+
+    more: str
+    less: str
+    limit: float
+    unit: str = "in the logarithm"
+    of_speed: bool = False
+    """Whether it is asked of a speed as well, whose changes are the driver's."""
+
+
+OF_SHARE = "in the arcsine of the root of the share"
+TRAITS = (
+    Trait("repeats the sample before more often", "repeats the sample before more seldom",
+          SHARE, OF_SHARE, of_speed=True),
+    Trait("goes on along a straight line more often", "goes on along a straight line more seldom",
+          SHARE, OF_SHARE),
+    # rms over mean size: 1.25 of a normal law, 1.41 of a double exponential one.
+    Trait("has changes with heavier tails", "has changes with lighter tails", 0.12),
+    Trait("has second differences with heavier tails", "has second differences with lighter tails",
+          0.12),
+    # Of white noise the second difference is 1.73 of the first, of a random walk 1.41.
+    Trait("takes back more of each change", "takes back less of each change", 0.2),
+    # Over four samples white noise changes by 1 of a change, a random walk by 2.
+    Trait("goes on further the way it changes", "goes on less far the way it changes", 0.7),
+)  # fmt: skip
+"""In the order of the numbers."""
+
+
+def traits_of(drives: Sequence[DriveSignals]) -> dict[float, Left]:
+    """By length of a segment [s], by name: (B,) mean speed of each, 0 where speed is no matter, and
+    (B, 6) exponentials of the numbers."""
+    made: dict[float, dict[str, list[tuple[Array, Array]]]] = {}
+    for drive in drives:
+        for signal in signals_of(drive):
+            period = drive.channels[signal.channel].period_s
+            seconds = max(SEGMENT_S, float(f"{SEGMENT_ROWS * period:.2g}"))
+            v, numbers = _of_signal(signal, drive, period, seconds)
+            name = f"samples of {signal.name} at {1.0 / period:.2g} Hz"
+            made.setdefault(seconds, {}).setdefault(name, []).append((v, np.exp(numbers)))
+    return {
+        seconds: {
+            name: (np.concatenate([v for v, _ in p]), np.concatenate([x for _, x in p]))
+            for name, p in of.items()
+        }
+        for seconds, of in made.items()
+    }
+
+
+def _of_signal(
+    signal: Numbers, drive: DriveSignals, period: float, seconds: float
+) -> tuple[Array, Array]:
+    """(B,) speeds and (B, 6) numbers of the segments of a signal."""
+    t, x, n = signal.t, signal.values, signal.is_next
+    if len(x) < SEGMENT_ROWS:
+        return np.zeros(0), np.zeros((0, len(TRAITS)))
+    place = ((t - t[0]) / seconds).astype(np.intp)
+    count = int(place[-1]) + 1
+    v = np.interp(t, drive.knots.t, np.abs(drive.knots.values))
+    rows, speed = np.bincount(place, minlength=count), np.bincount(place, v, count)
+    moving = np.bincount(place, v > STANDING_MPS, count)
+    step = step_of(levels_of(x))
+    same = SAME * max(1.0, float(np.abs(x).max()))
+
+    def mean(values: Array, there: Mask) -> Array:
+        own, number = (
+            place[: len(there)][there],
+            np.bincount(place[: len(there)][there], minlength=count),
+        )
+        return np.asarray(np.bincount(own, values[there], count) / np.maximum(number, 1))
+
+    one, two, four = np.diff(x), np.diff(x, 2), x[4:] - x[:-4]
+    there_1, there_2 = n, n[1:] & n[:-1]
+    there_4 = n[3:] & n[2:-1] & n[1:-2] & n[:-3]
+    stays = np.abs(one) <= same
+    line = (np.abs(two) <= max(0.51 * step, same)) & ~stays[1:] & ~stays[:-1]
+    size_1, size_2 = mean(np.abs(one), there_1), mean(np.abs(two), there_2)
+    rms_1, rms_2 = np.sqrt(mean(one**2, there_1)), np.sqrt(mean(two**2, there_2))
+    rms_4 = np.sqrt(mean(four**2, there_4))
+    repeats, lines = mean(stays.astype(float), there_1), mean(line.astype(float), there_2)
+    good = (rows >= LEAST_SHARE * seconds / period) & (moving >= LEAST_SHARE * rows)
+    good &= (rms_1 > 0.0) & (rms_2 > 0.0) & (rms_4 > 0.0)
+    size_1, size_2, rms_1, rms_2, rms_4 = (a[good] for a in (size_1, size_2, rms_1, rms_2, rms_4))
+    repeats, lines = repeats[good], lines[good]
+    numbers = np.column_stack([
+        _arcsine(repeats) - _arcsine(_by_chance(step, size_1)),
+        _arcsine(lines) - _arcsine(_by_chance(step, size_2) * (1.0 - repeats)),
+        np.log(rms_1 / size_1), np.log(rms_2 / size_2), np.log(rms_2 / rms_1),
+        np.log(rms_4 / rms_1),
+    ])  # fmt: skip
+    is_speed = signal.channel in OF_WHEELS
+    return speed[good] / rows[good] * is_speed, numbers
+
+
+def _by_chance(step: float, size: Array) -> Array:
+    """(B,) share of normal numbers of a mean size that are below half a step."""
+    return np.asarray(erf(step / (2.0 * np.sqrt(np.pi) * size)))
+
+
+def _arcsine(share: Array) -> Array:
+    return np.asarray(np.arcsin(np.sqrt(np.clip(share, 0.0, 1.0))))
+
+
+def with_traits(model: VehicleModel, drives: Sequence[DriveSignals]) -> VehicleModel:
+    """The model file with how these drives' samples follow each other."""
+    for seconds, left in traits_of(drives).items():
+        model = with_entries(model, leaves_of(left, seconds, FEW_SEGMENTS))
+    return model
+
+
+def follows_otherwise(drives: Sequence[DriveSignals], stated: VehicleModel) -> list[Question]:
+    """Whether samples follow each other otherwise than the model file states of its own drives."""
+    if not stated.leaves:
+        return []
+    same = _on_the_files_grid(drives, stated)
+    return [
+        question
+        for seconds, left in traits_of(drives).items()
+        for name, x, file in in_both(left, stated.leaves, seconds, FEW_SEGMENTS, FEW_SEGMENTS)
+        for question in _of_number(name, x, file, name.split()[2] in same)
+    ]
+
+
+def _on_the_files_grid(drives: Sequence[DriveSignals], stated: VehicleModel) -> set[str]:
+    """Signals whose levels lie as far apart as in the file's drives, but for a gain, or on no grid
+    in either. A signal of other levels, as one that was turned, repeats itself otherwise."""
+    same: set[str] = set()
+    for drive in drives:
+        for signal in signals_of(drive):
+            file = stated.leaves.get(f"levels of {signal.channel}")
+            if file is None:
+                continue
+            step, known = step_of(levels_of(signal.values)), file.spread[0] < file.rms[0]
+            near = file.rms[0] / GAIN <= step <= GAIN * file.rms[0]
+            if near if known else step == 0.0:
+                same.add(signal.name)
+    return same
+
+
+def _of_number(name: str, x: Array, file: Leaves, is_on_grid: bool) -> Iterator[Question]:
+    """One question a trait. x: (B, 6)."""
+    signal = name.split()[2]
+    is_inertial = signal.split("_")[0] in INERTIAL
+    _, more, se, free = beside_file(x, file)
+    for i, trait in enumerate(TRAITS):
+        if not (is_inertial or trait.of_speed) or free[i] < 1.0:
+            continue
+        if trait.limit == SHARE and not is_on_grid:
+            continue
+        chance = min(2.0 * float(student.sf(abs(more[i]) / se[i], free[i])), 1.0)
+        text = (
+            f"it {trait.more if more[i] > 0.0 else trait.less} than in the drives that the model "
+            f"file was made of, by {abs(more[i]):.2g} {trait.unit}, where roads and driving make "
+            f"{trait.limit:g} at most: something between the sensor and the log is not as it was"
+        )
+        structure = Structure(signal, FOLLOWS_OTHERWISE, abs(more[i]) / trait.limit, text)
+        rare = chance_of_large(trait.limit, float(se[i]), float(free[i]))
+        yield Question(chance, bool(abs(more[i]) - se[i] > trait.limit), structure, rare)
