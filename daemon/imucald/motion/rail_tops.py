@@ -57,6 +57,11 @@ class TopList:
         self.piles: dict[float, Pile] = {}
 
     @property
+    def newest(self) -> float:
+        """Top of the last hop of driving."""
+        return self.recent[-1]
+
+    @property
     def last(self) -> Top | None:
         """The lowest; None before any."""
         return self._tops[-1] if self._tops else None
@@ -136,6 +141,11 @@ class TopRows:
         ring: list[float] = self._recent.tolist()
         at = hops % TAIL_HOPS
         return ring[:hops] if hops < TAIL_HOPS else ring[at:] + ring[:at]
+
+    @property
+    def newest(self) -> float:
+        """Top of the last hop of driving."""
+        return self._recent.item((int(self._hops[0]) - 1) % TAIL_HOPS)
 
     def _top(self, k: int) -> Top:
         value, born, on, one_below, two_below, _ = self._rows[k].tolist()

@@ -241,11 +241,13 @@ class AxisRails:
         return high.found or low.found
 
     def _has_tail(self, step: float) -> bool:
-        high, low = self._high.recent, self._low.recent
-        if not high:
+        if self._tops.hops == 0:
             return False
+        high, low = self._tops.sides
         least = LEAST_STEPS * step
-        return high[-1] + low[-1] >= least or max(high) + max(low) >= least
+        if high.newest + low.newest >= least:
+            return True
+        return max(high.recent) + max(low.recent) >= least
 
     def _look_at_end(self, at: AxisHops, h: int) -> None:
         """The axis was stuck: has that ended, and was it a rail that held it?"""
