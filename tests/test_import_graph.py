@@ -78,6 +78,7 @@ LAZY_MODULES: Mapping[str, str] = {
     "api.table_access.resample: api.resampling": "with it",
     "api.table_access.to_pandas: api.interchange": "with it",
     "api.table_access.to_polars: api.interchange": "with it",
+    "cli.__call__: core.compiled": "loads numpy: only `--version` asks",
     "can.link.port.open_port: can.link.adapter": "python-can: SocketCAN does without",
     "can.logs.python_can_logs._open: can.python_can": "python-can: candump does without",
     "config.root.json_schema: config.schema": "only `imucald schema` needs it",

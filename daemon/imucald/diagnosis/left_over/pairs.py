@@ -296,7 +296,7 @@ def _questions(
 ) -> Iterator[Question]:
     there = h.sum(axis=(1, 2)) > 0.0
     u, h = u[there], h[there]
-    tests: list[tuple[Error, str, Found]] = []
+    tests: list[tuple[Error, str, PairTest]] = []
     for e, (error, condition) in enumerate(asked):
         own, known = u[:, :, e], np.maximum(h[:, :, e], 0.0)
         information = float(known.sum())
@@ -325,7 +325,7 @@ def _questions(
 
 
 @dataclass(frozen=True)
-class Found:
+class PairTest:
     """What is known of one question. over: scatter over what noise makes, known by so many degrees
     of freedom as `free`; gain: nats on blocks that its fit did not see."""
 
@@ -346,7 +346,7 @@ class Found:
         return 2.0 * max(float(student.sf(by, free)), float(norm.sf(self.by_rows)))
 
 
-def _test(u: Array, h: Array) -> Found:
+def _test(u: Array, h: Array) -> PairTest:
     """u, h: (B, PARTS) slope and curvature of the loss.
 
     Its deviation is by the scatter between parts of segments or between segments, whichever is
@@ -360,7 +360,7 @@ def _test(u: Array, h: Array) -> Found:
     by_rows = abs(value) * float(np.sqrt(information))
     other = (U.sum() - U) / np.maximum(information - H, 1e-300)
     gain = without_best(other * U - 0.5 * other**2 * H)
-    return Found(value, by_rows, (by_rows / max(by, 1e-300)) ** 2, count - 1.0, gain)
+    return PairTest(value, by_rows, (by_rows / max(by, 1e-300)) ** 2, count - 1.0, gain)
 
 
 def _deviations(u: Array, h: Array, left: Array) -> tuple[float, float]:
