@@ -19,6 +19,8 @@ REFUSALS = (ValueError, TypeError, BufferError, OverflowError, ctypes.ArgumentEr
 MARGIN = 64
 """Bytes before and behind each array that no kernel may touch."""
 GUARD = 0xA5
+CRC_BYTES, CRC_POSITION, CRC_WIDTH = 8, 9, 10
+"""Places in the numbers of `judge_frames`."""
 WHOLE = (-(2**63), -(2**31), -1, 0, 1, 7, 64, 2**31, 2**62, 2**63 - 1)
 NUMBERS = (float("nan"), float("inf"), -float("inf"), 0.0, -1.0, 1e300, -1e300, 5e-324)
 
@@ -163,6 +165,15 @@ def _one_of(rng: np.random.Generator, x: Any) -> Any:
         return x
     every = list(worse(rng, x))
     return every[int(rng.integers(len(every)))]
+
+
+@pytest.mark.parametrize("width", [1, 2])
+@pytest.mark.parametrize("covered", [-(2**63), 1 - 2**63, -1, 0, 65])
+def test_a_checksum_over_no_bytes_of_a_frame_is_refused(covered: int, width: int) -> None:
+    t, data, length, spec, *rest = copied(calls()["judge_frames"][0])
+    spec[CRC_BYTES], spec[CRC_POSITION], spec[CRC_WIDTH] = covered, 2**40, width
+    with pytest.raises(ValueError, match="numbers beyond the arrays of judge_frames"):
+        compiled.kernels.judge_frames(t, data, length, spec, *rest)
 
 
 def test_what_is_written_to_must_be_writable() -> None:

@@ -150,8 +150,9 @@ KERNEL long judge_frames(PyObject *t_, PyObject *data_, PyObject *length_, PyObj
                (!index.length || (fits(index, size) && index.length < 16 &&
                                   many >= (Size)1 << index.length)) &&
                (!fixed.length || fits(fixed, size)) &&
-               (!crc || ((crc == 1 || crc == 2) && many >= 1 && spec[CRC_BYTES] <= size &&
-                         spec[CRC_POSITION] >= 0 && spec[CRC_POSITION] <= spec[CRC_BYTES] - crc)) &&
+               (!crc || ((crc == 1 || crc == 2) && many >= 1 && spec[CRC_BYTES] >= crc &&
+                         spec[CRC_BYTES] <= size && spec[CRC_POSITION] >= 0 &&
+                         spec[CRC_POSITION] <= spec[CRC_BYTES] - crc)) &&
                state[LAST_LENGTH] >= -1 && state[LAST_LENGTH] <= MOST_BYTES &&
                state[LAST_COUNTER] >= -1 &&
                (!counter.length || state[LAST_COUNTER] < spec[MODULUS]) && spec[MAX_JUMP] >= 0 &&
