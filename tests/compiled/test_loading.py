@@ -187,3 +187,19 @@ def test_a_build_without_a_compiler_succeeds(tmp_path: Path) -> None:
 def test_a_build_may_leave_it_out(tmp_path: Path) -> None:
     pytest.importorskip("setuptools")
     assert not built(checkout(tmp_path), **{SWITCH: "0"})[1]
+
+
+@pytest.mark.slow
+@needs_headers
+def test_a_build_leaves_no_library_of_an_earlier_one(tmp_path: Path) -> None:
+    pytest.importorskip("setuptools")
+    (library,) = built(checkout(tmp_path))[1]
+    source = tmp_path / "daemon" / "imucald" / "core" / "kernels" / "stamp.c"
+    source.write_text(source.read_text() + "/* another release */\n")
+    os.utime(source, (0, 0))  # as an archive may have it
+    built(tmp_path)
+    elsewhere = tmp_path / "elsewhere"  # a process loads a name once
+    elsewhere.mkdir()
+    shutil.copy(library, elsewhere)
+    assert load(elsewhere, source.parent)[1] == "in use"
+    assert not built(tmp_path, CC="/nothing/here/cc")[1]
