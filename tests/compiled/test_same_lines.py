@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import random
+import time
+import tracemalloc
 from pathlib import Path
 
 import pytest
@@ -100,3 +102,27 @@ def test_any_bytes_behind_a_line(tmp_path_factory: pytest.TempPathFactory, rest:
     found = read(path, None)
     with compiled.left_out():
         assert_same(found, read(path, None), "log")
+
+
+def strange(path: Path, count: int) -> Path:
+    """A log of lines that are none, each of a channel that is not known."""
+    sound = b"(1600000000.000001) can0 123#0102030405060708\n"
+    path.write_bytes(sound + b"(1.0) zz xxx\n" * count)
+    return path
+
+
+def test_lines_of_unknown_channels_take_little_memory(tmp_path: Path) -> None:
+    path = strange(tmp_path / "strange.log", 4000)
+    tracemalloc.start()
+    try:
+        read(path, None)
+        assert tracemalloc.get_traced_memory()[1] < 50e6
+    finally:
+        tracemalloc.stop()
+
+
+def test_lines_of_unknown_channels_take_time_by_their_number(tmp_path: Path) -> None:
+    path = strange(tmp_path / "strange.log", 70_000)
+    began = time.process_time()
+    read(path, None)
+    assert time.process_time() - began < 5.0  # the square of their number took 15

@@ -43,6 +43,14 @@ class Lines(Struct, frozen=True):
     count: int
 
 
+def line_at(buf: Bytes, start: int, size: int) -> bytes:
+    """The line of `buf[:size]` that begins at a place, without its newline."""
+    length = 256
+    while (end := (text := buf[start : min(start + length, size)].tobytes()).find(b"\n")) < 0:
+        length *= 4
+    return text[:end]
+
+
 class _Known(Struct, frozen=True):
     """The filters of the channels met so far, as arrays (see `core/kernels/candump.c`)."""
 
@@ -89,6 +97,7 @@ class LineReader:
         self._channels, self._filter_of, self._index_of = channels, filter_of, index_of
         self._known: _Known | None = None
         self._width = CLASSIC_BYTES
+        self._odd = np.empty((ODD_LINES, 2), np.int64)
         self._make(0)
 
     def _make(self, most: int) -> None:
@@ -107,7 +116,7 @@ class LineReader:
         """Read `buf[:size]`, whole lines; `buf` must be at least 16 bytes longer."""
         if len(self._columns[0]) < size // LEAST_LINE + 1:
             self._make(size // LEAST_LINE + 1)
-        odd: list[Index] = []
+        odd = [self._odd[:0]]
         counts = np.zeros(6, np.int64)
         while self._go_on(kernels, buf, size, odd, counts):
             pass
@@ -132,14 +141,14 @@ class LineReader:
         """Read on until something is to be done; whether there is more."""
         if self._known is None:
             self._known = _Known.of(self._channels, self._filter_of)
-        odd = np.empty((ODD_LINES, 2), np.int64)
         counts[_ODD] = 0
         k = self._known
         stopped = kernels.candump(
             buf, size, k.names, k.verdicts, k.everything, k.exact, k.exact_of, k.masked,
-            k.masked_of, *self._columns, odd, counts,
+            k.masked_of, *self._columns, self._odd, counts,
         )  # fmt: skip
-        found.append(odd[: counts[_ODD]])
+        if counts[_ODD]:
+            found.append(self._odd[: counts[_ODD]].copy())
         if stopped == _NEW_CHANNEL:
             self._meet(buf, size, found, counts)
         elif stopped == _LONG_FRAME:
@@ -156,9 +165,9 @@ class LineReader:
     def _meet(self, buf: Bytes, size: int, found: list[Index], counts: Index) -> None:
         """Take the line that the kernel stopped at, with a channel that is not known."""
         start = int(counts[_PLACE])
-        end = buf[start:size].tobytes().index(b"\n") + start
-        if self._index_of(buf[start:end].tobytes()) is not None:
+        text = line_at(buf, start, size)
+        if self._index_of(text) is not None:
             self._known = None
             return
         found.append(np.array([[counts[_NUMBER], start]]))
-        counts[_PLACE], counts[_NUMBER] = end + 1, counts[_NUMBER] + 1
+        counts[_PLACE], counts[_NUMBER] = start + len(text) + 1, counts[_NUMBER] + 1

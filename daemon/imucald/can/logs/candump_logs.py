@@ -23,7 +23,7 @@ from imucald.can.id_filter import IdFilters
 from imucald.can.logs.ascii_columns import Bytes, hex_bytes, runs_at
 from imucald.can.logs.candump_block import CandumpBlock, Hits
 from imucald.can.logs.candump_line import REASONS, Line, parse_line, shown
-from imucald.can.logs.candump_lines import LineReader
+from imucald.can.logs.candump_lines import LineReader, line_at
 from imucald.can.logs.candump_shape import Layout, Shape
 from imucald.can.logs.known_shapes import KnownShapes
 from imucald.can.logs.log_format import ReadStatistics
@@ -75,7 +75,7 @@ class CandumpParser:
             self._stamp_first(buf[:size].tobytes().split(b"\n"))
         singles: list[tuple[int, Line]] = []
         for number, start in found.odd.tolist():
-            text = self._text_at(buf, start, size)
+            text = line_at(buf, start, size)
             line = self.judge(text, (place[0], place[1] + number))
             if line is not None:
                 singles.append((start, line))
@@ -85,14 +85,6 @@ class CandumpParser:
         both = [found.frames, _of_lines([line for _, line in singles], self._channels.names)]
         order = np.argsort(np.concatenate([found.place, [at for at, _ in singles]]))
         return concatenate(both).take(order), found.count
-
-    @staticmethod
-    def _text_at(buf: Bytes, start: int, size: int) -> bytes:
-        """The line that begins at a place, without its newline."""
-        length = 256
-        while (end := (text := buf[start : min(start + length, size)].tobytes()).find(b"\n")) < 0:
-            length *= 4
-        return text[:end]
 
     def parse_rest(self, text: bytes, place: Place) -> FrameColumns:
         """Return the frame (or none) of a file's last line, which lacks its newline.
