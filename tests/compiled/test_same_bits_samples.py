@@ -165,6 +165,21 @@ def test_rows_of_routes(seed: int) -> None:
         assert len(set(together.tolist())) == len(together)
 
 
+@pytest.mark.parametrize("bits", [31, 32, 33, 56])
+def test_frames_that_a_long_counter_says_are_lost(bits: int) -> None:
+    most = 1 << bits
+    spec = ProtectionSpec(8, CounterSpec(Field(0, bits, "little_endian"), most, most - 1))
+    data = np.random.default_rng(bits).integers(0, 256, (200, 8), np.uint8)
+
+    def lost() -> int:
+        checker = MessageChecker(spec)
+        for part in np.split(data, 4):
+            checker.check_columns(np.arange(50.0), part, np.full(50, 8, np.uint8))
+        return checker.lost
+
+    assert agree(lost) > 0
+
+
 COUNTER = CounterSpec(Field(8, 4, "little_endian"), 16, max_jump=2)
 SPECS = (
     ProtectionSpec(8, COUNTER, crc8_j1850(8, 0, b"\x02\x00"), 0.01, 10.0, recovery=3),

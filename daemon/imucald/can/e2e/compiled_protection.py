@@ -13,8 +13,8 @@ from imucald.can.e2e.checksum_engine import Checksum
 from imucald.can.e2e.protection_spec import ProtectionSpec
 from imucald.core.compiled import Kernels
 
-_MOST_VALUES = 1 << 59
-"""Counters of more values are left to numpy."""
+_MOST_VALUES = 1 << 32
+"""Counters of more values are left to numpy; as many as in `core/kernels/frames.c`."""
 _MOST_INDEX_BITS = 15
 
 

@@ -67,6 +67,9 @@ typedef struct {
 
 enum { TOGETHER = 4 };
 
+/* Values of a counter, so that no sum of lost frames leaves 64 bits. */
+#define MOST_VALUES ((int64_t)1 << 32)
+
 /* One byte more of each frame's checksum: of 8 bits, and of 16. */
 #define FEED_8(i) crc[i] = c->table[crc[i] ^ p[i][k]]
 #define FEED_16(i) crc[i] = (crc[i] << 8 & 0xFF00u) ^ c->table[crc[i] >> 8 ^ p[i][k]]
@@ -146,7 +149,7 @@ KERNEL long judge_frames(PyObject *t_, PyObject *data_, PyObject *length_, PyObj
     /* a frame of the message's length holds all of these; shorter ones are not looked at */
     int good = size >= 0 && size <= MOST_BYTES && width <= MOST_BYTES && width % 8 == 0 &&
                (!counter.length || (fits(counter, size) && spec[MODULUS] >= 1 &&
-                                    spec[MODULUS] <= LARGEST_COUNT / 4)) &&
+                                    spec[MODULUS] <= MOST_VALUES)) &&
                (!index.length || (fits(index, size) && index.length < 16 &&
                                   many >= (Size)1 << index.length)) &&
                (!fixed.length || fits(fixed, size)) &&
@@ -156,9 +159,9 @@ KERNEL long judge_frames(PyObject *t_, PyObject *data_, PyObject *length_, PyObj
                state[LAST_LENGTH] >= -1 && state[LAST_LENGTH] <= MOST_BYTES &&
                state[LAST_COUNTER] >= -1 &&
                (!counter.length || state[LAST_COUNTER] < spec[MODULUS]) && spec[MAX_JUMP] >= 0 &&
-               spec[MAX_JUMP] <= LARGEST_COUNT / 4 && spec[RECOVERY] >= 0 && state[DISTRUST] >= 0 &&
+               spec[MAX_JUMP] <= MOST_VALUES && spec[RECOVERY] >= 0 && state[DISTRUST] >= 0 &&
                state[MISSED] >= 0 && state[MISSED] <= LARGEST_COUNT / 4 && state[LOST] >= 0 &&
-               state[LOST] <= LARGEST_COUNT;
+               state[LOST] <= LARGEST_COUNT && n <= LARGEST_COUNT / MOST_VALUES;
     for (Size k = 0; good && crc == 1 && k < TABLE; k++)
         good = table[k] < TABLE && (k >= many || starts[k] < TABLE);
     for (Size k = TABLE; good && crc == 1 && k < many; k++)
