@@ -13,6 +13,8 @@ from setuptools import Extension, setup
 from setuptools.command.build_ext import build_ext
 
 FOLDER = Path("daemon/imucald/core/kernels")
+FLUSHING = ("-Ofast", "-ffast-math", "-funsafe-math-optimizations")
+"""With these in CFLAGS gcc links what flushes small numbers to zero, in the whole process."""
 
 
 class BuildKernels(build_ext):
@@ -25,6 +27,8 @@ class BuildKernels(build_ext):
     def build_extension(self, ext):
         """As it is, but for the compiler."""
         Path(self.get_ext_fullpath(ext.name)).unlink(missing_ok=True)
+        if linker := getattr(self.compiler, "linker_so", None):
+            self.compiler.linker_so = [flag for flag in linker if flag not in FLUSHING]
         one = self.compiler.compile
 
         def several(sources, **options):

@@ -203,3 +203,15 @@ def test_a_build_leaves_no_library_of_an_earlier_one(tmp_path: Path) -> None:
     shutil.copy(library, elsewhere)
     assert load(elsewhere, source.parent)[1] == "in use"
     assert not built(tmp_path, CC="/nothing/here/cc")[1]
+
+
+@pytest.mark.slow
+@needs_headers
+@pytest.mark.parametrize("flag", ["-Ofast", "-ffast-math"])
+def test_no_flag_makes_a_library_that_flushes_small_numbers(tmp_path: Path, flag: str) -> None:
+    pytest.importorskip("setuptools")
+    _, (made,) = built(checkout(tmp_path), CFLAGS=flag)
+    code = f"import ctypes, sys; ctypes.PyDLL({str(made)!r}); print(sys.float_info.min / 2.0 > 0.0)"
+    done = subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True)
+    assert done.stdout.strip() == "True"
+    assert load(made.parent, SOURCES)[1] == "in use"
