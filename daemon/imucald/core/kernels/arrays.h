@@ -21,6 +21,9 @@ returns where one has another: no place is read or written that was not checked 
 #if __BYTE_ORDER__ != __ORDER_LITTLE_ENDIAN__
 #error "bytes are read as little-endian words"
 #endif
+#if LONG_MAX != INT64_MAX || PTRDIFF_MAX != INT64_MAX
+#error "places are handed over as numbers of 64 bits"
+#endif
 
 /* No count that is carried on is larger. */
 #define LARGEST_COUNT (INT64_MAX / 2)
