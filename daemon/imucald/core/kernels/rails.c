@@ -53,7 +53,7 @@ static int reach(double (*tops)[TOP], int64_t *depth, double value, double on, d
     double new[TOP] = {value, hop, on, one_below, two_below, 0.0};
     memcpy(tops[n], new, sizeof new);
     *depth = n + 1;
-    return on >= LONG_STAY;
+    return on >= (double)LONG_STAY;
 }
 
 /* Let go what lies below a value that was reached at rest. */
@@ -117,7 +117,7 @@ KERNEL long rail_hops(PyObject *hops_, long begin, PyObject *moving_, PyObject *
             continue;
         }
         double hop = (double)(*count)++;
-        *usual += (level[h] - *usual) / (hop < TAIL_HOPS ? hop + 1.0 : (double)TAIL_HOPS);
+        *usual += (level[h] - *usual) / (hop < (double)TAIL_HOPS ? hop + 1.0 : (double)TAIL_HOPS);
         for (int side = 0; side < SIDES; side++) {
             double value = tops[side * all + h];
             double (*own)[TOP] = (double (*)[TOP])(rows + side * (REMEMBERED + 1) * TOP);

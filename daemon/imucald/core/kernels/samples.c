@@ -40,7 +40,7 @@ KERNEL long tick_sums(PyObject *t_, PyObject *values_, PyObject *columns_, long 
     Size down = values->strides[0], across = values->strides[1];
     for (Size i = 0; i < n;) {
         double place = floor(t[i] * rate);
-        if (!(place >= first && place < (double)first + (double)ticks)) {
+        if (!(place >= (double)first && place < (double)first + (double)ticks)) {
             i++;
             continue;
         }
