@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 import random
+import sys
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +19,10 @@ from imucald.core import compiled
 pytestmark = [needs_kernels, pytest.mark.slow]
 
 
-def replayed(log: Path) -> tuple[str, dict[str, dict[str, np.ndarray]]]:
+Replayed = tuple[str, dict[str, dict[str, np.ndarray]]]
+
+
+def replayed(log: Path) -> Replayed:
     """The result as JSON text, and all tables."""
     drive = imucald.replay(imucald.Config.load(CONFIG), log)
     tables = {name: table.as_dict() for name, table in drive.tables.items()}
@@ -47,10 +52,14 @@ def damaged(log: Path, draw: random.Random) -> None:
 
 
 def assert_equal(log: Path) -> None:
-    text, tables = replayed(log)
+    one = replayed(log)
     with compiled.left_out():
-        text_without, without = replayed(log)
-    assert text == text_without
+        assert_same(one, replayed(log))
+
+
+def assert_same(one: Replayed, other_one: Replayed) -> None:
+    (text, tables), (other_text, without) = one, other_one
+    assert text == other_text
     assert list(tables) == list(without)
     for name, table in tables.items():
         for column, values in table.items():
@@ -72,3 +81,21 @@ def test_a_damaged_drive(tmp_path: Path, seed: int) -> None:
 
 def test_a_drive_among_the_frames_of_other_units(tmp_path: Path) -> None:
     assert_equal(simulated(tmp_path, 1.0, "--background"))
+
+
+def test_drives_in_threads_at_once(tmp_path: Path) -> None:
+    logs = []
+    for minutes in (3.0, 4.0):
+        folder = tmp_path / str(minutes)
+        folder.mkdir()
+        logs.append(simulated(folder, minutes))
+    alone = [replayed(log) for log in logs]
+    interval = sys.getswitchinterval()
+    sys.setswitchinterval(1e-4)
+    try:
+        with ThreadPoolExecutor(4) as pool:
+            together = list(pool.map(replayed, 2 * logs))
+    finally:
+        sys.setswitchinterval(interval)
+    for one, other in zip(2 * alone, together, strict=True):
+        assert_same(one, other)
