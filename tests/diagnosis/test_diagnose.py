@@ -114,6 +114,16 @@ def test_a_time_limit_ends_in_an_honest_verdict():
     assert {c.name for c in d.causes} == set()
 
 
+def test_the_time_that_is_allowed_goes_by_the_hours_of_driving(monkeypatch):
+    monkeypatch.setattr("imucald.diagnosis.diagnose.LIMIT_S_PER_H", 0.0)
+    monkeypatch.setattr("imucald.diagnosis.diagnose.LEAST_LIMIT_S", 0.0)
+    made = drive("accel_bias")
+    model = model_from_mapping(dict(made.model), "b")
+    assert not diagnose([made.samples], model).complete
+    monkeypatch.setattr("imucald.diagnosis.diagnose.LIMIT_S_PER_H", 1e6)
+    assert diagnose([made.samples], model).complete
+
+
 def test_the_json_is_plain_and_progress_shows_what_it_does():
     told = []
     made = drive("dropouts", "large", "accel")

@@ -27,8 +27,6 @@ from imucald.report.wording import verdict
 
 FEW_REJECTED = 1e-4
 """Share of frames that may be rejected without a word: a damaged line or two."""
-TIME_LIMIT_S = 300.0
-"""Processor time that a diagnosis may take by default [s]."""
 Share = Callable[[float, str], None]
 """Called with the share that is done (0 to 1), and what is being done."""
 
@@ -107,7 +105,7 @@ def diagnose(
     logs: PathLike | Sequence[PathLike],
     *,
     model: PathLike | None = None,
-    time_limit_s: float = TIME_LIMIT_S,
+    time_limit_s: float | None = None,
     progress: Share | None = None,
     reading: Progress | None = None,
     strict: bool = False,
@@ -117,8 +115,9 @@ def diagnose(
     The result is that of `imucald diagnose`. logs: one drive each, with the sensor in its place.
     model: the model file to put to the test; None: a plain car with the configuration's figures
     and the mount that the drives give. time_limit_s: processor time after which what was found so
-    far is reported. progress: called with the share done and what is being done; reading: with
-    bytes. strict: the first bad line raises LogError.
+    far is reported; None: 40 s an hour of driving, and 10 s at least. progress: called with the
+    share done and what is being done; reading: with bytes. strict: the first bad line raises
+    LogError.
 
     Raises ConfigError (configuration, model file, a log given twice), LogError for a log that
     cannot be read, has no usable frame or holds the drive of another one, ImucaldError where
@@ -139,7 +138,7 @@ def diagnosis_of(
     logs: Sequence[str],
     recordings: Sequence[Recording],
     model: VehicleModel | None,
-    time_limit_s: float,
+    time_limit_s: float | None,
     progress: Share | None = None,
 ) -> DiagnosisResult:
     """Diagnose drives that have been read; see `diagnose`."""

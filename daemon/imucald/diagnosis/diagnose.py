@@ -72,8 +72,10 @@ from imucald.diagnosis.signals import DriveSignals, drive_of, require
 from imucald.model.model import VehicleModel
 
 Progress = Callable[[float, str], None]
-LIMIT_S = 300.0
-"""Processor time after which the search ends with what it has."""
+LIMIT_S_PER_H = 40.0
+"""Processor time, by hours of driving, after which the search ends with what it has; what comes
+after it takes up to 15 s an hour."""
+LEAST_LIMIT_S = 10.0
 GYRO_BIAS = tuple(f"gyro.bias.{axis}" for axis in "xyz")
 LEAST_BLOCKS = 4
 LITTLE_MIN = 10.0
@@ -100,18 +102,22 @@ def diagnose(
     drives: Sequence[Samples],
     model: VehicleModel,
     progress: Progress | None = None,
-    limit_s: float = LIMIT_S,
+    limit_s: float | None = None,
 ) -> Diagnosis:
     """Say what the simulation with this model gets wrong beside measured drives of one vehicle.
 
     drives: SI samples, sensor axes (see `imucald.core.samples`); at least `accel` and `speed`, and
-    minutes of them. limit_s: processor time after which what was found so far is reported.
+    minutes of them. limit_s: processor time after which what was found so far is reported; None:
+    `LIMIT_S_PER_H`, and not less than `LEAST_LIMIT_S`.
     Raises EstimateError where nothing can be diagnosed.
     """
     report = progress or _silent
-    until = time.process_time() + limit_s
-    late = _Late(until)
+    began = time.process_time()
     lost, faults, odd, parts, rest, state = _begun(drives, model, report)
+    driven_s = float(sum(d.duration_s for d in parts))
+    if limit_s is None:
+        limit_s = max(LIMIT_S_PER_H * driven_s / 3600.0, LEAST_LIMIT_S)
+    late = _Late(began + limit_s)
     before, forwards_before = state.evaluated().table, state.forwards
     steps = [0.15]
 
@@ -152,7 +158,7 @@ def diagnose(
         to_separate=outcome.manoeuvres(sets),
         signals=signals,
         gain=gain,
-        duration_s=float(sum(d.duration_s for d in parts)),
+        duration_s=driven_s,
         likely=tuple(outcome.cause_of_trial(state, t, {}, "likely") for t in state.likely),
         candidates=outcome.other_candidates(state),
         structure=left,
@@ -424,5 +430,8 @@ def _notes(parts: Sequence[DriveSignals], table: Table, late: _Late) -> list[str
     top = ", ".join(f"{name} {hz:.2g}" for name, hz in table.top_hz.items() if name in table.plain)
     notes.append(f"Compared up to [Hz]: {top}.")
     if late.was:
-        notes.append("The time limit ended the search: there may be more than is reported here.")
+        notes.append(
+            "The time limit ended the search: there may be more than is reported here. "
+            "A larger --time-limit lets it end by itself."
+        )
     return notes
