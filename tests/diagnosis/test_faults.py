@@ -77,6 +77,17 @@ def test_an_axis_is_clipped_also_where_a_third_of_it_is_on_the_rail():
     assert "saturation:accel" in causes(samples)
 
 
+def test_an_axis_that_never_goes_beyond_zero_is_clipped_and_states_no_range():
+    """A range of 0 is none that a model file can have: such drives ended by an error."""
+    samples = drive()
+    x = samples["accel"].values.copy()
+    x[:, 0] = np.minimum(x[:, 0] - float(np.quantile(x[:, 0], 0.97)), 0.0)
+    samples["accel"] = Series(samples["accel"].t, x)
+    fault = causes(samples)["saturation:accel"]
+    assert fault.values == {}
+    assert fault.changes == {}
+
+
 def test_readings_that_drop_to_zero_are_no_rail():
     samples = drive()
     x = samples["accel"].values.copy()

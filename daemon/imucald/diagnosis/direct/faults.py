@@ -118,13 +118,14 @@ def _piled(name: str, series: Series, model: VehicleModel) -> Iterator[Fault]:
     if not rails:
         return
     share = float(hit.mean())
-    size = float(min(abs(r) for r in rails))
+    # what never goes beyond 0 has no symmetric range that a model file could state
+    size = float(min((abs(r) for r in rails if r != 0.0), default=0.0))
     shown = ", ".join(f"{r:.4g}" for r in rails)
     unit = "m/s^2" if "accel" in name else "rad/s"
     yield Fault(
-        "saturation", name, {f"{name}.full_scale": (size, 0.0, unit)},
+        "saturation", name, {f"{name}.full_scale": (size, 0.0, unit)} if size else {},
         f"Values pile up at {shown} {unit}: {100 * share:.2g} % of the samples.",
-        {f"{name}.full_scale": size} if name in ("accel", "gyro") else {},
+        {f"{name}.full_scale": size} if size and name in ("accel", "gyro") else {},
         spans_of(series.t, hit), 0.5 * float(hit.sum()), _runs_of(series.t, hit),
     )  # fmt: skip
 

@@ -117,8 +117,9 @@ def _on_a_rail(
     for fault in piled:
         for low, high in fault.spans:
             hit |= (t[last] >= low) & (t[first] <= high)
+        size, *_ = fault.values.get(f"{name}.full_scale", (np.inf,))
         if table.shape[1] == 1:
-            hit |= np.abs(table[first, 0]) >= fault.values[f"{name}.full_scale"][0] * (1.0 - 1e-9)
+            hit |= np.abs(table[first, 0]) >= size * (1.0 - 1e-9)
     return hit
 
 
