@@ -15,6 +15,7 @@ import pytest
 from fleet_files import CONFIG, children_find_poison, environment, whole_log
 from poison import FUNCTION
 
+from imucald.can.python_can import with_mf4
 from imucald.fleet.bundle import bundle_of, unpack
 from imucald.fleet.task import LogLimits, Outcome, Task
 from imucald.fleet.template_client import Template
@@ -108,8 +109,11 @@ def test_a_pipe_is_not_waited_for(tmp_path: Path, bundle: str) -> None:
 
 def test_a_cut_mf4_is_unreadable(tmp_path: Path, bundle: str) -> None:
     pytest.importorskip("asammdf")
+    with_mf4()  # python-can may have been loaded without asammdf before
+    from can.io.mf4 import MF4Writer
+
     path = tmp_path / "whole.mf4"
-    with can.MF4Writer(path) as writer:
+    with MF4Writer(path) as writer:
         for i in range(200):
             message = can.Message(
                 timestamp=1e9 + i, arbitration_id=0x100, data=bytes(8), is_rx=True
