@@ -8,6 +8,7 @@ replay many at once; both go through `hop_rows`, so they give the same bits.
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 from msgspec import Struct
@@ -125,20 +126,8 @@ def hop_rows(values: Array, hop: Index, hops: int, carry: Carry) -> HopRows:
     before = carry.last
     carry.last = v[:, -1].copy()
     carry.run, carry.step = run[:, -1].copy(), step[:, -1].copy()
-    return HopRows(
-        count=count,
-        mean=mean.T,
-        level=level.T,
-        step=step.T,
-        ended=ended.T,
-        longest=longest.T,
-        run=run.T,
-        top=np.moveaxis(top, -1, 0),
-        on_top=np.moveaxis(on_top, -1, 0),
-        samples=v,
-        edges=edges,
-        before=before,
-    )
+    by_axis = mean, level, step, ended, longest, run
+    return _rows(v, edges, count, before, by_axis, (top, on_top))
 
 
 def _by_kernel(
@@ -155,16 +144,31 @@ def _by_kernel(
         v, edges, carry.last, carry.run, carry.step, mean, level, step, ended, longest, run, top,
         on_top,
     )  # fmt: skip
+    by_axis = mean, level, step, ended, longest, run
+    return _rows(v, edges, count, before, by_axis, (top, on_top))
+
+
+def _rows(
+    v: Array,
+    edges: Index,
+    count: Index,
+    before: Array,
+    by_axis: tuple[NDArray[Any], ...],
+    tops: tuple[NDArray[Any], ...],
+) -> HopRows:
+    """Figures by axis (axes, H), and tops (sides, axes, H), as rows of hops."""
+    mean, level, step, ended, longest, run = (figure.T for figure in by_axis)
+    top, on_top = (np.moveaxis(figure, -1, 0) for figure in tops)
     return HopRows(
         count=count,
-        mean=mean.T,
-        level=level.T,
-        step=step.T,
-        ended=ended.T,
-        longest=longest.T,
-        run=run.T,
-        top=np.moveaxis(top, -1, 0),
-        on_top=np.moveaxis(on_top, -1, 0),
+        mean=mean,
+        level=level,
+        step=step,
+        ended=ended,
+        longest=longest,
+        run=run,
+        top=top,
+        on_top=on_top,
         samples=v,
         edges=edges,
         before=before,
