@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import gzip
+import io
 import shutil
 import subprocess
 import sys
@@ -188,6 +189,15 @@ def test_standard_output_stays_open() -> None:
     )
     out = subprocess.run([sys.executable, "-c", program], capture_output=True, check=True).stdout
     assert out.split(b"\n")[:2] == [b"(0000000001.500000) can0 123#01", b"after"]
+
+
+def test_a_log_is_written_where_standard_output_has_no_bytes(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(sys, "stdout", io.StringIO())  # as in a notebook
+    with CandumpWriter(tmp_path / "a.log") as writer:
+        writer.write(1.0, 0x123, b"")
+    assert (tmp_path / "a.log").read_bytes() == b"(0000000001.000000) can0 123#\n"
 
 
 @pytest.mark.parametrize(

@@ -107,7 +107,7 @@ class CandumpWriter:
         """Write what is left and close; standard output stays open."""
         try:
             self._file.flush()
-            if self._file is not sys.stdout.buffer:
+            if self._name != "-":
                 self._file.close()
         except BrokenPipeError:
             raise
