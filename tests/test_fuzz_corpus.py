@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import importlib.util
+import shutil
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
 
+from fuzz import native
 from fuzz.targets import TARGETS
 from paths import ROOT
 
@@ -35,3 +37,20 @@ def test_some_seconds_of_new_inputs_break_nothing(name: str, tmp_path: Path):
     found = subprocess.run(command, capture_output=True, text=True, check=False, timeout=120)
     assert found.returncode == 0, found.stdout + found.stderr
     assert (tmp_path / f"{name}.txt").stat().st_size > 0
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(importlib.util.find_spec("atheris") is None, reason="atheris is not installed")
+@pytest.mark.skipif(shutil.which("clang") is None, reason="there is no clang")
+@pytest.mark.parametrize("name", native.ENTRIES)
+def test_sanitizers_find_nothing_in_the_compiled_part(name: str, tmp_path: Path):
+    command = [sys.executable, str(FUZZ), name, "--native", "--seconds", str(SECONDS)]
+    found = subprocess.run(
+        [*command, "--work", str(tmp_path)],
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=240,
+    )
+    assert found.returncode == 0, found.stdout + found.stderr
+    assert "Loaded 1 modules" in (tmp_path / f"{name}.txt").read_text(errors="replace")

@@ -3,6 +3,7 @@
 Inputs that reach new code go to a folder outside the project (--work); `--keep` merges the few
 that are needed for the same coverage into tests/fuzz/corpus, which the test suite replays.
 An input that breaks something is written to the work folder and outcome. Needs atheris (extra dev).
+With --native the compiled part is there with coverage and sanitizers of its own; needs clang too.
 """
 
 from __future__ import annotations
@@ -11,11 +12,14 @@ import argparse
 import math
 import os
 import shlex
+import shutil
 import subprocess
 import sys
 import tempfile
 import time
 from pathlib import Path
+
+import native
 
 HERE = Path(__file__).parent
 CORPUS = HERE / "corpus"
@@ -34,14 +38,18 @@ NAMES = [
     "reload",
     "frame_check",
     "wrong_keys",
+    "replayed_drive",
 ]
 ITSELF = "IMUCALD_FUZZ_ITSELF"
 """Names a program that libFuzzer starts as itself: a merge runs inputs in other processes."""
 INPUT_S, MEMORY_MB, LONGEST = 10, 2048, 65536
 """Limits of one input: time [s], memory [MB], length [bytes]."""
-ROUND = 100_000
+SHADOW = 2
+"""So much more time and memory an input takes with sanitizers."""
+ROUND, ROUNDS = 100_000, {"replayed_drive": 500}
 """Inputs of one process: atheris (3.0) keeps the outcome of each comparison of a numpy array that
-it traces, some 4 kB an input of `log`, and the memory limit is that of the whole process."""
+it traces, some 4 kB an input of `log`, 2 MB of a replay, and the memory limit is that of the whole
+process."""
 
 
 def fuzz_one(name: str, arguments: list[str]) -> None:
@@ -52,6 +60,8 @@ def fuzz_one(name: str, arguments: list[str]) -> None:
     sys.path.insert(0, str(HERE.parent))
     with atheris.instrument_imports(include=["imucald"]):
         from targets import TARGETS
+    if folder := os.environ.get(native.FOLDER):
+        native.use(Path(folder))
     atheris.Setup([os.environ.get(ITSELF, sys.argv[0]), *arguments], TARGETS[name])
     atheris.Fuzz()
 
@@ -61,8 +71,13 @@ def command(name: str, *arguments: str) -> list[str]:
     return [sys.executable, str(Path(__file__)), "--entry", name, "--", *arguments]
 
 
-def fuzz(name: str, work: Path, seconds: int) -> bool:
-    """Fuzz one entry for some seconds; whether nothing broke."""
+def fuzz(name: str, work: Path, seconds: int, built: Path | None = None) -> bool:
+    """Fuzz one entry for some seconds; whether nothing broke.
+
+    built: the folder of the compiled part with coverage and sanitizers.
+    """
+    environment = os.environ if built is None else native.environment(built)
+    more = 1 if built is None else SHADOW
     found, broken = work / name, work / "broken" / name
     found.mkdir(parents=True, exist_ok=True)
     broken.mkdir(parents=True, exist_ok=True)
@@ -75,9 +90,9 @@ def fuzz(name: str, work: Path, seconds: int) -> bool:
                 command(
                     name,
                     f"-max_total_time={left}",
-                    f"-runs={ROUND}",
-                    f"-timeout={INPUT_S}",
-                    f"-rss_limit_mb={MEMORY_MB}",
+                    f"-runs={ROUNDS.get(name, ROUND)}",
+                    f"-timeout={more * INPUT_S}",
+                    f"-rss_limit_mb={more * MEMORY_MB}",
                     f"-max_len={LONGEST}",
                     f"-artifact_prefix={broken}/",
                     "-print_final_stats=1",
@@ -86,6 +101,7 @@ def fuzz(name: str, work: Path, seconds: int) -> bool:
                 ),
                 stdout=output,
                 stderr=subprocess.STDOUT,
+                env=environment,
                 check=False,
             ).returncode
         lines = log.read_text(errors="replace").splitlines()
@@ -126,12 +142,23 @@ def main() -> int:
     parser.add_argument("--seconds", type=int, default=60, help="for each entry")
     parser.add_argument("--work", type=Path, default=Path(tempfile.gettempdir()) / "imucald-fuzz")
     parser.add_argument("--keep", action="store_true", help="merge into the kept corpus")
+    parser.add_argument(
+        "--native", action="store_true", help="with coverage and sanitizers in the compiled part"
+    )
     options = parser.parse_args()
     if unknown := set(options.entries) - set(NAMES):
         parser.error(f"no such entry: {', '.join(sorted(unknown))}; there are {', '.join(NAMES)}")
+    entries, built = options.entries or NAMES, None
+    if options.native:
+        entries, built = options.entries or native.ENTRIES, options.work / "native"
+        if others := set(entries) - set(native.ENTRIES):
+            parser.error(f"no bytes of {', '.join(sorted(others))} reach the compiled part")
+        if shutil.which("clang") is None:
+            parser.error("--native needs clang")
+        native.build(built)
     good = True
-    for name in options.entries or NAMES:
-        good &= fuzz(name, options.work, options.seconds)
+    for name in entries:
+        good &= fuzz(name, options.work, options.seconds, built)
         if options.keep:
             keep(name, options.work)
     return 0 if good else 1

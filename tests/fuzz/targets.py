@@ -23,14 +23,19 @@ from typing import Any
 
 import numpy as np
 
+import imucald
 import shuttle
+from both_ways import assert_same
+from fuzz.edited_drive import Frame, edited
 from imucald.can.dbc.bits import Field
 from imucald.can.dbc.database import load_database
 from imucald.can.e2e.checksums import crc8_j1850
 from imucald.can.e2e.protection import REASONS, MessageChecker
 from imucald.can.e2e.protection_spec import CounterSpec, ProtectionSpec
 from imucald.can.logs.log_reader import LogReader
+from imucald.cli import main
 from imucald.config import parse_config
+from imucald.core import compiled
 from imucald.core.errors import ImucaldError
 from imucald.inputs.expression import Expression
 from imucald.inputs.wiring import compile_router
@@ -46,12 +51,15 @@ from imucald.service.service import Service
 from imucald.service.service_options import ServiceOptions
 from imucald.service.status import StatusServer
 from imucald.uds.isotp_channel import IsoTpChannel
+from log_text import frames_of
 
 ROOT = Path(__file__).parents[2]
 FOLDER = Path(tempfile.mkdtemp(prefix="imucald-fuzz-"))
+EXAMPLE = ROOT / "config" / "examples" / "passenger_car.yaml"
 DATABASE_FORMATS = ("dbc", "kcd", "sym", "arxml")
 LOG_ENDINGS = (".log", ".asc", ".trc", ".csv", ".blf", ".log.gz")
 MAX_FRAMES = 200
+DRIVE_S = 10.0
 COUNTER = CounterSpec(Field(8, 4, "little_endian"), 15, max_jump=2)
 FRAME_SPECS = (
     ProtectionSpec(8, COUNTER, crc8_j1850(8, 0, b"\x02\x00"), 0.01),
@@ -120,10 +128,24 @@ def log(data: bytes) -> None:
         return
     path = FOLDER / f"drive{LOG_ENDINGS[data[0] % len(LOG_ENDINGS)]}"
     path.write_bytes(data[1:])
-    with contextlib.suppress(ImucaldError):
-        reader = LogReader([path])
-        for columns in reader:
-            assert len(columns) > 0
+    _same_without_the_compiled_part(lambda: _frames(path))
+
+
+def _frames(path: Path) -> Any:
+    reader = LogReader([path])
+    try:
+        chunks = list(reader)
+    except ImucaldError as error:
+        return str(error)
+    assert all(len(columns) > 0 for columns in chunks)
+    return frames_of(*chunks), reader.frames_read, reader.rejected, reader.problems
+
+
+def _same_without_the_compiled_part(function: Callable[[], Any]) -> None:
+    found = function()
+    if compiled.kernels is not None:
+        with compiled.left_out():
+            assert_same(found, function(), "result")
 
 
 def expression(data: bytes) -> None:
@@ -227,7 +249,7 @@ def control_order(data: bytes) -> None:
 
 @functools.cache
 def _config() -> Any:
-    return open_config(ROOT / "config" / "examples" / "passenger_car.yaml")
+    return open_config(EXAMPLE)
 
 
 def bus_frames(data: bytes) -> None:
@@ -313,6 +335,35 @@ def wrong_keys(data: bytes) -> None:
         file.unlink()
 
 
+@functools.cache
+def _drive() -> list[Frame]:
+    """The frames of a short simulated drive."""
+    path = FOLDER / "simulated.log"
+    minutes = str(DRIVE_S / 60.0)
+    with contextlib.redirect_stdout(io.StringIO()):
+        assert main(["simulate", "--out", str(path), "--seed", "5", "--minutes", minutes]) == 0
+    lines = [line.split() for line in path.read_text().splitlines()]
+    parts = [(stamp, *frame.partition("#")) for stamp, _, frame in lines]
+    return [
+        Frame(float(stamp[1:-1]), can_id, bytes.fromhex(text)) for stamp, can_id, _, text in parts
+    ]
+
+
+def replayed_drive(data: bytes) -> None:
+    """Edits of a drive, through a whole replay."""
+    path = FOLDER / "edited.log"
+    path.write_text(edited(_drive(), data), "latin-1")
+    _same_without_the_compiled_part(lambda: _replayed(path))
+
+
+def _replayed(path: Path) -> Any:
+    try:
+        drive = imucald.replay(imucald.Config.load(EXAMPLE), path)
+    except ImucaldError as error:
+        return str(error)
+    return drive.to_dict(), {name: table.as_dict() for name, table in drive.tables.items()}
+
+
 TARGETS: dict[str, Callable[[bytes], None]] = {
     target.__name__: target
     for target in (
@@ -330,6 +381,7 @@ TARGETS: dict[str, Callable[[bytes], None]] = {
         reload,
         frame_check,
         wrong_keys,
+        replayed_drive,
     )
 }
 """Entries by name; a new one is added here and gets seeds in corpus/NAME."""
