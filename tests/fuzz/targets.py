@@ -27,6 +27,7 @@ import imucald
 import shuttle
 from both_ways import assert_same
 from fuzz.edited_drive import Frame, edited
+from imucald.can.columns import CAN_EFF_FLAG, IdMatch
 from imucald.can.dbc.bits import Field
 from imucald.can.dbc.database import load_database
 from imucald.can.e2e.checksums import crc8_j1850
@@ -58,6 +59,12 @@ FOLDER = Path(tempfile.mkdtemp(prefix="imucald-fuzz-"))
 EXAMPLE = ROOT / "config" / "examples" / "passenger_car.yaml"
 DATABASE_FORMATS = ("dbc", "kcd", "sym", "arxml")
 LOG_ENDINGS = (".log", ".asc", ".trc", ".csv", ".blf", ".log.gz")
+KEEP = [
+    None,
+    [IdMatch(0x123, 0x7FF), IdMatch(0x1ABCDE + CAN_EFF_FLAG, 0x1FFFFFFF)],
+    [IdMatch(0x100, 0x700, "can0"), IdMatch(0x7F0, 0x7F0, "vcan1")],
+    [IdMatch(0x18FF0000 + CAN_EFF_FLAG, 0x1FFF0000)],
+]
 MAX_FRAMES = 200
 DRIVE_S = 10.0
 COUNTER = CounterSpec(Field(8, 4, "little_endian"), 15, max_jump=2)
@@ -123,22 +130,23 @@ def database(data: bytes) -> None:
 
 
 def log(data: bytes) -> None:
-    """A recorded log; the first byte chooses its format."""
+    """A recorded log; the first byte chooses its format and which frames are asked for."""
     if not data:
         return
-    path = FOLDER / f"drive{LOG_ENDINGS[data[0] % len(LOG_ENDINGS)]}"
+    which, ending = divmod(data[0], len(LOG_ENDINGS))
+    path = FOLDER / f"drive{LOG_ENDINGS[ending]}"
     path.write_bytes(data[1:])
-    _same_without_the_compiled_part(lambda: _frames(path))
+    _same_without_the_compiled_part(lambda: _frames(path, KEEP[which % len(KEEP)]))
 
 
-def _frames(path: Path) -> Any:
-    reader = LogReader([path])
+def _frames(path: Path, keep: list[IdMatch] | None) -> Any:
+    reader = LogReader([path], keep)
     try:
         chunks = list(reader)
     except ImucaldError as error:
         return str(error)
     assert all(len(columns) > 0 for columns in chunks)
-    return frames_of(*chunks), reader.frames_read, reader.rejected, reader.problems
+    return frames_of(*chunks), reader.frames_read, reader.rejected, reader.problems, reader.ignored
 
 
 def _same_without_the_compiled_part(function: Callable[[], Any]) -> None:
