@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import importlib.util
-import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -41,7 +40,7 @@ def test_some_seconds_of_new_inputs_break_nothing(name: str, tmp_path: Path):
 
 @pytest.mark.slow
 @pytest.mark.skipif(importlib.util.find_spec("atheris") is None, reason="atheris is not installed")
-@pytest.mark.skipif(shutil.which("clang") is None, reason="there is no clang")
+@pytest.mark.skipif(bool(native.missing()), reason=native.missing())
 @pytest.mark.parametrize("name", native.ENTRIES)
 def test_sanitizers_find_nothing_in_the_compiled_part(name: str, tmp_path: Path):
     command = [sys.executable, str(FUZZ), name, "--native", "--seconds", str(SECONDS)]

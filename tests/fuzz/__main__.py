@@ -12,7 +12,6 @@ import argparse
 import math
 import os
 import shlex
-import shutil
 import subprocess
 import sys
 import tempfile
@@ -153,8 +152,8 @@ def main() -> int:
         entries, built = options.entries or native.ENTRIES, options.work / "native"
         if others := set(entries) - set(native.ENTRIES):
             parser.error(f"no bytes of {', '.join(sorted(others))} reach the compiled part")
-        if shutil.which("clang") is None:
-            parser.error("--native needs clang")
+        if missing := native.missing():
+            parser.error(f"--native: {missing}")
         native.build(built)
     good = True
     for name in entries:

@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import importlib.util
 import os
+import shutil
 import subprocess
 import sysconfig
 from importlib.machinery import EXTENSION_SUFFIXES
@@ -29,8 +30,17 @@ SANITIZER = {
 }
 
 
+def missing() -> str:
+    """What is not there of what `build` needs; "" where all is."""
+    if shutil.which("clang") is None:
+        return "there is no clang"
+    if not Path(sysconfig.get_path("include"), "Python.h").exists():
+        return "there are no headers of Python"
+    return ""
+
+
 def build(folder: Path) -> None:
-    """Build the library into a folder; raises CalledProcessError, or OSError without a clang.
+    """Build the library into a folder; raises CalledProcessError.
 
     It is linked without the sanitizers: those of atheris are in the process already.
     """
