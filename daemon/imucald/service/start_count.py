@@ -12,6 +12,8 @@ from pathlib import Path
 
 LONG_ENOUGH_S = 60.0
 """Whoever lived so long is in no loop: its next restart is at once again."""
+ENDED = b"ended\n"
+"""Written over a count; whatever is no number counts for nothing."""
 
 
 def start_count_file(environment: Mapping[str, str]) -> Path | None:
@@ -25,8 +27,9 @@ def start_count_file(environment: Mapping[str, str]) -> Path | None:
 def end_count(path: Path | None) -> None:
     """An orderly end, or one that another start would not mend, is no part of a loop."""
     if path is not None:
-        with suppress(OSError):  # then a restart waits for a while
-            path.unlink(missing_ok=True)
+        # in place, as the unit does: where the disk is full meanwhile, no new file could be written
+        with suppress(OSError), path.open("r+b") as file:  # else a restart waits for a while
+            file.write(ENDED)
 
 
 class StartCount:
