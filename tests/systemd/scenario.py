@@ -197,6 +197,32 @@ def crash_loop():
     return found | {"active": show("ActiveState")}
 
 
+def no_folder():
+    """systemd cannot make the folders of the service: nothing of the unit is run."""
+    again = f"imucald-again@{UNIT.partition('@')[2]}"
+    cache = "/var/cache"
+
+    def fail():
+        shell("mount", "-t", "tmpfs", "-o", "ro", "none", cache)
+        shell("systemctl", "start", UNIT, check=False)
+
+    shell("systemctl", "stop", UNIT)
+    fail()
+    before = int(show("NRestarts"))
+    time.sleep(10.0)
+    found = {"code": show("ExecMainStatus"), "restarts": int(show("NRestarts")) - before}
+    shell("umount", cache)
+    found["again"] = wait(is_active, 60.0)
+    shell("systemctl", "stop", UNIT)
+    fail()
+    found["waits"] = shell("systemctl", "is-active", again, check=False).strip()
+    shell("systemctl", "stop", UNIT)
+    found["stopped"] = shell("systemctl", "is-active", again, check=False).strip()
+    shell("umount", cache)
+    shell("systemctl", "start", UNIT)
+    return found
+
+
 def heavy_database():
     """A database whose comments take more memory to parse than the unit has."""
     heavy = pathlib.Path("/etc/imucald/shuttle.dbc")
@@ -486,6 +512,7 @@ SCENES = (
     reloaded,
     stopped,
     crash_loop,
+    no_folder,
     heavy_database,
     one_interface,
     interface_lost,

@@ -54,6 +54,12 @@ def test_systemd_finds_no_mistake(installed):
     assert "WatchdogSecs" in analyze("verify", str(unit)).stderr
 
 
+def test_the_unit_for_another_start_is_sound(installed):
+    shutil.copy(installed / "imucald-again@.service", installed / "imucald-again@can0.service")
+    done = analyze("verify", str(installed / "imucald-again@can0.service"))
+    assert (done.returncode, done.stderr) == (0, "")
+
+
 @pytest.mark.parametrize("name", ["imucald-metrics.service", "imucald-metrics-http.service"])
 def test_the_units_for_prometheus_are_sound_and_sandboxed(installed, name):
     done = analyze("verify", str(installed / name))
