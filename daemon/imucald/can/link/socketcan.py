@@ -15,6 +15,7 @@ from __future__ import annotations
 
 import errno
 import fcntl
+import os
 import select
 import socket
 import struct
@@ -182,7 +183,7 @@ class SocketCan:
 
     def is_up(self) -> bool:
         """Whether the interface is set up (an ioctl on our own socket: needs no other family)."""
-        request = _FLAGS_REQUEST.pack(self._channel.encode(), 0)
+        request = _FLAGS_REQUEST.pack(os.fsencode(self._channel), 0)
         try:
             answer = fcntl.ioctl(self._socket, _SIOCGIFFLAGS, request)
         except OSError:
