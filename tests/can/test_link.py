@@ -189,6 +189,7 @@ class Faulty:
     def __init__(self) -> None:
         self.lost = 0
         self.receive_buffer = 0
+        self.rejected, self.why_rejected = 0, ""
         self.now = 0.0
         self.there = True
         self.up = True

@@ -20,6 +20,7 @@ _LINK_COUNTERS = {
     "bus_off": "Times the controller left the bus.",
     "went_down": "Times the interface was set down.",
     "reopened": "Times the interface was opened again.",
+    "rejected": "Frames of the interface's driver that could not be understood.",
 }
 
 

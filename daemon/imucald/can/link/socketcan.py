@@ -76,6 +76,7 @@ class SocketCan:
         self.index = _interface_index(channel)
         self.lost = 0
         """Frames of ours that the kernel dropped because nobody read them in time."""
+        self.rejected, self.why_rejected = 0, ""  # the kernel hands out sound frames only
         self._drops = 0
         self._fault: OSError | None = None
         self._socket = _raw_socket()
