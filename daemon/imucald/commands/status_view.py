@@ -177,4 +177,6 @@ def _saved(saved: Mapping[str, Any]) -> Text:
         text.append(f"\n{problem}", style="yellow")
     if saved["last_error"]:
         text.append(f"\ncannot be saved: {saved['last_error']}", style="bold red")
+    if saved.get("to_be_forgotten"):  # an older daemon does not say it
+        text.append("\na reset is not on the disk yet: a restart undoes it", style="bold red")
     return text

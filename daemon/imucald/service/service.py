@@ -254,11 +254,16 @@ class Service:
         """Repeat the sensor check soon; safe within a signal handler."""
         self._check_wanted = True
 
-    def forget_state(self) -> None:
-        """Keep nothing of what was saved."""
+    def forget_state(self) -> str:
+        """Keep nothing of what was saved; return why the disk does not take that now, or ""."""
         store = self.parts.calibration_store
-        if store is not None:
-            store.forget()
+        return "" if store is None else store.forget()
+
+    @property
+    def state_forgotten(self) -> bool:
+        """Whether nothing that was forgotten would come back with another start."""
+        store = self.parts.calibration_store
+        return store is None or store.store.is_forgotten
 
     def save_state(self) -> None:
         """Save the mount that is in force as it is now, held or not."""
