@@ -75,7 +75,9 @@ class Service:
         self._announcements = own = Announcements(self.journal)
         listeners = Listeners(own.snapshot, own.link_event, self._link_health, self.journal.say)
         self._maker = PartsMaker(self, options, listeners, clock)
-        self._reloading = Reloading(self._maker.read, self._take_over, self.journal, self.notifier)
+        self._reloading = Reloading(
+            self._maker.read, self._take_over, self.journal, self.notifier, clock
+        )
         loaded, engine = self._maker.read()
         self._lock = self._locked_folder()
         try:
