@@ -176,6 +176,19 @@ def test_a_key_without_effect_is_in_the_log_after_a_reload(bench):
     assert "steering_limit_deg: has no effect without signals" in bench.log.getvalue()
 
 
+def test_a_bus_before_that_cannot_be_closed_is_reported_and_the_reload_is_done(bench, monkeypatch):
+    before = bench.service.link
+    bench.write("status_rate: 10", "ids: {acceleration: 0x650}")
+    monkeypatch.setattr(before, "close", refuse)
+    bench.service.reload()
+    assert bench.service.link is not before
+    assert "not reloaded" not in bench.log.getvalue()
+    assert "was read again" in bench.log.getvalue()
+    assert "what ran before the reload could not be ended (RuntimeError" in bench.log.getvalue()
+    monkeypatch.undo()
+    before.close()
+
+
 class Hanging:
     """Reading that takes until it is let go, and a clock that moves when told."""
 
