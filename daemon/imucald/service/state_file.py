@@ -22,6 +22,7 @@ from typing import Any
 from imucald.core.atomic_file import (
     UNFINISHED,
     free_name,
+    put_in_place,
     split_checksum,
     sync_folder,
     with_checksum,
@@ -161,7 +162,7 @@ class StateStore:
             if era != self.era:
                 unfinished.unlink()
                 return
-            unfinished.replace(path)
+            put_in_place(unfinished, path)
             self.generation = generation
             self._forgotten.discard(generation % 2)
         self.sync()
