@@ -76,6 +76,7 @@ class FakeHost:
         self.done.append("accept")
 
     has_check: bool = True
+    is_forgotten: bool = True
     sensors_checked: bool = False
 
     def check_sensors(self) -> bool:

@@ -159,3 +159,19 @@ def test_the_memory_allowed_is_the_least_of_the_groups_around(tmp_path):
     (inner.parent / "memory.max").write_text("90000000\n")
     assert allowed_memory(own, tmp_path) == 90_000_000
     assert allowed_memory(tmp_path / "none", tmp_path) == physical
+
+
+def test_a_wrong_database_is_refused_also_where_the_end_of_processes_is_not_seen():
+    """SIGCHLD may be ignored from the start: every process seems to end with status 0."""
+    code = (
+        "import signal, sys; signal.signal(signal.SIGCHLD, signal.SIG_IGN)\n"
+        "from imucald.can.dbc.bounded_parser import parse_bounded\n"
+        "from imucald.core.errors import DatabaseError\n"
+        "try: parse_bounded(sys.stdin.read(), 'dbc', 'big.dbc')\n"
+        "except DatabaseError as error: print(error)\n"
+    )
+    command = [sys.executable, "-c", code]
+    text = "BO_ nonsense\n" * 20_000
+    done = subprocess.run(command, input=text, capture_output=True, text=True, check=False)
+    assert done.stderr == ""
+    assert done.stdout.startswith("big.dbc: cannot be read: DBC: ")

@@ -6,10 +6,12 @@ import os
 import random
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import pytest
 
+from full_disk import full_after
 from imucald.can.dbc import database
 from imucald.can.dbc.database import Database, load_database, load_database_text
 from imucald.core import file_cache as database_cache
@@ -214,3 +216,29 @@ def test_a_file_that_holds_nothing_is_read_as_nothing_whatever_is_remembered(tmp
     load_database([EXAMPLE])
     with pytest.raises(DatabaseError):
         load_database([path])
+
+
+def test_a_full_disk_is_not_filled_by_unfinished_files(folder):
+    for _ in range(3):  # as many starts
+        with full_after(5000):
+            load_database([EXAMPLE])
+        database._remembered.cache_clear()
+    assert list(folder.iterdir()) == []
+    load_database([EXAMPLE])
+    assert [path.suffix for path in folder.iterdir()] == [".json"]
+
+
+def test_what_a_killed_process_left_unfinished_is_removed_and_nothing_else(folder):
+    folder.mkdir(mode=0o700)
+    now = time.time()
+    ages = {"feb9c5c9.10811": 3600.0, "feb9c5c9.10812": -3600.0, "feb9c5c9.10813": 5.0}
+    others = dict.fromkeys(("starts", "feb9c5c9.10811.txt", "notes.1", "feb9c5c9.json"), 9e6)
+    for name, age in (ages | others).items():
+        (folder / name).write_text("half")
+        os.utime(folder / name, (now - age, now - age))
+    (folder / "aaaaaaaa.1").mkdir()
+    os.utime(folder / "aaaaaaaa.1", (0, 0))
+    load_database([EXAMPLE])
+    left = {path.name for path in folder.iterdir()}
+    assert left >= {"feb9c5c9.10813", "aaaaaaaa.1", *others}
+    assert not left & {"feb9c5c9.10811", "feb9c5c9.10812"}

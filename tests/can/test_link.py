@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import errno
 import itertools
+import os
 import time
 from collections.abc import Callable, Iterator
 from typing import Any
@@ -11,9 +12,10 @@ from typing import Any
 import pytest
 
 from imucald.can.columns import CAN_EFF_FLAG, CAN_EFF_MASK, CAN_SFF_MASK, IdMatch
+from imucald.can.link import socketcan
 from imucald.can.link.link import Link, LinkEvent, LinkState
 from imucald.can.link.outbox import HELD_FRAMES, MAX_HOLD, Outbox
-from imucald.can.link.socketcan import MAX_FILTERS, packed_filters
+from imucald.can.link.socketcan import MAX_FILTERS, SocketCan, packed_filters
 from imucald.can.python_can import can
 from imucald.core.errors import LinkError
 
@@ -155,6 +157,20 @@ def test_what_time_cannot_heal_is_an_error_with_its_reason(
         Link(interface, name, receive=[], wait=True)
 
 
+def test_an_interface_with_a_name_that_is_no_utf_8_is_asked_by_its_bytes(monkeypatch) -> None:
+    asked: list[bytes] = []
+
+    def ioctl(_socket: object, _request: int, what: bytes) -> bytes:
+        asked.append(what[:16].rstrip(b"\0"))
+        return what[:16] + b"\1" + what[17:]
+
+    monkeypatch.setattr(socketcan.fcntl, "ioctl", ioctl)
+    port = object.__new__(SocketCan)  # the kernel here may have no CAN
+    port._channel, port._socket = os.fsdecode(b"can\xff"), None  # type: ignore[assignment]
+    assert port.is_up()
+    assert asked == [b"can\xff"]
+
+
 def test_kernel_filters_compare_format_and_leave_out_remote_frames() -> None:
     packed = packed_filters([WANTED, WANTED, WANTED_J1939])
     words = [int.from_bytes(packed[i : i + 4], "little") for i in range(0, len(packed), 4)]
@@ -173,6 +189,7 @@ class Faulty:
     def __init__(self) -> None:
         self.lost = 0
         self.receive_buffer = 0
+        self.rejected, self.why_rejected = 0, ""
         self.now = 0.0
         self.there = True
         self.up = True

@@ -83,3 +83,28 @@ def test_what_is_set_aside_replaces_nothing(tmp_path):
         target.write_bytes(b"")
         names.append(target.name)
     assert names == ["a.corrupt.1", "a.corrupt.2", "a.corrupt.3"]
+
+
+def test_a_folder_in_the_place_of_a_file_is_set_aside_with_all_that_is_in_it(tmp_path):
+    for place in (tmp_path / "a", tmp_path / "a.tmp"):
+        place.mkdir()
+        (place / "precious").write_bytes(b"1")
+    write_file(tmp_path / "a", b"new")
+    write_file(tmp_path / "a", b"newer")
+    assert (tmp_path / "a").read_bytes() == b"newer"
+    names = sorted(p.name for p in tmp_path.iterdir())
+    assert names == ["a", "a.folder.1", "a.tmp.folder.1"]
+    assert (tmp_path / "a.folder.1" / "precious").exists()
+    assert (tmp_path / "a.tmp.folder.1" / "precious").exists()
+
+
+def test_a_folder_that_cannot_be_set_aside_leaves_nothing_unfinished(tmp_path, monkeypatch):
+    (tmp_path / "a").mkdir()
+
+    def busy(*_):
+        raise OSError(errno.EBUSY, "busy")
+
+    monkeypatch.setattr(Path, "rename", busy)
+    with pytest.raises(OSError, match="busy"):
+        write_file(tmp_path / "a", b"new")
+    assert [p.name for p in tmp_path.iterdir()] == ["a"]

@@ -16,6 +16,8 @@ from imucald.can.dbc import bounded_parser, database
 from imucald.service import parts as parts_module
 from imucald.service.calibration_store import CalibrationStore
 from imucald.service.journal import Journal
+from imucald.service.notify import Notifier
+from imucald.service.reloading import LONG_S, Reloading
 from imucald.service.service import Service
 from imucald.service.service_options import ServiceOptions
 
@@ -172,3 +174,72 @@ def test_a_key_without_effect_is_in_the_log_after_a_reload(bench):
     assert "has no effect" not in bench.log.getvalue()
     bench.service.reload()
     assert "steering_limit_deg: has no effect without signals" in bench.log.getvalue()
+
+
+def test_a_bus_before_that_cannot_be_closed_is_reported_and_the_reload_is_done(bench, monkeypatch):
+    before = bench.service.link
+    bench.write("status_rate: 10", "ids: {acceleration: 0x650}")
+    monkeypatch.setattr(before, "close", refuse)
+    bench.service.reload()
+    assert bench.service.link is not before
+    assert "not reloaded" not in bench.log.getvalue()
+    assert "was read again" in bench.log.getvalue()
+    assert "what ran before the reload could not be ended (RuntimeError" in bench.log.getvalue()
+    monkeypatch.undo()
+    before.close()
+
+
+class Hanging:
+    """Reading that takes until it is let go, and a clock that moves when told."""
+
+    def __init__(self) -> None:
+        self.log = io.StringIO()
+        self.go_on = threading.Event()
+        self.now = 0.0
+        self.taken: list[str] = []
+        self.reloading = Reloading(
+            self.read, self.taken.append, Journal(self.log), Notifier({}), lambda: self.now
+        )
+
+    def read(self) -> str:
+        assert self.go_on.wait(20.0)
+        return "read"
+
+    def wait_for(self, count: int) -> None:
+        end = time.monotonic() + 5.0
+        while len(self.taken) < count:
+            self.reloading.poll()
+            assert time.monotonic() < end
+            time.sleep(0.005)
+
+
+def test_a_reload_that_waits_for_one_that_hangs_is_reported_once_and_done_in_the_end():
+    made = Hanging()
+    made.reloading.ask()
+    for _ in range(3):
+        made.reloading.poll()
+    assert made.log.getvalue() == ""
+    made.now = 7.0
+    made.reloading.ask()
+    for _ in range(5):
+        made.reloading.poll()
+    assert made.log.getvalue().count("a reload waits") == 1
+    assert "still being read, since 7 s" in made.log.getvalue()
+    made.go_on.set()
+    made.wait_for(2)
+    assert "not reloaded" not in made.log.getvalue()
+
+
+def test_a_reload_that_hangs_is_reported_though_nobody_asks_for_another():
+    made = Hanging()
+    made.reloading.ask()
+    made.reloading.poll()
+    made.now = LONG_S - 1.0
+    made.reloading.poll()
+    assert made.log.getvalue() == ""
+    made.now = LONG_S + 1.0
+    for _ in range(5):
+        made.reloading.poll()
+    assert made.log.getvalue().count("does a file (network, disk) not answer?") == 1
+    made.go_on.set()
+    made.wait_for(1)

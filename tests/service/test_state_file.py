@@ -252,6 +252,18 @@ def test_what_cannot_be_read_is_reported_and_left(tmp_path):
     assert "cannot be read" in loaded.problems[0]
 
 
+@pytest.mark.parametrize("slot", [0, 1])
+def test_a_folder_in_the_place_of_a_generation_stops_no_later_save(tmp_path, slot):
+    store = saved_twice(tmp_path)
+    store.path(slot).unlink()
+    store.path(slot).mkdir()
+    for number in range(3, 7):
+        store.save(state(float(number)))
+        assert load(tmp_path).state == state(float(number))
+    assert load(tmp_path).problems == ()
+    assert store.path(slot).with_name(f"{store.path(slot).name}.folder.1").is_dir()
+
+
 def test_what_is_forgotten_is_set_aside_and_not_loaded_again(tmp_path):
     store = saved_twice(tmp_path)
     store.forget()

@@ -72,8 +72,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(options: argparse.Namespace) -> int:
     """Run until SIGINT or SIGTERM; SIGHUP reads the configuration again, SIGUSR1
     repeats the sensor check."""
-    import os
     import signal
+
+    early: set[int] = set()  # asked for while it starts, which would end it by default
+    for number in (signal.SIGHUP, signal.SIGUSR1):
+        signal.signal(number, lambda asked, _: early.add(asked))
+
+    import os
 
     from imucald.commands.files import check_files, fill_standard_files, write_text
     from imucald.core.errors import ConfigError, ImucaldError
@@ -116,8 +121,11 @@ def run(options: argparse.Namespace) -> int:
         return _wrong(error, journal)
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda *_: service.stop())
-    signal.signal(signal.SIGHUP, lambda *_: service.ask_reload())
-    signal.signal(signal.SIGUSR1, lambda *_: service.ask_sensor_check())
+    asked = {signal.SIGHUP: service.ask_reload, signal.SIGUSR1: service.ask_sensor_check}
+    for number, ask in asked.items():
+        signal.signal(number, lambda *_, ask=ask: ask())
+        if number in early:
+            ask()
     try:
         service.run(float("inf") if options.seconds is None else options.seconds)
     finally:

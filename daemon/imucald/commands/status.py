@@ -95,13 +95,15 @@ def asked(options: argparse.Namespace, request: str) -> str | int:
 
 def running_sockets(channel: str | None = None) -> list[Path]:
     """Status sockets of this machine's daemons, of those of a channel where one is named."""
+    from imucald.core.encodable import encodable
+
     found = [*Path("/run/imucald").glob("*/status.sock")]
     if runtime := os.environ.get("XDG_RUNTIME_DIR"):
         found += Path(runtime).glob("imucald-*.sock")
     if channel is not None:
         names = {channel, f"imucald-{channel}"}
         named = [p for p in found if p.parent.name in names or p.stem in names]
-        found = named or [p for p in found if _channel_of(p) == channel]
+        found = named or [p for p in found if _channel_of(p) == encodable(channel)]
     return sorted(found)
 
 

@@ -95,11 +95,17 @@ def _rows(status: Mapping[str, Any]) -> dict[str, str | Text]:
         "sensors": _sensors(status["signal_health"]),
         "losses": f"{link['lost']} lost, {sum(link['send_errors'].values())} not sent, "
         f"{link['conflicts']} in conflict, {link['went_down']} times down, "
-        f"{link['reopened']} times reopened",
+        f"{link['reopened']} times reopened" + _not_understood(link),
         "rejected": ", ".join(rejected) or "none",
         "saved": _saved(status["saved_state"]),
         "process": f"pid {process['pid']}, {rss}, {share:.1f} % of a core since the start",
     }
+
+
+def _not_understood(link: Mapping[str, Any]) -> str:
+    """Only where it happened: SocketCAN hands out sound frames only."""
+    count = link.get("rejected", 0)  # an older daemon does not count them
+    return f", {count} not understood" if count else ""
 
 
 def _troubles(status: Mapping[str, Any]) -> list[str]:
@@ -171,4 +177,6 @@ def _saved(saved: Mapping[str, Any]) -> Text:
         text.append(f"\n{problem}", style="yellow")
     if saved["last_error"]:
         text.append(f"\ncannot be saved: {saved['last_error']}", style="bold red")
+    if saved.get("to_be_forgotten"):  # an older daemon does not say it
+        text.append("\na reset is not on the disk yet: a restart undoes it", style="bold red")
     return text

@@ -13,6 +13,8 @@ from imucald.core.digest import sha256
 
 UNFINISHED = ".tmp"
 """Ending of a file that is being written."""
+FOLDER = "folder"
+"""In the name of a folder that was in the place of a file, and was set aside."""
 MAX_ASIDE = 8
 """Files set aside under one name and word; the next takes the place of the oldest."""
 
@@ -26,14 +28,30 @@ def write_file(path: Path, data: bytes, mode: int | None = None) -> None:
     file is the old one or the new one.
     """
     unfinished = write_beside(path, data)
-    try:
-        if mode is not None:
+    if mode is not None:
+        try:
             unfinished.chmod(mode)
-        unfinished.replace(path)
+        except OSError:
+            _remove(unfinished)
+            raise
+    put_in_place(unfinished, path)
+    sync_folder(path.parent)
+
+
+def put_in_place(unfinished: Path, path: Path) -> None:
+    """Give a file that is written its name; a folder of that name is set aside.
+
+    OSError where that fails; the unfinished file is removed then.
+    """
+    try:
+        try:
+            unfinished.replace(path)
+        except IsADirectoryError:  # it would be in the way for ever
+            path.rename(free_name(path, FOLDER))
+            unfinished.replace(path)
     except OSError:
         _remove(unfinished)
         raise
-    sync_folder(path.parent)
 
 
 def write_beside(path: Path, data: bytes) -> Path:
@@ -41,6 +59,8 @@ def write_beside(path: Path, data: bytes) -> Path:
     unfinished = path.with_name(path.name + UNFINISHED)
     path.parent.mkdir(parents=True, exist_ok=True)
     _remove(unfinished)  # a left-over, or a link that somebody put there
+    if unfinished.is_dir():
+        unfinished.rename(free_name(unfinished, FOLDER))
     try:
         flags = os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW | os.O_CLOEXEC
         with os.fdopen(os.open(unfinished, flags, 0o666), "wb") as file:

@@ -10,8 +10,11 @@ from __future__ import annotations
 
 import importlib.util
 import os
+import re
+import time
 import zlib
 from collections.abc import Mapping
+from contextlib import suppress
 from pathlib import Path
 from typing import Final, TypeVar
 
@@ -21,7 +24,11 @@ MAX_TEXT: Final = 32 * 2**20
 """Characters of the largest database that is kept."""
 MAX_FILES: Final = 64
 """Databases kept; there is one file for each place that a database was read from."""
+STALE_S: Final = 600.0
+"""An unfinished file of that age [s] is nobody's: writing one takes less than a second."""
 _SUFFIX: Final = ".json"
+_UNFINISHED: Final = re.compile(r"[0-9a-f]{8}\.[0-9]+")
+"""Name of a file that is being written: its final name, and the process."""
 _CHECK_BYTES: Final = 9
 """CRC-32 as text, and a newline; then come, as JSON: stamp, source, text, messages."""
 
@@ -71,10 +78,8 @@ def keep(text: str, source: str, messages: list[Message], kind: type[Message]) -
         content = msgspec.json.encode((_stamp(), source, text, messages))
         if _decoded(content, kind)[-1] != messages:
             return  # numbers that JSON does not know
-        place = _place(_Cache.folder, source)
-        making = place.with_name(f"{place.stem}.{os.getpid()}")
-        making.write_bytes(_check(content) + content)
-        making.replace(place)
+        _drop_unfinished(_Cache.folder)
+        _write(_place(_Cache.folder, source), _check(content) + content)
         _drop_oldest(_Cache.folder)
     except (OSError, ValueError, OverflowError, TypeError, RecursionError):
         return
@@ -84,6 +89,28 @@ def _decoded(content: bytes, kind: type[Message]) -> tuple[str, str, str, list[M
     layout = tuple[str, str, str, list[kind]]  # type: ignore[valid-type]
     found: tuple[str, str, str, list[Message]] = msgspec.json.decode(content, type=layout)
     return found
+
+
+def _write(place: Path, data: bytes) -> None:
+    """Make a file, whole or not at all: on a full disk nothing of it stays. Raises OSError."""
+    making = place.with_name(f"{place.stem}.{os.getpid()}")
+    try:
+        making.write_bytes(data)
+        making.replace(place)
+    except BaseException:
+        with suppress(OSError):
+            making.unlink()
+        raise
+
+
+def _drop_unfinished(folder: Path) -> None:
+    """Remove what processes that were killed left half written."""
+    now = time.time()
+    for path in folder.iterdir():
+        if _UNFINISHED.fullmatch(path.name):
+            with suppress(OSError):
+                if abs(now - path.stat().st_mtime) > STALE_S:  # the clock may have been set back
+                    path.unlink()
 
 
 def _drop_oldest(folder: Path) -> None:

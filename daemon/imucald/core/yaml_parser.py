@@ -7,6 +7,7 @@ from typing import Any
 
 import yaml
 
+from imucald.core.encodable import encodable
 from imucald.core.errors import ConfigError
 from imucald.core.locations import Marks, Place
 
@@ -61,6 +62,9 @@ def _refuse_heavy(text: str, loader: type, name: str) -> None:
         line = event.start_mark.line + 1 if event.start_mark else 1
         if isinstance(event, yaml.AliasEvent):
             raise ConfigError(f"{name}:{line}: YAML aliases (*name) are not accepted")
+        if isinstance(event, yaml.ScalarEvent) and encodable(event.value) != event.value:
+            # libyaml refuses it by itself, the parser of a PyYAML without libyaml does not
+            raise ConfigError(f"{name}:{line}: a character that UTF-8 cannot hold")
         depth += isinstance(event, yaml.CollectionStartEvent)
         depth -= isinstance(event, yaml.CollectionEndEvent)
         if depth > MAX_DEPTH:

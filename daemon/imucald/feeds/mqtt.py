@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import json
 import os
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from imucald.core.encodable import json_text
 from imucald.core.errors import ConfigError
 from imucald.feeds.daemon_source import Reading, Say
 from imucald.feeds.feed_loop import LONGEST_PAUSE_S
@@ -88,8 +88,7 @@ class MqttReceiver:
         self._client.loop_stop()
 
     def _send(self, name: str, content: Mapping[str, Any], retain: bool = False) -> None:
-        text = json.dumps(content, allow_nan=False, ensure_ascii=False)
-        self._client.publish(self._topic(name), text, retain=retain)
+        self._client.publish(self._topic(name), json_text(content), retain=retain)
 
     def _topic(self, name: str) -> str:
         return f"{self._settings.topic}/{name}"

@@ -43,8 +43,8 @@ class OrderedService(Protocol):
         """The configuration that is in force."""
         ...
 
-    def forget_state(self) -> None:
-        """Keep nothing of what was saved."""
+    def forget_state(self) -> str:
+        """Keep nothing of what was saved; return why the disk does not take that now, or ""."""
         ...
 
     def save_state(self) -> None:
@@ -82,10 +82,11 @@ class MountOrders:
         """Forget what was learnt, the saved state too, and begin again; cannot be taken back."""
         self._former = None
         self._service.engine.restart_calibration()
-        self._service.forget_state()
+        not_yet = self._service.forget_state()
         stated = self._service.loaded.config.calibration.mount is not None
         begun = "started again from the mount of the configuration" if stated else "started again"
-        return self._logged(who, f"reset: the learnt mount is forgotten, the calibration {begun}")
+        text = f"reset: the learnt mount is forgotten, the calibration {begun}"
+        return self._logged(who, text + _not_on_the_disk(not_yet))
 
     def hold(self, who: str) -> str:
         """Keep the mount that is in force and learn nothing. Raises OrderError without one."""
@@ -119,13 +120,14 @@ class MountOrders:
             stored = known_mount(mount, learning.estimate().targets)
         except EstimateError as error:
             raise OrderError(f"a standard deviation of {error}") from None
-        self._service.forget_state()
+        not_yet = self._service.forget_state()
         self._put(RestoredEstimator(learning, stored, is_held=mount.hold))
         x, y, z = (2.0 * float(s) * DEG_PER_RAD for s in np.sqrt(np.diag(stored.covariance)))
         angles = f"roll {mount.roll_deg:+g}, pitch {mount.pitch_deg:+g}, yaw {mount.yaw_deg:+g} deg"
         within = f"±{x:.2g}, ±{y:.2g}, ±{z:.2g} deg (95 %) about the vehicle's x, y, z"
         end = "and held" if mount.hold else "until the drive knows it as well"
-        return self._logged(who, f"set-mount: {angles}, {within}, in force {end}")
+        text = f"set-mount: {angles}, {within}, in force {end}"
+        return self._logged(who, text + _not_on_the_disk(not_yet))
 
     # a tester's calibration, which can be taken back ----------------------------------------
 
@@ -177,3 +179,13 @@ class MountOrders:
     def _logged(self, who: str, text: str) -> str:
         self._service.log_order(who, text)
         return text
+
+
+def _not_on_the_disk(reason: str) -> str:
+    """What is said where the disk did not take it that the saved mount is forgotten."""
+    if not reason:
+        return ""
+    return (
+        f"; NOT ON THE DISK YET ({reason}): a restart brings the former mount back, until the "
+        "saved state can be set aside, which is tried every 10 s"
+    )

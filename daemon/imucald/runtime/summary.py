@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Mapping
 from typing import Any
@@ -11,6 +10,7 @@ import numpy as np
 from msgspec import Struct
 
 from imucald.core.angles import DEG_PER_RAD
+from imucald.core.encodable import json_text
 from imucald.mount.estimate import ANGLES, MountEstimate
 from imucald.mount.mount_words import how_it_sits, mirror_note, steep_note
 from imucald.runtime.engine import Engine
@@ -121,4 +121,4 @@ def plain(value: object, digits: int | None = 6) -> Any:
 
 def as_json(result: Mapping[str, Any]) -> str:
     """The JSON text of a summary; no NaN, UTF-8, two spaces."""
-    return json.dumps(result, indent=2, allow_nan=False, ensure_ascii=False) + "\n"
+    return json_text(result, indent=2) + "\n"

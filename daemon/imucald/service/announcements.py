@@ -12,7 +12,7 @@ from imucald.runtime.pipeline import Snapshot
 from imucald.service.alarm_watch import AlarmWatch
 from imucald.service.journal import INFO, NOTICE, WARNING, Journal
 
-_QUIET_EVENTS = frozenset({"up", "lost", "conflict", "queue_full"})
+_QUIET_EVENTS = frozenset({"up", "lost", "conflict", "queue_full", "rejected"})
 """Kinds of link events that are no warnings, or that the link itself reports seldom."""
 
 

@@ -40,6 +40,9 @@ SHIFTS_KEPT = 32
 STOP_WAIT_S = 0.6
 """How long a stop waits for the disk [s]; it has a second in all."""
 
+BACK_AFTER_START = "tried again until it works, a restart before that brings it back"
+"""What is said of a reset that the disk does not take."""
+
 _OFFSETS = ("accel_bias", "gyro_bias", "yaw_rate_offset", "steering_offset", "speed_delay")
 SUMS = "sums"
 """Where among a saved state's evidence the sums are that an estimator goes on with."""
@@ -86,14 +89,22 @@ class CalibrationStore:
         self._last_put = -math.inf
         self._before = MountState.WAITING
         self._driven_before = 0.0
+        self._is_forgetting = False  # a reset that the disk did not take at once
 
     def _write(self, content: tuple[int, SavedState | None]) -> None:
-        """Save a state of an era; None: confirm on the disk that all before was forgotten."""
+        """Save a state of an era; None: have it on the disk that all before was forgotten."""
         era, state = content
+        failure: OSError | None = None
+        try:
+            self.store.set_aside_forgotten()
+        except OSError as error:
+            failure = error  # a newer state takes its place all the same
         if state is None:
             self.store.sync()
         else:
             self.store.save(state, era)
+        if failure is not None and not self.store.is_forgotten:
+            raise failure  # so that it is tried again
 
     def restore(self, estimator: MountEstimator) -> MountEstimator:
         """Return the estimator with the saved mount in front, or as it is.
@@ -150,6 +161,9 @@ class CalibrationStore:
             self._save(estimator, self._driven_before + driven_s)
         self._before = state
         self.writer.report()
+        if self._is_forgetting and self.store.is_forgotten:
+            self._is_forgetting = False
+            self._say("the saved state is set aside now: the reset is final", NOTICE)
 
     def _wanted(self, state: MountState, changed: bool) -> bool:
         if state in BAD:  # once; what was good before is kept, as doubted
@@ -200,19 +214,26 @@ class CalibrationStore:
         firmer = np.abs(variance / before - 1.0).max()
         return same and bool(moved < SAME_ANGLE and firmer < SAME_VARIANCE)
 
-    def forget(self) -> None:
+    def forget(self) -> str:
         """Keep nothing of what was saved: it is set aside, and not loaded again.
 
         Waits for no disk: what is being written now never gets its name, and the thread that
-        writes forces the new names to the disk.
+        writes forces the new names to the disk. Returns why the disk does not take it now, empty
+        where it does; the thread tries again until it does, or a newer state takes its place.
         """
         self.writer.discard()
         self._known = False
+        reason = ""
         try:
             self.store.forget()
-            self.writer.put((self.store.era, None))
         except OSError as error:
-            self._say(f"the saved state could not be set aside: {error}", WARNING)
+            reason = error.strerror or str(error)
+            self._say(
+                f"the saved state could not be set aside: {error}; {BACK_AFTER_START}", WARNING
+            )
+        self._is_forgetting = bool(reason)
+        self.writer.put((self.store.era, None))
+        return reason
 
     def save_order(self, estimator: MountEstimator, driven_s: float) -> None:
         """Save the mount that is in force by a person's order, at once and whatever its state."""
@@ -235,13 +256,21 @@ class CalibrationStore:
     def end(self) -> None:
         """Save nothing more; what is on its way is written."""
         self.writer.close(0.0)
+        self._report_not_forgotten()
 
     def close(self, estimator: MountEstimator, driven_s: float) -> None:
         """Save the last estimate and end; wait for the disk, but not for long."""
         self.save_now(estimator, driven_s)
-        if not self.writer.close(STOP_WAIT_S):
+        if not self.writer.close(STOP_WAIT_S) and self.store.is_forgotten:
             self._say("the disk did not take the state in time; the one before stands", WARNING)
+        self._report_not_forgotten()
         self.writer.report()
+
+    def _report_not_forgotten(self) -> None:
+        """Say at the end that a reset did not reach the disk."""
+        if not self.store.is_forgotten:
+            text = f"what was reset could not be set aside in {self.store.folder}"
+            self._say(f"{text}: the next start brings it back; reset again then", WARNING)
 
     def status(self) -> dict[str, Any]:
         """What `imucald status` shows of it."""
@@ -250,6 +279,7 @@ class CalibrationStore:
             "generation": self.store.generation,
             "restored_at_start": self.restored,
             **self.writer.status(),
+            "to_be_forgotten": not self.store.is_forgotten,
             "problems": list(self.problems),
             "remounts": len(self._last.shifts) if self._known else 0,
         }

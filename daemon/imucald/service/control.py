@@ -7,7 +7,6 @@ configuration's `calibration: mount` would have. The answer is one JSON line: ``
 
 from __future__ import annotations
 
-import json
 import os
 import time
 from collections.abc import Callable
@@ -18,6 +17,7 @@ from msgspec import DecodeError, Meta, Struct
 from msgspec.json import Decoder
 
 from imucald.config.calibration import KnownMount
+from imucald.core.encodable import json_text
 from imucald.core.errors import ImucaldError
 from imucald.runtime.mount_orders import MountOrders
 from imucald.service.background_writer import Say
@@ -72,7 +72,7 @@ class ControlServer(LineServer):
         say: Say,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
-        super().__init__(path, OWNER_ONLY, self._answer, clock)
+        super().__init__(path, OWNER_ONLY, self._answer, clock, say=say)
         self._orders = orders
         self._say = say
         self._allowed = {ROOT, os.geteuid()}
@@ -129,4 +129,4 @@ def _name(peer: Peer, sudo_user: str | None = None) -> str:
 
 
 def _line(**content: str) -> bytes:
-    return json.dumps(content, ensure_ascii=False).encode() + b"\n"
+    return json_text(content).encode() + b"\n"

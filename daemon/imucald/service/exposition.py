@@ -6,6 +6,7 @@ import re
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 
+from imucald.core.encodable import encodable
 from imucald.core.errors import LinkError
 from imucald.service.asking import ask
 
@@ -29,12 +30,17 @@ def gathered(sockets: Iterable[Path]) -> str:
         try:
             text = ask(path, "metrics", ASK_S)
         except LinkError:
-            answers[bus_of(path)] = 0
+            answers[escaped(bus_of(path))] = 0
             continue
         texts.append(text)
         named = _BUS.search(text)  # as the daemon calls it
-        answers[named[1] if named else bus_of(path)] = 1
+        answers[named[1] if named else escaped(bus_of(path))] = 1
     return merged([_up(answers), *texts])
+
+
+def escaped(text: str) -> str:
+    """Return a text as it stands between the quotes of a label."""
+    return encodable(text).replace("\\", "\\\\").replace('"', '\\"').replace("\n", "\\n")
 
 
 def _up(answers: Mapping[str, int]) -> str:

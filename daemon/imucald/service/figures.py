@@ -19,6 +19,7 @@ NOT_SAVED: dict[str, Any] = {
     "saves": 0,
     "failures": 0,
     "last_error": "",
+    "to_be_forgotten": False,
     "problems": [],
     "remounts": 0,
 }

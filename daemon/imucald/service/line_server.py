@@ -16,6 +16,8 @@ from pathlib import Path
 from typing import NamedTuple
 
 from imucald.core.errors import LinkError
+from imucald.service.background_writer import Say
+from imucald.service.journal import WARNING
 
 CLIENTS_MAX = 8
 """More are turned away."""
@@ -28,6 +30,10 @@ REQUEST_MAX = 4096
 SEND_BUFFER = 1 << 18
 """Asked of the kernel for an answer [bytes]."""
 _CREDENTIALS = struct.Struct("3i")
+
+
+def nobody_listens(_text: str, _priority: int) -> None:
+    """The `say` of a server whose errors nobody wants to hear of."""
 
 
 class Peer(NamedTuple):
@@ -49,8 +55,9 @@ class _Client:
 class LineServer:
     """Answers on a Unix socket: `poll` does what can be done at once.
 
-    mode: of the socket file. answer: bytes for the line that a client sent. Raises LinkError when
-    the socket cannot be made.
+    mode: of the socket file. answer: bytes for the line that a client sent; where it raises, the
+    client gets nothing, and `say` (a line for the log) hears of each kind of error once. Raises
+    LinkError when the socket cannot be made.
     """
 
     def __init__(
@@ -60,10 +67,13 @@ class LineServer:
         answer: Callable[[bytes, Peer], bytes],
         clock: Callable[[], float] = time.monotonic,
         option: str = "--status-socket",
+        say: Say = nobody_listens,
     ) -> None:
         self.path = path
         self._answer_to = answer
         self._clock = clock
+        self._say = say
+        self._said: set[str] = set()
         self._clients: list[_Client] = []
         self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM | socket.SOCK_CLOEXEC)
         try:
@@ -80,7 +90,7 @@ class LineServer:
         self._socket.setblocking(False)
 
     def poll(self) -> None:
-        """Serve whoever waits. Never blocks, never raises for what a client does."""
+        """Serve whoever waits. Never blocks, never raises, whatever a client does or asks for."""
         with contextlib.suppress(OSError):
             for _ in range(ACCEPTED_MAX):
                 connection, _address = self._socket.accept()
@@ -117,10 +127,21 @@ class LineServer:
         except OSError:
             client.connection.close()
             return False
+        except Exception as error:  # of what makes the answer: frames go on
+            client.connection.close()
+            self._failed(error)
+            return False
         if client.answer == b"" or self._clock() > client.end:
             client.connection.close()
             return False
         return True
+
+    def _failed(self, error: Exception) -> None:
+        """Say that there was no answer; once, as whoever asked may ask again without end."""
+        kind = type(error).__name__
+        if kind not in self._said:
+            self._said.add(kind)
+            self._say(f"{self.path}: a request could not be answered ({kind}: {error})", WARNING)
 
     def close(self) -> None:
         """Take the socket away."""

@@ -8,6 +8,7 @@ import signal
 import socket
 import threading
 from collections.abc import Callable
+from contextlib import suppress
 from typing import NoReturn
 
 from imucald.core.errors import LinkError
@@ -52,15 +53,21 @@ class ServingProcess:
         """Whether it has just ended by itself."""
         if self.has_ended:
             return False
-        self.has_ended = os.waitpid(self.pid, os.WNOHANG)[0] != 0
+        try:
+            self.has_ended = os.waitpid(self.pid, os.WNOHANG)[0] != 0
+        except ChildProcessError:  # SIGCHLD is ignored: the kernel has forgotten it already
+            self.has_ended = True
         return self.has_ended
 
     def close(self) -> None:
         """Have it end."""
         os.close(self._mine)
+        self.poll()  # its number may be another process's by now where SIGCHLD is ignored
         if not self.has_ended:
-            os.kill(self.pid, signal.SIGKILL)  # it has nothing to lose
-            os.waitpid(self.pid, 0)
+            with suppress(ProcessLookupError):
+                os.kill(self.pid, signal.SIGKILL)  # it has nothing to lose
+            with suppress(ChildProcessError):
+                os.waitpid(self.pid, 0)
             self.has_ended = True
 
 

@@ -7,6 +7,7 @@ from typing import Any
 
 from imucald.mount.estimate import MountState
 from imucald.runtime.alarms import ALARMS
+from imucald.service.exposition import escaped
 
 _Sample = tuple[Mapping[str, str], float | int | None]
 
@@ -19,6 +20,7 @@ _LINK_COUNTERS = {
     "bus_off": "Times the controller left the bus.",
     "went_down": "Times the interface was set down.",
     "reopened": "Times the interface was opened again.",
+    "rejected": "Frames of the interface's driver that could not be understood.",
 }
 
 
@@ -76,9 +78,5 @@ def _families(status: Mapping[str, Any]) -> Iterator[tuple[str, str, str, list[_
 def _line(name: str, labels: Mapping[str, str], value: float | int | None) -> str:
     if value is None:
         return ""
-    named = ",".join(f'{key}="{_escaped(text)}"' for key, text in labels.items())
+    named = ",".join(f'{key}="{escaped(text)}"' for key, text in labels.items())
     return f"imucald_{name}{{{named}}} {value}\n"
-
-
-def _escaped(text: str) -> str:
-    return text.replace("\\", "\\\\").replace('"', '\\"').replace("\n", "\\n")

@@ -67,7 +67,7 @@ class Notifier:
     def _send(self, text: str) -> None:
         if self._socket is not None:
             with contextlib.suppress(OSError):
-                self._socket.sendto(text.encode(), self._address)
+                self._socket.sendto(text.encode("utf-8", "backslashreplace"), self._address)
 
 
 def _watchdog_period(environment: Mapping[str, str]) -> float:

@@ -2,22 +2,26 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable
 from typing import Generic, TypeVar
 
 from imucald.core.errors import ImucaldError
-from imucald.service.journal import ERROR, Journal
+from imucald.service.journal import ERROR, WARNING, Journal
 from imucald.service.notify import Notifier
 from imucald.service.prepared import Prepared
 
 Read = TypeVar("Read")
+
+LONG_S = 30.0
+"""A reload that takes so long [s] is reported: a large database is read within 10 s for each MB."""
 
 
 class Reloading(Generic[Read]):
     """A reload from its request to its end. A failure is reported, and what runs goes on as it was.
 
     read: reads and parses, which may take long; touches nothing that runs. take_over: lets what was
-    read take the place of what runs, all of it or nothing.
+    read take the place of what runs, all of it or nothing. clock: monotonic [s].
     """
 
     def __init__(
@@ -26,11 +30,15 @@ class Reloading(Generic[Read]):
         take_over: Callable[[Read], None],
         journal: Journal,
         notifier: Notifier,
+        clock: Callable[[], float] = time.monotonic,
     ) -> None:
         self._read, self._take_over = read, take_over
         self._journal, self._notifier = journal, notifier
         self._is_requested = False
         self._preparing: Prepared[Read] | None = None
+        self._clock = clock
+        self._began = 0.0
+        self._is_waiting_reported = self._is_long_reported = False
 
     def ask(self) -> None:
         """Reload soon; safe in a signal handler."""
@@ -48,9 +56,24 @@ class Reloading(Generic[Read]):
                 self._is_requested = False
                 self._notifier.reloading()
                 self._preparing = Prepared.beside(self._read)
+                self._began = self._clock()
+                self._is_waiting_reported = self._is_long_reported = False
         elif self._preparing.is_done:
             prepared, self._preparing = self._preparing, None
             self._end(prepared)
+        else:
+            self._report_hanging(self._clock() - self._began)
+
+    def _report_hanging(self, seconds: float) -> None:
+        """Say, once each, that a reload waits for the one before it, and that one takes long."""
+        reading = f"the configuration is still being read, since {seconds:.0f} s"
+        if self._is_requested and not self._is_waiting_reported:
+            self._is_waiting_reported = True
+            self._journal.say(f"a reload waits: {reading}; it begins when that is over", WARNING)
+        if seconds > LONG_S and not self._is_long_reported:
+            self._is_long_reported = True
+            text = f"{reading}: does a file (network, disk) not answer? What runs goes on as it was"
+            self._journal.say(f"{text}; a restart begins afresh", WARNING)
 
     def _end(self, prepared: Prepared[Read]) -> None:
         try:

@@ -23,7 +23,7 @@ from imucald.service.identity import state_key
 from imucald.service.journal import NOTICE, WARNING, Journal
 from imucald.service.live import Daemon
 from imucald.service.notify import Notifier
-from imucald.service.parts import Listeners, PartsMaker
+from imucald.service.parts import Listeners, Parts, PartsMaker
 from imucald.service.reloading import Reloading
 from imucald.service.running_status import InputRates, run_result, running_status
 from imucald.service.sensor_check import is_checked, repeat_check
@@ -75,7 +75,9 @@ class Service:
         self._announcements = own = Announcements(self.journal)
         listeners = Listeners(own.snapshot, own.link_event, self._link_health, self.journal.say)
         self._maker = PartsMaker(self, options, listeners, clock)
-        self._reloading = Reloading(self._maker.read, self._take_over, self.journal, self.notifier)
+        self._reloading = Reloading(
+            self._maker.read, self._take_over, self.journal, self.notifier, clock
+        )
         loaded, engine = self._maker.read()
         self._lock = self._locked_folder()
         try:
@@ -168,16 +170,26 @@ class Service:
         self.parts = now = self._maker.after(before, *read)
         self.daemon.engine, self.daemon.link = now.engine, now.link
         self.daemon.serve(now.diagnostics.uds)
-        store = before.calibration_store
-        if store is not None and store is not now.calibration_store:
-            store.end()
-        if before.link is not now.link:
-            before.link.close()
+        self._let_go(before, now)
         self._rates.restart()
         self._announcements.restart_counts()
         self.journal.say(f"{self.options.config} was read again", NOTICE)
         say_idle_keys(read[0], self.journal)
         self._announcements.model(now.engine)
+
+    def _let_go(self, before: Parts, now: Parts) -> None:
+        """End the parts that others have taken the place of; no failure takes that back."""
+        store, ends = before.calibration_store, list[Callable[[], None]]()
+        if store is not None and store is not now.calibration_store:
+            ends.append(store.end)
+        if before.link is not now.link:
+            ends.append(before.link.close)
+        for end in ends:
+            try:
+                end()
+            except Exception as error:  # of a driver, say
+                text = f"what ran before the reload could not be ended ({type(error).__name__}"
+                self.journal.say(f"{text}: {error})", WARNING)
 
     def close(self) -> None:
         """Save the state, let go of bus and socket."""
@@ -254,11 +266,16 @@ class Service:
         """Repeat the sensor check soon; safe within a signal handler."""
         self._check_wanted = True
 
-    def forget_state(self) -> None:
-        """Keep nothing of what was saved."""
+    def forget_state(self) -> str:
+        """Keep nothing of what was saved; return why the disk does not take that now, or ""."""
         store = self.parts.calibration_store
-        if store is not None:
-            store.forget()
+        return "" if store is None else store.forget()
+
+    @property
+    def state_forgotten(self) -> bool:
+        """Whether nothing that was forgotten would come back with another start."""
+        store = self.parts.calibration_store
+        return store is None or store.store.is_forgotten
 
     def save_state(self) -> None:
         """Save the mount that is in force as it is now, held or not."""

@@ -35,7 +35,10 @@ class Sockets:
             return
         try:
             self.status = StatusServer(
-                path, status, events=lambda: [event._asdict() for event in journal.events]
+                path,
+                status,
+                events=lambda: [event._asdict() for event in journal.events],
+                say=journal.say,
             )
             is_needed = False
             self.control = ControlServer(control_socket(path), orders, journal.say)

@@ -22,6 +22,7 @@ from typing import Any
 from imucald.core.atomic_file import (
     UNFINISHED,
     free_name,
+    put_in_place,
     split_checksum,
     sync_folder,
     with_checksum,
@@ -118,6 +119,8 @@ class StateStore:
         """Of the newest one saved, loaded or forgotten."""
         self.era = 0
         """Goes up when all that was saved is forgotten; a save of an earlier era comes too late."""
+        self._forgotten: set[int] = set()
+        """Slots whose file was forgotten and may still have its name."""
         self._renaming = threading.Lock()
 
     def path(self, slot: int) -> Path:
@@ -159,21 +162,42 @@ class StateStore:
             if era != self.era:
                 unfinished.unlink()
                 return
-            unfinished.replace(path)
+            put_in_place(unfinished, path)
             self.generation = generation
+            self._forgotten.discard(generation % 2)
         self.sync()
 
     def forget(self) -> None:
         """Set both generations aside: nothing is loaded any more. OSError where that fails.
 
-        Never waits for the disk; `sync` does, without which a power cut may undo it.
+        Never waits for the disk; `sync` does, without which a power cut may undo it. After a
+        failure `set_aside_forgotten` goes on with it.
         """
         with self._renaming:
             self.era += 1
-            for slot in SLOTS:
+            self._forgotten.update(SLOTS)
+        self.set_aside_forgotten()
+
+    def set_aside_forgotten(self) -> None:
+        """Set aside what was forgotten and still has its name; OSError where that fails."""
+        failure: OSError | None = None
+        with self._renaming:
+            for slot in sorted(self._forgotten):
                 path = self.path(slot)
-                if path.exists():
-                    path.rename(free_name(path, "forgotten"))
+                try:
+                    if path.exists():
+                        path.rename(free_name(path, "forgotten"))
+                except OSError as error:
+                    failure = error  # the other one may be more willing
+                else:
+                    self._forgotten.discard(slot)
+        if failure is not None:
+            raise failure
+
+    @property
+    def is_forgotten(self) -> bool:
+        """Whether nothing that was forgotten would be loaded by another start."""
+        return not self._forgotten
 
     def sync(self) -> None:
         """Force what was renamed to the disk."""

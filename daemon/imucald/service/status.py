@@ -7,14 +7,15 @@ server would.
 
 from __future__ import annotations
 
-import json
 import os
 import time
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from imucald.service.line_server import LineServer
+from imucald.core.encodable import json_text
+from imucald.service.background_writer import Say
+from imucald.service.line_server import LineServer, nobody_listens
 from imucald.service.metrics import metrics_text
 
 READABLE_BY_ALL = 0o666
@@ -34,8 +35,8 @@ def default_socket(channel: str, environment: Mapping[str, str] | None = None) -
 class StatusServer(LineServer):
     """Answers on a Unix socket that everybody may read.
 
-    status: makes the status when somebody asks; events: the last events. Raises LinkError when the
-    socket cannot be made.
+    status: makes the status when somebody asks; events: the last events. say: see `LineServer`.
+    Raises LinkError when the socket cannot be made.
     """
 
     def __init__(
@@ -44,8 +45,9 @@ class StatusServer(LineServer):
         status: Callable[[], Mapping[str, Any]],
         clock: Callable[[], float] = time.monotonic,
         events: Callable[[], Sequence[Mapping[str, Any]]] = list,
+        say: Say = nobody_listens,
     ) -> None:
-        super().__init__(path, READABLE_BY_ALL, lambda line, _: self._answer(line), clock)
+        super().__init__(path, READABLE_BY_ALL, lambda line, _: self._answer(line), clock, say=say)
         self._status = status
         self._events = events
 
@@ -66,7 +68,7 @@ class StatusServer(LineServer):
 
 def status_json(status: Mapping[str, Any]) -> str:
     """One JSON object on one line."""
-    return json.dumps(status, allow_nan=False, ensure_ascii=False) + "\n"
+    return json_text(status) + "\n"
 
 
 def _http(code: str, body: bytes) -> bytes:

@@ -53,6 +53,11 @@ class RunningService(Protocol):
         ...
 
     @property
+    def state_forgotten(self) -> bool:
+        """Whether nothing that was forgotten would come back with another start."""
+        ...
+
+    @property
     def orders(self) -> MountOrders:
         """What may be done to the mount."""
         ...
@@ -189,6 +194,11 @@ class LiveHost:
     def forget(self) -> None:
         """Begin anew and keep nothing."""
         self._service.orders.reset(TESTER)
+
+    @property
+    def is_forgotten(self) -> bool:
+        """Whether nothing that was forgotten would come back with another start."""
+        return self._service.state_forgotten
 
 
 def configuration_identity(loaded: LoadedConfig) -> bytes:

@@ -110,3 +110,8 @@ class Host(Protocol):
     def forget(self) -> None:
         """Begin again and keep nothing, a saved state neither."""
         ...
+
+    @property
+    def is_forgotten(self) -> bool:
+        """Whether the disk has taken that: nothing comes back with another start."""
+        ...

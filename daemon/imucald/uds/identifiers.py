@@ -10,6 +10,7 @@ import struct
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
+from imucald.core.encodable import encodable
 from imucald.mount.estimate import ANGLES
 from imucald.uds.codes import Answer, Nrc
 from imucald.uds.host import Host
@@ -121,7 +122,7 @@ IDENTIFIERS: Mapping[int, Identifier] = {
     0xFD04: Identifier("quality", lambda s: bytes([s.quality])),
     0xFD05: Identifier("waiting reasons", _waiting),
     0xFD06: Identifier("configuration identity", lambda s: s.identity.configuration),
-    0xFD07: Identifier("vehicle identity", lambda s: s.identity.vehicle.encode("utf-8")),
+    0xFD07: Identifier("vehicle identity", lambda s: encodable(s.identity.vehicle).encode()),
     0xFD08: Identifier("frame counters", _counters),
     0xFD09: Identifier("rejections by reason", _faults),
     0xFD0A: Identifier("uptime", lambda s: _u32(int(s.uptime))),

@@ -21,7 +21,10 @@ RESULTS: Final = 0x03
 CALIBRATE: Final = 0xF010
 """Begin again under supervision; stopping it takes the former calibration back."""
 RESET: Final = 0xF011
-"""Forget the calibration, the saved one too; done at once, cannot be taken back."""
+"""Forget the calibration, the saved one too; done at once, cannot be taken back.
+
+It runs for as long as the disk does not take it, so that a restart would bring the saved one back.
+"""
 
 CHECK_SENSORS: Final = 0xF012
 """Repeat the sensor check of the attitude: the vehicle has to stand until it is completed."""
@@ -57,6 +60,8 @@ class Routines:
         if self._runs(CALIBRATE) and self._host.quality >= USABLE_QUALITY:
             self._status[CALIBRATE] = RoutineStatus.COMPLETED
             self._host.accept_calibration()
+        if self._runs(RESET) and self._host.is_forgotten:
+            self._status[RESET] = RoutineStatus.COMPLETED
         if self._runs(CHECK_SENSORS) and self._host.sensors_checked:
             self._status[CHECK_SENSORS] = RoutineStatus.COMPLETED
 
@@ -74,7 +79,7 @@ class Routines:
         return self._start(routine) if sub == START else self._stop(routine)
 
     def _start(self, routine: int) -> Answer:
-        if self._runs(routine):
+        if self._runs(routine) and routine != RESET:  # what was learnt since is to go as well
             return Nrc.REQUEST_SEQUENCE_ERROR
         if not self._host.standing:
             return Nrc.CONDITIONS_NOT_CORRECT
@@ -87,7 +92,7 @@ class Routines:
     def _stop(self, routine: int) -> Answer:
         if not self._runs(routine):
             return Nrc.REQUEST_SEQUENCE_ERROR
-        if routine == CHECK_SENSORS or not self._host.standing or not self._host.return_to_former():
+        if routine != CALIBRATE or not self._host.standing or not self._host.return_to_former():
             return Nrc.CONDITIONS_NOT_CORRECT
         self._status[routine] = RoutineStatus.STOPPED
         return self._echo(STOP, routine)
@@ -109,7 +114,7 @@ class Routines:
         if self._runs(CALIBRATE):
             self._status[CALIBRATE] = RoutineStatus.STOPPED
         self._host.forget()
-        return RoutineStatus.COMPLETED
+        return RoutineStatus.COMPLETED if self._host.is_forgotten else RoutineStatus.RUNNING
 
     def _runs(self, routine: int) -> bool:
         return self._status.get(routine) is RoutineStatus.RUNNING

@@ -72,9 +72,12 @@ def parse_bounded(text: str, database_format: str, source: str) -> list[Message]
         raise DatabaseError(f"{source}: reading it takes too long") from None
     except (OSError, ValueError) as error:
         raise DatabaseError(f"{source}: no process could be started for it: {error}") from None
-    if done.returncode != 0:
-        raise DatabaseError(f"{source}: {_why(done, memory, seconds)}")
-    return msgspec.json.decode(done.stdout, type=list[Message])
+    try:
+        if done.returncode == 0:
+            return msgspec.json.decode(done.stdout, type=list[Message])
+    except msgspec.DecodeError:
+        pass  # where SIGCHLD is ignored (inherited), the status of every process is 0
+    raise DatabaseError(f"{source}: {_why(done, memory, seconds)}")
 
 
 def parse_for_parent(database_format: str, source: str, memory: str, seconds: str) -> int:
@@ -102,7 +105,7 @@ def _limit(memory: int, seconds: int) -> None:
 
 def _why(done: subprocess.CompletedProcess[bytes], memory: int, seconds: int) -> str:
     messages = done.stderr.decode("utf-8", "replace").strip().splitlines()
-    if done.returncode == 1 and messages:
+    if done.returncode in (0, 1) and messages:
         return messages[-1]
     return (
         f"cannot be read with {memory // 2**20} MiB of memory and {seconds} s of processor time; "

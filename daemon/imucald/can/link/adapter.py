@@ -3,16 +3,30 @@
 Adapters for USB, serial lines, remote buses, and the virtual bus of the demo. What SocketCAN does
 in the kernel (filters, counted losses, interface states) an adapter may not do at all; ids are
 therefore filtered again by the link, and only an error shows that the adapter has gone.
+
+What a driver makes of damaged data is not python-can's to say: one raises CanError, another
+ValueError, a third hands out a frame whose id is no number. None of it ends a link, and a frame
+that nobody can understand does not close it: only a driver that does nothing but fail has gone.
 """
 
 from __future__ import annotations
 
 import errno
+import math
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
-from imucald.can.columns import CAN_EFF_FLAG, CAN_ERR_FLAG, CAN_RTR_FLAG, CLASSIC_BYTES, IdMatch
+from imucald.can.columns import (
+    CAN_EFF_FLAG,
+    CAN_EFF_MASK,
+    CAN_ERR_FLAG,
+    CAN_RTR_FLAG,
+    CAN_SFF_MASK,
+    CLASSIC_BYTES,
+    FD_BYTES,
+    IdMatch,
+)
 from imucald.can.link.own_echoes import Echoes
 from imucald.can.link.socketcan import MAX_BATCH, Frame
 from imucald.can.python_can import can
@@ -21,6 +35,20 @@ from imucald.core.extras import how_to_install
 
 SEND_WAIT = 0.002
 """An adapter may block so long when its transmit queue is full [s]."""
+
+FAILING_S = 0.2
+"""A driver that does nothing but fail for so long has gone [s]. One damaged frame, or a burst, is
+over sooner: the next attempt gives a good frame (an accelerometer sends ten a second at least) or
+says that nothing waits. As long as a silent SocketCAN interface takes to be looked at."""
+
+MAX_FAILURES = 32
+"""Attempts in one call, one after the other, that may fail."""
+
+FAILURE_PAUSE_S = 0.002
+"""Pause after that many [s]: a driver that has gone fails at once, and shall not take a core."""
+
+MAX_STAMP = 2**53 / 1e6
+"""Up to there a float holds whole microseconds [s]: until the year 2255."""
 
 ECHOING = ("udp_multicast",)
 """Interfaces of python-can that hand back what we sent without a mark."""
@@ -37,6 +65,10 @@ class Adapter:
 
     lost = 0  # an adapter does not say what it dropped
     receive_buffer = 0
+    rejected = 0
+    """Frames, or records of the driver, that could not be understood."""
+    why_rejected = ""
+    """Of the last of them."""
 
     def __init__(
         self,
@@ -47,7 +79,12 @@ class Adapter:
         fd: bool = False,
         bitrate: int | None = None,
         options: Mapping[str, Any] | None = None,
+        clock: Callable[[], float] = time.monotonic,
     ) -> None:
+        self._clock = clock
+        self._failures = 0  # of the driver, since it last worked
+        self._failing_since = 0.0
+        self._reason = ""
         self._echoes = Echoes() if interface in ECHOING else None
         arguments: dict[str, Any] = dict(options or {})
         if interface not in _IN_MEMORY:
@@ -61,14 +98,17 @@ class Adapter:
         except (can.CanInterfaceNotImplementedError, ImportError, TypeError) as error:
             remedy = f"; it needs {how_to_install('live')}" * ("msgpack" in str(error))
             raise LinkError(f"interface {interface!r}: {error}{remedy}") from None
-        except (can.CanError, ValueError) as error:
-            raise OSError(f"interface {interface!r}, channel {channel!r}: {error}") from error
+        except OSError:
+            raise
+        except Exception as error:  # CanError, ValueError, or what else a driver knows
+            text = f"interface {interface!r}, channel {channel!r}: {_reason(error)}"
+            raise OSError(text) from error
 
     def fileno(self) -> int | None:
         """Return a descriptor that is readable when frames wait, None where there is none."""
         try:
             number = self._bus.fileno()
-        except NotImplementedError:
+        except Exception:  # NotImplementedError, or of an adapter that has gone
             return None
         return number if number >= 0 else None
 
@@ -76,25 +116,66 @@ class Adapter:
         """Close the bus; an adapter that was pulled out may fail at that, and is gone anyway."""
         try:
             self._bus.shutdown()
-        except (can.CanError, OSError):
+        except Exception:
             return
 
     def receive(self, timeout: float) -> list[Frame]:
-        """Wait up to `timeout` [s] for a frame, then take all that wait (bounded)."""
+        """Wait up to `timeout` [s] for a frame, then take all that wait (bounded).
+
+        Raises OSError when the driver has done nothing but fail for `FAILING_S`.
+        """
         frames: list[Frame] = []
-        receive = self._bus.recv
-        try:
-            message = receive(timeout)
-            while message is not None:
-                if message.is_rx and not self._is_echo(message):  # some hand back what we sent
-                    frames.append((_stamp(message), _can_id(message), bytes(message.data)))
-                if len(frames) >= MAX_BATCH:
+        receive, wait, failed = self._bus.recv, timeout, 0
+        for _ in range(MAX_BATCH):
+            try:
+                message = receive(wait)
+            except Exception as error:  # CanError, or what else a driver makes of damaged data
+                if self._has_gone(error):
+                    if frames:
+                        break
+                    raise OSError(self._reason) from error
+                failed += 1
+                if failed == MAX_FAILURES:
+                    time.sleep(min(timeout, FAILURE_PAUSE_S))
                     break
-                message = receive(0.0)
-        except can.CanError as error:
-            if not frames:
-                raise OSError(str(error)) from error
+            else:
+                failed = 0
+                if self._failures:
+                    self._works()
+                if message is None:
+                    break
+                if (frame := self._taken(message)) is not None:
+                    frames.append(frame)
+            wait = 0.0
         return frames
+
+    def _has_gone(self, error: Exception) -> bool:
+        """Take in that the driver failed; whether it has done so for too long."""
+        now = self._clock()
+        if not self._failures:
+            self._failing_since = now
+        self._failures += 1
+        self._reason = _reason(error)
+        return now - self._failing_since > FAILING_S
+
+    def _works(self) -> None:
+        """The driver has not gone: what it failed at were records that it did not understand."""
+        self.rejected += self._failures
+        self.why_rejected = self._reason
+        self._failures = 0
+
+    def _taken(self, message: can.Message) -> Frame | None:
+        """Return the frame; None where it is our own, or cannot be understood."""
+        try:
+            if not message.is_rx:  # some hand back what we sent
+                return None
+            frame = _frame(message)
+        except Exception as error:
+            self.rejected += 1
+            self.why_rejected = _reason(error)
+            return None
+        echoes = self._echoes
+        return None if echoes is not None and echoes.is_own(frame[1], frame[2]) else frame
 
     def send(self, can_id: int, data: bytes, bitrate_switch: bool) -> None:
         """Send one frame, as CAN FD when it is longer than 8 bytes.
@@ -112,14 +193,10 @@ class Adapter:
         )
         try:
             self._bus.send(message, timeout=SEND_WAIT)
-        except (can.CanError, OSError, ValueError) as error:
-            raise OSError(errno.EIO, str(error)) from error
+        except Exception as error:
+            raise OSError(errno.EIO, _reason(error)) from error
         if self._echoes is not None:
             self._echoes.sent(can_id, data)
-
-    def _is_echo(self, message: can.Message) -> bool:
-        echoes = self._echoes
-        return echoes is not None and echoes.is_own(_can_id(message), bytes(message.data))
 
     def is_same_interface(self) -> bool:
         """Whether the adapter is still there: only an error would show it."""
@@ -136,8 +213,26 @@ def _filter(match: IdMatch) -> Any:
     return {"can_id": can_id, "can_mask": mask, "extended": extended}
 
 
-def _can_id(message: can.Message) -> int:
-    can_id = message.arbitration_id
+def _frame(message: can.Message) -> Frame:
+    """Return stamp, id and data, each of the type and within the range that all else relies on.
+
+    Raises TypeError or ValueError: python-can looks at a message only where its driver asks for it.
+    """
+    can_id, data = message.arbitration_id, message.data
+    if not isinstance(can_id, int) or isinstance(can_id, bool):
+        raise TypeError(f"its id is {can_id!r:.40}")
+    is_long = message.is_extended_id or message.is_error_frame
+    if not 0 <= can_id <= (CAN_EFF_MASK if is_long else CAN_SFF_MASK):
+        raise ValueError(f"its id is {can_id!r:.40}")
+    if not isinstance(data, bytes | bytearray | memoryview):
+        raise TypeError("its data are no bytes")
+    payload = bytes(data)
+    if len(payload) > FD_BYTES:
+        raise ValueError(f"it has {len(payload)} bytes")
+    return _stamp(message), _flagged(can_id, message), payload
+
+
+def _flagged(can_id: int, message: can.Message) -> int:
     if message.is_error_frame:
         return can_id | CAN_ERR_FLAG
     if message.is_remote_frame:
@@ -147,4 +242,17 @@ def _can_id(message: can.Message) -> int:
 
 def _stamp(message: can.Message) -> float:
     """Return the stamp [s] in whole microseconds, as a written log has it."""
-    return round((message.timestamp or time.time()) * 1e6) / 1e6
+    stamp = message.timestamp or time.time()
+    if not isinstance(stamp, int | float):
+        raise TypeError(f"its time stamp is {stamp!r:.40}")
+    if not (math.isfinite(stamp) and 0.0 <= stamp <= MAX_STAMP):
+        raise ValueError(f"its time stamp is {stamp!r:.40}")
+    return round(stamp * 1e6) / 1e6
+
+
+def _reason(error: Exception) -> str:
+    """What is to be said of an error; with its kind where only that tells what it is about."""
+    text = str(error)
+    if text and isinstance(error, can.CanError | OSError):
+        return text
+    return f"{type(error).__name__}: {text}" if text else type(error).__name__

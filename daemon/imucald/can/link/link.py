@@ -30,6 +30,7 @@ from imucald.can.link.link_events import (
     conflict_text,
     down_text,
     queue_full_text,
+    rejected_text,
 )
 from imucald.can.link.outbox import Outbox
 from imucald.can.link.port import Port, open_port
@@ -109,6 +110,7 @@ class Link:
         self._port: Port | None = None
         self._opened_before = False
         self._lost_before = 0  # what earlier sockets had lost
+        self._rejected_before = 0
         self._id_filter = LinkIdFilter(receive, own_ids, channel)
         self._outbox = Outbox(bitrate_switch, clock, self._frame_sent, self._queue_full)
         self._pause = MIN_RETRY
@@ -144,6 +146,8 @@ class Link:
         except OSError as error:
             self._failed(port, error)
             return []
+        if self._rejected_before + port.rejected != self.counters.rejected:
+            self._count_rejected(port)
         if frames:
             return self._sorted(port, frames)
         if self._clock() >= self._next_check:
@@ -191,6 +195,10 @@ class Link:
             self._announcer.announce_seldom(
                 "lost", f"frames of {self.channel} were lost before they were read"
             )
+
+    def _count_rejected(self, port: Port) -> None:
+        self.counters.rejected = self._rejected_before + port.rejected
+        self._announcer.announce_seldom("rejected", rejected_text(self.channel, port.why_rejected))
 
     # ---- sending ------------------------------------------------------------------------------
 
@@ -297,6 +305,7 @@ class Link:
     def _let_go(self, port: Port, reason: str) -> None:
         self._count_losses(port)
         self._lost_before = self.counters.lost
+        self._rejected_before = self.counters.rejected
         port.close()
         self._port = None
         for _ in range(self._outbox.clear()):

@@ -15,6 +15,10 @@ EVENT_PERIOD = 5.0
 """Events that may come with every frame are reported this often at most, with their count [s]."""
 
 
+MAX_REASON = 200
+"""Characters of a driver's text that are shown."""
+
+
 class LinkState(enum.StrEnum):
     """How the bus is, as far as the interface shows."""
 
@@ -27,7 +31,7 @@ class LinkState(enum.StrEnum):
 class LinkEvent(Struct, frozen=True):
     """Something worth a line in the log. `kind` is for programs, `text` for people.
 
-    Kinds: the values of `LinkState` when it changes; conflict, lost, queue_full (seldom).
+    Kinds: the values of `LinkState` when it changes; conflict, lost, queue_full, rejected (seldom).
     """
 
     kind: str
@@ -43,7 +47,8 @@ class LinkCounters:
     queue_full, bus_off, refused, too_long, adapter). conflicts: frames of other nodes under our
     output ids. foreign: frames not asked for that got past the filter. error_frames, bus_off:
     error frames, and how often the controller left the bus. went_down, reopened: how often the
-    interface was set down, and how often it was opened again after it had gone.
+    interface was set down, and how often it was opened again after it had gone. rejected: frames
+    and records of a python-can driver that could not be understood.
     """
 
     received: int = 0
@@ -56,6 +61,7 @@ class LinkCounters:
     bus_off: int = 0
     went_down: int = 0
     reopened: int = 0
+    rejected: int = 0
 
     def not_sent(self, reason: str) -> None:
         """Count a frame that was not sent."""
@@ -122,6 +128,11 @@ def conflict_text(channel: str, can_id: int) -> str:
         f"another node on {channel} sends our output id {can_id & CAN_EFF_MASK:0{digits}X}: "
         "choose other ids for the output, or stop the other sender"
     )
+
+
+def rejected_text(channel: str, reason: str) -> str:
+    """Return the text for frames of an adapter that make no sense."""
+    return f"a frame of {channel} was rejected: it cannot be understood ({reason[:MAX_REASON]})"
 
 
 def queue_full_text(channel: str) -> str:

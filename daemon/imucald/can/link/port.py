@@ -15,6 +15,8 @@ class Port(SendingPort, Protocol):
 
     lost: int
     receive_buffer: int
+    rejected: int
+    why_rejected: str
 
     def fileno(self) -> int | None:
         """Return a descriptor to wait on, if there is one."""

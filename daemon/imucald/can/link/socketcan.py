@@ -15,6 +15,7 @@ from __future__ import annotations
 
 import errno
 import fcntl
+import os
 import select
 import socket
 import struct
@@ -75,6 +76,7 @@ class SocketCan:
         self.index = _interface_index(channel)
         self.lost = 0
         """Frames of ours that the kernel dropped because nobody read them in time."""
+        self.rejected, self.why_rejected = 0, ""  # the kernel hands out sound frames only
         self._drops = 0
         self._fault: OSError | None = None
         self._socket = _raw_socket()
@@ -182,7 +184,7 @@ class SocketCan:
 
     def is_up(self) -> bool:
         """Whether the interface is set up (an ioctl on our own socket: needs no other family)."""
-        request = _FLAGS_REQUEST.pack(self._channel.encode(), 0)
+        request = _FLAGS_REQUEST.pack(os.fsencode(self._channel), 0)
         try:
             answer = fcntl.ioctl(self._socket, _SIOCGIFFLAGS, request)
         except OSError:
