@@ -212,6 +212,32 @@ def test_input_that_comes_back_is_calibrated_on():
         bench.close()
 
 
+@pytest.mark.parametrize("set_back", [0.0, 5.0, 8.5])
+def test_a_clock_set_back_in_a_silence_refuses_nothing_and_status_goes_on(set_back):
+    clock = Clock()
+    bench = Bench(clock)
+    try:
+        frames = drive_frames()
+        for frame in frames.take(slice(0, 6000)).rows():
+            bench.send(*frame)
+        while bench.daemon.step(0.0):
+            pass
+        for _ in range(80):
+            clock.now += 0.1
+            bench.daemon.step(0.0)
+        bench.received()
+        second = frames.take(slice(6000, 14_000))
+        for t, can_id, data in second.rows():
+            bench.send(t + 8.0 - set_back, can_id, data)
+        while bench.daemon.step(0.0):
+            pass
+        seconds = int(second.t[-1] - second.t[0])
+        assert sum(i == HEALTH for i, _ in bench.received()) in range(seconds, seconds + 3)
+        assert bench.engine.router.rejected["too_fast"] == 0
+    finally:
+        bench.close()
+
+
 def test_another_sender_on_our_ids_raises_the_alarm_and_is_not_heard():
     clock = Clock()
     bench = Bench(clock)

@@ -4,6 +4,7 @@ import itertools
 import time
 
 import numpy as np
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -72,6 +73,25 @@ def test_a_short_silence_keeps_its_length():
     base.idle(3.0)
     t, gap = base.stream_time(4.0)
     assert (t, gap) == (4.0, False)
+
+
+@pytest.mark.parametrize("set_back", [2.0, 5.0, 8.5, 8.9, 60.0])
+@pytest.mark.parametrize("by_columns", [False, True])
+def test_a_clock_set_back_in_a_silence_does_not_hold_up_stream_time(set_back, by_columns):
+    base = TimeBase()
+    base.stream_time(1000.0)
+    base.stream_time(1001.0)
+    silent = base.idle(7.5)
+    stamps = 1009.0 - set_back + 0.01 * np.arange(100)
+    if by_columns:
+        (segment,) = base.segments(stamps)
+        t, gap = segment.t, segment.gap
+    else:
+        found = [base.stream_time(float(stamp)) for stamp in stamps]
+        t, gap = np.array([one for one, _ in found]), found[0][1]
+    assert gap
+    assert silent < t[0] <= silent + 0.1 + 1e-9, "in the tick after the silence"
+    assert np.diff(t) == pytest.approx(np.full(99, 0.01))
 
 
 def test_a_clock_that_goes_back_and_returns_leaves_no_hole():

@@ -66,13 +66,21 @@ class TimeBase:
             self._offset, self._newest = stamp, stamp
             return 0.0, False
         limit = FORWARD_STEP if stamp > self._highest else BACKWARD_STEP
-        gap = not -BACKWARD_STEP <= stamp - self._newest <= limit
+        gap = not -BACKWARD_STEP <= stamp - self._newest <= limit or self._is_overtaken(stamp)
         if gap:
             self._begin_segment(stamp)
         elif stamp > self._newest:
             self._newest = stamp
         self._now = self._frame = max(self._now, stamp - self._offset)
         return self._now, gap
+
+    def _is_overtaken(self, stamp: float) -> bool:
+        """Whether `idle` has come further than this stamp: the clock was set back in a silence.
+
+        Beside the newest stamp alone it may look like one that went on, or like disorder; stream
+        time would stand still until the stamps have caught up.
+        """
+        return self._now > self._frame and stamp - self._offset < self._now - BACKWARD_STEP
 
     def idle(self, elapsed: float) -> float:
         """Let time pass without a stamp; return stream time [s].
@@ -86,14 +94,16 @@ class TimeBase:
         """Split a column of stamps (N,) into segments without discontinuity, with stream times."""
         start, n = 0, len(stamps)
         while start < n:
-            gap = False
+            gap, stamp = False, float(stamps[start])
             if not self.started:
                 self.started = True
-                self._offset = self._newest = float(stamps[0])
-            elif self._end_of_segment(stamps[start : start + 1], 0) == 0:
+                self._offset = self._newest = stamp
+            elif self._end_of_segment(stamps[start : start + 1], 0) == 0 or self._is_overtaken(
+                stamp
+            ):
                 gap = True
-                self._begin_segment(float(stamps[start]))
-            self._newest = max(self._newest, float(stamps[start]))
+                self._begin_segment(stamp)
+            self._newest = max(self._newest, stamp)
             t = self._times(stamps, start)
             yield TimeSegment(start, start + len(t), t, gap)
             start += len(t)
