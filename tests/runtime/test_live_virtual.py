@@ -212,7 +212,7 @@ def test_input_that_comes_back_is_calibrated_on():
         bench.close()
 
 
-@pytest.mark.parametrize("set_back", [0.0, 5.0, 8.5])
+@pytest.mark.parametrize("set_back", [0.0, 1.4, 5.0, 8.5])
 def test_a_clock_set_back_in_a_silence_refuses_nothing_and_status_goes_on(set_back):
     clock = Clock()
     bench = Bench(clock)
@@ -234,6 +234,23 @@ def test_a_clock_set_back_in_a_silence_refuses_nothing_and_status_goes_on(set_ba
         seconds = int(second.t[-1] - second.t[0])
         assert sum(i == HEALTH for i, _ in bench.received()) in range(seconds, seconds + 3)
         assert bench.engine.router.rejected["too_fast"] == 0
+    finally:
+        bench.close()
+
+
+@pytest.mark.parametrize("set_back", [0.3, 0.9])
+def test_status_frames_keep_their_time_when_the_clock_is_set_back_a_little(set_back):
+    bench = Bench(Clock())
+    try:
+        frames = drive_frames().take(slice(0, 8000))
+        sent: list[float] = []
+        for t, can_id, data in frames.rows():
+            since = t - frames.t[0]
+            bench.send(t - set_back * (since > 5.0), can_id, data)
+            bench.daemon.step(0.0)
+            sent += [since] * sum(i == HEALTH for i, _ in bench.received())
+        assert max(np.diff(sent)) < 1.15
+        assert bench.engine.timebase.now == pytest.approx(frames.t[-1] - frames.t[0], abs=0.02)
     finally:
         bench.close()
 

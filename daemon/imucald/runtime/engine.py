@@ -1,7 +1,8 @@
 """Frames in, frames out: router, pipeline and output put together. No I/O, no clock.
 
 The live daemon feeds frames one by one (`frame`), replay feeds chunks of columns (`columns`). Both
-give the same frames in the same order; the two may be mixed on one engine.
+give the same frames in the same order, where no clock was set back by less than a second (see
+`TimeBase.is_live`); the two may be mixed on one engine.
 """
 
 from __future__ import annotations

@@ -115,6 +115,7 @@ class Daemon:
     ) -> None:
         self.engine = engine
         engine.output.prepare()
+        engine.timebase.is_live = True
         self.link = link
         self.stopping = False
         self._clock = clock
