@@ -15,7 +15,7 @@ from imucald.can.columns import CAN_EFF_FLAG, CAN_EFF_MASK, CAN_SFF_MASK, IdMatc
 from imucald.can.link import socketcan
 from imucald.can.link.link import Link, LinkEvent, LinkState
 from imucald.can.link.outbox import HELD_FRAMES, MAX_HOLD, Outbox
-from imucald.can.link.socketcan import MAX_FILTERS, SocketCan, packed_filters
+from imucald.can.link.socketcan import MAX_BATCH, MAX_FILTERS, SocketCan, packed_filters
 from imucald.can.python_can import can
 from imucald.core.errors import LinkError
 
@@ -308,6 +308,19 @@ def test_a_silently_replaced_interface_is_noticed_by_its_silence(faulty_link: An
     port.there = False  # the kernel says nothing on this socket any more
     assert link.receive(0.5) == []
     assert kinds == ["up", "absent"]
+
+
+def test_it_says_whether_it_took_all_that_waited(faulty_link: Any) -> None:
+    link, port, _ = faulty_link()
+    port.incoming = [[FRAME] * MAX_BATCH, [FRAME] * 3, errno.ENETDOWN]
+    assert len(link.receive(1.0)) == MAX_BATCH
+    assert not link.is_empty
+    link.receive(1.0)
+    assert link.is_empty
+    link.receive(0.0)
+    assert not link.is_empty, "an error may come before frames that wait"
+    link.receive(0.5)
+    assert link.is_empty
 
 
 def test_losses_add_up_over_reopened_sockets(faulty_link: Any) -> None:

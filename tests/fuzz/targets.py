@@ -75,7 +75,7 @@ FRAME_SPECS = (
     ProtectionSpec(20, COUNTER, None, 0.02, recovery=1),
     ProtectionSpec(0),
 )
-LINK_COUNTERS = "received lost sent conflicts error_frames bus_off went_down reopened rejected"
+LINK_COUNTERS = "received lost late sent conflicts error_frames bus_off went_down reopened rejected"
 STATUS: dict[str, Any] = {
     "state": "fine",
     "quality": 3,

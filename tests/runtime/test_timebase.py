@@ -4,6 +4,7 @@ import itertools
 import time
 
 import numpy as np
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -72,6 +73,72 @@ def test_a_short_silence_keeps_its_length():
     base.idle(3.0)
     t, gap = base.stream_time(4.0)
     assert (t, gap) == (4.0, False)
+
+
+@pytest.mark.parametrize("set_back", [2.0, 5.0, 8.5, 8.9, 60.0])
+@pytest.mark.parametrize("by_columns", [False, True])
+def test_a_clock_set_back_in_a_silence_does_not_hold_up_stream_time(set_back, by_columns):
+    base = TimeBase()
+    base.stream_time(1000.0)
+    base.stream_time(1001.0)
+    silent = base.idle(7.5)
+    stamps = 1009.0 - set_back + 0.01 * np.arange(100)
+    if by_columns:
+        (segment,) = base.segments(stamps)
+        t, gap = segment.t, segment.gap
+    else:
+        found = [base.stream_time(float(stamp)) for stamp in stamps]
+        t, gap = np.array([one for one, _ in found]), found[0][1]
+    assert gap
+    assert silent < t[0] <= silent + 0.1 + 1e-9, "in the tick after the silence"
+    assert np.diff(t) == pytest.approx(np.full(99, 0.01))
+
+
+def live(base: TimeBase | None = None) -> TimeBase:
+    base = base or TimeBase()
+    base.is_live = True
+    return base
+
+
+@pytest.mark.parametrize("set_back", [0.04, 0.09, 0.15, 0.3, 0.9, 1.0])
+def test_a_clock_set_back_a_little_holds_up_a_live_stream_for_a_tick_at_most(set_back):
+    true = 0.005 * np.arange(1000)
+    stamps = 1.6e9 + true - np.where(true > 2.0, set_back, 0.0)
+    base = live()
+    found = [base.stream_time(float(stamp)) for stamp in stamps]
+    t = np.array([one for one, _ in found])
+    assert not any(gap for _, gap in found), "the samples have gone on: nothing begins anew"
+    assert np.abs(t - true).max() < 0.1 + 1e-6
+    if set_back > 0.1:
+        assert base.steps == 1
+        assert t[-1] == pytest.approx(true[-1], abs=0.006), "less than a sample is lost"
+
+
+def test_set_backs_one_after_the_other_do_not_hold_up_a_live_stream():
+    true = 0.01 * np.arange(2000)
+    base = live()
+    t = [base.stream_time(float(stamp)) for stamp in 1.6e9 + true - 0.7 * np.floor(true / 0.8)]
+    assert t[-1][0] == pytest.approx(true[-1], abs=0.4)
+
+
+def test_a_small_set_back_in_a_silence_does_not_hold_up_a_live_stream():
+    base = live()
+    base.stream_time(1000.0)
+    silent = base.idle(7.5)
+    t = np.array([base.stream_time(1007.0 + 0.01 * i)[0] for i in range(100)])
+    assert t[0] == silent
+    assert t[-1] == pytest.approx(silent + 0.99)
+
+
+def test_a_live_stamp_that_is_late_by_itself_moves_nothing():
+    base = live()
+    stamps = np.round(1.6e9 + 0.01 * np.arange(500), 6)
+    stamps[100::7] -= 0.5
+    t = np.array([base.stream_time(float(stamp))[0] for stamp in stamps])
+    assert base.steps == 0
+    sound = np.ones(500, bool)
+    sound[100::7] = False
+    assert t[sound] == pytest.approx(stamps[sound] - 1.6e9)
 
 
 def test_a_clock_that_goes_back_and_returns_leaves_no_hole():

@@ -93,7 +93,8 @@ def _rows(status: Mapping[str, Any]) -> dict[str, str | Text]:
         "frames": f"{frames['used']} used, {status['frames_given_out']} sent",
         "now": Text("; ".join(wrong) or well or "nothing wrong", style="red" if wrong else ""),
         "sensors": _sensors(status["signal_health"]),
-        "losses": f"{link['lost']} lost, {sum(link['send_errors'].values())} not sent, "
+        "losses": f"{link['lost']} lost, {link.get('late', 0)} late, "
+        f"{sum(link['send_errors'].values())} not sent, "
         f"{link['conflicts']} in conflict, {link['went_down']} times down, "
         f"{link['reopened']} times reopened" + _not_understood(link),
         "rejected": ", ".join(rejected) or "none",

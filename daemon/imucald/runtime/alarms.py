@@ -15,7 +15,7 @@ ALARMS = {
     "speed_faulty": "speed faulty",
     "yaw_rate_faulty": "yaw rate faulty",
     "input_rejected": "inputs rejected",
-    "frames_lost": "frames lost",
+    "frames_lost": "frames lost or late",
     "id_conflict": "another node sends our ids",
     "send_failed": "frames not sent",
 }

@@ -38,15 +38,21 @@ class ConsumerGroup:
             for consumer in self.all:
                 hand_on(consumer, t, channel, values, correction, unfit)
 
-    def end_ticks(self, first: int, stop: int, snapshots: Sequence[Snapshot]) -> list[OutFrame]:
-        """Ticks `first` to `stop` - 1 have ended; return the frames that are due."""
+    def end_ticks(
+        self, first: int, stop: int, snapshots: Sequence[Snapshot], is_late: bool = False
+    ) -> list[OutFrame]:
+        """Ticks `first` to `stop` - 1 have ended; return the frames that are due.
+
+        is_late: too long ago for anything to be sent of them.
+        """
         taken = {snapshot.k: snapshot.estimate for snapshot in snapshots}
         out: list[OutFrame] = []
         for k in range(first, stop):
             for consumer in self.all:
                 if k in taken:
                     consumer.mounted(taken[k])
-                out += consumer.tick(k)
+                if not is_late:
+                    out += consumer.tick(k)
         return out
 
     def gap(self) -> None:

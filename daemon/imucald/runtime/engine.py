@@ -1,12 +1,13 @@
 """Frames in, frames out: router, pipeline and output put together. No I/O, no clock.
 
 The live daemon feeds frames one by one (`frame`), replay feeds chunks of columns (`columns`). Both
-give the same frames in the same order; the two may be mixed on one engine.
+give the same frames in the same order, where no clock was set back by less than a second (see
+`TimeBase.is_live`); the two may be mixed on one engine.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from functools import cache
 from typing import TYPE_CHECKING
 
@@ -86,6 +87,8 @@ class Engine:
         self._spaced = {
             c: Spaced(guarded_cycle(router.cycles(c))) for c in output.triads
         }  # frames not available: one a cycle
+        self._late = {c: Spaced(guarded_cycle(router.cycles(c))) for c in output.triads}
+        self._late_status = Spaced(1.0 / status_rate)
         self._watch = InputWatch(router.channels)
 
     @property
@@ -100,16 +103,21 @@ class Engine:
 
     # one frame -----------------------------------------------------------------------------
 
-    def frame(self, stamp: float, can_id: int, data: bytes) -> list[OutFrame]:
+    def frame(
+        self, stamp: float, can_id: int, data: bytes, late: float | None = None
+    ) -> list[OutFrame]:
         """Take one frame; return the frames to send.
 
-        stamp: reception time [s], wall clock. can_id with the flag for 29 bits.
+        stamp: reception time [s], wall clock. can_id with the flag for 29 bits. late: where the
+        frame is too old to be corrected, the time now, by a clock that is never set [s]. It is
+        learnt from; of a burst of such frames no more is sent than comes in as much time otherwise:
+        *not available*, and the newest status.
         """
         t, gap = self.timebase.stream_time(stamp)
         out: list[OutFrame] = []
         k = tick_index(t)
         if k > self.pipeline.k or gap:
-            out += self._advance(k, gap)
+            out += self._advance(k, gap, late)
         samples, rejected = self.router.frame(t, can_id, data)
         pipeline = self.pipeline
         health = pipeline.health
@@ -123,17 +131,19 @@ class Engine:
         self._watch.count_rejections(k, self.router.rejected.total())
         if self._group:
             self._group.feed(t, samples, pipeline.correction, health.faults)
-        correction, triads, watched = pipeline.correction, self.output.triads, self._watch.last
+        correction, watched = pipeline.correction, self._watch.last
         for channel, values in samples:
             pipeline.add(t, channel, values)
             if channel in watched:
                 watched[channel] = k
         turned = self._turned(t, samples, correction)
-        if turned:
-            out += self._corrected_frames(turned)
-        for channel in triads if rejected else ():
-            if channel in rejected and channel not in turned and self._spaced[channel].passes(t):
-                out.append(self.output.corrected(channel, None, 0))
+        if late is not None:
+            out += self._not_available({*turned, *rejected}, self._late, late)
+        else:
+            if turned:
+                out += self._corrected_frames(turned)
+            if rejected:
+                out += self._not_available(set(rejected) - turned.keys(), self._spaced, t)
         self.sent += len(out)
         return out
 
@@ -163,6 +173,14 @@ class Engine:
                 out.append(output.corrected(channel, sent, quality))
         return out
 
+    def _not_available(
+        self, channels: Collection[str], spaced: Mapping[str, Spaced], now: float
+    ) -> list[OutFrame]:
+        """Frames in place of samples that were rejected or are late, one a cycle."""
+        output = self.output
+        due = [c for c in output.triads if c in channels and spaced[c].passes(now)]
+        return [output.corrected(channel, None, 0) for channel in due]
+
     def idle(self, elapsed: float) -> list[OutFrame]:
         """No frame of ours came for `elapsed` seconds: close the ticks that have passed."""
         k = tick_index(self.timebase.idle(elapsed))
@@ -170,16 +188,19 @@ class Engine:
         self.sent += len(out)
         return out
 
-    def _advance(self, k: int, gap: bool) -> list[OutFrame]:
-        """Close all ticks before k: status frames, then those of the consumers."""
+    def _advance(self, k: int, gap: bool, late: float | None = None) -> list[OutFrame]:
+        """Close all ticks before k: status frames, then those of the consumers.
+
+        late: as for `frame`; of the consumers nothing is sent then.
+        """
         pipeline = self.pipeline
         first = pipeline.k
         snapshots = pipeline.gap(k) if gap else pipeline.advance(k)
         if gap and self.preprocessing is not None:
             self.preprocessing.gap()
-        out = self._statuses(snapshots)
+        out = self._statuses(snapshots if late is None else self._newest(snapshots, late))
         if self._group:
-            out += self._group.end_ticks(first, k, snapshots)
+            out += self._group.end_ticks(first, k, snapshots, late is not None)
             if gap:
                 self._group.gap()
         return out
@@ -335,7 +356,15 @@ class Engine:
             return self._watch.all_missing(link, rejecting)
         return self._watch.health(self.pipeline.k, link, self.pipeline.health.unfit)
 
-    def _statuses(self, snapshots: list[Snapshot]) -> list[OutFrame]:
+    def _newest(self, snapshots: Sequence[Snapshot], now: float) -> Sequence[Snapshot]:
+        """Of late snapshots the one that is sent, no oftener by the clock than at their rate."""
+        due = snapshots[-1:] if snapshots and self._late_status.passes(now) else []
+        if self._on_snapshot is not None:
+            for snapshot in snapshots[: len(snapshots) - len(due)]:
+                self._on_snapshot(snapshot)
+        return due
+
+    def _statuses(self, snapshots: Sequence[Snapshot]) -> list[OutFrame]:
         watch = self._watch
         out: list[OutFrame] = []
         for snapshot in snapshots:

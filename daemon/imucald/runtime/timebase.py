@@ -3,6 +3,7 @@
 Stamps are wall clock. They come a little out of order, stand still, and step when somebody sets the
 clock. Small disorder is flattened; a step (or a long hole) begins a new segment at the next tick,
 and whoever differences over time is informed. A hole lasts `FORWARD_STEP` of stream time at most.
+On a live bus, where disorder is none, a small step back is seen as well, and stream time goes on.
 Where stamps have been before, a jump forward is no hole: a shuffled log takes a tick for each of
 its jumps, not the hundred of a hole. All holes together last `HOLE_SHARE` times as long as what is
 between them, so that stamps that leap ahead at every frame take no hours.
@@ -27,6 +28,10 @@ FORWARD_STEP = 10.0
 have been before, one newer than `BACKWARD_STEP` is a step."""
 _STEPS = BACKWARD_STEP, FORWARD_STEP
 
+SET_BACK = 0.05
+"""On a live bus nothing is out of order by more than this [s]: where all stamps for as long are
+further behind, the clock was set back. By more than `BACKWARD_STEP` it is seen at the first."""
+
 HOLE_SHARE = 10.0
 """A second of frames for each whole hole, after a first one: more than that is no drive."""
 
@@ -47,11 +52,14 @@ class TimeBase:
         self.steps = 0
         """Discontinuities seen."""
         self.started = False
+        self.is_live = False
+        """Whether single stamps are those of a live bus: of one clock, in the order they came."""
         self._offset = 0.0
         self._newest = -math.inf  # stamp
         self._highest = -math.inf  # stamp, of all segments
         self._now = 0.0  # stream time
         self._frame = 0.0  # stream time of the newest stamp
+        self._behind: float | None = None  # the first of stamps that are behind, live
         self._holes = 0.0  # stream time of all jumps, holes among them
 
     @property
@@ -66,13 +74,38 @@ class TimeBase:
             self._offset, self._newest = stamp, stamp
             return 0.0, False
         limit = FORWARD_STEP if stamp > self._highest else BACKWARD_STEP
-        gap = not -BACKWARD_STEP <= stamp - self._newest <= limit
+        gap = not -BACKWARD_STEP <= stamp - self._newest <= limit or self._is_overtaken(stamp)
         if gap:
             self._begin_segment(stamp)
+        elif self.is_live and self._now - (stamp - self._offset) > SET_BACK:
+            self._take_behind(stamp)
         elif stamp > self._newest:
             self._newest = stamp
+            self._behind = None
         self._now = self._frame = max(self._now, stamp - self._offset)
         return self._now, gap
+
+    def _is_overtaken(self, stamp: float) -> bool:
+        """Whether `idle` has come further than this stamp: the clock was set back in a silence.
+
+        Beside the newest stamp alone it may look like one that went on, or like disorder; stream
+        time would stand still until the stamps have caught up.
+        """
+        return self._now > self._frame and stamp - self._offset < self._now - BACKWARD_STEP
+
+    def _take_behind(self, stamp: float) -> None:
+        """Take a stamp of a live bus that is behind stream time, by less than a step.
+
+        Where it is not the only one, the clock was set back and the samples go on: so does stream
+        time, from where it stood still.
+        """
+        first = self._behind
+        if first is None or stamp < first:
+            self._behind = stamp
+        elif stamp - first > SET_BACK:
+            self.steps += 1
+            self._highest = max(self._highest, self._newest)
+            self._newest, self._offset, self._behind = stamp, first - self._now, None
 
     def idle(self, elapsed: float) -> float:
         """Let time pass without a stamp; return stream time [s].
@@ -86,14 +119,16 @@ class TimeBase:
         """Split a column of stamps (N,) into segments without discontinuity, with stream times."""
         start, n = 0, len(stamps)
         while start < n:
-            gap = False
+            gap, stamp = False, float(stamps[start])
             if not self.started:
                 self.started = True
-                self._offset = self._newest = float(stamps[0])
-            elif self._end_of_segment(stamps[start : start + 1], 0) == 0:
+                self._offset = self._newest = stamp
+            elif self._end_of_segment(stamps[start : start + 1], 0) == 0 or self._is_overtaken(
+                stamp
+            ):
                 gap = True
-                self._begin_segment(float(stamps[start]))
-            self._newest = max(self._newest, float(stamps[start]))
+                self._begin_segment(stamp)
+            self._newest = max(self._newest, stamp)
             t = self._times(stamps, start)
             yield TimeSegment(start, start + len(t), t, gap)
             start += len(t)
@@ -139,6 +174,7 @@ class TimeBase:
 
     def _begin_segment(self, stamp: float) -> None:
         self.steps += 1
+        self._behind = None
         self._highest = max(self._highest, self._newest)
         hole = 0.0
         if stamp > self._highest + FORWARD_STEP:

@@ -29,7 +29,7 @@ class Announcements:
         self._journal = journal
         self._alarms = AlarmWatch(journal)
         self._state: object = None
-        self._rejected = 0
+        self._rejected = self._late = 0
 
     def model(self, engine: Engine) -> None:
         """What of the model file is used, and what is not."""
@@ -53,14 +53,18 @@ class Announcements:
         text = f"{estimate.state.name.lower()} at {snapshot.t:.1f} s"
         self._journal.say(text + (waiting and f" ({waiting})"), NOTICE)
 
-    def update(self, engine: Engine, uptime: float) -> None:
-        """Alarms and rejections, once a second; uptime [s]."""
+    def update(self, engine: Engine, late: int, uptime: float) -> None:
+        """Alarms, rejections and late frames so far, once a second; uptime [s]."""
         self._alarms.update(asdict(engine.health()), uptime)
         rejected = engine.router.rejected
         if (total := rejected.total()) > self._rejected:
             self._rejected = total
             text = ", ".join(f"{reason} {n}" for reason, n in sorted(rejected.items()))
             self._journal.seldom("rejected", f"rejected so far: {text}", WARNING)
+        if late > self._late:
+            text = f"too late to be corrected so far: {late} frames (the processor was not free)"
+            self._journal.seldom("late", text, WARNING)
+        self._late = late  # those of another link begin at zero
 
     def restart_counts(self) -> None:
         """Another engine counts from zero."""

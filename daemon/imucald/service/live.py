@@ -1,7 +1,8 @@
 """The live daemon: one loop that receives, calibrates, corrects and sends. No threads.
 
 Frames that came are handled at once; when none come, the clock closes ticks so that status
-frames go on and inputs are found missing. Before the first frame of ours a heartbeat says so.
+frames go on and inputs are found missing. Before the first frame of ours a heartbeat says so. A
+frame that waited too long, as the loop was held up or does not keep up, is not corrected any more.
 """
 
 from __future__ import annotations
@@ -13,11 +14,13 @@ from typing import Protocol
 
 from imucald.can.columns import FrameColumns, IdMatch
 from imucald.can.link.link import Link, LinkEvent
+from imucald.can.link.outbox import MAX_HOLD
 from imucald.config import LoadedConfig
 from imucald.runtime.engine import Engine
 from imucald.runtime.input_health import LinkHealth
 from imucald.runtime.output.output_message import OutFrame
 from imucald.runtime.timebase import FORWARD_STEP
+from imucald.service.backlog import Backlog
 
 WAIT_S = 0.05
 """Longest wait for a frame [s]: bounds how late a silent bus is noticed and a stop obeyed."""
@@ -25,8 +28,11 @@ IDLE_S = 0.5
 """Silence after which the clock closes ticks [s]: far longer than any delivery takes."""
 CONFLICT_S = 10.0
 """A foreign sender of our ids is reported this long [s]."""
-STRIDE = 64
-"""Frames handled between two looks at the clock: 5 ms natively, 0.3 s under emulation."""
+STRIDE = 16
+"""Frames handled between two looks at the clock: 1.3 ms natively, 80 ms under emulation."""
+MAX_AGE_S = 2.0 * MAX_HOLD
+"""A frame that has waited for longer is not corrected any more [s]: twice as long as a corrected
+frame waits to be sent, and as `WAIT_S`: a loop that keeps up finds the bus empty far more often."""
 HEARTBEAT_S = 1.0
 """Period of status frames while the bus is silent [s]."""
 RECENT_S = 1.0
@@ -104,6 +110,7 @@ class Daemon:
     """Runs an engine on a link until asked to stop.
 
     clock: monotonic [s]. extra: also served, frames of its ids are not the engine's.
+    max_age: of frames that are corrected [s], see `MAX_AGE_S`.
     """
 
     def __init__(
@@ -112,9 +119,11 @@ class Daemon:
         link: Link,
         clock: Callable[[], float] = time.monotonic,
         extra: Extra | None = None,
+        max_age: float = MAX_AGE_S,
     ) -> None:
         self.engine = engine
         engine.output.prepare()
+        engine.timebase.is_live = True
         self.link = link
         self.stopping = False
         self._clock = clock
@@ -124,6 +133,7 @@ class Daemon:
         self.between: Callable[[], None] = lambda: None
         """Called every `STRIDE` frames of a batch: what must not wait for its end."""
         self._unsent = _Recent(RECENT_S)
+        self._backlog = Backlog(clock(), max_age)
         self._last_frame = clock()
         self._next_heartbeat = clock()
 
@@ -137,7 +147,7 @@ class Daemon:
         counters, now = self.link.counters, self._clock()
         return LinkHealth(
             lost=counters.lost,
-            frames_lost=self._lost.update(counters.lost, now),
+            frames_lost=self._lost.update(counters.lost + counters.late, now),
             id_conflict=self._conflict.update(counters.conflicts, now),
             send_failed=self._unsent.update(sum(counters.send_errors.values()), now),
         )
@@ -155,22 +165,29 @@ class Daemon:
         """Receive once and handle what came; return the number of frames."""
         extra, extra_ids, ours = self._extra, self._extra_ids, 0
         frames = self.link.receive(wait if extra is None else min(wait, extra.wait))
+        now, backlog = self._clock(), self._backlog
+        waited = backlog.read(frames, self.link.is_empty, now)
         send, handle = self.link.send, self.engine.frame
         for start in range(0, len(frames), STRIDE):
             if start:
                 self.between()
+                now = self._clock()
+                waited = backlog.may_be_late(now)
             for t, can_id, data in frames[start : start + STRIDE]:
                 if extra is not None and can_id in extra_ids:
                     answer = extra.frame(can_id, data)
                 else:
-                    answer = handle(t, can_id, data)
                     ours += 1
+                    if waited and backlog.is_late(t, now := self._clock()):
+                        self.link.counters.late += 1
+                        answer = handle(t, can_id, data, now)
+                    else:
+                        answer = handle(t, can_id, data)
                 for out_id, out in answer:
                     send(out_id, out)
         if extra is not None:
             for out_id, out in extra.poll():
                 send(out_id, out)
-        now = self._clock()
         if ours:
             self._last_frame = now
         elif now - self._last_frame > IDLE_S:

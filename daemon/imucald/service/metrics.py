@@ -14,6 +14,7 @@ _Sample = tuple[Mapping[str, str], float | int | None]
 _LINK_COUNTERS = {
     "received": "Frames received.",
     "lost": "Frames that the kernel dropped before they were read.",
+    "late": "Frames that had waited too long to be corrected.",
     "sent": "Frames that the interface took.",
     "conflicts": "Frames of other nodes under our identifiers.",
     "error_frames": "Error frames.",

@@ -235,7 +235,7 @@ class Service:
         self._rates.update(engine.router.sample_counts, now)
         if self._companion is not None and self._companion.poll():
             self.journal.say("what serves the metrics has ended; all else goes on", WARNING)
-        self._announcements.update(engine, now - self._began)
+        self._announcements.update(engine, self.link.counters.late, now - self._began)
 
     # what diagnostics and orders ask for ----------------------------------------------------
 

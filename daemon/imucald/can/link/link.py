@@ -34,7 +34,7 @@ from imucald.can.link.link_events import (
 )
 from imucald.can.link.outbox import Outbox
 from imucald.can.link.port import Port, open_port
-from imucald.can.link.socketcan import CAN_ERR_BUSOFF, CAN_ERR_RESTARTED, Frame
+from imucald.can.link.socketcan import CAN_ERR_BUSOFF, CAN_ERR_RESTARTED, MAX_BATCH, Frame
 from imucald.core.errors import LinkError
 
 __all__ = ["Frame", "Link", "LinkCounters", "LinkEvent", "LinkState"]
@@ -100,6 +100,8 @@ class Link:
         self.channel = channel
         self.counters = LinkCounters()
         self.state = LinkState.ABSENT
+        self.is_empty = True
+        """Whether the last `receive` took all that waited."""
         self._fd = fd
         self._bitrate = bitrate
         self._options = options
@@ -130,6 +132,7 @@ class Link:
             left = max(0.0, end - self._clock())
             port = self._port or self._reopened()
             if port is None:
+                self.is_empty = True
                 time.sleep(min(left, max(0.0, self._next_try - self._clock())))
             elif frames := self._receive_once(port, left):
                 return frames
@@ -142,7 +145,9 @@ class Link:
             if self._outbox:
                 self._flush(port)
                 left = min(left, FLUSH_PERIOD)
+            self.is_empty = False
             frames = port.receive(min(left, CHECK_PERIOD))
+            self.is_empty = len(frames) < MAX_BATCH
         except OSError as error:
             self._failed(port, error)
             return []

@@ -43,6 +43,7 @@ class LinkCounters:
     """What has passed since the start.
 
     received: frames handed out. lost: frames of ours that the kernel dropped unread (SocketCAN).
+    late: frames handed out that had waited too long to be corrected, counted by who takes them.
     sent: frames the interface took. send_errors: frames not sent, by reason (absent, down,
     queue_full, bus_off, refused, too_long, adapter). conflicts: frames of other nodes under our
     output ids. foreign: frames not asked for that got past the filter. error_frames, bus_off:
@@ -53,6 +54,7 @@ class LinkCounters:
 
     received: int = 0
     lost: int = 0
+    late: int = 0
     sent: int = 0
     send_errors: dict[str, int] = field(default_factory=dict)
     conflicts: int = 0
