@@ -96,6 +96,17 @@ class Engine:
         """Names what a model changes of the estimate; "" without one."""
         return "" if self.preprocessing is None else self.preprocessing.estimate_key
 
+    def go_on_from(self, before: Engine, same_sensors: bool) -> None:
+        """Go on in the time of the engine of the configuration before, with what it knows.
+
+        same_sensors: a sensor that is faulty stays so, and what is usual of it is known.
+        """
+        self.timebase, self.pipeline.k = before.timebase, before.pipeline.k
+        if same_sensors:
+            self.pipeline.health = before.pipeline.health
+        self._watch.go_on_from(before._watch, self.pipeline.k)
+        self.output.go_on_from(before.output)
+
     @property
     def consumers(self) -> tuple[Consumer, ...]:
         """What runs beside the calibration."""

@@ -40,6 +40,11 @@ class InputWatch:
         self.rejected = 0
         self._rejections: deque[int] = deque()  # ticks of the last second's
 
+    def go_on_from(self, before: InputWatch, k: int) -> None:
+        """Know of an input when it came last; one that is new has had until tick k."""
+        self.last = {channel: before.last.get(channel, k) for channel in self.last}
+        self._rejections = before._rejections.copy()
+
     def count_rejections(self, k: int, total: int) -> None:
         """Take the number of rejections so far, in tick k."""
         if total > self.rejected:

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Sequence
 from typing import Any
 
 from msgspec import to_builtins
 
-from imucald.config import LoadedConfig, SourceSettings
+from imucald.config import LoadedConfig, Signals, SourceSettings, TriadSettings
 from imucald.core.digest import sha256
 from imucald.inputs.router import Router
 from imucald.inputs.routes import MessageRoute
@@ -25,15 +26,24 @@ def state_key(loaded: LoadedConfig, router: Router, model: str = "") -> StateKey
     `Engine.model_key`), and the mount that the configuration states. Ids of outputs, speed sources
     or limits do not.
     """
-    triads = loaded.config.signals.accelerometer
-    described = [
-        [_described(source, router) for source in (triad.x, triad.y, triad.z) if source is not None]
-        for triad in triads
-    ]
+    described = _triads(loaded.config.signals.accelerometer, router)
     text = json.dumps(described, sort_keys=True, default=str) + model
     if (mount := loaded.config.calibration.mount) is not None:
         text += json.dumps(to_builtins(mount), sort_keys=True)
     return StateKey(loaded.config.vehicle.id, sha256(text.encode()).hexdigest())
+
+
+def sensor_sources(signals: Signals, router: Router) -> list[Any]:
+    """Everything that decides which numbers accelerometer, gyroscope and magnetometer give."""
+    sensors = (signals.accelerometer, signals.gyroscope, signals.magnetometer)
+    return [_triads(triads or (), router) for triads in sensors]
+
+
+def _triads(triads: Sequence[TriadSettings], router: Router) -> list[list[dict[str, Any]]]:
+    return [
+        [_described(source, router) for source in (triad.x, triad.y, triad.z) if source is not None]
+        for triad in triads
+    ]
 
 
 def _described(source: SourceSettings, router: Router) -> dict[str, Any]:

@@ -20,7 +20,12 @@ from imucald.service.background_writer import Say
 from imucald.service.calibration_store import CalibrationStore
 from imucald.service.identity import state_key
 from imucald.service.live import open_link
-from imucald.service.reload_changes import behind_the_known, keeps_estimator, listens_otherwise
+from imucald.service.reload_changes import (
+    behind_the_known,
+    keeps_estimator,
+    keeps_sensors,
+    listens_otherwise,
+)
 from imucald.service.sensor_check import restore_check, saved_check
 from imucald.service.service_options import ServiceOptions
 from imucald.service.state_file import StateStore
@@ -96,7 +101,7 @@ class PartsMaker:
                 diagnostics.uds.check_identifiers(loaded, engine)
             if listens_otherwise(parts.loaded, loaded, old, engine):
                 link = self._new_link(loaded, engine, diagnostics)
-            engine.timebase, engine.pipeline.k = old.timebase, old.pipeline.k
+            engine.go_on_from(old, keeps_sensors(parts.loaded, loaded, old, engine))
             estimator, store = self._estimator_after(parts, loaded, engine)
             engine.pipeline.replace(estimator, afresh=True)
             if estimator is old.pipeline.estimator:

@@ -22,6 +22,10 @@ class MessageProtector:
         self._next = 0
         self._checksum = None if spec.checksum is None else Checksum(spec.checksum)
 
+    def go_on_from(self, before: MessageProtector) -> None:
+        """Count on from the last frame of the message's protector before."""
+        self._next = before._next
+
     def protect(self, data: bytes | bytearray) -> bytes:
         """Return the frame with its protection; EncodeError where it is too short for it."""
         self._refuse_short(len(data))

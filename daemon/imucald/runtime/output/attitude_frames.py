@@ -58,9 +58,10 @@ class AttitudeFrames:
     @property
     def can_ids(self) -> frozenset[int]:
         """Every id that is sent, with the flag for 29 bits."""
-        return frozenset(m.can_id for m in self._messages())
+        return frozenset(m.can_id for m in self.messages())
 
-    def _messages(self) -> list[OutputMessage]:
+    def messages(self) -> list[OutputMessage]:
+        """Every message that is sent."""
         free = [] if self._free is None else [self._free]
         return [self._angles, self._deviation, self._rates, self._grade, *free]
 
@@ -69,7 +70,7 @@ class AttitudeFrames:
         if estimate is None or estimate.state < AttitudeState.SETTLING:
             state = 0 if estimate is None else int(estimate.state)
             nothing = (None, None, None, state)
-            return [m.frame(nothing) for m in self._messages()]
+            return [m.frame(nothing) for m in self.messages()]
         e, state = estimate, int(estimate.state)
         angles = (e.roll * DEG_PER_RAD, e.pitch * DEG_PER_RAD, bearing(e.heading), state)
         std = (*(min(s * DEG_PER_RAD, DEVIATION_MAX) for s in e.std), state)
@@ -84,7 +85,7 @@ class AttitudeFrames:
         return [
             message.frame([None if math.isnan(v) else v for v in values])
             for message, values in zip(
-                self._messages(), (angles, std, rates, grade, free), strict=False
+                self.messages(), (angles, std, rates, grade, free), strict=False
             )
         ]
 

@@ -159,6 +159,21 @@ class OutputFrames:
     def _all_messages(self) -> list[OutputMessage]:
         return [*self._corrected.values(), self._mount, self._deviation, self._health]
 
+    def go_on_from(self, before: OutputFrames) -> None:
+        """Count on in every message that was sent before."""
+        known = {message.can_id: message for message in before.messages()}
+        for message in self.messages():
+            if message.can_id in known:
+                message.go_on_from(known[message.can_id])
+
+    def messages(self) -> list[OutputMessage]:
+        """Every message that is sent."""
+        found = self._all_messages()
+        for more in (self.attitude, self.travel):
+            if more is not None:
+                found += more.messages()
+        return found
+
     def prepare(self) -> None:
         """Compile all messages now, so that the first frame is as quick as the others."""
         for message in self._all_messages():

@@ -41,7 +41,11 @@ class TravelFrames:
     @property
     def can_ids(self) -> frozenset[int]:
         """Every id that is sent, with the flag for 29 bits."""
-        return frozenset((self._message.can_id, self._deviation.can_id))
+        return frozenset(message.can_id for message in self.messages())
+
+    def messages(self) -> list[OutputMessage]:
+        """Every message that is sent."""
+        return [self._message, self._deviation]
 
     def frames(self, step: Step | None, state: TravelState, steps: int) -> list[OutFrame]:
         """The frames after a step; headings are there while somebody walks.
