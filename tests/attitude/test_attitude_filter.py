@@ -234,6 +234,26 @@ def test_the_sensor_check_is_made_once_after_thirty_seconds():
     assert not attitude.checked
 
 
+def test_a_rest_that_no_sound_accelerometer_has_ends_nothing_and_is_judged_again():
+    """4.7 and 5.0 m/s^2 by turns of half a second: no two hops in a row that health would name."""
+    motion = Motion(lying(), standing, 110.0)
+    sound = motion.accel.copy()
+    motion.accel[:, 2] += np.where(np.floor(motion.t * 2.0) % 2.0, 4.7, 5.0) - G
+    attitude = AttitudeFilter(settings())
+    motion.feed(attitude, until=70.0)
+    assert attitude.running
+    assert not attitude.checked
+    assert attitude.constant_accel_error == (0.0, 0.0, 0.0)
+    motion.accel = sound
+    for i in np.flatnonzero(motion.t > 70.0).tolist():
+        t = float(motion.t[i])
+        attitude.speed(t, 0.0)
+        attitude.gyro(t, motion.gyro[i].tolist())
+        attitude.accel(t, motion.accel[i].tolist())
+    assert attitude.checked
+    assert attitude.constant_accel_error == pytest.approx((0.0, 0.0, 0.0), abs=0.02)
+
+
 def test_a_check_on_level_ground_takes_the_whole_mean():
     motion = Motion(lying(0.02, 0.0), standing, 45.0)
     attitude = AttitudeFilter(settings(check_level=True))

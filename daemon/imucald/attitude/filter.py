@@ -309,8 +309,12 @@ class AttitudeFilter:
         found = self._interval(first, last)
         low, high, n = first.snapshot.body, last.snapshot.body, found.n
         mean = ((high[0] - low[0]) / n, (high[1] - low[1]) / n, (high[2] - low[2]) / n)
-        self.constant_bias, extra = rest_errors(found.rate, mean, s.check_level)
+        bias, extra = rest_errors(found.rate, mean, s.check_level)
         old = self.constant_accel_error
-        self.constant_accel_error = (old[0] + extra[0], old[1] + extra[1], old[2] + extra[2])
+        result = CheckResult(bias, (old[0] + extra[0], old[1] + extra[1], old[2] + extra[2]))
+        if not result.is_believable:  # no sensor that works: the next rest is judged again
+            self._rest = None
+            return
+        self.constant_bias, self.constant_accel_error = result
         self.kalman.forget_bias()
         self.checked = True
