@@ -19,8 +19,9 @@ RATE = 50.0
 DEG = math.pi / 180.0
 
 
-def settings(compensation=None, **of_filter) -> AttitudeSettings:
+def settings(compensation=None, grade_time=1.0, **of_filter) -> AttitudeSettings:
     return AttitudeSettings(
+        grade_time=grade_time,
         compensation=MotionCompensationSettings(**(compensation or {})),
         filter=FilterSettings(**of_filter),
     )
@@ -234,6 +235,26 @@ def test_the_sensor_check_is_made_once_after_thirty_seconds():
     assert not attitude.checked
 
 
+def test_a_rest_that_no_sound_accelerometer_has_ends_nothing_and_is_judged_again():
+    """4.7 and 5.0 m/s^2 by turns of half a second: no two hops in a row that health would name."""
+    motion = Motion(lying(), standing, 110.0)
+    sound = motion.accel.copy()
+    motion.accel[:, 2] += np.where(np.floor(motion.t * 2.0) % 2.0, 4.7, 5.0) - G
+    attitude = AttitudeFilter(settings())
+    motion.feed(attitude, until=70.0)
+    assert attitude.running
+    assert not attitude.checked
+    assert attitude.constant_accel_error == (0.0, 0.0, 0.0)
+    motion.accel = sound
+    for i in np.flatnonzero(motion.t > 70.0).tolist():
+        t = float(motion.t[i])
+        attitude.speed(t, 0.0)
+        attitude.gyro(t, motion.gyro[i].tolist())
+        attitude.accel(t, motion.accel[i].tolist())
+    assert attitude.checked
+    assert attitude.constant_accel_error == pytest.approx((0.0, 0.0, 0.0), abs=0.02)
+
+
 def test_a_check_on_level_ground_takes_the_whole_mean():
     motion = Motion(lying(0.02, 0.0), standing, 45.0)
     attitude = AttitudeFilter(settings(check_level=True))
@@ -289,10 +310,124 @@ def test_silence_is_not_available_and_a_gap_starts_anew():
     motion = Motion(lying(), standing, 10.0)
     attitude = AttitudeFilter(settings())
     motion.feed(attitude)
-    assert attitude.estimate(10.5).state is AttitudeState.RELATIVE_HEADING
+    assert attitude.estimate(10.4).state is AttitudeState.RELATIVE_HEADING
+    before, late = attitude.estimate(10.4), attitude.estimate(10.5)
+    assert late.state is AttitudeState.SETTLING, "what turned since the last sample is not known"
+    assert min(np.subtract(late.std, before.std)) > 5.0 * DEG
+    assert math.isnan(late.rate[0])
     assert attitude.estimate(11.5).state is AttitudeState.NOT_AVAILABLE
     attitude.reset()
     assert not attitude.running
+
+
+def bend_on_a_ramp(t):
+    """After forty seconds level and straight: 20 deg/s to the left, and a ramp of 6 deg at once."""
+    yaw = 20.0 * DEG * np.clip(t - 40.0, 0.0, 25.0)
+    pitch = -3.0 * DEG * np.clip(t - 50.2, 0.0, 2.0)
+    return Rotation.from_euler("ZYX", np.column_stack([yaw, pitch, np.zeros(len(t))]))
+
+
+def feed_broken(attitude, silent=0.0, all_silent=0.0, back=0.0, heading=False):
+    """The bend on a ramp; at 50 s something is silent, or the clock is set back [s].
+
+    Returns times, estimates, and errors of pitch and heading.
+    """
+    motion = Motion(bend_on_a_ramp, lambda t: 0.5 * np.clip(t - 10.0, 0.0, 20.0), 90.0)
+    yaw = motion.R.as_euler("ZYX")[:, 0]
+    rng = np.random.default_rng(3)
+    found, stream = [], 0.0
+    for i, t in enumerate(motion.t.tolist()):
+        stream = max(stream, t - back if t >= 50.0 else t)  # as `runtime.timebase` has it
+        if 50.0 <= t < 50.0 + all_silent:
+            continue
+        if i % 5 == 0:
+            attitude.speed(stream, float(motion.v[i]))
+        if not 50.0 <= t < 50.0 + silent:
+            attitude.gyro(stream, motion.gyro[i].tolist())
+        attitude.accel(stream, motion.accel[i].tolist())
+        if heading and i % 25 == 0:
+            attitude.heading(stream, float(-yaw[i] + rng.normal(0.0, 1.0 * DEG)))
+        e = attitude.estimate(stream)
+        pitch = e.pitch - motion.angles(i)[1]
+        found.append((t, e, pitch, math.remainder(e.heading + yaw[i], 2.0 * math.pi)))
+    return found
+
+
+BROKEN = [{"silent": s} for s in (0.6, 0.9, 1.5, 3.0, 8.0)] + [
+    {"all_silent": 0.7}, {"all_silent": 8.0}, {"back": 0.2}, {"back": 0.9}
+]  # fmt: skip
+
+
+@pytest.mark.parametrize("broken", BROKEN)
+@pytest.mark.parametrize("heading", ["free", "signal"])
+def test_what_nobody_saw_turn_is_never_called_good(broken, heading):
+    """What is called good is so within its deviation, at every sample after a silence."""
+    attitude = AttitudeFilter(settings(heading=heading))
+    found = feed_broken(attitude, **broken, heading=heading == "signal")
+    good = {AttitudeState.RELATIVE_HEADING, AttitudeState.FULL}
+    longest = max(broken.values())
+    began = AttitudeState.FULL if heading == "signal" else AttitudeState.RELATIVE_HEADING
+    assert next(e.state for t, e, _, _ in reversed(found) if t < 50.0) is began
+    dropped = False
+    for t, e, pitch, yaw in found:
+        if e.state in good and 50.0 <= t < 50.5:
+            continue  # an old angle is called good no longer than the longest step
+        if e.state in good:
+            assert abs(pitch) < 4.0 * e.std[1] + 0.3 * DEG, t
+        if e.state is AttitudeState.FULL:
+            assert abs(yaw) < 4.0 * e.std[2] + 0.3 * DEG, t
+        if e.state is AttitudeState.RELATIVE_HEADING and heading == "free" and longest < 1.0:
+            assert abs(yaw) < 4.0 * e.std[2] + 0.3 * DEG, t  # it goes on from the same start
+        if t > 50.0 + longest:
+            dropped |= e.state not in good
+            assert dropped, "the first sample after it says so"
+        elif t > 50.6 and not broken.get("back"):
+            assert e.state not in good
+    t, e, pitch, _ = found[-1]
+    assert e.state is began, "it comes back"
+    assert abs(pitch) < 0.3 * DEG
+    recovered = max(t for t, e, _, _ in found if e.state not in good)
+    assert recovered < 50.0 + longest + 8.0
+
+
+@pytest.mark.parametrize("silent", [0.7, 2.5])
+def test_the_grade_of_a_ramp_that_nobody_saw_is_not_called_good(silent):
+    found = feed_broken(AttitudeFilter(settings(grade_time=10.0)), silent=silent)
+    for t, e, _, _ in found:
+        if e.state is AttitudeState.RELATIVE_HEADING and t > 54.0 and not math.isnan(e.grade):
+            error = math.atan(e.grade) - 6.0 * DEG
+            assert abs(error) < 3.0 * math.atan(e.grade_std), t
+    assert not math.isnan(found[-1][1].grade)
+
+
+def test_a_start_anew_claims_no_better_gyroscope_than_before():
+    """Its zero error walked unseen for an hour; that is forgotten at the next rest only."""
+    filter_ = AttitudeFilter().kalman
+    filter_.start(0.1, 0.0, 1e-4)
+    for _ in range(3600):
+        filter_.predict((1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0), 1.0, 0.0)
+    walked = filter_.P[5, 5]
+    assert walked > 4e-8
+    filter_.start(0.1, 0.0, 1e-4)
+    assert filter_.P[5, 5] == walked
+
+
+def test_method_b_carries_no_vertical_over_a_clock_that_was_set_back():
+    """A slope that comes while time stands still: the force says it at once, not after 10 s."""
+    attitude = CompensatedAttitude(settings({"rate_time": 10.0}))
+    stream = 0.0
+    for i in range(3000):
+        t = i / RATE
+        stream = max(stream, t - 0.9 if t >= 50.0 else t)
+        slope = 12.0 * DEG * min(max((t - 50.0) / 0.8, 0.0), 1.0)
+        rate = 15.0 * DEG if 50.0 < t < 50.8 else 0.0
+        attitude.gyro(stream, (rate, 0.0, 0.0))
+        attitude.accel(stream, (0.0, G * math.sin(slope), G * math.cos(slope)))
+    for _ in range(10):
+        stream += 1.0 / RATE
+        attitude.gyro(stream, (0.0, 0.0, 0.0))
+        attitude.accel(stream, (0.0, G * math.sin(12.0 * DEG), G * math.cos(12.0 * DEG)))
+    assert attitude.estimate(stream).roll == pytest.approx(12.0 * DEG, abs=0.5 * DEG)
 
 
 def test_no_gravity_is_not_levelled_by():

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import gzip
+import math
 from pathlib import Path
 
 import numpy as np
@@ -30,9 +31,15 @@ def test_off_the_level_only_the_size_shows():
     assert np.subtract(up, error) == pytest.approx(up * G / (G + 0.1))
 
 
-def test_a_dead_accelerometer_is_refused():
-    with pytest.raises(EstimateError, match="less than half of gravity"):
-        rest_errors((0.0, 0.0, 0.0), (0.1, 0.0, 0.2), False)
+@pytest.mark.parametrize("is_level", [False, True])
+@pytest.mark.parametrize("size", [0.0, 0.2, 4.85, 15.0, math.nan])
+def test_errors_of_a_broken_accelerometer_are_not_believed(size, is_level):
+    assert not rest_errors((0.0, 0.0, 0.0), (0.0, 0.0, size), is_level).is_believable
+
+
+def test_errors_of_a_sensor_that_works_are_believed():
+    assert rest_errors((0.02, 0.0, -0.05), (0.3, -0.2, G + 0.5), False).is_believable
+    assert not rest_errors((0.0, 0.0, 0.2), (0.0, 0.0, G), False).is_believable
 
 
 def test_rests_are_the_quiet_stretches():

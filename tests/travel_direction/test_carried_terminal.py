@@ -78,6 +78,27 @@ def test_the_alternative_finds_the_direction(name, is_left):
     assert np.percentile(found, 90) < 35.0
 
 
+@pytest.mark.parametrize("name", ["in front, flat", "trouser pocket"])
+@pytest.mark.parametrize("seed", [2, 4])
+def test_a_turn_while_time_stands_is_not_believed_away(name, seed):
+    """The clock of the stamps is set back by 0.9 s while somebody turns round."""
+    w = walk(BY_NAME[name], 1.3, seconds=90.0, seed=seed, disturbance_ut=1.0)
+    course, span = np.unwrap(w.course), round(3.0 / (w.t[1] - w.t[0]))
+    turn = np.abs(course[span:] - course[:-span]) * (w.t[:-span] > 30.0) * (w.t[:-span] < 65.0)
+    back = w.t[int(np.argmax(turn))] + 1.0
+    travel, stream, found = TravelDirection(TravelDirectionSettings()), 0.0, []
+    for i, t in enumerate(w.t.tolist()):
+        stream = max(stream, t - 0.9 if t >= back else t)  # as `runtime.timebase` has it
+        travel.gyro(stream, w.gyro[i].tolist())
+        travel.mag(stream, w.mag[i].tolist())
+        step = travel.accel(stream, w.accel[i].tolist())
+        if step is not None and step.alternative is not None and 2.0 < t - back < 15.0:
+            true = float(np.interp(t - 0.5 * step.duration, w.t, w.course))
+            found.append(abs(math.remainder(step.alternative - true, 2.0 * math.pi)))
+    assert turn.max() > math.radians(150.0)
+    assert math.degrees(np.median(found)) < 25.0
+
+
 def test_the_published_method_finds_a_terminal_held_towards_the_face():
     w = walk(BY_NAME["in front, tilted"], 1.2, seconds=60.0, seed=4, hard_iron_ut=0.0,
              disturbance_ut=0.5)  # fmt: skip

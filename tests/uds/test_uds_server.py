@@ -332,6 +332,18 @@ def test_a_restored_mount_is_no_completed_calibration(bench):
     assert bench.ask("31 03 F0 10")[:14] == "71 03 F0 10 01"
 
 
+def test_a_suspect_mount_is_no_completed_calibration(bench):
+    """The drive contradicts what is stated: the former mount is not let go for it."""
+    bench.unlock()
+    bench.ask("31 01 F0 10")
+    bench.host.known, bench.host.quality = estimate_of(MountState.SUSPECT), 4
+    bench.server.poll()
+    assert bench.host.done == ["begin"]
+    assert bench.ask("31 03 F0 10")[:20] == "71 03 F0 10 01 04 04"
+    assert bench.ask("31 02 F0 10") == "71 02 F0 10 03", "and can be taken back"
+    assert bench.host.done == ["begin", "return"]
+
+
 def test_a_reset_ends_a_calibration_and_keeps_nothing(bench):
     bench.unlock()
     bench.ask("31 01 F0 10")

@@ -17,6 +17,7 @@ from imucald.attitude.right_forward_up import rfu_from_vehicle, vehicle_from_rfu
 from imucald.attitude.sensor_check import CheckResult
 from imucald.config.attitude import AttitudeSettings
 from imucald.core.rotations import Vector
+from imucald.motion.lost_time import LostTime
 
 NAN = math.nan
 _NOTHING: Vector = (NAN, NAN, NAN)
@@ -31,6 +32,7 @@ class CompensatedAttitude:
         self.checked = False
         """Whether the gyroscope's zero error has been measured at rest."""
         self._rest = RestingGyro(self.settings.filter)
+        self._lost_time = LostTime()
         self._carried = CarriedAngles(
             self.settings.compensation.rate_time, self.settings.filter.longest_step
         )
@@ -74,7 +76,9 @@ class CompensatedAttitude:
     def gyro(self, t: float, values: Sequence[float]) -> None:
         """Take an angular rate [rad/s]."""
         self._rate = rfu_from_vehicle(values[0], values[1], values[2])
-        self._t_gyro = t
+        step, self._t_gyro = t - self._t_gyro, t
+        if step < math.inf and self._lost_time.take(max(step, 0.0)):
+            self._carried.restart()  # what turned meanwhile was not carried
         stands = self.motion_compensation.is_standing(t)
         zero_error = self._rest.gyro(t, self._rate, stands, is_first=not self.checked)
         if zero_error is not None:

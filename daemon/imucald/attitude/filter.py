@@ -39,11 +39,18 @@ from imucald.core.rotations import (
     times,
     transposed_times,
 )
+from imucald.motion.lost_time import LostTime
 
 START_REST_STD = math.radians(10.0)
 START_MOVING_STD = math.radians(15.0)
 """Tilt error taken for granted at the start: so large that what the first interval finds is tilt,
 and nothing of it an accelerometer error that would be forgotten slowly."""
+UNSEEN_YAW_RATE = 0.8
+"""Standard deviation of a yaw rate that nothing measures [rad/s]. Tyres hold 1 g and cars turn
+within circles of 10 m, so it is sqrt(g / 5 m) = 1.4 rad/s at most, any of it as likely."""
+UNSEEN_TILT_STD = START_MOVING_STD
+"""Of roll and pitch after less than `STALE_S` without a gyroscope [rad]. Ramps, kerbs and swerves
+turn a body by less than 20 deg/s about level axes, and the first interval is again to find tilt."""
 HEADING_KNOWN_STD = math.radians(20.0)
 """A heading less sure than this is not called a heading [rad]."""
 HEADING_SPACING_S = 0.5
@@ -69,38 +76,67 @@ class AttitudeFilter:
         self._endpoints = EndpointMaker(compensation, self._propagator)
         self._grade = GradeFilter(self.settings.squat, self.settings.grade_time)
         self._motion = MotionCompensation(compensation) if compensation.send else None
+        self._lost_time = LostTime()
         self.reset()
 
     # verbs -----------------------------------------------------------------------------------
 
     def reset(self) -> None:
         """Forget the attitude: the mount is not known any more."""
-        self.running = False
-        self._correction: Quaternion = IDENTITY
-        self._propagator.q = IDENTITY
+        self._forget_attitude()
         self.gap()
 
     def gap(self) -> None:
         """Time jumped: nothing before this may be differenced with what follows."""
-        self._propagator.restart()
+        self._restart()
         self._endpoints.restart()
+        self._sign = 1.0
+        if self._motion is not None:
+            self._motion.restart()
+
+    def _forget_attitude(self) -> None:
+        self.running = False
+        self._correction: Quaternion = IDENTITY
+        self._propagator.q = IDENTITY
+
+    def _restart(self) -> None:
+        """What was measured before goes with nothing that follows; speeds do."""
+        self._propagator.restart()
         self._start: Endpoint | None = None
         self._rest: Endpoint | None = None
         self._accel_seen = self._heading_seen = -math.inf
         self._predicted = -math.inf
         self._grade.restart()
-        self._sign = 1.0
         self._free: Vector = (math.nan, math.nan, math.nan)
-        if self._motion is not None:
-            self._motion.restart()
 
     def gyro(self, t: float, values: Sequence[float]) -> None:
         """Take an angular rate [rad/s]."""
+        step = t - self._propagator.t
+        if step < math.inf:
+            lost = self._lost_time.take(max(step, 0.0))
+            unseen = step if step > self.settings.filter.longest_step else lost
+            if unseen:
+                self._turned_unseen(unseen)
         p, b = self.constant_bias, self.kalman.bias
         bias = (p[0] + b[0], p[1] + b[1], p[2] + b[2])
         self._propagator.gyro(t, rfu_from_vehicle(values[0], values[1], values[2]), bias)
         for first, last in self._endpoints.complete():
             self._close(first, last)
+
+    def _turned_unseen(self, seconds: float) -> None:
+        """Nothing measured what the vehicle turned by in so long [s]; the attitude is older.
+
+        Where it was not available meanwhile it begins anew, and so does a heading that counts from
+        the start. Sooner it goes on: what may have turned is in its deviation.
+        """
+        if self.running and seconds <= max(STALE_S, self.settings.filter.longest_step):
+            self._propagator.restart()
+            self._start = self._rest = None
+            self._grade.restart()
+            self.kalman.turned_unseen(UNSEEN_TILT_STD, UNSEEN_YAW_RATE * seconds)
+        else:
+            self._forget_attitude()
+            self._restart()
 
     def accel(self, t: float, values: Sequence[float]) -> None:
         """Take a specific force [m/s^2]."""
@@ -185,19 +221,24 @@ class AttitudeFilter:
         if not self.running:
             return AttitudeState.STARTING
         kalman = self.kalman
-        if max(kalman.P[0, 0], kalman.P[1, 1]) > SETTLED_STD**2:
+        if self._unseen(now) or max(kalman.P[0, 0], kalman.P[1, 1]) > SETTLED_STD**2:
             return AttitudeState.SETTLING
         if kalman.P[2, 2] < HEADING_KNOWN_STD**2 and self.settings.filter.heading != "free":
             return AttitudeState.FULL
         return AttitudeState.RELATIVE_HEADING
 
     def estimate(self, now: float | None = None) -> AttitudeEstimate:
-        """Return the attitude at the newest gyroscope sample; its state is that of `now`."""
+        """Return the attitude at the newest gyroscope sample; state and deviations are of `now`."""
         C = self._C()
         kalman = self.kalman
         roll, pitch, heading = vehicle_angles(C)
         s, c = math.sin(heading), math.cos(heading)
         std = (kalman.std_along(s, c, 0.0), kalman.std_along(c, -s, 0.0), self._heading_std())
+        rate = vehicle_from_rfu(*self._propagator.rate)
+        if unseen := self._unseen(now):
+            tilt, yaw = UNSEEN_TILT_STD, UNSEEN_YAW_RATE * unseen
+            std = (math.hypot(std[0], tilt), math.hypot(std[1], tilt), math.hypot(std[2], yaw))
+            rate = (math.nan, math.nan, math.nan)
         a, b = self.constant_bias, kalman.bias
         spread = [math.sqrt(max(float(kalman.P[i, i]), 0.0)) for i in (3, 4, 5)]
         return AttitudeEstimate(
@@ -207,13 +248,20 @@ class AttitudeFilter:
             pitch=pitch,
             heading=heading,
             std=std,
-            rate=vehicle_from_rfu(*self._propagator.rate),
+            rate=rate,
             rate_std=(spread[1], spread[0], spread[2]),
             grade=self._grade.grade,
             grade_std=math.hypot(std[1], self._grade.spread),
             bias=vehicle_from_rfu(a[0] + b[0], a[1] + b[1], a[2] + b[2]),
             free_acceleration=self._free,
         )
+
+    def _unseen(self, now: float | None) -> float:
+        """How long nothing has measured a turn [s]; 0 within the gyroscope's longest step."""
+        silent = 0.0 if now is None else now - self._propagator.t
+        if self.settings.filter.longest_step < silent < math.inf:
+            return silent
+        return self._lost_time.standing
 
     def _heading_std(self) -> float:
         return math.sqrt(max(float(self.kalman.P[2, 2]), 0.0))
@@ -309,8 +357,12 @@ class AttitudeFilter:
         found = self._interval(first, last)
         low, high, n = first.snapshot.body, last.snapshot.body, found.n
         mean = ((high[0] - low[0]) / n, (high[1] - low[1]) / n, (high[2] - low[2]) / n)
-        self.constant_bias, extra = rest_errors(found.rate, mean, s.check_level)
+        bias, extra = rest_errors(found.rate, mean, s.check_level)
         old = self.constant_accel_error
-        self.constant_accel_error = (old[0] + extra[0], old[1] + extra[1], old[2] + extra[2])
+        result = CheckResult(bias, (old[0] + extra[0], old[1] + extra[1], old[2] + extra[2]))
+        if not result.is_believable:  # no sensor that works: the next rest is judged again
+            self._rest = None
+            return
+        self.constant_bias, self.constant_accel_error = result
         self.kalman.forget_bias()
         self.checked = True

@@ -63,10 +63,21 @@ class NineStateFilter:
         """Measurements whose noise had to be widened by the gate."""
 
     def start(self, tilt_std: float, heading_std: float, gyro_std: PerAxis) -> None:
-        """Begin again; standard deviations in rad and rad/s."""
-        gyro = of_axes(per_axis(gyro_std))
+        """Begin again; standard deviations in rad and rad/s.
+
+        The gyroscope's error stays, and so does what it may have walked by since it was found.
+        """
+        gyro = [max(c**2, float(self.P[3 + i, 3 + i]))
+                for i, c in enumerate(of_axes(per_axis(gyro_std)))]  # fmt: skip
         tilt = [tilt_std**2] * 2 + [heading_std**2]
-        self.P = np.diag(tilt + [c**2 for c in gyro] + [c**2 for c in self.accel_random])
+        self.P = np.diag(tilt + gyro + [c**2 for c in self.accel_random])
+
+    def turned_unseen(self, tilt_std: float, heading_std: float) -> None:
+        """The body may have turned by so much unmeasured; standard deviations [rad]."""
+        self.P[0, 0] += tilt_std**2
+        self.P[1, 1] += tilt_std**2
+        self.P[2, 2] += heading_std**2
+        self._hold_yaw()
 
     def predict(self, C_nav_from_body: Rows, dt: float, turned: float) -> None:
         """Time update over dt [s], in which the body turned by so much [rad]."""

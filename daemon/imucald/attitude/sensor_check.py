@@ -10,7 +10,6 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
-from imucald.core.errors import EstimateError
 from imucald.core.rotations import Matrix3, Vector, matrix_times
 from imucald.core.samples import GRAVITY
 
@@ -20,27 +19,20 @@ LARGEST_FORCE = 3.0
 """The same of an accelerometer [m/s^2]."""
 
 
-def rest_errors(mean_rate: Vector, mean_force: Vector, is_level: bool) -> tuple[Vector, Vector]:
-    """bs and ds of the publication from the means of a rest [rad/s, m/s^2], vertical axis z.
-
-    Level: ds is the mean less gravity on z. Otherwise only its part along the measured vertical is
-    taken: the rest of a mean that leans is slope as well as error.
-    """
-    x, y, z = mean_force
-    if is_level:
-        return mean_rate, (x, y, z - GRAVITY)
-    size = math.sqrt(x * x + y * y + z * z)
-    if size < 0.5 * GRAVITY:
-        raise EstimateError("the accelerometer at rest feels less than half of gravity")
-    k = (size - GRAVITY) / size
-    return mean_rate, (x * k, y * k, z * k)
-
-
 class CheckResult(NamedTuple):
     """What a sensor check found, in any one axes: constant errors [rad/s], [m/s^2]."""
 
     rate: Vector
     force: Vector
+
+    @property
+    def is_believable(self) -> bool:
+        """Whether these are errors of sensors that work; more, or no number, is a broken one."""
+        return all(
+            abs(c) <= limit
+            for values, limit in ((self.rate, LARGEST_RATE), (self.force, LARGEST_FORCE))
+            for c in values
+        )
 
     def turned(self, R_new_from_old: Matrix3) -> CheckResult:
         """The same in other axes."""
@@ -58,11 +50,29 @@ class CheckResult(NamedTuple):
         if not isinstance(data, Mapping):
             return None
         rate, force = data.get("rate"), data.get("force")
-        for values, limit in ((rate, LARGEST_RATE), (force, LARGEST_FORCE)):
+        for values in (rate, force):
             if not isinstance(values, Sequence) or isinstance(values, str) or len(values) != 3:
                 return None
-            if not all(isinstance(c, float | int) and abs(c) <= limit for c in values):
+            if not all(isinstance(c, float | int) for c in values):
                 return None
         assert isinstance(rate, Sequence)
         assert isinstance(force, Sequence)
-        return cls((rate[0], rate[1], rate[2]), (force[0], force[1], force[2]))
+        found = cls((rate[0], rate[1], rate[2]), (force[0], force[1], force[2]))
+        return found if found.is_believable else None
+
+
+def rest_errors(mean_rate: Vector, mean_force: Vector, is_level: bool) -> CheckResult:
+    """bs and ds of the publication from the means of a rest [rad/s, m/s^2], vertical axis z.
+
+    Level: ds is the mean less gravity on z. Otherwise only its part along the measured vertical is
+    taken: the rest of a mean that leans is slope as well as error. Whatever the bus says comes in
+    here: see whether the result `is_believable`.
+    """
+    x, y, z = mean_force
+    if is_level:
+        return CheckResult(mean_rate, (x, y, z - GRAVITY))
+    size = math.sqrt(x * x + y * y + z * z)
+    if size == 0.0:  # not even a vertical to take gravity off along
+        return CheckResult(mean_rate, (0.0, 0.0, -GRAVITY))
+    k = (size - GRAVITY) / size
+    return CheckResult(mean_rate, (x * k, y * k, z * k))

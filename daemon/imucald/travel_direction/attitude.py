@@ -23,6 +23,7 @@ from imucald.core.rotations import (
     rows_from_quaternion,
     times,
 )
+from imucald.motion.lost_time import LostTime
 from imucald.motion.standstill import is_terminal_at_rest
 from imucald.travel_direction.certainty import COMPASS_STD
 from imucald.travel_direction.north import NorthFilter
@@ -41,6 +42,7 @@ class TerminalAttitude:
         self.north = NorthFilter()
         self.zero_error: Vector = (0.0, 0.0, 0.0)
         """Of the gyroscope, from rests [rad/s]."""
+        self._lost_time = LostTime()
         self.restart()
 
     def restart(self) -> None:
@@ -60,12 +62,13 @@ class TerminalAttitude:
         self._rest_begin()
 
     def gyro(self, t: float, raw: Vector) -> None:
-        """Take an angular rate [rad/s]."""
+        """Take an angular rate [rad/s]. P begins anew where nothing saw the terminal turn."""
         dt = t - self._t_gyro
+        is_lost = 0.0 <= dt < math.inf and self._lost_time.take(dt) > 0.0
         self._rest(t, raw)
         b = self.zero_error
         rate = (raw[0] - b[0], raw[1] - b[1], raw[2] - b[2])
-        if dt > GAP_S:
+        if dt > GAP_S or is_lost:
             if self.ready:
                 self.restart()
         elif dt > 0.0:

@@ -29,7 +29,9 @@ It runs for as long as the disk does not take it, so that a restart would bring 
 CHECK_SENSORS: Final = 0xF012
 """Repeat the sensor check of the attitude: the vehicle has to stand until it is completed."""
 
-USABLE_QUALITY: Final = 2
+GOOD_QUALITIES: Final = (2, 3)
+"""*Usable* and *fine*: with these a calibration is there. 1 is restored and not confirmed yet, 4 is
+suspect: the drive contradicts it, and it is to be found again."""
 RESULT_IDENTIFIERS: Final = (0xFD03, 0xFD04, 0xFD05, 0xFD00, 0xFD01)
 """Results end with state, quality, waiting reasons, angles, deviations, as these are read."""
 
@@ -57,7 +59,7 @@ class Routines:
 
     def poll(self) -> None:
         """See whether the calibration is there; called before each request too."""
-        if self._runs(CALIBRATE) and self._host.quality >= USABLE_QUALITY:
+        if self._runs(CALIBRATE) and self._host.quality in GOOD_QUALITIES:
             self._status[CALIBRATE] = RoutineStatus.COMPLETED
             self._host.accept_calibration()
         if self._runs(RESET) and self._host.is_forgotten:

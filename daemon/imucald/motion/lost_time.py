@@ -1,0 +1,77 @@
+"""Time that a stream lost: its samples went on coming while its clock stood still.
+
+Stream time never goes back. Where the clock of the stamps is set back a little, time stands until
+the stamps have caught up, and who integrates a rate over it misses what turned meanwhile. Samples
+that come in batches or late stand still as well, but for them time goes on further before or
+after: only what is not made up for is lost.
+"""
+
+from __future__ import annotations
+
+import math
+
+STANDS = 0.25
+"""A step shorter than this part of the sensor's cycle is none: time stands."""
+TOLERATED_S = 0.05
+"""Less than this [s] and `TOLERATED_CYCLES` is not called lost: stamps may be late by a cycle."""
+TOLERATED_CYCLES = 1.5
+MADE_UP_S = 1.0
+"""A long step makes up for samples that come together within about this time [s]: late ones."""
+USUAL_SAMPLES = 200
+"""The cycle is the mean step of about so many samples ..."""
+MIN_SAMPLES = 100
+"""... and known from so many on."""
+LONGEST_CYCLES = 4.0
+"""A longer step counts as so many cycles: a silence is no cycle."""
+
+
+class LostTime:
+    """Watches the steps of time from sample to sample of one sensor."""
+
+    def __init__(self) -> None:
+        self._cycle = 0.0
+        self._samples = 0
+        self._together = 0  # samples since time stands
+        self._passed = 0.0  # what passed over them
+        self._ahead = 0.0  # time less that of the samples, as far as it is not made up for
+
+    def take(self, step: float) -> float:
+        """Take the step of time to a sample [s], not negative; return how much was lost before it.
+
+        0.0 nearly always. It is known as soon as time moves on; until then see `standing`.
+        """
+        if step < STANDS * self._cycle:
+            self._together += 1
+            self._passed += step
+            return 0.0
+        n, cycle = self._together + 1, self._cycle
+        passed = self._passed + step
+        self._together, self._passed = 0, 0.0
+        gained = passed - n * cycle
+        if n == 1:
+            gained = max(gained, 0.0)  # a shorter step is another cycle, not a clock that stands
+        if gained or self._ahead:
+            self._ahead = min(self._ahead * math.exp(-passed / MADE_UP_S) + gained, MADE_UP_S)
+        if lost := self._beyond_tolerance(-self._ahead):
+            self._ahead = 0.0
+            return lost
+        self._learn(n, passed / n)
+        return 0.0
+
+    @property
+    def standing(self) -> float:
+        """How much will have been lost [s] if time moves on now."""
+        samples = self._together * self._cycle
+        return self._beyond_tolerance(samples - self._passed - self._ahead) if samples else 0.0
+
+    def _beyond_tolerance(self, lost: float) -> float:
+        tolerated = TOLERATED_S + TOLERATED_CYCLES * self._cycle
+        return lost if self._samples >= MIN_SAMPLES and lost > tolerated else 0.0
+
+    def _learn(self, n: int, step: float) -> None:
+        if self._samples >= MIN_SAMPLES:
+            step = min(step, LONGEST_CYCLES * self._cycle)
+        else:
+            self._ahead = 0.0
+        self._samples = min(self._samples + n, USUAL_SAMPLES)
+        self._cycle += min(n / self._samples, 1.0) * (step - self._cycle)
