@@ -236,6 +236,8 @@ def test_a_silent_bus_is_no_reason_to_reopen_for_a_damaged_record_now_and_then(p
     while time.monotonic() < end:
         plug.queue = [ValueError("damaged")] * (MAX_FAILURES + 8)
         sent += len(plug.queue)
+        while plug.queue:  # on a busy machine the time is over before the queue is empty
+            assert link.receive(0.01) == []
         assert link.receive(0.01) == []
     assert (link.counters.rejected, link.counters.reopened) == (sent, 0)
 
