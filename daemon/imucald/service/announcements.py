@@ -30,6 +30,7 @@ class Announcements:
         self._alarms = AlarmWatch(journal)
         self._state: object = None
         self._rejected = 0
+        self._failures: dict[str, int] = {}
 
     def model(self, engine: Engine) -> None:
         """What of the model file is used, and what is not."""
@@ -54,14 +55,23 @@ class Announcements:
         self._journal.say(text + (waiting and f" ({waiting})"), NOTICE)
 
     def update(self, engine: Engine, uptime: float) -> None:
-        """Alarms and rejections, once a second; uptime [s]."""
+        """Alarms, rejections and failed calculations, once a second; uptime [s]."""
         self._alarms.update(asdict(engine.health()), uptime)
         rejected = engine.router.rejected
         if (total := rejected.total()) > self._rejected:
             self._rejected = total
             text = ", ".join(f"{reason} {n}" for reason, n in sorted(rejected.items()))
             self._journal.seldom("rejected", f"rejected so far: {text}", WARNING)
+        group = engine.consumer_group
+        for name, n in group.failures.items():
+            if n > self._failures.get(name, 0):
+                self._failures[name] = n
+                text = (
+                    f"{name} failed and began anew, {n} times so far: {group.last_failures[name]}"
+                )
+                self._journal.seldom(f"{name} failed", text, WARNING)
 
     def restart_counts(self) -> None:
         """Another engine counts from zero."""
         self._rejected = 0
+        self._failures = {}
