@@ -8,6 +8,7 @@ from collections.abc import Iterator
 import pytest
 
 from imucald.core import file_cache as database_cache
+from imucald.runtime.consumer_group import ConsumerGroup
 
 
 @pytest.fixture(autouse=True, scope="session")
@@ -19,3 +20,16 @@ def own_cache_folder(tmp_path_factory: pytest.TempPathFactory) -> None:
 def databases_are_parsed() -> Iterator[None]:
     yield
     database_cache._Cache.folder = None
+
+
+@pytest.fixture(autouse=True)
+def failed_calculations_fail_the_test(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The engine goes on where a consumer's calculation fails; no test may overlook that.
+
+    A module whose subject it is has a fixture of this name that does nothing.
+    """
+
+    def failed(self: ConsumerGroup, consumer: object, error: Exception) -> None:
+        raise AssertionError(f"a calculation of {consumer} failed") from error
+
+    monkeypatch.setattr(ConsumerGroup, "_failed", failed)

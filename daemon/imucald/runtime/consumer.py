@@ -24,6 +24,9 @@ _RANK = {channel: rank for rank, channel in enumerate(ORDER)}
 class Consumer(Protocol):
     """Takes samples, gives frames. Pure: no I/O, no clock."""
 
+    name: str
+    """Key of its result."""
+
     @property
     def channels(self) -> frozenset[str]:
         """The channels it wants (see `samples`)."""
@@ -45,6 +48,10 @@ class Consumer(Protocol):
 
     def gap(self) -> None:
         """Time jumped: nothing before this may be differenced with what follows."""
+        ...
+
+    def begin_anew(self) -> None:
+        """A calculation failed: forget all that came of samples; nothing is available then."""
         ...
 
     def summary(self) -> tuple[str, Mapping[str, Any]]:

@@ -56,15 +56,12 @@ def consumers_for(loaded: LoadedConfig, output: OutputFrames) -> list[Consumer]:
 class AttitudeConsumer:
     """Methods B and C on the corrected samples."""
 
+    name = "attitude"
     channels = frozenset(ORDER)
 
     def __init__(self, config: Config, frames: AttitudeFrames) -> None:
-        settings = config.attitude
-        self.filter = (
-            CompensatedAttitude(settings)
-            if config.attitude.method == "compensation"
-            else AttitudeFilter(settings)
-        )
+        self._settings = config.attitude
+        self.filter = self._new_filter()
         self._frames = frames
         self._every = round(TICK_RATE / config.attitude.rate)
         self._correction: Correction | None = None
@@ -96,6 +93,10 @@ class AttitudeConsumer:
                 self.filter.accel(t, turned)
             else:
                 self.filter.mag(t, turned)
+
+    def _new_filter(self) -> CompensatedAttitude | AttitudeFilter:
+        s = self._settings
+        return CompensatedAttitude(s) if s.method == "compensation" else AttitudeFilter(s)
 
     def _turn(self, correction: Correction | None) -> None:
         if correction is None:
@@ -161,16 +162,21 @@ class AttitudeConsumer:
         """Time jumped: the attitude starts anew."""
         self.filter.reset()
 
+    def begin_anew(self) -> None:
+        """A calculation failed: the sensor check is forgotten too, its numbers may be the cause."""
+        self.filter = self._new_filter()
+        self._saved_check = None
+
     def summary(self) -> tuple[str, Mapping[str, Any]]:
         """The attitude at the end."""
         if self._correction is None or not self.filter.running:
-            return "attitude", {"state": AttitudeState.NOT_AVAILABLE.name.lower()}
+            return self.name, {"state": AttitudeState.NOT_AVAILABLE.name.lower()}
         e = self._estimate()
 
         def number(value: float, factor: float = 180.0 / math.pi) -> float | None:
             return None if math.isnan(value) else round(value * factor, 5)
 
-        return "attitude", {
+        return self.name, {
             "state": e.state.name.lower(),
             "roll_deg": number(e.roll),
             "pitch_deg": number(e.pitch),
@@ -197,10 +203,12 @@ def _matrix(correction: Correction) -> Matrix3:
 class TravelConsumer:
     """Method D on the samples of a carried terminal, in its own axes."""
 
+    name = "travel_direction"
     channels = frozenset(("gyro", "mag", "heading", "accel"))
 
     def __init__(self, config: Config, frames: TravelFrames) -> None:
-        self.travel = TravelDirection(config.travel_direction)
+        self._settings = config.travel_direction
+        self.travel = TravelDirection(self._settings)
         self._frames = frames
         self._sent_steps = 0
         self._every = round(TICK_RATE)
@@ -226,11 +234,17 @@ class TravelConsumer:
         """Time jumped."""
         self.travel.gap()
 
+    def begin_anew(self) -> None:
+        """A calculation failed; what was counted stays."""
+        before, self.travel = self.travel, TravelDirection(self._settings)
+        self.travel.cycles.steps = before.cycles.steps
+        self.travel.rejected = before.rejected
+
     def summary(self) -> tuple[str, Mapping[str, Any]]:
         """Steps and the last direction."""
         last = self.travel.last
         heading = None if last is None or last.heading is None else math.degrees(last.heading)
-        return "travel_direction", {
+        return self.name, {
             "steps": self.travel.steps,
             "rejected_samples": self.travel.rejected,
             "heading_deg": None if heading is None else round(heading, 2),

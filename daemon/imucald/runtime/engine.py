@@ -112,6 +112,11 @@ class Engine:
         """What runs beside the calibration."""
         return self._group.all
 
+    @property
+    def consumer_group(self) -> ConsumerGroup:
+        """The same together, with what failed in them."""
+        return self._group
+
     # one frame -----------------------------------------------------------------------------
 
     def frame(

@@ -33,7 +33,7 @@ def summary(
     """
     estimate = engine.pipeline.estimator.estimate()
     pipeline = engine.pipeline
-    more = dict(consumer.summary() for consumer in engine.consumers)
+    more: dict[str, Any] = dict(engine.consumer_group.summaries())
     if engine.preprocessing is not None:
         more["model"] = engine.preprocessing.summary()
     return {

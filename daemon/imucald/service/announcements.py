@@ -30,6 +30,7 @@ class Announcements:
         self._alarms = AlarmWatch(journal)
         self._state: object = None
         self._rejected = self._late = 0
+        self._failures: dict[str, int] = {}
 
     def model(self, engine: Engine) -> None:
         """What of the model file is used, and what is not."""
@@ -54,7 +55,7 @@ class Announcements:
         self._journal.say(text + (waiting and f" ({waiting})"), NOTICE)
 
     def update(self, engine: Engine, late: int, uptime: float) -> None:
-        """Alarms, rejections and late frames so far, once a second; uptime [s]."""
+        """Alarms, rejections, late frames and failed calculations, once a second; uptime [s]."""
         self._alarms.update(asdict(engine.health()), uptime)
         rejected = engine.router.rejected
         if (total := rejected.total()) > self._rejected:
@@ -65,7 +66,16 @@ class Announcements:
             text = f"too late to be corrected so far: {late} frames (the processor was not free)"
             self._journal.seldom("late", text, WARNING)
         self._late = late  # those of another link begin at zero
+        group = engine.consumer_group
+        for name, n in group.failures.items():
+            if n > self._failures.get(name, 0):
+                self._failures[name] = n
+                text = (
+                    f"{name} failed and began anew, {n} times so far: {group.last_failures[name]}"
+                )
+                self._journal.seldom(f"{name} failed", text, WARNING)
 
     def restart_counts(self) -> None:
         """Another engine counts from zero."""
         self._rejected = 0
+        self._failures = {}
