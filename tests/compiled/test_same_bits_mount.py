@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from both_ways import agree, spiked
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from recorded_calls import needs_kernels
 
+from both_ways import agree, spiked
 from imucald.core.samples import GRAVITY
 from imucald.mount import (
     block_yaw,

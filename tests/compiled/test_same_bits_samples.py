@@ -6,11 +6,11 @@ import random
 
 import numpy as np
 import pytest
-from both_ways import agree, spiked
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from recorded_calls import needs_kernels
 
+from both_ways import agree, spiked
 from imucald.api.recorder import microseconds
 from imucald.can.columns import CAN_EFF_FLAG, FrameColumns, IdMatch
 from imucald.can.dbc.bits import Field

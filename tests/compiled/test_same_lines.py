@@ -8,11 +8,11 @@ import tracemalloc
 from pathlib import Path
 
 import pytest
-from both_ways import assert_same
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from recorded_calls import needs_kernels
 
+from both_ways import assert_same
 from imucald.can.columns import CAN_EFF_FLAG, IdMatch
 from imucald.can.logs import text_blocks
 from imucald.can.logs.log_reader import LogReader
