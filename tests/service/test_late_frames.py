@@ -137,6 +137,21 @@ def test_late_frames_are_counted_and_raise_the_flag_for_a_second(node):
     assert frames_lost(node.heard()) == 0.0
 
 
+def test_a_hold_up_while_a_frame_is_handled_lets_neither_it_nor_those_behind_it_pass(node):
+    node.heard()
+    handle, held = node.engine.frame, iter([0.0, 0.0, 2.5])
+
+    def handled(*frame):
+        node.clock.now += next(held, 0.0)
+        return handle(*frame)
+
+    node.engine.frame = handled
+    node.drive(0.08, step=False)
+    node.daemon.step(0.0)
+    assert [quality in GOOD for quality in qualities(node.heard())] == [True, True, False]
+    assert node.link.counters.late == 6
+
+
 def test_a_short_hold_up_is_no_matter(node):
     node.heard()
     node.drive(0.09, step=False)
@@ -212,4 +227,4 @@ def test_late_frames_are_written_into_the_log_once_and_not_each_second(tmp_path)
         own.update(engine, late, 0.0)
     lines = [line for line in log.getvalue().splitlines() if "too late" in line]
     assert len(lines) == 1
-    assert "40 frames" in lines[0]
+    assert "so far: 40" in lines[0]

@@ -63,7 +63,7 @@ class Announcements:
             text = ", ".join(f"{reason} {n}" for reason, n in sorted(rejected.items()))
             self._journal.seldom("rejected", f"rejected so far: {text}", WARNING)
         if late > self._late:
-            text = f"too late to be corrected so far: {late} frames (the processor was not free)"
+            text = f"frames too late to be corrected so far: {late} (the processor was not free)"
             self._journal.seldom("late", text, WARNING)
         self._late = late  # those of another link begin at zero
         group = engine.consumer_group

@@ -133,6 +133,7 @@ class Daemon:
         self.between: Callable[[], None] = lambda: None
         """Called every `STRIDE` frames of a batch: what must not wait for its end."""
         self._unsent = _Recent(RECENT_S)
+        self._max_age = max_age
         self._backlog = Backlog(clock(), max_age)
         self._last_frame = clock()
         self._next_heartbeat = clock()
@@ -182,12 +183,15 @@ class Daemon:
                         self.link.counters.late += 1
                         answer = handle(t, can_id, data, now)
                     else:
-                        answer = handle(t, can_id, data)
+                        before, answer = now, handle(t, can_id, data)
+                        now = self._clock()
+                        if now - before > self._max_age:  # held up while it was handled
+                            waited, answer = True, []
+                            self.link.counters.late += 1
                 for out_id, out in answer:
                     send(out_id, out)
-        if extra is not None:
-            for out_id, out in extra.poll():
-                send(out_id, out)
+        for out_id, out in () if extra is None else extra.poll():
+            send(out_id, out)
         if ours:
             self._last_frame = now
         elif now - self._last_frame > IDLE_S:
