@@ -97,7 +97,7 @@ def test_rates_units_and_ranges_are_those_of_the_log(frames: Frames) -> None:
 SIGNAL = "{{signal: {0}, {1}}}"
 MISTAKES = {
     "yaw rate the other way round": (
-        ("ESC_Dynamics.YawRate", "sign: -1"), "yaw_rate", "opposite sign"),
+        ("ESC_Dynamics.YawRate", "sign: -1"), "yaw_rate", "or remove it where it is set"),
     "yaw rate in another unit": (
         ("ESC_Dynamics.YawRate", "unit: rad/s"), "yaw_rate", "deg against rad"),
     "steering the other way round": (

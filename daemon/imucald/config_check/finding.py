@@ -22,6 +22,9 @@ CLEAR = 0.6
 WRONG_GAIN = 2.5
 """A gain beyond this (or below its inverse) is a unit, not a vehicle."""
 
+TURN_SIGN = "set 'sign: -1', or remove it where it is set"
+"""The remedy for a wrong sign: where one is configured, that one is the mistake."""
+
 _FACTORS = (
     (DEG_PER_RAD, "deg against rad"),
     (GRAVITY, "g against m/s²"),

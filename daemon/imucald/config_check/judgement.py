@@ -25,6 +25,7 @@ from imucald.config_check.axes import (
 from imucald.config_check.finding import (
     CLEAR,
     MIN_TICKS,
+    TURN_SIGN,
     Array,
     Finding,
     gain_between,
@@ -63,7 +64,7 @@ NOT_STATED = OrientationSettings()
 WITHOUT_GRAVITY = (
     "gravity is taken out of it (a 'linear' or 'user' acceleration); give the sensor's own readings"
 )
-UP_REMEDY = "set 'sign: -1' on all axes, or correct that line"
+UP_REMEDY = "set 'sign: -1' on all axes (or remove it where it is set), or correct that line"
 FORWARD_REMEDY = "correct that line"
 
 
@@ -282,7 +283,7 @@ def _along(motion: Motion, unit_advice: Mapping[str, str]) -> Iterator[Finding]:
             text = "is negative when the vehicle accelerates: backwards mounted, or 'sign: -1'"
             yield Finding("warning", name, text)
         elif gain < 0.0:
-            text = "is negative when the vehicle accelerates; set 'sign: -1'"
+            text = f"is negative when the vehicle accelerates; {TURN_SIGN}"
             yield Finding("warning", name, text)
         elif is_wrong(gain):
             guess = gain_guess(gain, unit_advice.get(name))

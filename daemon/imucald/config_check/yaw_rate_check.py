@@ -8,6 +8,7 @@ import numpy as np
 
 from imucald.config_check.finding import (
     CLEAR,
+    TURN_SIGN,
     Array,
     Finding,
     gain_between,
@@ -76,4 +77,4 @@ def _sign_hint(name: str) -> str:
         return ": are left and right exchanged?"
     if name == "gyroscope":
         return ": all three axes need 'sign: -1', or the accelerometer's do"
-    return ": positive is to the left; set 'sign: -1'"
+    return f": positive is to the left; {TURN_SIGN}"
