@@ -1,4 +1,4 @@
-"""A consumer whose calculation fails: all else goes on, it begins anew, and that is reported."""
+"""A consumer whose calculation fails: all else goes on, it begins again, and that is reported."""
 
 from __future__ import annotations
 
@@ -121,10 +121,10 @@ def test_it_is_counted_and_logged(tmp_path):
     lines = io.StringIO()
     announcements = Announcements(Journal(lines))
     for _ in range(3):
-        announcements.update(engine, 60.0)
+        announcements.update(engine, 0, 60.0)
     said = [line for line in lines.getvalue().splitlines() if "failed" in line]
     assert len(said) == 1
-    assert "attitude failed and began anew, 3 times so far: EstimateError: too little" in said[0]
+    assert "attitude failed and began again, 3 times so far: EstimateError: too little" in said[0]
 
 
 def test_a_mistake_of_the_program_is_not_hidden(tmp_path):

@@ -71,7 +71,7 @@ class Announcements:
             if n > self._failures.get(name, 0):
                 self._failures[name] = n
                 text = (
-                    f"{name} failed and began anew, {n} times so far: {group.last_failures[name]}"
+                    f"{name} failed and began again, {n} times so far: {group.last_failures[name]}"
                 )
                 self._journal.seldom(f"{name} failed", text, WARNING)
 
