@@ -236,6 +236,18 @@ class ScriptedEstimator:
         return MountEstimate(self.state, self._rotation(), covariance)
 
 
+class Fine(ScriptedEstimator):
+    """Always has the same correction, and is sure of it."""
+
+    @property
+    def correction(self) -> Correction:
+        return (1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0)
+
+    @property
+    def state(self) -> MountState:
+        return MountState.FINE
+
+
 def engine_of(loaded: LoadedConfig, estimator: object | None = None, **options: object) -> Engine:
     """An engine with a scripted estimator."""
     output = OutputFrames(loaded.config)

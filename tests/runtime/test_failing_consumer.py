@@ -8,10 +8,9 @@ from functools import cache
 
 import pytest
 
-from engine_bus import ScriptedEstimator, Sender, columns_of, engine_of, frames_of, load
+from engine_bus import Fine, Sender, columns_of, engine_of, frames_of, load
 from imucald.core.errors import EstimateError
 from imucald.core.samples import GRAVITY
-from imucald.mount.estimate import Correction, MountState
 from imucald.runtime.summary import RunCounts, summary
 from imucald.service.announcements import Announcements
 from imucald.service.journal import Journal
@@ -31,16 +30,6 @@ END, FAILS = 40.0, 20.0
 @pytest.fixture(autouse=True)
 def failed_calculations_fail_the_test() -> None:
     """They are the subject here."""
-
-
-class Fine(ScriptedEstimator):
-    @property
-    def correction(self) -> Correction:
-        return (1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0)
-
-    @property
-    def state(self) -> MountState:
-        return MountState.FINE
 
 
 @cache

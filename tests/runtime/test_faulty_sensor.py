@@ -7,11 +7,10 @@ from functools import cache
 import numpy as np
 import pytest
 
-from engine_bus import ScriptedEstimator, Sender, columns_of, engine_of, frames_of, load
+from engine_bus import Fine, Sender, columns_of, engine_of, frames_of, load
 from imucald.can.dbc.decode import compile_decode
 from imucald.core.samples import GRAVITY
 from imucald.motion.ticks import ACCEL, GYRO
-from imucald.mount.estimate import Correction, MountState
 from imucald.runtime.output.output_frames import output_database
 from imucald.runtime.summary import RunCounts, summary
 
@@ -30,18 +29,6 @@ START, STOP, END = 20.0, 26.0, 45.0
 PERIOD = 0.02
 """Of both sensors [s]."""
 IDS = {"accel": 0x640, "gyro": 0x641, "health": 0x645, "second": 0x650}
-
-
-class Fine(ScriptedEstimator):
-    """Always has the same correction, and is sure of it."""
-
-    @property
-    def correction(self) -> Correction:
-        return (1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0)
-
-    @property
-    def state(self) -> MountState:
-        return MountState.FINE
 
 
 @cache

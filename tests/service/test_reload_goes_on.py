@@ -29,9 +29,9 @@ class Bench:
 
     def __init__(self, folder: Path, freezes: bool = True) -> None:
         self.config = shuttle.write(folder, cycles=4)
-        clock = f"go-on-{time.monotonic_ns()}"
+        channel = f"go-on-{time.monotonic_ns()}"
         options = ServiceOptions(
-            self.config, interface="virtual", channel=clock, state_folder=folder / "state"
+            self.config, interface="virtual", channel=channel, state_folder=folder / "state"
         )
         self.service = Service(options, Journal(io.StringIO()))
         self.freezes = freezes

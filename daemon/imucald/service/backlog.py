@@ -24,7 +24,7 @@ class Backlog:
     """
 
     def __init__(self, now: float, max_age: float, wall: Callable[[], float] = time.time) -> None:
-        self._max_age = max_age
+        self.max_age = max_age
         self._wall = wall
         self._read_at = self._since = now
         self._is_empty = True
@@ -42,15 +42,15 @@ class Backlog:
             self._first = frames[0][0]
         self._is_empty = is_empty
         self._read_at = now
-        return now - self._since > self._max_age
+        return self.may_be_late(now)
 
     def may_be_late(self, now: float) -> bool:
         """Whether any frame of the last read can be too old by now."""
-        return now - self._since > self._max_age
+        return now - self._since > self.max_age
 
     def is_late(self, stamp: float, now: float) -> bool:
         """Whether a frame of the last read is too old by now."""
         waited = now - self._since
-        if waited - (stamp - self._first) > self._max_age:
+        if waited - (stamp - self._first) > self.max_age:
             return True
-        return self._max_age < self._wall() - stamp <= waited
+        return self.max_age < self._wall() - stamp <= waited

@@ -133,7 +133,6 @@ class Daemon:
         self.between: Callable[[], None] = lambda: None
         """Called every `STRIDE` frames of a batch: what must not wait for its end."""
         self._unsent = _Recent(RECENT_S)
-        self._max_age = max_age
         self._backlog = Backlog(clock(), max_age)
         self._last_frame = clock()
         self._next_heartbeat = clock()
@@ -185,7 +184,7 @@ class Daemon:
                     else:
                         before, answer = now, handle(t, can_id, data)
                         now = self._clock()
-                        if now - before > self._max_age:  # held up while it was handled
+                        if now - before > backlog.max_age:  # held up while it was handled
                             waited, answer = True, []
                             self.link.counters.late += 1
                 for out_id, out in answer:

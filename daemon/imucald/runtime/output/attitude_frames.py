@@ -55,11 +55,6 @@ class AttitudeFrames:
             signals = dict.fromkeys((f"FreeAccel{a}" for a in "XYZ"), low)
             self._free = message("IMUCALD_FreeAcceleration", ids.free_acceleration, signals)
 
-    @property
-    def can_ids(self) -> frozenset[int]:
-        """Every id that is sent, with the flag for 29 bits."""
-        return frozenset(m.can_id for m in self.messages())
-
     def messages(self) -> list[OutputMessage]:
         """Every message that is sent."""
         free = [] if self._free is None else [self._free]

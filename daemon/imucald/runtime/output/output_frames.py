@@ -150,21 +150,17 @@ class OutputFrames:
     @property
     def can_ids(self) -> frozenset[int]:
         """Every id that is sent, with the flag for 29 bits."""
-        ids = {s.can_id for s in self._all_messages()}
-        for more in (self.attitude, self.travel):
-            if more is not None:
-                ids |= more.can_ids
-        return frozenset(ids)
+        return frozenset(message.can_id for message in self.messages())
 
     def _all_messages(self) -> list[OutputMessage]:
         return [*self._corrected.values(), self._mount, self._deviation, self._health]
 
     def go_on_from(self, before: OutputFrames) -> None:
-        """Count on in every message that was sent before."""
-        known = {message.can_id: message for message in before.messages()}
+        """Count on in every message that was sent before: its receivers notice no change."""
+        known = {message.key: message for message in before.messages()}
         for message in self.messages():
-            if message.can_id in known:
-                message.go_on_from(known[message.can_id])
+            if message.key in known:
+                message.go_on_from(known[message.key])
 
     def messages(self) -> list[OutputMessage]:
         """Every message that is sent."""

@@ -93,10 +93,14 @@ class OutputMessage:
         scaled = self._reading.scale(raw)
         return [v if is_known else None for v, is_known in zip(scaled, known, strict=True)]
 
+    @property
+    def key(self) -> tuple[str, int]:
+        """Its name and id: what makes it the same message for a receiver."""
+        return self._message, self.can_id
+
     def go_on_from(self, before: OutputMessage) -> None:
-        """Count on where it is the same message: its receivers notice no change."""
-        if (self.can_id, self._message) == (before.can_id, before._message):
-            self._protector.go_on_from(before._protector)
+        """Count on from the last frame of the same message before."""
+        self._protector.go_on_from(before._protector)
 
     def prepare(self) -> None:
         """Compile now, so that the first frame is as quick as the others."""

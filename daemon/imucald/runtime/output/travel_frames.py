@@ -38,11 +38,6 @@ class TravelFrames:
             ),
         )
 
-    @property
-    def can_ids(self) -> frozenset[int]:
-        """Every id that is sent, with the flag for 29 bits."""
-        return frozenset(message.can_id for message in self.messages())
-
     def messages(self) -> list[OutputMessage]:
         """Every message that is sent."""
         return [self._message, self._deviation]
