@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Hashable, Mapping
 
 import numpy as np
 from numpy.typing import NDArray
@@ -142,6 +142,19 @@ class Probe:
     def stated_cycle(self) -> float | None:
         """The route's cycle [s], as stated."""
         return self.route.stated_cycle
+
+    @property
+    def frame_key(self) -> Hashable:
+        """The route's."""
+        return self.route.frame_key
+
+    def source_of(self, tap: Tap) -> Hashable:
+        """As the route."""
+        return self.route.source_of(tap)
+
+    def go_on_from(self, former: SignalRoute) -> None:
+        """As the route; the figures stay."""
+        self.route.go_on_from(former)
 
     @property
     def refused(self) -> Counter[str]:

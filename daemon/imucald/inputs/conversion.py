@@ -7,6 +7,7 @@ with a reason. One number and a column go the same way, with equal results.
 from __future__ import annotations
 
 import math
+from collections.abc import Hashable
 from typing import Final
 
 import numpy as np
@@ -54,6 +55,11 @@ class Conversion(Struct, frozen=True):
     def limit(self) -> float:
         """Largest plausible magnitude in SI."""
         return LIMITS[self.unit.dimension]
+
+    @property
+    def source(self) -> Hashable:
+        """What decides which quantity a value becomes, apart from whether it is believed."""
+        return self.unit, self.sign, self.offset, self.on_values, self.on_above
 
     def scalar(self, raw: float | int, physical: float) -> tuple[float, int]:
         """Return (value in SI, code); the value is NaN where the code is not OK."""

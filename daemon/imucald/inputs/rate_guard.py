@@ -181,14 +181,14 @@ class Spaced:
     """So many cycles early is jitter."""
 
     def __init__(self, cycle: float) -> None:
-        self._cycle = cycle
+        self.cycle = cycle
         self._next = -math.inf
 
     def passes(self, t: float) -> bool:
         """Whether an event at t [s] is let through; times never decrease."""
-        if t < self._next - self.EARLY * self._cycle:
+        if t < self._next - self.EARLY * self.cycle:
             return False
-        self._next = max(self._next, t) + 0.95 * self._cycle
+        self._next = max(self._next, t) + 0.95 * self.cycle
         return True
 
     def among(self, t: NDArray[np.float64]) -> NDArray[np.bool_]:

@@ -6,8 +6,8 @@ A `Router` takes single frames (live) or columns of frames (replay) and gives sa
 
 from __future__ import annotations
 
-from collections import Counter
-from collections.abc import Iterable, Sequence
+from collections import Counter, deque
+from collections.abc import Collection, Hashable, Iterable, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -106,6 +106,47 @@ class Router:
             for route in self.routes
             if any(tap.channel == channel for tap in route.taps)
         ]
+
+    # in the place of another ----------------------------------------------------------------
+
+    def source(self, channel: str) -> Hashable:
+        """What decides which numbers a channel gives, of all its sources."""
+        if channel == "speed" and self._derive_speed:
+            return channel, self.source("wheel_speeds")
+        if channel == "reverse" and self._derive_reverse:
+            return channel, self.source("speed")
+        return frozenset(
+            route.source_of(tap)
+            for route in self.routes
+            for tap in route.taps
+            if tap.channel == channel
+        )
+
+    def same_sources(self, former: Router) -> frozenset[str]:
+        """Channels that both routers have, with the same numbers from the same frames."""
+        both = self.channels & former.channels
+        return frozenset(c for c in both if self.source(c) == former.source(c))
+
+    def go_on_from(self, former: Router, same: Collection[str]) -> None:
+        """Go on where another router stands: counts, and what it knows of senders that stay.
+
+        same: see `same_sources`.
+        """
+        before: dict[Hashable, deque[SignalRoute]] = {}
+        for route in former.routes:
+            before.setdefault(route.frame_key, deque()).append(route)
+        for route in self.routes:  # several of the same frames: each has its own guard
+            if known := before.get(route.frame_key):
+                route.go_on_from(known.popleft())
+        for channel, selector in former._selectors.items():
+            if channel in same:
+                self._selectors[channel] = selector
+        for key, assembler in former._assemblers.items():
+            if key[0] in same:
+                self._assemblers[key] = assembler
+        self.rejected, self.used = former.rejected, former.used
+        counted = former.sample_counts.items()
+        self.sample_counts = Counter({c: n for c, n in counted if c in self.channels})
 
     # one frame -----------------------------------------------------------------------------
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Hashable, Mapping, Sequence
 from typing import Protocol
 
 import numpy as np
@@ -45,6 +45,19 @@ class SignalRoute(Protocol):
     def stated_cycle(self) -> float | None:
         """Their cycle [s] as the configuration or the database states it."""
 
+    @property
+    def frame_key(self) -> Hashable:
+        """Which frames it takes: equal for routes that take the same."""
+
+    def source_of(self, tap: Tap) -> Hashable:
+        """What decides which numbers one of its taps gives: where equal, they are of one source.
+
+        Limits of what is believed do not count.
+        """
+
+    def go_on_from(self, former: SignalRoute) -> None:
+        """Take what another route with equal `frame_key` knows of its sender; as far as it fits."""
+
     def check(self, t: float, data: bytes) -> str | None:
         """Judge a frame at stream time t [s]: "" good, None not of this kind, else the reason."""
 
@@ -73,8 +86,35 @@ class MessageRoute:
         self.checker = checker
         self.taps = tuple(sorted(taps, key=lambda tap: tap.rank))
         self.stated_cycle = checker.spec.cycle_time or plan.message.cycle_time
-        self.guard = RateGuard(self.stated_cycle, checker.spec.counter is not None)
+        self.guard: JudgesRate = RateGuard(self.stated_cycle, checker.spec.counter is not None)
         self._compiled = [CompiledTap(plan, tap) for tap in self.taps]
+
+    @property
+    def frame_key(self) -> Hashable:
+        """The message and its identifiers."""
+        return self.name, self.match
+
+    def source_of(self, tap: Tap) -> Hashable:
+        """Identifiers, bits, multiplexers and scaling, and what is done with the number."""
+        found = []
+        for component in tap.components:
+            signal = self.plan.signals[component.index]
+            selectors = [(self.plan.multiplexers[name].field, i) for name, i in signal.selectors]
+            kind = signal.signal.is_signed, signal.signal.is_float
+            number = signal.field, kind, signal.scaling, tuple(selectors)
+            found.append((number, component.conversion.source))
+        return self.match, tap.source, tuple(found)
+
+    def go_on_from(self, former: SignalRoute) -> None:
+        """Counter, distrust and usual rate, where the protection is the same."""
+        if not isinstance(former, MessageRoute):
+            return
+        spec, before = self.checker.spec, former.checker.spec
+        if spec == before:
+            self.checker = former.checker
+        is_counted = spec.counter is not None, before.counter is not None
+        if self.stated_cycle == former.stated_cycle and is_counted[0] == is_counted[1]:
+            self.guard = former.guard
 
     def check(self, t: float, data: bytes) -> str | None:
         """Length, checksum, counter, time-out."""
@@ -120,9 +160,23 @@ class RawRoute:
         self.match = match
         self.taps = (tap,)
         self.stated_cycle: float | None = None
-        self.guard = RateGuard()
+        self.guard: JudgesRate = RateGuard()
         self._when = when
         self._value = value
+
+    @property
+    def frame_key(self) -> Hashable:
+        """Identifiers and condition."""
+        return self.match, None if self._when is None else self._when.text
+
+    def source_of(self, tap: Tap) -> Hashable:
+        """Which frames, the value, and what is done with it."""
+        conversions = tuple(component.conversion.source for component in tap.components)
+        return self.frame_key, self._value.text, tap.source, conversions
+
+    def go_on_from(self, former: SignalRoute) -> None:
+        """The usual rate."""
+        self.guard = former.guard
 
     def check(self, t: float, data: bytes) -> str | None:
         """The condition, and the length the value needs."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Hashable, Sequence
 
 import numpy as np
 from msgspec import Struct
@@ -59,6 +59,11 @@ class Tap(Struct, frozen=True):
     complete: bool
     third: float | None = None
     statuses: tuple[Status, ...] = ()
+
+    @property
+    def source(self) -> Hashable:
+        """Which numbers of the channel it gives, apart from whether they can be used."""
+        return self.channel, self.rank, self.slots, self.third
 
     def scalar(self, raw: Raw, physical: Physical) -> tuple[Sequence[float], int]:
         """Values in SI and code (see `quantities.REASONS`) from the numbers of one frame."""

@@ -40,6 +40,11 @@ class PreprocessingChain:
     used: tuple[str, ...]
     notes: tuple[str, ...]
 
+    def is_like(self, other: PreprocessingChain) -> bool:
+        """Whether both do the same to the same signals."""
+        mine = self.name, self.estimate_key, self.used, self.notes
+        return mine == (other.name, other.estimate_key, other.used, other.notes)
+
     def words(self) -> str:
         """One line: which model, and what of it is taken out."""
         return f"model {self.name}: takes out {', '.join(self.used) or 'nothing'}"

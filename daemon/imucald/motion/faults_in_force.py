@@ -77,6 +77,12 @@ class FaultsInForce:
             self._sound[fault] = 0.0
         self.faults = faults
 
+    def end(self, now: float) -> None:
+        """Nobody watches the channel any more from stream time now [s] on."""
+        for fault in self.faults:
+            self._ended(fault, now)
+        self.faults = {}
+
     def _ended(self, fault: SignalFault, now: float) -> None:
         for event in self._events:
             if event.channel == self.channel and event.fault is fault and event.until is None:

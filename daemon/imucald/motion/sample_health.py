@@ -8,7 +8,7 @@ A fault counts from the end of the hop that shows it until the sensor has been s
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from itertools import groupby
 from operator import itemgetter
 from typing import Any
@@ -174,6 +174,35 @@ class SampleHealth:
         """The same of the vehicle's signals, which the estimator judges block by block."""
         self._signals: dict[str, FaultsInForce] = {}
         self._signals_at = 0.0
+
+    def go_on_from(
+        self, former: SampleHealth, same: Collection[str], now: float, with_signals: bool = True
+    ) -> None:
+        """Go on where another one stands: faults in force, and what is usual for a sensor.
+
+        same: channels that come from the same sources; of the others nothing is known, and their
+        faults end. now: stream time [s]. with_signals: without it those of the vehicle's signals
+        end too, as nobody judges them any more.
+        """
+        self.events = former.events
+        for channel, sensor in self._sensors.items():
+            known = former._sensors.get(channel)
+            is_same = channel in same and known is not None and known.axes == sensor.axes
+            self._sensors[channel] = (
+                known if is_same and known else _Sensor(channel, sensor.axes, self.events)
+            )
+        self.faults = {c: s.faults for c, s in self._sensors.items() if s.faults}
+        if with_signals:
+            self._signals = {c: s for c, s in former._signals.items() if c in same}
+        self._signals_at = former._signals_at
+        self.signals = {c: s.faults for c, s in self._signals.items() if s.faults}
+        kept = [*self._sensors.values(), *self._signals.values()]
+        for one in (*former._sensors.values(), *former._signals.values()):
+            if one not in kept:
+                one.end(now)
+        if "speed" in same:
+            self._speed, self._speed_age = former._speed, former._speed_age
+            self._moved, self._heard = former._moved, former._heard
 
     # live ----------------------------------------------------------------------------------
 

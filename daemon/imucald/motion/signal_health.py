@@ -12,7 +12,7 @@ from __future__ import annotations
 import enum
 import math
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 
 import numpy as np
 from numpy.typing import NDArray
@@ -102,6 +102,13 @@ class SignalHealth:
         self.found: dict[tuple[str, SignalFault], Flags] = {}
         self.stuck_now: dict[str, bool] = {}
         """Of the vehicle's signals that are judged: whether any new tick of the last call was."""
+
+    def take_usual(self, former: SignalHealth, channels: Collection[str]) -> None:
+        """Take what another one has learnt of these channels: how long they keep a value."""
+        if "speed" in channels:
+            self._speed.take_usual(former._speed)
+        if "yaw_rate" in channels:
+            self._yaw_rate.take_usual(former._yaw_rate)
 
     def restart(self) -> None:
         """Time jumped: what comes next is compared with nothing before."""

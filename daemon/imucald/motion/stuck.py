@@ -131,6 +131,10 @@ class StuckSpeed:
         """While driving: how long they lasted [s], the change after [m/s]."""
         self._value, self._lasted = math.nan, 0.0
 
+    def take_usual(self, former: StuckSpeed) -> None:
+        """Take the runs that another one has seen end."""
+        self._ended = former._ended
+
     def restart(self) -> None:
         """Time jumped: the run before is over."""
         self._value = math.nan

@@ -39,6 +39,10 @@ class StuckYawRate:
         """How long was driven in them [ticks], the change after [rad/s]."""
         self.restart()
 
+    def take_usual(self, former: StuckYawRate) -> None:
+        """Take the runs that another one has seen end."""
+        self._ended = former._ended
+
     def restart(self) -> None:
         """Time jumped: the run before is over."""
         self._value, self._lasted = math.nan, 0.0

@@ -22,7 +22,7 @@ What happens, in order:
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping
 
 import numpy as np
 from numpy.typing import NDArray
@@ -104,6 +104,13 @@ class FullEstimator:
     def stuck_signals(self) -> Mapping[str, bool]:
         """Of the vehicle's signals, see `mount.estimate.JudgesSignals`."""
         return self._signals.stuck
+
+    def take_usual_signals(self, former: FullEstimator, channels: Collection[str]) -> None:
+        """Take how long the vehicle's signals usually keep a value from another estimator.
+
+        channels: those that come from the same sources. A signal that is stuck says nothing of it.
+        """
+        self._signals.health.take_usual(former._signals.health, channels)
 
     @property
     def _solver(self) -> MountSolver:

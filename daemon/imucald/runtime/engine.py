@@ -96,17 +96,6 @@ class Engine:
         """Names what a model changes of the estimate; "" without one."""
         return "" if self.preprocessing is None else self.preprocessing.estimate_key
 
-    def go_on_from(self, before: Engine, same_sensors: bool) -> None:
-        """Go on in the time of the engine of the configuration before, with what it knows.
-
-        same_sensors: a sensor that is faulty stays so, and what is usual of it is known.
-        """
-        self.timebase, self.pipeline.k = before.timebase, before.pipeline.k
-        if same_sensors:
-            self.pipeline.health = before.pipeline.health
-        self._watch.go_on_from(before._watch, self.pipeline.k)
-        self.output.go_on_from(before.output)
-
     @property
     def consumers(self) -> tuple[Consumer, ...]:
         """What runs beside the calibration."""
@@ -116,6 +105,40 @@ class Engine:
     def consumer_group(self) -> ConsumerGroup:
         """The same together, with what failed in them."""
         return self._group
+
+    def go_on_from(
+        self, former: Engine, estimator: MountEstimator, keeps_consumers: bool = False
+    ) -> None:
+        """Take the place of another engine between two frames; only of inputs that are other ones
+        anything begins anew.
+
+        estimator: goes on from here; the former one's only where all inputs are the same.
+        keeps_consumers: whether those of the former engine are what this one's would be.
+        """
+        before = former.pipeline
+        same = self.router.same_sources(former.router)
+        self.timebase, self.sent = former.timebase, former.sent
+        self.router.go_on_from(former.router, same)
+        self.output.go_on_from(former.output)
+        self._watch.go_on_from(former._watch, same, before.k)
+        for channel, spaced in former._spaced.items():
+            if channel in self._spaced and self._spaced[channel].cycle == spaced.cycle:
+                self._spaced[channel] = spaced
+        if estimator is before.estimator:
+            before.status_ticks = self.pipeline.status_ticks
+            self.pipeline = before
+        else:
+            self.pipeline.replace(estimator, afresh=True)
+            self.pipeline.go_on_from(before, same)
+        if same != self.router.channels | former.router.channels:
+            return
+        mine, known = self.preprocessing, former.preprocessing
+        if mine is not None and known is not None and mine.is_like(known):
+            self.preprocessing = known
+        if keeps_consumers:
+            self._group = former._group
+            self.output.attitude = former.output.attitude
+            self.output.travel = former.output.travel
 
     # one frame -----------------------------------------------------------------------------
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping
 
 import numpy as np
 from msgspec import Struct
@@ -40,10 +40,15 @@ class InputWatch:
         self.rejected = 0
         self._rejections: deque[int] = deque()  # ticks of the last second's
 
-    def go_on_from(self, before: InputWatch, k: int) -> None:
-        """Know of an input when it came last; one that is new has had until tick k."""
-        self.last = {channel: before.last.get(channel, k) for channel in self.last}
-        self._rejections = before._rejections.copy()
+    def go_on_from(self, former: InputWatch, same: Collection[str], k: int) -> None:
+        """Go on where another watch stands at tick k; same: channels from the same sources.
+
+        The others count from now on, as all do at the start of a process.
+        """
+        for channel in self.last:
+            is_known = channel in same and channel in former.last
+            self.last[channel] = former.last[channel] if is_known else k
+        self.rejected, self._rejections = former.rejected, former._rejections
 
     def count_rejections(self, k: int, total: int) -> None:
         """Take the number of rejections so far, in tick k."""

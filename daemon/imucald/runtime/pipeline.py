@@ -8,7 +8,7 @@ whole columns (`run`); both give the same corrections to the last bit.
 from __future__ import annotations
 
 from bisect import bisect_left
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from functools import cached_property
 from typing import Protocol
 
@@ -208,6 +208,17 @@ class Pipeline:
             self.first_usable = self.first_fine = None
         self._judge()
         return former
+
+    def go_on_from(self, former: Pipeline, same: Collection[str]) -> None:
+        """Go on where another pipeline stands, with this one's estimator.
+
+        same: channels that come from the same sources; what is known of their health stays.
+        """
+        self.k = former.k
+        judged = self._judges is not None
+        self.health.go_on_from(former.health, same, self.k / TICK_RATE, judged)
+        if "speed" in same:
+            self.speed = former.speed
 
     # columns -------------------------------------------------------------------------------
 

@@ -69,13 +69,8 @@ class Announcements:
         group = engine.consumer_group
         for name, n in group.failures.items():
             if n > self._failures.get(name, 0):
-                self._failures[name] = n
                 text = (
                     f"{name} failed and began again, {n} times so far: {group.last_failures[name]}"
                 )
                 self._journal.seldom(f"{name} failed", text, WARNING)
-
-    def restart_counts(self) -> None:
-        """Another engine counts from zero."""
-        self._rejected = 0
-        self._failures = {}
+        self._failures = dict(group.failures)  # those of another group begin at zero

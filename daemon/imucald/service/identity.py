@@ -8,7 +8,7 @@ from typing import Any
 
 from msgspec import to_builtins
 
-from imucald.config import LoadedConfig, Signals, SourceSettings, TriadSettings
+from imucald.config import LoadedConfig, SourceSettings, TriadSettings
 from imucald.core.digest import sha256
 from imucald.inputs.router import Router
 from imucald.inputs.routes import MessageRoute
@@ -31,12 +31,6 @@ def state_key(loaded: LoadedConfig, router: Router, model: str = "") -> StateKey
     if (mount := loaded.config.calibration.mount) is not None:
         text += json.dumps(to_builtins(mount), sort_keys=True)
     return StateKey(loaded.config.vehicle.id, sha256(text.encode()).hexdigest())
-
-
-def sensor_sources(signals: Signals, router: Router) -> list[Any]:
-    """Everything that decides which numbers accelerometer, gyroscope and magnetometer give."""
-    sensors = (signals.accelerometer, signals.gyroscope, signals.magnetometer)
-    return [_triads(triads or (), router) for triads in sensors]
 
 
 def _triads(triads: Sequence[TriadSettings], router: Router) -> list[list[dict[str, Any]]]:

@@ -22,9 +22,10 @@ from imucald.service.identity import state_key
 from imucald.service.live import open_link
 from imucald.service.reload_changes import (
     behind_the_known,
+    keeps_consumers,
     keeps_estimator,
-    keeps_sensors,
     listens_otherwise,
+    take_usual_signals,
 )
 from imucald.service.sensor_check import restore_check, saved_check
 from imucald.service.service_options import ServiceOptions
@@ -101,13 +102,10 @@ class PartsMaker:
                 diagnostics.uds.check_identifiers(loaded, engine)
             if listens_otherwise(parts.loaded, loaded, old, engine):
                 link = self._new_link(loaded, engine, diagnostics)
-            engine.go_on_from(old, keeps_sensors(parts.loaded, loaded, old, engine))
             estimator, store = self._estimator_after(parts, loaded, engine)
-            engine.pipeline.replace(estimator, afresh=True)
-            if estimator is old.pipeline.estimator:
-                engine.pipeline.first_usable = old.pipeline.first_usable
-                engine.pipeline.first_fine = old.pipeline.first_fine
+            take_usual_signals(old, estimator, engine)
             engine.output.prepare()
+            engine.go_on_from(old, estimator, keeps_consumers(parts.loaded, loaded, old, engine))
         except BaseException:
             if link is not parts.link:
                 link.close()
@@ -135,8 +133,7 @@ class PartsMaker:
                 return restored, store  # another sensor or vehicle: what was found is not of it
             return behind_the_known(old, new), store
         restore_check(engine, saved_check(running))
-        if keeps_estimator(parts.loaded, loaded):
-            old.gap()
+        if keeps_estimator(parts.loaded, loaded, running, engine):
             return old, store
         return behind_the_known(old, new), store
 

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from imucald.config import LoadedConfig
 from imucald.mount.estimate import MountEstimator
+from imucald.mount.estimator import FullEstimator
 from imucald.mount.mount_in_force import mount_in_force, without_stored
 from imucald.mount.restored import RestoredEstimator
 from imucald.runtime.engine import Engine
-from imucald.service.identity import sensor_sources
 
 
 def listens_otherwise(
@@ -22,21 +22,39 @@ def listens_otherwise(
     )
 
 
-def keeps_estimator(old: LoadedConfig, new: LoadedConfig) -> bool:
-    """Whether the running estimator is the one that the new configuration would make."""
-    a, b = old.config, new.config
-    return (a.calibration, a.vehicle, a.signals) == (b.calibration, b.vehicle, b.signals)
-
-
-def keeps_sensors(
+def keeps_estimator(
     old: LoadedConfig, new: LoadedConfig, old_engine: Engine, new_engine: Engine
 ) -> bool:
-    """Whether all signals come from where they came, and the sensors' mean what they meant."""
-    before, now = (
-        sensor_sources(loaded.config.signals, engine.router)
-        for loaded, engine in ((old, old_engine), (new, new_engine))
+    """Whether the running estimator is the one that the new configuration would make.
+
+    Not where a database gives a signal another meaning: what is known of the sensor's health is
+    then of another one, and nothing is good before this one has been seen.
+    """
+    a, b = old.config, new.config
+    before, now = old_engine.router, new_engine.router
+    is_same = (a.calibration, a.vehicle, a.signals) == (b.calibration, b.vehicle, b.signals)
+    return is_same and now.same_sources(before) == before.channels | now.channels
+
+
+def keeps_consumers(
+    old: LoadedConfig, new: LoadedConfig, old_engine: Engine, new_engine: Engine
+) -> bool:
+    """Whether what runs beside the calibration is what the new configuration would make."""
+    a, b = (
+        (c.attitude, c.travel_direction, c.signals, c.output.ids, c.output.checksum)
+        for c in (old.config, new.config)
     )
-    return old.config.signals == new.config.signals and before == now
+    return a == b and old_engine.model_key == new_engine.model_key
+
+
+def take_usual_signals(old: Engine, estimator: MountEstimator, new: Engine) -> None:
+    """Let a new estimator know how long signals that stay usually keep a value.
+
+    One that is stuck since before the reload would never show it.
+    """
+    former, made = without_stored(old.pipeline.estimator), without_stored(estimator)
+    if made is not former and isinstance(former, FullEstimator) and isinstance(made, FullEstimator):
+        made.take_usual_signals(former, new.router.same_sources(old.router))
 
 
 def behind_the_known(old: MountEstimator, new: MountEstimator) -> MountEstimator:

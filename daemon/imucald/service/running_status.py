@@ -24,10 +24,6 @@ class InputRates:
         self._counted: dict[str, int] = {}
         self._at = now
 
-    def restart(self) -> None:
-        """Other inputs: their counts begin anew."""
-        self._counted = {}
-
     def update(self, counts: Mapping[str, int], now: float) -> None:
         """Take how many samples came so far, by channel."""
         span = max(now - self._at, 1e-9)

@@ -171,8 +171,6 @@ class Service:
         self.daemon.engine, self.daemon.link = now.engine, now.link
         self.daemon.serve(now.diagnostics.uds)
         self._let_go(before, now)
-        self._rates.restart()
-        self._announcements.restart_counts()
         self.journal.say(f"{self.options.config} was read again", NOTICE)
         say_idle_keys(read[0], self.journal)
         self._announcements.model(now.engine)
