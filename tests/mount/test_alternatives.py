@@ -234,6 +234,26 @@ def test_a_stated_forward_axis_knows_forward_from_backward_at_walking_pace():
     assert found.contradicted_orientation(back, yaw_known=False) is None
 
 
+@pytest.mark.parametrize(
+    ("ahead", "back", "is_known"), [(12, 0, True), (2, 0, False), (12, 3, True), (3, 12, False)]
+)
+def test_a_reverse_signal_shows_what_is_ahead_where_most_of_the_way_is_without_it(
+    ahead, back, is_known
+):
+    found = Alternatives(full())
+    for k in range(ahead + back):
+        one = block(k, speed=5.0 if k >= back else -5.0)
+        found.add([one], R, None, (1.0, 1.0), {*ALONE, "reverse"}, 0.0)
+    assert found._knows_forward == is_known
+
+
+@pytest.mark.parametrize(("speed", "is_known"), [(12.0, True), (-12.0, False)])
+def test_only_a_fast_speed_ahead_shows_what_is_ahead(speed, is_known):
+    found = Alternatives(full())
+    found.add([block(0, speed=speed)], R, None, (1.0, 1.0), set(ALONE), 0.0)
+    assert found._knows_forward == is_known
+
+
 def test_a_mount_that_a_person_states_counts_where_it_is_the_one_found():
     for stated, is_excluded in ((R, True), (np.diag([-1.0, 1.0, -1.0]) @ R, False)):
         found = Alternatives(full())

@@ -86,8 +86,28 @@ def test_a_contradiction_is_never_good_and_has_a_name(name):
         assert fault.value in estimator.estimate().faults
 
 
-def without(samples: Samples, *channels: str) -> Samples:
+def without(samples: Samples, *channels: str) -> dict[str, Series]:
     return {name: series for name, series in samples.items() if name not in channels}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("since", [0.0, 200.0], ids=["turned round", "stuck on"])
+def test_reverse_that_is_on_while_driving_fast_is_a_fault_and_the_turned_mount_never_good(since):
+    samples = without(drive().samples, "steering")
+    t = np.arange(0.0, 60.0 * MINUTES, 0.1)
+    samples["reverse"] = Series(t, (t >= since).astype(float))
+    estimator, found = states(samples)
+    assert estimator.faults == (StandingFault.REVERSE.value,)
+    assert not any(state in GOOD for state in found[int(10.0 * (since + 60.0)) :])
+    if not since:
+        assert not any(state in GOOD for state in found)
+
+
+@pytest.mark.slow
+def test_a_speed_with_the_wrong_sign_is_the_same_fault():
+    estimator, found = states(without(edited(speed=-1.0), "steering", "reverse"))
+    assert estimator.faults == (StandingFault.REVERSE.value,)
+    assert not any(state in GOOD for state in found)
 
 
 SIDED = ("yaw_rate", "steering", "lateral_accel", "wheel_speeds", "heading")

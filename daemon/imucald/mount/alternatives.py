@@ -10,7 +10,8 @@ of the mirror image of the drive, and physics are the same there. Nor can it see
 backwards all the time. Only a signal that separates left from right shows these: the vehicle's yaw
 rate, steering, lateral acceleration, for the first a heading; or a person who says which axis of
 the sensor points up, or forward. So does speed for the second: no road vehicle goes backwards as
-fast as `MAX_REVERSE`. While nothing has ruled the mirror image out, nothing is *fine*.
+fast as `MAX_REVERSE`, nor most of its way. While nothing has ruled the mirror image out, nothing is
+*fine*.
 """
 
 from __future__ import annotations
@@ -42,6 +43,10 @@ RARELY = 4
 MAX_REVERSE = 11.0
 """Speed [m/s] that is not driven in reverse: its ratio is about first gear's, 13 overall with the
 axle's, which makes 11 m/s at 4,400 revolutions a minute with wheels of 2 m around."""
+WAY_AHEAD = 100.0
+"""Way [m] on which a reverse signal shows what is ahead: longer than one backs out of a yard."""
+MOSTLY_AHEAD = 2.0
+"""So many times the way in reverse: a signal that is turned round shows the drive backwards."""
 SLOW = 3.0
 """Below this speed [m/s] a course is noise and a lateral acceleration small."""
 HEADING_FLOOR = 0.05
@@ -71,15 +76,18 @@ class Alternatives:
         self._heading = Mirrored(HEADING_FLOOR, TURNS_IN_A_BLOCK)
         self._stated = StatedOrientation(settings.calibration.orientation)
         self._is_up_stated = self._is_forward_stated = False
-        self._fastest = 0.0
+        self._forget_ways()
         self._signals: frozenset[str] = frozenset()
+
+    def _forget_ways(self) -> None:
+        self._fastest = self._ahead = self._back = 0.0  # ahead [m/s]; ways [m]
 
     def restart(self) -> None:
         """The mount is sought again; all that is known of the sensors' own axes is kept."""
         self._turns.forget()
         self._taken = 0
         self._is_up_stated = self._is_forward_stated = False
-        self._fastest = 0.0
+        self._forget_ways()
 
     def take_mount(self, R: Matrix3) -> None:
         """A person states the mount."""
@@ -100,8 +108,10 @@ class Alternatives:
     ) -> None:
         """Take the last of the blocks kept; R, bias, gains: as known now. seen: signals so far."""
         p = kept[-1]
-        fast = np.abs(p.speed[p.ok_speed])
-        self._fastest = max(self._fastest, float(fast.max(initial=0.0)))
+        speed = p.speed[p.ok_speed]
+        self._fastest = max(self._fastest, float(speed.max(initial=0.0)))
+        self._ahead += TICK_S * float(speed[speed > 0.0].sum())
+        self._back -= TICK_S * float(speed[speed < 0.0].sum())
         self._signals = frozenset(seen)
         self._blocks += 1
         if R is None:
@@ -211,14 +221,21 @@ class Alternatives:
         if self._gyro.blocks and not self._gyro.is_seen(least):
             return "slopes, until the gyroscope's axes are seen to fit the accelerometer's"
         if not self._knows_forward:
+            if "reverse" in self._signals:
+                return (
+                    "more way, or more than 40 km/h, without 'reverse': most was with it, or short"
+                )
             return "more than 40 km/h: slower, forwards and backwards look the same"
         return None
 
     @property
     def _knows_forward(self) -> bool:
-        shown = {"reverse", "steering"} & self._signals
-        is_known = self._is_forward_stated or self._lateral.sum > TO_BE_GOOD
-        return bool(shown) or is_known or self._fastest > MAX_REVERSE
+        if self._fastest > MAX_REVERSE or self._is_forward_stated:
+            return True
+        if "steering" in self._signals or self._lateral.sum > TO_BE_GOOD:
+            return True
+        is_ahead = self._ahead > max(WAY_AHEAD, MOSTLY_AHEAD * self._back)
+        return "reverse" in self._signals and is_ahead
 
     @property
     def _pairs(self) -> tuple[Mirrored, ...]:

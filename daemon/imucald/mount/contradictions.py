@@ -25,6 +25,7 @@ from imucald.core import compiled
 from imucald.core.median import median
 from imucald.motion.straight import yaw_rate_with_understeer
 from imucald.motion.ticks import TICK_S
+from imucald.mount.alternatives import MAX_REVERSE
 from imucald.mount.block_sums import pair_sums
 from imucald.mount.estimator_settings import EstimatorSettings
 from imucald.mount.gyro_walk import SELDOM
@@ -55,6 +56,8 @@ MAX_BLOCKS = 40
 TURNS, HARD_TURNS = 1.2, 2.0
 """Sizes of v r [m/s^2] from which the force in turns is asked for its sign, and for its gain: a
 bend banked by 8 % takes 0.8 m/s^2 of it away (AASHTO, superelevation)."""
+LONG_REVERSE = 20
+"""Ticks of a block, 2 s, that are no slip of the lever."""
 NOISE = 3.0
 """A block in which the turn rate's own noise makes v r of a third of those sizes is not asked: what
 goes beyond them there is noise that was picked out, and no bend. Of a gyroscope that sends seldom
@@ -77,6 +80,7 @@ class StandingFault(enum.StrEnum):
     FORWARD = "forward_against_orientation"
     ACCEL_LEVEL = "accelerometer_zero_or_gain"
     ACCEL_ZERO = "accelerometer_zero"
+    REVERSE = "fast_in_reverse"
     NUMERICS = "numbers_out_of_range"
 
 
@@ -100,6 +104,8 @@ WORDS = {
     "is larger or smaller than before",
     StandingFault.ACCEL_ZERO: "the accelerometer's zero has changed in mid-drive: gravity points "
     "elsewhere than before, and the gyroscope's axis of turning does not",
+    StandingFault.REVERSE: "the vehicle is in reverse at more than 40 km/h: what 'reverse' "
+    "says ('equals:', 'above:'), or the sign of the speed, is wrong",
     StandingFault.NUMERICS: "numbers out of range: a unit is wrong",
 }
 
@@ -188,6 +194,23 @@ class PairWatch:
         self.odd_gain = not acquitted and (self.odd_gain or odd >= TO_ACCUSE)
 
 
+class ReverseWatch:
+    """Whether reverse is on, or the speed negative, where no vehicle goes backwards so fast."""
+
+    def __init__(self) -> None:
+        self.accused = False
+        self._sound_blocks = 0
+
+    def add(self, speed: Array, ok: Flags) -> None:
+        """Take a block; speed: (N,) [m/s], ok: (N,) where it is known."""
+        back = np.count_nonzero(ok & (speed < -MAX_REVERSE))
+        if back >= LONG_REVERSE:
+            self.accused, self._sound_blocks = True, 0
+        elif not back and np.count_nonzero(ok & (speed > MAX_REVERSE)) >= LONG_REVERSE:
+            self._sound_blocks += 1
+            self.accused &= self._sound_blocks < TO_ACQUIT
+
+
 class Contradictions:
     """Watches all pairs that the signals allow."""
 
@@ -198,6 +221,7 @@ class Contradictions:
         self.turns = PairWatch(MIN_FORCE, unit_known=False)
         self.hard_turns = PairWatch(MIN_FORCE)
         self.speed = PairWatch(MIN_FORCE, OPPOSITE)
+        self.reverse = ReverseWatch()
 
     def forget_forces(self) -> None:
         """The rotation is found anew; what stands against the old one stands until it agrees."""
@@ -218,6 +242,7 @@ class Contradictions:
 
         late: the speed, behind the force [s]; None: not known, and the force is not asked.
         """
+        self.reverse.add(p.speed, p.ok_speed)
         walk = 0.0
         asked = _YAW_RATE * (own_gyro and measured_yaw_rate)
         asked += _STEERING * (own_gyro or measured_yaw_rate)
@@ -248,6 +273,8 @@ class Contradictions:
     @property
     def faults(self) -> tuple[StandingFault, ...]:
         """What stands."""
+        if self.reverse.accused:  # what else contradicts then follows from it
+            return (StandingFault.REVERSE,)
         found = []
         if self.yaw_rate.accused:
             found.append(StandingFault.TURN_YAW_RATE)
