@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import json
 import math
+import re
 import threading
 from collections.abc import Callable
 from pathlib import Path
@@ -128,7 +129,6 @@ WARNINGS = {
     "longitudinal acceleration in another unit",
     "miles for kilometres",
     "brake inverted",
-    "reverse inverted",
 }
 
 
@@ -639,7 +639,35 @@ def test_a_stated_axis_is_held_against_gravity_and_the_change_of_speed(frames: F
 
 def test_what_could_not_be_judged_is_listed(frames: Frames) -> None:
     (text,) = (t for t in texts_of(checked(frames), "note") if "unit and range" in t)
-    assert "temperature" in text
+    listed = text.partition(": ")[2].split(", ")
+    assert "temperature" in listed
+    judged = {"yaw_rate", "steering_wheel_angle", "wheel_speeds", "brake", "reverse", "speed"}
+    assert not judged & set(listed)
+
+
+def test_smallest_and_largest_beside_each_other_are_of_one_sample(
+    frames: Frames, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("COLUMNS", "200")
+    planted = SIGNAL.format("ESC_Dynamics.YawRate", "sign: -1")
+    report = checked(frames, replacing(": ESC_Dynamics.YawRate", f": {planted}"))
+    (row,) = (r for r in report["quantities"] if r["quantity"] == "yaw_rate")
+    print_report(report)
+    (line,) = (x for x in capsys.readouterr().out.splitlines() if x.startswith("yaw_rate "))
+    for end, other in (("min", "max"), ("max", "min")):
+        assert f"{row['in_unit'][end]:.3g} = {row['in_si'][other]:.3g}" in line
+
+
+def test_frames_that_were_not_used_are_counted(
+    frames: Frames, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("COLUMNS", "200")
+    report = checked(frames, replacing("id_bytes: 2", "id_bytes: 4"))
+    print_report(report)
+    first = capsys.readouterr().out.splitlines()[0]
+    read, used, left, other = map(int, re.findall(r"(\d+) (?:frames|used|of the|not asked)", first))
+    assert read == used + left + other
+    assert left == sum(report["frames"]["rejected"].values()) > 0
 
 
 def texts_of(report: dict[str, Any], level: str) -> list[str]:

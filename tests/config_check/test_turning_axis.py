@@ -47,6 +47,18 @@ def findings(up: SensorAxis | None = None, **changes: np.ndarray) -> list[Findin
     return list(judge(motion(**changes), vehicle, OrientationSettings(up=up)))
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize("factor", [2.237, 1 / 2.237, 3.6])
+def test_a_wrong_unit_of_the_speed_is_no_gyroscopes(factor):
+    samples = dict(alone())
+    samples["speed"] = Series(samples["speed"].t, factor * samples["speed"].values)
+    means = TickMeans()
+    means.add(samples)
+    vehicle = VehicleSettings(track=1.5, wheelbase=2.7, steering_ratio=16.0)
+    found = judge(Motion(means.grid(), planar=False), vehicle)
+    assert {f.quantity for f in found if f.level in ("error", "warning")} == {"speed"}
+
+
 EXCHANGED = {
     "y, z": np.eye(3)[[0, 2, 1]],
     "x, z": np.eye(3)[[2, 1, 0]],

@@ -20,9 +20,11 @@ def print_report(report: Mapping[str, Any], strict: bool = False) -> None:
     """Print messages, quantities, findings and output ids."""
     console = plain_console()
     frames = report["frames"]
+    left = frames["read"] - frames["used"] - frames["other_frames"]
     console.print(
         f"{frames['read']} frames in {report['duration_s']:.1f} s: {frames['used']} used, "
-        f"{frames['other_frames']} not asked for ({frames['other_ids']} identifiers)"
+        + (f"{left} of the messages below not used, " if left else "")
+        + f"{frames['other_frames']} not asked for ({frames['other_ids']} identifiers)"
     )
     console.print()
     console.print(_messages(report["messages"]))
@@ -88,11 +90,12 @@ def _quantities(rows: list[dict[str, Any]], narrow: bool, stacked: bool) -> Tabl
         rejected = f"{new_line}-{_reasons(row['rejected'])}" if row["rejected"] else ""
         in_unit, in_si = row["in_unit"], row["in_si"]
         same = row["unit"] == row["si_unit"] or row["factor"] == 1.0 or not row["si_unit"]
+        ends = ("max", "min") if row["factor"] < 0 else ("min", "max")  # of one and the same sample
         cells = [
             _figure(in_si[k])
             if same or in_unit[k] is None
-            else f"{_figure(in_unit[k])}\n{_figure(in_si[k])}"
-            for k in ("min", "mean", "max")
+            else f"{_figure(in_unit[k])}\n{_figure(in_si[k_si])}"
+            for k, k_si in (("min", ends[0]), ("mean", "mean"), ("max", ends[1]))
         ]
         unit = row["si_unit"] if same else f"{row['unit']}\n{row['si_unit']}"
         if not same and row["factor"] < 0:

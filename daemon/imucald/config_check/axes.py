@@ -12,11 +12,13 @@ from imucald.config.base import MAX_SPEED_DELAY, MIN_SPEED_DELAY
 from imucald.config_check.finding import (
     CLEAR,
     MIN_TICKS,
-    WRONG_GAIN,
+    ODD_GAIN,
+    OTHER_UNIT,
     Array,
     Finding,
     gain_between,
     gain_guess,
+    is_beyond,
     spread,
 )
 from imucald.config_check.motion import Motion, shifted, smooth
@@ -34,11 +36,10 @@ AXIS_DEG = 20.0
 cross-axis errors make a few."""
 HANDED = 0.7
 """Triple product of the unit vectors forward, left and up from which their sense is clear."""
-OTHER_UNIT = 1.9
-"""A gain of the speed beyond is an error: half way, as a ratio, to km/h taken for m/s."""
-ODD_SPEED = 1.4
-"""A gain of the accelerometer over the change of speed beyond this (or below its inverse) is odd:
-measured and simulated vehicles show 0.8 to 1.2, miles taken for kilometres 0.6 or 1.6 of that."""
+NO_SPEED = 5.0
+"""A gain beyond this is none between two units of speed on a road: 3.6 is the largest."""
+LEAST_ACROSS = 0.4
+"""So much of the centripetal acceleration must show in the accelerometer to say where left is."""
 MIN_REPORTED_DELAY = 2
 """Ticks of speed delay from which it is reported."""
 MIN_ACROSS = 0.15
@@ -101,15 +102,13 @@ def speed_findings(response: Response, unit_advice: Mapping[str, str]) -> Iterat
     other one (on the accelerometer) too large: the gain lies between both (Fuller 1987, 1.1).
     """
     gain, delay = float(np.linalg.norm(response.along)), response.delay
-    if gain <= 1.0 / ODD_SPEED < gain / response.explained:
+    if gain <= 1.0 / ODD_GAIN < gain / response.explained:
         text = "too noisy, or too unevenly late: the accelerometer does not show its size"
         yield Finding("note", "speed", text)
-    elif not 1.0 / ODD_SPEED < gain < ODD_SPEED:
+    elif is_beyond(gain, ODD_GAIN):
         guess = gain_guess(1.0 / gain, unit_advice.get("speed"))
         text = f"its changes are {guess} (against the accelerometer)"
-        yield Finding(
-            "error" if not 1.0 / OTHER_UNIT < gain < OTHER_UNIT else "warning", "speed", text
-        )
+        yield Finding("error" if is_beyond(gain, OTHER_UNIT) else "warning", "speed", text)
     else:
         text = f"its changes show in the accelerometer (gain {gain:.2f})"
         yield Finding("ok", "speed", text)
@@ -133,10 +132,10 @@ def axes_findings(
     if up is None:
         return
     yield from _rotation_axis(motion, rates, up)
-    if list(rates) == ["gyroscope"]:
-        yield from _turn_gain(motion, rates["gyroscope"], up, unit_advice.get("gyroscope"))
     response = best_response(motion, rates)
-    if response is None or np.linalg.norm(response.across) < 1.0 / WRONG_GAIN:
+    if list(rates) == ["gyroscope"]:
+        yield from _turn_gain(motion, rates["gyroscope"], up, unit_advice, response is not None)
+    if response is None or np.linalg.norm(response.across) < LEAST_ACROSS:
         return
     yield from _gyro_axes(motion, response, up)
     along, across = response.along, response.across
@@ -152,9 +151,12 @@ def axes_findings(
 
 
 def _turn_gain(
-    motion: Motion, rate: Array, up: Array, unit_advice: str | None
+    motion: Motion, rate: Array, up: Array, unit_advice: Mapping[str, str], knows_speed: bool
 ) -> Iterator[Finding]:
-    """Speed times yaw rate against the force across, where nothing else shows turns."""
+    """Speed times yaw rate against the force across, where nothing else shows turns.
+
+    knows_speed: its changes have shown its unit, or it was allowed for.
+    """
     if motion.speed is None or motion.accel is None or motion.gravity is None:
         return
     n = min(len(rate), len(motion.speed), len(motion.accel))
@@ -168,10 +170,15 @@ def _turn_gain(
     gain, size = gain_between(turn[rows], level[rows] @ across), float(np.linalg.norm(across))
     if float(np.std(level[rows] @ across)) < MIN_ACROSS * size or abs(gain[1]) < CLEAR:
         return
-    if not 1.0 / OTHER_UNIT < size < OTHER_UNIT:
-        guess = gain_guess(1.0 / size, unit_advice)
-        text = f"its rate times the speed is {guess} (against the force in turns)"
-        yield Finding("error", "gyroscope", f"{text}; or the speed's unit is wrong")
+    if not is_beyond(size, OTHER_UNIT):
+        return
+    if knows_speed or is_beyond(size, NO_SPEED):
+        name, product, other = "gyroscope", "its rate times the speed", "speed"
+    else:
+        name, product, other = "speed", "times the gyroscope's rate it", "gyroscope"
+    guess = gain_guess(1.0 / size, unit_advice.get(name))
+    text = f"{product} is {guess} (against the force in turns)"
+    yield Finding("error", name, text if knows_speed else f"{text}; or the {other}'s unit is wrong")
 
 
 def _gyro_axes(motion: Motion, response: Response, up: Array) -> Iterator[Finding]:

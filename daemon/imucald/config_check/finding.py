@@ -19,8 +19,12 @@ MIN_TICKS = 200
 """Ticks in motion that a judgement needs: 20 s."""
 CLEAR = 0.6
 """Correlation from which two signals are taken to show the same motion."""
-WRONG_GAIN = 2.5
-"""A gain beyond this (or below its inverse) is a unit, not a vehicle."""
+OTHER_UNIT = 1.9
+"""A gain beyond this (or below its inverse) is a unit, not a vehicle: half way, as a ratio, to km/h
+taken for m/s."""
+ODD_GAIN = 1.4
+"""A gain beyond this (or below its inverse) is odd: measured and simulated vehicles show 0.8 to
+1.2, miles taken for kilometres 0.6 or 1.6 of that."""
 
 TURN_SIGN = "set 'sign: -1', or remove it where it is set"
 """The remedy for a wrong sign: where one is configured, that one is the mistake."""
@@ -37,20 +41,21 @@ _FACTORS = (
 
 @dataclass(frozen=True)
 class Finding:
-    """One finding; `quantity` as in the configuration."""
+    """One finding; `quantity` as in the configuration; beside: others that it was held against."""
 
     level: Level
     quantity: str
     text: str
+    beside: tuple[str, ...] = ()
 
     def as_dict(self) -> dict[str, str]:
         """Plain, for JSON."""
         return {"level": self.level, "quantity": self.quantity, "text": self.text}
 
 
-def is_wrong(gain: float) -> bool:
-    """Whether a gain that should be one is a wrong unit."""
-    return not 1.0 / WRONG_GAIN < abs(gain) < WRONG_GAIN
+def is_beyond(gain: float, limit: float) -> bool:
+    """Whether the size of a gain that should be one is beyond a limit, or below its inverse."""
+    return not 1.0 / limit < abs(gain) < limit
 
 
 def gain_guess(ratio: float, unit_advice: str | None) -> str:

@@ -17,7 +17,6 @@ from imucald.config.calibration import OrientationSettings, SensorAxis
 from imucald.config.vehicle import VehicleSettings
 from imucald.config_check.axes import (
     MIN_BRAKING,
-    OTHER_UNIT,
     axes_findings,
     best_response,
     speed_findings,
@@ -25,12 +24,13 @@ from imucald.config_check.axes import (
 from imucald.config_check.finding import (
     CLEAR,
     MIN_TICKS,
+    OTHER_UNIT,
     TURN_SIGN,
     Array,
     Finding,
     gain_between,
     gain_guess,
-    is_wrong,
+    is_beyond,
     spread,
 )
 from imucald.config_check.motion import Motion, smooth
@@ -60,6 +60,8 @@ MIN_BRAKING_TICKS = 50
 TWICE_SLOPES = 2.0 * SLOPE_STD
 """Steeper roads than that are rare: what is more along the road is driving (tangent, rms)."""
 
+_WHEELS = ("wheel_speeds",)
+
 NOT_STATED = OrientationSettings()
 WITHOUT_GRAVITY = (
     "gravity is taken out of it (a 'linear' or 'user' acceleration); give the sensor's own readings"
@@ -87,8 +89,8 @@ def judge(
         of_up += _stated_axis(stated.up, "up", motion.up, "down", UP_REMEDY)
     yield from of_up
     backwards = list(_reverse(motion))
-    if backwards:
-        yield from backwards
+    yield from backwards
+    if any(finding.level != "ok" for finding in backwards):
         motion = motion.without("reverse")
     is_scaled = False
     if not motion.planar and motion.gravity is not None:
@@ -100,7 +102,7 @@ def judge(
             if not any(finding.level == "error" for finding in of_up):  # that is the mirror image
                 ahead = response.along / gain
                 yield from _stated_axis(stated.forward, "forward", ahead, "back", FORWARD_REMEDY)
-            if is_wrong(gain):
+            if is_beyond(gain, OTHER_UNIT):
                 motion = motion.scaled(speed=gain)
                 is_scaled = True
     rates = motion.turn_rates(vehicle)
@@ -186,14 +188,13 @@ def _speed_against_wheels(motion: Motion, unit_advice: str | None) -> Iterator[F
     if np.count_nonzero(fast) < MIN_TICKS:
         return
     ratio = float(np.median(speed[fast] / wheels[fast]))
-    if not 1.0 / OTHER_UNIT < ratio < OTHER_UNIT:
-        yield Finding(
-            "error", "speed", f"against the wheels' speeds {gain_guess(ratio, unit_advice)}"
-        )
+    if is_beyond(ratio, OTHER_UNIT):
+        text = f"against the wheels' speeds {gain_guess(ratio, unit_advice)}"
+        yield Finding("error", "speed", text, _WHEELS)
     elif abs(ratio - 1.0) > WHEELS_DIFFER:
-        yield Finding("warning", "speed", f"is {ratio:.2f} times the wheels' speeds")
+        yield Finding("warning", "speed", f"is {ratio:.2f} times the wheels' speeds", _WHEELS)
     else:
-        yield Finding("ok", "speed", f"is that of the wheels ({ratio:.2f} times)")
+        yield Finding("ok", "speed", f"is that of the wheels ({ratio:.2f} times)", _WHEELS)
 
 
 def _not_checked(
@@ -285,7 +286,7 @@ def _along(motion: Motion, unit_advice: Mapping[str, str]) -> Iterator[Finding]:
         elif gain < 0.0:
             text = f"is negative when the vehicle accelerates; {TURN_SIGN}"
             yield Finding("warning", name, text)
-        elif is_wrong(gain):
+        elif is_beyond(gain, OTHER_UNIT):
             guess = gain_guess(gain, unit_advice.get(name))
             yield Finding("warning", name, f"against the change of speed {guess}")
         else:
@@ -299,8 +300,10 @@ def _reverse(motion: Motion) -> Iterator[Finding]:
     reverse = motion.grid["reverse"][fast]
     share = float(np.mean(reverse > 0.5)) if len(reverse) >= MIN_TICKS else 0.0
     if share > REVERSE_SHARE:
-        text = f"is on for {100 * share:.0f} % of the time above 18 km/h: see 'equals:'"
-        yield Finding("warning", "reverse", text)
+        text = f"is on {100 * share:.0f} % of the time above 18 km/h: see 'equals:' and 'above:'"
+        yield Finding("error" if share > 0.5 else "warning", "reverse", text)
+    elif len(reverse) >= MIN_TICKS:
+        yield Finding("ok", "reverse", "is off above 18 km/h")
 
 
 def _brake(motion: Motion) -> Iterator[Finding]:
@@ -312,3 +315,5 @@ def _brake(motion: Motion) -> Iterator[Finding]:
     if min(len(on), len(off)) >= MIN_BRAKING_TICKS and on.mean() > off.mean() + 0.1:
         text = "is on when the vehicle accelerates: see 'equals:' and 'above:'"
         yield Finding("warning", "brake", text)
+    elif min(len(on), len(off)) >= MIN_BRAKING_TICKS:
+        yield Finding("ok", "brake", "is on when the vehicle slows down")

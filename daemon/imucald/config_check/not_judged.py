@@ -11,8 +11,8 @@ _FLAG = SI_UNITS["flag"]
 
 
 def not_judged(rows: Sequence[QuantitySource], found: Iterable[Finding]) -> Iterator[Finding]:
-    """One note for all quantities that came and that no finding speaks of."""
-    judged = {f.quantity.partition(".")[0] for f in found}
+    """One note for all quantities that came and that no finding speaks of, nor compares with."""
+    judged = {name.partition(".")[0] for f in found for name in (f.quantity, *f.beside)}
     left: dict[str, str] = {}
     for row in rows:
         name = row.quantity.partition(".")[0]

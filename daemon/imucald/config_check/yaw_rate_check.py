@@ -8,12 +8,13 @@ import numpy as np
 
 from imucald.config_check.finding import (
     CLEAR,
+    OTHER_UNIT,
     TURN_SIGN,
     Array,
     Finding,
     gain_between,
     gain_guess,
-    is_wrong,
+    is_beyond,
     spread,
 )
 
@@ -21,6 +22,10 @@ MIN_TURNING = 0.008
 """Least standard deviation of the yaw rate for a judgement [rad/s]: bends of a motorway."""
 MIN_TURNING_TO_FOLLOW = 0.04
 """The same from which a signal that does not follow is reported [rad/s]: a city."""
+OTHER_RATIO = 2.5
+"""A gain of the steering angle beyond this is a unit even where nobody stated steering ratio and
+wheelbase: those of trucks are up to 1.3 times and twice a car's."""
+_STEERING = "steering_wheel_angle"
 
 
 def yaw_rate_findings(
@@ -48,10 +53,11 @@ def _gains(gains: Mapping[str, float], unit_advice: Mapping[str, str]) -> Iterat
     sizes = {name: abs(gain) for name, gain in gains.items()}
     middle = float(np.median(list(sizes.values()))) if len(sizes) > 2 else 1.0
     for name, size in sizes.items():
-        if is_wrong(size / middle):
-            against = ", ".join(other for other in sizes if other != name)
+        if is_beyond(size / middle, OTHER_RATIO if name == _STEERING else OTHER_UNIT):
+            others = tuple(other for other in sizes if other != name)
             guess = gain_guess(size / middle, unit_advice.get(name))
-            yield Finding("error", name, f"against {against} in turns {guess}")
+            text = f"against {', '.join(others)} in turns {guess}"
+            yield Finding("error", name, text, others)
 
 
 def _signs(gains: Mapping[str, float]) -> Iterator[Finding]:
@@ -60,16 +66,17 @@ def _signs(gains: Mapping[str, float]) -> Iterator[Finding]:
     if len(gains) < 2:
         return
     if not right:
-        yield Finding("ok", left[0], f"turns the same way as {', '.join(left[1:])}")
+        text = f"turns the same way as {', '.join(left[1:])}"
+        yield Finding("ok", left[0], text, tuple(left[1:]))
     elif len(left) == len(right):
         text = f"has the opposite sign of {', '.join(right)} in turns; positive must be to the left"
-        yield Finding("error", left[0], text)
+        yield Finding("error", left[0], text, tuple(gains))
     else:
         few, many = (left, right) if len(left) < len(right) else (right, left)
         for name in few:
             hint = _sign_hint(name)
             text = f"has the opposite sign of {', '.join(many)} in turns{hint}"
-            yield Finding("error", name, text)
+            yield Finding("error", name, text, tuple(gains))
 
 
 def _sign_hint(name: str) -> str:
