@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import threading
 from pathlib import Path
 
@@ -52,6 +53,26 @@ def drive(tmp_path_factory) -> Path:
     log = folder / "drive.log"
     assert cli.main(["simulate", "--out", str(log), "--minutes", "4", "--seed", "6"]) == 0
     return log
+
+
+@pytest.mark.parametrize("has_other", [True, False], ids=["beside another", "alone"])
+@pytest.mark.parametrize("scale", [0.004, 0.0006])
+def test_a_wrong_scale_in_the_database_is_named(scale, has_other, drive, tmp_path, capsys):
+    text = EXAMPLE.read_text().replace("(0.002,0) [-39.2", f"({scale},0) [-39.2")
+    if not has_other:
+        text = "".join(x for x in text.splitlines(True) if "LongitudinalAccel" not in x)
+    database = tmp_path / "car.dbc"
+    database.write_text(text)
+    accelerometer = proposed(database, drive).choice("accelerometer")
+    assert accelerometer is not None
+    assert "IMU_Accel.AccelX, AccelY, AccelZ keep a size" in accelerometer.doubt
+    (times,) = re.findall(r"that is ([\d.]+) times", accelerometer.doubt)
+    assert float(times) == pytest.approx(scale / 0.002, rel=0.03)
+    out = tmp_path / "car.yaml"
+    assert cli.main(["init", "--database", str(database), str(drive), "--out", str(out)]) == 0
+    printed = capsys.readouterr().err
+    assert "with a scale in the database" in printed
+    assert printed.strip().endswith(f"next: imucald check --config {out} {drive}")
 
 
 def test_the_example_bus_is_found_and_check_accepts_it(drive, tmp_path, capsys):

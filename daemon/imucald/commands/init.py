@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import os
+import shlex
 import sys
 from collections.abc import Mapping
 from pathlib import Path
@@ -88,7 +89,7 @@ def run(options: argparse.Namespace) -> int:
     proposal.driving_side = options.driving_side
     write_text(options.out, as_yaml(proposal, list(databases)))
     if out:
-        print(f"{options.out}: {_outcome(proposal, options.out)}", file=sys.stderr)
+        print(f"{options.out}: {_outcome(proposal, options)}", file=sys.stderr)
     return 0
 
 
@@ -119,14 +120,21 @@ def _require_matches(
         raise ConfigError(text)
 
 
-def _outcome(proposal: Proposal, out: str) -> str:
-    """What was found, and what to do next."""
+def _outcome(proposal: Proposal, options: argparse.Namespace) -> str:
+    """What was found, and what to do next, on the same log or bus."""
     count = len(proposal.choices)
     unsure = sum(not choice.is_sure for choice in proposal.choices)
     found = f"{count} {'quantity' if count == 1 else 'quantities'}, {unsure} of them unsure; "
-    if proposal.choice("accelerometer") is None:
+    accelerometer = proposal.choice("accelerometer")
+    if accelerometer is None:
         return found + "no accelerometer was found, without which nothing works: fill it in by hand"
-    return f"{found}next: imucald check --config {out}"
+    doubt = f"the accelerometer is one: {accelerometer.doubt}; " if accelerometer.doubt else ""
+    arguments = ["--config", options.out, *options.logs]
+    if not options.logs and options.interface:
+        arguments += ["--interface", options.interface]
+    if not options.logs and options.channel:
+        arguments += ["--channel", options.channel]
+    return f"{found}{doubt}next: imucald check {shlex.join(arguments)}"
 
 
 def _read(logs: list[str], databases: Mapping[str, Database]) -> GatheredFrames:

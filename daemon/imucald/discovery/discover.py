@@ -31,6 +31,7 @@ from imucald.discovery.raw_search import raw_choices
 from imucald.discovery.recording import GatheredFrames, Traffic
 from imucald.discovery.reference import KnownMotion
 from imucald.discovery.sensors import Sensors
+from imucald.discovery.triads import of_another_size
 from imucald.discovery.turning import Turning
 from imucald.motion.ticks import TICK_RATE
 
@@ -68,6 +69,9 @@ def discover(databases: Mapping[str, Database], recording: GatheredFrames) -> Pr
     taken |= {m.can_id for d in databases.values() for m in d.messages.values()}
     proposal.output_ids = free_output_ids(taken)
     proposal.notes = list(_notes(recording, candidates, databases))
+    accelerometer = proposal.choice("accelerometer")
+    if accelerometer is not None and (accelerometer.doubt or len(accelerometer.sources) < 3):
+        accelerometer.doubt = of_another_size(candidates) or accelerometer.doubt
     if recording.frames and not any(c.quantity == "reverse" for c in proposal.choices):
         proposal.notes += unseen_reverse(candidates)
     return proposal

@@ -103,6 +103,35 @@ def _of_one_g(three: tuple[SeenSignal, ...]) -> Triad | None:
     return None
 
 
+def of_another_size(candidates: Sequence[SeenSignal]) -> str:
+    """Words for three accelerations of one message whose vector keeps a size that is not 1 g.
+
+    Gravity keeps its size whatever the drive; a wrong scale in the database keeps it too, at
+    another one. Empty where there are none: signals of a unit, named as axes.
+    """
+    for three in _threes(candidates, "acceleration"):
+        ordered, named = in_order(three)
+        if not named or not all(m.states("acceleration") for m in ordered):
+            continue
+        if len({m.message.name for m in ordered}) > 1:
+            continue
+        unit = _stated_or_first(ordered[0], "acceleration")
+        size = np.linalg.norm(np.column_stack([m.smooth for m in ordered]), axis=1) * unit.factor
+        size = size[np.isfinite(size)]
+        middle = float(np.median(size)) if len(size) else 0.0
+        if not middle > 0.0 or abs(middle / GRAVITY - 1.0) < WRONG_SCALE:
+            continue
+        if 1.4826 * float(np.median(np.abs(size - middle))) > NORM_SPREAD * middle:
+            continue
+        names = ", ".join((ordered[0].path, *(m.signal.name for m in ordered[1:])))
+        return (
+            f"{names} keep a size of {middle:.3g} m/s^2 together, where gravity is {GRAVITY:.2f}: "
+            f"they look like the sensor, with a scale in the database that is "
+            f"{middle / GRAVITY:.3g} times what it should be"
+        )
+    return ""
+
+
 def _one_g_unit(stated: str, size: float, tolerance: float) -> UnitChoice | None:
     """The unit in which a size is 1 g, give or take a part of it."""
     low, high = ((1.0 + s * tolerance) * GRAVITY / size for s in (-1.0, 1.0))
