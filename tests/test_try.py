@@ -165,8 +165,29 @@ def test_an_old_python_is_shown_what_to_install(
 @pytest.mark.parametrize("option", ["--help", "-h"])
 @pytest.mark.parametrize("command", ["diagnose", "fleet", "replay --report page"])
 def test_a_help_installs_nothing_further(script: Any, command: str, option: str) -> None:
-    assert script.extra_of(command.split()) == "report"
-    assert script.extra_of([*command.split(), option]) == ""
+    assert "report" in script.extras_of(command.split())
+    assert script.extras_of([*command.split(), option]) == []
+
+
+@pytest.mark.parametrize(
+    ("command", "extras"),
+    [
+        ("replay a.log --write a.csv", ["arrow"]),
+        ("replay a.log --write=a.parquet", ["arrow"]),
+        ("replay --report page --write a.mf4 a.log", ["report", "mf4"]),
+        ("check --config car.yaml drive.mf4", ["mf4"]),
+        ("replay a.log.zst b.pcapng", ["logs"]),
+        ("fleet --manifest cars.csv", ["fleet", "report"]),
+        ("check --config car.yaml speeds.csv", []),
+        ("feed mqtt", ["mqtt"]),
+        ("monitor --web", ["live"]),
+        ("demo", []),
+    ],
+)
+def test_the_extras_that_a_command_needs_are_installed(
+    script: Any, command: str, extras: list[str]
+) -> None:
+    assert script.extras_of(command.split()) == extras
 
 
 def installs(script: Any, *extras: str) -> list[list[str]]:

@@ -6,6 +6,7 @@ import io
 import json
 import math
 import pickle
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -111,6 +112,27 @@ def test_a_hole_is_an_event_and_times_of_day_follow_the_log(tmp_path):
 def _later(line, seconds):
     stamp, rest = line[1:].split(")", 1)
     return f"({float(stamp) + seconds:.6f}){rest}"
+
+
+@pytest.mark.parametrize("kind", [str, Path])
+def test_a_configuration_may_be_given_by_its_files_name(kind):
+    name = kind(config().path)
+    assert imucald.replay(name, log(), signals=False).to_dict() == drive().to_dict()
+    assert imucald.check(name, log()).to_dict() == imucald.check(config(), log()).to_dict()
+    assert next(iter(imucald.stream(name, log()))).from_s >= 0.0
+
+
+def test_a_log_in_the_place_of_the_configuration_is_refused_with_its_name():
+    with pytest.raises(imucald.ConfigError, match=log().name):
+        imucald.replay(log(), config().path)
+
+
+def test_a_log_of_another_bus_says_so_where_the_drive_is_shown(tmp_path):
+    other = tmp_path / "other.log"
+    other.write_text("(1.000000) can0 123#00\n")
+    shown = imucald.replay(config(), other)
+    assert "no usable frame" in repr(shown)
+    assert "no usable frame" in shown._repr_html_()
 
 
 def test_an_open_file_gives_the_same_as_its_name():

@@ -8,7 +8,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from imucald.api.configuration import Configuration
+from imucald.api.configuration import Configuration, PathLike
 from imucald.api.html import html_table
 from imucald.api.logs import LogSource, opened, pieces
 from imucald.api.run import Progress
@@ -46,17 +46,18 @@ class CheckReport:
 
 
 def check(
-    config: Configuration,
+    config: Configuration | PathLike,
     log: LogSource | Sequence[LogSource],
     *,
     progress: Progress | None = None,
 ) -> CheckReport:
     """Say what a configuration decodes from a log: sources, units, rates, gaps, suspicions.
 
+    config: a configuration, or its file's name.
     log: a name, an open file, or a list of the pieces of one recording. Raises ConfigError where
     the configuration cannot be used, LogError for a log that cannot be read.
     """
-    checker = Check(config.loaded)
+    checker = Check(Configuration.of(config).loaded)
     sources = [opened(one) for one in pieces(log)]
     reader = LogReader(sources, None, False, progress, checker.router.stated_cycles)
     for chunk in reader:

@@ -6,6 +6,7 @@ import os
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import cast
 
 from imucald.config import LoadedConfig
 from imucald.config.example import example_path
@@ -49,6 +50,11 @@ class Configuration:
     def example(cls) -> Configuration:
         """Return the configuration of the drives that `imucald simulate` writes."""
         return cls.load(example_path())
+
+    @classmethod
+    def of(cls, config: Configuration | PathLike) -> Configuration:
+        """Return a configuration as it is; a file's name is loaded."""
+        return config if isinstance(config, cls) else cls.load(cast(PathLike, config))
 
     def __repr__(self) -> str:
         names = ", ".join(path.name for path in self.databases)

@@ -101,7 +101,7 @@ class DiagnosisResult:
 
 
 def diagnose(
-    config: Configuration,
+    config: Configuration | PathLike,
     logs: PathLike | Sequence[PathLike],
     *,
     model: PathLike | None = None,
@@ -112,7 +112,8 @@ def diagnose(
 ) -> DiagnosisResult:
     """Say what the simulation with a model gets wrong beside measured drives of one vehicle.
 
-    The result is that of `imucald diagnose`. logs: one drive each, with the sensor in its place.
+    The result is that of `imucald diagnose`. config: a configuration, or its file's name.
+    logs: one drive each, with the sensor in its place.
     model: the model file to put to the test; None: a plain car with the configuration's figures
     and the mount that the drives give. time_limit_s: processor time after which what was found so
     far is reported; None: 40 s an hour of driving, and 10 s at least. progress: called with the
@@ -123,6 +124,7 @@ def diagnose(
     cannot be read, has no usable frame or holds the drive of another one, ImucaldError where
     nothing can be diagnosed.
     """
+    config = Configuration.of(config)
     names = [str(log) for log in pieces(logs)]
     twice = {name for name in names if names.count(name) > 1}
     if twice:

@@ -89,7 +89,7 @@ class DriveResult(TableAccess):
         """What a notebook shows."""
         from imucald.api.html import drive_html  # noqa: PLC0415
 
-        return drive_html(self.logs, self.mount, self.summary, tuple(self.tables))
+        return drive_html(self.logs, self.mount, self.summary, tuple(self.tables), self.notes)
 
     def __repr__(self) -> str:
         usable = "never" if self.first_usable_s is None else f"after {self.first_usable_s:.1f} s"
@@ -100,6 +100,7 @@ class DriveResult(TableAccess):
             f"  state {self.state}, usable {usable}",
             f"  {self.duration_s:.1f} s, {frames}",
             f"  tables: {', '.join(self.tables)}",
+            *(f"  note: {note}" for note in self.notes),
         )
         return "\n".join(line if len(line) <= WIDTH else f"{line[:WIDTH]}..." for line in lines)
 

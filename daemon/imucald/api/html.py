@@ -24,8 +24,9 @@ def drive_html(
     mount: MountResult | None,
     summary: Mapping[str, Any],
     tables: Sequence[str],
+    notes: Sequence[str] = (),
 ) -> str:
-    """A drive: its state, the three angles, its tables."""
+    """A drive: its state, the three angles, its tables, and notes."""
     usable = summary["first_usable_s"]
     since = "never usable" if usable is None else f"usable after {clock(usable)}"
     title = f"{', '.join(logs)}: {summary['state']}, {since}, {summary['duration_s']:.1f} s"
@@ -35,4 +36,5 @@ def drive_html(
         std = None if mount is None else mount.angle_std_deg[i]
         angles.append((angle, angle_text(value, std), summary["waiting_for"].get(angle, "")))
     found = html_table(("angle", CONVENTION, "waiting for"), angles)
-    return f"<p><b>{escape(title)}</b></p>{found}<p>tables: {escape(', '.join(tables))}</p>"
+    lines = [f"tables: {', '.join(tables)}", *(f"note: {note}" for note in notes)]
+    return f"<p><b>{escape(title)}</b></p>{found}" + "".join(f"<p>{escape(x)}</p>" for x in lines)

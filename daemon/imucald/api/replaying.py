@@ -8,7 +8,7 @@ from typing import BinaryIO, Literal, overload
 
 from imucald.api.between_drives import notes_between
 from imucald.api.blas_threads import on_one_thread
-from imucald.api.configuration import Configuration
+from imucald.api.configuration import Configuration, PathLike
 from imucald.api.drive import DriveResult
 from imucald.api.drives import DriveSet
 from imucald.api.logs import LogSource
@@ -21,7 +21,7 @@ SeveralLogs = list[LogSource] | tuple[LogSource, ...]
 
 @overload
 def replay(
-    config: Configuration,
+    config: Configuration | PathLike,
     log: OneLog,
     *,
     joined: bool = False,
@@ -33,7 +33,7 @@ def replay(
 
 @overload
 def replay(
-    config: Configuration,
+    config: Configuration | PathLike,
     log: SeveralLogs,
     *,
     joined: Literal[True],
@@ -45,7 +45,7 @@ def replay(
 
 @overload
 def replay(
-    config: Configuration,
+    config: Configuration | PathLike,
     log: SeveralLogs,
     *,
     joined: Literal[False] = False,
@@ -56,7 +56,7 @@ def replay(
 
 
 def replay(
-    config: Configuration,
+    config: Configuration | PathLike,
     log: OneLog | SeveralLogs,
     *,
     joined: bool = False,
@@ -66,6 +66,7 @@ def replay(
 ) -> DriveResult | DriveSet:
     """Replay logs; the result is that of `imucald replay`, bit for bit.
 
+    config: a configuration, or its file's name.
     log: a file's name, or a file that is open for reading bytes (candump text, plain or gzip): one
     drive, a DriveResult. A list of them is as many drives, each replayed on its own: a DriveSet;
     with `joined` they are the pieces of one recording, in their order: a DriveResult.
@@ -76,6 +77,7 @@ def replay(
     Raises ConfigError where the configuration cannot be used, LogError for a log that cannot be
     read or holds no CAN frame.
     """
+    config = Configuration.of(config)
     if not isinstance(log, list | tuple):
         return _replayed(config, [log], signals, progress, strict)
     if not log:

@@ -86,7 +86,7 @@ class DriveStream:
 
 
 def stream(
-    config: Configuration,
+    config: Configuration | PathLike,
     log: LogSource | Sequence[LogSource],
     *,
     progress: Progress | None = None,
@@ -97,7 +97,7 @@ def stream(
     The samples are those of `replay`; arguments and errors are the same. log: one, or a list of
     the pieces of one recording in their order.
     """
-    return DriveStream(ReplayRun(config, pieces(log), True, progress, strict))
+    return DriveStream(ReplayRun(Configuration.of(config), pieces(log), True, progress, strict))
 
 
 def _part(tables: dict[str, Columns]) -> DrivePart:

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from imucald.api.columns import Columns, TableColumn, columns_from
-from imucald.api.configuration import Configuration
+from imucald.api.configuration import Configuration, PathLike
 from imucald.api.logs import LogSource, opened, pieces
 from imucald.api.run import Progress
 from imucald.api.table_access import NamedTables
@@ -64,7 +64,7 @@ class WalkResult(NamedTables):
 
 
 def walk(
-    config: Configuration,
+    config: Configuration | PathLike,
     log: LogSource | Sequence[LogSource],
     *,
     progress: Progress | None = None,
@@ -72,11 +72,12 @@ def walk(
 ) -> WalkResult:
     """Find the direction of travel of a carried terminal, step by step.
 
-    The result is that of `imucald walk`. log: a name, an open file, or a list of the pieces of one
+    The result is that of `imucald walk`. config: a configuration, or its file's name.
+    log: a name, an open file, or a list of the pieces of one
     recording. strict: the first bad line raises LogError. Raises ConfigError for a configuration
     without a compass, LogError for a log that cannot be read.
     """
-    loaded = config.loaded
+    loaded = Configuration.of(config).loaded
     _need_compass(loaded)
     router = compile_router(loaded)
     travel = TravelDirection(loaded.config.travel_direction)
