@@ -127,6 +127,21 @@ def test_the_picture_fits_the_terminal_with_its_newest_event_and_foot(status, wi
     assert events.events[-1].clock in "\n".join(lines)
 
 
+def test_what_happened_before_a_long_silence_keeps_its_time_of_day(status):
+    status["duration_s"] = 110.0  # 100 s of frames, and the 10 s that stream time goes on
+    status["silent_s"] = 3600.0
+    (usable,) = [e for e in events_of(status).events if "first time" in e.text]
+    assert usable.at == pytest.approx(1.6e9 - 3600.0 - 100.0 + 76.8)
+
+
+def test_sensors_are_not_called_sound_while_none_sends(silent):
+    late = silent | {"uptime_s": 60.0}
+    line = next(x for x in drawn(picture(late), 100) if x.startswith("sensors"))
+    assert "no accelerometer, no gyroscope" in line
+    line = next(x for x in drawn(picture(silent), 100) if x.startswith("sensors"))
+    assert "nothing has come yet" in line
+
+
 def test_inputs_say_what_is_wrong_with_them(status):
     text = "\n".join(drawn(lambda c: monitor_picture(status, [], c, Text("")), 120, 50))
     accel = next(line for line in text.splitlines() if line.startswith("accel"))

@@ -72,7 +72,7 @@ def test_beside_past_drives_a_deviation_grows_by_contradiction():
 def test_a_cross_axis_error_that_no_driving_makes_less_is_the_reason_for_yaw():
     usable = replace(known(0.4), yaw_seen=0.05 * DEG)
     text, code = waiting_for(replace(usable, cross_axis=0.008), SETTINGS)["yaw"]
-    assert "0.8 % of cross-axis error" in text
+    assert "cross-axis error of the accelerometer: 0.8 %" in text
     assert "accelerometer_bias" in text
     assert code == Missing.OTHER
     assert waiting_for(replace(usable, cross_axis=0.001), SETTINGS)["yaw"][0] == "more driving"

@@ -11,6 +11,7 @@ from typing import Any
 from imucald.mount.mount_words import reasons_line
 from imucald.report.drive_events import STATE_WORDS, reported_events
 from imucald.runtime.alarms import ALARMS, present_alarms
+from imucald.runtime.timebase import FORWARD_STEP
 
 KEPT = 200
 
@@ -45,7 +46,9 @@ class LiveEvents:
 
     def update(self, status: Mapping[str, Any], now: float) -> None:
         """Take a status at wall clock `now` [s]."""
-        began = now - float(status["duration_s"])
+        # stream time stands still in a long silence; an older daemon does not state it
+        stood = max(0.0, float(status.get("silent_s", 0.0)) - FORWARD_STEP)
+        began = now - stood - float(status["duration_s"])
         first = self._state is None
         found = []
         for event in reported_events(status):

@@ -36,6 +36,8 @@ EVIDENCE = {
 }
 
 SHARE_SHOWN = 0.05
+_SILENT = frozenset({"accelerometer_missing", "gyroscope_missing"})
+"""Alarms of sensors that do not send."""
 
 
 def picture(status: Mapping[str, Any]) -> Group:
@@ -92,7 +94,7 @@ def _rows(status: Mapping[str, Any]) -> dict[str, str | Text]:
         "gates": _gates(status["details"]),
         "frames": f"{frames['used']} used, {status['frames_given_out']} sent",
         "now": Text("; ".join(wrong) or well or "nothing wrong", style="red" if wrong else ""),
-        "sensors": _sensors(status["signal_health"]),
+        "sensors": _sensors(status),
         "losses": f"{link['lost']} lost, {link.get('late', 0)} late, "
         f"{sum(link['send_errors'].values())} not sent, "
         f"{link['conflicts']} in conflict, {link['went_down']} times down, "
@@ -120,9 +122,13 @@ def _troubles(status: Mapping[str, Any]) -> list[str]:
     return found
 
 
-def _sensors(health: Mapping[str, Any]) -> Text:
+def _sensors(status: Mapping[str, Any]) -> Text:
     """Which sensors are fit to be used, and why the others are not."""
-    faulty = [
+    health = status["signal_health"]
+    absent = [words for name, words in present_alarms(status).items() if name in _SILENT]
+    if is_starting(status):
+        return Text("nothing has come yet")
+    faulty = absent + [
         f"{channel} {fault}" + (f" ({', '.join(axes)})" if axes else "")
         for channel, faults in health["sensors"].items()
         for fault, axes in faults.items()

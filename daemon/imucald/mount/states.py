@@ -163,9 +163,9 @@ def _yaw_reason(known: MountKnowledge, s: EstimatorSettings) -> tuple[str, Missi
             return text, Missing.OTHER
         return f"more {_hard()} ({known.straight} seen)", Missing.ACCELERATION
     if known.yaw_seen < s.limits.fine_yaw < known.cross_axis:  # no driving makes that less
-        text = f"{100.0 * known.cross_axis:.1f} % of cross-axis error is reckoned with in the "
-        keys = "accelerometer ('accelerometer_bias' and 'cross_axis' of its data sheet may be less)"
-        return text + keys, Missing.OTHER
+        text = "a smaller cross-axis error of the accelerometer: "
+        text += f"{100.0 * known.cross_axis:.1f} % is reckoned with ('accelerometer_bias' and "
+        return f"{text}'cross_axis' of its data sheet may be less)", Missing.OTHER
     return "more driving", Missing.MORE_DRIVING
 
 

@@ -197,6 +197,11 @@ class Daemon:
             self._idle(now)
         return len(frames)
 
+    @property
+    def silent_s(self) -> float:
+        """Time since the last frame of a configured message, or since the start [s]."""
+        return max(self._clock() - self._last_frame, 0.0)
+
     def _idle(self, now: float) -> None:
         """Nothing came for a while: let stream time pass by the monotonic clock."""
         # behind by IDLE_S, so that a frame on its way is not late

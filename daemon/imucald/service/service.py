@@ -310,6 +310,7 @@ class Service:
             "vehicle": self.loaded.config.vehicle.id,
             "sensor": state_key(self.loaded, engine.router, engine.model_key).sensor,
             "uptime_s": round(self._clock() - self._began, 3),
+            "silent_s": round(self.daemon.silent_s, 3),
             "held": self.orders.is_held,
             "diagnostics": self.parts.diagnostics.status(),
         }

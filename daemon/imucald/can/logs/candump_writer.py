@@ -15,7 +15,7 @@ from functools import cache
 from io import BufferedIOBase
 from pathlib import Path
 from types import TracebackType
-from typing import Final, Self
+from typing import Final, Self, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -150,8 +150,10 @@ def _no_frame(name: str, t: float, can_id: int, length: int) -> LogError:
 
 def _open(name: str) -> BufferedIOBase:
     if name == "-":
-        stdout: BufferedIOBase = sys.stdout.buffer  # type: ignore[assignment]
-        return stdout
+        stdout = getattr(sys.stdout, "buffer", None)  # a notebook's takes text alone
+        if stdout is None:
+            raise LogError("standard output takes no bytes here: name a file")
+        return cast("BufferedIOBase", stdout)
     if name.endswith(".gz"):
         import gzip  # noqa: PLC0415 - replay writes most often nothing
 
