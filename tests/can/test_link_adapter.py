@@ -359,3 +359,8 @@ def test_a_descriptor_is_none_whatever_a_driver_that_has_gone_raises(
 
     monkeypatch.setattr(Plug, "fileno", fileno)
     assert Adapter("kvaser", "0", MATCHES).fileno() is None
+
+
+def test_an_interface_that_python_can_does_not_know_is_named_with_those_it_has() -> None:
+    with pytest.raises(LinkError, match=r"did you mean 'virtual'\?.*python-can has .*socketcan"):
+        Adapter("virtaul", "here", MATCHES)

@@ -169,6 +169,13 @@ def test_the_schema_describes_every_key():
     assert "SourceSettings" in schema["$defs"]
 
 
+def test_a_database_in_the_place_of_the_configuration_is_named_as_one(tmp_path):
+    path = tmp_path / "car.dbc"
+    path.write_text('VERSION ""\n')
+    with pytest.raises(ConfigError, match=r"car\.dbc: is a CAN database; .*imucald init"):
+        load_config(path)
+
+
 @given(st.text(max_size=200))
 def test_text_of_any_kind_is_a_configuration_or_an_error_of_ours(text):
     problem = None

@@ -36,6 +36,14 @@ def yaw(service: Service) -> float | None:
     return service.status()["mount"]["yaw_deg"]
 
 
+@pytest.mark.parametrize("std", ["0", "-1", "nan", "1,2", "x", "1,1,0"])
+def test_a_deviation_that_is_none_is_refused_by_the_options_name(std, capsys):
+    assert cli.main(["set-mount", "1", "2", "3", "--std", std]) == 1
+    error = capsys.readouterr().err
+    assert "--std takes one number above 0, or three" in error
+    assert f"(here: {std})" in error
+
+
 def test_a_reset_forgets_the_learnt_and_the_saved_mount_and_says_who_did_it(bench):
     service = bench.service()
     bench.drive(service)

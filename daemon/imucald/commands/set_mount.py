@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import math
 
 from imucald.commands.orders import add_target, give
 
@@ -40,8 +41,9 @@ def run(options: argparse.Namespace) -> int:
         given = [float(part) for part in options.std.split(",")]
     except ValueError:
         given = []
-    if len(given) not in (1, 3):
-        raise ImucaldError("--std takes one number, or three about x,y,z such as 0.3,0.3,0.5")
+    if len(given) not in (1, 3) or not all(0.0 < std < math.inf for std in given):
+        text = "one number above 0, or three about x,y,z such as 0.3,0.3,0.5"
+        raise ImucaldError(f"--std takes {text} (here: {options.std})")
     mount = {f"{name}_deg": getattr(options, name) for name in ANGLES}
     mount |= {"std_deg": given[0] if len(given) == 1 else given, "hold": options.hold}
     # the daemon's own words are terser

@@ -30,6 +30,7 @@ from imucald.core.typed import typed
 from imucald.core.yaml_lines import read_yaml, read_yaml_file
 
 _WHOLE = "configuration"
+_DATABASES = frozenset({".dbc", ".arxml", ".kcd", ".sym"})
 
 
 class Config(Settings, frozen=True, kw_only=True):
@@ -129,6 +130,11 @@ def load_config(path: Path) -> LoadedConfig:
 
     Raises ConfigError with one line per mistake: file, line, key, reason, remedy.
     """
+    if path.suffix.lower() in _DATABASES and path.is_file():
+        raise ConfigError(
+            f"{path}: is a CAN database; give the configuration (YAML) that names it under "
+            f"'database:' ('imucald init --database {path} LOG' proposes one)"
+        )
     data, marks = read_yaml_file(path, _WHOLE)
     return _checked(data, marks, path)
 

@@ -97,6 +97,12 @@ class Adapter:
             self._bus = can.Bus(interface=interface, channel=channel, **arguments)
         except (can.CanInterfaceNotImplementedError, ImportError, TypeError) as error:
             remedy = f"; it needs {how_to_install('live')}" * ("msgpack" in str(error))
+            if interface not in can.VALID_INTERFACES:
+                import difflib  # noqa: PLC0415 - for a mistake alone
+
+                near = difflib.get_close_matches(interface, can.VALID_INTERFACES, 1)
+                remedy = f" (did you mean {near[0]!r}?)" if near else ""
+                remedy += f"; python-can has {', '.join(sorted(can.VALID_INTERFACES))}"
             raise LinkError(f"interface {interface!r}: {error}{remedy}") from None
         except OSError:
             raise
