@@ -91,7 +91,7 @@ def test_a_time_limit_is_handed_on(asked, diagnosed, log):
     ("ambiguous", "a drive that shows which has:"),
     ("ambiguous", "ambiguous: accelerometer bias. "),
     ("unknown", "at 0.62 Hz, while cornering"),
-    ("nothing", "Nothing found: the model fits"),
+    ("nothing", "Nothing found in "),
 ])  # fmt: skip
 def test_the_other_verdicts_are_reported_and_are_no_failure(asked, diagnosed, log, verdict, words):
     asked["answer"] = made.ALL[verdict]()

@@ -98,8 +98,7 @@ def _print_open(console: Console, diagnosis: Diagnosis) -> None:
     """What these drives cannot distinguish, and what is left."""
     if diagnosis.look_alikes:
         console.print()
-    for group in diagnosis.look_alikes:
-        group_titles = [titles.cause_title(name) for name in group]
+    for group_titles, group in words.look_alike_groups(diagnosis).items():
         console.print(f"cannot be distinguished: {words.in_series(group_titles, 'or')}")
         if ways := words.ways_apart(group):
             console.print("a drive that shows which has:")
@@ -121,7 +120,7 @@ def _print_open(console: Console, diagnosis: Diagnosis) -> None:
 def _print_signals(console: Console, diagnosis: Diagnosis) -> None:
     table = _table()
     table.add_column("residual of", overflow="fold")
-    for title in ("rms before", "after", "gain", "floor"):
+    for title in ("rms before", "after", "change", "floor"):
         table.add_column(title, justify="right")
     table.add_column("unit")
     table.add_column("what is left", overflow="fold")

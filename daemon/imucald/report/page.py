@@ -64,8 +64,8 @@ def report_page(diagnosis: Diagnosis, about: About) -> str:
         causes=[_card(cause, diagnosis) for cause in diagnosis.causes],
         likely=[_card(cause, diagnosis) for cause in diagnosis.likely],
         groups=[
-            ([titles.cause_title(n) for n in g], words.ways_apart(g))
-            for g in diagnosis.look_alikes[:MAX_ROWS]
+            (list(group_titles), words.ways_apart(group))
+            for group_titles, group in [*words.look_alike_groups(diagnosis).items()][:MAX_ROWS]
         ],
         signals=_signal_rows(diagnosis),
         pictures=_pictures(diagnosis),

@@ -75,6 +75,11 @@ def how_sure(cause: FoundCause, diagnosis: Diagnosis) -> str:
     return "ambiguous" if is_confused and cause.certainty == "certain" else cause.certainty
 
 
+def look_alike_groups(diagnosis: Diagnosis) -> dict[tuple[str, ...], tuple[str, ...]]:
+    """The causes that these drives cannot distinguish: by titles, each once, their names."""
+    return {tuple(cause_title(n) for n in names): names for names in diagnosis.look_alikes}
+
+
 def verdict(diagnosis: Diagnosis) -> Words:
     """Return what the diagnosis says, with how sure it is."""
     titles = [cause_title(cause.name) for cause in diagnosis.causes]
@@ -83,7 +88,7 @@ def verdict(diagnosis: Diagnosis) -> Words:
         count = f"{_counted(len(titles))} certain."
         return Words(f"Found: {in_series(titles)}", count + _left(diagnosis) + tail)
     if diagnosis.verdict == "ambiguous":
-        groups = [few_of([cause_title(n) for n in g], "or") for g in diagnosis.look_alikes]
+        groups = [few_of(of_group, "or") for of_group in look_alike_groups(diagnosis)]
         confused = {name for group in diagnosis.look_alikes for name in group}
         sure = [cause_title(c.name) for c in diagnosis.causes if c.name not in confused]
         text = "Something is wrong, and these drives do not show which of them it is."
@@ -93,10 +98,13 @@ def verdict(diagnosis: Diagnosis) -> Words:
     if diagnosis.verdict == "unknown":
         return _unknown(diagnosis, titles, tail)
     text = (
-        "What the model predicts and what was measured differ by no more than noise and the "
-        "tolerances of a model file that is right."
+        "The model fits as far as these drives show: what it predicts and what was measured differ "
+        "by no more than noise and the tolerances of a model file that is right."
     )
-    return Words("Nothing found: the model fits", text + tail)
+    undecided = sum(c.outcome == "not decidable here" for c in diagnosis.candidates)
+    if undecided:
+        text += f" {undecided} of the causes could not be decided: longer drives may show them."
+    return Words(f"Nothing found in {diagnosis.duration_s / 60.0:.3g} min of driving", text + tail)
 
 
 def _unknown(diagnosis: Diagnosis, titles: Sequence[str], tail: str) -> Words:
