@@ -259,6 +259,7 @@ def test_a_counter_lies_where_its_signal_lies() -> None:
     "build",
     [
         lambda: ProtectionSpec(65),
+        lambda: counter_of(Signal("ALIVE", 0, 57, "little_endian")),
         lambda: ProtectionSpec(1, COUNTER),
         lambda: ProtectionSpec(4, checksum=crc8_j1850(8, 7)),
         lambda: ProtectionSpec(8, recovery=-1),

@@ -15,6 +15,9 @@ DEFAULT_RECOVERY = 3
 DEFAULT_TIMEOUT_CYCLES = 10.0
 """Silence, in cycle times, after which a message is timed out."""
 
+COUNTER_BITS = 56
+"""Steps of longer counters, summed over a chunk of frames, do not fit 64 bits. AUTOSAR's have 32."""
+
 _FD_LENGTHS = (8, 12, 16, 20, 24, 32, 48, 64)
 """Payloads that CAN FD has beside those of classic CAN [bytes] (ISO 11898-1)."""
 
@@ -27,6 +30,9 @@ class CounterSpec(Struct, frozen=True):
     max_jump: int = 2
 
     def __post_init__(self) -> None:
+        if self.field.length > COUNTER_BITS:
+            text = f"a counter has {COUNTER_BITS} bits at most (here: {self.field.length})"
+            raise ConfigError(text)
         if not 2 <= self.modulus <= 1 << self.field.length:
             raise ConfigError(f"{self.field.length} bits do not count {self.modulus} values")
         if not 1 <= self.max_jump < self.modulus:
