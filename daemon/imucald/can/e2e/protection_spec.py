@@ -16,7 +16,7 @@ DEFAULT_TIMEOUT_CYCLES = 10.0
 """Silence, in cycle times, after which a message is timed out."""
 
 COUNTER_BITS = 56
-"""Steps of longer counters, summed over a chunk of frames, do not fit 64 bits. AUTOSAR's have 32."""
+"""Sums of longer ones' steps over a chunk of frames do not fit 64 bits. AUTOSAR's have 32."""
 
 _FD_LENGTHS = (8, 12, 16, 20, 24, 32, 48, 64)
 """Payloads that CAN FD has beside those of classic CAN [bytes] (ISO 11898-1)."""
