@@ -390,6 +390,44 @@ def test_what_nobody_saw_turn_is_never_called_good(broken, heading):
     assert recovered < 50.0 + longest + 8.0
 
 
+def swerve(t):
+    """Straight; at 50 s to the left and straight on: the rate grows and falls by 2 rad/s^2."""
+    x = np.clip(t - 50.02, 0.0, 0.4)
+    yaw = np.where(x < 0.2, x * x, 0.08 - (0.4 - x) ** 2)
+    return Rotation.from_euler("ZYX", np.column_stack([yaw, 0.0 * t, 0.0 * t]))
+
+
+@pytest.mark.parametrize("silent", [0.15, 0.25, 0.4, 0.45])
+def test_what_turned_between_two_samples_far_apart_is_in_the_deviation(silent):
+    motion = Motion(swerve, lambda t: 0.5 * np.clip(t - 10.0, 0.0, 20.0), 60.0)
+    attitude = AttitudeFilter(settings())
+    for i, t in enumerate(motion.t.tolist()):
+        if i % 5 == 0:
+            attitude.speed(t, float(motion.v[i]))
+        if not 50.0 < t < 50.0 + silent:
+            attitude.gyro(t, motion.gyro[i].tolist())
+        attitude.accel(t, motion.accel[i].tolist())
+    yaw = motion.R.as_euler("ZYX")[:, 0]
+    e = attitude.estimate(float(motion.t[-1]))
+    assert e.state is AttitudeState.RELATIVE_HEADING
+    assert abs(math.remainder(e.heading + yaw[-1], 2.0 * math.pi)) < 3.0 * e.std[2] + 0.3 * DEG
+    assert e.std[2] < 6.0 * DEG
+
+
+def test_samples_in_batches_are_no_gaps():
+    motion = Motion(lying(), standing, 20.0)
+    attitude, in_batches = AttitudeFilter(settings()), AttitudeFilter(settings())
+    for one, n in ((attitude, 1), (in_batches, 12)):
+        for i, t in enumerate(motion.t.tolist()):
+            stamp = float(motion.t[i - i % n])  # of 12 samples at once, every 0.24 s
+            one.gyro(stamp, motion.gyro[i].tolist())
+            one.accel(stamp, motion.accel[i].tolist())
+            if i % 25 == 0:
+                one.speed(t, 0.0)
+    a, b = attitude.estimate(), in_batches.estimate()
+    assert b.std[2] < 1.5 * a.std[2] + 0.1 * DEG
+
+
 @pytest.mark.parametrize("silent", [0.7, 2.5])
 def test_the_grade_of_a_ramp_that_nobody_saw_is_not_called_good(silent):
     found = feed_broken(AttitudeFilter(settings(grade_time=10.0)), silent=silent)

@@ -48,6 +48,11 @@ and nothing of it an accelerometer error that would be forgotten slowly."""
 UNSEEN_YAW_RATE = 0.8
 """Standard deviation of a yaw rate that nothing measures [rad/s]. Tyres hold 1 g and cars turn
 within circles of 10 m, so it is sqrt(g / 5 m) = 1.4 rad/s at most, any of it as likely."""
+UNSEEN_CHANGE = 0.7
+"""How the rate walks between two samples [rad/s per root of a second]: by 0.5 rad/s in half a
+second, as in a double lane change (ISO 3888-1)."""
+BRIDGED_S = 0.1
+"""Up to so long without a sample the line between two of them is off by 0.4 deg at most [s]."""
 UNSEEN_TILT_STD = START_MOVING_STD
 """Of roll and pitch after less than `STALE_S` without a gyroscope [rad]. Ramps, kerbs and swerves
 turn a body by less than 20 deg/s about level axes, and the first interval is again to find tilt."""
@@ -117,6 +122,8 @@ class AttitudeFilter:
             unseen = step if step > self.settings.filter.longest_step else lost
             if unseen:
                 self._turned_unseen(unseen)
+            elif self._lost_time.skipped > BRIDGED_S:
+                self._bridged(step)
         p, b = self.constant_bias, self.kalman.bias
         bias = (p[0] + b[0], p[1] + b[1], p[2] + b[2])
         self._propagator.gyro(t, rfu_from_vehicle(values[0], values[1], values[2]), bias)
@@ -137,6 +144,14 @@ class AttitudeFilter:
         else:
             self._forget_attitude()
             self._restart()
+
+    def _bridged(self, seconds: float) -> None:
+        """A line between two samples so far apart [s] stands for what the rate was.
+
+        The integral of a rate that walks by q per second differs from it by q T^3 / 12 (variance).
+        """
+        std = UNSEEN_CHANGE * math.sqrt(seconds**3 / 12.0)
+        self.kalman.turned_unseen(std, std)
 
     def accel(self, t: float, values: Sequence[float]) -> None:
         """Take a specific force [m/s^2]."""

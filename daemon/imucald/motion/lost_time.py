@@ -34,12 +34,15 @@ class LostTime:
         self._together = 0  # samples since time stands
         self._passed = 0.0  # what passed over them
         self._ahead = 0.0  # time less that of the samples, as far as it is not made up for
+        self.skipped = 0.0
+        """Time that the last step passed beyond the samples that came in it [s], 0.0 or more."""
 
     def take(self, step: float) -> float:
         """Take the step of time to a sample [s], not negative; return how much was lost before it.
 
         0.0 nearly always. It is known as soon as time moves on; until then see `standing`.
         """
+        self.skipped = 0.0
         if step < STANDS * self._cycle:
             self._together += 1
             self._passed += step
@@ -50,6 +53,8 @@ class LostTime:
         gained = passed - n * cycle
         if n == 1:
             gained = max(gained, 0.0)  # a shorter step is another cycle, not a clock that stands
+        if self._samples >= MIN_SAMPLES and gained > LONGEST_CYCLES * cycle:
+            self.skipped = gained
         if gained or self._ahead:
             self._ahead = min(self._ahead * math.exp(-passed / MADE_UP_S) + gained, MADE_UP_S)
         if lost := self._beyond_tolerance(-self._ahead):
