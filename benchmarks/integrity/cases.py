@@ -131,6 +131,8 @@ ROWS = (
     Row("steps", "zero steps by 1 m/s2", 7, faults.zero_step(1.0), FOUND, whole=False),
     Row("steps", "gain steps by 10 %", 7, faults.gain_step(0.1), FOUND, whole=False),
     Row("steps", "gyroscope sign turns", 7, faults.gyro_sign, FOUND, whole=False),
+    Row("signals", "reverse turned round", 7, faults.reverse_turned_round, checked=True),
+    Row("signals", "reverse stuck on", 7, faults.reverse_stuck_on, FOUND, whole=False),
 )
 QUIET = Row("quiet", "no fault", 1, faults.none)
 AS_RECORDED = Row("recorded", "as recorded", 9, faults.none)
