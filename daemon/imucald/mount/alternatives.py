@@ -222,9 +222,7 @@ class Alternatives:
             return "slopes, until the gyroscope's axes are seen to fit the accelerometer's"
         if not self._knows_forward:
             if "reverse" in self._signals:
-                return (
-                    "more way, or more than 40 km/h, without 'reverse': most was with it, or short"
-                )
+                return "100 m and two thirds of the way, or 40 km/h, with 'reverse' off"
             return "more than 40 km/h: slower, forwards and backwards look the same"
         return None
 
