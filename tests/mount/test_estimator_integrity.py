@@ -110,6 +110,21 @@ def test_a_speed_with_the_wrong_sign_is_the_same_fault():
     assert not any(state in GOOD for state in found)
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize("lost", [("speed", "yaw_rate"), ("speed",), ("yaw_rate",)])
+def test_a_message_of_the_vehicle_that_stops_is_no_moved_sensor(lost):
+    samples = dict(drive().samples)
+    for channel in lost:
+        series = samples[channel]
+        is_there = series.t < 200.0
+        samples[channel] = Series(series.t[is_there], series.values[is_there])
+    estimator, found = states(samples)
+    assert found[1990] in GOOD
+    assert all(state in GOOD for state in found[2000:])
+    assert not estimator.estimate().details["shifts"]
+    assert not estimator.faults
+
+
 SIDED = ("yaw_rate", "steering", "lateral_accel", "wheel_speeds", "heading")
 
 

@@ -183,7 +183,7 @@ class SignalBlockMaker:
             size = rate if ok_rate.any() else None
             if self._speed.silence_parked(speed, ok_speed, force, size):
                 driven = None
-        yaw_rate, ok_yaw = self._yaw_rate(t, at, speed, even)
+        yaw_rate, ok_yaw = self._yaw_rate(t, at, speed, ok_speed, even)
         if driven is not None and driven.moves:
             rest = self._speed.no_rest()
         else:
@@ -276,7 +276,7 @@ class SignalBlockMaker:
         return bridged(at, t[has] - 0.5 * TICK_S, rows[has, tk.STEERING.mean], YAW_GAP)
 
     def _yaw_rate(
-        self, t: Array, at: Array, speed: Array, even: EvenBlock | None
+        self, t: Array, at: Array, speed: Array, ok_speed: Flags, even: EvenBlock | None
     ) -> tuple[Array, Flags]:
         rows = self._rows
         self._steering = angle, ok_angle = self._steering_angle(t, at, even)
@@ -297,7 +297,7 @@ class SignalBlockMaker:
             return np.zeros(len(at)), np.zeros(len(at), dtype=bool)
         steered, vehicle = angle - self.steering_offset, s.vehicle
         turning = (vehicle.steering_ratio, vehicle.wheelbase, s.understeer)
-        return yaw_rate_with_understeer(speed, steered, *turning), ok_angle
+        return yaw_rate_with_understeer(speed, steered, *turning), ok_angle & ok_speed
 
     def _stuck_yaw_rate(self, even: EvenBlock | None) -> Flags | None:
         """Ticks of the rows at which the yaw rate stands still and steering or gyroscope does not;
