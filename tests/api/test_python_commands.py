@@ -119,6 +119,14 @@ def test_a_walk_is_that_of_the_command_line_and_finds_the_way(a_walk, tmp_path):
     assert len(repr(found).splitlines()) <= 5
 
 
+def test_a_walk_of_no_frame_is_an_error(a_walk, tmp_path):
+    path, _, _ = a_walk
+    empty = tmp_path / "empty.log"
+    empty.write_text("")
+    with pytest.raises(imucald.LogError, match=r"empty\.log: holds no CAN frame"):
+        imucald.walk(path, empty)
+
+
 def test_a_walk_needs_a_compass():
     with pytest.raises(imucald.ConfigError, match="needs a magnetometer or a heading"):
         imucald.walk(config(), log())

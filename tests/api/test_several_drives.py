@@ -24,6 +24,7 @@ def test_several_logs_are_several_drives(tmp_path):
     (tmp_path / "shuttle.log").rename(tmp_path / "e.log")
     loaded = imucald.Config.load(first)
     names = imucald.find_logs(tmp_path)
+    (tmp_path / "f.log").write_bytes((tmp_path / "d.log").read_bytes())
     assert [name.name for name in names] == ["a.log", "b.log", "c.log", "d.log", "e.log"]
     found = imucald.replay(loaded, names, signals=False)
     assert [round(drive.mount.yaw_deg) for drive in found] == [25, 25, 35, 35, 35]
@@ -32,6 +33,8 @@ def test_several_logs_are_several_drives(tmp_path):
     notes = "\n".join(found.notes)
     assert "d.log is the same recording as" in notes
     assert "e.log begins" in notes
+    again = imucald.replay(loaded, [names[2], names[4], tmp_path / "f.log"], signals=False)
+    assert any("f.log is the same recording as" in note for note in again.notes), "e is between"
     moved = [note for note in found.notes if "the mount was moved" in note]
     assert len(moved) == 1
     assert "b.log and" in moved[0]

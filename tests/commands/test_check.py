@@ -645,6 +645,29 @@ def test_what_could_not_be_judged_is_listed(frames: Frames) -> None:
     assert not judged & set(listed)
 
 
+def test_a_flag_that_is_never_on_or_follows_nothing_is_not_called_right(frames: Frames) -> None:
+    never = replacing("{signal: TCU_Gear.GearPosition, equals: 1}",
+                      "{signal: TCU_Gear.GearPosition, equals: 3}")  # fmt: skip
+    report = checked(frames, never)
+    assert "reverse" not in findings(report, "ok")
+    (text,) = (t for t in texts_of(report, "note") if "unit and range" in t)
+    assert "reverse (never on)" in text
+    planted = SIGNAL.format("EPS_SteeringAngle.SteeringWheelAngle", "above: 0")
+    report = checked(frames, replacing(": ESC_Brake.BrakePressed", f": {planted}"))
+    assert "brake" not in findings(report, "ok")
+
+
+def test_a_message_that_stops_is_reported(frames: Frames) -> None:
+    begin = frames[0].t[0]
+    cut = []
+    for chunk in frames:
+        stops = (chunk.can_id == 0x130) & (chunk.t > begin + 100.0)
+        cut.append(chunk.take(np.flatnonzero(~stops)))
+    (text,) = texts_of(checked(cut), "warning")
+    assert text == "no frame of ESC_Dynamics comes from 1:39 on, of 3:59"
+    assert not texts_of(checked(frames), "warning")
+
+
 def test_smallest_and_largest_beside_each_other_are_of_one_sample(
     frames: Frames, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:

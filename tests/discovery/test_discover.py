@@ -55,6 +55,18 @@ def drive(tmp_path_factory) -> Path:
     return log
 
 
+def test_a_level_sensor_has_both_axes_in_one_message(drive, tmp_path):
+    """Its lateral axis lost its unit: the sensor's own, of another message, does not stand in."""
+    text = EXAMPLE.read_text().replace("(0.002,0) [-39.2", "(0.004,0) [-39.2")
+    line = next(x for x in text.splitlines() if "SG_ LateralAccel" in x)
+    text = text.replace(line, line.replace('"m/s^2"', '"Nm"').replace('"g"', '"Nm"'))
+    database = tmp_path / "car.dbc"
+    database.write_text(text)
+    accelerometer = proposed(database, drive).choice("accelerometer")
+    assert accelerometer is not None
+    assert len({s.signal.partition(".")[0] for s in accelerometer.sources.values()}) == 1
+
+
 @pytest.mark.parametrize("has_other", [True, False], ids=["beside another", "alone"])
 @pytest.mark.parametrize("scale", [0.004, 0.0006])
 def test_a_wrong_scale_in_the_database_is_named(scale, has_other, drive, tmp_path, capsys):

@@ -30,13 +30,16 @@ def notes_between(drives: Sequence[DriveResult]) -> tuple[str, ...]:
 
 def _overlaps(drives: Sequence[DriveResult]) -> Iterator[str]:
     latest: DriveResult | None = None
+    seen: dict[tuple[int | None, int | None], DriveResult] = {}
     for drive in drives:
         if latest is not None:
             shared = ((latest.end_us or 0) - (drive.start_us or 0)) / 1e6
-            if _is_same(latest, drive):
-                yield f"{_name(drive)} {IS_THE_SAME} {_name(latest)}"
+            same = seen.get((drive.start_us, drive.end_us))
+            if same is not None and _is_same(same, drive):
+                yield f"{_name(drive)} {IS_THE_SAME} {_name(same)}"
             elif shared > 0.0:
                 yield overlap_words(_name(drive), _name(latest), shared)
+        seen[drive.start_us, drive.end_us] = drive
         if latest is None or (drive.end_us or 0) > (latest.end_us or 0):
             latest = drive
 

@@ -16,6 +16,7 @@ from imucald.api.run import Progress
 from imucald.api.table_access import NamedTables
 from imucald.can.logs.log_reader import LogReader
 from imucald.config import LoadedConfig
+from imucald.core.errors import NoFramesError
 from imucald.inputs.router import Router
 from imucald.inputs.wiring import compile_router
 from imucald.runtime.consumer import events_of
@@ -84,6 +85,9 @@ def walk(
     sources = [opened(one) for one in pieces(log)]
     reader = LogReader(sources, router.matches, strict, progress)
     steps = list(_steps(reader, router, travel))
+    if not reader.frames_read:
+        names = ", ".join(str(source) for source in sources)
+        raise NoFramesError(f"{names}: holds no CAN frame")
     rejected = router.rejected + Counter(reader.rejected)
     frames = {
         "read": reader.frames_read,

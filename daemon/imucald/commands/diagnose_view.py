@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 from imucald.commands.terminal import plain_console, plain_where_needed
 from imucald.report import numbers, titles
 from imucald.report import wording as words
+from imucald.report.model_changes import model_changes, value_text
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -60,6 +61,9 @@ def print_diagnosis(diagnosis: Diagnosis) -> None:
     _print_open(console, diagnosis)
     console.print()
     _print_signals(console, diagnosis)
+    for change in model_changes(diagnosis.model_before, diagnosis.model_after):
+        before, after = value_text(change.before), value_text(change.after)
+        console.print(f"model file, {change.key}: {before} -> {after}")
     if diagnosis.causes:
         console.print(f"gain on held-out data: {words.gain(diagnosis.gain)}")
     _print_candidates(console, diagnosis)
@@ -80,7 +84,7 @@ def _print_cause(console: Console, cause: FoundCause, how_sure: str) -> None:
     table.add_column("parameter", overflow="fold")
     table.add_column("value ± 95 %", justify="right")
     table.add_column("model file", justify="right")
-    table.add_column("in the model file", overflow="fold")
+    table.add_column("by key, vehicle axes", overflow="fold")
     for key, p in cause.parameters.items():
         shown, stated = numbers.for_people(key, p)
         table.add_row(f"  {titles.key_title(key)}", shown, stated, f"{key}: {numbers.in_file(p)}")

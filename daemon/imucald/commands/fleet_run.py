@@ -9,6 +9,7 @@ import signal
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from datetime import date
 from types import FrameType
 from typing import TYPE_CHECKING
 
@@ -68,8 +69,8 @@ def _run(options: argparse.Namespace, stopping: _Stopping) -> int:
     limits = LogLimits(
         _bytes("--memory", options.memory), _seconds("--time-limit", options.time_limit)
     )
-    if options.since is not None and not re.fullmatch(r"\d{4}-\d\d-\d\d", options.since):
-        raise ConfigError(f"--since {options.since}: the form is YYYY-MM-DD")
+    if options.since is not None and not _is_date(options.since):
+        raise ConfigError(f"--since {options.since}: is no date of the form YYYY-MM-DD")
     fleet = load_fleet(options.fleet, {"logs": options.logs} if options.logs else None)
     for bundle in fleet.bundles.values():
         print_problems(f"warning: {text}" for text in bundle.warnings)
@@ -93,6 +94,13 @@ def _run(options: argparse.Namespace, stopping: _Stopping) -> int:
             finally:
                 workers.close()
     return _print_end(work.counts, whole)
+
+
+def _is_date(text: str) -> bool:
+    try:
+        return date.fromisoformat(text).isoformat() == text
+    except ValueError:
+        return False
 
 
 def _bytes(option: str, text: str) -> int:

@@ -11,6 +11,7 @@ from imucald.config import LoadedConfig
 from imucald.config_check.finding import Finding
 from imucald.config_check.source import QuantitySource, configured_name, id_text, stated_cycle
 from imucald.config_check.statistics import Probe
+from imucald.core.clock_words import clock
 from imucald.mount.signal_blocks import ACCEL_GAP, SPEED_GAP
 
 CYCLE_TOLERANCE = 1.5
@@ -51,6 +52,10 @@ _REMEDIES = {
 }
 
 
+STOPPED_S, STOPPED_CYCLES = 10.0, 20.0
+"""A message that stops so long before the end [s], and so many of its cycles, is reported."""
+
+
 @dataclass(frozen=True)
 class Decoding:
     """What there is to judge: ids seen (channel, id with flag), samples by channel, duration [s],
@@ -89,11 +94,20 @@ class Decoding:
                 text = f"no frame of {probe.name} ({id_text(probe.match.can_id)}) came"
                 yield Finding("warning", quantity, text + self._elsewhere(probe.match))
                 continue
+            if self._has_stopped(probe):
+                when = f"from {clock(probe.last or 0.0)} on, of {clock(self.duration)}"
+                yield Finding("warning", quantity, f"no frame of {probe.name} comes {when}")
             bad = probe.rejected.total()
             if bad > MIN_REJECTED_SHARE * probe.frames:
                 reasons = counts_text(probe.rejected)
                 text = f"{bad} of {probe.frames} frames of {probe.name} are rejected ({reasons})"
                 yield Finding("warning", quantity, text + _remedy(probe.rejected))
+
+    def _has_stopped(self, probe: Probe) -> bool:
+        """Whether a message that came regularly came no more long before the end."""
+        if probe.last is None or probe.cycle is None:
+            return False
+        return self.duration - probe.last > max(STOPPED_S, STOPPED_CYCLES * probe.cycle)
 
     def _elsewhere(self, match: IdMatch) -> str:
         """A hint where the frame came by another channel or with another kind of id."""

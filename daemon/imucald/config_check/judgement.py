@@ -57,6 +57,8 @@ WHEELS_DIFFER = 0.1
 up to 10 % more (UN R39)."""
 MIN_BRAKING_TICKS = 50
 """Ticks with and without brake that a judgement of it needs: 5 s."""
+CLEAR_BRAKING = 0.1
+"""By so much the change of speed must differ with and without brake [m/s^2]."""
 TWICE_SLOPES = 2.0 * SLOPE_STD
 """Steeper roads than that are rare: what is more along the road is driving (tangent, rms)."""
 
@@ -302,8 +304,8 @@ def _reverse(motion: Motion) -> Iterator[Finding]:
     if share > REVERSE_SHARE:
         text = f"is on {100 * share:.0f} % of the time above 18 km/h: see 'equals:' and 'above:'"
         yield Finding("error" if share > 0.5 else "warning", "reverse", text)
-    elif len(reverse) >= MIN_TICKS:
-        yield Finding("ok", "reverse", "is off above 18 km/h")
+    elif len(reverse) >= MIN_TICKS and np.nanmax(motion.grid["reverse"]) > 0.5:
+        yield Finding("ok", "reverse", "is off above 18 km/h")  # and on at times
 
 
 def _brake(motion: Motion) -> Iterator[Finding]:
@@ -312,8 +314,10 @@ def _brake(motion: Motion) -> Iterator[Finding]:
     moving = (np.nan_to_num(np.abs(motion.speed)) > 1.0) & np.isfinite(motion.change)
     brake = motion.grid["brake"] > 0.5
     on, off = motion.change[moving & brake], motion.change[moving & ~brake]
-    if min(len(on), len(off)) >= MIN_BRAKING_TICKS and on.mean() > off.mean() + 0.1:
+    if min(len(on), len(off)) < MIN_BRAKING_TICKS:
+        return
+    if on.mean() > off.mean() + CLEAR_BRAKING:
         text = "is on when the vehicle accelerates: see 'equals:' and 'above:'"
         yield Finding("warning", "brake", text)
-    elif min(len(on), len(off)) >= MIN_BRAKING_TICKS:
+    elif on.mean() < off.mean() - CLEAR_BRAKING:
         yield Finding("ok", "brake", "is on when the vehicle slows down")

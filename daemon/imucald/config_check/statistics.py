@@ -121,7 +121,8 @@ class Probe:
         }
         self._intervals: list[Array] = []
         self._interval_count = 0
-        self._last: float | None = None
+        self.last: float | None = None
+        """Stream time of the last frame [s]."""
 
     @property
     def name(self) -> str:
@@ -196,11 +197,11 @@ class Probe:
         if not len(t):
             return
         if self._interval_count < CYCLE_FRAMES:
-            before = [] if self._last is None else [self._last]
+            before = [] if self.last is None else [self.last]
             intervals = np.diff(np.concatenate([before, t]))[: CYCLE_FRAMES - self._interval_count]
             self._intervals.append(intervals)
             self._interval_count += len(intervals)
-        self._last = float(t[-1])
+        self.last = float(t[-1])
 
     def number_columns(self, frames: Carried) -> Columns:
         """As the route; ranges are taken."""

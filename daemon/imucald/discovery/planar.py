@@ -55,14 +55,17 @@ def find_planar(
     own = [p for p in along if p.first.path not in taken] or along
     if not own:
         return None
-    best = own[0]
-    unit = stated_unit(best.first, "speed")
-    assert unit is not None, "only speeds that state their unit were tried"
-    fit = SpeedFit(best.first, unit, best.relation)
-    reference = KnownMotion(speed=fit)
-    across = _across(fit.moving, candidates, [c for c in accelerations if c is not best.second])
-    if across is None:
+    for best in own:  # both axes come in one message, as of one sensor
+        unit = stated_unit(best.first, "speed")
+        assert unit is not None, "only speeds that state their unit were tried"
+        fit = SpeedFit(best.first, unit, best.relation)
+        others = [c for c in accelerations if c.message is best.second.message]
+        across = _across(fit.moving, candidates, [c for c in others if c is not best.second])
+        if across is not None:
+            break
+    else:
         return None
+    reference = KnownMotion(speed=fit)
     yaw_unit = stated_unit(across.first, "angular_rate")
     assert yaw_unit is not None, "only rates that state their unit were tried"
     sign, why = _sides(fit.moving, candidates, wheels, across.first)

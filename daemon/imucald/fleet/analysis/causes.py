@@ -15,7 +15,8 @@ from imucald.fleet.analysis.units import MAX_Q
 
 FEW_VEHICLES = 3
 """A cause in fewer vehicles is not called a matter of design, however small their type is."""
-FIGURES = re.compile(r"\s*\([^)]*\)|\d+(\.\d+)?")
+IN_BRACKETS = re.compile(r"\s*\([^)]*\)")
+FIGURES = re.compile(r"\d+(\.\d+)?")
 UNKNOWN = "unknown"
 DIAGNOSED = "diagnosed: "
 """Begins the causes that `fleet run --diagnose` found."""
@@ -106,7 +107,7 @@ def never_usable_rows(columns: Mapping[str, Sequence[Any]]) -> list[dict[str, An
         total[kind_name] += 1
         if usable is None:
             text = next((w for w in waiting if w), "not reported")
-            reason = re.sub(r"\s+", " ", FIGURES.sub("", text)).strip()
+            reason = re.sub(r"\s+", " ", FIGURES.sub("N", IN_BRACKETS.sub("", text))).strip()
             drives[kind_name, reason] += 1
             vehicles[kind_name, reason].add(str(vehicle))
     return [
