@@ -295,6 +295,33 @@ def test_a_missing_input_is_one_clear_line(tmp_path, text, reason):
     assert "config.yaml:" in str(error.value)
 
 
+@pytest.mark.parametrize("state", [MountState.SUSPECT, MountState.RECALIBRATING])
+def test_of_a_mount_that_is_doubted_there_is_no_attitude_and_after_it_a_new_one(
+    state, tmp_path, bus, out_dbc
+):
+    engine = engine_for(load(CAR, tmp_path, DBC))
+    found = {}
+    for t, can_id, data in car_frames(bus, 70.0):
+        engine.pipeline.estimator.state = state if 40.0 <= t < 50.0 else MountState.USABLE
+        for one in by_name(out_dbc, engine.frame(t, can_id, data))["IMUCALD_Attitude"]:
+            found[t] = one
+    states = {t: one["State"] for t, one in found.items()}
+    assert {s for t, s in states.items() if 30.0 < t < 40.0} == {3}
+    doubted = [one for t, one in found.items() if 41.5 < t < 50.0]
+    assert len(doubted) > 10
+    assert all(one["State"] == 0 and one["Roll"] is None for one in doubted)
+    assert {s for t, s in states.items() if 50.5 < t < 52.5} <= {0, 1, 2}, "it begins again"
+    assert {s for t, s in states.items() if t > 65.0} == {3}
+
+
+def test_of_a_restored_mount_the_attitude_is_settling(tmp_path, bus, out_dbc):
+    engine = engine_for(load(CAR, tmp_path, DBC))
+    engine.pipeline.estimator.state = MountState.RESTORED
+    frames = by_name(out_dbc, live(engine, car_frames(bus)))["IMUCALD_Attitude"]
+    assert frames[-1]["State"] == 2
+    assert frames[-1]["Pitch"] is not None
+
+
 def test_what_cannot_be_is_left_out_and_counted(tmp_path):
     loaded = load(CAR + "travel_direction: {enabled: false}\n", tmp_path, DBC)
     engine = engine_for(loaded)

@@ -15,7 +15,9 @@ from imucald.can.logs.log_reader import LogReader
 from imucald.mount.estimator import FullEstimator
 from imucald.mount.mount_in_force import without_stored
 from imucald.runtime.output.output_frames import output_database
+from imucald.service.journal import Journal
 from imucald.service.service import Service
+from imucald.service.service_options import ServiceOptions
 from service_bench import Bench
 
 Frame = tuple[float, int, bytes]
@@ -148,6 +150,38 @@ def test_a_sensor_that_freezes_after_a_reload_is_found_as_soon_as_without(bench)
     service = bench.service()
     sent = run(service, frames, begin + 20.0, service.reload)
     assert qualities(sent, 0x641, begin + 22.5) == {0}
+    service.close()
+
+
+def test_of_another_bus_nothing_is_good_at_once_and_no_sensor_is_known(tmp_path):
+    bench = Bench(tmp_path)
+    bench.config.write_text(bench.config.read_text() + "bus: {interface: virtual, channel: a}\n")
+    options = ServiceOptions(config=bench.config, state_folder=tmp_path / "state")
+    service = Service(options, Journal(bench.log))
+
+    def reload() -> None:
+        assert service.engine.pipeline.quality > 1
+        bench.edit("channel: a", "channel: b")
+        service.reload()
+        assert service.engine.pipeline.quality == 1
+        assert not service.engine.pipeline.health.faults
+
+    frames = with_fault(frames_of(bench), FAULT, "frozen")
+    sent = run(service, [f for f in frames if f[0] < RELOAD + 2.0], RELOAD - 5.0, reload)
+    assert qualities(sent, 0x640, RELOAD - 4.5) == {1}
+    service.close()
+
+
+def test_a_limit_of_one_signal_leaves_what_was_learnt_as_it_is(bench):
+    service = bench.service()
+
+    def reload() -> None:
+        before = service.engine.pipeline.estimator
+        bench.edit("speed: SPEED.V", "speed: {signal: SPEED.V, range: [0, 200]}")
+        service.reload()
+        assert service.engine.pipeline.estimator is before
+
+    run(service, frames_of(bench), RELOAD, reload)
     service.close()
 
 

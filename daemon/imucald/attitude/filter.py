@@ -62,6 +62,9 @@ HEADING_SPACING_S = 0.5
 """Headings are taken so far apart: their errors last longer than a sample [s]."""
 
 
+_UNKNOWN: Vector = (math.nan, math.nan, math.nan)
+
+
 class AttitudeFilter:
     """Takes samples in vehicle axes (ISO 8855), SI units, stream time; see `AttitudeSettings`."""
 
@@ -161,7 +164,8 @@ class AttitudeFilter:
         force = (x - d[0], y - d[1], z - d[2])
         self._propagator.accel(t, force)
         if self._motion is not None:
-            self._free = vehicle_from_rfu(*self._motion.take(t, force, self._propagator.rate).force)
+            found = self._motion.take(t, force, self._propagator.rate)
+            self._free = vehicle_from_rfu(*found.force) if found.known else _UNKNOWN
 
     def speed(self, t: float, speed: float) -> None:
         """Take a speed [m/s], not negative: the direction comes by `reverse`."""

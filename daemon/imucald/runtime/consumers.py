@@ -17,7 +17,8 @@ from imucald.config import Config, LoadedConfig
 from imucald.core.rotations import Matrix3, times
 from imucald.motion.physical_limits import is_plausible
 from imucald.motion.ticks import TICK_RATE
-from imucald.mount.estimate import Correction, MountEstimate
+from imucald.mount.estimate import Correction, MountEstimate, MountState
+from imucald.mount.hysteresis import BAD, GOOD
 from imucald.runtime.consumer import ORDER, Consumer
 from imucald.runtime.output.attitude_frames import AttitudeFrames
 from imucald.runtime.output.output_frames import OutputFrames
@@ -53,6 +54,10 @@ def consumers_for(loaded: LoadedConfig, output: OutputFrames) -> list[Consumer]:
     return found
 
 
+_SERVED = GOOD | {MountState.RESTORED}
+"""States of the mount in which there is an attitude; of a restored one it is settling at most."""
+
+
 class AttitudeConsumer:
     """Methods B and C on the corrected samples."""
 
@@ -67,6 +72,7 @@ class AttitudeConsumer:
         self._correction: Correction | None = None
         self._saved_check: CheckResult | None = None
         self._mount_std: tuple[float, float, float] | None = None
+        self._mount_state = MountState.WAITING
         self.rejected = 0
         """Samples that were left out because they cannot be."""
 
@@ -132,14 +138,20 @@ class AttitudeConsumer:
         self._saved_check = CheckResult.from_saved(saved)
 
     def mounted(self, estimate: MountEstimate) -> None:
-        """Take what the mount's angles are worth: the vehicle's axes are known no better."""
-        self._mount_std = estimate.std
+        """Take what the mount's angles are worth: the vehicle's axes are known no better.
+
+        After a mount that was doubted nothing of the old axes is carried on.
+        """
+        if self._mount_state in BAD and estimate.state not in BAD:
+            self.begin_anew()
+        self._mount_std, self._mount_state = estimate.std, estimate.state
 
     def tick(self, k: int) -> list[OutFrame]:
         """Attitude frames at their rate."""
         if (k + 1) % self._every:
             return []
         known = self._correction is not None and self._mount_std is not None
+        known &= self._mount_state in _SERVED
         return self._frames.frames(self._estimate((k + 1) / TICK_RATE) if known else None)
 
     def _estimate(self, now: float | None = None) -> AttitudeEstimate:
@@ -152,7 +164,8 @@ class AttitudeConsumer:
         state = e.state
         if state is AttitudeState.FULL:
             heading = math.hypot(heading, z)
-        if state > AttitudeState.SETTLING and max(roll, pitch) > SETTLED_STD:
+        is_unsure = self._mount_state is MountState.RESTORED or max(roll, pitch) > SETTLED_STD
+        if AttitudeState.SETTLING < state < AttitudeState.UNFILTERED and is_unsure:
             state = AttitudeState.SETTLING
         return replace(
             e, state=state, std=(roll, pitch, heading), grade_std=math.hypot(e.grade_std, y)
@@ -169,7 +182,8 @@ class AttitudeConsumer:
 
     def summary(self) -> tuple[str, Mapping[str, Any]]:
         """The attitude at the end."""
-        if self._correction is None or not self.filter.running:
+        is_served = self._correction is not None and self._mount_state not in BAD
+        if not is_served or not self.filter.running:
             return self.name, {"state": AttitudeState.NOT_AVAILABLE.name.lower()}
         e = self._estimate()
 

@@ -107,18 +107,24 @@ class Engine:
         return self._group
 
     def go_on_from(
-        self, former: Engine, estimator: MountEstimator, keeps_consumers: bool = False
+        self,
+        former: Engine,
+        estimator: MountEstimator,
+        keeps_consumers: bool = False,
+        is_same_bus: bool = True,
     ) -> None:
         """Take the place of another engine between two frames; only of inputs that are other ones
         anything begins anew.
 
         estimator: goes on from here; the former one's only where all inputs are the same.
         keeps_consumers: whether those of the former engine are what this one's would be.
+        is_same_bus: else every input is another one, with the same identifiers or not.
         """
         before = former.pipeline
-        same = self.router.same_sources(former.router)
+        same = self.router.same_sources(former.router) if is_same_bus else frozenset()
         self.timebase, self.sent = former.timebase, former.sent
-        self.router.go_on_from(former.router, same)
+        if is_same_bus:
+            self.router.go_on_from(former.router, same)
         self.output.go_on_from(former.output)
         self._watch.go_on_from(former._watch, same, before.k)
         for channel, spaced in former._spaced.items():
@@ -135,7 +141,7 @@ class Engine:
         mine, known = self.preprocessing, former.preprocessing
         if mine is not None and known is not None and mine.is_like(known):
             self.preprocessing = known
-        if keeps_consumers:
+        if keeps_consumers and estimator is before.estimator:
             self._group = former._group
             self.output.attitude = former.output.attitude
             self.output.travel = former.output.travel

@@ -22,6 +22,7 @@ from imucald.service.identity import state_key
 from imucald.service.live import open_link
 from imucald.service.reload_changes import (
     behind_the_known,
+    is_same_bus,
     keeps_consumers,
     keeps_estimator,
     listens_otherwise,
@@ -102,10 +103,13 @@ class PartsMaker:
                 diagnostics.uds.check_identifiers(loaded, engine)
             if listens_otherwise(parts.loaded, loaded, old, engine):
                 link = self._new_link(loaded, engine, diagnostics)
-            estimator, store = self._estimator_after(parts, loaded, engine)
-            take_usual_signals(old, estimator, engine)
+            same_bus = is_same_bus(parts.loaded, loaded, self._options)
+            estimator, store = self._estimator_after(parts, loaded, engine, same_bus)
+            if same_bus:
+                take_usual_signals(old, estimator, engine)
             engine.output.prepare()
-            engine.go_on_from(old, estimator, keeps_consumers(parts.loaded, loaded, old, engine))
+            keeps = keeps_consumers(parts.loaded, loaded, old, engine)
+            engine.go_on_from(old, estimator, keeps, same_bus)
         except BaseException:
             if link is not parts.link:
                 link.close()
@@ -113,7 +117,7 @@ class PartsMaker:
         return Parts(loaded, engine, store, diagnostics, link)
 
     def _estimator_after(
-        self, parts: Parts, loaded: LoadedConfig, engine: Engine
+        self, parts: Parts, loaded: LoadedConfig, engine: Engine, same_bus: bool
     ) -> tuple[MountEstimator, CalibrationStore | None]:
         """The running estimator where it can stay; else a new one behind what is known.
 
@@ -133,7 +137,7 @@ class PartsMaker:
                 return restored, store  # another sensor or vehicle: what was found is not of it
             return behind_the_known(old, new), store
         restore_check(engine, saved_check(running))
-        if keeps_estimator(parts.loaded, loaded, running, engine):
+        if same_bus and keeps_estimator(parts.loaded, loaded, running, engine):
             return old, store
         return behind_the_known(old, new), store
 

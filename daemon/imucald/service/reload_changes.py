@@ -8,6 +8,7 @@ from imucald.mount.estimator import FullEstimator
 from imucald.mount.mount_in_force import mount_in_force, without_stored
 from imucald.mount.restored import RestoredEstimator
 from imucald.runtime.engine import Engine
+from imucald.service.service_options import ServiceOptions
 
 
 def listens_otherwise(
@@ -22,17 +23,28 @@ def listens_otherwise(
     )
 
 
+def is_same_bus(old: LoadedConfig, new: LoadedConfig, options: ServiceOptions) -> bool:
+    """Whether the same bus is listened to: on another one sits another sensor."""
+
+    def names(loaded: LoadedConfig) -> tuple[str, str]:
+        bus = loaded.config.bus
+        return options.interface or bus.interface, options.channel or bus.channel
+
+    return names(old) == names(new)
+
+
 def keeps_estimator(
     old: LoadedConfig, new: LoadedConfig, old_engine: Engine, new_engine: Engine
 ) -> bool:
     """Whether the running estimator is the one that the new configuration would make.
 
     Not where a database gives a signal another meaning: what is known of the sensor's health is
-    then of another one, and nothing is good before this one has been seen.
+    then of another one, and nothing is good before this one has been seen. Limits of what is
+    believed change no number, and take nothing from what was learnt, standing faults among it.
     """
     a, b = old.config, new.config
     before, now = old_engine.router, new_engine.router
-    is_same = (a.calibration, a.vehicle, a.signals) == (b.calibration, b.vehicle, b.signals)
+    is_same = (a.calibration, a.vehicle) == (b.calibration, b.vehicle)
     return is_same and now.same_sources(before) == before.channels | now.channels
 
 
