@@ -371,22 +371,21 @@ def reversing(base: Base, put: Put) -> Faulty:
     return Faulty(samples, 0.0, turn=lambda _: about_up, left_out=left_out, is_turned_round=True)
 
 
-def _with_reverse(base: Base, put: Put, values: Callable[[Array, Array], Array]) -> Samples:
+def _with_reverse(base: Base, put: Put, values: Callable[[Array, Array], Array]) -> Faulty:
     """Another reverse signal, of times [s] and what is true; in every other drive no steering."""
     was = base.samples.get("reverse")
     t = np.arange(0.0, base.duration_s, 0.1) if was is None else was.t
     reverse = Series(t, values(t, np.zeros(len(t)) if was is None else was.values.ravel()))
-    left_out = {"steering"} if put.variant % 2 else set()
-    return {**{c: s for c, s in base.samples.items() if c not in left_out}, "reverse": reverse}
+    left_out = frozenset(base.samples) & ({"steering"} if put.variant % 2 else set())
+    samples = {c: s for c, s in base.samples.items() if c not in left_out}
+    return Faulty({**samples, "reverse": reverse}, put.start, left_out=left_out)
 
 
 def reverse_turned_round(base: Base, put: Put) -> Faulty:
     """On while driving forwards and off in reverse: the other value of 'equals:'."""
-    samples = _with_reverse(base, put, lambda _, is_on: 1.0 - is_on)
-    return Faulty(samples, 0.0, left_out=frozenset(set(base.samples) - set(samples)))
+    return _with_reverse(base, put, lambda _, is_on: 1.0 - is_on)
 
 
 def reverse_stuck_on(base: Base, put: Put) -> Faulty:
     """On from some time on, while the vehicle drives forwards."""
-    samples = _with_reverse(base, put, lambda t, is_on: np.where(t < put.start, is_on, 1.0))
-    return Faulty(samples, put.start, left_out=frozenset(set(base.samples) - set(samples)))
+    return _with_reverse(base, put, lambda t, is_on: np.where(t < put.start, is_on, 1.0))

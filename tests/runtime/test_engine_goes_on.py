@@ -10,6 +10,7 @@ from engine_bus import (
     CONFIGS,
     DBC,
     RICH,
+    Fine,
     ScriptedEstimator,
     Sender,
     Traffic,
@@ -19,7 +20,6 @@ from engine_bus import (
     load,
 )
 from imucald.motion.faults_in_force import SOUND_S
-from imucald.mount.estimate import MountState
 from imucald.runtime.engine import Engine
 
 GYROSCOPE = (
@@ -137,11 +137,17 @@ def test_wheels_that_give_the_speed_decide_whether_it_is_the_same(tmp_path):
     }
 
 
-def test_an_old_frame_sent_again_is_no_good_one_after_the_change(tmp_path):
-    loaded = load(RICH, tmp_path)
+def heard(folder) -> tuple[Engine, Sender, list]:
+    """An engine that has heard 20 frames of the accelerometer, their sender, and the frames."""
+    loaded = load(RICH, folder)
     engine, sender = engine_of(loaded), Sender(loaded)
     frames = [acc(sender, 1e6 + 0.01 * i) for i in range(20)]
     one_by_one(engine, frames)
+    return engine, sender, frames
+
+
+def test_an_old_frame_sent_again_is_no_good_one_after_the_change(tmp_path):
+    engine, sender, frames = heard(tmp_path)
     now = after(engine, RICH.replace("status_rate: 5", "status_rate: 10"), tmp_path)
     used = now.router.used
     now.frame(1e6 + 0.2, *frames[-1][1:])
@@ -152,10 +158,7 @@ def test_an_old_frame_sent_again_is_no_good_one_after_the_change(tmp_path):
 
 
 def test_another_protection_begins_anew(tmp_path):
-    loaded = load(RICH, tmp_path)
-    engine, sender = engine_of(loaded), Sender(loaded)
-    frames = [acc(sender, 1e6 + 0.01 * i) for i in range(20)]
-    one_by_one(engine, frames)
+    engine, _, frames = heard(tmp_path)
     now = after(engine, RICH.replace("max_step: 2", "max_step: 3"), tmp_path)
     now.frame(1e6 + 0.2, *frames[-1][1:])
     assert not now.router.rejected
@@ -237,15 +240,3 @@ def test_counters_of_messages_that_stay_go_on_and_no_others(tmp_path):
     text = RICH.replace("status_rate: 5", "status_rate: 5, ids: {acceleration: 0x651}")
     other = after(now, text, tmp_path)
     assert counter(other.frame(*acc(sender, 1e6 + 0.07)), 0x651) == 0, "another message"
-
-
-class Fine(ScriptedEstimator):
-    """Always has a correction."""
-
-    @property
-    def correction(self) -> tuple[float, ...]:
-        return (1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0)
-
-    @property
-    def state(self) -> MountState:
-        return MountState.FINE

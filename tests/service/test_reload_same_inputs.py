@@ -131,26 +131,30 @@ def test_a_faulty_sensor_stays_faulty_over_a_reload(kind, edit, bench):
     service.close()
 
 
-def test_a_sensor_that_is_frozen_while_the_vehicle_stands_stays_so_over_a_reload(bench):
+def parked(bench: Bench, fault: float, reload: float) -> tuple[list, float]:
+    """What is sent of a drive, a minute of standing after it, and the time at which it begins [s].
+
+    fault, reload: seconds of standing until the gyroscope freezes, until the file is read again.
+    """
     drive = frames_of(bench)
     begin = drive[-1][0] + 0.01
-    frames = drive + with_fault(standing(begin, 60.0), begin + 20.0, "frozen")
+    frames = drive + with_fault(standing(begin, 60.0), begin + fault, "frozen")
     service = bench.service()
-    sent = run(service, frames, begin + 25.0, service.reload)
+    sent = run(service, frames, begin + reload, service.reload)
+    service.close()
+    return sent, begin
+
+
+def test_a_sensor_that_is_frozen_while_the_vehicle_stands_stays_so_over_a_reload(bench):
+    sent, begin = parked(bench, fault=20.0, reload=25.0)
     assert qualities(sent, 0x641, begin + 10.0) > {0}
     assert qualities(sent, 0x641, begin + 22.5) == {0}
-    service.close()
 
 
 def test_a_sensor_that_freezes_after_a_reload_is_found_as_soon_as_without(bench):
     """What is usual for a sensor is known from before."""
-    drive = frames_of(bench)
-    begin = drive[-1][0] + 0.01
-    frames = drive + with_fault(standing(begin, 30.0), begin + 20.5, "frozen")
-    service = bench.service()
-    sent = run(service, frames, begin + 20.0, service.reload)
+    sent, begin = parked(bench, fault=20.5, reload=20.0)
     assert qualities(sent, 0x641, begin + 22.5) == {0}
-    service.close()
 
 
 def test_of_another_bus_nothing_is_good_at_once_and_no_sensor_is_known(tmp_path):

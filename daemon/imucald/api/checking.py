@@ -53,9 +53,9 @@ def check(
 ) -> CheckReport:
     """Say what a configuration decodes from a log: sources, units, rates, gaps, suspicions.
 
-    config: a configuration, or its file's name.
-    log: a name, an open file, or a list of the pieces of one recording. Raises ConfigError where
-    the configuration cannot be used, LogError for a log that cannot be read.
+    config: a configuration, or its file's name. log: a name, an open file, or a list of the pieces
+    of one recording. Raises ConfigError where the configuration cannot be used, LogError for a log
+    that cannot be read.
     """
     checker = Check(Configuration.of(config).loaded)
     sources = [opened(one) for one in pieces(log)]

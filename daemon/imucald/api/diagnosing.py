@@ -112,13 +112,12 @@ def diagnose(
 ) -> DiagnosisResult:
     """Say what the simulation with a model gets wrong beside measured drives of one vehicle.
 
-    The result is that of `imucald diagnose`. config: a configuration, or its file's name.
-    logs: one drive each, with the sensor in its place.
-    model: the model file to put to the test; None: a plain car with the configuration's figures
-    and the mount that the drives give. time_limit_s: processor time after which what was found so
-    far is reported; None: 40 s an hour of driving, and 10 s at least. progress: called with the
-    share done and what is being done; reading: with bytes. strict: the first bad line raises
-    LogError.
+    The result is that of `imucald diagnose`. config: a configuration, or its file's name. logs:
+    one drive each, with the sensor in its place. model: the model file to put to the test;
+    None: a plain car with the configuration's figures and the mount that the drives give.
+    time_limit_s: processor time after which what was found so far is reported; None: 40 s an
+    hour of driving, and 10 s at least. progress: called with the share done and what is being
+    done; reading: with bytes. strict: the first bad line raises LogError.
 
     Raises ConfigError (configuration, model file, a log given twice), LogError for a log that
     cannot be read, has no usable frame or holds the drive of another one, ImucaldError where

@@ -67,9 +67,11 @@ def replay(
     """Replay logs; the result is that of `imucald replay`, bit for bit.
 
     config: a configuration, or its file's name.
+
     log: a file's name, or a file that is open for reading bytes (candump text, plain or gzip): one
     drive, a DriveResult. A list of them is as many drives, each replayed on its own: a DriveSet;
     with `joined` they are the pieces of one recording, in their order: a DriveResult.
+
     signals: keep corrected and raw samples (about 100 bytes for each of the sensor's); without
     them the result has mount, history and events. progress: called with bytes read, and bytes in
     all or None. strict: the first bad line raises LogError, instead of being counted.

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from typing import Protocol, TypeVar
 
 import numpy as np
@@ -57,9 +57,14 @@ def is_unused(drive: DriveResult) -> bool:
 
 def require_frames(drive: DriveResult) -> DriveResult:
     """The drive as it is; raises NoFramesError where its logs held no frame at all."""
-    if drive.frames["read"] == 0:
-        raise NoFramesError(f"{', '.join(drive.logs)}: holds no CAN frame")
+    refuse_empty(drive.frames["read"], drive.logs)
     return drive
+
+
+def refuse_empty(frames: int, logs: Iterable[object]) -> None:
+    """Raise NoFramesError with the names of logs that held no frame at all."""
+    if not frames:
+        raise NoFramesError(f"{', '.join(map(str, logs))}: holds no CAN frame")
 
 
 class Watcher(Protocol):

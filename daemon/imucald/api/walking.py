@@ -12,11 +12,10 @@ from typing import Any
 from imucald.api.columns import Columns, TableColumn, columns_from
 from imucald.api.configuration import Configuration, PathLike
 from imucald.api.logs import LogSource, opened, pieces
-from imucald.api.run import Progress
+from imucald.api.run import Progress, refuse_empty
 from imucald.api.table_access import NamedTables
 from imucald.can.logs.log_reader import LogReader
 from imucald.config import LoadedConfig
-from imucald.core.errors import NoFramesError
 from imucald.inputs.router import Router
 from imucald.inputs.wiring import compile_router
 from imucald.runtime.consumer import events_of
@@ -73,10 +72,10 @@ def walk(
 ) -> WalkResult:
     """Find the direction of travel of a carried terminal, step by step.
 
-    The result is that of `imucald walk`. config: a configuration, or its file's name.
-    log: a name, an open file, or a list of the pieces of one
-    recording. strict: the first bad line raises LogError. Raises ConfigError for a configuration
-    without a compass, LogError for a log that cannot be read.
+    The result is that of `imucald walk`. config: a configuration, or its file's name. log: a name,
+    an open file, or a list of the pieces of one recording. strict: the first bad line raises
+    LogError. Raises ConfigError for a configuration without a compass, LogError for a log that
+    cannot be read or holds no CAN frame.
     """
     loaded = Configuration.of(config).loaded
     _need_compass(loaded)
@@ -85,9 +84,7 @@ def walk(
     sources = [opened(one) for one in pieces(log)]
     reader = LogReader(sources, router.matches, strict, progress)
     steps = list(_steps(reader, router, travel))
-    if not reader.frames_read:
-        names = ", ".join(str(source) for source in sources)
-        raise NoFramesError(f"{names}: holds no CAN frame")
+    refuse_empty(reader.frames_read, sources)
     rejected = router.rejected + Counter(reader.rejected)
     frames = {
         "read": reader.frames_read,

@@ -10,7 +10,7 @@ import math
 from collections.abc import Sequence
 
 from imucald.attitude.carried_angles import CarriedAngles
-from imucald.attitude.estimate import STALE_S, AttitudeEstimate, AttitudeState
+from imucald.attitude.estimate import STALE_S, UNKNOWN, AttitudeEstimate, AttitudeState
 from imucald.attitude.motion_compensation import Compensated, MotionCompensation
 from imucald.attitude.rest import RestingGyro
 from imucald.attitude.right_forward_up import rfu_from_vehicle, vehicle_from_rfu
@@ -20,7 +20,6 @@ from imucald.core.rotations import Vector
 from imucald.motion.lost_time import LostTime
 
 NAN = math.nan
-_NOTHING: Vector = (NAN, NAN, NAN)
 
 
 class CompensatedAttitude:
@@ -137,11 +136,11 @@ class CompensatedAttitude:
             roll=NAN if last is None else roll,
             pitch=NAN if last is None else -pitch,
             heading=NAN,
-            std=_NOTHING,
-            rate=_NOTHING if last is None else vehicle_from_rfu(*last.rate),
-            rate_std=_NOTHING,
+            std=UNKNOWN,
+            rate=UNKNOWN if last is None else vehicle_from_rfu(*last.rate),
+            rate_std=UNKNOWN,
             grade=NAN,
             grade_std=NAN,
             bias=vehicle_from_rfu(*b),
-            free_acceleration=_NOTHING if last is None else vehicle_from_rfu(*last.force),
+            free_acceleration=UNKNOWN if last is None else vehicle_from_rfu(*last.force),
         )

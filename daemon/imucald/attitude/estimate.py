@@ -12,6 +12,8 @@ SETTLED_STD = math.radians(1.5)
 """Tilt is published as settled below this [rad]."""
 STALE_S = 1.0
 """Without gyroscope or accelerometer for so long the attitude is not available [s]."""
+UNKNOWN: Vector = (math.nan, math.nan, math.nan)
+"""A vector of which nothing is known."""
 
 
 class AttitudeState(enum.IntEnum):
@@ -47,4 +49,4 @@ class AttitudeEstimate:
     grade: float
     grade_std: float
     bias: Vector
-    free_acceleration: Vector = (math.nan, math.nan, math.nan)
+    free_acceleration: Vector = UNKNOWN

@@ -13,7 +13,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from imucald.attitude.endpoints import EndpointMaker
-from imucald.attitude.estimate import SETTLED_STD, STALE_S, AttitudeEstimate, AttitudeState
+from imucald.attitude.estimate import SETTLED_STD, STALE_S, UNKNOWN, AttitudeEstimate, AttitudeState
 from imucald.attitude.grade import GradeFilter
 from imucald.attitude.interval import Endpoint, Interval, along_body, interval
 from imucald.attitude.kalman import NineStateFilter, of_axes
@@ -60,9 +60,6 @@ HEADING_KNOWN_STD = math.radians(20.0)
 """A heading less sure than this is not called a heading [rad]."""
 HEADING_SPACING_S = 0.5
 """Headings are taken so far apart: their errors last longer than a sample [s]."""
-
-
-_UNKNOWN: Vector = (math.nan, math.nan, math.nan)
 
 
 class AttitudeFilter:
@@ -115,7 +112,7 @@ class AttitudeFilter:
         self._accel_seen = self._heading_seen = -math.inf
         self._predicted = -math.inf
         self._grade.restart()
-        self._free: Vector = (math.nan, math.nan, math.nan)
+        self._free: Vector = UNKNOWN
 
     def gyro(self, t: float, values: Sequence[float]) -> None:
         """Take an angular rate [rad/s]."""
@@ -165,7 +162,7 @@ class AttitudeFilter:
         self._propagator.accel(t, force)
         if self._motion is not None:
             found = self._motion.take(t, force, self._propagator.rate)
-            self._free = vehicle_from_rfu(*found.force) if found.known else _UNKNOWN
+            self._free = vehicle_from_rfu(*found.force) if found.known else UNKNOWN
 
     def speed(self, t: float, speed: float) -> None:
         """Take a speed [m/s], not negative: the direction comes by `reverse`."""
@@ -257,7 +254,7 @@ class AttitudeFilter:
         if unseen := self._unseen(now):
             tilt, yaw = UNSEEN_TILT_STD, UNSEEN_YAW_RATE * unseen
             std = (math.hypot(std[0], tilt), math.hypot(std[1], tilt), math.hypot(std[2], yaw))
-            rate = (math.nan, math.nan, math.nan)
+            rate = UNKNOWN
         a, b = self.constant_bias, kalman.bias
         spread = [math.sqrt(max(float(kalman.P[i, i]), 0.0)) for i in (3, 4, 5)]
         return AttitudeEstimate(

@@ -81,14 +81,24 @@ def _accelerometer_rank(triad: Triad) -> tuple[bool, bool, bool, float]:
     return not stated, not triad.names_axes, len(triad.messages) > 1, triad.spread
 
 
+def _sizes(three: tuple[SeenSignal, ...]) -> tuple[Array, float, float]:
+    """Sizes (n,) of a vector in its signals' unit, their median, and their spread as a part of it.
+
+    The median is 0.0, and the spread infinite, where nothing is known of the size.
+    """
+    size = np.linalg.norm(np.column_stack([m.smooth for m in three]), axis=1)
+    size = size[np.isfinite(size)]
+    middle = float(np.median(size)) if len(size) else 0.0
+    if not middle > 0.0:
+        return size, 0.0, math.inf
+    return size, middle, 1.4826 * float(np.median(np.abs(size - middle))) / middle
+
+
 def _of_one_g(three: tuple[SeenSignal, ...]) -> Triad | None:
     ordered, named = in_order(three)
-    size = np.linalg.norm(np.column_stack([m.smooth for m in ordered]), axis=1)
-    size = size[np.isfinite(size)]
-    if not len(size) or not np.median(size) > 0.0:
+    size, middle, spread = _sizes(ordered)
+    if not middle > 0.0:
         return None
-    middle = float(np.median(size))
-    spread = 1.4826 * float(np.median(np.abs(size - middle))) / middle
     if spread > NORM_SPREAD:
         # driven hard: its calm part is held against 1 g, where the database states the unit
         middle = float(np.quantile(size, CALM_PART))
@@ -115,13 +125,9 @@ def of_another_size(candidates: Sequence[SeenSignal]) -> str:
             continue
         if len({m.message.name for m in ordered}) > 1:
             continue
-        unit = _stated_or_first(ordered[0], "acceleration")
-        size = np.linalg.norm(np.column_stack([m.smooth for m in ordered]), axis=1) * unit.factor
-        size = size[np.isfinite(size)]
-        middle = float(np.median(size)) if len(size) else 0.0
-        if not middle > 0.0 or abs(middle / GRAVITY - 1.0) < WRONG_SCALE:
-            continue
-        if 1.4826 * float(np.median(np.abs(size - middle))) > NORM_SPREAD * middle:
+        _, middle, spread = _sizes(ordered)
+        middle *= _stated_or_first(ordered[0], "acceleration").factor
+        if not middle > 0.0 or abs(middle / GRAVITY - 1.0) < WRONG_SCALE or spread > NORM_SPREAD:
             continue
         names = ", ".join((ordered[0].path, *(m.signal.name for m in ordered[1:])))
         return (

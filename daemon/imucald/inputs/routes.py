@@ -112,8 +112,8 @@ class MessageRoute:
         spec, before = self.checker.spec, former.checker.spec
         if spec == before:
             self.checker = former.checker
-        is_counted = spec.counter is not None, before.counter is not None
-        if self.stated_cycle == former.stated_cycle and is_counted[0] == is_counted[1]:
+        is_like = (spec.counter is None) == (before.counter is None)
+        if is_like and self.stated_cycle == former.stated_cycle:
             self.guard = former.guard
 
     def check(self, t: float, data: bytes) -> str | None:

@@ -186,11 +186,10 @@ class SampleHealth:
         """
         self.events = former.events
         for channel, sensor in self._sensors.items():
-            known = former._sensors.get(channel)
-            is_same = channel in same and known is not None and known.axes == sensor.axes
-            self._sensors[channel] = (
-                known if is_same and known else _Sensor(channel, sensor.axes, self.events)
-            )
+            known = former._sensors.get(channel) if channel in same else None
+            if known is None or known.axes != sensor.axes:
+                known = _Sensor(channel, sensor.axes, self.events)
+            self._sensors[channel] = known
         self.faults = {c: s.faults for c, s in self._sensors.items() if s.faults}
         if with_signals:
             self._signals = {c: s for c, s in former._signals.items() if c in same}
