@@ -263,6 +263,18 @@ def test_a_check_on_level_ground_takes_the_whole_mean():
     assert (-right, forward) == pytest.approx((G * math.sin(0.02), 0.0), abs=0.01)
 
 
+@pytest.mark.parametrize("when", ["it stops", "it drives off"])
+def test_a_vehicle_that_rolls_while_its_speed_says_zero_spoils_no_zero_error(when):
+    """A turn of 0.7 deg/s in the first 1.5 s or the last 0.8 s of every rest of ten seconds."""
+    motion = Motion(lying(), lambda t: np.where(np.mod(t, 20.0) < 10.0, 1.0, 0.0), 120.0)
+    motion.accel[:, 0] = np.random.default_rng(1).normal(0.0, 0.03, len(motion.t))
+    into = np.mod(motion.t, 20.0) - 10.0
+    rolls = (into > 0.0) & (into < 1.5) if when == "it stops" else into > 9.2
+    motion.gyro[rolls, 2] += 0.7 * DEG
+    e = motion.feed(AttitudeFilter(settings()), (0.0, 0.0, 0.3 * DEG))[-1]
+    assert e.bias[2] == pytest.approx(0.3 * DEG, abs=0.03 * DEG)
+
+
 def test_heading_follows_a_signal():
     motion = Motion(lying(), standing, 20.0)
 

@@ -447,3 +447,12 @@ def test_walk_reads_a_measured_walk(tmp_path, capsys):
     result = json.loads(capsys.readouterr().out)
     assert 1.4 < result["cadence_hz"] < 2.2
     assert result["frames"]["rejected"] == {}
+
+
+@pytest.mark.parametrize(
+    ("stated", "step"), [("", 0.01), (", filter: {gyro_resolution_deg_s: 0.5}", 0.5)]
+)
+def test_the_step_of_the_gyroscope_is_the_databases_where_none_is_stated(stated, step, tmp_path):
+    engine = make_engine(load(CAR.replace(", rate: 5", stated), tmp_path, DBC))
+    (attitude,) = engine.consumers
+    assert attitude.filter.settings.filter.gyro_resolution_deg_s == pytest.approx(step)

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from imucald.attitude.interval import Interval
-from imucald.attitude.measurements import heading_difference, rest_rates, tilt
+from imucald.attitude.measurements import heading_difference, rest_rates, rounding, tilt
 from imucald.attitude.right_forward_up import vehicle_angles
 
 G = 9.80665
@@ -23,7 +23,7 @@ def interval(**changes):
     values = {
         "up": (0.0, 0.0, G), "t0": 0.0, "t1": 1.0, "speed": 10.0, "forward_acceleration": 0.0,
         "force_variance": 0.0, "n": 50.0, "rate": (0.0, 0.0, 0.0),
-        "rate_variance": 0.0, "angle": 0.0, "sigma_forward": 0.1, "sigma_lateral": 0.2,
+        "rate_variance": (0.0, 0.0, 0.0), "angle": 0.0, "sigma_forward": 0.1, "sigma_lateral": 0.2,
     }  # fmt: skip
     return Interval(**{**values, **changes})
 
@@ -89,16 +89,46 @@ def test_falling_shows_nothing():
 
 
 def test_rates_at_rest_are_the_error():
-    found = rest_rates(interval(rate=(0.01, 0.02, 0.03)), (0.0, 0.02, 0.0), (1e-4,) * 3)
+    rest = interval(rate=(0.01, 0.02, 0.03))
+    found = rest_rates(rest, (0.0, 0.02, 0.0), (1e-4,) * 3, (1e-4,) * 3)
     assert [z for _, z, _, _ in found] == pytest.approx([0.01, 0.0, 0.03])
     assert [int(np.flatnonzero(h)[0]) for h, *_ in found] == [3, 4, 5]
+
+
+def test_no_number_of_rests_shows_an_error_finer_than_the_signal_is_rounded():
+    step = 0.004
+    rest = interval(rate=(0.01, 0.02, 0.03))
+    known = [1e-3] * 3
+    for _ in range(200):
+        for h, _, variance, _ in rest_rates(rest, (0.0,) * 3, (1e-6,) * 3, tuple(known), step):
+            i = int(np.flatnonzero(h)[0]) - 3
+            known[i] = known[i] * variance / (known[i] + variance)
+    assert known == pytest.approx([step**2 / 12.0] * 3, rel=0.02)
+
+
+@pytest.mark.parametrize("noise", [0.0, 0.1, 0.2, 0.3, 0.4, 0.6])
+def test_means_of_rounded_noise_are_off_by_what_is_stated(noise):
+    """True values anywhere between two steps; the steps are one."""
+    rng = np.random.default_rng(3)
+    true = rng.uniform(0.0, 1.0, 2000)
+    shown = np.round(true[:, None] + rng.normal(0.0, noise, (2000, 400)))
+    errors = shown.mean(axis=1) - true
+    stated = np.mean([rounding((v, v, v), 1.0) for v in shown.var(axis=1)]) + noise**2 / 400.0
+    assert np.mean(errors**2) < 1.3 * stated + 1e-4
+    if noise == 0.0:
+        assert np.mean(errors**2) == pytest.approx(stated, rel=0.1)
+
+
+def test_the_quietest_axis_decides_and_no_step_rounds_nothing():
+    assert rounding((1.0, 0.0, 1.0), 0.1) == pytest.approx(0.01 / 12.0)
+    assert rounding((0.0, 0.0, 0.0), 0.0) == 0.0
 
 
 @given(st.floats(0.0, 6.28), st.floats(-0.5, 0.5))
 def test_a_heading_is_compared_the_short_way_round(heading, error):
     C = rows(0.1, -0.1, heading)
-    h, z, variance, gated = heading_difference(heading + error + 4 * math.pi, C, 0.1, True)
+    h, z, variance, gated = heading_difference(heading + error + 4 * math.pi, C, 0.1)
     assert z == pytest.approx(error, abs=1e-9)
     assert h[2] == -1.0
     assert variance == pytest.approx(0.01)
-    assert gated
+    assert not gated

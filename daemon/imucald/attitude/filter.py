@@ -15,13 +15,25 @@ import numpy as np
 from imucald.attitude.endpoints import EndpointMaker
 from imucald.attitude.estimate import SETTLED_STD, STALE_S, UNKNOWN, AttitudeEstimate, AttitudeState
 from imucald.attitude.grade import GradeFilter
+from imucald.attitude.heading_source import HeadingSource, Verdict
 from imucald.attitude.interval import Endpoint, Interval, along_body, interval
 from imucald.attitude.kalman import NineStateFilter, of_axes
-from imucald.attitude.measurements import MIN_UP, heading_difference, rest_rates, tilt
+from imucald.attitude.measurements import (
+    MIN_UP,
+    heading_difference,
+    rest_rates,
+    rounding,
+    tilt,
+)
 from imucald.attitude.motion_compensation import MotionCompensation
 from imucald.attitude.propagation import Propagator
 from imucald.attitude.rest import is_rest
-from imucald.attitude.right_forward_up import rfu_from_vehicle, vehicle_angles, vehicle_from_rfu
+from imucald.attitude.right_forward_up import (
+    rfu_from_vehicle,
+    vehicle_angles,
+    vehicle_from_rfu,
+    wrapped,
+)
 from imucald.attitude.sensor_check import CheckResult, rest_errors
 from imucald.config.attitude import AttitudeSettings
 from imucald.config.base import per_axis
@@ -58,6 +70,10 @@ UNSEEN_TILT_STD = START_MOVING_STD
 turn a body by less than 20 deg/s about level axes, and the first interval is again to find tilt."""
 HEADING_KNOWN_STD = math.radians(20.0)
 """A heading less sure than this is not called a heading [rad]."""
+HEADING_FOUND_STD = 1.0
+"""A heading less sure than this is taken as it comes: any source knows better [rad]."""
+ROLLS_ON_S = 2.0
+"""A speed may say zero below walking pace, 1 m/s, which gentle brakes end in so long [s]."""
 HEADING_SPACING_S = 0.5
 """Headings are taken so far apart: their errors last longer than a sample [s]."""
 
@@ -81,6 +97,8 @@ class AttitudeFilter:
         self._endpoints = EndpointMaker(compensation, self._propagator)
         self._grade = GradeFilter(self.settings.squat, self.settings.grade_time)
         self._motion = MotionCompensation(compensation) if compensation.send else None
+        self._source = HeadingSource(of_filter.gate)
+        self._resolution = of_filter.gyro_resolution or 0.0
         self._lost_time = LostTime()
         self.reset()
 
@@ -103,12 +121,14 @@ class AttitudeFilter:
         self.running = False
         self._correction: Quaternion = IDENTITY
         self._propagator.q = IDENTITY
+        self._source.restart()
 
     def _restart(self) -> None:
         """What was measured before goes with nothing that follows; speeds do."""
         self._propagator.restart()
         self._start: Endpoint | None = None
         self._rest: Endpoint | None = None
+        self._still: Interval | None = None
         self._accel_seen = self._heading_seen = -math.inf
         self._predicted = -math.inf
         self._grade.restart()
@@ -138,7 +158,7 @@ class AttitudeFilter:
         """
         if self.running and seconds <= max(STALE_S, self.settings.filter.longest_step):
             self._propagator.restart()
-            self._start = self._rest = None
+            self._start = self._rest = self._still = None
             self._grade.restart()
             self.kalman.turned_unseen(UNSEEN_TILT_STD, UNSEEN_YAW_RATE * seconds)
         else:
@@ -211,6 +231,11 @@ class AttitudeFilter:
         self._rest = None
 
     @property
+    def heading_is_doubted(self) -> bool:
+        """Whether the source of heading contradicts the gyroscope, or has and is not back."""
+        return self._source.doubt > 0.0
+
+    @property
     def check(self) -> CheckResult | None:
         """What the sensor check found, vehicle axes; None before it."""
         if not self.checked:
@@ -239,7 +264,7 @@ class AttitudeFilter:
         kalman = self.kalman
         if self._unseen(now) or max(kalman.P[0, 0], kalman.P[1, 1]) > SETTLED_STD**2:
             return AttitudeState.SETTLING
-        if kalman.P[2, 2] < HEADING_KNOWN_STD**2 and self.settings.filter.heading != "free":
+        if self._heading_std() < HEADING_KNOWN_STD and self.settings.filter.heading != "free":
             return AttitudeState.FULL
         return AttitudeState.RELATIVE_HEADING
 
@@ -280,7 +305,7 @@ class AttitudeFilter:
         return self._lost_time.standing
 
     def _heading_std(self) -> float:
-        return math.sqrt(max(float(self.kalman.P[2, 2]), 0.0))
+        return math.hypot(math.sqrt(max(float(self.kalman.P[2, 2]), 0.0)), self._source.doubt)
 
     def _C(self) -> Rows:
         """C_nav_from_body: the correction after the gyroscope's matrix."""
@@ -290,7 +315,7 @@ class AttitudeFilter:
 
     def _close(self, first: Endpoint | None, endpoint: Endpoint) -> None:
         if first is None:
-            self._start = self._rest = None
+            self._start = self._rest = self._still = None
             return
         found = self._interval(first, endpoint)
         resting = is_rest(first, endpoint, found, self.constant_bias, self.settings.filter)
@@ -301,9 +326,16 @@ class AttitudeFilter:
         if not self.running:
             self._try_start(first, endpoint, resting)
             return
-        self._filter(found, resting)
+        self._filter(found, self._surely_still(found))
         if resting and self._rest is not None and not self.checked:
             self._check(self._rest, endpoint)
+
+    def _surely_still(self, found: Interval) -> Interval | None:
+        """The interval before, where it was one of rest: what is begun may end in driving off."""
+        rest, still = self._rest, self._still
+        is_over = rest is not None and found.t0 - rest.snapshot.t > ROLLS_ON_S - 1e-6
+        self._still = found if is_over else None
+        return still if rest is not None else None
 
     def _interval(self, first: Endpoint, last: Endpoint) -> Interval:
         s = self.settings
@@ -333,13 +365,18 @@ class AttitudeFilter:
         s = self.settings.filter
         tilt = START_REST_STD if resting else START_MOVING_STD
         free = 0.0 if s.heading == "free" else math.pi
-        self.kalman.start(tilt, free, s.gyro_random if self.checked else s.gyro_start)
+        gyro = s.gyro_start
+        if self.checked:  # in an earlier drive, perhaps, and with how much noise is not known
+            rounded = self._resolution / math.sqrt(12.0)
+            x, y, z = per_axis(s.gyro_random)
+            gyro = max(x, rounded), max(y, rounded), max(z, rounded)
+        self.kalman.start(tilt, free, gyro)
         self.running = True
         self._predicted = found.t1
-        self._filter(found, resting)
+        self._filter(found, None)
 
-    def _filter(self, found: Interval, resting: bool) -> None:
-        """Time update to the end of the interval, then what it measured."""
+    def _filter(self, found: Interval, still: Interval | None) -> None:
+        """Time update to the end of the interval, then what it measured; still: one of rest."""
         dt = max(found.t1 - self._predicted, 0.0)
         self._predicted = found.t1
         C = self._C()
@@ -347,10 +384,12 @@ class AttitudeFilter:
         gravity = times(rows_from_quaternion(self._correction), found.up)
         lag = max(self._propagator.t - 0.5 * (found.t0 + found.t1), 0.0)
         measurements = tilt(found, gravity, C, self.kalman.accel_error, lag)
-        if resting and self.settings.filter.rest_update:
+        if still is not None and self.settings.filter.rest_update:
             p, b = self.constant_bias, self.kalman.bias
             bias = (p[0] + b[0], p[1] + b[1], p[2] + b[2])
-            measurements += rest_rates(found, bias, of_axes(self.settings.filter.gyro_noise))
+            x, y, z = (float(self.kalman.P[i, i]) for i in (3, 4, 5))
+            noise, step = of_axes(self.settings.filter.gyro_noise), self._resolution
+            measurements += rest_rates(still, bias, noise, (x, y, z), step)
         self._apply(self.kalman.update(measurements))
         self._grade.take(found, -vehicle_angles(self._C())[1])
 
@@ -358,9 +397,18 @@ class AttitudeFilter:
         if t - self._heading_seen < HEADING_SPACING_S:
             return
         self._heading_seen = t
-        is_known = self._heading_std() < 1.0
-        measurement = heading_difference(heading, self._C(), noise, is_known)
-        self._apply(self.kalman.update([measurement]))
+        kalman, C = self.kalman, self._C()
+        variance, estimated = float(kalman.P[2, 2]), vehicle_angles(C)[2]
+        if variance < HEADING_FOUND_STD**2 or self._source.doubt:
+            difference = wrapped(heading - estimated)
+            verdict = self._source.take(t, difference, variance, noise * noise, estimated)
+            if verdict is Verdict.REFUSED:
+                return
+            if verdict is Verdict.BEGUN_AGAIN:
+                kalman.forget_heading()
+        error = kalman.update([heading_difference(heading, C, noise)])
+        self._apply(error)
+        kalman.turn_north(error[2])
 
     def _apply(self, error: Vector) -> None:
         self._correction = quaternion_product(quaternion_from_vector(*error), self._correction)
@@ -380,5 +428,5 @@ class AttitudeFilter:
             self._rest = None
             return
         self.constant_bias, self.constant_accel_error = result
-        self.kalman.forget_bias()
+        self.kalman.forget_bias(rounding(found.rate_variance, self._resolution))
         self.checked = True

@@ -27,7 +27,7 @@ class Interval(NamedTuple):
     up: mean specific force less motion, frame P [m/s^2]. t0, t1 [s]. speed: mean [m/s] or NaN.
     forward_acceleration: of the vehicle [m/s^2]. force_variance: of one sample about the mean
     [(m/s^2)^2], all axes. n: samples. rate: mean of the raw gyroscope [rad/s]; rate_variance: of
-    one sample, all axes. angle: turned [rad].
+    one sample, about each axis [(rad/s)^2]. angle: turned [rad].
     sigma_forward, sigma_lateral: standard deviation of `up` along the body's axes [m/s^2].
     """
 
@@ -39,7 +39,7 @@ class Interval(NamedTuple):
     force_variance: float
     n: float
     rate: Vector
-    rate_variance: float
+    rate_variance: Vector
     angle: float
     sigma_forward: float
     sigma_lateral: float
@@ -88,9 +88,10 @@ def interval(
         change = (0.0, 0.0, 0.0)
     up = (mean[0] - change[0], mean[1] - change[1], mean[2] - change[2])
     n, force_variance = _spread(b.n - a.n, a.body, b.body, b.square - a.square)
-    turns, rate_variance = _spread(b.turns - a.turns, a.rate, b.rate, b.rate_square - a.rate_square)
-    k = 1.0 / max(turns, 1.0)
+    k = 1.0 / max(b.turns - a.turns, 1.0)
     rx, ry, rz = ((y - x) * k for x, y in zip(a.rate, b.rate, strict=True))
+    xx, yy, zz = ((y - x) * k for x, y in zip(a.rate_square, b.rate_square, strict=True))
+    rate_variance = (max(xx - rx * rx, 0.0), max(yy - ry * ry, 0.0), max(zz - rz * rz, 0.0))
     lateral = sum(c * 0.5 * (p + q) for c, p, q in zip(change, a.right, b.right, strict=True))
     forward = (v1 - v0) / T if known else 0.0
     of_mean = force_variance / n

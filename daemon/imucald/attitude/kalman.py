@@ -79,6 +79,22 @@ class NineStateFilter:
         self.P[2, 2] += heading_std**2
         self._hold_yaw()
 
+    def turn_north(self, angle: float) -> None:
+        """All attitude is turned about up by so much [rad], as where a first heading is taken.
+
+        Its errors about level axes turn along: C_true = R exp(e) C = exp(R e) R C.
+        """
+        T = np.eye(STATES)
+        s, c = math.sin(angle), math.cos(angle)
+        T[0:2, 0:2] = (c, -s), (s, c)
+        P = T @ self.P @ T.T
+        self.P = 0.5 * (P + P.T)
+
+    def forget_heading(self) -> None:
+        """The heading is unknown, and goes with nothing else that is known."""
+        self.P[2, :] = self.P[:, 2] = 0.0
+        self.P[2, 2] = YAW_STD_MAX**2
+
     def predict(self, C_nav_from_body: Rows, dt: float, turned: float) -> None:
         """Time update over dt [s], in which the body turned by so much [rad]."""
         s = self.settings
@@ -147,12 +163,12 @@ class NineStateFilter:
         self.bias = matrix_times(D, self.bias)
         self.accel_error = matrix_times(D, self.accel_error)
 
-    def forget_bias(self) -> None:
-        """The constant part has been measured again: the random part is small again."""
+    def forget_bias(self, rounding: float) -> None:
+        """The constant part has been measured again, to a variance: the random part is small."""
         self.bias = (0.0, 0.0, 0.0)
         self.P[3:6, :] = 0.0
         self.P[:, 3:6] = 0.0
-        self.P[3:6, 3:6] = np.diag([c * c for c in self._gyro_random])
+        self.P[3:6, 3:6] = np.diag([max(c * c, rounding) for c in self._gyro_random])
 
     def std_along(self, x: float, y: float, z: float) -> float:
         """Standard deviation of the attitude error about a unit direction in east, north, up."""

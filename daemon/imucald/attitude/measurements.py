@@ -53,23 +53,49 @@ def tilt(
     ]
 
 
-def rest_rates(interval: Interval, bias: Vector, noise: Vector) -> list[Measurement]:
-    """At rest the gyroscope reads its own error; bias: known part [rad/s]; noise: its density."""
-    of_mean = interval.rate_variance / (3.0 * interval.n)
+def rest_rates(
+    interval: Interval, bias: Vector, noise: Vector, known: Vector, resolution: float = 0.0
+) -> list[Measurement]:
+    """At rest the gyroscope reads its own error; bias: known part [rad/s]; noise: its density.
+
+    known: variance to which each axis' error is known already; resolution: step of the signal.
+    The rounding is the same in every rest, so no number of them shows an error better than that.
+    """
+    of_mean = sum(interval.rate_variance) / (3.0 * interval.n)
+    rounded = rounding(interval.rate_variance, resolution)
     measurements: list[Measurement] = []
     for i in range(3):
+        if known[i] <= rounded:
+            continue
         h = np.zeros(STATES)
         h[3 + i] = 1.0
-        variance = noise[i] * noise[i] / interval.duration + of_mean
-        measurements.append((h, interval.rate[i] - bias[i], variance + REST_RATE_STD**2, True))
+        variance = noise[i] * noise[i] / interval.duration + of_mean + REST_RATE_STD**2
+        # with this alone 1 / known + 1 / variance would be 1 / rounded
+        variance += rounded * known[i] / (known[i] - rounded)
+        measurements.append((h, interval.rate[i] - bias[i], variance, True))
     return measurements
 
 
-def heading_difference(heading: float, C: Rows, noise: float, is_known: bool) -> Measurement:
-    """A heading input [rad] against the propagated matrix; gated once a heading is known.
+def rounding(spread: Vector, resolution: float) -> float:
+    """Variance of a mean of rounded numbers about the mean of the true ones.
+
+    spread: variance of a rounded number, for each axis; the quietest counts. Noise takes the
+    rounding away (dither): the error falls with exp(-2 (pi s / step)^2) (Widrow and Kollar,
+    Quantization Noise, 2008: the first term of the sum), from the step^2 / 12 of a signal without
+    noise. So much the rounding adds to the noise's s^2 as well (Sheppard).
+    """
+    if resolution == 0.0:
+        return 0.0
+    most = resolution**2 / 12.0
+    noise = max(min(spread) - most, 0.0)
+    return most * math.exp(-4.0 * math.pi**2 * noise / resolution**2)
+
+
+def heading_difference(heading: float, C: Rows, noise: float) -> Measurement:
+    """A heading input [rad] against the propagated matrix; `HeadingSource` gates it.
 
     The publication's angle is counter-clockwise, a heading clockwise: hence the order.
     """
     h = np.zeros(STATES)
     h[2] = -1.0
-    return h, wrapped(heading - vehicle_angles(C)[2]), noise * noise, is_known
+    return h, wrapped(heading - vehicle_angles(C)[2]), noise * noise, False

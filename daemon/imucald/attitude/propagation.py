@@ -37,7 +37,7 @@ class IntegralSnapshot(NamedTuple):
     force: integral of specific force [m/s]. forward, right: unit axes of the body. arm: velocity
     of the sensor by its lever arm [m/s]. up_rate: about the body's up axis [rad/s]. n, body,
     square: count, sum and sum of squares of the specific force in body axes. turns, rate,
-    rate_square: the same of the raw gyroscope. angle: turned in all [rad].
+    rate_square: the same of the raw gyroscope, squares for each axis. angle: turned in all [rad].
     """
 
     t: float
@@ -51,7 +51,7 @@ class IntegralSnapshot(NamedTuple):
     square: float
     turns: float
     rate: Vector
-    rate_square: float
+    rate_square: Vector
     angle: float
 
 
@@ -83,8 +83,9 @@ class Propagator:
         self._pending: deque[tuple[float, Vector]] = deque(maxlen=MAX_PENDING)
         self._history: deque[IntegralSnapshot] = deque(maxlen=MAX_HISTORY)
         self._force: Vector = (0.0, 0.0, 0.0)  # newest, in P
-        self._turns, self._angle, self._rate_square = 0.0, 0.0, 0.0
+        self._turns, self._angle = 0.0, 0.0
         self._rate_sum: Vector = (0.0, 0.0, 0.0)
+        self._rate_square: Vector = (0.0, 0.0, 0.0)
 
     @property
     def newest(self) -> IntegralSnapshot | None:
@@ -113,9 +114,11 @@ class Propagator:
         self.t = t
         self.rate = rate
         self._turns += 1.0
+        p, q, r = raw
         x, y, z = self._rate_sum
-        self._rate_sum = (x + raw[0], y + raw[1], z + raw[2])
-        self._rate_square += raw[0] * raw[0] + raw[1] * raw[1] + raw[2] * raw[2]
+        self._rate_sum = (x + p, y + q, z + r)
+        x, y, z = self._rate_square
+        self._rate_square = (x + p * p, y + q * q, z + r * r)
         while self._pending and self._pending[0][0] <= t:
             self._place(*self._pending.popleft())
 

@@ -24,7 +24,7 @@ def is_rest(
     """
     quiet = (
         found.force_variance < settings.rest_accel_spread**2
-        and found.rate_variance < settings.rest_gyro_spread**2
+        and sum(found.rate_variance) < settings.rest_gyro_spread**2
         and math.dist(found.rate, zero_error) < MAX_ZERO_ERROR * max(settings.gyro_start)
     )
     if math.isnan(found.speed):

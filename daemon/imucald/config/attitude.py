@@ -12,6 +12,7 @@ from imucald.config.base import (
     PerAxis,
     Positive,
     Radians,
+    RadiansOrNone,
     RadiansPerAxis,
     Settings,
     Share,
@@ -74,6 +75,8 @@ class FilterSettings(Settings, frozen=True):
     """Largest standard deviation of the accelerometer at rest [m/s^2]: an engine may run."""
     rest_gyro_spread_deg_s: Positive = 0.5
     """The same of the gyroscope."""
+    gyro_resolution_deg_s: NotNegative | None = None
+    """Step of the gyroscope's signals; default: the database's."""
     gyro_noise_deg_s: PerAxis = 0.01
     """Gyroscope noise density [deg/s/sqrt(Hz)]; of this and the next four `[x, y, z]` as well,
     vehicle axes."""
@@ -98,10 +101,12 @@ class FilterSettings(Settings, frozen=True):
     magnetometer_noise_deg: Positive = 10.0
     """Standard deviation of a heading from the magnetometer: steel deflects it."""
     gate: Positive = 4.0
-    """Innovations beyond so many standard deviations widen their own noise."""
+    """Innovations beyond so many standard deviations widen their own noise; headings are not
+    followed."""
 
     declination = Radians("declination_deg")
     rest_gyro_spread = Radians("rest_gyro_spread_deg_s")
+    gyro_resolution = RadiansOrNone("gyro_resolution_deg_s")
     gyro_noise = RadiansPerAxis("gyro_noise_deg_s")
     gyro_start = RadiansPerAxis("gyro_start_deg_s")
     gyro_random = RadiansPerAxis("gyro_random_deg_s")

@@ -38,7 +38,8 @@ class Conversion(Struct, frozen=True):
 
     SI = sign * (factor * (physical + offset) + unit_offset). `low`, `high`: plausible physical
     values, both included. `rails`: physical values at which the sensor is saturated (included), or
-    None. `not_available`: raw values. `on_values`, `on_above`: for flags.
+    None. `not_available`: raw values. `on_values`, `on_above`: for flags. `step`: between two
+    neighbouring values, in SI; 0 where it is not known.
     """
 
     unit: Unit
@@ -50,6 +51,7 @@ class Conversion(Struct, frozen=True):
     not_available: tuple[int, ...] = ()
     on_values: tuple[float, ...] | None = None
     on_above: float | None = None
+    step: float = 0.0
 
     @property
     def limit(self) -> float:

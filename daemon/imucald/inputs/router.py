@@ -99,6 +99,11 @@ class Router:
         """How many axes of each channel come from signals: a planar accelerometer has two."""
         return {t.channel: width_of(t.channel) - (t.third is not None) for t in self._taps()}
 
+    def step(self, channel: str) -> float:
+        """Largest step between two values of a channel's axes, SI; 0 where it is not known."""
+        taps = (tap for tap in self._taps() if tap.channel == channel)
+        return max((c.conversion.step for tap in taps for c in tap.components), default=0.0)
+
     def cycles(self, channel: str) -> list[float | None]:
         """Stated cycles [s] of the routes that carry a channel."""
         return [

@@ -172,7 +172,14 @@ def _conversion(loaded: LoadedConfig, wanted: Wanted, signal: Signal | None) -> 
         not_available=not_available,
         on_values=(equals,) if isinstance(equals, int | float) else equals,
         on_above=source.above,
+        step=_step(signal, unit),
     )
+
+
+def _step(signal: Signal | None, unit: Unit) -> float:
+    if signal is None or signal.is_float:
+        return 0.0
+    return abs(float(signal.scale) * unit.factor)
 
 
 def _unit(text: str | None, dimension: str) -> Unit:

@@ -8,12 +8,14 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
+from msgspec import structs
 
 from imucald.attitude.compensated import CompensatedAttitude
 from imucald.attitude.estimate import SETTLED_STD, AttitudeEstimate, AttitudeState
 from imucald.attitude.filter import AttitudeFilter
 from imucald.attitude.sensor_check import CheckResult
 from imucald.config import Config, LoadedConfig
+from imucald.config.attitude import AttitudeSettings
 from imucald.core.rotations import Matrix3, times
 from imucald.motion.physical_limits import is_plausible
 from imucald.motion.ticks import TICK_RATE
@@ -27,8 +29,13 @@ from imucald.runtime.output.travel_frames import TravelFrames
 from imucald.travel_direction.direction import TravelDirection
 
 
-def consumers_for(loaded: LoadedConfig, output: OutputFrames) -> list[Consumer]:
-    """What a configuration switches on. Raises ConfigError where an input is missing."""
+def consumers_for(
+    loaded: LoadedConfig, output: OutputFrames, gyro_step: float = 0.0
+) -> list[Consumer]:
+    """What a configuration switches on. Raises ConfigError where an input is missing.
+
+    gyro_step: between two values of the gyroscope's signals [rad/s]; 0 where it is not known.
+    """
     config = loaded.config
     signals = config.signals
     found: list[Consumer] = []
@@ -44,7 +51,7 @@ def consumers_for(loaded: LoadedConfig, output: OutputFrames) -> list[Consumer]:
             raise loaded.error(("attitude", "filter", "heading"), "needs signals.heading")
         if source == "magnetometer" and signals.magnetometer is None:
             raise loaded.error(("attitude", "filter", "heading"), "needs signals.magnetometer")
-        found.append(AttitudeConsumer(config, output.attitude))
+        found.append(AttitudeConsumer(config, output.attitude, gyro_step))
     if output.travel is not None:
         if signals.magnetometer is None and signals.heading is None:
             raise loaded.error(
@@ -64,8 +71,8 @@ class AttitudeConsumer:
     name = "attitude"
     channels = frozenset(ORDER)
 
-    def __init__(self, config: Config, frames: AttitudeFrames) -> None:
-        self._settings = config.attitude
+    def __init__(self, config: Config, frames: AttitudeFrames, gyro_step: float = 0.0) -> None:
+        self._settings = _with_step(config.attitude, gyro_step)
         self.filter = self._new_filter()
         self._frames = frames
         self._every = round(TICK_RATE / config.attitude.rate)
@@ -199,15 +206,30 @@ class AttitudeConsumer:
             "gyro_bias_deg_s": [number(b) for b in e.bias],
             "grade_percent": number(e.grade, 100.0),
             **self._free_acceleration(e),
+            **self._heading_source(),
             "sensor_check": self.filter.checked,
             "rejected_samples": self.rejected,
         }
+
+    def _heading_source(self) -> dict[str, str]:
+        used = self.filter
+        if self._settings.filter.heading == "free" or not isinstance(used, AttitudeFilter):
+            return {}
+        return {"heading_source": "doubted" if used.heading_is_doubted else "followed"}
 
     def _free_acceleration(self, e: AttitudeEstimate) -> dict[str, list[float | None]]:
         if not self.filter.settings.compensation.send:
             return {}
         values = [None if math.isnan(c) else round(c, 4) for c in e.free_acceleration]
         return {"free_acceleration_mps2": values}
+
+
+def _with_step(settings: AttitudeSettings, gyro_step: float) -> AttitudeSettings:
+    """With the database's step [rad/s] where the configuration states none."""
+    of_filter = settings.filter
+    if of_filter.gyro_resolution_deg_s is None:
+        of_filter = structs.replace(of_filter, gyro_resolution_deg_s=math.degrees(gyro_step))
+    return structs.replace(settings, filter=of_filter)
 
 
 def _matrix(correction: Correction) -> Matrix3:

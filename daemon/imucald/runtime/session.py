@@ -74,7 +74,7 @@ def make_engine(
         config.output.status_rate,
         on_snapshot,
         link_health,
-        _consumers(loaded, output),
+        _consumers(loaded, output, router.step("gyro")),
         new_estimator,
         None
         if compensation is None
@@ -83,13 +83,13 @@ def make_engine(
     )
 
 
-def _consumers(loaded: LoadedConfig, output: OutputFrames) -> list[Consumer]:
+def _consumers(loaded: LoadedConfig, output: OutputFrames, gyro_step: float) -> list[Consumer]:
     """What runs beside the calibration. Raises ConfigError where an input is missing."""
     if output.attitude is None and output.travel is None:
         return []
     from imucald.runtime.consumers import consumers_for  # noqa: PLC0415 - few switch one on
 
-    return consumers_for(loaded, output)
+    return consumers_for(loaded, output, gyro_step)
 
 
 def open_compensation(loaded: LoadedConfig) -> ModelCompensation | None:

@@ -1,0 +1,101 @@
+"""Whether a source of heading may be followed: the gyroscope is held against it.
+
+A difference beyond the gate is not followed: the gyroscope's heading is not wrong by so much.
+Which of the two is wrong is not known, so from `LOST_AFTER` on the source counts as lost, and
+the heading is doubted by as much as the two have differed since. A source has proved itself when,
+but for a constant, it has agreed with the gyroscope for a minute and over a turn that it could
+not have followed frozen, mirrored or at another scale. Then it is taken up again: where it is back
+at the north from before, or had not proved that one. Of two norths that were both proved one is
+wrong, and nothing tells which: the doubt stays. Pure.
+"""
+
+from __future__ import annotations
+
+import enum
+import math
+
+from imucald.attitude.right_forward_up import wrapped
+
+LOST_AFTER = 5.0
+"""Headings beyond the gate for so long are no outliers [s]: of a multipath, of a steel bridge."""
+AGREES_FOR = 60.0
+"""So long, at least, it has to agree but for a constant [s]."""
+TURNED = math.pi / 2.0
+"""Over a turn of so much, and of twice what may differ meanwhile [rad]."""
+LONGEST_STEP = 2.0
+"""Headings further apart than this do not show which way round the vehicle turned [s]."""
+
+
+class Verdict(enum.Enum):
+    """What is to be done with a heading."""
+
+    FOLLOWED = enum.auto()
+    REFUSED = enum.auto()
+    BEGUN_AGAIN = enum.auto()
+    """It has proved itself, and what was followed before had not: heading begins from it."""
+
+
+class HeadingSource:
+    """Takes the differences of a source's headings from the gyroscope's, in order of time."""
+
+    def __init__(self, gate: float) -> None:
+        self._gate = gate
+        self.restart()
+
+    def restart(self) -> None:
+        """Nothing is known of the source."""
+        self._proved = False
+        self._follow()
+        self._begin = self._t = -math.inf
+        self._anchor = self._heading = self._turn = self._least = self._most = 0.0
+        self._anchor_variance = 0.0
+
+    def _follow(self) -> None:
+        self.doubt = 0.0
+        """Largest difference since the source was lost [rad]; 0 while it may be followed."""
+        self._beyond_since: float | None = None
+
+    def take(
+        self, t: float, difference: float, variance: float, noise: float, heading: float
+    ) -> Verdict:
+        """Judge a heading of stream time t [s].
+
+        difference: of the source from the gyroscope [rad]; variance: of the gyroscope's heading;
+        noise: of the source [rad^2]; heading: the gyroscope's [rad].
+        """
+        proves = self._proves(t, difference, variance, noise, heading)
+        is_beyond = difference * difference > self._gate**2 * (variance + noise)
+        if not self.doubt:
+            self._proved |= proves and not is_beyond
+            if not is_beyond:
+                self._beyond_since = None
+                return Verdict.FOLLOWED
+            if self._beyond_since is None:
+                self._beyond_since = t
+            if t - self._beyond_since >= LOST_AFTER:
+                self.doubt = abs(difference)
+                self._t = -math.inf  # it has to prove itself from here on
+            return Verdict.REFUSED
+        self.doubt = max(self.doubt, abs(difference))
+        if not proves or (is_beyond and self._proved):
+            return Verdict.REFUSED
+        self._follow()
+        self._proved = True
+        return Verdict.BEGUN_AGAIN if is_beyond else Verdict.FOLLOWED
+
+    def _proves(
+        self, t: float, difference: float, variance: float, noise: float, heading: float
+    ) -> bool:
+        """Whether the source has turned as the gyroscope did, long and far enough."""
+        grown = max(variance - self._anchor_variance, 0.0)
+        limit = self._gate * math.sqrt(2.0 * noise + grown)
+        is_near = abs(wrapped(difference - self._anchor)) < limit
+        if not is_near or t - self._t > LONGEST_STEP:
+            self._begin, self._anchor, self._anchor_variance = t, difference, variance
+            self._turn = self._least = self._most = 0.0
+        else:
+            self._turn += wrapped(heading - self._heading)
+            self._least, self._most = min(self._least, self._turn), max(self._most, self._turn)
+        self._t, self._heading = t, heading
+        turned = self._most - self._least
+        return t - self._begin >= AGREES_FOR and turned >= max(TURNED, 2.0 * limit)
