@@ -103,6 +103,16 @@ def test_flags_by_value_and_by_threshold(tmp_path):
     assert bus.say(0.0, "GEAR", G=2.0, BRK=3.0) == {"reverse": [0.0], "brake": [1.0]}
 
 
+@pytest.mark.parametrize("steps", range(1, 40))
+def test_a_value_is_compared_as_it_is_decoded(steps, tmp_path):
+    """3 times 0.1 is not 0.3, to the last bit."""
+    value = float(f"{steps / 10}")
+    text = f"{{signal: SPD2.V2, valid_when: {{signal: V2, equals: {value}}}}}"
+    bus = Bus(f"{HEAD}  speed: {text}\n", tmp_path)
+    assert "speed" in bus.say(0.0, "SPD2", V2=value)
+    assert "speed" not in bus.say(0.1, "SPD2", V2=value + 0.1)
+
+
 def test_reverse_is_read_from_a_signed_speed(tmp_path):
     bus = Bus(f"{HEAD}  speed: SPD.V\n", tmp_path)
     assert bus.say(0.0, "SPD", V=-36.0) == {"reverse": [1.0], "speed": [10.0]}

@@ -64,6 +64,22 @@ MISTAKES = {
         ["'furlong' is not a unit of speed", "km/h"],
     ),
     "no unit": ("  speed: GEAR.G  # here", ["no unit is stated", "km/h", "set 'unit:' here"]),
+    "not available beyond its bits": (
+        "  speed: {signal: SPD2.V2, not_available: [65536]}  # here",
+        ["not_available", "V2 is never 65536", "raw numbers are 0 to 65535"],
+    ),
+    "not available as if unsigned": (
+        "  speed: {signal: SPD.V, not_available: [65535]}  # here",
+        ["V is never 65535", "same bits as a signed number are -1"],
+    ),
+    "on at what never is": (
+        "  reverse: {signal: GEAR.G, equals: 16}  # here",
+        ["reverse.equals", "G is never 16", "nearest it can be is 15"],
+    ),
+    "valid at what lies between two steps": (
+        "  speed: {signal: SPD.V, valid_when: {signal: VCNT, equals: 0.5}}  # here",
+        ["valid_when.equals", "VCNT is never 0.5"],
+    ),
     "raw without unit": (
         "  speed: {raw: {id: 0x7E8, value: 'data[3]'}}  # here",
         ["a raw source needs 'unit:'", "km/h"],

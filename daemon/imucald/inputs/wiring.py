@@ -17,6 +17,7 @@ from imucald.can.dbc.resolved_signal import raw_limits
 from imucald.can.e2e.checksums import KINDS, NO_CHECKSUM, ONE_BYTE_KINDS
 from imucald.config import LoadedConfig
 from imucald.core.errors import ConfigError, DatabaseError
+from imucald.inputs.configured_values import as_decoded, check_raw
 from imucald.inputs.conversion import Conversion
 from imucald.inputs.expression import Expression
 from imucald.inputs.protection_settings import checker_for
@@ -128,7 +129,11 @@ def _add_status(
         raise loaded.error((*wanted.place, "valid_when", "signal"), str(error)) from None
     if name not in group.names:
         group.names.append(name)
-    status = Status(group.names.index(name), valid.values)
+    try:
+        values = tuple(as_decoded(group.message.signal(name), v) for v in valid.values)
+    except ConfigError as error:
+        raise loaded.error((*wanted.place, "valid_when", "equals"), str(error)) from None
+    status = Status(group.names.index(name), values)
     group.statuses.setdefault((wanted.channel, wanted.rank), []).append(status)
 
 
@@ -156,12 +161,11 @@ def _conversion(loaded: LoadedConfig, wanted: Wanted, signal: Signal | None) -> 
         where = "" if source.unit is not None else " in the database; set 'unit:' here"
         raise loaded.error(wanted.place, f"{error}{where}") from None
     low, high = source.range if source.range is not None else (-math.inf, math.inf)
-    not_available = source.not_available
+    not_available, equals = _compared(loaded, wanted, signal)
     if signal is not None and isinstance(signal.invalid_raw, int):
         not_available = (*not_available, signal.invalid_raw)
     if signal is not None and source.value_table:
         not_available = (*not_available, *no_values(signal.choices))
-    equals = source.equals
     return Conversion(
         unit=unit,
         sign=float(source.sign),
@@ -170,10 +174,27 @@ def _conversion(loaded: LoadedConfig, wanted: Wanted, signal: Signal | None) -> 
         high=high,
         rails=_rails(signal, source) if wanted.channel in _SENSORS else None,
         not_available=not_available,
-        on_values=(equals,) if isinstance(equals, int | float) else equals,
+        on_values=equals,
         on_above=source.above,
         step=_step(signal, unit),
     )
+
+
+def _compared(
+    loaded: LoadedConfig, wanted: Wanted, signal: Signal | None
+) -> tuple[tuple[int, ...], tuple[float, ...] | None]:
+    """Raw values that are none, and physical ones at which a flag is on, as they are decoded."""
+    source, key = wanted.source, "not_available"
+    equals = source.equals
+    values = (equals,) if isinstance(equals, int | float) else equals
+    if signal is None:
+        return source.not_available, values
+    try:
+        raws = tuple(check_raw(signal, raw) for raw in source.not_available)
+        key = "equals"
+        return raws, values and tuple(as_decoded(signal, value) for value in values)
+    except ConfigError as error:
+        raise loaded.error((*wanted.place, key), str(error)) from None
 
 
 def _step(signal: Signal | None, unit: Unit) -> float:

@@ -27,7 +27,7 @@ of the mounts below 2 deg (three, four, five that show; Student's distribution, 
 2.8 deg in 93 to 94 %, without a limit in 95 %."""
 NEEDED = 3
 """Launches or brakings before yaw can be usable."""
-NO_SAMPLES = "samples of the accelerometer that can be used: they are faulty, or come too seldom"
+NO_SAMPLES = "usable samples of the accelerometer: none come, or they are faulty or too seldom"
 
 
 class MountKnowledge(Struct, frozen=True):
