@@ -106,12 +106,16 @@ def test_no_number_of_rests_shows_an_error_finer_than_the_signal_is_rounded():
     assert known == pytest.approx([step**2 / 12.0] * 3, rel=0.02)
 
 
-@pytest.mark.parametrize("noise", [0.0, 0.1, 0.2, 0.3, 0.4, 0.6])
-def test_means_of_rounded_noise_are_off_by_what_is_stated(noise):
+@pytest.mark.parametrize("kind", ["noise", "tone"])
+@pytest.mark.parametrize("noise", [0.0, 0.1, 0.2, 0.3, 0.43, 0.6, 1.0])
+def test_means_of_rounded_numbers_are_off_by_what_is_stated(noise, kind):
     """True values anywhere between two steps; the steps are one."""
     rng = np.random.default_rng(3)
     true = rng.uniform(0.0, 1.0, 2000)
-    shown = np.round(true[:, None] + rng.normal(0.0, noise, (2000, 400)))
+    shaken = rng.normal(0.0, noise, (2000, 400))
+    if kind == "tone":
+        shaken = math.sqrt(2.0) * noise * np.sin(rng.uniform(0.0, 2.0 * math.pi, (2000, 400)))
+    shown = np.round(true[:, None] + shaken)
     errors = shown.mean(axis=1) - true
     stated = np.mean([rounding((v, v, v), 1.0) for v in shown.var(axis=1)]) + noise**2 / 400.0
     assert np.mean(errors**2) < 1.3 * stated + 1e-4

@@ -74,6 +74,8 @@ HEADING_FOUND_STD = 1.0
 """A heading less sure than this is taken as it comes: any source knows better [rad]."""
 ROLLS_ON_S = 2.0
 """A speed may say zero below walking pace, 1 m/s, which gentle brakes end in so long [s]."""
+HEADING_LATE_S = 1.0
+"""A heading may be that old: of satellites it is, by half a second and more [s]."""
 HEADING_SPACING_S = 0.5
 """Headings are taken so far apart: their errors last longer than a sample [s]."""
 
@@ -91,6 +93,7 @@ class AttitudeFilter:
         """ds of the publication [m/s^2], right-forward-up axes."""
         self.checked = False
         """Whether the sensor check has been made."""
+        self._check_is_restored = False  # since then the gyroscope has been off, or has warmed up
         self._propagator = Propagator(
             of_filter.longest_step, rfu_from_vehicle(*compensation.lever_arm)
         )
@@ -122,6 +125,8 @@ class AttitudeFilter:
         self._correction: Quaternion = IDENTITY
         self._propagator.q = IDENTITY
         self._source.restart()
+        self._net_turn = self._heading_before = 0.0
+        """Turned to the right in all since heading began [rad], and the heading up to which."""
 
     def _restart(self) -> None:
         """What was measured before goes with nothing that follows; speeds do."""
@@ -248,7 +253,7 @@ class AttitudeFilter:
         """Take what an earlier check found, vehicle axes, in the place of a check of one's own."""
         self.constant_bias = rfu_from_vehicle(*found.rate)
         self.constant_accel_error = rfu_from_vehicle(*found.force)
-        self.checked = True
+        self.checked = self._check_is_restored = True
 
     # result ----------------------------------------------------------------------------------
 
@@ -264,7 +269,8 @@ class AttitudeFilter:
         kalman = self.kalman
         if self._unseen(now) or max(kalman.P[0, 0], kalman.P[1, 1]) > SETTLED_STD**2:
             return AttitudeState.SETTLING
-        if self._heading_std() < HEADING_KNOWN_STD and self.settings.filter.heading != "free":
+        is_known = self._stated_heading_std() < HEADING_KNOWN_STD
+        if is_known and self.settings.filter.heading != "free":
             return AttitudeState.FULL
         return AttitudeState.RELATIVE_HEADING
 
@@ -274,7 +280,11 @@ class AttitudeFilter:
         kalman = self.kalman
         roll, pitch, heading = vehicle_angles(C)
         s, c = math.sin(heading), math.cos(heading)
-        std = (kalman.std_along(s, c, 0.0), kalman.std_along(c, -s, 0.0), self._heading_std())
+        std = (
+            kalman.std_along(s, c, 0.0),
+            kalman.std_along(c, -s, 0.0),
+            self._stated_heading_std(),
+        )
         rate = vehicle_from_rfu(*self._propagator.rate)
         if unseen := self._unseen(now):
             tilt, yaw = UNSEEN_TILT_STD, UNSEEN_YAW_RATE * unseen
@@ -305,7 +315,15 @@ class AttitudeFilter:
         return self._lost_time.standing
 
     def _heading_std(self) -> float:
-        return math.hypot(math.sqrt(max(float(self.kalman.P[2, 2]), 0.0)), self._source.doubt)
+        """Of the gyroscope's heading: its gain is wrong in all turns alike [rad]."""
+        of_gain = self.settings.filter.gyro_gain * self._net_turn
+        return math.hypot(math.sqrt(max(float(self.kalman.P[2, 2]), 0.0)), of_gain)
+
+    def _stated_heading_std(self) -> float:
+        """The same with the source's own error, which no number of headings makes smaller."""
+        f = self.settings.filter
+        of_source = {"free": 0.0, "signal": f.heading_noise, "magnetometer": f.magnetometer_noise}
+        return math.hypot(self._heading_std(), of_source[f.heading], self._source.doubt)
 
     def _C(self) -> Rows:
         """C_nav_from_body: the correction after the gyroscope's matrix."""
@@ -365,13 +383,10 @@ class AttitudeFilter:
         s = self.settings.filter
         tilt = START_REST_STD if resting else START_MOVING_STD
         free = 0.0 if s.heading == "free" else math.pi
-        gyro = s.gyro_start
-        if self.checked:  # in an earlier drive, perhaps, and with how much noise is not known
-            rounded = self._resolution / math.sqrt(12.0)
-            x, y, z = per_axis(s.gyro_random)
-            gyro = max(x, rounded), max(y, rounded), max(z, rounded)
-        self.kalman.start(tilt, free, gyro)
+        is_own = self.checked and not self._check_is_restored
+        self.kalman.start(tilt, free, s.gyro_random if is_own else s.gyro_start)
         self.running = True
+        self._net_turn, self._heading_before = 0.0, vehicle_angles(self._C())[2]
         self._predicted = found.t1
         self._filter(found, None)
 
@@ -380,7 +395,8 @@ class AttitudeFilter:
         dt = max(found.t1 - self._predicted, 0.0)
         self._predicted = found.t1
         C = self._C()
-        self.kalman.predict(C, dt, found.angle)
+        rounded = rounding(found.rate_variance, self._resolution)
+        self.kalman.predict(C, dt, found.angle, rounded)
         gravity = times(rows_from_quaternion(self._correction), found.up)
         lag = max(self._propagator.t - 0.5 * (found.t0 + found.t1), 0.0)
         measurements = tilt(found, gravity, C, self.kalman.accel_error, lag)
@@ -391,24 +407,33 @@ class AttitudeFilter:
             noise, step = of_axes(self.settings.filter.gyro_noise), self._resolution
             measurements += rest_rates(still, bias, noise, (x, y, z), step)
         self._apply(self.kalman.update(measurements))
-        self._grade.take(found, -vehicle_angles(self._C())[1])
+        _, pitch, heading = vehicle_angles(self._C())
+        self._grade.take(found, -pitch)
+        self._net_turn += wrapped(heading - self._heading_before)
+        self._heading_before = heading
 
     def _take_heading(self, t: float, heading: float, noise: float) -> None:
         if t - self._heading_seen < HEADING_SPACING_S:
             return
         self._heading_seen = t
         kalman, C = self.kalman, self._C()
-        variance, estimated = float(kalman.P[2, 2]), vehicle_angles(C)[2]
+        variance, estimated = self._heading_std() ** 2, vehicle_angles(C)[2]
+        late = HEADING_LATE_S * abs(self._propagator.rate[2])
         if variance < HEADING_FOUND_STD**2 or self._source.doubt:
-            difference = wrapped(heading - estimated)
-            verdict = self._source.take(t, difference, variance, noise * noise, estimated)
+            difference, of_source = wrapped(heading - estimated), noise * noise + late * late
+            verdict = self._source.take(t, difference, variance, of_source, estimated)
             if verdict is Verdict.REFUSED:
                 return
             if verdict is Verdict.BEGUN_AGAIN:
                 kalman.forget_heading()
+        if late > noise:
+            return
+        P = float(kalman.P[2, 2])
         error = kalman.update([heading_difference(heading, C, noise)])
         self._apply(error)
         kalman.turn_north(error[2])
+        self._net_turn *= noise * noise / (P + noise * noise)
+        self._heading_before = vehicle_angles(self._C())[2]
 
     def _apply(self, error: Vector) -> None:
         self._correction = quaternion_product(quaternion_from_vector(*error), self._correction)
@@ -429,4 +454,4 @@ class AttitudeFilter:
             return
         self.constant_bias, self.constant_accel_error = result
         self.kalman.forget_bias(rounding(found.rate_variance, self._resolution))
-        self.checked = True
+        self.checked, self._check_is_restored = True, False

@@ -22,8 +22,8 @@ AGREES_FOR = 60.0
 """So long, at least, it has to agree but for a constant [s]."""
 TURNED = math.pi / 2.0
 """Over a turn of so much, and of twice what may differ meanwhile [rad]."""
-LONGEST_STEP = 2.0
-"""Headings further apart than this do not show which way round the vehicle turned [s]."""
+LONGEST_STEP = 10.0
+"""Headings further apart than this are no series [s]."""
 
 
 class Verdict(enum.Enum):
@@ -40,20 +40,19 @@ class HeadingSource:
 
     def __init__(self, gate: float) -> None:
         self._gate = gate
+        self._proved = self._is_undecided = False
+        self.doubt = 0.0
+        """Largest difference since the source was lost [rad]; 0 while it may be followed."""
         self.restart()
 
     def restart(self) -> None:
-        """Nothing is known of the source."""
+        """The gyroscope's heading begins again: nothing is proved, and what is doubted stays so."""
+        self._is_undecided |= self.doubt > 0.0 and self._proved
         self._proved = False
-        self._follow()
+        self._beyond_since: float | None = None
         self._begin = self._t = -math.inf
         self._anchor = self._heading = self._turn = self._least = self._most = 0.0
         self._anchor_variance = 0.0
-
-    def _follow(self) -> None:
-        self.doubt = 0.0
-        """Largest difference since the source was lost [rad]; 0 while it may be followed."""
-        self._beyond_since: float | None = None
 
     def take(
         self, t: float, difference: float, variance: float, noise: float, heading: float
@@ -63,6 +62,8 @@ class HeadingSource:
         difference: of the source from the gyroscope [rad]; variance: of the gyroscope's heading;
         noise: of the source [rad^2]; heading: the gyroscope's [rad].
         """
+        if t - self._t > LONGEST_STEP:
+            self._beyond_since = None
         proves = self._proves(t, difference, variance, noise, heading)
         is_beyond = difference * difference > self._gate**2 * (variance + noise)
         if not self.doubt:
@@ -77,10 +78,9 @@ class HeadingSource:
                 self._t = -math.inf  # it has to prove itself from here on
             return Verdict.REFUSED
         self.doubt = max(self.doubt, abs(difference))
-        if not proves or (is_beyond and self._proved):
+        if not proves or self._is_undecided or (is_beyond and self._proved):
             return Verdict.REFUSED
-        self._follow()
-        self._proved = True
+        self.doubt, self._beyond_since, self._proved = 0.0, None, True
         return Verdict.BEGUN_AGAIN if is_beyond else Verdict.FOLLOWED
 
     def _proves(

@@ -34,6 +34,9 @@ STATES = 9
 YAW_STD_MAX = math.pi
 """A free heading is unknown; its variance stops growing here [rad], long before it could spoil
 the numbers."""
+ROUNDED_S = 10.0
+"""A rate that nothing shakes stays within one step of its signal for so long [s]: creeping, or
+straight on a smooth road."""
 _EYE = np.eye(STATES)
 
 
@@ -95,8 +98,13 @@ class NineStateFilter:
         self.P[2, :] = self.P[:, 2] = 0.0
         self.P[2, 2] = YAW_STD_MAX**2
 
-    def predict(self, C_nav_from_body: Rows, dt: float, turned: float) -> None:
-        """Time update over dt [s], in which the body turned by so much [rad]."""
+    def predict(
+        self, C_nav_from_body: Rows, dt: float, turned: float, rounding: float = 0.0
+    ) -> None:
+        """Time update over dt [s], in which the body turned by so much [rad].
+
+        rounding: variance of a mean of the rate, from the steps of its signal [(rad/s)^2].
+        """
         s = self.settings
         keep_d = math.exp(-dt / s.accel_random_time)
         F = np.diag([1.0] * 6 + [keep_d] * 3)
@@ -105,7 +113,7 @@ class NineStateFilter:
         g = self._gyro_noise
         least = min(g)
         grown = np.array(
-            [least * least * dt + (s.gyro_scale * turned) ** 2] * 3
+            [(least * least + rounding * ROUNDED_S) * dt + (s.gyro_scale * turned) ** 2] * 3
             + [2.0 * c**2 * dt / s.gyro_random_time for c in self._gyro_random]
             + [c**2 * (1.0 - keep_d * keep_d) for c in self.accel_random]
         )

@@ -40,11 +40,14 @@ def tilt(
     heading = vehicle_angles(C)[2]
     s, c = math.sin(heading), math.cos(heading)
     right, forward = (c, -s, 0.0), (s, c, 0.0)
+    speed = 0.0 if math.isnan(interval.speed) else interval.speed
     h_pitch, h_roll = np.zeros(STATES), np.zeros(STATES)
     for h, axis, other, sign in ((h_pitch, right, forward, -1.0), (h_roll, forward, right, 1.0)):
         h[0:3] = [-a for a in axis]
         h[3:6] = [-lag * a for a in transposed_times(C, axis)]
         h[6:9] = [sign * a / GRAVITY for a in transposed_times(C, other)]
+    # a false turn rate takes off a centripetal acceleration that is not there: of v b to the right
+    h_roll[3:6] += [speed * a / GRAVITY for a in transposed_times(C, (0.0, 0.0, 1.0))]
     z_pitch = -math.atan2(forward[0] * east + forward[1] * north, up)
     z_roll = math.atan2(right[0] * east + right[1] * north, up)
     return [
@@ -79,16 +82,22 @@ def rest_rates(
 def rounding(spread: Vector, resolution: float) -> float:
     """Variance of a mean of rounded numbers about the mean of the true ones.
 
-    spread: variance of a rounded number, for each axis; the quietest counts. Noise takes the
-    rounding away (dither): the error falls with exp(-2 (pi s / step)^2) (Widrow and Kollar,
-    Quantization Noise, 2008: the first term of the sum), from the step^2 / 12 of a signal without
-    noise. So much the rounding adds to the noise's s^2 as well (Sheppard).
+    spread: variance of a rounded number, for each axis; the quietest counts. What shakes them takes
+    the rounding away (dither), from the step^2 / 12 of a signal that is still: noise of size s
+    with exp(-2 (pi s / step)^2), a tone of amplitude A, as of an engine that idles, with
+    J0(2 pi A / step), whose size is below sqrt(step / A) / pi (Widrow and Kollar, Quantization
+    Noise, 2008: the first term of the sum). Which of the two it is is not known. The rounding
+    adds step^2 / 12 to the spread as well (Sheppard).
     """
     if resolution == 0.0:
         return 0.0
     most = resolution**2 / 12.0
     noise = max(min(spread) - most, 0.0)
-    return most * math.exp(-4.0 * math.pi**2 * noise / resolution**2)
+    amplitude = math.sqrt(2.0 * noise) / resolution
+    left = most * math.exp(-4.0 * math.pi**2 * noise / resolution**2)
+    if amplitude > 0.0:
+        left = max(left, resolution**2 / (2.0 * math.pi**4 * amplitude))
+    return min(left, most)
 
 
 def heading_difference(heading: float, C: Rows, noise: float) -> Measurement:

@@ -86,6 +86,8 @@ class FilterSettings(Settings, frozen=True):
     """Its random error: it walks by sqrt(2) of this in gyro_random_time."""
     gyro_random_time: Positive = 600.0
     """[s]"""
+    gyro_gain: Share = 0.01
+    """Standard deviation of its gain, the same in all turns: consumer parts have up to 3 %."""
     gyro_scale: Share = 0.003
     """Part of a turned angle that leaks into the other axes."""
     accel_noise: PerAxis = 0.02
