@@ -76,6 +76,18 @@ MISTAKES = {
         "  reverse: {signal: GEAR.G, equals: 16}  # here",
         ["reverse.equals", "G is never 16", "nearest it can be is 15"],
     ),
+    "on at what is infinite": (
+        "  reverse: {signal: GEAR.G, equals: .inf}  # here",
+        ["reverse.equals"],
+    ),
+    "on at what is no number": (
+        "  reverse: {signal: GEAR.G, equals: .nan}  # here",
+        ["reverse.equals"],
+    ),
+    "on at more than a double holds": (
+        "  reverse: {signal: SPD.V, equals: 1.7e+308}  # here",
+        ["reverse.equals"],
+    ),
     "valid at what lies between two steps": (
         "  speed: {signal: SPD.V, valid_when: {signal: VCNT, equals: 0.5}}  # here",
         ["valid_when.equals", "VCNT is never 0.5"],

@@ -17,10 +17,13 @@ def as_decoded(signal: Signal, value: float) -> float:
     """
     if signal.is_float or not signal.scale:
         return value
-    scale, offset = float(signal.scale), float(signal.offset)
-    low, high = raw_limits(signal)
-    raw = min(max(round((value - offset) / scale), low), high)
-    found = float(scaling_of(signal, signal.name).column(np.array([raw]))[0])
+    try:
+        low, high = raw_limits(signal)
+        scale, offset = float(signal.scale), float(signal.offset)
+        raw = min(max(round((value - offset) / scale), low), high)
+        found = float(scaling_of(signal, signal.name).column(np.array([raw]))[0])
+    except (OverflowError, ValueError):  # infinite, no number, or beyond all that a bus carries
+        raise ConfigError(f"{signal.name} is never {value:g}") from None
     if abs(found - value) > 1e-6 * abs(scale):
         raise ConfigError(f"{signal.name} is never {value:g}; the nearest it can be is {found:g}")
     return found
@@ -28,8 +31,10 @@ def as_decoded(signal: Signal, value: float) -> float:
 
 def check_raw(signal: Signal, raw: int) -> int:
     """The raw number; raises ConfigError where the signal's bits do not hold it."""
+    if signal.is_float or signal.length < 1:  # who decodes the signal refuses the second
+        return raw
     low, high = raw_limits(signal)
-    if low <= raw <= high or signal.is_float:
+    if low <= raw <= high:
         return raw
     text = f"{signal.name} is never {raw}: its raw numbers are {low} to {high}"
     size = 1 << signal.length

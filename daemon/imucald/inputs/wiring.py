@@ -131,7 +131,7 @@ def _add_status(
         group.names.append(name)
     try:
         values = tuple(as_decoded(group.message.signal(name), v) for v in valid.values)
-    except ConfigError as error:
+    except (ConfigError, DatabaseError) as error:
         raise loaded.error((*wanted.place, "valid_when", "equals"), str(error)) from None
     status = Status(group.names.index(name), values)
     group.statuses.setdefault((wanted.channel, wanted.rank), []).append(status)
@@ -193,14 +193,17 @@ def _compared(
         raws = tuple(check_raw(signal, raw) for raw in source.not_available)
         key = "equals"
         return raws, values and tuple(as_decoded(signal, value) for value in values)
-    except ConfigError as error:
+    except (ConfigError, DatabaseError) as error:
         raise loaded.error((*wanted.place, key), str(error)) from None
 
 
 def _step(signal: Signal | None, unit: Unit) -> float:
     if signal is None or signal.is_float:
         return 0.0
-    return abs(float(signal.scale) * unit.factor)
+    try:
+        return abs(float(signal.scale) * unit.factor)
+    except OverflowError:  # a whole number of any size; who decodes the signal refuses it
+        return 0.0
 
 
 def _unit(text: str | None, dimension: str) -> Unit:
