@@ -77,7 +77,10 @@ ROLLS_ON_S = 2.0
 HEADING_LATE_S = 1.0
 """A heading may be that old: of satellites it is, by half a second and more [s]."""
 HEADING_SPACING_S = 0.5
-"""Headings are taken so far apart: their errors last longer than a sample [s]."""
+"""Headings are taken so far apart [s]."""
+HEADING_ERRORS_S = 60.0
+"""An error of a source lasts so long, and headings within it are one [s]: fused ones drift, steel
+beside the road goes on. So the gyroscope's zero error is learnt from rests before it."""
 
 
 class AttitudeFilter:
@@ -419,14 +422,17 @@ class AttitudeFilter:
         kalman, C = self.kalman, self._C()
         variance, estimated = self._heading_std() ** 2, vehicle_angles(C)[2]
         late = HEADING_LATE_S * abs(self._propagator.rate[2])
+        is_bend = late > noise
         if variance < HEADING_FOUND_STD**2 or self._source.doubt:
             difference, of_source = wrapped(heading - estimated), noise * noise + late * late
-            verdict = self._source.take(t, difference, variance, of_source, estimated)
+            verdict = self._source.take(t, difference, variance, of_source, estimated, is_bend)
             if verdict is Verdict.REFUSED:
                 return
             if verdict is Verdict.BEGUN_AGAIN:
                 kalman.forget_heading()
-        if late > noise:
+            else:
+                noise *= math.sqrt(HEADING_ERRORS_S / HEADING_SPACING_S)
+        elif is_bend:
             return
         P = float(kalman.P[2, 2])
         error = kalman.update([heading_difference(heading, C, noise)])

@@ -55,21 +55,32 @@ class HeadingSource:
         self._anchor_variance = 0.0
 
     def take(
-        self, t: float, difference: float, variance: float, noise: float, heading: float
+        self,
+        t: float,
+        difference: float,
+        variance: float,
+        noise: float,
+        heading: float,
+        is_bend: bool = False,
     ) -> Verdict:
         """Judge a heading of stream time t [s].
 
         difference: of the source from the gyroscope [rad]; variance: of the gyroscope's heading;
-        noise: of the source [rad^2]; heading: the gyroscope's [rad].
+        noise: of the source [rad^2]; heading: the gyroscope's [rad]. is_bend: a late heading is off
+        by more than the source's own noise; it can contradict, and neither prove nor be followed.
         """
         if t - self._t > LONGEST_STEP:
             self._beyond_since = None
         proves = self._proves(t, difference, variance, noise, heading)
         is_beyond = difference * difference > self._gate**2 * (variance + noise)
+        if not is_beyond:
+            self._beyond_since = None
+        if is_bend and not is_beyond:
+            return Verdict.REFUSED
+        proves = proves and not is_bend
         if not self.doubt:
-            self._proved |= proves and not is_beyond
             if not is_beyond:
-                self._beyond_since = None
+                self._proved |= proves
                 return Verdict.FOLLOWED
             if self._beyond_since is None:
                 self._beyond_since = t
