@@ -102,6 +102,19 @@ def test_a_jump_leaves_the_heading_in_doubt_until_the_source_is_back(motion, bac
     assert is_full[-1] == (back < SECONDS)
 
 
+@pytest.mark.parametrize("drift", [0.02, 0.05, 0.1, 0.3])
+def test_a_source_that_drifts_makes_no_wrong_heading_good(motion, drift):
+    """Its headings are not independent: else the gyroscope would seem to drift the other way."""
+
+    def source(t, true):
+        return true + drift * DEG * max(t - BROKEN, 0.0)
+
+    _, is_full, errors, std = drive(motion, source)
+    assert not (is_full & (errors > 4.0 * std)).any()
+    if drift * (SECONDS - BROKEN) > 20.0:
+        assert not is_full[-1]
+
+
 def test_a_wrong_first_heading_is_left_where_the_source_has_proved_itself(motion):
     """An inertial navigation that tells nothing of use before it is aligned."""
     t, is_full, errors, std = drive(motion, lambda t, true: true if t > 30.0 else 2.0)
