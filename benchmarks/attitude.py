@@ -1,6 +1,6 @@
 """Attitude of the vehicle: methods B and C against an INS, simulated truth and open filters.
 
-    python -m benchmarks.attitude [kingston|drives|turn|parked|check ...]
+    python -m benchmarks.attitude [kingston|drives|turn|parked|check|heading ...]
 
 Needs the `ahrs` and `imufusion` packages for the comparison (extra `dev`).
 """
@@ -10,6 +10,7 @@ from __future__ import annotations
 import gzip
 import math
 import sys
+from collections.abc import Sequence
 
 import numpy as np
 from scipy.stats import chi2
@@ -31,10 +32,15 @@ from benchmarks.attitude_methods import (
 from benchmarks.measured import DATA, MEASURED_DRIVES, is_here, nothing_measured, verdict
 from benchmarks.six_positions import find_rests, six_parameters
 from imucald.attitude.filter import AttitudeFilter
-from imucald.config import load_config
+from imucald.can.logs.log_reader import LogReader
+from imucald.config import load_config, parse_config
 from imucald.config.attitude import AttitudeSettings, FilterSettings
 from imucald.core.samples import GRAVITY
 from imucald.model.model import VehicleModel
+from imucald.mount.estimate import Correction
+from imucald.runtime.consumers import AttitudeConsumer
+from imucald.runtime.replay import Replay
+from imucald.runtime.session import make_engine
 from imucald.simulation.drive import simulate
 from imucald.simulation.filters import generator
 
@@ -51,6 +57,16 @@ ACCEL_WALK = 0.001
 """Walk of the accelerometer's zero error [m/s^2/sqrt(s)]: 0.017 in five minutes."""
 RESOLUTION = 0.01
 """Of angles on the bus [deg]."""
+ITS_HEADING = """  heading:
+    signal: gnss_attitude.Heading
+    valid_when: {signal: AttitudeValid, equals: 1}
+attitude: {enabled: true}
+"""
+WARM_ROWS = 30
+"""Headings, one a second, from whose median the drift counts."""
+MODULE_STD = math.radians(1.3)
+"""Of the module's heading: nine in ten are better by its own accuracy signal."""
+COVERED = 0.9
 DRIFT = 0.005
 """Walk of the gyroscope's zero error in five minutes, standard deviation [deg/s]."""
 
@@ -263,9 +279,53 @@ def check() -> bool:
     return met
 
 
-PARTS = {"kingston": ins, "drives": drives, "turn": turn, "parked": parked, "check": check}
+def heading() -> bool:
+    """The heading on a bus whose sensor module fuses one of its own, counted from the start."""
+    print("\n6. css_canmod_164: relative heading beside that of its module with satellites\n")
+    file = MEASURED_DRIVES / f"{MEASURED['heading']}.yaml"
+    engine = make_engine(parse_config(file.read_text("utf-8") + ITS_HEADING, file))
+    (consumer,) = engine.consumers
+    assert isinstance(consumer, AttitudeConsumer)
+    take, rows = consumer.sample, []
 
-MEASURED = {"kingston": "kingston_2008", "check": "static_xsens"}
+    def sample(t: float, channel: str, values: Sequence[float], R: Correction | None) -> None:
+        take(t, channel, values, R)
+        if channel == "heading" and consumer.filter.running:
+            e = consumer.filter.estimate()
+            rows.append((t, e.heading - values[0], e.std[2]))
+
+    consumer.sample = sample  # type: ignore[method-assign]
+    log = DATA / MEASURED["heading"] / "drive.log.gz"
+    for _ in Replay(engine, LogReader([log], engine.router.matches)).chunks():
+        pass
+    t, difference, std = np.array(rows).T
+    drift = np.unwrap(difference)
+    drift -= np.median(drift[:WARM_ROWS])
+    print("| after | drift | standard deviation stated | [deg]\n|---|---|---|")
+    for after in (120.0, 300.0, 600.0, 1200.0, math.inf):
+        i = min(int(np.searchsorted(t - t[0], after)), len(t) - 1)
+        print(f"| {t[i] - t[0]:.0f} s | {np.degrees(drift[i]):+.1f} | {np.degrees(std[i]):.1f} |")
+    late = t - t[0] > WARM_S
+    cover = float(np.mean(np.abs(drift[late]) < 1.96 * np.hypot(std[late], MODULE_STD)))
+    print(f"\n95 % interval covers {100 * cover:.1f} % of the module's headings, which are taken "
+          f"as right to 1.3 deg: {verdict(cover >= COVERED)} (bar: 90 %)")  # fmt: skip
+    return cover >= COVERED
+
+
+PARTS = {
+    "kingston": ins,
+    "drives": drives,
+    "turn": turn,
+    "parked": parked,
+    "check": check,
+    "heading": heading,
+}
+
+MEASURED = {
+    "kingston": "kingston_2008",
+    "check": "static_xsens",
+    "heading": "css_canmod_164",
+}
 """Parts that need a measured drive."""
 
 
