@@ -14,7 +14,8 @@ from paths import ROOT
 
 PARTS = ("benchmarks", "config", "dbc", "tests")
 COMMANDS = (
-    "attitude kingston", "attitude check", "attitude heading", "diagnosis --only nulls second_world",
+    "attitude kingston", "attitude check", "attitude heading",
+    "diagnosis --only nulls second_world",
     "init --part measured", "init --part second_world", "init --part renamed",
     "integrity --only recorded", "methods", "real_drives", "real_drives --only wrx_sti",
     "simulation_realism", "walk measured",
