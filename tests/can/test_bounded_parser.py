@@ -122,6 +122,7 @@ while True: pass
         ("dbc", "SG_ " * 250_000),
         ("dbc", "SG_ a " + "b" * 1_000_000),
         ("dbc", "BO_ " + "1" * 1_000_000),
+        ("dbc", "BO_ " * 200_000),
         ("dbc", "SG_MUL_VAL_ " * 80_000),
         ("kcd", "<Message " * 110_000),
         ("kcd", "<Message " + "length " * 150_000),
@@ -134,6 +135,35 @@ def test_a_megabyte_of_anything_is_looked_through_in_a_moment(kind, text):
     with contextlib.suppress(DatabaseError):
         refuse_heavy(text, kind, "x")
     assert time.process_time() - began < 1.0
+
+
+@pytest.mark.parametrize(
+    "message",
+    [
+        "BO_ 5 X: 5000 A",
+        "BO_ 5X:5000 A",
+        "BO_ -5 X : 5000 A",
+        "BO_ 5\nX\n:\n5000 A",
+        "BO_ 5 A_BO_X: 5000 A",
+    ],
+)
+def test_a_message_that_is_too_long_is_refused_however_it_is_spaced(message):
+    with pytest.raises(DatabaseError, match="x:2: the number 5000 is larger than 4096"):
+        refuse_heavy(f"BS_: 500000\n{message}\n", "dbc", "x")
+
+
+def test_numbers_that_are_no_lengths_are_none():
+    text = f'NS_ :\n BO_TX_BU_\n\nBS_: 500000\n{HEAD}CM_ BO_ 16 "period: 100000 us";\n'
+    refuse_heavy(text, "dbc", "x")
+
+
+def test_a_small_text_that_needs_all_memory_is_refused(monkeypatch):
+    def parse(*_):
+        raise MemoryError
+
+    monkeypatch.setattr(bounded_parser, "parse", parse)
+    with pytest.raises(DatabaseError, match="x: needs more memory than there is"):
+        bounded_parser.parse_bounded("BO_", "dbc", "x")
 
 
 def test_a_file_larger_than_memory_could_hold_is_refused_unread(tmp_path, monkeypatch):

@@ -52,7 +52,10 @@ def max_file_bytes() -> int:
 def parse_bounded(text: str, database_format: str, source: str) -> list[Message]:
     """Return the messages of a database's text; DatabaseError where it is wrong or too much."""
     if len(text) <= SMALL or not sys.executable:
-        return parse(text, database_format, source)
+        try:
+            return parse(text, database_format, source)
+        except MemoryError:
+            raise DatabaseError(f"{source}: needs more memory than there is") from None
     import subprocess  # noqa: PLC0415 - large databases only
 
     memory = int(allowed_memory() * PARSER_SHARE)

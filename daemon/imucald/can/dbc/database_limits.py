@@ -6,6 +6,7 @@ line of text), and its time with the product of nested multiplexers. Real databa
 
 from __future__ import annotations
 
+import itertools
 import re
 from collections.abc import Mapping, Sequence
 
@@ -24,7 +25,6 @@ MAX_MULTIPLEXED_SETS = 65_536
 
 _NUMBERS: Mapping[str, Sequence[tuple[str, int]]] = {
     "dbc": (
-        (r"\bBO_\s+\d+\s+\w+\s*:\s*(\d+)", MAX_MESSAGE_BYTES),
         (r"\bSG_\s+\w+(?:\s+\w+)?\s*:\s*(\d+)\s*\|", MAX_BITS),
         (r"\bSG_\s+\w+(?:\s+\w+)?\s*:\s*\d+\s*\|\s*(\d+)", MAX_BITS),
     ),
@@ -45,6 +45,8 @@ _NUMBERS: Mapping[str, Sequence[tuple[str, int]]] = {
 
 _SYM_SIGNAL = re.compile(r"\b(?:Sig|Var|Mux)\s*=")
 _SYM_NUMBER = re.compile(r"\s(\d{5,})(?![\dA-Fa-fh])")
+_MESSAGE = re.compile(r"\bBO_(?!\w)")
+_FIRST_NUMBER = re.compile(r"\s*(\d+)")
 _MULTIPLEXED = re.compile(r"\s+(\d{1,20})\s+(\w+)\s+(\w+)\s+(.*)", re.DOTALL)
 _RANGE = re.compile(r"(\d{1,20})\s*-\s*(\d{1,20})")
 
@@ -55,9 +57,24 @@ def refuse_heavy(text: str, database_format: str, source: str) -> None:
         for match in re.finditer(pattern, text):
             _refuse_number(match.group(1), limit, text, match.start(), source)
     if database_format == "dbc":
+        _refuse_long_messages(text, source)
         _refuse_multiplexers(text, source)
     elif database_format == "sym":
         _refuse_sym_positions(text, source)
+
+
+def _refuse_long_messages(text: str, source: str) -> None:
+    """Refuse a message of a DBC that is too long.
+
+    The parser needs no space between identifier and name: what stands up to the colon is looked at
+    no further, and each piece of the text once.
+    """
+    starts = [match.start() for match in _MESSAGE.finditer(text)]
+    for at, end in itertools.pairwise([*starts, len(text)]):
+        head, _, rest = text[at:end].partition(":")
+        number = _FIRST_NUMBER.match(rest)
+        if number and '"' not in head and ";" not in head:
+            _refuse_number(number.group(1), MAX_MESSAGE_BYTES, text, at, source)
 
 
 def _refuse_sym_positions(text: str, source: str) -> None:
