@@ -90,7 +90,7 @@ def test_what_no_vehicle_does_is_never_followed_and_soon_doubted(motion, kind):
 
 @pytest.mark.parametrize("back", [math.inf, 140.0])
 def test_a_jump_leaves_the_heading_in_doubt_until_the_source_is_back(motion, back):
-    """Both norths were proved over turns: one is wrong, and nothing tells which."""
+    """Both norths were proved over turns: one is wrong, and nothing shows which."""
     jump, broken = math.radians(60.0), 100.0
     t, is_full, errors, std = drive(motion, lambda t, x: x + jump * (broken < t < back))
     assert errors.max() < 3.0 * DEG
@@ -116,7 +116,7 @@ def test_a_source_that_drifts_makes_no_wrong_heading_good(motion, drift):
 
 
 def test_a_wrong_first_heading_is_left_where_the_source_has_proved_itself(motion):
-    """An inertial navigation that tells nothing of use before it is aligned."""
+    """An inertial navigation system is of no use before it is aligned."""
     t, is_full, errors, std = drive(motion, lambda t, true: true if t > 30.0 else 2.0)
     assert not (is_full & (errors > 4.0 * std + 1.0 * DEG))[t > 40.0].any()
     assert is_full[-1]

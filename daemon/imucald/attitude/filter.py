@@ -79,8 +79,8 @@ HEADING_LATE_S = 1.0
 HEADING_SPACING_S = 0.5
 """Headings are taken so far apart [s]."""
 HEADING_ERRORS_S = 60.0
-"""An error of a source lasts so long, and headings within it are one [s]: fused ones drift, steel
-beside the road goes on. So the gyroscope's zero error is learnt from rests before it."""
+"""An error of a source lasts so long, and all headings within it count as one [s]: a fused heading
+drifts, steel beside the road goes on. So rests count for more in the gyroscope's zero error."""
 
 
 class AttitudeFilter:
@@ -105,6 +105,11 @@ class AttitudeFilter:
         self._motion = MotionCompensation(compensation) if compensation.send else None
         self._source = HeadingSource(of_filter.gate)
         self._resolution = of_filter.gyro_resolution or 0.0
+        self._heading_noise = {
+            "free": 0.0,
+            "signal": of_filter.heading_noise,
+            "magnetometer": of_filter.magnetometer_noise,
+        }[of_filter.heading]
         self._lost_time = LostTime()
         self.reset()
 
@@ -206,7 +211,7 @@ class AttitudeFilter:
     def heading(self, t: float, heading: float) -> None:
         """Take a heading, clockwise from north [rad]."""
         if self.settings.filter.heading == "signal" and self.running:
-            self._take_heading(t, heading, self.settings.filter.heading_noise)
+            self._take_heading(t, heading)
 
     def mag(self, t: float, values: Sequence[float]) -> None:
         """Take a magnetic field in vehicle axes [T]; its level part points north."""
@@ -218,7 +223,7 @@ class AttitudeFilter:
             # the field seems turned by as much as the estimate is turned the other way
             estimated = vehicle_angles(self._C())[2]
             measured = estimated - math.atan2(east, north) + self.settings.filter.declination
-            self._take_heading(t, measured, self.settings.filter.magnetometer_noise)
+            self._take_heading(t, measured)
 
     def turned(self, old: Sequence[float], new: Sequence[float]) -> None:
         """The mount's rotation (9 numbers, row by row) is another one from here on.
@@ -318,15 +323,13 @@ class AttitudeFilter:
         return self._lost_time.standing
 
     def _heading_std(self) -> float:
-        """Of the gyroscope's heading: its gain is wrong in all turns alike [rad]."""
+        """Of the gyroscope's heading: its gain is wrong by the same part in all turns [rad]."""
         of_gain = self.settings.filter.gyro_gain * self._net_turn
         return math.hypot(math.sqrt(max(float(self.kalman.P[2, 2]), 0.0)), of_gain)
 
     def _stated_heading_std(self) -> float:
         """The same with the source's own error, which no number of headings makes smaller."""
-        f = self.settings.filter
-        of_source = {"free": 0.0, "signal": f.heading_noise, "magnetometer": f.magnetometer_noise}
-        return math.hypot(self._heading_std(), of_source[f.heading], self._source.doubt)
+        return math.hypot(self._heading_std(), self._heading_noise, self._source.doubt)
 
     def _C(self) -> Rows:
         """C_nav_from_body: the correction after the gyroscope's matrix."""
@@ -415,11 +418,11 @@ class AttitudeFilter:
         self._net_turn += wrapped(heading - self._heading_before)
         self._heading_before = heading
 
-    def _take_heading(self, t: float, heading: float, noise: float) -> None:
+    def _take_heading(self, t: float, heading: float) -> None:
         if t - self._heading_seen < HEADING_SPACING_S:
             return
         self._heading_seen = t
-        kalman, C = self.kalman, self._C()
+        kalman, C, noise = self.kalman, self._C(), self._heading_noise
         variance, estimated = self._heading_std() ** 2, vehicle_angles(C)[2]
         late = HEADING_LATE_S * abs(self._propagator.rate[2])
         is_bend = late > noise
@@ -439,7 +442,7 @@ class AttitudeFilter:
         self._apply(error)
         kalman.turn_north(error[2])
         self._net_turn *= noise * noise / (P + noise * noise)
-        self._heading_before = vehicle_angles(self._C())[2]
+        self._heading_before += vehicle_angles(self._C())[2] - estimated  # a correction, no turn
 
     def _apply(self, error: Vector) -> None:
         self._correction = quaternion_product(quaternion_from_vector(*error), self._correction)

@@ -6,7 +6,7 @@ the heading is doubted by as much as the two have differed since. A source has p
 but for a constant, it has agreed with the gyroscope for a minute and over a turn that it could
 not have followed frozen, mirrored or at another scale. Then it is taken up again: where it is back
 at the north from before, or had not proved that one. Of two norths that were both proved one is
-wrong, and nothing tells which: the doubt stays. Pure.
+wrong, and nothing shows which: the doubt stays. Pure.
 """
 
 from __future__ import annotations
@@ -17,13 +17,13 @@ import math
 from imucald.attitude.right_forward_up import wrapped
 
 LOST_AFTER = 5.0
-"""Headings beyond the gate for so long are no outliers [s]: of a multipath, of a steel bridge."""
+"""Outliers last less than this [s]: a reflected satellite signal, a steel bridge."""
 AGREES_FOR = 60.0
-"""So long, at least, it has to agree but for a constant [s]."""
+"""A source proves itself in no less than this [s] ..."""
 TURNED = math.pi / 2.0
-"""Over a turn of so much, and of twice what may differ meanwhile [rad]."""
+"""... and over a turn of at least this, and of twice what the two may differ by meanwhile [rad]."""
 LONGEST_STEP = 10.0
-"""Headings further apart than this are no series [s]."""
+"""After a longer silence the source has to begin its proof again [s]."""
 
 
 class Verdict(enum.Enum):
@@ -66,8 +66,9 @@ class HeadingSource:
         """Judge a heading of stream time t [s].
 
         difference: of the source from the gyroscope [rad]; variance: of the gyroscope's heading;
-        noise: of the source [rad^2]; heading: the gyroscope's [rad]. is_bend: a late heading is off
-        by more than the source's own noise; it can contradict, and neither prove nor be followed.
+        noise: of the source [rad^2]; heading: the gyroscope's [rad]. is_bend: the vehicle turns so
+        fast that a late heading is off by more than the source's own noise. It can contradict
+        there; it proves nothing, and is not followed.
         """
         if t - self._t > LONGEST_STEP:
             self._beyond_since = None

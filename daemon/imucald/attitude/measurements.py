@@ -86,8 +86,8 @@ def rounding(spread: Vector, resolution: float) -> float:
     the rounding away (dither), from the step^2 / 12 of a signal that is still: noise of size s
     with exp(-2 (pi s / step)^2), a tone of amplitude A, as of an engine that idles, with
     J0(2 pi A / step), whose size is below sqrt(step / A) / pi (Widrow and Kollar, Quantization
-    Noise, 2008: the first term of the sum). Which of the two it is is not known. The rounding
-    adds step^2 / 12 to the spread as well (Sheppard).
+    Noise, 2008: the first term of the sum). It is not known which of the two it is, so the larger
+    counts. The rounding itself adds step^2 / 12 to the spread (Sheppard).
     """
     if resolution == 0.0:
         return 0.0

@@ -103,8 +103,8 @@ class FilterSettings(Settings, frozen=True):
     magnetometer_noise_deg: Positive = 10.0
     """Standard deviation of a heading from the magnetometer: steel deflects it."""
     gate: Positive = 4.0
-    """Innovations beyond so many standard deviations widen their own noise; headings are not
-    followed."""
+    """Innovations beyond so many standard deviations widen their own noise; a heading beyond them
+    is not followed."""
 
     declination = Radians("declination_deg")
     rest_gyro_spread = Radians("rest_gyro_spread_deg_s")

@@ -13,6 +13,10 @@ MESSAGE_SIGNAL = r"^[^.\s]+\.[^.\s]+$"
 """For editors, in the JSON schema."""
 
 
+def _all_of(values: tuple[float, ...] | float) -> tuple[float, ...]:
+    return (values,) if isinstance(values, int | float) else values
+
+
 class RawSource(Settings, frozen=True, kw_only=True):
     """A value computed from a frame's bytes, for frames that no database describes (OBD-II)."""
 
@@ -41,7 +45,7 @@ class ValidWhen(Settings, frozen=True):
     @property
     def values(self) -> tuple[float, ...]:
         """All values at which it can."""
-        return (self.equals,) if isinstance(self.equals, int | float) else self.equals
+        return _all_of(self.equals)
 
 
 class SourceSettings(Settings, frozen=True):
@@ -79,6 +83,11 @@ class SourceSettings(Settings, frozen=True):
             raise ValueError("'valid_when' needs 'signal'; a raw source has 'when'")
         if self.range is not None and self.range[0] >= self.range[1]:
             raise ValueError("range must be [low, high] with low < high")
+
+    @property
+    def on_values(self) -> tuple[float, ...] | None:
+        """All physical values at which an on/off quantity is on; None: not given as values."""
+        return None if self.equals is None else _all_of(self.equals)
 
 
 Sources = Annotated[tuple[SourceSettings, ...], Meta(min_length=1)]

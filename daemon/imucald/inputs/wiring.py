@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from typing import TypeVar
 
 from msgspec import Struct, field
 
@@ -27,6 +28,8 @@ from imucald.inputs.routes import MessageRoute, RawRoute, SignalRoute
 from imucald.inputs.taps import PLANAR_Z, Component, Status, Tap
 from imucald.inputs.units import Unit, find_unit, unit_names
 from imucald.inputs.value_table import no_values
+
+Number = TypeVar("Number", int, float)
 
 PLANAR_AXES = 2
 SPLIT_PLANAR = "x and y of a sensor without z must be in one message"
@@ -129,10 +132,8 @@ def _add_status(
         raise loaded.error((*wanted.place, "valid_when", "signal"), str(error)) from None
     if name not in group.names:
         group.names.append(name)
-    try:
-        values = tuple(as_decoded(group.message.signal(name), v) for v in valid.values)
-    except (ConfigError, DatabaseError) as error:
-        raise loaded.error((*wanted.place, "valid_when", "equals"), str(error)) from None
+    place, signal = (*wanted.place, "valid_when", "equals"), group.message.signal(name)
+    values = _possible(loaded, place, as_decoded, signal, valid.values)
     status = Status(group.names.index(name), values)
     group.statuses.setdefault((wanted.channel, wanted.rank), []).append(status)
 
@@ -161,7 +162,12 @@ def _conversion(loaded: LoadedConfig, wanted: Wanted, signal: Signal | None) -> 
         where = "" if source.unit is not None else " in the database; set 'unit:' here"
         raise loaded.error(wanted.place, f"{error}{where}") from None
     low, high = source.range if source.range is not None else (-math.inf, math.inf)
-    not_available, equals = _compared(loaded, wanted, signal)
+    not_available, equals = source.not_available, source.on_values
+    if signal is not None:
+        place = (*wanted.place, "not_available")
+        not_available = _possible(loaded, place, check_raw, signal, not_available)
+    if signal is not None and equals is not None:
+        equals = _possible(loaded, (*wanted.place, "equals"), as_decoded, signal, equals)
     if signal is not None and isinstance(signal.invalid_raw, int):
         not_available = (*not_available, signal.invalid_raw)
     if signal is not None and source.value_table:
@@ -180,21 +186,18 @@ def _conversion(loaded: LoadedConfig, wanted: Wanted, signal: Signal | None) -> 
     )
 
 
-def _compared(
-    loaded: LoadedConfig, wanted: Wanted, signal: Signal | None
-) -> tuple[tuple[int, ...], tuple[float, ...] | None]:
-    """Raw values that are none, and physical ones at which a flag is on, as they are decoded."""
-    source, key = wanted.source, "not_available"
-    equals = source.equals
-    values = (equals,) if isinstance(equals, int | float) else equals
-    if signal is None:
-        return source.not_available, values
+def _possible(
+    loaded: LoadedConfig,
+    place: Place,
+    check: Callable[[Signal, Number], Number],
+    signal: Signal,
+    numbers: Iterable[Number],
+) -> tuple[Number, ...]:
+    """What `check` makes of configured numbers; ConfigError at their place where it refuses one."""
     try:
-        raws = tuple(check_raw(signal, raw) for raw in source.not_available)
-        key = "equals"
-        return raws, values and tuple(as_decoded(signal, value) for value in values)
+        return tuple(check(signal, number) for number in numbers)
     except (ConfigError, DatabaseError) as error:
-        raise loaded.error((*wanted.place, key), str(error)) from None
+        raise loaded.error(place, str(error)) from None
 
 
 def _step(signal: Signal | None, unit: Unit) -> float:
