@@ -75,14 +75,23 @@ class Cluster:
         return subprocess.Popen(command, env=environment(), stdout=log, stderr=log)
 
     def __enter__(self) -> Cluster:
-        until = time.monotonic() + 60.0
-        while not self._file.exists():
+        until = time.monotonic() + 120.0
+        while not (found := self._written()):
+            assert self._scheduler.poll() is None, "the scheduler has ended"
             assert time.monotonic() < until
             time.sleep(0.05)
-        self.address: str = json.loads(self._file.read_text())["address"]
+        self.address: str = found["address"]
         for _ in range(WORKERS):
             self._add_worker()
         return self
+
+    def _written(self) -> dict[str, str]:
+        """What the scheduler says of itself; nothing where its file is not there, or not whole."""
+        try:
+            found: dict[str, str] = json.loads(self._file.read_text())
+        except (FileNotFoundError, json.JSONDecodeError):
+            return {}
+        return found
 
     def _add_worker(self) -> None:
         # without a nanny: what is killed is the worker itself, and the test starts another one

@@ -1,4 +1,7 @@
-"""A run as a process of its own that can be killed: FLEET OUT [SCHEDULER CA CERT KEY]."""
+"""A run as a process of its own that can be killed: FLEET OUT [SCHEDULER CA CERT KEY].
+
+It says "leased" when the folder is its own, and "evaluated" when the first log is.
+"""
 
 from __future__ import annotations
 
@@ -8,7 +11,7 @@ from pathlib import Path
 from poison import FUNCTION
 
 from imucald.fleet.dask_workers import DaskWorkers, TlsFiles
-from imucald.fleet.driver import FleetRun
+from imucald.fleet.driver import Counts, FleetRun
 from imucald.fleet.fleet_file import load_fleet
 from imucald.fleet.lease import Lease
 from imucald.fleet.listing import list_logs
@@ -22,6 +25,14 @@ def main(fleet_path: str, out: str, *cluster: str) -> None:
     fleet = load_fleet(Path(fleet_path))
     store = Store(out)
     options = Options(limits=LogLimits(time_s=3.0), function=FUNCTION)
+    said = False
+
+    def report(counts: Counts) -> None:
+        nonlocal said
+        if counts.done and not said:
+            said = True
+            print("evaluated", flush=True)
+
     with Lease(store) as lease:
         print("leased", flush=True)
         workers: Workers
@@ -30,9 +41,8 @@ def main(fleet_path: str, out: str, *cluster: str) -> None:
         else:
             workers = ExecutorWorkers.here(2, fleet.bundles)
         try:
-            FleetRun(fleet, store, workers, planned(fleet, store, list_logs(fleet), options)).go(
-                lease
-            )
+            plan = planned(fleet, store, list_logs(fleet), options)
+            FleetRun(fleet, store, workers, plan, report).go(lease)
         finally:
             workers.close()
 

@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import os
+import re
+import subprocess
 import sys
 from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
@@ -60,6 +63,36 @@ def environment() -> dict[str, str]:
     """For processes that have to find `poison`."""
     paths = [str(HERE), *filter(None, sys.path)]
     return os.environ | {"PYTHONPATH": os.pathsep.join(paths)}
+
+
+@contextmanager
+def on_a_terminal(command: list[str]) -> Iterator[tuple[subprocess.Popen[bytes], int]]:
+    """A run and the terminal to which it says how far it is."""
+    terminal, its_end = os.openpty()
+    run = subprocess.Popen(command, env=environment(), stderr=its_end)
+    os.close(its_end)
+    try:
+        yield run, terminal
+        run.wait(300.0)
+    finally:
+        run.kill()
+        run.wait()
+        os.close(terminal)
+
+
+def read_until(terminal: int, pattern: bytes | None) -> str:
+    """What comes on a terminal up to this pattern; None: up to its end."""
+    text = b""
+    while pattern is None or not re.search(pattern, text):
+        try:
+            more = os.read(terminal, 1024)
+        except OSError:  # its other end is closed
+            more = b""
+        if not more:
+            assert pattern is None, text
+            break
+        text += more
+    return text.decode()
 
 
 @pytest.fixture

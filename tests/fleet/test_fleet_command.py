@@ -8,13 +8,20 @@ import re
 import signal
 import subprocess
 import sys
-import time
 import zipfile
 from pathlib import Path
 
 import pyarrow.parquet as pq
 import pytest
-from fleet_files import CONFIG, environment, make_fleet, tables_of, whole_log
+from fleet_files import (
+    CONFIG,
+    environment,
+    make_fleet,
+    on_a_terminal,
+    read_until,
+    tables_of,
+    whole_log,
+)
 
 import imucald
 from imucald.cli import main
@@ -221,24 +228,22 @@ def test_a_list_of_logs_and_a_dry_run(
 
 @pytest.mark.slow
 def test_ctrl_c_finishes_what_runs_and_says_how_to_go_on(tmp_path: Path, log: Path) -> None:
-    path = make_fleet(tmp_path, log, 30, seconds=120.0)
+    path = make_fleet(tmp_path, log, 24)
     command = [sys.executable, "-m", "imucald", "fleet", "run", "--fleet", str(path)]
     whole, out = tmp_path / "whole", tmp_path / "out"
-    subprocess.run([*command, "--out", str(whole)], env=environment(), check=True, timeout=120)
-    run = subprocess.Popen(
-        [*command, "--out", str(out)], env=environment(), stderr=subprocess.PIPE, text=True
-    )
-    time.sleep(3.0)
-    os.kill(run.pid, signal.SIGINT)
-    _, text = run.communicate(timeout=60)
+    subprocess.run([*command, "--out", str(whole)], env=environment(), check=True, timeout=300)
+    with on_a_terminal([*command, "--out", str(out)]) as (run, terminal):
+        text = read_until(terminal, rb"[1-9]\d*/24 logs,")
+        os.kill(run.pid, signal.SIGINT)
+        text += read_until(terminal, None)
     assert run.returncode == 130
     assert "finishing what runs" in text
     assert "The same command goes on" in text
     rows = pq.read_table(out / "drives").num_rows
-    assert 0 < rows < 30
+    assert 0 < rows < 24
     assert not (out / "_lease.json").exists()
     assert pq.read_table(out / "failures").num_rows == 0, "no log is blamed for the end"
-    subprocess.run([*command, "--out", str(out)], env=environment(), check=True, timeout=120)
+    subprocess.run([*command, "--out", str(out)], env=environment(), check=True, timeout=300)
     assert tables_of(out) == tables_of(whole)
 
 

@@ -14,7 +14,17 @@ from pathlib import Path
 import pyarrow.parquet as pq
 import pytest
 from cluster import Cluster, tls_files
-from fleet_files import HERE, environment, make_fleet, tables_of, whole_log
+from fleet_files import (
+    HERE,
+    environment,
+    make_fleet,
+    on_a_terminal,
+    read_until,
+    tables_of,
+    whole_log,
+)
+
+from imucald.fleet.dask_workers import SCHEDULER_GONE
 
 KILLS = 20
 LOGS = 24
@@ -144,13 +154,34 @@ def test_a_scheduler_that_dies_ends_the_run_which_goes_on_anywhere(
     with Cluster(tmp_path, tls_files(tmp_path)) as short_lived:
         driver = start(fleet, tmp_path / "out", short_lived.address, *short_lived.tls)
         assert driver.stdout is not None
-        assert driver.stdout.readline().strip() == "leased"
-        time.sleep(3.0)
+        assert [driver.stdout.readline().strip() for _ in range(2)] == ["leased", "evaluated"]
         short_lived.kill_the_scheduler()
-        driver.communicate(timeout=120)
+        driver.communicate(timeout=240)
     assert driver.returncode in (0, 1), "done before, or told"
     finish(fleet, tmp_path / "out")
     assert tables_of(tmp_path / "out") == calm
+
+
+@pytest.mark.slow
+def test_a_scheduler_that_dies_is_one_line_and_is_not_waited_for(tmp_path: Path) -> None:
+    fleet = make_fleet(tmp_path, whole_log(tmp_path / "whole.log"), 100)
+    with Cluster(tmp_path, tls_files(tmp_path)) as short_lived:
+        ca, cert, key = short_lived.tls
+        command = [sys.executable, "-m", "imucald", "fleet", "run", "--fleet", str(fleet)]
+        command += ["--out", str(tmp_path / "out"), "--scheduler", short_lived.address]
+        command += ["--tls-ca", ca, "--tls-cert", cert, "--tls-key", key]
+        with on_a_terminal(command) as (driver, terminal):
+            before = read_until(terminal, rb"[1-9]\d*/100 logs,")
+            assert driver.poll() is None, "the run is over: this proves nothing"
+            short_lived.kill_the_scheduler()
+            began = time.monotonic()
+            said = read_until(terminal, None)
+            took = time.monotonic() - began
+    lines = [line for line in said.splitlines() if line and "logs," not in line]
+    assert "to evaluate" in before
+    assert lines == [f"imucald: {SCHEDULER_GONE}"]
+    assert driver.returncode == 1
+    assert took < 10.0
 
 
 @pytest.mark.slow

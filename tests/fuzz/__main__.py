@@ -27,6 +27,10 @@ NAMES = [
     "model",
     "database",
     "log",
+    "packed_log",
+    "mf4_log",
+    "capture",
+    "file_names",
     "expression",
     "saved_state",
     "saved_dtcs",
@@ -61,6 +65,7 @@ def fuzz_one(name: str, arguments: list[str]) -> None:
         from targets import TARGETS
     if folder := os.environ.get(native.FOLDER):
         native.use(Path(folder))
+    TARGETS[name](b"")  # libraries that the first input loads may take longer than one input has
     atheris.Setup([os.environ.get(ITSELF, sys.argv[0]), *arguments], TARGETS[name])
     atheris.Fuzz()
 

@@ -14,6 +14,7 @@ import io
 import itertools
 import json
 import os
+import shutil
 import socket
 import struct
 import tempfile
@@ -22,6 +23,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import zstandard
 
 import imucald
 import shuttle
@@ -38,6 +40,8 @@ from imucald.cli import main
 from imucald.config import parse_config
 from imucald.core import compiled
 from imucald.core.errors import ImucaldError
+from imucald.fleet.fleet_file import load_fleet
+from imucald.fleet.listing import list_logs
 from imucald.inputs.expression import Expression
 from imucald.inputs.wiring import compile_router
 from imucald.model.model import load_model
@@ -137,6 +141,49 @@ def log(data: bytes) -> None:
     path = FOLDER / f"drive{LOG_ENDINGS[ending]}"
     path.write_bytes(data[1:])
     _same_without_the_compiled_part(lambda: _frames(path, KEEP[which % len(KEEP)]))
+
+
+def packed_log(data: bytes) -> None:
+    """The bytes of a Zstandard file, then those of one with a right frame around them."""
+    path = FOLDER / "drive.log.zst"
+    for content in (data, zstandard.compress(data)):
+        path.write_bytes(content)
+        _frames(path, None)
+
+
+def mf4_log(data: bytes) -> None:
+    """An MF4 file, whatever its first bytes are."""
+    path = FOLDER / "drive.mf4"
+    path.write_bytes(data)
+    _frames(path, None)
+
+
+def capture(data: bytes) -> None:
+    """A capture."""
+    path = FOLDER / "drive.pcap"
+    path.write_bytes(data)
+    _frames(path, None)
+
+
+def file_names(data: bytes) -> None:
+    """Names of logs, parted by NUL, on a screen and in a fleet's listing."""
+    folder = FOLDER / "names"
+    folder.mkdir(exist_ok=True)
+    names = {part.replace(b"/", b"_")[:200] for part in data.split(b"\0")[:8]} - {b"", b".", b".."}
+    for name in names:
+        (folder / os.fsdecode(name)).write_bytes(b"no log")
+    fleet_file = FOLDER / "fleet.yaml"
+    fleet_file.write_text(f"logs: 'names/*'\nconfig: {EXAMPLE}\n")
+    try:
+        with contextlib.suppress(ImucaldError):
+            assert len(list_logs(load_fleet(fleet_file))) <= len(names)
+        for path in folder.iterdir():
+            out = io.StringIO()
+            with contextlib.redirect_stderr(out), contextlib.redirect_stdout(out):
+                assert main(["check", "--config", str(EXAMPLE), str(path)]) == 1
+            assert all(c.isprintable() or c in "\n\t " for c in out.getvalue()), out.getvalue()
+    finally:
+        shutil.rmtree(folder)
 
 
 def _frames(path: Path, keep: list[IdMatch] | None) -> Any:
@@ -379,6 +426,10 @@ TARGETS: dict[str, Callable[[bytes], None]] = {
         model,
         database,
         log,
+        packed_log,
+        mf4_log,
+        capture,
+        file_names,
         expression,
         saved_state,
         saved_dtcs,

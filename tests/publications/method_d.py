@@ -90,10 +90,26 @@ def correlation_angle(accel):
 
 
 def compass_angle(field, mean):
-    """Horizontal projection of the y axis against the field, clockwise from north."""
-    alpha, beta = levelling_angles(mean)
-    x, y, _ = projected(field, alpha, beta)
-    return math.atan2(-x, y) % FULL
+    """[0003]: horizontal projection of the head (the y axis), clockwise from the field's north.
+
+    By vectors in terminal axes and not by (3) to (5), which leave another axis than y in place.
+    """
+    up = mean / np.linalg.norm(mean)
+    east = np.cross(field, up)
+    north = np.cross(up, east)
+    return math.atan2(east[1], north[1]) % FULL
+
+
+def plane_angle(mean):
+    """Clockwise angle from the second coordinate system's y axis to the head's projection.
+
+    (4) says what the plane's y axis is in terminal axes; (3) says the same of its x axis.
+    """
+    beta = levelling_angles(mean)[1]
+    plane_y = np.array([0.0, math.cos(beta), -math.sin(beta)])
+    up = mean / np.linalg.norm(mean)
+    head = np.array([0.0, 1.0, 0.0]) - up[1] * up
+    return math.atan2(-np.dot(up, np.cross(plane_y, head)), np.dot(plane_y, head))
 
 
 def apart(a, b):
@@ -129,11 +145,12 @@ def heading_of_cycle(accel, compass, minus_g=False):
     """Tilt and correlation headings of one cycle, clockwise from north, by the first system.
 
     The first system's formulas fit an accelerometer that reads -g upwards; one that reads +g is
-    turned about first.
+    turned about first. The correlation angle counts from the plane's y axis ([0139]).
     """
     mean = accel.mean(axis=0)
     pitch, roll = pitch_roll(mean if minus_g else -mean)
     by_tilt = azimuth_first(angle_first(pitch, roll), compass)
     angle = correlation_angle(-accel if minus_g else accel)
-    by_waves = None if angle is None else (angle + compass) % FULL
+    plane = compass - plane_angle(-mean if minus_g else mean)
+    by_waves = None if angle is None else (angle + plane) % FULL
     return by_tilt, by_waves, pitch, roll

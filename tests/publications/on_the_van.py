@@ -65,10 +65,16 @@ def tilted(samples, with_filter):
     return t[1:], np.array(found)
 
 
+def beginning(samples, seconds):
+    """The samples of the recording's first seconds."""
+    end = samples["accel"][0][0] + seconds
+    return {name: (t[t < end], values[t < end]) for name, (t, values) in samples.items()}
+
+
 def rms_off(t, pitch_roll):
     """rms of roll and pitch against the INS from one minute on [deg]."""
     ins = table(NAME, "ins_truth.csv.gz")
-    use = ins["time_s"] > ins["time_s"][0] + 60.0
+    use = (ins["time_s"] > ins["time_s"][0] + 60.0) & (ins["time_s"] <= t[-1])
     at = np.searchsorted(t, ins["time_s"][use], side="right") - 1
     angles = np.degrees(pitch_roll)[at]
     off = [angles[:, i] - ins[f"{name}_deg"][use] for i, name in ((1, "roll"), (0, "pitch"))]

@@ -6,6 +6,8 @@ import math
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from gait import CARRYINGS, walk
@@ -13,11 +15,12 @@ from imucald.config.attitude import ChoiceSettings, TravelDirectionSettings
 from imucald.travel_direction.direction import Step, TravelDirection
 from imucald.travel_direction.method_d import (
     PublishedDirection,
-    compass_of,
     correlation_angle,
+    level_heading,
     levelling_angles,
     projected,
     tilt,
+    y_angle,
 )
 from imucald.travel_direction.step_cycles import POINTS, StepCycle
 from publications import method_d as text
@@ -62,10 +65,49 @@ def test_d4_the_projection_levels_with_its_own_angles_and_not_with_those_of_0093
     assert math.degrees(math.atan2(math.hypot(literal[0], literal[1]), literal[2])) > 20.0
 
 
-def test_the_compass_is_the_horizontal_projection() -> None:
+def test_0003_the_compass_is_the_horizontal_projection_of_the_head() -> None:
     for A in leans(100):
         field = RNG.normal(0.0, 30e-6, 3)
-        assert apart(compass_of(field, A), text.compass_angle(field, A)) < 1e-9
+        heading, to_y = level_heading(field, A), y_angle(A)
+        if to_y is None:  # the head points up or down
+            assert abs(A[1]) / np.linalg.norm(A) > 0.99
+            continue
+        assert heading is not None
+        assert apart(to_y, text.plane_angle(A)) < 1e-9
+        assert apart(heading + to_y, text.compass_angle(field, A)) < 1e-9
+
+
+BY_ANOTHER_READER = [
+    # reading at rest / g and north, in terminal axes; azimuth of y, tilt heading, azimuth of the
+    # plane's y [deg]
+    ((0.25489, -0.17365, -0.95125), (0.82223, -0.47879, 0.30772), 119.09, 243.195, 301.754),
+    ((-0.33037, 0.25882, -0.90767), (-0.92465, 0.10426, 0.36627), 276.196, 224.064, 101.578),
+    ((-0.99027, 0.0, 0.13917), (-0.11483, 0.565, -0.81707), 55.598, 325.598, 55.598),
+    ((0.98106, 0.08716, 0.17299), (-0.16897, 0.82174, 0.54424), 34.424, 120.795, 60.726),
+    ((-0.17101, 0.93969, 0.2962), (-0.80711, -0.30603, 0.5049), 153.479, 145.472, 124.998),
+    ((0.27165, 0.90631, 0.32374), (-0.94188, 0.18129, 0.28282), 64.598, 78.229, 101.85),
+    ((-0.04494, -0.96593, 0.25489), (0.91312, 0.06377, 0.40266), 284.263, 106.23, 293.929),
+    ((-0.55667, 0.76604, 0.32139), (0.8274, 0.54587, 0.13201), 328.128, 294.049, 275.132),
+]  # fmt: skip
+"""Face down, on edge, steep, hanging: worked out from the publication by one who had seen neither
+the package's method D nor `publications.method_d`."""
+
+
+@pytest.mark.parametrize(("up", "north", "head_deg", "tilt_deg", "plane_deg"), BY_ANOTHER_READER)
+def test_another_readers_vectors(up, north, head_deg, tilt_deg, plane_deg) -> None:
+    A = G * np.array(up)
+    field = 20e-6 * np.array(north) - 44e-6 * np.array(up)
+    head, by_tilt, plane = (math.radians(deg) for deg in (head_deg, tilt_deg, plane_deg))
+    compass, by_waves = text.compass_angle(field, A), level_heading(field, A)
+    near = math.radians(0.01)
+    assert apart(compass, head) < near
+    assert apart(compass - text.plane_angle(A), plane) < near
+    assert apart(text.azimuth_first(text.angle_first(*text.pitch_roll(-A)), head), by_tilt) < near
+    assert apart(by_waves, plane) < near
+    to_y = y_angle(A)
+    assert to_y is not None
+    assert by_waves is not None
+    assert apart(by_waves + to_y, head) < near
 
 
 def test_0107_to_0130_the_correlation() -> None:
@@ -124,7 +166,9 @@ def test_0037_to_0053_the_choice_under_each_preset(name: str) -> None:
         cycle = random_cycle()
         by_tilt, by_waves, pitch, roll = text.heading_of_cycle(cycle.accel, compass % FULL)
         expected = theirs.take(compass % FULL, by_tilt, by_waves, pitch, roll)
-        found = ours.take(cycle, compass % FULL)
+        mean = cycle.accel.mean(axis=0)
+        found = ours.take(cycle, (compass - text.plane_angle(mean)) % FULL)
+        assert apart(found.compass, compass) < 1e-9
         assert apart(found.tilt_heading, by_tilt) < 1e-9
         assert apart(found.correlation_heading, by_waves) < 1e-9
         assert (found.used_tilt, found.is_turn) == expected[1:]
@@ -221,6 +265,120 @@ def test_d2_a_compass_that_counts_the_other_way_says_so_and_is_understood() -> N
         assert apart(one.heading, two.heading) < 1e-9
 
 
+# The terminal's attitude ------------------------------------------------------------------------
+
+ANY_ANGLE = st.floats(-180.0, 180.0)
+ATTITUDE = st.tuples(ANY_ANGLE, ANY_ANGLE, ANY_ANGLE)
+HELD = [  # turns of the terminal about its x, y, z axes: screen up, face down, on edge, steep
+    (0, 0, 0), (20, 15, 0), (35, 35, 0), (40, 50, 0), (0, 60, 0), (75, 75, 0), (200, 0, 0),
+    (160, 0, 180), (180, 20, 70), (0, 90, 0), (0, -90, 10), (2, 88, 0), (80, 0, 0), (-80, 170, 0),
+]  # fmt: skip
+WAY = math.radians(30.0)
+
+
+def held_walk(turns, declination: float = 0.0):
+    """Steps of a walk to WAY by magnetometer and by heading signal, and the terminal's attitude.
+
+    The attitude (terminal to east, north, up) is the only thing that force, field and heading are
+    made from; nothing of them is of (3) to (5).
+    """
+    facing = Rotation.from_euler("z", -WAY)
+    attitude = facing * Rotation.from_euler("XYZ", turns, degrees=True)
+    t = np.arange(0.0, 4.0, 0.02)
+    phase = FULL * 1.8 * t
+    ahead = 0.8 * np.cos(phase + 1.7)
+    force = np.column_stack([ahead * math.sin(WAY), ahead * math.cos(WAY), G + 1.5 * np.cos(phase)])
+    accel = (t, attitude.inv().apply(force))
+    earth = Rotation.from_euler("z", -declination).apply([0.0, 20e-6, -44e-6])
+    mag = (t, np.tile(attitude.inv().apply(earth), (len(t), 1)))
+    R = attitude.as_matrix()
+    heading = (t, np.full(len(t), math.atan2(R[0, 1], R[1, 1]) % FULL))
+    settings = TravelDirectionSettings(
+        method="published", declination_deg=math.degrees(declination)
+    )
+    by_mag = steps_of({"accel": accel, "mag": mag}, settings)
+    return R, by_mag, steps_of({"accel": accel, "heading": heading}, settings)
+
+
+def headings_of_the_text(R) -> tuple[float, float]:
+    """Compass and tilt heading by [0003], [0056], [0070], [0079], from the attitude alone."""
+    compass = math.atan2(R[0, 1], R[1, 1])
+    pitch, roll = math.asin(np.clip(R[2, 1], -1, 1)), math.asin(np.clip(R[2, 0], -1, 1))
+    return compass, text.azimuth_first(text.angle_first(-pitch, -roll), compass)
+
+
+def check_held_walk(turns, declination: float = 0.0) -> None:
+    R, by_mag, by_heading = held_walk(turns, declination)
+    compass, by_tilt = headings_of_the_text(R)
+    upright = math.hypot(R[0, 1], R[1, 1])
+    is_level = math.hypot(R[2, 0], R[2, 1]) < 0.05  # no edge is raised
+    near = math.radians(0.2) / max(upright, 0.1)  # a cycle's mean leans a little
+    assert len(by_mag) == len(by_heading) >= 4
+    for one, other in zip(by_mag[2:], by_heading[2:], strict=True):
+        assert one.published is not None
+        assert apart(one.published.correlation_heading, WAY) < math.radians(0.5)
+        if upright < 0.09:
+            assert one.compass is other.compass is other.heading is None
+            assert one.published.tilt_heading is None
+            assert apart(one.heading, WAY) < math.radians(0.5)
+        elif upright > 0.11:
+            assert other.published is not None
+            for step in (one, other):
+                assert apart(step.compass, compass) < near
+                assert apart(step.published.correlation_heading, WAY) < math.radians(0.5) + near
+                assert not step.published.is_turn
+                if not is_level:
+                    assert apart(step.published.tilt_heading, by_tilt) < 20.0 * near
+            assert one.published.used_tilt == other.published.used_tilt
+
+
+@pytest.mark.parametrize("turns", HELD)
+def test_n1_magnetometer_and_heading_signal_mean_the_same_however_it_is_held(turns) -> None:
+    check_held_walk(turns)
+    check_held_walk(turns, declination=0.2)
+
+
+@settings(max_examples=60, deadline=None)
+@given(ATTITUDE)
+def test_n1_at_every_attitude(turns) -> None:
+    check_held_walk(turns)
+
+
+@pytest.mark.parametrize(
+    ("turns", "raised_deg"),
+    [((200, 0, 0), 30), ((160, 0, 180), 210), ((20, 0, 0), 30), ((0, 90, 0), 300)],
+)
+def test_0066_the_tilt_heading_is_that_of_the_raised_edge(turns, raised_deg: float) -> None:
+    """Face down the raised edge is the one that points up, too. By what is up in the attitude."""
+    R, by_mag, by_heading = held_walk(turns)
+    edges = [sign * R[:, axis] for axis in (0, 1) for sign in (-1.0, 1.0)]
+    up = max(edges, key=lambda edge: edge[2])
+    if math.hypot(up[0], up[1]) > 0.1:
+        assert math.degrees(math.atan2(up[0], up[1])) % 360.0 == pytest.approx(raised_deg)
+    for step in (*by_mag[2:], *by_heading[2:]):
+        assert step.published is not None
+        assert apart(step.published.tilt_heading, math.radians(raised_deg)) < math.radians(1.0)
+
+
+@pytest.mark.parametrize("lean", [90.0, -90.0, 87.0])
+def test_an_upper_edge_that_points_up_has_no_heading_and_none_is_made_up(lean: float) -> None:
+    _, by_mag, by_heading = held_walk((lean, 0.0, 0.0))
+    for one, other in zip(by_mag[2:], by_heading[2:], strict=True):
+        assert one.compass is other.compass is other.published is other.heading is None
+        assert apart(one.heading, WAY) < math.radians(0.5)  # the waves need no upper edge
+
+
+def test_a_change_of_lean_alone_does_not_turn_the_compass() -> None:
+    """(30, 20) to (40, 75), its upper edge facing north throughout."""
+    found = []
+    for turns in ((30, 20, 0), (40, 75, 0)):
+        R, by_mag, _ = held_walk(turns)
+        compass = by_mag[-1].compass
+        assert compass is not None
+        found.append(compass - math.atan2(R[0, 1], R[1, 1]))
+    assert apart(*found) < math.radians(1.0)
+
+
 # Measured ---------------------------------------------------------------------------------------
 
 
@@ -232,9 +390,9 @@ def test_ped_ethz_every_step_is_the_texts() -> None:
     cycles: list[StepCycle] = []
     keep = travel.published.take
 
-    def taken(cycle: StepCycle, compass: float):
+    def taken(cycle: StepCycle, level: float):
         cycles.append(cycle)
-        return keep(cycle, compass)
+        return keep(cycle, level)
 
     travel.published.take = taken  # type: ignore[method-assign]
     steps = []

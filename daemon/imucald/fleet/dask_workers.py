@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import contextlib
+import logging
 import platform
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -27,6 +29,8 @@ TRIES, AGAIN_S = 5, 1.0
 """To prepare the workers of a cluster that changes."""
 GONE = ("closed", "closing", "failed", "connecting")
 """States of a client that had a scheduler. It would wait for another one, which knows nothing."""
+SCHEDULER_GONE = "the Dask scheduler is gone; start it again, the run goes on with the same command"
+CLOSING_S = 5.0
 PLUGIN = "imucald-fleet"
 
 
@@ -86,6 +90,9 @@ class DaskWorkers:
         if address.startswith("tls://") and tls is None:
             raise ImucaldError(f"{address}: needs --tls-ca, --tls-cert and --tls-key")
         self._futures = Futures()
+        # what matters is in our own errors
+        for name in ("distributed", "distributed.client", "tornado.application"):
+            logging.getLogger(name).setLevel(logging.CRITICAL)
         security = None if tls is None else tls.security()
         try:
             self._client: Any = _client(address, security=security, timeout=CONNECTING_S)
@@ -137,23 +144,23 @@ class DaskWorkers:
     @property
     def slots(self) -> int:
         """Threads of all workers there are now."""
-        threads: dict[str, int] = self._client.nthreads()
+        with self._scheduler_asked():
+            threads: dict[str, int] = self._client.nthreads()
         return max(1, sum(threads.values()))
 
     def submit(self, tasks: Sequence[Task]) -> None:
         """Take tasks."""
         keys = unique_keys(len(tasks))
-        futures = self._client.map(run_one_log, list(tasks), key=keys, pure=False)
+        with self._scheduler_asked():
+            futures = self._client.map(run_one_log, list(tasks), key=keys, pure=False)
         for future, task in zip(futures, tasks, strict=True):
             self._futures.add(future, task)
 
     def finished(self, timeout: float) -> list[tuple[Task, Outcome | None]]:
         """Outcomes since the last call; what they held on the cluster is let go."""
         found = []
-        if self._client.status in GONE:
-            raise ImucaldError(
-                "the Dask scheduler is gone; start it again, the run goes on with the same command"
-            )
+        with self._scheduler_asked():
+            pass
         for future, task in self._futures.ended(timeout):
             found.append((task, _result(future)))
             future.release()
@@ -163,8 +170,20 @@ class DaskWorkers:
         """Nothing: Dask does not say which of the few tasks that are with it have begun."""
 
     def close(self) -> None:
-        """Leave the cluster."""
-        self._client.close()
+        """Leave the cluster; one whose scheduler is gone is not waited for."""
+        is_gone = self._client.status in GONE
+        with contextlib.suppress(OSError, TimeoutError, RuntimeError):
+            self._client.close(timeout=0 if is_gone else CLOSING_S)
+
+    @contextlib.contextmanager
+    def _scheduler_asked(self) -> Iterator[None]:
+        """Raise ImucaldError where the scheduler went away (Dask's CommClosedError: OSError)."""
+        if self._client.status in GONE:
+            raise ImucaldError(SCHEDULER_GONE)
+        try:
+            yield
+        except (OSError, TimeoutError, RuntimeError):
+            raise ImucaldError(SCHEDULER_GONE) from None
 
 
 def _result(future: Any) -> Outcome | None:

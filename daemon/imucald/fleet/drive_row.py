@@ -16,6 +16,7 @@ from imucald.config import Config
 from imucald.fleet.columns import AXES, PAIRS
 from imucald.fleet.fleet_file import Fleet
 from imucald.fleet.task import Task
+from imucald.mount.mount_words import is_move
 
 EARLIEST = 946_684_800.0
 """1 January 2000 as UNIX time [s]: a logger that is before it has no clock."""
@@ -94,7 +95,7 @@ def _causes(result: Mapping[str, Any]) -> Iterator[str]:
         yield f"{event['sensor']} {event['fault']}"
     for fault in result["details"].get("faults", ()):
         yield f"contradiction: {fault['fault']}"
-    if result["details"].get("shifts"):
+    if any(map(is_move, result["details"].get("shifts", ()))):
         yield "mount moved in the drive"
     if result["details"].get("creep"):
         yield "mount creeps"

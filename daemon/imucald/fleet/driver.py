@@ -18,7 +18,7 @@ from imucald.fleet.lease import Lease
 from imucald.fleet.listing import Log
 from imucald.fleet.plan import SAMPLE, Plan
 from imucald.fleet.store import Store
-from imucald.fleet.tables import parts, write_part
+from imucald.fleet.tables import parts, table_of, write_part
 from imucald.fleet.task import OK, ONCE_MORE, OTHER_CODE, Outcome, Task
 from imucald.fleet.workers import Workers
 
@@ -129,6 +129,7 @@ class FleetRun:
                 f"{outcome.cost.worker}: joined with another imucald than the driver's; install "
                 "the same there, the run goes on with the same command"
             )
+        outcome = self._that_fits(task, outcome)
         self._attempts[task.source] += 1
         attempt = self._attempts[task.source]
         cost = msgspec.structs.asdict(outcome.cost)
@@ -151,6 +152,19 @@ class FleetRun:
             self._take_drive(task, outcome, outcome.drive)
         else:
             self._take_failure(task, outcome, attempt)
+
+    def _that_fits(self, task: Task, outcome: Outcome) -> Outcome:
+        """The outcome, or a `bug` where its rows fit no table: those of other logs are kept."""
+        if outcome.drive is None:
+            return outcome
+        try:
+            values = drive_values(self._fleet, task, outcome.log_key, outcome.drive)
+            table_of("drives", [row_of("drives", values)])
+            table_of("events", [row_of("events", event) for event in outcome.events])
+        except Exception as error:  # whatever a log made of its row
+            text = f"{task.source}: its row fits no table: {type(error).__name__}: {error}"
+            return Outcome("bug", text, outcome.log_key, cost=outcome.cost)
+        return outcome
 
     def _take_drive(self, task: Task, outcome: Outcome, drive: dict[str, Any]) -> None:
         twice = any(row["log_key"] == outcome.log_key for row in self._rows["drives"])

@@ -36,7 +36,7 @@ def evaluate(task: Task, also: Also | None = None) -> Outcome:
         return Outcome(OTHER_CODE)
     try:
         config = load_bundle(task.bundle)
-        with local_copy(task.source, task.storage) as (path, key):
+        with local_copy(task.source, task.storage, task.within) as (path, key):
             return _replayed(task, config, path, key, also)
     except StorageError as error:
         return Outcome("storage", str(error))

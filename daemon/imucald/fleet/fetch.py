@@ -14,6 +14,7 @@ from typing import IO, Any
 
 import fsspec
 
+from imucald.can.logs.unpacking import keep_disk_free
 from imucald.core.errors import ImucaldError
 from imucald.fleet.bundle import KEY_DIGITS
 
@@ -54,18 +55,32 @@ def file_system(url: str, storage: Mapping[str, Mapping[str, Any]]) -> fsspec.Ab
 
 
 @contextlib.contextmanager
-def local_copy(url: str, storage: Mapping[str, Mapping[str, Any]]) -> Iterator[tuple[Path, str]]:
+def local_copy(
+    url: str, storage: Mapping[str, Mapping[str, Any]], within: str | None = None
+) -> Iterator[tuple[Path, str]]:
     """Yield path and key (hash of the content) of a log.
 
-    Raises NoRegularFileError and StorageError.
+    within: folder that a local log must lie in, links followed. Raises NoRegularFileError, for a
+    link that leads out of it too, and StorageError.
     """
     if protocol_of(url) in LOCAL:
         path = Path(bare_path(url))
+        if within is not None:
+            path = _kept_within(path, within)
         yield path, _hashed(path)
         return
     with tempfile.TemporaryDirectory(prefix="imucald-log-") as folder:
         path = Path(folder) / url.rpartition("/")[2]
         yield path, _downloaded(url, storage, path)
+
+
+def _kept_within(path: Path, folder: str) -> Path:
+    """The path with no link in it: whoever delivers logs has no say over other files."""
+    found = Path(os.path.realpath(path))
+    if not found.is_relative_to(os.path.realpath(folder)):
+        text = f"{path}: is a link that leads out of {folder}; put the log there, or list its path"
+        raise NoRegularFileError(text)
+    return found
 
 
 def _hashed(path: Path) -> str:
@@ -85,6 +100,7 @@ def _hash(source: IO[bytes], target: IO[bytes] | None) -> str:
         digest.update(block)
         size += len(block)
         if target is not None:
+            keep_disk_free(target.name)
             target.write(block)
             if size > MAX_BYTES:
                 raise OSError(f"is longer than {MAX_BYTES} bytes")

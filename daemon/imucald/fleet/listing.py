@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import io
+import re
 from collections.abc import Iterator, Mapping
 from datetime import UTC, datetime
 from pathlib import Path
@@ -19,12 +20,16 @@ LISTS = (".csv", ".txt")
 
 
 class Log(msgspec.Struct, frozen=True):
-    """One log of a listing. fingerprint: changes with the content. changed: UNIX time [s]."""
+    """One log of a listing. fingerprint: changes with the content. changed: UNIX time [s].
+
+    within: folder that the log must lie in, links followed; None where it was named itself.
+    """
 
     source: str
     bytes: int
     fingerprint: str
     changed: float | None = None
+    within: str | None = None
 
 
 def list_logs(fleet: Fleet) -> list[Log]:
@@ -56,7 +61,7 @@ def _of(fleet: Fleet, pattern: str) -> Iterator[Log]:
         ) from None
     for name, entry in entries.items():
         if entry.get("type") != "directory":
-            yield _log(str(name), entry, protocol_of(url))
+            yield _log(str(name), entry, protocol_of(url), _root(url))
 
 
 def _listed(url: str, storage: Mapping[str, Mapping[str, Any]]) -> list[str]:
@@ -72,13 +77,21 @@ def _listed(url: str, storage: Mapping[str, Mapping[str, Any]]) -> list[str]:
     return [row[0].strip() for row in rows]
 
 
-def _log(name: str, entry: Mapping[str, Any], protocol: str) -> Log:
+def _root(url: str) -> str | None:
+    """The folder of a local pattern's files: up to its first wildcard; None without one."""
+    fixed = re.split(r"[*?\[]", url, maxsplit=1)[0]
+    if fixed == url or protocol_of(url) not in LOCAL:
+        return None
+    return fixed.rpartition("/")[0] or "/"
+
+
+def _log(name: str, entry: Mapping[str, Any], protocol: str, within: str | None = None) -> Log:
     changed = _unix(entry.get("mtime") or entry.get("LastModified") or entry.get("last_modified"))
     size = int(entry.get("size") or 0)
     tag = entry.get("ETag") or entry.get("etag") or entry.get("md5Hash") or entry.get("CRC")
     fingerprint = f"{size}-{tag}" if tag else f"{size}-{0.0 if changed is None else changed:.6f}"
     source = name if protocol in LOCAL else f"{protocol}://{name.removeprefix(f'{protocol}://')}"
-    return Log(source, size, fingerprint.replace('"', ""), changed)
+    return Log(source, size, fingerprint.replace('"', ""), changed, within)
 
 
 def _unix(value: object) -> float | None:

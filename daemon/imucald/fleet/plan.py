@@ -7,11 +7,13 @@ from typing import Literal
 
 import msgspec
 
+from imucald.core.encodable import encodable
 from imucald.fleet.bundle import code_hash
 from imucald.fleet.compaction import read_tables
 from imucald.fleet.fleet_file import Fleet
 from imucald.fleet.listing import Log, is_since
 from imucald.fleet.store import Store
+from imucald.fleet.tables import read_with_parts
 from imucald.fleet.task import EVALUATE, OK, LogLimits, Task
 
 SAMPLE = 20
@@ -54,10 +56,20 @@ class Plan(msgspec.Struct):
 
 
 def known_sources(store: Store) -> dict[str, Known]:
-    """What the tables say of each address."""
+    """What the tables say of each address; nothing of those whose own row was lost (`damaged`)."""
     table = read_tables(store, ("sources",))["sources"]
-    columns = [table.column(n).to_pylist() for n in ("source", "fingerprint", "run_key", "outcome")]
-    return {s: Known(f, r, o) for s, f, r, o in zip(*columns, strict=True)}
+    names = ("source", "fingerprint", "run_key", "outcome", "log_key")
+    columns = [table.column(n).to_pylist() for n in names]
+    drives, failed = _values(store, "drives", "log_key"), _values(store, "failures", "source")
+    return {
+        s: Known(f, r, o)
+        for s, f, r, o, key in zip(*columns, strict=True)
+        if (key in drives if o == OK else s in failed)
+    }
+
+
+def _values(store: Store, table: str, column: str) -> set[str]:
+    return set(read_with_parts(store, table, (column,))[0].column(column).to_pylist())
 
 
 def planned(fleet: Fleet, store: Store, logs: Iterable[Log], options: Options) -> Plan:
@@ -66,10 +78,11 @@ def planned(fleet: Fleet, store: Store, logs: Iterable[Log], options: Options) -
     plan = Plan([], 0)
     for log in logs:
         task = task_of(fleet, log.source, log.bytes, options, store.url)
+        task = msgspec.structs.replace(task, within=log.within)
         if options.since is not None and not is_since(log, task.date, options.since):
             continue
         plan.listed += 1
-        if not _is_done(known.get(log.source), log, task.bundle, options.redo, plan):
+        if not _is_done(known.get(encodable(log.source)), log, task.bundle, options.redo, plan):
             plan.tasks.append((task, log))
     plan.tasks.sort(key=lambda pair: (-pair[1].bytes, pair[1].source))
     _sample_first(plan.tasks)

@@ -10,12 +10,13 @@ from __future__ import annotations
 import io
 import json
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import Any, Final
 
 import pyarrow as pa
 import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
+from imucald.core.encodable import encodable
 from imucald.core.errors import ImucaldError
 from imucald.fleet.columns import ORDER, TABLES, VERSION, Column
 from imucald.fleet.store import Store
@@ -32,9 +33,21 @@ TYPES: Mapping[str, pa.DataType] = {
 }
 ROW_GROUP = 25_000
 """Rows that are written at a time; readers skip whole groups."""
-LEVEL = 3
-"""Of zstd."""
+WRITING: Final[dict[str, Any]] = {
+    "compression": "zstd",
+    "compression_level": 3,
+    "write_page_checksum": True,
+}
 PART = "part-"
+REMEDY = "run' sets it aside and evaluates its logs again"
+
+
+class DamagedTableError(ImucaldError):
+    """A file of a table cannot be read as one. reason: without the remedy."""
+
+    def __init__(self, reason: str, remedy: str) -> None:
+        super().__init__(f"{reason}; 'imucald fleet {remedy}")
+        self.reason = reason
 
 
 def schema_of(table: str, columns: Sequence[Column]) -> pa.Schema:
@@ -58,7 +71,10 @@ def schema_of(table: str, columns: Sequence[Column]) -> pa.Schema:
 def table_of(
     name: str, rows: Sequence[Mapping[str, Any]], columns: Sequence[Column] | None = None
 ) -> pa.Table:
-    """Rows as a table with all its columns; times are UNIX seconds in the rows."""
+    """Rows as a table with all its columns; times are UNIX seconds in the rows.
+
+    A name that is not UTF-8 is written out, see `encodable`.
+    """
     columns = TABLES[name] if columns is None else columns
     schema = schema_of(name, columns)
     arrays = []
@@ -67,6 +83,9 @@ def table_of(
         if column.kind == "time":
             values = [None if v is None else round(v * 1e6) for v in values]
             arrays.append(pa.array(values, pa.int64()).cast(field.type))
+        elif column.kind == "text":
+            texts = [None if v is None else encodable(v) for v in values]
+            arrays.append(pa.array(texts, field.type))
         else:
             arrays.append(pa.array(values, field.type))
     return pa.Table.from_arrays(arrays, schema=schema)
@@ -75,9 +94,7 @@ def table_of(
 def as_parquet(table: pa.Table) -> bytes:
     """The bytes of a file; the same table gives the same bytes."""
     sink = io.BytesIO()
-    pq.write_table(
-        table, sink, compression="zstd", compression_level=LEVEL, row_group_size=ROW_GROUP
-    )
+    pq.write_table(table, sink, row_group_size=ROW_GROUP, **WRITING)
     return sink.getvalue()
 
 
@@ -106,24 +123,37 @@ def write_part(store: Store, table: str, number: int, rows: Sequence[Mapping[str
 
 
 def read_file(store: Store, name: str, columns: Sequence[Column]) -> pa.Table:
-    """One file with all columns of today: those that an older version lacks are null."""
-    try:
-        found = pq.read_table(pa.BufferReader(store.read(name)))
-    except pa.ArrowInvalid as error:
-        raise ImucaldError(f"{store.url}/{name}: is no Parquet file: {error}") from None
+    """One file with all columns of today: those that an older version lacks are null.
+
+    Raises DamagedTableError where its content is no such table; ImucaldError where it cannot be
+    read at all.
+    """
+    data = store.read(name)
     schema = schema_of(name.partition("/")[0], columns)
-    arrays = [
-        found.column(f.name).cast(f.type)
-        if f.name in found.column_names
-        else pa.nulls(len(found), f.type)
-        for f in schema
-    ]
+    try:
+        found = pq.read_table(pa.BufferReader(data), page_checksum_verification=True)
+        arrays = [
+            found.column(f.name).cast(f.type)
+            if f.name in found.column_names
+            else pa.nulls(len(found), f.type)
+            for f in schema
+        ]
+    except (pa.ArrowException, OSError, ValueError) as error:
+        remedy = "analyse' writes it again" if name.startswith("analysis/") else REMEDY
+        reason = str(error).splitlines()[0]
+        text = f"{store.url}/{name}: is no Parquet file or a damaged one: {reason}"
+        raise DamagedTableError(text, remedy) from None
     return pa.Table.from_arrays(arrays, schema=schema)
 
 
-def read_with_parts(store: Store, table: str) -> tuple[pa.Table, list[int]]:
-    """All files of a table one after the other, and for each row the number of its flush."""
-    columns = TABLES[table]
+def read_with_parts(
+    store: Store, table: str, names: Sequence[str] | None = None
+) -> tuple[pa.Table, list[int]]:
+    """All files of a table one after the other, and for each row the number of its flush.
+
+    names: of the columns; None for all.
+    """
+    columns = [c for c in TABLES[table] if names is None or c.name in names]
     found, numbers = [], []
     for number, name in parts(store, table):
         one = read_file(store, name, columns)
@@ -168,9 +198,7 @@ class FinishedRows:
         """The bytes of the finished file; the same rows give the same bytes."""
         sink = io.BytesIO()
         count = len(self._chosen)
-        with pq.ParquetWriter(
-            sink, self._rows.schema, compression="zstd", compression_level=LEVEL
-        ) as writer:
+        with pq.ParquetWriter(sink, self._rows.schema, **WRITING) as writer:
             for first in range(0, max(count, 1), ROW_GROUP):
                 part = self._part(first, min(first + ROW_GROUP, count))
                 writer.write_table(part, row_group_size=ROW_GROUP)

@@ -46,6 +46,7 @@ class Task(msgspec.Struct, frozen=True):
     source: its fsspec URL. bundle: name of the configuration, see `bundle.py`. function: what is
     called in the child, as "module:name". signals: URL of the folder that corrected signals go to.
     storage: options of the file systems by protocol; secrets come from the environment.
+    within: see `Log`.
     """
 
     source: str
@@ -58,6 +59,7 @@ class Task(msgspec.Struct, frozen=True):
     function: str = EVALUATE
     signals: str | None = None
     storage: dict[str, dict[str, Any]] = {}
+    within: str | None = None
 
 
 class Cost(msgspec.Struct, frozen=True):

@@ -15,15 +15,19 @@ from typing import Any, Protocol
 
 import msgspec
 
+from imucald.core.encodable import encodable
 from imucald.fleet.bundle import Bundle, unpack
 from imucald.fleet.task import Outcome, Task
 from imucald.fleet.template_client import close_templates, template_for
 
+NO_UTF8 = "a file or folder name in it is not UTF-8; rename it"
 DEATHS = "its worker died, several times, while it was evaluated or waited"
 
 
 def run_one_log(task: Task) -> Outcome:
     """Evaluate one log in a child of this process; its end, whatever it was."""
+    if encodable(task.source) != task.source:  # no JSON takes it to the child
+        return Outcome("unreadable", f"{encodable(task.source)}: {NO_UTF8}")
     outcome = template_for(task.function).run(task)
     cost = msgspec.structs.replace(outcome.cost, worker=socket.gethostname())
     return msgspec.structs.replace(outcome, cost=cost)

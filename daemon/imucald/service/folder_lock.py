@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import fcntl
 import os
 from pathlib import Path
@@ -18,26 +19,71 @@ class FolderInUseError(ImucaldError):
 class FolderLock:
     """Holds a folder until `release`, or until the process ends, however it does.
 
-    Raises FolderInUseError with the holder's pid; OSError where the folder takes no file.
+    The folder itself is locked, which a read-only one takes too, and a file in it, which says who
+    has it and serves where a file system locks no folders. Raises FolderInUseError with the
+    holder's pid; OSError where neither can be locked.
     """
 
     def __init__(self, folder: Path) -> None:
+        self._path = folder
+        self._held: list[int] = []
         folder.mkdir(parents=True, exist_ok=True)
-        flags = os.O_RDWR | os.O_CREAT | os.O_CLOEXEC | os.O_NOFOLLOW | os.O_NONBLOCK
-        self._file = os.open(folder / LOCK_FILE, flags, 0o600)
+        self._folder = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
         try:
-            fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            os.ftruncate(self._file, 0)
-            os.pwrite(self._file, f"{os.getpid()}\n".encode(), 0)
-        except BlockingIOError:
-            holder = os.pread(self._file, 20, 0).decode("ascii", "replace").strip()
-            os.close(self._file)
-            text = f"{folder} is in use by process {holder or '?'}; see --state-dir"
-            raise FolderInUseError(text) from None
-        except OSError:
-            os.close(self._file)
+            self._take()
+        except BaseException:
+            self.release()
             raise
+
+    def _take(self) -> None:
+        flags = os.O_RDWR | os.O_CREAT | os.O_CLOEXEC | os.O_NOFOLLOW | os.O_NONBLOCK
+        no_lock: OSError | None = None
+        try:
+            fcntl.flock(self._folder, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            raise self._in_use() from None
+        except OSError as error:
+            no_lock = error
+        try:
+            file = os.open(self._path / LOCK_FILE, flags, 0o600)
+        except OSError:
+            if no_lock is not None:
+                raise
+            return
+        self._held.append(file)
+        try:
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            raise self._in_use() from None
+        with contextlib.suppress(OSError):  # a full disk
+            os.ftruncate(file, 0)
+            os.pwrite(file, f"{os.getpid()}\n".encode(), 0)
+
+    def _in_use(self) -> FolderInUseError:
+        holder = ""
+        with contextlib.suppress(OSError):
+            flags = os.O_RDONLY | os.O_CLOEXEC | os.O_NOFOLLOW | os.O_NONBLOCK
+            with os.fdopen(os.open(self._path / LOCK_FILE, flags), "rb") as file:
+                holder = (file.read(20) or b"").decode("ascii", "replace").strip()
+        return FolderInUseError(
+            f"{self._path} is in use by process {holder or '?'}; see --state-dir"
+        )
+
+    def renew(self) -> bool:
+        """Take the folder again where another one has its name; whether that was so.
+
+        Raises as the constructor does; FolderInUseError where another process was faster.
+        """
+        with contextlib.suppress(FileNotFoundError):
+            if os.path.samestat(self._path.stat(), os.fstat(self._folder)):
+                return False
+        now = FolderLock(self._path)
+        self.release()
+        self._folder, self._held = now._folder, now._held
+        return True
 
     def release(self) -> None:
         """Let others have the folder."""
-        os.close(self._file)
+        for descriptor in (self._folder, *self._held):
+            os.close(descriptor)
+        self._held = []

@@ -25,7 +25,7 @@ from imucald.core.rotations import (
 )
 from imucald.motion.lost_time import LostTime
 from imucald.motion.standstill import is_terminal_at_rest
-from imucald.travel_direction.certainty import COMPASS_STD
+from imucald.travel_direction.certainty import COMPASS_STD, MIN_HORIZONTAL
 from imucald.travel_direction.north import NorthFilter
 
 TWO_PI = 2.0 * math.pi
@@ -106,7 +106,7 @@ class TerminalAttitude:
         if not self.ready:
             return
         x, y, _ = times(self.level, (0.0, 1.0, 0.0))
-        if math.hypot(x, y) < 0.1:
+        if math.hypot(x, y) < MIN_HORIZONTAL:
             return
         yaw = math.atan2(x, y) - heading
         dt = min(max(t - self._t_signal, 0.0), 2.0)

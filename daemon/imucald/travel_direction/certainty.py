@@ -36,6 +36,9 @@ WAY_STD = math.radians(5.0)
 COMPASS_STD = math.radians(10.0)
 """Of a heading signal [rad], as a magnetometer's in `attitude.filter`."""
 MAX_STD = math.pi / 2.0
+MIN_HORIZONTAL = 0.1
+"""Horizontal part of the y axis below which it has no heading: it stands within 6 deg of the
+vertical, where 1 deg of lean turns its heading by 10 deg."""
 MIN_AGREEMENT = 1e-6
 
 

@@ -32,9 +32,8 @@ from imucald.travel_direction.gyro_step_axis import GyroStepAxis
 from imucald.travel_direction.method_d import (
     PublishedDirection,
     PublishedResult,
-    compass_of,
-    levelling_angles,
-    projected,
+    level_heading,
+    y_angle,
 )
 from imucald.travel_direction.step_cycles import StepCycle, StepCycles
 
@@ -62,8 +61,9 @@ class TravelState(enum.IntEnum):
 class Step:
     """One step cycle and the headings it gave [rad, clockwise from north]; None: not known.
 
-    heading: by the method of the settings. compass: of the terminal's y axis. deviation: standard
-    deviation of the alternative [rad]; ahead: probability that it is not 180 deg wrong.
+    heading: by the method of the settings. compass: of the terminal's y axis, None where that is
+    vertical. deviation: standard deviation of the alternative [rad]; ahead: probability that it is
+    not 180 deg wrong.
     """
 
     t: float
@@ -183,8 +183,8 @@ class TravelDirection:
         return TravelState.TURNING if turning else TravelState.WALKING
 
     def _step(self, cycle: StepCycle) -> Step:
-        compass = self._compass(cycle)
-        published = None if compass is None else self.published.take(cycle, compass)
+        level = self._level_heading(cycle)
+        published = None if level is None else self.published.take(cycle, level)
         alternative = self._alternative(cycle)
         by_published = None if published is None else published.heading
         heading = by_published
@@ -198,7 +198,7 @@ class TravelDirection:
             duration=cycle.duration,
             steps=self.cycles.steps,
             heading=heading,
-            compass=compass,
+            compass=None if published is None else published.compass,
             published=published,
             alternative=alternative,
             trust=self.alternative.trust if known else 0.0,
@@ -227,17 +227,20 @@ class TravelDirection:
         declination = self.settings.declination if self._heading is None else 0.0
         return (angle - yaw + declination) % TWO_PI
 
-    def _compass(self, cycle: StepCycle) -> float | None:
-        """Compass of the cycle: from the mean field in it, else from the newest heading."""
+    def _level_heading(self, cycle: StepCycle) -> float | None:
+        """Heading of the cycle's level frame, clockwise from north: from the mean field in it, else
+        from the newest heading of the terminal's y axis.
+        """
+        mean = cycle.accel.mean(axis=0)
         field = self._mean_field(cycle)
         if field is not None:
-            mean = cycle.accel.mean(axis=0)
-            if not np.any(projected(field, *levelling_angles(mean))[:2]):
-                return None
-            return (compass_of(field, mean) + self.settings.declination) % TWO_PI
-        if self._heading is not None and cycle.t1 - self._heading[0] <= COMPASS_STALE_S:
-            return self._heading[1] % TWO_PI
-        return None
+            heading = level_heading(field, mean)
+            return None if heading is None else (heading + self.settings.declination) % TWO_PI
+        to_y = y_angle(mean)
+        if self._heading is None or to_y is None:
+            return None
+        t, heading = self._heading
+        return (heading - to_y) % TWO_PI if cycle.t1 - t <= COMPASS_STALE_S else None
 
     def _mean_field(self, cycle: StepCycle) -> NDArray[np.float64] | None:
         """Mean of the fields of the cycle (3,) [T]; of a slower sensor, the newest one."""

@@ -1,8 +1,9 @@
 """Method D as published (CN103543289A), to the letter; angles in radians.
 
 Terminal axes: x to the right, y to the upper edge, z out of the screen. The compass is the
-clockwise angle from north of the y axis' horizontal projection. What the publication lacks is
-*reconstructed* and marked so.
+clockwise angle from north of the y axis' horizontal projection ([0003]); the tilt angle counts from
+there. The level frame is what (3) to (5) project to; the correlation angle counts from *its* y axis
+([0127], [0139]). What the publication lacks is *reconstructed* and marked so.
 
 The text prints two pairs of formulas for terminals whose axes differ. [0070], [0079]:
 (atan2(roll, pitch) + 180) % 360 is the clockwise angle from the y axis to the raised edge, and
@@ -22,6 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from imucald.config.attitude import ChoiceSettings
+from imucald.travel_direction.certainty import MIN_HORIZONTAL
 from imucald.travel_direction.step_cycles import POINTS, StepCycle
 
 Array = NDArray[np.float64]
@@ -68,19 +70,31 @@ def projected(vectors: Array, a: float, b: float) -> Array:
     return np.stack([ax, ay, az], axis=-1)
 
 
-def compass_of(field: Array, mean: Array) -> float:
-    """Clockwise angle from magnetic north of the levelled y axis [0, 2 pi), from a field (3,)."""
-    east, north, _ = projected(field, *levelling_angles(mean))
-    return math.atan2(-float(east), float(north)) % TWO_PI
+def y_angle(mean: Array) -> float | None:
+    """Clockwise angle from the level frame's y axis to the projection of the terminal's.
+
+    mean: acceleration (3,). None where the terminal's y axis is (nearly) vertical.
+    """
+    x, y, _ = projected(np.array([0.0, 1.0, 0.0]), *levelling_angles(mean))
+    return math.atan2(float(x), float(y)) if math.hypot(x, y) >= MIN_HORIZONTAL else None
+
+
+def level_heading(field: Array, mean: Array) -> float | None:
+    """Clockwise angle from magnetic north of the level frame's y axis [0, 2 pi).
+
+    field, mean: magnetic field and acceleration (3,). None where the field is vertical.
+    """
+    x, y, _ = projected(field, *levelling_angles(mean))
+    return math.atan2(-float(x), float(y)) % TWO_PI if x != 0.0 or y != 0.0 else None
 
 
 def correlation_angle(accel: Array) -> float | None:
-    """Acceleration-correlation angle (method D, step 4), clockwise from the y axis [0, 2 pi).
+    """Acceleration-correlation angle (method D, step 4), clockwise from the level frame's y axis.
 
-    accel: (POINTS, 3) over one cycle, reading +g upwards. R_hz(tau) = sum h(t) z(t + tau), over the
-    cycle as if it repeated; the difference R(+tau) - R(-tau) (*reconstructed*) is positive for the
-    direction of travel: the body is braked after it is lowest, where z is largest. None where no
-    lag shows anything.
+    [0, 2 pi). accel: (POINTS, 3) over one cycle, reading +g upwards. R_hz(tau) = sum h(t) z(t +
+    tau), over the cycle as if it repeated; the difference R(+tau) - R(-tau) (*reconstructed*) is
+    positive for the direction of travel: the body is braked after it is lowest, where z is largest.
+    None where no lag shows anything.
     """
     waves = projected(accel, *levelling_angles(accel.mean(axis=0)))
     waves = waves - waves.mean(axis=0)
@@ -100,10 +114,14 @@ def correlation_angle(accel: Array) -> float | None:
 
 
 class PublishedResult(NamedTuple):
-    """Headings of one cycle [rad, clockwise from north]; which of the two was chosen; a turn."""
+    """Headings of one cycle [rad, clockwise from north]; which of the two was chosen; a turn.
 
-    heading: float
-    tilt_heading: float
+    compass and tilt_heading are None where the terminal's y axis is vertical.
+    """
+
+    heading: float | None
+    compass: float | None
+    tilt_heading: float | None
     correlation_heading: float | None
     used_tilt: bool
     is_turn: bool
@@ -123,16 +141,22 @@ class PublishedDirection:
         self._compass: float | None = None
         self._contradicted = False
 
-    def take(self, cycle: StepCycle, compass: float) -> PublishedResult:
-        """Take a cycle (its acceleration reading +g upwards) and its compass [rad]."""
+    def take(self, cycle: StepCycle, level: float) -> PublishedResult:
+        """Take a cycle (its acceleration reading +g upwards) and its level frame's heading [rad].
+
+        level: clockwise angle from north of the level frame's y axis.
+        """
         c = self.choice
         mean = cycle.accel.mean(axis=0)
         pitch, roll = tilt(-mean)
-        by_tilt = tilt_heading(pitch, roll, compass)
+        to_y = y_angle(mean)
+        compass = None if to_y is None else (level + to_y) % TWO_PI
+        by_tilt = None if compass is None else tilt_heading(pitch, roll, compass)
         angle = correlation_angle(cycle.accel)
-        by_waves = None if angle is None else (angle + compass) % TWO_PI
-        is_turn = self._compass is not None and difference(compass, self._compass) > c.turn
-        contradicts = by_waves is not None and difference(by_waves, by_tilt) >= c.differ
+        by_waves = None if angle is None else (angle + level) % TWO_PI
+        is_turn = apart(compass, self._compass) > c.turn
+        has_both = by_tilt is not None and by_waves is not None
+        contradicts = has_both and apart(by_waves, by_tilt) >= c.differ
         steepest = max(abs(pitch), abs(roll))
         if is_turn:
             use_tilt = steepest >= c.tilt_on_turn
@@ -141,8 +165,14 @@ class PublishedDirection:
         else:
             use_tilt = steepest >= c.tilt
         self._compass, self._contradicted = compass, contradicts
+        use_tilt = use_tilt and by_tilt is not None
         heading = by_tilt if use_tilt or by_waves is None else by_waves
-        return PublishedResult(heading, by_tilt, by_waves, use_tilt, is_turn, pitch, roll)
+        return PublishedResult(heading, compass, by_tilt, by_waves, use_tilt, is_turn, pitch, roll)
+
+
+def apart(a: float | None, b: float | None) -> float:
+    """Size of the difference of two angles [rad]; zero where one of them is not known."""
+    return 0.0 if a is None or b is None else difference(a, b)
 
 
 def difference(a: float, b: float) -> float:
