@@ -10,6 +10,7 @@ from pathlib import Path
 from benchmarks.public_logs import (
     bags,
     bus_recordings,
+    loggers,
     phones,
     pocket_phones,
     race_cars,
@@ -122,4 +123,26 @@ LOGS = (
               partial(pocket_phones.amsterdam, trip=pocket_phones.CAR), right="amsterdam"),
     PublicLog("amsterdam_motorway", repositories.AMSTERDAM,
               partial(pocket_phones.amsterdam, trip=pocket_phones.MOTORWAY), right="amsterdam"),
+    # from here on: the sixth search
+    # by its gravity, its turns and its braking; the phone leans about
+    PublicLog("rome_904", repositories.ROME, partial(loggers.rome, drive=904),
+              (80.7, 0.0, -104.0), 12.0, right="rome"),
+    PublicLog("rome_906", repositories.ROME, partial(loggers.rome, drive=906),
+              (76.7, -2.6, -98.6), 3.0, right="rome"),
+    PublicLog("rome_908", repositories.ROME, partial(loggers.rome, drive=908),
+              (55.5, -0.8, -95.4), 3.5, right="rome"),
+    PublicLog("rome_909", repositories.ROME, partial(loggers.rome, drive=909),
+              (73.7, -1.9, -94.5), 3.5, right="rome"),
+    # gravity is taken out: the two level axes alone
+    PublicLog("lausitz_track", repositories.TRACKADDICT, loggers.lausitz_track,
+              (None, None, -1.2), 2.0),
+    # in the hand at stops
+    PublicLog("klang_car", repositories.KLANG, loggers.klang_car, (59.6, -6.0, -90.3), 12.0),
+    # what it measured at its start is taken out: no mount to be known
+    PublicLog("sydney_audi", repositories.FREEMATICS, loggers.sydney_audi),
+    PublicLog("boston_1hz", repositories.BOSTON_1HZ, loggers.boston_1hz, (-178.3, -3.3, -0.3),
+              5.0, right="boston_vectornav"),
+    # in circles: no yaw to be known
+    PublicLog("boston_circles", repositories.BOSTON_CIRCLES, loggers.boston_circles,
+              (180.0, 1.8, None), 3.0, right="boston_vectornav"),
 )  # fmt: skip

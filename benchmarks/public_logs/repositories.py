@@ -138,3 +138,19 @@ KITTI_TENSORS = Repository(
 AMSTERDAM = Repository(
     "LarsdeWolf", "ML4QS-G28", "13679fcc366306cb5a8963feb67951274b139654", "none stated"
 )
+ROME = Repository("scikibu", "SL_Road", "e95b9c521d8470932a62cec4735f9c78f12d391b", "none stated")
+TRACKADDICT = Repository(
+    "thomasjungblut", "trackaddict-cli", "ee1fd37e2ccc00a4d3d733bc36a588694670fcf8", "Apache-2.0"
+)
+KLANG = Repository(
+    "yudhi-chen", "OBD_viewer", "85cf2fb5da5e1201d5af89d0dc5e1d357f4c60f6", "none stated"
+)
+FREEMATICS = Repository(
+    "stanleyhuangyc", "Freematics", "ec62292c017667f41353e1aae5567ced23f74c55", "none stated"
+)
+BOSTON_1HZ = Repository(
+    "ramirez-adr", "EECE5554", "1360753442a372c3c1e62ac0ffde71d47101b162", "none stated"
+)
+BOSTON_CIRCLES = Repository(
+    "sazgar001", "EECE5554", "f8d31a6bf430e277cda6f9121af548cc06cb52d3", "none stated"
+)

@@ -76,7 +76,7 @@ def test_a_vehicles_whole_database_is_read_within_what_the_unit_allows(tmp_path)
 
 
 def test_a_process_of_its_own_reads_the_same_and_refuses_in_the_same_words(monkeypatch):
-    good, bad = ordinary(50), ordinary(50) + " SG_ S : oops\n"
+    good, bad = ordinary(50), ordinary(50) + "SIG_VALTYPE_ oops ;\n"
     here = load_database_text(good, "dbc", "x")
     with pytest.raises(DatabaseError) as refused_here:
         load_database_text(bad, "dbc", "x")
@@ -189,6 +189,17 @@ def test_the_memory_allowed_is_the_least_of_the_groups_around(tmp_path):
     (inner.parent / "memory.max").write_text("90000000\n")
     assert allowed_memory(own, tmp_path) == 90_000_000
     assert allowed_memory(tmp_path / "none", tmp_path) == physical
+
+
+@pytest.mark.parametrize("kind", ["RLIMIT_AS", "RLIMIT_DATA"])
+def test_the_memory_allowed_is_no_more_than_the_process_may_have(kind):
+    code = (
+        "import resource; from imucald.core.memory import allowed_memory\n"
+        f"resource.setrlimit(resource.{kind}, (500_000_000, resource.RLIM_INFINITY))\n"
+        "print(allowed_memory())"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert int(done.stdout) == 500_000_000
 
 
 def test_a_wrong_database_is_refused_also_where_the_end_of_processes_is_not_seen():

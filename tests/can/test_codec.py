@@ -180,8 +180,9 @@ def test_j1939_can_be_forced_and_forbidden(database: Database) -> None:
     assert not matches(strict, CAN_EFF_FLAG | 0x18F00427)
     plain = replace(eec1, is_j1939=False)
     assert id_match(plain, j1939=True) == id_match(eec1)
-    with pytest.raises(DatabaseError, match="IMU has 11 bits"):
-        id_match(imu, j1939=True)
+    assert id_match(imu, j1939=True) == id_match(imu, j1939=False)  # 11 bits are no PGN
+    with pytest.raises(DatabaseError, match=r"IMU is no message of J1939.*11 bits"):
+        id_match(imu, j1939=True, source_address=3)
 
 
 def one_signal(line: str, size: int = 8, more: str = "") -> Message:

@@ -40,8 +40,8 @@ def test_a_folder_and_a_strange_suffix_are_refused(tmp_path: Path) -> None:
 
 def test_a_syntax_error_is_given_with_its_line(tmp_path: Path) -> None:
     path = write(tmp_path, "bad.dbc", HEAD + "BO_ 16 M: 8 Vector__XXX\n SG_ S : oops\n")
-    with pytest.raises(DatabaseError, match=r"bad\.dbc: .*line 6"):
-        load_database([path])
+    with pytest.raises(DatabaseError, match=r"bad\.dbc:6: .*M\.S is left out"):
+        load_database([path]).signal("M.S")
 
 
 def test_the_suffix_may_be_in_capitals(tmp_path: Path) -> None:

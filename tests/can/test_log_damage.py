@@ -45,7 +45,9 @@ def check_against_judge(path: Path, lines: list[bytes]) -> LogReader:
     blank = sum(not line.strip() for line in path.read_bytes().split(b"\n"))
     assert sum(reader.rejected.values()) == sum(v is None for v in verdicts) - blank
     assert set(reader.rejected) <= set(REASONS)
-    assert len(reader.problems) == min(20, sum(reader.rejected.values()))
+    # Lines in a row that have nothing of a frame's are one problem.
+    others = sum(n for reason, n in reader.rejected.items() if reason != "not_candump")
+    assert min(20, others) <= len(reader.problems) <= min(20, sum(reader.rejected.values()))
     return reader
 
 
@@ -132,7 +134,7 @@ def test_any_bytes_are_taken(
     [
         ("can0  200   [8]  13 00 E1 FF 2B 13 00 00", "not_candump"),
         ("(1600000000) can0 200#13", "bad_timestamp"),
-        ("(-1.0) can0 200#13", "bad_timestamp"),
+        ("(-1.0) can0 200#13", "negative_timestamp"),
         ("(1.5e3) can0 200#13", "bad_timestamp"),
         ("(nan) can0 200#13", "bad_timestamp"),
         ("(1.0 can0 200#13", "bad_timestamp"),
@@ -187,7 +189,8 @@ def test_strict_reading_stops_at_the_first_of_all_bad_lines(tmp_path: Path) -> N
 
 def test_line_numbers_go_on_over_blocks(tmp_path: Path) -> None:
     path = tmp_path / "a.log"
-    path.write_text(f"{GOOD[0]}\n" * 50_000 + "bad\n" + f"{GOOD[0]}\n" * 50_000 + "worse")
+    good = [f"({1.6e9 + 1e-3 * k:.6f}) can0 123#1122\n" for k in range(100_000)]
+    path.write_text("".join([*good[:50_000], "bad\n", *good[50_000:], "worse"]))
     reader = LogReader([path])
     assert sum(len(chunk) for chunk in reader) == 100_000
     assert [text.split(": ")[0] for text in reader.problems] == [f"{path}:50001", f"{path}:100002"]

@@ -13,6 +13,7 @@ import io
 import json
 import lzma
 import os
+import re
 import struct
 import threading
 from pathlib import Path
@@ -306,23 +307,50 @@ def test_a_blf_that_was_never_closed_says_that_it_is_cut(tmp_path: Path) -> None
         list(LogReader([path]))
 
 
-def test_an_mf4_that_is_cut_says_where(tmp_path: Path) -> None:
+def written_mf4(path: Path) -> bytes:
+    """The bytes of `messages` as python-can writes them to an MF4 file, which stays there."""
     pytest.importorskip("asammdf")
     from imucald.can.python_can import with_mf4
 
     with_mf4()
     from can.io.mf4 import MF4Writer
 
-    path = tmp_path / "a.mf4"
     with MF4Writer(path) as writer:
         for one in messages():
             writer.on_message_received(one)
-    whole = path.read_bytes()
+    return path.read_bytes()
+
+
+def test_an_mf4_that_is_cut_says_where(tmp_path: Path) -> None:
+    path = tmp_path / "a.mf4"
+    whole = written_mf4(path)
     assert len(frames_of(*LogReader([path], strict=True))) == 400
     for share in (0.99, 0.5, 0.05, 0.005):
         path.write_bytes(whole[: int(len(whole) * share)])
         with pytest.raises(LogError, match=r"a\.mf4: cannot be read: the file is cut"):
             list(LogReader([path]))
+
+
+@pytest.mark.parametrize("begins", [b"MDF     ", b"UnFinMF "])
+def test_an_mf4_whose_channel_lies_beyond_its_record_is_refused_before_it_is_read(
+    tmp_path: Path, begins: bytes
+) -> None:
+    """asammdf's compiled part reads and writes there, whatever there is."""
+    path = tmp_path / "a.mf4"
+    whole = written_mf4(path)
+    places = [found.start() for found in re.finditer(b"##CN", whole)]
+    refused = 0
+    for at in places:
+        links = int.from_bytes(whole[at + 16 : at + 24], "little")
+        first_byte = at + 24 + 8 * links + 4
+        damaged = bytearray(whole)
+        damaged[first_byte : first_byte + 4] = (520).to_bytes(4, "little")
+        damaged[:8] = begins
+        path.write_bytes(damaged)
+        with pytest.raises(LogError, match=f"a channel at byte {at} lies beyond its record"):
+            list(LogReader([path]))
+        refused += 1
+    assert refused >= 5
 
 
 def frame(can_id: int, data: bytes, marks: int = 0) -> bytes:
@@ -398,11 +426,44 @@ def test_a_cut_capture_says_so(tmp_path: Path, make) -> None:
         assert sum(reader.rejected.values()) == 1, cut
 
 
+@pytest.mark.parametrize("is_cooked", [False, True])
+def test_ids_in_the_order_of_a_pc_are_known_by_the_first_packets(tmp_path: Path, is_cooked) -> None:
+    pytest.importorskip("dpkt")
+    swapped = [packet[3::-1] + packet[4:] for packet in PACKETS]
+    path = tmp_path / "a.pcap"
+    packets = [cooked(p) if is_cooked else p for p in swapped]
+    path.write_bytes(pcap(packets, 113 if is_cooked else 227))
+    reader = LogReader([path])
+    assert [(f.can_id, f.data, f.fd) for f in frames_of(*reader)] == IN_PACKETS
+    assert "byte order of a PC" in reader.problems[0]
+
+
+def test_an_id_that_is_none_is_rejected(tmp_path: Path) -> None:
+    pytest.importorskip("dpkt")
+    path = tmp_path / "a.pcap"
+    path.write_bytes(pcap([*PACKETS, frame(0x12345, b"")], 227))
+    reader = LogReader([path])
+    assert len(frames_of(*reader)) == len(IN_PACKETS)
+    assert reader.rejected == {"bad_id": 1}
+
+
+def test_a_capture_with_its_header_in_the_other_byte_order_is_read(tmp_path: Path) -> None:
+    pytest.importorskip("dpkt")
+    out = struct.pack(">IHHiIII", 0xA1B2C3D4, 2, 4, 0, 0, 65535, 227)
+    for i, packet in enumerate(PACKETS):
+        out += struct.pack(">IIII", 1_700_000_000, 1000 * i, len(packet), len(packet)) + packet
+    path = tmp_path / "a.pcap"
+    path.write_bytes(out)
+    assert [f.can_id for f in frames_of(*LogReader([path]))] == [
+        can_id for can_id, *_ in IN_PACKETS
+    ]
+
+
 def test_a_capture_of_another_network_is_refused(tmp_path: Path) -> None:
     pytest.importorskip("dpkt")
     path = tmp_path / "a.pcap"
     path.write_bytes(pcap([b"\0" * 60], 1))
-    with pytest.raises(LogError, match="not of a CAN interface"):
+    with pytest.raises(LogError, match=r"a capture of Ethernet .*not of a CAN interface"):
         list(LogReader([path]))
 
 

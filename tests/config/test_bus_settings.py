@@ -72,12 +72,16 @@ def test_status_frames_come_as_often_as_configured(rate, tmp_path):
 def test_each_output_frame_has_the_id_that_is_configured(tmp_path):
     text = HEAD + "  gyroscope: {x: GYR.GX, y: GYR.GY, z: GYR.GZ}\n"
     text += "  magnetometer: {x: MAG.MX, y: MAG.MY, z: MAG.MZ}\n"
-    names = ("acceleration", "angular_rate", "magnetic_field", "mount", "mount_deviation", "health")
-    for k, name in enumerate(names):
+    defaults = {
+        "acceleration": 0x640, "angular_rate": 0x641, "magnetic_field": 0x642, "mount": 0x643,
+        "mount_deviation": 0x644, "health": 0x645, "cross_talk_deviation": 0x64D,
+        "zero_deviation": 0x64E,
+    }  # fmt: skip
+    for k, (name, default) in enumerate(defaults.items()):
         loaded = load(f"{text}output: {{ids: {{{name}: 0x{0x300 + k:X}}}}}\n", tmp_path)
         ids = OutputFrames(loaded.config).can_ids
         assert 0x300 + k in ids
-        assert ids - {0x300 + k} == {0x640 + i for i in range(6)} - {0x640 + k}
+        assert ids - {0x300 + k} == set(defaults.values()) - {default}
 
 
 def test_a_database_of_another_channel_is_not_heard(tmp_path):
@@ -110,7 +114,7 @@ def test_what_the_database_calls_invalid_is_not_available(tmp_path, monkeypatch)
 
     monkeypatch.setattr(wiring, "load_database", with_invalid)
     router = compile_router(load(HEAD + "  speed: SPD.V\n", tmp_path))
-    assert router.frame(0.0, 304, bytes.fromhex("ff7f0000")) == ([], ["speed"])
+    assert router.frame(0.0, 304, bytes.fromhex("ff7f0000")) == ([], ["speed"], ["speed"])
     assert router.rejected == {"not_available": 1}
-    samples, _ = router.frame(0.1, 304, bytes.fromhex("fe7f0000"))
+    samples, _, _ = router.frame(0.1, 304, bytes.fromhex("fe7f0000"))
     assert [channel for channel, _ in samples] == ["reverse", "speed"]

@@ -11,6 +11,8 @@ import yaml
 
 from imucald.config import Config, parse_config
 from imucald.core.errors import ConfigError
+from imucald.runtime.consumers import consumers_for
+from imucald.runtime.output.output_frames import OutputFrames
 
 SIGNALS: dict[str, Any] = {
     "accelerometer": {"x": "A.X", "y": "A.Y", "z": "A.Z"},
@@ -20,6 +22,7 @@ SIGNALS: dict[str, Any] = {
     "steering_wheel_angle": "S.A",
     "brake": "B.B",
     "heading": "H.H",
+    "reverse": "R.R",
 }
 
 
@@ -82,16 +85,33 @@ def test_every_key_is_read_by_the_estimator_or_reported(
     base = {"calibration.estimator": estimator, "attitude.enabled": True}
     text = warnings_of(base | {"travel_direction.enabled": True, path: written(path, default)})
     part = path.split(".")[1]
-    if part in READ_BY_METHOD_A:
+    if path in BEHIND_ANOTHER:
+        assert text
+    elif part in READ_BY_METHOD_A:
         assert bool(text) == (estimator == "full"), text
         assert not text or f"calibration.{part}: has no effect with estimator: full" in text
     elif path.startswith(("calibration.cross_axis", "calibration.orientation")):
         assert bool(text) == (estimator == "published")
+    elif path.startswith("travel_direction.choice.") and not path.endswith(".turn_deg"):
+        assert f"{path}: has no effect on the heading while the alternative gives one" in text
     elif path.startswith("attitude.") and default is not msgspec.NODEFAULT:
         idle = path in IDLE_WITH_FILTER
         assert (f"{path}: has no effect" in text) == idle, text
     else:
         assert not text
+
+
+BEHIND_ANOTHER = {
+    f"calibration.straight.{key}"
+    for key in (
+        "steering_limit_deg",
+        "consistency_window",
+        "consistency_range_deg",
+        "consistency_mean",
+        "min_speed_without_reverse",
+    )
+}
+"""With every signal there another recogniser, or another limit, decides."""
 
 
 IDLE_WITH_FILTER = {
@@ -120,12 +140,29 @@ def test_the_place_and_the_reason_are_reported() -> None:
         ({"calibration.straight.recognise_by": ["yaw_rate"],
           "calibration.straight.steering_limit_deg": 5.0}, (),
          "calibration.straight.steering_limit_deg"),
-        ({"calibration.straight.steering_limit_deg": 5.0}, ("steering_wheel_angle",),
+        ({"calibration.straight.recognise_by": ["steering", "yaw_rate"],
+          "calibration.straight.steering_limit_deg": 5.0}, ("steering_wheel_angle",),
          "calibration.straight.steering_limit_deg"),
         ({"calibration.static.standstill_speed": 0.5}, ("speed",),
          "calibration.static.standstill_speed"),
         ({"calibration.method_a.level": False, "calibration.static.average_stops": True}, (),
          "calibration.static.average_stops"),
+        ({"calibration.straight.min_speed": 9.0}, ("reverse",), "calibration.straight.min_speed"),
+        ({"calibration.straight.yaw_rate_limit_deg_s": 9.0,
+          "calibration.method_a.to_the_letter": True}, (),
+         "calibration.straight.yaw_rate_limit_deg_s"),
+        ({"calibration.straight.yaw_rate_limit_deg_s": 9.0,
+          "calibration.straight.lateral_limit": 0.0}, (),
+         "calibration.straight.yaw_rate_limit_deg_s"),
+        ({"calibration.straight.yaw_rate_limit_deg_s": 9.0}, ("speed",),
+         "calibration.straight.yaw_rate_limit_deg_s"),
+        ({"calibration.straight.lateral_limit": 0.1}, ("speed",),
+         "calibration.straight.lateral_limit"),
+        ({"calibration.method_a.to_the_letter": True,
+          "calibration.static.threshold_at_zero_speed": [1.0, 1.0, 1.0]}, (),
+         "calibration.static.threshold_at_zero_speed"),
+        ({"attitude.enabled": True, "attitude.method": "compensation",
+          "attitude.compensation.delay": 0.1}, (), "attitude.compensation.delay"),
         ({"attitude.enabled": True, "attitude.method": "compensation",
           "attitude.filter.gyro_noise_deg_s": 0.02}, (), "attitude.filter.gyro_noise_deg_s"),
         ({"attitude.enabled": True, "attitude.compensation.average": 0.5}, ("speed",),
@@ -152,6 +189,7 @@ def test_what_other_keys_and_missing_signals_idle_is_reported(
          "signals.steering_wheel_angle"),
         ("straight.recognise_by", "all", ("steering_wheel_angle",),
          "signals.steering_wheel_angle"),
+        ("straight.recognise_by", "all", ("gyroscope",), "signals.yaw_rate"),
         ("straight.recognise_by", ["yaw_rate"], ("gyroscope", "steering_wheel_angle"),
          "signals.yaw_rate"),
         ("target_angle.sign_from", ["brake"], ("brake",), "signals.brake"),
@@ -178,3 +216,15 @@ def test_one_axis_that_points_up_and_forward_is_an_error(forward: str) -> None:
 def test_shipped_and_plain_files_say_nothing() -> None:
     assert not warnings_of({})
     assert len(ALL) > 60
+
+
+def test_a_heading_that_method_b_does_not_read_is_reported_and_not_asked_for() -> None:
+    changes = {
+        "attitude.enabled": True,
+        "attitude.method": "compensation",
+        "attitude.filter.heading": "signal",
+    }
+    config = loaded(changes, "heading")
+    (line,) = config.idle_keys()
+    assert "attitude.filter.heading: has no effect" in line
+    assert consumers_for(config, OutputFrames(config.config))

@@ -14,7 +14,8 @@ from imucald.inputs.rate_guard import DUPLICATE, TOO_FAST
     ({"counter_jump": 5, "untrusted": 15}, "counter"),
     ({"checksum": 5, "untrusted": 15}, "checksum"),
     ({"doubled": 900, "counter_repeated": 3}, "doubled"),
-    ({"timeout": 2}, "timeout"), ({DUPLICATE: 2}, "duplicate_sender"), ({TOO_FAST: 2}, "too_fast"),
+    ({"too_early": 2}, "too_early"),
+    ({DUPLICATE: 2}, "duplicate_sender"), ({TOO_FAST: 2}, "too_fast"),
 ])  # fmt: skip
 def test_the_remedy_is_that_of_the_most_frequent_cause_and_not_of_what_follows_it(reasons, key):
     assert _remedy(Counter(reasons)) == _REMEDIES[key]

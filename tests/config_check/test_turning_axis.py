@@ -13,6 +13,7 @@ from imucald.config_check.finding import Finding
 from imucald.config_check.judgement import judge
 from imucald.config_check.motion import Motion, TickMeans
 from imucald.config_check.turning_axis import turning_axis_findings
+from imucald.core.rotations import rotation_from_angles
 from imucald.core.samples import Samples, Series
 from imucald.simulation import random_model, simulate
 
@@ -111,3 +112,15 @@ def test_an_axis_that_is_stated_to_point_up_and_does_not_is_an_error_or_a_warnin
     assert any("points down" in f.text for f in down if f.level == "error")
     level = findings("x")
     assert any("neither up nor down" in f.text for f in level if f.level == "warning")
+
+
+@pytest.mark.parametrize("zero", [(0.3, 0.3, -3.0), (-4.0, 0.5, 4.0)])
+def test_a_zero_error_of_the_gyroscope_in_a_drive_with_stops_accuses_no_axis(zero):
+    samples, R = dict(alone()), rotation_from_angles(0.4, 0.41, 1.01)
+    for channel, error in (("accel", np.zeros(3)), ("gyro", np.radians(zero))):
+        series = samples[channel]
+        short = series.t < 200.0
+        samples[channel] = Series(series.t[short], (series.values @ R + error)[short])
+    means = TickMeans()
+    means.add(samples)
+    assert list(turning_axis_findings(Motion(means.grid(), planar=False))) == []

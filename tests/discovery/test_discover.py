@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 import threading
 from pathlib import Path
@@ -10,9 +11,11 @@ import numpy as np
 import pytest
 from benchmarks.init.judge import judge
 from benchmarks.init.obfuscated import write_bus
+from msgspec import structs
 
+import imucald
 from imucald import cli
-from imucald.can.columns import FrameColumns
+from imucald.can.columns import FrameColumns, concatenate
 from imucald.can.dbc.database import load_database, load_database_text
 from imucald.can.logs.log_reader import LogReader
 from imucald.can.python_can import can
@@ -21,6 +24,7 @@ from imucald.discovery import GatheredFrames, Proposal, as_yaml, discover
 from imucald.discovery.candidates import candidates_of, messages_in, silent_candidates
 from imucald.discovery.discover import free_output_ids
 from imucald.discovery.names import axes_by_name, wheel_by_name
+from imucald.inputs.units import find_unit
 from paths import ROOT, SHARED_DATA
 
 EXAMPLE = ROOT / "dbc" / "imucald_example.dbc"
@@ -65,6 +69,25 @@ def test_a_level_sensor_has_both_axes_in_one_message(drive, tmp_path):
     accelerometer = proposed(database, drive).choice("accelerometer")
     assert accelerometer is not None
     assert len({s.signal.partition(".")[0] for s in accelerometer.sources.values()}) == 1
+
+
+@pytest.mark.parametrize("share", [0.0, 0.05])
+def test_a_recorder_that_drops_frames_is_named(drive, share):
+    frames = concatenate(list(LogReader([drive])))
+    kept = frames.take(np.random.default_rng(1).random(len(frames)) >= share)
+    recording = GatheredFrames.of([kept])
+    proposal = discover({"car.dbc": load_database([EXAMPLE])}, recording)
+    text = "% of the frames of each message are lost: the recorder seems to drop frames"
+    assert (proposal.loss is None) == (share == 0.0)
+    assert proposal.loss is None or proposal.loss.endswith(text)
+    lost = [note for note in proposal.notes if note.startswith("Frames lost: ")]
+    assert len(lost) == (share > 0.0)
+    assert all(re.search(r"ESC_Speed [45]\.\d %", note) for note in lost)
+    accelerometer = proposal.choice("accelerometer")
+    assert accelerometer is not None
+    assert float(accelerometer.evidence.split("/s")[0]) == pytest.approx(
+        100.0 * (1.0 - share), rel=0.01
+    )
 
 
 @pytest.mark.parametrize("has_other", [True, False], ids=["beside another", "alone"])
@@ -183,7 +206,7 @@ def test_a_database_of_another_vehicle_is_reported(drive):
 def test_output_ids_that_are_on_the_bus_are_moved():
     assert free_output_ids({0x100, 0x63F}) == {}
     moved = free_output_ids({0x645, 0x651})
-    assert len(set(moved.values())) == len(moved) == 13
+    assert len(set(moved.values())) == len(moved) == 15
     assert not set(moved.values()) & {0x645, 0x651}
 
 
@@ -281,8 +304,32 @@ def test_wheels_are_known_by_their_usual_names(name, wheel):
     assert wheel_by_name(name) == wheel
 
 
-def test_axes_are_known_where_names_differ_in_one_letter():
-    names = ["INS_GyrZ", "INS_GyrX", "INS_GyrY"]
+@pytest.mark.parametrize(
+    "names",
+    [
+        ["INS_GyrZ", "INS_GyrX", "INS_GyrY"],
+        ["VerticalAccel", "LongitudinalAccel", "LateralAccel"],
+        ["YawRate", "RollRate", "PitchRate"],
+        ["Hochbeschl", "Laengsbeschleunigung", "Querbeschl"],
+        ["ESP_Gierrate", "SARA_Wankrate", "SARA_Nickrate"],
+        ["accvert", "acclon", "acclat"],
+        ["AccZ_Vert", "AccX_Long", "AccY_Lat"],
+        ["IMU_az_mps2", "IMU_ax", "IMU_ay"],
+    ],
+)
+def test_axes_are_known_by_a_letter_or_by_a_word_for_the_direction(names):
+    assert order_of(names) == (1, 2, 0)
+
+
+@pytest.mark.parametrize(
+    "names", [["One", "Two", "Three"], ["RateA", "RateX", "RateY"], ["LatX", "LongY", "VertZ"]]
+)
+def test_axes_are_not_guessed_where_names_say_none_or_two(names):
+    assert order_of(names) is None
+
+
+def order_of(names: list[str]) -> tuple[int, int, int] | None:
+    """What is taken for the order of three signals with these names."""
     database = load_database_text(
         'VERSION ""\nBS_:\nBU_: A\nBO_ 5 M: 8 A\n'
         + "".join(
@@ -290,7 +337,179 @@ def test_axes_are_known_where_names_differ_in_one_letter():
         ),
         "dbc",
     )
-    assert axes_by_name(list(silent_candidates(database))) == (1, 2, 0)
+    return axes_by_name(list(silent_candidates(database)))
+
+
+def test_a_sensor_whose_axes_come_in_the_order_lateral_longitudinal_vertical_is_not_mirrored(
+    drive, tmp_path
+):
+    text = EXAMPLE.read_text()
+    for old, new in zip("XYZ", ("Lateral", "Longitudinal", "Vertical"), strict=True):
+        text = text.replace(f"Accel{old} ", f"{new}Acc ")
+    proposal = proposed(database_of(text, tmp_path), drive)
+    accelerometer = proposal.choice("accelerometer")
+    assert {a: s.signal for a, s in accelerometer.sources.items()} == {
+        "x": "IMU_Accel.LongitudinalAcc",
+        "y": "IMU_Accel.LateralAcc",
+        "z": "IMU_Accel.VerticalAcc",
+    }
+
+
+def test_raw_counts_without_a_scale_are_found_with_the_usual_one_and_are_unsure(drive, tmp_path):
+    """AccelX in counts of 0.002 m/s2 (4903 for 1 g), RateX in counts of 0.01 deg/s."""
+    text = EXAMPLE.read_text()
+    text = text.replace('(0.002,0) [-39.2|39.2] "m/s^2"', '(1,0) [0|0] "counts"')
+    text = text.replace('(0.01,0) [-250|250] "deg/s"', '(1,0) [0|0] ""')
+    text = without(text, "LateralAccel", "LongitudinalAccel")
+    proposal = proposed(database_of(text, tmp_path), drive)
+    accelerometer, gyro = proposal.choice("accelerometer"), proposal.choice("gyroscope")
+    assert accelerometer.sources["x"].signal == "IMU_Accel.AccelX"
+    size = find_unit(accelerometer.sources["x"].unit, "acceleration").factor
+    assert size == pytest.approx(0.002, rel=0.08)
+    assert "raw counts" in accelerometer.doubt
+    size = math.degrees(find_unit(gyro.sources["x"].unit, "angular_rate").factor)
+    assert size == pytest.approx(0.01, rel=0.35)
+    assert "raw counts" in gyro.doubt
+
+
+def copied(frames: FrameColumns, ids: dict[int, int]) -> FrameColumns:
+    """Frames and, a millisecond later, copies of some of them under other identifiers."""
+    parts = [frames]
+    for old, new in ids.items():
+        again = frames.take(frames.can_id == old)
+        parts.append(structs.replace(again, t=again.t + 0.001, can_id=again.can_id * 0 + new))
+    whole = concatenate(parts)
+    return whole.take(np.argsort(whole.t, kind="stable"))
+
+
+@pytest.mark.parametrize("moved", ["Z", "X"])
+def test_axes_in_two_messages_are_found_and_not_taken_for_a_level_sensor(moved, drive):
+    """What a float of 32 bits for each axis needs; a neighbouring message has the third axis."""
+    text, ids = EXAMPLE.read_text(), {}
+    for sensor, message in (("Accel", "IMU_Accel"), ("Rate", "IMU_Gyro")):
+        line = next(x for x in text.splitlines() if f"SG_ {sensor}{moved} " in x)
+        head = next(x for x in text.splitlines() if x.startswith("BO_") and message in x)
+        number = int(head.split()[1])
+        ids[number] = number + 0x100
+        other = head.replace(f"{number} {message}", f"{number + 0x100} {message}_{moved}")
+        text = text.replace(f"{line}\n", "").replace(head, f"{other}\n{line}\n\n{head}")
+    frames = GatheredFrames.of([copied(concatenate(list(LogReader([drive]))), ids)])
+    proposal = discover({"other.dbc": load_database_text(text, "dbc")}, frames)
+    for quantity, name in (("accelerometer", "Accel"), ("gyroscope", "Rate")):
+        choice = proposal.choice(quantity)
+        found = {axis: source.signal.partition(".")[2] for axis, source in choice.sources.items()}
+        assert found == {axis: name + axis.upper() for axis in "xyz"}
+        assert choice.is_sure
+
+
+def test_an_axis_that_is_cut_off_is_no_axis_of_another_message(drive):
+    """The car's yaw rate, in the same unit, fits a gyroscope without z in all but its mount."""
+    frames = concatenate(list(LogReader([drive])))
+    length = np.where(frames.can_id == 0x201, 4, frames.length).astype(frames.length.dtype)
+    cut = GatheredFrames.of([structs.replace(frames, length=length)])
+    proposal = discover({"car.dbc": load_database([EXAMPLE])}, cut)
+    choice = proposal.choice("gyroscope")
+    assert choice is None or not choice.is_sure
+    yaw_rate = proposal.choice("yaw_rate")
+    assert {s.signal for s in yaw_rate.sources.values()} == {"ESC_Dynamics.YawRate"}
+
+
+SIDED = ("YawRate", "LateralAccel", "SteeringWheelAngle")
+
+
+def without(text: str, *names: str) -> str:
+    """A database's text without some signals."""
+    return "".join(
+        x for x in text.splitlines(True) if not any(f"SG_ {name}" in x for name in names)
+    )
+
+
+def with_signs(text: str, *names: str) -> str:
+    """A database's text in which the scale of some signals has the other sign."""
+    return "".join(
+        re.sub(r"\(([\d.]+),", r"(-\1,", x) if any(f"SG_ {n} " in x for n in names) else x
+        for x in text.splitlines(True)
+    )
+
+
+def test_an_accelerometer_against_which_all_else_speaks_is_turned_and_unsure(drive, tmp_path):
+    """It shows minus the specific force; without the wheels, three signals of the car speak."""
+    text = with_signs(without(EXAMPLE.read_text(), "Wheel"), "AccelX", "AccelY", "AccelZ")
+    database = database_of(text, tmp_path)
+    proposal = proposed(database, drive)
+    signs = {c.quantity: {s.sign for s in c.sources.values()} for c in proposal.choices}
+    assert signs["accelerometer"] == {-1}
+    assert [signs[q] for q in ("yaw_rate", "steering_wheel_angle", "gyroscope")] == [{1}] * 3
+    accelerometer = proposal.choice("accelerometer")
+    assert "minus the specific force" in accelerometer.doubt
+    out = tmp_path / "car.yaml"
+    out.write_text(as_yaml(proposal, [str(database)]))
+    found = [f for f in imucald.check(out, drive).findings if f["level"] == "warning"]
+    assert any("the axis that points up must read plus 1 g" in f["text"] for f in found)
+
+
+def test_two_signals_that_need_the_other_sign_make_the_accelerometer_unsure(drive, tmp_path):
+    text = without(EXAMPLE.read_text(), "Wheel", "LateralAccel")
+    database = database_of(with_signs(text, "AccelX", "AccelY", "AccelZ"), tmp_path)
+    accelerometer = proposed(database, drive).choice("accelerometer")
+    assert "yaw_rate" in accelerometer.doubt
+    assert "steering_wheel_angle" in accelerometer.doubt
+
+
+def test_a_yaw_rate_alone_that_needs_the_other_sign_makes_the_accelerometer_unsure(drive, tmp_path):
+    """Yaw rates that count to the right are rarer than accelerometers of the other sign."""
+    text = without(EXAMPLE.read_text(), "Wheel", "LateralAccel", "SteeringWheel")
+    database = database_of(with_signs(text, "AccelX", "AccelY", "AccelZ"), tmp_path)
+    assert "yaw_rate" in proposed(database, drive).choice("accelerometer").doubt
+
+
+def test_one_of_three_signals_that_needs_the_other_sign_says_nothing_of_it(drive, tmp_path):
+    for name in SIDED:
+        database = database_of(with_signs(EXAMPLE.read_text(), name), tmp_path)
+        assert proposed(database, drive).choice("accelerometer").is_sure, name
+
+
+def test_signals_that_the_configuration_turns_do_not_confirm_the_accelerometer(drive, tmp_path):
+    """As somebody writes it who believes the accelerometer."""
+    text = with_signs(EXAMPLE.read_text(), "AccelX", "AccelY", "AccelZ")
+    database_of(text, tmp_path)
+    out = tmp_path / "car.yaml"
+    out.write_text(
+        """database: other.dbc
+signals:
+  accelerometer: {x: IMU_Accel.AccelX, y: IMU_Accel.AccelY, z: IMU_Accel.AccelZ}
+  speed: ESC_Speed.VehicleSpeed
+  yaw_rate: {signal: ESC_Dynamics.YawRate, sign: -1}
+  steering_wheel_angle: {signal: EPS_SteeringAngle.SteeringWheelAngle, sign: -1}
+"""
+    )
+    found = [f for f in imucald.check(out, drive).findings if f["level"] == "warning"]
+    assert any("does not confirm it" in f["text"] for f in found)
+    out.write_text(out.read_text() + "calibration: {orientation: {up: z}}\n")
+    found = imucald.check(out, drive).findings
+    assert not any("does not confirm it" in f["text"] for f in found)
+
+
+@pytest.mark.parametrize(
+    ("unit", "known"),
+    [("Unit_KiloMeterPerHour", True), ("kilometer/hour", True), ("speed_unit", False)],
+)
+def test_a_unit_in_words_is_read_and_one_that_is_not_known_is_found_in_the_data(
+    unit, known, drive, tmp_path
+):
+    text = EXAMPLE.read_text().replace('[0|400] "km/h"', f'[0|400] "{unit}"')
+    choice = proposed(database_of(text, tmp_path), drive).choice("speed")
+    assert choice is not None
+    assert choice.sources[""].signal == "ESC_Speed.VehicleSpeed"
+    assert choice.sources[""].unit == (None if known else "km/h")
+    assert choice.is_sure
+
+
+def database_of(text: str, folder: Path) -> Path:
+    """A database file with a text."""
+    path = folder / "other.dbc"
+    path.write_text(text)
+    return path
 
 
 @pytest.mark.skipif(not (SHARED_DATA / "wrx_sti").exists(), reason="the measured drives are absent")

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from imucald.can.columns import FrameColumns
+from imucald.can.columns import FrameColumns, concatenate
 from imucald.can.dbc.database import load_database_text
 from imucald.discovery import GatheredFrames
 from imucald.discovery.candidates import candidates_of, messages_in
@@ -56,3 +56,38 @@ def test_a_sensor_in_a_car_that_is_driven_hard_is_found_by_its_calm_part():
 @pytest.mark.parametrize(("down_g", "unit"), [(0.0, "g"), (-1.0, ""), (-0.7, "g")])
 def test_without_gravity_or_a_stated_unit_three_accelerations_are_no_sensor(down_g, unit):
     assert triads_of(racing(down_g), unit) == []
+
+
+TWO_RATES = """VERSION ""
+BS_:
+BU_: A B
+BO_ 256 First: 4 A
+ SG_ {}X : 0|16@1- (0.001,0) [-32|32] "g" B
+ SG_ {}Z : 16|16@1- (0.001,0) [-32|32] "g" B
+BO_ 257 Second: 4 A
+ SG_ {}Y : 0|16@1- (0.001,0) [-32|32] "g" B
+"""
+
+
+@pytest.mark.parametrize(("names", "found"), [(("Acc",) * 3, 1), (("P", "Q", "R"), 0)])
+def test_axes_that_come_at_two_rates_are_a_sensor_where_their_names_say_so(names, found):
+    n = 2000
+    force = np.array([0.3, 0.2, 0.93]) + np.random.default_rng(5).normal(0.0, 0.01, (n, 3))
+    raw = np.round(force / 0.001).astype("<i2")
+    parts = []
+    for can_id, axes, step in ((256, [0, 2], 1), (257, [1, 0], 2)):
+        t = np.arange(0, n, step)
+        data = np.ascontiguousarray(raw[t][:, axes]).view(np.uint8).reshape(len(t), 4)
+        ids, length = np.full(len(t), can_id, np.uint32), np.full(len(t), 4, np.uint8)
+        channel = np.zeros(len(t), np.uint8)
+        padded = np.pad(data, ((0, 0), (0, 4)))
+        parts.append(FrameColumns(t / RATE, ids, length, padded, channel, ("can0",)))
+    whole = concatenate(parts)
+    frames = GatheredFrames.of([whole.take(np.argsort(whole.t, kind="stable"))])
+    database = load_database_text(TWO_RATES.format(*names), "dbc")
+    candidates = [
+        candidate
+        for message in messages_in(database, frames.traffic(), None)
+        for candidate in candidates_of(message, int(n / RATE * 10.0))
+    ]
+    assert len(accelerometers(candidates)) == found

@@ -29,7 +29,7 @@ class Bus:
 
     def raw(self, t: float, can_id: int, data: bytes) -> dict[str, list[float]]:
         """The same of given bytes."""
-        samples, rejected = self.router.frame(t, can_id, data)
+        samples, rejected, for_value = self.router.frame(t, can_id, data)
         frames = columns_of([(t, can_id, data)])
         routed = self._columns.columns(frames.t, frames)
         by_channel = {channel: list(values) for channel, values in samples}
@@ -37,6 +37,7 @@ class Bus:
             c: v if len(v) > 1 else v[0] for c, v in by_channel.items()
         }
         assert set(routed.rejected) == set(rejected)
+        assert set(routed.rejected_values) == set(for_value)
         assert self._columns.rejected == self.router.rejected
         if rejected:
             by_channel["rejected"] = rejected
@@ -246,14 +247,14 @@ def test_a_frame_that_came_twice_at_one_stamp_is_used_once_and_nothing_is_refuse
 
 
 def test_j1939_messages_are_heard_from_any_source_address(tmp_path):
-    bus = Bus(
+    text = (
         "database: {path: bus.dbc, j1939: true}\nsignals:\n"
         "  accelerometer: {x: ACC.AX, y: ACC.AY, z: ACC.AZ}\n"
-        "  gyroscope: {x: GYR.GX, y: GYR.GY, z: GYR.GZ}\n",
-        tmp_path,
+        "  gyroscope: {x: GYR.GX, y: GYR.GY, z: GYR.GZ}\n"
     )
-    _, can_id, data = bus._sender.frame(0.0, "GYR", GX=1.0, GY=2.0, GZ=3.0)
     for source, priority in ((0x00, 6), (0x17, 6), (0xFE, 3)):
+        bus = Bus(text, tmp_path)  # each the only sender
+        _, can_id, data = bus._sender.frame(0.0, "GYR", GX=1.0, GY=2.0, GZ=3.0)
         other = CAN_EFF_FLAG | priority << 26 | can_id & 0x03FFFF00 | source
         assert "gyro" in bus.raw(0.0, other, data)
     assert bus.raw(0.0, can_id ^ 0x100, data) == {}  # another parameter group
@@ -277,3 +278,13 @@ def test_parallel_sensors_have_channels_of_their_own(tmp_path):
     )
     samples = bus.say(0.0, "GYR", GX=180.0, GY=0.0, GZ=0.0)
     assert samples == {"parallel/b": pytest.approx([math.pi, 0.0, 0.0])}
+
+
+def test_only_a_value_that_is_refused_says_more_than_a_frame_that_is_lost(tmp_path) -> None:
+    """A damaged frame is a hole; a value on the sensor's stop hides a larger one."""
+    bus = Bus(HEAD, tmp_path)
+    beyond = b"\xff\x7f" + bytes(6)
+    for t, data, for_value in ((0.0, beyond, ["accel"]), (0.1, bytes(5), [])):
+        assert bus.raw(t, 256, data) == {"rejected": ["accel"]}  # columns say the same
+        other = Bus(HEAD, tmp_path)
+        assert other.router.frame(t, 256, data) == ([], ["accel"], for_value)

@@ -68,16 +68,16 @@ def gear(value_table: str, tmp_path) -> list[object]:
 def test_a_raw_value_that_the_table_calls_none_is_not_available(tmp_path) -> None:
     found = gear("", tmp_path)
     assert found == [
-        ([("reverse", [0.0])], []),
-        ([("reverse", [1.0])], []),
-        ([], ["reverse"]),
-        ([], ["reverse"]),
+        ([("reverse", [0.0])], [], []),
+        ([("reverse", [1.0])], [], []),
+        ([], ["reverse"], ["reverse"]),
+        ([], ["reverse"], ["reverse"]),
     ]
 
 
 def test_a_key_switches_that_off(tmp_path) -> None:
     found = gear(", value_table: false", tmp_path)
-    assert [samples[0][1] for samples, _ in found] == [[0.0], [1.0], [0.0], [1.0]]
+    assert [samples[0][1] for samples, *_ in found] == [[0.0], [1.0], [0.0], [1.0]]
 
 
 def accel_frames() -> list[tuple[float, int, bytes]]:

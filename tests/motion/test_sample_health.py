@@ -157,6 +157,39 @@ def test_a_sensor_is_used_again_when_it_has_been_sound_for_long_enough() -> None
     assert not health.faults
 
 
+def disturbed(t: np.ndarray, values: np.ndarray) -> None:
+    """0.16 s of one value beyond the usual range, each second for two minutes."""
+    beyond = round(1.1 * float(values[:, 0].max()) / ACCEL_STEP) * ACCEL_STEP
+    values[(t >= 60.0) & (t < 180.0) & (t % 1.0 < 0.16), 0] = beyond
+
+
+def test_a_value_that_driving_no_longer_reaches_is_no_rail_after_some_minutes() -> None:
+    samples = drive(480.0)
+    health = watched(edited(samples, "accel", disturbed))
+    saturated = [e for e in health.events if e.fault is SignalFault.SATURATED]
+    assert saturated, "nothing is tested otherwise"
+    assert "accel" not in health.faults
+    assert all(e.until is not None and e.until < 180.0 + 240.0 for e in saturated)
+    assert (
+        SignalFault.SATURATED in watched(edited(drive(180.0), "accel", disturbed)).faults["accel"]
+    )
+
+
+def test_rails_are_forgotten_when_the_calibration_begins_again() -> None:
+    samples = edited(drive(240.0), "accel", disturbed)
+    health, until, end = SampleHealth(AXES), 1900, 1900 + round(20.0 * SOUND_S)
+
+    def between(first: int, last: int) -> dict[str, Series]:
+        use = {c: (s.t >= 0.1 * first) & (s.t < 0.1 * last) for c, s in samples.items()}
+        return {c: Series(s.t[use[c]], s.values[use[c]]) for c, s in samples.items()}
+
+    health.columns(between(0, until), 0, until)
+    assert SignalFault.SATURATED in health.faults["accel"]
+    health.forget_rails()
+    health.columns(between(until, end), until, end)
+    assert "accel" not in health.faults
+
+
 @pytest.mark.parametrize("axis", range(6))
 @pytest.mark.parametrize("side", [-1.0, 1.0])
 def test_an_axis_that_cannot_go_on_is_saturated_until_it_goes_beyond(

@@ -45,7 +45,8 @@ def health(full_scale: float = math.inf) -> SignalHealth:
 def test_a_sound_drive_is_trusted_throughout() -> None:
     sound, rows = health(30.0), drive()
     sound.drop_impossible(rows)
-    assert not any(sound.stuck(name, rows).any() for name in ("accel", "gyro", "speed"))
+    assert not any(sound.stuck(name, rows).any() for name in ("accel", "gyro"))
+    assert not sound.stuck_speed(rows, None).any()
     assert not untrusted(sound, rows, 0.5).any()
     assert not sound.counts
 
@@ -59,7 +60,7 @@ def test_saturation_is_found_axis_by_axis_and_taken_with_its_neighbours(axis: in
     found = clipping.found["accel", SignalFault.SATURATED]
     assert np.argwhere(found).tolist() == [[20, axis], [40, axis]]
     assert np.flatnonzero(bad).tolist() == [*range(17, 24), *range(37, 44)]
-    assert clipping.counts == {"saturated": 2}
+    assert clipping.counts == {("accel", "saturated"): 2}
 
 
 def test_a_rejected_sample_counts_as_saturated_on_all_axes() -> None:
@@ -87,7 +88,7 @@ def test_wheels_may_differ_in_a_curve_but_not_on_the_straight() -> None:
     rows[:, WHEEL_SPREAD.mean] = 1.5
     assert not untrusted(slipping, rows, 0.5).any()
     assert untrusted(slipping, rows).all()
-    assert slipping.counts == {"wheel_slip": N}
+    assert slipping.counts == {("wheel_speeds", "wheel_slip"): N}
 
 
 @pytest.mark.parametrize("number", [math.nan, math.inf, -500.0])
@@ -98,7 +99,7 @@ def test_an_impossible_number_empties_only_its_own_sensor(number: float) -> None
     assert rows[7, ACCEL.n] == 0.0
     assert rows[7, GYRO.n] == rows[7, SPEED.n] == 10.0
     assert rows[8, ACCEL.n] == 10.0
-    assert sick.counts == {"impossible": 1}
+    assert sick.counts == {("accel", "impossible"): 1}
 
 
 def test_a_frozen_sensor_in_a_moving_vehicle_is_stuck_and_the_other_is_not() -> None:

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from imucald.motion import ticks as tk
 from imucald.motion.signal_health import SignalHealth
-from imucald.motion.stuck import StuckSpeed
+from imucald.motion.stuck import SeenForward, StuckSpeed
 from imucald.motion.ticks import empty_rows
 from imucald.mount.signal_blocks import BEFORE, BLOCK_TICKS, KEEP
 
@@ -23,35 +23,73 @@ def true_speed(seed: int = 1) -> NDArray[np.float64]:
     return np.asarray(15.0 + (0.15 / omega * np.sin(phase)).sum(axis=1))
 
 
-def flagged(speed: NDArray[np.float64]) -> NDArray[np.bool_]:
-    """What block after block is said to be stuck; NaN: no sample in the tick."""
+def flagged(
+    speed: NDArray[np.float64],
+    true: NDArray[np.float64] | None = None,
+    off: float = 0.0,
+    late: float = 0.0,
+) -> NDArray[np.bool_]:
+    """What block after block is said to be stuck; NaN: no sample in the tick.
+
+    true: what the vehicle drives, of which the force tells; off: the force by so much [m/s^2].
+    late: the speed, behind the force [s].
+    """
     rows = empty_rows(len(speed) + KEEP)
     rows[KEEP:, tk.SPEED.mean] = speed
     rows[KEEP:, tk.SPEED.n] = np.isfinite(speed)
+    accel = np.zeros(len(rows))
+    accel[KEEP:] = off + np.gradient(true_speed() if true is None else true, 0.1)
     watch, out = StuckSpeed(), np.zeros(len(rows), dtype=bool)
     for first in range(0, len(rows) - KEEP - BLOCK_TICKS + 1, BLOCK_TICKS):
-        flags = watch.flags(rows[first : first + KEEP + BLOCK_TICKS], BLOCK_TICKS)
+        part = slice(first, first + KEEP + BLOCK_TICKS)
+        seen = SeenForward(accel[part], late, 0.05, 0.3)
+        flags = watch.flags(rows[part], BLOCK_TICKS, seen)
         out[first + BEFORE : first + BEFORE + BLOCK_TICKS] = flags[BEFORE : BEFORE + BLOCK_TICKS]
     return out[KEEP:]
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("seconds", [3, 8, 60])
-def test_a_stuck_speed_is_flagged_from_its_first_tick_to_its_last(seconds):
-    speed = np.round(true_speed() / 0.0028) * 0.0028
-    stuck = slice(3000, 3000 + 10 * seconds)
-    speed[stuck] = speed[3000]
-    found = np.flatnonzero(flagged(speed))
-    assert found[0] <= 3001
+def braking() -> NDArray[np.float64]:
+    """Ten minutes at 20 m/s, every half minute slowed down to 8 m/s for a while at 2 m/s^2."""
+    t = np.arange(TICKS) * 0.1 % 30.0
+    return np.asarray(20.0 - 2.0 * np.clip(np.minimum(t - 12.0, 27.0 - t), 0.0, 6.0))
+
+
+@pytest.mark.parametrize("step", [0.0028, 0.028, 0.28])
+@pytest.mark.parametrize("seconds", [8, 20, 60])
+def test_a_speed_that_is_stuck_while_the_vehicle_brakes_is_flagged(step: float, seconds: int):
+    sound = np.round(braking() / step) * step
+    speed = sound.copy()
+    stuck = slice(3124, 3124 + 10 * seconds)  # in front of the braking
+    speed[stuck] = speed[3123]
+    found = np.flatnonzero(flagged(speed, braking()))
+    assert 3120 <= found[0] <= 3124 + BLOCK_TICKS, "it is flagged from the next block on at least"
     assert found[-1] >= stuck.stop - 2
-    assert len(found) <= 10 * seconds + 2
+    assert len(found) <= 10 * seconds + 3
+    assert not flagged(sound, braking()).any()
 
 
 def test_a_tick_of_which_half_is_stuck_is_flagged_as_well():
-    speed = np.round(true_speed() / 0.0028) * 0.0028
-    speed[3000:3080] = speed[3000]
-    speed[3080] = 0.5 * (speed[3000] + speed[3081])
-    assert flagged(speed)[3000:3081].all()
+    speed = np.round(braking() / 0.0028) * 0.0028
+    speed[3124:3204] = speed[3123]
+    speed[3204] = 0.5 * (speed[3123] + speed[3205])
+    assert flagged(speed, braking())[3190:3205].all()
+
+
+def test_a_speed_that_stays_while_nothing_happens_is_not_stuck():
+    """A bench, a HIL, a cruise control: exactly the same for minutes between manoeuvres."""
+    t = np.arange(TICKS) * 0.1 % 60.0
+    true = 14.0 + np.clip(np.minimum(t - 40.0, 60.0 - t), 0.0, 5.0)
+    for step in (1e-4, 0.0028, 0.28):
+        assert not flagged(np.round(true / step) * step, true).any()
+        assert not flagged(np.round(true / step) * step, true, off=0.25).any(), "a slope"
+
+
+@pytest.mark.parametrize("late", [3, 7, 12])
+def test_a_late_speed_is_not_stuck(late: int):
+    true = braking()
+    step = 1.0 / 3.6
+    speed = np.round(true[np.maximum(np.arange(TICKS) - late, 0)] / step) * step
+    assert not flagged(speed, true, late=0.1 * late).any()
 
 
 @pytest.mark.slow
@@ -70,8 +108,10 @@ def test_a_slow_sender_is_not_flagged_but_its_stuck_value_is():
     speed = np.full(TICKS, np.nan)
     speed[::10] = np.round(true_speed()[::10] / 0.01) * 0.01
     assert not flagged(speed).any()
-    speed[3000:3200:10] = speed[3000]
-    assert flagged(speed)[3000:3191:10].sum() >= 19
+    speed[::10] = braking()[::10]
+    assert not flagged(speed, braking()).any()
+    speed[3120:3320:10] = speed[3120]
+    assert flagged(speed, braking())[3180:3311:10].sum() >= 13
 
 
 def test_whole_kilometres_an_hour_once_a_second_are_not_stuck():
@@ -89,8 +129,14 @@ def test_standing_is_not_being_stuck():
 
 
 def test_a_speed_that_never_changed_is_not_called_stuck():
-    """A simulated or configured constant: there is nothing to hold it against."""
+    """A simulated or configured constant: nobody knows how it usually changes."""
     assert not flagged(np.full(TICKS, 12.0)).any()
+
+
+def test_where_no_mount_is_known_nothing_is_called_stuck():
+    rows = empty_rows(KEEP + BLOCK_TICKS)
+    rows[:, tk.SPEED.mean], rows[:, tk.SPEED.n] = 12.0, 5
+    assert not StuckSpeed().flags(rows, BLOCK_TICKS, None).any()
 
 
 def flagged_with_wheels(speed: NDArray[np.float64], wheels: NDArray[np.float64]) -> np.ndarray:
@@ -101,7 +147,7 @@ def flagged_with_wheels(speed: NDArray[np.float64], wheels: NDArray[np.float64])
     health = SignalHealth(slice(BEFORE, BEFORE + BLOCK_TICKS))
     out = np.zeros(len(rows), dtype=bool)
     for first in range(0, len(rows) - KEEP - BLOCK_TICKS + 1, BLOCK_TICKS):
-        flags = health.stuck("speed", rows[first : first + KEEP + BLOCK_TICKS])
+        flags = health.stuck_speed(rows[first : first + KEEP + BLOCK_TICKS], None)
         out[first + BEFORE : first + BEFORE + BLOCK_TICKS] = flags[BEFORE : BEFORE + BLOCK_TICKS]
     return out[KEEP:]
 

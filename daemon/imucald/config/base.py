@@ -16,16 +16,18 @@ class Settings(Struct, frozen=True, forbid_unknown_fields=True):
 
 
 CanId = Annotated[int, Meta(ge=0, le=EXTENDED_ID_MAX)]
+SourceAddress = Annotated[int, Meta(ge=0, le=253)]
+"""Of a sender on a J1939 bus; 254 is none, 255 all."""
 Positive = Annotated[float, Meta(gt=0)]
 NotNegative = Annotated[float, Meta(ge=0)]
 Share = Annotated[float, Meta(ge=0, le=0.5)]
 """Relative uncertainty."""
 Angle = Annotated[float, Meta(ge=-180, le=180)]
 """[deg]"""
-MIN_SPEED_DELAY, MAX_SPEED_DELAY = -0.5, 1.2
+MIN_SPEED_DELAY, MAX_SPEED_DELAY = -0.5, 1.8
 """Of speed behind the accelerometer [s]: what can be configured, and where it is sought. A speed
-of 1 Hz that is averaged over its cycle and waits for a frame is a second late; the accelerometer
-is late against it by a low-pass and its own cycle at most."""
+of 1 Hz that is averaged over its cycle and waits for a frame is a second late, receivers filter
+for as long again; the accelerometer is late against it by a low-pass and its own cycle at most."""
 SpeedDelay = Annotated[float, Meta(ge=MIN_SPEED_DELAY, le=MAX_SPEED_DELAY)]
 """[s]"""
 

@@ -53,9 +53,9 @@ class StraightMotionSettings(Settings, frozen=True):
     """In order of preference; the first whose signal is there decides. A list within the list is a
     group whose members must all agree; `all` is the group of steering and yaw rate."""
     yaw_rate_limit_deg_s: Positive = 2.0
-    """Yaw rate of straight motion where v r is known and gated as well."""
+    """Yaw rate of straight motion where v r is known and `lateral_limit` gates it as well."""
     yaw_rate_limit_without_speed_deg_s: Positive = 1.0
-    """The same where speed is unknown: 1 deg/s at 20 m/s is 0.35 m/s^2."""
+    """The same where v r is unknown or not gated: 1 deg/s at 20 m/s is 0.35 m/s^2."""
     steering_limit_deg: Positive = 10.0
     """Angle of the steering wheel in straight motion."""
     lateral_limit: NotNegative = 0.6
@@ -66,10 +66,14 @@ class StraightMotionSettings(Settings, frozen=True):
     """|dv/dt| that a manoeuvre must reach to count [m/s^2]."""
     min_speed: Positive = 1.0
     """Slower than this nothing is learnt: manoeuvring, clutch, signal dead zone [m/s]."""
+    min_speed_without_reverse: Positive = 2.0
+    """The same where no signal shows reverse gear: nobody reverses faster for long [m/s]."""
     consistency_window: Annotated[int, Meta(ge=2, le=1000)] = 15
     """Successive angles, ten a second, that must agree."""
     consistency_range_deg: Positive = 25.0
     """Range within which they agree."""
+    consistency_mean: Positive = 1.0
+    """Time over which each angle is averaged [s]: road noise is as large as braking otherwise."""
 
     @property
     def groups(self) -> tuple[tuple[Recogniser, ...], ...]:
@@ -106,8 +110,9 @@ class MethodASettings(Settings, frozen=True):
     """Method A as a whole."""
 
     to_the_letter: bool = False
-    """As published: the last stop decides, and nothing that was added takes part (average of stops,
-    v r and its gate, removed offset, weight by speed, settling)."""
+    """As published: the last stop that passed the static test levels, by one threshold; what was
+    added takes no part (average of stops, level without a stop, crown of the road, v r and its
+    gate, removed offset, weight by speed and by agreement, settling, shortest manoeuvre)."""
     level: bool = True
     """Level by gravity; else the accelerometer is taken as level (claims 1 to 5 without 6)."""
 
@@ -161,8 +166,9 @@ class OrientationSettings(Settings, frozen=True):
 class CalibrationSettings(Settings, frozen=True):
     """How the mount is found."""
 
-    estimator: Literal["full", "published"] = "full"
-    """"published" is method A alone; "full" fuses all the evidence there is."""
+    estimator: Literal["full", "joint", "published"] = "full"
+    """"published" is method A alone; "full" fuses all the evidence there is to a rotation; "joint"
+    finds a matrix and a zero for each sensor."""
     accelerometer_bias: Positive = 0.0981
     """Standard deviation of the accelerometer's zero error [m/s^2]: 10 mg, of a unit whose offset
     was set at the end of its line (assumption). Bare consumer parts state 20 to 50 mg typical (50 x

@@ -6,7 +6,7 @@ from typing import Annotated, Literal
 
 from msgspec import Meta, field, structs
 
-from imucald.config.base import CanId, Positive, Settings
+from imucald.config.base import CanId, Positive, Settings, SourceAddress
 
 
 class DatabaseSettings(Settings, frozen=True):
@@ -16,7 +16,8 @@ class DatabaseSettings(Settings, frozen=True):
     channel: str | None = None
     """Bus of a recording whose frames it describes; every bus when absent."""
     j1939: bool | None = None
-    """Match 29-bit ids by PGN, whatever the source address; default: as the database says."""
+    """Match 29-bit ids by PGN, whatever the source address; default: as the database says. An
+    11-bit id has no PGN."""
 
 
 Databases = Annotated[tuple[DatabaseSettings, ...], Meta(min_length=1)]
@@ -28,8 +29,8 @@ class Counter(Settings, frozen=True):
     signal: str
     modulus: Annotated[int, Meta(ge=2, le=65536)] | None = None
     """Number of values before it wraps; default: all that its bits hold."""
-    max_step: Annotated[int, Meta(ge=1, le=255)] = 1
-    """Largest step that is still believed (frames lost in between)."""
+    max_step: Annotated[int, Meta(ge=1, le=255)] | None = None
+    """Largest step that is still believed; default: what the time that passed has room for."""
 
 
 class ChecksumSettings(Settings, frozen=True):
@@ -58,6 +59,8 @@ class MessageProtection(Settings, frozen=True):
     checksum: ChecksumSettings | None = None
     recover_after: Annotated[int, Meta(ge=0, le=1000)] = 3
     """Good frames in a row after a fault before the message is believed again."""
+    source_address: SourceAddress | None = None
+    """J1939: the frames of this sender only, for all sources that name none themselves."""
 
 
 class BusSettings(Settings, frozen=True):
@@ -87,6 +90,8 @@ class OutputIds(Settings, frozen=True):
     travel_direction: CanId = 0x64A
     free_acceleration: CanId = 0x64B
     travel_deviation: CanId = 0x64C
+    cross_talk_deviation: CanId = 0x64D
+    zero_deviation: CanId = 0x64E
 
     def __post_init__(self) -> None:
         names: dict[int, str] = {}

@@ -7,7 +7,7 @@ from typing import Annotated, Literal
 
 from msgspec import Meta
 
-from imucald.config.base import STANDARD_ID_MAX, CanId, Settings
+from imucald.config.base import STANDARD_ID_MAX, CanId, Settings, SourceAddress
 
 MESSAGE_SIGNAL = r"^[^.\s]+\.[^.\s]+$"
 """For editors, in the JSON schema."""
@@ -55,6 +55,11 @@ class SourceSettings(Settings, frozen=True):
     """``MESSAGE.SIGNAL``; another form is refused by the database, which knows what to write."""
     raw: RawSource | None = None
     """Instead of `signal`: bytes and an expression."""
+    sign_signal: Annotated[str, Meta(extra_json_schema={"pattern": MESSAGE_SIGNAL})] | None = None
+    """``MESSAGE.SIGNAL`` of the same message, one bit: 1 where the value is negative. For a signal
+    that is a magnitude alone."""
+    source_address: SourceAddress | None = None
+    """J1939: takes the frames of this sender only; default: that of the sensor or the message."""
     unit: str | None = None
     """Overrides the unit in the database."""
     sign: Literal[-1, 1] = 1
@@ -81,6 +86,10 @@ class SourceSettings(Settings, frozen=True):
             raise ValueError("give either 'signal: MESSAGE.SIGNAL' or 'raw: {id, value}'")
         if self.raw is not None and self.valid_when is not None:
             raise ValueError("'valid_when' needs 'signal'; a raw source has 'when'")
+        if self.raw is not None and self.sign_signal is not None:
+            raise ValueError("'sign_signal' needs 'signal'; the value of a raw source has its sign")
+        if self.raw is not None and self.source_address is not None:
+            raise ValueError("'source_address' needs 'signal'; a raw source has the whole 'id'")
         if self.range is not None and self.range[0] >= self.range[1]:
             raise ValueError("range must be [low, high] with low < high")
 
@@ -100,6 +109,8 @@ class TriadSettings(Settings, frozen=True):
     x: SourceSettings
     y: SourceSettings
     z: SourceSettings | None = None
+    source_address: SourceAddress | None = None
+    """J1939: all axes come from this sender."""
 
     def __post_init__(self) -> None:
         axes = {"x": self.x, "y": self.y, "z": self.z}
@@ -135,6 +146,8 @@ class ParallelSensor(Settings, frozen=True):
     id: CanId
     """Identifier of the frame with its corrected values."""
     z: SourceSettings | None = None
+    source_address: SourceAddress | None = None
+    """J1939: all axes come from this sender."""
 
 
 class Signals(Settings, frozen=True):

@@ -82,13 +82,11 @@ def impossible(config: Keys) -> Iterator[tuple[Place, str]]:
     if calibration.estimator != "published":
         return
     has_speed = signals.speed is not None or signals.wheel_speeds is not None
-    steering = signals.steering_wheel_angle is not None
-    rate = signals.yaw_rate is not None or signals.gyroscope is not None
-    there = {"steering": steering, "yaw_rate": rate or (steering and has_speed)}
+    there = _recognisers_there(config)
     groups = calibration.straight.groups
-    if not any(all(there.get(name, True) for name in group) for group in groups):
+    if not any(all(there[name] for name in group) for group in groups):
         needs = {"steering": "signals.steering_wheel_angle", "yaw_rate": "signals.yaw_rate"}
-        missing = sorted({needs[n] for g in groups for n in g if not there.get(n, True)})
+        missing = sorted({needs[n] for g in groups for n in g if not there[n]})
         text = f"no motion is ever straight without {' and '.join(missing)}"
         yield ("calibration", "straight", "recognise_by"), text
     known = {"speed": has_speed, "brake": signals.brake is not None}
@@ -115,41 +113,103 @@ def _calibration(config: Keys) -> Iterator[Rule]:
         yield (at, section), not published, "with estimator: full (method A alone reads it)"
     for key in ("cross_axis", "orientation"):
         yield (at, key), published, "with estimator: published"
+    yield from _method_a(config)
+
+
+def _method_a(config: Keys) -> Iterator[Rule]:
+    calibration, signals, at = config.calibration, config.signals, "calibration"
+    published = calibration.estimator == "published"
     if not published:
         return
     letter = calibration.method_a.to_the_letter
     why = "with method_a: to_the_letter, which leaves it out"
     yield (at, "static", "average_stops"), letter, why
+    yield (at, "static", "threshold_at_zero_speed"), letter, why
     yield (at, "straight", "lateral_limit"), letter, why
+    yield (at, "straight", "min_speed_without_reverse"), letter, why
     yield (at, "target_angle", "subtract_lateral"), letter, why
     yield (at, "target_angle", "remove_offset_after"), letter, why
-    planar = config.signals.accelerometer[0].z is None
+    planar = signals.accelerometer[0].z is None
     yield (at, "method_a", "level"), planar, "with an accelerometer of two axes"
     flat = _is_level(config)
     yield (at, "static", "average_stops"), flat and not letter, "without levelling"
-    named = calibration.straight.recognisers
-    for key, recogniser in (
-        ("yaw_rate_limit_deg_s", "yaw_rate"),
-        ("yaw_rate_limit_without_speed_deg_s", "yaw_rate"),
-        ("steering_limit_deg", "steering"),
-        ("consistency_window", "consistency"),
-        ("consistency_range_deg", "consistency"),
-    ):
-        idle = recogniser not in named and not key.startswith("yaw_rate_limit")
-        yield (at, "straight", key), idle, f"where recognise_by does not name {recogniser}"
-    has_steering = config.signals.steering_wheel_angle is not None
-    idle = "steering" in named and not has_steering
-    why = "without signals.steering_wheel_angle"
-    yield (at, "straight", "steering_limit_deg"), idle, why
-    has_speed = config.signals.speed is not None or config.signals.wheel_speeds is not None
+    yield from _recognisers(config)
+    has_speed = signals.speed is not None or signals.wheel_speeds is not None
+    gated = calibration.straight.lateral_limit > 0.0 and not letter
+    idle, why = gated and not has_speed, "without a speed"
+    yield (at, "straight", "yaw_rate_limit_deg_s"), idle, why
+    why = "without the gate on v r (lateral_limit): yaw_rate_limit_without_speed_deg_s rules"
+    yield (at, "straight", "yaw_rate_limit_deg_s"), not gated, why
+    idle = not (letter or has_speed or signals.lateral_acceleration is not None)
+    why = "without a speed and without signals.lateral_acceleration"
+    yield (at, "straight", "lateral_limit"), idle, why
+    has_gear = signals.reverse is not None
+    why = "without signals.reverse: min_speed_without_reverse rules"
+    yield (at, "straight", "min_speed"), has_speed and not (has_gear or letter), why
+    why = "with signals.reverse: min_speed rules"
+    idle = has_speed and has_gear and not letter
+    yield (at, "straight", "min_speed_without_reverse"), idle, why
     for section, key in (
         ("static", "threshold_at_zero_speed"),
         ("static", "standstill_speed"),
         ("straight", "min_speed"),
+        ("straight", "min_speed_without_reverse"),
         ("target_angle", "subtract_lateral"),
     ):
         yield (at, section, key), not has_speed, "without a speed"
     yield (at, "speed_delay"), not has_speed, "without a speed"
+    steered = has_speed and signals.steering_wheel_angle is not None
+    has_rate = signals.gyroscope is not None or signals.yaw_rate is not None or steered
+    for section, key in (
+        ("straight", "yaw_rate_limit_deg_s"),
+        ("straight", "yaw_rate_limit_without_speed_deg_s"),
+        ("target_angle", "subtract_lateral"),
+    ):
+        yield (at, section, key), not has_rate, "without a yaw rate"
+
+
+LIMITS = {
+    "yaw_rate": ("yaw_rate_limit_deg_s", "yaw_rate_limit_without_speed_deg_s"),
+    "steering": ("steering_limit_deg",),
+    "consistency": ("consistency_window", "consistency_range_deg", "consistency_mean"),
+}
+"""Keys of `calibration.straight` that a recogniser reads."""
+
+
+def _recognisers(config: Keys) -> Iterator[Rule]:
+    """Keys of recognisers that are not named, whose signal is missing, or that another precedes.
+
+    What the yaw rate's limits say of turns is read without to_the_letter, whoever recognises.
+    """
+    straight, there = config.calibration.straight, _recognisers_there(config)
+    deciding = [g for g in straight.groups if all(there[name] for name in g)][:1]
+    for name, keys in LIMITS.items():
+        idle, why = False, ""
+        if name not in straight.recognisers:
+            idle, why = True, f"where recognise_by does not name {name}"
+        elif name == "steering" and not there[name]:
+            idle, why = True, "without signals.steering_wheel_angle"
+        elif deciding and name not in deciding[0]:
+            first = " and ".join(deciding[0])
+            idle, why = True, f"while there is {first}, which recognise_by prefers to {name}"
+        if name == "yaw_rate" and not config.calibration.method_a.to_the_letter:
+            idle = False
+        for key in keys:
+            yield ("calibration", "straight", key), idle, why
+
+
+def _recognisers_there(config: Keys) -> dict[str, bool]:
+    signals = config.signals
+    has_speed = signals.speed is not None or signals.wheel_speeds is not None
+    steering = signals.steering_wheel_angle is not None
+    rate = signals.yaw_rate is not None or signals.gyroscope is not None
+    # the yaw rate may be computed from the steering, but not to confirm the steering (claim 4)
+    alone = all("steering" not in g for g in config.calibration.straight.groups if "yaw_rate" in g)
+    return {
+        "steering": steering,
+        "yaw_rate": rate or (alone and steering and has_speed),
+        "consistency": True,
+    }
 
 
 def _attitude(config: Keys) -> Iterator[Rule]:
@@ -161,7 +221,7 @@ def _attitude(config: Keys) -> Iterator[Rule]:
     why = "with method: compensation"
     for key in ("squat", "grade_time"):
         yield (at, key), alone, why
-    for key in FILTER_ONLY:
+    for key in (*FILTER_ONLY, "delay"):
         yield (at, "compensation", key), alone, why
     why = "with method: filter"
     yield (at, "compensation", "rate_time"), not alone, why
@@ -177,7 +237,7 @@ def _attitude(config: Keys) -> Iterator[Rule]:
         yield (at, "filter", key), not alone and source != "magnetometer", why
     has_speed = config.signals.speed is not None or config.signals.wheel_speeds is not None
     for key in ("average", "timeout", "delay", "speed_is", *FILTER_ONLY):
-        idle = not has_speed and not (alone and key in FILTER_ONLY)
+        idle = not has_speed and not (alone and key in (*FILTER_ONLY, "delay"))
         yield (at, "compensation", key), idle, "without a speed"
 
 
@@ -187,6 +247,10 @@ def _travel(config: Keys) -> Iterator[Rule]:
         return
     at = "travel_direction"
     yield (at, "alternative"), signals.gyroscope is None, "without signals.gyroscope"
+    idle = travel.method == "alternative" and signals.gyroscope is not None
+    why = "on the heading while the alternative gives one (method: alternative)"
+    for key in ("tilt_on_turn_deg", "differ_deg", "tilt_deg"):
+        yield (at, "choice", key), idle, why
     yield (at, "compass"), signals.heading is None, "without signals.heading"
     why = "without signals.magnetometer"
     yield (at, "declination_deg"), signals.magnetometer is None, why

@@ -21,11 +21,11 @@ from imucald.config_check.finding import (
     is_beyond,
     spread,
 )
-from imucald.config_check.motion import Motion, shifted, smooth
+from imucald.config_check.motion import Motion, less, shifted, smooth
 from imucald.config_check.yaw_rate_check import MIN_TURNING
 from imucald.core.samples import GRAVITY
 from imucald.motion.ticks import TICK_S
-from imucald.mount.gyro_alternatives import gyro_ratios
+from imucald.mount.gyro_alternatives import TRIED, gyro_energies, ratios_of
 from imucald.mount.log_ratios import MOST, TO_ACCUSE, TO_BE_FINE
 from imucald.mount.signal_blocks import BLOCK_TICKS
 
@@ -67,19 +67,23 @@ class Response:
     delay: int
 
 
-def _response(accel: Array, change: Array, turn: Array, delay: int) -> Response | None:
-    """Least squares of the axes on change of speed and centripetal acceleration."""
+def _response(accel: Array, change: Array, turn: Array, zero: Array, delay: int) -> Response | None:
+    """Least squares of the axes on change of speed and centripetal acceleration.
+
+    zero: (n, k), what a zero error of the rate adds to `turn`: columns that are fitted too.
+    """
     change = shifted(change, delay)
     rows = np.isfinite(accel).all(axis=1) & np.isfinite(change) & np.isfinite(turn)
+    rows &= np.isfinite(zero).all(axis=1)
     if np.count_nonzero(rows) < MIN_TICKS or float(np.std(change[rows])) < MIN_BRAKING:
         return None
-    known = np.column_stack([change[rows], turn[rows], np.ones(np.count_nonzero(rows))])
+    known = np.column_stack([change[rows], turn[rows], zero[rows], np.ones(np.count_nonzero(rows))])
     coefficients, *_ = np.linalg.lstsq(known, accel[rows], rcond=None)
     along, across = coefficients[0], coefficients[1]
     if not np.linalg.norm(along) > 0.0:
         return None
     direction = along / np.linalg.norm(along)
-    rest = (accel[rows] - np.outer(turn[rows], across)) @ direction
+    rest = (accel[rows] - known[:, 1:-1] @ coefficients[1:-1]) @ direction
     correlation = float(np.corrcoef(rest, change[rows])[0, 1])
     return Response(along, across, correlation * correlation, delay)
 
@@ -88,9 +92,10 @@ def best_response(motion: Motion, rates: Mapping[str, Array]) -> Response | None
     """The response with the delay that explains most; None where it is not clear."""
     if motion.change is None or motion.accel is None or motion.speed is None:
         return None
-    reference = next((r for r in rates.values() if spread(r) > MIN_TURNING), None)
-    turn = np.zeros_like(motion.speed) if reference is None else motion.speed * reference
-    fits = [_response(motion.accel, motion.change, turn, delay) for delay in _DELAYS]
+    name = next((name for name, r in rates.items() if spread(r) > MIN_TURNING), None)
+    turn = np.zeros_like(motion.speed) if name is None else motion.speed * rates[name]
+    zero = motion.turn_zero if name == "gyroscope" else motion.turn_zero[:, :0]
+    fits = [_response(motion.accel, motion.change, turn, zero, delay) for delay in _DELAYS]
     best = max((fit for fit in fits if fit is not None), key=lambda f: f.explained, default=None)
     return best if best is not None and best.explained >= CLEAR**2 else None
 
@@ -162,6 +167,7 @@ def _turn_gain(
     n = min(len(rate), len(motion.speed), len(motion.accel))
     turn = motion.speed[:n] * rate[:n]
     level = (motion.accel[:n] - motion.gravity) @ (np.eye(3) - np.outer(up, up))
+    turn = less(turn, motion.turn_zero[:n])
     rows = np.isfinite(turn) & np.isfinite(level).all(axis=1)
     if np.count_nonzero(rows) < MIN_TICKS or float(np.std(turn[rows])) == 0.0:
         return
@@ -188,21 +194,28 @@ def _gyro_axes(motion: Motion, response: Response, up: Array) -> Iterator[Findin
     accel, rate = motion.accel, smooth(motion.grid["gyro"])
     if accel is None or motion.gravity is None:
         return
-    if motion.standing is not None:
-        n = min(len(rate), len(motion.standing))
-        rate = rate - np.nanmean(rate[:n][motion.standing[:n]], axis=0)
     left = np.cross(up, response.along)
     left /= np.linalg.norm(left)
     R = np.array([np.cross(left, up), left, up])
     force = (accel - motion.gravity) @ R.T
     change = shifted(motion.change, response.delay)
     columns = np.column_stack([force[:, :2], change, motion.speed, rate])
-    total = np.zeros(13)
-    for block in np.array_split(columns, max(len(columns) // BLOCK_TICKS, 1)):
-        if np.isfinite(block).all() and np.abs(block[:, 3]).min() > MOVING:
-            ahead = (block[:, 0] - block[:, 2]) / GRAVITY
-            ratios = gyro_ratios(ahead, block[:, 1] / GRAVITY, block[:, 4:], block[:, 3], R)
-            total += np.clip(ratios, -MOST, MOST)
+    blocks = [
+        block
+        for block in np.array_split(columns, max(len(columns) // BLOCK_TICKS, 1))
+        if np.isfinite(block).all() and np.abs(block[:, 3]).min() > MOVING
+    ]
+    if not blocks:
+        return
+    zeros = _gyro_zeros(motion, rate, np.concatenate(blocks)[:, 4:], up)
+    total = np.zeros(len(TRIED) - 1)
+    for block in blocks:
+        ahead = (block[:, 0] - block[:, 2]) / GRAVITY
+        left_over = [
+            gyro_energies(ahead, block[:, 1] / GRAVITY, block[:, 4:] - zero, block[:, 3], R)[k]
+            for k, zero in enumerate(zeros)
+        ]
+        total += np.clip(ratios_of(np.array(left_over)), -MOST, MOST)
     if total.min() < -TO_ACCUSE:
         text = (
             "does not tilt as the accelerometer does: one of its axes (or of the accelerometer's) "
@@ -211,6 +224,23 @@ def _gyro_axes(motion: Motion, response: Response, up: Array) -> Iterator[Findin
         yield Finding("error", "gyroscope", text)
     elif total.min() > TO_BE_FINE:
         yield Finding("ok", "gyroscope", "tilts as the accelerometer does")
+    elif motion.standing is None:
+        text = "not checked: the sign of each axis of the gyroscope: no stop shows its zero error"
+        yield Finding("note", "check", text)
+
+
+def _gyro_zeros(motion: Motion, rate: Array, moving: Array, up: Array) -> list[Array]:
+    """The gyroscope's zero error (3,) [rad/s] for each order and signs of its axes that are tried.
+
+    rate, moving: (n, 3), of the whole drive and of what is judged. At rest it is what is read. In a
+    drive without a stop it is fitted to each alternative: about the level axes a vehicle turns by
+    nothing on the whole, whatever it turns about the vertical, so their mean is the zero error.
+    """
+    if motion.standing is not None:
+        n = min(len(rate), len(motion.standing))
+        return [np.nanmean(rate[:n][motion.standing[:n]], axis=0)] * len(TRIED)
+    level = np.eye(3) - np.outer(up, up)
+    return [S.T @ level @ S @ moving.mean(axis=0) for S in TRIED]
 
 
 def _rotation_axis(motion: Motion, rates: Mapping[str, Array], up: Array) -> Iterator[Finding]:

@@ -16,15 +16,29 @@ from imucald.can.columns import (
     FrameColumns,
     IdMatch,
 )
+from imucald.can.dbc.decode import J1939_ADDRESS_MASK
+from imucald.can.j1939_transport import announced_messages
 from imucald.can.link.link import Frame
 from imucald.config import LoadedConfig
 from imucald.config_check.decoding import Decoding, counts_text, never_changes
 from imucald.config_check.finding import Finding
-from imucald.config_check.health import LogHealth, health_findings
+from imucald.config_check.health import (
+    LogHealth,
+    health_findings,
+    jumping_finding,
+    left_out_finding,
+)
 from imucald.config_check.judgement import judge
 from imucald.config_check.motion import Motion, TickMeans
 from imucald.config_check.not_judged import not_judged
-from imucald.config_check.source import id_text, message_row, quantity_row, sources
+from imucald.config_check.source import (
+    id_text,
+    message_row,
+    never_negative,
+    quantity_row,
+    sources,
+    turned_quantities,
+)
 from imucald.config_check.statistics import Probe
 from imucald.config_check.unit_advice import unit_advice
 from imucald.inputs.wiring import compile_router
@@ -36,8 +50,13 @@ EVERY_FRAME = (IdMatch(0, 0), IdMatch(CAN_EFF_FLAG, 0))
 """Lets every identifier through, 11 and 29 bits."""
 MAX_IDS = 20_000
 """Identifiers that are counted one by one; a vehicle has hundreds, a fuzzed bus any number."""
+FASTEST_BUS = 1e6
+"""Bits in a second of the fastest CAN bus."""
 MAX_TEXT = 80
-_OUTPUTS = ("acceleration", "angular_rate", "magnetic_field", "mount", "mount_deviation", "health")
+_OUTPUTS = (
+    "acceleration", "angular_rate", "magnetic_field", "mount", "mount_deviation",
+    "cross_talk_deviation", "zero_deviation", "health",
+)  # fmt: skip
 
 
 class Check:
@@ -60,7 +79,10 @@ class Check:
         """Frames by (channel, id with the flag for 29 bits)."""
         self.bad_lines: Counter[str] = Counter()
         """What a log's reader rejected, by reason; for the report."""
+        self._announced: dict[tuple[str, int], int] = {}
         self._uncounted = 0
+        self._bits: Counter[str] = Counter()
+        """Least bits that the frames of each channel take on a bus."""
         self._timebase = TimeBase()
         self._means = TickMeans()
         self._health = LogHealth(self.router.measured_axes, loaded.config)
@@ -68,9 +90,18 @@ class Check:
     def feed(self, frames: FrameColumns) -> None:
         """Take a chunk of all the frames of a log or a bus."""
         for index in np.unique(frames.channel).tolist():
-            ids, counts = np.unique(frames.can_id[frames.channel == index], return_counts=True)
+            here = frames.channel == index
+            self._bits[frames.channels[index]] += least_bits(frames.take(here))
+            if len(self._announced) < MAX_IDS:
+                found = announced_messages(
+                    frames.can_id[here], frames.data[here], frames.length[here]
+                )
+                self._announced |= {(frames.channels[index], i): n for i, n in found.items()}
+            ids, counts = np.unique(frames.can_id[here], return_counts=True)
             for can_id, count in zip(ids.tolist(), counts.tolist(), strict=True):
                 key = frames.channels[index], can_id
+                if key not in self.ids:
+                    self._meet(*key)
                 if key in self.ids or len(self.ids) < MAX_IDS:
                     self.ids[key] += count
                 else:
@@ -82,6 +113,13 @@ class Check:
             if segment.gap:
                 self._health.gap(float(segment.t[0]))
             self._health.add(samples, float(segment.t[-1]))
+
+    def _meet(self, channel: str, can_id: int) -> None:
+        """Keep the J1939 address of an id that is new, where frames of every sender are taken."""
+        for probe in self.probes:
+            is_any = probe.match.can_id & CAN_EFF_FLAG and not probe.match.mask & J1939_ADDRESS_MASK
+            if is_any and probe.sender is None and probe.match.matches(can_id, channel):
+                probe.addresses.add(can_id & J1939_ADDRESS_MASK)
 
     # the report ------------------------------------------------------------------------------
 
@@ -133,6 +171,9 @@ class Check:
             self._timebase.steps,
             self.bad_lines,
             self.output.can_ids,
+            max(self._bits.values(), default=0) / FASTEST_BUS,
+            self._means.paces(),
+            self._announced,
             drives=motion.drives,
         )
         model = self.compensation
@@ -140,13 +181,25 @@ class Check:
         dead = {row.wanted.channel for row in rows if never_changes(row)}
         for channel in dead if motion.drives else ():  # what it is compared with would be blamed
             motion = motion.without(channel)
+        mixed = list(jumping_finding(self._health.left_out, self.duration))
+        if mixed:  # what it is compared with would be blamed
+            motion = motion.without("speed")
         found = [
+            *mixed,
             *(Finding("note", "model", text) for text in notes),
             *decoding.findings(),
-            *judge(motion, config.vehicle, config.calibration.orientation, unit_advice(rows)),
+            *judge(
+                motion,
+                config.vehicle,
+                config.calibration.orientation,
+                unit_advice(rows),
+                turned_quantities(rows),
+                never_negative(rows),
+            ),
         ]
         wrong = {f.quantity for f in found if f.level == "error"}  # says more than its health
         found += [f for f in health_findings(self._health.events) if f.quantity not in wrong]
+        found += left_out_finding(self._health.left_out, self.duration)
         return [*found, *not_judged(rows, found)]
 
     def report(self) -> dict[str, Any]:
@@ -192,6 +245,16 @@ class Check:
         for (_, can_id), n in self.ids.items():
             seen[can_id & CAN_EFF_MASK] += n
         return [{"frame": n, "id": id_text(i), "seen": seen[i]} for n, i in ids.items()]
+
+
+def least_bits(frames: FrameColumns) -> int:
+    """Bits that frames take on a bus without stuffing (ISO 11898-1); of CAN FD its slow part."""
+    extended = int(np.count_nonzero(frames.can_id & CAN_EFF_FLAG))
+    payload = np.where(frames.length > CLASSIC_BYTES, 0, frames.length)
+    if frames.fd is not None:
+        payload = np.where(frames.fd, 0, payload)
+    is_slow = 30 if frames.fd is not None else 47
+    return is_slow * len(frames) + 20 * extended + 8 * int(payload.sum())
 
 
 def _shortened(text: str) -> str:

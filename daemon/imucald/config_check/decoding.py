@@ -4,14 +4,18 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
-from imucald.can.columns import CAN_EFF_FLAG, IdMatch
+from imucald.can.columns import CAN_EFF_FLAG, CAN_EFF_MASK, IdMatch
+from imucald.can.dbc.decode import J1939_ADDRESS_MASK, id_match
+from imucald.can.j1939_transport import in_transport
+from imucald.can.lost_frames import dropping_recorder
 from imucald.config import LoadedConfig
-from imucald.config_check.finding import Finding
+from imucald.config_check.finding import Finding, cut_frames
 from imucald.config_check.source import QuantitySource, configured_name, id_text, stated_cycle
 from imucald.config_check.statistics import Probe
 from imucald.core.clock_words import clock
+from imucald.inputs.routes import MessageRoute
 from imucald.mount.signal_blocks import ACCEL_GAP, SPEED_GAP
 
 CYCLE_TOLERANCE = 1.5
@@ -24,6 +28,10 @@ MIN_EQUAL_VALUES = 100
 SLOWEST = {"accel": ACCEL_GAP, "gyro": ACCEL_GAP, "speed": SPEED_GAP}
 """Longest time between two samples that the calibration bridges [s]."""
 
+SELDOM_SPEED = 1.5
+"""A speed that comes more seldom [s] hides what a vehicle does within 3 s, most starts and brakes:
+on simulated drives at 0.5 Hz a mount took twice as long."""
+
 _NO_SPEED = "missing: yaw takes longer and is less certain; "
 _NO_GYRO = "pitch and roll get nothing from turns, and no corrected angular rate is sent"
 _NO_TURNS = "so are yaw rate and steering angle"
@@ -34,13 +42,14 @@ _NEVER = (
 )
 _NO_REVERSE = "missing: reversing reads as braking, which costs some accuracy"
 _NO_SIDE = "unknown: a road crown reads as mount roll (about 0.7 deg); say left or right"
+
 _REMEDIES = {
     "checksum": "; see 'checksum:' (kind, id_bytes, data_id) of the message",
     "counter": "; see 'counter:' (signal, modulus, max_step) of the message",
     "doubled": "; each counts once, nothing is lost: a gateway or the logger wrote copies",
     "short_frame": "; the database describes a longer frame: is it this vehicle's?",
     "long_frame": "; the database describes a shorter frame: is it this vehicle's?",
-    "timeout": "; the message stops now and then: its cable, its sender, or 'cycle_time:'",
+    "too_early": "; a second unit sends this identifier, or a gateway sends it again",
     "counter_repeated": "; a gateway or a second log sends the same again, or see 'counter:' "
     "(signal, modulus, max_step) of the message",
     "duplicate_sender": "; a second unit sends this identifier, or a gateway sends it again",
@@ -52,8 +61,9 @@ _REMEDIES = {
 }
 
 
-STOPPED_S, STOPPED_CYCLES = 10.0, 20.0
-"""A message that stops so long before the end [s], and so many of its cycles, is reported."""
+COARSE = ", of frames that come oftener (are the time stamps too coarse?)"
+BURST_S = 0.5
+"""An adapter may hand over frames so late and all at once [s]."""
 
 
 @dataclass(frozen=True)
@@ -70,12 +80,20 @@ class Decoding:
     steps: int
     bad_lines: Counter[str]
     output_ids: frozenset[int]
+    least_duration: float = 0.0
+    """What all these frames take on the fastest bus [s]."""
+    paces: Mapping[str, float] = field(default_factory=dict)
+    """Usual time between two ticks with samples, by channel [s]."""
+    announced: Mapping[tuple[str, int], int] = field(default_factory=dict)
+    """Bytes of the messages that J1939's transport protocol announces, by (channel, id)."""
     drives: bool = False
     """For a minute at least: no axis of a sensor is the same all that time."""
 
     def findings(self) -> Iterator[Finding]:
         """Yield every finding, in no order."""
         yield from self._silent()
+        yield from self._cut()
+        yield from self._several_senders()
         yield from self._doubtful()
         yield from self._cycles()
         yield from self._too_slow()
@@ -92,22 +110,18 @@ class Decoding:
             quantity = ", ".join(dict.fromkeys(configured_name(tap.channel) for tap in probe.taps))
             if not probe.frames:
                 text = f"no frame of {probe.name} ({id_text(probe.match.can_id)}) came"
-                yield Finding("warning", quantity, text + self._elsewhere(probe.match))
+                text += self._elsewhere(probe.match) or self._of_its_pgn(probe)
+                yield Finding("warning", quantity, text)
                 continue
-            if self._has_stopped(probe):
-                when = f"from {clock(probe.last or 0.0)} on, of {clock(self.duration)}"
+            last = probe.has_stopped(self.duration)
+            if last is not None:
+                when = f"from {clock(last)} on, of {clock(self.duration)}"
                 yield Finding("warning", quantity, f"no frame of {probe.name} comes {when}")
             bad = probe.rejected.total()
             if bad > MIN_REJECTED_SHARE * probe.frames:
                 reasons = counts_text(probe.rejected)
                 text = f"{bad} of {probe.frames} frames of {probe.name} are rejected ({reasons})"
                 yield Finding("warning", quantity, text + _remedy(probe.rejected))
-
-    def _has_stopped(self, probe: Probe) -> bool:
-        """Whether a message that came regularly came no more long before the end."""
-        if probe.last is None or probe.cycle is None:
-            return False
-        return self.duration - probe.last > max(STOPPED_S, STOPPED_CYCLES * probe.cycle)
 
     def _elsewhere(self, match: IdMatch) -> str:
         """A hint where the frame came by another channel or with another kind of id."""
@@ -119,6 +133,50 @@ class Decoding:
             bits = 11 if match.can_id & CAN_EFF_FLAG else 29
             return f"; the same number comes as a {bits}-bit id"
         return ""
+
+    def _of_its_pgn(self, probe: Probe) -> str:
+        """A hint where the PGN comes from another address, or is announced in several frames."""
+        if not isinstance(probe.route, MessageRoute) or not probe.match.can_id & CAN_EFF_FLAG:
+            return ""
+        match = id_match(probe.route.plan.message, True, probe.match.channel)
+        found = {i & J1939_ADDRESS_MASK for c, i in self.ids if match.matches(i, c)}
+        if found:
+            names = ", ".join(f"0x{address:02X}" for address in sorted(found))
+            key = "'j1939: true' at its database takes it from any address"
+            if probe.match.mask != CAN_EFF_MASK:
+                key = "see 'source_address:'"
+            return f"; its PGN comes from the address {names}: {key}"
+        sizes = [n for (c, can_id), n in self.announced.items() if match.matches(can_id, c)]
+        return f"; {in_transport(max(sizes))}" if sizes else ""
+
+    def _cut(self) -> Iterator[Finding]:
+        """Messages whose frames are shorter than the database says."""
+        for probe in self.probes:
+            if not probe.frames or not isinstance(probe.route, MessageRoute):
+                continue
+            size = probe.route.plan.message.length
+            if probe.shortest < size:
+                yield Finding("warning", probe.name, cut_frames(probe.name, probe.shortest, size))
+
+    def _several_senders(self) -> Iterator[Finding]:
+        """Messages of J1939 that come from several addresses, where none is configured."""
+        for probe in self.probes:
+            match = probe.match
+            if not match.can_id & CAN_EFF_FLAG or match.mask & J1939_ADDRESS_MASK:
+                continue
+            found = {i & J1939_ADDRESS_MASK for channel, i in self.ids if match.matches(i, channel)}
+            if len(found) < 2:
+                continue
+            names = ", ".join(f"0x{address:02X}" for address in sorted(found))
+            taken, address = "all of them are taken", min(found)
+            if probe.sender is not None and probe.sender.address is not None:
+                address = probe.sender.address
+                taken = f"0x{address:02X}, the lowest that came in the first seconds, is taken"
+            text = (
+                f"{probe.name} comes from {len(found)} addresses ({names}): {taken}; name the "
+                f"sender: 'source_address: 0x{address:02X}'"
+            )
+            yield Finding("note" if probe.sender is None else "warning", probe.name, text)
 
     def _doubtful(self) -> Iterator[Finding]:
         for source in self.sources:
@@ -135,10 +193,16 @@ class Decoding:
     def _cycles(self) -> Iterator[Finding]:
         for probe in self.probes:
             stated = stated_cycle(self.loaded, probe)
-            seen = probe.cycle
-            if stated and seen and not 1 / CYCLE_TOLERANCE < seen / stated < CYCLE_TOLERANCE:
-                text = f"{probe.name} comes every {1e3 * seen:.3g} ms, stated are {1e3 * stated:g}"
+            seen = [c for c in (probe.cycle, *probe.cycles) if c]
+            # A database states the cycle of a frame, whatever its group, or that of a group.
+            if stated and seen and not any(_is_near(c, stated) for c in seen):
+                text = (
+                    f"{probe.name} comes every {1e3 * seen[-1]:.3g} ms, stated are {1e3 * stated:g}"
+                )
                 yield Finding("note", "", text)
+        dropping = dropping_recorder([p.lost_share for p in self.probes])
+        if dropping is not None:
+            yield Finding("warning", "log", dropping)
         if self.bad_lines:
             text = f"lines that cannot be used: {counts_text(self.bad_lines)}"
             yield Finding("warning", "log", text)
@@ -149,24 +213,36 @@ class Decoding:
     def _too_slow(self) -> Iterator[Finding]:
         """What comes so seldom that the calibration cannot bridge from one sample to the next."""
         for channel, longest in SLOWEST.items():
-            cycles = [
-                probe.cycle
-                for probe in self.probes
-                if probe.cycle is not None and any(tap.channel == channel for tap in probe.taps)
-            ]
-            if cycles and min(cycles) > longest:
+            found = [probe.cycle_of(channel) for probe in self.probes]
+            cycles = [cycle for cycle in found if cycle is not None]
+            pace = self.paces.get(channel, 0.0)
+            if cycles and max(min(cycles), pace) > longest:
+                why = "" if min(cycles) > longest else COARSE
                 text = (
-                    f"comes every {min(cycles):.3g} s: the calibration uses none of it, it needs a "
-                    f"sample every {longest:g} s at least"
+                    f"comes every {max(min(cycles), pace):.3g} s{why}: the calibration uses none "
+                    f"of it, it needs a sample every {longest:g} s at least"
                 )
                 name = configured_name(channel)
                 yield Finding("error" if channel == "accel" else "warning", name, text)
+            elif channel == "speed" and cycles and min(cycles) > SELDOM_SPEED:
+                text = (
+                    f"comes every {min(cycles):.3g} s: the mount takes about twice as long as with "
+                    "a speed every second; ask for it more often"
+                )
+                yield Finding("note", configured_name(channel), text)
 
     def _nothing_left(self) -> Iterator[Finding]:
         """An accelerometer of which the calibration can use nothing, though samples came."""
         left = self.samples.get("accel", 0)
         if left > 1 and self.duration == 0.0:
             text = "no time passes: all frames have one time stamp; record with: candump -l can0"
+            yield Finding("error", "log", text)
+        elif self.least_duration > self.duration + BURST_S:
+            text = (
+                f"more frames than any CAN bus carries: {sum(self.ids.values())} in "
+                f"{self.duration:.1f} s, where they take {self.least_duration:.1f} s at 1 Mbit/s: "
+                "are the time stamps in milliseconds, or do they begin again and again?"
+            )
             yield Finding("error", "log", text)
         ours = [
             p for p in self.probes if any(tap.channel == "accel" for tap in p.taps) and p.frames
@@ -254,3 +330,7 @@ def never_changes(source: QuantitySource) -> bool:
     values = source.statistics.si
     is_sensor = source.wanted.channel in ("accel", "gyro")
     return is_sensor and values.count >= MIN_EQUAL_VALUES and values.least == values.largest
+
+
+def _is_near(seen: float, stated: float) -> bool:
+    return 1 / CYCLE_TOLERANCE < seen / stated < CYCLE_TOLERANCE

@@ -87,3 +87,11 @@ def gain_between(reference: Array, signal: Array) -> tuple[float, float]:
         return 1.0, 0.0
     correlation = float(np.corrcoef(a, b)[0, 1])
     return math.copysign(float(np.std(b) / np.std(a)), correlation), correlation
+
+
+def cut_frames(name: str, shortest: int, size: int) -> str:
+    """What to say of a message whose frames are shorter [bytes] than the database describes it."""
+    return (
+        f"frames of {name} have {shortest} bytes, in the database it has {size}: signals beyond "
+        "their end are not there; is it the database of this vehicle?"
+    )

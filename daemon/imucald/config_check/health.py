@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,10 +17,14 @@ from imucald.motion.sample_health import SampleHealth
 from imucald.motion.signal_health import SignalFault
 from imucald.motion.ticks import TickRow, tick_index
 from imucald.mount.estimate import MountEstimate, MountState
+from imucald.mount.estimate_details import left_out_details
 from imucald.mount.estimator_settings import EstimatorSettings
+from imucald.mount.mount_words import left_out_words
 from imucald.mount.signal_blocks import SignalBlockMaker
 from imucald.runtime.pipeline import Pipeline
 
+MOST_SHARE = 0.5
+"""Part of a log from which a signal that is left out is no witness."""
 _WORDS = {
     SignalFault.STUCK: "repeats one value",
     SignalFault.SATURATED: "stays at the end of its range: is a range set too small?",
@@ -33,30 +38,30 @@ class _SignalsOnly:
     correction, state = None, MountState.WAITING
 
     def __init__(self, settings: EstimatorSettings) -> None:
-        self._blocks = SignalBlockMaker(settings)
+        self.blocks = SignalBlockMaker(settings)
 
     @property
     def stuck_signals(self) -> Mapping[str, bool]:
-        return self._blocks.stuck
+        return self.blocks.stuck
 
     def step(self, tick: TickRow) -> None:
-        if self._blocks.push(tick):
-            self._blocks.block()
+        if self.blocks.push(tick):
+            self.blocks.block()
 
     def gap(self) -> None:
-        self._blocks.restart()
+        self.blocks.restart()
 
     def estimate(self) -> MountEstimate:
         return MountEstimate(self.state)
 
     def expect(self, ticks: NDArray[np.float64]) -> None:
-        self._blocks.expect(ticks)
+        self.blocks.expect(ticks)
 
     def quiet_ticks(self) -> int:
-        return self._blocks.until_block - 1
+        return self.blocks.until_block - 1
 
     def keep_quiet(self, ticks: NDArray[np.float64]) -> None:
-        self._blocks.push_all(ticks)
+        self.blocks.push_all(ticks)
 
 
 class LogHealth:
@@ -67,7 +72,8 @@ class LogHealth:
 
     def __init__(self, axes: Mapping[str, int], config: Config) -> None:
         settings = EstimatorSettings(config.calibration, config.vehicle)
-        self._pipeline = Pipeline(_SignalsOnly(settings), health=SampleHealth(axes))
+        self._signals = _SignalsOnly(settings)
+        self._pipeline = Pipeline(self._signals, health=SampleHealth(axes))
 
     def gap(self, t: float) -> None:
         """Time jumped to t, stream time [s]."""
@@ -76,6 +82,11 @@ class LogHealth:
     def add(self, samples: Samples, t_last: float) -> None:
         """Take samples of all channels, up to stream time t_last [s]."""
         self._pipeline.run(samples, {}, t_last, with_snapshots=False)
+
+    @property
+    def left_out(self) -> Sequence[Mapping[str, Any]]:
+        """What the calibration learns nothing from, see `left_out_details`."""
+        return left_out_details(self._signals.blocks)
 
     @property
     def events(self) -> Iterable[FaultEvent]:
@@ -98,3 +109,21 @@ def health_findings(events: Iterable[FaultEvent]) -> Iterator[Finding]:
         )
         text = f"{what} ({fault}, from {times[0]:.1f} s on{often}); {then}"
         yield Finding("warning", configured_name(channel), text)
+
+
+def jumping_finding(left_out: Sequence[Mapping[str, Any]], duration: float) -> Iterator[Finding]:
+    """A speed that jumps in most of a log of so many seconds: it is not that of one vehicle."""
+    for one in left_out:
+        if one["cause"] == SignalFault.SPEED_JUMP and one["seconds"] > MOST_SHARE * duration:
+            text = (
+                f"jumps as no vehicle does in {one['seconds']:.0f} of {duration:.0f} s: nothing is "
+                "judged by it; do several units send it ('source_address:', 'channel:'), or is it "
+                "another signal?"
+            )
+            yield Finding("error", configured_name(one["signal"]), text)
+
+
+def left_out_finding(left_out: Sequence[Mapping[str, Any]], duration: float) -> Iterator[Finding]:
+    """What the calibration learns nothing from in a log of so many seconds."""
+    if words := left_out_words({"not_learnt_from": left_out}):
+        yield Finding("note", "log", f"of {duration:.0f} s nothing is learnt from: {words}")

@@ -8,7 +8,7 @@ Miles for kilometres are less: speed is held against a narrower one.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from types import MappingProxyType
 
 import numpy as np
@@ -38,6 +38,7 @@ from imucald.config_check.turning_axis import turning_axis_findings
 from imucald.config_check.yaw_rate_check import MIN_TURNING, yaw_rate_findings
 from imucald.core.samples import GRAVITY
 from imucald.mount.alternatives import NOT_CHECKED
+from imucald.mount.mirror import AT_REST, DOUBTED, REMEDY, names_of, probability
 from imucald.mount.priors import SLOPE_STD
 from imucald.mount.stated_orientation import CLEAR as CLEAR_PART
 from imucald.mount.stated_orientation import unit_vector
@@ -59,6 +60,10 @@ MIN_BRAKING_TICKS = 50
 """Ticks with and without brake that a judgement of it needs: 5 s."""
 CLEAR_BRAKING = 0.1
 """By so much the change of speed must differ with and without brake [m/s^2]."""
+TURNING = 0.05
+"""Yaw rate of a turn [rad/s]: a bend of 200 m at 10 m/s."""
+ONE_SIDED_TURNS = 5
+"""All of so many turns are to one side in one drive of 16, and then noise about zero has both."""
 TWICE_SLOPES = 2.0 * SLOPE_STD
 """Steeper roads than that are rare: what is more along the road is driving (tangent, rms)."""
 
@@ -77,12 +82,16 @@ def judge(
     vehicle: VehicleSettings,
     stated: OrientationSettings = NOT_STATED,
     unit_advice: Mapping[str, str] = MappingProxyType({}),
+    turned: Mapping[str, bool] = MappingProxyType({}),
+    never_negative: Mapping[str, str] = MappingProxyType({}),
 ) -> Iterator[Finding]:
     """Yield everything that the motion shows about units, signs and axes.
 
     A wrong scale of accelerometer or speed is reported once and then allowed for, so that it is not
     reported again for every signal that is compared with them. stated: how a person says that the
-    sensor sits. unit_advice: of quantities with a stated unit (see `unit_advice`).
+    sensor sits. unit_advice: of quantities with a stated unit (see `unit_advice`). turned: by
+    quantity, whether the configuration turns the signs of all its axes. never_negative: by
+    quantity that was not, the signals that may hold its sign.
     """
     yield from _at_rest(motion, unit_advice.get("accelerometer"))
     yield from _constant_speed(motion)
@@ -108,7 +117,11 @@ def judge(
                 motion = motion.scaled(speed=gain)
                 is_scaled = True
     rates = motion.turn_rates(vehicle)
-    yield from yaw_rate_findings(rates, unit_advice)
+    of_turns = list(yaw_rate_findings(rates, unit_advice, turned))
+    yield from of_turns
+    yield from _magnitudes(rates, never_negative)
+    if stated == NOT_STATED and "heading" not in motion.grid and not motion.planar:
+        yield from _mirrored(of_turns, turned)
     yield from _along(motion, unit_advice)
     if not motion.planar:
         yield from axes_findings(motion, rates, unit_advice)
@@ -120,6 +133,45 @@ def judge(
     )
     yield from _brake(motion)
     yield from _not_checked(motion, rates, stated)
+
+
+def _magnitudes(rates: Mapping[str, Array], never_negative: Mapping[str, str]) -> Iterator[Finding]:
+    """What shows turns, and all of them to one side."""
+    for name, bits in never_negative.items():
+        rate = rates.get(name)
+        if rate is None:
+            continue
+        turning = np.nan_to_num(np.abs(rate)) > TURNING
+        turns = np.count_nonzero(np.diff(turning.astype(np.int8)) > 0)
+        if turns >= ONE_SIDED_TURNS:
+            where = f"in {bits}" if bits else "in another signal, or is the signal signed"
+            text = f"never negative in {turns} turns: is its sign {where}? ('sign_signal:')"
+            yield Finding("warning", name, text)
+
+
+def _mirrored(of_turns: Sequence[Finding], turned: Mapping[str, bool]) -> Iterator[Finding]:
+    """Whether signals that agree do so because the configuration turns them all.
+
+    of_turns: what was found of the signals that show turns.
+    """
+    agree = next((f for f in of_turns if f.level == "ok" and f.beside), None)
+    if agree is None:
+        return
+    shown = {name: turned[name] for name in (agree.quantity, *agree.beside) if name in turned}
+    right = "where it does, say 'calibration: {orientation: {up: AXIS}}'"
+    if not shown:
+        return
+    if not turned.get("accelerometer", True):
+        if probability(shown) >= DOUBTED:
+            names = names_of(shown)
+            text = f"'sign: -1' of {names} does not confirm it: {REMEDY}; {right}"
+            yield Finding("warning", "accelerometer", text)
+        return
+    # as it would be without its signs
+    shown = {name: is_turned == (name == "gyroscope") for name, is_turned in shown.items()}
+    if 1.0 - probability(shown) >= DOUBTED:
+        text = f"only {names_of(shown)} speak for the signs of its axes: {AT_REST}; {right}"
+        yield Finding("warning", "accelerometer", text)
 
 
 def _stated_axis(

@@ -57,6 +57,11 @@ class TickMeans:
             sums[: len(have)] = self._sums[channel]
         self._sums[channel], self._counts[channel] = sums, counts
 
+    def paces(self) -> dict[str, float]:
+        """Usual time between two ticks with samples, by channel [s]."""
+        gaps = {name: np.diff(np.flatnonzero(counts)) for name, counts in self._counts.items()}
+        return {name: float(np.median(g)) / TICK_RATE for name, g in gaps.items() if len(g)}
+
     def grid(self) -> dict[str, Array]:
         """Channel to means (n,) or (n, width), holes bridged, NaN where nothing is known."""
         last = [np.flatnonzero(counts) for counts in self._counts.values()]
@@ -136,6 +141,16 @@ class Motion:
         return np.asarray(self.gravity / np.linalg.norm(self.gravity))
 
     @property
+    def turn_zero(self) -> Array:
+        """What a gyroscope's zero error adds to speed times its rate (n, k); k is 0 where it rests.
+
+        At rest the zero is read, else the speed itself is the shape of what it adds.
+        """
+        if self.speed is None:
+            return np.zeros((0, 0))
+        return self.speed[:, None] if self.standing is None else np.zeros((len(self.speed), 0))
+
+    @property
     def drives(self) -> bool:
         """Whether the vehicle drives for a minute at least, by its speed."""
         if self.speed is None:
@@ -197,6 +212,17 @@ class Motion:
         if self.planar and self.accel is not None:
             found["accelerometer.y"] = self.accel[:, 1] / fast
         return found
+
+
+def less(x: Array, known: Array) -> Array:
+    """What (n, k) columns and a constant leave of x (n,), by least squares; NaN where one is."""
+    rows = np.isfinite(x) & np.isfinite(known).all(axis=1)
+    left = np.full(len(x), np.nan)
+    if rows.any():
+        basis = np.column_stack([known[rows], np.ones(np.count_nonzero(rows))])
+        solution, *_ = np.linalg.lstsq(basis, x[rows], rcond=None)
+        left[rows] = x[rows] - basis @ solution
+    return left
 
 
 def shifted(x: Array, ticks: int) -> Array:

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+import re
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -32,6 +33,7 @@ _WORDS = {
     "longitudinal_accel": "longitudinal_acceleration",
 }
 """Channels whose name in the configuration differs."""
+_NAMES_SIGN = re.compile("sign|vz|vorz|dir|richt|neg|left|right|links|rechts", re.I)
 _WHEELS = ("front_left", "front_right", "rear_left", "rear_right")
 
 
@@ -83,6 +85,41 @@ def sources(loaded: LoadedConfig, probes: Sequence[Probe]) -> Iterator[QuantityS
         yield QuantitySource(wanted, probe, signal, name, probe.signals[key])
 
 
+def never_negative(sources: Iterable[QuantitySource]) -> dict[str, str]:
+    """Where the sign may be of what is to the left or right and never was negative, in words.
+
+    By quantity, of its first choice. Signals of one bit in the same message may be it.
+    """
+    found = {}
+    for source in sources:
+        values, wanted = source.statistics.physical, source.wanted
+        has_sides = wanted.channel in ("yaw_rate", "steering", "lateral_accel")
+        if not has_sides or wanted.rank or wanted.source.sign_signal or not values.count:
+            continue
+        if values.least >= 0.0 and values.largest > 0.0:
+            route = source.probe.route
+            message = route.plan.message if isinstance(route, MessageRoute) else None
+            bits = [] if message is None else [
+                f"{message.name}.{s.name}" for s in message.signals.values() if s.length == 1
+            ]  # fmt: skip
+            named = [b for b in bits if _NAMES_SIGN.search(b.partition(".")[2])]
+            found[source.quantity] = " or ".join((named or bits)[:3])
+    return found
+
+
+def turned_quantities(sources: Iterable[QuantitySource]) -> dict[str, bool]:
+    """By quantity, whether its first choice has the signs of all its axes turned.
+
+    Without those whose sign is a bit of its own: it means left in one vehicle, right in the next.
+    """
+    turned: dict[str, bool] = {}
+    for source in sources:
+        if source.wanted.rank == 0 and not source.wanted.source.sign_signal:
+            name = source.quantity.partition(".")[0]
+            turned[name] = turned.get(name, True) and source.wanted.source.sign < 0
+    return turned
+
+
 def message_row(loaded: LoadedConfig, probe: Probe) -> dict[str, Any]:
     """A message as JSON has it."""
     return {
@@ -90,8 +127,9 @@ def message_row(loaded: LoadedConfig, probe: Probe) -> dict[str, Any]:
         "id": id_text(probe.match.can_id),
         "channel": probe.match.channel,
         "frames": probe.frames,
-        "cycle_s": None if probe.cycle is None else round(probe.cycle, 6),
+        "cycle_s": round(probe.cycles[0], 6) if probe.cycles else None,
         "stated_cycle_s": stated_cycle(loaded, probe),
+        "lost_share": None if probe.lost_share is None else round(probe.lost_share, 4),
         "rejected": dict(sorted(probe.rejected.items())),
     }
 

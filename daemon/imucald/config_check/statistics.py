@@ -13,17 +13,22 @@ from collections.abc import Hashable, Mapping
 import numpy as np
 from numpy.typing import NDArray
 
-from imucald.can.columns import IdMatch
+from imucald.can.columns import FD_BYTES, IdMatch
+from imucald.can.dbc.message import Message, Selectors
 from imucald.can.e2e.protection import DOUBLED
+from imucald.can.lost_frames import lost_share
 from imucald.inputs.conversion import REASONS, Conversion
 from imucald.inputs.rate_guard import JudgesRate, Rows
-from imucald.inputs.routes import Carried, SignalRoute
+from imucald.inputs.routes import Carried, MessageRoute, SignalRoute
+from imucald.inputs.sender_choice import SenderChoice
 from imucald.inputs.taps import Columns, Physical, Raw, Tap, TapColumns, arrays_of
 
 Array = NDArray[np.float64]
 
 CYCLE_FRAMES = 5000
 """The cycle seen is the median over so many frames at most."""
+STOPPED_S, STOPPED_CYCLES = 10.0, 20.0
+"""A message that stops so long before the end [s], and so many of its cycles, is reported."""
 
 
 class Range:
@@ -104,6 +109,36 @@ class _CountingGuard:
         return found
 
 
+class _Times:
+    """When frames of one kind came."""
+
+    def __init__(self) -> None:
+        self._intervals: list[Array] = []
+        self._count = 0
+        self.last: float | None = None
+        """Stream time of the last frame [s]."""
+
+    def add(self, t: Array) -> None:
+        """Take the times (N,) of the next frames."""
+        if not len(t):
+            return
+        if self._count < CYCLE_FRAMES:
+            before = [] if self.last is None else [self.last]
+            intervals = np.diff(np.concatenate([before, t]))[: CYCLE_FRAMES - self._count]
+            self._intervals.append(intervals)
+            self._count += len(intervals)
+        self.last = float(t[-1])
+
+    @property
+    def cycle(self) -> float | None:
+        """Median time between two of them [s]."""
+        return float(np.median(np.concatenate(self._intervals))) if self._count else None
+
+    def lost_share(self, message: Message | None = None) -> float | None:
+        """Share of them that did not come, by the times; message: whose they are, all together."""
+        return lost_share(np.concatenate(self._intervals), message) if self._count else None
+
+
 class Probe:
     """A route that keeps figures of what passes through it (columns only)."""
 
@@ -111,6 +146,8 @@ class Probe:
         self.route = route
         self.frames = 0
         """Frames of this kind, good or not."""
+        self.shortest = FD_BYTES
+        """Bytes of the shortest of them."""
         self.rejected: Counter[str] = Counter()
         """Frames rejected whole, by reason."""
         self.guard: JudgesRate = _CountingGuard(route.guard, self.rejected)
@@ -119,10 +156,11 @@ class Probe:
             for tap in route.taps
             for component, slot in zip(tap.components, tap.slots, strict=True)
         }
-        self._intervals: list[Array] = []
-        self._interval_count = 0
-        self.last: float | None = None
-        """Stream time of the last frame [s]."""
+        self._times = _Times()
+        self._of_groups: dict[Selectors, _Times] = {}
+        """The same of the frames that carry a signal of a multiplexer: groups have their cycles."""
+        self.addresses: set[int] = set()
+        """J1939 source addresses whose frames are all taken: of several, each has its own cycle."""
 
     @property
     def name(self) -> str:
@@ -138,6 +176,11 @@ class Probe:
     def taps(self) -> tuple[Tap, ...]:
         """The route's taps."""
         return self.route.taps
+
+    @property
+    def sender(self) -> SenderChoice | None:
+        """The route's choice among senders."""
+        return self.route.sender
 
     @property
     def stated_cycle(self) -> float | None:
@@ -164,10 +207,61 @@ class Probe:
 
     @property
     def cycle(self) -> float | None:
-        """Median time between frames [s], None before two of them."""
-        if not self._interval_count:
+        """Usual time between frames [s], None before two of them and for several senders."""
+        return None if len(self.addresses) > 1 else self._times.cycle
+
+    @property
+    def cycles(self) -> tuple[float, ...]:
+        """`cycle`, or that of each group of the multiplexer that is used, the slowest first."""
+        if not self._of_groups:
+            return () if self.cycle is None else (self.cycle,)
+        found = {self._cycle_of(tap) for tap in self.taps} - {None}
+        return tuple(sorted((c for c in found if c is not None), reverse=True))
+
+    def cycle_of(self, channel: str) -> float | None:
+        """`cycle` of the signals for one channel: of its slowest one where there are groups."""
+        found = [self._cycle_of(tap) for tap in self.taps if tap.channel == channel]
+        return max((c for c in found if c is not None), default=None)
+
+    def _cycle_of(self, tap: Tap) -> float | None:
+        times = [self._of_groups.get(s) for s in self._selectors(tap)]
+        groups = [one.cycle for one in times if one is not None]
+        return max((c for c in groups if c is not None), default=self.cycle)
+
+    def _selectors(self, tap: Tap) -> list[Selectors]:
+        route = self.route
+        if not isinstance(route, MessageRoute):
+            return []
+        return [route.plan.signals[component.index].selectors for component in tap.components]
+
+    def has_stopped(self, end: float) -> float | None:
+        """When what came regularly, or a group of it, came last, if that is long before the end."""
+        for times in self._of_groups.values() if self._of_groups else (self._times,):
+            usual, last = times.cycle, times.last
+            if usual is None or last is None:
+                continue
+            if end - last > max(STOPPED_S, STOPPED_CYCLES * usual):
+                return last
+        return None
+
+    @property
+    def lost_share(self) -> float | None:
+        """Share of the frames that did not come: by the times, or by the counter if that is more.
+
+        A counter does not tell a hole in which it went round. None for a message that is not sent
+        in cycles and has no counter, and of several senders.
+        """
+        if len(self.addresses) > 1:
             return None
-        return float(np.median(np.concatenate(self._intervals)))
+        route = self.route if isinstance(self.route, MessageRoute) else None
+        message = None if route is None else route.plan.message
+        checker = None if route is None else route.checker
+        shares = [one.lost_share() for one in self._of_groups.values()]
+        if not self._of_groups:
+            shares = [self._times.lost_share(message)]
+        if checker is not None and checker.spec.counter is not None and self.frames:
+            shares.append(checker.lost / (checker.lost + self.frames))
+        return max((share for share in shares if share is not None), default=None)
 
     def check(self, t: float, data: bytes) -> str | None:
         """As the route; not counted."""
@@ -188,20 +282,16 @@ class Probe:
         for rows in reasons.values():
             ours[rows] = True
         self.frames += int(np.count_nonzero(ours))
+        if len(frames) and ours.any():
+            self.shortest = min(self.shortest, int(frames.length[ours].min()))
         if DOUBLED in reasons:  # their original has the time
             ours[reasons[DOUBLED]] = False
-        self._time(t[ours])
+        self._times.add(t[ours])
+        if isinstance(self.route, MessageRoute):
+            presence = self.route.plan.presence(frames.data, frames.length)
+            for selectors, present in presence.items():
+                self._of_groups.setdefault(selectors, _Times()).add(t[ours & present])
         return ok, reasons
-
-    def _time(self, t: Array) -> None:
-        if not len(t):
-            return
-        if self._interval_count < CYCLE_FRAMES:
-            before = [] if self.last is None else [self.last]
-            intervals = np.diff(np.concatenate([before, t]))[: CYCLE_FRAMES - self._interval_count]
-            self._intervals.append(intervals)
-            self._interval_count += len(intervals)
-        self.last = float(t[-1])
 
     def number_columns(self, frames: Carried) -> Columns:
         """As the route; ranges are taken."""

@@ -39,9 +39,11 @@ def turning_axis_findings(motion: Motion) -> Iterator[Finding]:
     if len(table) < MIN_TICKS:
         return
     level, change, speed, rate = table[:, :3], table[:, 3], table[:, 4], table[:, 5:]
-    without = _left_over(level, np.column_stack([change]))
+    # a zero error of the rate adds the speed in its own shape
+    without = _left_over(level, np.column_stack([change, speed]))
     left = [
-        _left_over(level, np.column_stack([change, speed * (rate @ (S.T @ up))])) for S in TRIED
+        _left_over(level, np.column_stack([change, speed, speed * (rate @ (S.T @ up))]))
+        for S in TRIED
     ]
     best = min(left)
     if best <= 0.0 or 1.0 - best / max(without, 1e-12) < CLEAR**2:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
+from types import MappingProxyType
 
 import numpy as np
 
@@ -29,9 +30,14 @@ _STEERING = "steering_wheel_angle"
 
 
 def yaw_rate_findings(
-    rates: Mapping[str, Array], unit_advice: Mapping[str, str]
+    rates: Mapping[str, Array],
+    unit_advice: Mapping[str, str],
+    turned: Mapping[str, bool] = MappingProxyType({}),
 ) -> Iterator[Finding]:
-    """Compare all witnesses of the yaw rate with the first one that turns."""
+    """Compare all witnesses of the yaw rate with the first one that turns.
+
+    turned: by quantity, whether the configuration turns the signs of all its axes.
+    """
     names = [name for name, rate in rates.items() if spread(rate) > MIN_TURNING]
     if len(names) < 2:
         return
@@ -44,7 +50,7 @@ def yaw_rate_findings(
         elif abs(correlation) < CLEAR / 2.0 and spread(rates[reference]) > MIN_TURNING_TO_FOLLOW:
             text = f"hardly follows {reference} in turns (correlation {correlation:+.2f})"
             yield Finding("error", name, text)
-    yield from _signs(gains)
+    yield from _signs(gains, turned)
     yield from _gains(gains, unit_advice)
 
 
@@ -60,13 +66,14 @@ def _gains(gains: Mapping[str, float], unit_advice: Mapping[str, str]) -> Iterat
             yield Finding("error", name, text, others)
 
 
-def _signs(gains: Mapping[str, float]) -> Iterator[Finding]:
+def _signs(gains: Mapping[str, float], turned: Mapping[str, bool]) -> Iterator[Finding]:
     left = [name for name, gain in gains.items() if gain > 0.0]
     right = [name for name, gain in gains.items() if gain <= 0.0]
     if len(gains) < 2:
         return
     if not right:
-        text = f"turns the same way as {', '.join(left[1:])}"
+        names = (f"{n} (with 'sign: -1')" if turned.get(n) else n for n in left[1:])
+        text = f"turns the same way as {', '.join(names)}"
         yield Finding("ok", left[0], text, tuple(left[1:]))
     elif len(left) == len(right):
         text = f"has the opposite sign of {', '.join(right)} in turns; positive must be to the left"

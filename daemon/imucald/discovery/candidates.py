@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -12,13 +13,15 @@ from numpy.typing import NDArray
 
 from imucald.can.columns import CAN_EFF_MASK, IdMatch
 from imucald.can.dbc.database import Database
-from imucald.can.dbc.decode import compile_decode, id_match
+from imucald.can.dbc.decode import J1939_ADDRESS_MASK, compile_decode, id_match
 from imucald.can.dbc.message import Message, Signal
 from imucald.can.dbc.resolved_signal import raw_limits
 from imucald.config_check.motion import bridged, smooth
 from imucald.core.errors import DatabaseError
 from imucald.discovery.evidence import factor_of
 from imucald.discovery.recording import Traffic
+from imucald.inputs.sender_choice import SENDER_SETTLING
+from imucald.inputs.units import is_unit
 from imucald.inputs.value_table import no_values
 from imucald.motion.ticks import TICK_RATE
 
@@ -30,6 +33,11 @@ MIN_FRAMES = 20
 """Frames of a message from which it is looked at."""
 SNA_BITS = 6
 """Bits from which all ones are likely to mean 'not available' when they stand far out."""
+SMALL_AT_SIGN = 0.3
+"""Part of its mean size that a magnitude has where its sign changes: any other bit changes at its
+mean size."""
+NOT_AVAILABLE_BYTE = 0xFF
+"""What a J1939 sender that has no value fills its message with."""
 _NO_UNIT = frozenset({"", "-", "1", "none", "unit", "raw", "bit", "bits", "unitless"})
 
 
@@ -37,7 +45,7 @@ _NO_UNIT = frozenset({"", "-", "1", "none", "unit", "raw", "bit", "bits", "unitl
 class SeenSignal:
     """One signal. x, smooth: (n,) on ticks of 0.1 s in the signal's unit, NaN where unknown.
 
-    cycle: median time between frames [s]. levels: number of different values, FEW_LEVELS + 1 for
+    cycle: mean time between frames [s]. levels: number of different values, FEW_LEVELS + 1 for
     more. held: (n,) the last value before each tick, of signals with few levels. unavailable: raw
     values that the data show to mean 'not available', and that no value table names.
     """
@@ -55,6 +63,10 @@ class SeenSignal:
     largest: float
     raw: Mapping[str, Any] | None = None
     """Bytes and an expression, where no database describes it."""
+    sign_signal: str | None = None
+    """``MESSAGE.SIGNAL`` of the bit that says that it is negative, where it has no sign itself."""
+    source_address: int | None = None
+    """Of the sender, where several send this J1939 message."""
     own_channel: str | None = None
     """The channel that its source must name: raw ones of a recording with several."""
 
@@ -84,8 +96,8 @@ class SeenSignal:
         return 0 < len(self.levels) <= 2 and self.has_no_unit
 
     def may_be(self, dimension: str) -> bool:
-        """Whether its unit allows the dimension: it names it, or says nothing."""
-        return self.has_no_unit or factor_of(self.unit, dimension) is not None
+        """Whether its unit allows the dimension: it names it, or is none that is known."""
+        return self.has_no_unit or self.states(dimension) or not is_unit(self.unit)
 
     def states(self, dimension: str) -> bool:
         """Whether its unit names the dimension."""
@@ -94,13 +106,18 @@ class SeenSignal:
 
 @dataclass(frozen=True, eq=False)
 class MessageTraffic:
-    """A message of a database with its frames."""
+    """A message of a database with its frames.
+
+    senders: source addresses where several units send this J1939 message; the frames are those of
+    the first one.
+    """
 
     message: Message
     channel: str
     t: Array
     data: NDArray[np.uint8]
     length: NDArray[np.uint8]
+    senders: tuple[int, ...] = ()
 
 
 def stated_cycles(databases: Mapping[str, Database]) -> Iterator[tuple[IdMatch, float]]:
@@ -133,6 +150,22 @@ def messages_in(
         parts = [
             p for p in parts if p.channel == first and p.data.shape[1] == parts[0].data.shape[1]
         ]
+        senders: tuple[int, ...] = ()
+        if not match.mask & J1939_ADDRESS_MASK:
+            frames: dict[int, int] = {}
+            for part in parts:
+                address = part.can_id & J1939_ADDRESS_MASK
+                frames[address] = frames.get(address, 0) + len(part)
+            senders = tuple(sorted(a for a, n in frames.items() if n >= MIN_FRAMES))
+        if len(senders) > 1:
+            # As a route would choose: the lowest of those that came at first.
+            late = min(p.t[0] for p in parts) + SENDER_SETTLING
+            first_ones = {p.can_id & J1939_ADDRESS_MASK for p in parts if p.t[0] <= late}
+            speaking = {p.can_id & J1939_ADDRESS_MASK for p in parts if _says_something(p)}
+            senders = tuple(
+                sorted(senders, key=lambda a: (a not in speaking, a not in first_ones, a))
+            )
+            parts = [p for p in parts if p.can_id & J1939_ADDRESS_MASK == senders[0]]
         t = np.concatenate([p.t for p in parts])
         order = np.argsort(t, kind="stable")
         yield MessageTraffic(
@@ -141,7 +174,14 @@ def messages_in(
             t[order],
             np.concatenate([p.data for p in parts])[order],
             np.concatenate([p.length for p in parts])[order],
+            senders if len(senders) > 1 else (),
         )
+
+
+def _says_something(one: Traffic) -> bool:
+    """Whether a byte is another than all ones, which is "not available" in J1939."""
+    rows, at = np.arange(one.data.shape[1]), one.length[:, np.newaxis]
+    return bool(((one.data != NOT_AVAILABLE_BYTE) & (rows < at)).any())
 
 
 def candidates_of(one: MessageTraffic, ticks: int) -> Iterator[SeenSignal]:
@@ -155,15 +195,39 @@ def candidates_of(one: MessageTraffic, ticks: int) -> Iterator[SeenSignal]:
         names.append(name)
     if not names:
         return
-    decoded = compile_decode(one.message, names).decode_columns(one.data, one.length)
+    plan = compile_decode(one.message, names, may_be_cut=True)
+    decoded = plan.decode_columns(one.data, one.length)
+    known, magnitudes, bits = [], [], []
     for i, name in enumerate(names):
         good = decoded.ok.copy()
         present = decoded.present[i]
         if present is not None:
             good &= present
-        found = _candidate(one, name, decoded.raw[i], decoded.values[i], good, ticks)
-        if found is not None:
-            yield found
+        known.append(good)
+        found = _candidate(one, name, decoded.raw[i], decoded.values[i], good.copy(), ticks)
+        if found is None:
+            continue
+        yield found
+        is_magnitude = not (found.signal.is_signed or found.signal.is_float or found.levels)
+        if is_magnitude and found.least >= 0.0:
+            magnitudes.append((i, found))
+        elif found.signal.length == 1 and len(found.levels) == 2:
+            bits.append((i, found))
+    for (i, magnitude), (j, bit) in itertools.product(magnitudes, bits):
+        good = known[i] & known[j]
+        signed = np.where(decoded.values[j] > 0.0, -decoded.values[i], decoded.values[i])
+        if _changes_sign_at_zero(signed[good & ~np.isin(decoded.raw[i], magnitude.unavailable)]):
+            name = magnitude.signal.name
+            found = _candidate(one, name, decoded.raw[i], signed, good, ticks)
+            if found is not None:
+                yield replace(found, sign_signal=bit.path)
+
+
+def _changes_sign_at_zero(values: Array) -> bool:
+    """Whether values change their sign where they are small: a sign bit makes them one signal."""
+    at = np.flatnonzero(np.signbit(values[1:]) != np.signbit(values[:-1]))
+    usual = float(np.abs(values).mean()) if len(values) else 0.0
+    return len(at) > 0 and float(np.abs(values[at]).mean()) < SMALL_AT_SIGN * usual
 
 
 def _candidate(
@@ -197,12 +261,13 @@ def _candidate(
         channel=one.channel,
         x=x,
         smooth=smooth(x),
-        cycle=float(np.median(np.diff(t))),
+        cycle=float(t[-1] - t[0]) / (len(t) - 1),
         levels=tuple(levels.tolist()) if few else (),
         held=_held(t, values, ticks) if few else None,
         unavailable=unavailable,
         least=float(values.min()),
         largest=float(values.max()),
+        source_address=one.senders[0] if one.senders else None,
     )
 
 

@@ -4,10 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence, Set
 
+import numpy as np
 from msgspec.structs import asdict
 
 from imucald.can.dbc.database import Database
+from imucald.can.j1939_transport import announced_messages
+from imucald.can.lost_frames import dropping_recorder, lost_share
 from imucald.config.network import OutputIds
+from imucald.config_check.finding import cut_frames
 from imucald.discovery.by_names import by_names
 from imucald.discovery.candidates import (
     MessageTraffic,
@@ -24,6 +28,8 @@ from imucald.discovery.flags import (
     unseen_reverse,
 )
 from imucald.discovery.heading import heading_choice
+from imucald.discovery.mirrored import hold_against_usual_signs
+from imucald.discovery.not_found import not_found
 from imucald.discovery.proposal import Choice, Proposal
 from imucald.discovery.protection_search import find_protection
 from imucald.discovery.raw_fields import raw_fields
@@ -34,6 +40,9 @@ from imucald.discovery.sensors import Sensors
 from imucald.discovery.triads import of_another_size
 from imucald.discovery.turning import Turning
 from imucald.motion.ticks import TICK_RATE
+
+LEAST_LOSS = 0.05
+"""Share of lost frames [%] that is shown: less reads 0.0."""
 
 
 def discover(databases: Mapping[str, Database], recording: GatheredFrames) -> Proposal:
@@ -69,12 +78,63 @@ def discover(databases: Mapping[str, Database], recording: GatheredFrames) -> Pr
     taken |= {m.can_id for d in databases.values() for m in d.messages.values()}
     proposal.output_ids = free_output_ids(taken)
     proposal.notes = list(_notes(recording, candidates, databases))
+    if recording.frames:
+        found_ones = {c.quantity for c in proposal.choices}
+        used = {s.signal for c in proposal.choices for s in c.sources.values()}
+        proposal.missing = not_found(
+            found_ones, used, databases, messages, candidates, _announced(traffic)
+        )
+        proposal.notes += _cut(proposal.choices, messages)
+        taken_from = [messages[n] for n in used_messages(proposal.choices) if n in messages]
+        shares = {m.message.name: lost_share(np.diff(m.t), m.message) for m in taken_from}
+        proposal.loss = dropping_recorder(list(shares.values()))
+        proposal.notes += [f"{proposal.loss}."] if proposal.loss else []
+        proposal.notes += _lost(shares)
+    for choice in proposal.choices:
+        doubt_sender(choice, messages)
     accelerometer = proposal.choice("accelerometer")
     if accelerometer is not None and (accelerometer.doubt or len(accelerometer.sources) < 3):
         accelerometer.doubt = of_another_size(candidates) or accelerometer.doubt
     if recording.frames and not any(c.quantity == "reverse" for c in proposal.choices):
         proposal.notes += unseen_reverse(candidates)
     return proposal
+
+
+def _lost(shares: Mapping[str, float | None]) -> list[str]:
+    """The lost share of each message, where anything is lost."""
+    known = {name: 100.0 * share for name, share in shares.items() if share is not None}
+    if not any(share >= LEAST_LOSS for share in known.values()):
+        return []
+    return ["Frames lost: " + ", ".join(f"{n} {x:.1f} %" for n, x in known.items()) + "."]
+
+
+def _announced(traffic: Sequence[Traffic]) -> dict[int, int]:
+    """What J1939's transport protocol announces on any channel, as of `announced_messages`."""
+    found: dict[int, int] = {}
+    for one in traffic:
+        ids = np.full(len(one), one.can_id, np.uint32)
+        found |= announced_messages(ids, one.data, one.length)
+    return found
+
+
+def _cut(choices: Sequence[Choice], messages: Mapping[str, MessageTraffic]) -> Iterator[str]:
+    """A note for each message that is used and whose frames are shorter than the database says."""
+    for name in used_messages(choices):
+        one = messages.get(name)
+        if one is not None and (shortest := int(one.length.min())) < one.message.length:
+            yield cut_frames(name, shortest, one.message.length)
+
+
+def doubt_sender(choice: Choice, messages: Mapping[str, MessageTraffic]) -> None:
+    """Mark a choice whose J1939 message comes from several units."""
+    for name in used_messages([choice]):
+        senders = messages[name].senders if name in messages else ()
+        if len(senders) > 1 and not choice.doubt:
+            first, *others = (f"0x{address:02X}" for address in senders)
+            choice.doubt = (
+                f"{name} comes from {len(senders)} source addresses, {first} and "
+                f"{', '.join(others)}: {first} is taken; 'source_address:' chooses"
+            )
 
 
 def _notes(
@@ -88,7 +148,8 @@ def _notes(
     known = sum(bool(m.signals) for d in databases.values() for m in d.messages.values())
     yield (
         f"Looked at: {recording.frames} frames in {recording.seconds:.0f} s, {len(names)} of "
-        f"{known} messages of the database, {len(candidates)} signals."
+        f"{known} messages of the database, "
+        f"{len({c.path for c in candidates})} signals."
     )
     if recording.is_full:
         yield "The recording is longer; its beginning was looked at."
@@ -112,13 +173,15 @@ def choices_from(
     candidates: Sequence[SeenSignal], proposal: Proposal
 ) -> tuple[list[Choice], KnownMotion]:
     """Every quantity that the candidates hold, and the motion that they were held against."""
-    sensors = Sensors(candidates)
+    plain = [c for c in candidates if c.sign_signal is None]
+    sensors = Sensors(plain, candidates)
     turning = Turning(sensors)
     reference = sensors.reference
-    free = [c for c in candidates if c.path not in sensors.taken]
+    every = [c for c in candidates if c.path not in sensors.taken]
+    free = [c for c in every if c.sign_signal is None]
     found: list[Choice | None] = [
         *sensors.choices(),
-        *turning.choices(free),
+        *turning.choices(every),
         find_reverse(reference, free),
         find_brake(reference, free),
         find_temperature(reference, free),
@@ -126,7 +189,8 @@ def choices_from(
     ]
     proposal.vehicle += turning.vehicle
     chosen = [c for c in found if c is not None]
-    unused = [c for c in candidates if c.path not in sensors.taken]
+    hold_against_usual_signs(chosen, sensors.heading)
+    unused = [c for c in plain if c.path not in sensors.taken]
     chosen += by_names(unused, {c.quantity for c in chosen})
     rates = {c.path: 1.0 / c.cycle for c in candidates if c.cycle > 0.0 and c.x.size > 1}
     for choice in chosen:

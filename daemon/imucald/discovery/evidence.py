@@ -135,14 +135,39 @@ COMMON_UNITS = {
 """Units that senders use, the usual one first; others are believed only where they are stated."""
 
 
+USUAL_COUNTS = {
+    "acceleration": ("g", (16384, 8192, 4096, 2048, 1024, 512, 256, 1000, 100)),
+    "angular_rate": (
+        "deg/s",
+        (131, 65.5, 32.8, 16.4, 114.3, 57.1, 28.6, 14.3, 100, 64, 50, 20, 10),
+    ),
+}
+"""Counts for one of a unit, of the ranges of usual sensors (MPU-6050, LSM6, BMI, ...), the usual
+ones first."""
+
+
+def in_counts(dimension: str, low: float, high: float) -> UnitChoice:
+    """The unit of raw counts whose SI value lies in [low, high]: a usual scale, else the middle."""
+    name, usual = USUAL_COUNTS[dimension]
+    one = find_unit(name, dimension).factor
+    fitting = [n for n in usual if low <= one / n <= high]
+    counts, *others = fitting or [float(f"{one / math.sqrt(low * high):.3g}")]
+    names = tuple(f"{name}/{n:.6g}" for n in others)
+    return UnitChoice(f"{name}/{counts:.6g}", one / counts, False, names, is_counts=True)
+
+
 @dataclass(frozen=True)
 class UnitChoice:
-    """A unit and whether the database states it. others: units that would fit as well."""
+    """A unit and whether the database states it.
+
+    others: units that would fit as well. is_counts: raw counts, whose scale the data show.
+    """
 
     name: str
     factor: float
     is_stated: bool
     others: tuple[str, ...] = ()
+    is_counts: bool = False
 
     @property
     def is_sure(self) -> bool:

@@ -50,7 +50,7 @@ def find_reverse(reference: KnownMotion, candidates: Sequence[SeenSignal]) -> Ch
             best = named_ones[0]
         text = (
             f"at {best.level:g} the accelerometer and the change of speed are opposite "
-            f"(correlation {best.correlation:+.2f}, {best.nats:.0f} nats), and never above "
+            f"(correlation {best.correlation:+.2f}), and never above "
             f"{REVERSE_SPEED:g} m/s"
         )
         others = [
@@ -174,12 +174,12 @@ def find_brake(reference: KnownMotion, candidates: Sequence[SeenSignal]) -> Choi
     found.sort(key=lambda f: (hint("brake", f[1]) is None, -f[0]))
     score, best, settings = found[0]
     named = hint("brake", best)
-    text = f"on when slowing down by more than {BRAKING:g} m/s2 (Matthews' correlation {score:.2f})"
+    text = f"on when slowing down by more than {BRAKING:g} m/s2 (correlation {score:.2f})"
     doubt = ""
     if not named and (score < 0.8 or (len(found) > 1 and found[1][0] > score - 0.05)):
         doubt = "its name does not say brake, and other signals go with braking too"
     others = [
-        Alternative({"": source_of(c, **s)}, f"Matthews' correlation {one:.2f}")
+        Alternative({"": source_of(c, **s)}, f"correlation {one:.2f}")
         for one, c, s in found[1:]
         if c is not best
     ]

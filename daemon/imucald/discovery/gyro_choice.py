@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from imucald.discovery.evidence import UnitChoice, choose_unit
+from imucald.discovery.evidence import UnitChoice, choose_unit, in_counts
 from imucald.discovery.gyro_axes import GyroFit, Order, is_decided, right_handed_orders
 from imucald.discovery.proposal import Alternative, Choice, Proposed, source_of
 from imucald.discovery.reference import GAIN_TOLERANCE
 from imucald.discovery.triads import Triad
+from imucald.inputs.units import is_unit
 
 MAX_ALTERNATIVES = 3
+RAW_COUNTS = "raw counts: the database states no scale, by the data it is 'unit: {}'"
 
 
 def axes_of(triad: Triad, unit: str, sign: int = 1) -> dict[str, Proposed]:
@@ -46,7 +48,11 @@ def _unit(triad: Triad, fit: GyroFit) -> tuple[UnitChoice, str]:
     if found.is_believed and found.low > 0.0:
         size = unit.factor  # the relation was taken in this unit
         low, high = size * found.low / GAIN_TOLERANCE, size * found.high * GAIN_TOLERANCE
-        fitting = choose_unit(triad.members[0].unit, "angular_rate", low, high)
+        first = triad.members[0]
+        fitting = choose_unit(first.unit, "angular_rate", low, high)
+        if fitting is None and first.signal.scale == 1.0 and not is_unit(first.unit):
+            counts = in_counts("angular_rate", low, high)
+            return counts, RAW_COUNTS.format(" or ".join((counts.name, *counts.others)))
         return (unit, "its size fits no unit") if fitting is None else (fitting, "")
     if unit.is_stated:
         return unit, "no turn shows its unit and sign"
@@ -82,6 +88,5 @@ def _evidence(triad: Triad, fit: GyroFit) -> str:
         words.append(f"gravity moves as it turns (correlation {fit.carried.correlation:.2f})")
     if fit.order[1][0] < 0:
         words.append("it turns the other way than the accelerometer's axes")
-    ahead = fit.ahead(right_handed_orders())
-    words.append("axes as named" if triad.names_axes else f"axes by likelihood ({ahead:.0f} nats)")
+    words.append("axes as named" if triad.names_axes else "axes as turns and gravity show them")
     return "; ".join(words)

@@ -19,18 +19,44 @@ _CORNERS = {
     **{a + b: WHEELS[3] for a in ("r", "h", "b") for b in ("r",)},
     "lf": WHEELS[0], "rf": WHEELS[1], "lr": WHEELS[2], "lh": WHEELS[2], "rh": WHEELS[3],
 }  # fmt: skip
-_AXIS = re.compile(r"^(.*?)([xyzXYZ])(.*)$")
+_AXES = {
+    "x": ("longitudinal", "long", "lon", "laengs", "längs", "surge", "roll", "wank"),
+    "y": ("lateral", "lat", "quer", "sway", "pitch", "nick"),
+    "z": ("vertical", "vert", "hoch", "heave", "yaw", "gier"),
+}
+"""Beginnings of the words for a direction, or for turning about it (ISO 8855, DIN 70000)."""
+_AXIS_LETTER = re.compile("(?:a|acc|accel|g|gyr|gyro|w|omega|r|rate|m|mag|b)?([xyz])")
 
 
 def axes_by_name(candidates: Sequence[SeenSignal]) -> tuple[int, int, int] | None:
-    """Which of three signals are x, y and z, where their names differ in that letter alone."""
+    """Which of three signals are x, y and z: by a letter, else by a word for the direction.
+
+    A letter is all in which the names differ, as in AccX, AccY, AccZ; a word stands in each name:
+    longitudinal, lateral, vertical, or roll, pitch, yaw, in English or German.
+    """
     names = [c.signal.name for c in candidates]
     for place in range(min(map(len, names))):
         letters = "".join(n[place] for n in names).lower()
         rest = {n[:place] + n[place + 1 :] for n in names}
         if len(rest) == 1 and sorted(letters) == ["x", "y", "z"]:
             return letters.index("x"), letters.index("y"), letters.index("z")
+    shared = next((i for i, cs in enumerate(zip(*names, strict=False)) if len(set(cs)) > 1), 0)
+    for parts in ([words(n) for n in names], [words(n[shared:]) for n in names]):
+        common = set.intersection(*map(set, parts))
+        axes = [_axis_of([w for w in part if w not in common]) for part in parts]
+        if sorted(axes) == ["x", "y", "z"]:
+            return axes.index("x"), axes.index("y"), axes.index("z")
     return None
+
+
+def _axis_of(parts: Sequence[str]) -> str:
+    """The one axis that the words of a name speak of; empty where there is none, or another."""
+    found = set()
+    for word in parts:
+        letter = _AXIS_LETTER.fullmatch(word)
+        found |= {letter[1]} if letter else set()
+        found |= {axis for axis, stems in _AXES.items() if word.startswith(stems)}
+    return found.pop() if len(found) == 1 else ""
 
 
 def wheel_by_name(name: str) -> str | None:
@@ -49,6 +75,9 @@ def wheel_by_name(name: str) -> str | None:
 
 
 _HINTS = {
+    "gyroscope": ("gyro", "gyr", "rate", "gx", "omega", "roll", "pitch", "wank", "nick"),
+    "wheel_speeds": ("wheel", "rad", "wheelspeed", "radgeschwindigkeit"),
+    "accelerometer": ("accel", "acceleration", "acc", "ax", "beschl", "beschleunigung"),
     "speed": ("speed", "velocity", "geschwindigkeit", "vehspd", "vspd", "speedo", "v", "spd"),
     "steering_wheel_angle": ("steering", "steer", "lenkwinkel", "lws", "sas", "winkel"),
     "yaw_rate": ("yaw", "gierrate", "gier"),
@@ -61,11 +90,27 @@ _HINTS = {
 }
 
 
+_OF_ANOTHER = frozenset((
+    "set", "setpoint", "limit", "target", "desired", "soll", "max", "min", "cruise", "acc", "obj",
+    "object", "rel", "lead", "setspeed", "tempomat", "wunsch",
+))  # fmt: skip
+"""Words of a speed that is wished, allowed, or another vehicle's."""
+
+
+def is_of_another(name: str) -> bool:
+    """Whether a name speaks of what is wished or allowed, or of another vehicle."""
+    return not _OF_ANOTHER.isdisjoint(words(name))
+
+
 def hint(quantity: str, candidate: SeenSignal) -> str | None:
     """The word of a signal's name that speaks for a quantity."""
+    return named_so(quantity, candidate.signal.name)
+
+
+def named_so(quantity: str, name: str) -> str | None:
+    """The word of a name that speaks for a quantity."""
     known = _HINTS.get(quantity, ())
-    parts = words(candidate.signal.name)
-    for part in parts:
+    for part in words(name):
         if part in known or any(len(k) > 4 and part.startswith(k) for k in known):
             return part
     return None

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -19,6 +19,8 @@ class Proposed:
     unit: str | None = None
     """Where it is not the database's."""
     sign: int = 1
+    sign_signal: str | None = None
+    source_address: int | None = None
     offset: float = 0.0
     not_available: tuple[int, ...] = ()
     equals: tuple[float, ...] | None = None
@@ -28,6 +30,10 @@ class Proposed:
     def settings(self) -> str | dict[str, Any]:
         """What stands in the configuration: a text where nothing but the signal is to be said."""
         found: dict[str, Any] = {"raw": dict(self.raw)} if self.raw else {"signal": self.signal}
+        if self.sign_signal is not None:
+            found["sign_signal"] = self.sign_signal
+        if self.source_address is not None:
+            found["source_address"] = self.source_address
         if self.unit is not None:
             found["unit"] = self.unit
         if self.sign < 0:
@@ -94,6 +100,10 @@ class Proposal:
     channels: Mapping[str, str] = field(default_factory=dict)
     """Channel of each database by its path, where the recording has several."""
     notes: list[str] = field(default_factory=list)
+    loss: str | None = None
+    """What is said of a recorder that dropped frames."""
+    missing: Mapping[str, str] = field(default_factory=dict)
+    """Quantities that were looked for and not found, each with a reason where one is known."""
     driving_side: str = "unknown"
     output_ids: Mapping[str, int] = field(default_factory=dict)
     """Ids of the frames that are sent, where the usual ones are taken on this bus."""
@@ -101,6 +111,13 @@ class Proposal:
     def choice(self, quantity: str) -> Choice | None:
         """The choice of a quantity, None where there is none."""
         return next((c for c in self.choices if c.quantity == quantity), None)
+
+
+def candidate_of(source: Proposed, candidates: Sequence[SeenSignal]) -> SeenSignal:
+    """The candidate that a source was made of."""
+    return next(
+        c for c in candidates if (c.path, c.sign_signal) == (source.signal, source.sign_signal)
+    )
 
 
 def source_of(
@@ -114,6 +131,8 @@ def source_of(
         signal=candidate.path,
         unit=None if unit is None or unit == candidate.unit else unit,
         sign=sign,
+        sign_signal=candidate.sign_signal,
+        source_address=candidate.source_address,
         not_available=candidate.unavailable,
         **others,
     )

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 from imucald.discovery.candidates import Array, SeenSignal
 from imucald.discovery.evidence import Relation, UnitChoice, choose_unit, is_better, relation
-from imucald.discovery.names import hint
+from imucald.discovery.names import hint, is_of_another
 from imucald.discovery.proposal import Alternative, Choice, source_of
 from imucald.discovery.reference import stated_unit, unit_for
 
@@ -99,6 +99,8 @@ def find_scalar(
     if unit is None:
         return None
     evidence = f"{_words(best.relation)} with {quantity.words}{_gain_words(quantity, best)}"
+    if best.candidate.sign_signal is not None:
+        evidence += f"; its sign is in {best.candidate.sign_signal}"
     doubt = _doubt(best, matches[1:], quantity, sides)
     others = [
         Alternative({"": source_of(m.candidate, m.unit.name, m.relation.sign)}, _words(m.relation))
@@ -143,7 +145,11 @@ def by_unit_and_name(
     name: str, dimension: str, candidates: Sequence[SeenSignal], why: str = ""
 ) -> Choice | None:
     """What unit and name alone suggest; never sure."""
-    named = [c for c in candidates if c.states(dimension) and hint(name, c)]
+    named = [
+        c
+        for c in candidates
+        if c.states(dimension) and hint(name, c) and not is_of_another(c.signal.name)
+    ]
     if not named:
         return None
     named.sort(key=lambda c: c.cycle)

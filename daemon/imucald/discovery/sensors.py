@@ -7,6 +7,7 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from imucald.core.samples import GRAVITY
 from imucald.discovery.candidates import SeenSignal
 from imucald.discovery.evidence import Relation
 from imucald.discovery.gyro_axes import AS_IT_IS, fit_gyroscope, right_handed_orders, signed
@@ -40,6 +41,7 @@ from imucald.discovery.triads import (
     Triad,
     accelerometers,
     gyroscopes,
+    in_raw_counts,
     magnetometers,
 )
 from imucald.discovery.wheels import wheel_sets
@@ -47,12 +49,20 @@ from imucald.discovery.wheels import wheel_sets
 MAX_TRIADS = 6
 """Triads that are held against every speed, where no unit shows which is the accelerometer."""
 MAX_ALTERNATIVES = 3
+RAW_COUNTS = (
+    "an accelerometer in raw counts: {size:.0f} of them at any mount are 1 g, and the database "
+    "states no scale: 'unit: g/{one:.6g}'"
+)
+BY_PLACES = "axes in the order of their places"
 
 
 class Sensors:
     """The sensor to calibrate and the speed. `reference`: the motion; `taken`: signals in use."""
 
-    def __init__(self, candidates: Sequence[SeenSignal]) -> None:
+    def __init__(
+        self, candidates: Sequence[SeenSignal], with_signs: Sequence[SeenSignal] = ()
+    ) -> None:
+        """with_signs: the same and magnitudes with a bit for their sign, as a yaw rate may be."""
         self.candidates = candidates
         self.reference = KnownMotion()
         self.wheels = next(iter(wheel_sets(candidates)), None)
@@ -61,10 +71,12 @@ class Sensors:
         self._found: list[Choice | None] = []
         self._speeds: list[SpeedFit] = []
         triads = accelerometers(candidates)
-        if triads:
-            self._set_accelerometer(triads)
+        counts = [] if triads else in_raw_counts(candidates)
+        counts = [t for t in counts if self._speed_for(t) or hint("accelerometer", t.members[0])]
+        if triads or counts:
+            self._set_accelerometer(triads or counts)
         else:
-            planar = find_planar(candidates, self.wheels, self.taken)
+            planar = find_planar(with_signs or candidates, self.wheels, self.taken)
             if planar is not None:
                 self.reference = planar.reference
                 self._found += [planar.accelerometer, planar.speed]
@@ -95,7 +107,10 @@ class Sensors:
         heading = fit_heading(reference, self._free())
         self.heading = hold_against_heading(reference, accelerometer, heading)
         doubt_what_is_turned(accelerometer, gyro, self.heading)
-        if not best.unit.is_stated and not (reference.speed and reference.speed.is_believed):
+        if best.unit.is_counts:
+            one = GRAVITY / best.unit.factor
+            accelerometer.doubt = RAW_COUNTS.format(size=one * best.size / GRAVITY, one=one)
+        elif not best.unit.is_stated and not (reference.speed and reference.speed.is_believed):
             accelerometer.doubt = "three signals of 1 g, but no unit is stated and no motion shows"
         self._found += [gyro, self._magnetometer(), speed]
 
@@ -232,7 +247,7 @@ def _accelerometer_choice(best: Triad, others: list[Triad]) -> Choice:
     if not best.unit.is_stated:
         stated = best.members[0].unit
         text += f" in {best.unit.name} (the database says {stated or 'no unit'})"
-    text += "; axes as named" if best.names_axes else "; axes in the order of their places"
+    text += "; axes as named" if best.names_axes else f"; {BY_PLACES}"
     doubt = "" if best.unit.is_sure else f"{', '.join(best.unit.others)} would fit as well"
     alternatives = [
         Alternative(axes_of(t, t.unit.name), f"{t.size:.2f} m/s2 +- {100 * t.spread:.1f} %")

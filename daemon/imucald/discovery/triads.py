@@ -15,9 +15,12 @@ import numpy as np
 
 from imucald.core.samples import GRAVITY
 from imucald.discovery.candidates import Array, SeenSignal
-from imucald.discovery.evidence import COMMON_UNITS, UnitChoice, choose_unit, factor_of
+from imucald.discovery.evidence import COMMON_UNITS, UnitChoice, choose_unit, factor_of, in_counts
 from imucald.discovery.names import axes_by_name
+from imucald.inputs.units import is_unit
 
+LEAST_COUNTS = 50.0
+"""Counts of 1 g: fewer are no sensor's scale."""
 MIN_BITS = 7
 """No axis of a sensor has fewer."""
 MAX_TOGETHER = 12
@@ -59,6 +62,12 @@ class Triad:
         return np.column_stack([m.x for m in self.members]) * self.unit.factor
 
     @property
+    def apart(self) -> int:
+        """How far the identifiers of its messages are apart; 0 of one message."""
+        ids = [m.message.can_id for m in self.members]
+        return max(ids) - min(ids)
+
+    @property
     def messages(self) -> tuple[str, ...]:
         """Names of their messages."""
         return tuple(dict.fromkeys(m.message.name for m in self.members))
@@ -75,10 +84,28 @@ def accelerometers(candidates: Sequence[SeenSignal]) -> list[Triad]:
     return _without_overlap(found)
 
 
-def _accelerometer_rank(triad: Triad) -> tuple[bool, bool, bool, float]:
-    """Stated unit, named axes, one message; then the steadiest 1 g."""
+def in_raw_counts(candidates: Sequence[SeenSignal]) -> list[Triad]:
+    """Every three signals without a unit, named as axes, whose vector keeps a size in counts.
+
+    The earth's field does so too, in a magnetometer: motion has to show which it is.
+    """
+    found = []
+    for three in _threes(candidates, "acceleration"):
+        ordered, named = in_order(three)
+        _, middle, spread = _sizes(ordered)
+        is_integer = all(m.signal.scale == 1.0 and not is_unit(m.unit) for m in ordered)
+        if named and is_integer and spread < NORM_SPREAD and middle > LEAST_COUNTS:
+            sizes = ((1.0 + s * SCALE_AND_OFFSET) * GRAVITY / middle for s in (-1.0, 1.0))
+            unit = in_counts("acceleration", *sizes)
+            found.append(Triad(ordered, unit, named, middle * unit.factor, spread))
+    return _without_overlap(found)
+
+
+def _accelerometer_rank(triad: Triad) -> tuple[bool, bool, bool, int, float]:
+    """Stated unit, named axes, one message or near ones; then the steadiest 1 g."""
     stated = all(m.states("acceleration") for m in triad.members)
-    return not stated, not triad.names_axes, len(triad.messages) > 1, triad.spread
+    apart = triad.apart
+    return not stated, not triad.names_axes, apart > 0, apart, triad.spread
 
 
 def _sizes(three: tuple[SeenSignal, ...]) -> tuple[Array, float, float]:
@@ -151,7 +178,7 @@ def gyroscopes(candidates: Sequence[SeenSignal]) -> list[Triad]:
         ordered, named = in_order(three)
         unit = _stated_or_first(ordered[0], "angular_rate")
         found.append(Triad(ordered, unit, named))
-    found.sort(key=lambda t: (not t.unit.is_stated, not t.names_axes, len(t.messages) > 1))
+    found.sort(key=lambda t: (not t.unit.is_stated, not t.names_axes, t.apart))
     return found
 
 
@@ -200,27 +227,49 @@ def _place(candidate: SeenSignal) -> tuple[int, int]:
 def _threes(
     candidates: Sequence[SeenSignal], dimension: str
 ) -> Iterator[tuple[SeenSignal, SeenSignal, SeenSignal]]:
-    """Signals of one kind by threes: within messages, and one from each of three messages."""
+    """Signals of one kind by threes: within messages, and from two or three that hold no three."""
     usable = [
         c
         for c in candidates
         if c.may_be(dimension) and c.signal.length >= MIN_BITS and not c.levels
     ]
-    groups: dict[object, list[SeenSignal]] = {}
+    groups: dict[tuple[object, ...], list[SeenSignal]] = {}
     for c in usable:
         groups.setdefault((c.message.name, *_kind(c, dimension)), []).append(c)
     for group in groups.values():
         yield from _combinations(sorted(group, key=_place))
     across: dict[object, list[SeenSignal]] = {}
-    for c in usable:
-        if sum(other.message is c.message for other in usable) <= 2:
-            across.setdefault(
-                (round(4.0 * math.log(c.cycle + 1e-6)), *_kind(c, dimension)), []
-            ).append(c)
+    for (_, *kind), group in groups.items():
+        is_part = len(group) <= 2 and _alike(group[0]) <= 2
+        across.setdefault(tuple(kind), []).extend(group if is_part else ())
     for group in across.values():
-        for three in _combinations(sorted(group, key=_place)):
-            if len({c.message.name for c in three}) == 3 and len(group) <= MAX_TOGETHER:
-                yield three
+        group.sort(key=_place)
+        of_pace: dict[int, list[SeenSignal]] = {}
+        for c in group:
+            of_pace.setdefault(_pace(c), []).append(c)
+        for equal in of_pace.values():
+            if len(equal) <= MAX_TOGETHER:
+                yield from filter(_are_across, itertools.combinations(equal, 3))
+        if len(of_pace) > 1 and len(group) <= MAX_TOGETHER:
+            for three in itertools.combinations(group, 3):  # at other rates names must say so
+                if len({_pace(c) for c in three}) > 1 and axes_by_name(three) is not None:
+                    yield three
+
+
+def _alike(c: SeenSignal) -> int:
+    """How many signals of its kind the message has in the database: where an axis is cut off, no
+    other message has it."""
+    signals = c.message.signals.values()
+    return sum((s.unit, s.length) == (c.signal.unit, c.signal.length) for s in signals)
+
+
+def _are_across(three: tuple[SeenSignal, ...]) -> bool:
+    return len({c.message.name for c in three}) > 1
+
+
+def _pace(c: SeenSignal) -> int:
+    """The same number for signals that come equally often, give or take an eighth."""
+    return round(4.0 * math.log(c.cycle + 1e-6))
 
 
 def _combinations(group: list[SeenSignal]) -> Iterator[tuple[SeenSignal, SeenSignal, SeenSignal]]:

@@ -8,7 +8,7 @@ import numpy as np
 
 from imucald.discovery.candidates import Array, SeenSignal
 from imucald.discovery.evidence import choose_unit, factor_of, relation
-from imucald.discovery.proposal import Choice
+from imucald.discovery.proposal import Choice, candidate_of
 from imucald.discovery.reference import stated_unit
 from imucald.discovery.scalars import (
     LATERAL,
@@ -86,7 +86,7 @@ class Turning:
     def _note_steering(self, choice: Choice, free: Sequence[SeenSignal]) -> None:
         """Steering ratio for the wheelbase that is assumed: only their product can be seen."""
         source = choice.sources[""]
-        candidate = next(c for c in free if c.path == source.signal)
+        candidate = candidate_of(source, free)
         factor = factor_of(source.unit or candidate.unit, "angle")
         curvature, speed = self.reference.curvature, self.reference.speed
         if factor is None or curvature is None or speed is None or choice.doubt:
@@ -103,7 +103,7 @@ def _turn_of(choice: Choice | None, free: Sequence[SeenSignal], otherwise: Array
     """The yaw rate that was found, else what the accelerometer shows of it."""
     if choice is not None and choice.is_sure:
         source = choice.sources[""]
-        candidate = next(c for c in free if c.path == source.signal)
+        candidate = candidate_of(source, free)
         factor = factor_of(source.unit or candidate.unit, "angular_rate")
         if factor is not None:
             return candidate.smooth * (factor * source.sign)

@@ -7,7 +7,8 @@ from collections.abc import Callable, Iterator, Sequence
 
 import numpy as np
 
-from imucald.discovery.candidates import Array, SeenSignal
+from imucald.config_check.motion import less
+from imucald.discovery.candidates import SeenSignal
 from imucald.discovery.evidence import Relation, UnitChoice, relation
 from imucald.discovery.names import WHEELS, wheel_by_name
 from imucald.discovery.proposal import Choice, Proposed, source_of
@@ -22,6 +23,10 @@ HALF_SQUARE = (1.5, 12.0)
 """Half the square of a wheelbase [m^2]: 2 m to 5 m, some of it hidden by side-slip."""
 MANY = 24
 """Signals of one kind beyond which only messages with four of them are looked at."""
+
+IN_ORDER = "right wheels are faster in left turns"
+BY_TURNS = "left and right by the yaw rate"
+EXCHANGED = "by the data left and right are exchanged"
 
 _Ends = Callable[[int, int], Relation]
 
@@ -74,9 +79,9 @@ def find_wheels(
         track = _track(four, order, unit, reference)
         text = "named so"
         if track is not None and track.is_believed:
-            text += f"; {'right' if track.sign > 0 else 'LEFT'} wheels are faster in left turns"
+            text += f"; {IN_ORDER if track.sign > 0 else IN_ORDER.replace('right', 'LEFT')}"
             if track.sign < 0:
-                doubt = "by the data left and right are exchanged"
+                doubt = EXCHANGED
         return _choice(four, order, unit, text, doubt), _metres(track)
     order, text, unsure = _by_turns(four, sides, further)
     track = _track(four, order, unit, reference)
@@ -103,23 +108,13 @@ def _turning(
     curvature = reference.turn / v
     sides = [relation(curvature, table[:, i] / v) for i in range(4)]
     drive = np.zeros(len(v)) if reference.speed is None else reference.speed.change
-    known = np.column_stack([np.ones(len(v)), curvature, drive, v])
+    known = np.column_stack([curvature, drive, v])  # side, slip with acceleration, size of the tyre
 
     def further(a: int, b: int) -> Relation:
         """The first wheel's speed less the second's, against the curvature's square."""
-        return relation(_rest(curvature**2, known), _rest((table[:, a] - table[:, b]) / v, known))
+        return relation(less(curvature**2, known), less((table[:, a] - table[:, b]) / v, known))
 
     return sides, further
-
-
-def _rest(x: Array, known: Array) -> Array:
-    """What (n, k) known signals leave of x: side, slip with acceleration, size of the tyre."""
-    rows = np.isfinite(x) & np.isfinite(known).all(axis=1)
-    left = np.full(len(x), np.nan)
-    if rows.any():
-        solution, *_ = np.linalg.lstsq(known[rows], x[rows], rcond=None)
-        left[rows] = x[rows] - known[rows] @ solution
-    return left
 
 
 def _by_turns(
@@ -133,7 +128,7 @@ def _by_turns(
     front_left, rear_left, sure_left = _front_first(left, further)
     front_right, rear_right, sure_right = _front_first(right, further)
     same_rows = (front_left < rear_left) == (front_right < rear_right)
-    text = "left and right by the yaw rate"
+    text = BY_TURNS
     order = [front_left, front_right, rear_left, rear_right]
     if sure_left and sure_right and same_rows:
         return order, f"{text}, front and rear by their ways in bends", ""

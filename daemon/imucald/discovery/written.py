@@ -51,6 +51,10 @@ def _lines(proposal: Proposal, databases: Sequence[str]) -> Iterator[str]:
             yield from _choice(choice)
         elif name in _MISSING:
             yield f"  # {name}: {_MISSING[name]} # not found"
+        if proposal.missing.get(name):
+            yield from _comment(f"{name}: not found: {proposal.missing[name]}", "  ")
+        elif name in proposal.missing and name not in _MISSING:
+            yield f"  # {name}: not found"
     if proposal.protections:
         yield ""
         yield "messages:"
@@ -118,6 +122,8 @@ def _flow(value: Any) -> str:
 
 def _of_key(key: str, value: Any) -> str:
     """A value; identifiers as people write them."""
+    if key == "source_address":
+        return f"0x{value:02X}"
     return f"0x{value:03X}" if key == "id" and isinstance(value, int) else _flow(value)
 
 

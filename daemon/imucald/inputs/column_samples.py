@@ -28,11 +28,13 @@ class Routed(Struct, frozen=True, eq=False):
     """What a chunk of frames came to.
 
     samples: by channel. rejected: by channel, the rows whose sample was rejected, in order.
+    rejected_values: those of them that were rejected for their value, not with the whole frame.
     events: (M,) stream times of all rejections that were counted [s], in order.
     """
 
     samples: dict[str, ColumnSamples]
     rejected: dict[str, Rows]
+    rejected_values: dict[str, Rows]
     events: NDArray[np.float64]
 
 
@@ -60,10 +62,11 @@ def assembled(
     selector: SourceSelector | None,
     assemblers: Mapping[tuple[str, int], TriadAssembler],
     refused: list[tuple[Tap, Rows]],
+    refused_values: list[tuple[Tap, Rows]],
 ) -> ColumnSamples:
     """A channel with split triads: the same steps as for single frames, in row order.
 
-    refused: takes the rows at which a triad fell apart.
+    refused: takes the rows at which a triad fell apart; refused_values: for a value.
     """
     t_out: list[float] = []
     rows_out: list[int] = []
@@ -73,7 +76,8 @@ def assembled(
         if not tap.complete:
             values, bad = assemblers[channel, tap.rank].add(t, tap.slots, None if code else value)
             if bad:
-                refused.append((tap, np.array([row], dtype=np.int64)))
+                to = refused_values if code else refused
+                to.append((tap, np.array([row], dtype=np.int64)))
             if values is None:
                 continue
         if selector is not None and not selector.accept_row(t, row, tap.rank):

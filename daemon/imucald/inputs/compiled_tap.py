@@ -31,13 +31,13 @@ class CompiledTap:
     """One tap of a message."""
 
     def __init__(self, plan: DecodePlan, tap: Tap) -> None:
-        self._size, self._third = plan.size, tap.third
+        self._size, self._third, self._may_be_cut = plan.size, tap.third, plan.is_cut
         signals = [plan.signals[component.index] for component in tap.components]
         self._is_plain = not tap.statuses and all(map(_is_plain, signals))
         self._parts: list[_Numbers] = []
         if self._is_plain:
             self._parts = [
-                _numbers(signal, component.conversion, plan.size)
+                _numbers(signal, component.conversion, plan.least)
                 for signal, component in zip(signals, tap.components, strict=True)
             ]
 
@@ -56,7 +56,9 @@ class CompiledTap:
 
     def can_take(self, frames: FrameColumns | Payloads) -> bool:
         """Whether the kernel knows such signals, and every one lies in the frames."""
-        return self._is_plain and frames.data.shape[1] >= self._size
+        if not self._is_plain or frames.data.shape[1] < self._size:
+            return False
+        return not self._may_be_cut or not len(frames) or int(frames.length.min()) >= self._size
 
 
 def _is_plain(signal: ResolvedSignal) -> bool:

@@ -11,24 +11,36 @@ from imucald.config import MessageProtection
 from imucald.core.errors import ConfigError
 
 
-def checker_for(message: Message, protection: MessageProtection | None) -> MessageChecker:
+def checker_for(
+    message: Message, protection: MessageProtection | None, least: int | None = None
+) -> MessageChecker:
     """Checker of a message; without configuration only its length is judged.
 
     The database's cycle time alone brings no time-out: many state one for event-driven messages.
 
+    least: bytes that a frame must have; default: those of the message. A checksum is of the whole
+    message, so that all must be there.
+
     Raises ConfigError (without place) where the configuration does not fit the message.
     """
+    size = message.length if least is None else least
     if protection is None:
-        return MessageChecker(ProtectionSpec(size=message.length))
+        return MessageChecker(ProtectionSpec(size=size))
     checksum, kind = _checksum(message, protection)
+    counter = _counter(message, protection, kind)
+    if checksum is not None:
+        size = message.length
+    elif counter is not None:
+        size = max(size, counter.field.end_byte)
     return MessageChecker(
         ProtectionSpec(
-            size=message.length,
-            counter=_counter(message, protection, kind),
+            size=size,
+            counter=counter,
             checksum=checksum,
             cycle_time=protection.cycle_time or message.cycle_time,
             timeout_cycles=protection.timeout_cycles,
             recovery=protection.recover_after,
+            cycle_is_sure=protection.cycle_time is not None,
         )
     )
 
@@ -58,4 +70,4 @@ def _counter(
         return counter_of(message.signal(counter.signal), modulus, counter.max_step)
     if header is None or protection.checksum is None:
         return None
-    return header.at(8 * protection.checksum.offset, max_jump=1)
+    return header.at(8 * protection.checksum.offset)

@@ -51,6 +51,7 @@ class Wanted(Struct, frozen=True):
     planar: bool
     source: cfg.SourceSettings
     place: Place
+    source_address: int | None = None
 
 
 def wanted_numbers(signals: cfg.Signals) -> Iterator[Wanted]:
@@ -61,19 +62,22 @@ def wanted_numbers(signals: cfg.Signals) -> Iterator[Wanted]:
             place: Place = ("signals", key, rank)
             yield from _axes(channel, DIMENSIONS[channel], rank, triad, place)
     for sensor_index, sensor in enumerate(signals.parallel):
-        triad = cfg.TriadSettings(x=sensor.x, y=sensor.y, z=sensor.z)
+        address = sensor.source_address
+        triad = cfg.TriadSettings(x=sensor.x, y=sensor.y, z=sensor.z, source_address=address)
         place = ("signals", "parallel", sensor_index)
         yield from _axes(f"parallel/{sensor.name}", sensor.kind, 0, triad, place)
     for key, channel in _SCALARS.items():
         sources: Sequence[cfg.SourceSettings] | None = getattr(signals, key)
         for rank, source in enumerate(sources or ()):
             place = ("signals", key, rank)
-            yield Wanted(channel, DIMENSIONS[channel], rank, 0, 1, False, source, place)
+            address = source.source_address
+            yield Wanted(channel, DIMENSIONS[channel], rank, 0, 1, False, source, place, address)
     if signals.wheel_speeds is not None:
         for slot, key in enumerate(_WHEELS):
             source = getattr(signals.wheel_speeds, key)
             place = ("signals", "wheel_speeds", key)
-            yield Wanted("wheel_speeds", "speed", 0, slot, 4, False, source, place)
+            address = source.source_address
+            yield Wanted("wheel_speeds", "speed", 0, slot, 4, False, source, place, address)
 
 
 def _axes(
@@ -84,4 +88,6 @@ def _axes(
         source: cfg.SourceSettings | None = getattr(triad, axis)
         if source is not None:
             here = (*place, axis)
-            yield Wanted(channel, dimension, rank, slot, 3, planar, source, here)
+            own = source.source_address
+            address = triad.source_address if own is None else own
+            yield Wanted(channel, dimension, rank, slot, 3, planar, source, here, address)

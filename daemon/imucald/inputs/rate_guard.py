@@ -15,7 +15,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from imucald.can.e2e.protection import DOUBLED
+from imucald.can.e2e.protection import DOUBLED, TOO_EARLY
 
 TOO_FAST, DUPLICATE = "too_fast", "duplicate_sender"
 LEARNT_S = 10
@@ -37,6 +37,11 @@ _NOT_SENT = frozenset(("checksum", "short_frame", DOUBLED))
 """Frames that nobody knows to be of a sender, and copies that none has sent."""
 
 Rows = NDArray[np.int64]
+
+
+def _is_of_another(reason: str) -> bool:
+    """Whether a second sender's frames are rejected so."""
+    return reason.startswith("counter") or reason == TOO_EARLY
 
 
 class JudgesRate(Protocol):
@@ -77,7 +82,7 @@ class RateGuard:
         if reason:
             if reason not in _NOT_SENT:
                 self._seen += 1
-                self._faults += reason.startswith("counter")
+                self._faults += _is_of_another(reason)
             return reason
         self._seen += 1
         if self._second <= self._distrusted_until:
@@ -101,7 +106,7 @@ class RateGuard:
             count = np.diff(rows.searchsorted(edges))
             if reason not in _NOT_SENT:
                 seen_count = seen_count + count
-            if reason.startswith("counter"):
+            if _is_of_another(reason):
                 fault_count += count
         seen, faulty, sound_in = seen_count.tolist(), fault_count.tolist(), good_count.tolist()
         if n > SECONDS + 1 and self._is_usual(first, seen):  # only the last ones count from now on

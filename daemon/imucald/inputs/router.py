@@ -155,17 +155,23 @@ class Router:
 
     # one frame -----------------------------------------------------------------------------
 
-    def frame(self, t: float, can_id: int, data: bytes) -> tuple[list[Sample], list[str]]:
-        """Samples of one frame, and the channels of which a sample was rejected.
+    def frame(
+        self, t: float, can_id: int, data: bytes
+    ) -> tuple[list[Sample], list[str], list[str]]:
+        """Samples of one frame, the channels of which a sample was rejected, and for its value.
 
-        t: stream time [s]; can_id with the flag for 29 bits. The channel of a recording is not
-        looked at: a live bus is one bus.
+        A frame that is rejected whole is a hole as a lost one is: only its value can say that what
+        is missing was large. t: stream time [s]; can_id with the flag for 29 bits. The channel of a
+        recording is not looked at: a live bus is one bus.
         """
         samples: list[Sample] = []
         refused: list[Tap] = []
+        values: list[Tap] = []
         found: list[tuple[Tap, Raw, Physical]] = []
         accepted = 0
         for route in self._routes_of(can_id):
+            if route.sender is not None and not route.sender.takes(t, can_id):
+                continue
             reason = route.check(t, data)
             if reason is None:
                 continue
@@ -181,8 +187,12 @@ class Router:
         if accepted > 1:  # the preferred source is taken first, whichever route it is on
             found.sort(key=lambda one: one[0].rank)
         self.used += accepted > 0
-        self._take(t, found, samples, refused)
-        return samples, [tap.channel for tap in refused if self._selects(t, tap)]
+        self._take(t, found, samples, refused, values)
+        return (
+            samples,
+            [tap.channel for tap in refused if self._selects(t, tap)],
+            [tap.channel for tap in values if self._selects(t, tap)],
+        )
 
     def _selects(self, t: float, tap: Tap) -> bool:
         """Whether a tap's samples are taken now: nothing is lost by those that would not be."""
@@ -195,6 +205,7 @@ class Router:
         found: Iterable[tuple[Tap, Raw, Physical]],
         samples: list[Sample],
         refused: list[Tap],
+        refused_values: list[Tap],
     ) -> None:
         for tap, raw, physical in found:
             values: Sequence[float] | None
@@ -209,10 +220,13 @@ class Router:
                 )
                 if bad:
                     refused.append(tap)
+                    if code:
+                        refused_values.append(tap)
                 if values is None:
                     continue
             elif code:
                 refused.append(tap)
+                refused_values.append(tap)
                 continue
             selector = self._selectors.get(tap.channel)
             if selector is not None and not selector.accept(t, tap.rank):
@@ -249,12 +263,16 @@ class Router:
         used = np.zeros(0 if is_disjoint else len(frames), dtype=bool)
         parts: dict[str, list[TapSamples]] = {}
         refused: list[tuple[Tap, Rows]] = []
+        values: list[tuple[Tap, Rows]] = []
         events: list[Rows] = []
         for selector in self._selectors.values():
             selector.begin_chunk()
         for route, rows in zip(self.routes, found, strict=True):
             if not len(rows):
                 continue
+            if route.sender is not None:
+                chosen_sender = route.sender.takes_columns(t.take(rows), frames.can_id.take(rows))
+                rows = rows[chosen_sender]  # noqa: PLW2901
             times, chosen = t.take(rows), frames.payloads(rows)
             ok, reasons = route.check_columns(times, chosen)
             ok, reasons = guarded(route, times, ok, reasons)
@@ -270,13 +288,14 @@ class Router:
                 self.used += len(rows)
             else:
                 used[rows] = True
-            self._take_columns(route, times, rows, chosen, parts, refused, events)
+            self._take_columns(route, times, rows, chosen, parts, values, events)
         self.used += int(np.count_nonzero(used))
-        samples = {c: self._joined(c, of, refused) for c, of in parts.items()}
+        samples = {c: self._joined(c, of, refused, values) for c, of in parts.items()}
         self._finish_columns(samples)
         return Routed(
             samples,
-            self._rejected_rows(t, refused),
+            self._rejected_rows(t, refused + values),
+            self._rejected_rows(t, values),
             t[np.sort(np.concatenate(events))] if events else np.zeros(0),
         )
 
@@ -321,12 +340,16 @@ class Router:
             parts.setdefault(tap.channel, []).append(part)
 
     def _joined(
-        self, channel: str, found: list[TapSamples], refused: list[tuple[Tap, Rows]]
+        self,
+        channel: str,
+        found: list[TapSamples],
+        refused: list[tuple[Tap, Rows]],
+        values: list[tuple[Tap, Rows]],
     ) -> ColumnSamples:
         selector = self._selectors.get(channel)
         if all(part.tap.complete for part in found):
             return joined(found, selector)
-        return assembled(channel, found, selector, self._assemblers, refused)
+        return assembled(channel, found, selector, self._assemblers, refused, values)
 
     def _finish_columns(self, samples: dict[str, ColumnSamples]) -> None:
         for channel in [c for c, s in samples.items() if not len(s.t)]:

@@ -4,22 +4,27 @@ from __future__ import annotations
 
 import math
 from collections.abc import Hashable, Mapping, Sequence
+from types import MappingProxyType
 from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-from imucald.can.columns import FrameColumns, IdMatch, Payloads
-from imucald.can.dbc.decode import DecodePlan
-from imucald.can.e2e.protection import REASONS, MessageChecker
+from imucald.can.columns import CAN_EFF_FLAG, FrameColumns, IdMatch, Payloads
+from imucald.can.dbc.decode import J1939_ADDRESS_MASK, DecodePlan
+from imucald.can.e2e.protection import OK, REASONS, SHORT, MessageChecker
 from imucald.core import compiled
 from imucald.inputs.compiled_tap import CompiledTap
 from imucald.inputs.expression import Expression
 from imucald.inputs.rate_guard import JudgesRate, RateGuard
+from imucald.inputs.sender_choice import SenderChoice
 from imucald.inputs.taps import Columns, Physical, Raw, Tap, TapColumns, arrays_of
 
 Carried = FrameColumns | Payloads
 """Frames (N,), of which a route looks at what they carry."""
+
+_SENSORS = frozenset({"accel", "gyro", "mag", "parallel"})
+"""Channels of sensors that are mounted somewhere: of two senders each has its own mount."""
 
 
 class SignalRoute(Protocol):
@@ -40,6 +45,10 @@ class SignalRoute(Protocol):
     @property
     def guard(self) -> JudgesRate:
         """How often they may come."""
+
+    @property
+    def sender(self) -> SenderChoice | None:
+        """Which sender is heard, where there may be several and one must be chosen."""
 
     @property
     def stated_cycle(self) -> float | None:
@@ -77,9 +86,19 @@ class SignalRoute(Protocol):
 
 
 class MessageRoute:
-    """Frames that a database describes."""
+    """Frames that a database describes.
 
-    def __init__(self, plan: DecodePlan, checker: MessageChecker, taps: Sequence[Tap]) -> None:
+    signs: of signals that are magnitudes (by place among the plan's), the place of the signal that
+    is not 0 where they are negative.
+    """
+
+    def __init__(
+        self,
+        plan: DecodePlan,
+        checker: MessageChecker,
+        taps: Sequence[Tap],
+        signs: Mapping[int, int] = MappingProxyType({}),
+    ) -> None:
         self.name = plan.message.name
         self.match = plan.id_match
         self.plan = plan
@@ -87,7 +106,14 @@ class MessageRoute:
         self.taps = tuple(sorted(taps, key=lambda tap: tap.rank))
         self.stated_cycle = checker.spec.cycle_time or plan.message.cycle_time
         self.guard: JudgesRate = RateGuard(self.stated_cycle, checker.spec.counter is not None)
-        self._compiled = [CompiledTap(plan, tap) for tap in self.taps]
+        self.signs = dict(signs)
+        has_sign = [any(c.index in signs for c in tap.components) for tap in self.taps]
+        self._compiled = [] if any(has_sign) else [CompiledTap(plan, tap) for tap in self.taps]
+        is_sensor = any(tap.channel.partition("/")[0] in _SENSORS for tap in self.taps)
+        is_any_sender = (
+            bool(self.match.can_id & CAN_EFF_FLAG) and not self.match.mask & J1939_ADDRESS_MASK
+        )
+        self.sender = SenderChoice() if is_sensor and is_any_sender else None
 
     @property
     def frame_key(self) -> Hashable:
@@ -101,7 +127,9 @@ class MessageRoute:
             signal = self.plan.signals[component.index]
             selectors = [(self.plan.multiplexers[name].field, i) for name, i in signal.selectors]
             kind = signal.signal.is_signed, signal.signal.is_float
-            number = signal.field, kind, signal.scaling, tuple(selectors)
+            sign = self.signs.get(component.index)
+            bit = None if sign is None else self.plan.signals[sign].field
+            number = signal.field, kind, signal.scaling, tuple(selectors), bit
             found.append((number, component.conversion.source))
         return self.match, tap.source, tuple(found)
 
@@ -115,6 +143,8 @@ class MessageRoute:
         is_like = (spec.counter is None) == (before.counter is None)
         if is_like and self.stated_cycle == former.stated_cycle:
             self.guard = former.guard
+        if self.sender is not None and former.sender is not None:
+            self.sender = former.sender
 
     def check(self, t: float, data: bytes) -> str | None:
         """Length, checksum, counter, time-out."""
@@ -123,7 +153,15 @@ class MessageRoute:
     def numbers(self, data: bytes) -> tuple[Raw, Physical]:
         """Decode one frame."""
         raw = self.plan.decode_raw(data)
-        return raw, self.plan.scale(raw)
+        physical = self.plan.scale(raw)
+        return raw, self._signed(raw, physical) if self.signs else physical
+
+    def _signed(self, raw: Raw, physical: Physical) -> Physical:
+        found = list(physical)
+        for index, sign in self.signs.items():
+            value, bit = found[index], raw[sign]
+            found[index] = None if value is None or bit is None else -value if bit else value
+        return found
 
     def check_columns(
         self, t: NDArray[np.float64], frames: Carried
@@ -140,12 +178,23 @@ class MessageRoute:
     def number_columns(self, frames: Carried) -> Columns:
         """Decode columns."""
         found = self.plan.decode_columns(frames.data, frames.length)
-        return list(zip(found.raw, found.values, found.present, strict=True))
+        columns = list(zip(found.raw, found.values, found.present, strict=True))
+        for index, sign in self.signs.items():
+            raw, values, present = columns[index]
+            bit, _, known = columns[sign]
+            if known is not None:
+                present = known if present is None else known & present
+            columns[index] = raw, np.where(bit != 0, -values, values), present
+        return columns
 
     def tap_columns(self, frames: Carried) -> TapColumns:
         """Decode, scale and judge; signal by signal only where the compiled part cannot."""
         kernels = compiled.kernels
-        if kernels is None or not all(one.can_take(frames) for one in self._compiled):
+        if (
+            kernels is None
+            or not self._compiled
+            or not all(one.can_take(frames) for one in self._compiled)
+        ):
             return arrays_of(self.taps, self.number_columns(frames))
         return [one.array(kernels, frames) for one in self._compiled]
 
@@ -154,11 +203,20 @@ class RawRoute:
     """Frames that a configured expression describes."""
 
     def __init__(
-        self, name: str, match: IdMatch, when: Expression | None, value: Expression, tap: Tap
+        self,
+        name: str,
+        match: IdMatch,
+        when: Expression | None,
+        value: Expression,
+        tap: Tap,
+        message: str = "",
+        checker: MessageChecker | None = None,
     ) -> None:
         self.name = name
         self.match = match
         self.taps = (tap,)
+        self.message, self.checker = message, checker
+        self.sender = None
         self.stated_cycle: float | None = None
         self.guard: JudgesRate = RateGuard()
         self._when = when
@@ -175,16 +233,22 @@ class RawRoute:
         return self.frame_key, self._value.text, tap.source, conversions
 
     def go_on_from(self, former: SignalRoute) -> None:
-        """The usual rate."""
+        """The usual rate; counter and distrust where the protection is the same."""
         self.guard = former.guard
+        if not isinstance(former, RawRoute) or self.checker is None or former.checker is None:
+            return
+        if self.checker.spec == former.checker.spec:
+            self.checker = former.checker
 
     def check(self, t: float, data: bytes) -> str | None:
-        """The condition, and the length the value needs."""
+        """The message's protection, which every frame of it goes on with; the condition, and the
+        length the value needs."""
+        reason = None if self.checker is None else self.checker.check(t, data)
         if self._when is not None and not (
             len(data) >= self._when.needs and self._when.holds(data)
         ):
             return None
-        return "" if len(data) >= self._value.needs else "short_frame"
+        return reason or ("" if len(data) >= self._value.needs else "short_frame")
 
     def numbers(self, data: bytes) -> tuple[Raw, Physical]:
         """The value; raw and physical are one."""
@@ -198,9 +262,13 @@ class RawRoute:
         ours = np.ones(len(frames), dtype=bool)
         if self._when is not None:
             ours = (frames.length >= self._when.needs) & self._when.hold(frames.data, frames.length)
-        short = ours & (frames.length < self._value.needs)
-        reasons = {"short_frame": np.flatnonzero(short)} if short.any() else {}
-        return ours & ~short, reasons
+        codes = np.zeros(len(frames), np.uint8)
+        if self.checker is not None:
+            codes = self.checker.check_columns(t, frames.data, frames.length)
+        codes[(codes == OK) & (frames.length < self._value.needs)] = SHORT
+        found = np.unique(codes[ours & (codes != OK)]).tolist()
+        reasons = {REASONS[code]: np.flatnonzero(ours & (codes == code)) for code in found}
+        return ours & (codes == OK), reasons
 
     def number_columns(self, frames: Carried) -> Columns:
         """The values."""

@@ -44,7 +44,11 @@ class TapSamples(Struct, frozen=True, eq=False):
 
 
 class TriadAssembler:
-    """Puts one sample (a triad, four wheel speeds) together from values of several frames."""
+    """Puts one sample (a triad, four wheel speeds) together from values of several frames.
+
+    A value that comes again before the sample is whole begins the next one: a part was lost, or
+    comes less often. So no part is older than a cycle of the others.
+    """
 
     def __init__(self, width: int) -> None:
         self._values: list[float | None] = [None] * width
@@ -57,6 +61,8 @@ class TriadAssembler:
         if values is None:
             self._values = [None] * len(self._values)
             return None, True
+        if any(self._values[slot] is not None for slot in slots):
+            self._values = [None] * len(self._values)
         for slot, value in zip(slots, values, strict=True):
             self._values[slot] = value
             self._times[slot] = t

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Collection, Hashable, Iterable, Iterator, Sequence
 from typing import TypeVar
 
 from msgspec import Struct, field
@@ -12,10 +12,11 @@ from msgspec import Struct, field
 from imucald import config as cfg
 from imucald.can.columns import CAN_EFF_FLAG, CAN_EFF_MASK, CAN_SFF_MASK, IdMatch
 from imucald.can.dbc.database import Database, load_database
-from imucald.can.dbc.decode import compile_decode
+from imucald.can.dbc.decode import compile_decode, id_match
 from imucald.can.dbc.message import Message, Signal
 from imucald.can.dbc.resolved_signal import raw_limits
 from imucald.can.e2e.checksums import KINDS, NO_CHECKSUM, ONE_BYTE_KINDS
+from imucald.can.e2e.protection import MessageChecker
 from imucald.config import LoadedConfig
 from imucald.core.errors import ConfigError, DatabaseError
 from imucald.inputs.configured_values import as_decoded, check_raw
@@ -32,7 +33,7 @@ from imucald.inputs.value_table import no_values
 Number = TypeVar("Number", int, float)
 
 PLANAR_AXES = 2
-SPLIT_PLANAR = "x and y of a sensor without z must be in one message"
+SPLIT_PLANAR = "x and y of a sensor without z must be in one message, in one frame"
 _SENSORS = ("accel", "gyro")
 """Channels whose end-of-range values mean a saturated sensor."""
 
@@ -46,14 +47,20 @@ class LoadedDatabase(Struct):
 
 
 class _MessageSignals(Struct):
-    """What is asked of one message."""
+    """What is asked of one message; signs: see `MessageRoute`."""
 
     message: Message
     channel: str | None
     j1939: bool | None
+    source_address: int | None = None
     names: list[str] = field(default_factory=list)
+    signs: dict[int, int] = field(default_factory=dict)
     wanted: list[tuple[Wanted, int, Conversion]] = field(default_factory=list)
     statuses: dict[tuple[str, int], list[Status]] = field(default_factory=dict)
+
+
+Groups = dict[tuple[str, str | None, int | None], _MessageSignals]
+"""By message, channel of a recording, and sender."""
 
 
 def load_databases(loaded: LoadedConfig) -> list[LoadedDatabase]:
@@ -75,14 +82,15 @@ def compile_router(loaded: LoadedConfig) -> Router:
     Raises ConfigError, with line and remedy, where a message, a signal or a unit does not fit.
     """
     databases = load_databases(loaded)
-    groups: dict[tuple[str, str | None], _MessageSignals] = {}
+    groups: Groups = {}
     routes: list[SignalRoute] = []
     for wanted in wanted_numbers(loaded.config.signals):
         if wanted.source.raw is not None:
-            routes.append(_raw_route(loaded, wanted, wanted.source.raw))
+            routes.append(_raw_route(loaded, databases, wanted, wanted.source.raw))
         else:
             _add_signal(loaded, databases, groups, wanted)
-    _refuse_unknown_messages(loaded, groups)
+    raw_names = {r.message for r in routes if isinstance(r, RawRoute) and r.message}
+    _refuse_unknown_messages(loaded, raw_names | {group.message.name for group in groups.values()})
     _refuse_unknown_checksums(loaded)
     _refuse_split_planar(loaded, groups.values())
     routes += [_message_route(loaded, group) for group in groups.values()]
@@ -97,7 +105,7 @@ def compile_router(loaded: LoadedConfig) -> Router:
 def _signed_speed(groups: Iterable[_MessageSignals]) -> bool:
     """Whether a speed signal can be negative: reverse is then read from its sign."""
     return any(
-        w.channel == "speed" and g.message.signal(g.names[i]).is_signed
+        w.channel == "speed" and (g.message.signal(g.names[i]).is_signed or i in g.signs)
         for g in groups
         for w, i, _ in g.wanted
     )
@@ -106,21 +114,63 @@ def _signed_speed(groups: Iterable[_MessageSignals]) -> bool:
 def _add_signal(
     loaded: LoadedConfig,
     databases: Sequence[LoadedDatabase],
-    groups: dict[tuple[str, str | None], _MessageSignals],
+    groups: Groups,
     wanted: Wanted,
 ) -> None:
     path = wanted.source.signal or ""
     holder, message, signal = _find(loaded, databases, wanted, path)
     channel = wanted.source.channel or holder.entry.channel
+    address, j1939 = wanted.source_address, holder.entry.j1939
+    if address is None and message.name in loaded.config.messages:
+        address = loaded.config.messages[message.name].source_address
     group = groups.setdefault(
-        (message.name, channel), _MessageSignals(message, channel, holder.entry.j1939)
+        (message.name, channel, address), _MessageSignals(message, channel, j1939, address)
     )
-    if signal.name not in group.names:
-        group.names.append(signal.name)
+    index = _signed_index(loaded, group, wanted, signal)
     conversion = _conversion(loaded, wanted, signal)
-    group.wanted.append((wanted, group.names.index(signal.name), conversion))
+    group.wanted.append((wanted, index, conversion))
     if wanted.source.valid_when is not None:
         _add_status(loaded, group, wanted, wanted.source.valid_when)
+
+
+def _signed_index(
+    loaded: LoadedConfig, group: _MessageSignals, wanted: Wanted, signal: Signal
+) -> int:
+    """Place of a signal, with the sign that it is given, among those asked of its message."""
+    path = wanted.source.sign_signal
+    if path is None:
+        for index, name in enumerate(group.names):
+            if name == signal.name and index not in group.signs:
+                return index
+        return _added(group, signal)
+    place = (*wanted.place, "sign_signal")
+    message_name, _, name = path.rpartition(".")
+    try:
+        sign = group.message.signal(name)
+    except DatabaseError as error:
+        raise loaded.error(place, str(error)) from None
+    if message_name != group.message.name:
+        text = f"the sign must come in the message of its signal, {group.message.name}"
+        raise loaded.error(place, f"{path} is in another message: {text}")
+    if sign.length != 1 or sign.name == signal.name:
+        raise loaded.error(
+            place, f"{path} is no sign: a sign is a signal of one bit, apart from its magnitude"
+        )
+    if signal.is_signed or signal.is_float:
+        text = f"{wanted.source.signal} has a sign already; leave 'sign_signal' out"
+        raise loaded.error(place, text)
+    at = group.names.index(sign.name) if sign.name in group.names else _added(group, sign)
+    for index, known in group.signs.items():
+        if known == at and group.names[index] == signal.name:
+            return index
+    index = _added(group, signal)
+    group.signs[index] = at
+    return index
+
+
+def _added(group: _MessageSignals, signal: Signal) -> int:
+    group.names.append(signal.name)
+    return len(group.names) - 1
 
 
 def _add_status(
@@ -225,12 +275,17 @@ def _rails(signal: Signal | None, source: cfg.SourceSettings) -> tuple[float, fl
     except OverflowError:  # whole numbers of any size; who decodes the signal refuses it
         return None
     low, high = min(ends), max(ends)
+    if source.sign_signal is not None:  # the values of a magnitude end at zero, the sensor does not
+        low = -high
     if source.range is None and signal.minimum is not None and signal.maximum is not None:
-        low, high = max(low, signal.minimum), min(high, signal.maximum)
+        high = min(high, signal.maximum)
+        low = -high if source.sign_signal is not None else max(low, signal.minimum)
     return (low, high) if low < high else None
 
 
-def _raw_route(loaded: LoadedConfig, wanted: Wanted, raw: cfg.RawSource) -> RawRoute:
+def _raw_route(
+    loaded: LoadedConfig, databases: Sequence[LoadedDatabase], wanted: Wanted, raw: cfg.RawSource
+) -> RawRoute:
     if wanted.planar:
         raise loaded.error(wanted.place, SPLIT_PLANAR)
     try:
@@ -248,28 +303,52 @@ def _raw_route(loaded: LoadedConfig, wanted: Wanted, raw: cfg.RawSource) -> RawR
     )
     component = Component(0, _conversion(loaded, wanted, None))
     tap = Tap(wanted.channel, wanted.rank, (component,), (wanted.slot,), wanted.width == 1)
-    return RawRoute(f"id 0x{raw.id:X}", match, when, value, tap)
+    name, checker = _raw_checker(loaded, databases, match)
+    return RawRoute(f"id 0x{raw.id:X}", match, when, value, tap, name, checker)
+
+
+def _raw_checker(
+    loaded: LoadedConfig, databases: Sequence[LoadedDatabase], match: IdMatch
+) -> tuple[str, MessageChecker | None]:
+    """The configured message that a raw source reads, by its identifier, and its protection."""
+    for name, protection in loaded.config.messages.items():
+        for holder in databases:
+            message = holder.database.messages.get(name)
+            if message is None or message.unsupported:
+                continue
+            if (match.can_id ^ message.can_id) & id_match(message, holder.entry.j1939).full_mask:
+                continue
+            try:
+                return name, checker_for(message, protection)
+            except (DatabaseError, ConfigError) as error:
+                raise loaded.error(("messages", name), str(error)) from None
+    return "", None
 
 
 def _message_route(loaded: LoadedConfig, group: _MessageSignals) -> MessageRoute:
     protection = loaded.config.messages.get(group.message.name)
     place: Place = ("messages", group.message.name)
+    if protection is None:
+        place = group.wanted[0][0].place
     try:
-        j1939 = group.j1939 if group.message.can_id & CAN_EFF_FLAG else None
-        plan = compile_decode(group.message, group.names, j1939, group.channel)
-        checker = checker_for(group.message, protection)
+        plan = compile_decode(
+            group.message, group.names, group.j1939, group.channel, group.source_address, True
+        )
+        taps = list(_taps(group))
+        needed = [max(plan.ends[component.index] for component in tap.components) for tap in taps]
+        checker = checker_for(group.message, protection, min(needed))
     except (DatabaseError, ConfigError) as error:
         raise loaded.error(place, str(error)) from None
-    return MessageRoute(plan, checker, list(_taps(group)))
+    return MessageRoute(plan, checker, taps, group.signs)
 
 
 def _taps(group: _MessageSignals) -> Iterator[Tap]:
-    keys = dict.fromkeys((w.channel, w.rank) for w, _, _ in group.wanted)
-    for channel, rank in keys:
-        members = sorted(
-            (m for m in group.wanted if (m[0].channel, m[0].rank) == (channel, rank)),
-            key=lambda m: m[0].slot,
-        )
+    taps: dict[Hashable, list[tuple[Wanted, int, Conversion]]] = {}
+    for member in group.wanted:
+        taps.setdefault(_tap_key(group, member[0], member[1]), []).append(member)
+    for found in taps.values():
+        members = sorted(found, key=lambda m: m[0].slot)
+        channel, rank = members[0][0].channel, members[0][0].rank
         first = members[0][0]
         needed = first.width - first.planar
         complete = len(members) == needed
@@ -284,6 +363,12 @@ def _taps(group: _MessageSignals) -> Iterator[Tap]:
         )
 
 
+def _tap_key(group: _MessageSignals, wanted: Wanted, index: int) -> Hashable:
+    """Equal for numbers of one sample that come in one frame: under the same multiplexer values."""
+    selectors = group.message.signal(group.names[index]).selectors
+    return wanted.channel, wanted.rank, selectors
+
+
 def _third(wanted: Wanted) -> float | None:
     """The axis that a sensor of two lacks: of the accelerometer gravity, of others not known."""
     if not wanted.planar:
@@ -291,10 +376,7 @@ def _third(wanted: Wanted) -> float | None:
     return PLANAR_Z if wanted.channel == "accel" else math.nan
 
 
-def _refuse_unknown_messages(
-    loaded: LoadedConfig, groups: dict[tuple[str, str | None], _MessageSignals]
-) -> None:
-    used = {name for name, _ in groups}
+def _refuse_unknown_messages(loaded: LoadedConfig, used: Collection[str]) -> None:
     for name in loaded.config.messages:
         if name not in used:
             known = ", ".join(sorted(used))
@@ -320,8 +402,8 @@ def _refuse_unknown_checksums(loaded: LoadedConfig) -> None:
 
 def _refuse_split_planar(loaded: LoadedConfig, groups: Iterable[_MessageSignals]) -> None:
     for group in groups:
-        planar = [w for w, _, _ in group.wanted if w.planar]
-        count = Counter((w.channel, w.rank) for w in planar)
-        for wanted in planar:
-            if count[wanted.channel, wanted.rank] < PLANAR_AXES:
+        planar = [(w, _tap_key(group, w, index)) for w, index, _ in group.wanted if w.planar]
+        count = Counter(key for _, key in planar)
+        for wanted, key in planar:
+            if count[key] < PLANAR_AXES:
                 raise loaded.error(wanted.place, SPLIT_PLANAR)

@@ -31,7 +31,8 @@ def ticks_from_samples(
 ) -> NDArray[np.float64]:
     """Return ticks first .. stop-1 as (stop - first, COLUMNS), from whole columns of samples.
 
-    Samples outside those ticks are ignored. rejected: channel to times [s] of rejected samples.
+    Samples outside those ticks are ignored. rejected: channel to times [s] of samples rejected for
+    their values.
     The result equals `TickAccumulator` on the same samples to the last bit.
     """
     n = stop - first

@@ -105,7 +105,8 @@ class Pile(Struct):
 
     rate: -log of the chance that a sample equals the one before, as it was known before [nats].
     at_it: samples on the value; stays: of them, those that equal the one before. met: -log of the
-    chance that its arrivals meet in one step [nats]. seen: samples, each with the one before it, so
+    chance that its arrivals meet in one step [nats]. first, last: hops of driving at which it was
+    reached. seen: samples, each with the one before it, so
     that what comes again to the last bit counts once. before: at_it and stays at the last arrival.
     """
 
@@ -113,6 +114,7 @@ class Pile(Struct):
     at_it: int = 0
     stays: int = 0
     arrivals: int = 0
+    first: int = -2
     last: int = -2
     met: float = 0.0
     seen: dict[bytes, None] = field(default_factory=dict)  # in the order in which they came

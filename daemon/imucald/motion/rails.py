@@ -29,6 +29,10 @@ BOTH_ENDS = SURPRISE + 4.0
 """A range that ends at both ends: for the sum of two surprises, as x + log(1 + x) has it."""
 BROAD = 3
 """The tail is measured from where it holds so many times the arrivals at the extreme."""
+UNTOUCHED = TAIL_HOPS, 5 * TAIL_HOPS
+"""A rail that is not reached while driving goes on for `SURPRISE` of its usual pauses is none: the
+chance of that on a rail is the one at which it was believed. No less than a minute, which the tail
+is known from, no more than five."""
 USUAL_CHANGE = 4.0
 """A rail is left as the axis goes, by so many times its mean change from sample to sample at most
 (three deviations of noise); a contact that closes again jumps."""
@@ -40,7 +44,7 @@ class Rail:
     Peaks that meet in one step of a tail, and samples that stay there while other axes move, are
     improbable; on a rail they are the rule. Watched is every value that nothing has gone beyond
     since it came, so what was reached before the rail was there does not hide it. Only driving
-    counts. It is no rail when a value lies beyond.
+    counts. It is no rail when a value lies beyond, or when driving does not reach it any more.
 
     surprise: -log of the chance of what is seen if there is none [nats], as far as it has been
     left again: an axis that sticks is none, and has arrived once when that has ended. value: for
@@ -51,14 +55,23 @@ class Rail:
         self._side, self._axis, self._tops = side, axis, tops
         self._rail = -math.inf
         self._changed = False
+        self._untouched, self._pauses, self._touches = 0, 0.0, 0
         self.found = False
         self.surprise, self.value = 0.0, math.inf
 
-    def go_on(self, at: AxisHops, h: int) -> None:
+    def go_on(self, at: AxisHops, h: int, moving: bool) -> None:
         """See what hop h makes of the rail: none, where a value lies beyond."""
         value = at.tops[self._side][h]
-        if self.found and value > self._rail + 0.5 * at.step[h]:
-            self.found = False
+        if self.found:
+            half = 0.5 * at.step[h]
+            if value > self._rail + half:
+                self.found = False
+            elif value >= self._rail - half:
+                self._touch(self._untouched)
+            elif moving:
+                self._untouched += 1
+                if self._is_left():
+                    self._forget()
         if value > self.value:
             self.surprise, self.value = 0.0, math.inf
 
@@ -116,6 +129,29 @@ class Rail:
     def on_rail(self, value: float | None = None) -> None:
         """A value is a rail; None: the one for which most speaks."""
         self.found, self._rail = True, self.value if value is None else value
+        self._pauses, self._touches = 0.0, 0
+        pile = self._tops.piles.get(self._rail)
+        if pile is None or pile.arrivals < 2:  # nothing is known of its pauses yet
+            self._touch(UNTOUCHED[1])
+        else:
+            self._touch(pile.last - pile.first, pile.arrivals - 1)
+
+    def _touch(self, pause: int, touches: int = 1) -> None:
+        """It is reached again, after so many hops of driving in which it was so many times."""
+        self._pauses += pause
+        self._touches += touches
+        self._untouched = 0
+
+    def _is_left(self) -> bool:
+        least, most = UNTOUCHED
+        allowed = SURPRISE * self._pauses / self._touches
+        return self._untouched > min(max(allowed, least), most)
+
+    def _forget(self) -> None:
+        """What made it a rail is gone by: all of it counts no longer."""
+        self.found = self._changed = False
+        self.surprise, self.value = 0.0, math.inf
+        self._tops.piles.clear()
 
     def _is_apart(self, value: float) -> bool:
         """Whether a value lies further beyond all other peaks than they lie apart.
@@ -132,7 +168,7 @@ class Rail:
         self._changed = True
         pile = self._tops.piles.get(top.value)
         if pile is None:
-            pile = Pile(at.rate(h))
+            pile = Pile(at.rate(h), first=hop)
             self._tops.add_pile(top, pile)
         pile.rate = pile.rate or at.rate(h)
         is_arrival = hop - pile.last > 1
@@ -183,7 +219,7 @@ class AxisRails:
             low.stick(at.tops[1][h])
             self._look_at_end(at, h)
         for rail in (high, low):
-            rail.go_on(at, h)
+            rail.go_on(at, h, moving)
         if stuck or not moving:
             for rail in (high, low):
                 rail.stand(at, h)

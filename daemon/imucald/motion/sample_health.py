@@ -219,6 +219,11 @@ class SampleHealth:
             self._take([self._heard], (k + 1) // HOP_TICKS - 1, {})
             self._heard = None
 
+    def forget_rails(self) -> None:
+        """Nothing of before makes a value the end of an axis's range."""
+        for sensor in self._sensors.values():
+            sensor.rails = [AxisRails(axis) for axis in range(sensor.axes)]
+
     def gap(self) -> None:
         """Time jumped: nothing before is joined with what follows."""
         for sensor in self._sensors.values():

@@ -24,9 +24,9 @@ from imucald.motion.physical_limits import (
     ROAD_FORCE,
     saturated_axes,
 )
-from imucald.motion.stuck import StuckSensor, StuckSpeed, zero_while_wheels_turn
+from imucald.motion.stuck import SeenForward, StuckSensor, StuckSpeed, zero_while_wheels_turn
 from imucald.motion.stuck_yaw_rate import StuckYawRate
-from imucald.motion.ticks import ACCEL, GYRO, TICK_S, WHEEL_SPREAD
+from imucald.motion.ticks import ACCEL, GYRO, SPEED, STEERING, TICK_S, WHEEL_SPREAD, YAW_RATE
 
 Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]
@@ -61,6 +61,12 @@ _LIMITED = [
 ]
 _COLUMNS, _MOST, _COUNTS = (np.array(one) for one in zip(*_LIMITED, strict=True))
 """Columns of a tick that have a largest size, those sizes, and the columns of their counts."""
+
+_SIGNALS = {
+    ACCEL.n: "accel", GYRO.n: "gyro", SPEED.n: "speed", STEERING.n: "steering",
+    YAW_RATE.n: "yaw_rate",
+}  # fmt: skip
+"""By the column of a tick's count."""
 
 
 def spread_out(flags: Flags, ticks: int) -> Flags:
@@ -98,7 +104,8 @@ class SignalHealth:
         }
         self._speed = StuckSpeed()
         self._yaw_rate = StuckYawRate()
-        self.counts: Counter[str] = Counter()
+        self.counts: Counter[tuple[str, SignalFault]] = Counter()
+        """Ticks with a fault, by signal and fault."""
         self.found: dict[tuple[str, SignalFault], Flags] = {}
         self.stuck_now: dict[str, bool] = {}
         """Of the vehicle's signals that are judged: whether any new tick of the last call was."""
@@ -133,20 +140,19 @@ class SignalHealth:
             bad = (rows[:, count] > 0) & ~sound
             if bad.any():
                 rows[bad, count] = 0.0
-                self.counts[SignalFault.IMPOSSIBLE.value] += int(bad.sum())
+                self._count(_SIGNALS[count], SignalFault.IMPOSSIBLE, bad)
 
     def stuck(self, signal: str, rows: Array) -> Flags:
-        """Ticks (N,) at which "accel", "gyro" or "speed" is stuck; rows: (N, COLUMNS)."""
-        if signal == "speed":
-            flags = self._speed.flags(rows, self._new.stop - self._new.start)
-            contradicted = zero_while_wheels_turn(rows)
-            # At a steady cruise a coarse speed repeats itself too: left out, but accused by wheels
-            # alone.
-            self.stuck_now["speed"] = bool(contradicted[self._new].any())
-            flags |= contradicted
-        else:
-            flags = self._sensors[signal].flags(rows)
-        return self._note_stuck(signal, flags)
+        """Ticks (N,) at which "accel" or "gyro" is stuck; rows: (N, COLUMNS)."""
+        return self._note_stuck(signal, self._sensors[signal].flags(rows))
+
+    def stuck_speed(self, rows: Array, seen: SeenForward | None) -> Flags:
+        """Ticks (N,) at which the speed is stuck; see `StuckSpeed`."""
+        flags = self._speed.flags(rows, self._new.stop - self._new.start, seen)
+        contradicted = zero_while_wheels_turn(rows)
+        # A sensor that was moved looks like a speed that stays: wheels alone accuse it.
+        self.stuck_now["speed"] = bool(contradicted[self._new].any())
+        return self._note_stuck("speed", flags | contradicted)
 
     def sensor_moves(self, signal: str) -> None:
         """Take new ticks in which "accel" or "gyro" never repeats its mean: it is not stuck."""
@@ -154,7 +160,7 @@ class SignalHealth:
         self.found.pop((signal, SignalFault.STUCK), None)
 
     def speed_moves(self, first: float, lasted: Array, change: Array) -> bool:
-        """Take new ticks with a speed that `stuck` finds nothing in; False: it has to look.
+        """Take new ticks with a speed that `stuck_speed` finds nothing in; False: it has to look.
 
         For the arguments see `StuckSpeed.take_short_runs`. No speed may be zero.
         """
@@ -182,7 +188,7 @@ class SignalHealth:
 
     def _note_stuck(self, signal: str, flags: Flags) -> Flags:
         self.found[signal, SignalFault.STUCK] = flags
-        self._count(SignalFault.STUCK, flags[self._new])
+        self._count(signal, SignalFault.STUCK, flags[self._new])
         return flags
 
     def untrusted(
@@ -202,10 +208,11 @@ class SignalHealth:
         self.found |= self._faults(rows, force, ok_force, speed, ok_speed, turning)
         out = np.zeros(len(rows), dtype=bool)
         for fault, hold in HOLD_TICKS.items():
-            flags = self._anywhere(fault)
-            if flags is not None:
-                self._count(fault, flags)
-                out |= spread_out(flags, hold)
+            for (signal, kind), flags in self.found.items():
+                if kind is fault and np.count_nonzero(flags):
+                    ticks = np.any(flags, axis=1) if flags.ndim > 1 else flags
+                    self._count(signal, fault, ticks)
+                    out |= spread_out(ticks, hold)
         return out
 
     def calm_blocks(
@@ -260,17 +267,8 @@ class SignalHealth:
         allowed += CURVE_SHARE * self._track * turning
         return known & (rows[..., WHEEL_SPREAD.mean] > allowed)  # False for NaN
 
-    def _anywhere(self, fault: SignalFault) -> Flags | None:
-        """Ticks (N,) with a fault of any signal and axis; None: there are none."""
-        out: Flags | None = None
-        for (_, kind), flags in self.found.items():
-            if kind is fault and np.count_nonzero(flags):
-                ticks: Flags = np.any(flags, axis=1) if flags.ndim > 1 else flags
-                out = ticks if out is None else out | ticks
-        return out
-
-    def _count(self, fault: SignalFault, flags: Flags) -> None:
-        """Add the flagged ticks to a reason's number."""
+    def _count(self, signal: str, fault: SignalFault, flags: Flags) -> None:
+        """Add the flagged ticks to a signal's and fault's number."""
         n = int(np.count_nonzero(flags))
         if n:
-            self.counts[fault.value] += n
+            self.counts[signal, fault] += n

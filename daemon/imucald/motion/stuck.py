@@ -2,7 +2,8 @@
 
 The value is wrong by as much as the truth has changed, and at the end it jumps. Three kinds
 of signal, three tests: a sensor's noise always moves (`StuckSensor`, over blocks of ticks;
-`HeldForce`, tick by tick), a speed that is rounded does not (`StuckSpeed`).
+`HeldForce`, tick by tick), a speed that is rounded does not, and is held against the forward force
+(`StuckSpeed`).
 `model_compensation.held_repeats` finds nothing: it keeps a stuck sensor recognisable.
 """
 
@@ -11,10 +12,12 @@ from __future__ import annotations
 import math
 
 import numpy as np
+from msgspec import Struct
 from numpy.typing import NDArray
 
 from imucald.core.rotations import Vector
 from imucald.motion import ticks as tk
+from imucald.motion.coarse_speed import SAME_SPEED
 from imucald.motion.standstill import DRIVING_SPEED, ROLLING_SPEED
 from imucald.motion.ticks import ACCEL, TICK_S, TickRow
 from imucald.motion.usual_runs import MIN_STUCK_S, TIMES_USUAL, UsualRuns, runs_of
@@ -32,12 +35,15 @@ STUCK_HOLE = 4
 """Ticks from one sample to the next, at most: 2.5 Hz."""
 SAME = 1e-9
 """Means over nine and ten equal samples differ by rounding [m/s^2, rad/s]."""
-STEADIEST = 0.01
-"""No vehicle on a road keeps its speed better than that [m/s^2]."""
-FINE = 0.1
-"""So many of the changes are finer than what counts as the signal's step: rounding splits steps."""
-SAME_SPEED = 1e-6
-"""[m/s]"""
+SPLIT, JUMPS = 0.1, 1.5
+"""So many of the changes are finer than the signal's step: means over ticks split steps. A sender
+that repeats its values jumps by more than so many steps most of the time."""
+LARGE = 0.9
+"""A speed may be off by as much as so many of its changes come to."""
+GAINED = 1.5
+"""... and by so much more [m/s]: the answer of the body and of the vertical to hard braking."""
+HARD, DEVIATIONS = 2.0, 3.0
+"""While the delay of the speed is not known, braking [m/s^2] may come that much earlier."""
 TURNING_WHEELS = 15
 """Ticks in which wheels turn and the speed is zero that make it stuck: a speed that begins at
 4 km/h (inductive wheel sensors) is zero for a second of a launch at 1 m/s^2."""
@@ -118,18 +124,32 @@ def one_more(flags: Flags) -> Flags:
     return out
 
 
-class StuckSpeed:
-    """Flags ticks at which the speed is stuck while the vehicle drives.
+class SeenForward(Struct, frozen=True):
+    """What the accelerometer says of the speed, of the ticks (N,) that are looked at.
 
-    How long a sound speed keeps one value depends on its resolution: to stay within one step s for
-    T seconds a vehicle has to keep its acceleration under s / T. A sender that repeats each value
-    some times has longer runs all the time; those do not count. Both are learnt.
+    accel: forward force without gravity [m/s^2]. late: the speed, behind it [s], and how well that
+    is known. drift: by so much the force may be off for long [m/s^2].
+    """
+
+    accel: Array
+    late: float
+    late_std: float
+    drift: float
+
+
+class StuckSpeed:
+    """Flags ticks at which the speed is stuck: the force says that it has changed.
+
+    A coarse speed keeps a value while its vehicle keeps its speed, for minutes; a sender that
+    repeats each value some times has long runs all the time. So a run is held against the forward
+    force within it, and a sender that repeats is given four of its usual runs. Where no mount is
+    known nothing is called stuck: then nothing rests on the speed either.
     """
 
     def __init__(self) -> None:
         self._ended = UsualRuns()
         """While driving: how long they lasted [s], the change after [m/s]."""
-        self._value, self._lasted = math.nan, 0.0
+        self.restart()
 
     def take_usual(self, former: StuckSpeed) -> None:
         """Take the runs that another one has seen end."""
@@ -137,10 +157,15 @@ class StuckSpeed:
 
     def restart(self) -> None:
         """Time jumped: the run before is over."""
-        self._value = math.nan
+        self._value, self._lasted = math.nan, 0.0
+        self._low = np.zeros(2)  # see `_gained`
+        self._is_stuck = False
 
-    def flags(self, rows: Array, leaving: int) -> Flags:
-        """Ticks (N,) with a speed that is stuck; rows: (N, COLUMNS), `leaving` leave next."""
+    def flags(self, rows: Array, leaving: int, seen: SeenForward | None) -> Flags:
+        """Ticks (N,) with a speed that is stuck; rows: (N, COLUMNS), `leaving` leave next.
+
+        seen: None where nobody knows what the speed should do.
+        """
         out = np.zeros(len(rows), dtype=bool)
         at = np.flatnonzero(rows[:, tk.SPEED.n] > 0)
         if not len(at):
@@ -149,25 +174,43 @@ class StuckSpeed:
         first, last, change = runs_of(speed, SAME_SPEED)
         begins, ends = at[first], at[last]
         lasted = (ends - begins) * TICK_S
-        if abs(speed[0] - self._value) <= SAME_SPEED:
+        goes_on = abs(speed[0] - self._value) <= SAME_SPEED
+        if goes_on:
             lasted[0] += self._lasted
         driving = np.abs(speed[first]) > DRIVING_SPEED
         stuck = driving & (lasted > MIN_STUCK_S)
+        against = None if seen is None else _against(seen)
         if np.count_nonzero(stuck):
-            stuck &= lasted > self._limit()
+            longer = lasted > self._limit()
+            for i in np.flatnonzero(stuck).tolist():
+                of_before = goes_on and i == 0
+                stuck[i] = (of_before and self._is_stuck) or (
+                    bool(longer[i])
+                    and against is not None
+                    and seen is not None
+                    and self._gained(against, int(begins[i]), int(ends[i]), of_before)
+                    > self._least(seen)
+                )
             for begin, end in zip(begins[stuck].tolist(), ends[stuck].tolist(), strict=True):
                 out[begin : end + 1] = True
         over = driving & ~stuck & (ends < leaving)
         over[-1] = False
         after = last[over]
         self._ended.add(lasted[over] + (at[after + 1] - at[after]) * TICK_S, change[after])
-        self._value = math.nan
         crossing = np.flatnonzero((begins < leaving) & (leaving <= ends))
-        if len(crossing):
-            i = int(crossing[0])
-            kept = at[int(np.searchsorted(at, leaving))]
-            self._value = float(speed[first[i]])
-            self._lasted = float(lasted[i]) - float(ends[i] - kept) * TICK_S
+        if not len(crossing):
+            self.restart()
+            return one_more(out)
+        i = int(crossing[0])
+        kept = at[int(np.searchsorted(at, leaving))]
+        low = self._low if goes_on and i == 0 else np.full(2, math.inf)
+        self._value, self._is_stuck = float(speed[first[i]]), bool(stuck[i])
+        self._lasted = float(lasted[i]) - float(ends[i] - kept) * TICK_S
+        self._low = np.zeros(2)
+        if against is not None:
+            before = against[:, leaving - 1]
+            lowest = against[:, begins[i] : leaving].min(axis=1)
+            self._low = np.minimum(np.minimum(lowest, low) - before, 0.0)
         return one_more(out)
 
     def take_short_runs(self, first: float, lasted: Array, change: Array) -> bool:
@@ -179,15 +222,35 @@ class StuckSpeed:
         if abs(first - self._value) <= SAME_SPEED:
             return False
         self._ended.add(lasted, change)
-        self._value = math.nan
+        self.restart()
         return True
 
     def _limit(self) -> float:
-        """A run longer than that is stuck [s]; never, until the signal is known."""
+        """A run may be stuck if it is longer than that [s]; never, until the signal is known."""
         if not self._ended.known:
             return math.inf
-        step = self._ended.change(FINE)
-        return max(MIN_STUCK_S, step / STEADIEST, TIMES_USUAL * self._ended.usual)
+        return max(MIN_STUCK_S, TIMES_USUAL * self._ended.repeated(SPLIT, JUMPS))
+
+    def _least(self, seen: SeenForward) -> float:
+        """By so much the force says at least that a stuck speed has changed [m/s]."""
+        return self._ended.change(LARGE) + GAINED + HARD * DEVIATIONS * seen.late_std
+
+    def _gained(self, against: Array, begin: int, end: int, of_before: bool) -> float:
+        """The largest change of speed within a run that the force speaks of [m/s]."""
+        part = against[:, begin : end + 1]
+        lowest = np.minimum.accumulate(part, axis=1)
+        if of_before:
+            lowest = np.minimum(lowest, self._low[:, None])
+        return float((part - lowest).max())
+
+
+def _against(seen: SeenForward) -> Array:
+    """The speed gained, and that lost, up to each tick (2, N), less what the force may be off."""
+    n = len(seen.accel)
+    gained = np.concatenate([[0.0], np.cumsum(seen.accel) * TICK_S])
+    gained = np.interp(np.arange(1, n + 1) - seen.late / TICK_S, np.arange(n + 1), gained)
+    drift = seen.drift * TICK_S * np.arange(1, n + 1)
+    return np.stack([gained - drift, -gained - drift])
 
 
 def zero_while_wheels_turn(rows: Array) -> Flags:

@@ -112,7 +112,8 @@ LASTS: Mapping[str, int] = {
 }
 """... and those of which it has the last value."""
 BAD: Mapping[str, int] = {"accel": ACCEL.bad, "gyro": GYRO.bad, "speed": SPEED.bad}
-"""Where samples that were rejected are counted."""
+"""Where samples that were rejected for their values are counted: a frame that is rejected whole is
+a hole like a lost one."""
 _NEVER_NAN = (
     ACCEL.n, GYRO.n, SPEED.n, STEERING.n, YAW_RATE.n, LATERAL_ACCEL.n, LONGITUDINAL_ACCEL.n,
     WHEEL_SPREAD.n, ACCEL.bad, GYRO.bad, SPEED.bad,

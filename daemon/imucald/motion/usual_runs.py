@@ -89,6 +89,18 @@ class UsualRuns:
         lasted = self._runs[: self._ended, 0]
         return float(lasted @ lasted / lasted.sum())
 
+    def repeated(self, share: float, times: float) -> float:
+        """How long a run of a sender lasts that repeats its values; 0: it does not.
+
+        Most of its changes are then larger than so many times its step, the change that a share of
+        all changes does not exceed.
+        """
+        lasted, change = self._runs[: self._ended].T
+        is_jump = change > times * self.change(share)
+        if 2 * np.count_nonzero(is_jump) <= len(change):
+            return 0.0
+        return float(lasted[is_jump] @ lasted[is_jump] / lasted[is_jump].sum())
+
     def change(self, share: float) -> float:
         """The change that this share of all changes does not exceed."""
         return quantile(self._runs[: self._ended, 1], share)

@@ -2,20 +2,29 @@
 
 from __future__ import annotations
 
+import codecs
 from collections.abc import Mapping, Sequence
 from functools import lru_cache
 from pathlib import Path
 
 from msgspec.structs import replace
 
+from imucald.can.columns import CAN_EFF_FLAG
 from imucald.can.dbc.bounded_parser import max_file_bytes, parse_bounded
+from imucald.can.dbc.decode import J1939_ADDRESS_MASK, J1939_NO_ADDRESS, pgn_of
 from imucald.can.dbc.message import Message, Signal, nearest
 from imucald.core import file_cache as database_cache
 from imucald.core.errors import DatabaseError
 from imucald.core.regular_file import read_regular
 
-ENCODINGS: Mapping[str, str] = {"dbc": "cp1252", "sym": "cp1252", "kcd": "utf-8", "arxml": "utf-8"}
-"""Text encoding of each format, as the tools that write them have it."""
+FORMATS = ("dbc", "sym", "kcd", "arxml")
+"""Endings of the files that are read."""
+_MARKS: Mapping[bytes, str] = {
+    codecs.BOM_UTF8: "utf-8-sig",
+    codecs.BOM_UTF16_LE: "utf-16",
+    codecs.BOM_UTF16_BE: "utf-16",
+}
+"""Encodings by the bytes that a file begins with."""
 REMEMBERED = 4
 """Databases that a process keeps in memory: the next log most often needs the same ..."""
 REMEMBERED_TEXT = 2 * 2**20
@@ -26,7 +35,7 @@ class Database:
     """The messages of one bus, from one or several files; names are unique."""
 
     def __init__(self, messages: Sequence[Message], ambiguous: Mapping[str, str]) -> None:
-        self.messages: Mapping[str, Message] = {m.name: m for m in messages}
+        self.messages: Mapping[str, Message] = {m.name: m for m in _told_apart(messages)}
         self._ambiguous = dict(ambiguous)
 
     def message(self, name: str) -> Message:
@@ -52,6 +61,16 @@ class Database:
             return message, message.signal(signal_name)
         except DatabaseError as error:
             raise DatabaseError(f"{error}{self._holders(signal_name)}") from None
+
+    @property
+    def left_out(self) -> list[str]:
+        """A line for each message and signal that could not be read: its place, why, remedy."""
+        found = [
+            f"{m.source}: message {m.name}: {m.unsupported}"
+            for m in self.messages.values()
+            if m.unsupported
+        ]
+        return found + [why for m in self.messages.values() for why in m.left_out.values()]
 
     def _files(self) -> str:
         """The files that it was read from, for a message."""
@@ -86,6 +105,22 @@ def load_database(paths: Sequence[Path], shared_ids: bool = False) -> Database:
     return Database(messages, ambiguous)
 
 
+def _told_apart(messages: Sequence[Message]) -> list[Message]:
+    """The messages; of those that share a PGN each one with an address of its own is marked."""
+    addresses: dict[int, set[int]] = {}
+    for one in messages:
+        if one.can_id & CAN_EFF_FLAG:
+            addresses.setdefault(pgn_of(one.can_id), set()).add(one.can_id & J1939_ADDRESS_MASK)
+    return [
+        replace(one, has_own_address=True)
+        if one.can_id & CAN_EFF_FLAG
+        and one.can_id & J1939_ADDRESS_MASK < J1939_NO_ADDRESS
+        and len(addresses[pgn_of(one.can_id)]) > 1
+        else one
+        for one in messages
+    ]
+
+
 def load_database_text(text: str, database_format: str, name: str = "<text>") -> Database:
     """Read a database from text in the format ``dbc``, ``kcd``, ``sym`` or ``arxml``."""
     return Database(_parse(text, database_format, name), {})
@@ -93,8 +128,8 @@ def load_database_text(text: str, database_format: str, name: str = "<text>") ->
 
 def _load_file(path: Path) -> list[Message]:
     database_format = path.suffix.lower().removeprefix(".")
-    if database_format not in ENCODINGS:
-        known = ", ".join(f".{f}" for f in ENCODINGS)
+    if database_format not in FORMATS:
+        known = ", ".join(f".{f}" for f in FORMATS)
         raise DatabaseError(f"{path}: not a known database format (one of {known})")
     limit = max_file_bytes()
     try:
@@ -103,8 +138,29 @@ def _load_file(path: Path) -> list[Message]:
         raise DatabaseError(f"{path}: {error.strerror or error}") from error
     if len(data) > limit:
         raise DatabaseError(f"{path}: larger than {limit // 2**20} MiB")
-    text = data.decode(ENCODINGS[database_format], errors="replace")
-    return _parse(text, database_format, str(path))
+    return _parse(decoded(data), database_format, str(path))
+
+
+def decoded(data: bytes) -> str:
+    """Text of a file: as its mark says, else each line UTF-8 where it can be that, else cp1252.
+
+    Tools on Windows write cp1252, editors and scripts UTF-8, and some files have been through both;
+    hardly any text of the first is right in the second.
+    """
+    for mark, encoding in _MARKS.items():
+        if data.startswith(mark):
+            return data.decode(encoding, errors="replace")
+    try:
+        return data.decode("utf-8")
+    except UnicodeDecodeError:
+        return "".join(map(_decoded_line, data.splitlines(keepends=True)))
+
+
+def _decoded_line(line: bytes) -> str:
+    try:
+        return line.decode("utf-8")
+    except UnicodeDecodeError:
+        return line.decode("cp1252", errors="replace")
 
 
 def _parse(text: str, database_format: str, source: str) -> list[Message]:

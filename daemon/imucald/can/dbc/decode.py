@@ -26,7 +26,7 @@ from imucald.can.dbc.bits import (
     signed_column,
     words_of,
 )
-from imucald.can.dbc.message import Message, Signal
+from imucald.can.dbc.message import Message, Selectors, Signal
 from imucald.can.dbc.resolved_signal import FLOAT_CODES, ResolvedSignal, resolve
 from imucald.core.errors import DatabaseError, DecodeError
 
@@ -45,23 +45,57 @@ FEW_VALUES = 8
 _STRUCT_CODES = {8: "b", 16: "h", 32: "i", 64: "q"}
 """struct's letter for a signed integer of so many bits."""
 
+J1939_ADDRESS_MASK = 0xFF
+"""The address of the sender."""
+J1939_NO_ADDRESS = 0xFE
+"""From here on an address is nobody's; databases write it for whoever sends (SAE J1939-81)."""
+
 Raw = int | float | None
 RawColumn = NDArray[np.int64] | NDArray[np.uint64] | NDArray[np.float64]
 
 
-def id_match(message: Message, j1939: bool | None = None, channel: str | None = None) -> IdMatch:
+def _pgn_mask(can_id: int) -> int:
+    is_pdu2 = (can_id >> 16 & 0xFF) >= J1939_BROADCAST_FORMAT
+    return J1939_PDU2_MASK if is_pdu2 else J1939_PDU1_MASK
+
+
+def pgn_of(can_id: int) -> int:
+    """The bits of a 29-bit identifier that are its PGN, where they stand in it."""
+    return can_id & _pgn_mask(can_id)
+
+
+def id_match(
+    message: Message,
+    j1939: bool | None = None,
+    channel: str | None = None,
+    source_address: int | None = None,
+) -> IdMatch:
     """Which frames are this message's.
 
-    A J1939 message is matched by its PGN, whatever priority and source address (and, for PDU1,
-    destination); `j1939` overrides what the database says.
+    A J1939 message is matched by its PGN, whatever priority and (for PDU1) destination, and
+    whatever source address unless one is given, or the database has several messages of that PGN
+    and this one has an address of its own; `j1939` overrides what the database says of
+    messages with 29 bits of identifier. One with 11 bits has no PGN.
+
+    Raises DatabaseError where a source address is given for a message that is not of J1939.
     """
-    if message.is_j1939 if j1939 is None else j1939:
-        if not message.can_id & CAN_EFF_FLAG:
-            text = f"{message.source}: message {message.name} has 11 bits of identifier, no PGN"
-            raise DatabaseError(text)
-        is_pdu2 = (message.can_id >> 16 & 0xFF) >= J1939_BROADCAST_FORMAT
-        return IdMatch(message.can_id, J1939_PDU2_MASK if is_pdu2 else J1939_PDU1_MASK, channel)
     is_extended = bool(message.can_id & CAN_EFF_FLAG)
+    if is_extended and (message.is_j1939 if j1939 is None else j1939):
+        can_id, mask = message.can_id, _pgn_mask(message.can_id)
+        if source_address is None and message.has_own_address:
+            source_address = can_id & J1939_ADDRESS_MASK
+        if source_address is not None:
+            can_id = can_id & ~J1939_ADDRESS_MASK | source_address
+            mask |= J1939_ADDRESS_MASK
+        return IdMatch(can_id, mask, channel)
+    if source_address is not None:
+        why = (
+            "'j1939: true' at its database says so" if is_extended else "its identifier has 11 bits"
+        )
+        raise DatabaseError(
+            f"{message.source}: message {message.name} is no message of J1939, whose identifier "
+            f"has a source address: {why}"
+        )
     return IdMatch(message.can_id, CAN_EFF_MASK if is_extended else CAN_SFF_MASK, channel)
 
 
@@ -82,9 +116,11 @@ class DecodedColumns(Struct, frozen=True):
 class DecodePlan:
     """Decodes the asked signals of one message, in the order asked.
 
-    `size`: bytes a frame must have. `decode_raw(data)`: raw values, None where another multiplexer
-    value stands. `scale(raw)`: physical values of those. `decode(data)`: both in one. The first
-    and the last raise DecodeError ("short_frame"). Not-finite floats come out as they are.
+    `size`: bytes of the message. `least`: bytes a frame must have: fewer where it may be cut; what
+    does not lie in the frame is absent then. `ends`: bytes that hold each signal.
+    `decode_raw(data)`: raw values, None where another multiplexer value stands or the frame is
+    cut. `scale(raw)`: physical values of those. `decode(data)`: both in one. The first and the
+    last raise DecodeError ("short_frame"). Not-finite floats come out as they are.
     """
 
     def __init__(
@@ -93,6 +129,7 @@ class DecodePlan:
         signals: Sequence[ResolvedSignal],
         multiplexers: Mapping[str, ResolvedSignal],
         match: IdMatch,
+        may_be_cut: bool = False,
     ) -> None:
         self.message = message
         self.id_match = match
@@ -100,24 +137,31 @@ class DecodePlan:
         self.signals = tuple(signals)
         self.multiplexers = dict(multiplexers)
         self.size = message.length
-        names = _generated(self.size, signals, multiplexers, self.raise_short)
+        self.ends = [
+            max([s.field.end_byte, *(multiplexers[name].field.end_byte for name, _ in s.selectors)])
+            for s in signals
+        ]
+        self.least = min(self.ends, default=self.size) if may_be_cut else self.size
+        names = _generated(
+            self.size, self.least, self.ends, signals, multiplexers, self.raise_short
+        )
+        self.is_cut = any(end > self.least for end in self.ends)
         self.decode_raw: Callable[[bytes | bytearray], tuple[Raw, ...]] = names["decode_raw"]
         self.scale: Callable[[Sequence[Raw]], tuple[float | None, ...]] = names["scale"]
         self.decode: Callable[[bytes | bytearray], tuple[float | None, ...]] = names["decode"]
 
     def raise_short(self, length: int) -> NoReturn:
         """Raise the DecodeError of a frame that is shorter than its message."""
-        text = f"{self.message.name}: {length} of {self.size} bytes"
+        text = f"{self.message.name}: {length} of {self.least} bytes"
         raise DecodeError("short_frame", text)
 
     def decode_columns(self, data: Columns, length: NDArray[np.uint8]) -> DecodedColumns:
         """Decode (N, W) payloads of (N,) lengths; never raises on what a frame contains."""
-        ok = length >= self.size
-        if data.shape[1] < self.size:
-            wide = np.zeros((len(data), self.size), np.uint8)
-            wide[:, : data.shape[1]] = data
-            data = wide
+        ok = length >= self.least
+        if data.shape[1] < self.least:
             ok = np.zeros(len(data), bool)
+        data = self._wide(data)
+        is_short = bool(len(length)) and self.is_cut and int(length.min()) < self.size
         words: dict[str, NDArray[np.uint64]] = {}
         selected = {
             name: _raw_column(data, words, s).astype(np.int64, copy=False)
@@ -125,10 +169,13 @@ class DecodePlan:
         }
         raws, values, presents = [], [], []
         all_ok = bool(ok.all())
-        for signal in self.signals:
+        for signal, end in zip(self.signals, self.ends, strict=True):
             raw = _raw_column(data, words, signal)
             value = signal.scaling.column(raw)
             present = _present(signal, selected, ok)
+            if is_short and end > self.least:
+                whole = length >= end
+                present = whole & ok if present is None else present & whole
             if present is not None:
                 value[~present] = np.nan
             elif not all_ok:
@@ -138,14 +185,46 @@ class DecodePlan:
             presents.append(present)
         return DecodedColumns(tuple(raws), tuple(values), tuple(presents), ok)
 
+    def presence(
+        self, data: Columns, length: NDArray[np.uint8]
+    ) -> Mapping[Selectors, NDArray[np.bool_]]:
+        """For each choice of multiplexer values among the signals: the frames (N,) with it."""
+        if not self.multiplexers:
+            return {}
+        data = self._wide(data)
+        words: dict[str, NDArray[np.uint64]] = {}
+        selected = {
+            name: _raw_column(data, words, s).astype(np.int64, copy=False)
+            for name, s in self.multiplexers.items()
+        }
+        found = {}
+        for signal in self.signals:
+            present = _present(signal, selected, length >= self.least)
+            if present is not None:
+                found[signal.selectors] = present
+        return found
+
+    def _wide(self, data: Columns) -> Columns:
+        """Payloads at least as wide as the message, with zeros."""
+        if data.shape[1] >= self.size:
+            return data
+        wide = np.zeros((len(data), self.size), np.uint8)
+        wide[:, : data.shape[1]] = data
+        return wide
+
 
 def compile_decode(
     message: Message,
     signal_names: Sequence[str],
     j1939: bool | None = None,
     channel: str | None = None,
+    source_address: int | None = None,
+    may_be_cut: bool = False,
 ) -> DecodePlan:
-    """Plan for the signals asked, in that order; DatabaseError where one cannot be decoded."""
+    """Plan for the signals asked, in that order; DatabaseError where one cannot be decoded.
+
+    may_be_cut: frames may be shorter than the message: signals that lie in them are decoded.
+    """
     if message.unsupported:
         raise DatabaseError(f"{message.source}: message {message.name}: {message.unsupported}")
     signals = [resolve(message, name) for name in signal_names]
@@ -153,7 +232,8 @@ def compile_decode(
     for signal in signals:
         for name, _ in signal.selectors:
             multiplexers[name] = resolve(message, name)
-    return DecodePlan(message, signals, multiplexers, id_match(message, j1939, channel))
+    match = id_match(message, j1939, channel, source_address)
+    return DecodePlan(message, signals, multiplexers, match, may_be_cut)
 
 
 def _present(
@@ -205,18 +285,21 @@ def float_column(bits: NDArray[np.uint64], length: int) -> NDArray[np.float64]:
 
 def _generated(
     size: int,
+    least: int,
+    ends: Sequence[int],
     signals: Sequence[ResolvedSignal],
     multiplexers: Mapping[str, ResolvedSignal],
     short: Callable[[int], NoReturn],
 ) -> dict[str, Any]:
     """Make `decode_raw(data)`, `scale(raw)` and `decode(data)` for frames of `size` bytes.
 
-    `short` is called with the length of a frame that has fewer, and raises.
+    `short` is called with the length of a frame that has fewer than `least`, and raises. ends: of
+    the signals, in bytes: a frame of fewer does not hold them.
     """
-    body, scope = _reading_lines(size, signals, multiplexers)
+    body, scope = _reading_lines(size, least, ends, signals, multiplexers)
     scope["short"] = short
     raw = [f"r{i}" for i in range(len(signals))]
-    physical = [_physical_expression(s, f"r{i}") for i, s in enumerate(signals)]
+    physical = [_physical_expression(s, f"r{i}", ends[i] > least) for i, s in enumerate(signals)]
     lines = ["def decode_raw(data):", *body, f"    return ({_listing(raw)})"]
     lines += ["def decode(data):", *body, f"    return ({_listing(physical)})"]
     lines += ["def scale(raw):", *([f"    ({_listing(raw)}) = raw"] if raw else [])]
@@ -232,15 +315,22 @@ def _compiled(text: str) -> CodeType:
 
 
 def _reading_lines(
-    size: int, signals: Sequence[ResolvedSignal], multiplexers: Mapping[str, ResolvedSignal]
+    size: int,
+    least: int,
+    ends: Sequence[int],
+    signals: Sequence[ResolvedSignal],
+    multiplexers: Mapping[str, ResolvedSignal],
 ) -> tuple[list[str], dict[str, Any]]:
     """Lines that set r0, r1, ... from `data`, and the names they use."""
     scope: dict[str, Any] = {"from_bytes": int.from_bytes}
     lines = [
-        f"    if len(data) != {size}:",
-        f"        if len(data) < {size}: short(len(data))",
+        "    length = len(data)",
+        f"    if length != {size}:",
+        f"        if length < {least}: short(length)",
         f"        data = data[:{size}]",
     ]
+    if least < size:
+        lines.append(f"        data = data + bytes({size} - len(data))")
     wanted = [(f"m{i}", s) for i, s in enumerate(multiplexers.values())]
     wanted += [(f"r{i}", s) for i, s in enumerate(signals)]
     grouped, loose = _split_aligned(wanted)
@@ -262,15 +352,17 @@ def _reading_lines(
             else:
                 scope[f"ids_{i}_{j}"] = ids
                 tests.append(f"{multiplexer_names[name]} not in ids_{i}_{j}")
+        if ends[i] > least:
+            tests.append(f"length < {ends[i]}")
         if tests:
             lines.append(f"    if {' or '.join(tests)}: r{i} = None")
     return lines, scope
 
 
-def _physical_expression(s: ResolvedSignal, raw: str) -> str:
+def _physical_expression(s: ResolvedSignal, raw: str, may_be_cut: bool) -> str:
     """Python text of the physical value of a raw variable."""
     text = s.scaling.expression.format(r=raw)
-    return f"None if {raw} is None else {text}" if s.selectors else text
+    return f"None if {raw} is None else {text}" if s.selectors or may_be_cut else text
 
 
 def _listing(names: Sequence[str]) -> str:

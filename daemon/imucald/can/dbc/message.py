@@ -11,6 +11,8 @@ from msgspec import Struct
 from imucald.core.errors import DatabaseError
 
 ByteOrder = Literal["little_endian", "big_endian"]
+Selectors = tuple[tuple[str, frozenset[int]], ...]
+"""A signal's multiplexers, each with the values under which it is there; none: always."""
 
 
 class Signal(Struct, frozen=True, omit_defaults=True):
@@ -36,7 +38,7 @@ class Signal(Struct, frozen=True, omit_defaults=True):
     unit: str = ""
     choices: Mapping[int, str] = msgspec.field(default_factory=dict)
     is_multiplexer: bool = False
-    selectors: tuple[tuple[str, frozenset[int]], ...] = ()
+    selectors: Selectors = ()
     initial_raw: int | float | None = None
     invalid_raw: int | float | None = None
     comment: str = ""
@@ -55,12 +57,23 @@ class Message(Struct, frozen=True, omit_defaults=True):
     comment: str = ""
     source: str = ""
     unsupported: str = ""
+    has_own_address: bool = False
+    """Of J1939: another message of its database has the same PGN, so that the address decides."""
+    left_out: Mapping[str, str] = msgspec.field(default_factory=dict)
+    """Signals that were not taken as the database states them: where (file:line), why, remedy."""
+
+    @property
+    def is_multiplexed(self) -> bool:
+        """Whether some of its signals come with certain values of a multiplexer alone."""
+        return any(signal.is_multiplexer for signal in self.signals.values())
 
     def signal(self, name: str) -> Signal:
         """Return the signal; DatabaseError with the nearest names where there is none."""
         try:
             return self.signals[name]
         except KeyError:
+            if name in self.left_out:
+                raise DatabaseError(self.left_out[name]) from None
             hint = nearest(name, list(self.signals))
             text = f"{self.source}: message {self.name} has no signal {name!r}{hint}"
             raise DatabaseError(text) from None

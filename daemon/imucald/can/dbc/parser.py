@@ -9,11 +9,15 @@ from __future__ import annotations
 import importlib
 import importlib.util
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
+
+from msgspec.structs import replace
 
 from imucald.can.columns import CAN_EFF_FLAG
 from imucald.can.dbc.database_limits import refuse_heavy
+from imucald.can.dbc.dbc_mending import LeftOut, MendedText, lost_multiplexers
+from imucald.can.dbc.kcd_mending import MendedKcd
 from imucald.can.dbc.message import Message, Signal
 from imucald.core.errors import DatabaseError
 from imucald.core.partial_import import standing_in
@@ -29,14 +33,63 @@ def parse(text: str, database_format: str, source: str) -> list[Message]:
     MemoryError where it needs more than there is.
     """
     refuse_heavy(text, database_format, source)
+    mended = MendedKcd(text, _reason_of_kcd) if database_format == "kcd" else MendedText(text)
+    first: Exception | None = None
+    while True:
+        try:
+            found = []
+            if not mended.left_out or mended.text.strip():
+                loaded: Any = _cantools().load_string(mended.text, database_format, strict=False)
+                found = [_message(message, source) for message in loaded.messages]
+        # The parser meets text of any kind, and answers with almost any exception.
+        except Exception as error:
+            if _is_out_of_memory(error):
+                raise MemoryError from error
+            if database_format not in {"dbc", "kcd"} or not mended.mend(str(error)):
+                raise DatabaseError(f"{source}: {_reason(first or error)}") from error
+            first = first or error
+        else:
+            left_out = mended.left_out
+            if first is not None and not found and not any(one.length for one in left_out):
+                raise DatabaseError(f"{source}: {_reason(first)}") from first
+            if database_format == "dbc":
+                left_out = [*left_out, *lost_multiplexers(mended.text)]
+            return _with_left_out(found, left_out, source)
+
+
+def _with_left_out(found: list[Message], left_out: Sequence[LeftOut], source: str) -> list[Message]:
+    """The messages with what was left out: whoever asks for it is told where it stands, and why."""
+    by_name = {message.name: message for message in found}
+    last = dict(by_name)  # of several messages of one name: the others stay, and are seen to differ
+    for one in left_out:
+        place = f"{source}:{one.line}"
+        known = by_name.get(one.message)
+        if not one.signal:
+            text = f"left out: {one.why}"
+            by_name.setdefault(
+                one.message,
+                Message(one.message, one.can_id, one.length, {}, source=place, unsupported=text),
+            )
+        elif known is not None:
+            why = f"{place}: signal {one.message}.{one.signal} {one.why}"
+            left = {**known.left_out, one.signal: why}
+            by_name[one.message] = replace(known, left_out=left)
+    added = [message for name, message in by_name.items() if name not in last]
+    changed = {name for name, message in by_name.items() if message.left_out}
+    return [
+        by_name[m.name] if m.name in changed and m is last[m.name] else m for m in found
+    ] + added
+
+
+def _reason_of_kcd(text: str) -> str:
+    """Why the text of a KCD cannot be read; nothing where it can."""
     try:
-        loaded: Any = _cantools().load_string(text, database_format, strict=False)
-        return [_message(message, source) for message in loaded.messages]
-    # The parser meets text of any kind, and answers with almost any exception.
+        _cantools().load_string(text, "kcd", strict=False)
     except Exception as error:
         if _is_out_of_memory(error):
             raise MemoryError from error
-        raise DatabaseError(f"{source}: {_reason(error)}") from error
+        return _reason(error)
+    return ""
 
 
 def _cantools() -> Any:
@@ -61,8 +114,7 @@ def _reason(error: Exception) -> str:
     reads, for the parser quotes the whole line of the file."""
     if isinstance(error, RecursionError):
         return "nested too deeply"
-    lines = [line.strip() for line in str(error).splitlines() if line.strip()]
-    text = lines[0] if lines else type(error).__name__
+    text = " ".join(str(error).split()) or type(error).__name__
     return f"cannot be read: {text[:MAX_REASON]}{'...' if len(text) > MAX_REASON else ''}"
 
 
@@ -73,19 +125,52 @@ def _message(found: Any, source: str) -> Message:
     elif found.autosar is not None and getattr(found.autosar, "is_secured", False):
         unsupported = "secured frames (SecOC) are not supported"
     by_name = {s.name: s for s in found.signals}
+    signals = {n: _signal(s, by_name) for n, s in by_name.items()}
+    choices: dict[str, str] = {}
+    if len(by_name) < len(found.signals):
+        _join_doubles([_signal(s, by_name) for s in found.signals], signals, choices, found, source)
     cycle = _number_or_none(found.cycle_time)
     return Message(
         name=found.name,
         can_id=found.frame_id | (CAN_EFF_FLAG if found.is_extended_frame else 0),
         length=found.length,
-        signals={n: _signal(s, by_name) for n, s in by_name.items()},
+        signals=signals,
         is_fd=bool(found.is_fd) or found.length > 8,
         is_j1939=found.protocol == "j1939",
         cycle_time=cycle / 1000.0 if cycle is not None and cycle > 0 else None,
         comment=found.comment or "",
         source=source,
         unsupported=unsupported,
+        left_out=choices,
     )
+
+
+def _join_doubles(
+    every: Sequence[Signal],
+    signals: dict[str, Signal],
+    choices: dict[str, str],
+    found: Any,
+    source: str,
+) -> None:
+    """Signals of one name: in several groups of a multiplexer they are one, where their bits are
+    the same; else the last is taken, and `choices` says so."""
+    by_name: dict[str, list[Signal]] = {}
+    for one in every:
+        by_name.setdefault(one.name, []).append(one)
+    for name, alike in by_name.items():
+        last = alike[-1]
+        if len(alike) == 1 or all(one == last for one in alike):
+            continue
+        parents = {tuple(parent for parent, _ in one.selectors) for one in alike}
+        is_one = all(replace(one, selectors=last.selectors) == last for one in alike)
+        if is_one and len(parents) == 1 and len(last.selectors) == 1:
+            ids = frozenset().union(*(one.selectors[0][1] for one in alike))
+            signals[name] = replace(last, selectors=((last.selectors[0][0], ids),))
+            continue
+        choices[name] = (
+            f"{source}: message {found.name} has {len(alike)} signals named {name}; the one at bit "
+            f"{last.start} is taken; rename the others"
+        )
 
 
 def _signal(found: Any, by_name: Mapping[str, Any]) -> Signal:

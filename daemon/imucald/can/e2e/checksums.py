@@ -69,7 +69,7 @@ class HeaderCounter(Struct, frozen=True):
     length: int
     modulus: int
 
-    def at(self, header_bit: int, max_jump: int = 2) -> CounterSpec:
+    def at(self, header_bit: int, max_jump: int | None = None) -> CounterSpec:
         """Return the counter of a header that starts at a bit."""
         field = Field(header_bit + self.bit, self.length, "little_endian")
         return CounterSpec(field, self.modulus, max_jump)

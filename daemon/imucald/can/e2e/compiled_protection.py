@@ -5,28 +5,17 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from msgspec import Struct
 from numpy.typing import NDArray
 
 from imucald.can.dbc.bits import MAX_FRAME_BYTES, Columns, Field
 from imucald.can.e2e.checksum_engine import Checksum
 from imucald.can.e2e.protection_spec import ProtectionSpec
+from imucald.can.e2e.schedule import Past
 from imucald.core.compiled import Kernels
 
 _MOST_VALUES = 1 << 32
-"""Counters of more values are left to numpy; as many as in `core/kernels/frames.c`."""
+"""Counters of more values are judged one by one; as many as in `core/kernels/frames.c`."""
 _MOST_INDEX_BITS = 15
-
-
-class Past(Struct):
-    """What the next frame of a message is held against, see `MessageChecker`."""
-
-    t: float | None
-    counter: int | None
-    data: bytes
-    missed: int
-    distrust: int
-    lost: int
 
 
 def _places(field: Field | None) -> list[int]:
@@ -38,14 +27,13 @@ class CompiledJudge:
 
     def __init__(self, spec: ProtectionSpec, checksum: Checksum | None) -> None:
         counter, crc = spec.counter, spec.checksum
-        most = 0 if counter is None else max(counter.modulus, counter.max_jump)
-        self.can_judge = most <= _MOST_VALUES
+        self.can_judge = counter is None or counter.modulus <= _MOST_VALUES
         numbers = [spec.size, spec.longest, spec.recovery]
         numbers += _places(None if counter is None else counter.field)
         numbers += (
-            [1, 1]
+            [1, 0]
             if counter is None
-            else [min(x, _MOST_VALUES) for x in (counter.modulus, counter.max_jump)]
+            else [min(counter.modulus, _MOST_VALUES), counter.max_jump or 0]
         )
         fixed = None if crc is None else crc.fixed
         index = None
@@ -75,26 +63,28 @@ class CompiledJudge:
         t: NDArray[np.float64],
         data: Columns,
         length: NDArray[np.uint8],
-    ) -> tuple[NDArray[np.uint8], Past]:
-        """Codes (N,) of frames, and what the next one is held against."""
+    ) -> NDArray[np.uint8]:
+        """Codes (N,) of frames; `past` goes on to their end."""
         codes = np.empty(len(length), np.uint8)
-        counter = -1 if past.counter is None else past.counter
-        known = len(past.data) or -1
-        state = np.array([counter, past.missed, past.distrust, past.lost, known], np.int64)
-        last_t = np.array([math.nan if past.t is None else past.t])
+        state = np.array(
+            [past.counter, past.missed, past.distrust, past.lost, len(past.data) or -1,
+             past.phase, past.early, past.early_counter, past.chain, past.own, past.trials],
+            np.int64,
+        )  # fmt: skip
+        times = np.array(
+            [past.t, past.due, past.cycle, past.begun, past.steps, past.tried, past.early_t],
+            np.float64,
+        )
         last_data = np.zeros(MAX_FRAME_BYTES, np.uint8)
         last_data[: len(past.data)] = np.frombuffer(past.data, np.uint8)
         kernels.judge_frames(
             t, data, length, self._numbers, self._timeout, self._table, self._starts,
-            self._suffixes, state, last_t, last_data, codes,
+            self._suffixes, state, times, last_data, codes,
         )  # fmt: skip
-        counter, missed, distrust, lost, known = state.tolist()
-        when = float(last_t[0])
-        return codes, Past(
-            None if math.isnan(when) else when,
-            None if counter < 0 else counter,
-            last_data[:known].tobytes() if known > 0 else b"",
-            missed,
-            distrust,
-            lost,
-        )
+        past.counter, past.missed, past.distrust, past.lost, known = state[:5].tolist()
+        past.phase, past.early, past.early_counter, past.chain = state[5:9].tolist()
+        past.own, past.trials = state[9:].tolist()
+        past.t, past.due, past.cycle, past.begun = times[:4].tolist()
+        past.steps, past.tried, past.early_t = times[4:].tolist()
+        past.data = last_data[:known].tobytes() if known > 0 else b""
+        return codes

@@ -13,7 +13,7 @@ DEFAULT_RECOVERY = 3
 """Good frames in a row after a fault before a message is trusted again."""
 
 DEFAULT_TIMEOUT_CYCLES = 10.0
-"""Silence, in cycle times, after which a message is timed out."""
+"""Silence, in cycle times, after which the counter starts again."""
 
 COUNTER_BITS = 56
 """Sums of longer ones' steps over a chunk of frames do not fit 64 bits. AUTOSAR's have 32."""
@@ -23,11 +23,14 @@ _FD_LENGTHS = (8, 12, 16, 20, 24, 32, 48, 64)
 
 
 class CounterSpec(Struct, frozen=True):
-    """An alive counter: its bits, its number of values, the largest step accepted."""
+    """An alive counter: its bits, its number of values, the largest step accepted.
+
+    max_jump: None, every step forward that the time since the last frame has room for.
+    """
 
     field: Field
     modulus: int
-    max_jump: int = 2
+    max_jump: int | None = None
 
     def __post_init__(self) -> None:
         if self.field.length > COUNTER_BITS:
@@ -35,12 +38,16 @@ class CounterSpec(Struct, frozen=True):
             raise ConfigError(text)
         if not 2 <= self.modulus <= 1 << self.field.length:
             raise ConfigError(f"{self.field.length} bits do not count {self.modulus} values")
-        if not 1 <= self.max_jump < self.modulus:
+        if self.max_jump is not None and not 1 <= self.max_jump < self.modulus:
             raise ConfigError(f"largest counter step {self.max_jump} of {self.modulus} values")
 
 
 class ProtectionSpec(Struct, frozen=True):
-    """How one message is protected. `size`: bytes it has. `cycle_time` [s]: None, no time-out."""
+    """How one message is protected.
+
+    size: bytes it has. cycle_time [s]: None, no time-out. cycle_is_sure: whether the cycle is held
+    against the very first frames, or tried first.
+    """
 
     size: int
     counter: CounterSpec | None = None
@@ -48,6 +55,7 @@ class ProtectionSpec(Struct, frozen=True):
     cycle_time: float | None = None
     timeout_cycles: float = DEFAULT_TIMEOUT_CYCLES
     recovery: int = DEFAULT_RECOVERY
+    cycle_is_sure: bool = True
 
     def __post_init__(self) -> None:
         if not 0 <= self.size <= MAX_FRAME_BYTES:
@@ -72,10 +80,12 @@ class ProtectionSpec(Struct, frozen=True):
 
     @property
     def timeout(self) -> float | None:
-        """Silence that is a fault [s]; None where the cycle time is not known."""
+        """Silence after which the counter starts again [s]; None: the cycle time is not known."""
         return None if self.cycle_time is None else self.cycle_time * self.timeout_cycles
 
 
-def counter_of(signal: Signal, modulus: int | None = None, max_jump: int = 2) -> CounterSpec:
+def counter_of(
+    signal: Signal, modulus: int | None = None, max_jump: int | None = None
+) -> CounterSpec:
     """Alive counter in a signal's bits; it wraps at the bits' end unless `modulus` is given."""
     return CounterSpec(field_of(signal), modulus or 1 << signal.length, max_jump)

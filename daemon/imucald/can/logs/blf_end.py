@@ -9,11 +9,40 @@ import struct
 from pathlib import Path
 from typing import Final
 
+from imucald.can.logs.unpacking import FREE_BYTES, unpacks_to_too_much
+
 _FILE_HEADER: Final = struct.Struct("<4sLBBBBBBBBQQ")
 """Signature, size of the header, application, version, ..., size of the file, size unpacked."""
 _OBJECT: Final = struct.Struct("<4sHHLL")
 """Signature, size of the header, its version, size of the object, kind."""
 _SIGNATURE: Final = b"LOBJ"
+_CONTAINER: Final = 10
+_CONTAINER_HEAD: Final = struct.Struct("<H14x")
+"""How a container is packed; its contents follow."""
+_DEFLATED: Final = 2
+
+
+def blf_bomb(path: Path) -> str | None:
+    """Which container of a BLF file unpacks to more than memory should hold; None: none."""
+    size = path.stat().st_size
+    with path.open("rb") as file:
+        header = file.read(_FILE_HEADER.size)
+        at = _FILE_HEADER.unpack(header)[1] if len(header) == _FILE_HEADER.size else size
+        while at < size:
+            file.seek(at)
+            begin = file.read(_OBJECT.size)
+            if len(begin) < _OBJECT.size:
+                return None
+            signature, _, _, length, kind = _OBJECT.unpack(begin)
+            if signature != _SIGNATURE or length < _OBJECT.size:
+                return None
+            head = file.read(_CONTAINER_HEAD.size) if kind == _CONTAINER else b""
+            left = length - _OBJECT.size - _CONTAINER_HEAD.size
+            deflated = len(head) == _CONTAINER_HEAD.size and head[0] == _DEFLATED
+            if deflated and unpacks_to_too_much(file, left):
+                return f"the container at byte {at} unpacks to more than {FREE_BYTES >> 20} MiB"
+            at += length + length % 4
+    return None
 
 
 def blf_end(path: Path) -> str | None:

@@ -10,7 +10,8 @@ The grammar is what ``candump -L`` writes (can-utils, lib.c and candump.c)::
 
 with any number of digits around the point, spaces that line channels up, ``_9`` .. ``_F`` (raw
 length code) behind eight bytes, a closing `` R`` or `` T`` (received, sent), and CR LF line ends.
-Digits of both cases are read.
+Digits of both cases are read. Other programs write tabs between the fields, and blanks before the
+seconds, as old ones of candump did.
 """
 
 from __future__ import annotations
@@ -27,6 +28,7 @@ REASONS: Final[dict[str, str]] = {
     "cut_line": "the line is cut",
     "not_candump": "not a line of candump -L: it must begin with (seconds.fraction)",
     "bad_timestamp": "the time stamp is not (seconds.fraction)",
+    "negative_timestamp": "the time stamp is negative: add the same time to all stamps",
     "no_channel": "the channel is missing",
     "bad_channel": "the channel is not a name of 1 to 32 printable characters",
     "bad_id": "the id is not 3 digits up to 7FF or 8 digits up to 3FFFFFFF",
@@ -42,8 +44,8 @@ REASONS: Final[dict[str, str]] = {
 """Every reason for which a line is rejected, with its text."""
 
 _LINE = re.compile(
-    rb"""\((?P<t>(?P<sec>[0-9]{1,19})\.(?P<frac>[0-9]{1,19}))\)(?P<gap>[ ]{1,32})
-    (?P<channel>[!"$-~]{1,32})[ ]
+    rb"""\((?P<pad>[ \t]{0,32})(?P<t>(?P<sec>[0-9]{1,19})\.(?P<frac>[0-9]{1,19}))\)
+    (?P<gap>[ \t]{1,32})(?P<channel>[!"$-~]{1,32})(?P<mid>[ ]|[ \t]{1,32})
     (?:
       (?P<id>[0-7][0-9A-Fa-f]{2}|[01][0-9A-Fa-f]{7})
       (?:
@@ -55,10 +57,11 @@ _LINE = re.compile(
       |(?P<xl>[0-9A-Fa-f]{5}\#[0-9A-Fa-f]{2}:[0-9A-Fa-f]{2}:[0-9A-Fa-f]{8}\#
         (?:[0-9A-Fa-f]{2}){1,2048})
     )
-    (?:[ ][RT])?\r?""",
+    (?:[ \t][RT])?\r?""",
     re.VERBOSE,
 )
-_STAMP = re.compile(rb"\([0-9]{1,19}\.[0-9]{1,19}\)(?: |$)")
+_STAMP = re.compile(rb"\([ \t]{0,32}[0-9]{1,19}\.[0-9]{1,19}\)(?=[ \t]|$)")
+_NEGATIVE = re.compile(rb"\([ \t]{0,32}-[0-9]+\.[0-9]+\)")
 _CHANNEL = re.compile(rb'[!"$-~]{1,32}')
 _ID = re.compile(rb"[0-7][0-9A-Fa-f]{2}|[0-3][0-9A-Fa-f]{7}")
 _HEX = re.compile(rb"[0-9A-Fa-f]*")
@@ -73,8 +76,18 @@ class Line(NamedTuple):
     can_id: int
     data: bytes
     fd: bool
-    layout: tuple[int, int, int]
-    """Digits before and behind the point, spaces behind the time stamp."""
+    layout: tuple[int, int, int] | None
+    """Digits before and behind the point, spaces behind the time stamp; None where the line is not
+    laid out as candump does it today."""
+
+
+def words_of(reason: str) -> str:
+    """A reason in words, of any format."""
+    return (
+        REASONS["negative_timestamp"]
+        if reason == "negative_timestamp"
+        else reason.replace("_", " ")
+    )
 
 
 def parse_line(text: bytes) -> Line | str | None:
@@ -91,7 +104,9 @@ def parse_line(text: bytes) -> Line | str | None:
     for other in ("remote", "error", "xl"):
         if match[other] is not None:
             kind = f"{other}_frame"
-    layout = len(match["sec"]), len(match["frac"]), len(match["gap"])
+    layout = None
+    if not match["pad"] and match["mid"] == b" " and b"\t" not in match["gap"]:
+        layout = len(match["sec"]), len(match["frac"]), len(match["gap"])
     t, channel = float(match["t"]), match["channel"].decode("ascii")
     if kind != "data":
         return Line(kind, t, channel, 0, b"", False, layout)
@@ -105,10 +120,12 @@ def _reason(text: bytes) -> str:
     """Say why a line that is not valid is not."""
     if b"\0" in text:
         return "nul_bytes"
-    if not _STAMP.match(text):
+    stamp = _STAMP.match(text)
+    if stamp is None and _NEGATIVE.match(text):
+        return "negative_timestamp"
+    if stamp is None:
         return "bad_timestamp" if text.startswith(b"(") else "not_candump"
-    fields = text.split()
-    return _field_reason(fields)
+    return _field_reason([stamp[0], *text[stamp.end() :].split()])
 
 
 def _field_reason(fields: list[bytes]) -> str:

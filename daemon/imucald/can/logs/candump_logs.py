@@ -31,7 +31,9 @@ from imucald.can.logs.text_blocks import OpenLog
 from imucald.can.logs.text_log_reader import PADDING, Place, read_text_log
 from imucald.core import compiled
 
-_LOG_LINE: Final = re.compile(rb"^\(\d{1,19}\.\d{1,19}\) {1,32}\S{1,32} [0-9A-Fa-f]{3,8}#", re.M)
+_LOG_LINE: Final = re.compile(
+    rb"^\([ \t]{0,32}\d{1,19}\.\d{1,19}\)[ \t]{1,32}\S{1,32}[ \t]{1,32}[0-9A-Fa-f]{3,8}#", re.M
+)
 
 
 class CandumpParser:
@@ -112,8 +114,8 @@ class CandumpParser:
             line = "too_many_channels"
         if isinstance(line, str):
             reason = "cut_line" if last else line
-            where = f"{place[0]}:{place[1] + 1}"
-            self._statistics.reject(reason, f"{where}: {REASONS[reason]}: {shown(text)}")
+            words = f"{REASONS[reason]}: {shown(text)}"
+            self._statistics.reject_line(reason, place[0], place[1] + 1, words)
             return None
         self._statistics.frames_read += 1
         return line if self._filters.of(line.channel).wanted(line.can_id) else None
@@ -127,13 +129,16 @@ class CandumpParser:
                 return
 
     def _index_of(self, text: bytes) -> int | None:
-        """The index of a line's channel; None where it is no line, or there are too many."""
+        """The index of a line's channel; None where it is no line as candump lays it out, or there
+        are too many."""
         line = parse_line(text)
-        return self._channels.index(line.channel) if isinstance(line, Line) else None
+        if not isinstance(line, Line) or line.layout is None:
+            return None
+        return self._channels.index(line.channel)
 
     def _shape_of(self, text: bytes) -> Shape | None:
         line = parse_line(text)
-        if not isinstance(line, Line):
+        if not isinstance(line, Line) or line.layout is None:
             return None
         index = self._channels.index(line.channel)
         if index is None:

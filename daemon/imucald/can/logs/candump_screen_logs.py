@@ -188,8 +188,7 @@ class CandumpScreenParser:
         if isinstance(parsed, ScreenFrame):
             return parsed, value
         reason, words = ("cut_line", "the line is cut") if last else parsed
-        where = f"{place[0]}:{place[1] + 1}"
-        self._statistics.reject(reason, f"{where}: {words}: {shown(text)}")
+        self._statistics.reject_line(reason, place[0], place[1] + 1, f"{words}: {shown(text)}")
         return None, value
 
     def _of_singles(self, singles: list[tuple[int, ScreenFrame]]) -> Found:

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from imucald.can.columns import FrameColumns, concatenate
 from imucald.can.logs.ascii_columns import Index
+from imucald.can.logs.recorder_clock import DELTA_SHARE
 from imucald.core.errors import LogError
 
 SECONDS_DIGITS: Final = 10
@@ -20,8 +21,6 @@ SECONDS_DIGITS: Final = 10
 a clock that was never set; others have three, or as many as they need."""
 OTHER_LINES: Final = 64
 """So many lines in a row with stamps of another form are no damage: another recording follows."""
-DELTA_SHARE: Final = 0.2
-"""Part of the steps that go back from which stamps are differences: of differences half do."""
 
 
 class StampedTimes:

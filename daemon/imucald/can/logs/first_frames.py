@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Final
 
@@ -19,7 +19,14 @@ MIN_FRAMES: Final = 64
 """Fewer frames show nothing. So many with the same times and payloads, noise of sensors among them,
 are never recorded twice."""
 
-UNITS: Final = {1e3: "milliseconds", 1e6: "microseconds", 1e9: "nanoseconds"}
+UNITS: Final = {
+    1e3: "milliseconds",
+    1e6: "microseconds",
+    1e9: "nanoseconds",
+    1e-3: "milliseconds where the format has microseconds",
+    1e-6: "seconds where the format has microseconds",
+}
+"""What stamps are that are so many times too large."""
 YEAR_10000: Final = 253_402_300_800.0
 """Seconds since 1970: later than any recording, and earlier than this century in milliseconds."""
 YEAR_2100: Final = 4_102_444_800.0
@@ -56,12 +63,26 @@ class FirstFrames:
         self._cycles = cycles
         self._seen: dict[bytes, Log] = {}
 
-    def take(self, path: Log, frames: FrameColumns) -> None:
-        """Raise LogError where an earlier file began with the same frames at the same times, or
-        the time stamps are not in seconds."""
+    def of(self, path: Log, chunks: Iterable[FrameColumns]) -> Iterator[FrameColumns]:
+        """Yield a file's chunks that are not empty. Raises LogError where an earlier file began
+        with the same frames at the same times, or the time stamps are not in seconds."""
+        begins = True
+        for frames in chunks:
+            if len(frames):
+                if begins:
+                    self._take(path, frames)
+                begins = False
+                yield frames
+
+    def _take(self, path: Log, frames: FrameColumns) -> None:
         if len(frames) < MIN_FRAMES:
             return
         factor = _by_date(median(frames.t)) or self._by_cycles(frames)
+        if factor is not None and factor < 1.0:
+            raise LogError(
+                f"{path}: its time stamps are {1.0 / factor:.0f} times too small for the stated "
+                f"cycles ({UNITS[factor]}, it seems): multiply them by {1.0 / factor:.0f}"
+            )
         if factor is not None:
             raise LogError(
                 f"{path}: its time stamps are {UNITS[factor]}, it seems, such as "
@@ -93,7 +114,7 @@ def _by_date(t: float) -> float | None:
     """By how much a stamp [s] must be divided to be one of this century, where it is none."""
     if t < YEAR_10000:
         return None
-    return next((factor for factor in UNITS if t / factor < YEAR_2100), None)
+    return next((f for f in UNITS if f > 1.0 and t / f < YEAR_2100), None)
 
 
 def same_recording(log: Log, other: Log) -> LogError:

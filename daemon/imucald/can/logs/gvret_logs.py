@@ -23,7 +23,7 @@ from imucald.can.columns import (
     FrameColumns,
 )
 from imucald.can.id_filter import IdFilters
-from imucald.can.logs.candump_line import MAX_LINE_BYTES, shown
+from imucald.can.logs.candump_line import MAX_LINE_BYTES, shown, words_of
 from imucald.can.logs.frame_batches import FrameBatches
 from imucald.can.logs.log_format import ReadStatistics
 from imucald.can.logs.text_blocks import OpenLog, TextBlocks, open_source
@@ -79,7 +79,7 @@ class GvretReader:
             reason = self._line(line)
             if reason:
                 reason = "cut_line" if last else reason
-                text = f"{name}:{number}: {reason.replace('_', ' ')}: {shown(line)}"
+                text = f"{name}:{number}: {words_of(reason)}: {shown(line)}"
                 self._statistics.reject(reason, text)
             if self._batches.is_full:
                 yield self._batches.columns()
@@ -100,7 +100,7 @@ class GvretReader:
         except (ValueError, IndexError):
             return "bad_line"
         if t < 0:
-            return "bad_timestamp"
+            return "negative_timestamp"
         if not 0 <= can_id <= (CAN_EFF_MASK if extended else CAN_SFF_MASK):
             return "bad_id"
         if len(data) != length or not 0 <= length <= FD_BYTES:

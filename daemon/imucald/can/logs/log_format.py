@@ -22,6 +22,9 @@ from imucald.core.errors import LogError
 MAX_PROBLEMS: Final = 20
 """Texts kept: enough to see what is wrong, and bounded whatever the file holds."""
 
+FOREIGN_LINE: Final = "not_candump"
+"""The reason of lines that have nothing in common with a frame's."""
+
 DAMAGED_STEP: Final = 10.0
 """Where bytes are known to be damaged, stamps further apart are a sign of it [s]; as much as stream
 time bridges."""
@@ -29,6 +32,14 @@ time bridges."""
 
 class DamageError(Exception):
     """The first sign of damage in a file that is known to be damaged; with its place."""
+
+
+class _ForeignLines:
+    """A run of lines that are not of a file's format; problem: its place among the problems."""
+
+    def __init__(self, name: str, line: int, text: str, problem: int | None) -> None:
+        self.name, self.text, self.problem = name, text, problem
+        self.last, self.count = line, 1
 
 
 class ReadStatistics:
@@ -46,6 +57,7 @@ class ReadStatistics:
         self.damage = ""
         """Why the file that is being read cannot be trusted, where that is known."""
         self._last_stamp: float | None = None
+        self._foreign: _ForeignLines | None = None
 
     @contextlib.contextmanager
     def until_damage(self, path: Path | str | OpenLog) -> Iterator[None]:
@@ -78,6 +90,25 @@ class ReadStatistics:
         self.rejected[reason] += 1
         if len(self.problems) < MAX_PROBLEMS:
             self.problems.append(text)
+
+    def reject_line(self, reason: str, name: str, number: int, words: str) -> None:
+        """As `reject`, of a text's line. Lines in a row that are not of the format at all, such as
+        a header or comments, blank ones among them, are one problem with their count."""
+        text = f"{name}:{number}: {words}"
+        run = self._foreign
+        if reason != FOREIGN_LINE or self.strict or self.damage:
+            self.reject(reason, text)
+        elif run is not None and run.name == name and run.last < number <= run.last + 2:
+            self.rejected[reason] += 1
+            run.last, run.count = number, run.count + 1
+            if run.problem is not None:
+                more = f"and {run.count - 1} more such lines up to line {number}"
+                self.problems[run.problem] = f"{run.text} ({more})"
+        else:
+            self.reject(reason, text)
+            kept = self.problems[-1] is text
+            problem = len(self.problems) - 1 if kept else None
+            self._foreign = _ForeignLines(name, number, text, problem)
 
     def note(self, text: str) -> None:
         """Report something that limits what a log is worth. Raises LogError where strict, which

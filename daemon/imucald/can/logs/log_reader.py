@@ -23,6 +23,7 @@ from imucald.can.logs.candump_writer import CandumpWriter
 from imucald.can.logs.first_frames import FirstFrames, refuse_same_files
 from imucald.can.logs.log_format import CountsTime, Cycles, LogFormat, ReadStatistics
 from imucald.can.logs.overlaps import Overlaps
+from imucald.can.logs.recorder_clock import by_the_clock
 from imucald.can.logs.text_blocks import OpenLog, is_read_once, looked_at
 from imucald.can.logs.unpacking import first_bytes, plain_ending
 from imucald.core.errors import LogError
@@ -55,6 +56,14 @@ CSV_ENDING: Final = ".csv"
 
 _MAY_BE_CANDUMP: Final = re.compile(rb"^\(\d", re.MULTILINE)
 """A line of a damaged candump log, of which no whole line is among the first."""
+
+OTHER_PROGRAMS: Final = {
+    "Microchip's CAN BUS Analyzer": re.compile(rb"(?://-+\s+)?Microchip Technology"),
+    "CarBusAnalyzer": re.compile(rb"@ TEXT @"),
+    "BUSMASTER": re.compile(rb"\*+ ?BUSMASTER"),
+    "OVMS (CRTD)": re.compile(rb"\d+\.\d+ +\d?C[A-Z]{2} "),
+}
+"""Programs whose logs are named rather than read, with how these begin."""
 
 HEAD_BYTES: Final = 4096
 """First plain bytes by which a format is known."""
@@ -138,14 +147,10 @@ class LogReader:
         for path in self._paths:
             with looked_at(path) as (head, handed):
                 chosen = _reader_for(readers, first_bytes(head, HEAD_BYTES), path)
-                begins = True
-                for columns in chosen.read(handed, self._report):
-                    if len(columns):
-                        if begins:
-                            first_frames.take(path, columns)
-                        self._overlaps.take(path, columns)
-                        begins = False
-                        yield columns
+                read = first_frames.of(path, chosen.read(handed, self._report))
+                for columns in by_the_clock(path, read, self._statistics):
+                    self._overlaps.take(path, columns)
+                    yield columns
             self._bytes_before += _file_bytes(path)
             self._report(0)
 
@@ -184,8 +189,15 @@ def _reader_for(readers: Iterable[LogFormat], head: bytes, path: Path | str | Op
         first = shown(head.split(b"\n")[0].strip())
         raise LogError(
             f"{path}: its first line is '{first}'; known are the CSV of SavvyCAN (Time Stamp,ID,"
-            "Extended,...) and of python-can (timestamp,arbitration_id,...)"
+            "Extended,Dir,Bus,LEN,D1,...,D8) and of python-can (timestamp,arbitration_id,extended,"
+            "remote,error,dlc,data), with these headings and with commas between the columns"
         )
+    for program, begins in OTHER_PROGRAMS.items():
+        if begins.match(head):
+            raise LogError(
+                f"{path}: a log of {program}, which is not read here; export it as ASC or BLF, or "
+                "record with: candump -l can0"
+            )
     by_name = next((r for r in readers if ending in r.endings), None)
     candump = next(r for r in readers if CANDUMP_ENDING in r.endings)
     if by_name in (None, candump) and head.strip() and not _MAY_BE_CANDUMP.search(head):

@@ -1,7 +1,11 @@
-"""Whether an MF4 file is whole: asammdf says of a cut one that it cannot seek.
+"""Whether an MF4 file is whole and asammdf can bear it: it says of a cut one that it cannot seek.
+
+asammdf's compiled part believes what a channel says of its place: one beyond the record makes it
+write where it may not, and the process ends later, somewhere else.
 
 Layout: ASAM MDF 4: an identification of 64 bytes, then blocks, each with its length and links to
-others. A file that its recorder did not finish (UnFinMF) states no lengths, and is not judged.
+others. A file that its recorder did not finish (UnFinMF) does not state all lengths: what it lacks
+is no fault of it, what it unpacks to and where its channels lie is judged all the same.
 """
 
 from __future__ import annotations
@@ -10,17 +14,60 @@ import struct
 from pathlib import Path
 from typing import Final
 
+from imucald.can.logs.unpacking import FREE_BYTES, MOST_TIMES, unpacks_to_too_much
+
 _BLOCK: Final = struct.Struct("<4s4xQQ")
 """Kind, length, number of links; the links follow."""
+_DEFLATED: Final = struct.Struct("<2sBxIQQ")
+"""Of a ##DZ block behind its links: kind, way, parameter, bytes unpacked, bytes that follow."""
+_GROUP: Final = struct.Struct("<24xII")
+"""Of a ##CG block behind its links: bytes of a record, and of its invalidation bits."""
+_CHANNEL: Final = struct.Struct("<3xBII")
+"""Of a ##CN block behind its links: first bit, first byte, bits."""
 _FIRST: Final = 64
 MAX_BLOCKS: Final = 1_000_000
 
 
+class _Channels:
+    """Channel groups and channels of a file, and whether each lies within its group's record."""
+
+    def __init__(self) -> None:
+        self._groups: list[tuple[int, int]] = []  # first channel, bytes of a record
+        self._channels: dict[int, tuple[int, int, int]] = {}  # next, composition, end [bytes]
+
+    def take(self, at: int, kind: bytes, links: tuple[int, ...], data: bytes) -> None:
+        """Take a block; data: what follows its links."""
+        if kind == b"##CG" and len(links) > 1 and len(data) >= _GROUP.size:
+            self._groups.append((links[1], sum(_GROUP.unpack_from(data))))
+        elif kind == b"##CN" and len(links) > 1 and len(data) >= _CHANNEL.size:
+            bit, byte, bits = _CHANNEL.unpack_from(data)
+            self._channels[at] = links[0], links[1], byte + (bit + bits + 7) // 8
+
+    def beyond(self) -> int | None:
+        """Where a channel is that lies beyond its record; None: there is none."""
+        for first, record in self._groups:
+            waiting, seen = [first], set()
+            while waiting:
+                at = waiting.pop()
+                if at in seen or at not in self._channels:
+                    continue
+                seen.add(at)
+                following, composition, end = self._channels[at]
+                if end > record:
+                    return at
+                waiting += [following, composition]
+        return None
+
+
 def mf4_end(path: Path) -> str | None:
-    """Why an MF4 file ends too soon; None where every block that is named is there."""
+    """Why an MF4 file ends too soon or cannot be read; None where all that it names is there."""
     size = path.stat().st_size
+    unpacked = 0
+    channels = _Channels()
     with path.open("rb") as file:
-        if not file.read(8).startswith(b"MDF"):
+        begins = file.read(8)
+        is_finished = begins.startswith(b"MDF")
+        if not is_finished and begins != b"UnFinMF ":
             return None
         if size < _FIRST + _BLOCK.size:
             return "the file is cut within its header"
@@ -28,14 +75,34 @@ def mf4_end(path: Path) -> str | None:
         while waiting and len(seen) < MAX_BLOCKS:
             at = waiting.pop()
             if at + _BLOCK.size > size:
-                return f"the file is cut: it has {size} bytes and names a block at byte {at}"
+                if is_finished:
+                    return f"the file is cut: it has {size} bytes and names a block at byte {at}"
+                continue
             file.seek(at)
             kind, length, count = _BLOCK.unpack(file.read(_BLOCK.size))
             if kind[:2] != b"##" or 8 * count > length:
-                return f"the file is damaged at byte {at}"
-            if at + length > size:
+                if is_finished:
+                    return f"the file is damaged at byte {at}"
+                continue
+            if at + length > size and is_finished:
                 return f"the file is cut: {size} of at least {at + length} bytes are there"
-            links = struct.unpack(f"<{count}Q", file.read(8 * count))
+            named = file.read(8 * min(count, size // 8))
+            links = struct.unpack(f"<{len(named) // 8}Q", named[: len(named) // 8 * 8])
+            head = file.read(max(_DEFLATED.size, _GROUP.size))
+            channels.take(at, kind, links, head)
+            if kind == b"##DZ" and len(head) >= _DEFLATED.size:
+                _, _, _, stated, packed = _DEFLATED.unpack_from(head)
+                file.seek(at + _BLOCK.size + 8 * count + _DEFLATED.size)
+                unpacked += stated
+                if stated > FREE_BYTES or unpacks_to_too_much(file, min(packed, size)):
+                    return f"the block at byte {at} unpacks to more than {FREE_BYTES >> 20} MiB"
+                if unpacked > FREE_BYTES + MOST_TIMES * size:
+                    return f"its blocks unpack to more than {MOST_TIMES} times its size"
             waiting += [link for link in links if link not in seen]
             seen.update(links)
-    return None
+    beyond = channels.beyond()
+    return (
+        None
+        if beyond is None
+        else f"the file is damaged: a channel at byte {beyond} lies beyond its record"
+    )

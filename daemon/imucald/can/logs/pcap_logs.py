@@ -1,11 +1,13 @@
 """Captures of Wireshark and tcpdump (PCAP, PCAPNG) of a CAN interface, through dpkt.
 
 Link types: LINKTYPE_CAN_SOCKETCAN (one interface) and LINKTYPE_LINUX_SLL, SLL2 ("any"). The frame
-in them is Linux's struct canfd_frame with its id in network order (tcpdump.org/linktypes).
+in them is Linux's struct canfd_frame with its id in network order (tcpdump.org/linktypes). Some
+programs write it in the order of a PC: the first packets show in which of both their ids are ids.
 """
 
 from __future__ import annotations
 
+import itertools
 import struct
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -37,6 +39,19 @@ _PCAP: Final = (
 SOCKETCAN, SLL, SLL2 = 227, 113, 276
 _CAN_PROTOCOLS: Final = (0x000C, 0x000D)
 """Classic CAN and CAN FD in a cooked capture (linux/if_ether.h)."""
+OTHER_LINKS: Final = {
+    1: "Ethernet",
+    101: "IP",
+    105: "WLAN",
+    189: "USB",
+    210: "FlexRay",
+    211: "MOST",
+    212: "LIN",
+    220: "USB",
+}
+"""Link types that are named (tcpdump.org/linktypes)."""
+VOTERS: Final = 64
+"""First packets that show the order of the bytes of ids."""
 FD_MARK: Final = 0x04
 """CANFD_FDF in the frame's flags."""
 
@@ -73,8 +88,15 @@ class PcapReader:
         number = 0
         try:
             reader = _opened(file, name)
-            for number, (t, packet) in enumerate(reader, 1):
-                reason = self._packet(float(t), packet, reader.datalink())
+            packets = iter(reader)
+            first = list(itertools.islice(packets, VOTERS))
+            order = _order_of_ids([packet for _, packet in first], reader.datalink())
+            if order == "<":
+                self._statistics.note(
+                    f"{name}: its ids are in the byte order of a PC: they were swapped"
+                )
+            for number, (t, packet) in enumerate(itertools.chain(first, packets), 1):
+                reason = self._packet(float(t), packet, reader.datalink(), order)
                 if reason:
                     self._statistics.reject(reason, f"{name}: packet {number}: {reason}")
                 if self._batches.is_full:
@@ -90,20 +112,15 @@ class PcapReader:
             self._statistics.reject("cut_file", f"{name}: the file is cut after {number} packets")
             return
 
-    def _packet(self, t: float, packet: bytes, link: int) -> str:
+    def _packet(self, t: float, packet: bytes, link: int, order: str) -> str:
         """Take one packet; the reason why it is no frame, or nothing."""
-        if link == SLL:
-            protocol, packet = int.from_bytes(packet[14:16], "big"), packet[16:]
-        elif link == SLL2:
-            protocol, packet = int.from_bytes(packet[0:2], "big"), packet[20:]
-        else:
-            protocol = _CAN_PROTOCOLS[0]
+        protocol, packet = _unwrapped(packet, link)
         if protocol not in _CAN_PROTOCOLS:
             self._statistics.ignore("other_protocol")
             return ""
         if len(packet) < 8:
             return "bad_length"
-        word, length, marks = struct.unpack(">IBB", packet[:6])
+        word, length, marks = struct.unpack(f"{order}IBB", packet[:6])
         if word & CAN_ERR_FLAG:
             self._statistics.ignore("error_frame")
             return ""
@@ -114,9 +131,39 @@ class PcapReader:
         data = packet[8 : 8 + length]
         if len(data) != length or length > FD_BYTES:
             return "bad_length"
+        if not _is_id(word):
+            return "bad_id"
         mask = CAN_EFF_MASK if word & CAN_EFF_FLAG else CAN_SFF_MASK
         can_id = word & mask | word & CAN_EFF_FLAG
         return "" if self._batches.add(t, can_id, data, "can0", fd) else "too_many_channels"
+
+
+def _unwrapped(packet: bytes, link: int) -> tuple[int, bytes]:
+    """The protocol of a packet, and its frame."""
+    if link == SLL:
+        return int.from_bytes(packet[14:16], "big"), packet[16:]
+    if link == SLL2:
+        return int.from_bytes(packet[0:2], "big"), packet[20:]
+    return _CAN_PROTOCOLS[0], packet
+
+
+def _is_id(word: int) -> bool:
+    """Whether a word with its flags can be an id: of 11 bits only where the flag says so."""
+    return bool(word & (CAN_EFF_FLAG | CAN_ERR_FLAG)) or word & CAN_EFF_MASK <= CAN_SFF_MASK
+
+
+def _order_of_ids(packets: list[bytes], link: int) -> str:
+    """The byte order (of struct) in which more packets have an id; network order where equal."""
+    frames = [
+        frame
+        for protocol, frame in (_unwrapped(p, link) for p in packets)
+        if protocol in _CAN_PROTOCOLS
+    ]
+    votes = {
+        order: sum(_is_id(struct.unpack(f"{order}I", f[:4])[0]) for f in frames if len(f) >= 4)
+        for order in "><"
+    }
+    return "<" if votes["<"] > votes[">"] else ">"
 
 
 def _opened(file: BinaryIO, name: str) -> Any:
@@ -128,10 +175,14 @@ def _opened(file: BinaryIO, name: str) -> Any:
     magic = file.read(4)
     file.seek(0)
     reader = (dpkt.pcapng.Reader if magic == _PCAPNG else dpkt.pcap.Reader)(file)
-    if reader.datalink() not in (SOCKETCAN, SLL, SLL2):
+    if (link := reader.datalink()) not in (SOCKETCAN, SLL, SLL2):
+        kind = (
+            f"{OTHER_LINKS[link]} (link type {link})"
+            if link in OTHER_LINKS
+            else f"link type {link}"
+        )
         raise LogError(
-            f"{name}: a capture of link type {reader.datalink()}, not of a CAN interface; "
-            "capture with: dumpcap -i can0"
+            f"{name}: a capture of {kind}, not of a CAN interface; capture with: dumpcap -i can0"
         )
     return reader
 

@@ -19,7 +19,8 @@ from imucald.can.columns import (
     FrameColumns,
 )
 from imucald.can.id_filter import IdFilters
-from imucald.can.logs.blf_end import blf_end
+from imucald.can.logs.blf_end import blf_bomb, blf_end
+from imucald.can.logs.candump_line import MAX_LINE_BYTES, shown, words_of
 from imucald.can.logs.frame_batches import (
     BATCH_FRAMES,
     FrameBatches,
@@ -28,6 +29,7 @@ from imucald.can.logs.frame_batches import (
 )
 from imucald.can.logs.log_format import ReadStatistics
 from imucald.can.logs.mf4_end import mf4_end
+from imucald.can.logs.sqlite_table import why_not_stored
 from imucald.can.logs.text_blocks import OpenLog
 from imucald.can.logs.unpacking import plain_ending, plain_file
 from imucald.core.errors import LogError
@@ -49,13 +51,27 @@ _BEGINNINGS: Final = {
     ".blf": re.compile(rb"LOGG"),
     ".mf4": re.compile(rb"MDF     |UnFinMF "),
     ".db": re.compile(rb"SQLite format 3\0"),
-    ".asc": re.compile(rb"\s*(?://|date |base +(?:hex|dec)|Begin Triggerblock)", re.IGNORECASE),
+    ".asc": re.compile(
+        rb"(?:\xef\xbb\xbf)?\s*(?://[^\n]*\n\s*)*(?:date |base +(?:hex|dec)|Begin Triggerblock)",
+        re.IGNORECASE,
+    ),
     ".trc": re.compile(rb"\s*;"),
     ".csv": re.compile(rb"(?:\xef\xbb\xbf)?timestamp,arbitration_id,", re.IGNORECASE),
 }
 """How files of each kind begin."""
 
-HEAD_BYTES: Final = 64
+_BYTE_OR_LENGTH: Final = re.compile(rb"[0-9A-Fa-f]{2}|[1-9]")
+
+HEAD_BYTES: Final = 4096
+
+_RELATIVE: Final = re.compile(r"\s*base\s+\w+\s+timestamps\s+relative", re.IGNORECASE)
+_STAMP: Final = re.compile(r"\s*\d+\.\d+(?=\s)")
+_COMMA: Final = re.compile(r"^(\s*\d+),(\d+\s)")
+"""A stamp as it is written where the comma is decimal; python-can skips such a line in silence."""
+_NAME: Final = re.compile(
+    r"\s*\d+\.\d+\s+\d+\s+(?![0-9A-F]+x?\s)([A-Z_]\w*)\s+(?:Rx|Tx|TxRq)\s+d\s", re.IGNORECASE
+)
+"""A line of ASC with the name of a message for its id."""
 
 
 class PythonCanReader:
@@ -98,12 +114,12 @@ class PythonCanReader:
         kind = _kind(plain, path)
         cut = _ends_in_half_a_byte(plain, kind)
         end = blf_end(plain) if kind == ".blf" else None
-        if kind == ".mf4" and (why := mf4_end(plain)):
+        if why := _why_unreadable(plain, kind):
             raise LogError(f"{path}: cannot be read: {why}")
         batch: list[GatheredFrame] = []
-        frame, counted = None, before
+        frame, counted, reader = None, before, None
         try:
-            with _open(plain, kind) as reader:
+            with _open(plain, kind, path) as reader:
                 for number, message in enumerate(reader, 1):
                     counted = self._statistics.frames_read
                     frame = self._judge(message, path, number)
@@ -121,7 +137,8 @@ class PythonCanReader:
             raise
         # What python-can's readers raise on damaged files is not documented, and is anything.
         except Exception as error:
-            words = "it is not text" if isinstance(error, UnicodeDecodeError) else str(error)
+            text = getattr(reader, "file", None)
+            words = text.words() if isinstance(text, _AnyText) else str(error)
             text = f"{path}: cannot be read: {end or words or type(error).__name__}"
             if self._statistics.frames_read == before:
                 raise LogError(text) from error
@@ -163,7 +180,7 @@ class PythonCanReader:
         index = self._channels.index(channel)
         if reason or index is None:
             reason = reason or "too_many_channels"
-            text = f"{path}: message {number}: {reason.replace('_', ' ')}"
+            text = f"{path}: message {number}: {words_of(reason)}"
             self._statistics.reject(reason, text)
             return None
         self._statistics.frames_read += 1
@@ -181,23 +198,82 @@ def _kind(plain: Path, named: Path) -> str:
     return found or plain_ending(named)
 
 
-def _open(path: Path, kind: str) -> Any:
+def _why_unreadable(plain: Path, kind: str) -> str | None:
+    """Why no reader is let at a file; None: it is for the reader to say."""
+    if kind == ".blf" and (why := blf_bomb(plain)):
+        return f"{why}, as no recording does"
+    judges = {".mf4": mf4_end, ".db": why_not_stored}
+    return judges[kind](plain) if kind in judges else None
+
+
+def _open(path: Path, kind: str, named: Path) -> Any:
     from imucald.can.python_can import can, with_mf4  # noqa: PLC0415 (costs 0.1 s)
 
+    texts = {".asc": can.ASCReader, ".trc": can.TRCReader, ".csv": can.CSVReader}
+    if kind in texts:
+        return texts[kind](_AnyText(path, named, kind))
     if kind != ".mf4":
-        readers = {
-            ".asc": can.ASCReader,
-            ".blf": can.BLFReader,
-            ".trc": can.TRCReader,
-            ".csv": can.CSVReader,
-            ".db": can.SqliteReader,
-        }
-        return readers[kind](path)
+        return {".blf": can.BLFReader, ".db": can.SqliteReader}[kind](path)
     try:
         return with_mf4()(path)
     except ImportError:
         text = f"reading MF4 needs the package asammdf: {how_to_install('mf4')}"
-        raise LogError(f"{path}: {text}") from None
+        raise LogError(f"{named}: {text}") from None
+
+
+class _AnyText:
+    """The lines of a text in any encoding (the frames are ASCII), none longer than a frame's.
+
+    Stamps that ASC states as relative count from the line before, as can-utils' asc2log reads them.
+    Raises ValueError at a line that is too long.
+    """
+
+    def __init__(self, path: Path, named: Path, kind: str) -> None:
+        self._named, self._kind = named, kind
+        with path.open("rb") as file:
+            is_utf16 = file.read(2) in (b"\xff\xfe", b"\xfe\xff")
+        encoding = "utf-16" if is_utf16 else "latin-1"
+        self._file = path.open(encoding=encoding, errors="replace")
+        self.buffer = self._file.buffer
+        self._number, self._now, self._are_relative = 0, 0.0, False
+        self._line = ""
+
+    def words(self) -> str:
+        """Why the reader of a kind of files stopped here."""
+        if len(self._line) > MAX_LINE_BYTES:
+            return f"line {self._number} is longer than {MAX_LINE_BYTES} bytes"
+        line = shown(self._line.strip().encode("utf-8", "replace"))
+        return f"line {self._number} is none of {self._kind[1:].upper()}: '{line}'"
+
+    def __iter__(self) -> Iterator[str]:
+        return self
+
+    def __next__(self) -> str:
+        line = self._file.readline(MAX_LINE_BYTES + 1)
+        if not line:
+            raise StopIteration
+        self._number, self._line = self._number + 1, line
+        if len(line) > MAX_LINE_BYTES:
+            raise ValueError(f"line {self._number} is too long")
+        if self._number == 1:
+            line = line.removeprefix("\xef\xbb\xbf")
+        if self._kind == ".asc":
+            line = _COMMA.sub(r"\1.\2", line)
+        if not self._are_relative:
+            self._are_relative = _RELATIVE.match(line) is not None
+        elif stamp := _STAMP.match(line):
+            self._now += float(stamp[0])
+            line = f"{self._now:.9f}{line[stamp.end() :]}"
+        if name := _NAME.match(line):
+            raise LogError(
+                f"{self._named}:{self._number}: '{name[1][:60]}' is a name and no id: export "
+                "with numeric ids"
+            )
+        return line
+
+    def close(self) -> None:
+        """Close the file."""
+        self._file.close()
 
 
 def _ends_in_half_a_byte(path: Path, kind: str) -> bool:
@@ -210,13 +286,18 @@ def _ends_in_half_a_byte(path: Path, kind: str) -> bool:
         file.seek(-min(LAST_BYTES, path.stat().st_size), os.SEEK_END)
         last_line = file.read().rpartition(b"\n")[2]
     tokens = last_line.split()
-    return len(tokens) > MIN_TOKENS and len(tokens[-1]) == 1 and last_line.endswith(tokens[-1])
+    if len(tokens) <= MIN_TOKENS or not last_line.endswith(tokens[-1]):
+        return False
+    # Behind anything but another byte or the length, one digit is the length of an empty frame.
+    return len(tokens[-1]) == 1 and _BYTE_OR_LENGTH.fullmatch(tokens[-2]) is not None
 
 
 def _fault(message: Any) -> str:
     """Return why a message cannot have been a frame, or nothing."""
-    if not math.isfinite(message.timestamp) or message.timestamp < 0:
+    if not math.isfinite(message.timestamp):
         return "bad_timestamp"
+    if message.timestamp < 0:
+        return "negative_timestamp"
     if (
         not 0
         <= message.arbitration_id
@@ -225,6 +306,8 @@ def _fault(message: Any) -> str:
         return "bad_id"
     if len(message.data) > (FD_BYTES if message.is_fd else CLASSIC_BYTES):
         return "too_long"
+    if not message.is_fd and len(message.data) == CLASSIC_BYTES < message.dlc:
+        return ""  # a raw length code of 9 to 15, which means eight bytes in classic CAN
     return "bad_length" if len(message.data) != message.dlc else ""
 
 

@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import contextlib
+import errno
+import os
+import shutil
 import zlib
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
@@ -120,20 +123,26 @@ class _Zstd(_Inner):
             raise LogError(text) from None
         self._error = zstandard.ZstdError
         self._inner = zstandard.ZstdDecompressor().decompressobj()
-        self._made = b""
+        self._made = self._given = b""
 
     @property
     def eof(self) -> bool:
         return super().eof and not self._made
 
     @property
+    def unused_data(self) -> bytes:
+        return super().unused_data + self._given
+
+    @property
     def needs_input(self) -> bool:
-        return not self._made
+        return not self._made and (not self._given or super().eof)
 
     def decompress(self, data: bytes, max_length: int, /) -> bytes:
-        if data:
+        self._given += data
+        while self._given and not self._made and not super().eof:
+            piece, self._given = self._given[:_ZSTD_PIECE], self._given[_ZSTD_PIECE:]
             try:
-                self._made += self._inner.decompress(data)
+                self._made = self._inner.decompress(piece)
             except self._error as error:
                 raise ValueError(str(error)) from None
         given, self._made = self._made[:max_length], self._made[max_length:]
@@ -148,8 +157,34 @@ _MEMBERS: Final[Mapping[bytes, Callable[[], Member]]] = {
 }
 MAGIC_BYTES: Final = max(map(len, _MEMBERS))
 """First bytes by which compressed files are known."""
-_ZSTD_PIECE: Final = 1 << 11
-"""Zstandard gives all at once what its input makes: so little makes 64 MiB at most."""
+_ZSTD_PIECE: Final = 1 << 8
+"""Zstandard gives all at once what its input makes: so little makes 8 MiB at most."""
+FREE_BYTES: Final = 64 << 20
+"""So much a file may always unpack to."""
+MOST_TIMES: Final = 1000
+"""Beyond it a file unpacks to at most so many times its own size: a frame's stamp alone keeps
+recordings far below, even of a bus that repeats itself."""
+KEPT_SHARE: Final = 0.05
+KEPT_BYTES: Final = 1 << 30
+"""Temporary files leave that share of their disk free, or so much where that is less."""
+
+MOST_OF_A_BYTE: Final = 1032
+"""So many bytes deflate makes of one at most."""
+
+
+def unpacks_to_too_much(file: Any, size: int) -> bool:
+    """Whether the next bytes of an open file, deflated (zlib), make more than `FREE_BYTES`: a
+    reader of another library takes such a block whole."""
+    if size * MOST_OF_A_BYTE <= FREE_BYTES:
+        return False
+    member, made, left = zlib.decompressobj(), 0, size
+    try:
+        while left > 0 and made <= FREE_BYTES and (data := file.read(min(left, _ZSTD_PIECE))):
+            left -= len(data)
+            made += len(member.decompress(data))
+    except zlib.error:
+        return False  # it is damaged, which its reader says
+    return made > FREE_BYTES
 
 
 def packed_as(head: bytes) -> Callable[[], Member] | None:
@@ -171,6 +206,7 @@ class Unpacked:
 
     def __init__(self, source: ByteSource, head: bytes, member: Callable[[], Member]) -> None:
         self.bytes_read = len(head)
+        self._plain_bytes = 0
         self._source = source
         self._input = head
         self._new = member
@@ -197,6 +233,11 @@ class Unpacked:
             text = self._member.decompress(given, len(view))
             if text:
                 view[: len(text)] = text
+                self._plain_bytes += len(text)
+                if self._plain_bytes > FREE_BYTES + MOST_TIMES * self.bytes_read:
+                    raise ValueError(
+                        f"it unpacks to more than {MOST_TIMES} times its size, as no recording does"
+                    )
                 return len(text)
 
     def _more(self) -> bytes:
@@ -259,16 +300,35 @@ def plain_file(path: Path) -> Iterator[tuple[Path, str]]:
         import tempfile  # noqa: PLC0415 - what reads text needs no other file
 
         with tempfile.NamedTemporaryFile(prefix="imucald-") as plain:
-            damage = _unpack(Unpacked(source, head, member), plain.file)
-            plain.flush()
+            damage = _unpack(Unpacked(source, head, member), plain, path)
             yield Path(plain.name), damage
 
 
-def _unpack(stream: Unpacked, plain: Any) -> str:
+def _unpack(stream: Unpacked, plain: Any, path: Path) -> str:
     view = memoryview(bytearray(PLAIN_BYTES))
-    try:
-        while count := stream.readinto(view):
+    while True:
+        try:
+            count = stream.readinto(view)
+        except DAMAGE as error:
+            plain.flush()
+            return str(error)
+        try:
+            if not count:
+                plain.flush()
+                return ""
+            keep_disk_free(plain.name)
             plain.write(view[:count])
-    except DAMAGE as error:
-        return str(error)
-    return ""
+        except OSError as error:
+            raise LogError(f"{path}: cannot be unpacked: {error.strerror or error}") from None
+
+
+def keep_disk_free(path: str | os.PathLike[str]) -> None:
+    """Raise OSError where a temporary file takes what its disk is to keep free.
+
+    The disk is what all processes share, so this bounds all of them together.
+    """
+    disk = shutil.disk_usage(path)
+    kept = min(KEPT_SHARE * disk.total, KEPT_BYTES)
+    if disk.free < kept:
+        text = f"no space left for temporary files: {kept / 2**20:.0f} MiB of the disk stay free"
+        raise OSError(errno.ENOSPC, text)

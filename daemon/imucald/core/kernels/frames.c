@@ -38,21 +38,41 @@ static inline uint64_t bits_of(const uint8_t *row, Field field)
 }
 
 enum Code {
-    OK, SHORT, LONG, CHECKSUM, INVALID, TIMEOUT, REPEATED, REVERSED, JUMP, UNTRUSTED, COPY
+    OK, SHORT, LONG, CHECKSUM, INVALID, EARLY, REPEATED, REVERSED, JUMP, UNTRUSTED, COPY
 };
 
 /* What a message's frames must have (`ProtectionSpec`), as it is handed over. */
 enum Spec {
     BYTES, LONGEST, RECOVERY,
-    COUNTER_FIRST, COUNTER_LENGTH, COUNTER_BIG, MODULUS, MAX_JUMP,   /* length 0: no counter */
+    COUNTER_FIRST, COUNTER_LENGTH, COUNTER_BIG, MODULUS, MAX_JUMP,   /* length 0: no counter; jump 0: none stated */
     CRC_BYTES, CRC_POSITION, CRC_WIDTH, CRC_BIG, CRC_FINAL,          /* width 0: no checksum */
     INDEX_FIRST, INDEX_LENGTH, INDEX_BIG,                            /* length 0: one start for all */
     FIXED_FIRST, FIXED_LENGTH, FIXED_BIG, FIXED_VALUE,               /* length 0: none */
     SPEC
 };
 
-/* What the next frame is held against; -1 and a time that is NaN: nothing yet. */
-enum State { LAST_COUNTER, MISSED, DISTRUST, LOST, LAST_LENGTH, STATE };
+/* What the next frame is held against (`schedule.Past`); -1 and a time that is NaN: nothing yet. */
+enum State {
+    LAST_COUNTER, MISSED, DISTRUST, LOST, LAST_LENGTH, PHASE, EARLY_FRAMES, EARLY_COUNTER, CHAIN,
+    OWN_EARLY, TRIALS, STATE
+};
+enum Times { LAST_T, DUE, CYCLE, BEGUN, STEPS, TRIED, EARLY_T, TIMES };
+enum Phase { LEARN, TRIAL, IN_FORCE };
+
+/* As in `can.e2e.schedule`. */
+#define EARLIEST 0.4
+#define AHEAD 0.5
+#define CREDIT_S 2.0
+#define FADES_S 2.0
+#define BATCH 0.03
+#define LEARN_S 5.0
+#define LEARN_STEPS 50
+#define REMEMBERED_S 600.0
+#define MOST_EARLY 50
+#define OWN 3
+#define WAITS 1.5
+#define LONGER 4.0
+#define MOST_TRIALS 6
 
 /* A message's checksum (`ChecksumSpec`). */
 typedef struct {
@@ -115,10 +135,136 @@ static void are_right(const Crc *c, const uint8_t *const *rows, uint8_t *right)
     }
 }
 
+static void learn(int64_t *state, double *time, double t)
+{
+    state[PHASE] = LEARN;
+    state[EARLY_FRAMES] = state[OWN_EARLY] = 0;
+    state[EARLY_COUNTER] = -1;
+    time[CYCLE] = time[STEPS] = 0.0;
+    time[BEGUN] = t;
+}
+
+/* As `Past.go_on`. */
+static void go_on(int64_t *state, double *time, double t, double since, double due, int64_t step)
+{
+    double counts = (double)(step ? step : 1), pause = since - (counts + 1.0) * time[CYCLE];
+    due += counts * time[CYCLE] - BATCH * (pause > 0.0 ? pause : 0.0);
+    due = due < t ? due : t;
+    time[DUE] = due > t - CREDIT_S ? due : t - CREDIT_S;
+    state[EARLY_FRAMES] -= step && state[EARLY_FRAMES] > 0;
+    if (!step || state[DISTRUST] || since > CREDIT_S) {
+        time[BEGUN] += since;
+        return;
+    }
+    time[STEPS] += (double)step;
+    double passed = t - time[BEGUN];
+    if (state[PHASE] == LEARN) {
+        time[DUE] = t;
+        time[CYCLE] = passed / time[STEPS];
+        if (!(passed >= LEARN_S && time[STEPS] >= LEARN_STEPS))
+            return;
+        state[PHASE] = TRIAL;
+        time[TRIED] = t;
+        time[DUE] = t - 0.5 * CREDIT_S;
+    }
+    time[CYCLE] = passed / time[STEPS];
+    if (passed > REMEMBERED_S) {
+        time[BEGUN] += 0.5 * passed;
+        time[STEPS] *= 0.5;
+    }
+    double proved = LEARN_STEPS * time[CYCLE];
+    proved = proved > LEARN_S ? proved : LEARN_S;
+    for (int64_t k = 0; k < state[TRIALS]; k++)
+        proved *= LONGER;
+    if (state[PHASE] == TRIAL && t - time[TRIED] >= proved)
+        state[PHASE] = IN_FORCE;
+}
+
+/* As `Past.attribute_early`. */
+static void attribute_early(int64_t *state, double *time, double t, int64_t value, int64_t modulus)
+{
+    if (state[EARLY_COUNTER] < 0)
+        return;
+    int goes_on = value == (state[CHAIN] + 1) % modulus;
+    if (t - time[EARLY_T] > WAITS * time[CYCLE]) {
+        state[EARLY_COUNTER] = -1;
+        if (++state[OWN_EARLY] >= OWN) {
+            state[TRIALS] += state[TRIALS] < MOST_TRIALS;
+            learn(state, time, t);
+        }
+    } else if (value == state[EARLY_COUNTER]) {
+        state[EARLY_COUNTER] = -1;
+        state[OWN_EARLY] -= !goes_on && state[OWN_EARLY] > 0;
+    } else if (goes_on)
+        state[CHAIN] = value;
+}
+
+/* Counter and time of a frame that is good in itself, as `MessageChecker._sequence`; value: -1, no
+   counter; taken: whether the next frame is held against this one. */
+static uint8_t sequence(const int64_t *spec, double timeout, int64_t *state, double *time, double t,
+                        int64_t value, int *taken)
+{
+    double since = t - time[LAST_T];
+    *taken = 1;
+    if (!(since >= 0.0 && since <= timeout)) {
+        if (isnan(since) && state[PHASE] != LEARN) {
+            double left = LEARN_S - LEARN_STEPS * time[CYCLE];
+            time[DUE] = t - 0.5 * CREDIT_S;
+            time[BEGUN] = t - time[STEPS] * time[CYCLE];
+            time[TRIED] = t - (left > 0.0 ? left : 0.0);
+        } else if (since > 0.0) {
+            time[DUE] = t - (since < CREDIT_S ? since : CREDIT_S);
+            time[BEGUN] += since;
+        } else {
+            time[DUE] = t;
+            learn(state, time, t);
+        }
+        return OK;
+    }
+    attribute_early(state, time, t, value, value < 0 ? 1 : spec[MODULUS]);
+    double fades = 1.0 - since / FADES_S;
+    double due = time[LAST_T] - (time[LAST_T] - time[DUE]) * (fades > 0.0 ? fades : 0.0);
+    double earliest = due + EARLIEST * time[CYCLE];
+    int is_ahead = earliest > t;
+    int64_t distance = 1;
+    uint8_t code = OK;
+    if (value >= 0) {
+        int64_t modulus = spec[MODULUS], most = spec[MAX_JUMP], missed = state[MISSED];
+        int64_t step = value - state[LAST_COUNTER];
+        step = step < 0 ? step + modulus : step;
+        distance = step ? step : modulus;
+        int64_t back = most ? modulus - most : modulus / 2 + 1;
+        int is_bad = distance > (most ? most : back - 1) + missed;
+        if (!most && time[CYCLE] != 0.0) {
+            double origin = distance >= back ? time[LAST_T] + EARLIEST * time[CYCLE] : earliest;
+            is_ahead = origin + AHEAD * time[CYCLE] * (double)(distance - 1) > t;
+            is_bad = is_ahead && (is_bad || state[PHASE] == IN_FORCE);
+        }
+        if (is_bad && distance > 1)
+            code = !step ? REPEATED : step >= back ? REVERSED : JUMP;
+    }
+    if (is_ahead && state[PHASE] == TRIAL)
+        time[TRIED] = t;
+    if (earliest > t && state[PHASE] == IN_FORCE) {
+        if (state[EARLY_COUNTER] < 0) {
+            state[EARLY_COUNTER] = state[CHAIN] = value;
+            time[EARLY_T] = t;
+        }
+        if (++state[EARLY_FRAMES] >= MOST_EARLY * (value < 0 ? 1 : spec[MODULUS]))
+            learn(state, time, t);
+        *taken = 0;
+        return code ? code : EARLY;
+    }
+    if (code == OK && distance - 1 - state[MISSED] > 0)
+        state[LOST] += distance - 1 - state[MISSED];
+    go_on(state, time, t, since, due, code == OK ? distance : 0);
+    return code;
+}
+
 /* Judge frames in order, as `MessageChecker.check` does one by one; codes: of each. */
 KERNEL long judge_frames(PyObject *t_, PyObject *data_, PyObject *length_, PyObject *spec_,
                          double timeout, PyObject *table_, PyObject *starts_, PyObject *suffixes_,
-                         PyObject *state_, PyObject *last_t_, PyObject *last_data_,
+                         PyObject *state_, PyObject *time_, PyObject *last_data_,
                          PyObject *codes_)
 {
     Arrays a = {0};
@@ -134,7 +280,7 @@ KERNEL long judge_frames(PyObject *t_, PyObject *data_, PyObject *length_, PyObj
     const uint8_t *suffixes = take(&a, suffixes_, 'B', SHAPE(many, ANY));
     Size suffix = length_of(&a, 1);
     int64_t *state = take_out(&a, state_, 'q', SHAPE(STATE));
-    double *last_t = doubles_out(&a, last_t_, SHAPE(1));
+    double *time = doubles_out(&a, time_, SHAPE(TIMES));
     uint8_t *last_data = take_out(&a, last_data_, 'B', SHAPE(MOST_BYTES));
     uint8_t *codes = take_out(&a, codes_, 'B', SHAPE(n));
     if (a.failed)
@@ -161,6 +307,11 @@ KERNEL long judge_frames(PyObject *t_, PyObject *data_, PyObject *length_, PyObj
                (!counter.length || state[LAST_COUNTER] < spec[MODULUS]) && spec[MAX_JUMP] >= 0 &&
                spec[MAX_JUMP] <= MOST_VALUES && spec[RECOVERY] >= 0 && state[DISTRUST] >= 0 &&
                state[MISSED] >= 0 && state[MISSED] <= LARGEST_COUNT / 4 && state[LOST] >= 0 &&
+               state[PHASE] >= LEARN && state[PHASE] <= IN_FORCE &&
+               state[EARLY_FRAMES] >= 0 && state[EARLY_FRAMES] <= MOST_EARLY * MOST_VALUES &&
+               state[EARLY_COUNTER] >= -1 && state[EARLY_COUNTER] < MOST_VALUES &&
+               state[CHAIN] >= -1 && state[CHAIN] < MOST_VALUES && state[OWN_EARLY] >= 0 &&
+               state[OWN_EARLY] <= OWN && state[TRIALS] >= 0 && state[TRIALS] <= MOST_TRIALS &&
                state[LOST] <= LARGEST_COUNT && n <= LARGEST_COUNT / MOST_VALUES;
     for (Size k = 0; good && crc == 1 && k < TABLE; k++)
         good = table[k] < TABLE && (k >= many || starts[k] < TABLE);
@@ -193,45 +344,31 @@ KERNEL long judge_frames(PyObject *t_, PyObject *data_, PyObject *length_, PyObj
                 else
                     value = (int64_t)bits;
             }
-            if (code == OK && value >= 0 && t[i] == *last_t && state[LAST_LENGTH] == length[i] &&
-                !memcmp(last_data, row, length[i])) {
+            if (code == OK && value >= 0 && t[i] == time[LAST_T] &&
+                state[LAST_LENGTH] == length[i] && !memcmp(last_data, row, length[i])) {
                 codes[i] = COPY;
                 state[LAST_LENGTH] = -1;
                 continue;
             }
-            if (code == OK) {
-                if (value >= 0) {
+            if (code == OK && (crc || counter.length)) {
+                int taken;
+                code = sequence(spec, timeout, state, time, t[i], value, &taken);
+                if (taken) {
                     int is_new = value != state[LAST_COUNTER];
                     state[LAST_LENGTH] = is_new ? length[i] : -1;
                     if (is_new && width == 8)
                         memcpy(last_data, row, 8);
                     else if (is_new)
                         memcpy(last_data, row, length[i]);
-                    int64_t last = state[LAST_COUNTER], missed = state[MISSED];
                     state[LAST_COUNTER] = value;
-                    if (t[i] - *last_t > timeout)
-                        code = TIMEOUT;
-                    else if (last >= 0) {
-                        int64_t step = value - last;
-                        step = step < 0 ? step + spec[MODULUS] : step;
-                        int64_t distance = step ? step : spec[MODULUS];
-                        if (distance <= spec[MAX_JUMP] + missed) {
-                            if (distance - 1 - missed > 0)
-                                state[LOST] += distance - 1 - missed;
-                        } else if (!step)
-                            code = REPEATED;
-                        else
-                            code = step >= spec[MODULUS] - spec[MAX_JUMP] ? REVERSED : JUMP;
-                    }
-                } else if (t[i] - *last_t > timeout)
-                    code = TIMEOUT;
-                *last_t = t[i];
-                state[MISSED] = 0;
-                if (code == OK && state[DISTRUST]) {
-                    state[DISTRUST]--;
-                    codes[i] = UNTRUSTED;
-                    continue;
+                    time[LAST_T] = t[i];
+                    state[MISSED] = 0;
                 }
+            }
+            if (code == OK && state[DISTRUST]) {
+                state[DISTRUST]--;
+                codes[i] = UNTRUSTED;
+                continue;
             }
         }
         codes[i] = code;

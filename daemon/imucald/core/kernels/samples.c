@@ -172,8 +172,8 @@ KERNEL long hop_figures(PyObject *samples_, PyObject *edges_, PyObject *last_, P
 
 /* Samples turned into vehicle axes, as `rotations.times_columns` has them.
 
-   values: (N, 3) of any strides. tick: (N,) of each, counted from the first. rows: (m, 9) rotations, each
-   from tick first[m] on. out: (3, N). */
+   values: (N, 3) of any strides. tick: (N,) of each, counted from the first. rows: (m, 12) matrices by rows
+   and what is taken off after, each from tick first[m] on. out: (3, N). */
 KERNEL long turn_samples(PyObject *values_, PyObject *tick_, PyObject *rows_, PyObject *first_,
                          PyObject *out_)
 {
@@ -181,7 +181,7 @@ KERNEL long turn_samples(PyObject *values_, PyObject *tick_, PyObject *rows_, Py
     const Py_buffer *values = take_view(&a, values_, 'd', SHAPE(ANY, 3), STRIDES);
     Size n = length_of(&a, 0);
     const int64_t *tick = take(&a, tick_, 'q', SHAPE(n));
-    const double *rows = doubles(&a, rows_, SHAPE(ANY, 9));
+    const double *rows = doubles(&a, rows_, SHAPE(ANY, 12));
     Size spells = length_of(&a, 0);
     const int64_t *first = take(&a, first_, 'q', SHAPE(spells));
     double *out = doubles_out(&a, out_, SHAPE(3, n));
@@ -191,7 +191,7 @@ KERNEL long turn_samples(PyObject *values_, PyObject *tick_, PyObject *rows_, Py
     for (Size k = 1; k < spells; k++)
         fits = fits && first[k - 1] <= first[k];
     if (!fits)
-        return leave(&a, refuse(&a, "rotations that are in no order"));
+        return leave(&a, refuse(&a, "corrections that are in no order"));
     const char *base = values->buf;
     Size down = values->strides[0], across = values->strides[1], at = 0;
     for (Size i = 0; i < n; i++) {
@@ -202,9 +202,9 @@ KERNEL long turn_samples(PyObject *values_, PyObject *tick_, PyObject *rows_, Py
         const char *own = base + i * down;
         double x = *(const double *)own, y = *(const double *)(own + across),
                z = *(const double *)(own + 2 * across);
-        const double *r = rows + 9 * at;
+        const double *r = rows + 12 * at;
         for (int k = 0; k < 3; k++)
-            out[k * n + i] = r[3 * k] * x + r[3 * k + 1] * y + r[3 * k + 2] * z;
+            out[k * n + i] = r[3 * k] * x + r[3 * k + 1] * y + r[3 * k + 2] * z - r[9 + k];
     }
     return leave(&a, 0);
 }

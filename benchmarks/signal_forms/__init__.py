@@ -1,0 +1,1 @@
+"""Are signals borne as they come on real buses? See `__main__`."""

@@ -1,0 +1,300 @@
+"""A DBC with lines that cannot be read: they cost their message or signal, not the database.
+
+What is left out becomes spaces, so that all other lines keep their numbers.
+"""
+
+from __future__ import annotations
+
+import re
+from bisect import bisect_right
+from collections.abc import Iterator
+
+from msgspec import Struct
+
+from imucald.can.columns import CAN_EFF_FLAG, CAN_EFF_MASK, CAN_SFF_MASK
+
+MOST_ATTEMPTS = 40
+"""Times that a database is read again without what could not be read ..."""
+MOST_CHARACTERS = 2_000_000
+"""... and characters read in all of them: some 20 s on a slow processor."""
+
+_STATEMENT = re.compile(
+    r"^[ \t]*(VERSION|NS_|BS_|BU_|BO_|SG_|CM_|VAL_TABLE_|VAL_|BA_DEF_DEF_REL_|BA_DEF_REL_|BA_REL_"
+    r"|BA_DEF_DEF_|BA_DEF_|BA_SGTYPE_|BA_|SIG_VALTYPE_|SIG_GROUP_|SIG_TYPE_REF_|SG_MUL_VAL_"
+    r"|SGTYPE_VAL_|SGTYPE_|BO_TX_BU_|EV_DATA_|ENVVAR_DATA_|EV_)(?![A-Za-z0-9_])",
+    re.MULTILINE,
+)
+_TEXT = re.compile(r'"(?:\\.|[^"\\])*+("?)')
+"""Quoted text, and what follows a quote that none ends: no character is looked at twice."""
+_MESSAGE = re.compile(r"BO_\s+(\S+)\s+([^\s:]*)\s*:\s*(\d*)")
+_SIGNAL = re.compile(r"SG_\s+([^\s:]+)(?:[ \t]+(M|m\d+M?)\b)?")
+_REFERENCE = re.compile(r"(?:VAL_|SIG_VALTYPE_)\s+(\d+)\s+([^\s:]+)")
+_UNREADABLE = "it cannot be read as DBC; write it as the lines around it are"
+_NO_MULTIPLEXER = "is left out: the line of its multiplexer cannot be read; correct that line"
+_ONE_LINE = frozenset({"BO_", "SG_"})
+_DECISIVE = frozenset({"SIG_VALTYPE_", "SG_MUL_VAL_"})
+"""Without these a signal would be read, and be another one: the database is refused."""
+_NAME = re.compile(r"[A-Za-z_]\w*", re.ASCII)
+_MULTIPLEXING = re.compile(
+    r"^[ \t]*(?:BO_[ \t]+\d+[ \t]+(\w+)|SG_[ \t]+(\w+)[ \t]+(M|m\d+M?)[ \t]*:)", re.MULTILINE
+)
+_POSITION = re.compile(r"Invalid syntax at line (\d+), column (\d+)")
+_UNDEFINED = re.compile(r'BA_\s+"([^"]*)"')
+_DEFINED = re.compile(r'BA_DEF_\s+(?:[A-Z]+_\s+)?"([^"]*)"')
+
+
+class LeftOut(Struct, frozen=True):
+    """A message, or a signal of one, that is not as the text has it: reason and remedy in `why`."""
+
+    message: str
+    signal: str
+    can_id: int
+    length: int
+    line: int
+    why: str
+
+
+class _Statement(Struct, frozen=True):
+    """One statement: its keyword, and where it stands in the text."""
+
+    keyword: str
+    start: int
+    end: int
+
+
+class MendedText:
+    """The text of a DBC, from which lines are taken out; left_out: what they were."""
+
+    def __init__(self, text: str) -> None:
+        self.text = text
+        self.left_out: list[LeftOut] = []
+        self._bad: list[tuple[int, int]] = []
+        self._is_scanned = False
+        self._attempts = min(MOST_ATTEMPTS, max(3, MOST_CHARACTERS // max(1, len(text))))
+
+    def mend(self, reason: str) -> bool:
+        """Take out what is known to be wrong, and what stands where the parser stopped.
+
+        Returns False where nothing was found, or it has been tried often enough.
+        """
+        if self._attempts == 0:
+            return False
+        self._attempts -= 1
+        before = self.text
+        if not self._is_scanned:
+            self._is_scanned = True
+            self._bad_messages()
+            self._blank(*self._bad)
+        position = _POSITION.search(reason)
+        if self.text == before and position:
+            self._bad = []
+            self._at(int(position.group(1)), int(position.group(2)))
+            self._blank(*self._bad)
+        if self.text != before or not position:
+            self._stale()
+        return self.text != before
+
+    def _bad_messages(self) -> None:
+        """Identifiers that no frame has, and names that are none."""
+        statements = list(_statements(self.text))
+        for k, one in enumerate(statements):
+            found = _MESSAGE.match(self._of(one))
+            if one.keyword == "BO_" and found:
+                number = int(found.group(1)) if found.group(1).isdecimal() else 0
+                why = _id_reason(number) or _name_reason(found.group(2))
+                if why:
+                    self._take_message(statements, k, why)
+            signal = _SIGNAL.match(self._of(one))
+            if one.keyword == "SG_" and signal and _name_reason(signal.group(1)):
+                self._take_signal(statements, k, _name_reason(signal.group(1)))
+
+    def _at(self, line: int, column: int) -> None:
+        """What stands where the parser stopped, or did not end before it."""
+        at = 0
+        for _ in range(line - 1):
+            at = self.text.find("\n", at) + 1
+        at += column - 1
+        statements = list(_statements(self.text))
+        starts = [one.start for one in statements]
+        k = bisect_right(starts, at) - 1
+        line_start = at - column + 1
+        is_stray = k < 0 or (statements[k].keyword in _ONE_LINE and starts[k] < line_start)
+        if is_stray:  # what follows could be its signals: they are no other message's
+            end = k + 1
+            while end < len(statements) and statements[end].keyword == "SG_":
+                end += 1
+            line_end = self.text.find("\n", at)
+            until = len(self.text) if line_end < 0 else line_end
+            if end > k + 1:
+                self._note("", "", 0, 0, at, _UNREADABLE)
+                until = statements[end - 1].end
+            self._bad.append((line_start, until))
+            return
+        if starts[k] == at and k and self._is_unfinished(statements[k - 1], statements[k]):
+            k -= 1
+        one = statements[k]
+        if one.keyword == "BO_":
+            self._take_message(statements, k, _UNREADABLE)
+        elif one.keyword == "SG_":
+            self._take_signal(statements, k, _UNREADABLE)
+        elif one.keyword not in _DECISIVE:
+            self._bad.append((one.start, one.end))
+
+    def _is_unfinished(self, one: _Statement, following: _Statement) -> bool:
+        """Whether a statement, and not the keyword after it, is what the parser stopped at."""
+        if one.keyword in {"BO_", "SG_"}:
+            return True
+        if following.keyword == "SG_" or one.keyword in {"BU_", "BS_", "NS_", "VERSION"}:
+            return False
+        return not self._of(one).rstrip().endswith(";")
+
+    def _stale(self) -> None:
+        """Value tables and float marks of signals that are not there; attributes not defined."""
+        known: set[tuple[str, str]] = set()
+        names: dict[str, str] = {}
+        number = ""
+        stale: list[_Statement] = []
+        statements = list(_statements(self.text))
+        attributes = set()
+        for one in statements:
+            if one.keyword == "BO_" and (found := _MESSAGE.match(self._of(one))):
+                number = found.group(1)
+                names[number] = found.group(2)
+            elif one.keyword == "SG_" and (signal := _SIGNAL.match(self._of(one))):
+                known.add((number, signal.group(1)))
+            elif one.keyword == "BA_DEF_" and (defined := _DEFINED.match(self._of(one))):
+                attributes.add(defined.group(1))
+        for one in statements:
+            if one.keyword in {"VAL_", "SIG_VALTYPE_"}:
+                found = _REFERENCE.match(self._of(one))
+                if found and found.groups() not in known:
+                    stale.append(one)
+            elif one.keyword == "BA_":
+                found = _UNDEFINED.match(self._of(one))
+                if found and found.group(1) not in attributes:
+                    stale.append(one)
+        self._blank(*((one.start, one.end) for one in stale))
+
+    def _take_message(self, statements: list[_Statement], k: int, why: str) -> None:
+        found = _MESSAGE.match(self._of(statements[k]))
+        end = k + 1
+        while end < len(statements) and statements[end].keyword == "SG_":
+            end += 1
+        if not found:
+            self._note("", "", 0, 0, statements[k].start, why)
+        else:
+            number = int(found.group(1)) if found.group(1).isdecimal() else 0
+            length = int(found.group(3)) if 0 < len(found.group(3)) < 6 else 0
+            can_id = number & (CAN_EFF_MASK | CAN_EFF_FLAG)
+            if can_id > CAN_SFF_MASK:
+                can_id |= CAN_EFF_FLAG
+            self._note(found.group(2), "", can_id, length, statements[k].start, why)
+        self._bad.append((statements[k].start, statements[end - 1].end))
+
+    def _take_signal(self, statements: list[_Statement], k: int, why: str) -> None:
+        signal = _SIGNAL.match(self._of(statements[k]))
+        before = k
+        while before > 0 and statements[before].keyword != "BO_":
+            before -= 1
+        found = _MESSAGE.match(self._of(statements[before]))
+        if signal and found:
+            why = f"is left out: {why}"
+            self._note(found.group(2), signal.group(1), 0, 0, statements[k].start, why)
+        self._bad.append((statements[k].start, statements[k].end))
+        if signal and found:
+            self._take_multiplexed(statements, before, found.group(2), statements[k])
+
+    def _take_multiplexed(
+        self, statements: list[_Statement], k: int, message: str, bad: _Statement
+    ) -> None:
+        """Take out the multiplexed signals of message k if its multiplexer may be the bad signal.
+
+        Nothing says then which frames have them.
+        """
+        multiplexed: list[tuple[_Statement, str]] = []
+        for one in statements[k + 1 :]:
+            if one.keyword != "SG_":
+                break
+            signal = _SIGNAL.match(self._of(one))
+            mark = signal and signal.group(2)
+            if not signal or not mark:
+                continue
+            if one is not bad and mark == "M":
+                return
+            if one is not bad:
+                multiplexed.append((one, signal.group(1)))
+        for one, name in multiplexed:
+            self._note(message, name, 0, 0, one.start, _NO_MULTIPLEXER)
+            self._bad.append((one.start, one.end))
+
+    def _note(self, message: str, signal: str, can_id: int, length: int, at: int, why: str) -> None:
+        line = self.text.count("\n", 0, at) + 1
+        message = message or f"(line {line})"
+        self.left_out.append(LeftOut(message, signal, can_id, length, line, why))
+
+    def _of(self, one: _Statement) -> str:
+        return self.text[one.start : one.end]
+
+    def _blank(self, *ranges: tuple[int, int]) -> None:
+        """Make spaces of ranges (start, end) of the text; they may overlap."""
+        parts, at = [], 0
+        for start, end in sorted(ranges):
+            parts.append(self.text[at:start])
+            parts.append(re.sub(r"[^\n]", " ", self.text[max(start, at) : end]))
+            at = max(at, end)
+        self.text = "".join(parts) + self.text[at:]
+
+
+def lost_multiplexers(text: str) -> Iterator[LeftOut]:
+    """Multiplexed signals of messages that have no multiplexer."""
+    message, line, at = "", 1, 0
+    waiting: list[LeftOut] = []
+    for found in _MULTIPLEXING.finditer(text):
+        line, at = line + text.count("\n", at, found.start()), found.start()
+        if found.group(1):
+            yield from waiting
+            waiting, message = [], found.group(1)
+        elif message and "M" in found.group(3):
+            message, waiting = "", []
+        elif message:
+            why = (
+                "is multiplexed, and its message has no multiplexer: it is taken from every frame; "
+                "mark the multiplexer with M"
+            )
+            waiting.append(LeftOut(message, found.group(2), 0, 0, line, why))
+    yield from waiting
+
+
+def _statements(text: str) -> Iterator[_Statement]:
+    """All statements of a text; keywords within quoted text are none."""
+    plain = _TEXT.sub(
+        lambda found: re.sub(r"[^\n]", "x", found.group()) if found.group(1) else found.group(),
+        text,
+    )
+    found = list(_STATEMENT.finditer(plain))
+    for k, one in enumerate(found):
+        end = found[k + 1].start() if k + 1 < len(found) else len(text)
+        start = one.start(1)
+        yield _Statement(one.group(1), start, start + len(text[start:end].rstrip()))
+
+
+def _id_reason(number: int) -> str:
+    """Why no frame has the identifier, and the remedy; nothing where one can."""
+    bits = number & ~CAN_EFF_FLAG
+    if number <= CAN_SFF_MASK or (number & CAN_EFF_FLAG and bits <= CAN_EFF_MASK):
+        return ""
+    if number <= CAN_EFF_MASK:
+        return (
+            f"identifier {number} (0x{number:X}) has more than 11 bits and lacks the mark of 29; "
+            f"add {CAN_EFF_FLAG} to it: {number + CAN_EFF_FLAG}"
+        )
+    if bits == 0x4000_0000:  # VECTOR__INDEPENDENT_SIG_MSG
+        return ""
+    return f"identifier {number} (0x{number:X}) has more than 29 bits; write the one that is sent"
+
+
+def _name_reason(name: str) -> str:
+    """Why it is no name, and the remedy."""
+    if _NAME.fullmatch(name):
+        return ""
+    return f"{name!r} is no name: one begins with a letter and has letters, digits and _; rename it"

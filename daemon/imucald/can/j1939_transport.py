@@ -1,0 +1,44 @@
+"""The transport protocol of J1939 (SAE J1939-21): which messages come in several frames.
+
+Such a message is announced by a frame of its own (TP.CM: BAM to all, RTS to one unit) that holds
+its PGN and its length.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from imucald.can.columns import CAN_EFF_FLAG, CLASSIC_BYTES, IdMatch
+
+ANNOUNCEMENT = IdMatch(CAN_EFF_FLAG | 0xEC_0000, 0x03FF_0000)
+"""Frames that announce a message or answer to one, to any address."""
+_REQUEST_TO_SEND, _TO_ALL = 16, 32
+"""First byte of the two kinds of announcements."""
+
+
+def announced_messages(
+    can_id: NDArray[np.uint32], data: NDArray[np.uint8], length: NDArray[np.uint8]
+) -> dict[int, int]:
+    """Length [bytes] of each message that frames (N,) announce, by the id it would have as a frame.
+
+    can_id: with the flag for 29 bits. data: (N, 8) or wider. The ids have no priority.
+    """
+    mask, wanted = ANNOUNCEMENT.full_mask, ANNOUNCEMENT.can_id
+    here = (can_id & np.uint32(mask) == wanted) & (length == CLASSIC_BYTES)
+    if not here.any():
+        return {}
+    bytes_, sender = data[here].astype(np.uint32), can_id[here] & np.uint32(0xFF)
+    is_first = np.isin(bytes_[:, 0], (_REQUEST_TO_SEND, _TO_ALL))
+    pgn = bytes_[:, 5] | bytes_[:, 6] << 8 | (bytes_[:, 7] & 3) << 16
+    ids = (pgn << 8 | sender | np.uint32(CAN_EFF_FLAG))[is_first]
+    sizes = (bytes_[:, 1] | bytes_[:, 2] << 8)[is_first]
+    return dict(zip(ids.tolist(), sizes.tolist(), strict=True))
+
+
+def in_transport(size: int) -> str:
+    """What to say of a message that comes so, and its remedy. size: its length [bytes]."""
+    return (
+        f"its PGN comes by the transport protocol of J1939 ({size} bytes, announced by TP.CM, "
+        "0xEC..): imucald does not read that; let the sensor send messages of 8 bytes"
+    )

@@ -1,0 +1,284 @@
+"""What the time stamps of a file are worth: the clock of its recorder, as a model.
+
+A recorder reads a clock at the end of each frame. Three things happen to that reading, and each
+shows in the frames themselves:
+
+- it begins again (a clock printed without its higher digits): the same step back again and again;
+- it is coarse, or the frames are handed over in bursts: frames of one sender, which come cycles
+  apart, lie closer together than frames can follow each other on a bus. They were sent since the
+  burst before, so they are spread evenly over that time, in their order;
+- it is no clock in seconds: more frames than any bus carries in that time.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Final, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from imucald.can.columns import CAN_EFF_FLAG, FrameColumns, concatenate
+from imucald.can.logs.log_format import DAMAGED_STEP, ReadStatistics
+from imucald.can.logs.text_blocks import OpenLog
+from imucald.core.errors import LogError
+from imucald.core.median import median
+
+Log = Path | str | OpenLog
+Times = NDArray[np.float64]
+
+BIT_S: Final = 1e-6
+"""A bit of classic CAN, and of the head of a CAN FD frame, at the fastest [s]."""
+FD_BIT_S: Final = BIT_S / 8
+"""A bit of CAN FD's data at the fastest [s]."""
+HEAD_BITS, FD_HEAD_BITS, FD_TAIL_BITS, LONG_ID_BITS = 47, 30, 28, 20
+"""Bits of a frame besides its data, with the gap behind it and without stuff bits (ISO 11898-1)."""
+LEAST_GAP: Final = 0.9
+"""Part of a frame's own time on the bus by which its end is later than that of the one before: all
+of it, but for the resolution of the stamps."""
+SAME_ID_SHARE: Final = 0.25
+"""Part of the frames that lie in one run with another one of their id, where stamps are coarse."""
+
+BACKLOG_S: Final = 2.0
+"""Traffic that a recorder may hold back and stamp at once [s]."""
+MIN_LOOPS: Final = 5
+"""A step back that comes so often, always as large, is the clock's own."""
+LOOP_TOLERANCE: Final = 0.1
+"""Part of it by which such steps differ at most: by the gaps between frames."""
+ROOM_PART: Final = 100
+"""One of so many gaps between frames is longer than the one taken for the gap at the seam."""
+DELTA_SHARE: Final = 0.2
+"""Part of the steps that go back from which stamps are differences: of differences half do."""
+MIN_FRAMES: Final = 64
+"""Fewer frames show no resolution."""
+MAX_STEP: Final = 1.5
+"""A gap of more usual steps than this is a hole: its frames belong to its last step."""
+
+
+def by_the_clock(
+    log: Log, chunks: Iterator[FrameColumns], statistics: ReadStatistics
+) -> Iterator[FrameColumns]:
+    """Yield a file's frames with the times at which they were sent, as far as that can be known.
+
+    What was done to them is a note of the statistics. Raises LogError where no bus carries so many
+    frames in the time that the stamps say.
+    """
+    bus, loop, bursts = _BusTime(log), None, None
+    for chunk in chunks:
+        if not len(chunk):
+            continue
+        if loop is None:
+            loop = _Loop(_loop_length(chunk.t))
+            if loop.length:
+                statistics.note(
+                    f"{log}: its time stamps begin again every {loop.length:g} s: they were "
+                    "counted on; record with: candump -l can0"
+                )
+        frames = chunk.at(loop.times(chunk.t)) if loop.length else chunk
+        bus.take(frames)
+        if bursts is None:
+            bursts = _Bursts(_burst_step(frames))
+            if bursts.step:
+                statistics.note(
+                    f"{log}: its time stamps come in steps of {bursts.step:.3g} s: the frames "
+                    "between were spread evenly, good to some milliseconds; record with: candump "
+                    "-l can0"
+                )
+        if not bursts.step or len(frames := bursts.take(frames)):
+            yield frames
+    if bursts is not None and bursts.step and len(rest := bursts.rest()):
+        yield rest
+
+
+def _steps_back(t: Times) -> Times:
+    steps = np.diff(t)
+    return -steps[steps < 0.0]
+
+
+def _loop_length(t: Times) -> float:
+    """After how many seconds the first stamps of a file begin again; 0 where they do not."""
+    back = _steps_back(t)
+    if len(back) < MIN_LOOPS:
+        return 0.0
+    length = float(t.max() - t.min())
+    back = back[back > 0.5 * length]
+    if len(back) < MIN_LOOPS or back.min() < (1.0 - LOOP_TOLERANCE) * length:
+        return 0.0
+    steps = np.diff(t)
+    if steps.max() > 0.5 * length:
+        return 0.0  # stamps jump to and fro: they are damaged
+    gaps = steps[steps >= 0.0]
+    room = float(np.partition(gaps, -len(gaps) // ROOM_PART)[-len(gaps) // ROOM_PART])
+    # The clock's own length is a round number: the first that a gap at the end leaves room for.
+    for digits in range(1, 6):
+        unit = 10.0 ** (math.floor(math.log10(length)) + 1 - digits)
+        round_one = math.ceil(length / unit) * unit
+        if round_one - length <= room:
+            return float(f"{round_one:.{digits}g}")
+    return length + median(gaps)
+
+
+class _Loop:
+    """Counts on where the clock begins again; length [s], 0 where it does not."""
+
+    def __init__(self, length: float) -> None:
+        self.length = length
+        self._last: float | None = None
+        self._turns = 0
+
+    def times(self, t: Times) -> Times:
+        """Times [s] of the next frames, (N,)."""
+        before = t[0] if self._last is None else self._last
+        steps = np.diff(t, prepend=before)
+        # A frame that is out of order at the seam belongs to the turn before.
+        half = 0.5 * self.length
+        over = (steps < -half).astype(np.int64) - (steps > half).astype(np.int64)
+        turns = self._turns + np.cumsum(over)
+        self._last, self._turns = float(t[-1]), int(turns[-1])
+        return t + self.length * turns
+
+
+class _BusTime:
+    """How long the frames of a file take on a bus at the fastest, beside the time of its stamps."""
+
+    def __init__(self, log: Log) -> None:
+        self._log = log
+        self._begin()
+
+    def _begin(self) -> None:
+        self._seconds: Times = np.zeros(0)
+        self._frames = self._back = 0
+        self._first, self._end, self._last = math.inf, -math.inf, math.nan
+
+    def take(self, frames: FrameColumns) -> None:
+        """Take the next frames. Raises LogError where there are too many for their stamps."""
+        t = frames.t
+        if t[0] < self._last - DAMAGED_STEP or _steps_back(t).max(initial=0.0) > DAMAGED_STEP:
+            self._begin()  # the clock was set back, or another recording follows
+            return
+        self._last, self._frames = float(t[-1]), self._frames + len(frames)
+        self._first = min(self._first, float(t.min()))
+        self._end = max(self._end, float(t.max()))
+        on_bus: Times = np.bincount(frames.channel, _bus_seconds(frames)).astype(np.float64)
+        on_bus[: len(self._seconds)] += self._seconds
+        self._seconds = on_bus
+        self._back += int(np.count_nonzero(_steps_back(t)))
+        needed, passed = float(on_bus.max()), self._end - self._first
+        if needed > passed and self._back > DELTA_SHARE * self._frames > DELTA_SHARE * MIN_FRAMES:
+            raise LogError(
+                f"{self._log}: its time stamps count from the line before, it seems: "
+                f"{self._frames} frames lie within {passed:.3g} s, and {self._back} stamps go "
+                "back; record with: candump -l can0"
+            )
+        if needed > passed + BACKLOG_S:
+            raise LogError(
+                f"{self._log}: {self._frames} frames lie within {passed:.3g} s by their time "
+                f"stamps; a bus of 1 Mbit/s needs at least {needed:.1f} s for them: the stamps "
+                "are in another unit, or count from the frame before; export them in "
+                "seconds from the start, or record with: candump -l can0"
+            )
+
+
+def _bus_seconds(frames: FrameColumns) -> Times:
+    """How long each frame is on a bus at the fastest [s], (N,)."""
+    bits = frames.length * 8.0
+    seconds = (bits + HEAD_BITS) * BIT_S
+    if frames.fd is not None:
+        fast = (bits + FD_TAIL_BITS) * FD_BIT_S + FD_HEAD_BITS * BIT_S
+        seconds = np.where(frames.fd, fast, seconds)
+    long_id = frames.can_id >= CAN_EFF_FLAG
+    return seconds + long_id * (LONG_ID_BITS * BIT_S)
+
+
+class _HandedOver(NamedTuple):
+    """Frames that lie closer together than a bus allows: each run's first frame, and its stamp."""
+
+    start: NDArray[np.intp]
+    t: Times
+
+
+def _runs(frames: FrameColumns) -> _HandedOver:
+    gap, least = np.diff(frames.t), LEAST_GAP * _bus_seconds(frames)[1:]
+    start = np.flatnonzero(np.r_[True, ~((gap >= 0.0) & (gap < least))])
+    return _HandedOver(start, frames.t[start])
+
+
+def _burst_step(frames: FrameColumns) -> float:
+    """The usual time between bursts [s]; 0 where frames have their own stamps.
+
+    Many frames lie in one run with another frame of the same id: no sender is that fast, and no
+    bus. A copy, as a gateway or logger makes it, is no frame of its own.
+    """
+    frames = frames.take(~_is_copy(frames))
+    count = len(frames)
+    if count < MIN_FRAMES:
+        return 0.0
+    runs = _runs(frames)
+    if len(runs.start) > count // 2 or len(runs.start) < 2:
+        return 0.0
+    run = np.zeros(count, np.uint64)
+    run[runs.start[1:]] = 1
+    run = np.cumsum(run, dtype=np.uint64)
+    key = (run << np.uint64(40)) + (frames.channel.astype(np.uint64) << np.uint64(32))
+    _, times = np.unique(key + frames.can_id, return_counts=True)
+    if int(times[times > 1].sum()) <= SAME_ID_SHARE * count:
+        return 0.0
+    steps = np.diff(runs.t)
+    if np.count_nonzero(steps <= 0.0) > LOOP_TOLERANCE * len(steps):
+        return 0.0  # no clock
+    step = median(steps)
+    # Spread, they must be as far apart as a bus takes for them.
+    fits = step * len(runs.start) > np.bincount(frames.channel, _bus_seconds(frames)).max()
+    return step if fits else 0.0
+
+
+def _is_copy(frames: FrameColumns) -> NDArray[np.bool_]:
+    """Which frames (N,) are the one before once more; of many alike, each second one."""
+    same = np.zeros(len(frames), dtype=bool)
+    same[1:] = (np.diff(frames.t) == 0.0) & (frames.data[1:] == frames.data[:-1]).all(axis=1)
+    for column in (frames.can_id, frames.length, frames.channel):
+        same[1:] &= column[1:] == column[:-1]
+    place = np.arange(len(frames))
+    since = place - np.maximum.accumulate(np.where(same, 0, place))
+    copies: NDArray[np.bool_] = same & (since % 2 == 1)
+    return copies
+
+
+class _Bursts:
+    """Spreads the frames of a burst over the time since the one before; step [s] between them."""
+
+    def __init__(self, step: float) -> None:
+        self.step = max(step, 0.0)
+        self._before: float | None = None
+        self._open: FrameColumns | None = None
+
+    def take(self, frames: FrameColumns) -> FrameColumns:
+        """The frames whose burst has ended, with their times."""
+        if self._open is not None:
+            frames = concatenate([self._open, frames])
+        last = int(_runs(frames).start[-1])
+        self._open = frames.take(slice(last, len(frames)))
+        return self._spread(frames.take(slice(0, last)))
+
+    def rest(self) -> FrameColumns:
+        """The frames of the last burst, with their times."""
+        assert self._open is not None
+        return self._spread(self._open)
+
+    def _spread(self, frames: FrameColumns) -> FrameColumns:
+        if not len(frames):
+            return frames
+        runs = _runs(frames)
+        count = np.diff(np.r_[runs.start, len(frames)])
+        since = np.diff(
+            runs.t, prepend=runs.t[0] - self.step if self._before is None else self._before
+        )
+        self._before = float(runs.t[-1])
+        since[~((since >= 0.0) & (since <= MAX_STEP * self.step))] = self.step
+        run = np.repeat(np.arange(len(count)), count)
+        left = np.cumsum(count)[run] - 1 - np.arange(len(frames))
+        # One step later than handed over: where a clock is read too coarsely it is the true time,
+        # and no time is earlier than the first stamp.
+        return frames.at(runs.t[run] + self.step - since[run] * left / count[run])

@@ -1,0 +1,85 @@
+"""An accelerometer against which all signals that have a side need the other sign."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+from imucald.discovery.heading import HeadingFit
+from imucald.discovery.names import WHEELS
+from imucald.discovery.proposal import Choice, Proposed
+from imucald.discovery.sensors import BY_PLACES
+from imucald.discovery.wheels import BY_TURNS, EXCHANGED, IN_ORDER
+from imucald.mount.mirror import DOUBTED, REMEDY, SIDED, names_of, probability
+
+WITH_IT = "its sign goes with those of the accelerometer, which are unsure"
+
+
+def hold_against_usual_signs(choices: Sequence[Choice], heading: HeadingFit | None) -> None:
+    """Doubt the accelerometer, and turn it where it is likelier mirrored than the others turned.
+
+    A compass on the bus has decided that already.
+    """
+    by_name = {choice.quantity: choice for choice in choices}
+    accelerometer = by_name.get("accelerometer")
+    if accelerometer is None or len(accelerometer.sources) < 3 or accelerometer.doubt:
+        return
+    if heading is not None and heading.is_like_a_compass:
+        return
+    turned = _turned(by_name)
+    by_places = BY_PLACES in accelerometer.evidence
+    likely = probability(turned, by_places)
+    if likely < DOUBTED:
+        return
+    names = names_of(turned)
+    for name in SIDED:
+        if name in turned:
+            by_name[name].doubt = WITH_IT
+    # a database whose names do not say which axis is which says nothing of usual signs either
+    if likely <= 0.5 or by_places or not any(turned.get(name) for name in SIDED):
+        accelerometer.doubt = f"as it is, {names} would need 'sign: -1': {REMEDY}"
+        return
+    accelerometer.doubt = (
+        f"turned: as it is, {names} would need 'sign: -1'; it shows minus "
+        f"the specific force, or its axes are a left-handed set (likely by {100 * likely:.0f} %); "
+        "at rest the axis that points up must read plus 1 g, else remove the signs here"
+    )
+    accelerometer.sources = {k: _other(s) for k, s in accelerometer.sources.items()}
+    for name in SIDED:
+        if name in turned:
+            choice = by_name[name]
+            choice.sources = {k: _other(s) for k, s in choice.sources.items()}
+            choice.evidence += "; sign with the accelerometer turned"
+    _exchange_wheels(by_name.get("wheel_speeds"))
+
+
+def _exchange_wheels(wheels: Choice | None) -> None:
+    """Left and right as they are once the accelerometer is turned."""
+    if wheels is not None and wheels.doubt == EXCHANGED:
+        wheels.doubt = ""
+    elif wheels is not None and BY_TURNS in wheels.evidence:
+        fl, fr, rl, rr = (wheels.sources[wheel] for wheel in WHEELS)
+        wheels.sources = dict(zip(WHEELS, (fr, fl, rr, rl), strict=True))
+
+
+def _other(source: Proposed) -> Proposed:
+    return replace(source, sign=-source.sign)
+
+
+def _has_sign_bit(choice: Choice) -> bool:
+    return any(source.sign_signal is not None for source in choice.sources.values())
+
+
+def _turned(by_name: dict[str, Choice]) -> dict[str, bool]:
+    """Which of the signals that have a side need the other sign, of those whose sign is known."""
+    turned = {}
+    for name in ("gyroscope", *SIDED):
+        choice = by_name.get(name)
+        if choice is not None and choice.is_sure and not _has_sign_bit(choice):
+            turned[name] = all(source.sign < 0 for source in choice.sources.values())
+    wheels = by_name.get("wheel_speeds")
+    if wheels is not None and IN_ORDER in wheels.evidence:
+        turned["wheel_speeds"] = False
+    elif wheels is not None and wheels.doubt == EXCHANGED:
+        turned["wheel_speeds"] = True
+    return turned

@@ -1,0 +1,84 @@
+"""What was looked for and not found, with the nearest reason that the recording shows."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence, Set
+
+from imucald.can.dbc.database import Database
+from imucald.can.dbc.decode import compile_decode, id_match
+from imucald.can.dbc.message import Message
+from imucald.can.j1939_transport import in_transport
+from imucald.core.errors import DatabaseError
+from imucald.discovery.candidates import MessageTraffic, SeenSignal
+from imucald.discovery.names import named_so
+
+LOOKED_FOR = (
+    "accelerometer", "gyroscope", "speed", "wheel_speeds", "steering_wheel_angle", "yaw_rate",
+    "lateral_acceleration", "longitudinal_acceleration", "reverse", "brake", "temperature",
+    "heading",
+)  # fmt: skip
+
+
+def not_found(
+    found: Set[str],
+    used: Set[str],
+    databases: Mapping[str, Database],
+    messages: Mapping[str, MessageTraffic],
+    candidates: Sequence[SeenSignal],
+    announced: Mapping[int, int],
+) -> dict[str, str]:
+    """By quantity that was not found, why a signal with its name is not it; empty: no such name.
+
+    used: paths of signals that are another quantity. announced: messages that J1939's transport
+    protocol announces, as of `announced_messages`.
+    """
+    seen = {c.path: c for c in candidates}
+    reasons = {}
+    for quantity in LOOKED_FOR:
+        if quantity not in found:
+            named = _named(quantity, databases)
+            why = (
+                _why(message, name, messages, seen, announced)
+                for message, name in named
+                if f"{message.name}.{name}" not in used
+            )
+            reasons[quantity] = next(filter(None, why), "")
+    return reasons
+
+
+def _named(quantity: str, databases: Mapping[str, Database]) -> Iterator[tuple[Message, str]]:
+    for database in databases.values():
+        for message in database.messages.values():
+            yield from ((message, name) for name in message.signals if named_so(quantity, name))
+
+
+def _why(
+    message: Message,
+    name: str,
+    messages: Mapping[str, MessageTraffic],
+    seen: Mapping[str, SeenSignal],
+    announced: Mapping[int, int],
+) -> str:
+    """What the recording shows of a signal that is named like a quantity."""
+    path = f"{message.name}.{name}"
+    if path in seen:
+        if seen[path].is_constant:
+            return f"{path} never changes"
+        return f"{path} does not follow the motion, or its unit '{seen[path].unit}' does not fit"
+    try:
+        compile_decode(message, [name])
+        id_match(message)
+    except DatabaseError as error:
+        return f"{path} cannot be read: {error}"
+    traffic = messages.get(message.name)
+    if traffic is None:
+        match = id_match(message, j1939=True)
+        sizes = [size for can_id, size in announced.items() if match.matches(can_id, "")]
+        return f"{message.name} does not come" + (f": {in_transport(max(sizes))}" if sizes else "")
+    longest = int(traffic.length.max())
+    if longest < message.length:
+        return (
+            f"the frames of {message.name} have {longest} bytes, the database describes "
+            f"{message.length}"
+        )
+    return f"{path} has no value that can be used"

@@ -1,0 +1,37 @@
+"""How many frames are told to be lost, of messages whose times are known."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from imucald.can.dbc.database import load_database_text
+from imucald.can.lost_frames import lost_share
+
+DATABASE = load_database_text(
+    'VERSION ""\nNS_ :\nBS_:\nBU_: CAR\n'
+    'BO_ 16 AXES: 4 CAR\n SG_ Axis M : 0|8@1+ (1,0) [0|0] "" CAR\n'
+    + "".join(f' SG_ A{k} m{k} : 8|16@1- (1,0) [0|0] "" CAR\n' for k in range(1, 7))
+    + 'BO_ 17 PLAIN: 4 CAR\n SG_ B : 0|8@1+ (1,0) [0|0] "" CAR\n',
+    "dbc",
+)
+
+
+def test_six_axes_in_six_frames_one_after_the_other_are_no_loss():
+    t = (0.01 * np.arange(1000)[:, None] + 0.0009 * np.arange(6)).ravel()
+    assert lost_share(np.diff(t), DATABASE.message("AXES")) is None
+
+
+@pytest.mark.parametrize("message", [DATABASE.message("PLAIN"), None])
+def test_of_a_message_in_cycles_what_is_missing_is_lost(message):
+    t = 0.01 * np.delete(np.arange(1000), np.arange(5, 1000, 10))
+    assert lost_share(np.diff(t), message) == pytest.approx(0.1, abs=0.002)
+
+
+def test_a_hole_of_some_tenths_of_a_second_is_loss_and_one_of_a_minute_is_not():
+    t = 0.01 * np.arange(20_000)
+    kept = np.ones(len(t), dtype=bool)
+    for first in range(100, 20_000, 1000):
+        kept[first : first + 50] = False
+    assert lost_share(np.diff(t[kept])) == pytest.approx(0.05, abs=0.003)
+    assert lost_share(np.diff(np.concatenate([t, t + 260.0]))) == 0.0

@@ -1,0 +1,127 @@
+"""What check says of frames that are shorter, of several senders, or come in several pieces."""
+
+from __future__ import annotations
+
+import pytest
+
+from engine_bus import columns_of, load
+from imucald.can.columns import CAN_EFF_FLAG
+from imucald.config_check import Check, Finding
+
+ACC, SPEED = 0x18FF0500, 0x18FEF100
+DATABASE = f"""VERSION ""
+BS_:
+BU_: IMU
+BO_ {ACC + 0xFE | CAN_EFF_FLAG} ACC: 8 IMU
+ SG_ X : 0|16@1- (0.002,0) [0|0] "m/s^2" IMU
+ SG_ Y : 16|16@1- (0.002,0) [0|0] "m/s^2" IMU
+ SG_ Z : 32|16@1- (0.002,0) [0|0] "m/s^2" IMU
+BO_ {SPEED + 0xFE | CAN_EFF_FLAG} CCVS1: 8 IMU
+ SG_ V : 8|16@1+ (0.00390625,0) [0|250] "km/h" IMU
+BA_DEF_ BO_ "VFrameFormat" ENUM "StandardCAN","ExtendedCAN","reserved","J1939PG";
+BA_DEF_DEF_ "VFrameFormat" "J1939PG";
+"""
+CONFIG = """database: bus.dbc
+signals:
+  accelerometer: {x: ACC.X, y: ACC.Y, z: ACC.Z}
+  speed: CCVS1.V
+"""
+
+
+def found(tmp_path, *rows: tuple[int, bytes], config: str = CONFIG) -> list[Finding]:
+    """The findings of 3 s of these frames (id without flag, payload), over and over."""
+    check = Check(load(config, tmp_path, DATABASE))
+    frames = [
+        (0.01 * i + 0.001 * k, can_id | CAN_EFF_FLAG, data)
+        for i in range(300)
+        for k, (can_id, data) in enumerate(rows)
+    ]
+    columns = columns_of(frames)
+    check.feed(columns)
+    return check.findings()
+
+
+def texts(findings: list[Finding], name: str) -> str:
+    return "\n".join(f.text for f in findings if name in f.text)
+
+
+@pytest.mark.parametrize(("kind", "address"), [(0x20, 0xFF), (0x10, 0x10)])
+def test_a_message_that_is_announced_in_several_frames_is_named(tmp_path, kind, address):
+    announced = bytes([kind, 12, 0, 2, 0xFF, 0x05, 0xFF, 0x00])
+    rows = (0x1CEC00E2 | address << 8, announced), (SPEED, bytes(8))
+    text = texts(found(tmp_path, *rows), "ACC")
+    assert "transport protocol of J1939 (12 bytes" in text
+
+
+def test_neither_an_answer_nor_another_message_announces_it(tmp_path):
+    answer = bytes([0x11, 12, 0, 2, 0xFF, 0x05, 0xFF, 0x00])
+    other = bytes([0x20, 12, 0, 2, 0xFF, 0x06, 0xFF, 0x00])
+    rows = (0x1CEC10E2, answer), (0x1CECFFE2, other), (SPEED, bytes(8))
+    text = texts(found(tmp_path, *rows), "ACC")
+    assert "no frame of ACC" in text
+    assert "transport" not in text
+
+
+def test_frames_shorter_than_the_database_are_named_with_both_lengths(tmp_path):
+    findings = found(tmp_path, (ACC + 0xE2, bytes(6)), (SPEED, bytes(8)))
+    assert "frames of ACC have 6 bytes, in the database it has 8" in texts(findings, "ACC")
+    assert not texts(findings, "frames of CCVS1")
+
+
+def test_several_senders_of_a_message_are_named_with_the_key_that_chooses(tmp_path):
+    rows = (ACC + 0xE3, bytes(8)), (ACC + 0xE2, bytes(8)), (SPEED, bytes(8))
+    findings = found(tmp_path, *rows)
+    named = next(f for f in findings if "addresses" in f.text)
+    assert named.level == "warning"
+    assert "0xE2, 0xE3" in named.text
+    assert "source_address: 0xE2" in named.text
+    assert not texts(findings, "CCVS1 comes from")
+
+
+def test_the_address_that_is_taken_is_the_one_to_name_not_a_lower_one_that_came_later(tmp_path):
+    check = Check(load(CONFIG, tmp_path, DATABASE))
+    late = [(5.0 + 0.01 * i, ACC + 0x10 | CAN_EFF_FLAG, bytes(8)) for i in range(300)]
+    early = [(0.01 * i, ACC + 0xE2 | CAN_EFF_FLAG, bytes(8)) for i in range(800)]
+    check.feed(columns_of(sorted(early + late)))
+    text = texts(check.findings(), "addresses")
+    assert "0xE2, the lowest that came in the first seconds, is taken" in text
+    assert "'source_address: 0xE2'" in text
+
+
+def test_of_three_senders_whose_frames_are_all_taken_no_loss_is_said(tmp_path):
+    check = Check(load(CONFIG, tmp_path, DATABASE))
+    rows = [
+        (0.02 * i + 0.001 * k, SPEED + address | CAN_EFF_FLAG, bytes(8))
+        for i in range(300)
+        for k, address in enumerate((0x17, 0x00, 0x0B))
+    ]
+    check.feed(columns_of(rows))
+    probe = next(p for p in check.probes if p.name == "CCVS1")
+    assert probe.cycle is None
+    assert probe.lost_share is None
+
+
+def test_two_messages_of_one_pgn_are_told_apart_by_the_addresses_of_the_database(tmp_path):
+    box = DATABASE
+    for old, new in (ACC + 0xFE, ACC + 0xE2), (SPEED + 0xFE, ACC + 0xE3):
+        box = box.replace(f"BO_ {old | CAN_EFF_FLAG}", f"BO_ {new | CAN_EFF_FLAG}")
+    check = Check(load(CONFIG, tmp_path, box))
+    rows = [
+        (0.01 * i + 0.001 * k, ACC + address | CAN_EFF_FLAG, bytes([address] * 8))
+        for i in range(300)
+        for k, address in enumerate((0xE2, 0xE3))
+    ]
+    check.feed(columns_of(rows))
+    assert [p.frames for p in check.probes] == [300, 300]
+    assert not texts(check.findings(), "addresses")
+
+
+@pytest.mark.parametrize(("old", "new", "key"), [
+    ("database: bus.dbc", "database: {path: bus.dbc, j1939: false}", "j1939: true"),
+    ("z: ACC.Z}", "z: ACC.Z, source_address: 0x11}", "source_address"),
+])  # fmt: skip
+def test_a_message_that_comes_from_another_address_is_named_with_its_key(tmp_path, old, new, key):
+    rows = (ACC + 0xE2, bytes(8)), (SPEED + 0xFE, bytes(8))
+    text = texts(found(tmp_path, *rows, config=CONFIG.replace(old, new)), "no frame of ACC")
+    assert "comes from the address 0xE2" in text
+    assert key in text
