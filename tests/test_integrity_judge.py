@@ -15,6 +15,8 @@ from benchmarks.integrity.bases import Base, measured
 from benchmarks.integrity.bus import configuration, frames
 from benchmarks.integrity.cases import QUICK, ROWS, Case, cases, put
 from benchmarks.integrity.diagram import diagram
+from benchmarks.integrity.force import ENTRIES, Response, left_over, stated_of_angles
+from benchmarks.integrity.force import misleading as beyond_limits
 from benchmarks.integrity.judge import (
     Allowed,
     Seconds,
@@ -32,14 +34,16 @@ from benchmarks.measured import DATA
 from benchmarks.mount_accuracy.drives import FULL
 
 from imucald.can.logs.log_reader import LogReader
-from imucald.core.rotations import vector_from_rotation
+from imucald.core.rotations import rotation_from_vector, vector_from_rotation
 from imucald.core.samples import Series
 from imucald.inputs.wiring import compile_router
+from imucald.mount.estimate import HOUSING, Correction
 from imucald.runtime.estimators import estimator_for
 from imucald.runtime.pipeline import Pipeline
 from imucald.runtime.replay import Replay
 from imucald.runtime.session import make_engine, open_config
 from imucald.simulation import random_model, simulate
+from imucald.simulation.imu import gain_matrix
 
 AT_ONCE = Allowed()
 SEED = 650_000
@@ -338,13 +342,26 @@ def test_frames_say_the_state_and_the_rotation_that_the_pipeline_holds(base):
     routed = compile_router(loaded).columns(stream, bus)
     held, _ = pipeline.run(routed.samples, {}, float(stream[-1]))
     middle = np.floor((np.arange(base.seconds) + 0.5 - bus.t[0]) * 10.0).astype(int)
-    applied = held.rotations[middle].reshape(-1, 3, 3)
+    applied = held.by_tick(HOUSING)[middle, :9].reshape(-1, 3, 3)
     good = np.isfinite(applied).all(axis=(1, 2))
     assert 30 < good.sum() < base.seconds
     for k in np.flatnonzero(good):
         between = vector_from_rotation(applied[k] @ found.rotation[k].T)
         assert np.degrees(np.abs(between)).max() < 0.01  # the probes' step: 0.002 of 30 m/s^2
     assert np.array_equal(np.isfinite(found.rotation).all(axis=(1, 2)), good)
+    for k, correction in enumerate(found.correction[:-1]):
+        assert (correction is not None) == good[k]
+        if correction is not None:
+            assert correction.rotation == tuple(applied[k].ravel())
+    # a rotation that is off leaves what its own deviations say; the accelerometer's zero that it
+    # does not take off comes to the level zero
+    of_angles = stated_of_angles(found.std[good])
+    told = found.sent_std[good]
+    zeros = [ENTRIES.index("zero x"), ENTRIES.index("zero y")]
+    assert (told[:, zeros] > of_angles[:, zeros] - 0.006).all()
+    np.testing.assert_allclose(
+        np.delete(told, zeros, axis=1), np.delete(of_angles, zeros, axis=1), atol=0.006
+    )
     t = found.accel.t
     assert len(t) == len(base.samples["accel"].t)
     ticks = np.floor((t - bus.t[0]) * 10.0).astype(int)
@@ -486,3 +503,89 @@ def test_figures_stand_between_the_pages_marks():
         "head\n<!-- integrity -->\n\nnew\n\n<!-- end of integrity -->\ntail"
     )
     assert Case("no fault", "1", 0, 60.0).key == "quiet/no fault/1/0/60"
+
+
+# what a consumer gets ----------------------------------------------------------------------------
+
+
+def test_cross_talk_is_what_a_true_force_leaves_on_the_other_axes():
+    R = rotation_from_vector([0.3, -1.1, 2.0])  # vehicle from sensor
+    unit = Response(
+        accel=np.eye(3) + 0.02 * np.random.default_rng(3).standard_normal((3, 3)),
+        gyro=rotation_from_vector([0.01, 0.0, 0.0]),
+        zero=np.array([0.1, -0.2, 0.05]),
+    )
+    found = dict(zip(ENTRIES, left_over(Correction.turning(R), unit, R, R), strict=True))
+    for name, (i, j) in {"xy": (0, 1), "yx": (1, 0), "zx": (2, 0), "zy": (2, 1)}.items():
+        true = np.zeros(3)
+        true[j] = 5.0
+        sent_force = R @ (unit.accel @ (R.T @ true))
+        assert found[name] == pytest.approx(math.degrees(sent_force[i] / 5.0))
+    at_rest = R @ (unit.accel @ (R.T @ [0.0, 0.0, 9.80665]) + unit.zero)
+    assert [found["zero x"], found["zero y"]] == pytest.approx(at_rest[:2])
+    rate = R @ (unit.gyro @ (R.T @ [0.0, 0.0, 0.4]))
+    assert found["rate xz"] == pytest.approx(math.degrees(rate[0] / 0.4))
+    assert found["rate yz"] == pytest.approx(math.degrees(rate[1] / 0.4))
+
+
+def test_a_matrix_and_an_offset_that_undo_a_units_errors_leave_nothing():
+    R = rotation_from_vector([0.3, -1.1, 2.0])
+    errors = 0.03 * np.random.default_rng(4).standard_normal((2, 3, 3))
+    unit = Response(np.eye(3) + errors[0], np.eye(3) + errors[1], np.array([0.2, -0.1, 0.3]))
+    W, V = R @ np.linalg.inv(unit.accel), R @ np.linalg.inv(unit.gyro)
+    right = Correction.with_matrices(R, W, V, W @ unit.zero)
+    assert np.abs(left_over(right, unit, R, R)).max() < 1e-12
+    without = Correction.with_matrices(R, W, V)
+    assert left_over(without, unit, R, R)[4:6] == pytest.approx((W @ unit.zero)[:2])
+
+
+def test_a_rotation_that_undoes_the_error_of_the_axes_leaves_nothing():
+    R, turn = rotation_from_vector([0.3, -1.1, 2.0]), rotation_from_vector([0.0, 0.0, 0.07])
+    assert (
+        np.abs(
+            left_over(Correction.turning(R @ turn.T), Response(accel=turn, gyro=turn), R, R)
+        ).max()
+        < 1e-12
+    )
+
+
+def test_a_lean_of_the_roads_is_set_aside_in_the_level_zero():
+    R, lean = np.eye(3), rotation_from_vector([0.02, 0.0, 0.0])
+    assert abs(left_over(Correction.turning(lean @ R), Response(), R, lean @ R)[5]) < 1e-12
+    assert abs(left_over(Correction.turning(lean @ R), Response(), R, R)[5]) == pytest.approx(
+        9.80665 * math.sin(0.02)
+    )
+
+
+@pytest.mark.parametrize(("entry", "size"), [(0, 1.1), (5, 0.21), (7, 1.1)])
+def test_an_entry_beyond_its_limit_and_four_deviations_misleads(entry, size):
+    left, narrow = np.zeros((10, 8)), np.full((10, 8), 0.04)
+    left[4:, entry] = -size
+    assert beyond_limits(left, narrow).sum() == 6
+    assert beyond_limits(left, np.full((10, 8), 0.3)).sum() == 0
+    assert beyond_limits(0.8 * left, narrow).sum() == 0
+    assert beyond_limits(np.full((10, 8), np.nan), narrow).sum() == 0
+
+
+@pytest.mark.parametrize("edit", [faults.mixture, faults.antisymmetric(0.04)])
+def test_an_edited_unit_answers_as_it_is_said_to(base, edit):
+    faulty = edit(base, put_at(0.0, 1))
+    sound, edited = base.samples, faulty.samples
+    expected = sound["accel"].values @ faulty.response.accel.T + faulty.response.zero
+    np.testing.assert_allclose(edited["accel"].values, expected, atol=1e-12)
+    expected = sound["gyro"].values @ faulty.response.gyro.T
+    np.testing.assert_allclose(edited["gyro"].values, expected, atol=1e-12)
+    assert np.abs(faulty.response.accel - np.eye(3)).max() > 0.01
+
+
+def test_a_units_errors_are_those_that_the_simulation_puts_in(base):
+    model = random_model(SEED).with_changes({"accel.cross_axis": [0.03, 0, 0, 0, -0.02, 0]})
+    answer = gain_matrix(model.accel)
+    assert answer[0, 1] == 0.03
+    assert answer[2, 0] == -0.02
+    other = simulate(model, SEED, 2.0)
+    sound = simulate(random_model(SEED), SEED, 2.0)
+    K = answer @ np.linalg.inv(gain_matrix(random_model(SEED).accel))
+    bias = np.array(model.accel.bias)
+    expected = (sound.samples["accel"].values - bias) @ K.T + bias
+    assert np.abs(other.samples["accel"].values - expected).mean() < 0.01  # steps and warming up

@@ -16,6 +16,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from benchmarks.integrity.force import Response
 from benchmarks.measured import DATA, FOLDER, MEASURED_DRIVES, ROOT
 from benchmarks.mount_accuracy.drives import FULL
 from imucald.can.logs.log_reader import LogReader
@@ -25,6 +26,7 @@ from imucald.inputs.wiring import compile_router
 from imucald.runtime.session import open_config
 from imucald.runtime.timebase import TimeBase
 from imucald.simulation import random_model, simulate
+from imucald.simulation.imu import gain_matrix
 
 Array = NDArray[np.float64]
 
@@ -41,7 +43,7 @@ class Base:
     R_vehicle_from_sensor: the mount at the start; later ones in `mounts`. axes: of which of roll,
     pitch, yaw the truth is known, and reference_std: how well [deg]. lean: mean roll of its roads
     beyond what the configuration says of them [rad]. accel_bias, gyro_bias: (3,) in sensor axes,
-    where known. seed: of a simulated drive.
+    where known. seed: of a simulated drive. response: of the unit, where known.
     """
 
     name: str
@@ -55,6 +57,7 @@ class Base:
     gyro_bias: tuple[float, float, float] = (0.0, 0.0, 0.0)
     side: str = "right"
     seed: int | None = None
+    response: Response | None = None
     mounts: tuple[tuple[float, Matrix3], ...] = ()
 
     @property
@@ -103,6 +106,9 @@ def simulated(seed: int, minutes: float, keep: bool = True) -> Base:
         accel_bias=model.accel.bias,
         gyro_bias=model.gyro.bias,
         seed=seed,
+        response=Response(
+            gain_matrix(model.accel), gain_matrix(model.gyro), np.array(model.accel.bias)
+        ),
     )
 
 
@@ -196,8 +202,19 @@ def _second_world(name: str, folder: Path) -> Base:
         lean=truth["parameters"]["road"]["crown"] - FULL.crown,
         accel_bias=tuple(imu["accel_bias"]),
         gyro_bias=(x, y, z),
+        response=Response(
+            np.eye(3) + np.diag(imu["accel_scale"]) + _sheared(imu["accel_cross"]),
+            np.eye(3) + np.diag(imu["gyro_scale"]),
+            np.array(imu["accel_bias"]),
+        ),
         mounts=mounts,
     )
+
+
+def _sheared(cross: list[float]) -> Array:
+    """Cross-axis terms of that simulator: xy, xz, yz of a symmetric matrix."""
+    xy, xz, yz = cross
+    return np.array([[0.0, xy, xz], [xy, 0.0, yz], [xz, yz, 0.0]])
 
 
 def _rotation(mount: dict[str, float]) -> Matrix3:

@@ -69,14 +69,19 @@ PROTECTED = {
 
 @cache
 def configuration(
-    channels: frozenset[str], cycles: bool, side: str = "right", gyro_factor: float = 1.0
+    channels: frozenset[str],
+    cycles: bool,
+    side: str = "right",
+    gyro_factor: float = 1.0,
+    estimator: str = "full",
 ) -> LoadedConfig:
     """The bus of a drive with these channels.
 
     cycles: whether the database states the example bus's cycle times. gyro_factor: what the
     database multiplies the gyroscope's values by, beside what is right.
     """
-    return parse_config(_yaml(channels, side, _database(cycles, gyro_factor)))
+    text = _yaml(channels, side, _database(cycles, gyro_factor))
+    return parse_config(f"{text}\ncalibration: {{estimator: {estimator}}}\n")
 
 
 def _database(cycles: bool, gyro_factor: float) -> Path:

@@ -98,6 +98,10 @@ ROWS = (
         Row("errors", f"cross-axis {100 * share:g} %", 5, faults.cross_axis(share))
         for share in (0.005, 0.01, 0.02, 0.04)
     ),
+    Row("errors", "antisymmetric 4 %", 5, faults.antisymmetric(0.04)),
+    Row("errors", "gyroscope axes 3 %", 5, faults.cross_axis(0.03, "gyro")),
+    Row("errors", "gyroscope turned by 1 deg", 5, faults.turned_gyroscope(1.0)),
+    Row("errors", "mixture", 5, faults.mixture),
     Row("errors", "gain of an axis 3 %", 5, faults.gain(0.03)),
     Row("errors", "gain of an axis 10 %", 5, faults.gain(0.1)),
     Row(
@@ -142,12 +146,14 @@ _NAMED = {row.name: row for row in (*ROWS, QUIET, AS_RECORDED)}
 
 @dataclass(frozen=True)
 class Case:
-    """One drive to judge. base: a seed, or the name of a measured log. number: of the fault's."""
+    """One drive to judge. base: a seed, or the name of a measured log. number: of the fault's.
+    estimator: as the configuration names it."""
 
     row: str
     base: str
     number: int
     minutes: float
+    estimator: str = "full"
 
     @property
     def fault(self) -> Row:
@@ -157,7 +163,8 @@ class Case:
     @property
     def key(self) -> str:
         """Names it in the file of results."""
-        return f"{self.fault.part}/{self.row}/{self.base}/{self.number}/{self.minutes:g}"
+        own = "" if self.estimator == "full" else f"/{self.estimator}"
+        return f"{self.fault.part}/{self.row}/{self.base}/{self.number}/{self.minutes:g}{own}"
 
 
 @dataclass(frozen=True)

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.integrity.bases import Base
+from benchmarks.integrity.force import Response
 from imucald.core.rotations import Matrix3, rotation_from_vector
 from imucald.core.samples import GRAVITY, Samples, Series
 
@@ -50,6 +51,8 @@ class Faulty:
     turn: Callable[[float], Matrix3] | None = None
     gyro_factor: float = 1.0
     left_out: frozenset[str] = field(default_factory=frozenset)
+    response: Response = field(default_factory=Response)
+    """What is put on the unit's own answer, all the time."""
     is_turned_round: bool = False
     """Roads lean the other way for it."""
     runs_from: float = 0.0
@@ -261,23 +264,64 @@ def _linear(channel: str, matrix: Callable[[Put], Array], is_judged: bool) -> Ed
     def edit(base: Base, put: Put) -> Faulty:
         if channel not in base.samples:
             return Faulty(base.samples, 0.0)
-        series = base.samples[channel]
-        changed = Series(series.t, series.values @ matrix(put).T)
+        series, applied = base.samples[channel], matrix(put)
+        changed = Series(series.t, series.values @ applied.T)
         judged = (channel,) if is_judged else ()
-        return Faulty({**base.samples, channel: changed}, 0.0, judged)
+        response = Response(**{channel: applied})
+        return Faulty({**base.samples, channel: changed}, 0.0, judged, response=response)
 
     return edit
 
 
-def cross_axis(share: float) -> Edit:
-    """Cross-axis errors of the accelerometer, rms share, as `random_model` draws them."""
+def _six(rng: np.random.Generator, share: float) -> Array:
+    """One, and six cross-axis terms of a share rms, as `random_model` draws them."""
+    matrix = np.eye(3)
+    matrix[~np.eye(3, dtype=bool)] = share * rng.standard_normal(6)
+    return matrix
+
+
+def cross_axis(share: float, channel: str = "accel") -> Edit:
+    """Cross-axis errors of the accelerometer (or gyroscope), rms share."""
+    return _linear(channel, lambda put: _six(put.rng, share), is_judged=False)
+
+
+def antisymmetric(share: float) -> Edit:
+    """The axes of the accelerometer turned against the package and the gyroscope, rms share."""
 
     def matrix(put: Put) -> Array:
-        gain = np.eye(3)
-        gain[~np.eye(3, dtype=bool)] = share * put.rng.standard_normal(6)
-        return gain
+        off = np.triu(share * put.rng.standard_normal((3, 3)), 1)
+        return np.asarray(np.eye(3) + off - off.T)
 
     return _linear("accel", matrix, is_judged=False)
+
+
+def turned_gyroscope(angle_deg: float) -> Edit:
+    """The gyroscope turned against the accelerometer, about an axis that is drawn."""
+
+    def matrix(put: Put) -> Array:
+        axis = put.rng.standard_normal(3)
+        return rotation_from_vector(math.radians(angle_deg) * axis / np.linalg.norm(axis))
+
+    return _linear("gyro", matrix, is_judged=False)
+
+
+def mixture(base: Base, put: Put) -> Faulty:
+    """Ordinary limits of a data sheet together: cross-axis terms of 2 %, a gain of 3 %, a zero of
+    0.1 m/s^2, the gyroscope's axes 3 % off and turned by 1 deg."""
+    response = Response(
+        np.diag(_one(put.variant, 1.0 + put.sign * 0.03)) @ _six(put.rng, 0.02),
+        zero=0.1 * put.rng.standard_normal(3),
+    )
+    accel = base.samples["accel"]
+    samples = {
+        **base.samples,
+        "accel": Series(accel.t, accel.values @ response.accel.T + response.zero),
+    }
+    faulty = Faulty(samples, 0.0, response=response)
+    for edit in (cross_axis(0.03, "gyro"), turned_gyroscope(1.0)):
+        more = edit(replace(base, samples=faulty.samples), put)
+        faulty = Faulty(more.samples, 0.0, response=faulty.response.then(more.response))
+    return faulty
 
 
 def gain(share: float) -> Edit:

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from benchmarks.integrity import force
 from benchmarks.integrity.bases import MEASURED, SIMULATED, Base, simulated
 from benchmarks.integrity.bus import configuration, frames
 from benchmarks.integrity.cases import CLIPPED, FOUND, QUIET, SATURATED, Case, put
@@ -57,7 +58,7 @@ def outcome(case: Case) -> dict[str, Any] | None:
     channels = frozenset(base.samples) - faulty.left_out
     is_simulated = base.seed is not None
     writes = configuration(channels, is_simulated, base.side)
-    reads = configuration(channels, is_simulated, base.side, faulty.gyro_factor)
+    reads = configuration(channels, is_simulated, base.side, faulty.gyro_factor, case.estimator)
     model = random_model(base.seed) if base.seed is not None else None
     bus = frames(faulty.samples, base.duration_s, writes, model, base.seed or 0)
     found = sent(bus, reads, base.seconds)
@@ -82,6 +83,7 @@ def outcome(case: Case) -> dict[str, Any] | None:
         "crash": found.crash,
         "shown": case.fault.is_shown(channels),
         "points": points(seconds, faulty.onset),
+        "force": _force(base, faulty, found, seconds),
         **_first_good(seconds, found),
         "level": _checked(bus, reads, base) if case.fault.checked else None,
         "cpu_s": round(time.process_time() - began, 2),
@@ -109,9 +111,7 @@ def rows(base: Base, faulty: Faulty, found: Sent) -> Seconds:
     n = base.seconds
     error = np.full((n, 3), np.nan)
     beyond = np.full(n, np.nan)
-    expected = FULL.crown
-    beyond_expected = -base.lean - 2.0 * expected if faulty.is_turned_round else base.lean
-    lean = rotation_from_vector([beyond_expected, 0.0, 0.0])
+    lean = _beyond_expected(base, faulty)
     for k in np.flatnonzero(np.isfinite(found.rotation).all(axis=(1, 2))).tolist():
         true = true_mount(base, faulty, k + 0.5)
         error[k] = np.degrees(vector_from_rotation(true @ found.rotation[k].T))
@@ -136,6 +136,30 @@ def rows(base: Base, faulty: Faulty, found: Sent) -> Seconds:
         reference_std=np.array(base.reference_std),
         wrong=wrong,
     )
+
+
+def _beyond_expected(base: Base, faulty: Faulty) -> Matrix3:
+    """The mean lean of the roads beyond what the configuration says of them."""
+    lean = -base.lean - 2.0 * FULL.crown if faulty.is_turned_round else base.lean
+    return rotation_from_vector([lean, 0.0, 0.0])
+
+
+def _force(base: Base, faulty: Faulty, found: Sent, seconds: Seconds) -> dict[str, Any] | None:
+    """Cross-talk and zero that are left in what was sent; None where the truth is not known."""
+    if base.response is None:
+        return None
+    response = base.response.then(faulty.response)
+    left = np.full((base.seconds, len(force.ENTRIES)), np.nan)
+    for k, applied in enumerate(found.correction):
+        if applied is not None:
+            true = true_mount(base, faulty, k + 0.5)
+            on_roads = _beyond_expected(base, faulty) @ true
+            left[k] = force.left_over(applied, response, true, on_roads)
+    if found.gyro is None:
+        left[:, -2:] = np.nan
+    is_stated = np.isfinite(found.sent_std)
+    std = np.where(is_stated, found.sent_std, force.stated_of_angles(seconds.std))
+    return force.outcome(left, std, seconds.good)
 
 
 def true_mount(base: Base, faulty: Faulty, t: float) -> Matrix3:

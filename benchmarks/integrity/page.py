@@ -16,6 +16,7 @@ from benchmarks.integrity.cases import (
     SHIFTED,
     Row,
 )
+from benchmarks.integrity.force import table as force_table
 from benchmarks.measured import ROOT, verdict
 
 Line = dict[str, Any]
@@ -39,6 +40,9 @@ def report(lines: Sequence[Line]) -> str:
         out += ["### Faults", "", *_table(there, by_row), ""]
     if hidden:
         out += ["### Faults that no signal shows", "", *_hidden(hidden), ""]
+    sensors = [("sound", quiet)] + [(r.name, by_row[r.name]) for r in there if r.part == "errors"]
+    if any(lines for _, lines in sensors):
+        out += ["### What a consumer gets", "", *force_table(sensors), ""]
     out += ["### Bars", "", *_bars(there, by_row, quiet, recorded), ""]
     if recorded:
         out += ["### Logs as they were recorded", "", *_recorded(recorded), ""]

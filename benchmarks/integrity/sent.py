@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import itertools
+import math
 import traceback
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,7 +17,12 @@ from imucald.can.columns import FrameColumns
 from imucald.can.dbc.decode import compile_decode
 from imucald.config import LoadedConfig
 from imucald.core.rotations import Matrix3, rotation_from_angles
+from imucald.motion.ticks import tick_index
+from imucald.mount.estimate import Correction
+from imucald.runtime.engine import Engine
 from imucald.runtime.output.output_frames import output_database
+from imucald.runtime.pipeline import Snapshot, TickCorrections
+from imucald.runtime.segment_samples import SegmentSamples
 from imucald.runtime.session import make_engine
 
 Array = NDArray[np.float64]
@@ -45,19 +52,25 @@ class Sent:
     """What was sent.
 
     rotation: (seconds, 3, 3) R_vehicle_from_sensor as applied in the middle of each second, NaN
-    where nothing was applied. std: (seconds, 3) stated deviations [deg]. crash: what ended it.
+    where nothing was applied. correction: (seconds,) all that was applied then. std: (seconds, 3)
+    stated deviations [deg]. sent_std: (seconds, 8) those of `force.ENTRIES`. crash: what ended it.
     """
 
     accel: Triad
     gyro: Triad | None
     rotation: Array
+    correction: Sequence[Correction | None]
     std: Array
+    sent_std: Array
     crash: str | None
 
 
 def sent(frames: FrameColumns, loaded: LoadedConfig, seconds: int) -> Sent:
     """Take frames through an engine of this configuration; an exception ends it and is told."""
-    engine = make_engine(loaded)
+    applied: list[Correction | None] = [None] * seconds
+    watch = _Watch(applied)
+    engine = make_engine(loaded, on_samples=watch.take)
+    watch.hang_on(engine)
     edges = np.searchsorted(frames.t, np.arange(0.0, seconds + CHUNK_S, CHUNK_S)).tolist()
     parts: list[FrameColumns] = []
     crash = None
@@ -76,14 +89,57 @@ def sent(frames: FrameColumns, loaded: LoadedConfig, seconds: int) -> Sent:
     has_gyro = loaded.config.signals.gyroscope is not None
     gyro = _triad(parts, "IMUCALD_AngularRate", ids.angular_rate) if has_gyro else None
     middles: Array = np.arange(seconds, dtype=np.float64) + 0.5
-    std = _latest(
-        parts, "IMUCALD_MountDeviation", ids.mount_deviation,
-        [f"Deviation{axis}" for axis in "XYZ"], middles,
-    )  # fmt: skip
+    std, cross_talk, zero = (
+        _deviations(parts, message, can_id, names, middles)
+        for message, can_id, names in (
+            ("IMUCALD_MountDeviation", ids.mount_deviation, ("X", "Y", "Z")),
+            ("IMUCALD_CrossTalkDeviation", ids.cross_talk_deviation, ("XY", "YX", "ZX", "ZY")),
+            ("IMUCALD_ZeroDeviation", ids.zero_deviation, ("ZeroX", "ZeroY", "RateXZ", "RateYZ")),
+        )
+    )
+    rotation = _rotation(parts, ids.mount, middles)
+    return Sent(accel, gyro, rotation, applied, std, np.hstack([cross_talk, zero]), crash)
+
+
+class _Watch:
+    """Keeps what an engine applies in the middle of each second of its frames' stamps.
+
+    Frames carry samples, not matrices: of a matrix and an offset the probes show too little.
+    """
+
+    def __init__(self, applied: list[Correction | None]) -> None:
+        self._applied = applied
+        self._newest: TickCorrections | None = None
+
+    def hang_on(self, engine: Engine) -> None:
+        """Take the corrections of each run of its pipeline."""
+        run = engine.pipeline.run
+
+        def watched(*arguments: Any) -> tuple[TickCorrections, list[Snapshot]]:
+            self._newest, snapshots = run(*arguments)
+            return self._newest, snapshots
+
+        engine.pipeline.run = watched  # type: ignore[method-assign]
+
+    def take(self, samples: SegmentSamples) -> None:
+        """Take the seconds of a segment, whose corrections came just before."""
+        found, stamps = self._newest, samples.stamps
+        assert found is not None
+        first, last = math.ceil(stamps[0] - 0.5), math.floor(stamps[-1] - 0.5)
+        for second in range(max(first, 0), min(last + 1, len(self._applied))):
+            row = int(np.searchsorted(stamps, second + 0.5, side="right")) - 1
+            tick = tick_index(float(samples.segment.t[row])) - found.first
+            self._applied[second] = found.corrections[tick]
+
+
+def _deviations(
+    parts: Sequence[FrameColumns], message: str, can_id: int, names: Sequence[str], middles: Array
+) -> Array:
+    std = _latest(parts, message, can_id, [f"Deviation{name}" for name in names], middles)
     # Good from the middle of a second on: its deviation is told at the second's end.
     unsaid = np.flatnonzero(np.isnan(std[:-1]).any(axis=1))
     std[unsaid] = std[unsaid + 1]
-    return Sent(accel, gyro, _rotation(parts, ids.mount, middles), std, crash)
+    return std
 
 
 def _triad(parts: Sequence[FrameColumns], message: str, can_id: int) -> Triad:
@@ -106,6 +162,8 @@ def _decoded(
             signal = found.signal(name)
             if signal.length == 16:
                 values[raw == (-32768 if signal.is_signed else 65535), i] = np.nan
+            elif signal.length == 12:
+                values[raw == 4095, i] = np.nan
         times.append(mine.t)
         rows.append(values)
     return np.concatenate(times), np.concatenate(rows)

@@ -164,11 +164,15 @@ def heading_of(p: SignalBlock, sign: float) -> tuple[NDArray[np.float64], NDArra
 
 
 def beside(
-    sign: float, *channels: str, stated: Mapping[str, str] | None = None, mirrored: bool = False
+    sign: float,
+    *channels: str,
+    stated: Mapping[str, str] | None = None,
+    mirrored: bool = False,
+    are_sides_turned: bool = False,
 ) -> Alternatives:
     """What the usual drive shows to one that has these signals beside the sensor; sign: theirs."""
     calibration = CalibrationSettings(orientation=OrientationSettings(**(stated or {})))  # type: ignore[arg-type]
-    found = Alternatives(EstimatorSettings(calibration))
+    found = Alternatives(EstimatorSettings(calibration, are_sides_turned=are_sides_turned))
     kept: list[SignalBlock] = []
     turned = np.diag([-1.0, 1.0, -1.0]) @ R if mirrored else R
     for k in range(40):
@@ -187,6 +191,14 @@ def test_the_mirror_image_fits_as_well_where_nothing_knows_left_from_right():
         assert found.missing(TO_BE_FINE) is None
         assert not found.is_mirror_excluded
         assert found.not_checked
+
+
+def test_a_signal_whose_sign_was_turned_confirms_no_signs_of_the_accelerometer():
+    found = beside(1.0, "lateral_accel", are_sides_turned=True)
+    assert not found.is_mirror_excluded
+    assert "sign: -1" in found.not_checked[0]
+    assert beside(1.0, "lateral_accel", are_sides_turned=True, stated={"up": "z"}).not_checked == ()
+    assert beside(1.0, "heading", are_sides_turned=True).is_mirror_excluded
 
 
 @pytest.mark.parametrize("channel", ["lateral_accel", "heading"])

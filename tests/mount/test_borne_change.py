@@ -13,10 +13,12 @@ from scipy.spatial.transform import Rotation
 from imucald.core.rotations import rotation_from_angles, vector_from_rotation
 from imucald.motion.column_ticks import ticks_from_samples
 from imucald.mount.estimate import MountState
+from imucald.mount.estimate_details import change_details
 from imucald.mount.estimator import FullEstimator
 from imucald.mount.gravity_step import GravityStep
 from imucald.mount.large_change import LargeChange
-from imucald.mount.mount_changes import MountChanges, blocks_since, probability
+from imucald.mount.mount_changes import GoodMount, MountChanges, blocks_since, probability
+from imucald.mount.mount_words import change_words, is_move
 from imucald.mount.shift import Shift
 from imucald.mount.signal_blocks import BLOCK_S
 from imucald.simulation import random_model, simulate
@@ -81,7 +83,7 @@ def test_what_comes_after_a_step_leaves_out_the_blocks_that_may_hold_it():
 
 def test_the_interval_of_95_percent_reaches_from_the_old_angle_to_the_new_one():
     watched, known = changes(), solver(0.1)
-    assert watched.bear(shift(YAW, 0.9), 70)
+    assert watched.bear(shift(YAW, 0.9), 70, 0.1 * DEG, None)
     std = np.degrees(np.sqrt(known.fused.variance + watched.variance(known, 100)))
     assert 1.96 * std[YAW] >= 0.88
     assert std[PITCH] == pytest.approx(0.1)
@@ -90,12 +92,13 @@ def test_the_interval_of_95_percent_reaches_from_the_old_angle_to_the_new_one():
 
 def test_a_deviation_that_covers_a_change_already_is_left_alone():
     watched, known = changes(), solver(1.0)
-    watched.bear(shift(PITCH, 1.5), 70)
+    watched.bear(shift(PITCH, 1.5), 70, 1.0 * DEG, None)
     assert watched.variance(known, 100)[PITCH] == 0.0
 
 
-def by_rows(R: Any) -> Any:
-    return tuple(np.asarray(R, dtype=float).ravel().tolist())
+def good(R: Any, std_deg: float = 0.5) -> GoodMount:
+    rows = tuple(np.asarray(R, dtype=float).ravel().tolist())
+    return GoodMount(rows, (std_deg * DEG,) * 3)
 
 
 def test_a_turn_is_measured_by_the_mounts_before_and_after_it():
@@ -104,33 +107,57 @@ def test_a_turn_is_measured_by_the_mounts_before_and_after_it():
     turn = np.array([0.0, 0.17, 0.02])
     after = Rotation.from_rotvec(turn).as_matrix() @ before
     watched = changes()
-    for good in (None, by_rows(before)):
-        watched.end_of_mounting(good)
-        watched.take(shift(0, 3.0), 50, good)
+    for mount in (None, good(before)):
+        watched.end_of_mounting(mount)
+        watched.take(shift(0, 3.0), 50, 0.5 * DEG, mount)
     assert watched.turns(None) == [None, None]
-    first, second = watched.turns(by_rows(after))
+    first, second = watched.turns(good(after, 0.7))
     assert first is None
-    assert second == pytest.approx(turn)
+    assert second is not None
+    assert second[0] == pytest.approx(turn)
+    assert np.degrees(second[1]) == pytest.approx(0.7)
 
 
 def test_what_comes_later_does_not_change_the_turn_that_was_measured():
     before, after, later = (rotation_from_angles(0.3, p, 2.0) for p in (-0.2, -0.1, 0.3))
     watched = changes()
-    watched.take(shift(PITCH, 3.0), 50, by_rows(before))
-    watched.end_of_mounting(by_rows(after))
-    watched.bear(shift(YAW, 0.8), 70)
-    turn, borne = watched.turns(by_rows(later))
+    watched.take(shift(PITCH, 3.0), 50, 0.5 * DEG, good(before))
+    watched.end_of_mounting(good(after))
+    watched.bear(shift(YAW, 0.8), 70, 0.5 * DEG, None)
+    turn, borne = watched.turns(good(later))
     assert borne is None, "the mount went on as it was"
     assert turn is not None
-    assert math.hypot(*turn) == pytest.approx(0.1)
+    assert math.hypot(*turn[0]) == pytest.approx(0.1)
+
+
+@pytest.mark.parametrize(("degrees", "is_within"), [(0.0, True), (0.9, True), (1.1, False)])
+def test_a_sensor_was_moved_where_the_mount_is_found_further_off_than_its_interval(
+    degrees, is_within
+):
+    """After a change that is borne, and after one that is not."""
+    turned = good(Rotation.from_rotvec([0.0, degrees * DEG, 0.0]).as_matrix())
+    for is_borne in (True, False):
+        watched = changes()
+        if is_borne:
+            watched.bear(shift(PITCH, 1.5), 70, 0.5 * DEG, good(np.eye(3)))
+        else:
+            watched.take(shift(PITCH, 3.0), 90, 0.5 * DEG, good(np.eye(3)))
+        (one,) = watched.history
+        told = change_details(one, watched.turns(None)[0])
+        assert is_move(told) is not is_borne, "until the mount after it is known"
+        if is_borne:
+            watched.know_borne()
+        told = change_details(one, watched.turns(turned)[0])
+        assert is_move(told) is not is_within
+        assert ("moved" in change_words(told)) is not is_within
 
 
 def test_the_same_change_is_reported_once_and_the_way_back_again():
     watched = changes()
-    assert watched.bear(shift(YAW, 0.8), 70)
-    assert not watched.bear(shift(YAW, 0.9), 72)
+    assert watched.bear(shift(YAW, 0.8), 70, 0.1 * DEG, None)
+    assert not watched.bear(shift(YAW, 0.9), 72, 0.1 * DEG, None)
     assert watched.borne[YAW] == pytest.approx(0.9 * DEG)
-    assert watched.bear(shift(YAW, -0.8), 90)
+    assert watched.bear(shift(YAW, -0.8), 90, 0.1 * DEG, None)
     assert len(watched.history) == 2
 
 
@@ -170,7 +197,7 @@ def test_a_mount_that_slips_a_little_is_reported_stays_good_and_is_right_again()
     estimate = estimator.estimate()
     shifts = estimate.details["shifts"]
     assert isinstance(shifts, list)
-    assert [one["angle"] for one in shifts] == ["yaw"]
+    assert [one["angle"] for one in shifts if is_move(one)] == ["yaw"]
     assert estimate.R_vehicle_from_sensor is not None
     assert estimate.std is not None
     left = after @ estimate.R_vehicle_from_sensor.T

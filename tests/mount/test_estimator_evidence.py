@@ -78,7 +78,7 @@ def test_delay_from_the_phase(late):
     mask = np.ones(sp.WINDOW, dtype=bool)
     for i in range(0, 4500, BLOCK_TICKS):
         s = sp.spectra(signals[i : i + sp.WINDOW], mask)
-        search.add(s[:, Measured.DVDT], s[:, :3])
+        search.add(s[:, Measured.DVDT], s[:, :3], 0.1 * i)
     assert search.search() == pytest.approx(late, abs=0.03)
     assert search.std < 0.05
 

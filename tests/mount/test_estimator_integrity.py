@@ -211,7 +211,7 @@ def test_rotations_after_a_turn_are_good_only_when_they_are_right():
         estimator.step(row)
         was_reported |= row[0] > 200.0 and estimator.state not in GOOD
         if was_reported and estimator.state in GOOD and estimator.correction is not None:
-            R = np.array(estimator.correction).reshape(3, 3)
+            R = estimator.correction.matrix()
             left = float(np.clip((np.trace(true @ R.T) - 1.0) / 2.0, -1.0, 1.0))
             worst = max(worst, math.degrees(math.acos(left)))
     assert was_reported
@@ -291,3 +291,21 @@ def test_a_sound_drive_says_neither_creep_nor_cross_axis():
     details = usual().estimate().details
     assert details["creep"] == {}
     assert float(details["cross_axis_std"]) < 0.01  # type: ignore[arg-type]
+
+
+def test_a_speed_that_the_force_contradicts_claims_no_yaw_and_no_move():
+    samples = edited()
+    speed = samples["speed"]
+    late = speed.t > 240.0  # from then on it grows where the vehicle brakes
+    samples["speed"] = Series(speed.t, np.where(late, 40.0 - speed.values, speed.values))
+    for channel in ("gyro", "yaw_rate", "steering", "wheels"):
+        samples.pop(channel, None)
+    estimator, claimed = FullEstimator(full()), []
+    for row in ticks_from_samples(samples, 0, int(MINUTES * 600), {}).tolist():
+        estimator.step(row)
+        estimate = estimator.estimate()
+        if StandingFault.FORCE_SPEED in estimate.faults and estimate.covariance is not None:
+            claimed.append(math.degrees(math.sqrt(estimate.covariance[2, 2])))
+    assert claimed
+    assert min(claimed) > 100.0
+    assert estimator.estimate().details["shifts"] == []

@@ -37,7 +37,7 @@ class FixedEstimator:
 
     @property
     def correction(self) -> Correction | None:
-        return None if self.R is None else tuple(self.R.ravel().tolist())
+        return None if self.R is None else Correction.turning(self.R)
 
     def step(self, tick: object) -> None:
         self.steps += 1
@@ -107,7 +107,7 @@ def test_what_found_the_mount_watches_it_while_it_is_held():
     running.R, running.state = TURNED, MountState.RECALIBRATING
     drive(kept, 2)
     assert kept.state is MountState.SUSPECT
-    assert kept.correction == tuple(LEVEL.ravel().tolist())
+    assert kept.correction == Correction.turning(LEVEL)
 
 
 def test_what_is_doubted_stays_doubted_when_it_is_held_and_released():

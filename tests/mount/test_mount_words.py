@@ -14,6 +14,7 @@ from imucald.mount.estimate import MountEstimate, MountState
 from imucald.mount.estimator_settings import EstimatorSettings
 from imucald.mount.force_level import LevelChange
 from imucald.mount.mount_words import (
+    change_words,
     half_width,
     how_it_sits,
     mirror_note,
@@ -135,3 +136,10 @@ def test_the_line_for_systemd_has_now_target_and_words():
 def test_a_moved_sensor_is_said_by_the_mounts_before_and_after_where_both_are_known(turn, words):
     shift = {"t": 5.0, "angle": "roll", "size_deg": 3.6, "turn_deg": turn}
     assert moved_words(shift) == words
+
+
+def test_a_change_within_its_interval_is_worded_as_evidence_and_not_as_a_move():
+    borne = {"t": 5.0, "angle": "yaw", "size_deg": 0.3, "turn_deg": None, "within_deg": 1.0}
+    expected = "the evidence of yaw changed by +0.3 deg, within ±1.0 deg: the interval is wider"
+    assert change_words(borne) == expected
+    assert change_words(borne | {"within_deg": None}).startswith("the sensor was moved: ")

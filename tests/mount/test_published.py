@@ -9,11 +9,13 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from imucald.config.calibration import MethodASettings
 from imucald.core.rotations import vector_from_rotation
 from imucald.motion.ticks import ACCEL, BRAKE, REVERSE, SPEED, T
 from imucald.mount.estimate import Missing, MountEstimate, MountState
 from imucald.mount.method_a.estimator import PublishedEstimator
 from imucald.mount.method_a.settings import PublishedSettings
+from imucald.mount.method_a.target_angle import combined
 from mount_settings import published
 from published_drive import Drive, mount_error_deg
 
@@ -206,7 +208,7 @@ def test_the_correction_is_smooth_and_the_same_every_time(rows: Rows) -> None:
         b.step(row)
         assert a.correction == b.correction
         if before is not None and a.correction is not None:
-            R, R0 = (np.array(c).reshape(3, 3) for c in (a.correction, before))
+            R, R0 = (c.matrix() for c in (a.correction, before))
             assert float(np.linalg.norm(vector_from_rotation(R @ R0.T))) <= limit
         assert before is None or a.correction is not None, "what was usable is not taken away"
         before = a.correction
@@ -312,6 +314,55 @@ def test_as_published_works_and_the_additions_make_it_better() -> None:
     assert rms_plain[2] < 3.0
     assert rms_full[2] < rms_plain[2]
     assert np.hypot(*rms_full[:2]) < np.hypot(*rms_plain[:2])
+
+
+def test_without_a_reverse_signal_its_own_least_speed_rules(rows: Rows) -> None:
+    slow = {"min_speed_without_reverse": 1.0}
+    counts = [run(rows, published(straight=s)).details["manoeuvres"] for s in (
+        {"min_speed_without_reverse": 9.0}, {}, slow, slow | {"min_speed": 9.0})]  # fmt: skip
+    assert counts[0] < counts[1] <= counts[2] == counts[3] > 0
+    letter = {"method_a": MethodASettings(to_the_letter=True)}
+    counts = [
+        run(rows, published(letter, straight={"min_speed": v})).details["manoeuvres"]
+        for v in (1.0, 9.0)
+    ]
+    assert counts[1] < counts[0]
+
+
+def test_the_mean_of_each_angle_is_a_key() -> None:
+    rows = Drive(minutes=4, seed=2, mount=MOUNT).ticks("gyro", "yaw_rate", "steering", "brake")
+    found = [
+        run(rows, published(straight={"consistency_mean": s})).R_vehicle_from_sensor
+        for s in (0.1, 1.0)
+    ]
+    assert not np.array_equal(found[0], found[1])
+
+
+def test_to_the_letter_nothing_levels_but_a_stop_and_no_crown_leans(rows: Rows) -> None:
+    letter = {"method_a": MethodASettings(to_the_letter=True)}
+    moving = Drive(minutes=6, seed=6, mount=MOUNT, stops=False).ticks("brake", "steering")[200:]
+    estimate = run(moving, published(letter))
+    assert estimate.state == MountState.WAITING
+    assert estimate.missing["roll"] == Missing.STANDSTILL
+    plain = run(rows, published(letter))
+    leaning = run(rows, published(letter, vehicle={"driving_side": "right"}))
+    assert np.array_equal(plain.R_vehicle_from_sensor, leaning.R_vehicle_from_sensor)
+
+
+def test_to_the_letter_one_threshold_rules_the_static_test(rows: Rows) -> None:
+    letter = {"method_a": MethodASettings(to_the_letter=True)}
+    none = {"threshold": (0.001,) * 3, "threshold_at_zero_speed": (1.2,) * 3}
+    assert run(rows, published(letter, static=none)).details["stops"] == 0
+    assert run(rows, published(letter)).details["stops"] > 0
+
+
+def test_to_the_letter_no_manoeuvre_counts_less_for_disagreeing() -> None:
+    pointers = np.exp(1j * np.radians([0.0, 0.0, 0.0, 0.0, 40.0]))
+    plain = combined(pointers, robust=False)
+    assert plain is not None
+    assert plain.value == pytest.approx(np.angle(pointers.sum()))
+    assert combined(pointers).value < plain.value
+    assert not PublishedSettings().to_the_letter().robust
 
 
 @pytest.mark.slow

@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from imucald.core.rotations import levelling_rotation, rotation_from_angles, vector_from_rotation
 from imucald.motion.speed import SpeedInterval
-from imucald.mount.estimate import Missing, MountState
+from imucald.mount.estimate import Correction, Missing, MountState
 from imucald.mount.method_a.levelling import Tilt
 from imucald.mount.method_a.settings import PublishedSettings
 from imucald.mount.method_a.sign import VOTES_NEEDED, SignEvidence, SignVotes
@@ -23,7 +23,7 @@ from imucald.mount.method_a.target_angle import (
     combined,
     combined_axis,
 )
-from imucald.mount.slewing import SlewedRotation
+from imucald.mount.slewing import SlewedCorrection
 
 DEG = math.radians(1.0)
 G = 9.80665
@@ -215,36 +215,37 @@ def test_waiting_for_names_one_thing_per_angle() -> None:
     assert waiting_for(known(0.5), SETTINGS) == {}
 
 
-def turn_of(a: object, b: object) -> float:
-    A, B = (np.array(m).reshape(3, 3) for m in (a, b))
+def turn_of(a: Correction, b: Correction) -> float:
+    A, B = (m.matrix() for m in (a, b))
     return float(np.degrees(np.linalg.norm(vector_from_rotation(A @ B.T))))
 
 
 def test_the_applied_rotation_turns_at_a_limited_rate_and_arrives() -> None:
-    slewed = SlewedRotation(rate=0.5 * DEG)
+    slewed = SlewedCorrection(rate=0.5 * DEG)
     slewed.step()
     assert slewed.correction is None
-    slewed.aim(rotation_from_angles(0.1, -0.2, 0.3))
+    slewed.aim(Correction.turning(rotation_from_angles(0.1, -0.2, 0.3)))
     assert slewed.correction is not None, "the first answer is taken at once"
-    goal = rotation_from_angles(0.1, -0.2, 0.3 + 2.0 * DEG)
+    goal = Correction.turning(rotation_from_angles(0.1, -0.2, 0.3 + 2.0 * DEG))
     slewed.aim(goal)
     steps = 0
-    while turn_of(slewed.correction, goal.ravel()) > 1e-9:
+    while turn_of(slewed.correction, goal) > 1e-9:
         before = slewed.correction
         slewed.step()
         assert turn_of(slewed.correction, before) <= 0.05 + 1e-9
         steps += 1
     assert steps == 40
-    R = np.array(slewed.correction).reshape(3, 3)
+    R = slewed.correction.matrix()
     assert pytest.approx(np.eye(3), abs=1e-12) == R @ R.T
 
 
 def test_another_answer_is_taken_at_once() -> None:
-    slewed = SlewedRotation(rate=0.5 * DEG)
-    slewed.aim(rotation_from_angles(0.0, 0.0, 0.0))
-    slewed.aim(rotation_from_angles(0.0, 0.0, math.pi))
+    slewed = SlewedCorrection(rate=0.5 * DEG)
+    goal = Correction.turning(rotation_from_angles(0.0, 0.0, math.pi))
+    slewed.aim(Correction.turning(np.eye(3)))
+    slewed.aim(goal)
     slewed.step()
-    assert turn_of(slewed.correction, rotation_from_angles(0.0, 0.0, math.pi).ravel()) < 1e-6
+    assert turn_of(slewed.correction, goal) < 1e-6
 
 
 def test_manoeuvres_of_two_minds_are_not_averaged_with_confidence() -> None:

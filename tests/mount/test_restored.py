@@ -12,7 +12,7 @@ from msgspec.structs import replace
 from scipy.spatial.transform import Rotation
 
 from imucald.motion.column_ticks import ticks_from_samples
-from imucald.mount.estimate import ANGLES, MountEstimate, MountState
+from imucald.mount.estimate import ANGLES, Correction, MountEstimate, MountState
 from imucald.mount.method_a.estimator import PublishedEstimator
 from imucald.mount.mount_in_force import mount_in_force
 from imucald.mount.restored import HAND_OVER_RATE, Phase, RestoredEstimator, StoredMount
@@ -44,7 +44,7 @@ class Scripted:
         covariance = None if mount is None else np.eye(3) * math.radians(std_deg) ** 2
         self.answer = MountEstimate(state, R, covariance)
         good = state in {MountState.USABLE, MountState.FINE}
-        self.correction = tuple(R.ravel().tolist()) if good and R is not None else None
+        self.correction = Correction.turning(R) if good and R is not None else None
 
     def step(self, tick) -> None:
         pass
@@ -70,7 +70,7 @@ def run(estimator: RestoredEstimator, seconds: float) -> None:
 
 def degrees_from(estimator: RestoredEstimator, mount: Rotation) -> float:
     assert estimator.correction is not None
-    now = Rotation.from_matrix(np.array(estimator.correction).reshape(3, 3))
+    now = Rotation.from_matrix(estimator.correction.matrix())
     return math.degrees((now * mount.inv()).magnitude())
 
 
@@ -105,7 +105,7 @@ def test_the_new_estimate_takes_over_when_it_is_as_certain_and_without_a_jump():
     for _ in range(40):
         estimator.step(TICK)
         angles.append(math.radians(degrees_from(estimator, before)))
-        before = Rotation.from_matrix(np.array(estimator.correction).reshape(3, 3))
+        before = Rotation.from_matrix(estimator.correction.matrix())
     assert max(angles) <= HAND_OVER_RATE * 0.1 + 1e-9
     assert estimator.phase is Phase.NEW
     assert estimator.correction == inner.correction
@@ -361,7 +361,7 @@ def test_there_is_always_a_correction_and_it_is_a_rotation(script):
         run(estimator, 4.0)
         if estimator.phase is Phase.NEW:
             break
-        R = np.array(estimator.correction).reshape(3, 3)
+        R = estimator.correction.matrix()
         assert np.allclose(R @ R.T, np.eye(3), atol=1e-9)
         assert np.linalg.det(R) > 0
 
@@ -397,3 +397,33 @@ def test_on_a_drive_with_the_full_estimator(moved_deg: float):
     assert (Phase.DOUBTED in phases) == (moved_deg > 0.0)
     assert (Phase.CONFIRMED in phases) == (moved_deg == 0.0)
     assert degrees_from(estimator, Rotation.from_matrix(true)) < 2.0
+
+
+class KnowingTheSensor(Scripted):
+    """One that says how probable it is that all is as before."""
+
+    before: float | None = None
+
+    def as_before(self) -> float | None:
+        return self.before
+
+    def known_sensor(self) -> None:
+        return None
+
+    def take_known_sensor(self, known: object, is_moved: bool) -> None:
+        pass
+
+
+@pytest.mark.parametrize(
+    ("before", "phase"), [(None, Phase.CONFIRMED), (0.9, Phase.CONFIRMED), (1e-4, Phase.DOUBTED)]
+)
+def test_an_estimator_that_knows_the_sensor_says_whether_all_is_as_before(
+    before: float | None, phase: Phase
+) -> None:
+    inner = KnowingTheSensor()
+    inner.before = before
+    stored = StoredMount(STORED.as_matrix(), np.eye(3) * math.radians(0.3) ** 2, MountState.FINE)
+    estimator = RestoredEstimator(inner, stored)
+    inner.say(MountState.USABLE, turned(0.5), 1.0)  # both may share an error: they seem to agree
+    run(estimator, 9.0)
+    assert estimator.phase is phase

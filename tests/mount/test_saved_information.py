@@ -221,10 +221,12 @@ def test_for_the_shift_test_they_count_no_more_than_load_and_springs_let_them():
     assert (one.score[40:] == now.score).all()
 
 
-def second_drive(mount: StoredMount) -> tuple[RestoredEstimator, set[MountState], bool]:
+def second_drive(
+    mount: StoredMount, minutes: float = 8.0
+) -> tuple[RestoredEstimator, set[MountState], bool]:
     restored = RestoredEstimator(estimator(), mount)
     states, joined = set(), False
-    for row in rows(3, 8.0):
+    for row in rows(3, minutes):
         restored.step(row)
         states.add(restored.state)
         joined = joined or restored.joined
@@ -253,10 +255,10 @@ def test_after_a_restart_it_goes_on_from_there():
 
 @pytest.mark.parametrize("degrees", [(3.0, 0.0, 0.0), (0.0, 2.0, 0.0), (0.0, 0.0, -2.0)])
 def test_a_sensor_moved_a_little_while_parked_is_found_out(degrees):
-    restored, states, _ = second_drive(turned(stored(), degrees))
+    restored, states, _ = second_drive(turned(stored(), degrees), 10.0)
     assert MountState.SUSPECT in states
     assert not restored.joined, "what was before is left"
-    true = drive(3, 8.0).truth.mounts[0][1]
+    true = drive(3, 10.0).truth.mounts[0][1]
     R = restored.estimate().R_vehicle_from_sensor
     assert R is not None
     assert np.degrees(Rotation.from_matrix(true @ R.T).magnitude()) < 1.2

@@ -69,19 +69,26 @@ def test_beside_past_drives_a_deviation_grows_by_contradiction():
     assert judged(replace(wide, has_past=True), MountState.USABLE, SETTINGS) < MountState.USABLE
 
 
-def test_a_cross_axis_error_that_no_driving_makes_less_is_the_reason_for_yaw():
-    usable = replace(known(0.4), yaw_seen=0.05 * DEG)
-    text, code = waiting_for(replace(usable, cross_axis=0.008), SETTINGS)["yaw"]
-    assert "cross-axis error of the accelerometer: 0.8 %" in text
+def test_more_driving_is_the_reason_for_yaw_until_it_has_not_helped_for_long():
+    usable = replace(known(0.4), yaw_seen=0.05 * DEG, cross_axis=0.008)
+    text, code = waiting_for(usable, SETTINGS)["yaw"]
+    assert text == "more driving (yaw ±0.8 deg, fine below ±0.6 deg)"
+    assert code == Missing.MORE_DRIVING
+    text, code = waiting_for(replace(usable, driven_s=2000.0), SETTINGS)["yaw"]
+    assert "mixed by 0.8 %" in text
     assert "accelerometer_bias" in text
     assert code == Missing.OTHER
-    assert waiting_for(replace(usable, cross_axis=0.001), SETTINGS)["yaw"][0] == "more driving"
-    levelled = replace(known(1.6), yaw_seen=0.2 * DEG, cross_axis=0.04)
+    levelled = replace(known(1.6), yaw_seen=0.2 * DEG, cross_axis=0.04, driven_s=2000.0)
     text, code = waiting_for(levelled, SETTINGS)["yaw"]
-    assert "answer to one another by about 4 %" in text
+    assert "mixed by 4.0 %" in text
     assert code is Missing.OTHER
-    still = replace(known(0.4), yaw_seen=0.4 * DEG, cross_axis=0.008)
-    assert waiting_for(still, SETTINGS)["yaw"][0] == "more driving"
+    still = replace(levelled, std=known(0.4).std, yaw_seen=0.4 * DEG)
+    assert waiting_for(still, SETTINGS)["yaw"][0].startswith("more driving (yaw")
+
+
+def test_where_no_signal_shows_turns_that_is_the_reason_for_roll():
+    tilted = replace(known(0.4), std=(5.0 * DEG, 0.1 * DEG, 0.1 * DEG), turning=False)
+    assert waiting_for(tilted, SETTINGS)["roll"][0].startswith("a gyroscope, a yaw rate or")
 
 
 def test_what_no_driving_shows_of_yaw_may_be_more_than_the_limit():
@@ -318,7 +325,7 @@ def test_a_moved_sensor_is_suspect_then_found_again():
         if estimator.state in {MountState.SUSPECT, MountState.RECALIBRATING}:
             assert estimator.correction is not None  # the last good one is still served
             if served is not None:
-                R, last = (np.array(c).reshape(3, 3) for c in (estimator.correction, served))
+                R, last = (c.matrix() for c in (estimator.correction, served))
                 assert np.abs(R - last).max() < 0.002
         served = estimator.correction
     suspect = [t for t, state in states if state == MountState.SUSPECT]

@@ -101,3 +101,10 @@ def test_a_slow_drift_is_no_standstill() -> None:
     f = np.column_stack([0.25 * t, np.zeros(500), np.full(500, G)])
     rows = ticks_from_samples({"accel": Series(t, f)}, 0, 100).tolist()
     assert windows(StandstillDetector(StaticTestSettings()), rows, None) == []
+
+
+@pytest.mark.parametrize("duration", [0.2, 0.3, 0.4, 0.5])
+def test_a_short_window_is_confirmed_while_the_next_ones_run(duration: float) -> None:
+    settings = StaticTestSettings(samples=5, duration=duration)
+    found = windows(StandstillDetector(settings), rest_ticks(10.0, 0.01), None)
+    assert len(found) >= 0.9 * (10.0 - 0.5) / duration - 1.0

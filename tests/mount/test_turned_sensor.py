@@ -139,12 +139,14 @@ def standing(
     rest: np.ndarray,
     yaw_rate_deg: float = 0.0,
     least_speed: float = 0.0,
+    noise: float = 0.0,
 ) -> list[LargeChange]:
     """What is found in blocks of ticks (N,) with a sensor that pitches and a force ahead."""
     found, detector = [], LargeChangeDetector(full())
     tilt = np.radians(tilt_deg)
     down = GRAVITY * np.sin(tilt) + ahead
     force = np.stack([down, 0.0 * down, GRAVITY * np.cos(tilt)], axis=1)
+    force += noise * np.random.default_rng(6).standard_normal(force.shape)
     rate = np.tile([0.0, 0.0, math.radians(yaw_rate_deg)], (len(tilt), 1))
     for k in range(0, len(tilt), BLOCK_TICKS):
         part = slice(k, k + BLOCK_TICKS)
@@ -174,6 +176,20 @@ def test_a_sensor_that_is_tilted_while_standing_is_reported_within_ten_seconds(a
     assert abs(math.degrees(found.size)) == pytest.approx(5.0, abs=0.1)
     within = BLOCK_TICKS * (at // BLOCK_TICKS + 2)
     assert standing((5.0 * (at <= TICKS))[:within], NONE[:1].repeat(within), STANDS[:within])
+
+
+def test_a_vehicle_that_creeps_while_its_speed_says_zero_tilts_no_sensor() -> None:
+    """In a queue, up to 3.6 km/h, at 0.6 m/s^2."""
+    ahead = 0.6 * ((TICKS >= 110) & (TICKS < 126)) - 0.6 * ((TICKS >= 142) & (TICKS < 158))
+    assert not standing(np.zeros(STOOD), ahead, STANDS, least_speed=1.0)
+    assert standing(12.0 * (TICKS >= 90), ahead, STANDS, least_speed=1.0), "no car creeps so"
+
+
+def test_shaking_tilts_no_sensor() -> None:
+    none = np.zeros(50 * BLOCK_TICKS)
+    assert not standing(none, none, none == 0.0, noise=0.5)
+    (found,) = standing(10.0 * (np.arange(len(none)) >= 640), none, none == 0.0, noise=0.5)
+    assert found.axis == 1
 
 
 def test_two_stops_on_different_slopes_are_no_tilt() -> None:
@@ -288,7 +304,7 @@ def test_a_sensor_that_is_turned_again_before_it_is_good_again_is_never_wrong_as
         if k > 3100 and estimator.state in (MountState.USABLE, MountState.FINE):
             good_after = True
             assert estimator.correction is not None
-            applied = np.reshape(estimator.correction, (3, 3))
+            applied = estimator.correction.matrix()
             now = math.radians(20.0 if 0.1 * k < 330.0 else 8.0)
             ahead = applied @ R.T @ [math.cos(now), -math.sin(now), 0.0]
             assert abs(math.degrees(math.atan2(ahead[1], ahead[0]))) < 2.0, 0.1 * k

@@ -37,4 +37,10 @@ def test_what_a_mount_is_withheld_for_is_said_also_after_it_was_good(state):
 
 
 def test_a_mount_that_is_good_is_not_withheld():
-    assert WHY_GRAVITY_MOVED not in words(MountState.FINE, 0.1).values()
+    assert WHY_GRAVITY_MOVED not in words(MountState.USABLE, 0.5).values()
+
+
+def test_a_fine_mount_waits_for_nothing():
+    """Also where an angle is past its target again, and the hysteresis keeps the state."""
+    assert words(MountState.FINE, 0.5) == {}
+    assert "more driving" in words(MountState.USABLE, 0.5)["yaw"]

@@ -87,3 +87,23 @@ def test_the_estimator_is_the_one_asked_for() -> None:
     assert isinstance(estimator_for(config()), FullEstimator)
     published = config({"calibration.estimator": "published"})
     assert isinstance(estimator_for(published), PublishedEstimator)
+
+
+@pytest.mark.parametrize(
+    ("changes", "are_turned"),
+    [
+        ({}, False),
+        ({"signals.yaw_rate": "S.Y"}, False),
+        ({"signals.yaw_rate": {"signal": "S.Y", "sign": -1}}, True),
+        ({"signals.steering_wheel_angle": {"signal": "S.A", "sign": -1}}, False),  # every third is
+        ({"signals.yaw_rate": {"signal": "S.Y", "sign": -1},
+          "signals.accelerometer": {a: {"signal": f"A.{a}", "sign": -1} for a in "xyz"}}, False),
+    ],
+)  # fmt: skip
+def test_a_turned_yaw_rate_beside_an_accelerometer_as_it_is_confirms_nothing(changes, are_turned):
+    without = {"signals.steering_wheel_angle": None, **changes}
+    data = yaml.safe_load(yaml.safe_dump(BASE))
+    for path, value in without.items():
+        data["signals"][path.partition(".")[2]] = value
+    data["signals"] = {key: value for key, value in data["signals"].items() if value is not None}
+    assert full_settings(parse_config(yaml.safe_dump(data)).config).are_sides_turned == are_turned

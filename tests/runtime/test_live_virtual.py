@@ -156,7 +156,7 @@ def test_a_heartbeat_says_that_nothing_is_heard_yet():
             clock.now += 0.1
             bench.daemon.step(0.0)
         frames = bench.received()
-        assert [i for i, _ in frames] == [0x643, 0x644, HEALTH] * 4
+        assert [i for i, _ in frames] == [0x643, 0x644, 0x64D, 0x64E, HEALTH] * 4
         health = bench.last_health(frames)
         assert health["AccelerometerMissing"] == health["SpeedMissing"] == 1
     finally:

@@ -23,7 +23,13 @@ from engine_bus import (
     load,
 )
 from imucald.can.columns import CAN_EFF_FLAG
-from imucald.mount.estimate import Missing, MountEstimate, MountState
+from imucald.mount.estimate import (
+    Correction,
+    Missing,
+    MountEstimate,
+    MountState,
+    SentDeviations,
+)
 from imucald.runtime.output.output_frames import Health, OutputFrames, output_database
 
 CYCLE = 0.01
@@ -55,6 +61,8 @@ def decoded(out_dbc, name, frames, can_id=None):
                 absent = -32768 if signal.is_signed else 65535
                 if raw[signal.name] == absent:
                     values[signal.name] = None
+            elif signal.name.startswith("Deviation") and raw[signal.name] == 4095:
+                values[signal.name] = None
         result.append(values)
     return result
 
@@ -111,7 +119,7 @@ def test_a_parallel_sensor_goes_out_under_its_own_29_bit_id(loaded, out_dbc):
 class TurnedEstimator(ScriptedEstimator):
     """Sure of one angle about the vertical."""
 
-    correction = tuple(Rotation.from_euler("z", 2.1).as_matrix().ravel().tolist())
+    correction = Correction.turning(Rotation.from_euler("z", 2.1).as_matrix())
     state = MountState.FINE
 
 
@@ -145,7 +153,7 @@ def test_every_frame_is_protected_as_an_independent_crc_says(loaded):
         assert counter == (last[can_id] + 1) % 16 if can_id in last else counter == 0
         last[can_id] = counter
         seen.add(can_id)
-    assert len(seen) == 7
+    assert len(seen) == 9
 
 
 @pytest.mark.parametrize(("kind", "check"), [("xor", True), ("none", False)])
@@ -173,7 +181,7 @@ def test_a_rejected_sample_is_sent_as_not_available(loaded, out_dbc):
     assert accel[0]["Quality"] == 0
     rate = decoded(out_dbc, "IMUCALD_AngularRate", out)
     assert [rate[0][f"Rate{a}"] for a in "XYZ"] == [None] * 3
-    assert engine.router.rejected == {"short_frame": 1, "counter_jump": 1}
+    assert engine.router.rejected == {"short_frame": 1, "counter_reversed": 1}
 
 
 def test_a_value_beyond_the_signal_is_not_available_never_clipped(loaded, out_dbc):
@@ -207,6 +215,68 @@ def test_status_carries_angles_deviations_and_state(loaded, out_dbc):
     assert mount["State"] == deviation["State"] == health["State"] == 3
     assert [health[f"Waiting{a}"] for a in ("Roll", "Pitch", "Yaw")] == [0, 0, 0]
     assert (health["RejectedCount"], health["LostCount"]) == (7, 0)
+
+
+CROSS_TALK = ("XY", "YX", "ZX", "ZY")
+ZERO = ("ZeroX", "ZeroY", "RateXZ", "RateYZ")
+
+
+def sent_deviations(loaded, estimate, usable, out_dbc):
+    """The eight deviations of what is sent, and the states beside them."""
+    frames = OutputFrames(loaded.config).status(estimate, usable, Health())
+    force = decoded(out_dbc, "IMUCALD_CrossTalkDeviation", frames)[0]
+    zero = decoded(out_dbc, "IMUCALD_ZeroDeviation", frames)[0]
+    values = [force[f"Deviation{e}"] for e in CROSS_TALK]
+    return values + [zero[f"Deviation{e}"] for e in ZERO], {force["State"], zero["State"]}
+
+
+def test_status_carries_the_deviations_of_what_is_sent(loaded, out_dbc):
+    degrees = np.radians([0.1, 0.25, 1.5, 3.0])
+    deviations = SentDeviations(*degrees, 0.1234, 0.056, *np.radians([0.7, 0.04]))
+    estimate = MountEstimate(MountState.FINE, np.eye(3), np.eye(3), deviations=deviations)
+    values, states = sent_deviations(loaded, estimate, True, out_dbc)
+    assert values[:4] == pytest.approx([0.1, 0.25, 1.5, 3.0], abs=0.0026)
+    assert values[4:6] == pytest.approx([0.1234, 0.056], abs=0.00051)
+    assert values[6:] == pytest.approx([0.7, 0.04], abs=0.0026)
+    assert states == {3}
+    assert sent_deviations(loaded, estimate, False, out_dbc)[0] == [None] * 8
+
+
+def test_of_a_rotation_alone_they_are_what_a_turn_of_the_housing_leaves(loaded, out_dbc):
+    """E of a rotation that is off by one deviation about each axis in turn."""
+    std = np.radians([0.9, 0.4, 0.2])
+    left = []
+    for axis in range(3):
+        off = Rotation.from_rotvec(std * np.eye(3)[axis]).as_matrix() - np.eye(3)
+        level = off @ [0.0, 0.0, 9.80665]
+        force = [off[0, 1], off[1, 0], off[2, 0], off[2, 1]]
+        left.append([*np.degrees(force), *level[:2], *np.degrees([off[0, 2], off[1, 2]])])
+    expected = np.sqrt(np.sum(np.square(left), axis=0))
+    estimate = MountEstimate(MountState.USABLE, np.eye(3), np.diag(std**2))
+    values, _ = sent_deviations(loaded, estimate, True, out_dbc)
+    assert values == pytest.approx(expected, abs=0.006)
+
+
+def test_deviations_beyond_the_frame_and_unknown_ones(loaded, out_dbc):
+    wide = MountEstimate(MountState.USABLE, np.eye(3), np.eye(3) * 100.0)
+    assert sent_deviations(loaded, wide, True, out_dbc)[0] == pytest.approx(
+        [20.47] * 4 + [4.094] * 2 + [20.47] * 2
+    )
+    unknown = MountEstimate(MountState.USABLE, np.eye(3))
+    assert sent_deviations(loaded, unknown, True, out_dbc)[0] == [None] * 8
+
+
+def test_what_readers_of_the_first_database_know_stands_where_it_did(loaded):
+    """Of version 1: the bits of the frames that it had."""
+    frames = OutputFrames(loaded.config).status(
+        MountEstimate(MountState.FINE, np.eye(3), np.eye(3) * 1e-4), True, Health()
+    )
+    by_id = dict(frames)
+    assert [can_id for can_id, _ in frames] == [0x643, 0x644, 0x64D, 0x64E, 0x645]
+    deviation = int.from_bytes(by_id[0x644], "little")
+    raw = [deviation >> shift & 0xFFFF for shift in (0, 16, 32)]
+    assert raw == pytest.approx([np.degrees(0.01) / 0.005] * 3, abs=0.51)
+    assert deviation >> 48 & 0xF == 3
 
 
 def test_status_without_an_estimate_says_what_is_waited_for(loaded, out_dbc):
@@ -293,14 +363,19 @@ def test_columns_and_single_samples_are_the_same_bytes(loaded):
 
 def test_the_shipped_database_says_all_that_a_receiver_needs(out_dbc):
     ids = {m.name: m.frame_id for m in out_dbc.messages}
-    assert sorted(ids.values()) == list(range(0x640, 0x64D))
+    assert sorted(ids.values()) == list(range(0x640, 0x64F))
     for message in out_dbc.messages:
         assert message.length == 8
         assert message.comment
         assert {"Counter", "Checksum"} < {s.name for s in message.signals}
         state = next(s for s in message.signals if s.name in ("Quality", "State"))
         assert state.choices
-    for name, start in (("AccelX", -32768), ("MountYaw", -32768), ("DeviationZ", 65535)):
+    for name, start in (
+        ("AccelX", -32768),
+        ("MountYaw", -32768),
+        ("DeviationZ", 65535),
+        ("DeviationXY", 4095),
+    ):
         signal = next(s for m in out_dbc.messages for s in m.signals if s.name == name)
         assert signal.raw_initial == start
     assert output_database().message("IMUCALD_Mount").cycle_time == 1.0

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from engine_bus import ScriptedEstimator
 from imucald.core.samples import CHANNEL_WIDTH, Series
-from imucald.mount.estimate import MountEstimate, MountState
+from imucald.mount.estimate import HOUSING, Correction, MountEstimate, MountState
 from imucald.runtime.estimators import estimator_for
 from imucald.runtime.pipeline import Pipeline
 from imucald.runtime.session import make_engine
@@ -71,10 +71,10 @@ def test_columns_give_the_ticks_and_corrections_of_single_samples(seed, status_t
     assert columns.estimator.rows == single.estimator.rows
     assert [(s.k, s.usable) for s in found] == [(s.k, s.usable) for s in snapshots]
     assert corrections.first == 0
-    for k, row in enumerate(corrections.rotations):
+    for k, row in enumerate(corrections.by_tick(HOUSING)):
         correction, quality = by_tick[k]
         assert corrections.quality[k] == quality
-        assert np.isnan(row).all() if correction is None else tuple(row) == correction
+        assert np.isnan(row).all() if correction is None else tuple(row[:9]) == correction.rotation
     assert (columns.first_usable, columns.first_fine) == (single.first_usable, single.first_fine)
 
 
@@ -91,7 +91,7 @@ class Stepping:
     @property
     def correction(self):
         usable = self.state not in (MountState.WAITING, MountState.LEVELLED)
-        return (1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0) if usable else None
+        return Correction.turning(np.eye(3)) if usable else None
 
     def step(self, tick):
         self.k += 1

@@ -43,7 +43,7 @@ def test_the_summary_has_the_documented_keys_and_counts(log):
     result, sent, engine = replayed([log])
     assert set(result) >= {
         "mount", "state", "waiting_for", "first_usable_s", "first_fine_s", "frames", "duration_s",
-        "signals",
+        "signals", "correction",
     }  # fmt: skip
     assert set(result["mount"]) == {
         "roll_deg", "pitch_deg", "yaw_deg", "quaternion_wxyz", "std_deg", "angle_std_deg",

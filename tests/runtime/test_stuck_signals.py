@@ -87,7 +87,7 @@ def test_a_speed_that_repeats_itself_is_left_out_but_not_accused() -> None:
     pipeline, snapshots = taken({**sound(), "speed": Series(series.t, values)})
     assert pipeline.health.summary()["events"] == []
     assert not any(s.faults for s in snapshots)
-    left_out = pipeline.estimator.estimate().details["frozen_ticks"]["stuck"]
+    left_out = pipeline.estimator.estimate().details["frozen_ticks"]["speed"]["stuck"]
     assert left_out > 100
 
 

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 from imucald.api.columns import Columns
 from imucald.api.configuration import PathLike
+from imucald.api.correction import CorrectionResult
 from imucald.api.mount import MountResult
 from imucald.api.table_access import TableAccess
 
@@ -48,6 +49,11 @@ class DriveResult(TableAccess):
     """All that `replay --json` writes."""
     tables: Mapping[str, Columns] = field(default_factory=dict)
     """Every table there is, by name, for the package's own use."""
+
+    @property
+    def correction(self) -> CorrectionResult | None:
+        """What is applied to each sensor's samples, and how sure; None before any estimate."""
+        return CorrectionResult.from_summary(self.summary.get("correction"))
 
     @property
     def start(self) -> datetime | None:

@@ -23,7 +23,7 @@ from imucald.core import compiled
 from imucald.core.angles import DEG_PER_RAD
 from imucald.motion.ticks import TICK_RATE
 from imucald.mount.estimate import MountEstimate
-from imucald.mount.mount_words import moved_words
+from imucald.mount.mount_words import is_move, moved_words
 from imucald.runtime.engine import Engine
 from imucald.runtime.pipeline import Snapshot
 from imucald.runtime.segment_samples import SegmentSamples
@@ -33,6 +33,8 @@ MAX_EVENTS = 10_000
 BLOCK_ROWS = 1000
 """Rows of the history that are kept as numbers in an array, once there are so many."""
 SHIFT = "shift"
+EVIDENCE = "evidence"
+"""A change that lies within its own interval."""
 """Kind of the event that the sensor was moved."""
 LATEST_US = 2**62
 """Times of day are kept within this [us]: a damaged stamp must not overflow."""
@@ -150,7 +152,7 @@ class Recorder:
         turns = np.full((3, len(rows)), math.nan)
         rows_of_shifts = [i for i, kind in enumerate(kinds) if kind == SHIFT]
         for i, shift in zip(rows_of_shifts, self._shifts, strict=False):  # the last may be left out
-            texts[i] = moved_words(shift)
+            kinds[i], texts[i] = SHIFT if is_move(shift) else EVIDENCE, moved_words(shift)
             if shift["turn_deg"]:
                 turns[:, i] = shift["turn_deg"]
         t = np.array(times, dtype=float)

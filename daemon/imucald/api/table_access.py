@@ -114,9 +114,10 @@ class TableAccess(NamedTables):
         """What happened: t_s, time, kind, text, and d_x_deg, d_y_deg, d_z_deg of a shift.
 
         Kinds: "state" (text: the new one), "shift" (the mount was moved; d_*: the rotation vector
-        about the vehicle's axes, once a good mount is found after it), "contradiction" (between
-        signals), "segment" (a hole, or the clock was set), "sensor_fault". Times are when it was
-        noticed.
+        about the vehicle's axes, once a good mount is found after it), "evidence" (a change that
+        lies within its own 95 % interval: nothing shows that the mount was moved), "contradiction"
+        (between signals), "segment" (a hole, or the clock was set), "sensor_fault". Times are when
+        it was noticed.
         """
         return self.arrow(EVENTS)
 

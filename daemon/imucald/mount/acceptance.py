@@ -10,6 +10,7 @@ from __future__ import annotations
 from msgspec import Struct
 
 from imucald.config.base import MAX_SPEED_DELAY
+from imucald.mount.alternatives import NOT_CONFIRMED
 from imucald.mount.mount_changes import MountChanges
 from imucald.mount.signal_checks import SignalChecks
 from imucald.mount.solver import MountSolver
@@ -21,6 +22,12 @@ NO_SIDES = (
     "accelerometer with all signs turned looks the same"
 )
 """What keeps an estimate that is certain enough from being *fine* where no signal has sides."""
+TURNED_SIDES = (
+    "'calibration: {orientation: {up: z}}' with the axis that points up: the yaw rate, steering "
+    "angle or lateral acceleration has 'sign: -1', and would need it too where the accelerometer "
+    "has all signs turned"
+)
+"""The same where such a signal is there, and turned."""
 WHY_GRAVITY_MOVED = (
     "more bends: gravity points elsewhere than before, and the axis of turning will say whether "
     "the sensor was turned or a zero of its accelerometer stepped"
@@ -46,11 +53,14 @@ class Acceptance(Struct, frozen=True):
             return LATE_SPEED
         if self.changes.zero.cause is GravityMoved.UNKNOWN:
             return WHY_GRAVITY_MOVED
+        return self._missing_of_signals()
+
+    def _missing_of_signals(self) -> str | None:
         return self.checks.missing_to_be_good()
 
     def may_be_fine(self) -> bool:
         """Whether every test is armed, the signals were seen to agree, and little has happened."""
-        if self.changes.is_loose or not self.solver.armed:
+        if self.changes.is_loose or not self.is_armed:
             return False
         if not self.checks.is_mirror_excluded:
             return False
@@ -62,10 +72,15 @@ class Acceptance(Struct, frozen=True):
             times = len(self.changes.history)
             return f"a mount that stays: it moved {times} times in this drive"
         if self.has_no_sides:
-            return NO_SIDES
-        if not self.solver.armed:
+            return TURNED_SIDES if NOT_CONFIRMED in self.checks.not_checked else NO_SIDES
+        if not self.is_armed:
             return "more driving, until a moved sensor would be noticed"
         return "more turns and changes of speed, until the signals are seen to agree"
+
+    @property
+    def is_armed(self) -> bool:
+        """Whether a sensor that is moved by little would be noticed."""
+        return self.solver.armed
 
     @property
     def has_no_sides(self) -> bool:

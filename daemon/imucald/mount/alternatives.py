@@ -57,6 +57,10 @@ NOT_CHECKED = (
     "all signs of the accelerometer at once: it needs a yaw rate, the steering angle, a lateral "
     "acceleration, a heading, or 'calibration: {orientation: {up: ...}}'"
 )
+NOT_CONFIRMED = (
+    "all signs of the accelerometer at once: a 'sign: -1' of what knows left from right does not "
+    "confirm them; say 'calibration: {orientation: {up: ...}}' with the axis that reads plus 1 g"
+)
 
 NO_TURNS = "a gyroscope, a yaw rate or a steering angle: no other signal shows turns"
 """Without turns nothing separates a right-handed sensor from a left-handed one."""
@@ -244,14 +248,19 @@ class Alternatives:
         """Whether anything has shown that this is the drive and not its mirror image."""
         if self._is_up_stated or self._is_forward_stated:
             return True
-        sided = [self._yaw_rate, self._steering, self._lateral, self._heading]
-        if not self._gyro.blocks:  # turning is the vehicle's own yaw rate
-            sided.append(self._turns)
+        sided = [self._heading]
+        if not self._settings.are_sides_turned:
+            sided += [self._yaw_rate, self._steering, self._lateral]
+            if not self._gyro.blocks:  # turning is the vehicle's own yaw rate
+                sided.append(self._turns)
         return any(pair.sum > TO_BE_FINE for pair in sided)
 
     @property
     def not_checked(self) -> tuple[str, ...]:
         """What no signal of this vehicle can show, and nobody has stated, in words."""
+        if self._settings.are_sides_turned:
+            has_heading = "heading" in self._signals
+            return () if has_heading or self.is_mirror_excluded else (NOT_CONFIRMED,)
         shown = {"yaw_rate", "steering", "lateral_accel", "heading"} & self._signals
         return () if shown or self.is_mirror_excluded else (NOT_CHECKED,)
 

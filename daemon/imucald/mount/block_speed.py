@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,7 +17,8 @@ from imucald.motion.standstill import (
     ZERO_SPEED,
     is_parked,
 )
-from imucald.mount.even_signals import BLOCK_TICKS, PART, SPEED_GAP, EvenBlock, bridged
+from imucald.motion.stuck import SeenForward
+from imucald.mount.even_signals import BLOCK_TICKS, PART, EvenBlock, bridged_speed
 
 Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]
@@ -43,17 +45,23 @@ class BlockSpeed:
         self._rest_run = 0
 
     def of(
-        self, rows: Array, t: Array, at: Array, even: EvenBlock | None
+        self,
+        rows: Array,
+        t: Array,
+        at: Array,
+        even: EvenBlock | None,
+        forward: Callable[[], SeenForward | None],
     ) -> tuple[Array, Flags, bool]:
         """Speed (N + 2,) of a block, where it is known, and whether it is as in `even`.
 
-        rows: (ROWS, COLUMNS) with their ends t; at: (N + 2,) times of the speed [s].
+        rows: (ROWS, COLUMNS) with their ends t; at: (N + 2,) times of the speed [s]. forward: what
+        the accelerometer says of the speed of all ticks, where it is asked.
         """
         driven = None if even is None else even.driven
         runs = None if driven is None else driven.runs
         stuck = None
         if runs is None or not self._health.speed_moves(runs.first, runs.lasted, runs.change):
-            stuck = self._health.stuck("speed", rows)
+            stuck = self._health.stuck_speed(rows, forward())
         is_even = driven is not None and (stuck is None or not np.count_nonzero(stuck))
         if driven is not None and is_even:
             self._seen.add("speed")
@@ -66,7 +74,7 @@ class BlockSpeed:
             has &= True if stuck is None else ~stuck
             mean = rows[has, tk.SPEED.mean]
             self._follow_least_speed(np.abs(mean))
-            speed, ok = bridged(at, t[has] - rows[has, tk.SPEED.age], mean, SPEED_GAP)
+            speed, ok = bridged_speed(at, t[has] - rows[has, tk.SPEED.age], mean)
         known = rows[:, tk.REVERSE]
         if even is None:
             has_reverse = bool(np.count_nonzero(~np.isnan(known)))

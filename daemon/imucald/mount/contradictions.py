@@ -80,6 +80,7 @@ class StandingFault(enum.StrEnum):
     FORWARD = "forward_against_orientation"
     ACCEL_LEVEL = "accelerometer_zero_or_gain"
     ACCEL_ZERO = "accelerometer_zero"
+    ACCEL_DRIFT = "accelerometer_zero_drifts"
     REVERSE = "fast_in_reverse"
     NUMERICS = "numbers_out_of_range"
 
@@ -104,6 +105,8 @@ WORDS = {
     "is larger or smaller than before",
     StandingFault.ACCEL_ZERO: "the accelerometer's zero has changed in mid-drive: gravity points "
     "elsewhere than before, and the gyroscope's axis of turning does not",
+    StandingFault.ACCEL_DRIFT: "the accelerometer's zero drifts: its error stays with the sensor "
+    "in bends, and grows",
     StandingFault.REVERSE: "the vehicle is in reverse at more than 40 km/h: what 'reverse' "
     "says ('equals:', 'above:'), or the sign of the speed, is wrong",
     StandingFault.NUMERICS: "numbers out of range: a unit is wrong",

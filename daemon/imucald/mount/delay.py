@@ -29,21 +29,27 @@ MIN_WINDOWS = 3
 KNOWN_STD = 0.2
 """Below it a delay counts as known [s]: dv/dt of a manoeuvre of some seconds then correlates."""
 SEARCHED_STD = 0.1
-"""A prior narrower than this [s] states the delay: nothing is sought beyond."""
+"""A prior no wider than this [s] states the delay: nothing is sought beyond four of it."""
 
 
 class DelaySearch:
-    """Sums of cross-spectra of one signal with the force; the delay in them."""
+    """Sums of cross-spectra of one signal with the force; the delay in them.
+
+    A solver that begins from another one goes on with the same search: the delay is the signal's,
+    whatever the mount. Blocks that it goes through again are in the sums already.
+    """
 
     def __init__(self, prior: DelayPrior) -> None:
         self._prior = prior
-        low = max(MIN_SPEED_DELAY, prior.mean - 4.0 * prior.std)
-        high = min(MAX_SPEED_DELAY, prior.mean + 4.0 * prior.std)
+        reach = 4.0 * prior.std if prior.std <= SEARCHED_STD else math.inf
+        low = max(MIN_SPEED_DELAY, prior.mean - reach)
+        high = min(MAX_SPEED_DELAY, prior.mean + reach)
         self._taus = np.arange(low, high + 0.5 * STEP, STEP) if prior.std > 0 else np.zeros(1)
         self._phases = np.exp(1j * np.outer(self._taus, OMEGA))
         self._cross = np.zeros((len(OMEGA), 3), dtype=np.complex128)
         self._powers = np.zeros((2, len(OMEGA)))  # of the signal, and of the force
         self.windows = 0
+        self._until = -math.inf  # end of the last window that was taken [s]
         self.value = prior.mean
         self.std = prior.std
         self._best = prior.mean
@@ -59,8 +65,14 @@ class DelaySearch:
         is_sought = self._prior.std > SEARCHED_STD and self.std < self._prior.std
         return is_sought and self._best >= float(self._taus[-1]) - STEP
 
-    def add(self, signal: NDArray[np.complex128], force: NDArray[np.complex128]) -> None:
-        """Take spectra of a window: signal (BINS,), force (BINS, 3)."""
+    def add(self, signal: NDArray[np.complex128], force: NDArray[np.complex128], t: float) -> bool:
+        """Take spectra of a window that ends at t [s]: signal (BINS,), force (BINS, 3).
+
+        Returns whether it was new: each window is taken once.
+        """
+        if t <= self._until:
+            return False
+        self._until = t
         if compiled.kernels is not None:
             used = np.empty(1, np.int64)
             flags = compiled.kernels.add_cross_spectra(
@@ -69,17 +81,18 @@ class DelaySearch:
             if flags:
                 compiled.note(flags)
             self.windows += int(used[0])
-            return
+            return True
         re, im = signal.real, signal.imag
         power = re * re + im * im
         if power.sum() < MIN_POWER:
-            return
+            return True
         self.windows += 1
         x, y = force.real, force.imag
         self._cross.real += re[:, None] * x + im[:, None] * y
         self._cross.imag += re[:, None] * y - im[:, None] * x
         self._powers[0] += power
         self._powers[1] += (x * x + y * y).sum(axis=1)
+        return True
 
     def search(self) -> float:
         """Return the delay [s]; `std` is its standard deviation."""

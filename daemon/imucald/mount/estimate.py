@@ -4,15 +4,22 @@ from __future__ import annotations
 
 import enum
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from functools import cached_property
 from typing import Protocol, runtime_checkable
 
 import numpy as np
 from msgspec import Struct, field
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
-from imucald.core.rotations import Matrix3, Rows, angles_from_rotation, quaternion_from_rotation
+from imucald.core.rotations import (
+    Matrix3,
+    Rows,
+    Vector,
+    angles_from_rotation,
+    quaternion_from_rotation,
+)
+from imucald.core.samples import GRAVITY
 from imucald.motion.ticks import TickRow
 from imucald.mount.angle_deviations import angle_deviations
 
@@ -62,6 +69,126 @@ class Targets(Struct, frozen=True):
     fine: tuple[float, float, float]
 
 
+def _rows(matrix: Matrix3) -> Rows:
+    xx, xy, xz, yx, yy, yz, zx, zy, zz = matrix.ravel().tolist()
+    return xx, xy, xz, yx, yy, yz, zx, zy, zz
+
+
+HOUSING = ""
+"""In the place of a channel: the rotation alone, see `Correction.of`."""
+NO_OFFSET: Vector = (0.0, 0.0, 0.0)
+
+
+class Correction(Struct, frozen=True):
+    """What is applied to the samples of the next tick; matrices row by row.
+
+    rotation: R_vehicle_from_sensor, of the housing: for what else sits in it, a magnetometer or
+    another sensor with parallel axes, whose own errors nobody knows.
+    force, force_offset: W and o [m/s^2, vehicle axes]; the accelerometer's W f_sensor - o is sent.
+    rate, rate_offset: the same for the gyroscope [rad/s].
+    """
+
+    rotation: Rows
+    force: Rows
+    rate: Rows
+    force_offset: Vector = NO_OFFSET
+    rate_offset: Vector = NO_OFFSET
+
+    @classmethod
+    def turning(cls, R_vehicle_from_sensor: Matrix3) -> Correction:
+        """That of sensors without an error of their own: a rotation (3, 3) alone."""
+        rows = _rows(R_vehicle_from_sensor)
+        return cls(rows, rows, rows)
+
+    @classmethod
+    def with_matrices(
+        cls,
+        R_vehicle_from_sensor: Matrix3,
+        force: Matrix3,
+        rate: Matrix3,
+        force_offset: ArrayLike = NO_OFFSET,
+        rate_offset: ArrayLike = NO_OFFSET,
+    ) -> Correction:
+        """The same from matrices (3, 3) and offsets (3,)."""
+        a, b, c = np.asarray(force_offset, dtype=float).tolist()
+        p, q, r = np.asarray(rate_offset, dtype=float).tolist()
+        return cls(_rows(R_vehicle_from_sensor), _rows(force), _rows(rate), (a, b, c), (p, q, r))
+
+    @property
+    def is_rotation(self) -> bool:
+        """Whether both sensors are turned alone."""
+        is_one = self.force == self.rotation and self.rate == self.rotation
+        return is_one and self.force_offset == NO_OFFSET and self.rate_offset == NO_OFFSET
+
+    def of(self, channel: str) -> tuple[Rows, Vector]:
+        """Matrix and offset for the samples of a channel; the rotation for all but two."""
+        if channel == "accel":
+            return self.force, self.force_offset
+        if channel == "gyro":
+            return self.rate, self.rate_offset
+        return self.rotation, NO_OFFSET
+
+    def applied(self, channel: str, values: Sequence[float]) -> Vector:
+        """A sample (3,) of a channel in vehicle axes."""
+        # Each sample on a bus comes through here: `of` and `times` would double what it takes.
+        if channel == "accel":
+            matrix, offset = self.force, self.force_offset
+        elif channel == "gyro":
+            matrix, offset = self.rate, self.rate_offset
+        else:
+            matrix, offset = self.rotation, NO_OFFSET
+        a, b, c, d, e, f, g, h, i = matrix
+        x, y, z = values
+        p, q, r = offset
+        return (
+            a * x + b * y + c * z - p,
+            d * x + e * y + f * z - q,
+            g * x + h * y + i * z - r,
+        )
+
+    def matrix(self) -> Matrix3:
+        """R_vehicle_from_sensor (3, 3)."""
+        return np.array(self.rotation).reshape(3, 3)
+
+
+class SentDeviations(Struct, frozen=True):
+    """Standard deviations of what is left in corrected samples of the true force and rate.
+
+    With E = (applied matrix)(response of the sensor) - 1: xy, yx, zx, zy are the force's
+    cross-talk E_xy, ..., of which E_xy is the part of a lateral force that the forward axis shows
+    [rad]; zero_x, zero_y the force that it shows on level ground [m/s^2]; rate_xz, rate_yz the
+    rate's E_xz and E_yz [rad].
+    """
+
+    xy: float
+    yx: float
+    zx: float
+    zy: float
+    zero_x: float
+    zero_y: float
+    rate_xz: float
+    rate_yz: float
+
+    @classmethod
+    def of_rotation(
+        cls, x: float, y: float, z: float, zero: tuple[float, float] = (0.0, 0.0)
+    ) -> SentDeviations:
+        """Where a rotation alone is applied: from its deviations about the vehicle's axes [rad].
+
+        They speak of the angle of the housing. A rotation that is off by e leaves E = -skew(e), so
+        that one angle is in several entries, which are not independent. Cross-axis errors of the
+        sensors themselves are in them only as far as the covariance was widened for them; the
+        deviation about x contains the crown of roads, and so zy and zero_y do.
+
+        zero: the estimated zero of the accelerometer, level part in vehicle axes [m/s^2]. The
+        rotation does not take it off, so it stays in the force on level ground. The error of that
+        estimate does not: the rotation is found from gravity less the estimate, and so turns by
+        just as much the other way.
+        """
+        level = math.hypot(GRAVITY * y, zero[0]), math.hypot(GRAVITY * x, zero[1])
+        return cls(z, z, y, x, *level, y, x)
+
+
 class MountEstimate(Struct, frozen=True, dict=True):
     """One state of knowledge about the mount.
 
@@ -73,6 +200,8 @@ class MountEstimate(Struct, frozen=True, dict=True):
     faults: contradictions between signals that stand, by the names of
     `contradictions.StandingFault`; while there is any, nothing is sent as good.
     targets: what `std` must fall below; None where the estimator states none.
+    matrices: what will be applied when it is reached, where that is more than the rotation.
+    deviations: of what that leaves in the samples; None: `sent` follows from the covariance.
     """
 
     state: MountState
@@ -83,6 +212,22 @@ class MountEstimate(Struct, frozen=True, dict=True):
     details: Mapping[str, object] = field(default_factory=dict)
     faults: tuple[str, ...] = ()
     targets: Targets | None = None
+    matrices: Correction | None = None
+    deviations: SentDeviations | None = None
+
+    @cached_property
+    def correction(self) -> Correction | None:
+        """What will be applied when it is reached, or None."""
+        if self.matrices is not None or self.R_vehicle_from_sensor is None:
+            return self.matrices
+        return Correction.turning(self.R_vehicle_from_sensor)
+
+    @cached_property
+    def sent(self) -> SentDeviations | None:
+        """Deviations of what a consumer gets, or None."""
+        if self.deviations is not None or self.std is None:
+            return self.deviations
+        return SentDeviations.of_rotation(*self.std)
 
     @cached_property
     def angles(self) -> tuple[float, float, float] | None:
@@ -114,10 +259,6 @@ class MountEstimate(Struct, frozen=True, dict=True):
         return angle_deviations(self.R_vehicle_from_sensor, self.covariance.tolist())
 
 
-Correction = Rows
-"""R_vehicle_from_sensor to apply to the samples of the next tick, row by row."""
-
-
 class MountEstimator(Protocol):
     """The verbs of every mount estimator. Pure: no I/O, no clock.
 
@@ -128,7 +269,7 @@ class MountEstimator(Protocol):
 
     @property
     def correction(self) -> Correction | None:
-        """The rotation to apply now (smooth from tick to tick), or None: not usable yet."""
+        """What to apply now (smooth from tick to tick), or None: not usable yet."""
         ...
 
     @property

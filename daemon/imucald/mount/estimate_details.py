@@ -8,16 +8,21 @@ from __future__ import annotations
 import math
 
 import numpy as np
+from numpy.typing import NDArray
 
+from imucald.motion.ticks import TICK_S
 from imucald.mount.creep import BELIEVED, Creep
-from imucald.mount.estimate import ANGLES, Correction
+from imucald.mount.estimate import ANGLES
 from imucald.mount.evidence_response import GROUP
 from imucald.mount.force_level import LevelChange
-from imucald.mount.mount_changes import MountChanges
+from imucald.mount.mount_changes import GoodMount, MountChanges, TakenChange
+from imucald.mount.mount_words import SD_95
 from imucald.mount.signal_blocks import BLOCK_S, SignalBlockMaker
 from imucald.mount.signal_checks import SignalChecks
 from imucald.mount.solver import MountSolver
 from imucald.mount.states import MountKnowledge
+
+Array = NDArray[np.float64]
 
 SEGMENTS_PER_H = 3600.0 / (GROUP * BLOCK_S)
 """Road segments in an hour of driving."""
@@ -30,14 +35,14 @@ def estimate_details(
     changes: MountChanges,
     checks: SignalChecks,
     steering: tuple[float, float] | None,
-    good: Correction | None,
+    good: GoodMount | None,
 ) -> dict[str, object]:
     """Return the details of an estimate.
 
     steering: zero offset of the steering-wheel angle and its deviation [rad], where it is known.
-    good: the rotation that is good now, by rows.
+    good: the mount that is good now.
     """
-    fused, bias = solver.fused, solver.bias
+    fused, bias, counts = solver.fused, solver.bias, signals.health.counts
     return {
         "evidence_share": {} if fused is None else fused.shares,
         "evidence_std_deg": {
@@ -59,20 +64,47 @@ def estimate_details(
         "stops": known.stops,
         "distance": solver.gravity.metres,
         "shifts": [
-            {
-                "t": one.block * BLOCK_S,
-                "angle": ANGLES[one.change.axis],
-                "size_deg": math.degrees(one.change.size),
-                "deviations": one.change.deviations,
-                "turn_deg": None if turn is None else np.degrees(turn).tolist(),
-            }
+            change_details(one, turn)
             for one, turn in zip(changes.history, changes.turns(good), strict=True)
         ],
         "creep": creep_details(solver.creep),
         "cross_axis_std": solver.cross_axis_std,
         "faults": [{"t": block * BLOCK_S, "fault": fault.value} for block, fault in checks.history],
         "not_checked": list(checks.not_checked),
-        "frozen_ticks": dict(signals.health.counts),
+        "frozen_ticks": {
+            signal: {fault.value: n for (of, fault), n in counts.items() if of == signal}
+            for signal in dict.fromkeys(of for of, _ in counts)
+        },
+    }
+
+
+def left_out_details(signals: SignalBlockMaker) -> list[dict[str, object]]:
+    """What nothing was learnt from, by signal, cause and time, the longest first."""
+    return [
+        {"signal": signal, "cause": cause, "seconds": ticks * TICK_S}
+        for (signal, cause), ticks in signals.left_out.most_common()
+    ]
+
+
+def change_details(one: TakenChange, turn: tuple[Array, Array] | None) -> dict[str, object]:
+    """A change of the mount, and by how far it is turned since (`TakenChange.turn`).
+
+    within_deg: half of the 95 % interval [deg] in which the change lies, so that nothing shows that
+    the sensor was moved; None where it is a move. The interval covers a change that is borne.
+    """
+    half, is_within = max(SD_95 * one.std, abs(one.change.size)), one.is_borne
+    if turn is not None:
+        halves = SD_95 * turn[1]
+        largest = int(np.argmax(np.abs(turn[0]) / halves))
+        half = float(halves[largest])
+        is_within = bool(abs(turn[0][largest]) <= half)
+    return {
+        "t": one.block * BLOCK_S,
+        "angle": ANGLES[one.change.axis],
+        "size_deg": math.degrees(one.change.size),
+        "deviations": one.change.deviations,
+        "turn_deg": None if turn is None else np.degrees(turn[0]).tolist(),
+        "within_deg": math.degrees(half) if is_within else None,
     }
 
 

@@ -22,28 +22,35 @@ What happens, in order:
 from __future__ import annotations
 
 import math
+from collections import deque
 from collections.abc import Collection, Iterable, Mapping
 
 import numpy as np
+from msgspec.structs import replace
 from numpy.typing import NDArray
 
 from imucald.core.rotations import Matrix3
 from imucald.motion.ticks import TickRow
 from imucald.mount.acceptance import Acceptance
 from imucald.mount.contradictions import StandingFault
-from imucald.mount.estimate import Correction, MountEstimate, MountState
-from imucald.mount.estimate_details import creep_details, estimate_details, level_details
+from imucald.mount.estimate import Correction, MountEstimate, MountState, SentDeviations
+from imucald.mount.estimate_details import (
+    creep_details,
+    estimate_details,
+    left_out_details,
+    level_details,
+)
 from imucald.mount.estimator_settings import EstimatorSettings
 from imucald.mount.force_level import ForceLevel
 from imucald.mount.hysteresis import GOOD
 from imucald.mount.large_change import LargeChange
-from imucald.mount.mount_changes import MountChange, MountChanges, blocks_since
+from imucald.mount.mount_changes import GoodMount, MountChange, MountChanges, blocks_since
 from imucald.mount.off_vertical_limit import is_off_vertical
 from imucald.mount.reported_rotation import ReportedRotation
 from imucald.mount.restartable_solver import RestartableSolver
 from imucald.mount.saved_information import SavedInformation
 from imucald.mount.served_mount import ServedMount
-from imucald.mount.signal_blocks import BLOCK_S, SignalBlock, SignalBlockMaker
+from imucald.mount.signal_blocks import BLOCK_S, MountSoFar, SignalBlock, SignalBlockMaker
 from imucald.mount.signal_checks import SignalChecks
 from imucald.mount.solver import MountSolver
 from imucald.mount.states import MountKnowledge, targets_in_force
@@ -55,8 +62,9 @@ Array = NDArray[np.float64]
 
 FAILED_BLOCKS = 14
 """Numbers out of range stand as a fault for so long after the last of them (90 s)."""
-AFRESH = math.radians(20.0)
-"""After a turn by more [rad] not even the rotation so far is a hint of the new one."""
+MINUTE_BLOCKS = 10
+"""What an estimate waits for is judged by the last minute: what a single block lacks comes back."""
+TURNING = frozenset({"yaw_rate", "steering"})
 FROZEN_TICKS = 40
 """Learning counts as frozen when so many of a block's ticks were not to be trusted."""
 
@@ -78,6 +86,7 @@ class FullEstimator:
         self._checks = SignalChecks(self._settings)
         self._changes = MountChanges(self._settings)
         self._level = ForceLevel()
+        self._lately: deque[tuple[int, ...]] = deque(maxlen=MINUTE_BLOCKS)
         self._off_vertical = 0
         self._failed_for = 0
         self._known = MountKnowledge(begun=False, accelerometer=False)
@@ -126,6 +135,7 @@ class FullEstimator:
             self._is_catching_up = self._solvers.is_catching_up
             self._estimate = None
         if self._signals.push(tick):
+            self._signals.take_mount(self._known_mount())
             self._take_block(self._signals.block())
             self._is_catching_up = self._solvers.is_catching_up
             self._estimate = None
@@ -171,8 +181,9 @@ class FullEstimator:
         solvers, signals, changes = self._solvers, self._signals, self._changes
         solvers.take(p, signals.without_speed)
         self._follow_steering(p)
-        if solvers.can_compare or p.rest.all():  # the vertical is free of the motion
-            self._level.add(p, solvers.now.vertical.up)
+        vertical = solvers.now.vertical
+        if (solvers.can_compare and vertical.is_held) or p.rest.all():  # it is free of the motion
+            self._level.add(p, vertical.up)
         turned = changes.at_once(p, solvers.now, signals) if solvers.can_compare else None
         if turned is not None:  # by hand: that contradicts no sign and no unit
             self._checks.forget_forces()
@@ -188,8 +199,25 @@ class FullEstimator:
             return
         if not solvers.has_looked_again:
             solvers.look_again(signals.offsets)
-        elif (change := changes.small(solvers.now, is_turn, self.state in GOOD)) is not None:
+            return
+        thoroughly = is_turn and not self._checks.is_motion_accused
+        change = changes.small(solvers.now, thoroughly, self._is_rotation_good)
+        if change is not None:
             self._take_change(change)
+
+    @property
+    def _is_rotation_good(self) -> bool:
+        """Whether the solver's rotation is good enough to hold gravity against it."""
+        return self.state in GOOD
+
+    def _known_mount(self) -> MountSoFar | None:
+        """What a speed that stays is held against."""
+        solver = self._solver
+        up = solver.vertical.up
+        if solver.R is None or up is None or not self._solvers.can_compare or not solver.sure():
+            return None
+        delay = solver.delay_speed
+        return MountSoFar(solver.R[0], up, delay.value, delay.std)
 
     def _follow_steering(self, p: SignalBlock) -> None:
         """Steering offset against the measured yaw rate; steering alone knows no offset."""
@@ -233,21 +261,22 @@ class FullEstimator:
     def _take_change(self, found: MountChange) -> None:
         """The sensor was moved: what came in the blocks after is all that counts."""
         after = blocks_since(found, self._solvers.kept)
-        changes, block, good = self._changes, self._signals.blocks, self._served.good
+        changes, block, good = self._changes, self._signals.blocks, self._good_mount()
+        std = changes.stated(self._solver, block)[found.axis]
         changes.end_of_mounting(good)
         if self.state in GOOD and changes.is_bearable(found, self._solver, block):
-            if changes.bear(found, block):
+            if changes.bear(found, block, std, good):
                 self._ask_for_zero(found, after)
                 self._solvers.begin_beside(after, self._signals.offsets)
             return
-        if abs(found.size) > AFRESH:
-            self._begin_without_rotation(after)
+        self._ask_for_zero(found, after)
+        if isinstance(found, LargeChange):  # of one axis; nobody knows about the others
+            self._begin_afresh(after)
         else:
-            self._ask_for_zero(found, after)
             self._served.has_moved = True
             changes.restart()
             self._solvers.begin_after_change(after, self._signals.offsets)
-        changes.take(found, block, good)
+        changes.take(found, block, std, good)
 
     def _ask_for_zero(self, found: MountChange, after: list[SignalBlock]) -> None:
         """A zero of the accelerometer that steps looks like a tilt; the gyroscope knows which."""
@@ -260,15 +289,20 @@ class FullEstimator:
         if not self._solvers.has_beside and self._served.has_arrived:
             self._changes.borne[:] = 0.0  # what is applied is the mount of now
         if self._solvers.take_beside(self._settings.limits):
-            self._changes.follow()
+            self._changes.know_borne()
 
     def _begin_without_rotation(self, blocks: Iterable[SignalBlock] = ()) -> None:
         """Begin anew from these blocks: not even the rotation so far is a hint."""
-        self._changes.end_of_mounting(self._served.good)
+        self._changes.end_of_mounting(self._good_mount())
+        self._changes.zero.restart()
+        self._begin_afresh(blocks)
+
+    def _begin_afresh(self, blocks: Iterable[SignalBlock]) -> None:
+        """Begin anew from these blocks, and go on to ask what moved gravity."""
         self._served.has_moved = True
         self._changes.restart()
-        self._changes.zero.restart()
         self._checks.restart()
+        self._signals.offsets.doubt_gyro()
         self._solvers.begin_without_rotation(blocks)
 
     # judging, and saying what is known --------------------------------------------------------
@@ -288,16 +322,28 @@ class FullEstimator:
             self._acceptance(),
             has_faults=bool(checks.standing),
             is_refitting=self._solvers.is_refitting,
-            rotation=lambda: self._rotation.of(solver, self._moving())[0],
+            found_correction=self._found_correction,
         )
+
+    def _found_correction(self) -> Correction:
+        """What is to be applied, by the evidence so far."""
+        found = self._rotation.of(self._solver, self._moving(), self._is_yaw_known)
+        return Correction.turning(found[0])
+
+    @property
+    def _is_yaw_known(self) -> bool:
+        return self._solver.yaw_known and not self._checks.is_motion_accused
 
     def _knowledge(self, p: SignalBlock) -> MountKnowledge:
         """What is known after a block."""
         solver, driven, fused = self._solver, self._solvers.driven, self._solver.fused
+        frozen = ~p.learn & p.ok_force
+        self._lately.append(tuple(map(np.count_nonzero, (p.ok_force, p.ok_speed, frozen))))
+        lately = self._lately
         std = (math.inf, math.inf, math.inf)
         if fused is not None:
             x, y, z = (math.sqrt(v) for v in (fused.variance + self._moving()).tolist())
-            std = (x, y, z if solver.yaw_known else math.inf)
+            std = (x, y, z if self._is_yaw_known else math.inf)
         return MountKnowledge(
             gravity=fused is not None,
             std=std,
@@ -305,13 +351,27 @@ class FullEstimator:
             lefts=driven.lefts,
             rights=driven.rights,
             stops=solver.gravity.stops,
-            accelerometer=bool(np.count_nonzero(p.ok_force)),
-            speed=not self._signals.without_speed and bool(np.count_nonzero(p.ok_speed)),
-            frozen=int(np.count_nonzero(~p.learn & p.ok_force)) >= FROZEN_TICKS,
+            accelerometer=any(ok for ok, _, _ in lately),
+            speed=not self._signals.without_speed and any(ok for _, ok, _ in lately),
+            frozen=lately[-1][2] >= FROZEN_TICKS,
             yaw_seen=solver.yaw_seen,
             has_past=solver.past_drives is not None,
             cross_axis=solver.cross_axis_std,
+            turning=solver.own_gyro or bool(self._signals.seen & TURNING),
+            speed_hz=0.0
+            if self._signals.without_speed
+            else math.fsum(ok for _, ok, _ in lately) / (len(lately) * BLOCK_S),
+            driven_s=solver.blocks * BLOCK_S,
         )
+
+    def _good_mount(self, R: Matrix3 | None = None) -> GoodMount | None:
+        """The mount that is good now; R: what is known of it, where that is not applied yet."""
+        good = self._served.good
+        if good is None:
+            return None
+        if R is not None:
+            good = Correction.turning(R)
+        return GoodMount(good.rotation, self._changes.stated(self._solver, self._signals.blocks))
 
     def _moving(self) -> Array:
         return self._changes.variance(self._solver, self._signals.blocks)
@@ -339,16 +399,21 @@ class FullEstimator:
             R = covariance = None
             details: dict[str, object] = {}
         else:
-            R, covariance = self._rotation.of(solver, self._moving())
+            R, covariance = self._rotation.of(solver, self._moving(), self._is_yaw_known)
             steering = self._steering_fitted()
             details = estimate_details(
-                solver, self._signals, self._known, changes, checks, steering, self._served.good
+                solver, self._signals, self._known, changes, checks, steering, self._good_mount(R)
             )
             details["gravity_change"] = level_details(self._level.change)
+        details["not_learnt_from"] = left_out_details(self._signals)
         if self._off_vertical:
             details["off_vertical"] = self._off_vertical
         targets = targets_in_force(self._known, state, self._settings)
-        return MountEstimate(state, R, covariance, words, codes, details, self.faults, targets)
+        made = MountEstimate(state, R, covariance, words, codes, details, self.faults, targets)
+        if R is None or made.std is None or solver.bias is None:
+            return made
+        along, across, _ = (R @ solver.bias).tolist()
+        return replace(made, deviations=SentDeviations.of_rotation(*made.std, zero=(along, across)))
 
     # what a person says, and what outlives the process; see `mount.restored` ------------------
 

@@ -28,7 +28,8 @@ from imucald.mount.priors import (
 class DelayPrior(Struct, frozen=True):
     """Lateness of a vehicle signal against the accelerometer, before data speak [s].
 
-    Positive: the signal arrives late. Sought within mean +- 4 std, and what can be configured.
+    Positive: the signal arrives late. It is sought within what can be configured; where the delay
+    is stated (`delay.SEARCHED_STD`), within mean +- 4 std too.
     """
 
     mean: float = 0.1
@@ -115,3 +116,6 @@ class EstimatorSettings(MountSettings, frozen=True):
     """K in r = v * delta / (n * L * (1 + K v^2 / L)) [rad/(m/s^2)]."""
     uses_steering: bool = False
     """Whether the angle of the steering wheel may stand for the yaw rate."""
+    are_sides_turned: bool = False
+    """Whether the configuration turns signals that know left from right, so that as likely as not
+    the accelerometer is mirrored instead (`mirror`): what they say of it is no confirmation."""

@@ -14,9 +14,10 @@ from msgspec import Struct
 from numpy.typing import NDArray
 
 from imucald.motion import ticks as tk
+from imucald.motion.coarse_speed import SAME_SPEED, passages, stays
 from imucald.motion.signal_health import SignalHealth
 from imucald.motion.standstill import DRIVING_SPEED, ROLLING_SPEED, ZERO_SPEED
-from imucald.motion.stuck import SAME, SAME_SPEED
+from imucald.motion.stuck import SAME
 from imucald.motion.stuck_yaw_rate import SAME_RATE
 from imucald.motion.ticks import TICK_S
 from imucald.motion.usual_runs import short_runs
@@ -130,6 +131,22 @@ def bridged(at: Array, times: Array, values: Array, longest: float) -> tuple[Arr
     return out[0], ok[0]
 
 
+def speed_blocks(at: Array, times: Array, values: Array) -> tuple[Array, Flags]:
+    """As `bridged_blocks` of speeds (B, M), which may be coarse."""
+    out, ok = bridged_blocks(at, times, values, SPEED_GAP)
+    for b in np.flatnonzero(stays(values)).tolist():
+        out[b] = np.interp(at[b], *passages(times[b], values[b]))
+    return out, ok
+
+
+def bridged_speed(at: Array, times: Array, values: Array) -> tuple[Array, Flags]:
+    """As `bridged` of speeds (M,), which may be coarse."""
+    if len(times) < 1:
+        return bridged(at, times, values, SPEED_GAP)
+    out, ok = speed_blocks(at[None], times[None], values[None])
+    return out[0], ok[0]
+
+
 def times_of(end: Array) -> Array:
     """Ends of the ticks (..., ROWS) of blocks whose last tick ends at `end` (..., 1) [s]."""
     return np.asarray(end + _BACK)
@@ -220,7 +237,7 @@ def _driven(
         windows, t, at = windows[whole], t[whole], at[whole]
         sensed = tuple(one[whole] for one in sensed)  # type: ignore[assignment]
     mean = windows[:, :, tk.SPEED.mean]
-    speed, ok = bridged_blocks(at, t - windows[:, :, tk.SPEED.age], mean, SPEED_GAP)
+    speed, ok = speed_blocks(at, t - windows[:, :, tk.SPEED.age], mean)
     size = np.abs(mean)
     moves: Flags = size > ZERO_SPEED
     between = moves[:, 1:-1] & moves[:, :-2] & moves[:, 2:]

@@ -86,6 +86,11 @@ class GravityObserver:
         """Whether the vertical was lost and is being found anew."""
         return self._seeking > 0
 
+    @property
+    def is_held(self) -> bool:
+        """Whether the force has held it lately; a coarse gyroscope tilts it by 0.5 deg/s alone."""
+        return self._state is not None and self._settling == 0
+
     def advance(
         self, p: SignalBlock, motion: Array | None, bias: Array | None, sure: bool
     ) -> Array:

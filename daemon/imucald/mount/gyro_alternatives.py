@@ -94,13 +94,17 @@ def gyro_ratios(
     ahead, across: level parts of the force over g (N,), dv/dt taken off, v r still in it; rate:
     (N, 3) [rad/s] sensor axes; speed: (N,) [m/s]; gain: of v r.
     """
-    left = _left_over(ahead, across, rate, speed, R, gain)
+    return ratios_of(gyro_energies(ahead, across, rate, speed, R, gain))
+
+
+def ratios_of(left: Array) -> Array:
+    """Log likelihood ratios (13,) from the energies (14, 2) that are left over."""
     ratios: Array = (0.5 * INDEPENDENT * np.log(left[1:] / left[0])).sum(axis=1)
     return ratios
 
 
-def _left_over(
-    ahead: Array, across: Array, rate: Array, speed: Array, R: Matrix3, gain: float
+def gyro_energies(
+    ahead: Array, across: Array, rate: Array, speed: Array, R: Matrix3, gain: float = 1.0
 ) -> Array:
     """Energies (14, 2) that each alternative leaves of the level parts of the vertical [rad^2].
 

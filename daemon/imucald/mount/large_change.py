@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 
 from imucald.core import compiled
 from imucald.core.rotations import Matrix3, vector_from_rotation
+from imucald.core.samples import GRAVITY
 from imucald.motion.ticks import TICK_S
 from imucald.mount.alternatives import MAX_REVERSE
 from imucald.mount.block_sums import BlockSums
@@ -67,9 +68,11 @@ LEAST_RADIUS = 4.0
 wide. A speed that begins at 3 km/h says zero while a vehicle creeps round it at 12 deg/s."""
 STANDING_TICKS = 12
 """Ticks of standing that its tilt is known from."""
-LATE_TICKS = 22
+REST_WINDOW = 32
+"""Its tilt now is the mean of up to so many: what a speed that is silent hides adds up to less."""
+LATE_TICKS = 28
 """A vehicle that moves off is felt before its speed says so: for the longest delay of a speed
-(`MAX_SPEED_DELAY`, 1.2 s) and for as long as wheel sensors are silent (up to 1 m/s, `standstill`,
+(`MAX_SPEED_DELAY`, 1.8 s) and for as long as wheel sensors are silent (up to 1 m/s, `standstill`,
 at 1 m/s^2). So the last ticks of standing are looked at only once more of them have come."""
 
 
@@ -108,7 +111,7 @@ class LargeChangeDetector:
 
     def _forget_standing(self) -> None:
         """The vehicle has moved, or nobody knows whether it has."""
-        self._stopped_at: Array | None = None
+        self._stopped_at: tuple[Array, Array] | None = None  # mean force (3,), its variance (3, 3)
         self._turned = np.zeros(3)
         self._standing = np.zeros((0, 6))  # force and rate of ticks not looked at yet
 
@@ -251,17 +254,44 @@ class LargeChangeDetector:
         self._standing = standing[known:]
         force, rate = standing[:known, :3], standing[:known, 3:]
         if self._stopped_at is None:
-            self._stopped_at = force[:STANDING_TICKS].mean(axis=0)
+            self._stopped_at = _mean_force(force[:STANDING_TICKS])
         quick = np.abs(rate @ R[2]) > p.least_speed / LEAST_RADIUS
         self._turned += rate[quick].sum(axis=0) * TICK_S
-        now = force[-STANDING_TICKS:].mean(axis=0)
-        cross = R @ np.cross(now, self._stopped_at)
-        tilt = cross / max(float(np.linalg.norm(now) * np.linalg.norm(self._stopped_at)), 1e-9)
+        before, variance = self._stopped_at
+        window = force[-REST_WINDOW:]
+        now, own_variance = _mean_force(window)
         turned = R @ self._turned
         self._turned *= 0.5  # a bias adds up, a turn is quick
-        e = np.array([tilt[0], tilt[1], turned[2]])
-        axis = int(np.argmax(np.abs(e)))
-        if abs(e[axis]) < STANDING_TURN:
+        e = np.append(_tilt(before, now, R)[:YAW], turned[YAW])
+        noise = np.sqrt(np.diag(R @ (variance + own_variance) @ R.T)[[1, 0]])
+        limits = np.full(3, STANDING_TURN)
+        limits[:YAW] += _hidden_force(p.least_speed, len(window)) / GRAVITY
+        limits[:YAW] = np.hypot(limits[:YAW], DEVIATIONS * noise / GRAVITY)
+        excess = np.abs(e) / limits
+        axis = int(np.argmax(excess))
+        if excess[axis] < 1.0:
             return None
+        if axis != YAW:  # where it has come to by now
+            e = _tilt(before, force[-STANDING_TICKS:].mean(axis=0), R)
         self._stopped_at, self._turned = None, np.zeros(3)
-        return LargeChange(axis, float(e[axis]), float(e[axis]) / (STANDING_TURN / 6.0), 1)
+        return LargeChange(axis, float(e[axis]), float(e[axis] / limits[axis]) * DEVIATIONS, 1)
+
+
+def _tilt(before: Array, now: Array, R: Matrix3) -> Array:
+    """By how much a sensor is tilted by two mean forces at rest: rotation vector (3,), vehicle."""
+    size2 = float(np.linalg.norm(now) * np.linalg.norm(before))
+    return np.asarray(R @ np.cross(now, before) / max(size2, 1e-9))
+
+
+def _hidden_force(least: float, ticks: int) -> Array:
+    """Force across and along (2,) [m/s^2] by which the means of the first and of the last ticks of
+    a stop may differ, where the vehicle creeps and its speed stays zero up to `least` [m/s]."""
+    along = 1.0 / STANDING_TICKS + 1.0 / ticks
+    return np.array([2.0 * least * least / LEAST_RADIUS, least * along / TICK_S])
+
+
+def _mean_force(force: Array) -> tuple[Array, Array]:
+    """Mean of forces (n, 3), and its variance (3, 3) by how they differ from tick to tick, which a
+    sensor that is tilted in between hardly adds to."""
+    steps = np.diff(force, axis=0)
+    return force.mean(axis=0), 0.5 * (steps.T @ steps) / (len(steps) * len(force))

@@ -14,9 +14,8 @@ import numpy as np
 from msgspec import Struct
 from numpy.typing import NDArray
 
-from imucald.core.rotations import vector_from_rotation
+from imucald.core.rotations import Rows, vector_from_rotation
 from imucald.mount.block_sums import block_sums, driven
-from imucald.mount.estimate import Correction
 from imucald.mount.estimator_settings import EstimatorSettings
 from imucald.mount.evidence_response import GROUP
 from imucald.mount.gravity_step import GravityStep
@@ -48,20 +47,41 @@ alarm in 300 h and angle, with 140 road segments an hour and two independent spa
 of 1.2e-5, two-sided."""
 
 
+class GoodMount(Struct, frozen=True):
+    """R: R_vehicle_from_sensor, by rows; std: deviations about the vehicle's axes (3,) [rad]."""
+
+    R: Rows
+    std: tuple[float, ...]
+
+
 class TakenChange(Struct):
     """A change that was found.
 
-    block: its number in the drive. change: what the test saw of it, of one angle. before, after:
-    the rotation R_vehicle_from_sensor, by rows, that was good until then, and the one that was good
-    when the next change came; None where none was. is_borne: it misleads nobody, and the rotation
-    went on.
+    block: its number in the drive. change: what the test saw of it, of one angle. std: stated
+    deviation of that angle then [rad]. before, after: the good mount until then, and the one that
+    was good when the next change came; None where none was. is_borne: it misleads nobody, and the
+    rotation went on.
     """
 
     block: int
     change: MountChange
-    before: Correction | None = None
-    after: Correction | None = None
+    std: float
+    before: GoodMount | None = None
+    after: GoodMount | None = None
     is_borne: bool = False
+
+    def turn(self, now: GoodMount | None) -> tuple[Array, Array] | None:
+        """By how far the mount is turned since: a rotation vector (3,) about the vehicle's axes,
+        and the larger deviation (3,) [rad] of both mounts; None where one of them is not known.
+
+        now: the mount that is good now, where no other change has come.
+        """
+        after = self.after if now is None else now
+        if self.before is None or after is None:
+            return None
+        R_after, R_before = (np.array(one.R).reshape(3, 3) for one in (after, self.before))
+        std = np.maximum(after.std, self.before.std)
+        return vector_from_rotation(R_after @ R_before.T), std
 
 
 class MountChanges:
@@ -76,7 +96,7 @@ class MountChanges:
         self._large = LargeChangeDetector(settings)
         self.zero = ZeroStep(settings)
         self.history: list[TakenChange] = []
-        self._is_open = False  # the mount after the last change may still become better known
+        self._open: TakenChange | None = None  # the mount after it may still become better known
         self.is_near = False
         self.borne = np.zeros(3)
         self._doubted = np.zeros(3)
@@ -139,35 +159,44 @@ class MountChanges:
         """
         if solver.fused is None or self._may_be_stepped_zero(found, solver):
             return False
-        variance = solver.fused.variance + self._variance(solver, blocks, self._of_borne())
-        stated = ALERT_DEVIATIONS * math.sqrt(float(variance[found.axis]))
+        stated = ALERT_DEVIATIONS * self.stated(solver, blocks)[found.axis]
         return abs(found.size) <= max(ALERT_LIMIT, stated)
+
+    def stated(self, solver: MountSolver, blocks: int) -> tuple[float, ...]:
+        """Deviations (3,) [rad] as stated, without what a change in doubt adds to them."""
+        if solver.fused is None:
+            return (math.inf, math.inf, math.inf)
+        variance = solver.fused.variance + self._variance(solver, blocks, self._of_borne())
+        return tuple(np.sqrt(variance).tolist())
 
     @staticmethod
     def _may_be_stepped_zero(found: MountChange, solver: MountSolver) -> bool:
         is_sudden_tilt = found.axis < 2 and not isinstance(found, Shift)
         return is_sudden_tilt and abs(found.size) > LEAST_TILT and solver.own_gyro
 
-    def bear(self, found: MountChange, block: int) -> bool:
-        """Take a change that misleads nobody; return whether it was not known yet."""
+    def bear(self, found: MountChange, block: int, std: float, good: GoodMount | None) -> bool:
+        """Take a change that misleads nobody; return whether it was not known yet.
+
+        std: stated deviation of its angle [rad]; good: the mount until then.
+        """
         borne = float(self.borne[found.axis])
         is_new = borne == 0.0 or borne * found.size < 0.0
         if is_new:
-            self.history.append(TakenChange(block, found, is_borne=True))
+            self.history.append(TakenChange(block, found, std, before=good, is_borne=True))
         if is_new or abs(found.size) > abs(borne):
             self.borne[found.axis] = found.size
         return is_new
 
-    def take(self, found: MountChange, block: int, good: Correction | None) -> None:
-        """Take a change after which the mount is found anew; good: the rotation until then."""
-        self.history.append(TakenChange(block, found, before=good))
-        self._is_open = True
+    def take(self, found: MountChange, block: int, std: float, good: GoodMount | None) -> None:
+        """Take a change after which the mount is found anew; good: the mount until then."""
+        self.history.append(TakenChange(block, found, std, before=good))
+        self._open = self.history[-1]
 
-    def end_of_mounting(self, good: Correction | None) -> None:
-        """Another change comes, or all begins anew; good: the rotation until now."""
-        if self._is_open:
-            self.history[-1].after = good
-        self._is_open = False
+    def end_of_mounting(self, good: GoodMount | None) -> None:
+        """Another change comes, or all begins anew; good: the mount until now."""
+        if self._open is not None:
+            self._open.after = good
+        self._open = None
 
     def skip(self) -> None:
         """Blocks come that cannot be compared with any rotation."""
@@ -175,11 +204,16 @@ class MountChanges:
 
     def restart(self) -> None:
         """What comes next is another mounting, compared with nothing before."""
-        self.follow()
+        self._follow()
         self.borne[:] = 0.0
 
-    def follow(self) -> None:
+    def know_borne(self) -> None:
         """Another solver knows the mounting since a change that is still borne."""
+        self._open = next((one for one in reversed(self.history) if one.is_borne), None)
+        self._follow()
+
+    def _follow(self) -> None:
+        """Another solver goes on."""
         self._large.restart()
         self.is_near = False
         self._doubted[:] = 0.0
@@ -195,23 +229,9 @@ class MountChanges:
         by_axis = [[change.size for change in every if change.axis == axis] for axis in range(3)]
         return [math.fsum(x) if len(x) > SHIFTS_ALLOWED else 0.0 for x in by_axis]
 
-    def turns(self, now: Correction | None) -> list[Array | None]:
-        """By how far the mount is turned since each change: rotation vectors (3,) [rad] about the
-        vehicle's axes, of the good rotations before and after it.
-
-        now: the rotation that is good now, by rows. None where none was good before or after, and
-        for a change that is borne.
-        """
-        last = len(self.history) - 1
-        found: list[Array | None] = []
-        for i, one in enumerate(self.history):
-            after = now if self._is_open and i == last else one.after
-            if one.before is None or after is None:
-                found.append(None)
-                continue
-            R_after, R_before = (np.array(R).reshape(3, 3) for R in (after, one.before))
-            found.append(vector_from_rotation(R_after @ R_before.T))
-        return found
+    def turns(self, now: GoodMount | None) -> list[tuple[Array, Array] | None]:
+        """Of each change, see `TakenChange.turn`; now: the mount that is good now."""
+        return [one.turn(now if one is self._open else None) for one in self.history]
 
     def variance(self, solver: MountSolver, blocks: int) -> Array:
         """Variance (3,) [rad^2] from a mount that moves: as it creeps, or as it has moved so far.

@@ -7,8 +7,9 @@ from msgspec.structs import replace
 
 from imucald.mount.estimate import MountEstimator, MountState
 from imucald.mount.hysteresis import BAD, GOOD
+from imucald.mount.joint.known import KnownSensor
 from imucald.mount.mount_words import doubt_words
-from imucald.mount.restored import Phase, RestoredEstimator, StoredMount
+from imucald.mount.restored import KnowsSensor, Phase, RestoredEstimator, StoredMount
 from imucald.mount.saved_information import SavedInformation, SavesInformation
 
 
@@ -20,14 +21,24 @@ def mount_in_force(estimator: MountEstimator) -> StoredMount | None:
     is_doubted = estimator.state in BAD
     if isinstance(estimator, RestoredEstimator) and estimator.serves_stored:
         return replace(estimator.stored, doubted=is_doubted, doubt=doubt_of(estimator))
-    C = estimator.estimate().covariance
+    known = estimator.estimate()
+    C = known.covariance
     if C is None or not np.isfinite(C).all():
         return None
     state = estimator.state if estimator.state in GOOD else MountState.USABLE
-    R = np.array(correction).reshape(3, 3)
     evidence = saved_information(estimator)
     doubt = doubt_of(estimator)
-    return StoredMount(R, 0.5 * (C + C.T), state, is_doubted, evidence, doubt=doubt)
+    return StoredMount(
+        correction.matrix(),
+        0.5 * (C + C.T),
+        state,
+        is_doubted,
+        evidence,
+        doubt=doubt,
+        applied=None if correction.is_rotation else correction,
+        sent=known.deviations,
+        sensor=known_sensor(estimator),
+    )
 
 
 def doubt_of(estimator: MountEstimator) -> str:
@@ -44,6 +55,13 @@ def saved_information(estimator: MountEstimator) -> SavedInformation | None:
     """What an estimator can go on with later, where it keeps that."""
     if isinstance(estimator, RestoredEstimator | SavesInformation):
         return estimator.saved_information()
+    return None
+
+
+def known_sensor(estimator: MountEstimator) -> KnownSensor | None:
+    """What an estimator knows of the sensor by itself, where it finds that."""
+    if isinstance(estimator, RestoredEstimator | KnowsSensor):
+        return estimator.known_sensor()
     return None
 
 

@@ -28,6 +28,7 @@ EVIDENCE_KINDS = {
     "before": "earlier drives",
 }
 """What the last part of an evidence's name means."""
+LEAST_LEFT_OUT_S = 1.0
 UPSIDE_DOWN = (
     "upside down and backwards: if the sensor sits so, say 'calibration: {orientation: {up: AXIS}}'"
     "; if not, its accelerometer shows minus the specific force: give its axes 'sign: -1'"
@@ -52,6 +53,22 @@ def plus_minus(std_deg: float | None, digits: int = 2, unit: str = "°") -> str:
     """A standard deviation [deg] as people read it, "±0.71°"; "-" where nothing is known."""
     half = half_width(std_deg)
     return "-" if half is None else f"±{half:.{digits}f}{unit}"
+
+
+def sent_words(correction: Mapping[str, Any] | None) -> str:
+    """What is left in corrected samples, ± in one line; "" where nothing is known.
+
+    correction: as in docs/json.md; of an older daemon there is none.
+    """
+    if correction is None:
+        return ""
+    cross_talk, gyro = correction["cross_talk_std_deg"], correction["gyro_cross_talk_std_deg"]
+    if all(v is None for v in (*cross_talk.values(), *gyro.values())):
+        return ""
+    zero = " ".join("-" if v is None else f"±{SD_95 * v:.2f}" for v in correction["zero_std_mps2"])
+    of = " ".join(f"{name} {plus_minus(std)}" for name, std in cross_talk.items())
+    of_rate = " ".join(f"{name} {plus_minus(std)}" for name, std in gyro.items())
+    return f"cross-talk {of}, level zero {zero} m/s², rate {of_rate}"
 
 
 def angle_text(value: float | None, std_deg: float | None) -> str:
@@ -137,13 +154,41 @@ def doubt_words(waiting_for: Mapping[str, str]) -> str:
     return "; ".join(text for _, text in reasons(waiting_for) if is_trouble(text))
 
 
+def left_out_words(details: Mapping[str, Any]) -> str:
+    """What nothing was learnt from, by signal, cause and time; "" where that is under a second."""
+    parts = []
+    for one in details.get("not_learnt_from", ()):
+        if one["seconds"] >= LEAST_LEFT_OUT_S:
+            cause = str(one["cause"]).replace("_", " ")
+            parts.append(f"{str(one['signal']).replace('_', ' ')} {cause} {one['seconds']:.0f} s")
+    return ", ".join(parts)
+
+
+def is_move(shift: Mapping[str, Any]) -> bool:
+    """Whether an item of `details.shifts` is a moved sensor, and no change within its interval."""
+    return shift.get("within_deg") is None
+
+
+def change_words(shift: Mapping[str, Any]) -> str:
+    """An item of `details.shifts` as a sentence."""
+    prefix = "the sensor was moved: " if is_move(shift) else ""
+    return prefix + moved_words(shift)
+
+
 def moved_words(shift: Mapping[str, Any]) -> str:
     """What is known of a moved sensor; shift: an item of `details.shifts`.
 
-    The test that finds it looks at one angle, and may see the turn about another one there: by how
+    A change that lies within the stated interval is no move: it widens the interval. The test that
+    finds it looks at one angle, and may see the turn about another one there: by how
     much the sensor was turned is said by the mount that is found after it.
     """
     turn = shift.get("turn_deg")
+    if not is_move(shift):
+        within = f"within ±{shift['within_deg']:.1f} deg"
+        if turn is not None:
+            return f"the mount was found again where it was, {within}"
+        change = f"the evidence of {shift['angle']} changed by {shift['size_deg']:+.1f} deg"
+        return f"{change}, {within}: the interval is wider"
     if turn is None:
         about = dict(zip(ANGLES, TURNS_ABOUT, strict=True))[shift["angle"]]
         return f"it shows as {shift['size_deg']:+.1f} deg about {about}"

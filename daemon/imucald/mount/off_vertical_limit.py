@@ -13,7 +13,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from imucald.core.rotations import Matrix3
+from imucald.core.rotations import Matrix3, times
 from imucald.core.samples import GRAVITY
 from imucald.motion.standstill import ZERO_SPEED
 from imucald.motion.ticks import ACCEL, SPEED, TickRow
@@ -37,9 +37,10 @@ def is_off_vertical(p: SignalBlock, R: Matrix3, turn: Array) -> bool:
     """Whether gravity, through R, points further from the vertical than any road does.
 
     Both ways, as it comes and with the motion taken out, so that neither hard driving nor a wrong
-    speed or turn rate is taken for it.
+    speed or turn rate is taken for it. While it drives and nothing shows turns, a bend may be as
+    sharp as any, and a block says nothing; `large_change` has more of them.
     """
-    use = p.ok_force
+    use = p.ok_force & (p.ok_rate | p.ok_yaw | p.rest)
     n, *sums = masked_sums(p.force, use)
     if n < LEAST_TICKS:
         return False
@@ -66,7 +67,7 @@ class PlumbLine:
         self._n, self._x, self._y, self._z = 0, 0.0, 0.0, 0.0
 
     def step(self, tick: TickRow, correction: Correction | None) -> None:
-        """Take a tick and the rotation that holds for it."""
+        """Take a tick and what is applied to it."""
         if tick[SPEED.n]:
             standing = abs(tick[SPEED.mean]) < ZERO_SPEED
             if standing is not self._standing:
@@ -82,7 +83,7 @@ class PlumbLine:
             return
         x, y, z = self._x, self._y, self._z
         size = math.sqrt(x * x + y * y + z * z)
-        up = correction[6] * x + correction[7] * y + correction[8] * z
+        up = times(correction.rotation, (x, y, z))[2]
         if math.isfinite(size) and size > 0.0:
             self.is_off = up < _COS * size
         self._clear()

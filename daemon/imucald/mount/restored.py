@@ -36,12 +36,14 @@ from imucald.mount.estimate import (
     MountEstimate,
     MountEstimator,
     MountState,
+    SentDeviations,
 )
 from imucald.mount.hysteresis import BAD, GOOD
+from imucald.mount.joint.known import KnownSensor
 from imucald.mount.mount_words import contradicted_words
 from imucald.mount.off_vertical_limit import PlumbLine
 from imucald.mount.saved_information import SavedInformation, SavesInformation
-from imucald.mount.slewing import SlewedRotation
+from imucald.mount.slewing import SlewedCorrection
 
 COMPARE_TICKS = 10
 """The two are compared so often: once a second."""
@@ -54,7 +56,7 @@ DOUBTS = 8
 CONTRADICTIONS = 15
 """... and so many end it: one bad road is no remount."""
 HAND_OVER_RATE = math.radians(1.0)
-"""The applied rotation turns to the new estimate at this rate [rad/s]."""
+"""What is applied goes to the new estimate at this rate [rad/s]."""
 CLEAR_STD = math.radians(20.0)
 """An angle that is known worse says nothing of how far a stated mount is off [rad]."""
 HELD = "the end of the hold (imucald release)"
@@ -69,7 +71,9 @@ class StoredMount(Struct, frozen=True):
     R_vehicle_from_sensor: (3, 3). covariance: (3, 3) [rad^2], as in `MountEstimate`.
     state: the state it had, USABLE or FINE. doubted: it was suspect when it was stored.
     evidence: what it rests on, where the estimator keeps that. is_given: a person stated it.
-    doubt: why it was suspect, in words, where that is known.
+    doubt: why it was suspect, in words, where that is known. applied: what was applied with it,
+    where that is more than the rotation; sent: deviations of what that left in the samples.
+    sensor: what is known of the sensor by itself, where the estimator finds that.
     """
 
     R_vehicle_from_sensor: Matrix3
@@ -79,6 +83,14 @@ class StoredMount(Struct, frozen=True):
     evidence: SavedInformation | None = None
     is_given: bool = False
     doubt: str = ""
+    applied: Correction | None = None
+    sent: SentDeviations | None = None
+    sensor: KnownSensor | None = None
+
+    @property
+    def correction(self) -> Correction:
+        """What is to be applied."""
+        return self.applied or Correction.turning(self.R_vehicle_from_sensor)
 
 
 @runtime_checkable
@@ -87,6 +99,23 @@ class TakesStatedMount(Protocol):
 
     def take_stated_mount(self, R: Matrix3) -> None:
         """A person states R_vehicle_from_sensor."""
+        ...
+
+
+@runtime_checkable
+class KnowsSensor(Protocol):
+    """An estimator that finds errors of the sensor's own."""
+
+    def known_sensor(self) -> KnownSensor | None:
+        """What is known of the sensor by itself."""
+        ...
+
+    def as_before(self) -> float | None:
+        """Probability that sensor and mount are those that it took; None: it took none yet."""
+        ...
+
+    def take_known_sensor(self, known: KnownSensor, is_moved: bool) -> None:
+        """Begin with what an earlier drive found of it; is_moved: it was moved since."""
         ...
 
 
@@ -139,9 +168,11 @@ class RestoredEstimator:
         self._has_left = False
         if stored.is_given and isinstance(inner, TakesStatedMount):
             inner.take_stated_mount(stored.R_vehicle_from_sensor)
+        if stored.sensor is not None and isinstance(inner, KnowsSensor):
+            inner.take_known_sensor(stored.sensor, stored.doubted)
         self._prior = stored.covariance + np.diag(np.square(BETWEEN_DRIVES_STD))
-        self._served = SlewedRotation(HAND_OVER_RATE)
-        self._served.aim(stored.R_vehicle_from_sensor)
+        self._served = SlewedCorrection(HAND_OVER_RATE)
+        self._served.aim(stored.correction)
         self._plumb_line = PlumbLine()
         self._contradictions = 0
         self._ticks = 0
@@ -153,7 +184,7 @@ class RestoredEstimator:
 
     @property
     def correction(self) -> Correction | None:
-        """The rotation to apply now."""
+        """What to apply now."""
         return self.inner.correction if self.phase is Phase.NEW else self._served.correction
 
     @property
@@ -206,6 +237,8 @@ class RestoredEstimator:
             R_vehicle_from_sensor=self.stored.R_vehicle_from_sensor,
             covariance=self._prior,
             details=details,
+            matrices=self.stored.applied,
+            deviations=self.stored.sent,
         )
         if self.is_held and self.phase is Phase.CONFIRMED:
             return _waiting_for_release(served)
@@ -236,6 +269,12 @@ class RestoredEstimator:
                 self.inner.saved_information() if isinstance(self.inner, SavesInformation) else None
             )
         return self.stored.evidence
+
+    def known_sensor(self) -> KnownSensor | None:
+        """What is known of the sensor by itself."""
+        if self.is_held or self.phase in (Phase.RESTORED, Phase.DOUBTED):
+            return self.stored.sensor
+        return self.inner.known_sensor() if isinstance(self.inner, KnowsSensor) else None
 
     def _details(self) -> dict[str, object]:
         turned = None if self._turned is None else math.degrees(self._turned)
@@ -291,9 +330,22 @@ class RestoredEstimator:
             return None
         e = vector_from_rotation(new.R_vehicle_from_sensor @ self.stored.R_vehicle_from_sensor.T)
         distance = float(e @ np.linalg.solve(new.covariance + self._prior, e))
+        distance = max(distance, self._distance_of_sensor())
         e[np.diag(new.covariance) > CLEAR_STD**2] = 0.0
         self._turned = math.sqrt(float(e @ e)) if distance > CONTRADICTION else None
         return distance
+
+    def _distance_of_sensor(self) -> float:
+        """What an estimator that knows the sensor makes of all that it took, as a chi-square.
+
+        Both rotations rest on what is known of the sensor, so that they seem less apart than they
+        are; it knows what they share.
+        """
+        before = self.inner.as_before() if isinstance(self.inner, KnowsSensor) else None
+        if before is None:
+            return 0.0
+        decades = -math.log10(max(before, 1e-12)) - 2.0  # beyond 1 %, the level of AGREEMENT
+        return max(AGREEMENT + decades * (CONTRADICTION - AGREEMENT), 0.0)
 
     def _joined_distance(self) -> float | None:
         """The same of the evidence on both sides, which the estimator keeps apart."""
@@ -339,7 +391,7 @@ class RestoredEstimator:
         if target is None:  # it was not to be relied upon after all
             self.phase = Phase.DOUBTED
             return
-        self._served.aim(np.array(target).reshape(3, 3))
+        self._served.aim(target)
         self._served.step()
         if self._served.correction == target:
             self.phase, self._turned = Phase.NEW, None

@@ -1,24 +1,23 @@
-"""The state that is reported for a mount, and the rotation that is applied under it."""
+"""The state that is reported for a mount, and the correction that is applied under it."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable
 
-from imucald.core.rotations import Matrix3
 from imucald.mount.acceptance import Acceptance
 from imucald.mount.estimate import Correction, MountState
 from imucald.mount.estimator_settings import EstimatorSettings
 from imucald.mount.hysteresis import GOOD
-from imucald.mount.slewing import SlewedRotation
+from imucald.mount.slewing import SlewedCorrection
 from imucald.mount.states import MountKnowledge, judged, reported
 
 SLEW_RATE = math.radians(0.5)
-"""The applied rotation turns no faster than this [rad/s]."""
+"""The applied correction turns no faster than this [rad/s]."""
 
 
 class ServedMount:
-    """Judges the knowledge after each block, and follows a good rotation tick by tick.
+    """Judges the knowledge after each block, and follows a good correction tick by tick.
 
     state: what is reported. has_moved: the mount has moved, and nothing good was applied since.
     step: go on by one tick.
@@ -26,24 +25,24 @@ class ServedMount:
 
     def __init__(self, settings: EstimatorSettings) -> None:
         self._settings = settings
-        self._slewed = SlewedRotation(SLEW_RATE)
+        self._slewed = SlewedCorrection(SLEW_RATE)
         self.state = MountState.WAITING
         self.has_moved = False
         self.step = self._slewed.step  # every tick: a method of its own would cost a tenth of it
 
     @property
     def correction(self) -> Correction | None:
-        """The rotation to apply now, or None."""
+        """What to apply now, or None."""
         return self._slewed.correction
 
     @property
     def good(self) -> Correction | None:
-        """The rotation to apply, unless the sensor was moved since it was good."""
+        """What to apply, unless the sensor was moved since it was good."""
         return None if self.has_moved else self.correction
 
     @property
     def has_arrived(self) -> bool:
-        """Whether what is applied is the rotation that was found last."""
+        """Whether what is applied is what was found last."""
         return self._slewed.has_arrived
 
     @property
@@ -57,19 +56,19 @@ class ServedMount:
         acceptance: Acceptance,
         has_faults: bool,
         is_refitting: bool,
-        rotation: Callable[[], Matrix3],
+        found_correction: Callable[[], Correction],
     ) -> None:
-        """Find the state after a block; where it is good, turn towards the rotation.
+        """Find the state after a block; where it is good, turn towards what was found.
 
         has_faults: something contradicts the estimate. is_refitting: it is sought again.
-        rotation: R_vehicle_from_sensor (3, 3) of the evidence so far.
+        found_correction: makes that of the evidence so far.
         """
         was_good, is_serving = self.state in GOOD, self.correction is not None
         found = self._accepted(judged(known, self.state, self._settings), acceptance)
         self.state = reported(found, has_faults, is_serving, self.has_moved, is_refitting)
         if self.state not in GOOD:
             return
-        self._slewed.aim(rotation())
+        self._slewed.aim(found_correction())
         if was_good or self._slewed.has_arrived:
             self.has_moved = False
         else:  # good again, but what is applied is still on the way from what was wrong

@@ -7,7 +7,7 @@ be interpolated between samples on both sides. Says for every tick whether it ma
 from __future__ import annotations
 
 import math
-from collections import deque
+from collections import Counter, deque
 from collections.abc import Mapping
 
 import numpy as np
@@ -15,11 +15,13 @@ from msgspec import Struct, field
 from msgspec.structs import replace
 from numpy.typing import NDArray
 
+from imucald.core.samples import GRAVITY
 from imucald.motion import ticks as tk
 from imucald.motion.physical_limits import MAX_ROAD_RATE
-from imucald.motion.signal_health import SignalHealth
+from imucald.motion.signal_health import HOLD_TICKS, SignalFault, SignalHealth, spread_out
 from imucald.motion.standstill import DRIVING_SPEED
 from imucald.motion.straight import yaw_rate_with_understeer
+from imucald.motion.stuck import SeenForward
 from imucald.motion.ticks import TICK_S, TickRow, empty_rows
 from imucald.mount.block_speed import BlockSpeed
 from imucald.mount.estimator_settings import EstimatorSettings
@@ -57,9 +59,15 @@ Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]
 
 BLOCK_S = BLOCK_TICKS * TICK_S
+MISSING = "no sound samples"
+BESIDE = 2
+"""A tick beside a stuck one has no value or no slope either."""
 YAW_GAP = 0.5
 NOMINAL_SPEED = 12.0
 """Where there is no speed signal, v r is taken with this [m/s]; its gain is free."""
+DRIFT, DRIFT_NO_GYRO = 0.3, 1.0
+"""By so much [m/s^2] the forward force may be off for long, with a gyroscope to carry the vertical
+and, as roads climb by 10 %, without."""
 BLOCKS_WITHOUT_SPEED = 4
 """Hops without any speed after which the estimator does without (26 s)."""
 
@@ -96,6 +104,15 @@ class SignalBlock(Struct):
         return replace(self, rate=rate, ok_rate=self.had_rate, gyro_bias=gyro_bias)
 
 
+class MountSoFar(Struct, frozen=True):
+    """Forward and up (3,) in sensor axes; the speed's delay and how well it is known [s]."""
+
+    forward: Array
+    up: Array
+    late: float
+    late_std: float
+
+
 class SignalBlockMaker:
     """Keeps the last ticks and cuts them into blocks."""
 
@@ -112,8 +129,15 @@ class SignalBlockMaker:
         self.seen: set[str] = set()
         self._speed = BlockSpeed(self.health, self.seen)
         self.blocks = 0
+        self._mount: MountSoFar | None = None
+        self.left_out: Counter[tuple[str, str]] = Counter()
+        """Ticks that nothing was learnt from, by signal and what it had."""
         self.stuck: Mapping[str, bool] = {}
         """Of the vehicle's signals, whether any tick of the last block was stuck."""
+
+    def take_mount(self, known: MountSoFar | None) -> None:
+        """Take what is known of the mount as the last block ended; None: too little."""
+        self._mount = known
 
     @property
     def without_speed(self) -> bool:
@@ -177,7 +201,7 @@ class SignalBlockMaker:
         rate, ok_rate, rate_is_even = self._rate(t, at, even)
         driven = even.driven if even is not None and is_even and rate_is_even else None
         self.blocks += 1
-        speed, ok_speed, is_even = self._speed.of(rows, t, at, even)
+        speed, ok_speed, is_even = self._speed.of(rows, t, at, even, self._seen_forward)
         driven = driven if is_even else None
         if driven is None or not driven.rolls:
             size = rate if ok_rate.any() else None
@@ -221,11 +245,39 @@ class SignalBlockMaker:
             prepared.speed = np.where(rest, 0.0, NOMINAL_SPEED)
             prepared.accel = np.zeros(BLOCK_TICKS)
             prepared.ok_speed = prepared.ok_force
+        self._note_left_out(prepared)
         self._take_offsets(prepared)
         self.stuck = dict(self.health.stuck_now)
         rows[:KEEP] = rows[BLOCK_TICKS:].copy()
         self._n = KEEP
         return prepared
+
+    def _note_left_out(self, p: SignalBlock) -> None:
+        """Count the ticks that nothing is learnt from, each by the signal and what it has."""
+        open_ticks = ~(p.learn & p.ok_force & p.ok_speed)
+        if not np.count_nonzero(open_ticks):
+            return
+        found = self.health.found
+        reasons = [("accel", SignalFault.STUCK, ~p.ok_force)]
+        reasons += [(signal, fault, ~p.learn) for signal, fault in found if fault in HOLD_TICKS]
+        reasons += [("speed", SignalFault.STUCK, ~p.ok_speed)]
+        for signal, fault, lacks in reasons:
+            if (flags := found.get((signal, fault))) is None:
+                continue
+            ticks = np.any(flags, axis=1) if flags.ndim > 1 else flags
+            own = spread_out(ticks, HOLD_TICKS.get(fault, BESIDE))
+            first = (len(own) - BLOCK_TICKS) // 2 if len(own) < ROWS else BEFORE
+            self._leave_out(signal, fault.value, open_ticks, lacks & own[first:][:BLOCK_TICKS])
+        self._leave_out("accel", MISSING, open_ticks, ~p.ok_force)
+        if "speed" in self.seen:
+            self._leave_out("speed", MISSING, open_ticks, ~p.ok_speed)
+
+    def _leave_out(self, signal: str, cause: str, open_ticks: Flags, flags: Flags) -> None:
+        """Count those of the open ticks (N,) that are flagged, and close them."""
+        own = open_ticks & flags
+        if count := int(np.count_nonzero(own)):
+            self.left_out[signal, cause] += count
+            open_ticks &= ~own
 
     def _force(self, t: Array, at: Array, even: EvenBlock | None) -> tuple[Array, Flags, bool]:
         """Force (N + 2, 3), where it is known, and whether it is as worked out beforehand."""
@@ -263,6 +315,24 @@ class SignalBlockMaker:
         if stuck is not None:
             has &= ~stuck
         return t[has] - rows[has, columns.age], rows[has, columns.x : columns.z + 1]
+
+    def _seen_forward(self) -> SeenForward | None:
+        """What the accelerometer says of the speed, in all ticks."""
+        known = self._mount
+        if known is None:
+            return None
+        rows = self._rows
+        turns = rows[:, tk.GYRO.n] > 0
+        rate = np.where(turns[:, None], rows[:, tk.GYRO.x : tk.GYRO.z + 1], 0.0)
+        rate -= turns[:, None] * self.offsets.gyro_bias
+        # du/dt = u x rate, in small turns from where the block begins
+        turned = np.cumsum(rate, axis=0) * TICK_S
+        turned -= turned[BEFORE - 1]
+        tilted = GRAVITY * (known.up + np.cross(known.up, turned))
+        has = (rows[:, tk.ACCEL.n] > 0)[:, None]
+        force = np.where(has, rows[:, tk.ACCEL.x : tk.ACCEL.z + 1] - tilted, 0.0)
+        drift = DRIFT if np.count_nonzero(turns) > 0.5 * len(rows) else DRIFT_NO_GYRO
+        return SeenForward(force @ known.forward, known.late, known.late_std, drift)
 
     def _steering_angle(self, t: Array, at: Array, even: EvenBlock | None) -> tuple[Array, Flags]:
         rows = self._rows

@@ -30,7 +30,12 @@ AGAINST_A_PERSON: dict[Stated, StandingFault] = {
 
 
 OF_NO_PAIR = frozenset(
-    {*AGAINST_A_PERSON.values(), StandingFault.ACCEL_LEVEL, StandingFault.ACCEL_ZERO}
+    {
+        *AGAINST_A_PERSON.values(),
+        StandingFault.ACCEL_LEVEL,
+        StandingFault.ACCEL_ZERO,
+        StandingFault.ACCEL_DRIFT,
+    }
 )
 """Faults that are not of signals against one another: another rotation ends none of them."""
 
@@ -84,6 +89,12 @@ class SignalChecks:
         is_stuck = bool(self.standing) and solver.blocks >= STUCK_BLOCKS
         return bool(new) or has_ended or is_stuck
 
+    @property
+    def is_motion_accused(self) -> bool:
+        """Whether the force contradicts dv/dt or v r now: what they say of the mount is no evidence
+        of a direction, nor of a move."""
+        return not FOUND_ANEW.isdisjoint(self.standing)
+
     def accuse(self, fault: StandingFault) -> None:
         """Let a fault stand, until the next block is taken."""
         if fault not in self.standing:
@@ -119,9 +130,13 @@ class SignalChecks:
 
     def missing_to_be_good(self) -> str | None:
         """What is to be seen before an estimate may begin to be good, in words; None: nothing."""
-        if self._contradictions.doubtful:
-            return "more bends, as signals contradict one another"
-        return self._alternatives.missing(TO_BE_GOOD)
+        return self.doubt or self._alternatives.missing(TO_BE_GOOD)
+
+    @property
+    def doubt(self) -> str | None:
+        """The same where signs and places of the signals are known already."""
+        is_doubtful = self._contradictions.doubtful
+        return "more bends, as signals contradict one another" if is_doubtful else None
 
     @property
     def have_agreed(self) -> bool:

@@ -1,71 +1,105 @@
-"""The rotation that is applied: follows the estimated one at a limited rate, tick by tick."""
+"""The correction that is applied: follows the estimated one at a limited rate, tick by tick."""
 
 from __future__ import annotations
 
 import math
 
 import numpy as np
+from numpy.typing import NDArray
 
-from imucald.core.rotations import Matrix3, rotation_from_vector, vector_from_rotation
+from imucald.core.rotations import rotation_from_vector, vector_from_rotation
+from imucald.core.samples import GRAVITY
 from imucald.motion.ticks import TICK_S
 from imucald.mount.estimate import Correction
 
 ANOTHER_ANSWER = math.radians(30.0)
 """A target further away [rad] is another answer (the sign was wrong), and everything between the
 two is wrong as well: it is taken at once."""
-
-
 NEAR = math.radians(0.2)
 """Nearer than this [rad] a target is reached: it moves a little from fit to fit."""
 
 
-class SlewedRotation:
-    """Turns towards a target no faster than `rate` [rad/s]; the first target is taken at once."""
+class SlewedCorrection:
+    """Goes towards a target no faster than `rate` [rad/s]; the first target is taken at once.
+
+    Rotation, matrices and offsets arrive together. What a matrix differs from the rotation by
+    counts as an angle, an offset as that by which gravity would have to lean for it; an offset of
+    the rate of 1 rad/s counts as 1 rad.
+    """
 
     def __init__(self, rate: float) -> None:
         self._step = rate * TICK_S
-        self._target: Matrix3 | None = None
-        self._now: Matrix3 | None = None
+        self._target: Correction | None = None
         self.correction: Correction | None = None
 
-    def aim(self, R_vehicle_from_sensor: Matrix3) -> None:
-        """Set the target (3, 3)."""
-        self._target = R_vehicle_from_sensor
-        if self._now is None:
-            self._take(R_vehicle_from_sensor)
+    def aim(self, target: Correction) -> None:
+        """Set the target; the same one again is no new way to go."""
+        if target == self._target:
+            return
+        self._target = target
+        if self.correction is None:
+            self.correction = target
 
     @property
     def has_arrived(self) -> bool:
         """Whether the target is applied, but for `NEAR`."""
-        target, now = self._target, self._now
+        target, now = self._target, self.correction
         if target is None or now is None:
             return False
-        return float(np.abs(target - now).max()) < NEAR
+        turned = max(abs(a - b) for a, b in zip(target.rotation, now.rotation, strict=True))
+        return max(turned, _apart(target, now)) < NEAR
 
     @property
     def is_moving(self) -> bool:
         """Whether the next tick changes what is applied."""
-        target, now = self._target, self._now
+        target, now = self._target, self.correction
         return target is not None and now is not None and target is not now
 
     def clear(self) -> None:
         """Apply nothing."""
-        self._target = self._now = self.correction = None
+        self._target = self.correction = None
 
     def step(self) -> None:
         """Go on by one tick."""
-        target, now = self._target, self._now
+        target, now = self._target, self.correction
         if target is None or now is None or target is now:  # as `is_moving`
             return
-        x, y, z = (float(c) for c in vector_from_rotation(target @ now.T))
+        R = now.matrix()
+        x, y, z = (float(c) for c in vector_from_rotation(target.matrix() @ R.T))
         angle = math.sqrt(x * x + y * y + z * z)
-        if angle <= self._step or angle > ANOTHER_ANSWER:
-            self._take(target)
+        distance = max(angle, _apart(target, now))
+        if distance <= self._step or angle > ANOTHER_ANSWER:
+            self.correction = target
             return
-        part = self._step / angle
-        self._take(rotation_from_vector((x * part, y * part, z * part)) @ now)
+        part = self._step / distance
+        turned = Correction.turning(rotation_from_vector((x * part, y * part, z * part)) @ R)
+        if not (target.is_rotation and now.is_rotation):
+            rest = _rest(now)
+            turned = _with_rest(turned, rest + part * (_rest(target) - rest))
+        self.correction = turned
 
-    def _take(self, R: Matrix3) -> None:
-        self._now = R
-        xx, xy, xz, yx, yy, yz, zx, zy, zz = (float(c) for c in R.ravel())
-        self.correction = (xx, xy, xz, yx, yy, yz, zx, zy, zz)
+
+def _apart(a: Correction, b: Correction) -> float:
+    """How far two corrections are apart [rad] but for their rotations."""
+    if a.is_rotation and b.is_rotation:
+        return 0.0
+    return float(np.abs(_rest(a) - _rest(b)).max())
+
+
+def _rest(c: Correction) -> NDArray[np.float64]:
+    """(24,): what the matrices differ from the rotation by, and the offsets, as angles [rad]."""
+    R = np.array(c.rotation)
+    offsets = np.array(c.force_offset) / GRAVITY, np.array(c.rate_offset)
+    return np.concatenate([c.force - R, c.rate - R, *offsets])
+
+
+def _with_rest(turned: Correction, rest: NDArray[np.float64]) -> Correction:
+    """A rotation, and the rest that `_rest` gives of it."""
+    R = np.array(turned.rotation)
+    return Correction.with_matrices(
+        turned.matrix(),
+        (R + rest[:9]).reshape(3, 3),
+        (R + rest[9:18]).reshape(3, 3),
+        rest[18:21] * GRAVITY,
+        rest[21:],
+    )

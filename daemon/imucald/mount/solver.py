@@ -142,7 +142,7 @@ class MountSolver:
         self.gravity.add(p, turn)
         segment = self.response.segment
         self._window.add(p, lone, turn, r, self.vertical)
-        self._take_window()
+        self._take_window(float(p.t[-1]))
         if self.response.segment != segment:
             self.gravity.close_segment()
             self._began.append(self.blocks)
@@ -190,18 +190,18 @@ class MountSolver:
             self._gains = x / 4.0, y / 4.0
         return self._gains
 
-    def _take_window(self) -> None:
-        """The window goes to the responses and to the delays; those are sought now and then."""
+    def _take_window(self, t: float) -> None:
+        """The window to t [s] goes to the responses and to the delays, sought now and then."""
         keep_mean = self.own_gyro and self.yaw_known
         s = self._window.spectra(keep_mean, needs_motion=not self.response.without_speed)
         if s is None:
             return
         self.response.add(s)
-        self.delay_speed.add(s[:, 3], s[:, :3])
+        is_new = self.delay_speed.add(s[:, 3], s[:, :3], t)
         if not self.own_gyro:
-            self.delay_turn.add(s[:, 4], s[:, :3])
+            self.delay_turn.add(s[:, 4], s[:, :3], t)
         n = self.delay_speed.windows
-        if n in DELAY_AFTER or n % DELAY_AGAIN == 0:
+        if is_new and (n in DELAY_AFTER or n % DELAY_AGAIN == 0):
             tau = self.delay_speed.search()
             late = 0.0 if self.own_gyro else self.delay_turn.search()
             was = self.response.delays

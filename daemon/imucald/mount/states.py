@@ -7,6 +7,7 @@ import math
 from msgspec import Struct
 from msgspec.structs import replace
 
+from imucald.mount.alternatives import NO_TURNS
 from imucald.mount.estimate import Missing, MountState, Targets
 from imucald.mount.estimator_settings import EstimatorSettings
 from imucald.mount.hysteresis import GOOD, Level, best_level
@@ -27,7 +28,9 @@ of the mounts below 2 deg (three, four, five that show; Student's distribution, 
 2.8 deg in 93 to 94 %, without a limit in 95 %."""
 NEEDED = 3
 """Launches or brakings before yaw can be usable."""
-NO_SAMPLES = "usable samples of the accelerometer: none come, or they are faulty or too seldom"
+NO_SAMPLES = "valid accelerometer samples: none in the last minute (missing, faulty or too slow)"
+LONG_S = 1200.0
+"""An accelerometer is named as the reason once driving had so much time to make it less."""
 
 
 class MountKnowledge(Struct, frozen=True):
@@ -49,6 +52,12 @@ class MountKnowledge(Struct, frozen=True):
     """Evidence of past drives is in it."""
     cross_axis: float = 0.0
     """Cross-axis error of the accelerometer that is reckoned with (part)."""
+    turning: bool = True
+    """Any signal shows turns."""
+    speed_hz: float = 0.0
+    """Ticks a second, of the last minute, that had a speed."""
+    driven_s: float = 0.0
+    """Time of the evidence."""
 
 
 def judged(known: MountKnowledge, before: MountState, s: EstimatorSettings) -> MountState:
@@ -149,27 +158,33 @@ def _yaw_reason(known: MountKnowledge, s: EstimatorSettings) -> tuple[str, Missi
     if not known.speed:
         if known.std[2] > math.radians(100.0):
             return "speed, or acceleration from rest or braking", Missing.SPEED
-        return "more straight acceleration and braking (speed is absent or too rare)", Missing.SPEED
+        rate = f"{known.speed_hz:.2g}/s used in the last minute"
+        return f"more straight acceleration and braking (no usable speed: {rate})", Missing.SPEED
     if known.straight < NEEDED:
         text = f"{_hard()} ({known.straight} of {NEEDED} seen)"
         return text, Missing.ACCELERATION
     if known.std[2] > s.limits.usable_yaw:
-        if known.yaw_seen < s.limits.usable_yaw < known.cross_axis:
-            text = (
-                f"a better accelerometer: its axes seem to answer to one another by about "
-                f"{100.0 * known.cross_axis:.0f} %, and how much of that turns yaw shows in "
-                "nothing ('cross_axis', where it is known to be less)"
-            )
-            return text, Missing.OTHER
+        if known.yaw_seen < s.limits.usable_yaw < known.cross_axis and known.driven_s > LONG_S:
+            return _mixed_axes(known), Missing.OTHER
         return f"more {_hard()} ({known.straight} seen)", Missing.ACCELERATION
-    if known.yaw_seen < s.limits.fine_yaw < known.cross_axis:  # no driving makes that less
-        text = "a smaller cross-axis error of the accelerometer: "
-        text += f"{100.0 * known.cross_axis:.1f} % is reckoned with ('accelerometer_bias' and "
-        return f"{text}'cross_axis' of its data sheet may be less)", Missing.OTHER
-    return "more driving", Missing.MORE_DRIVING
+    if known.yaw_seen < s.limits.fine_yaw < known.cross_axis and known.driven_s > LONG_S:
+        return _mixed_axes(known), Missing.OTHER
+    now, least = (math.degrees(2.0 * x) for x in (known.std[2], s.limits.fine_yaw))
+    return f"more driving (yaw ±{now:.2g} deg, fine below ±{least:.2g} deg)", Missing.MORE_DRIVING
+
+
+def _mixed_axes(known: MountKnowledge) -> str:
+    """What hides the rest of yaw once driving has not made it less."""
+    return (
+        "more driving, or an accelerometer of a smaller cross-axis error: axes seem mixed by "
+        f"{100.0 * known.cross_axis:.1f} %; if its data sheet states less, set 'cross_axis' and "
+        "'accelerometer_bias'"
+    )
 
 
 def _roll_reason(known: MountKnowledge) -> tuple[str, Missing]:
+    if not known.turning:
+        return NO_TURNS, Missing.TURNS
     if known.lefts == 0 and known.rights == 0:
         return "turns (none yet)", Missing.TURNS
     if known.lefts == 0:

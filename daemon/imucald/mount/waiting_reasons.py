@@ -26,6 +26,8 @@ def waiting_reasons(
     known, state: what the evidence comes to, and the state that is reported for it. troubles:
     what more driving does not mend, see `mount_troubles`; it goes before any other reason.
     """
+    if state is MountState.FINE:
+        return {}, {}
     reasons = waiting_for(known, settings)
     words = {name: text for name, (text, _) in reasons.items()}
     codes = {name: code for name, (_, code) in reasons.items()}
@@ -55,14 +57,14 @@ def mount_troubles(
     [rad] where they were found to have shifted again, else 0. level: how the size of gravity has
     changed, where that is a fault.
     """
+    if state is MountState.FINE:
+        return {}
     if faults:
         texts = {fault: WORDS[fault] for fault in faults}
         if level is not None and StandingFault.ACCEL_LEVEL in texts:
             sizes = f" ({level.before:.2f} to {level.after:.2f} m/s^2)"
             texts[StandingFault.ACCEL_LEVEL] += sizes
         return dict.fromkeys(ANGLES, "; ".join(texts.values()))
-    if state is MountState.FINE:
-        return {}
     if state in GOOD:
         return {
             angle: f"the mount creeps: about {abs(found['deg_per_h']):.0f} deg/h"

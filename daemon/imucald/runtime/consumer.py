@@ -35,7 +35,7 @@ class Consumer(Protocol):
     def sample(
         self, t: float, channel: str, values: Sequence[float], correction: Correction | None
     ) -> None:
-        """Take a sample at stream time t [s], as the sensor gave it, and the rotation in force."""
+        """Take a sample at stream time t [s], as the sensor gave it, and what is in force."""
         ...
 
     def mounted(self, estimate: MountEstimate) -> None:

@@ -125,7 +125,7 @@ class ConsumerGroup:
 
         ticks: (N,) of its frames; base: its first row.
         """
-        rotations = corrections.corrections
+        in_force = corrections.corrections
         k = first = corrections.first
         due = {snapshot.k: snapshot for snapshot in snapshots}
 
@@ -145,7 +145,7 @@ class ConsumerGroup:
                 unfit = [c for c, flags in corrections.unfit.items() if flags[tick - first]]
                 unfit_tick = tick
             for consumer in self.all:
-                self._hand_on(consumer, t, channel, values, rotations[tick - first], unfit)
+                self._hand_on(consumer, t, channel, values, in_force[tick - first], unfit)
         while k < int(ticks[-1]):
             yield from close(k)
             k += 1

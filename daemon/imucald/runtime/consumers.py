@@ -7,7 +7,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
-import numpy as np
 from msgspec import structs
 
 from imucald.attitude.compensated import CompensatedAttitude
@@ -16,7 +15,7 @@ from imucald.attitude.filter import AttitudeFilter
 from imucald.attitude.sensor_check import CheckResult
 from imucald.config import Config, LoadedConfig
 from imucald.config.attitude import AttitudeSettings
-from imucald.core.rotations import Matrix3, times
+from imucald.core.rotations import Vector, matrix_times
 from imucald.motion.physical_limits import is_plausible
 from imucald.motion.ticks import TICK_RATE
 from imucald.mount.estimate import Correction, MountEstimate, MountState
@@ -46,7 +45,10 @@ def consumers_for(
         place = ("attitude", "enabled")
         if signals.gyroscope is None:
             raise loaded.error(place, "needs signals.gyroscope")
-        source = config.attitude.filter.heading
+        is_filter = (
+            config.attitude.method == "filter"
+        )  # else heading is not read, and `check` says so
+        source = config.attitude.filter.heading if is_filter else "free"
         if source == "signal" and signals.heading is None:
             raise loaded.error(("attitude", "filter", "heading"), "needs signals.heading")
         if source == "magnetometer" and signals.magnetometer is None:
@@ -90,7 +92,7 @@ class AttitudeConsumer:
         if not is_plausible(channel, values):
             self.rejected += 1
             return
-        if correction != self._correction:
+        if correction is not self._correction and correction != self._correction:
             self._turn(correction)
         if channel == "speed":
             self.filter.speed(t, values[0])
@@ -99,7 +101,7 @@ class AttitudeConsumer:
         elif channel == "heading":
             self.filter.heading(t, values[0])
         elif correction is not None:
-            turned = times(correction, values)
+            turned = correction.applied(channel, values)
             if channel == "gyro":
                 self.filter.gyro(t, turned)
             elif channel == "accel":
@@ -115,9 +117,10 @@ class AttitudeConsumer:
         if correction is None:
             self.filter.reset()
         elif self._correction is not None:
-            self.filter.turned(self._correction, correction)
+            self.filter.turned(self._correction.rotation, correction.rotation)
+            self.filter.take_zeros_off(*_offsets_changed(self._correction, correction))
         elif self._saved_check is not None:
-            self.filter.restore_check(self._saved_check.turned(_matrix(correction)))
+            self.filter.restore_check(_as_corrected(self._saved_check, correction))
             self._saved_check = None
         self._correction = correction
 
@@ -137,7 +140,7 @@ class AttitudeConsumer:
         if found is None or self._correction is None:
             kept = self._saved_check
         else:
-            kept = found.turned(_matrix(self._correction).T)
+            kept = _as_sensed(found, self._correction)
         return None if kept is None else kept.as_saved()
 
     def restore_check(self, saved: object) -> None:
@@ -232,8 +235,31 @@ def _with_step(settings: AttitudeSettings, gyro_step: float) -> AttitudeSettings
     return structs.replace(settings, filter=of_filter)
 
 
-def _matrix(correction: Correction) -> Matrix3:
-    return np.array(correction).reshape(3, 3)
+def _as_corrected(zeros: CheckResult, correction: Correction) -> CheckResult:
+    """What zero errors in sensor axes are in corrected samples: without what is taken off these."""
+    turned = zeros.turned(correction.matrix())
+    return turned.less(correction.rate_offset, correction.force_offset)
+
+
+def _as_sensed(zeros: CheckResult, correction: Correction) -> CheckResult:
+    """The other way."""
+    p, q, r = correction.rate_offset
+    a, b, c = correction.force_offset
+    return zeros.less((-p, -q, -r), (-a, -b, -c)).turned(correction.matrix().T)
+
+
+def _offsets_changed(before: Correction, now: Correction) -> tuple[Vector, Vector]:
+    """By how much more is taken off rate and force than before, in the vehicle axes of now."""
+    turn = now.matrix() @ before.matrix().T
+
+    def change(old: Vector, new: Vector) -> Vector:
+        x, y, z = matrix_times(turn, old)
+        return new[0] - x, new[1] - y, new[2] - z
+
+    return (
+        change(before.rate_offset, now.rate_offset),
+        change(before.force_offset, now.force_offset),
+    )
 
 
 class TravelConsumer:

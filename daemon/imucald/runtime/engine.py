@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from imucald.can.columns import FrameColumns
 from imucald.core.errors import EstimateError
-from imucald.core.rotations import times, times_level
+from imucald.core.rotations import times_level
 from imucald.inputs.column_samples import Routed
 from imucald.inputs.rate_guard import Spaced, guarded_cycle
 from imucald.inputs.router import Router, Sample
@@ -163,7 +163,7 @@ class Engine:
         k = tick_index(t)
         if k > self.pipeline.k or gap:
             out += self._advance(k, gap, late)
-        samples, rejected = self.router.frame(t, can_id, data)
+        samples, rejected, spoilt = self.router.frame(t, can_id, data)
         pipeline = self.pipeline
         health = pipeline.health
         for channel, values in samples:
@@ -171,7 +171,8 @@ class Engine:
         if self.preprocessing is not None:
             samples, refused = self.preprocessing.frame(t, samples, self.router.rejected)
             rejected += refused
-        for channel in rejected:
+            spoilt += refused
+        for channel in spoilt:
             pipeline.reject(channel)
         self._watch.count_rejections(k, self.router.rejected.total())
         if self._group:
@@ -200,11 +201,13 @@ class Engine:
         turned: dict[str, Turned] = {}
         for channel, values in samples:
             if channel in triads:
-                turned[channel] = None if correction is None else times(correction, values)
+                turned[channel] = (
+                    None if correction is None else correction.applied(channel, values)
+                )
         if self.preprocessing is not None and turned:
             turned = self.preprocessing.corrected(t, turned)
         if planar and correction is not None:
-            turned |= {c: times_level(correction, v) for c, v in samples if c in planar}
+            turned |= {c: times_level(correction.rotation, v) for c, v in samples if c in planar}
         return turned
 
     def _corrected_frames(self, turned: Mapping[str, Turned]) -> list[OutFrame]:
@@ -260,7 +263,11 @@ class Engine:
     # starting again ------------------------------------------------------------------------
 
     def restart_calibration(self) -> MountEstimator:
-        """Forget the estimate and begin again; all counters go on. Return the former estimator."""
+        """Forget the estimate and begin again; all counters go on. Return the former estimator.
+
+        What seemed the end of a sensor's range has to show itself again.
+        """
+        self.pipeline.health.forget_rails()
         return self.pipeline.replace(self.new_estimator(), afresh=True)
 
     def new_estimator(self) -> MountEstimator:
@@ -315,7 +322,7 @@ class Engine:
         if self.preprocessing is not None:
             routed = self.preprocessing.columns(routed, segment.t, self.router.rejected)
         ticks = cache(lambda: np.floor(segment.t * TICK_RATE).astype(np.int64))
-        times = {c: segment.t[rows] for c, rows in routed.rejected.items()}
+        times = {c: segment.t[rows] for c, rows in routed.rejected_values.items()}
         first = self.pipeline.k
         wanted = keep or bool(self._group) or self._on_snapshot is not None
         corrections, snapshots = self.pipeline.run(

@@ -11,11 +11,13 @@ from msgspec.structs import replace
 
 from imucald.config import Config
 from imucald.config.calibration import CalibrationSettings, KnownMount
+from imucald.config.signals import Signals
 from imucald.core.errors import EstimateError
 from imucald.core.rotations import rotation_from_angles
 from imucald.mount.estimate import BETWEEN_DRIVES_STD, MountEstimator, MountState, Targets
 from imucald.mount.estimator import FullEstimator
 from imucald.mount.estimator_settings import DelayPrior, EstimatorSettings
+from imucald.mount.mirror import DOUBTED, SIDED, probability
 from imucald.mount.stated_orientation import StatedOrientation
 
 if TYPE_CHECKING:
@@ -64,17 +66,30 @@ def learning_estimator(
     full = full_settings(config)
     if compensation is not None:
         full = compensation.full_settings(full, stated)
+    if config.calibration.estimator == "joint":
+        from imucald.mount.joint.estimator import JointEstimator, JointSettings  # noqa: PLC0415
+
+        return JointEstimator(JointSettings.of(full))
     return FullEstimator(full)
+
+
+FINEST_STATED = math.radians(0.01)
+"""Finest deviation of a stated mount [rad]: a tenth of what a workshop measures. An even finer one
+would outvote all evidence for ever."""
 
 
 def known_mount(mount: KnownMount, targets: Targets | None) -> StoredMount:
     """A mount that a person states, as an estimator serves it.
 
-    Raises EstimateError where it is not known well enough to be *usable* (`targets`).
+    Raises EstimateError where it is not known well enough to be *usable* (`targets`), or better
+    than any mount is (`FINEST_STATED`).
     """
     from imucald.mount.restored import StoredMount  # noqa: PLC0415 - few state one
 
     std, state = np.array(mount.std), MountState.USABLE
+    if (finest := std.min()) < FINEST_STATED:
+        text = f"{math.degrees(finest):.3g} deg is finer than any mount is known: it must be "
+        raise EstimateError(f"{text}{math.degrees(FINEST_STATED):g} deg or more")
     if targets is not None:
         for s, limit, axis in zip(std, targets.usable, "xyz", strict=True):
             if s >= limit:
@@ -113,12 +128,29 @@ def published_settings(config: Config) -> PublishedSettings:
     )
 
 
+def _are_sides_turned(signals: Signals) -> bool:
+    """Whether signals that know left from right are turned while the accelerometer is not, so
+    that it may well be mirrored instead."""
+    accelerometer, gyroscope = signals.accelerometer[0], signals.gyroscope
+    if accelerometer.x.sign < 0 or accelerometer.y.sign < 0:
+        return False
+    turned = {}
+    if gyroscope is not None:
+        turned["gyroscope"] = gyroscope[0].x.sign < 0 and gyroscope[0].y.sign < 0
+    for name in SIDED:
+        sources = getattr(signals, name)
+        if sources is not None and sources[0].sign_signal is None:
+            turned[name] = sources[0].sign < 0
+    return any(turned.get(name) for name in SIDED) and probability(turned) >= DOUBTED
+
+
 def full_settings(config: Config) -> EstimatorSettings:
     """Settings of the full estimator."""
     settings = EstimatorSettings(
         config.calibration,
         config.vehicle,
         uses_steering=config.signals.steering_wheel_angle is not None,
+        are_sides_turned=_are_sides_turned(config.signals),
     )
     delay = config.calibration.speed_delay
     if delay is None:

@@ -47,8 +47,8 @@ class OrderedService(Protocol):
         """Keep nothing of what was saved; return why the disk does not take that now, or ""."""
         ...
 
-    def save_state(self) -> None:
-        """Save the mount that is in force as it is now, held or not."""
+    def save_state(self) -> str:
+        """Save the mount in force, held or not; return why the disk does not take it, or ""."""
         ...
 
     def log_order(self, who: str, text: str) -> None:
@@ -97,8 +97,8 @@ class MountOrders:
             state = self._estimator.state.name.lower()
             text = f"there is no mount to hold yet (state {state}): drive until it is usable"
             raise OrderError(f"{text}, or state the mount with set-mount")
-        self._put(kept)
-        return self._logged(who, "hold: the mount is held, nothing is learnt until it is released")
+        text = "hold: the mount is held, nothing is learnt until it is released"
+        return self._logged(who, text + _not_saved(self._put(kept)))
 
     def release(self, who: str) -> str:
         """Learn again. Raises OrderError where nothing is held, or the configuration holds it."""
@@ -106,8 +106,8 @@ class MountOrders:
         if kept is None:
             raise OrderError("the mount is not held: it is being learnt")
         self._refuse_where_configured()
-        self._put(released(kept, self._learning()))
-        return self._logged(who, "release: the mount is learnt again")
+        not_yet = self._put(released(kept, self._learning()))
+        return self._logged(who, "release: the mount is learnt again" + _not_saved(not_yet))
 
     def set_mount(self, mount: KnownMount, who: str) -> str:
         """Put a mount that is known in force. Raises OrderError where it is too vague."""
@@ -121,13 +121,13 @@ class MountOrders:
         except EstimateError as error:
             raise OrderError(f"a standard deviation of {error}") from None
         not_yet = self._service.forget_state()
-        self._put(RestoredEstimator(learning, stored, is_held=mount.hold))
+        not_saved = self._put(RestoredEstimator(learning, stored, is_held=mount.hold))
         x, y, z = (2.0 * float(s) * DEG_PER_RAD for s in np.sqrt(np.diag(stored.covariance)))
         angles = f"roll {mount.roll_deg:+g}, pitch {mount.pitch_deg:+g}, yaw {mount.yaw_deg:+g} deg"
         within = f"±{x:.2g}, ±{y:.2g}, ±{z:.2g} deg (95 %) about the vehicle's x, y, z"
         end = "and held" if mount.hold else "until the drive knows it as well"
         text = f"set-mount: {angles}, {within}, in force {end}"
-        return self._logged(who, text + _not_on_the_disk(not_yet))
+        return self._logged(who, text + (_not_on_the_disk(not_yet) or _not_saved(not_saved)))
 
     # a tester's calibration, which can be taken back ----------------------------------------
 
@@ -164,10 +164,11 @@ class MountOrders:
     def _learning(self) -> MountEstimator:
         return without_stored(self._service.engine.new_estimator())
 
-    def _put(self, estimator: MountEstimator) -> None:
+    def _put(self, estimator: MountEstimator) -> str:
+        """Let it take the place of what is there; why the disk does not take it now, or ""."""
         self._former = None
         self._service.engine.pipeline.replace(estimator)
-        self._service.save_state()
+        return self._service.save_state()
 
     def _refuse_where_configured(self) -> None:
         mount = self._service.loaded.config.calibration.mount
@@ -188,4 +189,14 @@ def _not_on_the_disk(reason: str) -> str:
     return (
         f"; NOT ON THE DISK YET ({reason}): a restart brings the former mount back, until the "
         "saved state can be set aside, which is tried every 10 s"
+    )
+
+
+def _not_saved(reason: str) -> str:
+    """What is said where the disk did not take what an order put in force."""
+    if not reason:
+        return ""
+    return (
+        f"; NOT ON THE DISK YET ({reason}): a restart undoes this order, until the state can be "
+        "saved, which is tried every 10 s"
     )

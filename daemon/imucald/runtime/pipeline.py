@@ -1,12 +1,13 @@
 """The pipeline: time-stamped samples in, corrections out. It opens nothing and reads no clock.
 
-Samples are gathered into ticks; at the end of each tick the estimator learns from it and says which
-rotation holds during the next one. The live daemon adds samples one by one (`add`), replay adds
+Samples are gathered into ticks; at the end of each tick the estimator learns from it and says what
+is applied during the next one. The live daemon adds samples one by one (`add`), replay adds
 whole columns (`run`); both give the same corrections to the last bit.
 """
 
 from __future__ import annotations
 
+import math
 from bisect import bisect_left
 from collections.abc import Collection, Mapping, Sequence
 from functools import cached_property
@@ -84,35 +85,42 @@ class TickCorrections(Struct, frozen=True, dict=True):
     unfit: Mapping[str, NDArray[np.bool_]] = field(default_factory=dict)
 
     @cached_property
-    def _spells(self) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-        """Rows of R_vehicle_from_sensor (m, 9), and from which tick on (m,) each holds."""
-        nothing = (np.nan,) * 9
+    def _spells(self) -> tuple[list[Correction | None], NDArray[np.int64]]:
+        """Corrections that follow one another, and from which tick on (m,) each holds."""
         which = np.fromiter(map(id, self.corrections), np.uint64, len(self.corrections))
         first = np.append(0, np.flatnonzero(which[1:] != which[:-1]) + 1)
-        different = [self.corrections[i] for i in first.tolist()]
-        return np.array([nothing if row is None else row for row in different]), first
+        return [self.corrections[i] for i in first.tolist()], first
 
-    @cached_property
-    def rotations(self) -> NDArray[np.float64]:
-        """(n, 9), rows of R_vehicle_from_sensor; NaN where not usable."""
-        rows, first = self._spells
-        return np.repeat(rows, np.diff(first, append=len(self.corrections)), axis=0)
+    def _rows(self, channel: str) -> NDArray[np.float64]:
+        """Of each spell what a channel's samples get (m, 12): matrix by rows, offset; or NaN."""
+        of = [None if c is None else c.of(channel) for c in self._spells[0]]
+        return np.array([(math.nan,) * 12 if c is None else (*c[0], *c[1]) for c in of])
 
-    def turned(self, ticks: NDArray[np.int64], values: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Samples (N, 3) of ticks (N,), counted from `first`, in vehicle axes."""
+    def by_tick(self, channel: str) -> NDArray[np.float64]:
+        """Matrix by rows and offset that a channel's samples get in each tick (n, 12), SI.
+
+        NaN where nothing is applied; which it is, `Correction.of` says.
+        """
+        spells = np.diff(self._spells[1], append=len(self.corrections))
+        return np.repeat(self._rows(channel), spells, axis=0)
+
+    def turned(
+        self, channel: str, ticks: NDArray[np.int64], values: NDArray[np.float64]
+    ) -> NDArray[np.float64]:
+        """Samples (N, 3) of a channel in ticks (N,), counted from `first`, in vehicle axes."""
         if compiled.kernels is None:
-            return times_columns(self.rotations_in(ticks), values)
-        rows, first = self._spells
+            rows = self.rows_in(channel, ticks)
+            return times_columns(rows, values) - rows[:, 9:]
         out = np.empty((3, len(ticks)))
-        compiled.kernels.turn_samples(values, ticks, rows, first, out)
+        compiled.kernels.turn_samples(values, ticks, self._rows(channel), self._spells[1], out)
         return out.T
 
-    def rotations_in(self, ticks: NDArray[np.int64]) -> NDArray[np.float64]:
-        """Those in force during ticks (N,), counted from `first`: (N, 9).
+    def rows_in(self, channel: str, ticks: NDArray[np.int64]) -> NDArray[np.float64]:
+        """As `by_tick`, during ticks (N,), counted from `first`: (N, 12).
 
-        (1, 9) where it is the same in all n ticks, as most of the time.
+        (1, 12) where it is the same in all n ticks, as most of the time.
         """
-        rows, first = self._spells
+        rows, (_, first) = self._rows(channel), self._spells
         if len(rows) == 1:
             return rows
         return rows.take(np.searchsorted(first, ticks, side="right") - 1, axis=0)
@@ -176,7 +184,7 @@ class Pipeline:
         self._ticks.add(channel, t, values)
 
     def reject(self, channel: str) -> None:
-        """Count a rejected sample of the open tick."""
+        """Count a sample of the open tick that was rejected for its value."""
         self._ticks.reject(channel)
 
     def advance(self, k: int) -> list[Snapshot]:

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from imucald.core.rotations import times_level_columns
 from imucald.inputs.column_samples import ColumnSamples, Routed
+from imucald.mount.estimate import HOUSING
 from imucald.runtime.output.output_frames import OutputFrames
 from imucald.runtime.pipeline import TickCorrections
 from imucald.runtime.timebase import TimeSegment
@@ -62,14 +63,14 @@ def corrected_samples(
     found = {c: routed.samples[c] for c in output.triads if c in routed.samples}
     tick = {c: ticks[series.row] - corrections.first for c, series in found.items()}
     turned = {
-        channel: corrections.turned(tick[channel], series.values)
+        channel: corrections.turned(channel, tick[channel], series.values)
         for channel, series in found.items()
     }
     if preprocessing is not None:
         turned = preprocessing.corrected_columns(found, turned)
     for channel in output.planar & found.keys():
-        rotations = corrections.rotations_in(tick[channel])
-        turned[channel] = times_level_columns(rotations, found[channel].values)
+        rows = corrections.rows_in(HOUSING, tick[channel])
+        turned[channel] = times_level_columns(rows, found[channel].values)
     corrected: dict[str, CorrectedSamples] = {}
     for channel, series in found.items():
         values, quality = turned[channel], corrections.quality[tick[channel]]

@@ -11,9 +11,12 @@ from msgspec import Struct
 
 from imucald.core.angles import DEG_PER_RAD
 from imucald.core.encodable import json_text
-from imucald.mount.estimate import ANGLES, MountEstimate
+from imucald.core.rotations import Rows
+from imucald.mount.estimate import ANGLES, MountEstimate, SentDeviations
 from imucald.mount.mount_words import how_it_sits, mirror_note, steep_note
 from imucald.runtime.engine import Engine
+
+SENT = SentDeviations.__struct_fields__
 
 
 class RunCounts(Struct, frozen=True):
@@ -38,6 +41,7 @@ def summary(
         more["model"] = engine.preprocessing.summary()
     return {
         "mount": mount_dict(estimate),
+        "correction": correction_dict(estimate),
         "state": estimate.state.name.lower(),
         "waiting_for": {a: estimate.waiting_for[a] for a in ANGLES if a in estimate.waiting_for},
         "first_usable_s": _after(pipeline.first_usable, lead),
@@ -84,6 +88,30 @@ def mount_dict(estimate: MountEstimate) -> dict[str, Any]:
         else [[round(v, 8) for v in row] for row in (covariance * DEG_PER_RAD**2).tolist()]
     )
     return result | _for_people(estimate)
+
+
+def correction_dict(estimate: MountEstimate) -> dict[str, Any] | None:
+    """Matrices and offsets of both sensors, and the deviations of what they leave; None: none yet.
+
+    As estimated; what is applied now follows it tick by tick.
+    """
+    found, sent = estimate.correction, estimate.sent
+    if found is None:
+        return None
+
+    def rows(matrix: Rows) -> list[list[float]]:
+        return [[round(v, 8) for v in matrix[3 * i : 3 * i + 3]] for i in range(3)]
+
+    of = {name: None if sent is None else getattr(sent, name) for name in SENT}
+    return {
+        "matrix": rows(found.force),
+        "offset_mps2": [round(v, 6) for v in found.force_offset],
+        "cross_talk_std_deg": {name: _degrees(of[name]) for name in ("xy", "yx", "zx", "zy")},
+        "zero_std_mps2": [plain(of[name], 4) for name in ("zero_x", "zero_y")],
+        "gyro_matrix": rows(found.rate),
+        "gyro_offset_rad_s": [round(v, 8) for v in found.rate_offset],
+        "gyro_cross_talk_std_deg": {n: _degrees(of[f"rate_{n}"]) for n in ("xz", "yz")},
+    }
 
 
 def _degrees(std: float | None) -> float | None:

@@ -15,8 +15,6 @@ MANOEUVRES_KEPT = 150
 """Manoeuvres that are kept (about an hour of city); the oldest goes first."""
 MAX_MANOEUVRE_S = 8.0
 """A longer one counts as several [s]."""
-MIN_MANOEUVRE_S = 1.0
-"""A shorter one is a bump [s]."""
 MANOEUVRE_HOLE = 1.5
 """Time without an accepted interval that ends a manoeuvre [s]."""
 
@@ -44,7 +42,7 @@ class ManoeuvreCollector:
         """
         s, m = self._settings, self._open
         straight = s.calibration.straight
-        slowest = straight.min_speed if self.gear_known else s.min_speed_unknown_gear
+        slowest = straight.min_speed if self.gear_known else straight.min_speed_without_reverse
         if (
             abs(interval.speed) < slowest
             or max(abs(along), abs(interval.dvdt)) < straight.min_speed_change
@@ -97,7 +95,7 @@ class ManoeuvreCollector:
         m, self._open = self._open, None
         if m is None or abs(m.peak) < self._settings.calibration.straight.manoeuvre_peak:
             return False
-        if m.seconds < MIN_MANOEUVRE_S:
+        if m.seconds < self._settings.min_manoeuvre:
             return False
         (self.signed if m.signed else self.unsigned).add(m)
         return True

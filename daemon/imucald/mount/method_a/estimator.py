@@ -35,7 +35,7 @@ from imucald.mount.method_a.sign import SignEvidence
 from imucald.mount.method_a.states import TiltAndAngle, judged, waiting_for
 from imucald.mount.method_a.target_angle import CombinedAngle, combined, combined_axis
 from imucald.mount.method_a.tilt import TiltEstimator
-from imucald.mount.slewing import SlewedRotation
+from imucald.mount.slewing import SlewedCorrection
 
 NAN = math.nan
 
@@ -67,7 +67,7 @@ class PublishedEstimator:
         self._gate = StraightGate(s, self._offset)
         self._sign = SignEvidence(s.calibration.target_angle.sign_from)
         self._collector = ManoeuvreCollector(s)
-        self._applied = SlewedRotation(s.slew)
+        self._applied = SlewedCorrection(s.slew)
         self._held = HeldForce()
         self._known = TiltAndAngle()
         self._target: Matrix3 | None = None
@@ -79,7 +79,7 @@ class PublishedEstimator:
 
     @property
     def correction(self) -> Correction | None:
-        """R_vehicle_from_sensor to apply now, row by row; None until usable."""
+        """What to apply now; None until usable."""
         return self._applied.correction
 
     @property
@@ -257,16 +257,17 @@ class PublishedEstimator:
         )
         self._state = judged(self._known, self._state, self._settings)
         if self._state in GOOD and self._target is not None:
-            self._applied.aim(self._target)
+            self._applied.aim(Correction.turning(self._target))
 
     def _target_angle(self, level: Matrix3) -> tuple[CombinedAngle | None, bool]:
         """Return lambda and whether its sign is known; manoeuvres with speed are preferred."""
         book, unsigned = self._collector.signed, self._collector.unsigned
-        signed = combined(book.pointers(level))
+        signed = combined(book.pointers(level), robust=self._settings.robust)
         if not unsigned or len(book) >= self._settings.usable_manoeuvres:
             return signed, signed is not None
         books = (unsigned, book)
-        axis = combined_axis(np.concatenate([b.axis_pointers(level) for b in books]))
+        pointers = np.concatenate([b.axis_pointers(level) for b in books])
+        axis = combined_axis(pointers, self._settings.robust)
         if axis is None:
             return None, False
         forward = math.cos(axis.value) * level[0] - math.sin(axis.value) * level[1]

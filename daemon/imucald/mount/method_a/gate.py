@@ -11,6 +11,7 @@ import numpy as np
 from imucald.core.rotations import Matrix3, Vector
 from imucald.motion.speed import SpeedInterval
 from imucald.motion.straight import angles_agree
+from imucald.motion.ticks import TICK_S
 from imucald.mount.method_a.settings import PublishedSettings
 
 OFFSET_SETTLED_S = 2.0
@@ -87,7 +88,7 @@ class StraightGate:
 
     def __init__(self, settings: PublishedSettings, offset: WanderingOffset) -> None:
         self._limits = settings.calibration.straight
-        self._smoothing = settings.consistency_smoothing
+        self._smoothing = max(1, round(self._limits.consistency_mean / TICK_S))
         self._offset = offset
         self.restart()
 
@@ -112,10 +113,8 @@ class StraightGate:
         if not self._lateral_is_small(interval, lateral, own_lateral, level):
             return False
         s = self._limits
-        gated = s.lateral_limit > 0.0 and not isnan(lateral)
-        limit = s.yaw_rate_limit if gated else s.yaw_rate_limit_without_speed
         measured = {
-            "yaw_rate": (interval.yaw_rate, limit),
+            "yaw_rate": (interval.yaw_rate, self._yaw_rate_limit(lateral)),
             "steering": (steering, s.steering_limit),
         }
         for group in s.groups:
@@ -132,8 +131,13 @@ class StraightGate:
         lateral = abs(interval.speed * interval.yaw_rate)
         if lateral > TURN_FACTOR * s.lateral_limit > 0.0:
             return True
-        limit = s.yaw_rate_limit_without_speed if isnan(lateral) else s.yaw_rate_limit
-        return abs(interval.yaw_rate) > TURN_FACTOR * limit
+        return abs(interval.yaw_rate) > TURN_FACTOR * self._yaw_rate_limit(lateral)
+
+    def _yaw_rate_limit(self, lateral: float) -> float:
+        """The wider limit is for motion whose v r is known and gated as well."""
+        s = self._limits
+        gated = s.lateral_limit > 0.0 and not isnan(lateral)
+        return s.yaw_rate_limit if gated else s.yaw_rate_limit_without_speed
 
     def _lateral_is_small(
         self, interval: SpeedInterval, lateral: float, own_lateral: float, level: Matrix3

@@ -32,8 +32,12 @@ class PublishedSettings(MountSettings, frozen=True):
         c = self.calibration
         calibration = replace(
             c,
-            static=replace(c.static, average_stops=False),
-            straight=replace(c.straight, lateral_limit=0.0),
+            static=replace(
+                c.static, average_stops=False, threshold_at_zero_speed=c.static.threshold
+            ),
+            straight=replace(
+                c.straight, lateral_limit=0.0, min_speed_without_reverse=c.straight.min_speed
+            ),
             target_angle=replace(c.target_angle, subtract_lateral=False, remove_offset_after=0.0),
         )
         return replace(
@@ -41,7 +45,10 @@ class PublishedSettings(MountSettings, frozen=True):
             calibration=calibration,
             wander_speed=0.0,
             settle=0.0,
-            min_speed_unknown_gear=c.straight.min_speed,
+            crown_mean=0.0,
+            level_without_stop_after=math.inf,
+            min_manoeuvre=0.0,
+            robust=False,
         )
 
     # Steps 1-3: standstill and levelling.
@@ -59,18 +66,17 @@ class PublishedSettings(MountSettings, frozen=True):
     """Seconds of driving after which the mean specific force levels, for want of a stop [s]."""
 
     # Step 4: straight variable-speed motion.
-    consistency_smoothing: int = 10
-    """Ticks (0.1 s) averaged for each angle: road noise is as large as braking otherwise."""
     settle: float = 1.5
     """Straight motion [s] after a turn before anything is learnt: body roll swings out."""
-    min_speed_unknown_gear: float = 2.0
-    """Speed [m/s] below which nothing is learnt where no signal shows reverse gear: nobody reverses
-    faster for long."""
+    min_manoeuvre: float = 1.0
+    """A shorter manoeuvre is a bump [s]."""
 
     # Step 5: the target angle and its sign.
     wander_speed: float = 2.4
     """Speed [m/s] at which a block counts half: the faster, the more slope and bank wander while
     speed changes (beyond the publication). 0: all count the same."""
+    robust: bool = True
+    """A manoeuvre that disagrees with the rest counts less (Huber)."""
     use_speed: bool = True
     """There is a speed: use dv/dt for gate, sign and weight (beyond the publication for gate and
     weight)."""

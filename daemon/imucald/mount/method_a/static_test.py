@@ -7,6 +7,7 @@ is, wider thresholds apply, because a running engine shakes a sensor more than a
 
 from __future__ import annotations
 
+from collections import deque
 from typing import NamedTuple
 
 from imucald.config.calibration import StaticTestSettings
@@ -39,14 +40,15 @@ class StandstillDetector:
         self._settings = settings
         self._ticks_needed = max(1, round(settings.duration / TICK_S))
         self.still = False
-        self._passed: StaticWindow | None = None
-        self._confirm = 0
+        self._passed: deque[tuple[int, StaticWindow]] = deque()
+        self._run = 0
         self.restart()
 
     def restart(self) -> None:
         """Begin a new run: what came before is not continued."""
         self.still = False
-        self._passed = None
+        self._passed.clear()
+        self._run = 0
         self._begin_window()
 
     def _begin_window(self) -> None:
@@ -107,14 +109,13 @@ class StandstillDetector:
 
     def _advance(self, t: float) -> StaticWindow | None:
         confirmed = None
-        if self._passed is not None:
-            self._confirm += 1
-            if self._confirm >= CONFIRM_TICKS:
-                confirmed, self._passed = self._passed, None
+        self._run += 1
+        if self._passed and self._run >= self._passed[0][0] + CONFIRM_TICKS:
+            confirmed = self._passed.popleft()[1]
         if self._ticks + self._holes >= self._ticks_needed and self._n >= self._settings.samples:
             n = self._n
-            self._passed = StaticWindow(self._x / n, self._y / n, self._z / n, n, t)
-            self._confirm = 0
+            window = StaticWindow(self._x / n, self._y / n, self._z / n, n, t)
+            self._passed.append((self._run, window))
             self.still = True
             self._begin_window()
         return confirmed

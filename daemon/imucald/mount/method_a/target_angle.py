@@ -127,13 +127,13 @@ class CombinedAngle(NamedTuple):
     manoeuvres: int
 
 
-def combined(pointers: Pointers, turns: float = 1.0) -> CombinedAngle | None:
+def combined(pointers: Pointers, turns: float = 1.0, robust: bool = True) -> CombinedAngle | None:
     """Combine pointers (N,) robustly into one angle; None where there is nothing to combine.
 
     turns: how often a pointer goes round while the angle goes round once (2 for an axis).
 
     The spread over manoeuvres (with a prior worth two) over their effective number gives the
-    standard deviation; Huber weights keep a manoeuvre that disagrees from deciding.
+    standard deviation; where robust, Huber weights keep a manoeuvre that disagrees from deciding.
     """
     sizes = np.abs(pointers)
     if len(sizes) == 0 or not float(sizes.max()) > 0.0:
@@ -147,7 +147,8 @@ def combined(pointers: Pointers, turns: float = 1.0) -> CombinedAngle | None:
         away = np.angle(units * mean.conjugate())
         typical = MEDIAN_TO_STD * float(np.median(np.abs(away)))
         limit = ROBUST_SPREADS * max(turns * MIN_SPREAD, typical)
-        weights = sizes * np.minimum(1.0, limit / np.maximum(np.abs(away), 1e-12))
+        if robust:
+            weights = sizes * np.minimum(1.0, limit / np.maximum(np.abs(away), 1e-12))
         mean = complex(np.sum(units * weights))
     total = float(np.sum(weights))
     effective = total * total / float(weights @ weights)
@@ -161,6 +162,6 @@ def combined(pointers: Pointers, turns: float = 1.0) -> CombinedAngle | None:
     return CombinedAngle(math.atan2(mean.imag, mean.real) / turns, std, len(sizes))
 
 
-def combined_axis(pointers: Pointers) -> CombinedAngle | None:
+def combined_axis(pointers: Pointers, robust: bool = True) -> CombinedAngle | None:
     """Combine axis pointers (see `ManoeuvreBook`): the angle is known up to 180 deg."""
-    return combined(pointers, turns=2.0)
+    return combined(pointers, 2.0, robust)

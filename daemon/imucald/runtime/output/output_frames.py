@@ -16,8 +16,9 @@ from numpy.typing import NDArray
 
 from imucald.config import Config
 from imucald.core.angles import DEG_PER_RAD
-from imucald.mount.estimate import ANGLES, Missing, MountEstimate, MountState
+from imucald.mount.estimate import ANGLES, Missing, MountEstimate, MountState, SentDeviations
 from imucald.runtime.output.output_message import (
+    NOT_AVAILABLE_12,
     NOT_AVAILABLE_SIGNED,
     NOT_AVAILABLE_UNSIGNED,
     OutFrame,
@@ -31,8 +32,10 @@ if TYPE_CHECKING:
 
 __all__ = ["Health", "OutFrame", "OutputFrames", "output_database"]
 
-STATUS_FRAMES = 3
-"""Frames that each snapshot is sent in: mount, deviation, health."""
+STATUS_FRAMES = 5
+"""Frames that each snapshot is sent in: mount, three of deviations, health."""
+CROSS_TALK_MAX, ZERO_MAX = 20.47, 4.094
+"""Largest deviations that are sent [deg], [m/s^2]; larger ones are sent as these."""
 REJECTED_MAX = 65534
 LOST_MAX = 4094
 
@@ -119,12 +122,14 @@ class OutputFrames:
         self._corrected = {c: self._triad(kind, can_id) for c, (kind, can_id) in kinds.items()}
         self._factors = {c: _LAYOUTS[kind][2] for c, (kind, _) in kinds.items()}
         self._mount = self._signed("IMUCALD_Mount", ids.mount, "Mount{}", ANGLES)
-        self._deviation = OutputMessage(
-            "IMUCALD_MountDeviation",
-            ("DeviationX", "DeviationY", "DeviationZ", "State"),
-            ids.mount_deviation,
-            output.checksum,
-            {f"Deviation{a}": NOT_AVAILABLE_UNSIGNED for a in "XYZ"},
+        self._deviation = self._deviations(
+            "IMUCALD_MountDeviation", "XYZ", ids.mount_deviation, NOT_AVAILABLE_UNSIGNED
+        )
+        self._cross_talk = self._deviations(
+            "IMUCALD_CrossTalkDeviation", ("XY", "YX", "ZX", "ZY"), ids.cross_talk_deviation
+        )
+        self._zero = self._deviations(
+            "IMUCALD_ZeroDeviation", ("ZeroX", "ZeroY", "RateXZ", "RateYZ"), ids.zero_deviation
         )
         self._health = OutputMessage(
             "IMUCALD_Health",
@@ -153,7 +158,8 @@ class OutputFrames:
         return frozenset(message.can_id for message in self.messages())
 
     def _all_messages(self) -> list[OutputMessage]:
-        return [*self._corrected.values(), self._mount, self._deviation, self._health]
+        more = self._cross_talk, self._zero
+        return [*self._corrected.values(), self._mount, self._deviation, *more, self._health]
 
     def go_on_from(self, before: OutputFrames) -> None:
         """Count on in every message that was sent before: its receivers notice no change."""
@@ -177,23 +183,24 @@ class OutputFrames:
 
     def _triad(self, kind: str, can_id: int) -> OutputMessage:
         name, signals, _ = _LAYOUTS[kind]
-        return OutputMessage(
-            name,
-            (*signals, "Quality"),
-            can_id,
-            self._checksum,
-            dict.fromkeys(signals, NOT_AVAILABLE_SIGNED),
-        )
+        return self._message(name, can_id, signals, "Quality", NOT_AVAILABLE_SIGNED)
 
     def _signed(self, name: str, can_id: int, pattern: str, parts: Sequence[str]) -> OutputMessage:
         signals = [pattern.format(part.capitalize()) for part in parts]
-        return OutputMessage(
-            name,
-            (*signals, "State"),
-            can_id,
-            self._checksum,
-            dict.fromkeys(signals, NOT_AVAILABLE_SIGNED),
-        )
+        return self._message(name, can_id, signals, "State", NOT_AVAILABLE_SIGNED)
+
+    def _deviations(
+        self, name: str, entries: Sequence[str], can_id: int, missing: int = NOT_AVAILABLE_12
+    ) -> OutputMessage:
+        signals = [f"Deviation{entry}" for entry in entries]
+        return self._message(name, can_id, signals, "State", missing)
+
+    def _message(
+        self, name: str, can_id: int, signals: Sequence[str], last: str, missing: int
+    ) -> OutputMessage:
+        """Signals that are `missing` where not available, and a last one that always is there."""
+        own = dict.fromkeys(signals, missing)
+        return OutputMessage(name, (*signals, last), can_id, self._checksum, own)
 
     def corrected(self, channel: str, values: Sequence[float] | None, quality: int) -> OutFrame:
         """Frame of one corrected sample in SI (None: not available)."""
@@ -222,13 +229,32 @@ class OutputFrames:
         nothing: tuple[None, None, None] = (None, None, None)
         angle_values = [v * DEG_PER_RAD for v in angles] if angles else nothing
         std_values = [min(v * DEG_PER_RAD, 327.67) for v in std] if std else nothing
+        sent = estimate.sent if usable else None
+        cross_talk, zero = _of_sent(sent)
         waiting = [int(estimate.missing.get(a, _default(estimate, a))) for a in ANGLES]
         counts = (min(health.rejected, REJECTED_MAX), min(health.lost, LOST_MAX))
         return [
             self._mount.frame((*angle_values, state)),
             self._deviation.frame((*std_values, state)),
+            self._cross_talk.frame((*cross_talk, state)),
+            self._zero.frame((*zero, state)),
             self._health.frame((state, *waiting, *map(float, health.flags), *counts)),
         ]
+
+
+def _of_sent(
+    sent: SentDeviations | None,
+) -> tuple[Sequence[float | None], Sequence[float | None]]:
+    """Of cross-talk, and of level zero and rate, in the units of their frames."""
+    if sent is None:
+        return (None,) * 4, (None,) * 4
+
+    def degrees(*values: float) -> list[float]:
+        return [min(v * DEG_PER_RAD, CROSS_TALK_MAX) for v in values]
+
+    zero = [min(v, ZERO_MAX) for v in (sent.zero_x, sent.zero_y)]
+    cross_talk = degrees(sent.xy, sent.yx, sent.zx, sent.zy)
+    return cross_talk, [*zero, *degrees(sent.rate_xz, sent.rate_yz)]
 
 
 def _attitude_frames(config: Config) -> AttitudeFrames:

@@ -30,6 +30,8 @@ OutFrame = tuple[int, bytes]
 OUTPUT_DATABASE = Path(__file__).parents[2] / "data" / "imucald_out.dbc"
 NOT_AVAILABLE_SIGNED = -32768
 NOT_AVAILABLE_UNSIGNED = 65535
+NOT_AVAILABLE_12 = 4095
+"""Of unsigned signals of 12 bits."""
 
 
 @cache

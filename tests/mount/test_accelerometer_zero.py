@@ -6,7 +6,9 @@ import numpy as np
 import pytest
 from test_estimator import drive, good_around
 
+from imucald.core.rotations import rotation_from_vector
 from imucald.core.samples import GRAVITY, Series
+from imucald.motion.column_ticks import ticks_from_samples
 from imucald.mount.contradictions import StandingFault
 from imucald.mount.estimator import FullEstimator
 from imucald.mount.force_level import ForceLevel
@@ -138,3 +140,46 @@ def test_a_step_in_mid_drive_is_never_good_after_a_minute_and_says_why(name):
     assert StandingFault.ACCEL_LEVEL.value in estimate.faults
     assert "zero or gain has changed" in estimate.waiting_for["roll"]
     assert f"{estimate.details['gravity_change']['after']:.2f} m/s^2" in estimate.waiting_for["yaw"]
+
+
+@pytest.mark.slow
+def test_a_vertical_that_a_gyroscope_alone_carries_accuses_no_accelerometer():
+    """No speed for two minutes, and a gyroscope of steps so coarse that it is off by 0.4 deg/s."""
+    lost, samples = (480.0, 600.0), dict(drive(minutes=15.0).samples)
+    samples.pop("wheel_speeds", None)
+    samples.pop("yaw_rate", None)
+    speed, gyro = samples["speed"], samples["gyro"]
+    has = (speed.t < lost[0]) | (speed.t > lost[1])
+    samples["speed"] = Series(speed.t[has], speed.values[has])
+    wrong = ((gyro.t >= lost[0]) & (gyro.t <= lost[1]))[:, None]
+    samples["gyro"] = Series(gyro.t, gyro.values + np.radians(0.4) * wrong)
+    estimator, accused = FullEstimator(full()), []
+    for row in ticks_from_samples(samples, 0, 9000, {}).tolist():
+        estimator.step(row)
+        accused += [StandingFault.ACCEL_LEVEL] if estimator._level.change is not None else []
+    assert not accused
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("zero", [(0.3, 0.0), (0.0, -0.3)], ids=["along", "across"])
+def test_a_zero_that_the_rotation_does_not_take_off_is_in_the_stated_deviation(zero):
+    made = drive()
+    R = made.truth.R_vehicle_from_sensor()
+    put_on = R.T @ np.array([*zero, 0.0])
+    accel = made.samples["accel"]
+    samples = {**made.samples, "accel": Series(accel.t, accel.values + put_on)}
+    estimator = FullEstimator(full())
+    for row in ticks_from_samples(samples, 0, 6000).tolist():
+        estimator.step(row)
+    estimate = estimator.estimate()
+    found, sent = estimate.R_vehicle_from_sensor, estimate.sent
+    assert found is not None
+    assert sent is not None
+    expected = full().vehicle.crown_mean  # on level ground, the mean lean of the roads set aside
+    on_roads = rotation_from_vector([made.truth.mean_crown() - expected, 0.0, 0.0]) @ R
+    left = found @ (on_roads.T[:, 2] * GRAVITY + made.model.accel.bias + put_on)
+    stated = np.array([sent.zero_x, sent.zero_y])
+    axis = int(zero[0] == 0.0)
+    assert abs(left[axis]) > 0.15, "the gyroscope carries the vertical past the zero"
+    assert (np.abs(left[:2]) < 2.0 * stated).all()
+    assert (stated < 0.45).all()

@@ -1,0 +1,1 @@
+"""One model of the car: quantities, equations, and their evidence in windows."""

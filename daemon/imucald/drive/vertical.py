@@ -1,0 +1,118 @@
+"""The vertical in body axes, carried by the gyroscope and drawn to the accelerometer.
+
+    du/dt = -w x u + (p - u) / T      p: (force less motion) over g
+
+In axes that do not turn with the body this is a first-order low pass. So a block is done at once:
+the turns by a prefix product, the low pass by a cumulative sum.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from imucald.motion.ticks import TICK_S
+
+Array = NDArray[np.float64]
+Flags = NDArray[np.bool_]
+
+PULL_S = 30.0
+"""Time constant of the pull to the accelerometer [s]."""
+FIRST_PULL_S = 3.0
+"""The same at the start; it grows with the time that the vertical has been carried."""
+FIRST_TICKS = 64
+"""The mean of the pull in so many ticks is the first vertical."""
+
+
+class CarriedVertical:
+    """Carries the vertical from block to block.
+
+    State: `up` (3,), the tilt that a gyroscope's cross-talk makes of it (3, 3), time carried.
+    """
+
+    def __init__(self) -> None:
+        self._up: Array | None = None
+        self._tilts = np.zeros((3, 3))
+        self._ticks = 0
+
+    def restart(self) -> None:
+        """Forget the vertical: time jumped, or the turning was not known."""
+        self._up = None
+        self._tilts = np.zeros((3, 3))
+        self._ticks = 0
+
+    def block(self, rate: Array, pull: Array, use: Flags) -> tuple[Array, Array]:
+        """Return the vertical (N, 3) and its sensitivities (N, 3, 3) over one block.
+
+        rate: (N, 3) [rad/s], pull: (N, 3) force less motion over g, both in body axes. use: (N,)
+        ticks whose pull counts. The sensitivities are d u / d (e_xz, e_yz, g_z): cross-talk of the
+        rate from z to x and y, and a turn of the gyroscope about z against the accelerometer [rad].
+        """
+        n = len(rate)
+        if self._up is None:
+            first = pull[:FIRST_TICKS][use[:FIRST_TICKS]]
+            self._up = first.mean(axis=0) if len(first) else np.array([0.0, 0.0, 1.0])
+        turns = _matrices(_prefix_products(_small_turns(-rate * TICK_S)))  # block's start -> now
+        age = (self._ticks + np.arange(n)) * TICK_S
+        gain = use * TICK_S / np.minimum(PULL_S, FIRST_PULL_S + age)
+        kept = np.cumprod(1.0 - gain)
+        back = turns.transpose(0, 2, 1)
+        pulled = (back @ pull[:, :, None])[:, :, 0]
+        drawn = np.cumsum((gain / kept)[:, None] * pulled, axis=0)
+        fixed = kept[:, None] * (self._up + drawn)
+        up = (turns @ fixed[:, :, None])[:, :, 0]
+        tilting = -TICK_S * _wrong_turns(rate, up)
+        turned_back = tilting @ turns  # rows: back @ tilting
+        grown = np.cumsum(turned_back / kept[:, None, None], axis=0)
+        tilts = (kept[:, None, None] * (self._tilts + grown)) @ back
+        self._up, self._tilts = up[-1], tilts[-1]
+        self._ticks += n
+        return up, tilts
+
+
+def _wrong_turns(rate: Array, up: Array) -> Array:
+    """(N, 3 sensitivities, 3 axes) errors of the rate, (r, 0, 0), (0, r, 0) and (-q, p, 0), times
+    the vertical."""
+    (p, q, r), (x, y, z) = rate.T, up.T
+    zero = np.zeros(len(rate))
+    made = np.stack(
+        [zero, -r * z, r * y, r * z, zero, -r * x, p * z, q * z, -q * y - p * x], axis=1
+    )
+    return made.reshape(-1, 3, 3)
+
+
+def _small_turns(vectors: Array) -> Array:
+    """Quaternions (4, N) of rotation vectors (N, 3)."""
+    angle = np.sqrt((vectors * vectors).sum(axis=1))
+    half = np.sinc(angle / (2.0 * np.pi)) / 2.0  # sin(a/2) / a
+    return np.concatenate([np.cos(angle / 2.0)[None], half * vectors.T])
+
+
+def _matrices(quaternions: Array) -> Array:
+    """Rotation matrices (N, 3, 3)."""
+    w, x, y, z = quaternions
+    made = np.empty((len(w), 3, 3))
+    made[:, 0, 0], made[:, 1, 1] = 1 - 2 * (y * y + z * z), 1 - 2 * (x * x + z * z)
+    made[:, 2, 2] = 1 - 2 * (x * x + y * y)
+    made[:, 0, 1], made[:, 1, 0] = 2 * (x * y - w * z), 2 * (x * y + w * z)
+    made[:, 0, 2], made[:, 2, 0] = 2 * (x * z + w * y), 2 * (x * z - w * y)
+    made[:, 1, 2], made[:, 2, 1] = 2 * (y * z - w * x), 2 * (y * z + w * x)
+    return made
+
+
+def _prefix_products(turns: Array) -> Array:
+    """turns[k] * ... * turns[0] for every k (4, N), in log2(N) steps."""
+    made = turns.copy()
+    step = 1
+    while step < made.shape[1]:
+        (a, b, c, d), (w, x, y, z) = made[:, step:], made[:, :-step]
+        made[:, step:] = np.stack(
+            [
+                a * w - b * x - c * y - d * z,
+                a * x + b * w + c * z - d * y,
+                a * y - b * z + c * w + d * x,
+                a * z + b * y - c * x + d * w,
+            ]
+        )
+        step *= 2
+    return made

@@ -1,0 +1,123 @@
+"""Windows of driving as Gram matrices by frequency band.
+
+A window is four blocks of even signals. Its columns are the force less gravity and what the
+equations of the drive predict it from, in body axes. Each goes through the same taper and the same
+removal of mean and slope, then through a Fourier transform; of each band the products of all
+columns are kept. Every fit is algebra on them.
+
+    y     = f - g u + (0, 0, v q)           u: the carried vertical
+    y_i   = h_i1 dv/dt + h_i2 v r + nuisances
+    p, q  = axis of turning times r + nuisances
+"""
+
+from __future__ import annotations
+
+from itertools import pairwise
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from imucald.core.samples import GRAVITY
+from imucald.motion.ticks import TICK_S
+
+Array = NDArray[np.float64]
+Flags = NDArray[np.bool_]
+Complex = NDArray[np.complex128]
+
+WINDOW = 256
+"""Ticks a window: 25.6 s."""
+BLOCK = 64
+"""One begins every so many ticks, so a band counts each tick so often:"""
+OVERLAP = 1.925
+EDGES: Final = (1, 2, 3, 4, 6, 9, 13, 19, 26)
+"""Bands in bins of 0.039 Hz: 0.04 to 1 Hz."""
+BANDS = len(EDGES) - 1
+BINS = np.arange(EDGES[0], EDGES[-1])
+BAND = np.repeat(np.arange(BANDS), np.diff(EDGES))
+OMEGA = 2.0 * np.pi * BINS / (WINDOW * TICK_S)
+"""Angular frequency of each bin [rad/s]."""
+
+MAIN = ("dv/dt", "v r")
+EXTRA = (
+    "-v q", "jerk", "d(v r)/dt", "dp/dt", "dq/dt", "dr/dt", "r^2", "v", "tilted x", "tilted y",
+    "dv/dt v r", "(v r)^2",
+)  # fmt: skip
+TURNING = ("p", "q", "r", "v r^2")
+TURNED = ("turned x", "turned y")
+NAMES = ("y x", "y y", "y z", *MAIN, *EXTRA, *TURNING, *TURNED)
+FIRST_X = 3
+X = slice(FIRST_X, FIRST_X + len(MAIN) + len(EXTRA))
+RATES = slice(X.stop, X.stop + 2)
+TURN_COLUMNS = tuple(NAMES.index(name) for name in ("r", "d(v r)/dt", "jerk", "dr/dt", "v r^2"))
+
+_TAPER = np.hanning(WINDOW + 1)[:WINDOW]
+_RAMP = np.linspace(-1.0, 1.0, WINDOW)
+_PHASE = np.outer(BINS, np.arange(WINDOW)) * (2.0 * np.pi / WINDOW)
+_SUMS = np.concatenate([np.ones((1, WINDOW)), _RAMP[None], np.cos(_PHASE), -np.sin(_PHASE)])
+"""Sum, sum times the ramp, and the bins that count of the Fourier transform."""
+
+
+def columns(
+    force: Array, rate: Array, speed: Array, accel: Array, up: Array, tilts: Array
+) -> Array:
+    """Return the columns (N, len(NAMES)) of the ticks of whole blocks, in body axes.
+
+    force: (N, 3) [m/s^2]. rate: (N, 3) [rad/s]. speed, accel: (N,) [m/s], [m/s^2]. up, tilts: of
+    `CarriedVertical.block`.
+    """
+    p, q, r = rate.T
+    lateral = speed * r
+    bend = speed * q
+    y = force - GRAVITY * up
+    y[:, 2] += bend
+    return np.column_stack(
+        [
+            y, accel, lateral, -bend, _slope(accel), _slope(lateral), _slope(p), _slope(q),
+            _slope(r), r * r, speed, GRAVITY * tilts[:, 0, 0], GRAVITY * tilts[:, 0, 1],
+            accel * lateral, lateral * lateral, p, q, r, lateral * r,
+            GRAVITY * tilts[:, 2, 0], GRAVITY * tilts[:, 2, 1],
+        ]
+    )  # fmt: skip
+
+
+def _slope(x: Array) -> Array:
+    """Slopes within each block."""
+    x = x.reshape(-1, BLOCK)
+    made = np.empty_like(x)
+    made[:, 1:-1] = (x[:, 2:] - x[:, :-2]) * (0.5 / TICK_S)
+    made[:, 0] = (x[:, 1] - x[:, 0]) / TICK_S
+    made[:, -1] = (x[:, -1] - x[:, -2]) / TICK_S
+    return made.ravel()
+
+
+def spectra(window: Array, use: Flags) -> Complex:
+    """Return the spectra (..., bins, columns) of windows (..., WINDOW, columns).
+
+    Ticks that are not to be used weigh nothing. All columns go through one linear map, so the
+    equations between them hold in the result.
+    """
+    weight = _TAPER * use
+    ramp = np.broadcast_to(_RAMP[:, None], (*use.shape, 1))
+    both = np.concatenate([window, np.ones_like(ramp), ramp], axis=-1)
+    sums = _SUMS @ (weight[..., None] * both)
+    level, sloped, left = sums[..., 0, :], sums[..., 1, :], sums[..., 2:, :]
+    total = level[..., -2, None]
+    centre = sloped[..., -2, None] / total
+    tilt = (sloped - centre * level) / (sloped[..., -1, None] - centre * sloped[..., -2, None])
+    left = left - left[..., -2, None] * (level / total)[..., None, :]
+    left = left[..., :-2] - left[..., -1, None] * tilt[..., None, :-2]
+    half = len(BINS)
+    made: Complex = left[..., :half, :] + 1j * left[..., half:, :]
+    return made
+
+
+def products(spectrum: Complex) -> Array:
+    """Return the products of all columns by band (..., BANDS, columns, columns)."""
+    *before, _, columns = spectrum.shape
+    made = np.empty((*before, BANDS, columns, columns))
+    for band, (first, stop) in enumerate(pairwise(EDGES)):
+        part = spectrum[..., first - EDGES[0] : stop - EDGES[0], :]
+        both = np.concatenate([part.real, part.imag], axis=-2)
+        made[..., band, :, :] = both.swapaxes(-1, -2) @ both
+    return made

@@ -1,0 +1,330 @@
+"""Does the accelerometer's zero drift? What it is now against its own past.
+
+A Kalman filter on means of 0.8 s carries the vertical by the gyroscope and holds it against the
+force less motion, in the working axes. In bends a zero goes round with the vehicle and a slope does
+not; that tells them apart, and a creeping mount from both. In a sound drive all but the vertical
+and the slow walks of both sensors' zeros is constant:
+
+    left = g u + b + v (0, -z_r, z_q) + B (dv/dt, v r, dr/dt, r^2) + noise
+    u'   = r u_y - q, p - r u_x        (p, q, r) = rate - z - e r
+    u    = m + slope, another one every `Drifts.slope` metres
+
+u: level part of the vertical (2). z: zero of the rate (3). e: tilt of the gyroscope (2). m: tilt of
+the working axes (2). b: zero of the force (3). B: what the axes still answer to motion (3 by 4).
+
+A zero that drifts from a time on is a ramp in b, at an unknown rate along an unknown direction.
+What it does to the innovations is linear in the rate, so each onset has its likelihood ratio in
+closed form (Willsky and Jones, IEEE Trans. Automatic Control 21, 1976). Their sum over the onsets
+is the statistic of Shiryaev and Roberts: in sound drives its mean grows by one an onset, so it
+passes A once in A onsets at most (Pollak, Ann. Statistics 13, 1985).
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Final, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from imucald.core.samples import GRAVITY
+from imucald.motion.ticks import TICK_S
+
+Array = NDArray[np.float64]
+Flags = NDArray[np.bool_]
+
+STEP = 8
+"""Ticks a mean."""
+STEP_S = STEP * TICK_S
+UP, RATE_ZERO, GYRO, TILT = slice(0, 2), slice(2, 5), slice(5, 7), slice(7, 9)
+ZERO, ANSWER = slice(9, 12), slice(12, 24)
+STATES = 24
+LEVEL_RATES = slice(2, 4)
+ONSET_BLOCKS, ONSETS = 10, 24
+"""A drift may begin every 64 s; the last 26 minutes are asked."""
+FALSE_ALARM_H = 300.0
+"""One false alarm in so many hours: the budget of docs/integrity.md for one fault."""
+NAMED = 0.3
+"""A drift is a fault from here on [m/s^2]; what is less is in the deviation."""
+_LOG_ONSETS = math.log(FALSE_ALARM_H * 3600.0 / (ONSET_BLOCKS * STEP_S * 8))
+_LEFT = np.array([[0.0, -1.0], [1.0, 0.0]])
+_ONE = np.eye(3)
+
+
+class Drifts(NamedTuple):
+    """Deviations before any data, and of what is random in a step."""
+
+    rate: float = 0.002
+    """Drift of a zero that drifts [m/s^2 a second], each axis (assumption): ten times what 1 mg/K
+    (BMI160) makes of a warm-up by 10 K in 10 min."""
+    zero: float = 0.5
+    """Zero of the force in the working axes, with gravity's part in their tilt [m/s^2]."""
+    zero_walk: float = 2e-4
+    """[m/s^2 a root second], 0.006 m/s^2 in 15 min (assumption): more is a drift, and in the
+    deviation as such."""
+    rate_zero: float = 0.005
+    """Zero of the rate before a rest [rad/s]."""
+    rate_zero_walk: float = 5e-5
+    """[rad/s a root second], 0.03 deg/s in 100 s: a phone warms up so (vehsense_2018_08_04, which
+    was looked at for it and judges nothing here)."""
+    up: float = 0.05
+    """Vertical where it is not carried [rad]."""
+    up_walk: float = 1e-3
+    """Vertical as it is carried [rad a root second]: noise and gain of the gyroscope."""
+    lost: float = 0.01
+    """The same for each tick that is not to be used [rad]."""
+    gyro: float = 0.015
+    """Tilt of the gyroscope's axes (MPU-6050, 6.1: 2 % within limits)."""
+    tilt: float = 0.03
+    """Working axes against the vehicle's [rad]."""
+    slope: tuple[float, float] = (0.02, 400.0)
+    """Slope of roads (tangent), and metres after which it is another one: `state.Priors`."""
+    noise: float = 0.1
+    """Of a mean [m/s^2], as a start; it is learnt axis by axis."""
+    correlated: float = 3.0
+    """Innovations are not independent over a bend: each counts a third."""
+
+
+ANSWERS: Final = np.array([[0.03, 0.03, 1.5, 3.0], [0.03, 0.03, 3.0, 1.5], [0.03, 0.03, 0.3, 0.3]])
+"""Prior deviations of B: cross-talk and gains, and the lever arm [m]."""
+LEARNT, LEAST, MOST = 200.0, 0.02, 100.0
+"""Noise is learnt over so many means (160 s), and is that share of the usual variance."""
+HEAVY = 9.0
+"""Innovations (chi-square of 3) beyond count less: 1 in 34 of normal ones."""
+
+
+class Drift(NamedTuple):
+    """What is known of a drift.
+
+    log_odds: log of the statistic over its threshold; above zero: a drift, one in
+    `FALSE_ALARM_H` by chance. size: (3,) what the zero has moved by [m/s^2], working axes, if it
+    drifts. covariance: (3, 3) of it. rate, rate_covariance: of the drift itself [m/s^2 a second].
+    """
+
+    log_odds: float
+    size: Array
+    covariance: Array
+    rate: Array = np.zeros(3)
+    rate_covariance: Array = 4e-6 * np.eye(3)
+
+    def turned(self, matrix: Array) -> Drift:
+        """The same in the axes that a matrix (3, 3) leads to."""
+
+        def both(covariance: Array) -> Array:
+            return np.asarray(matrix @ covariance @ matrix.T)
+
+        size, rate = matrix @ self.size, matrix @ self.rate
+        return Drift(self.log_odds, size, both(self.covariance), rate, both(self.rate_covariance))
+
+    @property
+    def is_named(self) -> bool:
+        """Whether a drift is certain, and large enough for a fault."""
+        return self.log_odds > 0.0 and float(np.linalg.norm(self.size)) > NAMED
+
+    def variance(self) -> Array:
+        """(3,) of the zero now about that of the past, as probable as the drift is."""
+        share = 1.0 / (1.0 + math.exp(min(-self.log_odds, 700.0)))
+        return np.asarray(share * (np.diag(self.covariance) + self.size**2))
+
+
+NONE = Drift(-math.inf, np.zeros(3), np.zeros((3, 3)))
+
+
+class ZeroDrift:
+    """The filter, and what a drift from each onset does to it.
+
+    State: mean and covariance (STATES) of the sound model; by onset the shift of the mean that a
+    rate of one makes, the information (3, 3) on the rate, its score (3,), and by how much the zero
+    had drifted before.
+    past: of a drift before the first block, in the working axes; it may go on, and is the first
+    onset.
+    """
+
+    def __init__(self, past: Drift | None = None, drifts: Drifts | None = None) -> None:
+        self._past = past if past is not None and math.isfinite(past.log_odds) else None
+        self._drifts = d = drifts or Drifts()
+        std = np.zeros(STATES)
+        std[UP], std[RATE_ZERO], std[GYRO], std[TILT] = d.up, d.rate_zero, d.gyro, d.tilt
+        std[ZERO], std[ANSWER] = d.zero, ANSWERS.ravel()
+        self._mean = np.zeros(STATES)
+        self._covariance = np.diag(std**2)
+        walk = np.zeros(STATES)
+        walk[UP], walk[RATE_ZERO], walk[ZERO] = d.up_walk, d.rate_zero_walk, d.zero_walk
+        self._walk = STEP_S * walk**2
+        self._noise = np.full(3, d.noise**2)
+        self._taken: Array | None = None
+        self._steps = self._blocks = 0
+        self._onsets = np.zeros(0)
+        self._shift = np.zeros((STATES, 0))
+        self._information = np.zeros((0, 3, 3))
+        self._score = np.zeros((0, 3))
+        self._log = np.zeros(0)
+        self._before = np.zeros((0, 3))
+
+    def restart(self) -> None:
+        """The vertical is not known any more."""
+        self._mean[UP] = 0.0
+        self._shift[UP] = 0.0
+        self._covariance[UP] = 0.0
+        self._covariance[:, UP] = 0.0
+        self._covariance[UP, UP] = self._drifts.up**2 * np.eye(2)
+
+    def add(
+        self, left: Array, rate: Array, speed: Array, accel: Array, use: Flags, rate_zero: Array
+    ) -> None:
+        """Take a block of N ticks in the working axes.
+
+        left: (N, 3) force less motion. rate: (N, 3), from which rate_zero (3,) has been taken.
+        speed, accel, use: (N,).
+        """
+        if self._blocks % ONSET_BLOCKS == 0:
+            self._begin_onset()
+        self._blocks += 1
+        if self._taken is not None:
+            self._mean[RATE_ZERO] -= rate_zero - self._taken
+        self._taken = rate_zero
+        self._covariance = 0.5 * (self._covariance + self._covariance.T)
+        r = rate[:, 2]
+        every = np.column_stack([left, accel, speed * r, np.gradient(r, TICK_S), r * r, speed])
+        steps = len(left) // STEP
+        used = use.reshape(steps, STEP).sum(axis=1)
+        means = (every * use[:, None]).reshape(steps, STEP, -1).sum(axis=1)
+        means /= np.maximum(used, 1)[:, None]
+        turns = rate.reshape(steps, STEP, 3).sum(axis=1) * TICK_S
+        for mean, turn, n in zip(means, turns, used.tolist(), strict=True):
+            self._carry(turn, STEP - n)
+            if n >= STEP // 2:
+                self._hold_against_force(mean)
+        passed = float(np.abs(speed) @ use) * TICK_S
+        if passed > 0.0:
+            self._hold_against_slopes(passed)
+
+    def found(self) -> Drift:
+        """What is known now of a drift."""
+        if not len(self._onsets):
+            return NONE
+        prior = self._drifts.rate**2
+        information = self._information + _ONE / prior
+        covariance = np.linalg.inv(information)
+        rate = np.einsum("tij,tj->ti", covariance, self._score)
+        log = 0.5 * np.einsum("ti,ti->t", rate, self._score)
+        log += self._log - 0.5 * np.linalg.slogdet(information * prior)[1]
+        share = np.exp(log - log.max())
+        total = float(log.max()) + math.log(float(share.sum()))
+        share /= share.sum()
+        since = (self._steps - self._onsets) * STEP_S
+        sizes = self._before + rate * since[:, None]
+        size, mean = share @ sizes, share @ rate
+        each = covariance * (since**2)[:, None, None] + _squares(sizes - size)
+        rates = covariance + _squares(rate - mean)
+        return Drift(
+            total - _LOG_ONSETS,
+            size,
+            np.einsum("t,tij->ij", share, each),
+            mean,
+            np.einsum("t,tij->ij", share, rates),
+        )
+
+    def _begin_onset(self) -> None:
+        first = max(len(self._onsets) + 1 - ONSETS, 0)
+        self._onsets = np.append(self._onsets, self._steps)[first:]
+        self._shift = np.hstack([self._shift, np.zeros((STATES, 3))])[:, 3 * first :]
+        self._information = np.concatenate([self._information, np.zeros((1, 3, 3))])[first:]
+        self._score = np.concatenate([self._score, np.zeros((1, 3))])[first:]
+        self._log = np.append(self._log, 0.0)[first:]
+        self._before = np.concatenate([self._before, np.zeros((1, 3))])[first:]
+        if self._past is not None:
+            self._go_on_from(self._past)
+            self._past = None
+
+    def _go_on_from(self, past: Drift) -> None:
+        """The first onset is that of a drift before: its prior is what was known of the rate."""
+        prior, information = self._drifts.rate**2, _inverse(past.rate_covariance)
+        self._information[0] = information - _ONE / prior
+        self._score[0] = information @ past.rate
+        known = 0.5 * (past.rate @ self._score[0] - np.linalg.slogdet(information * prior)[1])
+        self._log[0] = past.log_odds + _LOG_ONSETS - known
+        self._before[0] = past.size
+
+    # the filter ----------------------------------------------------------------------------------
+
+    def _carry(self, turn: Array, lost: int) -> None:
+        """Carry the vertical over a step, in which the vehicle turned by (3,) [rad]."""
+        x = self._mean
+        p, q, r = (turn - x[RATE_ZERO] * STEP_S).tolist()
+        back, half = _turned_back(r), _turned_back(0.5 * r) @ _LEFT
+        F = np.eye(STATES)
+        F[UP, UP] = back
+        F[UP, LEVEL_RATES] = -half * STEP_S
+        F[UP, 4] = back @ _LEFT @ x[UP] * STEP_S
+        F[UP, GYRO] = -half * r
+        up = back @ x[UP] + half @ (np.array([p, q]) - x[GYRO] * r)
+        x[UP] = up
+        self._shift[UP] = F[UP] @ self._shift
+        P = self._covariance
+        P[UP] = F[UP] @ P
+        P[:, UP] = P @ F[UP].T
+        diagonal = P.ravel()[:: STATES + 1]
+        diagonal += self._walk
+        diagonal[UP] += (self._drifts.lost * lost) ** 2
+        self._steps += 1
+
+    def _hold_against_force(self, mean: Array) -> None:
+        H = np.zeros((3, STATES))
+        H[0, 0] = H[1, 1] = GRAVITY
+        H[:, ZERO] = _ONE
+        for i in range(3):
+            H[i, ANSWER.start + 4 * i : ANSWER.start + 4 * (i + 1)] = mean[3:7]
+        speed = float(mean[7])
+        H[1, 4], H[2, 3] = -speed, speed
+        off = mean[:3] - [0.0, 0.0, GRAVITY] - H @ self._mean
+        spread = self._covariance @ H.T
+        known = H @ spread
+        noise = self._drifts.correlated * self._noise
+        S = known + np.diag(noise)
+        inverse = _inverse(S)
+        ratio = float(off @ inverse @ off)
+        if ratio > HEAVY:
+            inverse = _inverse(S + np.diag(noise * (ratio / HEAVY - 1.0)))
+        if self._steps > LEARNT / 5.0:  # from then on the axes' own tilt is known
+            square = np.clip(off**2 - np.diag(known), 0.0, HEAVY * self._noise)
+            usual = self._drifts.noise**2
+            learnt = self._noise + (square - self._noise) / LEARNT
+            self._noise = np.clip(learnt, LEAST * usual, MOST * usual)
+        since = np.repeat((self._steps - self._onsets) * STEP_S, 3)
+        self._take(H, off, spread, inverse, np.tile(_ONE, len(self._onsets)) * since)
+
+    def _hold_against_slopes(self, passed: float) -> None:
+        H = np.zeros((2, STATES))
+        H[0, 0] = H[1, 1] = 1.0
+        H[0, TILT.start] = H[1, TILT.start + 1] = -1.0
+        slope, metres = self._drifts.slope
+        spread = self._covariance @ H.T
+        S = H @ spread + slope**2 * metres / passed * np.eye(2)
+        self._take(H, -(H @ self._mean), spread, _inverse(S), np.zeros((2, 3 * len(self._onsets))))
+
+    def _take(self, H: Array, off: Array, spread: Array, inverse: Array, direct: Array) -> None:
+        """Take an innovation; inverse: of its covariance. direct: what a rate of one adds to it."""
+        answer = direct - H @ self._shift
+        weighed = inverse @ answer
+        shape = len(off), len(self._onsets), 3
+        a, w = answer.reshape(shape).transpose(1, 2, 0), weighed.reshape(shape).transpose(1, 0, 2)
+        self._information += a @ w
+        self._score += (off @ weighed).reshape(-1, 3)
+        gain = spread @ inverse
+        self._mean += gain @ off
+        self._covariance -= gain @ spread.T
+        self._shift += gain @ answer
+
+
+def _turned_back(angle: float) -> Array:
+    c, s = math.cos(angle), math.sin(angle)
+    return np.array([[c, s], [-s, c]])
+
+
+def _squares(rows: Array) -> Array:
+    return np.asarray(rows[:, :, None] * rows[:, None, :])
+
+
+def _inverse(matrix: Array) -> Array:
+    return np.asarray(np.linalg.inv(matrix), dtype=float)

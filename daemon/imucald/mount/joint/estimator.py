@@ -1,0 +1,304 @@
+"""The joint estimator: what both sensors answer to the vehicle's motion, with a matrix each.
+
+It takes the same blocks of even signals as the full estimator, and its detectors of faults and of
+a moved sensor. What is applied, what is stated and when it is good come from the joint solution
+(`evidence`). Where a vehicle has no gyroscope or no speed there is none, and the full estimator's
+own is served.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from collections.abc import Iterable
+
+import numpy as np
+from msgspec.structs import replace
+from numpy.typing import NDArray
+
+from imucald.core.rotations import orthonormalised
+from imucald.core.samples import GRAVITY
+from imucald.mount.acceptance import Acceptance
+from imucald.mount.contradictions import StandingFault
+from imucald.mount.estimate import Correction, MountEstimate, SentDeviations
+from imucald.mount.estimator import FullEstimator
+from imucald.mount.estimator_settings import EstimatorSettings, Limits
+from imucald.mount.joint.drift import NONE as NO_DRIFT
+from imucald.mount.joint.drift import Drift
+from imucald.mount.joint.evidence import Block, Evidence, Solution
+from imucald.mount.joint.known import CHANCE_AS_BEFORE, KnownSensor
+from imucald.mount.joint.state import PHI, Priors
+from imucald.mount.mount_changes import MountChange, blocks_since
+from imucald.mount.signal_blocks import SignalBlock
+from imucald.mount.states import NEEDED, MountKnowledge, targets_in_force
+
+Array = NDArray[np.float64]
+
+SOLUTIONS_KEPT = 32
+"""As many as are made in the first three minutes; later ones are further apart."""
+MOVE_UNSEEN_S = 60.0
+"""Blocks before the moment of a move may hold some of it: it is found to a block or two, a slow
+one later."""
+LEVEL = (0.2, 0.1)
+"""Level zero below which an estimate is usable, and fine [m/s^2]."""
+REMEMBERED = 240
+"""Blocks (26 min) of which it is known what was known of a drift."""
+
+
+class JointSettings(EstimatorSettings, frozen=True):
+    """Limits of the states: cross-talk xy and yx as yaw, the level zero as tilt."""
+
+    OWN_LIMITS = Limits(
+        usable_yaw=math.radians(1.0),
+        usable_tilt=LEVEL[0] / GRAVITY,
+        fine_yaw=math.radians(0.3),
+        fine_tilt=LEVEL[1] / GRAVITY,
+    )
+
+    @classmethod
+    def of(cls, settings: EstimatorSettings) -> JointSettings:
+        """The same settings, with these limits where a user gives none."""
+        return cls(**{name: getattr(settings, name) for name in settings.__struct_fields__})
+
+
+class JointAcceptance(Acceptance, frozen=True):
+    """As of the full estimator, but *fine* does not wait until its test for a small move can see.
+
+    A sensor that moves by less than it shows at once is so rare that minutes of every drive are
+    more than it is worth. are_signs_known: a drive before saw the signs agree, and nothing speaks
+    against that all is as then; *fine* waits for them all the same.
+    """
+
+    are_signs_known: bool = False
+
+    def _missing_of_signals(self) -> str | None:
+        return self.checks.doubt if self.are_signs_known else super()._missing_of_signals()
+
+    @property
+    def is_armed(self) -> bool:
+        """Whether *fine* has no test to wait for: always."""
+        return True
+
+
+class JointEstimator(FullEstimator):
+    """Serves the joint solution, judged by the deviations of what a consumer gets.
+
+    `_joint` holds what came since the sensor was last moved, and what was known of the sensor by
+    itself before (`known`). After a move that misleads nobody the
+    earlier solution is served, its deviations widened by the move, until `_next` is usable.
+    """
+
+    def __init__(self, settings: EstimatorSettings | None = None) -> None:
+        super().__init__(settings or JointSettings())
+        self._known_before: KnownSensor | None = None
+        self._lately_known: deque[tuple[float, Solution]] = deque(maxlen=SOLUTIONS_KEPT)
+        self._joint = self._new_evidence()
+        self._next: Evidence | None = None
+        self._widened = 0.0
+        self._has_zero = self._has_gyro = False
+        self._taken_until = self._now = -math.inf
+        self._corrected: tuple[Solution, Correction] | None = None  # of the last solution
+        self._drift, self._has_drifted = NO_DRIFT, False
+        self._drifts: deque[tuple[float, Drift]] = deque(maxlen=REMEMBERED)
+
+    def gap(self) -> None:
+        """Time jumped: signals before it are not joined with those after it."""
+        super().gap()
+        self._taken_until = -math.inf
+        self._joint.gap()
+        if self._next is not None:
+            self._next.gap()
+
+    @property
+    def solution(self) -> Solution | None:
+        """What both sensors answer, as it is known now; None: not yet."""
+        return self._joint.solution
+
+    def _new_evidence(
+        self, known: KnownSensor | None = None, is_moved: bool = False, past: Drift | None = None
+    ) -> Evidence:
+        return Evidence(self._priors, known, is_moved, past)
+
+    @property
+    def _priors(self) -> Priors:
+        s = self._settings
+        return Priors(crown=(s.crown, s.vehicle.crown_std))
+
+    # what is the sensor's own -------------------------------------------------------------------
+
+    def known_sensor(self) -> KnownSensor | None:
+        """What is known of the sensor by itself."""
+        return self._joint.known_sensor
+
+    def as_before(self) -> float | None:
+        """Probability that sensor and mount are those that it took; None: it took none yet."""
+        if not self._joint.compares_with_before or self.solution is None:
+            return None
+        return self.solution.same
+
+    def take_known_sensor(self, known: KnownSensor, is_moved: bool) -> None:
+        """Begin with what an earlier drive found of the sensor; not once this one has begun."""
+        if self._joint.seconds:
+            return
+        self._known_before = known.away()
+        self._joint = self._new_evidence(self._known_before, is_moved)
+
+    def _known_until(self, t: float) -> KnownSensor | None:
+        """What was known of the sensor so long before a time that no move is in it."""
+        for end, solution in reversed(self._lately_known):
+            if end <= t - MOVE_UNSEEN_S:
+                return solution.sensor(self._priors)
+        return self._known_before
+
+    # blocks ------------------------------------------------------------------------------------
+
+    def _learn_from(self, p: SignalBlock) -> None:
+        self._now = float(p.t[-1])
+        super()._learn_from(p)
+        block = _block(p)
+        known = bool(p.ok_rate.any())
+        target = self._next or self._joint
+        if known and not self._has_zero:
+            target.subtract_rate_zero(p.gyro_bias)
+        self._has_zero = self._has_zero or known
+        self._has_gyro = self._has_gyro or bool(p.had_rate.any())
+        if float(p.t[-1]) <= self._taken_until:  # after a move it was among those that count
+            return
+        target.add(block)
+        if self._signals.without_speed:
+            return
+        target.solve_when_due()
+        if target is self._joint:
+            self._remember(float(p.t[-1]))
+        if self._next is not None and self._is_usable(self._next.solution):
+            self._joint, self._next, self._widened = self._next, None, 0.0
+
+    def _remember(self, t: float) -> None:
+        solution, lately = self.solution, self._lately_known
+        if solution is not None and (not lately or lately[-1][1] is not solution):
+            lately.append((t, solution))
+
+    def _begin_again(self, blocks: list[SignalBlock]) -> None:
+        self._joint, self._next, self._widened = self._filled(blocks), None, 0.0
+
+    def _filled(self, blocks: list[SignalBlock]) -> Evidence:
+        began = float(blocks[0].t[0]) if blocks else self._now
+        self._known_before = self._known_until(began)
+        self._lately_known.clear()
+        drifts = [drift for end, drift in self._drifts if end < began]  # later blocks count again
+        past = drifts[-1] if drifts else None
+        made = self._new_evidence(self._known_before, is_moved=True, past=past)
+        for p in blocks:
+            made.add(_block(p))
+            self._taken_until = float(p.t[-1])
+        return made
+
+    def _begin_afresh(self, blocks: Iterable[SignalBlock]) -> None:
+        kept = list(blocks)
+        super()._begin_afresh(kept)
+        self._begin_again(kept)
+
+    def _take_change(self, found: MountChange) -> None:
+        after = blocks_since(found, self._solvers.kept)
+        super()._take_change(found)
+        if self._served.has_moved:
+            self._begin_again(after)
+        else:
+            self._widened = max(self._widened, abs(float(found.size)))
+            self._next = self._filled(after)
+
+    # judging -----------------------------------------------------------------------------------
+
+    def _judge(self, p: SignalBlock) -> None:
+        """A zero that has drifted stays where it is to the end of the drive, known to nobody."""
+        self._drift = self._joint.drift
+        self._drifts.append((float(p.t[-1]), self._joint.in_sensor_axes(self._drift)))
+        if self._drift.is_named and self._is_usable(self.solution):
+            self._has_drifted = True
+        if self._has_drifted:
+            self._checks.accuse_lasting(StandingFault.ACCEL_DRIFT, self._signals.blocks)
+        super()._judge(p)
+
+    def _sent(self, solution: Solution) -> SentDeviations:
+        return solution.sent(self._widened, self._drift.variance())
+
+    def _is_usable(self, solution: Solution | None) -> bool:
+        if solution is None:
+            return False
+        roll, pitch, yaw = _as_angles(solution.sent())
+        limits = self._settings.limits
+        return yaw < limits.usable_yaw and max(roll, pitch) < limits.usable_tilt
+
+    @property
+    def _is_rotation_good(self) -> bool:
+        """With a known sensor the state is good before the solver's own rotation is: then the test
+        for a step in gravity waits until it knows the usual spread of this drive."""
+        return super()._is_rotation_good and self._known_before is None
+
+    def _knowledge(self, p: SignalBlock) -> MountKnowledge:
+        """What is known after a block, of the joint solution where there is one."""
+        known = super()._knowledge(p)
+        if not self._has_gyro or self._signals.without_speed:
+            return known
+        solution = self.solution
+        if solution is None:
+            return replace(known, std=(math.inf,) * 3)
+        return replace(
+            known,
+            gravity=True,
+            std=_as_angles(self._sent(solution)),
+            straight=max(known.straight, NEEDED),
+            cross_axis=0.0,
+            has_past=True,
+        )
+
+    def _acceptance(self) -> Acceptance:
+        own = super()._acceptance()
+        if (solution := self.solution) is None:
+            return own
+        is_as_before = solution.same >= CHANCE_AS_BEFORE
+        parts = own.solver, own.checks, own.changes, own.has_speed
+        return JointAcceptance(*parts, are_signs_known=is_as_before)
+
+    def _found_correction(self) -> Correction:
+        solution = self.solution
+        if solution is None:
+            return super()._found_correction()
+        if self._corrected is None or self._corrected[0] is not solution:
+            made = solution.force, solution.rate, solution.zero
+            housing = orthonormalised(solution.force)
+            self._corrected = solution, Correction.with_matrices(housing, *made)
+        return self._corrected[1]
+
+    def _new_estimate(self) -> MountEstimate:
+        made = super()._new_estimate()
+        solution = self.solution
+        if solution is None:
+            return made
+        correction = self._found_correction()
+        return replace(
+            made,
+            R_vehicle_from_sensor=correction.matrix(),
+            covariance=self._housing_covariance(solution),
+            details=dict(made.details) | {"speed_delay": solution.delay},
+            targets=targets_in_force(self._known, self.state, self._settings),
+            matrices=correction,
+            deviations=self._sent(solution),
+        )
+
+    def _housing_covariance(self, solution: Solution) -> Array:
+        """Of the housing's rotation. Too small where the cross-axis errors are antisymmetric: those
+        look like a turn, and their size is judged by the symmetric ones."""
+        own = solution.covariance[PHI, PHI]
+        return np.asarray(own + self._widened**2 * np.eye(3))
+
+
+def _as_angles(sent: SentDeviations) -> tuple[float, float, float]:
+    """Level zero y and x as tilts, and the larger of cross-talk xy and yx, as a yaw [rad]."""
+    return sent.zero_y / GRAVITY, sent.zero_x / GRAVITY, max(sent.xy, sent.yx)
+
+
+def _block(p: SignalBlock) -> Block:
+    use = p.ok_force & p.had_rate & p.ok_speed & p.learn
+    known = bool(p.ok_rate.any())
+    return Block(p.force, p.rate, p.speed, use, known, rate_zero=p.gyro_bias)

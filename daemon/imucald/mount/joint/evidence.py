@@ -1,0 +1,506 @@
+"""Evidence of a drive, and the one solve on it.
+
+Ticks are kept as they came, in sensor axes. Windows are made in the working axes when a solve is
+due; when the axes have moved too far for a linear solve, all windows are made again from the kept
+ticks (Gauss-Newton).
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any, Final, NamedTuple
+
+import numpy as np
+from msgspec.structs import replace
+from numpy.typing import NDArray
+
+from imucald.config.base import MAX_SPEED_DELAY, MIN_SPEED_DELAY
+from imucald.core.rotations import (
+    Matrix3,
+    levelling_rotation,
+    rotation_from_angles,
+    rotation_from_vector,
+)
+from imucald.core.samples import GRAVITY
+from imucald.drive import windows as wd
+from imucald.drive.vertical import CarriedVertical
+from imucald.motion.standstill import DRIVING_SPEED
+from imucald.motion.ticks import TICK_S
+from imucald.mount.estimate import SentDeviations
+from imucald.mount.even_signals import BLOCK_TICKS
+from imucald.mount.joint.drift import NONE as NO_DRIFT
+from imucald.mount.joint.drift import Drift, ZeroDrift
+from imucald.mount.joint.fusion import LinearMeasurement, any_sensor, fuse
+from imucald.mount.joint.known import AS_BEFORE, PROBABLY_OTHER, KnownSensor
+from imucald.mount.joint.state import (
+    CROSS,
+    CROWN,
+    EPS,
+    OFF,
+    PHI,
+    UNKNOWNS,
+    ZERO,
+    Priors,
+    WeightedPrior,
+    entry,
+    level_row,
+    own_matrices,
+    rate_entry,
+    sent_deviations,
+)
+from imucald.mount.joint.sums import Fits, WindowSums
+
+Array = NDArray[np.float64]
+Flags = NDArray[np.bool_]
+
+BLOCKS_A_WINDOW = wd.WINDOW // wd.BLOCK
+BLOCKS_AT_ONCE = 16
+"""Windows are made of so many blocks at a time; more would need more memory and be no faster."""
+MOST_BLOCKS, KEPT_BLOCKS = 640, 480
+"""Of a long drive the last 50 to 70 minutes count: more does not make any deviation smaller."""
+LEAST_USED, LEAST_MOVING = 0.5, 0.1
+"""Shares of a window's ticks that must count, and that must be driven."""
+MOST_LEFT = 0.01
+"""Windows are made again when the axes have moved by so much [rad] since."""
+MOST_LATE = 0.03
+"""The same of the speed's delay [s]."""
+DELAYS: Final = np.arange(MIN_SPEED_DELAY, MAX_SPEED_DELAY + 0.001, 0.02)
+FOLLOWS = 0.8
+"""A band counts while the force follows dv/dt at this share of the slow bands' gain."""
+USUAL_NOISE: Final = np.array(
+    [
+        [0.2, 0.4, 0.3, 0.2, 0.2, 0.2, 0.3, 0.4],
+        [0.2, 0.5, 0.3, 0.25, 0.2, 0.15, 0.15, 0.15],
+        [0.15, 0.4, 0.3, 0.3, 0.3, 0.3, 0.4, 0.7],
+    ]
+)
+"""Noise by axis of the force and band that is expected [(m/s^2)^2]. Rounded up from the means of
+eleven drives (three of second_world, two measured, simulated seeds 970000 to 970005), so those
+judge nothing."""
+USUAL_TURN_NOISE: Final = np.full((2, wd.BANDS), 0.001)
+"""The same of roll and pitch rate [(rad/s)^2]."""
+SPREAD: Final = np.array(
+    [  # -vq, jerk, d(vr)/dt, dp/dt, dq/dt, dr/dt, r^2, v, tilted x, y, dv/dt v r, (v r)^2
+        [0.1, 0.15, 0.05, 0.1, 1.5, 1.5, 3.0, 0.02, 0.03, 0.03, 0.01, 0.01],
+        [0.1, 0.05, 0.15, 1.5, 0.1, 3.0, 1.5, 0.02, 0.03, 0.03, 0.01, 0.01],
+        [0.5, 0.05, 0.05, 1.5, 3.0, 0.1, 0.1, 0.02, 0.03, 0.03, 0.02, 0.02],
+    ]
+)
+"""Prior deviations of the nuisances by axis of the force: curvature of the road, delay of the
+speed, lag of the body, lever arm [m], zero of the gyroscope, tilt of the gyroscope, even terms."""
+TURN_SPREAD: Final = np.array([1.0, 0.02, 0.02, 0.3, 0.02])
+"""Of the rate: axis of turning, and rolling, pitching, dr/dt, lean in bends."""
+_XS = tuple(range(wd.X.start, wd.X.stop))
+FORCE_FITS: Final = Fits(
+    tuple((i, *_XS) for i in range(3)),
+    USUAL_NOISE,
+    np.concatenate([np.ones((3, 2)), SPREAD], axis=1),
+    keep=2,
+)
+TURN_FITS: Final = Fits(
+    tuple((wd.RATES.start + i, *wd.TURN_COLUMNS) for i in range(2)),
+    USUAL_TURN_NOISE,
+    np.tile(TURN_SPREAD, (2, 1)),
+    keep=1,
+)
+ALL_BANDS: Final = np.ones(wd.BANDS, dtype=bool)
+
+
+NO_ZERO: Final = np.zeros(3)
+
+
+class Block(NamedTuple):
+    """Even signals of 64 ticks. force, rate: (64, 3) in sensor axes, the rate without its zero.
+
+    speed: (64,) [m/s], negative in reverse. use: (64,) ticks that may be learnt from.
+    rate_zero: (3,) what was taken off the rate [rad/s]; is_rate_known: whether that was known.
+    """
+
+    force: Array
+    rate: Array
+    speed: Array
+    use: Flags
+    is_rate_known: bool = True
+    rate_zero: Array = NO_ZERO
+
+
+class Solution(NamedTuple):
+    """One state of knowledge.
+
+    force, rate: (3, 3) matrices W and V from sensor axes to vehicle axes. zero: (3,) of the force
+    in vehicle axes [m/s^2], to be subtracted. covariance: (UNKNOWNS, UNKNOWNS) of the errors that
+    these leave. delay: of the speed [s]. unfinished: by how much the axes have just moved [rad].
+    housing: R_vehicle_from_sensor (3, 3). turn: of the gyroscope about z against the
+    accelerometer [rad]. same: probability that sensor and mount are those of before.
+    """
+
+    force: Matrix3
+    rate: Matrix3
+    zero: Array
+    covariance: Array
+    delay: float
+    unfinished: float
+    housing: Matrix3
+    turn: float
+    same: float
+
+    def sensor(self, priors: Priors) -> KnownSensor:
+        """What of it is the sensor's own."""
+        mixed, tilted = (self.housing @ np.linalg.inv(m) for m in (self.force, self.rate))
+        terms = np.zeros(UNKNOWNS)
+        terms[CROSS] = [mixed[place] for place in OFF]
+        terms[ZERO] = (mixed @ self.zero)[:2] / GRAVITY
+        terms[EPS] = *tilted[:2, 2], self.turn
+        return KnownSensor.found(self.housing, terms, self.covariance, priors)
+
+    def sent(self, wide: float = 0.0, zero: Array = NO_ZERO) -> SentDeviations:
+        """Deviations of what a consumer gets.
+
+        wide: of a turn of both sensors besides [rad]. zero: variance (3,) of a zero that is not
+        what it was [(m/s^2)^2].
+        """
+        made = sent_deviations(self.covariance, wide)
+        x, y, _ = np.sqrt(zero).tolist()
+        return replace(made, zero_x=math.hypot(made.zero_x, x), zero_y=math.hypot(made.zero_y, y))
+
+
+class Evidence:
+    """All blocks of a drive since the sensor was last moved, and the solution on them."""
+
+    def __init__(
+        self,
+        priors: Priors,
+        known: KnownSensor | None = None,
+        is_moved: bool = False,
+        past: Drift | None = None,
+    ) -> None:
+        """known: of the sensor before; is_moved: and it was moved since. past: a drift until then,
+        in sensor axes."""
+        self._past = past
+        self._priors = priors
+        self._known, self._is_moved = known, is_moved
+        self._rotation = np.eye(3)  # of the housing, by which the working axes came about
+        self._blocks: list[Block] = []
+        self._breaks: set[int] = {0}
+        self._axes: tuple[Matrix3, Matrix3, Array] | None = None
+        self._taken = np.zeros(UNKNOWNS)
+        self.delay = 0.0
+        self._bands = np.ones(wd.BANDS, dtype=bool)
+        self.solution: Solution | None = None
+        self._due = 0
+        self._sums = WindowSums(FORCE_FITS, TURN_FITS)
+        self._levels: Array = np.zeros((0, 4))
+        self._done = 0
+        self._reset_windows()
+
+    @property
+    def drift(self) -> Drift:
+        """What the same blocks say of a zero of the force that drifts."""
+        if self._axes is not None:
+            self._extend()  # it can't wait until a solution is due
+        return self._drift.found()
+
+    def in_sensor_axes(self, drift: Drift) -> Drift:
+        """`drift` in sensor axes; before there are any axes, what was known before the blocks."""
+        if self._axes is None:
+            return self._past or NO_DRIFT
+        return drift.turned(_solved(self._axes[0], np.eye(3)))
+
+    @property
+    def seconds(self) -> float:
+        """Length of the evidence [s]."""
+        return len(self._blocks) * BLOCK_TICKS * TICK_S
+
+    @property
+    def compares_with_before(self) -> bool:
+        """Whether one of the hypotheses is that all is as before."""
+        return self._known is not None and not self._is_moved
+
+    def gap(self) -> None:
+        """Time jumped: what comes next is not joined with what came before."""
+        self._breaks.add(len(self._blocks))
+
+    def add(self, block: Block) -> None:
+        """Take the next block."""
+        self._blocks.append(block)
+        if len(self._blocks) > MOST_BLOCKS:
+            self._forget(len(self._blocks) - KEPT_BLOCKS)
+
+    def subtract_rate_zero(self, zero: Array) -> None:
+        """Take the rate's zero (3,) [rad/s] off the blocks that came before it was known.
+
+        From those a guess has been taken off.
+        """
+        self._blocks = [
+            b
+            if b.is_rate_known
+            else b._replace(rate=b.rate + b.rate_zero - zero, is_rate_known=True, rate_zero=zero)
+            for b in self._blocks
+        ]
+        if self._axes is not None:
+            self._rework(*self._axes)
+
+    def _forget(self, count: int) -> None:
+        """Leave out the first blocks: what is known is that of the last hour."""
+        if self._axes is not None:
+            self._extend()
+        del self._blocks[:count]
+        self._due = 0
+        self._breaks = {0} | {k - count for k in self._breaks if k > count}
+        self._sums.forget(count)
+        self._levels = self._levels[count:]
+        self._done = max(self._done - count, 0)
+
+    def _reset_windows(self) -> None:
+        self._vertical = CarriedVertical()
+        past = self._past
+        if past is not None and self._axes is not None:
+            past = past.turned(self._axes[0])
+        self._drift = ZeroDrift(past)
+        self._tail: tuple[Array, Flags, Array] | None = None
+        self._sums.restart()
+        self._levels = np.zeros((0, 4))
+        self._done = 0
+
+    # windows -------------------------------------------------------------------------------------
+
+    def _extend(self) -> None:
+        """Make the windows of the blocks that have come; the last waits for its next speed."""
+        while (first := self._done) < len(self._blocks) - 1:
+            stop = min(len(self._blocks) - 1, first + BLOCKS_AT_ONCE)
+            stop = min([stop, *(k for k in self._breaks if k > first)])
+            if first in self._breaks:
+                self._vertical.restart()
+                self._drift.restart()
+                self._tail = None
+            self._take(first, stop)
+            self._done = stop
+
+    def _take(self, first: int, stop: int) -> None:
+        """Make the windows that end with these blocks, which are joined."""
+        assert self._axes is not None
+        W, V, zero = self._axes
+        run = self._blocks[first:stop]
+        use = np.concatenate([b.use for b in run])
+        speed, accel = self._motion(first, stop)
+        force = np.concatenate([b.force for b in run]) @ W.T - zero
+        rate = np.concatenate([b.rate for b in run]) @ V.T
+        q, r = rate[:, 1], rate[:, 2]
+        motion = np.column_stack([accel, speed * r, -speed * q])
+        up, tilts = self._vertical.block(rate, (force - motion) / GRAVITY, use)
+        self._level_from(force - motion, speed, use)
+        for k, b in enumerate(run):
+            part = slice(k * wd.BLOCK, (k + 1) * wd.BLOCK)
+            left = force[part] - motion[part]
+            self._drift.add(left, rate[part], speed[part], accel[part], b.use, V @ b.rate_zero)
+        parts = wd.columns(force, rate, speed, accel, up, tilts), use, speed
+        if self._tail is not None:
+            x, use, v = (np.concatenate(part) for part in zip(self._tail, parts, strict=True))
+        else:
+            x, use, v = parts
+        kept = (BLOCKS_A_WINDOW - 1) * wd.BLOCK
+        self._tail = x[-kept:], use[-kept:], v[-kept:]
+        if len(x) < wd.WINDOW:
+            return
+        in_use, at = _by_window(use), _by_window(v)
+        used = in_use.sum(axis=1)
+        moving = (in_use & (np.abs(at) > DRIVING_SPEED)).sum(axis=1)
+        good = (used >= LEAST_USED * wd.WINDOW) & (moving >= LEAST_MOVING * used)
+        if good.any():
+            ends = np.arange(stop - len(good), stop)[good]
+            self._sums.add(wd.spectra(_by_window(x)[good], in_use[good]), ends)
+
+    def _motion(self, first: int, stop: int) -> tuple[Array, Array]:
+        """Speed and its slope in the ticks of joined blocks, of a speed that comes `delay` late."""
+        before = first - 1 if first not in self._breaks else first
+        after = stop + 1 if stop < len(self._blocks) and stop not in self._breaks else stop
+        series = np.concatenate([b.speed for b in self._blocks[before:after]])
+        at = np.arange(len(series)) - (first - before) * wd.BLOCK
+        t = np.arange((stop - first) * wd.BLOCK) + self.delay / TICK_S
+        early, late = np.interp(t - 0.5, at, series), np.interp(t + 0.5, at, series)
+        return 0.5 * (early + late), (late - early) / TICK_S
+
+    def _level_from(self, left: Array, speed: Array, use: Flags) -> None:
+        """Of each block the sums that gravity's mean level part by distance comes of."""
+        weight = (np.abs(speed) * TICK_S + 0.05 * TICK_S) * use
+        travelled = np.abs(speed) * use * TICK_S
+        rows = np.column_stack([weight[:, None] * left[:, :2], weight, travelled])
+        blocks = rows.reshape(-1, wd.BLOCK, 4).sum(axis=1)
+        self._levels = np.concatenate([self._levels, blocks])
+
+    # solving -------------------------------------------------------------------------------------
+
+    def start_from(self, R_vehicle_from_sensor: Matrix3) -> None:
+        """Take a rotation (3, 3) for the working axes of both sensors."""
+        self._taken[:] = 0.0
+        self._rotation = R_vehicle_from_sensor
+        self._rework(R_vehicle_from_sensor, R_vehicle_from_sensor.copy(), np.zeros(3))
+
+    def solve_when_due(self) -> None:
+        """Solve after each block at first, later when the evidence has grown by a twentieth."""
+        if len(self._blocks) >= self._due:
+            self.solve()
+            self._due = len(self._blocks) + 1 + len(self._blocks) // 20
+
+    def solve(self) -> Solution | None:
+        """Return what all evidence comes to, or what was known before where it is too little."""
+        if self._axes is None and not self._find_first_axes():
+            return self.solution
+        self._extend()
+        for _ in range(3):
+            if len(self._sums) < (2 if self._known is None else 1):
+                break
+            self._look_for_delay()
+            found = self.solution = self._solve_once()
+            if found.unfinished < MOST_LEFT:
+                break
+            self._rotation = found.housing
+            self._rework(found.force, found.rate, found.zero)
+        return self.solution
+
+    @property
+    def known_sensor(self) -> KnownSensor | None:
+        """What goes on when the sensor is moved, or the process ends."""
+        return self._known if self.solution is None else self.solution.sensor(self._priors)
+
+    def _hypotheses(self) -> list[WeightedPrior]:
+        if self._known is None:
+            return any_sensor(self._priors)
+        known = self._known.hypotheses(self._rotation, self._priors, self._is_moved)
+        return [*known, *any_sensor(self._priors, PROBABLY_OTHER)]
+
+    def _rework(self, force: Matrix3, rate: Matrix3, zero: Array) -> None:
+        self._axes = force, rate, zero
+        self._reset_windows()
+        self._extend()
+
+    def _find_first_axes(self) -> bool:
+        """Gravity up, forward by complex least squares on dv/dt + i v r."""
+        if len(self._blocks) < BLOCKS_A_WINDOW:
+            return False
+        blocks = self._blocks[:-1]
+        motion = [self._motion(k, k + 1) for k in range(len(blocks))]
+        use = np.concatenate([b.use for b in blocks])
+        force = np.concatenate([b.force for b in blocks])
+        rate = np.concatenate([b.rate for b in blocks])
+        v, a = (np.concatenate(part) for part in zip(*motion, strict=True))
+        if use.sum() < BLOCK_TICKS or (np.abs(v) > DRIVING_SPEED).sum() < BLOCK_TICKS:
+            return False
+        level_from_sensor = levelling_rotation(force[use].mean(axis=0))
+        ahead, left, _ = level_from_sensor @ force.T
+        kernel = np.ones(10) / 10.0
+
+        def smooth(x: Array) -> Array:
+            return np.asarray(np.convolve(np.where(use, x, 0.0), kernel, "same"))
+
+        m = smooth(a) + 1j * smooth(v * (rate @ level_from_sensor[2]))
+        level = smooth(ahead) + 1j * smooth(left)
+        level, m = (level - level[use].mean())[use], (m - m.mean())[use]
+        answer = np.vdot(m, level)
+        size = np.sqrt(np.vdot(m, m).real * np.vdot(level, level).real)
+        if abs(answer) < 0.4 * size:
+            return False
+        yaw = -math.atan2(answer.imag, answer.real)
+        self.start_from(rotation_from_angles(0.0, 0.0, yaw) @ level_from_sensor)
+        return True
+
+    def _look_for_delay(self) -> None:
+        """Delay of the speed at which the force follows dv/dt best, and the bands in which."""
+        cross, power = self._sums.followed
+        power = np.maximum(power, 1e-12)
+        grid = DELAYS - self.delay
+        fit = (np.exp(-1j * np.outer(grid, wd.OMEGA)) @ (cross / np.sqrt(power))).real
+        best = float(grid[np.argmax(fit)])
+        answer = (np.exp(-1j * best * wd.OMEGA) * cross).real
+        gain = np.bincount(wd.BAND, answer) / np.bincount(wd.BAND, power)
+        follows = gain >= FOLLOWS * np.median(gain[:3])
+        until = max(int(np.argmax(np.r_[~follows, True])), 3)
+        self._bands = np.arange(wd.BANDS) < until
+        if abs(best) > MOST_LATE and self._axes is not None:
+            self.delay += best
+            self._rework(*self._axes)
+
+    def _solve_once(self) -> Solution:
+        assert self._axes is not None
+        priors = self._priors
+        answers = self._sums.force.respond(self._bands)
+        h = answers.value
+        gain = np.maximum(np.diag(h[:2]), 0.3)
+        leak = self._sums.leak
+        measured = []
+        for i in range(3):
+            places = [j for j in range(2) if j != i]
+            C = answers.covariance[i][np.ix_(places, places)]
+            rows = np.array([entry(i, j) for j in places])
+            for m, j in enumerate(places):
+                C[m, m] += priors.floor**2
+                if (i, j) == (0, 1):
+                    C[m, m] += priors.sideslip**2
+                if (i, j) == (2, 0):
+                    C[m, m] += priors.pitching**2
+            if i < 2:
+                rows[0, [PHI.start + 2, EPS.start + 2]] -= leak[i, 1 - i]
+            else:  # -v q of a rate that is itself tilted has been taken off
+                rows[1] += rate_entry(1, 2)
+            scale = gain[places]
+            measured.append(
+                LinearMeasurement(rows, h[i, places] / scale, C / np.outer(scale, scale))
+            )
+        measured += self._level_measured()
+        measured += self._turning_measured()
+        theta, covariance, shares = fuse(self._hypotheses(), measured, self._taken)
+        same = float(shares[AS_BEFORE]) if self.compares_with_before else 0.0
+        return self._applied(theta, covariance, same)
+
+    def _level_measured(self) -> list[LinearMeasurement]:
+        priors = self._priors
+        *level, distance, travelled = self._levels.sum(axis=0).tolist()
+        mean = np.array(level) / max(distance, 1e-9) / GRAVITY
+        variance = priors.slope**2 / (1.0 + travelled / 400.0) + 0.002**2
+        out = []
+        for i in range(2):
+            value = mean[i] - (priors.crown[0] if i == 1 else 0.0)
+            noise = np.array([[variance]])
+            out.append(LinearMeasurement(level_row(i)[None], np.array([value]), noise))
+        return out
+
+    def _turning_measured(self) -> list[LinearMeasurement]:
+        """The axis of turning is the rate's column 3, and the mean slope of the bends."""
+        priors, out = self._priors, []
+        found = self._sums.turning.respond(ALL_BANDS)
+        for i in range(2):
+            row = rate_entry(i, 2)
+            if i == 1:
+                row[CROWN] = 1.0
+            value = found.value[i] - (priors.crown[0] if i == 1 else 0.0)
+            roads = priors.turning[i] ** 2 + priors.slope**2 / found.segments[i, 0]
+            out.append(LinearMeasurement(row[None], value, found.covariance[i] + roads))
+        return out
+
+    def _applied(self, theta: Array, covariance: Array, same: float) -> Solution:
+        """Correct the working axes by what was found to be left."""
+        assert self._axes is not None
+        W, V, zero = self._axes
+        mixed, tilted = own_matrices(theta)
+        turned = rotation_from_vector(theta[PHI])  # a rotation: a turn must not change a gain
+        E, C = mixed @ turned, tilted @ turned
+        shift = np.concatenate([theta[ZERO] * GRAVITY, [0.0]])
+        moved = float(max(np.abs(E - np.eye(3)).max(), np.abs(C - np.eye(3)).max()))
+        turn = float(theta[EPS][2])  # of the gyroscope about z: in no matrix
+        if moved >= MOST_LEFT:
+            self._taken[3:13] += theta[3:13]
+        return Solution(
+            _solved(E, W), _solved(C, V), _solved(E, zero + shift),
+            covariance, self.delay, moved, turned.T @ self._rotation, turn, same,
+        )  # fmt: skip
+
+
+def _by_window(x: NDArray[Any]) -> NDArray[Any]:
+    """Windows (n, WINDOW, ...) of the ticks (N, ...) of joined blocks, one for each block."""
+    blocks = x.reshape(-1, wd.BLOCK, *x.shape[1:])
+    n = len(blocks) - BLOCKS_A_WINDOW + 1
+    return np.concatenate([blocks[i : i + n] for i in range(BLOCKS_A_WINDOW)], axis=1)
+
+
+def _solved(matrix: Array, right: Array) -> Array:
+    return np.asarray(np.linalg.solve(matrix, right), dtype=float)

@@ -1,0 +1,76 @@
+"""All that was measured of both sensors, into one estimate of the unknowns."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from imucald.core.samples import GRAVITY
+from imucald.mount.joint.state import CROSS, CROWN, EPS, FREE, UNKNOWNS, ZERO, Priors, WeightedPrior
+from imucald.mount.priors import CROSS_AXIS
+
+Array = NDArray[np.float64]
+
+
+class LinearMeasurement(NamedTuple):
+    """Linear measurements of the unknowns: rows (m, UNKNOWNS), values (m,), covariance (m, m)."""
+
+    rows: Array
+    values: Array
+    covariance: Array
+
+
+def fuse(
+    hypotheses: Sequence[WeightedPrior], measured: Sequence[LinearMeasurement], taken: Array
+) -> tuple[Array, Array, Array]:
+    """Return mean and covariance of what is left of the unknowns beyond `taken`, and how probable
+    each hypothesis is.
+
+    The answer is the mean over all hypotheses, each as probable as the data make it.
+    """
+    rows = np.vstack([m.rows for m in measured])
+    values = np.concatenate([m.values for m in measured]) + rows @ taken
+    noise = np.zeros((len(values), len(values)))
+    at = 0
+    for m in measured:
+        stop = at + len(m.values)
+        noise[at:stop, at:stop] = m.covariance
+        at = stop
+    found = [_fused(h, rows, values, noise) for h in hypotheses]
+    log = np.array([f[2] for f in found]) + np.log([h.chance for h in hypotheses])
+    share = np.exp(log - log.max())
+    share /= share.sum()
+    mean = np.einsum("k,ki->i", share, np.array([f[0] for f in found]))
+    covariance = np.zeros((UNKNOWNS, UNKNOWNS))
+    for part, (value, own, _) in zip(share, found, strict=True):
+        off = value - mean
+        covariance += part * (own + np.outer(off, off))
+    return mean - taken, covariance, share
+
+
+def any_sensor(priors: Priors, chance: float = 1.0) -> list[WeightedPrior]:
+    """Priors of a sensor of which nothing is known, one for each size of cross-axis errors."""
+    made = []
+    for cross, part in CROSS_AXIS:
+        std = np.full(UNKNOWNS, FREE)
+        # A gain of one axis is a cross-axis term in axes that are turned against it: over all
+        # rotations 1/5 of its variance.
+        std[CROSS] = np.hypot(cross, priors.gain / np.sqrt(5.0))
+        std[ZERO], std[EPS] = priors.zero / GRAVITY, priors.gyro
+        std[CROWN] = np.sqrt(priors.crown_variance)
+        made.append(WeightedPrior(np.zeros(UNKNOWNS), np.diag(std**2), chance * part))
+    return made
+
+
+def _fused(
+    prior: WeightedPrior, rows: Array, values: Array, noise: Array
+) -> tuple[Array, Array, float]:
+    values = values - rows @ prior.mean
+    spread = prior.covariance @ rows.T
+    seen = rows @ spread + noise
+    gain = np.linalg.solve(seen, spread.T).T
+    likelihood = -0.5 * (values @ np.linalg.solve(seen, values) + np.linalg.slogdet(seen)[1])
+    return prior.mean + gain @ values, prior.covariance - gain @ spread.T, float(likelihood)

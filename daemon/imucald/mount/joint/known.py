@@ -1,0 +1,198 @@
+"""What is known of a sensor by its own: it outlives a drive, a restart and a new mount.
+
+Terms of the sensor are kept in its own axes, where turning the housing changes none of them. Those
+that no drive can see, its gains among them, have their prior deviation: turned housings make
+cross-axis terms of them.
+
+What the drive before found is one hypothesis among others: that the sensor was moved since, and
+that it is another one. Each is a prior, each as probable as the data make it, so that one which
+the data contradict loses its weight by itself.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import Any, Final, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from imucald.core.errors import EstimateError
+from imucald.core.rotations import Matrix3, orthonormalised, vector_from_rotation
+from imucald.core.samples import GRAVITY
+from imucald.mount.estimate import BETWEEN_DRIVES_STD, Correction, SentDeviations
+from imucald.mount.joint.state import (
+    CROSS,
+    CROWN,
+    EPS,
+    FREE,
+    OFF,
+    PHI,
+    UNKNOWNS,
+    ZERO,
+    Priors,
+    WeightedPrior,
+    own_matrices,
+    sent_deviations,
+)
+from imucald.mount.priors import BIAS_DRIFT_STD
+
+Array = NDArray[np.float64]
+
+TURN, ACCEL, BIAS, GYRO = slice(0, 3), slice(3, 12), slice(12, 15), slice(15, 24)
+TERMS = 24
+"""Turn of the housing (vehicle axes), accelerometer's matrix, its zero over g, gyroscope's."""
+PROBABLY_OTHER = 0.005
+"""Chance that a sensor was exchanged, or became another, since (assumption)."""
+PROBABLY_MOVED: Final = ((0.1, 0.005), (FREE, 0.005))
+"""Deviation of a turn in between [rad] and its chance: somebody touched it, or mounted it anew
+(assumption; one start in a hundred)."""
+AS_BEFORE = 0
+"""Place among the hypotheses of the one that nothing has changed ..."""
+CHANCE_AS_BEFORE = (1.0 - PROBABLY_OTHER) * (1.0 - sum(chance for _, chance in PROBABLY_MOVED))
+"""... and how probable it is at the start."""
+LARGEST = 1.0
+"""Any term and its deviation: a value beyond is none of a sensor."""
+APART = 0.2
+"""The rotation next to a sensor's matrix differs from the housing's by its cross-axis terms, some
+hundredths; beyond this the two are of different mounts."""
+DIGITS = 9
+_UPPER = np.triu_indices(TERMS)
+_XY, _YX, _XZ, _YZ = (GYRO.start + k for k in (1, 3, 2, 5))
+
+
+class KnownSensor(NamedTuple):
+    """rotation: R_vehicle_from_sensor (3, 3) then. mean (TERMS,), covariance (TERMS, TERMS): of the
+    housing's turn about it in vehicle axes, and of the terms in sensor axes."""
+
+    rotation: Matrix3
+    mean: Array
+    covariance: Array
+
+    @classmethod
+    def found(
+        cls, rotation: Matrix3, mean: Array, covariance: Array, priors: Priors
+    ) -> KnownSensor:
+        """Of the unknowns (UNKNOWNS,) about axes that the housing has by now."""
+        place = np.zeros((TERMS, UNKNOWNS))
+        place[TURN, PHI] = np.eye(3)
+        for k, (i, j) in enumerate(OFF):
+            place[ACCEL.start + 3 * i + j, CROSS.start + k] = 1.0
+        for i in range(2):
+            place[BIAS.start + i, ZERO.start + i] = 1.0
+        place[_XZ, EPS.start] = place[_YZ, EPS.start + 1] = place[_YX, EPS.start + 2] = 1.0
+        place[_XY, EPS.start + 2] = -1.0
+        unseen = np.zeros(TERMS)
+        unseen[ACCEL][::4] = priors.gain**2
+        unseen[BIAS.stop - 1] = (priors.zero / GRAVITY) ** 2
+        unseen[GYRO] = priors.gyro**2
+        unseen[[_XZ, _YZ]] = 0.0
+        turned = _turned(rotation.T)
+        whole = place @ covariance @ place.T + np.diag(unseen)
+        return cls(rotation, turned @ place @ mean, turned @ whole @ turned.T)
+
+    def away(self) -> KnownSensor:
+        """The same after a time away: it may start cold, and the vehicle loaded otherwise."""
+        wider = np.zeros(TERMS)
+        wider[TURN] = np.square(BETWEEN_DRIVES_STD)
+        wider[BIAS] = (BIAS_DRIFT_STD / GRAVITY) ** 2
+        return self._replace(covariance=self.covariance + np.diag(wider))
+
+    def hypotheses(self, axes: Matrix3, priors: Priors, is_moved: bool) -> list[WeightedPrior]:
+        """What may be since, as priors about working axes (3, 3); is_moved: it was moved for sure.
+
+        That it is another sensor is none of them; they have what that leaves of the probability.
+        """
+        mean, covariance = self._about(axes, priors)
+        sizes = ((FREE, 1.0),) if is_moved else PROBABLY_MOVED
+        made: list[WeightedPrior] = []
+        for size, chance in sizes:
+            wide = covariance.copy()
+            wide[PHI], wide[:, PHI] = 0.0, 0.0
+            wide[PHI, PHI] = covariance[PHI, PHI] + size**2 * np.eye(3)
+            made.append(WeightedPrior(mean, wide, (1.0 - PROBABLY_OTHER) * chance))
+        if not is_moved:
+            made.insert(AS_BEFORE, WeightedPrior(mean, covariance, CHANCE_AS_BEFORE))
+        return made
+
+    def _about(self, axes: Matrix3, priors: Priors) -> tuple[Array, Array]:
+        """Mean and covariance of the unknowns about working axes (3, 3)."""
+        take = np.zeros((UNKNOWNS, TERMS))
+        turned = _turned(axes)
+        take[PHI, TURN] = np.eye(3)
+        for k, (i, j) in enumerate(OFF):
+            take[CROSS.start + k] = turned[ACCEL.start + 3 * i + j]
+        take[ZERO] = turned[BIAS][:2]
+        take[EPS.start], take[EPS.start + 1] = turned[_XZ], turned[_YZ]
+        take[EPS.start + 2] = 0.5 * (turned[_YX] - turned[_XY])
+        mean, covariance = take @ self.mean, take @ self.covariance @ take.T
+        covariance[CROWN, CROWN] = priors.crown_variance
+        mean[PHI] = vector_from_rotation(axes @ self.rotation.T)
+        return mean, covariance
+
+    def correction(self, R_vehicle_from_sensor: Matrix3) -> Correction:
+        """What is to be applied in the mount of then; that rotation is told of the housing.
+
+        Raises EstimateError where the two are not of one mount.
+        """
+        R = self.rotation
+        if np.abs(R_vehicle_from_sensor - R).max() > APART:
+            raise EstimateError("what was kept of the sensor is about another mount")
+        mean, _ = self._about(R, Priors())
+        mixed, tilted = own_matrices(mean)
+        zero = np.concatenate([mean[ZERO] * GRAVITY, [0.0]])
+        force = np.asarray(np.linalg.solve(mixed, R), dtype=float)
+        rate = np.asarray(np.linalg.solve(tilted, R), dtype=float)
+        zero = np.linalg.solve(mixed, zero)
+        return Correction.with_matrices(R_vehicle_from_sensor, force, rate, zero)
+
+    def sent(self) -> SentDeviations:
+        """Deviations of what that leaves in the samples, in the mount of then."""
+        return sent_deviations(self._about(self.rotation, Priors())[1])
+
+    def plain(self) -> dict[str, Any]:
+        """As JSON takes it."""
+        return {
+            "rotation": self.rotation.ravel().tolist(),
+            "mean": [float(f"{v:.{DIGITS}g}") for v in self.mean.tolist()],
+            "covariance": [float(f"{v:.{DIGITS}g}") for v in self.covariance[_UPPER].tolist()],
+        }
+
+
+def known_from(content: object) -> KnownSensor:
+    """What `plain` gave; EstimateError where it makes no sense."""
+    try:
+        if not isinstance(content, Mapping):
+            raise TypeError("not of our making")
+        rotation = _numbers(content["rotation"], 9).reshape(3, 3)
+        mean = _numbers(content["mean"], TERMS)
+        covariance = np.zeros((TERMS, TERMS))
+        covariance[_UPPER] = _numbers(content["covariance"], len(_UPPER[0]))
+        covariance += np.triu(covariance, 1).T
+        if np.abs(orthonormalised(rotation) - rotation).max() > 1e-6:
+            raise ValueError("no rotation")
+        values, axes = np.linalg.eigh(covariance)
+        if np.abs(mean).max() > LARGEST or values[-1] > LARGEST or values[0] < -1e-6 * values[-1]:
+            raise ValueError("out of range")
+        if np.diag(covariance).min() <= 0.0:
+            raise ValueError("known without an error")
+    except (KeyError, TypeError, ValueError, AttributeError, np.linalg.LinAlgError) as error:
+        raise EstimateError(f"what was kept of the sensor makes no sense ({error})") from None
+    return KnownSensor(rotation, mean, np.asarray((axes * np.maximum(values, 0.0)) @ axes.T))
+
+
+def _numbers(values: object, n: int) -> Array:
+    if not isinstance(values, list) or len(values) != n:
+        raise ValueError(f"{n} numbers are needed")
+    if not all(type(v) in (int, float) and math.isfinite(v) and abs(v) < 1e6 for v in values):
+        raise ValueError("a number is missing")
+    return np.array(values, dtype=float)
+
+
+def _turned(R: Matrix3) -> Array:
+    """(TERMS, TERMS) what a turn R of the axes makes of all terms but the housing's turn."""
+    made = np.eye(TERMS)
+    made[ACCEL, ACCEL] = made[GYRO, GYRO] = np.kron(R, R)
+    made[BIAS, BIAS] = R
+    return made

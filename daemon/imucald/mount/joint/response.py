@@ -1,0 +1,160 @@
+"""Weighted least squares on the windows of a drive: what the force answers to dv/dt and v r.
+
+Noise by band is learnt, loud windows count less, and the deviations come from the spread between
+road segments of two lengths (sandwich; White, Econometrica 48, 1980).
+"""
+
+from __future__ import annotations
+
+from typing import Final, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from imucald.drive.windows import BAND, BANDS, OVERLAP
+
+Array = NDArray[np.float64]
+
+SEGMENTS: Final = (4, 16)
+"""Windows a road segment: 26 s and 102 s."""
+HEAVY = 3.0
+"""A window so many times louder than its noise begins to count less."""
+PASSES = 4
+NOISE_WINDOWS = 3.0
+"""The usual noise counts as so many windows."""
+PRIOR_SEGMENTS, PRIOR_RATIO = 5.0, 2.0
+"""What few segments say of the spread is mixed with a variance ratio of 2, worth five segments; set
+on the drives that `state.Priors` names."""
+_BINS = np.bincount(BAND, minlength=BANDS).astype(float)
+
+
+class Packing:
+    """The upper triangle of a symmetric matrix of some columns as one row."""
+
+    def __init__(self, columns: int) -> None:
+        self.columns = columns
+        self._i, self._j = np.triu_indices(columns)
+        self.size = len(self._i)
+        self._twice = np.where(self._i == self._j, 1.0, 2.0)
+        self._places = np.zeros((columns, columns), dtype=int)
+        self._places[self._i, self._j] = self._places[self._j, self._i] = np.arange(self.size)
+
+    def of(self, products: Array, columns: tuple[int, ...]) -> Array:
+        """Rows (..., size) of matrices, of these columns of them."""
+        pick = np.array(columns)
+        return np.asarray(products[..., pick[self._i], pick[self._j]])
+
+    def matrices(self, rows: Array) -> Array:
+        """Matrices (..., columns, columns) of rows."""
+        return np.asarray(rows[..., self._places])
+
+    def form(self, v: Array) -> Array:
+        """What v' G v is in a row of G: (..., size) of vectors (..., columns)."""
+        return np.asarray(v[..., self._i] * v[..., self._j] * self._twice)
+
+
+class Responses(NamedTuple):
+    """Of each fit the coefficients (F, keep) and covariance (F, keep, keep), and how many segments
+    each rests on.
+
+    vector: (F, 1 + p) with which a window's columns give what the fit leaves. noise: (F, BANDS),
+    infinite in bands that do not count.
+    """
+
+    value: Array
+    covariance: Array
+    segments: Array
+    vector: Array
+    noise: Array
+
+
+def trust_in(left: Array, noise: Array) -> Array:
+    """Weight (F, n) of windows of which (F, n, BANDS) is left."""
+    bins = _BINS[np.isfinite(noise[0])].sum()
+    ratio = (left / noise[:, None]).sum(axis=2) / bins
+    return np.asarray(np.minimum(1.0, HEAVY / np.maximum(ratio, 1e-9)))
+
+
+def left_of(rows: Array, vector: Array, packing: Packing) -> Array:
+    """What fits (F, 1 + p) leave of windows (F, n, BANDS, size): (F, n, BANDS)."""
+    flat = rows.reshape(len(rows), -1, packing.size)
+    made = (flat @ packing.form(vector)[:, :, None]).reshape(rows.shape[:3])
+    return np.asarray(np.maximum(made, 1e-12 * rows[..., 0] + 1e-15))
+
+
+def respond(
+    rows: Array,
+    counts: Array,
+    old: int,
+    packing: Packing,
+    usual: Array,
+    spread: Array,
+    keep: int,
+    bands: NDArray[np.bool_],
+) -> Responses:
+    """Fit column 0 on the others, in F fits at once.
+
+    rows: (F, n, BANDS, size) packed, the first `old` of them road segments. counts: (F, n) windows
+    in each, by weight. usual: (F, BANDS) noise that is expected. spread: (F, p) prior deviations.
+    keep: how many coefficients are wanted. bands: which count.
+    """
+    fits, p = len(rows), packing.columns - 1
+    bins = np.where(bands, _BINS, 0.0)
+    usual = np.where(bands, usual, np.inf)
+    flat = rows.reshape(fits, -1, packing.size)
+    prior = np.eye(p) / np.square(spread)[:, None]
+    noise = usual
+    trust = np.ones(rows.shape[:2])
+    values = 2.0 * bins.sum() / OVERLAP
+    one = np.ones((fits, 1))
+    for _ in range(PASSES):
+        weight = (2.0 / OVERLAP) * trust[:, :, None] / noise[:, None]
+        total = packing.matrices((weight.reshape(fits, 1, -1) @ flat)[:, 0])
+        information = total[:, 1:, 1:] + prior
+        beta = np.linalg.solve(information, total[:, 1:, :1])[:, :, 0]
+        vector = np.concatenate([one, -beta], axis=1)
+        left = left_of(rows, vector, packing)
+        n = (trust * counts).sum(axis=1)
+        given = n * values / np.maximum(n * values - p, 0.3 * n * values)  # what the fit took up
+        found = given[:, None] * (trust[:, None] @ left)[:, 0] / np.maximum(bins, 1.0)
+        noise = np.asarray((found + NOISE_WINDOWS * usual) / (n + NOISE_WINDOWS)[:, None], float)
+        trust = trust_in(left, noise)
+        trust[:, :old] = 1.0  # in the sums already
+    each = (weight[:, :, None] @ rows)[:, :, 0]
+    scores = (packing.matrices(each) @ vector[:, None, :, None])[:, :, 1:, 0]
+    inverse = np.linalg.inv(information)
+    model = inverse[:, :keep, :keep]
+    variance = np.diagonal(model, axis1=1, axis2=2)
+    windows = old * SEGMENTS[0] + np.arange(rows.shape[1] - old)
+    segment = np.concatenate([np.arange(old), windows // SEGMENTS[0]])
+    made = old * SEGMENTS[0] + len(windows)
+    sandwich = np.zeros((fits, keep))
+    for length in SEGMENTS:
+        s = _by_place(scores, segment * SEGMENTS[0] // length, made // length + 1)
+        M = s.swapaxes(1, 2) @ s
+        if s.shape[1] > 3:
+            M = M + 0.5 * (
+                s[:, 1:].swapaxes(1, 2) @ s[:, :-1] + s[:, :-1].swapaxes(1, 2) @ s[:, 1:]
+            )
+        enough = 1.0 if length == SEGMENTS[0] else min(1.0, s.shape[1] / 8.0)
+        spread_out = np.diagonal(inverse @ M @ inverse, axis1=1, axis2=2)[:, :keep]
+        sandwich = np.maximum(sandwich, enough * spread_out)
+    picked = np.concatenate([np.zeros((fits, keep, 1)), inverse[:, :keep]], axis=2)
+    part = each @ packing.form(picked).swapaxes(1, 2)
+    share = _by_place(part, segment, int(segment[-1]) + 1)
+    squares = np.maximum((share**2).sum(axis=1), 1e-30)
+    segments = np.asarray(np.maximum(share.sum(axis=1) ** 2 / squares, 1.0))
+    ratio = np.clip(sandwich / variance, 0.1, 100.0)
+    grow = (PRIOR_SEGMENTS * PRIOR_RATIO + segments * ratio) / (PRIOR_SEGMENTS + segments)
+    grow = np.maximum(grow, 1.0) * (1.0 + 12.0 / (PRIOR_SEGMENTS + segments) ** 2)  # Student, about
+    root = np.sqrt(grow)
+    covariance = np.asarray(model * root[:, :, None] * root[:, None], dtype=float)
+    return Responses(np.asarray(beta[:, :keep], float), covariance, segments, vector, noise)
+
+
+def _by_place(values: Array, place: NDArray[np.int_], places: int) -> Array:
+    """Sums (F, places, m) of values (F, n, m) by their places (n,), which only grow."""
+    made = np.zeros((len(values), places, values.shape[2]))
+    starts = np.flatnonzero(np.diff(place, prepend=-1))
+    made[:, place[starts]] = np.add.reduceat(values, starts, axis=1)
+    return made

@@ -1,0 +1,138 @@
+"""The unknowns of the joint estimate, with unit, prior and source.
+
+All are about the working axes, in which force and rate are nearly along the vehicle's:
+
+    force = (1 + E) true force + g b      E = [phi x] + e
+    rate  = (1 + C) true rate             C = [phi x] + [(0, 0, eps_z) x] + tilt of column z
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Final, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from imucald.core.rotations import Matrix3
+from imucald.core.samples import GRAVITY
+from imucald.mount.estimate import SentDeviations
+
+Array = NDArray[np.float64]
+
+OFF: Final = ((0, 1), (1, 0), (0, 2), (2, 0), (1, 2), (2, 1))
+"""Places of the cross-axis terms e in a matrix."""
+TURN: Final = {
+    (0, 1): (2, -1.0), (1, 0): (2, 1.0), (0, 2): (1, 1.0), (2, 0): (1, -1.0), (1, 2): (0, -1.0),
+    (2, 1): (0, 1.0),
+}  # fmt: skip
+"""Axis and sign with which a turn by phi stands at each place of [phi x]."""
+PHI, CROSS, ZERO, EPS, CROWN = slice(0, 3), slice(3, 9), slice(9, 11), slice(11, 14), 14
+UNKNOWNS = 15
+FREE = 10.0
+"""Prior deviation of a rotation of which nothing is known [rad]."""
+
+
+class WeightedPrior(NamedTuple):
+    """One prior of the unknowns: mean (UNKNOWNS,), covariance (UNKNOWNS, UNKNOWNS), probability."""
+
+    mean: Array
+    covariance: Array
+    chance: float
+
+
+class Priors(NamedTuple):
+    """Deviations of the unknowns before any data, and of what the equations leave out.
+
+    Data sheets are named. Sideslip, pitching and turning were set on drives: second_world, one
+    more simulator, and simulated seeds 970000 to 970006, none of which judges them.
+    """
+
+    gain: float = 0.013
+    """Gain of one axis of the accelerometer against the others: within 3 % (MPU-6050, 6.2)."""
+    zero: float = 0.3
+    """Zero error of the level force [m/s^2]: limits of 50 mg (MPU-6050, 6.2), root of three."""
+    gyro: float = 0.02
+    """Tilt and turn of the gyroscope's axes against the accelerometer's [rad] (MPU-6050, 6.1)."""
+    crown: tuple[float, float] = (0.012, 0.006)
+    """Mean lean of the roads and its deviation (tangent)."""
+    slope: float = 0.02
+    """Slope of a road (tangent), which forgets itself in 200 m."""
+    sideslip: float = 0.0025
+    """E_xy: slip of the tyres in bends."""
+    pitching: float = 0.0035
+    """E_zx: heave and squat that answer to dv/dt."""
+    turning: tuple[float, float] = (0.008, 0.004)
+    """Axis of turning, x and y: a vehicle that rolls in bends rolls about an axis of its own, and
+    the slope of the bends is not that of the road."""
+    floor: float = 0.001
+    """Any entry."""
+
+    @property
+    def crown_variance(self) -> float:
+        """Of the mean lean of the roads."""
+        return max(self.crown[1], 1e-6) ** 2
+
+
+def own_matrices(theta: Array) -> tuple[Matrix3, Matrix3]:
+    """Matrices (3, 3) of the sensors' own errors, without the turn phi: 1 + e of the force, and 1
+    with the tilt of column z of the rate. theta: (UNKNOWNS,)."""
+    mixed, tilted = np.eye(3), np.eye(3)
+    for k, place in enumerate(OFF):
+        mixed[place] = theta[CROSS.start + k]
+    tilted[:2, 2] = theta[EPS][:2]
+    return mixed, tilted
+
+
+def entry(i: int, j: int) -> Array:
+    """Row (UNKNOWNS,) of cross-talk E_ij in the unknowns."""
+    row = np.zeros(UNKNOWNS)
+    axis, sign = TURN[i, j]
+    row[axis] = sign
+    row[CROSS.start + OFF.index((i, j))] = 1.0
+    return row
+
+
+def rate_entry(i: int, j: int) -> Array:
+    """Row (UNKNOWNS,) of the rate's cross-talk in the unknowns."""
+    row = np.zeros(UNKNOWNS)
+    axis, sign = TURN[i, j]
+    row[axis] = sign
+    if j == 2:
+        row[EPS.start + i] = 1.0
+    if {i, j} == {0, 1}:
+        row[EPS.start + 2] = sign
+    return row
+
+
+def zero_row(i: int) -> Array:
+    """Row (UNKNOWNS,) of the level zero over g: what a level force keeps on a level road."""
+    row = entry(i, 2)
+    row[ZERO.start + i] = 1.0
+    return row
+
+
+def level_row(i: int) -> Array:
+    """Row of the level zero, with the mean lean of the roads that were driven."""
+    row = zero_row(i)
+    if i == 1:
+        row[CROWN] = 1.0
+    return row
+
+
+def sent_deviations(covariance: Array, wide: float = 0.0) -> SentDeviations:
+    """Of the unknowns' errors; wide: of a turn of both sensors besides [rad]."""
+
+    def of(row: Array) -> float:
+        return math.hypot(math.sqrt(max(float(row @ covariance @ row), 0.0)), wide)
+
+    return SentDeviations(
+        xy=of(entry(0, 1)),
+        yx=of(entry(1, 0)),
+        zx=of(entry(2, 0)),
+        zy=of(entry(2, 1)),
+        zero_x=GRAVITY * of(level_row(0)),
+        zero_y=GRAVITY * of(level_row(1)),
+        rate_xz=of(rate_entry(0, 2)),
+        rate_yz=of(rate_entry(1, 2)),
+    )

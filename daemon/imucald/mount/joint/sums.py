@@ -1,0 +1,151 @@
+"""What the windows of a drive come to: one by one the latest, road segment by road segment before.
+
+A fit weighs each window by how loud it is. Of windows that are old this weight stays as it is, so
+that four of them become one Gram matrix: of them the sums are all that any later fit needs.
+"""
+
+from __future__ import annotations
+
+from typing import Final, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from imucald.drive import windows as wd
+from imucald.mount.joint.response import (
+    SEGMENTS,
+    Packing,
+    Responses,
+    left_of,
+    respond,
+    trust_in,
+)
+
+Array = NDArray[np.float64]
+Complex = NDArray[np.complex128]
+
+RECENT = 64
+"""So many windows are kept one by one: 7 minutes of driving."""
+ROUND = SEGMENTS[-1]
+"""Windows that are put together at a time: whole road segments of either length."""
+MAIN: Final = slice(wd.FIRST_X, wd.FIRST_X + len(wd.MAIN))
+TURNED: Final = slice(len(wd.NAMES) - len(wd.TURNED), len(wd.NAMES))
+
+
+class Fits(NamedTuple):
+    """F least squares fits with as many columns each, the first of which is fitted on the others.
+
+    columns: (F, 1 + p). usual: (F, BANDS) noise that is expected. spread: (F, p) prior deviations
+    of the coefficients. keep: how many of them are wanted.
+    """
+
+    columns: tuple[tuple[int, ...], ...]
+    usual: Array
+    spread: Array
+    keep: int
+
+
+class FitSums:
+    """The windows of some fits. The first `_old` are road segments, the rest are windows."""
+
+    def __init__(self, fits: Fits) -> None:
+        self._fits = fits
+        self._packing = Packing(len(fits.columns[0]))
+        self._rows = np.zeros((len(fits.columns), 0, wd.BANDS, self._packing.size))
+        self._counts = np.zeros((len(fits.columns), 0))
+        self._old = 0
+        self._last: Responses | None = None
+
+    def restart(self) -> None:
+        """Forget all windows, but not how loud they are."""
+        self._rows, self._counts, self._old = self._rows[:, :0], self._counts[:, :0], 0
+
+    def add(self, products: Array) -> None:
+        """Take windows (n, BANDS, columns, columns)."""
+        new = np.array([self._packing.of(products, columns) for columns in self._fits.columns])
+        self._rows = np.concatenate([self._rows, new], axis=1)
+        self._counts = np.concatenate([self._counts, np.ones(new.shape[:2])], axis=1)
+        while self._last is not None and self._rows.shape[1] - self._old >= RECENT + ROUND:
+            self._put_together(self._last)
+
+    def _put_together(self, last: Responses) -> None:
+        at, stop = self._old, self._old + ROUND
+        rows, length = self._rows[:, at:stop], SEGMENTS[0]
+        trust = trust_in(left_of(rows, last.vector, self._packing), last.noise)
+        by_segment = (len(rows), -1, length)
+        sums = (trust[:, :, None, None] * rows).reshape(*by_segment, *rows.shape[2:]).sum(axis=2)
+        counts = trust.reshape(by_segment).sum(axis=2)
+        put = [self._rows[:, :at], sums, self._rows[:, stop:]]
+        self._rows = np.concatenate(put, axis=1)
+        put = [self._counts[:, :at], counts, self._counts[:, stop:]]
+        self._counts = np.concatenate(put, axis=1)
+        self._old += sums.shape[1]
+
+    def drop(self, windows: int) -> None:
+        """Forget so many of the first windows, of old ones only whole rounds."""
+        segments = min(windows // ROUND * (ROUND // SEGMENTS[0]), self._old)
+        rows = segments
+        if segments == self._old:
+            rows += windows - segments * SEGMENTS[0]
+        self._rows, self._counts = self._rows[:, rows:].copy(), self._counts[:, rows:]
+        self._old -= segments
+
+    def respond(self, bands: NDArray[np.bool_]) -> Responses:
+        """The fits on all windows; bands: which count."""
+        _, usual, spread, keep = self._fits
+        args = self._rows, self._counts, self._old, self._packing, usual, spread, keep, bands
+        self._last = respond(*args)
+        return self._last
+
+
+class WindowSums:
+    """All windows, for each fit and for what the fits share."""
+
+    def __init__(self, force: Fits, turning: Fits) -> None:
+        self.force, self.turning = self._fits = FitSums(force), FitSums(turning)
+        self.restart()
+
+    def __len__(self) -> int:
+        return len(self._power)
+
+    def restart(self) -> None:
+        """Forget all windows."""
+        for fit in self._fits:
+            fit.restart()
+        self._blocks = np.zeros(0, dtype=int)
+        self._cross = np.zeros((0, len(wd.BINS)), dtype=complex)
+        self._power = np.zeros((0, len(wd.BINS)))
+        self._shared = np.zeros((0, 2, 4))
+
+    def add(self, spectra: Complex, blocks: NDArray[np.int_]) -> None:
+        """Take spectra (n, bins, columns) of windows that end with these blocks (n,)."""
+        products = wd.products(spectra)
+        for fit in self._fits:
+            fit.add(products)
+        driven = spectra[:, :, wd.FIRST_X]
+        main = products[:, :, MAIN].sum(axis=1)
+        self._blocks = np.concatenate([self._blocks, blocks])
+        self._cross = np.concatenate([self._cross, np.conj(driven) * spectra[:, :, 0]])
+        self._power = np.concatenate([self._power, np.abs(driven) ** 2])
+        shared = np.concatenate([main[:, :, MAIN], main[:, :, TURNED]], axis=2)
+        self._shared = np.concatenate([self._shared, shared])
+
+    def forget(self, blocks: int) -> None:
+        """Forget the windows that end in the first so many blocks, and count from there."""
+        gone = int(np.searchsorted(self._blocks, blocks))
+        for fit in self._fits:
+            fit.drop(gone)
+        self._blocks = self._blocks[gone:] - blocks
+        self._cross, self._power = self._cross[gone:], self._power[gone:]
+        self._shared = self._shared[gone:]
+
+    @property
+    def followed(self) -> tuple[Complex, Array]:
+        """By bin (bins,): products of dv/dt with the force ahead, and with itself."""
+        return self._cross.sum(axis=0), self._power.sum(axis=0)
+
+    @property
+    def leak(self) -> Array:
+        """(tilted axis, motion): how a gyroscope's turn answers to dv/dt and v r."""
+        total = self._shared.sum(axis=0)
+        return np.asarray(np.linalg.lstsq(total[:, :2], total[:, 2:], rcond=None)[0].T)

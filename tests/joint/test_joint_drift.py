@@ -1,0 +1,162 @@
+"""A zero of the accelerometer that drifts, on drives in closed form and on simulated ones."""
+
+from __future__ import annotations
+
+from functools import cache
+
+import numpy as np
+import pytest
+
+from imucald.core.rotations import rotation_from_vector
+from imucald.core.samples import Series
+from imucald.motion.column_ticks import ticks_from_samples
+from imucald.mount.contradictions import StandingFault
+from imucald.mount.estimate import MountState
+from imucald.mount.joint.drift import NAMED, NONE, Drift
+from imucald.mount.joint.estimator import JointEstimator, JointSettings
+from imucald.mount.joint.evidence import Block, Evidence
+from imucald.mount.joint.state import Priors
+from imucald.simulation import random_model, simulate
+from imucald.simulation.drive import Drive
+from joint.planar_drive import ROTATION, Sensor, blocks
+from mount_settings import full
+
+LEVEL_ROADS = Priors(crown=(0.0, 0.002), slope=0.002)
+FROM_S, WRONG = 200.0, 0.5
+GOOD = {MountState.USABLE, MountState.FINE}
+
+
+def held(made: list[Block]) -> Evidence:
+    evidence = Evidence(LEVEL_ROADS)
+    for block in made:
+        evidence.add(block)
+        evidence.solve_when_due()
+    return evidence
+
+
+def drifting(minutes: float, rate: np.ndarray) -> list[Block]:
+    """A sound sensor whose zero drifts by (3,) [m/s^2 a second] in sensor axes."""
+    out = []
+    for k, b in enumerate(blocks(minutes, Sensor())):
+        t = 6.4 * k + 0.1 * np.arange(64)
+        out.append(b._replace(force=b.force + np.maximum(t - FROM_S, 0.0)[:, None] * rate))
+    return out
+
+
+@pytest.mark.parametrize("axis", range(3))
+@pytest.mark.parametrize("rate", [0.001, 0.003])
+def test_what_a_zero_has_drifted_by_is_found_within_its_deviation(axis: int, rate: float) -> None:
+    minutes = FROM_S / 60.0 + 0.45 / rate / 60.0
+    made = drifting(minutes, rate * np.eye(3)[axis])
+    evidence = held(made)
+    found, true = evidence.drift, rate * (6.4 * len(made) - FROM_S)
+    assert found.log_odds > 0.0
+    assert found.is_named
+    off = found.size - true * ROTATION[:, axis]
+    assert off @ np.linalg.solve(found.covariance, off) < 25.0
+    np.testing.assert_allclose(found.variance(), np.diag(found.covariance) + found.size**2)
+
+
+def test_a_sound_zero_adds_nothing_to_the_deviation() -> None:
+    found = held(blocks(12.0, Sensor(zero=np.array([0.2, -0.15, 0.1])))).drift
+    assert found.log_odds < -5.0
+    assert np.sqrt(found.variance()).max() < 0.02
+
+
+def test_a_zero_of_the_gyroscope_that_changes_is_no_drift_of_the_accelerometer() -> None:
+    taken, out = np.array([0.004, -0.003, 0.002]), []
+    for k, b in enumerate(blocks(10.0, Sensor())):
+        zero = taken if k < 30 else np.zeros(3)  # what is taken off gets better at a rest
+        out.append(b._replace(rate=b.rate - zero, rate_zero=zero))
+    assert not held(out).drift.is_named
+
+
+@pytest.mark.parametrize("axis", range(3))
+def test_a_mount_that_creeps_is_no_drift_of_the_accelerometer(axis: int) -> None:
+    out = []
+    for k, b in enumerate(blocks(12.0, Sensor())):
+        angle = np.radians(30.0 / 3600.0) * max(6.4 * k - FROM_S, 0.0)
+        R = rotation_from_vector(angle * np.eye(3)[axis])
+        out.append(b._replace(force=b.force @ R.T, rate=b.rate @ R.T))
+    assert held(out).drift.log_odds < -5.0
+
+
+def test_a_drift_goes_on_where_evidence_begins_again() -> None:
+    rate = np.array([0.001, 0.0, 0.0])
+    made = drifting(11.0, rate)
+    before, since = held(made[:70]), made[70:]  # 0.25 m/s^2: not named yet
+    assert not before.drift.is_named
+    forgetful, going_on = (
+        Evidence(LEVEL_ROADS),
+        Evidence(LEVEL_ROADS, past=before.in_sensor_axes(before.drift)),
+    )
+    for block in since:
+        for evidence in (forgetful, going_on):
+            evidence.add(block)
+            evidence.solve_when_due()
+    true = rate[0] * (6.4 * len(made) - FROM_S)
+    assert not forgetful.drift.is_named
+    assert going_on.drift.is_named
+    assert np.linalg.norm(going_on.drift.size) == pytest.approx(true, abs=0.1)
+
+
+def test_a_sound_past_makes_no_drift_of_evidence_that_begins_again() -> None:
+    made = blocks(12.0, Sensor())
+    before = held(made[:60])
+    evidence = Evidence(LEVEL_ROADS, past=before.in_sensor_axes(before.drift))
+    for block in made[60:]:
+        evidence.add(block)
+        evidence.solve_when_due()
+    assert evidence.drift.log_odds < -5.0
+
+
+def test_a_guess_is_put_back_before_the_rates_zero_is_taken_off() -> None:
+    zero, guess = np.array([0.01, -0.02, 0.03]), np.array([0.02, -0.05, 0.1])
+    sound, guessed = Evidence(LEVEL_ROADS), Evidence(LEVEL_ROADS)
+    for k, b in enumerate(blocks(4.0, Sensor())):
+        sound.add(b)
+        raw = b.rate + zero
+        known = k >= 10
+        taken = zero if known else guess
+        if k == 10:
+            guessed.subtract_rate_zero(zero)
+        guessed.add(Block(b.force, raw - taken, b.speed, b.use, known, taken))
+    one, other = sound.solve(), guessed.solve()
+    assert one is not None
+    assert other is not None
+    np.testing.assert_allclose(other.force, one.force, atol=1e-9)
+    np.testing.assert_allclose(other.rate, one.rate, atol=1e-9)
+
+
+def test_a_drift_is_named_where_it_is_certain_and_large() -> None:
+    size, covariance = np.array([NAMED + 0.01, 0.0, 0.0]), 0.01 * np.eye(3)
+    assert Drift(0.1, size, covariance).is_named
+    assert not Drift(-0.1, size, covariance).is_named
+    assert not Drift(9.0, 0.9 * size, covariance).is_named
+    assert not NONE.is_named
+    assert NONE.variance().max() == 0.0
+
+
+@cache
+def drive() -> Drive:
+    return simulate(random_model(976_001, standing_first=True), 976_001, 12.0)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("axis", range(3))
+@pytest.mark.parametrize("rate", [0.001, 0.003])
+def test_no_value_is_good_while_a_drifting_zero_has_made_it_wrong(axis: int, rate: float) -> None:
+    made = drive()
+    samples = dict(made.samples)
+    series = samples["accel"]
+    values = series.values.copy()
+    values[:, axis] += rate * np.maximum(series.t - FROM_S, 0.0)
+    samples["accel"] = Series(series.t, values)
+    joint, was_good = JointEstimator(JointSettings.of(full())), False
+    for k, row in enumerate(ticks_from_samples(samples, 0, 7200).tolist()):
+        joint.step(row)
+        off = rate * (0.1 * k - FROM_S)
+        was_good = was_good or (joint.state in GOOD and off < 0.0)
+        assert joint.state not in GOOD or off < WRONG, off
+    assert was_good
+    assert StandingFault.ACCEL_DRIFT in joint.estimate().faults

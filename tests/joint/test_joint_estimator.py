@@ -1,0 +1,114 @@
+"""The joint estimator on simulated drives, against the truth of the simulation."""
+
+from __future__ import annotations
+
+from functools import cache
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from imucald.core.samples import GRAVITY, Series
+from imucald.motion.column_ticks import ticks_from_samples
+from imucald.mount.estimate import MountState
+from imucald.mount.joint.estimator import JointAcceptance, JointEstimator, JointSettings
+from imucald.simulation import random_model, simulate
+from imucald.simulation.drive import Drive
+from imucald.simulation.imu import gain_matrix
+from mount_settings import full
+
+MINUTES = 7.0
+GOOD = {MountState.USABLE, MountState.FINE}
+MIXED = np.eye(3) + np.array([[0.0, 0.05, -0.03], [-0.02, 0.0, 0.04], [0.03, -0.05, 0.0]])
+TURNED = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
+
+
+@cache
+def drive(seed: int) -> Drive:
+    return simulate(random_model(seed, standing_first=True), seed, MINUTES)
+
+
+def estimator() -> JointEstimator:
+    return JointEstimator(JointSettings.of(full()))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("accel", [np.eye(3), MIXED], ids=["sound", "axes mixed"])
+def test_frames_sent_as_good_keep_no_more_of_the_other_axes_than_stated(accel: np.ndarray) -> None:
+    made = drive(976_001)
+    model, R = made.model, made.truth.R_vehicle_from_sensor()
+    samples = dict(made.samples)
+    samples["accel"] = Series(samples["accel"].t, samples["accel"].values @ accel.T)
+    answer = accel @ gain_matrix(model.accel)
+    joint, first = estimator(), None
+    for k, row in enumerate(ticks_from_samples(samples, 0, int(MINUTES * 600)).tolist()):
+        joint.step(row)
+        if joint.state not in GOOD:
+            continue
+        first = k if first is None else first
+        if k % 100 == 0 and k > first + 1200:
+            applied, solution = joint.correction, joint.solution
+            assert applied is not None
+            assert solution is not None
+            W = np.array(applied.force).reshape(3, 3)
+            left = W @ answer @ R.T - np.eye(3)
+            stated = solution.sent()
+            for entry, place in {"xy": (0, 1), "yx": (1, 0), "zx": (2, 0), "zy": (2, 1)}.items():
+                assert abs(left[place]) < max(np.radians(1.0), 4.0 * getattr(stated, entry)), (
+                    k,
+                    entry,
+                )
+    assert first is not None
+    assert first < 3000
+
+
+@pytest.mark.slow
+def test_a_sensor_that_is_turned_is_told_and_found_again() -> None:
+    made, at = drive(976_001), 240.0
+    samples = dict(made.samples)
+    for name in ("accel", "gyro"):
+        series = samples[name]
+        values = np.where((series.t > at)[:, None], series.values @ TURNED.T, series.values)
+        samples[name] = Series(series.t, values)
+    joint, states = estimator(), []
+    for row in ticks_from_samples(samples, 0, int(MINUTES * 600)).tolist():
+        joint.step(row)
+        states.append(joint.state)
+    before, after = states[: int(10 * at)], states[int(10 * at) :]
+    assert before[-1] in GOOD
+    assert next(k for k, s in enumerate(after) if s not in GOOD) < 300
+    R = TURNED @ made.truth.R_vehicle_from_sensor().T
+    assert states[-1] in GOOD
+    solution = joint.solution
+    assert solution is not None
+    left = solution.force @ gain_matrix(made.model.accel) @ R - np.eye(3)
+    assert np.abs(left[[0, 1], [1, 0]]).max() < np.radians(1.5)
+
+
+@pytest.mark.slow
+def test_without_a_gyroscope_the_full_estimator_is_served() -> None:
+    made = drive(976_001)
+    samples = {name: series for name, series in made.samples.items() if name != "gyro"}
+    joint = estimator()
+    for row in ticks_from_samples(samples, 0, int(MINUTES * 600)).tolist():
+        joint.step(row)
+    assert joint.solution is None
+    assert joint.state in GOOD
+    assert joint.correction is not None
+    assert joint.correction.is_rotation
+
+
+def test_fine_waits_for_no_test_of_small_moves_and_says_no_such_reason() -> None:
+    checks = SimpleNamespace(is_mirror_excluded=True, have_agreed=False, not_checked=())
+    parts = SimpleNamespace(armed=False), checks, SimpleNamespace(is_loose=False)
+    acceptance = JointAcceptance(*parts, has_speed=True)
+    assert "agree" in acceptance.missing_to_be_fine()
+    assert not acceptance.may_be_fine()
+    checks.have_agreed = True
+    assert acceptance.may_be_fine()
+
+
+def test_gravity_is_the_unit_of_the_levels_limits() -> None:
+    limits = JointSettings().limits
+    assert limits.usable_tilt * GRAVITY == pytest.approx(0.2)
+    assert limits.fine_tilt * GRAVITY == pytest.approx(0.1)
