@@ -59,11 +59,11 @@ def corrected_drive(
     t_last = max((float(s.t[-1]) for s in samples.values() if len(s.t)), default=0.0)
     corrections, snapshots = pipeline.run(samples, {}, t_last)
 
-    def rotations(t: Array) -> Array:
-        index = np.floor(t * TICK_RATE).astype(np.int64) - corrections.first
-        return np.asarray(corrections.rotations[index])
+    def turned(channel: str, series: Series) -> Array:
+        index = np.floor(series.t * TICK_RATE).astype(np.int64) - corrections.first
+        return corrections.turned(channel, index, series.values)
 
-    accel, gyro = _corrected(samples, channels, compensation, rotations)
+    accel, gyro = _corrected(samples, channels, compensation, turned)
     return CorrectedDrive(accel, gyro, pipeline.estimator.estimate(), tuple(snapshots))
 
 
@@ -74,21 +74,23 @@ def corrected_with(
     channels = frozenset(samples)
     if compensation is not None:
         samples = compensation.samples(samples)
-    nine = R_vehicle_from_sensor.ravel()
-    return CorrectedDrive(
-        *_corrected(samples, channels, compensation, lambda t: np.tile(nine, (len(t), 1)))
-    )
+    nine = R_vehicle_from_sensor.reshape(1, 9)
+
+    def turned(channel: str, series: Series) -> Array:
+        return times_columns(nine, series.values)
+
+    return CorrectedDrive(*_corrected(samples, channels, compensation, turned))
 
 
 def _corrected(
     samples: Samples,
     channels: frozenset[str],
     compensation: ModelCompensation | None,
-    rotations: Callable[[Array], Array],
+    applied: Callable[[str, Series], Array],
 ) -> tuple[Series | None, Series | None]:
-    """Corrected accelerometer and gyroscope; rotations: times (N,) -> (N, 9)."""
+    """Corrected accelerometer and gyroscope; applied: gives a channel's samples (N, 3) so far."""
     turned = {
-        channel: Corrected(series.t, series.t, times_columns(rotations(series.t), series.values))
+        channel: Corrected(series.t, series.t, applied(channel, series))
         for channel, series in samples.items()
         if channel in TRIADS
     }

@@ -12,7 +12,7 @@ import gzip
 import json
 import math
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -21,14 +21,15 @@ import numpy as np
 from msgspec.structs import replace
 from numpy.typing import NDArray
 
+from benchmarks.integrity.force import ENTRIES, Response, left_over, stated
 from benchmarks.measured import DATA, FOLDER, MEASURED_DRIVES, is_here, nothing_measured, verdict
 from imucald.can.logs.log_reader import LogReader
 from imucald.config import LoadedConfig
-from imucald.core.rotations import Matrix3, vector_from_rotation
+from imucald.core.rotations import Matrix3, times, vector_from_rotation
 from imucald.core.samples import Series
 from imucald.inputs.column_samples import Routed
 from imucald.inputs.wiring import compile_router
-from imucald.mount.estimate import MountEstimate
+from imucald.mount.estimate import Correction, MountEstimate
 from imucald.runtime.replay import Replay
 from imucald.runtime.session import make_engine, open_config
 from imucald.runtime.timebase import TimeBase
@@ -94,6 +95,11 @@ def kingston(estimator: str) -> Iterator[str]:
             f"  pitch {pitch:+.2f} deg ({abs(pitch) / math.degrees(std[1]):.1f} sd),"
             f" yaw {yaw:+.2f} deg ({abs(yaw) / math.degrees(std[2]):.1f} sd); INS +-0.3"
         )
+    applied = result.estimate.correction
+    if applied is not None:  # what a sensor without errors of its own answers to dv/dt with
+        sent = times(applied.force, truth.tolist())
+        known = {"yx": math.degrees(sent[1]), "zx": math.degrees(sent[2])}
+        yield from left_over_lines(known, result.estimate)
 
 
 def quat_orient(estimator: str) -> Iterator[str]:
@@ -106,6 +112,7 @@ def quat_orient(estimator: str) -> Iterator[str]:
     yaw, std = math.degrees(angles[2]), result.estimate.std
     own = "" if std is None else f", {abs(yaw) / math.degrees(std[2]):.1f} sd"
     yield f"  yaw {yaw:+.2f} deg from by-eye truth +-3{own} (bar 4: {verdict(abs(yaw) <= 4.0)})"
+    yield from aligned(result.estimate)
 
 
 def css(estimator: str) -> Iterator[str]:
@@ -124,6 +131,9 @@ def css(estimator: str) -> Iterator[str]:
     own = sds_apart(between, halves)
     usable = result.is_usable and all(half.is_usable for half in halves)
     yield f"  halves {angle:.2f} deg apart{own} (bar 3: {verdict(usable and angle <= 3.0)})"
+    one, other = (half.estimate.correction for half in halves)
+    if one is not None and other is not None:
+        yield from left_over_lines(between_halves(one, other), *(h.estimate for h in halves))
 
 
 def wrx(estimator: str) -> Iterator[str]:
@@ -138,6 +148,7 @@ def wrx(estimator: str) -> Iterator[str]:
         usable = "usable" if result.is_usable else "never usable in these 90 s"
         met = verdict(abs(yaw) <= 3.0)
         yield f"  yaw {yaw:+.2f} deg of an aligned sensor (bar 3: {met}), {usable}"
+        yield from aligned(result.estimate)
     for text, correlation in wrx_signs():
         yield f"  {text}: correlation {correlation:+.2f} (bar > 0: {verdict(correlation > 0.0)})"
 
@@ -214,6 +225,33 @@ def describe(result: Result) -> str:
     if rejected:
         parts.append("rejected " + json.dumps(rejected))
     return ", ".join(parts)
+
+
+def aligned(estimate: MountEstimate) -> Iterator[str]:
+    """Cross-talk of forward and left, of a sensor that is level to a few degrees and aligned."""
+    if estimate.correction is not None:
+        found = left_over(estimate.correction, Response(), np.eye(3), np.eye(3))
+        yield from left_over_lines(
+            dict(zip(ENTRIES[:2], found[:2].tolist(), strict=True)), estimate
+        )
+
+
+def between_halves(one: Correction, other: Correction) -> dict[str, float]:
+    """What the one leaves in samples of a unit that the other is right for."""
+    W, V = (np.reshape(rows, (3, 3)) for rows in (other.force, other.rate))
+    unit = Response(np.linalg.inv(W), np.linalg.inv(V), np.linalg.solve(W, other.force_offset))
+    return dict(zip(ENTRIES, left_over(one, unit, np.eye(3), np.eye(3)).tolist(), strict=True))
+
+
+def left_over_lines(left: Mapping[str, float], *estimates: MountEstimate) -> Iterator[str]:
+    """What is left in a consumer's samples (`ENTRIES`), in deviations of all estimates together."""
+    sent = [estimate.sent for estimate in estimates]
+    known = [one for one in sent if one is not None]
+    if len(known) < len(sent):
+        return
+    stds = dict(zip(ENTRIES, np.sqrt(sum(stated(one) ** 2 for one in known)), strict=True))
+    parts = [f"{name} {v:+.2f} ({abs(v) / stds[name]:.1f} sd)" for name, v in left.items()]
+    yield f"  left in what is sent: {', '.join(parts)}"
 
 
 def sds_apart(between: NDArray[np.float64], halves: list[Result]) -> str:

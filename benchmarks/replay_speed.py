@@ -33,6 +33,8 @@ SETTINGS = (
 )
 CONFIG = EXAMPLES / "passenger_car.yaml"
 DATABASE = ROOT / "daemon" / "imucald" / "data" / "imucald_example.dbc"
+IN_TEXT = "database: ../../dbc/imucald_example.dbc"
+"""How the configuration names it: a copy lies elsewhere."""
 PEER = "python-can + cantools"
 PARSED = "  its database parsed"
 NOTHING_KEPT = {"CACHE_DIRECTORY": "/dev/null/nothing"}
@@ -41,8 +43,8 @@ BAR_READ, BAR_WRITE, BAR_MEMORY = 10.0, 4.0, 300.0
 """Times faster without and with output; MiB."""
 BAR_MANY = 20.0
 """Times faster, five logs in one process."""
-BAR_HOUR = 1.2
-"""Processor time of an hour of driving with all signals [s]."""
+BAR_HOUR = {"full": 1.2, "joint": 1.5}
+"""Processor time of an hour of driving with all signals, by estimator [s]."""
 MANY = 5
 HOUR = ("--seed", "1", "--minutes", "60")
 
@@ -120,7 +122,7 @@ def main() -> int:
 
 
 def many(log: Path, rounds: int) -> bool:
-    """Five logs in one process, and an hour with all signals; whether both bars are met."""
+    """Five logs in one process, and an hour with all signals; whether all bars are met."""
     logs = [str(log)] * MANY
     peer_command = [sys.executable, "-m", "benchmarks.replay_peer", str(DATABASE), *logs]
     ours = [sys.executable, "-m", "benchmarks.replay_many", str(CONFIG)]
@@ -138,14 +140,21 @@ def many(log: Path, rounds: int) -> bool:
         run(imucald("simulate", "--out", path, *HOUR))
 
     hour = made_once("hour.log", " ".join(HOUR), make)
-    runs = [run([*ours, "signals", str(hour)]) for _ in range(rounds)]
-    read, _, _ = best(runs).output.split()
-    took = min(float(r.output.split()[2]) for r in runs)
-    memory = max(r.memory for r in runs)
-    bar = f"(bar {BAR_HOUR} s: {verdict(took <= BAR_HOUR)})"
-    print(f"an hour of driving, {read} frames, all signals kept: {took:.2f} s cpu, "
-          f"{memory:.0f} MiB {bar}")  # fmt: skip
-    return ratio >= BAR_MANY and took <= BAR_HOUR
+    fits = True
+    for estimator, most in BAR_HOUR.items():
+        config = hour.with_name(f"{estimator}.yaml")
+        text = CONFIG.read_text().replace(IN_TEXT, f"database: {DATABASE}")
+        config.write_text(f"{text}\ncalibration: {{estimator: {estimator}}}\n")
+        ours[-1] = str(config)
+        runs = [run([*ours, "signals", str(hour)]) for _ in range(rounds)]
+        read, _, _ = best(runs).output.split()
+        took = min(float(r.output.split()[2]) for r in runs)
+        memory = max(r.memory for r in runs)
+        bar = f"(bar {most} s: {verdict(took <= most)})"
+        print(f"an hour of driving, {read} frames, all signals kept, {estimator}: "
+              f"{took:.2f} s cpu, {memory:.0f} MiB {bar}")  # fmt: skip
+        fits &= took <= most
+    return ratio >= BAR_MANY and fits
 
 
 if __name__ == "__main__":

@@ -8,11 +8,19 @@ body by a random amount (`BETWEEN_DRIVES_STD`). In some cases somebody moves the
 about a random axis, before the drive or in it (`TURNED_AT_S`). Told are when the mount was
 confirmed, when its yaw was as certain as before the restart again, when it was called suspect,
 rightly or wrongly, and errors on the way.
+
+    python -m benchmarks.warm_start --sensor [--seeds 6] [--from 979000] [--first 20] [--minutes 8]
+
+The same of the joint estimator, with what it keeps of the sensor itself (cross-axis terms of 2 %):
+when it is *usable* from nothing, after a restart with the rotation alone and with the sensor, and
+in a new mount, where the old mount is still in front and where it was forgotten. Told are the
+times, and cross-talk xy and yx there over the stated deviation.
 """
 
 from __future__ import annotations
 
 import argparse
+import json
 import math
 import sys
 from collections.abc import Sequence
@@ -26,11 +34,15 @@ from numpy.typing import NDArray
 from imucald.core.rotations import rotation_from_vector, vector_from_rotation
 from imucald.motion.column_ticks import ticks_from_samples
 from imucald.mount.estimate import BETWEEN_DRIVES_STD, MountEstimator, MountState
+from imucald.mount.joint.estimator import JointEstimator
+from imucald.mount.joint.known import known_from
+from imucald.mount.mount_in_force import mount_in_force
 from imucald.mount.restored import Phase, RestoredEstimator, StoredMount
 from imucald.mount.saved_information import SavesInformation, saved_from
 from imucald.runtime.estimators import estimator_for
 from imucald.runtime.session import open_config
 from imucald.simulation import Drive, VehicleModel, random_model, simulate
+from imucald.simulation.imu import gain_matrix
 
 CONFIG = Path(__file__).parent.parent / "config" / "examples" / "passenger_car.yaml"
 MOVED_DEG = (0.0, 2.0, 5.0, 8.0)
@@ -121,7 +133,7 @@ def course(
             precise = min(precise, t)
         if t in LOOKS_S:
             assert estimator.correction is not None
-            now = np.array(estimator.correction).reshape(3, 3)
+            now = estimator.correction.matrix()
             errors.append(np.degrees(vector_from_rotation(truth @ now.T)))
             stds.append(np.degrees(std))
     return Course(confirmed, precise, doubted, np.array(errors), np.array(stds))
@@ -133,7 +145,11 @@ def main() -> int:
     parser.add_argument("--from", type=int, default=0, dest="start", metavar="SEED")
     parser.add_argument("--first", type=float, default=20.0, metavar="MIN")
     parser.add_argument("--minutes", type=float, default=12.0)
+    parser.add_argument("--sensor", action="store_true", help="the joint estimator's known sensor")
     options = parser.parse_args()
+    if options.sensor:
+        seeds = range(options.start, options.start + options.seeds)
+        return known_sensors(seeds, options.first, options.minutes)
     config = open_config(CONFIG).config
     found: dict[tuple[float, bool], list[Course]] = {
         (degrees, kept): [] for degrees in (*MOVED_DEG, WHILE_DRIVING) for kept in (False, True)
@@ -167,6 +183,88 @@ def main() -> int:
         looks = range(len(LOOKS_S)) if degrees == 0.0 else [len(LOOKS_S) - 1]
         print(f"{what}, evidence {'kept' if kept else 'left'}: {told(courses, looks)}")
     return 0
+
+
+REMOUNTED = {"mount.roll_deg": 9.0, "mount.pitch_deg": -14.0, "mount.yaw_deg": 63.0}
+CROSS_AXIS = 0.02
+CASES = ("from nothing", "restarted, rotation alone", "restarted, sensor known",
+         "remounted, old mount in front", "remounted, old mount in front, sensor known",
+         "remounted, old mount forgotten, sensor known")  # fmt: skip
+
+
+def known_sensors(seeds: Sequence[int], first: float, minutes: float) -> int:
+    """When the joint estimator is usable, by what it knows at the start."""
+    loaded = open_config(CONFIG).config
+    config = replace(loaded, calibration=replace(loaded.calibration, estimator="joint"))
+    found: dict[str, list[tuple[float, float]]] = {case: [] for case in CASES}
+    for seed in seeds:
+        model = random_model(seed, cross_axis=CROSS_AXIS)
+        before = estimator_for(config)
+        for row in rows_of(simulate(model, seed, first), first):
+            before.step(row)
+        stored = mount_in_force(before)
+        if stored is None or stored.sensor is None:
+            print(f"seed {seed}: the first drive leaves no state")
+            continue
+        stored = replace(stored, sensor=known_from(json.loads(json.dumps(stored.sensor.plain()))))
+        alone = replace(stored, sensor=None, applied=None, sent=None)
+        load = rotation_from_vector(np.random.default_rng(seed).normal(0.0, BETWEEN_DRIVES_STD))
+        same = simulate(model, seed + SECOND_ROADS, minutes)
+        turned = simulate(model.with_changes(REMOUNTED), seed + SECOND_ROADS, minutes)
+        afresh = estimator_for(config)
+        assert isinstance(afresh, JointEstimator)
+        assert stored.sensor is not None
+        afresh.take_known_sensor(stored.sensor, is_moved=True)
+        cases = (
+            (same, estimator_for(config)),
+            (same, RestoredEstimator(estimator_for(config), turned_by(alone, load))),
+            (same, RestoredEstimator(estimator_for(config), turned_by(stored, load))),
+            (turned, RestoredEstimator(estimator_for(config), alone)),
+            (turned, RestoredEstimator(estimator_for(config), stored)),
+            (turned, afresh),
+        )
+        for case, (drive, estimator) in zip(CASES, cases, strict=True):
+            found[case].append(usable_from(estimator, drive, minutes))
+            print(f"seed {seed}: {case}: {found[case][-1][0]:.0f} s", flush=True)
+    for case, courses in found.items():
+        times, ratios = np.array(courses).T
+        stated = ratios[np.isfinite(ratios)]
+        error = f", error over stated there rms {rms(stated):.2f}" if len(stated) else ""
+        print(f"{case}: usable after {np.median(times):.0f} s (median of {len(times)}; at most "
+              f"{times.max():.0f} s){error}")  # fmt: skip
+    return 0
+
+
+def turned_by(stored: StoredMount, R: NDArray[np.float64]) -> StoredMount:
+    """The same, as if load had turned the body by so much since."""
+    kept = stored.sensor
+    if kept is not None:
+        kept = kept._replace(rotation=R @ kept.rotation)
+    return replace(
+        stored, R_vehicle_from_sensor=R @ stored.R_vehicle_from_sensor, sensor=kept, evidence=None
+    )
+
+
+def usable_from(estimator: MountEstimator, drive: Drive, minutes: float) -> tuple[float, float]:
+    """When it was usable [s], and the larger of cross-talk xy and yx 10 s later over its stated
+    deviation; infinite and NaN where it never was."""
+    R, accel = drive.truth.mounts[-1][1], gain_matrix(drive.model.accel)
+    at = math.inf
+    for k, row in enumerate(rows_of(drive, minutes)):
+        estimator.step(row)
+        if estimator.state in GOOD:
+            at = min(at, (k + 1) / 10.0)
+        if (k + 1) / 10.0 >= at + 10.0:
+            break
+    applied, sent = estimator.correction, estimator.estimate().deviations
+    if applied is None or sent is None:
+        return at, math.nan
+    left = np.array(applied.force).reshape(3, 3) @ accel @ R.T
+    return at, max(abs(left[0, 1]) / sent.xy, abs(left[1, 0]) / sent.yx)
+
+
+def rms(values: NDArray[np.float64]) -> float:
+    return float(np.sqrt(np.mean(np.square(values))))
 
 
 def told(courses: list[Course], looks: Sequence[int]) -> str:

@@ -214,7 +214,7 @@ class ScriptedEstimator:
         k = self.steps
         if k < self.usable_from or k % 17 == 16:
             return None
-        return tuple(self._rotation().ravel().tolist())
+        return Correction.turning(self._rotation())
 
     @property
     def state(self) -> MountState:
@@ -241,7 +241,7 @@ class Fine(ScriptedEstimator):
 
     @property
     def correction(self) -> Correction:
-        return (1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0)
+        return Correction.turning(np.eye(3))
 
     @property
     def state(self) -> MountState:

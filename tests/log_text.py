@@ -47,7 +47,8 @@ def text_of(stamp: str, frame: Frame, gap: int = 1, tail: str = "", flags: int =
 _H = "[0-9a-fA-F]"
 _ID = f"(?:[0-7]{_H}{_H}|[01]{_H}{{7}})"
 _STRICT = re.compile(
-    r"\([0-9]{1,19}\.[0-9]{1,19}\) {1,32}[!-\"$-~]{1,32} "
+    r"\([ \t]{0,32}(?P<stamp>[0-9]{1,19}\.[0-9]{1,19})\)[ \t]{1,32}"
+    r"(?P<channel>[!-\"$-~]{1,32})[ \t]{1,32}"
     "(?:"
     f"(?P<classic>{_ID}#(?:{_H}{_H}){{0,8}})"
     f"|(?P<raw>{_ID}#(?:{_H}{_H}){{8}}_[9a-fA-F])"
@@ -55,7 +56,7 @@ _STRICT = re.compile(
     f"|(?P<remote>{_ID}#[rR](?:[0-8]|8_[9a-fA-F])?)"
     f"|(?P<error>[23]{_H}{{7}}#(?:{_H}{_H}){{0,8}})"
     f"|(?P<xl>{_H}{{5}}#{_H}{_H}:{_H}{_H}:{_H}{{8}}#(?:{_H}{_H}){{1,2048}})"
-    ")(?: [RT])?\r?"
+    r")(?:[ \t][RT])?\r?"
 )
 
 
@@ -70,6 +71,5 @@ def judged(line: bytes) -> Frame | str | None:
     fd = bool(match["fd"])
     number, data = (match["classic"] or match["raw"] or match["fd"]).split("#", 1)
     data = data[2:] if fd else data.split("_")[0]
-    stamp, channel = match[0].split()[:2]
     can_id = int(number, 16) + (CAN_EFF_FLAG if len(number) == 8 else 0)
-    return Frame(float(stamp[1:-1]), can_id, bytes.fromhex(data), channel, fd)
+    return Frame(float(match["stamp"]), can_id, bytes.fromhex(data), match["channel"], fd)

@@ -18,7 +18,7 @@ COMMANDS = (
     "diagnosis --only nulls second_world",
     "init --part measured", "init --part second_world", "init --part renamed",
     "integrity --only recorded", "methods", "real_drives", "real_drives --only wrx_sti",
-    "simulation_realism", "walk measured",
+    "signal_forms --group second_world measured", "simulation_realism", "walk measured",
 )  # fmt: skip
 pytestmark = pytest.mark.slow
 

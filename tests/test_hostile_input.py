@@ -320,7 +320,7 @@ def test_every_reason_of_a_refused_sample_is_reported(tmp_path):
         "out_of_range": sender.frame(0.0, "SPD", V=310.0),
         "saturated": sender.frame(0.0, "ACC", AX=60.0, AY=0.0, AZ=0.0),
         "not_available": (0.0, MESSAGES["ACC_Z"].can_id, b"\x80\x00"),
-        "short_frame": (0.0, MESSAGES["MAG"].can_id, bytes(7)),
+        "short_frame": (0.0, MESSAGES["MAG"].can_id, bytes(5)),
     }
     for reason, frame in spoilt.items():
         engine.frame(*frame)

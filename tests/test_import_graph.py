@@ -34,6 +34,7 @@ NEVER = {
     "config_check": {"api", "commands"},
     "diagnosis": {"api", "commands"},
     "discovery": {"api", "commands", "service", "uds"},
+    "drive": IO_ROOMS | {"diagnosis", "mount"},
     "feeds": {"api", "commands", "diagnosis", "uds"},
     "fleet": {"commands", "service", "uds"},
     "model_compensation": {"commands", "runtime", "service"},
@@ -68,6 +69,7 @@ LAZY_ROOMS = {"commands"}
 """A command loads what it needs when it runs: `--help` and other commands do without."""
 
 LAZY_MODULES: Mapping[str, str] = {
+    "__main__.main: cli": "Ctrl-C during its imports is one line",
     "api.drive._repr_html_: api.html": "2 ms: pages of notebooks",
     "api.drive.plot: api.plots": "1 ms: few draw",
     "api.drive.write: api.files.written": "2 ms: few write tables",
@@ -91,6 +93,7 @@ LAZY_MODULES: Mapping[str, str] = {
     "report.replay_page.replay_page: report.replay_plots": "loads matplotlib",
     "runtime.estimators.estimator_for: mount.restored": "1 ms: few state a mount",
     "runtime.estimators.known_mount: mount.restored": "with it",
+    "runtime.estimators.learning_estimator: mount.joint.estimator": "3 ms: few use it",
     "runtime.estimators.learning_estimator: mount.method_a.estimator": "4 ms, 0.4 MiB: few use it",
     "runtime.output.output_frames._attitude_frames: runtime.output.attitude_frames": "1 ms",
     "runtime.output.output_frames._travel_frames: runtime.output.travel_frames": "4 ms, 0.3 MiB",

@@ -145,8 +145,13 @@ def test_the_fast_lane_leaves_out_slow_tests_and_kernels(script: Any, fast: bool
     done: list[str] = []
     script.prepare = lambda extra: done.append(f"extra {extra}")
     script.prepare_can_kernel = lambda: done.append("kernel")
-    script.os = SimpleNamespace(chdir=done.append, execv=lambda _, program: done.extend(program))
+    script.os = SimpleNamespace(
+        chdir=done.append,
+        execv=lambda _, program: done.extend(program),
+        environ={"PYTHONDONTWRITEBYTECODE": "1"},
+    )
     script.main(["tests", *(["--fast"] if fast else []), "-x"])
+    assert script.os.environ == {"PYTHONPYCACHEPREFIX": str(script.BYTE_CODE)}, "compiled once"
     assert ("kernel" in done) != fast
     assert ("not slow" in done) == fast
     assert ("tests/vcan" in done) == fast

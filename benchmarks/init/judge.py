@@ -117,7 +117,8 @@ def judge(
     unseen: quantities whose signals never change in the drive; they are not asked.
     """
     verdict = Verdict()
-    found = quantities_of(proposed)[0]
+    # a file without any signal is no configuration
+    found = quantities_of(proposed)[0] if any(c.sources for c in proposal.choices) else {}
     answers = quantities_of(right)
     turns: dict[str, np.ndarray] = {}
     for name in answers[0]:

@@ -82,7 +82,7 @@ class ObfuscatedBus:
         self.decoys: list[tuple[DrawnMessage, list[str]]] = []
         self._names = itertools.count(1)
         self._numbers = itertools.count(1)
-        ids = [i for i in range(0x20, 0x7A0) if not 0x640 <= i <= 0x64C]  # those we send
+        ids = [i for i in range(0x20, 0x7A0) if not 0x640 <= i <= 0x64E]  # those we send
         self._ids = self.rng.permutation(ids).tolist()
         self._draw()
 

@@ -1,6 +1,7 @@
 """Mount accuracy on simulated drives: the figures of docs/mount-accuracy.md.
 
-    python -m benchmarks.mount_accuracy [--quick] [--first SEED] [--only PART ...] [--write]
+    python -m benchmarks.mount_accuracy [--quick] [--first SEED] [--only PART ...] [--drives N]
+                                        [--write]
 
 Every drive has crown and grade (2 % rms), squat and body roll, accelerometer bias 10 mg, gyro
 bias 0.3 deg/s, speed scale 1 %, vibration, time jitter, delays of 0-0.3 s and any mount, with or
@@ -34,7 +35,7 @@ from benchmarks.mount_accuracy.seeds import (
     SHIFTS_AT,
     tuned_on,
 )
-from benchmarks.mount_accuracy.tables import bars, quantiles, table
+from benchmarks.mount_accuracy.tables import bars, force_table, quantiles, table
 from imucald.mount.estimator import FullEstimator
 
 PAGE = ROOT / "docs" / "mount-accuracy.md"
@@ -98,6 +99,8 @@ def accuracy(size: Size) -> list[str]:
         found = traces(size, cross)
         lines += ["", f"### Errors on {size.drives} mixed drives{title}", ""]
         lines += table(found, size.times)
+        lines += ["", "What a consumer gets: cross-talk [deg] and level zero [m/s²]:", ""]
+        lines += force_table(found, size.times)
         if not cross:
             lines += bars(found["full"], size.times)
     return lines
@@ -253,8 +256,11 @@ def main() -> int:
         "--write", action="store_true", help="put the figures of these parts into the docs"
     )
     parser.add_argument("--first", type=int, default=FIRST_SEED, help="first seed")
+    parser.add_argument("--drives", type=int, help="of the part accuracy")
     options = parser.parse_args()
     size = replace(QUICK if options.quick else Size(), first=options.first)
+    if options.drives:
+        size = replace(size, drives=options.drives)
     if tuned := tuned_on(sorted(size.seeds())):
         parser.error(
             f"--first {size.first}: {len(tuned)} of its seeds were tuned on ({tuned[0]} ...)"

@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from benchmarks.integrity.force import Response, left_over, stated
 from imucald.config.calibration import CalibrationSettings
 from imucald.config.vehicle import VehicleSettings
 from imucald.core.rotations import Matrix3, rotation_from_vector, vector_from_rotation
@@ -25,6 +26,7 @@ from imucald.mount.estimator_settings import EstimatorSettings
 from imucald.mount.method_a.estimator import PublishedEstimator
 from imucald.mount.method_a.settings import PublishedSettings
 from imucald.simulation import random_model, simulate
+from imucald.simulation.imu import gain_matrix
 
 Array = NDArray[np.float64]
 
@@ -43,19 +45,23 @@ class Drive:
     rows: Array
     R_vehicle_from_sensor: Matrix3
     crown: float  # mean roll of the roads driven [rad]
+    response: Response = field(default_factory=Response)
 
 
 def drive(
     seed: int, minutes: float, changes: Mapping[str, Any] | None = None, **drawn: Any
 ) -> Drive:
     """A drive whose nuisances are all drawn from the seed, with some of them then changed."""
-    kept = _kept_at(f"{seed} {minutes} {changes} {drawn}")
-    if kept is not None and kept.exists():
-        with np.load(kept) as found:
-            return Drive(seed, found["rows"], found["R"], float(found["crown"]))
     model = random_model(seed, **drawn)
     if changes:
         model = model.with_changes(changes)
+    response = Response(
+        gain_matrix(model.accel), gain_matrix(model.gyro), np.array(model.accel.bias)
+    )
+    kept = _kept_at(f"{seed} {minutes} {changes} {drawn}")
+    if kept is not None and kept.exists():
+        with np.load(kept) as found:
+            return Drive(seed, found["rows"], found["R"], float(found["crown"]), response)
     made = simulate(model, seed, minutes)
     rows = ticks_from_samples(made.samples, 0, int(minutes * 600))
     R, crown = made.truth.R_vehicle_from_sensor(), made.truth.mean_crown()
@@ -63,7 +69,7 @@ def drive(
         making = kept.with_suffix(".making.npz")
         np.savez(making, rows=rows, R=R, crown=crown)
         making.rename(kept)
-    return Drive(seed, rows, R, crown)
+    return Drive(seed, rows, R, crown, response)
 
 
 def _kept_at(recipe: str) -> Path | None:
@@ -79,12 +85,16 @@ class Said:
     """What was said at a time: errors and standard deviations about x, y, z [deg].
 
     beyond_crown: the error about x when the drive's mean crown is taken as known [deg].
+    left, left_std: (8,) what the correction that was found leaves in a consumer's samples, and its
+    stated deviations (`integrity.force.ENTRIES`).
     """
 
     error: Array
     std: Array
     beyond_crown: float
     shares: Mapping[str, Mapping[str, float]]
+    left: Array
+    left_std: Array
 
 
 KEEPS_RIGHT = VehicleSettings(driving_side="right")
@@ -172,6 +182,14 @@ def _said(estimator: MountEstimator, made: Drive) -> Said | None:
     turned = rotation_from_vector([made.crown - expected, 0.0, 0.0]) @ made.R_vehicle_from_sensor
     beyond = float(np.degrees(vector_from_rotation(turned @ R.T))[0])
     shares = estimate.details.get("evidence_share", {})
+    applied, sent = estimate.correction, estimate.sent
+    assert applied is not None
+    assert sent is not None
     return Said(
-        error, np.degrees(np.array(std)), beyond, shares if isinstance(shares, dict) else {}
+        error,
+        np.degrees(np.array(std)),
+        beyond,
+        shares if isinstance(shares, dict) else {},
+        left_over(applied, made.response, made.R_vehicle_from_sensor, turned),
+        stated(sent),
     )

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from benchmarks.integrity.force import ENTRIES
 from benchmarks.measured import verdict
 from benchmarks.mount_accuracy.drives import Trace
 
@@ -41,6 +42,34 @@ def table(found: dict[str, list[Trace]], times: Sequence[float]) -> list[str]:
             lines.append(
                 f"| {name}{less} | {minutes:g} min | {middle} |"
                 f" {held[0]:.0f}, {held[1]:.0f}, {held[2]:.0f} % |"
+            )
+    return lines
+
+
+def force_table(found: dict[str, list[Trace]], times: Sequence[float]) -> list[str]:
+    """Of what a consumer gets: error, median and 90th percentile, and the median of what is stated.
+
+    Cross-talk of the force and of the rate [deg], level zero [m/s^2].
+    """
+    names = " |".join(f" {name}" for name in ENTRIES)
+    lines = [
+        f"| estimator | after |{names} | rms(error/deviation) | 95 % holds |",
+        "|---" * (len(ENTRIES) + 4) + "|",
+    ]
+    for name, runs in found.items():
+        for minutes in times:
+            said = [trace.said[minutes] for trace in runs if minutes in trace.said]
+            if not said:
+                continue
+            left, std = np.array([s.left for s in said]), np.array([s.left_std for s in said])
+            cells = [
+                "{:.2f} / {:.2f}, s {:.2f}".format(*quantiles(left[:, i]), np.median(std[:, i]))
+                for i in range(len(ENTRIES))
+            ]
+            z = left / std
+            lines.append(
+                f"| {name} | {minutes:g} min | {' | '.join(cells)} |"
+                f" {np.sqrt(np.mean(z**2)):.2f} | {100.0 * np.mean(np.abs(z) <= 1.96):.0f} % |"
             )
     return lines
 

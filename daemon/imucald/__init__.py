@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from imucald.api.checking import CheckReport, check
     from imucald.api.configuration import Configuration as Config
+    from imucald.api.correction import CorrectionResult
     from imucald.api.diagnosing import DiagnosisResult, diagnose
     from imucald.api.drive import DriveResult
     from imucald.api.drives import DriveSet
@@ -38,6 +39,7 @@ _PLACES = {
     "Fleet": ("fleet.opened", "FleetTables"),
     "ImucaldError": ("core.errors", "ImucaldError"),
     "LogError": ("core.errors", "LogError"),
+    "CorrectionResult": ("api.correction", "CorrectionResult"),
     "MountResult": ("api.mount", "MountResult"),
     "WalkResult": ("api.walking", "WalkResult"),
     "check": ("api.checking", "check"),
@@ -54,6 +56,7 @@ __all__ = [
     "CheckReport",
     "Config",
     "ConfigError",
+    "CorrectionResult",
     "DiagnosisResult",
     "DrivePart",
     "DriveResult",

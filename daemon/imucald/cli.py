@@ -23,6 +23,7 @@ from typing import Any
 from imucald import __version__
 from imucald.commands.interrupting import ending_signal, interrupt, terminate
 from imucald.core.errors import ImucaldError
+from imucald.core.outside_text import SafeStream
 
 PROCESS_SETTINGS = {
     "OPENBLAS_NUM_THREADS": "1",  # matrices are small: threads cost more time than they save
@@ -44,6 +45,10 @@ SIGNALS = (
 """What a signal does by default, and what it does here."""
 FULL = (errno.ENOSPC, errno.EDQUOT, errno.EIO)
 """What writing gives where a disk is full or broken."""
+
+TOO_MANY_FILES = (errno.EMFILE, errno.ENFILE)
+NO_ROOM = "failed to map segment"
+"""What the loader says of a library that finds no room in the address space."""
 
 DEFAULT_COLUMNS = 80
 """Width of help texts where there is no terminal."""
@@ -197,6 +202,9 @@ def _parsed(parser: argparse.ArgumentParser, arguments: list[str]) -> argparse.N
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Entry point of the `imucald` command; returns the exit status."""
+    streams = sys.stdout, sys.stderr
+    sys.stdout = sys.stdout and SafeStream(sys.stdout)
+    sys.stderr = sys.stderr and SafeStream(sys.stderr, is_for_people=True)
     taken = []
     for number, usual, handler in SIGNALS:
         if signal.getsignal(number) is usual:  # not ignored, not somebody else's
@@ -204,6 +212,11 @@ def main(argv: Sequence[str] | None = None) -> int:
                 taken.append((number, handler, signal.signal(number, handler)))
     try:
         return _done(argv)
+    except (MemoryError, ImportError, OSError) as error:
+        if (text := _limit_words(error)) is None:
+            raise
+        print(f"imucald: {text}", file=sys.stderr)
+        return 1
     except KeyboardInterrupt:
         if died_of := ending_signal():
             return DIED_OF + died_of
@@ -213,6 +226,21 @@ def main(argv: Sequence[str] | None = None) -> int:
         for number, handler, before in taken:
             if signal.getsignal(number) is handler:
                 signal.signal(number, before)
+        sys.stdout, sys.stderr = streams
+
+
+def _limit_words(error: Exception) -> str | None:
+    """Which limit of this process is reached, and what to do; None where it is none."""
+    number = error.errno if isinstance(error, OSError) else None
+    if number in TOO_MANY_FILES:
+        return "too many open files: allow this process more of them (ulimit -n)"
+    no_room = isinstance(error, ImportError) and NO_ROOM in str(error)
+    if isinstance(error, MemoryError) or number == errno.ENOMEM or no_room:
+        return (
+            "the memory that this process may use is full: allow it more, or give it less at once "
+            "(one log, a shorter one)"
+        )
+    return None
 
 
 def _done(argv: Sequence[str] | None) -> int:

@@ -18,6 +18,7 @@ PUBLIC = [
     "CheckReport",
     "Config",
     "ConfigError",
+    "CorrectionResult",
     "DiagnosisResult",
     "DrivePart",
     "DriveResult",

@@ -142,6 +142,33 @@ def test_grade_is_that_of_the_road():
     assert e.grade_std > 0.0
 
 
+@pytest.mark.parametrize("speed_every", [5, 50])
+def test_it_updates_at_its_interval_whatever_the_rate_of_the_speed(speed_every, monkeypatch):
+    """Method C, each sampling period; the truth is the rigid body's."""
+    motion = Motion(hilly, driving, 120.0)
+    bias = (0.3 * DEG, -0.4 * DEG, 0.5 * DEG)
+    attitude = AttitudeFilter(settings({"interval": 1.0 / RATE}))
+    newest: list[float] = []
+    take = attitude.kalman.update
+
+    def update(measurements):
+        newest.append(attitude._propagator.t)
+        return take(measurements)
+
+    monkeypatch.setattr(attitude.kalman, "update", update)
+    found = motion.feed(attitude, bias, speed_every)
+    times = np.unique([t for t in newest if t > 10.0])
+    assert np.diff(times).max() == pytest.approx(1.0 / RATE, abs=1e-6)
+    errors, stds = [], []
+    for i in range(int(30 * RATE), len(found), 25):
+        roll, pitch = motion.angles(i)
+        errors.append((found[i].roll - roll, found[i].pitch - pitch))
+        stds.append(found[i].std[:2])
+    errors, stds = np.array(errors), np.array(stds)
+    assert np.sqrt((errors**2).mean(axis=0)).max() < 0.15 * DEG
+    assert np.mean(np.abs(errors) < 1.96 * stds) > 0.9
+
+
 def test_reversing_is_the_other_way_round():
     speed = lambda t: -0.4 * np.clip(t - 10.0, 0.0, 8.0)  # noqa: E731
     e = Motion(lying(pitch=0.05), speed, 17.0).feed(AttitudeFilter(settings()))[-1]

@@ -23,7 +23,7 @@ from imucald.cli import main
 from imucald.core.errors import ConfigError
 from imucald.core.rotations import rotation_from_angles
 from imucald.inputs.wiring import compile_router
-from imucald.mount.estimate import MountEstimate, MountState
+from imucald.mount.estimate import Correction, MountEstimate, MountState
 from imucald.runtime.consumers import ORDER, consumers_for
 from imucald.runtime.engine import Engine
 from imucald.runtime.output.output_frames import OutputFrames
@@ -86,7 +86,7 @@ class FixedEstimator:
         if self.ticks < 10:
             return None
         off = rotation_from_angles(0.0, 0.0, 0.01) if self.ticks < 100 else np.eye(3)
-        return tuple((off @ MOUNT).ravel().tolist())
+        return Correction.turning(off @ MOUNT)
 
     def step(self, tick):
         self.ticks += 1
@@ -326,7 +326,7 @@ def test_what_cannot_be_is_left_out_and_counted(tmp_path):
     loaded = load(CAR + "travel_direction: {enabled: false}\n", tmp_path, DBC)
     engine = engine_for(loaded)
     (consumer,) = engine.consumers
-    rotation = tuple(MOUNT.ravel().tolist())
+    rotation = Correction.turning(MOUNT)
     rng = np.random.default_rng(2)
     for k in range(2000):
         t = 0.02 * k
@@ -361,7 +361,7 @@ def test_nothing_from_a_bus_breaks_a_consumer(samples):
     impossible = {attitude: 0, travel: 0}
     for k, (channel, pause, values) in enumerate(samples):
         t += pause * pause * 0.1
-        rotation = tuple(rotation_from_angles(0.1, 0.2, 0.001 * k).ravel().tolist())
+        rotation = Correction.turning(rotation_from_angles(0.1, 0.2, 0.001 * k))
         wide = values if channel in ("gyro", "mag", "accel") else values[:1]
         for consumer in engine.consumers:
             if channel in consumer.channels:
@@ -382,7 +382,7 @@ def test_nothing_from_a_bus_breaks_a_consumer(samples):
 
 def lie_still(consumer, start):
     """A minute of a vehicle at rest, after a jump of time."""
-    rotation = tuple(MOUNT.ravel().tolist())
+    rotation = Correction.turning(MOUNT)
     gravity = tuple((MOUNT.T @ [0.0, 0.0, G]).tolist())
     consumer.gap()
     for k in range(3000):

@@ -11,10 +11,11 @@ import pytest
 from engine_bus import load
 from imucald.attitude.sensor_check import CheckResult
 from imucald.core.rotations import rotation_from_angles
-from imucald.mount.estimate import MountEstimate, MountState
+from imucald.mount.estimate import Correction, MountEstimate, MountState
 from imucald.runtime.consumer import ChecksSensors
 from imucald.runtime.consumers import AttitudeConsumer, consumers_for
 from imucald.runtime.output.output_frames import OutputFrames
+from imucald.runtime.session import make_engine
 from imucald.service.calibration_store import CalibrationStore
 from imucald.service.state_file import StateKey, StateStore
 
@@ -61,7 +62,7 @@ def consumer_of(tmp_path: Path, method: str) -> AttitudeConsumer:
 def stand(consumer: AttitudeConsumer, t: float, seconds: float, mount: np.ndarray,
           error: np.ndarray = ERROR) -> float:  # fmt: skip
     """At rest, samples in sensor axes under a known mount."""
-    correction = tuple(mount.ravel().tolist())
+    correction = Correction.turning(mount)
     rng = np.random.default_rng(int(t))
     for k in range(round(seconds * 20.0)):
         now = t + 0.05 * k
@@ -124,7 +125,7 @@ class Known:
     """An estimator that knows the mount."""
 
     state = MountState.FINE
-    correction = tuple(MOUNT.ravel().tolist())
+    correction = Correction.turning(MOUNT)
 
     def estimate(self):
         return MountEstimate(self.state, MOUNT, 1e-6 * np.eye(3))
@@ -144,3 +145,59 @@ def test_it_is_saved_with_the_mount_and_alone_is_reason_to_save(tmp_path):
     later = CalibrationStore(StateStore(tmp_path, StateKey("car", "sensor")), lambda *_: None)
     later.restore(Known())
     assert later.saved_check == check
+
+
+STATED = """
+calibration:
+  mount: {roll_deg: 1.0, pitch_deg: -2.0, yaw_deg: 30.0, std_deg: 0.5, hold: HOLD}
+"""
+CHECK = {"rate": [0.001, 0.002, 0.003], "force": [0.0, 0.0, 0.1]}
+
+
+def store_in(folder: Path) -> CalibrationStore:
+    return CalibrationStore(StateStore(folder, StateKey("car", "sensor")), lambda *_: None)
+
+
+@pytest.mark.parametrize("hold", ["false", "true"])
+def test_it_is_saved_with_a_stated_mount_that_no_drive_has_confirmed(tmp_path, hold):
+    text = CAR.replace("METHOD", "filter") + STATED.replace("HOLD", hold)
+    estimator = make_engine(load(text, tmp_path, DBC)).pipeline.estimator
+    first = store_in(tmp_path / "state")
+    first.restore(estimator)
+    first.update(estimator, 10.0)
+    assert first.saved_check is None
+    first.sensor_check = lambda: CHECK
+    first.update(estimator, 50.0)
+    first.writer.flush(5.0)
+    generation = first.store.generation
+    assert generation > 0
+    first.update(estimator, 100.0)  # a vehicle that stands wears out no memory
+    first.close(estimator, 200.0)
+    assert first.store.generation == generation
+    second = store_in(tmp_path / "state")
+    again = second.restore(make_engine(load(text, tmp_path, DBC)).pipeline.estimator)
+    assert second.saved_check == CHECK
+    assert again.state is estimator.state
+    assert again.correction.rotation == pytest.approx(estimator.correction.rotation)
+    third = store_in(tmp_path / "state")
+    third.restore(again)
+    third.sensor_check = lambda: {**CHECK, "rate": [0.002, 0.002, 0.003]}
+    third.close(again, 20.0)
+    fourth = store_in(tmp_path / "state")
+    fourth.restore(again)
+    assert fourth.saved_check == third.sensor_check()
+
+
+class Doubted(Known):
+    state = MountState.SUSPECT
+
+
+def test_it_is_saved_beside_a_doubted_mount(tmp_path):
+    kept = store_in(tmp_path)
+    kept.update(Known(), 10.0)
+    kept.update(Doubted(), 20.0)
+    kept.sensor_check = lambda: CHECK
+    kept.close(Doubted(), 30.0)
+    later = store_in(tmp_path)
+    later.restore(Known())
+    assert later.saved_check == CHECK

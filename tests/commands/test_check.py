@@ -21,6 +21,7 @@ from imucald.can.logs.log_reader import CandumpWriter, LogReader
 from imucald.can.python_can import can
 from imucald.commands.check_view import print_report
 from imucald.config import parse_config
+from imucald.config.base import MAX_SPEED_DELAY
 from imucald.config_check import Check
 from imucald.core.rotations import rotation_from_angles
 from imucald.core.samples import Series
@@ -93,6 +94,33 @@ def test_rates_units_and_ranges_are_those_of_the_log(frames: Frames) -> None:
     assert report["frames"]["read"] == report["frames"]["used"] == sent
     assert report["duration_s"] == pytest.approx(60 * MINUTES, abs=0.1)
     json.dumps(report, allow_nan=False)
+
+
+@pytest.mark.parametrize("share", [0.0, 0.005, 0.05])
+def test_lost_frames_are_shown_and_a_recorder_that_drops_them_is_named(frames, share) -> None:
+    rng = np.random.default_rng(1)
+    report = checked([chunk.take(rng.random(len(chunk)) >= share) for chunk in frames])
+    lost = {row["name"]: row["lost_share"] for row in report["messages"]}
+    assert lost["IMU_Accel"] == pytest.approx(share, abs=0.005)  # by its counter
+    assert lost["ESC_Speed"] == pytest.approx(share, abs=0.01)  # by its times
+    text = findings(report, "warning").get("log", "")
+    assert ("% of the frames of each message are lost" in text) == (share == 0.05)
+    assert report["usable"]
+
+
+@pytest.mark.parametrize(("seconds", "is_said"), [(1.0, False), (2.0, True)])
+def test_a_speed_that_comes_seldom_is_named_with_what_it_costs(frames, seconds, is_said) -> None:
+    seldom = []
+    for chunk in frames:
+        is_speed = np.isin(chunk.can_id & 0x7FF, (0x1A0, 0x1B0))  # the vehicle's and the wheels'
+        kept = ~is_speed
+        for can_id in (0x1A0, 0x1B0):
+            rows = np.flatnonzero((chunk.can_id & 0x7FF) == can_id)
+            at = np.floor(chunk.t[rows] / seconds)
+            kept[rows[np.diff(at, prepend=-1.0) > 0]] = True
+        seldom.append(chunk.take(kept))
+    text = findings(checked(seldom), "note").get("speed", "")
+    assert ("twice as long" in text) == is_said
 
 
 SIGNAL = "{{signal: {0}, {1}}}"
@@ -221,7 +249,38 @@ def test_a_speed_too_late_for_the_calibration_is_named(frames: Frames, late: flo
         order = np.argsort(t, kind="stable")
         shifted.append(replace(chunk.take(order), t=t[order]))
     warned = findings(checked(shifted), "warning")
-    assert "s behind the accelerometer; up to 1.2 s are allowed for" in warned["speed"]
+    assert f"behind the accelerometer; up to {MAX_SPEED_DELAY} s are allowed for" in warned["speed"]
+
+
+def test_a_speed_of_two_senders_that_contradict_is_named_and_nothing_judged_by_it(
+    frames: Frames,
+) -> None:
+    """As two units of J1939 send one message, one of them without a value."""
+    rng, mixed = np.random.default_rng(3), []
+    for chunk in frames:
+        rows = np.flatnonzero(chunk.can_id == 0x1A0)
+        data = chunk.data.copy()
+        other = rows[rng.random(len(rows)) < 0.4]
+        data[other, :2] = 25000 & 0xFF, 25000 >> 8  # 250 km/h
+        mixed.append(replace(chunk, data=data))
+    report = checked(mixed, lambda text: re.sub(r"  ESC_Speed:\n(?:    .*\n)+", "", text))
+    wrong = findings(report, "error", "warning")
+    assert "jumps as no vehicle does" in wrong["speed"]
+    assert "source_address" in wrong["speed"]
+    assert "gyroscope" not in wrong
+    assert not report["usable"]
+
+
+def test_what_nothing_is_learnt_from_is_named_with_signal_cause_and_time(frames: Frames) -> None:
+    began = frames[0].t[0]
+    silent = []
+    for chunk in frames:
+        t = chunk.t - began
+        silent.append(chunk.take(~((chunk.can_id == 0x1A0) & (t > 100.0) & (t < 130.0))))
+    said = findings(checked(silent), "note")["log"]
+    seconds = re.search(r"of 240 s nothing is learnt from: speed no sound samples (\d+) s", said)
+    assert seconds is not None, said
+    assert 25 <= int(seconds[1]) <= 35
 
 
 def twice(frames: Frames, later: float = 0.0) -> Frames:
@@ -311,6 +370,24 @@ def test_a_log_in_which_no_time_passes_is_an_error(frames: Frames) -> None:
     report = checked([replace(chunk, t=np.zeros(len(chunk))) for chunk in frames])
     assert not report["usable"]
     assert "no time passes" in findings(report, "error")["log"]
+
+
+@pytest.mark.parametrize("stamp", ["milliseconds for seconds", "begins again each second"])
+def test_a_log_with_more_frames_than_any_bus_carries_is_an_error(frames: Frames, stamp) -> None:
+    """As if each time stamp had a thousand times the unit, or looped from 0 to 1 s."""
+    factor = 1e-3 if stamp.startswith("milli") else 1.0
+    chunks = [
+        replace(c, t=1e9 + factor * (c.t - frames[0].t[0]) % (1.0 if factor == 1.0 else np.inf))
+        for c in frames
+    ]
+    report = checked(chunks)
+    assert not report["usable"]
+    assert "more frames than any CAN bus carries" in findings(report, "error")["log"]
+
+
+def test_samples_that_share_a_coarse_time_stamp_are_too_seldom(frames: Frames) -> None:
+    report = checked([replace(chunk, t=np.floor(chunk.t)) for chunk in frames])
+    assert "time stamps too coarse" in findings(report, "error")["accelerometer"]
 
 
 def test_exchanged_wheels_are_noticed(frames: Frames) -> None:
@@ -688,7 +765,9 @@ def test_frames_that_were_not_used_are_counted(
     report = checked(frames, replacing("id_bytes: 2", "id_bytes: 4"))
     print_report(report)
     first = capsys.readouterr().out.splitlines()[0]
-    read, used, left, other = map(int, re.findall(r"(\d+) (?:frames|used|of the|not asked)", first))
+    read, used, left, other = map(
+        int, re.findall(r"(\d+) (?:frames|used|of the|not configured)", first)
+    )
     assert read == used + left + other
     assert left == sum(report["frames"]["rejected"].values()) > 0
 

@@ -277,7 +277,7 @@ def test_bytes_that_are_no_text_are_shown_as_bytes_and_named_so(run_main, tmp_pa
     assert status == 1
     assert "\\\\" not in text
     assert "codec" not in text
-    assert ("it is not text" if name == "a.asc" else r"begins with '\xb6K7\xd4\x9b") in text
+    assert ("holds no CAN frame" if name == "a.asc" else r"begins with '\xb6K7\xd4\x9b") in text
 
 
 @pytest.mark.parametrize("command", ["replay", "check", "init"])
@@ -302,7 +302,8 @@ def test_each_mistake_of_a_configuration_is_a_line_of_imucald(run_main, log, tmp
     assert len(lines) == 2
     for line in lines:
         assert line.startswith(f"imucald: {wrong}:3: signals.accelerometer[")
-        assert "must be a mapping, got a text; its keys: x, y, z (here: 'IMU_Accel.Accel" in line
+        assert "must be a mapping, got a text; its keys: x, y, z, source_address" in line
+        assert "(here: 'IMU_Accel.Accel" in line
 
 
 def test_a_table_that_cannot_be_written_says_why_in_the_systems_words(run_main, log):

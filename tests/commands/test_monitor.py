@@ -142,6 +142,16 @@ def test_sensors_are_not_called_sound_while_none_sends(silent):
     assert "nothing has come yet" in line
 
 
+def test_what_is_not_learnt_from_is_a_row_where_there_is_something(status):
+    def text() -> str:
+        return "\n".join(drawn(lambda c: monitor_picture(status, [], c, Text("")), 120, 50))
+
+    assert "not learnt from" not in text()
+    left_out = {"signal": "speed", "cause": "stuck", "seconds": 12.0}
+    status["details"]["not_learnt_from"] = [left_out]
+    assert "not learnt from  speed stuck 12 s" in text()
+
+
 def test_inputs_say_what_is_wrong_with_them(status):
     text = "\n".join(drawn(lambda c: monitor_picture(status, [], c, Text("")), 120, 50))
     accel = next(line for line in text.splitlines() if line.startswith("accel"))
@@ -233,6 +243,16 @@ def test_what_is_known_later_of_an_event_takes_its_place(silent, status):
     assert [e.text for e in moved] == ["the sensor was moved: by +7.0 deg about z (yaw)"]
 
 
+def test_a_sensor_that_was_found_where_it_was_is_no_longer_said_to_be_moved(silent, status):
+    shift = {"t": 40.0, "angle": "yaw", "size_deg": 5.0, "turn_deg": None, "within_deg": None}
+    first, later = copy.deepcopy(status), copy.deepcopy(status)
+    first["details"] = {"shifts": [shift]}
+    later["details"] = {"shifts": [shift | {"turn_deg": [0.0, 0.0, -0.1], "within_deg": 1.2}]}
+    events = events_of(silent, first, later).events
+    (text,) = (e.text for e in events if e.kind in ("moved", "evidence"))
+    assert text == "the mount was found again where it was, within ±1.2 deg"
+
+
 def test_two_faults_of_one_moment_are_both_listed(silent, status):
     both = copy.deepcopy(status)
     names = [StandingFault.ORIENTATION, StandingFault.FORWARD]
@@ -309,6 +329,48 @@ def test_nothing_else_is_served_and_nobody_else_may_ask(status, method, path, ho
     ((found, _, text),) = asked(status, (method, path, host))
     assert found == code
     assert "mount" not in text
+
+
+def test_half_open_requests_are_few_and_keep_nobody_out(status, monkeypatch):
+    web = pytest.importorskip("aiohttp.web")
+    from aiohttp import ClientSession
+
+    from imucald.commands import monitor_web
+
+    monkeypatch.setattr(monitor_web, "ASK_S", 0.5)
+    state = monitor_web.LiveState()
+    state.update(status, 1.6e9)
+
+    async def attacked() -> tuple[int, int, int]:
+        bounded = monitor_web.Connections()
+        runner = web.AppRunner(monitor_web.application(state, bounded))
+        await runner.setup()
+        bounded.bound(runner.server)
+        await web.TCPSite(runner, "127.0.0.1", 0).start()
+        port = runner.addresses[0][1]
+        writers = []
+        for _ in range(100):
+            _, writer = await asyncio.open_connection("127.0.0.1", port)
+            writer.write(b"GET /live HTTP/1.1\r\nHost: 127.0.0.1\r\n")
+            writers.append(writer)
+        await asyncio.sleep(0.1)
+        most = len(runner.server.connections)
+        async with ClientSession() as session:
+            answer = await session.get(f"http://127.0.0.1:{port}/live")
+            code = answer.status
+            await asyncio.sleep(0.7)
+            left = len(runner.server.connections)
+            again = await session.get(f"http://127.0.0.1:{port}/live")  # on the same connection
+            assert again.status == code
+        for writer in writers:
+            writer.close()
+        await runner.cleanup()
+        return most, code, left
+
+    most, code, left = asyncio.run(attacked())
+    assert most <= monitor_web.CONNECTIONS_MAX
+    assert code == 200
+    assert left == 1
 
 
 def test_a_long_history_stays_small_and_ends_with_now(status):

@@ -45,7 +45,7 @@ def test_a_sensor_that_sticks_is_reported_with_its_time(
     capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
     lines = replayed(capsys, tmp_path, STICKS_AT)
-    events = [line for line in lines if "accel stuck" in line]
+    events = [line for line in lines if line.startswith("at ") and "accel stuck" in line]
     assert len(events) == 1
     assert events[0].startswith("at 1:4")
     text = " ".join(line.strip() for line in lines)

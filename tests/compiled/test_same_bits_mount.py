@@ -158,7 +158,7 @@ def test_sums_over_the_ticks_of_a_block(seed: int) -> None:
     late = float(rng.choice([0.0, 0.3, -0.2, 1.2, 0.05]))
     motion = block_yaw.BlockMotion(p.force, p.accel, p.speed * turn_rate, turn_rate, late, 0.1)
     agree(block_yaw._sums, motion, p.learn)
-    agree(alternatives._left_over, p.accel, p.force[:, 1], p.rate, p.speed, rotation(rng), 0.9)
+    agree(alternatives.gyro_energies, p.accel, p.force[:, 1], p.rate, p.speed, rotation(rng), 0.9)
 
 
 @SEEDS
@@ -289,8 +289,8 @@ def test_sums_of_a_delay(seed: int) -> None:
 
     def searched() -> object:
         delay = DelaySearch(DelayPrior())
-        for one in windows:
-            delay.add(one[:, 0], one[:, 1:])
+        for k, one in enumerate(windows):
+            delay.add(one[:, 0], one[:, 1:], float(k))
         return delay._cross, delay._powers, delay.windows
 
     agree(searched)

@@ -40,7 +40,7 @@ def test_terms_that_change_from_sample_to_sample_do_not_make_a_stuck_sensor_move
     assert estimate is not None
     counted = estimate.details["frozen_ticks"]
     assert isinstance(counted, dict)
-    assert counted["stuck"] >= 95 * frozen
+    assert counted[channel]["stuck"] >= 95 * frozen
     assert estimate.R_vehicle_from_sensor is not None
     assert estimate.std is not None
     true = drive.truth.R_vehicle_from_sensor()

@@ -64,6 +64,25 @@ def test_the_page_is_whole_and_needs_no_network(page):
 
 
 @pytest.mark.slow
+def test_the_page_names_what_was_not_learnt_from(moved, tmp_path):
+    lines = moved[1].read_text("utf-8").splitlines(keepends=True)
+    times = [float(line[1 : line.index(")")]) for line in lines]
+    log = tmp_path / "drive.log"
+    within = [
+        100.0 < t - times[0] < 130.0 and " 1A0#" in line
+        for t, line in zip(times, lines, strict=True)
+    ]
+    assert sum(within) > 100
+    log.write_text(
+        "".join(line for line, cut in zip(lines, within, strict=True) if not cut), "utf-8"
+    )
+    arguments = ["replay", "--config", str(CONFIG), str(log), "--quiet", "--report"]
+    assert cli.main([*arguments, str(tmp_path / "page")]) == 0
+    text = (tmp_path / "page" / "index.html").read_text("utf-8")
+    assert re.search(r"Not learnt from: speed no sound samples (2\d|3\d) s", text)
+
+
+@pytest.mark.slow
 def test_the_page_says_how_the_sensor_sits_and_what_happened(page):
     text, result = page
     words = " ".join(Page(text).texts)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import os
 import socket
 import subprocess
@@ -12,6 +13,9 @@ from pathlib import Path
 import pytest
 
 import shuttle
+from imucald.can.link.link import LinkEvent, LinkState
+from imucald.runtime.session import make_engine, open_config
+from imucald.service.announcements import Announcements
 from imucald.service.asking import ask
 from imucald.service.journal import LINE_BYTES, Journal
 
@@ -101,3 +105,25 @@ def test_the_daemon_runs_whatever_becomes_of_standard_error(how, tmp_path):
         os.close(writer)
     assert '"log_lines_dropped": ' in said
     assert '"log_lines_dropped": 0' not in said
+
+
+def test_an_interface_that_comes_and_goes_for_hours_writes_few_lines_and_its_last_state(tmp_path):
+    now, hours, log = [0.0], 1, io.StringIO()
+    announcements = Announcements(Journal(log, {}, clock=lambda: now[0]))
+    engine = make_engine(open_config(shuttle.write(tmp_path, cycles=1)))
+
+    def lines() -> list[str]:
+        return [line for line in log.getvalue().splitlines() if "can0" in line]
+
+    for second in range(hours * 3600):
+        now[0] = float(second)
+        for state in (LinkState.DOWN, LinkState.UP):
+            announcements.link_event(LinkEvent(str(state), f"can0 is {state}, flap {second}"))
+        announcements.update(engine, 0, now[0])
+    assert 20 < len(lines()) < hours * 3600 / 30 + 25
+    assert "such lines left out before" in lines()[-1]
+    now[0] += 31.0
+    announcements.update(engine, 0, now[0])
+    assert f"can0 is up, flap {hours * 3600 - 1} (" in lines()[-1]
+    announcements.link_event(LinkEvent("conflict", "another node"))
+    assert "another node" in log.getvalue().splitlines()[-1]

@@ -77,7 +77,7 @@ def test_a_hold_keeps_the_mount_through_a_contradicting_drive_and_a_restart(benc
     service.close()
     again = bench.service()
     assert again.status()["held"]
-    assert again.engine.pipeline.correction == pytest.approx(before, abs=1e-12)
+    assert again.engine.pipeline.correction.rotation == pytest.approx(before.rotation, abs=1e-12)
     assert "held: nothing is learnt" in bench.log.getvalue()
     again.orders.release(ME)
     bench.drive(again)
@@ -146,7 +146,7 @@ def test_a_known_mount_serves_at_once_as_restored_and_the_drive_takes_over(bench
     assert "±2" in text
     assert service.engine.pipeline.quality == 1
     expected = rotation_from_angles(0.0, 0.0, np.radians(25.0)).ravel()
-    assert service.engine.pipeline.correction == pytest.approx(expected)
+    assert service.engine.pipeline.correction.rotation == pytest.approx(expected)
     assert service.status()["details"]["restored"]["given"] is True
     bench.drive(service)
     assert service.status()["state"] in {"usable", "fine"}
@@ -247,7 +247,7 @@ def test_a_reload_keeps_a_hold(bench):
     bench.edit("accelerometer_bias: 0.02", "accelerometer_bias: 0.03")
     service.reload()
     assert service.status()["held"]
-    assert service.engine.pipeline.correction == pytest.approx(before)
+    assert service.engine.pipeline.correction.rotation == pytest.approx(before.rotation)
     service.close()
 
 
@@ -296,3 +296,12 @@ def test_a_control_socket_that_others_cannot_open_names_sudo(bench, capsys, monk
         monkeypatch.setattr(os, "access", lambda *_: False)
         assert cli.main(["reset", "--socket", str(service.options.status_socket)]) == 1
     assert "only root may give orders" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("std", [1e-300, 1e-6, 0.0099])
+def test_a_mount_that_is_stated_finer_than_any_is_known_is_refused(tmp_path, std):
+    service = Bench(tmp_path).service()
+    with pytest.raises(OrderError, match=r"finer than any mount is known: it must be 0.01 deg"):
+        service.orders.set_mount(KnownMount(0.0, 0.0, 40.0, std), "root (pid 7)")
+    assert "±0.02" in service.orders.set_mount(KnownMount(0.0, 0.0, 40.0, 0.01), "root (pid 7)")
+    service.close()

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
 import errno
 import json
+import shutil
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -11,6 +13,7 @@ from pathlib import Path
 import pytest
 
 import uds_bench
+from full_disk import full_after
 from imucald.config.calibration import KnownMount
 from imucald.mount.estimate import MountState
 from imucald.runtime.mount_orders import TESTER
@@ -188,6 +191,31 @@ def test_order_log_and_status_say_that_it_is_not_on_the_disk_yet(tmp_path, disk)
     again = bench.service()
     assert again.engine.pipeline.quality == 0
     again.close()
+
+
+@pytest.mark.parametrize("is_full", [True, False], ids=["full", "no folder"])
+def test_every_order_that_will_not_outlast_a_restart_says_so(tmp_path, is_full):
+    bench = Bench(tmp_path)
+    service = learnt(bench)
+    assert "DISK" not in service.orders.hold(ME)
+    assert "DISK" not in service.orders.release(ME)
+    folder = tmp_path / "state"
+    if not is_full:
+        service.parts.calibration_store.writer.flush(1.0)
+        shutil.rmtree(folder)
+        folder.write_text("in the way")
+    with full_after(1000) if is_full else contextlib.nullcontext():
+        for answer in (
+            service.orders.hold(ME),
+            service.orders.release(ME),
+            service.orders.set_mount(KnownMount(0.0, 0.0, 40.0, 0.5), ME),
+        ):
+            assert "NOT ON THE DISK YET (F" in answer
+    if not is_full:
+        folder.unlink()
+    assert "DISK" not in service.orders.hold(ME)
+    service.close()
+    assert not list(folder.glob("*probe*"))
 
 
 def test_a_mount_that_is_set_says_so_as_well(tmp_path, disk):

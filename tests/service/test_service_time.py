@@ -11,6 +11,7 @@ import shuttle
 from imucald.can.columns import FrameColumns
 from imucald.can.logs.log_reader import LogReader
 from imucald.core.rotations import vector_from_rotation
+from imucald.mount.estimate import Correction
 from imucald.runtime.session import make_engine, open_config
 
 pytestmark = pytest.mark.slow
@@ -34,7 +35,7 @@ def stamped(frames: FrameColumns, t: np.ndarray) -> FrameColumns:
 def course(config, frames: FrameColumns) -> tuple[np.ndarray, float]:
     """Run live; the last rotation, and the largest step of the rotation in force [deg]."""
     engine = make_engine(open_config(config))
-    rotations: list[tuple[float, ...]] = []
+    rotations: list[Correction] = []
     for t, can_id, length, data in zip(
         frames.t.tolist(), frames.can_id.tolist(), frames.length.tolist(), frames.data, strict=True
     ):
@@ -43,7 +44,7 @@ def course(config, frames: FrameColumns) -> tuple[np.ndarray, float]:
         if now is not None and (not rotations or now != rotations[-1]):
             rotations.append(now)
     assert rotations, "never usable: the test proves nothing"
-    matrices = [np.array(r).reshape(3, 3) for r in rotations]
+    matrices = [r.matrix() for r in rotations]
     steps = [angle(a, b) for a, b in itertools.pairwise(matrices)]
     return matrices[-1], max(steps, default=0.0)
 

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import errno
 import hashlib
 import json
 import os
+import shutil
 import subprocess
 import sys
 import threading
@@ -14,6 +16,7 @@ from pathlib import Path
 import pytest
 
 import shuttle
+from feed_bench import wait_until
 from imucald.core import atomic_file
 from imucald.core.atomic_file import free_name, write_file
 from imucald.core.errors import ImucaldError
@@ -22,6 +25,7 @@ from imucald.service.folder_lock import FolderInUseError, FolderLock
 from imucald.service.service import Service
 from imucald.service.service_options import ServiceOptions
 from imucald.service.state_file import MAGIC, VERSION, SavedState, StateKey, StateStore, encoded
+from service_bench import running
 
 KEY = StateKey("car", "imu")
 IDENTITY = (1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0)
@@ -203,11 +207,65 @@ def test_a_killed_daemon_leaves_no_lock(tmp_path):
     FolderLock(tmp_path).release()
 
 
-def test_the_lock_is_neither_followed_nor_waited_for(tmp_path):
-    os.mkfifo(tmp_path / ".lock")
-    with pytest.raises(OSError, match="Invalid argument"):
-        FolderLock(tmp_path)
-    (tmp_path / ".lock").unlink()
-    (tmp_path / ".lock").symlink_to("/etc/hostname")
-    with pytest.raises(OSError, match="symbolic"):
-        FolderLock(tmp_path)
+def test_the_lock_file_is_neither_followed_nor_waited_for(tmp_path):
+    """The folder is locked all the same."""
+    target = tmp_path / "target"
+    target.write_text("as it was")
+    folder = tmp_path / "state"
+    folder.mkdir()
+    for make in (os.mkfifo, lambda path: path.symlink_to(target)):
+        make(folder / ".lock")
+        lock = FolderLock(folder)
+        with pytest.raises(FolderInUseError):
+            FolderLock(folder)
+        lock.release()
+        (folder / ".lock").unlink()
+    assert target.read_text() == "as it was"
+
+
+def test_a_folder_that_was_deleted_is_locked_again_and_no_second_daemon_starts(tmp_path):
+    first = service(tmp_path)
+    with running(first):
+        for _ in range(2):
+            shutil.rmtree(tmp_path / "state")
+            wait_until((tmp_path / "state" / ".lock").exists)
+            with pytest.raises(FolderInUseError, match=f"process {os.getpid()}"):
+                service(tmp_path)
+
+
+def test_who_comes_too_late_to_lock_a_new_folder_ends_and_saves_nothing(tmp_path):
+    first = service(tmp_path)
+    shutil.rmtree(tmp_path / "state")
+    second = service(tmp_path)
+    before = sorted(p.name for p in (tmp_path / "state").iterdir())
+    with pytest.raises(FolderInUseError, match="is in use by process"):
+        first.run(3.0)
+    first.close()
+    assert sorted(p.name for p in (tmp_path / "state").iterdir()) == before
+    second.close()
+
+
+def test_a_folder_without_the_lock_file_is_locked_too(tmp_path, monkeypatch):
+    """As on a file system that is read-only."""
+    opened = os.open
+
+    def read_only(path, flags, *more, **named):
+        if flags & (os.O_WRONLY | os.O_RDWR) and Path(path).parent == tmp_path / "state":
+            raise OSError(errno.EROFS, "Read-only file system", str(path))
+        return opened(path, flags, *more, **named)
+
+    monkeypatch.setattr(os, "open", read_only)
+    first = service(tmp_path)
+    with pytest.raises(FolderInUseError, match="in use by process"):
+        service(tmp_path)
+    first.close()
+
+
+def test_a_folder_that_cannot_be_made_at_the_start_is_locked_as_soon_as_it_can(tmp_path):
+    (tmp_path / "state").write_text("in the way")
+    first = service(tmp_path)
+    with running(first):
+        (tmp_path / "state").unlink()
+        wait_until((tmp_path / "state" / ".lock").exists)
+        with pytest.raises(FolderInUseError):
+            service(tmp_path)

@@ -153,9 +153,9 @@ def calibrate():
 
 
 def killed():
-    times = []
     sensor = Sensor()
     wait(lambda: sensor.good_since(0.0))
+    times, peer = [], [bare_start()]  # one before and one after each attempt
     for _ in range(KILLS):
         STARTS.unlink()  # each is the first in a minute
         pid = int(show("MainPID"))
@@ -167,9 +167,11 @@ def killed():
         times.append(time.monotonic() - began)
         quality = sensor.quality
         wait(lambda old=pid: show("MainPID") not in ("0", str(old)) and is_active())
+        peer.append(bare_start())
     sensor.stop()
     return {
         "times": times,
+        "peer": peer,
         "quality": quality,
         "restarts": int(show("NRestarts")),
         "kept": len(list(CACHE.glob("*.json"))),

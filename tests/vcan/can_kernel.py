@@ -166,11 +166,11 @@ def _inner_script(ground: Ground, root: Path, folder: Path) -> str:
 
 def _environment(folder: Path) -> dict[str, str]:
     """Return the environment inside: like this one where that matters, and nothing else."""
-    kept = ("HOME", "LANG", "VIRTUAL_ENV", "PYTHONPATH", "CI")
+    byte_code = ("PYTHONPYCACHEPREFIX", "PYTHONDONTWRITEBYTECODE")
+    kept = ("HOME", "LANG", "VIRTUAL_ENV", "PYTHONPATH", "CI", *byte_code)
     names = [name for name in os.environ if name in kept or name.startswith("IMUCALD_")]
     return {
         **{name: os.environ[name] for name in sorted(names)},
         "PATH": os.environ.get("PATH", "") + ":" + SYSTEM_PATH,
-        "PYTHONDONTWRITEBYTECODE": "1",
         REPORTS_VARIABLE: str(folder / "reports.jsonl"),
     }

@@ -24,7 +24,7 @@ from imucald.runtime.output.output_frames import output_database
 pytestmark = pytest.mark.slow
 
 CORRECTED = (0x640, 0x641)
-STATUS = (0x643, 0x644, 0x645)
+STATUS = (0x643, 0x644, 0x64D, 0x64E, 0x645)
 RESUME_LIMIT_S = 1.0
 
 

@@ -171,6 +171,35 @@ def test_an_interface_that_fails_at_random_is_survived_and_nothing_stale_is_sent
     assert link["went_down"] > 0
 
 
+def test_an_interface_that_flaps_without_end_costs_no_memory_and_few_lines(vcan, tmp_path):
+    """Some hundred times in 20 s: a loose contact at a gateway goes on for days."""
+    with running(tmp_path, vcan.name) as daemon:
+        node = Node(vcan.name)
+        try:
+            node.wait_for_answer(time.monotonic())
+            before = daemon.status()
+            flaps, end = 0, time.monotonic() + 20.0
+            while time.monotonic() < end:
+                vcan.down()
+                time.sleep(0.06)
+                vcan.up()
+                time.sleep(0.06)
+                flaps += 1
+            assert node.wait_for_answer(time.monotonic()) < RESUME_S
+            after = daemon.status()
+            events = json.loads(ask(daemon.socket, "events"))["events"]
+        finally:
+            node.stop()
+        daemon.stop()
+    about_bus = [event for event in events if vcan.name in event["text"]]
+    print(flaps, after["link"]["went_down"], len(about_bus), after["process"])
+    assert after["link"]["went_down"] > 50
+    assert after["link"]["state"] == "up"
+    assert len(about_bus) < 30
+    assert after["process"]["open_files"] == before["process"]["open_files"]
+    assert after["process"]["rss_bytes"] - before["process"]["rss_bytes"] < 2 << 20
+
+
 def test_a_flood_loses_none_of_ours_or_counts_each_and_shows_it(vcan, tmp_path):
     """As fast as the bus takes it, with some 400 frames/s of ours inside."""
     with running(tmp_path, vcan.name) as daemon:

@@ -120,6 +120,13 @@ class CompensatedAttitude:
     def turned(self, old: Sequence[float], new: Sequence[float]) -> None:
         """The mount's rotation is another one: nothing is kept that this would spoil."""
 
+    def take_zeros_off(self, rate: Vector, force: Vector) -> None:
+        """From here on so much more is taken off the samples, vehicle axes (3,) [rad/s], [m/s^2]:
+        the zero error of the rate, where a rest has shown it, loses it."""
+        if self.checked:
+            (x, y, z), (p, q, r) = self.motion_compensation.zero_error, rfu_from_vehicle(*rate)
+            self.motion_compensation.zero_error = x - p, y - q, z - r
+
     def estimate(self, now: float | None = None) -> AttitudeEstimate:
         """Return roll and pitch of the newest sample; there are no deviations and no heading."""
         last = self._last

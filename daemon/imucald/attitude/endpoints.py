@@ -8,11 +8,13 @@ from collections.abc import Iterator
 
 from imucald.attitude.interval import Endpoint
 from imucald.attitude.motion_compensation import AverageSpeed, SpeedAverager
-from imucald.attitude.propagation import Propagator
+from imucald.attitude.propagation import IntegralSnapshot, Propagator
 from imucald.config.attitude import MotionCompensationSettings
 
 MAX_ENDPOINTS = 64
 """Averaged speeds that wait for the accelerometer: a leading speed is ahead by a second."""
+RECENT_S = 1.0
+"""A speed goes on as it has changed in so long [s], or since the one before."""
 SLACK_S = 1e-6
 """Times a second apart differ by this much less in their rounding [s]."""
 
@@ -32,12 +34,21 @@ class EndpointMaker:
         self._open: Endpoint | None = None
         self._heard = -math.inf
         self._last = -math.inf
+        self._recent: deque[AverageSpeed] = deque(maxlen=MAX_ENDPOINTS)
+        self._piece: IntegralSnapshot | None = None
+        self.has_pieces = False
+        """Whether pieces were taken within the open interval or the one that has just closed."""
         self._sign = 1.0
 
     def speed(self, t: float, speed: float) -> None:
         """Take a speed [m/s], not negative, that came at t [s]."""
         self._heard = t
         average = self._average.add(t, self._sign * speed)
+        recent = self._recent
+        if not recent or average.t > recent[-1].t:
+            recent.append(average)
+        while len(recent) > 2 and average.t - recent[1].t >= RECENT_S:
+            recent.popleft()
         spacing = self._settings.interval
         if not self._last - spacing <= average.t < self._last + spacing - SLACK_S:
             self._last = average.t
@@ -66,6 +77,33 @@ class EndpointMaker:
                 self._open = None
             else:
                 yield self._next(Endpoint(snapshot, average.speed))
+
+    def piece(self) -> tuple[Endpoint, Endpoint] | None:
+        """Both ends of a piece of the interval's length up to now; None: none is complete.
+
+        Pieces come where two of them and more fit between two speeds. The speed at both ends goes
+        on from the latest one as it changed in the second before, and has an age.
+        """
+        newest, recent = self._propagator.newest, self._recent
+        if newest is None or newest.t - self._heard > self._settings.timeout:
+            self._piece = None
+            recent.clear()
+            return None
+        first = self._piece
+        if first is None or first.t < self._propagator.segment_start:
+            self._piece = newest
+            return None
+        if newest.t - first.t < self._settings.interval - SLACK_S:
+            return None
+        self._piece = newest
+        if len(recent) < 2 or 2.0 * self._settings.interval > recent[-1].t - recent[-2].t:
+            return None
+        self.has_pieces = True
+        before, latest = recent[0], recent[-1]
+        rise = (latest.speed - before.speed) / (latest.t - before.t)
+        ages = (first.t - latest.t, newest.t - latest.t)
+        a, b = (latest.speed + rise * age for age in ages)
+        return Endpoint(first, a, abs(ages[0])), Endpoint(newest, b, abs(ages[1]))
 
     def _next(self, endpoint: Endpoint) -> tuple[Endpoint | None, Endpoint]:
         first, self._open = self._open, endpoint

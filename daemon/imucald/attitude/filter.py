@@ -16,7 +16,7 @@ from imucald.attitude.endpoints import EndpointMaker
 from imucald.attitude.estimate import SETTLED_STD, STALE_S, UNKNOWN, AttitudeEstimate, AttitudeState
 from imucald.attitude.grade import GradeFilter
 from imucald.attitude.heading_source import HeadingSource, Verdict
-from imucald.attitude.interval import Endpoint, Interval, along_body, interval
+from imucald.attitude.interval import Endpoint, Interval, along_body, interval, shared
 from imucald.attitude.kalman import NineStateFilter, of_axes
 from imucald.attitude.measurements import (
     MIN_UP,
@@ -68,6 +68,8 @@ BRIDGED_S = 0.1
 UNSEEN_TILT_STD = START_MOVING_STD
 """Of roll and pitch after less than `STALE_S` without a gyroscope [rad]. Ramps, kerbs and swerves
 turn a body by less than 20 deg/s about level axes, and the first interval is again to find tilt."""
+SCATTER_S = 1.0
+"""The scatter of the samples is looked at over so long, where intervals are shorter [s]."""
 HEADING_KNOWN_STD = math.radians(20.0)
 """A heading less sure than this is not called a heading [rad]."""
 HEADING_FOUND_STD = 1.0
@@ -162,6 +164,8 @@ class AttitudeFilter:
         self._propagator.gyro(t, rfu_from_vehicle(values[0], values[1], values[2]), bias)
         for first, last in self._endpoints.complete():
             self._close(first, last)
+        if (piece := self._endpoints.piece()) is not None and self.running:
+            self._update(shared(self._interval(*piece)), None)
 
     def _turned_unseen(self, seconds: float) -> None:
         """Nothing measured what the vehicle turned by in so long [s]; the attitude is older.
@@ -237,6 +241,20 @@ class AttitudeFilter:
         self.kalman.turn_body(D_new_from_old)
         self.constant_bias = matrix_times(D_new_from_old, self.constant_bias)
         self.constant_accel_error = matrix_times(D_new_from_old, self.constant_accel_error)
+
+    def take_zeros_off(self, rate: Vector, force: Vector) -> None:
+        """From here on so much more is taken off the samples, vehicle axes (3,) [rad/s], [m/s^2].
+
+        The zero error of the rate is followed, and loses it. That of the force is known only by a
+        check; without one, what is taken off makes the force better.
+        """
+        p, q, r = rfu_from_vehicle(*rate)
+        x, y, z = self.constant_bias
+        self.constant_bias = x - p, y - q, z - r
+        if self.checked:
+            a, b, c = rfu_from_vehicle(*force)
+            x, y, z = self.constant_accel_error
+            self.constant_accel_error = x - a, y - b, z - c
 
     def check_again(self) -> None:
         """Repeat the sensor check at the next rest that is long enough."""
@@ -367,7 +385,11 @@ class AttitudeFilter:
         if c.speed_is == "horizontal":
             up = transposed_times(rows_from_quaternion(self._correction), (0.0, 0.0, 1.0))
             first, last = along_body(first, up), along_body(last, up)
-        return interval(first, last, c, per_axis(s.filter.accel_noise), s.filter.unknown_motion)
+        since = first.snapshot
+        if last.snapshot.t - since.t < 0.5 * SCATTER_S:
+            since = self._propagator.at(last.snapshot.t - SCATTER_S) or since
+        noise, unknown = per_axis(s.filter.accel_noise), s.filter.unknown_motion
+        return interval(first, last, c, noise, unknown, since)
 
     def _try_start(self, first: Endpoint, last: Endpoint, resting: bool) -> None:
         if self._start is None or (resting and self._rest is first):
@@ -397,9 +419,17 @@ class AttitudeFilter:
         self._filter(found, None)
 
     def _filter(self, found: Interval, still: Interval | None) -> None:
+        """Take an interval between two speeds, and the road's slope at its end; see `_update`."""
+        if self._endpoints.has_pieces:
+            self._endpoints.has_pieces = False
+            found = shared(found)
+        self._update(found, still)
+        self._grade.take(found, -vehicle_angles(self._C())[1])
+
+    def _update(self, found: Interval, still: Interval | None) -> None:
         """Time update to the end of the interval, then what it measured; still: one of rest."""
         dt = max(found.t1 - self._predicted, 0.0)
-        self._predicted = found.t1
+        self._predicted = max(found.t1, self._predicted)  # a speed comes after pieces that it is of
         C = self._C()
         rounded = rounding(found.rate_variance, self._resolution)
         self.kalman.predict(C, dt, found.angle, rounded)
@@ -413,8 +443,7 @@ class AttitudeFilter:
             noise, step = of_axes(self.settings.filter.gyro_noise), self._resolution
             measurements += rest_rates(still, bias, noise, (x, y, z), step)
         self._apply(self.kalman.update(measurements))
-        _, pitch, heading = vehicle_angles(self._C())
-        self._grade.take(found, -pitch)
+        heading = vehicle_angles(self._C())[2]
         self._net_turn += wrapped(heading - self._heading_before)
         self._heading_before = heading
 

@@ -17,6 +17,8 @@ from imucald.attitude.propagation import IntegralSnapshot
 from imucald.config.attitude import MotionCompensationSettings
 from imucald.core.rotations import Vector
 
+SLOW_ERROR_S = 1.0
+"""An error of a mean specific force lasts so long [s]."""
 MIN_LEVEL = 0.5
 """Cosine of the steepest slope that a horizontal speed is turned to."""
 
@@ -51,17 +53,21 @@ class Interval(NamedTuple):
 
 
 class Endpoint(NamedTuple):
-    """An end of an interval: the integrals there and the speed [m/s], NaN where unknown."""
+    """An end of an interval: the integrals there and the speed [m/s], NaN where unknown.
+
+    age: of the speed, where it is not of that instant but an older one [s].
+    """
 
     snapshot: IntegralSnapshot
     speed: float
+    age: float = 0.0
 
 
 def along_body(endpoint: Endpoint, up: Vector) -> Endpoint:
     """A endpoint whose speed is horizontal, with the speed along the body; up: unit vector in P."""
     rise = sum(a * b for a, b in zip(endpoint.snapshot.forward, up, strict=True))
     level = math.sqrt(max(1.0 - rise * rise, MIN_LEVEL**2))
-    return Endpoint(endpoint.snapshot, endpoint.speed / level)
+    return endpoint._replace(speed=endpoint.speed / level)
 
 
 def interval(
@@ -70,11 +76,13 @@ def interval(
     settings: MotionCompensationSettings,
     noise: Vector,
     unknown: float,
+    scatter_since: IntegralSnapshot | None = None,
 ) -> Interval:
     """Make the interval between two endpoints of one segment.
 
-    noise: of a mean specific force along forward, left, up; unknown: of an acceleration without
-    speed [m/s^2].
+    noise: of a mean specific force over a second or more along forward, left, up; unknown: of an
+    acceleration without speed [m/s^2]. scatter_since: from when on the scatter of the samples is
+    looked at; few samples do not show theirs. Default: the beginning.
     """
     a, b = first.snapshot, last.snapshot
     T = b.t - a.t
@@ -87,7 +95,9 @@ def interval(
     else:
         change = (0.0, 0.0, 0.0)
     up = (mean[0] - change[0], mean[1] - change[1], mean[2] - change[2])
-    n, force_variance = _spread(b.n - a.n, a.body, b.body, b.square - a.square)
+    n = max(b.n - a.n, 1.0)
+    w = scatter_since or a
+    force_variance = _spread(b.n - w.n, w.body, b.body, b.square - w.square)
     k = 1.0 / max(b.turns - a.turns, 1.0)
     rx, ry, rz = ((y - x) * k for x, y in zip(a.rate, b.rate, strict=True))
     xx, yy, zz = ((y - x) * k for x, y in zip(a.rate_square, b.rate_square, strict=True))
@@ -95,7 +105,12 @@ def interval(
     lateral = sum(c * 0.5 * (p + q) for c, p, q in zip(change, a.right, b.right, strict=True))
     forward = (v1 - v0) / T if known else 0.0
     of_mean = force_variance / n
-    sigmas = _known_sigma(first, last, settings, forward, lateral) if known else (unknown, unknown)
+    # what lasts for a second is the same error in each shorter interval within it
+    share = max(SLOW_ERROR_S / T, 1.0)
+    nx, ny = noise[0] * noise[0] * share, noise[1] * noise[1] * share
+    sigmas = (unknown, unknown)
+    if known:
+        sigmas = _known_sigma(first, last, settings, forward, lateral, unknown)
     return Interval(
         up,
         a.t,
@@ -107,9 +122,17 @@ def interval(
         (rx, ry, rz),
         rate_variance,
         b.angle - a.angle,
-        math.sqrt(sigmas[0] ** 2 + (noise[0] * noise[0] + of_mean)),
-        math.sqrt(sigmas[1] ** 2 + (noise[1] * noise[1] + of_mean)),
+        math.sqrt(sigmas[0] ** 2 + (nx + of_mean)),
+        math.sqrt(sigmas[1] ** 2 + (ny + of_mean)),
     )
+
+
+def shared(found: Interval) -> Interval:
+    """The same where its samples are taken twice: in pieces, and from one speed to the next.
+
+    Along the direction of motion the pieces say next to nothing.
+    """
+    return found._replace(sigma_lateral=math.sqrt(2.0) * found.sigma_lateral)
 
 
 def _known_sigma(
@@ -118,30 +141,38 @@ def _known_sigma(
     settings: MotionCompensationSettings,
     forward: float,
     lateral: float,
+    unknown: float,
 ) -> tuple[float, float]:
     """How unsure the correction is, along and across the direction of motion [m/s^2].
 
     Along: the speed's noise (more where it creeps and its signal may still say zero) and scale,
     and the centripetal acceleration of a lever arm that is not known. Across: scale, and the
     change of the side-slip, which is that lever arm too.
+
+    Since a speed of some age the acceleration has changed by as much as one that is not known. That
+    is one error in all intervals that rest on that speed: each counts for its share of the age.
     """
     T = last.snapshot.t - first.snapshot.t
-    if first.speed == 0.0 and last.speed == 0.0:
+    age = max(first.age, last.age)
+    if first.speed == 0.0 and last.speed == 0.0 and not age:
         return 0.0, 0.0
     noise = settings.speed_noise * math.sqrt(2.0)
     if min(abs(first.speed), abs(last.speed)) < settings.creep_speed:
         noise += 0.3 * settings.creep_speed
     r0, r1 = first.snapshot.up_rate, last.snapshot.up_rate
     arm = settings.lever_uncertainty
-    along = (noise / T) ** 2 + (settings.speed_scale * forward) ** 2
+    # of one speed at both ends the noise is no acceleration, and what has changed since is
+    of_speed = unknown * unknown * max(age / T, 1.0) if age else (noise / T) ** 2
+    along = of_speed + (settings.speed_scale * forward) ** 2
     along += (arm * 0.5 * (r0 * r0 + r1 * r1)) ** 2 + (settings.speed_scale * lateral) ** 2
     across = (settings.speed_scale * lateral) ** 2 + (arm * (r1 - r0) / T) ** 2
     across += (settings.speed_scale * forward) ** 2
+    across += (unknown * age * 0.5 * (r0 + r1)) ** 2
     return math.sqrt(along), math.sqrt(across)
 
 
-def _spread(n: float, low: Vector, high: Vector, square: float) -> tuple[float, float]:
-    """Count (at least 1) and variance of one sample, from differences of running sums."""
+def _spread(n: float, low: Vector, high: Vector, square: float) -> float:
+    """Variance of one sample, from count and differences of running sums."""
     n = max(n, 1.0)
     mean_square = sum((y - x) * (y - x) for x, y in zip(low, high, strict=True)) / n
-    return n, max((square - mean_square) / n, 0.0)
+    return max((square - mean_square) / n, 0.0)

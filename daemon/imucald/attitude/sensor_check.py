@@ -17,6 +17,8 @@ LARGEST_RATE = math.radians(6.0)
 """A constant error of a gyroscope beyond this is a broken one [rad/s]."""
 LARGEST_FORCE = 3.0
 """The same of an accelerometer [m/s^2]."""
+DIGITS = 10
+"""Decimal places of a saved check: finer than any sensor."""
 
 
 class CheckResult(NamedTuple):
@@ -40,9 +42,17 @@ class CheckResult(NamedTuple):
             matrix_times(R_new_from_old, self.rate), matrix_times(R_new_from_old, self.force)
         )
 
+    def less(self, rate: Vector, force: Vector) -> CheckResult:
+        """The same where so much more is taken off the samples."""
+        (p, q, r), (a, b, c) = self
+        return CheckResult(
+            (p - rate[0], q - rate[1], r - rate[2]), (a - force[0], b - force[1], c - force[2])
+        )
+
     def as_saved(self) -> dict[str, list[float]]:
-        """As it stands in a saved state."""
-        return {"rate": list(self.rate), "force": list(self.force)}
+        """As it stands in a saved state; a turn to other axes and back leaves the same numbers."""
+        rate, force = ([round(c, DIGITS) for c in values] for values in self)
+        return {"rate": rate, "force": force}
 
     @classmethod
     def from_saved(cls, data: object) -> CheckResult | None:

@@ -9,6 +9,7 @@ from rich.table import Table
 from rich.text import Text
 
 from imucald.commands.terminal import plain_console
+from imucald.core.outside_text import one_line
 
 WIDE = 110
 """Columns from which long names stay on one line."""
@@ -24,7 +25,7 @@ def print_report(report: Mapping[str, Any], strict: bool = False) -> None:
     console.print(
         f"{frames['read']} frames in {report['duration_s']:.1f} s: {frames['used']} used, "
         + (f"{left} of the messages below not used, " if left else "")
-        + f"{frames['other_frames']} not asked for ({frames['other_ids']} identifiers)"
+        + f"{frames['other_frames']} not configured ({frames['other_ids']} ids)"
     )
     console.print()
     console.print(_messages(report["messages"]))
@@ -61,15 +62,17 @@ def _messages(rows: list[dict[str, Any]]) -> Table:
     table.add_column("frames", justify="right")
     table.add_column("cycle [ms]", justify="right")
     table.add_column("stated", justify="right")
+    table.add_column("lost", justify="right")
     table.add_column("rejected", overflow="fold")
     for row in rows:
-        channel = f" {row['channel']}" if row["channel"] else ""
+        channel = f" {one_line(row['channel'])}" if row["channel"] else ""
         table.add_row(
-            row["name"],
+            one_line(row["name"]),
             row["id"] + channel,
             Text(str(row["frames"]), style="" if row["frames"] else "red"),
             _millis(row["cycle_s"]),
             _millis(row["stated_cycle_s"]),
+            "-" if row["lost_share"] is None else f"{100.0 * row['lost_share']:.1f} %",
             _reasons(row["rejected"]),
         )
     return table
@@ -97,12 +100,12 @@ def _quantities(rows: list[dict[str, Any]], narrow: bool, stacked: bool) -> Tabl
             else f"{_figure(in_unit[k])}\n{_figure(in_si[k_si])}"
             for k, k_si in (("min", ends[0]), ("mean", "mean"), ("max", ends[1]))
         ]
-        unit = row["si_unit"] if same else f"{row['unit']}\n{row['si_unit']}"
+        unit = row["si_unit"] if same else f"{one_line(row['unit'])}\n{row['si_unit']}"
         if not same and row["factor"] < 0:
             unit += " (sign -1)"
         line = [
             _broken(row["quantity"], narrow) + rank,
-            _broken(row["source"], narrow) + rejected,
+            _broken(one_line(row["source"]), narrow) + rejected,
             str(row["samples"]),
             *cells,
             unit,
@@ -120,7 +123,8 @@ def _findings(rows: list[dict[str, Any]]) -> Table:
     table = Table.grid(padding=(0, 2))
     for row in rows:
         quantity = f"{row['quantity']}: " if row["quantity"] else ""
-        table.add_row(Text(row["level"], style=_STYLES[row["level"]]), quantity + row["text"])
+        text = one_line(quantity + row["text"])
+        table.add_row(Text(row["level"], style=_STYLES[row["level"]]), text)
     return table
 
 

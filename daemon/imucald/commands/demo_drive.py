@@ -112,7 +112,7 @@ class Listener:
         if can_id != self.can_id:
             return
         self.frames += 1
-        samples, _ = self._router.frame(t, can_id, data)
+        samples, _, _ = self._router.frame(t, can_id, data)
         self.values.append(tuple(samples[0][1]) if samples else None)
 
 

@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
-from imucald.commands.terminal import plain_console, plain_where_needed
+from imucald.commands.terminal import plain_console, plain_where_needed, screen_console
 from imucald.report import numbers, titles
 from imucald.report import wording as words
 from imucald.report.model_changes import model_changes, value_text
@@ -33,12 +33,11 @@ def share_bar(text: str, quiet: bool = False) -> Iterator[Callable[[float, str],
     if quiet or not sys.stderr.isatty():
         yield _nothing
         return
-    from rich.console import Console
     from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
     words_now = TextColumn("{task.description}", markup=False)
     columns = (words_now, BarColumn(), TextColumn("{task.percentage:3.0f} %"), TimeElapsedColumn())
-    with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
+    with Progress(*columns, console=screen_console(stderr=True), transient=True) as bar:
         task = bar.add_task(text, total=1.0)
         yield lambda share, doing: bar.update(task, completed=share, description=doing or text)
 

@@ -20,7 +20,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.epilog = (
         "The daemon keeps the last 200 since its start: changes of state, alarms, orders with who "
         "gave them, reloads, the bus. All of them, and those of earlier runs: journalctl -u "
-        "imucald@can0. Exit status: 0, or 3 where no daemon runs."
+        "imucald@can0. Exit status: 0; 3 where no daemon runs, 8 where it does not answer."
     )
 
 

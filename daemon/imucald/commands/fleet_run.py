@@ -58,6 +58,7 @@ def _run(options: argparse.Namespace, stopping: _Stopping) -> int:
         unpack({})  # makes the folder whose name the template inherits
         template_for(function).begin()  # imports while this process does
     from imucald.commands.options import print_problems
+    from imucald.fleet.damaged import set_damaged_aside
     from imucald.fleet.driver import FleetRun
     from imucald.fleet.fleet_file import load_fleet
     from imucald.fleet.lease import Lease
@@ -83,6 +84,7 @@ def _run(options: argparse.Namespace, stopping: _Stopping) -> int:
         print(_said(planned(fleet, store, logs, how)))
         return 0
     with Lease(store) as lease:
+        print_problems(f"warning: {text}" for text in set_damaged_aside(store))
         plan = planned(fleet, store, logs, how)
         print(_said(plan), file=sys.stderr)
         workers = _workers(options, fleet)

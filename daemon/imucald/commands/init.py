@@ -78,6 +78,9 @@ def run(options: argparse.Namespace) -> int:
     databases: dict[str, Database] = {
         os.path.relpath(path.resolve(), base): load_database([path]) for path in options.database
     }
+    for database in databases.values():
+        for line in database.left_out:
+            print(f"imucald: {line}", file=sys.stderr)
     if options.logs:
         recording = _read(options.logs, databases)
     elif options.interface or options.channel:
@@ -88,6 +91,8 @@ def run(options: argparse.Namespace) -> int:
     _require_matches(options, recording, proposal)
     proposal.driving_side = options.driving_side
     write_text(options.out, as_yaml(proposal, list(databases)))
+    if proposal.loss:
+        print(f"imucald: {proposal.loss}", file=sys.stderr)
     if out:
         print(f"{options.out}: {_outcome(proposal, options)}", file=sys.stderr)
     return 0
@@ -125,6 +130,12 @@ def _outcome(proposal: Proposal, options: argparse.Namespace) -> str:
     count = len(proposal.choices)
     unsure = sum(not choice.is_sure for choice in proposal.choices)
     found = f"{count} {'quantity' if count == 1 else 'quantities'}, {unsure} of them unsure; "
+    if proposal.missing:
+        missing = (
+            n.replace("_", " ") + (f" ({why})" if why else "")
+            for n, why in proposal.missing.items()
+        )
+        found += f"not found: {', '.join(missing)}; "
     accelerometer = proposal.choice("accelerometer")
     if accelerometer is None:
         return found + "no accelerometer was found, without which nothing works: fill it in by hand"

@@ -52,14 +52,15 @@ class LiveEvents:
         first = self._state is None
         found = []
         for event in reported_events(status):
-            name = "" if event.kind == "moved" else event.text.partition(",")[0]
-            key = event.t, event.kind, name
+            is_change = event.kind in ("moved", "evidence")  # which of both is known later
+            name = "" if is_change else event.text.partition(",")[0]
+            key = event.t, "moved" if is_change else event.kind, name
             before = self._listed.get(key)
             if before is None:
                 self._listed[key] = LiveEvent(began + event.t, event.kind, event.text)
                 found.append(self._listed[key])
             elif before.text != event.text:  # more is known of it by now
-                self._listed[key] = replace(before, text=event.text)
+                self._listed[key] = replace(before, kind=event.kind, text=event.text)
                 same = [self._listed[key] if e is before else e for e in self.events]
                 self.events = deque(same, maxlen=KEPT)
         if first and status["state"] != "restored":  # not confirmed, and in force

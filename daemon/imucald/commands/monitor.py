@@ -6,6 +6,7 @@ import argparse
 import contextlib
 import json
 import time
+from collections.abc import Callable
 from pathlib import Path
 
 from imucald.commands.options import positive
@@ -46,24 +47,26 @@ def run(options: argparse.Namespace) -> int:
     path = find_socket(options.socket, options.channel)
     json.loads(ask(path, "status"))  # nobody there at the start is an error
     seconds = float("inf") if options.seconds is None else options.seconds
-    watch(path, seconds, options.web)
+    end = time.monotonic() + seconds
+    watch(path, lambda: time.monotonic() >= end, options.web)
     return 0
 
 
-def watch(path: Path, seconds: float, web: int | None, note: str = "") -> None:
-    """Show what the daemon behind a socket says until Ctrl-C, or for so many seconds.
+def watch(path: Path, is_over: Callable[[], bool], web: int | None, note: str = "") -> None:
+    """Show what the daemon behind a socket says until Ctrl-C, or until it is over.
 
-    web: on this port of 127.0.0.1 instead of the terminal. note: shown below.
+    is_over: asked before each picture; one more is shown after it was. web: on this port of
+    127.0.0.1 instead of the terminal. note: shown below.
     """
     if web is not None:
         from imucald.commands.monitor_web import serve
 
-        serve(path, web, seconds, note)
+        serve(path, web, is_over, note)
     else:
-        _watch_on_terminal(path, seconds, note)
+        _watch_on_terminal(path, is_over, note)
 
 
-def _watch_on_terminal(path: Path, seconds: float, note: str) -> None:
+def _watch_on_terminal(path: Path, is_over: Callable[[], bool], note: str) -> None:
     from rich.live import Live
     from rich.text import Text
 
@@ -74,16 +77,16 @@ def _watch_on_terminal(path: Path, seconds: float, note: str) -> None:
     from imucald.service.asking import ask
 
     plain_where_needed()
-    end = time.monotonic() + seconds
     console = plain_console()
     events = LiveEvents()
     foot = Text(f"{note or path}   Ctrl-C ends", style="dim")
     view = Live(
         console=console, auto_refresh=False, screen=console.is_terminal, vertical_overflow="crop"
     )
-    status = None
+    status, is_last = None, False
     with contextlib.suppress(KeyboardInterrupt), view as live:
-        while time.monotonic() < end:
+        while not is_last:
+            is_last = is_over()
             trouble = Text("")
             try:
                 status = json.loads(ask(path, "status"))

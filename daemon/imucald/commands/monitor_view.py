@@ -13,6 +13,7 @@ from rich.text import Text
 from imucald.commands.live_events import LiveEvent
 from imucald.commands.mount_view import mount_parts
 from imucald.commands.status_view import facts, headline
+from imucald.mount.mount_words import left_out_words
 
 BESIDE = 120
 """Columns from which inputs and events stand side by side."""
@@ -22,6 +23,8 @@ TABLE_COLUMNS = 68
 """Columns of the mount table without its bars."""
 LONGEST_BAR, SHORTEST_BAR = 48, 12
 FACTS = ("now", "losses", "rejected", "process")
+LEFT_OUT = "not learnt from"
+"""Shown as well where there is something."""
 KIND_STYLES = {
     "alarm": "red",
     "fault": "red",
@@ -37,10 +40,12 @@ def monitor_picture(
     """Return the picture for a terminal: the newest events fill what is left of its height."""
     width, height = console.size
     bar = min(max(width - TABLE_COLUMNS, SHORTEST_BAR), LONGEST_BAR)
-    mount = Group(*mount_parts(status["mount"], status["waiting_for"], bar))
+    correction = status.get("correction")
+    mount = Group(*mount_parts(status["mount"], status["waiting_for"], bar, correction))
     top: list[RenderableType] = [headline(status), Padding(mount, (1, 0))]
     inputs: RenderableType = inputs_table(status)
-    below: list[RenderableType] = [Padding(facts(status, FACTS), (1, 0, 0, 0)), foot]
+    wanted = (*FACTS, LEFT_OUT) if left_out_words(status["details"]) else FACTS
+    below: list[RenderableType] = [Padding(facts(status, wanted), (1, 0, 0, 0)), foot]
     if width >= BESIDE:
         left = height - _lines(console, *top, *below)
         rows = max(left, _lines(console, inputs))

@@ -35,7 +35,9 @@ from imucald.mount.mount_words import (
     angle_cells,
     half_width,
     is_trouble,
+    left_out_words,
     reasons,
+    sent_words,
 )
 from imucald.report.drawing import STYLE, view_drawings
 from imucald.service.asking import ask
@@ -49,6 +51,11 @@ HISTORY = 3600
 """Seconds that the chart goes back: an hour."""
 POINTS = 400
 """Of them so many are drawn."""
+CONNECTIONS_MAX = 32
+ASK_S = 2.0
+"""A connection has so long to send a request [s] ..."""
+KEEP_S = 5.0
+"""... and the next one on the same connection [s]."""
 HEADERS = {
     "Content-Security-Policy": "default-src 'none'; connect-src 'self'; "
     "style-src 'unsafe-inline'; script-src 'self'; img-src data:",
@@ -109,6 +116,7 @@ class LiveState:
             "sits": mount.get("sits"),
             "steep": mount.get("steep"),
             "mirrored": mount.get("mirrored"),
+            "sent": sent_words(status.get("correction")),
             "convention": ABOUT,
             "mount": [_angle(mount, i) for i in range(len(ANGLES))],
             "reasons": [
@@ -117,6 +125,7 @@ class LiveState:
             ],
             "inputs": [_input(status, c, row) for c, row in status["signals"].items()],
             "rejected": status["frames"]["rejected"],
+            "left_out": left_out_words(status["details"]),
             "frames": {
                 "used": status["frames"]["used"], "given_out": status["frames_given_out"],
                 "lost": status["link"]["lost"], "conflicts": status["link"]["conflicts"],
@@ -197,22 +206,25 @@ def _rotation(mount: Mapping[str, Any]) -> Matrix3 | None:
     return _matrix(q)
 
 
-def serve(path: Path, port: int, seconds: float, note: str) -> None:
-    """Serve the page until Ctrl-C, or for so many seconds. Raises ImucaldError."""
+def serve(path: Path, port: int, is_over: Callable[[], bool], note: str) -> None:
+    """Serve the page until Ctrl-C, or until it is over. Raises ImucaldError."""
     try:
         import aiohttp  # noqa: F401 - an extra: without it there is a remedy to report
     except ImportError:
         text = f"--web needs aiohttp: {how_to_install('live')}"
         raise ImucaldError(text) from None
     with contextlib.suppress(KeyboardInterrupt):
-        asyncio.run(_serve(path, port, seconds, LiveState(note)))
+        asyncio.run(_serve(path, port, is_over, LiveState(note)))
 
 
-async def _serve(path: Path, port: int, seconds: float, state: LiveState) -> None:
+async def _serve(path: Path, port: int, is_over: Callable[[], bool], state: LiveState) -> None:
     from aiohttp import web
 
-    runner = web.AppRunner(application(state), access_log=None)
+    bounded = Connections()
+    runner = web.AppRunner(application(state, bounded), access_log=None, keepalive_timeout=KEEP_S)
     await runner.setup()
+    assert runner.server is not None
+    bounded.bound(runner.server)
     try:
         try:
             await web.TCPSite(runner, ADDRESS, port).start()
@@ -222,8 +234,7 @@ async def _serve(path: Path, port: int, seconds: float, state: LiveState) -> Non
             raise ImucaldError(text) from None
         _, real_port = runner.addresses[0][:2]
         print(f"http://{ADDRESS}:{real_port}   Ctrl-C ends", flush=True)
-        end = time.monotonic() + seconds
-        while time.monotonic() < end:
+        while not is_over():
             await _ask(path, state)
             await asyncio.sleep(PERIOD_S)
     finally:
@@ -238,7 +249,55 @@ async def _ask(path: Path, state: LiveState) -> None:
         state.fail(str(error))
 
 
-def application(state: LiveState) -> web.Application:
+class Connections:
+    """Keeps the connections of an aiohttp server few, whoever opens them.
+
+    One that sends no whole request is cut off after `ASK_S`, and makes room before that where
+    there are more than `CONNECTIONS_MAX`.
+    """
+
+    def __init__(self) -> None:
+        self._open: dict[web.RequestHandler, asyncio.TimerHandle] = {}  # oldest first
+        self._answered: set[web.RequestHandler] = set()
+
+    def bound(self, server: web.Server) -> None:
+        """Watch over a server that has no connection yet."""
+        made, lost = server.connection_made, server.connection_lost
+
+        def connection_made(handler: web.RequestHandler, transport: asyncio.Transport) -> None:
+            made(handler, transport)
+            if len(self._open) >= CONNECTIONS_MAX:
+                others = (one for one in self._open if one not in self._answered)
+                self._cut(next(others, next(iter(self._open))))
+            timer = asyncio.get_running_loop().call_later(ASK_S, self._cut, handler)
+            self._open[handler] = timer
+
+        def connection_lost(handler: web.RequestHandler, error: BaseException | None) -> None:
+            self._forget(handler)
+            lost(handler, error)
+
+        vars(server).update(connection_made=connection_made, connection_lost=connection_lost)
+
+    def has_asked(self, handler: web.RequestHandler) -> None:
+        """A request has come whole; the next has as long again, and the server's own limit."""
+        if handler in self._open:
+            self._answered.add(handler)
+            self._open[handler].cancel()
+            timer = asyncio.get_running_loop().call_later(KEEP_S + ASK_S, self._cut, handler)
+            self._open[handler] = timer
+
+    def _cut(self, handler: web.RequestHandler) -> None:
+        self._forget(handler)
+        if handler.transport is not None:
+            handler.transport.abort()
+
+    def _forget(self, handler: web.RequestHandler) -> None:
+        self._answered.discard(handler)
+        if timer := self._open.pop(handler, None):
+            timer.cancel()
+
+
+def application(state: LiveState, connections: Connections | None = None) -> web.Application:
     """Return the server: `/`, `/monitor.js`, `/live`; nothing else, and only to read."""
     from aiohttp import web
 
@@ -248,6 +307,8 @@ def application(state: LiveState) -> web.Application:
     async def guarded(
         request: web.Request, handler: Callable[[web.Request], Awaitable[web.StreamResponse]]
     ) -> web.StreamResponse:
+        if connections is not None:
+            connections.has_asked(request.protocol)
         host = request.host.rpartition(":")[0] or request.host
         if host not in (ADDRESS, "localhost"):
             raise web.HTTPForbidden(text="this page is for this machine only\n")

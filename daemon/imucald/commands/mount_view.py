@@ -19,6 +19,7 @@ from imucald.mount.mount_words import (
     is_trouble,
     plus_minus,
     reasons,
+    sent_words,
 )
 
 WIDEST_DEG, NARROWEST_DEG = 16.0, 0.1
@@ -28,16 +29,22 @@ BAR, REST = "━", "─"
 
 
 def mount_parts(
-    mount: Mapping[str, Any], waiting_for: Mapping[str, str], bar: int = 0
+    mount: Mapping[str, Any],
+    waiting_for: Mapping[str, str],
+    bar: int = 0,
+    correction: Mapping[str, Any] | None = None,
 ) -> Iterator[Table | Text]:
-    """Yield the table, how the sensor sits, what is missing, and what "±" means.
+    """Yield the table, how the sensor sits, what is left, what is missing, and what "±" means.
 
-    mount, waiting_for: as in docs/json.md (of an older daemon too). bar: columns of the bars.
+    mount, waiting_for, correction: as in docs/json.md (of an older daemon too). bar: columns of
+    the bars.
     """
     yield _table(mount, bar)
     for key, style in (("sits", ""), ("steep", "yellow"), ("mirrored", "yellow")):
         if mount.get(key):
             yield Text(mount[key], style=style)
+    if left := sent_words(correction):
+        yield Text(f"sent         {left}")
     for names, text in reasons(waiting_for):
         if is_trouble(text):
             yield Text(f"trouble      {text}", style="bold red")

@@ -16,7 +16,7 @@ from imucald.core.errors import ImucaldError, LinkError
 WHO = (
     "Root gives orders, or the user that the daemon runs as. The daemon writes each into its log "
     "and events, with who gave it. Exit status: 0 done, 1 refused (the text says why), 3 no "
-    "daemon runs."
+    "daemon runs, 8 one runs and does not answer."
 )
 NOT_RUNNING = 3
 """As `systemctl is-active` and `status` of init scripts have it."""
@@ -57,7 +57,8 @@ def give(options: argparse.Namespace, order: str, **more: Any) -> int:
 
 
 def _given(status_socket: Path, request: Mapping[str, Any], is_named: bool) -> int:
-    from imucald.service.asking import ask
+    from imucald.commands.status import BUSY
+    from imucald.service.asking import BusyError, ask
     from imucald.service.control_path import control_socket
 
     path = control_socket(status_socket)
@@ -65,7 +66,10 @@ def _given(status_socket: Path, request: Mapping[str, Any], is_named: bool) -> i
         command = "sudo imucald ..."
         raise ImucaldError(f"{path}: only root may give orders; say {command}")
     try:
-        answer = json.loads(ask(path, json.dumps(request)) or "{}")
+        answer = json.loads(ask(path, json.dumps(request), is_repeatable=False))
+    except BusyError as error:
+        print(f"imucald: {error}", file=sys.stderr)
+        return BUSY
     except LinkError as error:
         print(f"imucald: {error}", file=sys.stderr)
         return NOT_RUNNING

@@ -12,7 +12,7 @@ from typing import Any
 
 from imucald.core.errors import LinkError
 
-FINE, NOT_RUNNING, USABLE, NOT_YET, SUSPECT, FAULT = 0, 3, 4, 5, 6, 7
+FINE, NOT_RUNNING, USABLE, NOT_YET, SUSPECT, FAULT, BUSY = 0, 3, 4, 5, 6, 7, 8
 """Exit status; 1 and 2 are what every command means by them. 3 as in `systemctl is-active`."""
 ASK_S = 1.0
 """A daemon has so long to state its channel [s]."""
@@ -37,8 +37,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.epilog = (
         "Exit status, for scripts: 0 fine, 4 usable or restored, 5 not yet (starting, waiting, "
         "levelled), 6 suspect or recalibrating, 7 a fault (bus not up, an input missing or faulty, "
-        "frames not sent, another sender of our identifiers), 3 no daemon runs, 1 any other error. "
-        "--metrics: 0 or 3. A fault goes before the state of the mount."
+        "frames not sent, another sender of our identifiers), 3 no daemon runs, 8 one runs and "
+        "does not answer, 1 any other error. --metrics: 0, 3 or 8. A fault goes before the state "
+        "of the mount."
     )
 
 
@@ -82,11 +83,14 @@ def exit_status(status: Mapping[str, Any]) -> int:
 
 
 def asked(options: argparse.Namespace, request: str) -> str | int:
-    """The answer of the daemon that is meant; NOT_RUNNING and the reason on stderr without one."""
-    from imucald.service.asking import ask
+    """The answer of the daemon that is meant; without one the exit status, the reason on stderr."""
+    from imucald.service.asking import BusyError, ask
 
     try:
         return ask(find_socket(options.socket, options.channel), request)
+    except BusyError as error:
+        print(f"imucald: {error}", file=sys.stderr)
+        return BUSY
     except LinkError as error:
         print(f"imucald: {error}", file=sys.stderr)
         several = options.socket is None and len(running_sockets(options.channel)) > 1

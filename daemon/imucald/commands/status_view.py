@@ -13,7 +13,7 @@ from rich.text import Text
 from imucald.commands.mount_view import mount_parts
 from imucald.core.clock_words import clock
 from imucald.mount.hysteresis import BAD
-from imucald.mount.mount_words import EVIDENCE_KINDS, is_trouble, reasons
+from imucald.mount.mount_words import EVIDENCE_KINDS, is_trouble, left_out_words, reasons
 from imucald.report.drive_events import STATE_WORDS
 from imucald.runtime.alarms import is_starting, present_alarms
 
@@ -42,7 +42,8 @@ _SILENT = frozenset({"accelerometer_missing", "gyroscope_missing"})
 
 def picture(status: Mapping[str, Any]) -> Group:
     """Return the whole status, for any width."""
-    mount = Group(*mount_parts(status["mount"], status["waiting_for"]))
+    correction = status.get("correction")
+    mount = Group(*mount_parts(status["mount"], status["waiting_for"], correction=correction))
     return Group(headline(status), Padding(mount, (1, 0)), facts(status))
 
 
@@ -91,7 +92,7 @@ def _rows(status: Mapping[str, Any]) -> dict[str, str | Text]:
         "signals": ", ".join(rates) or "none yet",
         "evidence": _evidence(status["details"]),
         "weights": _weights(status["details"]),
-        "gates": _gates(status["details"]),
+        "not learnt from": left_out_words(status["details"]) or "nothing so far",
         "frames": f"{frames['used']} used, {status['frames_given_out']} sent",
         "now": Text("; ".join(wrong) or well or "nothing wrong", style="red" if wrong else ""),
         "sensors": _sensors(status),
@@ -167,13 +168,6 @@ def _weights(details: Mapping[str, Any]) -> str:
         ]
         parts.append(f"{angle}: {', '.join(named)}")
     return "; ".join(parts) or "-"
-
-
-def _gates(details: Mapping[str, Any]) -> str:
-    """For how long nothing was learnt, and why."""
-    frozen = {k: v for k, v in details.get("frozen_ticks", {}).items() if v}
-    parts = [f"{reason.replace('_', ' ')} {ticks / 10:.0f} s" for reason, ticks in frozen.items()]
-    return "not learnt from: " + ", ".join(parts) if parts else "none closed so far"
 
 
 def _saved(saved: Mapping[str, Any]) -> Text:

@@ -10,6 +10,7 @@ from contextlib import contextmanager
 from typing import IO, TYPE_CHECKING, Any, TextIO, cast
 
 from imucald.core.clock_words import clock
+from imucald.core.outside_text import made_safe, stream_behind
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -48,21 +49,41 @@ class _LinesWithoutPadding(io.TextIOBase):
         self._stream.flush()
 
 
+def screen_console(**given: Any) -> Console:
+    """A console of rich: its own colours and moves of the cursor pass, those of texts do not."""
+    from rich.console import Console
+    from rich.segment import Segment
+
+    class ScreenConsole(Console):
+        @property
+        def file(self) -> IO[str]:
+            found: IO[str] = stream_behind(super().file)
+            return found
+
+        @file.setter
+        def file(self, new_file: IO[str]) -> None:
+            self._file = new_file
+
+        def render(self, *given: Any, **named: Any) -> Iterator[Segment]:
+            for part in super().render(*given, **named):
+                text, style, control = part
+                yield part if control else Segment(made_safe(text), style)
+
+        def on_broken_pipe(self) -> None:
+            raise BrokenPipeError
+
+    return ScreenConsole(**given)
+
+
 def plain_console() -> Console:
     """Standard output for tables: names from databases are no markup, a closed pipe is no error.
 
     Where it is no terminal each row is one line, as `grep` and `awk` want it.
     """
-    from rich.console import Console
-
-    class PlainConsole(Console):
-        def on_broken_pipe(self) -> None:
-            raise BrokenPipeError
-
     if sys.stdout.isatty() or "COLUMNS" in os.environ:
-        return PlainConsole(highlight=False, markup=False)
-    file = cast("IO[str]", _LinesWithoutPadding(sys.stdout))
-    return PlainConsole(highlight=False, markup=False, width=PIPED_WIDTH, file=file)
+        return screen_console(highlight=False, markup=False)
+    file = cast("IO[str]", _LinesWithoutPadding(stream_behind(sys.stdout)))
+    return screen_console(highlight=False, markup=False, width=PIPED_WIDTH, file=file)
 
 
 @contextmanager
@@ -71,12 +92,11 @@ def progress_bar(text: str, quiet: bool = False) -> Iterator[Progress | None]:
     if quiet or not sys.stderr.isatty():
         yield None
         return
-    from rich.console import Console
     from rich.progress import BarColumn, DownloadColumn, TextColumn, TimeRemainingColumn
     from rich.progress import Progress as Bar
 
     columns = (TextColumn(text), BarColumn(), DownloadColumn(), TimeRemainingColumn())
-    with Bar(*columns, console=Console(stderr=True), transient=True) as bar:
+    with Bar(*columns, console=screen_console(stderr=True), transient=True) as bar:
         task = bar.add_task(text, total=None)
         yield lambda done, total: bar.update(task, completed=done, total=total)
 
@@ -87,13 +107,12 @@ def countdown(text: str, seconds: float) -> Iterator[Callable[[float], None]]:
     if not sys.stderr.isatty():
         yield _nothing
         return
-    from rich.console import Console
     from rich.progress import BarColumn, TextColumn, TimeRemainingColumn
     from rich.progress import Progress as Bar
 
     words = TextColumn("{task.description}", markup=False)
     columns = (words, BarColumn(), TimeRemainingColumn())
-    with Bar(*columns, console=Console(stderr=True), transient=True) as bar:
+    with Bar(*columns, console=screen_console(stderr=True), transient=True) as bar:
         task = bar.add_task(text, total=seconds)
         yield lambda passed: bar.update(task, completed=passed)
 
@@ -104,8 +123,9 @@ def _nothing(passed: float) -> None:
 
 def plain_where_needed() -> None:
     """Let standard output show '?' for what its encoding lacks, rather than fail."""
-    if isinstance(sys.stdout, io.TextIOWrapper):
-        sys.stdout.reconfigure(errors="replace")
+    stdout = stream_behind(sys.stdout)
+    if isinstance(stdout, io.TextIOWrapper):
+        stdout.reconfigure(errors="replace")
 
 
 def print_summary(result: Mapping[str, Any]) -> None:
@@ -113,11 +133,14 @@ def print_summary(result: Mapping[str, Any]) -> None:
     from rich.text import Text
 
     from imucald.commands.mount_view import mount_parts
+    from imucald.mount.mount_words import left_out_words
 
     plain_where_needed()
     console = plain_console()
     console.print(Text.assemble("state: ", (result["state"], "bold"), _since(result)))
-    for part in mount_parts(result["mount"], result["waiting_for"]):
+    for part in mount_parts(
+        result["mount"], result["waiting_for"], correction=result.get("correction")
+    ):
         console.print(part)
     frames = result["frames"]
     signals = ", ".join(
@@ -130,6 +153,8 @@ def print_summary(result: Mapping[str, Any]) -> None:
     if frames["rejected"]:
         rejected = ", ".join(f"{reason} {n}" for reason, n in frames["rejected"].items())
         console.print(f"rejected: {rejected}")
+    if left_out := left_out_words(result.get("details", {})):
+        console.print(f"not learnt from: {left_out}")
     for text in _noticed(result):
         console.print(text, style="bold red")
     for text in _beside(result):

@@ -14,6 +14,7 @@ from types import NoneType, UnionType
 from typing import Annotated, Any, Literal, Union, get_args, get_origin, get_type_hints
 
 import msgspec
+import msgspec.structs
 from msgspec import Struct
 
 from imucald.core.locations import Document, Place
@@ -33,6 +34,12 @@ SHOWN_KEYS = 4
 """Keys of a mapping that a message names."""
 
 Mistake = tuple[Place, str]
+
+
+@cache
+def _fields(model: type[Struct]) -> tuple[msgspec.structs.FieldInfo, ...]:
+    """The fields of a struct; to find them, msgspec compiles each annotation again."""
+    return msgspec.structs.fields(model)
 
 
 def explain(data: Any, full: Any, kind: Any, document: Document, at: Place = ()) -> Iterator[str]:
@@ -103,7 +110,7 @@ def _of_fields(value: dict[Any, Any], model: type[Struct], place: Place) -> Iter
             yield from _mistakes(one, hints[key], (*place, key))
         else:
             yield (*place, key), _unknown(str(key), list(hints))
-    for field in msgspec.structs.fields(model):
+    for field in _fields(model):
         if field.required and field.name not in value:
             yield (*place, field.name), "is missing; it is required, add it"
 
@@ -130,7 +137,7 @@ def _keys(value: Any, kind: Any) -> str:
     """Which keys a mapping would have, where something else stands in its place."""
     if isinstance(value, dict) or not (isinstance(kind, type) and issubclass(kind, Struct)):
         return ""
-    names = [field.name for field in msgspec.structs.fields(kind)]
+    names = [field.name for field in _fields(kind)]
     more = ", ..." if len(names) > SHOWN_KEYS else ""
     return f"; its keys: {', '.join(names[:SHOWN_KEYS])}{more}"
 

@@ -1,16 +1,20 @@
-"""How much memory this process may take: what the machine has, or what its control group leaves."""
+"""How much memory this process may take: of the machine, its control group, its own limits."""
 
 from __future__ import annotations
 
 import os
+import resource
 from pathlib import Path
 
 _GROUPS = Path("/sys/fs/cgroup")
 
 
 def allowed_memory(own_group: Path = Path("/proc/self/cgroup"), groups: Path = _GROUPS) -> int:
-    """Return bytes: the least of physical memory and MemoryMax of the groups around (cgroup v2)."""
+    """Return bytes: the least of physical memory, the process's limits of address space and data
+    (`ulimit`), and MemoryMax of the groups around (cgroup v2)."""
     limits = [os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")]
+    own = (resource.getrlimit(kind)[0] for kind in (resource.RLIMIT_AS, resource.RLIMIT_DATA))
+    limits += [limit for limit in own if limit != resource.RLIM_INFINITY]
     folder = groups / _unified(own_group).lstrip("/")
     for group in (folder, *folder.parents):
         try:

@@ -43,7 +43,10 @@ def transposed_times(m: Rows, v: Sequence[float]) -> Vector:
 
 
 def times_columns(rows: NDArray[np.float64], v: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Matrices (N, 9) or (1, 9) times vectors (N, 3); the same bits as `times` row by row."""
+    """Matrices times vectors (N, 3); the same bits as `times` row by row.
+
+    rows: (N, 9) or (1, 9); more columns are not looked at.
+    """
     x, y, z = v[:, 0], v[:, 1], v[:, 2]
     r = rows.T
     out = [r[3 * i] * x + r[3 * i + 1] * y + r[3 * i + 2] * z for i in range(3)]

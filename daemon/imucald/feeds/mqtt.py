@@ -19,6 +19,8 @@ PASSWORD = "IMUCALD_MQTT_PASSWORD"
 """Environment variable; a password does not belong on a command line."""
 KEEPALIVE_S = 10
 """A connection that is silent for one and a half times this [s] is dead: the will is sent."""
+PACKET_MAX = 1 << 16
+"""Longest packet taken from a broker [bytes]: only acknowledgements are asked for."""
 UNITS = {"acceleration": "m/s2", "angular_rate": "deg/s"}
 QUALITIES = ("not_available", "restored", "usable", "fine", "suspect")
 
@@ -41,10 +43,18 @@ class MqttReceiver:
         from paho.mqtt.client import Client  # noqa: PLC0415 - an extra
         from paho.mqtt.enums import CallbackAPIVersion  # noqa: PLC0415
 
+        class BoundedClient(Client):
+            """paho holds whatever length a packet announces; nothing long is meant for us."""
+
+            def _sock_recv(self, bufsize: int) -> bytes:
+                if bufsize > PACKET_MAX:
+                    raise ConnectionError(f"the broker sends a packet of {bufsize} bytes")
+                return bytes(super()._sock_recv(bufsize))
+
         self._settings = settings
         self._say = say
         self._reported = ""
-        client = Client(CallbackAPIVersion.VERSION2, client_id="")
+        client = BoundedClient(CallbackAPIVersion.VERSION2, client_id="")
         client.reconnect_delay_set(1, int(LONGEST_PAUSE_S))
         client.will_set(self._topic("online"), "0", qos=1, retain=True)
         if settings.user is not None:

@@ -89,7 +89,7 @@ class PreprocessingChain:
         if not taken:
             return routed
         samples = dict(routed.samples)
-        rows = dict(routed.rejected)
+        rows, values = dict(routed.rejected), dict(routed.rejected_values)
         events = [routed.events]
         for channel, one in taken.items():
             series, good = routed.samples[channel], ~one.refused
@@ -99,11 +99,12 @@ class PreprocessingChain:
             bad = series.row[one.refused]
             rejected[REFUSED] += len(bad)
             events.append(t[bad])
-            rows[channel] = np.sort(np.concatenate([rows.get(channel, bad[:0]), bad]))
+            for of in (rows, values):
+                of[channel] = np.sort(np.concatenate([of.get(channel, bad[:0]), bad]))
             samples[channel] = ColumnSamples(series.t[good], one.values[good], series.row[good])
             if not good.any():
                 del samples[channel]
-        return Routed(samples, rows, np.sort(np.concatenate(events)))
+        return Routed(samples, rows, values, np.sort(np.concatenate(events)))
 
     def corrected_columns(
         self, samples: Mapping[str, ColumnSamples], turned: Mapping[str, Array]

@@ -52,7 +52,8 @@ class TickPreprocessing:
     def row(self, row: Sequence[float], correction: Correction | None) -> Sequence[float]:
         """Return the row of a tick as the estimator is to see it.
 
-        correction: the mount in force during the tick.
+        correction: in force during the tick. The lean is that of the corrected force; it turns the
+        samples in the axes of the housing, so that their own errors stay what they were.
         """
         if self._time_alignment is not None:
             row = self._time_alignment.row(row)
@@ -74,16 +75,17 @@ class TickPreprocessing:
             return row
         out = list(row)
         if row[tk.ACCEL.n]:
-            force = times(correction, row[_FORCES])
-            lean = suspension.push(row[tk.T], force[0], force[1])
-            out[_FORCES] = transposed_times(correction, on_road(lean, *force))
+            ahead, left, _ = correction.applied("accel", row[_FORCES])
+            lean = suspension.push(row[tk.T], ahead, left)
+            force = times(correction.rotation, row[_FORCES])
+            out[_FORCES] = transposed_times(correction.rotation, on_road(lean, *force))
         roll, pitch = suspension.attitude[:2]
         if row[tk.GYRO.n]:
             before = self._taken or (roll, pitch)
             change = (roll - before[0]) / TICK_S, (pitch - before[1]) / TICK_S
             lean = roll, pitch, *change
-            rate = less_suspension_rate(lean, *times(correction, row[_RATES]))
-            out[_RATES] = transposed_times(correction, on_road(lean, *rate))
+            rate = less_suspension_rate(lean, *times(correction.rotation, row[_RATES]))
+            out[_RATES] = transposed_times(correction.rotation, on_road(lean, *rate))
         self._taken = (roll, pitch) if row[tk.GYRO.n] else None
         return out
 

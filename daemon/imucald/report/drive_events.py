@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from imucald.mount.contradictions import WORDS
-from imucald.mount.mount_words import contradicted_words, moved_words, reasons_line
+from imucald.mount.mount_words import change_words, contradicted_words, is_move, reasons_line
 
 STATE_WORDS: Mapping[str, str] = {
     "waiting": "nothing is known yet",
@@ -44,7 +44,8 @@ def reported_events(result: Mapping[str, Any], gaps: Sequence[float] = ()) -> It
     """What a result (or a daemon's status) says about moved sensors, faults and sensor health."""
     details = result.get("details", {})
     for shift in details.get("shifts", ()):
-        yield Event(float(shift["t"]), "moved", f"the sensor was moved: {moved_words(shift)}")
+        kind = "moved" if is_move(shift) else "evidence"
+        yield Event(float(shift["t"]), kind, change_words(shift))
     for fault in details.get("faults", ()):
         yield Event(float(fault["t"]), "fault", _fault_words(str(fault["fault"])))
     restored = details.get("restored") or {}

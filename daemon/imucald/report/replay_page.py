@@ -18,8 +18,10 @@ from imucald.mount.mount_words import (
     TURNS_ABOUT,
     angle_cells,
     half_width,
+    left_out_words,
     plus_minus,
     reasons_line,
+    sent_words,
 )
 from imucald.report.drawing import STYLE, view_drawings
 from imucald.report.drive_events import STATE_WORDS, Event, in_order, reported_events, state_changes
@@ -62,10 +64,12 @@ def replay_page(
             lead=duration(history.lead) if history.lead >= SNAPSHOT_S else "",
             meaning=STATE_WORDS.get(result["state"], ""),
             waiting=reasons_line(result["waiting_for"]),
+            left_out=left_out_words(result["details"]),
             drawing_style=STYLE,
             views=view_drawings(_rotation(last)),
             mount=_mount_rows(result["mount"]),
             quaternion=_quaternion(result["mount"]),
+            sent=sent_words(result.get("correction")),
             convention=ABOUT,
             mount_picture=draw.mount_picture(history, events) if history.moments else "",
             events=[(e.number, clock(e.event.t), e.event.kind, e.event.text) for e in events],

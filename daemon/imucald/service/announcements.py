@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from msgspec.structs import asdict
 
-from imucald.can.link.link import LinkEvent
+from imucald.can.link.link import LinkEvent, LinkState
 from imucald.config import LoadedConfig
 from imucald.mount.mount_words import reasons_line
 from imucald.runtime.engine import Engine
@@ -22,6 +22,11 @@ def say_idle_keys(loaded: LoadedConfig, journal: Journal) -> None:
         journal.say(line, WARNING)
 
 
+_STATES = frozenset(str(state) for state in LinkState)
+BUS_BURST = 20
+"""Lines about the bus that are written at once; after these only seldom ones."""
+
+
 class Announcements:
     """Writes what changes, once, into a journal."""
 
@@ -29,6 +34,7 @@ class Announcements:
         self._journal = journal
         self._alarms = AlarmWatch(journal)
         self._state: object = None
+        self._untold_event: LinkEvent | None = None
         self._rejected = self._late = 0
         self._failures: dict[str, int] = {}
 
@@ -42,7 +48,12 @@ class Announcements:
 
     def link_event(self, event: LinkEvent) -> None:
         """What happened to the bus link."""
-        self._journal.say(event.text, INFO if event.kind in _QUIET_EVENTS else WARNING)
+        priority = INFO if event.kind in _QUIET_EVENTS else WARNING
+        if event.kind not in _STATES:
+            self._journal.say(event.text, priority)
+        else:  # an interface may come and go for ever
+            is_told = self._journal.seldom("bus", event.text, priority, BUS_BURST)
+            self._untold_event = None if is_told else event
 
     def snapshot(self, snapshot: Snapshot) -> None:
         """Each change of state, in one line."""
@@ -57,6 +68,9 @@ class Announcements:
     def update(self, engine: Engine, late: int, uptime: float) -> None:
         """Alarms, rejections, late frames and failed calculations, once a second; uptime [s]."""
         self._alarms.update(asdict(engine.health()), uptime)
+        event = self._untold_event
+        if event is not None and self._journal.is_due("bus"):  # how the bus is after all that
+            self.link_event(event)
         rejected = engine.router.rejected
         if (total := rejected.total()) > self._rejected:
             self._rejected = total

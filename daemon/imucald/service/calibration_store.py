@@ -16,8 +16,10 @@ import numpy as np
 from imucald.core.errors import EstimateError
 from imucald.mount.estimate import MountEstimator, MountState
 from imucald.mount.hysteresis import BAD, GOOD
+from imucald.mount.joint.known import KnownSensor, known_from
 from imucald.mount.mount_in_force import (
     doubt_of,
+    known_sensor,
     mount_in_force,
     saved_information,
     without_stored,
@@ -46,6 +48,8 @@ BACK_AFTER_START = "tried again until it works, a restart before that brings it 
 _OFFSETS = ("accel_bias", "gyro_bias", "yaw_rate_offset", "steering_offset", "speed_delay")
 SUMS = "sums"
 """Where among a saved state's evidence the sums are that an estimator goes on with."""
+SENSOR = "sensor"
+"""Where what is known of the sensor by itself is among them."""
 _EVIDENCE: tuple[str, ...] = (
     "evidence_std_deg",
     "evidence_share",
@@ -111,19 +115,23 @@ class CalibrationStore:
 
         A mount that the configuration holds stays in front of all that was saved.
         """
-        if isinstance(estimator, RestoredEstimator) and estimator.is_held:
+        is_held = isinstance(estimator, RestoredEstimator) and estimator.is_held
+        if is_held:
             self._say("the mount is the configuration's, and held", NOTICE)
-            return estimator
         loaded = self.store.load()
         self.problems = loaded.problems
         for problem in loaded.problems:
             self._say(f"saved state: {problem}", WARNING)
         saved = loaded.state
+        if is_held:
+            if saved is not None:  # its sensor check serves all the same
+                self._last, self._known, self._driven_before = saved, True, saved.driven_s
+            return estimator
         if saved is None:
             self._say(f"no saved state in {self.store.folder}; starting from nothing", INFO)
             return estimator
         try:
-            stored = stored_mount(saved, self._evidence(saved))
+            stored = stored_mount(saved, self._evidence(saved), self._sensor(saved))
             restored = RestoredEstimator(without_stored(estimator), stored, saved.held)
         except Exception as error:  # whatever a file holds: without it the start goes on
             problem = f"it cannot be used ({type(error).__name__}: {error})"
@@ -149,10 +157,28 @@ class CalibrationStore:
             self._say(f"saved state: {error}; the mount is used without it", WARNING)
             return None
 
+    def _sensor(self, saved: SavedState) -> KnownSensor | None:
+        """What was kept of the sensor itself; without it the mount serves all the same."""
+        kept = saved.evidence.get(SENSOR)
+        if kept is None:
+            return None
+        try:
+            sensor = known_from(kept)
+            sensor.correction(np.array(saved.rotation).reshape(3, 3))
+            return sensor
+        except EstimateError as error:
+            self._say(f"saved state: {error}; the mount is used without it", WARNING)
+            return None
+
     @property
     def saved_check(self) -> object:
         """The sensor check of the state that was restored, as it was saved; None: there is none."""
         return self._last.offsets.get(SENSOR_CHECK) if self._known else None
+
+    @property
+    def _is_check_new(self) -> bool:
+        check = self.sensor_check()
+        return check is not None and check != self.saved_check
 
     def update(self, estimator: MountEstimator, driven_s: float) -> None:
         """Take the present estimate; save it if it is due. driven_s: since the start [s]."""
@@ -166,24 +192,31 @@ class CalibrationStore:
             self._say("the saved state is set aside now: the reset is final", NOTICE)
 
     def _wanted(self, state: MountState, changed: bool) -> bool:
+        is_due = changed or self._clock() - self._last_put >= self._period
         if state in BAD:  # once; what was good before is kept, as doubted
-            return changed and self._known
-        if state not in GOOD:
-            return False
-        return changed or self._clock() - self._last_put >= self._period
+            return self._known and (changed or (is_due and self._is_check_new))
+        if state is MountState.RESTORED:  # nothing new of the mount
+            return is_due and self._is_check_new
+        return is_due and state in GOOD
 
     def _save(self, estimator: MountEstimator, driven_s: float) -> None:
         self._last_put = self._clock()
         if estimator.state in BAD:
-            if self._is_saved_as_doubted(estimator):
+            if self._is_saved_as_doubted(estimator) and not self._is_check_new:
                 return
             shift = {"at": round(self._wall(), 1), "driven_s": round(driven_s, 1)}
             shifts = (*self._last.shifts, *(() if self._last.doubted else (shift,)))
-            self._last = replace(
+            doubted = replace(
                 self._last, doubted=True, doubt=doubt_of(estimator), shifts=shifts[-SHIFTS_KEPT:]
             )
+            self._last = self._with_check(doubted)
         else:
-            saved = saved_state(estimator, driven_s, self._wall(), self._last.shifts)
+            is_open = estimator.state is MountState.RESTORED  # as it was restored or stated
+            if is_open and self._known:
+                saved: SavedState | None = self._last
+            else:
+                stored = mount_in_force(estimator) if is_open else None
+                saved = saved_state(estimator, driven_s, self._wall(), self._last.shifts, stored)
             if saved is None:
                 return
             saved = self._with_check(saved)
@@ -235,8 +268,11 @@ class CalibrationStore:
         self.writer.put((self.store.era, None))
         return reason
 
-    def save_order(self, estimator: MountEstimator, driven_s: float) -> None:
-        """Save the mount that is in force by a person's order, at once and whatever its state."""
+    def save_order(self, estimator: MountEstimator, driven_s: float) -> str:
+        """Save the mount that is in force by a person's order, at once and whatever its state.
+
+        Returns why the disk does not take it now, empty where it does; it is tried again.
+        """
         stored = mount_in_force(estimator)
         state = None
         if stored is not None:
@@ -246,10 +282,11 @@ class CalibrationStore:
             self._last, self._known = self._with_check(state), True
             self._last_put, self._before = self._clock(), estimator.state
             self.writer.put((self.store.era, self._last))
+        return self.store.why_not_writable()
 
     def save_now(self, estimator: MountEstimator, driven_s: float) -> None:
         """Save the last estimate; wait for the disk, but not for long."""
-        if estimator.state in GOOD or (estimator.state in BAD and self._known):
+        if self._wanted(estimator.state, changed=True):
             self._save(estimator, self._driven_before + driven_s)
         self.writer.flush(STOP_WAIT_S)
 
@@ -285,16 +322,23 @@ class CalibrationStore:
         }
 
 
-def stored_mount(saved: SavedState, evidence: SavedInformation | None) -> StoredMount:
-    """A saved state as the estimator takes it, with the sums that were in it."""
+def stored_mount(
+    saved: SavedState, evidence: SavedInformation | None, sensor: KnownSensor | None = None
+) -> StoredMount:
+    """A saved state as the estimator takes it, with the sums and the sensor that were in it."""
+    R = np.array(saved.rotation).reshape(3, 3)
+    applied = None if sensor is None or saved.given else sensor.correction(R)
     return StoredMount(
-        np.array(saved.rotation).reshape(3, 3),
+        R,
         np.array(saved.covariance).reshape(3, 3),
         MountState[saved.state.upper()],
         saved.doubted,
         evidence,
         saved.given,
         saved.doubt,
+        applied,
+        None if sensor is None or applied is None else sensor.away().sent(),
+        sensor,
     )
 
 
@@ -311,6 +355,7 @@ def saved_state(
     was when that began: it does not get vaguer by being held.
     """
     estimate, sums = estimator.estimate(), saved_information(estimator)
+    sensor = known_sensor(estimator)
     in_front = estimator if isinstance(estimator, RestoredEstimator) else None
     is_held = in_front is not None and in_front.is_held
     stored = mount_in_force(estimator) if is_held else stored
@@ -336,5 +381,6 @@ def saved_state(
         evidence={
             **{k: plain(details[k], None) for k in _EVIDENCE if k in details},
             **({} if sums is None else {SUMS: sums.plain()}),
+            **({} if sensor is None else {SENSOR: sensor.plain()}),
         },
     )

@@ -7,7 +7,6 @@ configuration's `calibration: mount` would have. The answer is one JSON line: ``
 
 from __future__ import annotations
 
-import os
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -22,14 +21,13 @@ from imucald.core.errors import ImucaldError
 from imucald.runtime.mount_orders import MountOrders
 from imucald.service.background_writer import Say
 from imucald.service.journal import WARNING
-from imucald.service.line_server import LineServer, Peer
+from imucald.service.line_server import ROOT, LineServer, Peer
 
 OWNER_ONLY = 0o600
 BURST = 5
 """So many requests at once, ..."""
 PERIOD_S = 1.0
 """... then one in this time [s]: a person types no faster, and each makes a new estimator."""
-ROOT = 0
 
 
 class Order(Struct, forbid_unknown_fields=True, tag_field="order"):
@@ -75,11 +73,10 @@ class ControlServer(LineServer):
         super().__init__(path, OWNER_ONLY, self._answer, clock, say=say)
         self._orders = orders
         self._say = say
-        self._allowed = {ROOT, os.geteuid()}
         self._left, self._at = float(BURST), clock()
 
     def _answer(self, line: bytes, peer: Peer) -> bytes:
-        if peer.uid not in self._allowed:
+        if peer.uid not in self._owners:
             return self._refused(f"user {peer.uid} may give no orders; only root may", peer)
         if not self._has_token():
             return _line(error=f"too many orders; try again in {PERIOD_S:g} s")

@@ -13,6 +13,8 @@ from collections import deque
 from collections.abc import Callable, Mapping
 from typing import NamedTuple, TextIO
 
+from imucald.core.outside_text import made_safe
+
 ERROR, WARNING, NOTICE, INFO = 3, 4, 5, 6
 """Priorities of syslog."""
 LEVELS = {ERROR: "error", WARNING: "warning", NOTICE: "notice", INFO: "info"}
@@ -58,11 +60,11 @@ class Journal:
             self._stream, os.environ if environment is None else environment
         )
         self._clock = clock
-        self._last: dict[str, tuple[float, int]] = {}
+        self._due: dict[str, tuple[float, int]] = {}
 
     def say(self, text: str, priority: int = INFO) -> None:
         """Write a line."""
-        line = " ".join(text.split())
+        line = made_safe(" ".join(text.split()))
         self.events.append(LogEvent(round(self._wall(), 3), LEVELS[priority], line[:LINE_BYTES]))
         if self._untold and self._write(f"{self._untold} lines could not be written", WARNING):
             self._untold = 0
@@ -85,15 +87,24 @@ class Journal:
             return False
         return True
 
-    def seldom(self, kind: str, text: str, priority: int = WARNING) -> None:
-        """Write a line unless one of its kind came lately; then say how many were left out."""
+    def seldom(self, kind: str, text: str, priority: int = WARNING, burst: int = 1) -> bool:
+        """Write a line unless `burst` of its kind came lately; then say how many were left out.
+
+        Returns whether it was written.
+        """
+        due, untold = self._due.get(kind, (-math.inf, 0))
         now = self._clock()
-        last, untold = self._last.get(kind, (-math.inf, 0))
-        if now - last < SELDOM_S:
-            self._last[kind] = (last, untold + 1)
-            return
-        self._last[kind] = (now, 0)
+        due = max(due, now - (burst - 1) * SELDOM_S)  # at which the next would be without bursts
+        if now < due:
+            self._due[kind] = (due, untold + 1)
+            return False
+        self._due[kind] = (due + SELDOM_S, 0)
         self.say(text + (f" ({untold} such lines left out before)" if untold else ""), priority)
+        return True
+
+    def is_due(self, kind: str) -> bool:
+        """Whether `seldom` would write a line of the kind."""
+        return self._clock() >= self._due.get(kind, (-math.inf, 0))[0]
 
 
 def _descriptor(stream: TextIO | None) -> int | None:

@@ -21,7 +21,14 @@ from imucald.service.journal import WARNING
 
 CLIENTS_MAX = 8
 """More are turned away."""
-ACCEPTED_MAX = 32
+CLIENTS_PER_USER = 4
+"""Of these, so that one user cannot take all places."""
+KEPT_FOR_OWNER = 4
+"""Places for root and the daemon's own user beyond these."""
+ROOT = 0
+BACKLOG = 128
+"""Clients that wait for a turn of the loop."""
+ACCEPTED_MAX = BACKLOG
 """So many are looked at in one turn of the loop; the others wait for the next."""
 CLIENT_S = 1.0
 """A client has so long to ask and to take its answer [s]."""
@@ -45,8 +52,9 @@ class Peer(NamedTuple):
 
 
 class _Client:
-    def __init__(self, connection: socket.socket, end: float) -> None:
+    def __init__(self, connection: socket.socket, peer: Peer, end: float) -> None:
         self.connection = connection
+        self.peer = peer
         self.end = end
         self.request = b""
         self.answer: bytes | None = None
@@ -75,6 +83,7 @@ class LineServer:
         self._say = say
         self._said: set[str] = set()
         self._clients: list[_Client] = []
+        self._owners = {ROOT, os.geteuid()}
         self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM | socket.SOCK_CLOEXEC)
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
@@ -82,7 +91,7 @@ class LineServer:
             os.fchmod(self._socket.fileno(), mode)  # Linux: the file never has more than this
             self._socket.bind(str(path))
             path.chmod(mode)
-            self._socket.listen(CLIENTS_MAX)
+            self._socket.listen(BACKLOG)
         except OSError as error:
             self._socket.close()
             reason = error.strerror or str(error)
@@ -99,13 +108,21 @@ class LineServer:
             self._clients = [client for client in self._clients if self._served(client)]
 
     def _take(self, connection: socket.socket) -> None:
-        if len(self._clients) >= CLIENTS_MAX:
+        peer = _peer(connection)
+        if not self._has_place(peer.uid):
             connection.close()
             return
         connection.setblocking(False)
         with contextlib.suppress(OSError):
             connection.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, SEND_BUFFER)
-        self._clients.append(_Client(connection, self._clock() + CLIENT_S))
+        self._clients.append(_Client(connection, peer, self._clock() + CLIENT_S))
+
+    def _has_place(self, uid: int) -> bool:
+        if uid in self._owners:
+            return len(self._clients) < CLIENTS_MAX + KEPT_FOR_OWNER
+        users = [client.peer.uid for client in self._clients]
+        others = [user for user in users if user not in self._owners]
+        return len(others) < CLIENTS_MAX and others.count(uid) < CLIENTS_PER_USER
 
     def _served(self, client: _Client) -> bool:
         """Go on with one client; whether it is to be kept."""
@@ -115,7 +132,7 @@ class LineServer:
                 client.request += part
                 line, end, _ = client.request.partition(b"\n")
                 if end:
-                    client.answer = self._answer_to(line, _peer(client.connection))
+                    client.answer = self._answer_to(line, client.peer)
                 elif not part or len(client.request) > REQUEST_MAX:
                     client.connection.close()
                     return False

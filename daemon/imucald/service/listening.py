@@ -13,7 +13,7 @@ from typing import NoReturn
 
 from imucald.core.errors import LinkError
 
-BACKLOG = 16
+BACKLOG = 128
 
 
 def listening_at(address: str) -> socket.socket:

@@ -7,8 +7,11 @@ from __future__ import annotations
 
 import contextlib
 import ipaddress
+import math
 import socket
 import threading
+import time
+from collections import Counter
 from collections.abc import Callable
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from typing import Any
@@ -17,10 +20,12 @@ from urllib.parse import urlsplit
 from imucald import __version__
 
 CLIENTS_MAX = 16
-"""More connections at a time are turned away."""
+"""With more connections at a time one that has not asked yet is cut off."""
 IDLE_S = 2.0
 CLIENT_S = 5.0
 """A connection lasts no longer [s], however slowly its request drips in."""
+FRESH_S = 0.2
+"""A text that was made before the answer is this old at most [s]."""
 CONTENT = "text/plain; version=0.0.4; charset=utf-8"
 
 
@@ -42,13 +47,14 @@ class MetricsHandler(BaseHTTPRequestHandler):
 
     def _headed(self) -> bytes:
         """Send the head of the answer; the text that belongs to it."""
+        self.server.has_asked(self.connection)
         if not self.server.is_named(self.headers.get("Host", "")):
             self.send_error(403, "these metrics are for this machine only")
             return b""
         if self.path.partition("?")[0] != "/metrics":
             self.send_error(404, "only /metrics is here")
             return b""
-        body = self.server.text().encode()
+        body = self.server.fresh_text().encode()
         self.send_response(200)
         self.send_header("Content-Type", CONTENT)
         self.send_header("Content-Length", str(len(body)))
@@ -63,6 +69,7 @@ class MetricsServer(ThreadingHTTPServer):
     """Serves on a socket that listens already. text: makes the answer of each scrape."""
 
     daemon_threads = True
+    request_queue_size = 128
 
     def __init__(self, listening: socket.socket, text: Callable[[], str]) -> None:
         super().__init__(listening.getsockname()[:2], MetricsHandler, bind_and_activate=False)
@@ -70,7 +77,11 @@ class MetricsServer(ThreadingHTTPServer):
         self.socket = listening
         self.text = text
         self._is_local = _is_loopback(str(self.server_address[0]))
-        self._free = threading.BoundedSemaphore(CLIENTS_MAX)
+        self._open: dict[Any, str] = {}  # sockets, oldest first, with the address of each
+        self._asking: set[Any] = set()
+        """Those whose request has not come yet."""
+        self._lock, self._making = threading.Lock(), threading.Lock()
+        self._made, self._made_at = "", -math.inf
 
     def is_named(self, host: str) -> bool:
         """Whether a request's Host may be this server's.
@@ -87,11 +98,40 @@ class MetricsServer(ThreadingHTTPServer):
         return name is None or name == "localhost" or _is_loopback(name)
 
     def process_request(self, request: Any, client_address: Any) -> None:
-        """Serve a connection beside the others, or turn it away."""
-        if self._free.acquire(blocking=False):
-            super().process_request(request, client_address)
-        else:
-            self.shutdown_request(request)
+        """Serve a connection beside the others; whoever has not asked yet makes room for it.
+
+        Of these the oldest of the address with the most connections goes: who drips in requests,
+        from however many connections, keeps nobody else out.
+        """
+        with self._lock:
+            if len(self._open) >= CLIENTS_MAX:
+                counts = Counter(self._open.values())
+                waiting = [other for other in self._open if other in self._asking]
+                if not waiting:
+                    self.shutdown_request(request)
+                    return
+                out = max(waiting, key=lambda other: counts[self._open[other]])  # the first of them
+                self._forget(out)
+                _cut(out)
+            self._open[request] = str(client_address[0])
+            self._asking.add(request)
+        super().process_request(request, client_address)
+
+    def _forget(self, request: Any) -> None:
+        self._open.pop(request, None)
+        self._asking.discard(request)
+
+    def has_asked(self, request: Any) -> None:
+        """A request has come whole: its connection is answered, whoever comes."""
+        with self._lock:
+            self._asking.discard(request)
+
+    def fresh_text(self) -> str:
+        """The text; one for all that ask at a time."""
+        with self._making:
+            if time.monotonic() - self._made_at > FRESH_S:
+                self._made, self._made_at = self.text(), time.monotonic()
+            return self._made
 
     def process_request_thread(self, request: Any, client_address: Any) -> None:
         """Serve a connection for as long as it may last."""
@@ -102,7 +142,8 @@ class MetricsServer(ThreadingHTTPServer):
             super().process_request_thread(request, client_address)
         finally:
             end.cancel()
-            self._free.release()
+            with self._lock:
+                self._forget(request)
 
     def handle_error(self, request: Any, client_address: Any) -> None:
         """A client that went away is no news."""

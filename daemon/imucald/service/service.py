@@ -18,7 +18,7 @@ from imucald.runtime.input_health import LinkHealth
 from imucald.runtime.mount_orders import TESTER, MountOrders
 from imucald.service.announcements import Announcements, say_idle_keys
 from imucald.service.figures import status_line
-from imucald.service.folder_lock import FolderLock
+from imucald.service.folder_lock import FolderInUseError, FolderLock
 from imucald.service.identity import state_key
 from imucald.service.journal import NOTICE, WARNING, Journal
 from imucald.service.live import Daemon
@@ -69,6 +69,7 @@ class Service:
         self._began = self._next_second = clock()
         self._next_chore = self._next_look = clock()
         self._check_wanted = False
+        self._says_unlocked = self._is_displaced = False
         self._rates = InputRates(clock())
         self._start_count = StartCount(options.start_count)
         self.orders = MountOrders(self)
@@ -102,17 +103,40 @@ class Service:
     # starting ------------------------------------------------------------------------------
 
     def _locked_folder(self) -> FolderLock | None:
-        """Have the state folder alone; a folder that takes no file is read all the same."""
+        """Have the state folder alone; one that cannot be locked is read all the same."""
         folder = self.options.state_folder
         if folder is None:
             return None
         try:
             lock = FolderLock(folder)
         except OSError as error:
-            self.journal.say(f"{folder} cannot be locked: {error.strerror or error}", WARNING)
+            text = f"{folder} cannot be locked: {error.strerror or error}; tried again every second"
+            if not self._says_unlocked:
+                self.journal.say(text, WARNING)
+            self._says_unlocked = True
             return None
+        if self._says_unlocked:
+            self._says_unlocked = False
+            self.journal.say(f"{folder} is locked now", NOTICE)
         clear_unfinished(folder)
         return lock
+
+    def _keep_locked(self) -> None:
+        """Lock the folder that could not be locked, or was deleted and made again.
+
+        Raises FolderInUseError where another daemon was faster: nothing is saved any more then.
+        """
+        try:
+            if self._lock is None:
+                self._lock = self._locked_folder()
+            elif self._lock.renew():
+                text = f"{self.options.state_folder} was deleted: it is made and locked again"
+                self.journal.say(text, WARNING)
+        except FolderInUseError:
+            self._is_displaced = True
+            raise
+        except OSError:  # it is tried again; a save that fails is reported
+            return
 
     def _release(self) -> None:
         if self._lock is not None:
@@ -195,9 +219,10 @@ class Service:
         self.sockets.close()
         self.link.close()  # first: nothing stale is sent while the disk takes its time
         store, engine = self.parts.calibration_store, self.engine
-        if store is not None:
-            store.close(engine.pipeline.estimator, engine.timebase.now)
-        self.parts.diagnostics.close()
+        if not self._is_displaced:  # else the folder is another daemon's
+            if store is not None:
+                store.close(engine.pipeline.estimator, engine.timebase.now)
+            self.parts.diagnostics.close()
         if self._companion is not None:
             self._companion.close()
         self._release()
@@ -224,6 +249,7 @@ class Service:
 
     def _every_second(self, now: float) -> None:
         self._start_count.update(now - self._began)
+        self._keep_locked()
         engine, store = self.engine, self.parts.calibration_store
         estimate = engine.pipeline.estimator.estimate()
         if store is not None:
@@ -275,11 +301,12 @@ class Service:
         store = self.parts.calibration_store
         return store is None or store.store.is_forgotten
 
-    def save_state(self) -> None:
-        """Save the mount that is in force as it is now, held or not."""
+    def save_state(self) -> str:
+        """Save the mount in force, held or not; return why the disk does not take it, or ""."""
         store, engine = self.parts.calibration_store, self.engine
-        if store is not None:
-            store.save_order(engine.pipeline.estimator, engine.timebase.now)
+        if store is None:
+            return ""
+        return store.save_order(engine.pipeline.estimator, engine.timebase.now)
 
     def log_order(self, who: str, text: str) -> None:
         """Write what was done to the mount, and by whom, into the log."""

@@ -38,6 +38,9 @@ READABLE = (1, 2)
 MAX_BYTES = 1 << 20
 """A longer file is not ours."""
 SLOTS = (0, 1)
+PROBE = "probe"
+PROBE_BYTES = 1 << 16
+"""More than a state has, as a rule."""
 ROTATION_TOLERANCE = 1e-6
 """How far a stored matrix may be from a rotation."""
 LARGEST_VARIANCE = 4.0
@@ -74,7 +77,8 @@ class SavedState:
     state: "usable" or "fine". doubted: it was suspect when it was saved. saved_at: wall clock [s],
     for people only. driven_s: seconds of driving behind it. offsets: of sensors and signals, SI.
     shifts: history of remounts, newest last. evidence: what the estimate rests on, for people, and
-    as "sums" what the estimator goes on with (`mount.saved_information`). held: nothing was learnt.
+    as "sums" and "sensor" what the estimator goes on with (`mount.saved_information`,
+    `mount.joint.known`). held: nothing was learnt.
     given: a person stated the mount. doubt: why it was suspect, in words.
     """
 
@@ -166,6 +170,21 @@ class StateStore:
             self.generation = generation
             self._forgotten.discard(generation % 2)
         self.sync()
+
+    def why_not_writable(self) -> str:
+        """Why the folder takes no state now; empty where it does. Waits for no disk."""
+        probe = self.folder / f"{PROBE}{UNFINISHED}"
+        try:
+            self.folder.mkdir(parents=True, exist_ok=True)
+            probe.unlink(missing_ok=True)
+            with probe.open("xb") as file:
+                file.write(bytes(PROBE_BYTES))
+        except OSError as error:
+            return error.strerror or str(error)
+        finally:
+            with contextlib.suppress(OSError):
+                probe.unlink()
+        return ""
 
     def forget(self) -> None:
         """Set both generations aside: nothing is loaded any more. OSError where that fails.

@@ -113,6 +113,13 @@ def turned(mount: Mounts, t: Array, vectors: NDArray[np.float64]) -> NDArray[np.
     return result
 
 
+def gain_matrix(triad: TriaxialSensor) -> NDArray[np.float64]:
+    """Gains and cross-axis terms of a sensor (3, 3), in its own axes."""
+    xy, xz, yx, yz, zx, zy = triad.cross_axis
+    sx, sy, sz = triad.scale
+    return np.array([[1 + sx, xy, xz], [yx, 1 + sy, yz], [zx, zy, 1 + sz]])
+
+
 def _finished(
     triad: TriaxialSensor,
     name: str,
@@ -121,10 +128,7 @@ def _finished(
     true_values: NDArray[np.float64],
     seed: int,
 ) -> Series:
-    xy, xz, yx, yz, zx, zy = triad.cross_axis
-    sx, sy, sz = triad.scale
-    gain = np.array([[1 + sx, xy, xz], [yx, 1 + sy, yz], [zx, zy, 1 + sz]])
-    values = true_values @ gain.T + np.array(triad.bias)
+    values = true_values @ gain_matrix(triad).T + np.array(triad.bias)
     if any(triad.bias_temperature):
         above_reference = temperature_at(temperature, timing.sampled) - REFERENCE_DEGC
         values += above_reference[:, None] * np.array(triad.bias_temperature)

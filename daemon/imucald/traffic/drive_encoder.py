@@ -105,9 +105,15 @@ def _tap_columns(
         name = route.plan.signal_names[component.index]
         signal = route.plan.message.signal(name)
         values = series.values if series.values.ndim == 1 else series.values[:, slot]
-        if tap.channel == "speed" and signal.is_signed:
+        sign = route.signs.get(component.index)
+        if tap.channel == "speed" and (signal.is_signed or sign is not None):
             values = values * _direction(drive, series)
-        yield name, _clipped(signal, _physical(component.conversion, values))
+        physical = _physical(component.conversion, values)
+        if sign is not None:
+            bits = route.plan.message.signal(route.plan.signal_names[sign])
+            yield bits.name, np.where(physical < 0.0, bits.scale + bits.offset, bits.offset)
+            physical = np.abs(physical)
+        yield name, _clipped(signal, physical)
 
 
 def _direction(drive: Drive, series: Series) -> NDArray[np.float64]:

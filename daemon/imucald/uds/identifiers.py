@@ -33,7 +33,7 @@ COUNTED_FAULTS = (
     "counter_repeated",
     "counter_reversed",
     "counter_jump",
-    "timeout",
+    "too_early",
     "untrusted",
     "not_available",
     "not_finite",

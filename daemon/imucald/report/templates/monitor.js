@@ -80,6 +80,7 @@ function show(live) {
   byId("bus").textContent = `${live.channel} (${live.link})`;
   const reached = ["usable", "fine"].filter((n) => live[`first_${n}_s`] !== null).map((n) => `${n} after ${clock(live[`first_${n}_s`])}`);
   byId("reached").textContent = [`${live.version}, ${live.vehicle}, up ${clock(live.uptime_s)}`, ...reached].join(", ");
+  byId("sent").textContent = live.sent && `Sent: ${live.sent}`;
   byId("sits").textContent = live.sits || "How the sensor sits is not known yet.";
   byId("steep").textContent = [live.steep, live.mirrored].filter(Boolean).join(" ");
   const views = live.views.join("");
@@ -90,7 +91,7 @@ function show(live) {
   byId("convention").textContent = `${live.convention}. The mark in a bar is the target; bars are on a log scale.`;
   byId("inputs").innerHTML = live.inputs.map(inputRow).join("");
   const f = live.frames, rejected = Object.entries(live.rejected).map(([k, n]) => `${k.replace(/_/g, " ")} ${n}`).join(", ") || "none";
-  byId("frames").textContent = `${f.used} frames used, ${f.given_out} given out, ${f.lost} lost, ${f.not_sent} not sent, ${f.conflicts} in conflict; rejected: ${rejected}`;
+  byId("frames").textContent = `${f.used} frames used, ${f.given_out} given out, ${f.lost} lost, ${f.not_sent} not sent, ${f.conflicts} in conflict; rejected: ${rejected}${live.left_out ? `; not learnt from: ${live.left_out}` : ""}`;
   byId("eventrows").innerHTML = [...live.events].reverse().map((e) => `<tr><td class="n">${e.at}</td><td>${e.kind}</td><td>${escaped(e.text)}</td></tr>`).join("");
   byId("note").textContent = live.note;
   chart(live);
