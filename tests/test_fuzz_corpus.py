@@ -30,12 +30,12 @@ def test_every_entry_has_seeds(name: str):
 
 @pytest.mark.slow
 @pytest.mark.skipif(importlib.util.find_spec("atheris") is None, reason="atheris is not installed")
-@pytest.mark.parametrize("name", TARGETS)
-def test_some_seconds_of_new_inputs_break_nothing(name: str, tmp_path: Path):
-    command = [sys.executable, str(FUZZ), name, "--seconds", str(SECONDS), "--work", str(tmp_path)]
-    found = subprocess.run(command, capture_output=True, text=True, check=False, timeout=120)
+def test_some_seconds_of_new_inputs_break_nothing(tmp_path: Path):
+    command = [sys.executable, str(FUZZ), "--seconds", str(SECONDS), "--work", str(tmp_path)]
+    found = subprocess.run(command, capture_output=True, text=True, check=False, timeout=900)
     assert found.returncode == 0, found.stdout + found.stderr
-    assert (tmp_path / f"{name}.txt").stat().st_size > 0
+    for name in TARGETS:
+        assert (tmp_path / f"{name}.txt").stat().st_size > 0
 
 
 @pytest.mark.slow

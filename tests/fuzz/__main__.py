@@ -16,6 +16,8 @@ import subprocess
 import sys
 import tempfile
 import time
+import traceback
+from collections.abc import Callable
 from pathlib import Path
 
 import native
@@ -55,8 +57,11 @@ it traces, some 4 kB an input of `log`, 2 MB of a replay, and the memory limit i
 process."""
 
 
-def fuzz_one(name: str, arguments: list[str]) -> None:
-    """Run libFuzzer on one entry in this process; does not return."""
+Target = Callable[[bytes], None]
+
+
+def load() -> dict[str, Target]:
+    """Import what is fuzzed, with coverage; it takes some 15 s."""
     import atheris
 
     sys.path.insert(0, str(HERE))
@@ -65,9 +70,31 @@ def fuzz_one(name: str, arguments: list[str]) -> None:
         from targets import TARGETS
     if folder := os.environ.get(native.FOLDER):
         native.use(Path(folder))
-    TARGETS[name](b"")  # libraries that the first input loads may take longer than one input has
-    atheris.Setup([os.environ.get(ITSELF, sys.argv[0]), *arguments], TARGETS[name])
+    return TARGETS
+
+
+def fuzz_here(target: Target, arguments: list[str]) -> None:
+    """Run libFuzzer on one entry in this process; does not return."""
+    import atheris
+
+    target(b"")  # libraries that the first input loads may take longer than one input has
+    atheris.Setup([os.environ.get(ITSELF, sys.argv[0]), *arguments], target)
     atheris.Fuzz()
+
+
+def fuzz_in_child(target: Target, arguments: list[str], log: Path) -> int:
+    """Run libFuzzer on one entry in a copy of this process; its exit status, negative: a signal."""
+    sys.stdout.flush()
+    if (child := os.fork()) == 0:
+        output = os.open(log, os.O_WRONLY | os.O_CREAT | os.O_TRUNC)
+        os.dup2(output, 1)
+        os.dup2(output, 2)
+        try:
+            fuzz_here(target, arguments)
+        except BaseException:
+            traceback.print_exc()
+        os._exit(1)
+    return os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
 
 
 def command(name: str, *arguments: str) -> list[str]:
@@ -75,13 +102,9 @@ def command(name: str, *arguments: str) -> list[str]:
     return [sys.executable, str(Path(__file__)), "--entry", name, "--", *arguments]
 
 
-def fuzz(name: str, work: Path, seconds: int, built: Path | None = None) -> bool:
-    """Fuzz one entry for some seconds; whether nothing broke.
-
-    built: the folder of the compiled part with coverage and sanitizers.
-    """
-    environment = os.environ if built is None else native.environment(built)
-    more = 1 if built is None else SHADOW
+def fuzz(name: str, target: Target, work: Path, seconds: int) -> bool:
+    """Fuzz one entry for some seconds; whether nothing broke."""
+    more = SHADOW if native.FOLDER in os.environ else 1
     found, broken = work / name, work / "broken" / name
     found.mkdir(parents=True, exist_ok=True)
     broken.mkdir(parents=True, exist_ok=True)
@@ -89,25 +112,18 @@ def fuzz(name: str, work: Path, seconds: int, built: Path | None = None) -> bool
     began = time.monotonic()
     inputs, status, left = 0, 0, seconds
     while status == 0 and left > 0:
-        with log.open("wb") as output:
-            status = subprocess.run(
-                command(
-                    name,
-                    f"-max_total_time={left}",
-                    f"-runs={ROUNDS.get(name, ROUND)}",
-                    f"-timeout={more * INPUT_S}",
-                    f"-rss_limit_mb={more * MEMORY_MB}",
-                    f"-max_len={LONGEST}",
-                    f"-artifact_prefix={broken}/",
-                    "-print_final_stats=1",
-                    str(found),
-                    str(CORPUS / name),
-                ),
-                stdout=output,
-                stderr=subprocess.STDOUT,
-                env=environment,
-                check=False,
-            ).returncode
+        arguments = [
+            f"-max_total_time={left}",
+            f"-runs={ROUNDS.get(name, ROUND)}",
+            f"-timeout={more * INPUT_S}",
+            f"-rss_limit_mb={more * MEMORY_MB}",
+            f"-max_len={LONGEST}",
+            f"-artifact_prefix={broken}/",
+            "-print_final_stats=1",
+            str(found),
+            str(CORPUS / name),
+        ]
+        status = fuzz_in_child(target, arguments, log)
         lines = log.read_text(errors="replace").splitlines()
         runs = [line for line in lines if line.startswith("stat::number_of_executed_units")]
         inputs += int(runs[0].split()[-1]) if runs else 0
@@ -159,10 +175,12 @@ def main() -> int:
             parser.error(f"no bytes of {', '.join(sorted(others))} reach the compiled part")
         if missing := native.missing():
             parser.error(f"--native: {missing}")
-        native.build(built)
-    good = True
+        if native.FOLDER not in os.environ:  # sanitizers must be there when a process begins
+            native.build(built)
+            os.execve(sys.executable, [sys.executable, *sys.argv], native.environment(built))
+    targets, good = load(), True
     for name in entries:
-        good &= fuzz(name, options.work, options.seconds, built)
+        good &= fuzz(name, targets[name], options.work, options.seconds)
         if options.keep:
             keep(name, options.work)
     return 0 if good else 1
@@ -170,5 +188,5 @@ def main() -> int:
 
 if __name__ == "__main__":
     if sys.argv[1:2] == ["--entry"]:
-        fuzz_one(sys.argv[2], sys.argv[4:])
+        fuzz_here(load()[sys.argv[2]], sys.argv[4:])
     sys.exit(main())
