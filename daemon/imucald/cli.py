@@ -70,6 +70,7 @@ GROUPS = {
     "run it in a vehicle": {
         "run": "calibrate on a live bus and send corrected frames",
         "status": "ask a running daemon for its state",
+        "wait": "wait until a running daemon sends good frames",
         "monitor": "watch a running daemon",
         "install-service": "install the systemd unit and its companions",
     },

@@ -20,9 +20,10 @@ from rich.text import Text
 from imucald.commands.live_events import LiveEvents
 from imucald.commands.monitor_view import monitor_picture
 from imucald.commands.status import exit_status
-from imucald.commands.status_view import picture
+from imucald.commands.status_view import headline, picture, short, waits_for
 from imucald.mount.contradictions import WORDS, StandingFault
 from imucald.mount.estimate import ANGLES
+from imucald.runtime.flow import flow
 from imucald.service.journal import Journal
 from imucald.service.service import Service
 from imucald.service.service_options import ServiceOptions
@@ -64,6 +65,8 @@ def status(silent):
                         "speed": {"samples": 5, "rate_hz": 0.0}}  # fmt: skip
     found["signal_health"] = {"sensors": {"accel": {"stuck": "y"}}, "events": []}
     found["health"] = dict.fromkeys(found["health"], False)
+    found["link"] |= {"state": "up"}
+    found["silent_s"] = 0.0
     return found
 
 
@@ -72,6 +75,63 @@ def drawn(part, width: int, height: int = 40) -> list[str]:
     made = part(console) if callable(part) else part
     console.print(made)
     return console.file.getvalue().splitlines()  # type: ignore[attr-defined]
+
+
+SEEN_FIRST = {
+    "all is well": ({}, {}, "corrected frames flow, marked fine"),
+    "no frame comes": ({"silent_s": 25.0}, {"accelerometer_missing": True}, "NO INPUT for 25 s"),
+    "other frames come": ({}, {"accelerometer_missing": True}, "NO ACCELEROMETER"),
+    "the bus is down": ({"link": {"state": "down"}}, {}, "BUS DOWN"),
+    "the bus takes nothing": ({}, {"send_failed": True}, "FRAMES NOT SENT"),
+    "a stuck sensor": ({}, {"accelerometer_faulty": True}, "ACCELEROMETER FAULTY"),
+    "a suspect mount": ({"state": "suspect", "quality": 4}, {}, "SUSPECT"),
+    "no mount yet": ({"state": "levelled", "quality": 0}, {}, "not yet"),
+}
+
+
+@pytest.mark.parametrize("case", SEEN_FIRST)
+def test_the_first_line_says_whether_corrected_frames_flow_now(status, case):
+    changed, alarms, words = SEEN_FIRST[case]
+    now = status | {"state": "fine", "quality": 3, "uptime_s": 100.0} | changed
+    now["link"] = status["link"] | changed.get("link", {})
+    now["health"] = status["health"] | alarms
+    for lines in (
+        drawn(picture(now), 80),
+        drawn(lambda c: monitor_picture(now, [], c, Text("")), 80, 24),
+        [short(now)],
+        [waits_for(now)],
+    ):
+        assert lines[0].startswith(words)
+        if changed.get("state") is None and words != SEEN_FIRST["all is well"][2]:
+            assert "(mount: fine)" in lines[0]
+    assert flow(now).kind == {"all is well": "good", "no mount yet": "not yet"}.get(
+        case, {"a stuck sensor": "faulty", "a suspect mount": "suspect"}.get(case, "none")
+    )
+
+
+def test_a_known_mount_has_no_colour_while_nothing_flows(status):
+    """What was green on a bus without input misled."""
+    console = Console(width=100, file=io.StringIO(), force_terminal=True, color_system="standard")
+    silent = status | {"state": "fine", "quality": 3, "silent_s": 25.0}
+    silent["health"] = status["health"] | {"accelerometer_missing": True}
+    console.print(headline(silent))
+    text = console.file.getvalue()  # type: ignore[attr-defined]
+    green = "\x1b[1;32m"
+    assert f"{green}fine" not in text
+    console.print(headline(status | {"state": "fine", "quality": 3}))
+    assert f"{green}fine" in console.file.getvalue()  # type: ignore[attr-defined]
+
+
+def test_a_daemon_that_does_not_answer_is_the_first_line(status):
+    lines = drawn(lambda c: monitor_picture(status, [], c, Text(""), "no such socket"), 80, 24)
+    assert lines[0].startswith("NO ANSWER: no such socket")
+
+
+def test_one_line_has_flow_angles_and_what_is_waited_for(status):
+    line = short(status)
+    assert "\n" not in line
+    assert line.startswith("corrected frames flow, marked usable; roll +14.40° ±")
+    assert f"waiting for roll, pitch: {REASON}" in line
 
 
 def events_of(*statuses) -> LiveEvents:
@@ -193,7 +253,7 @@ def test_a_daemon_that_has_just_begun_is_starting_and_a_silent_one_has_a_fault(s
         text = "\n".join(drawn(picture(begun), 80))
         assert "starting" in text
         assert "no accelerometer" not in text
-        assert "corrected frames: none yet" in text
+        assert "no corrected frames yet" in text
         assert exit_status(begun) == 5
         later = begun | {"uptime_s": 2.5}
         text = "\n".join(drawn(picture(later), 80))
@@ -434,7 +494,10 @@ def test_a_real_browser_draws_the_page(status, tmp_path: Path):
     finally:
         loop.call_soon_threadsafe(loop.stop)
         thread.join(5.0)
-    assert '<span id="state" class="usable">usable</span>' in done.stdout
+    assert (
+        'id="flow" role="status" class="good">corrected frames flow, marked usable<' in done.stdout
+    )
+    assert '<b id="state">usable</b>' in done.stdout
     assert status["mount"]["sits"] in done.stdout
     assert "fine below ±0.60°" in done.stdout
     assert done.stdout.count('class="sits"') == 3

@@ -15,6 +15,7 @@ from imucald.api.html import html_table
 from imucald.api.logs import pieces
 from imucald.api.run import Progress
 from imucald.can.logs.first_frames import same_recording
+from imucald.core.clock_words import duration
 from imucald.core.errors import ConfigError, EstimateError, ImucaldError
 from imucald.diagnosis.baseline import baseline_model
 from imucald.diagnosis.diagnose import diagnose as diagnosed
@@ -22,7 +23,6 @@ from imucald.diagnosis.recording import Recording, is_same_recording, read_sampl
 from imucald.diagnosis.result import Diagnosis
 from imucald.model.model import VehicleModel, load_model
 from imucald.report.model_changes import model_changes, value_text
-from imucald.report.numbers import duration
 from imucald.report.wording import verdict
 
 FEW_REJECTED = 1e-4

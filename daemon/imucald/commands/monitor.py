@@ -87,14 +87,13 @@ def _watch_on_terminal(path: Path, is_over: Callable[[], bool], note: str) -> No
     with contextlib.suppress(KeyboardInterrupt), view as live:
         while not is_last:
             is_last = is_over()
-            trouble = Text("")
+            trouble = ""
             try:
                 status = json.loads(ask(path, "status"))
                 events.update(status, time.time())
             except (LinkError, ValueError) as error:
-                trouble = Text(f"no answer: {error}", style="bold red")
+                trouble = str(error)
             if status is not None:
-                below = Text.assemble(trouble, "\n" if trouble else "", foot)
-                picture = monitor_picture(status, events.events, console, below)
+                picture = monitor_picture(status, events.events, console, foot, trouble)
                 live.update(picture, refresh=True)
             time.sleep(PERIOD_S)

@@ -35,14 +35,21 @@ KIND_STYLES = {
 
 
 def monitor_picture(
-    status: Mapping[str, Any], events: Sequence[LiveEvent], console: Console, foot: Text
+    status: Mapping[str, Any],
+    events: Sequence[LiveEvent],
+    console: Console,
+    foot: Text,
+    trouble: str = "",
 ) -> Group:
-    """Return the picture for a terminal: the newest events fill what is left of its height."""
+    """Return the picture for a terminal: the newest events fill what is left of its height.
+
+    trouble: why the daemon does not answer; the rest is what it said last.
+    """
     width, height = console.size
     bar = min(max(width - TABLE_COLUMNS, SHORTEST_BAR), LONGEST_BAR)
     correction = status.get("correction")
     mount = Group(*mount_parts(status["mount"], status["waiting_for"], bar, correction))
-    top: list[RenderableType] = [headline(status), Padding(mount, (1, 0))]
+    top: list[RenderableType] = [headline(status, trouble), Padding(mount, (1, 0))]
     inputs: RenderableType = inputs_table(status)
     wanted = (*FACTS, LEFT_OUT) if left_out_words(status["details"]) else FACTS
     below: list[RenderableType] = [Padding(facts(status, wanted), (1, 0, 0, 0)), foot]

@@ -20,6 +20,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from msgspec.structs import asdict
 
 from imucald.commands.live_events import LiveEvents
 from imucald.commands.monitor_view import input_health
@@ -40,6 +41,7 @@ from imucald.mount.mount_words import (
     sent_words,
 )
 from imucald.report.drawing import STYLE, view_drawings
+from imucald.runtime.flow import flow
 from imucald.service.asking import ask
 
 if TYPE_CHECKING:
@@ -106,6 +108,7 @@ class LiveState:
             "trouble": self._trouble,
             "note": self._note,
             "state": status["state"],
+            "flow": asdict(flow(status)),
             "version": status["version"],
             "channel": status["link"]["channel"],
             "link": status["link"]["state"],

@@ -31,6 +31,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Options of `status`."""
     add_socket_argument(parser)
     form = parser.add_mutually_exclusive_group()
+    form.add_argument(
+        "--short", "-s", action="store_true", help="one line, for scripts and prompts"
+    )
     form.add_argument("--json", action="store_true", help="everything, as JSON")
     form.add_argument("--metrics", action="store_true", help="as Prometheus text")
     form.add_argument("--quiet", "-q", action="store_true", help="nothing but the exit status")
@@ -62,6 +65,10 @@ def run(options: argparse.Namespace) -> int:
     status = json.loads(answer)
     if options.json:
         print(json.dumps(status, indent=2, ensure_ascii=False))
+    elif options.short:
+        from imucald.commands.status_view import short
+
+        print(short(status))
     elif not options.quiet:
         from imucald.commands.status_view import picture
         from imucald.commands.terminal import plain_console, plain_where_needed

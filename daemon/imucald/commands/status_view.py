@@ -12,10 +12,18 @@ from rich.text import Text
 
 from imucald.commands.mount_view import mount_parts
 from imucald.core.clock_words import clock
+from imucald.mount.estimate import ANGLES
 from imucald.mount.hysteresis import BAD
-from imucald.mount.mount_words import EVIDENCE_KINDS, is_trouble, left_out_words, reasons
+from imucald.mount.mount_words import (
+    EVIDENCE_KINDS,
+    angle_cells,
+    is_trouble,
+    left_out_words,
+    reasons,
+)
 from imucald.report.drive_events import STATE_WORDS
 from imucald.runtime.alarms import is_starting, present_alarms
+from imucald.runtime.flow import FlowKind, flow
 
 STYLES = {
     "usable": "green",
@@ -25,7 +33,15 @@ STYLES = {
     "recalibrating": "red",
 }
 DOUBTED = frozenset(state.name.lower() for state in BAD)
-QUALITIES = ("not available", "restored", "usable", "fine", "suspect")
+FLOW_STYLES = {
+    FlowKind.GOOD: "bold green",
+    FlowKind.STARTING: "yellow",
+    FlowKind.NOT_YET: "yellow",
+    FlowKind.SUSPECT: "bold red",
+    FlowKind.FAULTY: "bold red",
+    FlowKind.NONE: "bold white on red",
+}
+SILENT = frozenset({FlowKind.NONE, FlowKind.STARTING})
 EVIDENCE = {
     "launches_and_brakings": "launches and brakings",
     "manoeuvres": "manoeuvres",
@@ -40,6 +56,22 @@ _SILENT = frozenset({"accelerometer_missing", "gyroscope_missing"})
 """Alarms of sensors that do not send."""
 
 
+def waits_for(status: Mapping[str, Any]) -> str:
+    """Return in one line what flows and what is waited for."""
+    waited = [f"waiting for {who}: {text}" for who, text in reasons(status["waiting_for"])]
+    return "; ".join([flow(status).text, *waited[:1]])
+
+
+def short(status: Mapping[str, Any]) -> str:
+    """Return the status as one line: what flows, the angles, what is waited for."""
+    mount = status["mount"]
+    if mount["quaternion_wxyz"] is None:
+        return waits_for(status)
+    now, *waited = waits_for(status).split("; ", 1)
+    angles = ", ".join(" ".join((name, *angle_cells(mount, name))).rstrip() for name in ANGLES)
+    return "; ".join([now, angles, *waited])
+
+
 def picture(status: Mapping[str, Any]) -> Group:
     """Return the whole status, for any width."""
     correction = status.get("correction")
@@ -47,22 +79,29 @@ def picture(status: Mapping[str, Any]) -> Group:
     return Group(headline(status), Padding(mount, (1, 0)), facts(status))
 
 
-def headline(status: Mapping[str, Any]) -> Text:
-    """Return who it is, on which bus, and in which state."""
-    link, state = status["link"], status["state"]
-    text = Text("imucald ", style="bold")
-    text.append(f"{status['version']} on {link['channel']}", style="not bold")
+def headline(status: Mapping[str, Any], trouble: str = "") -> Text:
+    """Return whether corrected frames flow now, who says so, and the mount's state.
+
+    trouble: why the daemon does not answer; then all else is what it said last. The state has its
+    colour only while frames flow: without them a known mount helps nobody.
+    """
+    link, state, now = status["link"], status["state"], flow(status)
+    text = Text()
+    if trouble:
+        text.append(f"NO ANSWER: {trouble}\n", style=FLOW_STYLES[FlowKind.NONE])
+    else:
+        text.append(f"{now.text}\n", style=FLOW_STYLES[now.kind])
+    text.append("imucald ", style="bold")
+    text.append(f"{status['version']} on {link['channel']}")
     text.append(f" ({link['state']})", style="green" if link["state"] == "up" else "bold red")
-    text.append(f", {status['vehicle']}, up {clock(status['uptime_s'])}\n", style="not bold")
-    text.append("state  ", style="not bold")
-    text.append(state, style=STYLES.get(state, "yellow"))
-    quality = "none yet" if is_starting(status) else QUALITIES[min(status["quality"], 4)]
-    text.append(f"   corrected frames: {quality}", style="not bold")
+    text.append(f", {status['vehicle']}, up {clock(status['uptime_s'])}\nmount  ")
+    is_silent = bool(trouble) or now.kind in SILENT
+    text.append(state, style="dim" if is_silent else STYLES.get(state, "yellow"))
     if status.get("held"):
         text.append("   held: nothing is learnt", style="bold yellow")
     for name in ("usable", "fine") if state != "restored" else ():
         if (after := status[f"first_{name}_s"]) is not None:
-            text.append(f"   {name} after {clock(after)}", style="not bold")
+            text.append(f"   {name} after {clock(after)}")
     return text
 
 

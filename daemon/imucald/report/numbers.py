@@ -91,12 +91,3 @@ def unit_text(unit: str) -> str:
 def typographic(text: str) -> str:
     """Return a sentence with its signs as they are printed."""
     return text.replace("+-", "±").replace("^2", "²").replace("^3", "³")
-
-
-def duration(seconds: float) -> str:
-    """Return a length of time: `45 s`, `31 min`, `2.3 h`."""
-    if not math.isfinite(seconds):
-        return "-"
-    if seconds < 100.0:
-        return f"{seconds:.0f} s"
-    return f"{seconds / 60:.0f} min" if seconds < 7200.0 else f"{seconds / 3600:.1f} h"

@@ -10,6 +10,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
+from imucald.core.clock_words import duration
 from imucald.core.errors import ImucaldError
 from imucald.core.extras import how_to_install
 from imucald.diagnosis.result import Diagnosis, FoundCause, SignalPicture
@@ -78,7 +79,7 @@ def report_page(diagnosis: Diagnosis, about: About) -> str:
         model_text=diagnosis.model_after.to_yaml(),
         notes=diagnosis.notes[:MAX_ROWS],
         more_notes=max(0, len(diagnosis.notes) - MAX_ROWS),
-        duration=numbers.duration(diagnosis.duration_s),
+        duration=duration(diagnosis.duration_s),
     )
 
 
@@ -134,7 +135,7 @@ def _key_figures(diagnosis: Diagnosis) -> list[tuple[str, str, str]]:
             f"{numbers.number(best.rms_after)} {unit}",
         ))  # fmt: skip
         figures.append(("Extended model file", *words.advice_in_short(diagnosis)))
-    figures.append(("Data", numbers.duration(diagnosis.duration_s), "diagnosed"))
+    figures.append(("Data", duration(diagnosis.duration_s), "diagnosed"))
     return figures
 
 

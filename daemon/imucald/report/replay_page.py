@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from imucald.core.angles import DEG_PER_RAD
-from imucald.core.clock_words import clock
+from imucald.core.clock_words import clock, duration
 from imucald.mount.estimate import ANGLES, MountEstimate
 from imucald.mount.mount_words import (
     ABOUT,
@@ -26,7 +26,6 @@ from imucald.mount.mount_words import (
 from imucald.report.drawing import STYLE, view_drawings
 from imucald.report.drive_events import STATE_WORDS, Event, in_order, reported_events, state_changes
 from imucald.report.drive_history import DriveHistory, DriveMotion
-from imucald.report.numbers import duration
 from imucald.report.page import About, environment, require_libraries
 
 SHOWN_PROBLEMS = 20

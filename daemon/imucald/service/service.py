@@ -10,10 +10,13 @@ import time
 from collections.abc import Callable
 from typing import Any, Protocol
 
+from msgspec.structs import asdict
+
 from imucald.can.link.link import Link, LinkCounters
 from imucald.config import LoadedConfig
 from imucald.core.errors import ImucaldError
 from imucald.runtime.engine import Engine
+from imucald.runtime.flow import flow
 from imucald.runtime.input_health import LinkHealth
 from imucald.runtime.mount_orders import TESTER, MountOrders
 from imucald.service.announcements import Announcements, say_idle_keys
@@ -332,7 +335,7 @@ class Service:
         """What `imucald status` shows; keys in docs/service.md."""
         engine, store = self.engine, self.parts.calibration_store
         found = running_status(engine, self.link, self._rates, store, self.journal.dropped)
-        return found | {
+        found |= {
             "config": str(self.options.config),
             "vehicle": self.loaded.config.vehicle.id,
             "sensor": state_key(self.loaded, engine.router, engine.model_key).sensor,
@@ -341,3 +344,4 @@ class Service:
             "held": self.orders.is_held,
             "diagnostics": self.parts.diagnostics.status(),
         }
+        return found | {"flow": asdict(flow(found))}

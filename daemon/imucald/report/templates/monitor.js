@@ -70,13 +70,23 @@ function chart(live) {
   svg.innerHTML = out;
 }
 
+function showFlow(kind, text, name) {
+  byId("flow").textContent = text;
+  byId("flow").className = kind.replace(" ", "_");
+  document.title = `${name} · imucald monitor`;
+}
+
+function showDead(text) {
+  document.body.className = "dead";
+  showFlow("none", `NO ANSWER: ${text}`, "no answer");
+}
+
 function show(live) {
-  byId("trouble").textContent = live.trouble ? `no answer: ${live.trouble}` : "";
+  if (live.trouble) showDead(live.trouble);
+  else document.body.className = "";
   if (live.state === undefined) return;
-  const state = byId("state");
-  state.textContent = live.state;
-  state.className = live.state;
-  document.title = `${live.state} · imucald monitor`;
+  if (!live.trouble) showFlow(live.flow.kind, live.flow.text, live.flow.kind === "good" ? live.state : live.flow.kind);
+  byId("state").textContent = live.state;
   byId("bus").textContent = `${live.channel} (${live.link})`;
   const reached = ["usable", "fine"].filter((n) => live[`first_${n}_s`] !== null).map((n) => `${n} after ${clock(live[`first_${n}_s`])}`);
   byId("reached").textContent = [`${live.version}, ${live.vehicle}, up ${clock(live.uptime_s)}`, ...reached].join(", ");
@@ -101,7 +111,7 @@ async function ask() {
   try {
     show(await (await fetch("/live")).json());
   } catch (error) {
-    byId("trouble").textContent = "the page's server has gone";
+    showDead("the program that serves this page has ended");
   }
 }
 ask();

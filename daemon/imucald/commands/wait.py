@@ -1,0 +1,94 @@
+"""`imucald wait`: block until a running daemon sends good frames, for scripts and test benches."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+import time
+from collections.abc import Mapping
+from typing import Any
+
+POLL_S = 0.5
+QUALITY = {"restored": 1, "usable": 2, "fine": 3}
+"""What frames must be marked with at least."""
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Options of `wait`."""
+    from imucald.commands.status import add_socket_argument
+
+    add_socket_argument(parser)
+    parser.add_argument(
+        "--state",
+        choices=QUALITY,
+        default="usable",
+        help="wait until corrected frames flow and are marked so, or better (default: usable)",
+    )
+    parser.add_argument(
+        "--timeout", type=float, metavar="S", help="give up after S seconds (default: never)"
+    )
+    parser.add_argument("--quiet", "-q", action="store_true", help="no line at each change")
+    parser.epilog = (
+        "A daemon that does not run yet is waited for. Exit status: 0 reached; after the timeout "
+        "that of 'imucald status': 4 usable (not fine yet), 5 not yet, 6 suspect, 7 a fault, 3 no "
+        "daemon runs, 8 it does not answer."
+    )
+
+
+def run(options: argparse.Namespace) -> int:
+    """Ask twice a second; print a line for each change of what is waited for."""
+    from imucald.commands.status import FINE
+    from imucald.core.errors import ImucaldError
+
+    if options.timeout is not None and not options.timeout >= 0.0:
+        raise ImucaldError("--timeout must be 0 or more seconds")
+    end = time.monotonic() + (math.inf if options.timeout is None else options.timeout)
+    said = ""
+    while True:
+        reached, line = _asked(options)
+        if line != said and not options.quiet:
+            print(line, flush=True)
+            said = line
+        if reached == FINE or time.monotonic() >= end:
+            return reached
+        time.sleep(min(POLL_S, max(end - time.monotonic(), 0.0)))
+
+
+def _asked(options: argparse.Namespace) -> tuple[int, str]:
+    """The exit status as it would be now, and a line on what flows and what is waited for.
+
+    Raises LinkError where several daemons run and none is named.
+    """
+    from imucald.commands.status import (
+        BUSY,
+        FINE,
+        NOT_RUNNING,
+        NOT_YET,
+        exit_status,
+        find_socket,
+        running_sockets,
+    )
+    from imucald.commands.status_view import waits_for
+    from imucald.core.errors import LinkError
+    from imucald.service.asking import BusyError, ask
+
+    several = options.socket is None and len(running_sockets(options.channel)) > 1
+    try:
+        status = json.loads(ask(find_socket(options.socket, options.channel), "status"))
+    except BusyError:
+        return BUSY, "the daemon does not answer"
+    except LinkError:
+        if several:
+            raise
+        return NOT_RUNNING, "no daemon runs"
+    if _is_reached(status, options.state):
+        return FINE, waits_for(status)
+    return exit_status(status) or NOT_YET, waits_for(status)
+
+
+def _is_reached(status: Mapping[str, Any], state: str) -> bool:
+    from imucald.runtime.flow import FlowKind, flow
+
+    good = flow(status).kind is FlowKind.GOOD
+    return good and int(status["quality"]) >= QUALITY[state]
