@@ -12,11 +12,10 @@ from rich.text import Text
 
 from imucald.commands.mount_view import mount_parts
 from imucald.core.clock_words import clock
-from imucald.mount.estimate import ANGLES
 from imucald.mount.hysteresis import BAD
 from imucald.mount.mount_words import (
     EVIDENCE_KINDS,
-    angle_cells,
+    angles_line,
     is_trouble,
     left_out_words,
     reasons,
@@ -64,12 +63,8 @@ def waits_for(status: Mapping[str, Any]) -> str:
 
 def short(status: Mapping[str, Any]) -> str:
     """Return the status as one line: what flows, the angles, what is waited for."""
-    mount = status["mount"]
-    if mount["quaternion_wxyz"] is None:
-        return waits_for(status)
     now, *waited = waits_for(status).split("; ", 1)
-    angles = ", ".join(" ".join((name, *angle_cells(mount, name))).rstrip() for name in ANGLES)
-    return "; ".join([now, angles, *waited])
+    return "; ".join(filter(None, [now, angles_line(status["mount"]), *waited]))
 
 
 def picture(status: Mapping[str, Any]) -> Group:

@@ -84,6 +84,13 @@ def angle_cells(mount: Mapping[str, Any], angle: str) -> tuple[str, str]:
     return value, spread or "-"
 
 
+def angles_line(mount: Mapping[str, Any]) -> str:
+    """`roll +14.40° ±1.10°, pitch ..., yaw ...`: what was asked for; "" before it is known."""
+    if mount["quaternion_wxyz"] is None:
+        return ""
+    return ", ".join(" ".join((name, *angle_cells(mount, name))).rstrip(" -") for name in ANGLES)
+
+
 def how_it_sits(estimate: MountEstimate) -> str | None:
     """Where the sensor's axes point, in words; None before there is any estimate."""
     R, std = estimate.R_vehicle_from_sensor, estimate.std

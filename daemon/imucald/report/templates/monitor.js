@@ -91,6 +91,7 @@ function show(live) {
   const reached = ["usable", "fine"].filter((n) => live[`first_${n}_s`] !== null).map((n) => `${n} after ${clock(live[`first_${n}_s`])}`);
   byId("reached").textContent = [`${live.version}, ${live.vehicle}, up ${clock(live.uptime_s)}`, ...reached].join(", ");
   byId("sent").textContent = live.sent && `Sent: ${live.sent}`;
+  byId("angles").textContent = live.angles;
   byId("sits").textContent = live.sits || "How the sensor sits is not known yet.";
   byId("steep").textContent = [live.steep, live.mirrored].filter(Boolean).join(" ");
   const views = live.views.join("");
