@@ -31,10 +31,11 @@ from imucald.core.samples import GRAVITY
 from imucald.motion.ticks import TICK_S
 
 Array = NDArray[np.float64]
+Complex = NDArray[np.complex128]
 Flags = NDArray[np.bool_]
 
-STEP = 8
-"""Ticks a mean."""
+STEP, STEPS = 8, 8
+"""Ticks a mean, and means a block."""
 STEP_S = STEP * TICK_S
 UP, RATE_ZERO, GYRO, TILT = slice(0, 2), slice(2, 5), slice(5, 7), slice(7, 9)
 ZERO, ANSWER = slice(9, 12), slice(12, 24)
@@ -46,9 +47,10 @@ FALSE_ALARM_H = 300.0
 """One false alarm in so many hours: the budget of docs/integrity.md for one fault."""
 NAMED = 0.3
 """A drift is a fault from here on [m/s^2]; what is less is in the deviation."""
-_LOG_ONSETS = math.log(FALSE_ALARM_H * 3600.0 / (ONSET_BLOCKS * STEP_S * 8))
-_LEFT = np.array([[0.0, -1.0], [1.0, 0.0]])
-_ONE = np.eye(3)
+_LOG_ONSETS = math.log(FALSE_ALARM_H * 3600.0 / (ONSET_BLOCKS * STEPS * STEP_S))
+_ONE, _AXES = np.eye(3), np.arange(3)
+_UNTIL = np.vstack([np.tril(np.ones((STEPS, STEPS)), -1) + 0.5 * np.eye(STEPS), np.ones(STEPS)])
+"""Shares of the steps that have passed in the middle of each, and at the end of the block."""
 
 
 class Drifts(NamedTuple):
@@ -130,6 +132,14 @@ class Drift(NamedTuple):
 NONE = Drift(-math.inf, np.zeros(3), np.zeros((3, 3)))
 
 
+class _Path(NamedTuple):
+    """The level vertical in the middles of the steps of a block, and at its end: (STEPS + 1, 2),
+    and its slopes (STEPS + 1, 2, STATES) by the state at the start."""
+
+    up: Array
+    slopes: Array
+
+
 class ZeroDrift:
     """The filter, and what a drift from each onset does to it.
 
@@ -150,7 +160,7 @@ class ZeroDrift:
         self._covariance = np.diag(std**2)
         walk = np.zeros(STATES)
         walk[UP], walk[RATE_ZERO], walk[ZERO] = d.up_walk, d.rate_zero_walk, d.zero_walk
-        self._walk = STEP_S * walk**2
+        self._walk = STEPS * STEP_S * walk**2
         self._noise = np.full(3, d.noise**2)
         self._taken: Array | None = None
         self._steps = self._blocks = 0
@@ -172,7 +182,7 @@ class ZeroDrift:
     def add(
         self, left: Array, rate: Array, speed: Array, accel: Array, use: Flags, rate_zero: Array
     ) -> None:
-        """Take a block of N ticks in the working axes.
+        """Take a block of N = 64 ticks in the working axes; its random walks come at its start.
 
         left: (N, 3) force less motion. rate: (N, 3), from which rate_zero (3,) has been taken.
         speed, accel, use: (N,).
@@ -183,21 +193,16 @@ class ZeroDrift:
         if self._taken is not None:
             self._mean[RATE_ZERO] -= rate_zero - self._taken
         self._taken = rate_zero
-        self._covariance = 0.5 * (self._covariance + self._covariance.T)
-        r = rate[:, 2]
-        every = np.column_stack([left, accel, speed * r, np.gradient(r, TICK_S), r * r, speed])
-        steps = len(left) // STEP
-        used = use.reshape(steps, STEP).sum(axis=1)
-        means = (every * use[:, None]).reshape(steps, STEP, -1).sum(axis=1)
-        means /= np.maximum(used, 1)[:, None]
-        turns = rate.reshape(steps, STEP, 3).sum(axis=1) * TICK_S
-        for mean, turn, n in zip(means, turns, used.tolist(), strict=True):
-            self._carry(turn, STEP - n)
-            if n >= STEP // 2:
-                self._hold_against_force(mean)
-        passed = float(np.abs(speed) @ use) * TICK_S
-        if passed > 0.0:
-            self._hold_against_slopes(passed)
+        used = use.reshape(STEPS, STEP).sum(axis=1)
+        P = self._covariance = 0.5 * (self._covariance + self._covariance.T)
+        diagonal = P.ravel()[:: STATES + 1]
+        diagonal += self._walk
+        diagonal[UP] += self._drifts.lost**2 * float(np.square(STEP - used).sum())
+        means = _means(left, rate[:, 2], speed, accel, use, used)
+        path = self._path(rate.reshape(STEPS, STEP, 3).sum(axis=1) * TICK_S)
+        held = np.flatnonzero(used >= STEP // 2)
+        self._take(path, means, held, float(np.abs(speed) @ use) * TICK_S)
+        self._steps += STEPS
 
     def found(self) -> Drift:
         """What is known now of a drift."""
@@ -248,78 +253,124 @@ class ZeroDrift:
 
     # the filter ----------------------------------------------------------------------------------
 
-    def _carry(self, turn: Array, lost: int) -> None:
-        """Carry the vertical over a step, in which the vehicle turned by (3,) [rad]."""
+    def _path(self, turns: Array) -> _Path:
+        """The vertical over a block, in whose steps the vehicle turned by (STEPS, 3) [rad]."""
         x = self._mean
-        p, q, r = (turn - x[RATE_ZERO] * STEP_S).tolist()
-        back, half = _turned_back(r), _turned_back(0.5 * r) @ _LEFT
-        F = np.eye(STATES)
-        F[UP, UP] = back
-        F[UP, LEVEL_RATES] = -half * STEP_S
-        F[UP, 4] = back @ _LEFT @ x[UP] * STEP_S
-        F[UP, GYRO] = -half * r
-        up = back @ x[UP] + half @ (np.array([p, q]) - x[GYRO] * r)
-        x[UP] = up
-        self._shift[UP] = F[UP] @ self._shift
-        P = self._covariance
-        P[UP] = F[UP] @ P
-        P[:, UP] = P @ F[UP].T
-        diagonal = P.ravel()[:: STATES + 1]
-        diagonal += self._walk
-        diagonal[UP] += (self._drifts.lost * lost) ** 2
-        self._steps += 1
+        p, q, r = (turns - x[RATE_ZERO] * STEP_S).T
+        theta = _UNTIL @ r
+        back = np.exp(-1j * theta)
+        tilts = 1j * back[:-1].conj()  # of a step by one, in the axes of the block's start
+        start, gyro = complex(*x[UP]), complex(*x[GYRO])
+        tilted = tilts * (p + 1j * q - gyro * r)
+        turned = 1j * STEP_S * (start + _UNTIL[:-1] @ tilted)
+        made = _UNTIL @ np.array([tilted, -STEP_S * tilts, -tilts * r, turned]).T
+        made[:, 0] += start
+        made *= back[:, None]
+        slopes = np.zeros((len(theta), 2, STATES))
+        slopes[:, :, UP] = _as_matrices(back)
+        slopes[:, :, LEVEL_RATES] = _as_matrices(made[:, 1])
+        slopes[:, :, GYRO] = _as_matrices(made[:, 2])
+        slopes[:, 0, 4], slopes[:, 1, 4] = made[:, 3].real, made[:, 3].imag
+        return _Path(np.array([made[:, 0].real, made[:, 0].imag]).T, slopes)
 
-    def _hold_against_force(self, mean: Array) -> None:
-        H = np.zeros((3, STATES))
-        H[0, 0] = H[1, 1] = GRAVITY
-        H[:, ZERO] = _ONE
+    def _take(self, path: _Path, means: Array, held: NDArray[np.int_], passed: float) -> None:
+        """Hold the state against the means (STEPS, 8) of the force in the steps `held`, and the
+        vertical at the end of the block against the slopes of roads over so many metres; then
+        carry it over the block."""
+        n, end = 3 * len(held), path.slopes[-1]
+        rows = n + 2 if passed > 0.0 else n
+        H, off, noise = np.zeros((rows, STATES)), np.zeros(rows), np.zeros(rows)
+        H[:n], off[:n] = self._force_rows(path, means, held)
+        if passed > 0.0:
+            slope, metres = self._drifts.slope
+            H[n:] = end
+            H[n, TILT.start] = H[n + 1, TILT.start + 1] = -1.0
+            off[n:] = self._mean[TILT] - path.up[-1]
+            noise[n:] = slope**2 * metres / passed
+        P, shift = self._covariance, self._shift
+        seen = H @ P
+        since = (self._steps + 0.5 + held[:, None] - self._onsets) * STEP_S
+        answer = -(H @ shift)
+        answer[:n].reshape(-1, 3, len(self._onsets), 3)[:, _AXES, :, _AXES] += since
+        columns = np.concatenate([off[:, None], seen, answer], axis=1)
+        made = self._whitened(seen @ H.T, noise, columns, len(held))
+        both = made[:, : 1 + STATES].T @ made
+        by_onset = made[:, 1 + STATES :].reshape(rows, -1, 3).transpose(1, 0, 2)
+        self._information += by_onset.transpose(0, 2, 1) @ by_onset
+        self._score += both[0, 1 + STATES :].reshape(-1, 3)
+        found = both[0, 1 : 1 + STATES]
+        self._mean += found
+        self._mean[UP] = path.up[-1] + end @ found
+        P -= both[1:, 1 : 1 + STATES]
+        P[UP] = end @ P
+        P[:, UP] = P @ end.T
+        shift += both[1:, 1 + STATES :]
+        shift[UP] = end @ shift
+
+    def _force_rows(self, path: _Path, means: Array, held: NDArray[np.int_]) -> tuple[Array, Array]:
+        """What the means of the force answer to the state (3 n, STATES), and what it leaves of
+        them (3 n,)."""
+        x, taken = self._mean, means[held]
+        moved, speed = taken[:, 3:7], taken[:, 7]
+        H = np.zeros((len(held), 3, STATES))
+        H[:, :2] = GRAVITY * path.slopes[held]
+        H[:, :, ZERO] = _ONE
         for i in range(3):
-            H[i, ANSWER.start + 4 * i : ANSWER.start + 4 * (i + 1)] = mean[3:7]
-        speed = float(mean[7])
-        H[1, 4], H[2, 3] = -speed, speed
-        off = mean[:3] - [0.0, 0.0, GRAVITY] - H @ self._mean
-        spread = self._covariance @ H.T
-        known = H @ spread
-        noise = self._drifts.correlated * self._noise
-        S = known + np.diag(noise)
-        inverse = _inverse(S)
-        ratio = float(off @ inverse @ off)
-        if ratio > HEAVY:
-            inverse = _inverse(S + np.diag(noise * (ratio / HEAVY - 1.0)))
+            H[:, i, ANSWER.start + 4 * i : ANSWER.start + 4 * (i + 1)] = moved
+        H[:, 1, 4] -= speed
+        H[:, 2, 3] += speed
+        off = taken[:, :3] - x[ZERO] - moved @ x[ANSWER].reshape(3, 4).T
+        off[:, :2] -= GRAVITY * path.up[held]
+        off[:, 1] += speed * x[4]
+        off[:, 2] -= GRAVITY + speed * x[3]
+        return H.reshape(-1, STATES), off.ravel()
+
+    def _whitened(self, S: Array, noise: Array, columns: Array, n: int) -> Array:
+        """Columns (m, k), the innovations first, by the root of their covariance: that of the state
+        and the noise, to which that of n means is added. Means that are far off count less."""
+        each = self._drifts.correlated * self._noise
+        of_means = noise[: 3 * n].reshape(n, 3)
+        of_means += each
+        diagonal = S.ravel()[:: len(S) + 1]
+        diagonal += noise
+        root = _root(S)
+        made = _inverse(root) @ columns
+        white = made[: 3 * n, 0].reshape(n, 3)
+        ratio = np.square(white).sum(axis=1)
         if self._steps > LEARNT / 5.0:  # from then on the axes' own tilt is known
-            square = np.clip(off**2 - np.diag(known), 0.0, HEAVY * self._noise)
+            places = np.arange(n)
+            blocks = root[: 3 * n, : 3 * n].reshape(n, 3, n, 3)[places, :, places]
+            square = (blocks @ white[:, :, None])[:, :, 0] ** 2
+            square -= np.square(blocks).sum(axis=2) - each
+            square = np.minimum(np.maximum(square, 0.0), HEAVY * self._noise)
             usual = self._drifts.noise**2
-            learnt = self._noise + (square - self._noise) / LEARNT
-            self._noise = np.clip(learnt, LEAST * usual, MOST * usual)
-        since = np.repeat((self._steps - self._onsets) * STEP_S, 3)
-        self._take(H, off, spread, inverse, np.tile(_ONE, len(self._onsets)) * since)
-
-    def _hold_against_slopes(self, passed: float) -> None:
-        H = np.zeros((2, STATES))
-        H[0, 0] = H[1, 1] = 1.0
-        H[0, TILT.start] = H[1, TILT.start + 1] = -1.0
-        slope, metres = self._drifts.slope
-        spread = self._covariance @ H.T
-        S = H @ spread + slope**2 * metres / passed * np.eye(2)
-        self._take(H, -(H @ self._mean), spread, _inverse(S), np.zeros((2, 3 * len(self._onsets))))
-
-    def _take(self, H: Array, off: Array, spread: Array, inverse: Array, direct: Array) -> None:
-        """Take an innovation; inverse: of its covariance. direct: what a rate of one adds to it."""
-        answer = direct - H @ self._shift
-        weighed = inverse @ answer
-        shape = len(off), len(self._onsets), 3
-        a, w = answer.reshape(shape).transpose(1, 2, 0), weighed.reshape(shape).transpose(1, 0, 2)
-        self._information += a @ w
-        self._score += (off @ weighed).reshape(-1, 3)
-        gain = spread @ inverse
-        self._mean += gain @ off
-        self._covariance -= gain @ spread.T
-        self._shift += gain @ answer
+            learnt = self._noise + (square - self._noise).sum(axis=0) / LEARNT
+            self._noise = np.minimum(np.maximum(learnt, LEAST * usual), MOST * usual)
+        if (ratio > HEAVY).any():
+            added = each * (np.maximum(ratio / HEAVY, 1.0) - 1.0)[:, None]
+            diagonal[: 3 * n] += added.ravel()
+            made = _inverse(_root(S)) @ columns
+        return made
 
 
-def _turned_back(angle: float) -> Array:
-    c, s = math.cos(angle), math.sin(angle)
-    return np.array([[c, s], [-s, c]])
+def _means(left: Array, r: Array, speed: Array, accel: Array, use: Flags, used: Array) -> Array:
+    """(STEPS, 8) of the ticks that count: force less motion, dv/dt, v r, dr/dt, r^2, v."""
+    every = np.empty((8, len(r)))
+    every[:3], every[3], every[4] = left.T, accel, speed * r
+    every[5, 1:-1] = (r[2:] - r[:-2]) * (0.5 / TICK_S)
+    every[5, [0, -1]] = every[5, [1, -2]]
+    every[6], every[7] = r * r, speed
+    sums = (every * use).reshape(8, STEPS, STEP).sum(axis=2)
+    return np.asarray((sums / np.maximum(used, 1)).T)
+
+
+def _as_matrices(values: Complex) -> Array:
+    """(n, 2, 2) what complex factors (n,) do to the level parts of a vector."""
+    made = np.empty((len(values), 2, 2))
+    made[:, 0, 0] = made[:, 1, 1] = values.real
+    made[:, 1, 0] = values.imag
+    made[:, 0, 1] = -values.imag
+    return made
 
 
 def _squares(rows: Array) -> Array:
@@ -328,3 +379,7 @@ def _squares(rows: Array) -> Array:
 
 def _inverse(matrix: Array) -> Array:
     return np.asarray(np.linalg.inv(matrix), dtype=float)
+
+
+def _root(matrix: Array) -> Array:
+    return np.asarray(np.linalg.cholesky(matrix), dtype=float)

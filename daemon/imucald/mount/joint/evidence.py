@@ -8,6 +8,7 @@ ticks (Gauss-Newton).
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from typing import Any, Final, NamedTuple
 
 import numpy as np
@@ -29,7 +30,7 @@ from imucald.motion.ticks import TICK_S
 from imucald.mount.estimate import SentDeviations
 from imucald.mount.even_signals import BLOCK_TICKS
 from imucald.mount.joint.drift import NONE as NO_DRIFT
-from imucald.mount.joint.drift import Drift, ZeroDrift
+from imucald.mount.joint.drift import Drift, Drifts, ZeroDrift
 from imucald.mount.joint.fusion import LinearMeasurement, any_sensor, fuse
 from imucald.mount.joint.known import AS_BEFORE, PROBABLY_OTHER, KnownSensor
 from imucald.mount.joint.state import (
@@ -52,6 +53,8 @@ from imucald.mount.joint.sums import Fits, WindowSums
 
 Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]
+Axes = tuple[Matrix3, Matrix3, Array]
+"""Matrices from sensor axes of force and rate, and the zero of the force [m/s^2]."""
 
 BLOCKS_A_WINDOW = wd.WINDOW // wd.BLOCK
 BLOCKS_AT_ONCE = 16
@@ -107,6 +110,7 @@ ALL_BANDS: Final = np.ones(wd.BANDS, dtype=bool)
 
 
 NO_ZERO: Final = np.zeros(3)
+NO_AXES: Final = np.eye(3), np.eye(3), NO_ZERO
 
 
 class Block(NamedTuple):
@@ -182,7 +186,7 @@ class Evidence:
         self._rotation = np.eye(3)  # of the housing, by which the working axes came about
         self._blocks: list[Block] = []
         self._breaks: set[int] = {0}
-        self._axes: tuple[Matrix3, Matrix3, Array] | None = None
+        self._axes: Axes | None = None
         self._taken = np.zeros(UNKNOWNS)
         self.delay = 0.0
         self._bands = np.ones(wd.BANDS, dtype=bool)
@@ -190,21 +194,24 @@ class Evidence:
         self._due = 0
         self._sums = WindowSums(FORCE_FITS, TURN_FITS)
         self._levels: Array = np.zeros((0, 4))
-        self._done = 0
+        self._done = self._followed = 0
+        self._drift = ZeroDrift()
+        self._drift_axes, self._drift_delay = NO_AXES, math.inf
         self._reset_windows()
 
     @property
     def drift(self) -> Drift:
         """What the same blocks say of a zero of the force that drifts."""
-        if self._axes is not None:
-            self._extend()  # it can't wait until a solution is due
-        return self._drift.found()
+        if self._axes is None:
+            return NO_DRIFT
+        self._follow_drift()  # it can't wait until a solution is due
+        return self._drift.found().turned(self._axes[0] @ _inverse(self._drift_axes[0]))
 
     def in_sensor_axes(self, drift: Drift) -> Drift:
         """`drift` in sensor axes; before there are any axes, what was known before the blocks."""
         if self._axes is None:
             return self._past or NO_DRIFT
-        return drift.turned(_solved(self._axes[0], np.eye(3)))
+        return drift.turned(_inverse(self._axes[0]))
 
     @property
     def seconds(self) -> float:
@@ -238,61 +245,94 @@ class Evidence:
             for b in self._blocks
         ]
         if self._axes is not None:
+            self._drift_delay = math.inf  # it begins anew as well
             self._rework(*self._axes)
 
     def _forget(self, count: int) -> None:
         """Leave out the first blocks: what is known is that of the last hour."""
         if self._axes is not None:
             self._extend()
+            self._follow_drift()
         del self._blocks[:count]
         self._due = 0
         self._breaks = {0} | {k - count for k in self._breaks if k > count}
         self._sums.forget(count)
         self._levels = self._levels[count:]
         self._done = max(self._done - count, 0)
+        self._followed = max(self._followed - count, 0)
 
     def _reset_windows(self) -> None:
         self._vertical = CarriedVertical()
-        past = self._past
-        if past is not None and self._axes is not None:
-            past = past.turned(self._axes[0])
-        self._drift = ZeroDrift(past)
         self._tail: tuple[Array, Flags, Array] | None = None
         self._sums.restart()
         self._levels = np.zeros((0, 4))
         self._done = 0
 
+    def _reset_drift(self) -> None:
+        """Begin anew with the filter of a drift, where the axes have moved beyond its own tilt."""
+        assert self._axes is not None
+        W, V, _ = self._axes
+        pairs = zip((W, V), self._drift_axes[:2], strict=True)
+        moved = max(float(np.abs(new @ _inverse(old) - np.eye(3)).max()) for new, old in pairs)
+        if moved < Drifts().tilt and abs(self.delay - self._drift_delay) < MOST_LATE:
+            return
+        self._drift = ZeroDrift(None if self._past is None else self._past.turned(W))
+        self._drift_axes, self._drift_delay, self._followed = self._axes, self.delay, 0
+
     # windows -------------------------------------------------------------------------------------
 
     def _extend(self) -> None:
         """Make the windows of the blocks that have come; the last waits for its next speed."""
-        while (first := self._done) < len(self._blocks) - 1:
-            stop = min(len(self._blocks) - 1, first + BLOCKS_AT_ONCE)
-            stop = min([stop, *(k for k in self._breaks if k > first)])
+        for first, stop in self._joined_since(self._done):
             if first in self._breaks:
                 self._vertical.restart()
-                self._drift.restart()
                 self._tail = None
             self._take(first, stop)
             self._done = stop
 
+    def _joined_since(self, first: int) -> Iterator[tuple[int, int]]:
+        """First and last block and one of those that came since and are joined, some at a time."""
+        while first < (end := len(self._blocks) - 1):
+            stop = min([end, first + BLOCKS_AT_ONCE, *(k for k in self._breaks if k > first)])
+            yield first, stop
+            first = stop
+
+    def _follow_drift(self) -> None:
+        """Hand the blocks that have come to the filter that asks whether the zero drifts."""
+        V = self._drift_axes[1]
+        for first, stop in self._joined_since(self._followed):
+            if first in self._breaks:
+                self._drift.restart()
+            moved = self._motion(first, stop, self._drift_delay)
+            force, rate, speed, accel, motion = self._in_axes(first, stop, self._drift_axes, moved)
+            left = force - motion
+            for k, b in enumerate(self._blocks[first:stop]):
+                part = slice(k * wd.BLOCK, (k + 1) * wd.BLOCK)
+                ticks = left[part], rate[part], speed[part], accel[part]
+                self._drift.add(*ticks, b.use, V @ b.rate_zero)
+            self._followed = stop
+
+    def _in_axes(
+        self, first: int, stop: int, axes: Axes, moved: tuple[Array, Array]
+    ) -> tuple[Array, Array, Array, Array, Array]:
+        """Force, rate (N, 3), speed, dv/dt (N,) and motion's share of the force (N, 3) in the ticks
+        of joined blocks."""
+        W, V, zero = axes
+        run = self._blocks[first:stop]
+        speed, accel = moved
+        force = np.concatenate([b.force for b in run]) @ W.T - zero
+        rate = np.concatenate([b.rate for b in run]) @ V.T
+        motion = np.column_stack([accel, speed * rate[:, 2], -speed * rate[:, 1]])
+        return force, rate, speed, accel, motion
+
     def _take(self, first: int, stop: int) -> None:
         """Make the windows that end with these blocks, which are joined."""
         assert self._axes is not None
-        W, V, zero = self._axes
-        run = self._blocks[first:stop]
-        use = np.concatenate([b.use for b in run])
-        speed, accel = self._motion(first, stop)
-        force = np.concatenate([b.force for b in run]) @ W.T - zero
-        rate = np.concatenate([b.rate for b in run]) @ V.T
-        q, r = rate[:, 1], rate[:, 2]
-        motion = np.column_stack([accel, speed * r, -speed * q])
+        use = np.concatenate([b.use for b in self._blocks[first:stop]])
+        moved = self._motion(first, stop, self.delay)
+        force, rate, speed, accel, motion = self._in_axes(first, stop, self._axes, moved)
         up, tilts = self._vertical.block(rate, (force - motion) / GRAVITY, use)
         self._level_from(force - motion, speed, use)
-        for k, b in enumerate(run):
-            part = slice(k * wd.BLOCK, (k + 1) * wd.BLOCK)
-            left = force[part] - motion[part]
-            self._drift.add(left, rate[part], speed[part], accel[part], b.use, V @ b.rate_zero)
         parts = wd.columns(force, rate, speed, accel, up, tilts), use, speed
         if self._tail is not None:
             x, use, v = (np.concatenate(part) for part in zip(self._tail, parts, strict=True))
@@ -310,13 +350,13 @@ class Evidence:
             ends = np.arange(stop - len(good), stop)[good]
             self._sums.add(wd.spectra(_by_window(x)[good], in_use[good]), ends)
 
-    def _motion(self, first: int, stop: int) -> tuple[Array, Array]:
-        """Speed and its slope in the ticks of joined blocks, of a speed that comes `delay` late."""
+    def _motion(self, first: int, stop: int, delay: float) -> tuple[Array, Array]:
+        """Speed and its slope in the ticks of joined blocks, of a speed that comes so late [s]."""
         before = first - 1 if first not in self._breaks else first
         after = stop + 1 if stop < len(self._blocks) and stop not in self._breaks else stop
         series = np.concatenate([b.speed for b in self._blocks[before:after]])
         at = np.arange(len(series)) - (first - before) * wd.BLOCK
-        t = np.arange((stop - first) * wd.BLOCK) + self.delay / TICK_S
+        t = np.arange((stop - first) * wd.BLOCK) + delay / TICK_S
         early, late = np.interp(t - 0.5, at, series), np.interp(t + 0.5, at, series)
         return 0.5 * (early + late), (late - early) / TICK_S
 
@@ -372,6 +412,7 @@ class Evidence:
     def _rework(self, force: Matrix3, rate: Matrix3, zero: Array) -> None:
         self._axes = force, rate, zero
         self._reset_windows()
+        self._reset_drift()
         self._extend()
 
     def _find_first_axes(self) -> bool:
@@ -379,7 +420,7 @@ class Evidence:
         if len(self._blocks) < BLOCKS_A_WINDOW:
             return False
         blocks = self._blocks[:-1]
-        motion = [self._motion(k, k + 1) for k in range(len(blocks))]
+        motion = [self._motion(k, k + 1, self.delay) for k in range(len(blocks))]
         use = np.concatenate([b.use for b in blocks])
         force = np.concatenate([b.force for b in blocks])
         rate = np.concatenate([b.rate for b in blocks])
@@ -504,3 +545,7 @@ def _by_window(x: NDArray[Any]) -> NDArray[Any]:
 
 def _solved(matrix: Array, right: Array) -> Array:
     return np.asarray(np.linalg.solve(matrix, right), dtype=float)
+
+
+def _inverse(matrix: Array) -> Array:
+    return np.asarray(np.linalg.inv(matrix), dtype=float)

@@ -19,7 +19,8 @@ SEGMENTS: Final = (4, 16)
 """Windows a road segment: 26 s and 102 s."""
 HEAVY = 3.0
 """A window so many times louder than its noise begins to count less."""
-PASSES = 4
+PASSES, MORE_PASSES = 4, 2
+"""From nothing, and from the solution before."""
 NOISE_WINDOWS = 3.0
 """The usual noise counts as so many windows."""
 PRIOR_SEGMENTS, PRIOR_RATIO = 5.0, 2.0
@@ -41,8 +42,9 @@ class Packing:
 
     def of(self, products: Array, columns: tuple[int, ...]) -> Array:
         """Rows (..., size) of matrices, of these columns of them."""
-        pick = np.array(columns)
-        return np.asarray(products[..., pick[self._i], pick[self._j]])
+        pick, all_of = np.array(columns), products.shape[-1]
+        flat = products.reshape(*products.shape[:-2], all_of**2)
+        return np.asarray(flat.take(pick[self._i] * all_of + pick[self._j], axis=-1))
 
     def matrices(self, rows: Array) -> Array:
         """Matrices (..., columns, columns) of rows."""
@@ -91,12 +93,13 @@ def respond(
     spread: Array,
     keep: int,
     bands: NDArray[np.bool_],
+    last: Responses | None = None,
 ) -> Responses:
     """Fit column 0 on the others, in F fits at once.
 
     rows: (F, n, BANDS, size) packed, the first `old` of them road segments. counts: (F, n) windows
     in each, by weight. usual: (F, BANDS) noise that is expected. spread: (F, p) prior deviations.
-    keep: how many coefficients are wanted. bands: which count.
+    keep: how many coefficients are wanted. bands: which count. last: what most of the windows gave.
     """
     fits, p = len(rows), packing.columns - 1
     bins = np.where(bands, _BINS, 0.0)
@@ -105,9 +108,12 @@ def respond(
     prior = np.eye(p) / np.square(spread)[:, None]
     noise = usual
     trust = np.ones(rows.shape[:2])
+    if last is not None:
+        noise = np.where(bands & np.isfinite(last.noise), last.noise, usual)
+        trust[:, old:] = trust_in(left_of(rows[:, old:], last.vector, packing), noise)
     values = 2.0 * bins.sum() / OVERLAP
     one = np.ones((fits, 1))
-    for _ in range(PASSES):
+    for _ in range(PASSES if last is None else MORE_PASSES):
         weight = (2.0 / OVERLAP) * trust[:, :, None] / noise[:, None]
         total = packing.matrices((weight.reshape(fits, 1, -1) @ flat)[:, 0])
         information = total[:, 1:, 1:] + prior
@@ -118,11 +124,10 @@ def respond(
         given = n * values / np.maximum(n * values - p, 0.3 * n * values)  # what the fit took up
         found = given[:, None] * (trust[:, None] @ left)[:, 0] / np.maximum(bins, 1.0)
         noise = np.asarray((found + NOISE_WINDOWS * usual) / (n + NOISE_WINDOWS)[:, None], float)
-        trust = trust_in(left, noise)
-        trust[:, :old] = 1.0  # in the sums already
+        trust[:, old:] = trust_in(left[:, old:], noise)  # in the sums of old ones it is already
     each = (weight[:, :, None] @ rows)[:, :, 0]
     scores = (packing.matrices(each) @ vector[:, None, :, None])[:, :, 1:, 0]
-    inverse = np.linalg.inv(information)
+    inverse = np.asarray(np.linalg.inv(information), dtype=float)
     model = inverse[:, :keep, :keep]
     variance = np.diagonal(model, axis1=1, axis2=2)
     windows = old * SEGMENTS[0] + np.arange(rows.shape[1] - old)
@@ -139,17 +144,27 @@ def respond(
         enough = 1.0 if length == SEGMENTS[0] else min(1.0, s.shape[1] / 8.0)
         spread_out = np.diagonal(inverse @ M @ inverse, axis1=1, axis2=2)[:, :keep]
         sandwich = np.maximum(sandwich, enough * spread_out)
-    picked = np.concatenate([np.zeros((fits, keep, 1)), inverse[:, :keep]], axis=2)
-    part = each @ packing.form(picked).swapaxes(1, 2)
-    share = _by_place(part, segment, int(segment[-1]) + 1)
-    squares = np.maximum((share**2).sum(axis=1), 1e-30)
-    segments = np.asarray(np.maximum(share.sum(axis=1) ** 2 / squares, 1.0))
+    segments = _effective_segments(each, inverse[:, :keep], packing, segment)
     ratio = np.clip(sandwich / variance, 0.1, 100.0)
     grow = (PRIOR_SEGMENTS * PRIOR_RATIO + segments * ratio) / (PRIOR_SEGMENTS + segments)
     grow = np.maximum(grow, 1.0) * (1.0 + 12.0 / (PRIOR_SEGMENTS + segments) ** 2)  # Student, about
     root = np.sqrt(grow)
     covariance = np.asarray(model * root[:, :, None] * root[:, None], dtype=float)
     return Responses(np.asarray(beta[:, :keep], float), covariance, segments, vector, noise)
+
+
+def _effective_segments(
+    each: Array, inverse: Array, packing: Packing, segment: NDArray[np.int_]
+) -> Array:
+    """How many road segments (F, keep) the coefficients rest on.
+
+    each: (F, n, size) weighed windows. inverse: (F, keep, p) rows of the covariance.
+    """
+    picked = np.concatenate([np.zeros((*inverse.shape[:2], 1)), inverse], axis=2)
+    part = each @ packing.form(picked).swapaxes(1, 2)
+    share = _by_place(part, segment, int(segment[-1]) + 1)
+    squares = np.maximum((share**2).sum(axis=1), 1e-30)
+    return np.asarray(np.maximum(share.sum(axis=1) ** 2 / squares, 1.0))
 
 
 def _by_place(values: Array, place: NDArray[np.int_], places: int) -> Array:

@@ -8,7 +8,6 @@ All are about the working axes, in which force and rate are nearly along the veh
 
 from __future__ import annotations
 
-import math
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -122,17 +121,17 @@ def level_row(i: int) -> Array:
 
 def sent_deviations(covariance: Array, wide: float = 0.0) -> SentDeviations:
     """Of the unknowns' errors; wide: of a turn of both sensors besides [rad]."""
+    variance = ((_SENT @ covariance) * _SENT).sum(axis=1)
+    std = np.sqrt(np.maximum(variance, 0.0) + wide**2)
+    std[4:6] *= GRAVITY
+    return SentDeviations(*std.tolist())
 
-    def of(row: Array) -> float:
-        return math.hypot(math.sqrt(max(float(row @ covariance @ row), 0.0)), wide)
 
-    return SentDeviations(
-        xy=of(entry(0, 1)),
-        yx=of(entry(1, 0)),
-        zx=of(entry(2, 0)),
-        zy=of(entry(2, 1)),
-        zero_x=GRAVITY * of(level_row(0)),
-        zero_y=GRAVITY * of(level_row(1)),
-        rate_xz=of(rate_entry(0, 2)),
-        rate_yz=of(rate_entry(1, 2)),
-    )
+_SENT: Final = np.array(
+    [
+        *(entry(i, j) for i, j in ((0, 1), (1, 0), (2, 0), (2, 1))),
+        *(level_row(i) for i in range(2)),
+        *(rate_entry(i, 2) for i in range(2)),
+    ]
+)
+"""Rows of what a consumer gets, in the order of SentDeviations."""

@@ -55,10 +55,12 @@ class FitSums:
         self._counts = np.zeros((len(fits.columns), 0))
         self._old = 0
         self._last: Responses | None = None
+        self._has_fitted = False  # these windows, or most of them
 
     def restart(self) -> None:
         """Forget all windows, but not how loud they are."""
         self._rows, self._counts, self._old = self._rows[:, :0], self._counts[:, :0], 0
+        self._has_fitted = False
 
     def add(self, products: Array) -> None:
         """Take windows (n, BANDS, columns, columns)."""
@@ -93,8 +95,9 @@ class FitSums:
     def respond(self, bands: NDArray[np.bool_]) -> Responses:
         """The fits on all windows; bands: which count."""
         _, usual, spread, keep = self._fits
+        last = self._last if self._has_fitted else None
         args = self._rows, self._counts, self._old, self._packing, usual, spread, keep, bands
-        self._last = respond(*args)
+        self._last, self._has_fitted = respond(*args, last), True
         return self._last
 
 
