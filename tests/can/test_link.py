@@ -208,6 +208,10 @@ class Faulty:
     def close(self) -> None:
         self.closed = True
 
+    def give_up(self) -> None:
+        self.lost += sum(len(batch) for batch in self.incoming if not isinstance(batch, int))
+        self.incoming = []
+
     def receive(self, timeout: float) -> list[Any]:
         if not self.incoming:
             self.now += timeout
@@ -333,6 +337,14 @@ def test_losses_add_up_over_reopened_sockets(faulty_link: Any) -> None:
     link.receive(1.0)
     assert link.counters.lost == 9
     assert kinds.count("lost") == 1  # told seldom
+
+
+def test_frames_that_waited_when_the_interface_went_are_lost_and_counted(faulty_link: Any) -> None:
+    link, port, _ = faulty_link()
+    port.there, port.incoming = False, [errno.ENODEV, [FRAME] * 5]
+    assert link.receive(0.1) == []
+    assert link.state is LinkState.ABSENT
+    assert link.counters.lost == 5
 
 
 def test_bus_off_is_a_state_until_the_restart(faulty_link: Any) -> None:

@@ -88,8 +88,14 @@ BY_ANOTHER_READER = [
     ((0.27165, 0.90631, 0.32374), (-0.94188, 0.18129, 0.28282), 64.598, 78.229, 101.85),
     ((-0.04494, -0.96593, 0.25489), (0.91312, 0.06377, 0.40266), 284.263, 106.23, 293.929),
     ((-0.55667, 0.76604, 0.32139), (0.8274, 0.54587, 0.13201), 328.128, 294.049, 275.132),
+    # by a third reader: 35/35, 70/40, exactly on edge, face down with a lean to each side
+    ((0.46985, 0.57358, 0.67101), (-0.27452, -0.62751, 0.72861), 140.0, 178.684, 161.882),
+    ((0.21985, 0.93969, 0.262), (0.92643, -0.11698, -0.35782), 250.0, 260.283, 288.256),
+    ((1.0, 0.0, 0.0), (0.0, 0.96593, 0.25882), 15.0, 105.0, 15.0),
+    ((0.32139, 0.34202, -0.88302), (0.75531, 0.46985, 0.4569), 60.0, 103.148, 232.904),
+    ((-0.39713, 0.34202, -0.85165), (-0.4458, -0.88302, -0.14674), 200.0, 150.522, 29.062),
 ]  # fmt: skip
-"""Face down, on edge, steep, hanging: worked out from the publication by one who had seen neither
+"""Face down, on edge, steep, hanging: worked out from the publication by ones who had seen neither
 the package's method D nor `publications.method_d`."""
 
 
@@ -349,7 +355,7 @@ def test_n1_at_every_attitude(turns) -> None:
     [((200, 0, 0), 30), ((160, 0, 180), 210), ((20, 0, 0), 30), ((0, 90, 0), 300)],
 )
 def test_0066_the_tilt_heading_is_that_of_the_raised_edge(turns, raised_deg: float) -> None:
-    """Face down the raised edge is the one that points up, too. By what is up in the attitude."""
+    """Face down too, where the lean is not to the side. By what is up in the attitude."""
     R, by_mag, by_heading = held_walk(turns)
     edges = [sign * R[:, axis] for axis in (0, 1) for sign in (-1.0, 1.0)]
     up = max(edges, key=lambda edge: edge[2])
@@ -358,6 +364,22 @@ def test_0066_the_tilt_heading_is_that_of_the_raised_edge(turns, raised_deg: flo
     for step in (*by_mag[2:], *by_heading[2:]):
         assert step.published is not None
         assert apart(step.published.tilt_heading, math.radians(raised_deg)) < math.radians(1.0)
+
+
+@pytest.mark.parametrize("roll", [35.0, 85.0, 95.0, 145.0])
+def test_0070_as_printed_means_the_lowered_edge_face_down(roll: float) -> None:
+    """[0066] says the raised one, which from 90 deg on points the other way.
+
+    As printed the heading does not jump where a terminal that stands on edge leans back and forth.
+    """
+    R, by_mag, by_heading = held_walk((0.0, roll, 0.0))
+    up = -R[:, 0]
+    assert up[2] > 0.0
+    raised = math.degrees(math.atan2(up[0], up[1])) % 360.0
+    assert raised == pytest.approx(300.0 if roll < 90.0 else 120.0)
+    for step in (*by_mag[2:], *by_heading[2:]):
+        assert step.published is not None
+        assert apart(step.published.tilt_heading, math.radians(300.0)) < math.radians(1.0)
 
 
 @pytest.mark.parametrize("lean", [90.0, -90.0, 87.0])

@@ -183,7 +183,8 @@ def is_active():
 
 
 def crash_loop():
-    """A process that ends by SIGSEGV as soon as it is started."""
+    """A process that ends by SIGSEGV as soon as it is started; the clock was set since the boot."""
+    step_clock(-2.0)
     program = pathlib.Path("/usr/bin/imucald")
     good = program.read_text()
     shell("systemctl", "stop", UNIT)
@@ -195,8 +196,13 @@ def crash_loop():
     found = {"first": first, "restarts": int(show("NRestarts"))}
     program.write_text(good)
     shell("systemctl", "stop", UNIT)
+    step_clock(2.0)
     shell("systemctl", "start", UNIT)
     return found | {"active": show("ActiveState")}
+
+
+def step_clock(hours):
+    time.clock_settime(time.CLOCK_REALTIME, time.time() + 3600 * hours)
 
 
 def no_folder():
@@ -459,8 +465,7 @@ def clock_stepped():
     wait(lambda: sensor.good_since(0.0))
     found = []
     for hours in (0, 1, -1, -1, 1):
-        now = time.time() + 3600 * hours
-        time.clock_settime(time.CLOCK_REALTIME, now)
+        step_clock(hours)
         after = time.monotonic() + 0.1
         wait(lambda after=after: sensor.good_since(after))
         time.sleep(0.5)

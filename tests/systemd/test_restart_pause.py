@@ -31,7 +31,8 @@ class Starts:
         line = re.search(r"^ExecStart=/bin/sh -c '(.*?)' imucald ", UNIT.read_text(), re.M | re.S)
         assert line is not None
         # as systemd.service(5) joins and unescapes a line
-        self.script = line[1].replace("\\\n", " ").replace("$$", "$").replace("%%", "%")
+        self._line = line[1].replace("\\\n", " ").replace("$$", "$")
+        self.boot = "9f6d2c1b8a7e4f5093d2b1a0c8e7f6d5"
         self.clock, self.file = folder / "clock", folder / "starts"
         programs = folder / "bin"  # nothing else is found: the shell starts nothing but a pause
         programs.mkdir()
@@ -44,6 +45,11 @@ class Starts:
             "INVOCATION_ID": "1",
         }
         self.clock.write_text("0")
+
+    @property
+    def script(self) -> str:
+        """What systemd hands to the shell, on this boot."""
+        return self._line.replace("%b", self.boot).replace("%%", "%")
 
     def live(self, seconds: int) -> None:
         """The daemon lives for so long, and does with the count what it does."""
@@ -67,9 +73,14 @@ def starts(tmp_path: Path) -> Starts:
     return Starts(tmp_path)
 
 
+def counted(starts: Starts) -> int:
+    """The count that the next start goes on with."""
+    return int(starts.file.read_text().split()[0])
+
+
 def is_counted(count: Path) -> bool:
     """Whether the next start would go on with what is there."""
-    return count.read_text().splitlines()[0].isdecimal()
+    return count.read_text().split()[0].isdecimal()
 
 
 def most_in_a_minute(times: list[int]) -> int:
@@ -97,11 +108,8 @@ def test_the_first_restarts_are_at_once_and_again_after_a_minute_of_life(starts)
 def test_where_the_count_cannot_be_written_there_are_ten_starts_a_minute_too(
     starts, tmp_path, disk
 ):
-    if disk == "full":  # a device that is; older than the boot, since to read it would never end
-        boot = tmp_path / "boot"
-        starts.script = starts.script.replace("/run/systemd/system", str(boot))
-        boot.mkdir()
-        starts.file.symlink_to("/dev/full")
+    if disk == "full":
+        starts.file.symlink_to("/proc/version")  # can be read, and takes nothing
     else:
         starts.environment["CACHE_DIRECTORY"] = str(tmp_path / "not_there")
     times = [starts.start() for _ in range(25)]
@@ -115,7 +123,7 @@ def test_a_count_that_is_there_goes_on_when_the_disk_is_full(starts):
     block = starts.file.stat().st_ino
     for expected in range(3):
         starts.start()
-        assert starts.file.read_text().splitlines()[0] == str(expected)
+        assert counted(starts) == expected
         assert starts.file.stat().st_ino == block
         assert starts.file.stat().st_size > 0
 
@@ -124,9 +132,10 @@ def test_a_count_that_is_there_goes_on_when_the_disk_is_full(starts):
     "content", ["", "x y\n", "3\n", "9 9\n", "-1\n", "08\n", "11\n", "7\n7\n", "1e3 $(reboot)\n"]
 )
 def test_a_damaged_count_stops_no_start(starts, content):
-    starts.file.write_text(content)
-    starts.start()
-    assert 0 <= int(starts.file.read_text().splitlines()[0]) <= 10
+    for text in (content, content.replace("\n", f" {starts.boot}\n")):
+        starts.file.write_text(text)
+        starts.start()
+        assert 0 <= counted(starts) <= 10
 
 
 def test_only_a_daemon_that_has_lived_for_a_minute_ends_the_count(starts):
@@ -150,27 +159,38 @@ def test_an_orderly_end_and_a_wrong_configuration_end_the_count(tmp_path, monkey
 
 
 def test_a_stop_during_the_pause_ends_the_count(starts):
-    starts.file.write_text("9\n")
+    starts.file.write_text(f"9 {starts.boot}\n")
     environment = {**starts.environment, "PATH": os.environ["PATH"]}
     command = ["/bin/sh", "-c", starts.script, "imucald", "true"]
     shell = subprocess.Popen(command, env=environment, start_new_session=True)
     time.sleep(0.5)
-    assert starts.file.read_text() == "10\n"
+    assert starts.file.read_text() == f"10 {starts.boot}\n"
     os.killpg(shell.pid, signal.SIGTERM)
     assert shell.wait(5.0) == 143
     assert not is_counted(starts.file)
 
 
-def test_a_count_of_before_the_boot_counts_for_nothing(starts, tmp_path):
-    boot = tmp_path / "boot"
-    starts.script = starts.script.replace("/run/systemd/system", str(boot))
-    starts.file.write_text("9\n")
-    os.utime(starts.file, (1.6e9, 1.6e9))
-    boot.mkdir()
+def test_a_count_of_before_the_boot_counts_for_nothing(starts):
+    for _ in range(5):
+        starts.start()
+    assert counted(starts) == 4
+    starts.boot = starts.boot[::-1]
     starts.start()
-    assert starts.file.read_text().split() == ["0"]
+    assert counted(starts) == 0
     starts.start()
-    assert starts.file.read_text().split() == ["1"]
+    assert counted(starts) == 1
+
+
+@pytest.mark.parametrize("since", [-7200.0, 7200.0])
+def test_a_clock_that_is_set_ends_no_count_and_keeps_none(starts, tmp_path, since):
+    """The file is older than this boot, or younger than now: neither says of which boot it is."""
+    times = []
+    for _ in range(25):
+        times.append(starts.start())
+        os.utime(starts.file, (time.time() + since,) * 2)
+    assert most_in_a_minute(times) <= 10
+    starts.boot = starts.boot[::-1]
+    assert starts.start() == times[-1]
 
 
 def test_without_a_unit_there_is_no_count(tmp_path, monkeypatch):

@@ -255,6 +255,18 @@ def test_a_flooded_bus_with_a_slow_reader_counts_what_was_lost(vcan: Any) -> Non
     assert link.receive_buffer == 0  # closed
 
 
+def test_what_was_lost_before_the_interface_went_is_counted_too(vcan: Any) -> None:
+    """The socket's error comes before what waits, and no frame tells the drops any more."""
+    count = 2000
+    with open_link(vcan.name, receive_buffer=20_000) as link:
+        flood = ["cangen", vcan.name, "-g", "0", "-n", str(count), "-I", "123", "-L", "8"]
+        subprocess.run(flood, check=True, capture_output=True)
+        vcan.delete()
+        received = len(link.receive(0.1))
+        assert link.state is LinkState.ABSENT
+        assert received + link.counters.lost == count
+
+
 def test_a_flood_of_foreign_frames_costs_none_of_ours(vcan: Any) -> None:
     """The filter keeps the flood out of our buffer, however small that is."""
     flood = ("cangen", vcan.name, "-g", "0", "-I", "555", "-L", "8")

@@ -125,6 +125,9 @@ class Adapter:
         except Exception:
             return
 
+    def give_up(self) -> None:
+        """Nothing: an adapter does not say what it still has."""
+
     def receive(self, timeout: float) -> list[Frame]:
         """Wait up to `timeout` [s] for a frame, then take all that wait (bounded).
 

@@ -308,6 +308,7 @@ class Link:
             self._is_up_again()
 
     def _let_go(self, port: Port, reason: str) -> None:
+        port.give_up()
         self._count_losses(port)
         self._lost_before = self.counters.lost
         self._rejected_before = self.counters.rejected

@@ -27,6 +27,9 @@ class Port(SendingPort, Protocol):
     def receive(self, timeout: float) -> list[Frame]:
         """Wait for a frame, then take all that wait."""
 
+    def give_up(self) -> None:
+        """Count in `lost` what waits and will not be read any more."""
+
     def is_same_interface(self) -> bool:
         """Whether what was opened is still there."""
 

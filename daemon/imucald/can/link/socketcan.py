@@ -8,7 +8,8 @@ costs one system call and no object but a tuple.
 Facts about the kernel that the code rests on (net/can/raw.c): a socket bound to an interface that
 goes down gets ENETDOWN once and stays bound, so frames resume by themselves; one whose interface is
 deleted gets ENODEV, is bound to nothing from then on, and stays silent for ever, also when an
-interface of the same name returns.
+interface of the same name returns. The error comes before frames that wait, and the drops since the
+last frame would have come with the next one: both are asked for when a socket is given up.
 """
 
 from __future__ import annotations
@@ -21,6 +22,7 @@ import socket
 import struct
 import time
 from collections.abc import Sequence
+from contextlib import suppress
 
 from imucald.can.columns import CAN_ERR_FLAG, CAN_RTR_FLAG, CLASSIC_BYTES, FD_BYTES, IdMatch
 from imucald.core.errors import LinkError
@@ -41,6 +43,9 @@ MAX_BATCH = 1024
 _SO_RXQ_OVFL = 40
 _SO_RCVBUFFORCE = 33
 _SO_TIMESTAMPNS = 35
+_SO_MEMINFO = 55
+_MEMINFO = struct.Struct("@9I")
+"""Of linux/sock_diag.h; the last one is what the kernel dropped, as in `SO_RXQ_OVFL`."""
 _CAN_RAW_ERR_FILTER = 2
 _CAN_RAW_FD_FRAMES = 5
 _SIOCGIFFLAGS = 0x8913
@@ -75,7 +80,7 @@ class SocketCan:
         self._channel = channel
         self.index = _interface_index(channel)
         self.lost = 0
-        """Frames of ours that the kernel dropped because nobody read them in time."""
+        """Frames of ours that nobody read in time: dropped by the kernel, or given up with it."""
         self.rejected, self.why_rejected = 0, ""  # the kernel hands out sound frames only
         self._drops = 0
         self._fault: OSError | None = None
@@ -159,9 +164,26 @@ class SocketCan:
             elif kind == _SO_RXQ_OVFL:
                 (drops,) = _DROPS.unpack(content)
                 if drops != self._drops:
-                    self.lost += (drops - self._drops) & 0xFFFF_FFFF
-                    self._drops = drops
+                    self._count_drops(drops)
         return stamp or time.time()
+
+    def _count_drops(self, drops: int) -> None:
+        self.lost += (drops - self._drops) & 0xFFFF_FFFF
+        self._drops = drops
+
+    def give_up(self) -> None:
+        """Count as lost what waits, and what the kernel dropped and could not tell any more."""
+        for _ in range(self.receive_buffer // _CLASSIC.size):  # more than it can hold
+            try:
+                self._socket.recv(_FD.size)
+            except BlockingIOError:
+                break
+            except OSError:  # told once
+                continue
+            self.lost += 1
+        with suppress(OSError, struct.error):  # Linux before 4.12 does not tell
+            memory = self._socket.getsockopt(socket.SOL_SOCKET, _SO_MEMINFO, _MEMINFO.size)
+            self._count_drops(_MEMINFO.unpack(memory)[-1])
 
     def send(self, can_id: int, data: bytes, bitrate_switch: bool) -> None:
         """Hand one frame to the kernel, as CAN FD when it is longer than 8 bytes.
