@@ -110,6 +110,14 @@ def test_a_sound_past_makes_no_drift_of_evidence_that_begins_again() -> None:
     assert evidence.drift.log_odds < -5.0
 
 
+def test_blocks_of_which_nothing_may_be_used_are_passed_over() -> None:
+    made = drifting(8.0, np.array([0.003, 0.0, 0.0]))
+    for k in range(20, 24):
+        made[k] = made[k]._replace(use=np.zeros(64, dtype=bool))
+    found = held(made).drift
+    assert found.is_named
+
+
 def test_a_guess_is_put_back_before_the_rates_zero_is_taken_off() -> None:
     zero, guess = np.array([0.01, -0.02, 0.03]), np.array([0.02, -0.05, 0.1])
     sound, guessed = Evidence(LEVEL_ROADS), Evidence(LEVEL_ROADS)

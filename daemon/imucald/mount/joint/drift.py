@@ -295,7 +295,7 @@ class ZeroDrift:
         columns = np.concatenate([off[:, None], seen, answer], axis=1)
         made = self._whitened(seen @ H.T, noise, columns, len(held))
         both = made[:, : 1 + STATES].T @ made
-        by_onset = made[:, 1 + STATES :].reshape(rows, -1, 3).transpose(1, 0, 2)
+        by_onset = made[:, 1 + STATES :].reshape(rows, len(self._onsets), 3).transpose(1, 0, 2)
         self._information += by_onset.transpose(0, 2, 1) @ by_onset
         self._score += both[0, 1 + STATES :].reshape(-1, 3)
         found = both[0, 1 : 1 + STATES]
