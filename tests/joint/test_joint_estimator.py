@@ -7,11 +7,13 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from planar_drive import Sensor, blocks
 
 from imucald.core.samples import GRAVITY, Series
 from imucald.motion.column_ticks import ticks_from_samples
 from imucald.mount.estimate import MountState
 from imucald.mount.joint.estimator import JointAcceptance, JointEstimator, JointSettings
+from imucald.mount.joint.evidence import Evidence
 from imucald.simulation import random_model, simulate
 from imucald.simulation.drive import Drive
 from imucald.simulation.imu import gain_matrix
@@ -112,3 +114,26 @@ def test_gravity_is_the_unit_of_the_levels_limits() -> None:
     limits = JointSettings().limits
     assert limits.usable_tilt * GRAVITY == pytest.approx(0.2)
     assert limits.fine_tilt * GRAVITY == pytest.approx(0.1)
+
+
+@pytest.mark.parametrize(
+    ("calibration", "entry", "is_wider"),
+    [
+        ({"cross_axis": 0.001}, "xy", False),
+        ({"cross_axis": 0.05}, "xy", True),
+        ({"accelerometer_bias": 2.0}, "zero_x", True),
+    ],
+)
+def test_what_a_data_sheet_states_is_the_prior(calibration, entry, is_wider) -> None:
+    """On one window little but the prior is known of the sensor."""
+    usual, stated = (
+        Evidence(JointEstimator(JointSettings.of(full(c))).priors) for c in ({}, calibration)
+    )
+    for block in blocks(1.2, Sensor(), bends=0.3):
+        for evidence in (usual, stated):
+            evidence.add(block)
+            evidence.solve_when_due()
+    assert usual.solution is not None
+    assert stated.solution is not None
+    before, after = (getattr(e.solution.sent(), entry) for e in (usual, stated))
+    assert (after > 1.01 * before) if is_wider else (after < before / 1.01)

@@ -117,12 +117,19 @@ class JointEstimator(FullEstimator):
     def _new_evidence(
         self, known: KnownSensor | None = None, is_moved: bool = False, past: Drift | None = None
     ) -> Evidence:
-        return Evidence(self._priors, known, is_moved, past)
+        return Evidence(self.priors, known, is_moved, past)
 
     @property
-    def _priors(self) -> Priors:
+    def priors(self) -> Priors:
+        """What is reckoned with before any data, with what the configuration states."""
         s = self._settings
-        return Priors(crown=(s.crown, s.vehicle.crown_std))
+        configured = s.calibration.cross_axis
+        usual = Priors()
+        return Priors(
+            cross_axis=((configured, 1.0),) if configured else usual.cross_axis,
+            zero=max(usual.zero, s.calibration.accelerometer_bias),
+            crown=(s.crown, s.vehicle.crown_std),
+        )
 
     # what is the sensor's own -------------------------------------------------------------------
 
@@ -147,7 +154,7 @@ class JointEstimator(FullEstimator):
         """What was known of the sensor so long before a time that no move is in it."""
         for end, solution in reversed(self._lately_known):
             if end <= t - MOVE_UNSEEN_S:
-                return solution.sensor(self._priors)
+                return solution.sensor(self.priors)
         return self._known_before
 
     # blocks ------------------------------------------------------------------------------------

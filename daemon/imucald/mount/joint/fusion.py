@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 
 from imucald.core.samples import GRAVITY
 from imucald.mount.joint.state import CROSS, CROWN, EPS, FREE, UNKNOWNS, ZERO, Priors, WeightedPrior
-from imucald.mount.priors import CROSS_AXIS
 
 Array = NDArray[np.float64]
 
@@ -54,7 +53,7 @@ def fuse(
 def any_sensor(priors: Priors, chance: float = 1.0) -> list[WeightedPrior]:
     """Priors of a sensor of which nothing is known, one for each size of cross-axis errors."""
     made = []
-    for cross, part in CROSS_AXIS:
+    for cross, part in priors.cross_axis:
         std = np.full(UNKNOWNS, FREE)
         # A gain of one axis is a cross-axis term in axes that are turned against it: over all
         # rotations 1/5 of its variance.

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from imucald.core.rotations import Matrix3
 from imucald.core.samples import GRAVITY
 from imucald.mount.estimate import SentDeviations
+from imucald.mount.priors import CROSS_AXIS
 
 Array = NDArray[np.float64]
 
@@ -47,6 +48,8 @@ class Priors(NamedTuple):
     more simulator, and simulated seeds 970000 to 970006, none of which judges them.
     """
 
+    cross_axis: tuple[tuple[float, float], ...] = CROSS_AXIS
+    """Sizes of the accelerometer's cross-axis terms, each with its probability."""
     gain: float = 0.013
     """Gain of one axis of the accelerometer against the others: within 3 % (MPU-6050, 6.2)."""
     zero: float = 0.3
