@@ -166,9 +166,9 @@ class OrientationSettings(Settings, frozen=True):
 class CalibrationSettings(Settings, frozen=True):
     """How the mount is found."""
 
-    estimator: Literal["full", "joint", "published"] = "full"
-    """"published" is method A alone; "full" fuses all the evidence there is to a rotation; "joint"
-    finds a matrix and a zero for each sensor."""
+    estimator: Literal["joint", "full", "published"] = "joint"
+    """"joint" finds a matrix and a zero for each sensor; "full" fuses all the evidence there is to
+    one rotation; "published" is method A alone."""
     accelerometer_bias: Positive = 0.0981
     """Standard deviation of the accelerometer's zero error [m/s^2]: 10 mg, of a unit whose offset
     was set at the end of its line (assumption). Bare consumer parts state 20 to 50 mg typical (50 x

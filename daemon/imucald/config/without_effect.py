@@ -110,7 +110,7 @@ def _calibration(config: Keys) -> Iterator[Rule]:
     at = "calibration"
     published = calibration.estimator == "published"
     for section in ("static", "straight", "target_angle", "method_a"):
-        yield (at, section), not published, "with estimator: full (method A alone reads it)"
+        yield (at, section), not published, "unless estimator: published (method A alone reads it)"
     for key in ("cross_axis", "orientation"):
         yield (at, key), published, "with estimator: published"
     yield from _method_a(config)
