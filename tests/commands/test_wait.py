@@ -110,6 +110,12 @@ def test_without_a_daemon_the_timeout_ends_it(tmp_path):
     assert waited(tmp_path, "--timeout", "0.1", "-q") == 3
 
 
+@pytest.mark.parametrize("command", ["status", "monitor", "events", "wait"])
+def test_without_a_daemon_all_that_ask_it_end_alike(command, tmp_path):
+    more = ("--timeout", "0") if command == "wait" else ()
+    assert main([command, "--socket", str(tmp_path / "none.sock"), *more]) == 3
+
+
 def test_a_timeout_that_is_no_time_is_an_error(tmp_path, capsys):
     assert waited(tmp_path, "--timeout", "nan") == 1
     assert "--timeout" in capsys.readouterr().err

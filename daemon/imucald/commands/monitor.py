@@ -10,7 +10,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from imucald.commands.options import positive
-from imucald.commands.status import add_socket_argument, find_socket
+from imucald.commands.status import add_socket_argument, asked, find_socket
 from imucald.core.extras import how_to_install
 
 PERIOD_S = 0.5
@@ -25,6 +25,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--seconds", type=positive, metavar="S", help="stop by itself after this time"
     )
     add_web_argument(parser)
+    parser.epilog = "Exit status: 0; 3 where no daemon runs, 8 where it does not answer."
 
 
 def add_web_argument(parser: argparse.ArgumentParser) -> None:
@@ -42,10 +43,10 @@ def add_web_argument(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Show the status until Ctrl-C; a daemon that goes away is waited for."""
-    from imucald.service.asking import ask
-
+    answer = asked(options, "status")
+    if isinstance(answer, int):  # nobody there at the start is an error
+        return answer
     path = find_socket(options.socket, options.channel)
-    json.loads(ask(path, "status"))  # nobody there at the start is an error
     seconds = float("inf") if options.seconds is None else options.seconds
     end = time.monotonic() + seconds
     watch(path, lambda: time.monotonic() >= end, options.web)
