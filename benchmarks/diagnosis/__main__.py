@@ -27,7 +27,7 @@ from benchmarks.diagnosis.measured_logs import LOGS
 from benchmarks.diagnosis.run import known, run
 from benchmarks.measured import FOLDER, ROOT, nothing_measured
 
-PAGE = ROOT / "docs" / "diagnosis-accuracy.md"
+PAGE = ROOT / "benchmarks" / "records" / "diagnosis-accuracy.md"
 RESULTS = FOLDER / "diagnosis.jsonl"
 BEGIN, END = "<!-- figures -->", "<!-- end of figures -->"
 

@@ -3,7 +3,7 @@
     python -m benchmarks.fleet [--only PART] [--fleets 60] [--copies 5]
 
 Statistics and throughput are measured apart. *Statistics*: rows of simulated fleets with errors as
-docs/mount-accuracy.md has them, no logs (200 vehicles of 5 types, 5 drives each, 4 % of pairs of
+records/mount-accuracy.md has them, no logs (200 vehicles of 5 types, 5 drives each, 4 % of pairs of
 drives with a remount of 2 deg between, 1 bad batch of 10, 3 outliers of 2 deg); seeds from 50000,
 while what was chosen was chosen on seeds from 1000. *Throughput*: simulated logs of 10 min through
 the command line, two poison logs among them. *Scale*: 100,000 rows

@@ -1,6 +1,6 @@
 """Rows of a simulated fleet with their truth: no logs, what `fleet run` would have written.
 
-200 vehicles in 5 types, 5 drives each; errors of single drives as docs/mount-accuracy.md has them
+200 vehicles in 5 types, 5 drives each; errors of drives as records/mount-accuracy.md has them
 (full estimator, 5 to 40 min), with heavier tails than normal; body from drive to drive as
 `mount.estimate.BETWEEN_DRIVES_STD`; one road crown for all. Numbers that nobody has published are
 said where they stand.
@@ -120,7 +120,7 @@ def _drive(
     rng: np.random.Generator, name: str, d: int, mount: Rotation, crown: float
 ) -> dict[str, object]:
     minutes = 5.0 * 8.0 ** rng.random()
-    # deviations at 5 min and 40 min (docs/mount-accuracy.md: median error / 0.67), crown apart
+    # deviations at 5 min and 40 min (records/mount-accuracy.md: median error / 0.67), crown apart
     share = math.log(minutes / 5.0) / math.log(8.0)
     std = np.array([0.46, 0.14, 0.13]) ** (1 - share) * np.array([0.12, 0.10, 0.06]) ** share
     std = std * rng.uniform(0.8, 1.3)

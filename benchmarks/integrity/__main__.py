@@ -1,4 +1,4 @@
-"""Is what is sent ever good and wrong? The figures of docs/integrity.md.
+"""Is what is sent ever good and wrong? The figures of benchmarks/records/integrity.md.
 
     python -m benchmarks.integrity [--only PART ...] [--row NAME ...] [--base BASE ...]
                                    [--drives N] [--hours N] [--logs N] [--first SEED] [--jobs N]

@@ -1,6 +1,6 @@
 """What is misleading, and when it was told: arithmetic on a series of one row a second.
 
-Terms as in docs/integrity.md (RTCA DO-229, ICAO Annex 10): alert limit, misleading, time to alert.
+As in records/integrity.md (RTCA DO-229, ICAO Annex 10): alert limit, misleading, time to alert.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Tables and bars from the results, as in docs/integrity.md."""
+"""Tables and bars from the results, as in benchmarks/records/integrity.md."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from benchmarks.integrity.force import table as force_table
 from benchmarks.measured import ROOT, verdict
 
 Line = dict[str, Any]
-PAGE = ROOT / "docs" / "integrity.md"
+PAGE = ROOT / "benchmarks" / "records" / "integrity.md"
 BEGIN, END = "<!-- integrity -->", "<!-- end of integrity -->"
 HOUR = 3600.0
 

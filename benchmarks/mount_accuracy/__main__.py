@@ -1,4 +1,4 @@
-"""Mount accuracy on simulated drives: the figures of docs/mount-accuracy.md.
+"""Mount accuracy on simulated drives: the figures of benchmarks/records/mount-accuracy.md.
 
     python -m benchmarks.mount_accuracy [--quick] [--first SEED] [--only PART ...] [--drives N]
                                         [--write]
@@ -38,7 +38,7 @@ from benchmarks.mount_accuracy.seeds import (
 from benchmarks.mount_accuracy.tables import bars, force_table, quantiles, table
 from imucald.mount.estimator import FullEstimator
 
-PAGE = ROOT / "docs" / "mount-accuracy.md"
+PAGE = ROOT / "benchmarks" / "records" / "mount-accuracy.md"
 TIMES = (2.0, 5.0, 10.0, 40.0)
 SHIFTS = (
     ("yaw", 1.0, 300.0, 0.90),
@@ -237,7 +237,7 @@ def progress(text: str) -> None:
 
 
 def written(name: str, lines: list[str]) -> None:
-    """Put the figures of a part into the docs, in place of its former ones."""
+    """Put the figures of a part into the record, in place of its former ones."""
     begin, end = f"<!-- {name} -->", f"<!-- end of {name} -->"
     page = PAGE.read_text(encoding="utf-8")
     head, rest = page.split(begin)
@@ -253,7 +253,7 @@ def main() -> int:
     parser.add_argument("--quick", action="store_true", help="a few short drives")
     parser.add_argument("--only", nargs="+", choices=PARTS, default=list(PARTS))
     parser.add_argument(
-        "--write", action="store_true", help="put the figures of these parts into the docs"
+        "--write", action="store_true", help="put the figures of these parts into the record"
     )
     parser.add_argument("--first", type=int, default=FIRST_SEED, help="first seed")
     parser.add_argument("--drives", type=int, help="of the part accuracy")

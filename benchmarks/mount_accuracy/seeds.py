@@ -1,6 +1,6 @@
 """Seeds: which drives each part is made of, and which ones the estimator was tuned on.
 
-A figure counts only on drives that nothing was chosen by. docs/mount-accuracy.md says what was
+A figure counts only on drives that nothing was chosen by. records/mount-accuracy.md says what was
 looked at when; seeds that become tuning seeds are added here.
 """
 

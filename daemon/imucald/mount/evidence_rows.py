@@ -15,7 +15,7 @@ class Row(Struct, frozen=True):
     share, few: the variance is taken that much larger, and by `few` over the number of road
     segments, as few of them hide their own spread. Both were chosen on simulated drives, so that
     errors are as large as stated from the second minute to the fortieth (`python -m
-    benchmarks.mount_accuracy --only accuracy`; seeds of tuning: docs/mount-accuracy.md).
+    benchmarks.mount_accuracy --only accuracy`; seeds of tuning: records/mount-accuracy.md).
     """
 
     name: str

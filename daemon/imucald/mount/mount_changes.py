@@ -37,7 +37,7 @@ SHIFTS_ALLOWED = 1
 ALERT_LIMIT = math.radians(1.0)
 """An angle that is off by less misleads nobody [rad], ..."""
 ALERT_DEVIATIONS = 4.0
-"""... nor one that is off by less than so many stated deviations (docs/integrity.md)."""
+"""... nor one that is off by less than so many stated deviations (records/integrity.md)."""
 COVERING = 0.5
 """Share of a change that the deviation is, while the rotation of before is applied: the interval of
 95 % then reaches from there to the new one."""

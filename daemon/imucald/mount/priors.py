@@ -72,7 +72,7 @@ how large yaw's deviation is."""
 
 SIDESLIP_STD = 0.0014
 """What sideslip and body roll leave in the yaw from turns [rad]: chosen on simulated drives by
-`python -m benchmarks.mount_accuracy --only accuracy` (seeds of tuning, docs/mount-accuracy.md).
+`python -m benchmarks.mount_accuracy --only accuracy` (seeds of tuning, records/mount-accuracy.md).
 Sideslip at 2 m/s^2 is of the order of 0.01 rad; the even part that averages out is not in it."""
 YAW_FLOOR_STD = 0.0007
 """Both kinds of yaw stay off by that much [rad]: chosen on simulated drives of 4 h, by

@@ -68,7 +68,7 @@ THRESHOLD = np.array(
     )
 )
 """For roll, pitch and yaw, and each span, as a root of twice the log of the ratio;
-docs/mount-accuracy.md: what they give. Over short spans a windy stretch or a winding one passes
+records/mount-accuracy.md: what they give. Over short spans a windy stretch or a winding one passes
 for a turn."""
 NEIGHBOURS = 0.9
 """In yaw two neighbouring spans that come to this share of their thresholds are a shift as well."""

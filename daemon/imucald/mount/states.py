@@ -93,7 +93,7 @@ def _is_rest_hidden(known: MountKnowledge, before: MountState, s: EstimatorSetti
 
     Below the usual limit are then only mounts whose parts of the error that show are small by
     chance, and their hidden part knows nothing of that: the limit itself would choose those that
-    are wrong (docs/integrity.md). A limit that a user set is kept. A cross-axis error of c (part)
+    are wrong (records/integrity.md). A user's own limit is kept. A cross-axis error of c (part)
     turns yaw by up to c rad, and so is compared with the limit. While the state is good it may be
     less by `SLACK`: what is reckoned with becomes less as the drive goes on, and that is no reason
     to end it.
