@@ -44,12 +44,9 @@ def run_result(engine: Engine, link: Link) -> dict[str, Any]:
 
 
 def running_status(
-    engine: Engine, link: Link, rates: InputRates, store: CalibrationStore | None, lost_lines: int
+    engine: Engine, link: Link, rates: InputRates, store: CalibrationStore | None
 ) -> dict[str, Any]:
-    """The result so far, and how engine, bus, store and process are.
-
-    lost_lines: of the log, that could not be written.
-    """
+    """The result so far, and how engine, bus, store and process are."""
     found = run_result(engine, link)
     for channel, row in found["signals"].items():
         row["rate_hz"] = round(rates.of(channel), 3)
@@ -64,5 +61,5 @@ def running_status(
         "health": asdict(engine.health()),
         "frames_given_out": engine.sent,
         "saved_state": NOT_SAVED if store is None else store.status(),
-        "process": process_figures() | {"log_lines_dropped": lost_lines},
+        "process": process_figures(),
     }

@@ -20,6 +20,7 @@ from imucald.runtime.flow import flow
 from imucald.runtime.input_health import LinkHealth
 from imucald.runtime.mount_orders import TESTER, MountOrders
 from imucald.service.announcements import Announcements, say_idle_keys
+from imucald.service.clock_watch import ClockWatch
 from imucald.service.figures import status_line
 from imucald.service.folder_lock import FolderInUseError, FolderLock
 from imucald.service.identity import state_key
@@ -77,6 +78,7 @@ class Service:
         self._start_count = StartCount(options.start_count)
         self.orders = MountOrders(self)
         self._announcements = own = Announcements(self.journal)
+        self.clock_watch = ClockWatch()
         listeners = Listeners(own.snapshot, own.link_event, self._link_health, self.journal.say)
         self._maker = PartsMaker(self, options, listeners, clock)
         self._reloading = Reloading(
@@ -263,6 +265,9 @@ class Service:
         if self._companion is not None and self._companion.poll():
             self.journal.say("what serves the metrics has ended; all else goes on", WARNING)
         self._announcements.update(engine, self.link.counters.late, now - self._began)
+        if (step := self.clock_watch.look()) is not None:
+            text = f"the system's clock was set by {step:+.1f} s: times in this log jump"
+            self.journal.seldom("clock", text, NOTICE)
 
     # what diagnostics and orders ask for ----------------------------------------------------
 
@@ -334,7 +339,11 @@ class Service:
     def status(self) -> dict[str, Any]:
         """What `imucald status` shows; keys in docs/service.md."""
         engine, store = self.engine, self.parts.calibration_store
-        found = running_status(engine, self.link, self._rates, store, self.journal.dropped)
+        found = running_status(engine, self.link, self._rates, store)
+        found["process"] |= {
+            "log_lines_dropped": self.journal.dropped,
+            "clock_set": self.clock_watch.count,
+        }
         found |= {
             "config": str(self.options.config),
             "vehicle": self.loaded.config.vehicle.id,
