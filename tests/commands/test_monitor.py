@@ -163,6 +163,14 @@ def test_now_and_target_stand_side_by_side_with_one_convention(status):
     assert status["mount"]["sits"] in " ".join(text.split())
 
 
+def test_what_is_judged_stands_beside_the_target_and_not_what_the_housing_is_known_to(status):
+    status["mount"]["judged_std_deg"] = {"x": 0.25, "y": 0.3, "z": 0.12}
+    text = "\n".join(drawn(picture(status), 100))
+    row = next(line for line in text.splitlines() if line.startswith("yaw"))
+    assert row.split()[:3] == ["yaw", "-10.60°", "±0.88°"]
+    assert row.split()[3:] == ["z", "(yaw)", "±0.24°", "fine", "below", "±0.60°"]
+
+
 def test_a_bar_is_longer_for_a_wider_interval_and_marks_the_target(status):
     lines = drawn(lambda c: monitor_picture(status, [], c, Text("")), 120)
     rows = {line.split()[0]: line for line in lines if line.startswith(("roll", "pitch", "yaw"))}

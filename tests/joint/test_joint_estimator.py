@@ -62,6 +62,12 @@ def test_frames_sent_as_good_keep_no_more_of_the_other_axes_than_stated(accel: n
                 )
     assert first is not None
     assert first < 3000
+    made_of = joint.estimate()
+    sent = made_of.sent
+    assert sent is not None
+    judged = (sent.zero_y / GRAVITY, sent.zero_x / GRAVITY, max(sent.xy, sent.yx))
+    assert made_of.judged_std == pytest.approx(judged)
+    assert made_of.judged_std != made_of.std
 
 
 @pytest.mark.slow

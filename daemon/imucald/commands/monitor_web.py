@@ -37,6 +37,7 @@ from imucald.mount.mount_words import (
     angles_line,
     half_width,
     is_trouble,
+    judged_std,
     left_out_words,
     reasons,
     sent_words,
@@ -118,6 +119,7 @@ class LiveState:
             "first_usable_s": status["first_usable_s"],
             "first_fine_s": status["first_fine_s"],
             "angles": angles_line(mount),
+            "rotation_is_judged": mount.get("judged_std_deg", mount["std_deg"]) == mount["std_deg"],
             "sits": mount.get("sits"),
             "steep": mount.get("steep"),
             "mirrored": mount.get("mirrored"),
@@ -189,7 +191,7 @@ def _angle(mount: Mapping[str, Any], i: int) -> dict[str, Any]:
     value, spread = angle_cells(mount, name)
     return {
         "name": name, "value": value, "spread": spread,
-        "turn": TURNS_ABOUT[i], "half": half_width(mount["std_deg"][axis]), "targets": goals,
+        "turn": TURNS_ABOUT[i], "half": half_width(judged_std(mount, axis)), "targets": goals,
     }  # fmt: skip
 
 

@@ -17,6 +17,7 @@ from imucald.mount.mount_words import (
     angle_cells,
     half_width,
     is_trouble,
+    judged_std,
     plus_minus,
     reasons,
     sent_words,
@@ -64,7 +65,7 @@ def _table(mount: Mapping[str, Any], bar: int) -> Table:
         table.add_column("")
     table.add_column("target")
     for angle, axis, turn in zip(ANGLES, "xyz", TURNS_ABOUT, strict=True):
-        std = mount["std_deg"][axis]
+        std = judged_std(mount, axis)
         goal, limit = _target(mount, axis, std)
         cells: list[str | Text] = [angle, *angle_cells(mount, angle), turn, plus_minus(std)]
         if bar:

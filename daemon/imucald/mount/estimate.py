@@ -62,7 +62,7 @@ class Missing(enum.IntEnum):
 class Targets(Struct, frozen=True):
     """Standard deviations [rad] about the vehicle's x, y, z below which a state is reached.
 
-    They hold for `MountEstimate.std`: that about x contains the road's crown.
+    They hold for `MountEstimate.judged_std`: that about x contains the road's crown.
     """
 
     usable: tuple[float, float, float]
@@ -199,7 +199,9 @@ class MountEstimate(Struct, frozen=True, dict=True):
     missing: the same as a code, for the bus.
     faults: contradictions between signals that stand, by the names of
     `contradictions.StandingFault`; while there is any, nothing is sent as good.
-    targets: what `std` must fall below; None where the estimator states none.
+    targets: what `judged_std` must fall below; None where the estimator states none.
+    judged_as: (3,) deviations that are judged instead of those of the housing's rotation [rad];
+    None: `std` itself is judged.
     matrices: what will be applied when it is reached, where that is more than the rotation.
     deviations: of what that leaves in the samples; None: `sent` follows from the covariance.
     """
@@ -214,6 +216,12 @@ class MountEstimate(Struct, frozen=True, dict=True):
     targets: Targets | None = None
     matrices: Correction | None = None
     deviations: SentDeviations | None = None
+    judged_as: tuple[float, float, float] | None = None
+
+    @property
+    def judged_std(self) -> tuple[float, float, float] | None:
+        """What states are judged by: deviations about the vehicle's x, y, z [rad], or None."""
+        return self.std if self.judged_as is None else self.judged_as
 
     @cached_property
     def correction(self) -> Correction | None:

@@ -14,7 +14,7 @@ from imucald.mount.estimate import ANGLES, MountEstimate
 SD_95 = 2.0
 """Half of a 95 % interval in standard deviations, everywhere that people read "±"."""
 CONVENTION = "± is 95 % (two standard deviations)"
-ABOUT = f"{CONVENTION}; targets are for turns about the vehicle's axes"
+ABOUT = f"{CONVENTION}; targets are for what is left in corrected samples, as turns about an axis"
 """Stands once on each screen that shows a mount."""
 TURNS_ABOUT = ("x (roll)", "y (pitch)", "z (yaw)")
 """Turns about the vehicle's axes, which states are judged by, and what they are called there."""
@@ -82,6 +82,15 @@ def angle_cells(mount: Mapping[str, Any], angle: str) -> tuple[str, str]:
     text = angle_text(mount[f"{angle}_deg"], mount.get("angle_std_deg", {}).get(angle))
     value, _, spread = text.partition(" ")
     return value, spread or "-"
+
+
+def judged_std(mount: Mapping[str, Any], axis: str) -> float | None:
+    """Deviation [deg] about an axis of the vehicle that a state is judged by.
+
+    mount: as in docs/json.md; an older daemon judged that of the rotation.
+    """
+    found: float | None = mount.get("judged_std_deg", mount["std_deg"])[axis]
+    return found
 
 
 def angles_line(mount: Mapping[str, Any]) -> str:

@@ -19,6 +19,7 @@ from imucald.mount.mount_words import (
     angle_cells,
     angles_line,
     half_width,
+    judged_std,
     left_out_words,
     plus_minus,
     reasons_line,
@@ -132,7 +133,7 @@ def _mount_rows(mount: Mapping[str, Any]) -> list[tuple[str, ...]]:
         goals = ("-", "-") if targets is None else (
             plus_minus(targets["usable"][axis]), plus_minus(targets["fine"][axis])
         )  # fmt: skip
-        of_turn = plus_minus(mount["std_deg"][axis])
+        of_turn = plus_minus(judged_std(mount, axis))
         rows.append((angle, *angle_cells(mount, angle), turn, of_turn, *goals))
     return rows
 

@@ -129,9 +129,9 @@ def _draw_angle(
     axes.fill_between(t, off - half, off + half, color=OURS, alpha=0.22, lw=0)
     axes.plot(t, off, color=OURS, lw=1.4)
     axes.axhline(0.0, color=SOFT, lw=0.6)
-    targets = moments[-1].estimate.targets if moments else None
-    if targets is not None:
-        fine = SD_95 * targets.fine[axis] * DEG_PER_RAD
+    last = moments[-1].estimate if moments else None
+    if last is not None and last.targets is not None and last.judged_as is None:
+        fine = SD_95 * last.targets.fine[axis] * DEG_PER_RAD
         for edge in (-fine, fine):
             axes.axhline(edge, color=TRUTH, lw=0.9, ls=(0, (4, 3)))
     for mark in events[:MAX_MARKS]:

@@ -122,6 +122,10 @@ def _for_people(estimate: MountEstimate) -> dict[str, Any]:
     """How the sensor sits in words, and what the deviations must fall below."""
     found: dict[str, Any] = {"sits": how_it_sits(estimate), "steep": steep_note(estimate)}
     found["mirrored"] = mirror_note(estimate)
+    judged = estimate.judged_std
+    found["judged_std_deg"] = {
+        axis: _degrees(None if judged is None else judged[i]) for i, axis in enumerate("xyz")
+    }
     if (targets := estimate.targets) is not None:
         found["target_std_deg"] = {
             goal: {a: round(s * DEG_PER_RAD, 4) for a, s in zip("xyz", std, strict=True)}

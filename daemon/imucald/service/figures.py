@@ -47,8 +47,8 @@ def status_line(estimate: MountEstimate, link: str) -> str:
 
 
 def _to_be_fine(estimate: MountEstimate) -> str:
-    """Which turns about the vehicle's axes are above their target; empty where none is."""
-    std, targets = estimate.std, estimate.targets
+    """What states are judged by and is above its target; empty where nothing is."""
+    std, targets = estimate.judged_std, estimate.targets
     if std is None or targets is None:
         return ""
     missing = [

@@ -282,7 +282,7 @@ class JointEstimator(FullEstimator):
         solution = self.solution
         if solution is None:
             return made
-        correction = self._found_correction()
+        correction, sent = self._found_correction(), self._sent(solution)
         return replace(
             made,
             R_vehicle_from_sensor=correction.matrix(),
@@ -290,7 +290,8 @@ class JointEstimator(FullEstimator):
             details=dict(made.details) | {"speed_delay": solution.delay},
             targets=targets_in_force(self._known, self.state, self._settings),
             matrices=correction,
-            deviations=self._sent(solution),
+            deviations=sent,
+            judged_as=_as_angles(sent),
         )
 
     def _housing_covariance(self, solution: Solution) -> Array:

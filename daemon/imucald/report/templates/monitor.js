@@ -59,7 +59,7 @@ function chart(live) {
     const step = niceStep(2 * reach, 4);
     for (let v = Math.ceil(-reach / step) * step; v <= reach; v += step)
       out += `<line class="grid" x1="${left}" x2="${width - right}" y1="${y(v)}" y2="${y(v)}"/><text x="${left - 6}" y="${Number(y(v)) + 4}" text-anchor="end">${Number(v.toFixed(2))}°</text>`;
-    const fine = m.targets.fine;
+    const fine = live.rotation_is_judged ? m.targets.fine : undefined;
     if (fine !== undefined && fine < reach)
       for (const v of [-fine, fine]) out += `<line class="target" x1="${left}" x2="${width - right}" y1="${y(v)}" y2="${y(v)}"/>`;
     const upper = known.map((h) => `${x(h.t)},${y(h.off + h.half)}`);
