@@ -1,4 +1,4 @@
-"""What a model file is worth while driving, effect by effect: the figures of docs/model-file.md.
+"""What a model file is worth while driving, effect by effect (records/model-compensation.md).
 
     python -m benchmarks.model_compensation [--seeds 8] [--minutes 12] [--only EFFECT ...] [--write]
 
@@ -36,7 +36,7 @@ from imucald.simulation import Drive, VehicleModel, random_model, simulate
 FIRST_SEED = 7000
 FROM_S = 180.0
 BEGIN, END = "<!-- figures -->", "<!-- end of figures -->"
-PAGE = ROOT / "docs" / "model-file.md"
+PAGE = ROOT / "benchmarks" / "records" / "model-compensation.md"
 DEG = np.pi / 180.0
 OWN_TURNING = ("gyro",)
 STABILITY = ("gyro", "yaw_rate")
