@@ -396,7 +396,7 @@ def test_the_command_answers_status_reloads_and_stops_within_a_second(bench):
         wait_until(path.exists, 20.0)
         asked = ["--socket", str(path)]
         shown = output_of(*command, "status", *asked, status=(4, 5, 7))  # restored; nothing comes
-        assert "state  restored" in shown
+        assert "mount  restored" in shown
         daemon.send_signal(signal.SIGHUP)
         watched = output_of(*command, "monitor", *asked, "--seconds", "0.1")
         assert "restored" in watched
