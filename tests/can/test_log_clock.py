@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from imucald.can.columns import FrameColumns, IdMatch
 from imucald.can.logs.log_reader import LogReader
+from imucald.can.lost_frames import lost_share
 from imucald.core.errors import LogError
 
 SECONDS = 120.0
@@ -86,6 +87,23 @@ def test_stamps_of_a_clock_of_64_hertz_are_coarse_where_a_sender_is_faster(tmp_p
     found, (note,) = times_of(log(tmp_path / "w.log", np.floor(t * 64) / 64, ids.tolist()))
     assert np.abs(found - t).max() < 0.016
     assert "steps of 0.0156 s" in note
+
+
+def test_stamps_of_a_clock_of_64_hertz_are_not_told_as_lost_frames(tmp_path: Path) -> None:
+    rng = np.random.default_rng(5)
+    cycles = {0x100: 0.01, 0x120: 0.02, 0x130: 0.1, 0x140: 0.02, 0x150: 0.05}
+    frames = [
+        (0.003 * rng.random() + cycle * k, can_id)
+        for can_id, cycle in cycles.items()
+        for k in range(round(60.0 / cycle))
+    ]
+    t, ids = (np.array(column) for column in zip(*sorted(frames), strict=True))
+    chunks, _ = read(log(tmp_path / "w.log", np.floor(t * 64) / 64, ids.tolist()))
+    found, seen = (np.concatenate([getattr(c, n) for c in chunks]) for n in ("t", "can_id"))
+    shares = [lost_share(np.diff(found[seen == can_id])) for can_id in cycles]
+    told = [share for share in shares if share is not None]
+    assert len(told) >= 2
+    assert told == pytest.approx(len(told) * [0.0], abs=0.005)
 
 
 def test_bursts_that_are_handed_over_unevenly_keep_the_pace_of_their_senders(

@@ -35,3 +35,17 @@ def test_a_hole_of_some_tenths_of_a_second_is_loss_and_one_of_a_minute_is_not():
         kept[first : first + 50] = False
     assert lost_share(np.diff(t[kept])) == pytest.approx(0.05, abs=0.003)
     assert lost_share(np.diff(np.concatenate([t, t + 260.0]))) == 0.0
+
+
+@pytest.mark.parametrize("share", [0.0, 0.1])
+@pytest.mark.parametrize("clock_s", [1.0 / 64.0, 0.01, 1.0 / 60.0])
+@pytest.mark.parametrize("cycle", [0.01, 0.02, 0.05, 0.1])
+def test_stamps_of_a_coarse_clock_are_no_loss_and_hide_none(clock_s, cycle, share):
+    """As a reader spreads them: up to one step of the clock late, and in order."""
+    rng = np.random.default_rng(3)
+    t = cycle * np.arange(4000) + 0.003
+    kept = rng.random(len(t)) >= share
+    t, share = t[kept], 1.0 - np.mean(kept)
+    known = lost_share(np.diff(np.maximum.accumulate(t + clock_s * rng.random(len(t)))))
+    assert known is None or known == pytest.approx(share, abs=0.015)
+    assert known is not None or cycle <= 2.0 * clock_s

@@ -39,6 +39,7 @@ _TABLE: tuple[tuple[Unit, tuple[str, ...]], ...] = (
     (Unit("angle", RAD_PER_DEG), ("deg", "°", "degree", "degrees", "º", "grad", "degs")),
     (Unit("speed", 1.0), ("m/s", "mps", "m/sec", "meter/s", "ms-1")),
     (Unit("speed", 1.0 / 3.6), ("km/h", "kph", "kmh", "kmph", "km/hr", "KPH")),
+    (Unit("speed", 1.0 / 3.6), ("km/u", "km/t", "km/st")),  # Dutch, Danish, Norwegian, Swedish
     (Unit("speed", 0.44704), ("mph", "mi/h", "miles/h")),
     (Unit("speed", 1852.0 / 3600.0), ("kn", "kt", "kts", "knot", "knots")),
     (Unit("speed", 0.3048), ("ft/s",)),
@@ -197,6 +198,7 @@ def _tokens(text: str) -> Iterator[str]:
     """Words, signs and exponents of a unit in small letters, without accents."""
     plain = re.sub("[\u0300-\u036f]", "", normalize("NFKD", text.replace("º", "°")))
     plain = re.sub(r"(?<=[a-z])(?=[A-Z])", " ", plain.replace("_", " ")).casefold()
+    plain = re.sub(r"\bmps[ ^*-]*2\b", "m/s2", plain)  # the exponent is that of the second
     plain = re.sub(r"^ *unit\b|'s\b", "", re.sub(r"\bper cent", "percent", plain))
     plain = re.sub(r"\^(?=[a-z])", "/", plain.replace("\u2212", "-"))
     for token in re.findall(r"[^\W\d]+|[°%/]|-?\d+(?:\.\d+)?", plain):
