@@ -208,3 +208,21 @@ def container() -> Database:
 def test_a_container_frame_is_refused_with_its_reason() -> None:
     with pytest.raises(DatabaseError, match="M: container frames are not supported"):
         container().message("M")
+
+
+def test_an_arxml_that_lacks_an_element_is_refused_with_place_and_remedy() -> None:
+    text = (DATA / "cluster.arxml").read_text("utf-8")
+    line = text[: text.index("<CAN-FRAME-TRIGGERING>")].count("\n") + 1
+    without_id = text.replace("<IDENTIFIER>512</IDENTIFIER>", "")
+    with pytest.raises(DatabaseError, match="export the bus as DBC") as refused:
+        load_database_text(without_id, "arxml", "car.arxml")
+    words = str(refused.value)
+    assert f"line {line}, CAN-FRAME-TRIGGERING FT_IMU" in words
+    assert "NoneType" not in words
+
+
+def test_an_arxml_that_describes_no_bus_is_refused_in_plain_words() -> None:
+    text = '<AUTOSAR xmlns="http://autosar.org/schema/r4.0"><ADMIN-DATA/></AUTOSAR>'
+    with pytest.raises(DatabaseError, match="no packages") as refused:
+        load_database_text(text, "arxml", "car.arxml")
+    assert "NoneType" not in str(refused.value)

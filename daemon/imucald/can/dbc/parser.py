@@ -15,6 +15,7 @@ from typing import Any
 from msgspec.structs import replace
 
 from imucald.can.columns import CAN_EFF_FLAG
+from imucald.can.dbc.arxml_place import why_refused
 from imucald.can.dbc.database_limits import refuse_heavy
 from imucald.can.dbc.dbc_mending import LeftOut, MendedText, lost_multiplexers
 from imucald.can.dbc.kcd_mending import MendedKcd
@@ -46,7 +47,10 @@ def parse(text: str, database_format: str, source: str) -> list[Message]:
             if _is_out_of_memory(error):
                 raise MemoryError from error
             if database_format not in {"dbc", "kcd"} or not mended.mend(str(error)):
-                raise DatabaseError(f"{source}: {_reason(first or error)}") from error
+                reason = _reason(first or error)
+                if database_format == "arxml" and not isinstance(error, RecursionError):
+                    reason = _cut(why_refused(error, text))
+                raise DatabaseError(f"{source}: {reason}") from error
             first = first or error
         else:
             left_out = mended.left_out
@@ -114,7 +118,10 @@ def _reason(error: Exception) -> str:
     reads, for the parser quotes the whole line of the file."""
     if isinstance(error, RecursionError):
         return "nested too deeply"
-    text = " ".join(str(error).split()) or type(error).__name__
+    return _cut(" ".join(str(error).split()) or type(error).__name__)
+
+
+def _cut(text: str) -> str:
     return f"cannot be read: {text[:MAX_REASON]}{'...' if len(text) > MAX_REASON else ''}"
 
 
