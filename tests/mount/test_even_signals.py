@@ -218,6 +218,15 @@ def test_short_runs_are_those_that_counting_finds(seed: int) -> None:
     assert not expected_simple[0]
 
 
+def test_a_tick_that_a_long_hole_cuts_keeps_its_own_samples() -> None:
+    """Their mean lies where they are, up to half a tick from the middle."""
+    times = np.array([0.05, 0.15, 0.22, 0.88, 0.95, 1.05])  # none from 0.24 to 0.86 s
+    at = 0.05 + 0.1 * np.arange(11)
+    out, ok = bridged(at, times, times, 0.35)
+    assert ok.tolist() == [True, True, True, *5 * [False], True, True, True]
+    assert np.abs(out[ok] - at[ok]).max() < 1e-12
+
+
 def test_nothing_is_bridged_before_the_first_sample_and_over_long_holes() -> None:
     times = np.array([1.0, 1.1, 2.0])
     at = np.array([0.5, 0.95, 1.05, 1.5, 1.95, 2.05, 2.5])

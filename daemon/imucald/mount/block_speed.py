@@ -39,6 +39,8 @@ class BlockSpeed:
         self._reverse = 0.0
         self._rest_run = 0
         self.least = DRIVING_SPEED
+        self.knots: Array | None = None
+        """(K,) when the speed of the last block is known [s]; None: in each tick."""
 
     def restart(self) -> None:
         """Time jumped."""
@@ -66,7 +68,7 @@ class BlockSpeed:
         if driven is not None and is_even:
             self._seen.add("speed")
             self.least = min(self.least, driven.least)
-            speed, ok = driven.speed, driven.ok
+            speed, ok, self.knots = driven.speed, driven.ok, driven.knots
         else:
             has = rows[:, tk.SPEED.n] > 0
             if np.count_nonzero(has):
@@ -74,7 +76,7 @@ class BlockSpeed:
             has &= True if stuck is None else ~stuck
             mean = rows[has, tk.SPEED.mean]
             self._follow_least_speed(np.abs(mean))
-            speed, ok = bridged_speed(at, t[has] - rows[has, tk.SPEED.age], mean)
+            speed, ok, self.knots = bridged_speed(at, t[has] - rows[has, tk.SPEED.age], mean)
         known = rows[:, tk.REVERSE]
         if even is None:
             has_reverse = bool(np.count_nonzero(~np.isnan(known)))

@@ -63,6 +63,7 @@ class Driven(Struct, frozen=True):
     speed: (N + 2,) [m/s], ok: (N + 2,), see `PART`; accel: (N,) dv/dt [m/s^2]. least: the least
     speed between two other speeds [m/s]. rolls: all speeds say so. moves: none says zero. runs:
     None where a speed may be stuck. calm: no tick's force, rate, speed or wheels are implausible.
+    knots: (K,) when a coarse speed is known [s]; None: in each tick.
     """
 
     speed: Array
@@ -73,6 +74,7 @@ class Driven(Struct, frozen=True):
     moves: bool
     runs: BlockRuns | None
     calm: bool
+    knots: Array | None
 
 
 class EvenBlock(Struct, frozen=True):
@@ -103,14 +105,19 @@ class EvenBlock(Struct, frozen=True):
 
 
 def bridged_blocks(at: Array, times: Array, values: Array, longest: float) -> tuple[Array, Flags]:
-    """Interpolate samples (B, M) or (B, M, w) at times (B, N); False where the hole is too long."""
+    """Interpolate samples (B, M) or (B, M, w) at times (B, N); False where the hole is too long.
+
+    at: middles of ticks [s].
+    """
     m = times.shape[1]
     after = np.array([one.searchsorted(x) for one, x in zip(times, at, strict=True)])
     low, high = np.maximum(after - 1, 0), np.minimum(after, m - 1)
     of = np.arange(len(at))[:, None]
     right, left = times[of, high], times[of, low]
     width = right - left
-    ok = width <= longest
+    # A tick that a hole cuts has samples of its own, whose mean is not at its middle.
+    own = np.minimum(np.abs(at - left), np.abs(right - at)) <= 0.5 * TICK_S
+    ok = (width <= longest) | own
     ends = (after == 0) | (after == m)  # before the first sample, or after the last
     if ends.any():
         ok[ends] = np.abs(at - left)[ends] <= 0.3 * longest
@@ -131,20 +138,27 @@ def bridged(at: Array, times: Array, values: Array, longest: float) -> tuple[Arr
     return out[0], ok[0]
 
 
-def speed_blocks(at: Array, times: Array, values: Array) -> tuple[Array, Flags]:
-    """As `bridged_blocks` of speeds (B, M), which may be coarse."""
+def speed_blocks(at: Array, times: Array, values: Array) -> tuple[Array, Flags, list[Array | None]]:
+    """As `bridged_blocks` of speeds (B, M), which may be coarse; and when each is known (K,) [s].
+
+    None: at each of `times`.
+    """
     out, ok = bridged_blocks(at, times, values, SPEED_GAP)
+    knots: list[Array | None] = [None] * len(at)
     for b in np.flatnonzero(stays(values)).tolist():
-        out[b] = np.interp(at[b], *passages(times[b], values[b]))
-    return out, ok
+        of_one = times[b]
+        when, speeds = passages(of_one, values[b])
+        out[b] = np.interp(at[b], when, speeds)
+        knots[b] = None if when is of_one else when
+    return out, ok, knots
 
 
-def bridged_speed(at: Array, times: Array, values: Array) -> tuple[Array, Flags]:
-    """As `bridged` of speeds (M,), which may be coarse."""
+def bridged_speed(at: Array, times: Array, values: Array) -> tuple[Array, Flags, Array]:
+    """As `bridged` of speeds (M,), which may be coarse; and when they are known (K,) [s]."""
     if len(times) < 1:
-        return bridged(at, times, values, SPEED_GAP)
-    out, ok = speed_blocks(at[None], times[None], values[None])
-    return out[0], ok[0]
+        return *bridged(at, times, values, SPEED_GAP), times
+    out, ok, (knots,) = speed_blocks(at[None], times[None], values[None])
+    return out[0], ok[0], times if knots is None else knots
 
 
 def times_of(end: Array) -> Array:
@@ -237,7 +251,7 @@ def _driven(
         windows, t, at = windows[whole], t[whole], at[whole]
         sensed = tuple(one[whole] for one in sensed)  # type: ignore[assignment]
     mean = windows[:, :, tk.SPEED.mean]
-    speed, ok = speed_blocks(at, t - windows[:, :, tk.SPEED.age], mean)
+    speed, ok, knots = speed_blocks(at, t - windows[:, :, tk.SPEED.age], mean)
     size = np.abs(mean)
     moves: Flags = size > ZERO_SPEED
     between = moves[:, 1:-1] & moves[:, :-2] & moves[:, 2:]
@@ -254,7 +268,7 @@ def _driven(
     calm = health.calm_blocks(windows[:, PART], force, ok_force, speed, ok, turning)
     for i, b in enumerate(np.flatnonzero(whole).tolist()):
         found[b] = Driven(
-            speed[i], ok[i], accel[i], least[i], rolls[i], is_moving[i], runs[i], calm[i]
+            speed[i], ok[i], accel[i], least[i], rolls[i], is_moving[i], runs[i], calm[i], knots[i]
         )
     return found
 

@@ -97,6 +97,7 @@ class SignalBlock(Struct):
     rate_walk: Array = field(default_factory=lambda: np.zeros((3, 3)))
     # what samples that come seldom add to the angle, sensor axes [rad^2/s], see `gyro_walk`
     least_speed: float = 0.0  # up to so much the vehicle may creep while its speed is zero [m/s]
+    speed_knots: Array | None = None  # (K,) when the speed is known [ticks since the block began]
 
     def with_gyro_bias(self, gyro_bias: Array) -> SignalBlock:
         """The same block as if that gyro bias [rad/s] (3,) had been known."""
@@ -240,6 +241,7 @@ class SignalBlockMaker:
             sided=self._sided(t, at[MID], even),
             rate_walk=self._rate_walk,
             least_speed=self._speed.least,
+            speed_knots=self._speed_knots(float(t[PART][1])),
         )
         if self.without_speed:
             prepared.speed = np.where(rest, 0.0, NOMINAL_SPEED)
@@ -251,6 +253,13 @@ class SignalBlockMaker:
         rows[:KEEP] = rows[BLOCK_TICKS:].copy()
         self._n = KEEP
         return prepared
+
+    def _speed_knots(self, first_end: float) -> Array | None:
+        """When the speed is known within a block whose first tick ends at `first_end` [s]."""
+        if self._speed.knots is None:
+            return None
+        knots = (self._speed.knots - first_end) / TICK_S + 1.0
+        return knots[(knots >= 0.0) & (knots < BLOCK_TICKS)]
 
     def _note_left_out(self, p: SignalBlock) -> None:
         """Count the ticks that nothing is learnt from, each by the signal and what it has."""

@@ -24,6 +24,7 @@ from imucald.core.rotations import (
 )
 from imucald.core.samples import GRAVITY
 from imucald.drive import windows as wd
+from imucald.drive.speed_knots import known_times, means_between
 from imucald.drive.vertical import CarriedVertical
 from imucald.motion.standstill import DRIVING_SPEED
 from imucald.motion.ticks import TICK_S
@@ -111,6 +112,8 @@ ALL_BANDS: Final = np.ones(wd.BANDS, dtype=bool)
 
 NO_ZERO: Final = np.zeros(3)
 NO_AXES: Final = np.eye(3), np.eye(3), NO_ZERO
+IN_EACH_TICK: Final = np.linspace(0.5, BLOCK_TICKS - 0.5, BLOCK_TICKS)
+"""When a speed is known of which each tick has a mean [ticks]."""
 
 
 class Block(NamedTuple):
@@ -118,6 +121,8 @@ class Block(NamedTuple):
 
     speed: (64,) [m/s], negative in reverse. use: (64,) ticks that may be learnt from.
     rate_zero: (3,) what was taken off the rate [rad/s]; is_rate_known: whether that was known.
+    knots: (K,) when the speed is known [ticks since the block began]. least_speed: the least that
+    its sender shows [m/s].
     """
 
     force: Array
@@ -126,6 +131,8 @@ class Block(NamedTuple):
     use: Flags
     is_rate_known: bool = True
     rate_zero: Array = NO_ZERO
+    knots: Array = IN_EACH_TICK
+    least_speed: float = 0.0
 
 
 class Solution(NamedTuple):
@@ -263,7 +270,7 @@ class Evidence:
 
     def _reset_windows(self) -> None:
         self._vertical = CarriedVertical()
-        self._tail: tuple[Array, Flags, Array] | None = None
+        self._tail: tuple[Array, Flags, Array, Array] | None = None
         self._sums.restart()
         self._levels = np.zeros((0, 4))
         self._done = 0
@@ -333,13 +340,16 @@ class Evidence:
         force, rate, speed, accel, motion = self._in_axes(first, stop, self._axes, moved)
         up, tilts = self._vertical.block(rate, (force - motion) / GRAVITY, use)
         self._level_from(force - motion, speed, use)
-        parts = wd.columns(force, rate, speed, accel, up, tilts), use, speed
+        knots = self._knots_of(self._blocks[first:stop])
+        x, v = wd.columns(force, rate, speed, accel, up, tilts), speed
         if self._tail is not None:
-            x, use, v = (np.concatenate(part) for part in zip(self._tail, parts, strict=True))
-        else:
-            x, use, v = parts
+            x, use, v, knots = (
+                np.concatenate(part)
+                for part in zip(self._tail, (x, use, v, knots + len(self._tail[0])), strict=True)
+            )
         kept = (BLOCKS_A_WINDOW - 1) * wd.BLOCK
-        self._tail = x[-kept:], use[-kept:], v[-kept:]
+        gone = max(len(x) - kept, 0)
+        self._tail = x[gone:], use[gone:], v[gone:], knots[knots > gone] - gone
         if len(x) < wd.WINDOW:
             return
         in_use, at = _by_window(use), _by_window(v)
@@ -347,8 +357,14 @@ class Evidence:
         moving = (in_use & (np.abs(at) > DRIVING_SPEED)).sum(axis=1)
         good = (used >= LEAST_USED * wd.WINDOW) & (moving >= LEAST_MOVING * used)
         if good.any():
+            x = means_between(x, known_times(knots, v, self._blocks[stop - 1].least_speed), use)
             ends = np.arange(stop - len(good), stop)[good]
             self._sums.add(wd.spectra(_by_window(x)[good], in_use[good]), ends)
+
+    def _knots_of(self, run: list[Block]) -> Array:
+        """When the speed of joined blocks is known [ticks since the first began]."""
+        parts = [b.knots + k * wd.BLOCK for k, b in enumerate(run)]
+        return np.concatenate(parts) - self.delay / TICK_S
 
     def _motion(self, first: int, stop: int, delay: float) -> tuple[Array, Array]:
         """Speed and its slope in the ticks of joined blocks, of a speed that comes so late [s]."""
