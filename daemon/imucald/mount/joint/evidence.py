@@ -466,7 +466,8 @@ class Evidence:
         cross, power = self._sums.followed
         power = np.maximum(power, 1e-12)
         grid = DELAYS - self.delay
-        fit = (np.exp(-1j * np.outer(grid, wd.OMEGA)) @ (cross / np.sqrt(power))).real
+        noise = self._sums.force.noise[0]
+        fit = (np.exp(-1j * np.outer(grid, wd.OMEGA)) @ (cross / noise[wd.BAND])).real
         best = float(grid[np.argmax(fit)])
         answer = (np.exp(-1j * best * wd.OMEGA) * cross).real
         gain = np.bincount(wd.BAND, answer) / np.bincount(wd.BAND, power)

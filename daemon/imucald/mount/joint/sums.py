@@ -62,6 +62,12 @@ class FitSums:
         self._rows, self._counts, self._old = self._rows[:, :0], self._counts[:, :0], 0
         self._has_fitted = False
 
+    @property
+    def noise(self) -> Array:
+        """(F, BANDS) of the last fits, or what is expected before any; infinite in bands that did
+        not count."""
+        return self._fits.usual if self._last is None else self._last.noise
+
     def add(self, products: Array) -> None:
         """Take windows (n, BANDS, columns, columns)."""
         new = np.array([self._packing.of(products, columns) for columns in self._fits.columns])
