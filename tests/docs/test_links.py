@@ -16,6 +16,7 @@ PAGES = [
     *sorted((ROOT / "docs").glob("*.md")),
     *sorted((ROOT / "benchmarks").glob("*.md")),
     *sorted((ROOT / "benchmarks" / "records").glob("*.md")),
+    ROOT / "tests" / "publications" / "README.md",
 ]
 
 

@@ -1,4 +1,4 @@
-"""docs/methods.md: every claim's row names code, keys and a test, and all of them exist."""
+"""README.md of this folder: every claim's row names code, keys and a test, and all of them exist."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ import pytest
 from imucald.config import Config
 from paths import ROOT
 
-PAGE = ROOT / "docs" / "methods.md"
+PAGE = ROOT / "tests" / "publications" / "README.md"
 SECTIONS = {"A": "calibration", "B": "attitude", "C": "attitude", "D": "travel_direction"}
 ROWS = {"A": 12, "B": 9, "C": 14, "D": 13}
 
