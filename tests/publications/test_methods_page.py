@@ -1,4 +1,4 @@
-"""README.md of this folder: every claim's row names code, keys and a test, and all of them exist."""
+"""README.md here: the row of every claim names code, keys and a test, and all of them exist."""
 
 from __future__ import annotations
 
