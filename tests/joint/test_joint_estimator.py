@@ -94,6 +94,44 @@ def test_a_sensor_that_is_turned_is_told_and_found_again() -> None:
 
 
 @pytest.mark.slow
+def test_signs_that_turn_end_nothing_and_leave_nothing_good() -> None:
+    """Two signs of the accelerometer, which no matrix of a sensor explains beside the gyroscope."""
+    made, at = drive(976_001), 200.0
+    accel = made.samples["accel"]
+    values = np.where((accel.t > at)[:, None], accel.values * [-1.0, -1.0, 1.0], accel.values)
+    samples = {**made.samples, "accel": Series(accel.t, values)}
+    joint, states = estimator(), []
+    for row in ticks_from_samples(samples, 0, int(MINUTES * 600)).tolist():
+        joint.step(row)
+        states.append(joint.state)
+    assert GOOD & set(states[: int(10 * at)])
+    assert not GOOD & set(states[int(10 * (at + 60.0)) :])
+    assert joint.solution is None or joint.solution.is_of_sensors
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["drift", "solve_when_due"])
+def test_arithmetic_that_fails_on_the_evidence_ends_nothing(
+    name: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def fails(*_: object) -> None:
+        raise np.linalg.LinAlgError("Singular matrix")
+
+    joint = estimator()
+    rows = ticks_from_samples(drive(976_001).samples, 0, 2400).tolist()
+    for row in rows[:2000]:
+        joint.step(row)
+    assert joint.state in GOOD
+    with monkeypatch.context() as patched:
+        patched.setattr(Evidence, name, property(fails) if name == "drift" else fails)
+        for row in rows[2000:2200]:
+            joint.step(row)
+    assert joint.state not in GOOD
+    for row in rows[2200:]:
+        joint.step(row)
+
+
+@pytest.mark.slow
 def test_without_a_gyroscope_the_full_estimator_is_served() -> None:
     made = drive(976_001)
     samples = {name: series for name, series in made.samples.items() if name != "gyro"}

@@ -12,7 +12,7 @@ from imucald.drive.vertical import CarriedVertical
 from imucald.drive.windows import WINDOW, spectra
 from imucald.mount.joint import evidence as module
 from imucald.mount.joint import sums
-from imucald.mount.joint.evidence import Evidence, Solution
+from imucald.mount.joint.evidence import Block, Evidence, Solution
 from imucald.mount.joint.state import Priors
 from joint.planar_drive import ROTATION, Sensor, blocks, cross_talk
 
@@ -52,6 +52,28 @@ def test_the_corrected_force_keeps_little_of_the_other_axes_whatever_the_sensor_
     level = found.force @ (sensor.accel @ ROTATION.T[:, 2] * GRAVITY + sensor.zero) - found.zero
     assert np.abs(level[:2]).max() < 0.05
     assert abs(level[0]) < 4.0 * found.sent().zero_x
+
+
+@pytest.mark.parametrize(
+    "sensor",
+    [
+        Sensor(accel=np.diag([-1.0, 1.0, 1.0])),
+        Sensor(accel=np.eye(3)[[1, 0, 2]]),
+        Sensor(gyro=np.eye(3)[[0, 2, 1]]),
+    ],
+    ids=["one sign", "axes exchanged", "axes of the gyroscope exchanged"],
+)
+def test_signals_that_no_sensor_fits_have_no_solution(sensor: Sensor) -> None:
+    evidence = Evidence(Priors())
+
+    def take(drive: list[Block]) -> None:
+        for block in drive:
+            evidence.add(block)
+            evidence.solve_when_due()
+
+    with pytest.raises(np.linalg.LinAlgError, match="no sensor"):
+        take(blocks(6.0, sensor))
+    assert evidence.solution is None or evidence.solution.is_of_sensors
 
 
 def test_without_a_bend_the_answer_to_bends_is_stated_as_unknown() -> None:

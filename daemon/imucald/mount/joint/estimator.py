@@ -162,6 +162,11 @@ class JointEstimator(FullEstimator):
     def _learn_from(self, p: SignalBlock) -> None:
         self._now = float(p.t[-1])
         super()._learn_from(p)
+        self._solve_with(p)
+        self._drift = self._joint.drift
+        self._drifts.append((self._now, self._joint.in_sensor_axes(self._drift)))
+
+    def _solve_with(self, p: SignalBlock) -> None:
         block = _block(p)
         known = bool(p.ok_rate.any())
         target = self._next or self._joint
@@ -174,7 +179,12 @@ class JointEstimator(FullEstimator):
         target.add(block)
         if self._signals.without_speed:
             return
-        target.solve_when_due()
+        try:
+            target.solve_when_due()
+        except np.linalg.LinAlgError:  # the signals contradict one another: `_checks` says which
+            self._lately_known.clear()
+            self._begin_again([])
+            return
         if target is self._joint:
             self._remember(float(p.t[-1]))
         if self._next is not None and self._is_usable(self._next.solution):
@@ -187,6 +197,7 @@ class JointEstimator(FullEstimator):
 
     def _begin_again(self, blocks: list[SignalBlock]) -> None:
         self._joint, self._next, self._widened = self._filled(blocks), None, 0.0
+        self._drift = NO_DRIFT
 
     def _filled(self, blocks: list[SignalBlock]) -> Evidence:
         began = float(blocks[0].t[0]) if blocks else self._now
@@ -218,8 +229,6 @@ class JointEstimator(FullEstimator):
 
     def _judge(self, p: SignalBlock) -> None:
         """A zero that has drifted stays where it is to the end of the drive, known to nobody."""
-        self._drift = self._joint.drift
-        self._drifts.append((float(p.t[-1]), self._joint.in_sensor_axes(self._drift)))
         if self._drift.is_named and self._is_usable(self.solution):
             self._has_drifted = True
         if self._has_drifted:

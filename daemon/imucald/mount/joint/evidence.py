@@ -28,6 +28,7 @@ from imucald.drive.speed_knots import known_times, means_between
 from imucald.drive.vertical import CarriedVertical
 from imucald.motion.standstill import DRIVING_SPEED
 from imucald.motion.ticks import TICK_S
+from imucald.mount.contradictions import WRONG_UNIT
 from imucald.mount.estimate import SentDeviations
 from imucald.mount.even_signals import BLOCK_TICKS
 from imucald.mount.joint.drift import NONE as NO_DRIFT
@@ -154,6 +155,12 @@ class Solution(NamedTuple):
     housing: Matrix3
     turn: float
     same: float
+
+    @property
+    def is_of_sensors(self) -> bool:
+        """Whether the gains of both matrices along all directions are those of this unit."""
+        gains = np.linalg.svd(np.stack([self.force, self.rate]), compute_uv=False)
+        return bool(((gains > 1.0 / WRONG_UNIT) & (gains < WRONG_UNIT)).all())
 
     def sensor(self, priors: Priors) -> KnownSensor:
         """What of it is the sensor's own."""
@@ -399,7 +406,10 @@ class Evidence:
             self._due = len(self._blocks) + 1 + len(self._blocks) // 20
 
     def solve(self) -> Solution | None:
-        """Return what all evidence comes to, or what was known before where it is too little."""
+        """Return what all evidence comes to, or what was known before where it is too little.
+
+        Raises LinAlgError where the signals contradict one another so that no sensor fits them.
+        """
         if self._axes is None and not self._find_first_axes():
             return self.solution
         self._extend()
@@ -407,7 +417,10 @@ class Evidence:
             if len(self._sums) < (2 if self._known is None else 1):
                 break
             self._look_for_delay()
-            found = self.solution = self._solve_once()
+            found = self._solve_once()
+            if not found.is_of_sensors:  # contradicting signals: each step leads further away
+                raise np.linalg.LinAlgError("the matrices are those of no sensor")
+            self.solution = found
             if found.unfinished < MOST_LEFT:
                 break
             self._rotation = found.housing
