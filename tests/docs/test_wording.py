@@ -14,11 +14,14 @@ import pytest
 from paths import ROOT
 
 GLOSSARY = ROOT / "docs" / "glossary.md"
-PAGES = [ROOT / "README.md", ROOT / "CHANGELOG.md", *sorted((ROOT / "docs").glob("*.md"))]
+DOCS = sorted((ROOT / "docs").glob("*.md"))
+PAGES = [ROOT / "README.md", ROOT / "CHANGELOG.md", ROOT / "CONTRIBUTING.md", *DOCS]
+MOST_WORDS = 34_500
+"""Words of the pages in `docs`, as `wc -w` counts. Who adds a sentence looks for one to drop."""
 MODULES = sorted((ROOT / "daemon" / "imucald").rglob("*.py"))
 TEMPLATES = sorted((ROOT / "daemon" / "imucald").rglob("*.html"))
-SPELLED = ["README.md", "CHANGELOG.md", "docs", "config", "dbc", "systemd", "deb", "benchmarks",
-           "daemon", "try", "Containerfile"]  # fmt: skip
+SPELLED = ["README.md", "CHANGELOG.md", "CONTRIBUTING.md", "docs", "config", "dbc", "systemd",
+           "deb", "benchmarks", "daemon", "try", "Containerfile"]  # fmt: skip
 SPELLED_SO = "nees,endianess,informations,temperatur,fro,fo,ags"
 """Normalised estimation error squared; names of other libraries; Fisher informations."""
 
@@ -91,3 +94,17 @@ def test_pages_and_program_are_spelled_right() -> None:
     )  # fmt: skip
     assert done.stdout == ""
     assert done.returncode == 0, done.stderr
+
+
+def test_the_pages_are_no_longer_than_a_user_reads() -> None:
+    """Tables of measurements and history stand in `benchmarks`, what changers need elsewhere."""
+    words = {page.name: len(page.read_text().split()) for page in DOCS}
+    total = sum(words.values())
+    longest = sorted(words, key=words.__getitem__)[-5:]
+    assert total <= MOST_WORDS, f"{total} words; the longest: {longest}"
+
+
+@pytest.mark.parametrize("page", DOCS, ids=lambda p: p.name)
+def test_a_page_names_no_commit(page: Path) -> None:
+    found = re.findall(r"\b(?=[0-9a-f]*\d)(?=[0-9a-f]*[a-f])[0-9a-f]{7,40}\b", page.read_text())
+    assert found == []
