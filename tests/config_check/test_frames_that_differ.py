@@ -84,8 +84,31 @@ def test_the_address_that_is_taken_is_the_one_to_name_not_a_lower_one_that_came_
     early = [(0.01 * i, ACC + 0xE2 | CAN_EFF_FLAG, bytes(8)) for i in range(800)]
     check.feed(columns_of(sorted(early + late)))
     text = texts(check.findings(), "addresses")
-    assert "0xE2, the lowest that came in the first seconds, is taken" in text
+    assert "0xE2, chosen in the first seconds, is taken" in text
     assert "'source_address: 0xE2'" in text
+
+
+def test_a_gyroscope_of_another_sender_than_the_accelerometer_is_named(tmp_path):
+    gyro = 0x18F02A00
+    database = DATABASE.replace(
+        "BA_DEF_ BO_",
+        f"BO_ {(gyro | 0xFE) | CAN_EFF_FLAG} GYR: 8 CAR\n"
+        + "".join(
+            f' SG_ G{a} : {16 * i}|16@1- (0.01,0) [-300|300] "deg/s" CAR\n'
+            for i, a in enumerate("XYZ")
+        )
+        + "\nBA_DEF_ BO_",
+        1,
+    )
+    config = f"{CONFIG}\n  gyroscope: {{x: GYR.GX, y: GYR.GY, z: GYR.GZ}}\n"
+    check = Check(load(config, tmp_path, database))
+    rows = [
+        (0.01 * i, pgn + address | CAN_EFF_FLAG, bytes(8))
+        for i in range(300)
+        for pgn, address in ((ACC, 0x10), (gyro, 0x80))
+    ]
+    check.feed(columns_of(rows))
+    assert "ACC of 0x10, GYR of 0x80" in texts(check.findings(), "several senders")
 
 
 def test_of_three_senders_whose_frames_are_all_taken_no_loss_is_said(tmp_path):

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from engine_bus import columns_of, load
 from imucald.can.columns import CAN_EFF_FLAG
 from imucald.core.errors import ConfigError
-from imucald.inputs.sender_choice import SENDER_SETTLING, SenderChoice
+from imucald.inputs.sender_choice import SENDER_SETTLING
 from imucald.inputs.wiring import compile_router
 
 SIGNS = """VERSION ""
@@ -193,15 +193,90 @@ def test_two_senders_are_never_mixed_into_one_sensor(tmp_path):
     assert set(both_ways(text, tmp_path, late)) == {1.0}, "the one that was there first stays"
 
 
-@given(st.lists(st.tuples(st.floats(0, 0.5), st.integers(0xE0, 0xE4)), min_size=1), st.integers(0))
-def test_the_choice_of_a_sender_is_alike_in_columns(steps, cut):
-    t = np.cumsum([step for step, _ in steps])
-    ids = np.array([address for _, address in steps], np.uint32)
-    one, columns = SenderChoice(), SenderChoice()
-    single = [one.takes(float(at), int(i)) for at, i in zip(t, ids, strict=True)]
+OTHER_PGN = 0x18F02A00
+PAIR = J1939.replace(
+    "BO_ 256 SHORT",
+    f"BO_ {(OTHER_PGN | 0xFE) | CAN_EFF_FLAG} GYR: 8 CAR\n"
+    + "".join(
+        f' SG_ G{a} : {16 * i}|16@1- (0.01,0) [-300|300] "deg/s" CAR\n' for i, a in enumerate("XYZ")
+    )
+    + "BO_ 256 SHORT",
+)
+SENSOR = f"""database: bus.dbc
+signals:
+  accelerometer: {{{AXES}}}
+  gyroscope: {{x: GYR.GX, y: GYR.GY, z: GYR.GZ}}
+"""
+
+
+@settings(deadline=None)
+@given(
+    st.lists(
+        st.tuples(
+            st.floats(0, 0.5),
+            st.sampled_from([PGN, OTHER_PGN]),
+            st.integers(0xE0, 0xE4),
+            st.sampled_from([bytes(8), b"\xff" * 8, b""]),
+        ),
+        min_size=1,
+    ),
+    st.integers(0),
+)
+def test_the_choice_of_a_sender_is_alike_in_columns(tmp_path_factory, steps, cut):
+    loaded = load(SENSOR, tmp_path_factory.mktemp("choice"), PAIR)
+    live, replayed = compile_router(loaded), compile_router(loaded)
+    t = np.cumsum([step for step, *_ in steps]).tolist()
+    frames = [
+        (at, pgn | address | CAN_EFF_FLAG, data)
+        for at, (_, pgn, address, data) in zip(t, steps, strict=True)
+    ]
+    for at, can_id, data in frames:
+        live.frame(at, can_id, data)
     at = cut % (len(steps) + 1)
-    parts = [columns.takes_columns(t[:at], ids[:at]), columns.takes_columns(t[at:], ids[at:])]
-    assert np.concatenate(parts).tolist() == single
+    for part in filter(None, (frames[:at], frames[at:])):
+        columns = columns_of(part)
+        replayed.columns(columns.t, columns)
+    assert live.sample_counts == replayed.sample_counts
+    assert live.rejected == replayed.rejected
+    one, other = ([r.sender.address for r in router.routes] for router in (live, replayed))
+    assert one == other
+
+
+@pytest.mark.parametrize(
+    "stray", [b"\x00", b"\xff" * 8, bytes(8)], ids=["short", "not available", "a value"]
+)
+def test_a_stray_frame_of_another_address_keeps_no_sensor_out(tmp_path, stray):
+    """Of a unit that starts, or of a tester: lower than the sensor, in the first seconds."""
+    sound = [(0.01 * i, *imu(0x80, 1000, i % 16)) for i in range(600)]
+    first = (0.305, PGN | 0x10 | CAN_EFF_FLAG, stray)
+    frames = sorted([*sound, first])
+    found = both_ways(
+        f"database: bus.dbc\nsignals: {{accelerometer: {{{AXES}}}}}\n", tmp_path, frames
+    )
+    assert found.count(1.0) == 600
+
+
+def test_a_unit_that_has_no_values_is_no_sender(tmp_path):
+    sound = [(0.01 * i + 0.3, *imu(0x80, 1000, i % 16)) for i in range(600)]
+    without = [(0.01 * i, PGN | 0x10 | CAN_EFF_FLAG, b"\xff" * 8) for i in range(600)]
+    text = f"database: bus.dbc\nsignals: {{accelerometer: {{{AXES}}}}}\n"
+    found = both_ways(text, tmp_path, sorted(sound + without))
+    assert found.count(1.0) == 600
+
+
+def test_accelerometer_and_gyroscope_are_of_one_sender(tmp_path):
+    """The lower address has no gyroscope: it is another sensor, mounted otherwise."""
+    router = compile_router(load(SENSOR, tmp_path, PAIR))
+    frames = sorted(
+        [(0.01 * i, *imu(0x10, 2000)) for i in range(600)]
+        + [(0.01 * i + 0.003, *imu(0x80, 1000)) for i in range(600)]
+        + [(0.01 * i + 0.004, OTHER_PGN | 0x80 | CAN_EFF_FLAG, bytes(8)) for i in range(600)]
+    )
+    columns = columns_of(frames)
+    samples = router.columns(columns.t, columns).samples
+    assert samples["accel"].values[5:, 0] == pytest.approx(1.0)
+    assert len(samples["gyro"].t) == 600
+    assert {route.sender.address for route in router.routes} == {0x80}
 
 
 def test_an_address_of_a_message_that_has_none_is_refused(tmp_path):

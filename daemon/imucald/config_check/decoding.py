@@ -15,6 +15,7 @@ from imucald.config_check.finding import Finding, cut_frames
 from imucald.config_check.source import QuantitySource, configured_name, id_text, stated_cycle
 from imucald.config_check.statistics import Probe
 from imucald.core.clock_words import clock
+from imucald.inputs.router import OF_SENSOR
 from imucald.inputs.routes import MessageRoute
 from imucald.mount.signal_blocks import ACCEL_GAP, SPEED_GAP
 
@@ -171,12 +172,26 @@ class Decoding:
             taken, address = "all of them are taken", min(found)
             if probe.sender is not None and probe.sender.address is not None:
                 address = probe.sender.address
-                taken = f"0x{address:02X}, the lowest that came in the first seconds, is taken"
+                taken = f"0x{address:02X}, chosen in the first seconds, is taken"
             text = (
                 f"{probe.name} comes from {len(found)} addresses ({names}): {taken}; name the "
                 f"sender: 'source_address: 0x{address:02X}'"
             )
             yield Finding("note" if probe.sender is None else "warning", probe.name, text)
+        chosen = {
+            probe.name: probe.sender.address
+            for probe in self.probes
+            if probe.sender is not None
+            and probe.sender.address is not None
+            and any(tap.channel in OF_SENSOR for tap in probe.taps)
+        }
+        if len(set(chosen.values())) > 1:
+            names = ", ".join(f"{name} of 0x{address:02X}" for name, address in chosen.items())
+            text = (
+                f"its messages come from several senders ({names}): are they one sensor? Name the "
+                "sender with 'source_address:', or leave out what another sensor sends"
+            )
+            yield Finding("warning", "accelerometer", text)
 
     def _doubtful(self) -> Iterator[Finding]:
         for source in self.sources:

@@ -20,7 +20,7 @@ from imucald.config_check.motion import bridged, smooth
 from imucald.core.errors import DatabaseError
 from imucald.discovery.evidence import factor_of
 from imucald.discovery.recording import Traffic
-from imucald.inputs.sender_choice import SENDER_SETTLING
+from imucald.inputs.sender_choice import AS_OFTEN, SENDER_SETTLING
 from imucald.inputs.units import is_unit
 from imucald.inputs.value_table import no_values
 from imucald.motion.ticks import TICK_RATE
@@ -158,10 +158,15 @@ def messages_in(
                 frames[address] = frames.get(address, 0) + len(part)
             senders = tuple(sorted(a for a, n in frames.items() if n >= MIN_FRAMES))
         if len(senders) > 1:
-            # As a route would choose: the lowest of those that came at first.
-            late = min(p.t[0] for p in parts) + SENDER_SETTLING
-            first_ones = {p.can_id & J1939_ADDRESS_MASK for p in parts if p.t[0] <= late}
+            # As a route would choose: the lowest of those that came regularly at first.
             speaking = {p.can_id & J1939_ADDRESS_MASK for p in parts if _says_something(p)}
+            heard = [p for p in parts if p.can_id & J1939_ADDRESS_MASK in speaking] or parts
+            late = min(p.t[0] for p in heard) + SENDER_SETTLING
+            counts = {
+                p.can_id & J1939_ADDRESS_MASK: int(p.t.searchsorted(late, "right")) for p in heard
+            }
+            least = max(counts.values()) / AS_OFTEN
+            first_ones = {address for address, count in counts.items() if count >= least}
             senders = tuple(
                 sorted(senders, key=lambda a: (a not in speaking, a not in first_ones, a))
             )

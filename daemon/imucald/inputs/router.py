@@ -25,12 +25,17 @@ from imucald.inputs.column_samples import (
 from imucald.inputs.conversion import REASONS
 from imucald.inputs.route_rows import RouteRows
 from imucald.inputs.routes import Carried, SignalRoute
+from imucald.inputs.sender_choice import Asked, taken
+from imucald.inputs.sender_choice import joined as joined_senders
 from imucald.inputs.source_selector import SourceSelector
 from imucald.inputs.taps import Physical, Raw, Tap
 from imucald.inputs.triad_assembler import TapSamples, TriadAssembler
 
 MAX_KNOWN_IDS = 4096
 """Identifiers remembered by the dispatcher; J1939 sources are few, an attacker's are many."""
+
+OF_SENSOR = frozenset(("accel", "gyro", "mag"))
+"""Channels of the sensor that is calibrated."""
 
 Sample = tuple[str, Sequence[float]]
 """Channel and values."""
@@ -58,6 +63,7 @@ class Router:
         """Frames that were accepted."""
         self.sample_counts: Counter[str] = Counter()
         """Accepted samples by channel."""
+        self._join_senders()
         self._known: dict[int, tuple[SignalRoute, ...]] = {}
         self._derive_speed = derive_speed
         self._derive_reverse = derive_reverse
@@ -70,6 +76,14 @@ class Router:
             for tap in self._taps()
             if not tap.complete
         }
+
+    def _join_senders(self) -> None:
+        """The messages of the sensor itself come from one sender; each parallel one has its own."""
+        joined_senders(
+            route.sender
+            for route in self.routes
+            if route.sender is not None and any(tap.channel in OF_SENSOR for tap in route.taps)
+        )
 
     def _taps(self) -> Iterable[Tap]:
         return (tap for route in self.routes for tap in route.taps)
@@ -143,6 +157,7 @@ class Router:
         for route in self.routes:  # several of the same frames: each has its own guard
             if known := before.get(route.frame_key):
                 route.go_on_from(known.popleft())
+        self._join_senders()
         for channel, selector in former._selectors.items():
             if channel in same:
                 self._selectors[channel] = selector
@@ -170,7 +185,7 @@ class Router:
         found: list[tuple[Tap, Raw, Physical]] = []
         accepted = 0
         for route in self._routes_of(can_id):
-            if route.sender is not None and not route.sender.takes(t, can_id):
+            if route.sender is not None and not route.sender.takes(t, can_id, data):
                 continue
             reason = route.check(t, data)
             if reason is None:
@@ -267,12 +282,9 @@ class Router:
         events: list[Rows] = []
         for selector in self._selectors.values():
             selector.begin_chunk()
-        for route, rows in zip(self.routes, found, strict=True):
+        for route, rows in zip(self.routes, self._chosen(t, frames, found), strict=True):
             if not len(rows):
                 continue
-            if route.sender is not None:
-                chosen_sender = route.sender.takes_columns(t.take(rows), frames.can_id.take(rows))
-                rows = rows[chosen_sender]  # noqa: PLW2901
             times, chosen = t.take(rows), frames.payloads(rows)
             ok, reasons = route.check_columns(times, chosen)
             ok, reasons = guarded(route, times, ok, reasons)
@@ -298,6 +310,22 @@ class Router:
             self._rejected_rows(t, values),
             t[np.sort(np.concatenate(events))] if events else np.zeros(0),
         )
+
+    def _chosen(
+        self, t: NDArray[np.float64], frames: FrameColumns, found: Sequence[Rows]
+    ) -> Sequence[Rows]:
+        """Rows by route, of the chosen senders where there are several."""
+        asked = {
+            k: Asked(route.sender, found[k], t.take(found[k]))
+            for k, route in enumerate(self.routes)
+            if route.sender is not None and len(found[k])
+        }
+        if not asked:
+            return found
+        chosen = list(found)
+        for k, flags in zip(asked, taken(frames, list(asked.values())), strict=True):
+            chosen[k] = found[k][flags]
+        return chosen
 
     def _rejected_rows(
         self, t: NDArray[np.float64], refused: list[tuple[Tap, Rows]]
