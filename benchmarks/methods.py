@@ -52,6 +52,7 @@ def method_a() -> None:
         "published, to the letter": f"{{{known}, method_a: {{to_the_letter: true}}}}",
         "published": f"{{{known}}}",
         "full": "{estimator: full}",
+        "joint": "{estimator: joint}",
     }
     for name, keys in forms.items():
         engine = make_engine(configured(keys))

@@ -1,7 +1,7 @@
 """Frames of another node, and an accelerometer that drifts: is anything good and wrong for long?
 
     python -m benchmarks.spoofing [--variant NAME ...] [--first SEED] [--drives N] [--jobs N]
-                                  [--estimator full|joint]
+                                  [--estimator joint|full]
 
 Drives of 15 min. From 300 s on, for 120 s, another node that knows counter and checksum puts frames
 in right behind true ones; or from 250 s on an axis drifts to the end. The judge is that of
@@ -201,7 +201,7 @@ def main() -> int:
     parser.add_argument("--first", type=int, default=FIRST_SEED, help="first seed")
     parser.add_argument("--drives", type=int, default=20)
     parser.add_argument("--jobs", type=int, default=1)
-    parser.add_argument("--estimator", choices=("full", "joint"), default="full")
+    parser.add_argument("--estimator", choices=("joint", "full"), default="joint")
     options = parser.parse_args()
     seeds = list(range(options.first, options.first + options.drives))
     if tuned := tuned_on(seeds):

@@ -25,7 +25,15 @@ import numpy as np
 
 from benchmarks.measured import ROOT, verdict
 from benchmarks.mount_accuracy.bound import error_and_bound
-from benchmarks.mount_accuracy.drives import FULL, Trace, drive, driven, estimators, run
+from benchmarks.mount_accuracy.drives import (
+    FULL,
+    Trace,
+    drive,
+    driven,
+    estimators,
+    run,
+    usual_estimator,
+)
 from benchmarks.mount_accuracy.seeds import (
     BOUND_AT,
     FIRST_SEED,
@@ -83,7 +91,7 @@ QUICK = Size(2, 2, 1, 12.0, 1, 1, 10.0, (2.0, 5.0))
 
 def traces(size: Size, cross_axis: float) -> dict[str, list[Trace]]:
     """Both estimators over the same drives."""
-    out: dict[str, list[Trace]] = {"full": [], "published": []}
+    out: dict[str, list[Trace]] = {name: [] for name in estimators()}
     for seed in range(size.first, size.first + size.drives):
         made = drive(seed, max(size.times), cross_axis=cross_axis)
         for name, estimator in estimators(cross_axis).items():
@@ -102,14 +110,14 @@ def accuracy(size: Size) -> list[str]:
         lines += ["", "What a consumer gets: cross-talk [deg] and level zero [m/s²]:", ""]
         lines += force_table(found, size.times)
         if not cross:
-            lines += bars(found["full"], size.times)
+            lines += bars(found["joint"], size.times)
     return lines
 
 
 def step_cost(size: Size) -> list[str]:
     """Median and largest processor time of one step."""
     made = drive(size.first, max(size.times))
-    estimator = FullEstimator(FULL)
+    estimator = usual_estimator(FULL)
     times = []
     for row in made.rows.tolist():
         began = time.perf_counter_ns()
@@ -128,7 +136,7 @@ def long_drives(size: Size) -> list[str]:
     errors = []
     for seed in range(size.first + LONG_AT, size.first + LONG_AT + size.long_drives):
         made = drive(seed, size.long_minutes)
-        trace = run(FullEstimator(FULL), made, [size.long_minutes])
+        trace = run(usual_estimator(FULL), made, [size.long_minutes])
         errors.append(trace.said[size.long_minutes].error)
         progress(f"long drive {seed - size.first - LONG_AT + 1} of {size.long_drives}")
     _, p90 = quantiles(np.array(errors)[:, 1])
@@ -173,7 +181,7 @@ def shifts(size: Size) -> list[str]:
             start = float(rng.uniform(900.0, 1200.0))
             change = {"t_s": start, f"{axis}_deg": degrees * float(rng.choice([-1.0, 1.0]))}
             made = drive(seed, 26.0, {"mount.shifts": [change]})
-            estimator = FullEstimator(FULL)
+            estimator = usual_estimator(FULL)
             found = [t for t in run(estimator, made, []).bad_at if t > start]
             found += [t for t in _reported(estimator) if t > start]
             at = min(found, default=np.inf)
@@ -200,7 +208,7 @@ def false_alarms(size: Size) -> list[str]:
     alarms = doubts = 0
     for k in range(size.quiet_drives):
         seed = size.first + QUIET_AT + k
-        estimator = FullEstimator(FULL)
+        estimator = usual_estimator(FULL)
         bad = run(estimator, drive(seed, size.quiet_minutes), []).bad_at
         reported = _reported(estimator)
         if bad or reported:

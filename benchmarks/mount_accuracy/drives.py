@@ -23,6 +23,7 @@ from imucald.motion.column_ticks import ticks_from_samples
 from imucald.mount.estimate import MountEstimator, MountState
 from imucald.mount.estimator import FullEstimator
 from imucald.mount.estimator_settings import EstimatorSettings
+from imucald.mount.joint.estimator import JointEstimator, JointSettings
 from imucald.mount.method_a.estimator import PublishedEstimator
 from imucald.mount.method_a.settings import PublishedSettings
 from imucald.simulation import random_model, simulate
@@ -119,9 +120,18 @@ class Trace:
 
 
 def estimators(cross_axis: float = 0.0) -> dict[str, MountEstimator]:
-    """Both estimators, new."""
+    """All estimators, new."""
     settings = EstimatorSettings(CalibrationSettings(cross_axis=cross_axis), KEEPS_RIGHT)
-    return {"full": FullEstimator(settings), "published": PublishedEstimator(METHOD_A)}
+    return {
+        "joint": usual_estimator(settings),
+        "full": FullEstimator(settings),
+        "published": PublishedEstimator(METHOD_A),
+    }
+
+
+def usual_estimator(settings: EstimatorSettings) -> JointEstimator:
+    """The one that a configuration has where it names none."""
+    return JointEstimator(JointSettings.of(settings))
 
 
 def run(estimator: MountEstimator, made: Drive, minutes: Sequence[float]) -> Trace:

@@ -3,7 +3,7 @@
     python -m benchmarks.signal_forms [--form TEXT ...] [--drives N] [--first SEED] [--jobs N]
                                       [--group simulated second_world measured] [--check]
                                       [--json FILE] [--table FILE ...] [--causes]
-                                      [--estimator full|joint]
+                                      [--estimator joint|full]
 
 Each form (`forms`) is put on sound drives: ten simulated ones that nothing was chosen on, each as
 drivers drive and with constant cruising, with the sensor in any rotation; another simulator's
@@ -123,7 +123,7 @@ def _options() -> argparse.Namespace:
     parser.add_argument("--drives", type=int, default=DRIVES, help="simulated drives")
     parser.add_argument("--first", type=int, default=FIRST_SEED, help="first seed")
     parser.add_argument("--group", nargs="+", choices=GROUPS, default=list(GROUPS))
-    parser.add_argument("--estimator", choices=("full", "joint"), default="full")
+    parser.add_argument("--estimator", choices=("joint", "full"), default="joint")
     parser.add_argument("--jobs", type=int, default=1)
     parser.add_argument("--check", action="store_true", help="ask `check` of every form, not only "
                         "of those that cannot carry the information")  # fmt: skip
