@@ -59,11 +59,11 @@ GC_THRESHOLD = 50_000
 GROUPS = {
     "try it": {
         "demo": "see a calibration converge, without hardware",
-        "simulate": "write a simulated drive as a log, with its truth",
+        "simulate": "write a simulated drive as a log, with the true values",
     },
     "begin with your bus": {
         "init": "propose a configuration from a database and a recording or a bus",
-        "check": "say what a configuration would decode, from a log or a live bus",
+        "check": "check what a configuration decodes, from a log or a live bus",
         "replay": "find the mount in recorded logs, as the live daemon would",
         "draw": "draw how a sensor sits, from its angles",
     },
@@ -75,16 +75,16 @@ GROUPS = {
         "install-service": "install the systemd unit and its companions",
     },
     "operate it": {
-        "events": "list what happened to a running daemon, with times",
-        "reset": "have a running daemon forget the mount and start again",
-        "hold": "have a running daemon keep its mount and learn nothing",
-        "release": "have a running daemon learn again after a hold",
-        "set-mount": "put a mount that is known in force in a running daemon",
-        "feed": "hand what a running daemon finds on to MQTT or KUKSA",
+        "events": "list the events of a running daemon, with times",
+        "reset": "let a running daemon forget the mount and start again",
+        "hold": "let a running daemon keep its mount and learn nothing",
+        "release": "let a running daemon learn again after a hold",
+        "set-mount": "give a known mount to a running daemon",
+        "feed": "send what a running daemon finds to MQTT or KUKSA",
         "metrics": "write or serve the metrics of the running daemons for Prometheus",
     },
     "look closer": {
-        "diagnose": "find what a simulation gets wrong in measured drives, and why",
+        "diagnose": "find what a simulation gets wrong compared with measured drives, and why",
         "fleet": "evaluate thousands of logs of many vehicles together",
         "walk": "find the direction of travel of a carried terminal, in recorded logs",
         "schema": "print the JSON schema of the configuration",

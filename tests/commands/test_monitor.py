@@ -8,6 +8,7 @@ import io
 import itertools
 import json
 import shutil
+import socket
 import subprocess
 import threading
 import time
@@ -157,7 +158,7 @@ def test_now_and_target_stand_side_by_side_with_one_convention(status):
     text = "\n".join(drawn(picture(status), 100))
     row = next(line for line in text.splitlines() if line.startswith("yaw"))
     assert row.split()[:3] == ["yaw", "-10.60°", "±0.88°"]
-    assert row.split()[3:] == ["z", "(yaw)", "±0.70°", "fine", "below", "±0.60°"]
+    assert row.split()[3:] == ["up", "axis", "±0.70°", "fine", "below", "±0.60°"]
     assert text.count("± is 95 %") == 1
     assert "waiting for  roll, pitch: " in text
     assert status["mount"]["sits"] in " ".join(text.split())
@@ -242,7 +243,7 @@ def test_nothing_wrong_is_said_only_where_neither_mount_nor_signals_are(status):
     suspect["health"] = suspect["health"] | {"accelerometer_faulty": True}
     assert now(suspect) == f"accelerometer faulty; {trouble}"
     unexplained = status | {"state": "suspect"}
-    assert now(unexplained).startswith("the mount is suspect: new evidence contradicts the mount")
+    assert now(unexplained).startswith("the mount is suspect: the drive contradicts the mount")
 
 
 def test_after_a_restart_status_says_why_the_mount_was_suspect(status):
@@ -308,7 +309,7 @@ def test_what_is_known_later_of_an_event_takes_its_place(silent, status):
     first["details"] = {"shifts": [shift]}
     later["details"] = {"shifts": [shift | {"turn_deg": [0.0, 0.1, 7.0]}]}
     moved = [e for e in events_of(silent, first, later).events if e.kind == "moved"]
-    assert [e.text for e in moved] == ["the sensor was moved: by +7.0 deg about z (yaw)"]
+    assert [e.text for e in moved] == ["the sensor was moved: by +7.0 deg about the up axis"]
 
 
 def test_a_sensor_that_was_found_where_it_was_is_no_longer_said_to_be_moved(silent, status):
@@ -318,7 +319,7 @@ def test_a_sensor_that_was_found_where_it_was_is_no_longer_said_to_be_moved(sile
     later["details"] = {"shifts": [shift | {"turn_deg": [0.0, 0.0, -0.1], "within_deg": 1.2}]}
     events = events_of(silent, first, later).events
     (text,) = (e.text for e in events if e.kind in ("moved", "evidence"))
-    assert text == "the mount was found again where it was, within ±1.2 deg"
+    assert text == "the mount was determined again and is the same, within ±1.2 deg"
 
 
 def test_two_faults_of_one_moment_are_both_listed(silent, status):
@@ -461,6 +462,16 @@ def test_a_daemon_that_went_away_is_reported(status):
     state.fail("no socket")
     assert state.page()["trouble"] == "no socket"
     assert state.page()["state"] == "usable"
+
+
+def test_the_page_says_how_to_reach_it_from_another_machine(capsys, tmp_path: Path):
+    pytest.importorskip("aiohttp")
+    from imucald.commands.monitor_web import serve
+
+    serve(tmp_path / "socket", 0, lambda: True, "")
+    address, tunnel = capsys.readouterr().out.splitlines()
+    port = address.split()[0].rpartition(":")[2]
+    assert f"ssh -L {port}:127.0.0.1:{port} {socket.gethostname()}" in tunnel
 
 
 @pytest.mark.slow

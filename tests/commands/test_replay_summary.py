@@ -73,7 +73,7 @@ def test_a_stated_mount_that_is_wrong_is_reported_also_after_the_new_one_took_ov
     example = EXAMPLE.read_text().replace("../../dbc", str(ROOT / "dbc"))
     car.write_text(f"{example}calibration: {{mount: {{{stated}}}}}\n")
     assert cli.main(["replay", "--config", str(car), str(log)]) == 0
-    said = "the mount that is stated is not how the sensor sits in this drive: it is found turned"
+    said = "the stated mount is not how the sensor sits in this drive: it is off by"
     text = " ".join(line.strip() for line in capsys.readouterr().out.splitlines())
     assert text.count(said) == 1
     assert cli.main(["replay", "--config", str(car), str(log), "--json", str(out), "--quiet"]) == 0
@@ -81,4 +81,4 @@ def test_a_stated_mount_that_is_wrong_is_reported_also_after_the_new_one_took_ov
     assert found["state"] in {"usable", "fine"}
     turned = found["details"]["restored"]["contradicted"]["turned_deg"]
     assert turned == pytest.approx(12.0, abs=1.5)
-    assert f"{said} by {turned:.0f} deg" in text
+    assert f"{said} {turned:.0f} deg" in text

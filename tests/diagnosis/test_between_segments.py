@@ -130,7 +130,7 @@ def test_a_drift_stands_where_no_step_does_as_well(grows, is_even):
 def test_a_drift_that_is_ahead_of_every_step_by_no_more_than_chance_does_not_stand(
     seed, tolerances
 ):
-    """Small beside its noise: one question, 5 %."""
+    """Small next to its noise: one question, 5 %."""
     drift = trial(Hypothesis("accel_bias_drift", ("accel.bias.x",), pattern=RAMP))
     p = problem(seed, tolerances * ZERO * RAMP, "accel.bias.x", ZERO, size=3.0)
     (left,) = uneven_growth(p, state(drift))

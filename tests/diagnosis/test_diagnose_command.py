@@ -88,7 +88,7 @@ def test_a_time_limit_is_handed_on(asked, diagnosed, log):
 
 
 @pytest.mark.parametrize(("verdict", "words"), [
-    ("ambiguous", "a drive that shows which has:"),
+    ("ambiguous", "a drive that would show which:"),
     ("ambiguous", "ambiguous: accelerometer bias. "),
     ("unknown", "at 0.62 Hz, while cornering"),
     ("nothing", "Nothing found in "),

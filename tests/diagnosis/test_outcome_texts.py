@@ -35,13 +35,13 @@ def test_a_cause_that_is_large_enough_and_not_named_says_why(size, is_large):
     (found,) = other_candidates(state(doubtful=[of(size)]))
     assert found.outcome == "not ruled out"
     end = OTHERWISE if is_large else ""
-    assert found.text == f"accel.scale.0 off by {size} +- 0.2; named from {NAMED_FROM} on{end}"
+    assert found.text == f"accel.scale.0 off by {size} +- 0.2; threshold {NAMED_FROM}{end}"
 
 
 def test_a_number_with_a_unit_has_it_and_a_pure_number_has_none():
     zero = of(0.3, "accel.bias.x", "accel_bias")
     (found,) = other_candidates(state(doubtful=[zero]))
-    assert "off by 0.3 +- 0.2 m/s^2; named" in found.text
+    assert "off by 0.3 +- 0.2 m/s^2; threshold" in found.text
     for trial, text in ((of(2.0), "off by 2 +- 0.2 explains"), (zero, "off by 0.3 +- 0.2 m/s^2 ")):
         (left,) = implausible(state(implausible=[trial]))
         assert text in left.text

@@ -58,12 +58,12 @@ def test_causes_come_with_values_intervals_and_evidence(found):
     text = found.text
     assert "Found: body roll and accelerometer bias" in text
     assert "Two causes are certain." in text
-    assert "The body rolls otherwise than the model's." in text
+    assert "Body roll in bends differs from the model file's." in text
     assert "0.01712 ± 0.00062 rad/(m/s²)" in text
     assert "9.62 ± 0.35 deg/g" in text  # 0.01712 rad/(m/s^2) * 57.296 * 9.80665
     assert "4.50 deg/g" in text, "what the file said"
     assert "25.2 ± 2.2 mg" in text
-    assert "29 standard deviations" in text
+    assert "29 σ from the model file" in text
     assert "What speaks against it in 40 % of the segments it predicts worse" in text
     assert "a.log, b.log (30 min)" in text
     assert "no temperature signal" in text
@@ -92,8 +92,8 @@ def test_what_is_likely_stands_apart():
     text = page(
         made.found(causes=(made.BIAS,), likely=(replace(made.ROLL, certainty="likely"),))
     ).text
-    assert "Likely, and not written into the file: body roll." in text
-    assert text.index("Certain") < text.index("At the error rate of a single question")
+    assert "Likely, but not written into the file: body roll." in text
+    assert text.index("Certain") < text.index("Likely by its own test")
 
 
 def test_the_extended_model_is_shown_as_a_diff_and_in_full(found):
@@ -119,7 +119,7 @@ def test_ambiguous_says_what_it_may_be_and_how_to_tell():
 
 def test_unknown_says_where_the_structure_lives():
     text = Page(whole("unknown")).text
-    assert "something is left in accelerometer left and vehicle yaw rate" in text
+    assert "the model does not explain accelerometer left and vehicle yaw rate" in text
     assert "spectral peak 41.0 at 0.62 Hz, while cornering" in text
     assert "nothing to gain" not in Page(whole("found")).text
     assert "nothing to gain" in text
@@ -351,11 +351,12 @@ def test_a_cause_that_nobody_has_named_yet_has_a_title():
 
 
 def test_a_sure_cause_beside_an_ambiguous_one_is_reported():
-    both = words.verdict(made.found(
-        verdict="ambiguous", look_alikes=(("accel_bias", "accel_cross_axis"),)
-    ))  # fmt: skip
+    found = made.found(verdict="ambiguous", look_alikes=(("accel_bias", "accel_cross_axis"),))
+    both = words.verdict(found)
     assert both.headline == "Ambiguous: accelerometer bias or accelerometer cross-axis"
-    assert "Certain, and not one of these: body roll" in both.explanation
+    assert "Certain, whichever of these it is: body roll" in both.explanation
+    text = page(found).text
+    assert text.index("Certain body roll") < text.index("What it may be accelerometer bias")
 
 
 def test_what_explains_the_numbers_and_cannot_be_has_its_signs_as_printed():
@@ -366,13 +367,13 @@ def test_what_explains_the_numbers_and_cannot_be_has_its_signs_as_printed():
 
 def test_structure_beside_what_was_found_is_reported():
     said = words.verdict(made.found(structure=made.unknown().structure)).explanation
-    assert "left besides, in accelerometer left and vehicle yaw rate" in said
+    assert "No known cause explains what is left in accelerometer left and vehicle yaw rate" in said
 
 
 def test_a_wrong_sign_is_the_headline():
     wrong = Structure("gyro_z", GOES_AGAINST, 1.0, "a sign is wrong")
     said = words.verdict(replace(made.nothing(), verdict="unknown", structure=(wrong,)))
-    assert said.headline == "Unknown: against the model's prediction: gyroscope up"
+    assert said.headline == "Unknown: opposite sign to the model's prediction in gyroscope up"
     assert "imucald check" in said.explanation
 
 
@@ -474,7 +475,7 @@ def test_beside_a_loose_sensor_no_file_is_recommended():
     loose = Structure("accel_y", TOO_MUCH, 3.0, "1 m/s^2 is left")
     d = made.found(structure=(loose,), recommended=False)
     explanation = words.verdict(d).explanation
-    assert "no prediction is believed" in explanation
+    assert "the model does not explain accelerometer left" in explanation
     assert "use it" not in page(d).text
 
 
@@ -499,6 +500,6 @@ def test_a_time_of_the_drive_is_in_seconds_and_a_pure_number_has_no_unit():
     assert numbers.for_people("_gyro.stuck_s", Estimated(99.98, 0.0, "s"))[0] == "99.98 s"
     assert numbers.for_people("speed.delay_s", Estimated(0.25, 0.0, "s"))[0] == "250.0 ms"
     assert titles.key_title("mount.shifts.t_s") == "time of the shift"
-    text = "gyro.scale.0 off by 0.54 +- 0.4; named from 0.85 on"
+    text = "gyro.scale.0 off by 0.54 +- 0.4; threshold 0.85"
     candidate = Candidate("gyro_scale", "not ruled out", 1.0, text)
-    assert words.outcome(candidate).endswith("off by 0.54 ± 0.4; named from 0.85 on")
+    assert words.outcome(candidate).endswith("off by 0.54 ± 0.4; threshold 0.85")

@@ -238,7 +238,7 @@ def test_ctrl_c_finishes_what_runs_and_says_how_to_go_on(tmp_path: Path, log: Pa
         text += read_until(terminal, None)
     assert run.returncode == 130
     assert "finishing what runs" in text
-    assert "The same command goes on" in text
+    assert "Run the same command to continue" in text
     rows = pq.read_table(out / "drives").num_rows
     assert 0 < rows < 24
     assert not (out / "_lease.json").exists()
@@ -276,5 +276,5 @@ def test_a_run_that_is_stopped_while_it_starts_ends_without_a_traceback(
         env=environment(), capture_output=True, text=True, start_new_session=True, timeout=60.0,
         check=False,
     )  # fmt: skip
-    text = "" if name == "SIGKILL" else "imucald: broken off. The same command goes on\n"
+    text = "" if name == "SIGKILL" else "imucald: interrupted. Run the same command to continue\n"
     assert (run.returncode, run.stderr) == (status, text)

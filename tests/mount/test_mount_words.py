@@ -85,12 +85,12 @@ def test_only_a_steep_mount_has_the_note():
 
 
 def test_only_a_mount_upside_down_and_backwards_that_nothing_confirmed_has_a_note():
-    unconfirmed = {"not_checked": ["all signs of the accelerometer at once"]}
+    unconfirmed = {"not_checked": ["whether all signs of the accelerometer are inverted"]}
     for angles in ((5, 180, -10), (-150, 14, -174), (180, 0, 170)):
         note = mirror_note(estimate(angles, details=unconfirmed))
         assert note is not None, angles
         assert "sign: -1" in note
-        assert "if the sensor sits so, say 'calibration: {orientation: {up: -z}}'" in note
+        assert "if the sensor sits so, state it: 'calibration: {orientation: {up: -z}}'" in note
         assert mirror_note(estimate(angles, details={"not_checked": []})) is None
     for angles in ((0, 0, 0), (180, 0, 0), (0, 0, 180), (10, 40, 90)):
         assert mirror_note(estimate(angles, details=unconfirmed)) is None, angles
@@ -117,7 +117,10 @@ def test_the_line_for_systemd_has_now_target_and_words():
         "up",
     )
     assert line.startswith("usable; roll +5.00 ±0.99°; ")
-    assert "yaw -10.60 ±0.70°; ± 95 %; to be fine: turn about z below ±0.60° (now ±0.70°);" in line
+    assert (
+        "yaw -10.60 ±0.70°; ± 95 %; to be fine: turn about the up axis below ±0.60° (now ±0.70°);"
+        in line
+    )
     assert "pitch -0.00 ±0.81°;" in line or "pitch +0.00 ±0.81°;" in line
     assert "± 95 %" in line
     assert "x points forward, 11 deg right" in line
@@ -128,8 +131,9 @@ def test_the_line_for_systemd_has_now_target_and_words():
 @pytest.mark.parametrize(
     ("turn", "words"),
     [
-        (None, "it shows as +3.6 deg about x (roll)"),
-        ([0.4, 9.9, -0.8], "by +9.9 deg about y (pitch)"),
+        (None, "it shows as +3.6 deg about the forward axis"),
+        ([0.4, 9.9, -0.8], "by +9.9 deg about the left axis"),
+        ([0.02, 0.0, -0.03], "by less than 0.1 deg"),
         ([6.0, -8.0, 0.0], "by 10.0 deg (+6.0, -8.0, +0.0 about x, y, z)"),
     ],
 )

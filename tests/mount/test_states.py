@@ -75,12 +75,12 @@ def test_more_driving_is_the_reason_for_yaw_until_it_has_not_helped_for_long():
     assert text == "more driving (yaw ±0.8 deg, fine below ±0.6 deg)"
     assert code == Missing.MORE_DRIVING
     text, code = waiting_for(replace(usable, driven_s=2000.0), SETTINGS)["yaw"]
-    assert "mixed by 0.8 %" in text
+    assert "axes seem 0.8 % mixed" in text
     assert "accelerometer_bias" in text
     assert code == Missing.OTHER
     levelled = replace(known(1.6), yaw_seen=0.2 * DEG, cross_axis=0.04, driven_s=2000.0)
     text, code = waiting_for(levelled, SETTINGS)["yaw"]
-    assert "mixed by 4.0 %" in text
+    assert "axes seem 4.0 % mixed" in text
     assert code is Missing.OTHER
     still = replace(levelled, std=known(0.4).std, yaw_seen=0.4 * DEG)
     assert waiting_for(still, SETTINGS)["yaw"][0].startswith("more driving (yaw")

@@ -113,7 +113,7 @@ def test_it_is_counted_and_logged(tmp_path):
         announcements.update(engine, 0, 60.0)
     said = [line for line in lines.getvalue().splitlines() if "failed" in line]
     assert len(said) == 1
-    assert "attitude failed and began again, 3 times so far: EstimateError: too little" in said[0]
+    assert "attitude failed and was restarted, 3 times so far: EstimateError: too little" in said[0]
 
 
 def test_a_mistake_of_the_program_is_not_hidden(tmp_path):

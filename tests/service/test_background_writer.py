@@ -65,7 +65,7 @@ def test_whatever_a_save_raises_is_recorded_and_the_next_is_written(error, text)
     assert saver.status() == {"saves": 0, "failures": 1, "last_error": text}
     saver.report()
     saver.report()
-    assert log == [f"the state cannot be saved: {text}; going on without"]
+    assert log == [f"the state cannot be saved: {text}; continuing without it"]
     saver.put("b")
     assert saver.flush(5.0)
     saver.report()

@@ -14,10 +14,19 @@ import pytest
 
 import shuttle
 from imucald.can.link.link import LinkEvent, LinkState
+from imucald.commands.run import LOG_LEVELS
 from imucald.runtime.session import make_engine, open_config
 from imucald.service.announcements import Announcements
 from imucald.service.asking import ask
-from imucald.service.journal import LINE_BYTES, Journal
+from imucald.service.journal import (
+    ERROR,
+    INFO,
+    LINE_BYTES,
+    NOTICE,
+    PRIORITIES,
+    WARNING,
+    Journal,
+)
 
 
 def pipe_journal() -> tuple[int, Journal]:
@@ -63,6 +72,16 @@ def test_a_closed_and_a_broken_log_are_counted_and_raise_nothing(monkeypatch):
         full = Journal(nowhere, {})
         full.say("nor this")
     assert [journal.dropped for journal in (closed, broken, full)] == [1, 1, 1]
+
+
+def test_a_level_writes_what_is_as_important_and_events_keep_every_line():
+    text = io.StringIO()
+    journal = Journal(text, {}, level=WARNING)
+    for priority in (ERROR, WARNING, NOTICE, INFO):
+        journal.say(f"priority {priority}", priority)
+    assert text.getvalue() == "imucald: priority 3\nimucald: priority 4\n"
+    assert [event.level for event in journal.events] == ["error", "warning", "notice", "info"]
+    assert tuple(PRIORITIES) == LOG_LEVELS
 
 
 def test_a_line_is_cut_where_a_pipe_could_block():

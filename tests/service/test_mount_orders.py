@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from imucald import cli
+from imucald.commands import set_mount
 from imucald.config.calibration import KnownMount
 from imucald.core.rotations import rotation_from_angles
 from imucald.runtime.mount_orders import TESTER, OrderError
@@ -42,6 +43,25 @@ def test_a_deviation_that_is_none_is_refused_by_the_options_name(std, capsys):
     error = capsys.readouterr().err
     assert "--std takes one number above 0, or three" in error
     assert f"(here: {std})" in error
+
+
+@pytest.mark.parametrize(
+    ("given", "std_deg"),
+    [(("--std", "0.5"), 0.5), (("--within", "1"), 0.5), (("--within", "1,2,4"), [0.5, 1.0, 2.0])],
+)
+def test_within_is_the_interval_that_status_shows(given, std_deg, monkeypatch):
+    sent = {}
+    monkeypatch.setattr(set_mount, "give", lambda *_, **order: sent.update(order) or 0)
+    assert cli.main(["set-mount", "1", "2", "3", *given]) == 0
+    assert sent["mount"]["std_deg"] == std_deg
+
+
+def test_a_mount_is_stated_with_one_deviation(capsys):
+    for given in ((), ("--std", "0.5", "--within", "1")):
+        with pytest.raises(SystemExit):
+            cli.main(["set-mount", "1", "2", "3", *given])
+    assert cli.main(["set-mount", "1", "2", "3", "--within", "0"]) == 1
+    assert "--within takes one number above 0, or three" in capsys.readouterr().err
 
 
 def test_a_reset_forgets_the_learnt_and_the_saved_mount_and_says_who_did_it(bench):

@@ -444,7 +444,7 @@ def test_a_status_socket_that_nobody_asked_for_is_no_reason_not_to_start(bench):
     with pytest.raises(LinkError, match="--status-socket"):
         Service(options, Journal(bench.log))
     service = Service(dataclasses.replace(options, socket_needed=False), Journal(bench.log))
-    assert "going on without" in bench.log.getvalue()
+    assert "continuing without it" in bench.log.getvalue()
     service.close()
 
 

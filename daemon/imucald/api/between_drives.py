@@ -55,7 +55,7 @@ def _without_time(drives: Sequence[DriveResult], timed: Sequence[DriveResult]) -
 
 
 def _shifts(drives: Sequence[DriveResult]) -> Iterator[str]:
-    """Mounts that differ from one good drive to the next by more than chance and load explain."""
+    """Mounts that differ between consecutive good drives by more than chance and load explain."""
     before: DriveResult | None = None
     for drive in drives:
         if drive.state not in GOOD or drive.mount is None:
@@ -75,7 +75,7 @@ def _shifts(drives: Sequence[DriveResult]) -> Iterator[str]:
 
 
 def _chance(e: np.ndarray, covariance: np.ndarray) -> float:
-    """How often chance gives a difference e (3,) or a larger one: chi-square of three."""
+    """Probability of a difference of at least e (3,) by chance: chi-square with 3 degrees."""
     square = float(e @ np.linalg.solve(covariance, e))
     if not math.isfinite(square):
         return 1.0

@@ -1,4 +1,4 @@
-"""`imucald.check`: what a configuration would decode from a log, and what looks wrong."""
+"""`imucald.check`: what a configuration decodes from a log, and what looks wrong."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ def check(
     *,
     progress: Progress | None = None,
 ) -> CheckReport:
-    """Say what a configuration decodes from a log: sources, units, rates, gaps, suspicions.
+    """Check what a configuration decodes from a log: sources, units, rates, gaps, doubts.
 
     config: a configuration, or its file's name. log: a name, an open file, or a list of the pieces
     of one recording. Raises ConfigError where the configuration cannot be used, LogError for a log
@@ -67,7 +67,7 @@ def check(
 
 
 def check_report(checker: Check, problems: Sequence[str] = ()) -> CheckReport:
-    """The report of what a checker has seen."""
+    """Return the report of a checker."""
     report = checker.report()
     findings = tuple(report["findings"])
     return CheckReport(report["usable"], findings, tuple(problems), report)

@@ -98,7 +98,7 @@ def _triad(kind: str, before: str) -> tuple[TableColumn, ...]:
 
 
 class Columns(Struct, frozen=True, eq=False):
-    """A table: its columns and an array (N,) for each; NaN, or None for a text, is *not known*."""
+    """A table: its columns, with an array (N,) each. NaN, or None for a text, is *not known*."""
 
     columns: tuple[TableColumn, ...]
     arrays: tuple[NDArray[Any], ...]

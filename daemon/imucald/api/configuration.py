@@ -17,7 +17,7 @@ PathLike = str | os.PathLike[str]
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Configuration:
-    """A configuration file, read and checked. Made by `load`; can be pickled.
+    """A configuration file, read and checked. `load` makes it; it can be pickled.
 
     path: the file. databases: absolute paths of the CAN databases in use.
     warnings: one line for each key that has no effect, with its place and the reason.
@@ -53,7 +53,7 @@ class Configuration:
 
     @classmethod
     def of(cls, config: Configuration | PathLike) -> Configuration:
-        """Return a configuration as it is; a file's name is loaded."""
+        """Return the given configuration, or load it from a file's name."""
         return config if isinstance(config, cls) else cls.load(cast(PathLike, config))
 
     def __repr__(self) -> str:

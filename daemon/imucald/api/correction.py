@@ -15,10 +15,10 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class CorrectionResult:
-    """What makes a corrected force and rate in vehicle axes of a sensor's, at the end of a drive.
+    """The correction of force and rate from sensor to vehicle axes, at the end of a drive.
 
     matrix, offset_mps2: (3, 3), (3,): matrix @ f_sensor - offset_mps2 is sent. gyro_matrix,
-    gyro_offset_rad_s: the same of the rate. cross_talk_std_deg: xy, yx, zx, zy, standard
+    gyro_offset_rad_s: the same for the rate. cross_talk_std_deg: xy, yx, zx, zy, standard
     deviations of what is left of a force in another axis: of xy, the part of a lateral force that
     the forward axis shows. zero_std_mps2: (2,), of the level force on level ground.
     gyro_cross_talk_std_deg: xz, yz, of turning about z. NaN where a deviation is not known.
@@ -34,7 +34,7 @@ class CorrectionResult:
 
     @classmethod
     def from_summary(cls, found: Mapping[str, Any] | None) -> CorrectionResult | None:
-        """From `correction` of docs/json.md; None where there is none."""
+        """Make one from `correction` of docs/json.md; None where there is none."""
         if found is None:
             return None
 

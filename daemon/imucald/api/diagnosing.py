@@ -1,4 +1,4 @@
-"""`imucald.diagnose`: what the simulation gets wrong beside measured drives, and why."""
+"""`imucald.diagnose`: what the simulation gets wrong compared with measured drives, and why."""
 
 from __future__ import annotations
 
@@ -16,6 +16,7 @@ from imucald.api.logs import pieces
 from imucald.api.run import Progress
 from imucald.can.logs.first_frames import same_recording
 from imucald.core.clock_words import duration
+from imucald.core.counts import counted
 from imucald.core.errors import ConfigError, EstimateError, ImucaldError
 from imucald.diagnosis.baseline import baseline_model
 from imucald.diagnosis.diagnose import diagnose as diagnosed
@@ -33,7 +34,7 @@ Share = Callable[[float, str], None]
 
 @dataclass(frozen=True, eq=False, repr=False)
 class DiagnosisResult:
-    """What a diagnosis of drives says.
+    """The result of a diagnosis of drives.
 
     logs: of the drives. verdict: "found", "ambiguous", "unknown" or "nothing". causes: names of
     those that are certain, see docs/diagnosis.md. headline: the verdict in words. notes: what
@@ -92,7 +93,9 @@ class DiagnosisResult:
 
     def __repr__(self) -> str:
         causes = ", ".join(self.causes) or "none"
-        return f"Diagnosis of {len(self.logs)} drives: {self.headline}\n  causes: {causes}"
+        return (
+            f"Diagnosis of {counted(len(self.logs), 'drive')}: {self.headline}\n  causes: {causes}"
+        )
 
     def _repr_html_(self) -> str:
         """What a notebook shows."""
@@ -110,7 +113,7 @@ def diagnose(
     reading: Progress | None = None,
     strict: bool = False,
 ) -> DiagnosisResult:
-    """Say what the simulation with a model gets wrong beside measured drives of one vehicle.
+    """Compare the simulation with measured drives of one vehicle; say what is wrong in the model.
 
     The result is that of `imucald diagnose`. config: a configuration, or its file's name. logs:
     one drive each, with the sensor in its place. model: the model file to put to the test;
@@ -171,7 +174,7 @@ def diagnosis_of(
 
 
 def _refuse_same(logs: Sequence[str], recordings: Sequence[Recording]) -> None:
-    """Raise LogError where two logs hold one drive: it would be taken for independent evidence."""
+    """Raise LogError where two logs hold the same drive: it would count as independent evidence."""
     drives = list(zip(logs, recordings, strict=True))
     for (one, first), (other, second) in itertools.combinations(drives, 2):
         if is_same_recording(first, second):
@@ -179,7 +182,7 @@ def _refuse_same(logs: Sequence[str], recordings: Sequence[Recording]) -> None:
 
 
 def _reading_notes(recording: Recording) -> list[str]:
-    """What reading a log came to, where it was not all well."""
+    """Notes on what went wrong in reading a log."""
     notes = []
     bad = sum(recording.rejected.values())
     if bad > FEW_REJECTED * recording.frames_read:

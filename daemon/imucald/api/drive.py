@@ -1,4 +1,4 @@
-"""What a replay came to: `imucald.DriveResult`."""
+"""The result of a replay: `imucald.DriveResult`."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ class DriveResult(TableAccess):
 
     @property
     def correction(self) -> CorrectionResult | None:
-        """What is applied to each sensor's samples, and how sure; None before any estimate."""
+        """The correction of each sensor's samples, with deviations; None before any estimate."""
         return CorrectionResult.from_summary(self.summary.get("correction"))
 
     @property
@@ -68,7 +68,7 @@ class DriveResult(TableAccess):
     def write(self, path: PathLike, quantities: Sequence[str] | str | None = None) -> list[Path]:
         """Write tables to a file, by the ending of its name; return the files.
 
-        .parquet, .csv: a file for each table, drive.accel.parquet and so on beside each other (a
+        .parquet, .csv: a file for each table, drive.accel.parquet and so on in one folder (a
         single table: just `path`). .mf4: a channel group for each. .mcap: a topic for each.
         quantities: names of tables, "raw" for all samples as they came; None for all but these.
         `open_result` reads them again. Raises ImucaldError where a library is missing or the file
@@ -120,7 +120,7 @@ def drive_result(
     notes: tuple[str, ...],
     tables: Mapping[str, Columns],
 ) -> DriveResult:
-    """A result from the content of `replay --json` and what that does not hold."""
+    """Make a result from the content of `replay --json` and what that lacks."""
     return DriveResult(
         logs=logs,
         mount=mount,
@@ -140,7 +140,7 @@ def drive_result(
 
 
 def drive_plain(drive: DriveResult) -> dict[str, Any]:
-    """What a file holds of a drive beside its tables."""
+    """What a file holds of a drive besides its tables."""
     return {
         "logs": list(drive.logs),
         "mount": None if drive.mount is None else drive.mount.plain(),

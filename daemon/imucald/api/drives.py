@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 from imucald.api.drive import DriveResult
 from imucald.api.html import html_table
 from imucald.api.interchange import library
+from imucald.core.counts import counted
 from imucald.mount.mount_words import CONVENTION, angle_text
 
 if TYPE_CHECKING:
@@ -40,7 +41,7 @@ class DriveSet:
         return self.drives[index]
 
     def rows(self) -> list[dict[str, Any]]:
-        """One row a drive: log, start, duration_s, state, the angles and deviations [deg]."""
+        """One row per drive: log, start, duration_s, state, the angles and deviations [deg]."""
         return [_row(drive) for drive in self.drives]
 
     def to_pandas(self) -> pd.DataFrame:
@@ -55,7 +56,9 @@ class DriveSet:
 
     def __repr__(self) -> str:
         states = ", ".join(drive.state for drive in self.drives)
-        return f"{len(self.drives)} drives: {states}"[:96] + f"\n  {len(self.notes)} notes"
+        return f"{counted(len(self.drives), 'drive')}: {states}"[:96] + (
+            f"\n  {counted(len(self.notes), 'note')}"
+        )
 
     def _repr_html_(self) -> str:
         """What a notebook shows."""

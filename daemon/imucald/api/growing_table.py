@@ -17,7 +17,7 @@ SPARE = 2
 
 
 class GrowingTable:
-    """Columns, each in one array with room for what is expected to come."""
+    """Columns, each in one array with room for the rows that are expected."""
 
     def __init__(self) -> None:
         self._columns: list[NDArray[Any]] = []
@@ -41,7 +41,7 @@ class GrowingTable:
             column[:before] = old[:before]
 
     def columns(self) -> list[NDArray[Any]]:
-        """The columns, as many rows as came."""
+        """Return the columns with the rows so far."""
         found = [column[: self.rows] for column in self._columns]
         return [one.copy() for one in found] if self._room > SPARE * self.rows else found
 

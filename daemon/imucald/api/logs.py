@@ -1,4 +1,4 @@
-"""Which logs are meant: names, open files, folders, patterns."""
+"""Find logs: by names, open files, folders and patterns."""
 
 from __future__ import annotations
 
@@ -18,25 +18,25 @@ LOG_ENDINGS = (".log", ".log.gz", ".asc", ".blf", ".trc", ".mf4")
 
 
 def opened(source: LogSource) -> Path | str | OpenLog:
-    """A source as the log reader takes it. Raises LogError for what is none."""
+    """Return a source for the log reader. Raises LogError for anything that is no source."""
     if isinstance(source, str | os.PathLike):
         if str(source) != STDIN and Path(source).is_dir():
             raise folder_error(source)
         return source if isinstance(source, str) else Path(source)
     if not hasattr(source, "readinto") or hasattr(source, "encoding"):
         kind = type(source).__name__
-        raise LogError(f"a {kind} is no log: give its name, or a file opened for reading bytes")
+        raise LogError(f"{kind} is no log: give a name, or a file opened for reading bytes")
     name = getattr(source, "name", None)
     return OpenLog(source, name if isinstance(name, str) else "<open file>")
 
 
 def pieces(log: LogSource | Sequence[LogSource]) -> Sequence[LogSource]:
-    """The pieces of a recording that may be in one."""
+    """Return the pieces of a recording, which may be a single one."""
     return log if isinstance(log, list | tuple) else [log]
 
 
 def find_logs(*where: str | os.PathLike[str]) -> list[Path]:
-    """List logs: each a file's name, a folder (with those in it), or a pattern as of a shell.
+    """List logs: each source is a file's name, a folder, or a shell pattern.
 
     A folder's files are those whose names end in .log, .log.gz, .asc, .blf, .trc or .mf4, in the
     order of their names. Raises LogError where there is none.

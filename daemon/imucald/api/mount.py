@@ -45,14 +45,14 @@ class MountResult:
 
     @classmethod
     def from_plain(cls, content: Mapping[str, Any] | None) -> MountResult | None:
-        """What `plain` gave."""
+        """Make a mount from the result of `plain`."""
         if content is None:
             return None
         covariance = [[math.nan if v is None else v for v in r] for r in content["covariance_deg2"]]
         return cls(np.array(content["matrix"], dtype=float), np.array(covariance, dtype=float))
 
     def plain(self) -> dict[str, Any]:
-        """The same as JSON can carry it, to the last digit."""
+        """Return the mount as plain data for JSON, without loss of digits."""
         covariance = self.covariance_deg2.tolist()
         return {
             "matrix": self.matrix.tolist(),

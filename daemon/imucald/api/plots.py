@@ -27,7 +27,7 @@ _PAIRS = ("xx", "xy", "xz", "yy", "yz", "zz")
 
 
 class Drawn(Protocol):
-    """What is drawn of a drive."""
+    """The parts of a drive that are drawn."""
 
     @property
     def tables(self) -> Mapping[str, Columns]:

@@ -1,4 +1,4 @@
-"""Takes what an engine gives while it replays, and makes tables of it."""
+"""Makes tables of the output of an engine during a replay."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ Array = NDArray[np.float64]
 class Recorder:
     """Gathers history, events and (with `signals`) samples; give its methods to the engine.
 
-    share: gives the part of all logs that has been read; None where nobody knows.
+    share: gives the part of all logs that has been read; None where that is not known.
     """
 
     def __init__(self, signals: bool, share: Callable[[], float | None] = lambda: None) -> None:
@@ -160,7 +160,7 @@ class Recorder:
         return found.sorted_by_time()
 
     def take_signals(self, lead: float, kinds: Mapping[str, str]) -> dict[str, Columns]:
-        """The samples since the last call, by table; kinds: sensor of each parallel channel."""
+        """Return the samples since the last call by table; kinds: sensor of each channel."""
         taken, self._tables, self.rows = self._tables, {}, 0
         found: dict[str, Columns] = {}
         for name, table in taken.items():

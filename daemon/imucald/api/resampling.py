@@ -1,4 +1,4 @@
-"""Tables of different rates on one: averaged where there is too much, interpolated where not."""
+"""Joins tables of different rates at one rate, by averaging or interpolation."""
 
 from __future__ import annotations
 

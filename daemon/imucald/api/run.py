@@ -25,6 +25,7 @@ from imucald.api.logs import LogSource, opened
 from imucald.api.mount import MountResult
 from imucald.api.recorder import Recorder, microseconds
 from imucald.can.logs.log_reader import LogReader
+from imucald.core.counts import counted
 from imucald.core.errors import NoFramesError
 from imucald.runtime.engine import Engine
 from imucald.runtime.pipeline import Snapshot
@@ -56,19 +57,19 @@ def is_unused(drive: DriveResult) -> bool:
 
 
 def require_frames(drive: DriveResult) -> DriveResult:
-    """The drive as it is; raises NoFramesError where its logs held no frame at all."""
+    """Return the drive; raises NoFramesError where its logs hold no frame."""
     refuse_empty(drive.frames["read"], drive.logs)
     return drive
 
 
 def refuse_empty(frames: int, logs: Iterable[object]) -> None:
-    """Raise NoFramesError with the names of logs that held no frame at all."""
+    """Raise NoFramesError with the names of logs that hold no frame."""
     if not frames:
         raise NoFramesError(f"{', '.join(map(str, logs))}: holds no CAN frame")
 
 
 class Watcher(Protocol):
-    """Sees what passes during a run, such as whoever draws a page of it."""
+    """An observer of a run, such as the one that draws its page."""
 
     def samples(self, part: SegmentSamples, /) -> None:
         """Take the samples of a segment of time."""
@@ -84,10 +85,10 @@ class Watcher(Protocol):
 
 
 class ReplayRun:
-    """Logs that are the pieces of one recording, on their way through an engine of their own.
+    """The replay of the pieces of one recording through its own engine.
 
-    sink: takes the frames that would be sent. speed: 1 is real time, None as fast as it goes.
-    watcher: sees all that passes.
+    sink: takes the frames that would be sent. speed: 1 is real time, None as fast as possible.
+    watcher: observes the run.
     Raises ConfigError.
     """
 
@@ -125,7 +126,7 @@ class ReplayRun:
         }
 
     def chunks(self) -> Iterator[None]:
-        """Go on by a chunk of frames each; the first bad line raises LogError where strict."""
+        """Yield after each chunk of frames; strict: the first bad line raises LogError."""
         yield from self._replay.chunks()
 
     @property
@@ -134,7 +135,7 @@ class ReplayRun:
         return self._recorder.rows
 
     def table_columns(self) -> dict[str, tuple[TableColumn, ...]]:
-        """The columns of every table that there may be."""
+        """Return the columns of all possible tables."""
         kinds, found = self._kinds, {}
         for name in self.engine.output.triads:
             found[name] = corrected_columns(kinds.get(name, name))
@@ -157,7 +158,11 @@ class ReplayRun:
         notes = [f"not used of the model: {note}" for note in notes]
         notes += reader.overlaps
         notes += [UNUSED] if engine.router.used == 0 else []
-        notes += [f"{left_out} more events were left out"] if left_out else []
+        notes += (
+            [f"{counted(left_out, 'more event was', 'more events were')} left out"]
+            if left_out
+            else []
+        )
         tables = self.take_signals()
         return drive_result(
             logs=self.logs,
@@ -174,7 +179,7 @@ class ReplayRun:
         )
 
     def _in_order(self, tables: Mapping[str, Columns]) -> dict[str, Columns]:
-        """Corrected samples first; one of a sensor that never spoke has no rows."""
+        """Order tables, corrected samples first; a sensor without samples has no rows."""
         if not self._signals:
             return {}
         corrected = {

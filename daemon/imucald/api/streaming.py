@@ -35,7 +35,7 @@ class DrivePart(TableAccess):
 
 
 class DriveStream:
-    """A replay on its way: iterate over its parts once, then ask for its `result`."""
+    """A running replay: iterate over its parts once, then ask for its `result`."""
 
     def __init__(self, run: ReplayRun) -> None:
         self._run = run
@@ -45,7 +45,7 @@ class DriveStream:
     def __iter__(self) -> Iterator[DrivePart]:
         """Yield parts of some minutes each. Raises LogError."""
         if self._begun:
-            raise ImucaldError("a stream can be gone through once only")
+            raise ImucaldError("a stream can be read only once")
         self._begun = True
         for _ in self._run.chunks():
             if self._run.rows >= PART_ROWS:
@@ -57,17 +57,17 @@ class DriveStream:
 
     @property
     def ended(self) -> bool:
-        """Whether the last part was given out, and there is a result."""
+        """Whether the last part was yielded, so that there is a result."""
         return self._result is not None
 
     @property
     def result(self) -> DriveResult:
-        """The drive's result with history and events, and without the samples that were given out.
+        """The drive's result with history and events, and without the samples that were yielded.
 
         Raises ImucaldError before the last part was taken.
         """
         if self._result is None:
-            raise ImucaldError("the stream has not ended: take all its parts first")
+            raise ImucaldError("the stream has not ended: read all its parts first")
         return self._result
 
     def write(self, path: PathLike, quantities: Sequence[str] | str | None = None) -> list[Path]:

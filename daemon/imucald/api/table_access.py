@@ -1,4 +1,4 @@
-"""Ways to a result's tables, one per rate; the only join is asked for by name.
+"""Access to a result's tables, one per rate. The only join is `resample`.
 
 What turns tables into others is loaded when it is asked for: a replay needs none of it.
 """
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 
 class NamedTables:
-    """Tables by name, for the libraries that there are for tables."""
+    """Tables by name, for Arrow, numpy, pandas and polars."""
 
     tables: Mapping[str, Columns]
 

@@ -16,6 +16,7 @@ from imucald.api.run import Progress, refuse_empty
 from imucald.api.table_access import NamedTables
 from imucald.can.logs.log_reader import LogReader
 from imucald.config import LoadedConfig
+from imucald.core.counts import counted
 from imucald.inputs.router import Router
 from imucald.inputs.wiring import compile_router
 from imucald.runtime.consumer import events_of
@@ -39,7 +40,7 @@ STEP_COLUMNS = (
 
 @dataclass(frozen=True, eq=False, repr=False)
 class WalkResult(NamedTables):
-    """Steps and where they went. Angles are clockwise from north.
+    """Steps and their directions. Angles are clockwise from north.
 
     steps, cadence_hz, method, frames, track: as in `walk --json`, see docs/json.md. problems: the
     first bad lines. tables: "steps", a row for each (`arrow("steps")`, `to_pandas("steps")`).
@@ -60,7 +61,8 @@ class WalkResult(NamedTables):
 
     def __repr__(self) -> str:
         cadence = "-" if self.cadence_hz is None else f"{self.cadence_hz:.2f} Hz"
-        return f"Walk({self.steps} steps, cadence {cadence}, heading by the {self.method} method)"
+        steps = counted(self.steps, "step")
+        return f"Walk({steps}, cadence {cadence}, heading by the {self.method} method)"
 
 
 def walk(

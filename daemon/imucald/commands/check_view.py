@@ -9,10 +9,11 @@ from rich.table import Table
 from rich.text import Text
 
 from imucald.commands.terminal import plain_console
+from imucald.core.counts import counted
 from imucald.core.outside_text import one_line
 
-WIDE = 110
-"""Columns from which long names stay on one line."""
+WIDE = 130
+"""Columns from which long names stay on one line: below, they are broken at their dot."""
 LONG_NAME = 18
 _STYLES = {"error": "bold red", "warning": "yellow", "note": "cyan", "ok": "green"}
 
@@ -23,9 +24,10 @@ def print_report(report: Mapping[str, Any], strict: bool = False) -> None:
     frames = report["frames"]
     left = frames["read"] - frames["used"] - frames["other_frames"]
     console.print(
-        f"{frames['read']} frames in {report['duration_s']:.1f} s: {frames['used']} used, "
-        + (f"{left} of the messages below not used, " if left else "")
-        + f"{frames['other_frames']} not configured ({frames['other_ids']} ids)"
+        f"{counted(frames['read'], 'frame')} in {report['duration_s']:.1f} s: "
+        f"{frames['used']} used, "
+        + (f"{left} of configured messages rejected, " if left else "")
+        + f"{frames['other_frames']} not configured ({counted(frames['other_ids'], 'id')})"
     )
     console.print()
     console.print(_messages(report["messages"]))
@@ -42,17 +44,17 @@ def print_report(report: Mapping[str, Any], strict: bool = False) -> None:
 def _verdict(report: Mapping[str, Any], strict: bool) -> Text:
     """The last line: whether it can be used, and how many warnings there are."""
     warnings = report["warnings"]
-    counted = f"{warnings} warning{'s' if warnings != 1 else ''}"
+    how_many = counted(warnings, "warning")
     if not report["usable"]:
-        besides = f" ({counted} besides)" if warnings else ""
+        besides = f" ({how_many} besides)" if warnings else ""
         return Text(f"This configuration cannot be used yet{besides}.", style="bold red")
     if not warnings:
         return Text("This configuration can be used: no warnings.", style="bold green")
     if strict:
         return Text(
-            f"This configuration has {counted}, and --strict allows none.", style="bold red"
+            f"This configuration has {how_many}, and --strict allows none.", style="bold red"
         )
-    return Text(f"This configuration can be used, with {counted}: see above.", style="bold yellow")
+    return Text(f"This configuration can be used, with {how_many}: see above.", style="bold yellow")
 
 
 def _messages(rows: list[dict[str, Any]]) -> Table:

@@ -66,14 +66,15 @@ def print_result(demo: Demonstration, waited: float, console: Console | None = N
         if steep := steep_note(demo.estimate()):
             console.print(Text(steep, style="yellow"))
     else:
-        console.print("No estimate was reached.")
+        console.print("The mount was not found.")
     console.print()
     for line in _result_lines(demo, waited):
         console.print(line)
     console.print()
-    console.print("Next, on a log of your vehicle (config/imucald.yaml is a commented start):")
+    console.print("Next, with a database and a log of your vehicle:")
+    console.print("  imucald init --database car.dbc --out car.yaml drive.log   proposes car.yaml")
     console.print("  imucald check  --config car.yaml drive.log   what it decodes, what is odd")
-    console.print("  imucald replay --config car.yaml drive.log   what it finds")
+    console.print("  imucald replay --config car.yaml drive.log   the mount")
 
 
 def _result_table(angles: list[Angle]) -> Table:
@@ -104,19 +105,19 @@ def _result_lines(demo: Demonstration, waited: float) -> list[str]:
     targets = demo.estimate().targets
     if best is None and targets is not None:
         x, y, z = (plus_minus(s * DEG_PER_RAD, 1) for s in targets.fine)
-        fine = f"; fine below {x} about x, {y} about y, {z} about z"
+        fine = f"; fine below {x}, {y}, {z} about the forward, left and up axis"
     lines = [
         f"{clock(demo.now)} min driven in {waited:.0f} s. State {name}: {usable}{fine}.",
         f"{demo.sent} frames received, {demo.engine.router.rejected.total()} rejected; "
-        f"{listener.frames} corrected ones came back, {listener.damaged} damaged.",
+        f"{listener.frames} corrected frames came back, {listener.damaged} damaged.",
     ]
     found = demo.compare()
     if found is None:
-        return [*lines, "No corrected acceleration was available in the end."]
+        return [*lines, "At the end no corrected acceleration was available."]
     return [
         *lines,
         f"Acceleration over the last {min(LAST_S, demo.now):.0f} s, rms distance from the truth:",
         f"  as the sensor sends it    {found.measured:6.2f} m/s²",
         f"  as received from imucald  {found.corrected:6.2f} m/s²",
-        f"  with the mount known      {found.known_mount:6.2f} m/s² (noise, vibration, bias)",
+        f"  with the true mount       {found.known_mount:6.2f} m/s² (noise, vibration, bias)",
     ]

@@ -8,6 +8,7 @@ from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
 from imucald.commands.terminal import plain_console, plain_where_needed, screen_console
+from imucald.core.counts import counted
 from imucald.report import numbers, titles
 from imucald.report import wording as words
 from imucald.report.model_changes import model_changes, value_text
@@ -69,7 +70,8 @@ def print_diagnosis(diagnosis: Diagnosis) -> None:
     for note in diagnosis.notes[:SHOWN_NOTES]:
         console.print(f"note: {note}")
     if len(diagnosis.notes) > SHOWN_NOTES:
-        console.print(f"{len(diagnosis.notes) - SHOWN_NOTES} more notes are in the JSON")
+        more = counted(len(diagnosis.notes) - SHOWN_NOTES, "more note is", "more notes are")
+        console.print(f"{more} in the JSON")
 
 
 def _print_cause(console: Console, cause: FoundCause, how_sure: str) -> None:
@@ -104,13 +106,13 @@ def _print_open(console: Console, diagnosis: Diagnosis) -> None:
     for group_titles, group in words.look_alike_groups(diagnosis).items():
         console.print(f"cannot be distinguished: {words.in_series(group_titles, 'or')}")
         if ways := words.ways_apart(group):
-            console.print("a drive that shows which has:")
+            console.print("a drive that would show which:")
         for way in ways:
             console.print(f"  {way}")
     if not diagnosis.structure:
         return
     console.print()
-    console.print("left in the residuals, and explained by no cause:")
+    console.print("residuals that no cause explains:")
     table = _table()
     for title in ("signal", "what", "size", "where"):
         table.add_column(title, overflow="fold", justify="right" if title == "size" else "left")

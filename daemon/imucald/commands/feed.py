@@ -68,21 +68,23 @@ def _add_source(parser: argparse.ArgumentParser) -> None:
     add_socket_argument(parser)
     parser.add_argument(
         "--rate", type=positive, default=10.0, metavar="HZ",
-        help="corrected values a second, each the mean since the last (default: 10)",
+        help="corrected values per second, each the mean since the one before (default: 10)",
     )  # fmt: skip
     parser.add_argument(
         "--accept", choices=("fine", "usable", "restored"), default="usable",
-        help="least quality of a corrected value that is handed on (default: usable)",
+        help="least quality of the corrected values that are sent (default: usable)",
     )  # fmt: skip
     parser.add_argument(
-        "--status-only", action="store_true", help="the mount and its state; do not open the bus"
+        "--status-only",
+        action="store_true",
+        help="send only the mount and its state; do not open the bus",
     )
     parser.add_argument(
         "--config", type=Path, metavar="FILE", help="the daemon's, where its own path is not here"
     )
     parser.epilog = (
-        "It runs until Ctrl-C or SIGTERM, waits for a daemon and a receiver that are "
-        "not there, and says so. What it sends: docs/feeds.md."
+        "It runs until Ctrl-C or SIGTERM. It waits for a daemon or receiver that is not there, and "
+        "says so. What it sends: docs/feeds.md."
     )
 
 

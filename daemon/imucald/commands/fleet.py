@@ -12,10 +12,10 @@ from imucald.core.extras import how_to_install
 
 LIBRARIES = ("pyarrow", "fsspec")
 ACTIONS = {
-    "run": "evaluate the logs that are not evaluated yet",
+    "run": "evaluate the logs that were not evaluated yet",
     "retry": "the same, with those that failed before",
-    "status": "say how far the runs are and what failed",
-    "why": "say all that is known of one log",
+    "status": "show the progress of the runs and what failed",
+    "why": "show all that is known of one log",
     "analyse": "read all drives together: vehicles, types, batches, remounts, outliers",
     "report": "write what the analysis found as one HTML page",
 }
@@ -64,14 +64,14 @@ def _add_run(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--time-limit", default="15min", metavar="TIME", help="of a log (15min)")
     parser.add_argument("--signals", choices=("none", "corrected"), default="none",
                         help="write corrected signals too")  # fmt: skip
-    parser.add_argument("--diagnose", action="store_true", help="say of each drive what "
-                        "'imucald diagnose' finds (some seconds a log)")  # fmt: skip
+    parser.add_argument("--diagnose", action="store_true", help="run 'imucald "
+                        "diagnose' on each drive too (some seconds a log)")  # fmt: skip
     parser.add_argument("--since", metavar="DATE", help="only logs of that day or later")
     parser.add_argument("--redo", choices=("nothing", "failed", "config", "all"),
-                        default="nothing", help="evaluate again what is known: what failed, what "
-                        "had another configuration or version, all")  # fmt: skip
+                        default="nothing", help="evaluate logs again: those that failed, those "
+                        "of another configuration or version, or all")  # fmt: skip
     parser.add_argument("--limit", type=int, metavar="N", help="no more than N logs")
-    parser.add_argument("--dry-run", action="store_true", help="only say what would be done")
+    parser.add_argument("--dry-run", action="store_true", help="only show what would be done")
     parser.add_argument("--quiet", action="store_true", help="no progress")
 
 

@@ -6,6 +6,7 @@ import argparse
 import time
 from typing import TYPE_CHECKING
 
+from imucald.core.counts import counted
 from imucald.core.errors import ImucaldError
 
 if TYPE_CHECKING:
@@ -47,8 +48,9 @@ def status(options: argparse.Namespace) -> int:
     hours = sum(d or 0.0 for d in drives.column("duration_s").to_pylist()) / 3600.0
     cpu = sum(c or 0.0 for c in tables["costs"].column("cpu_s").to_pylist()) / 3600.0
     console.print(
-        f"{len(sources)} logs, {gigabytes:.3g} GB: {len(drives)} drives of "
-        f"{len(set(drives.column('vehicle').to_pylist()))} vehicles, {hours:.1f} h of driving, "
+        f"{counted(len(sources), 'log')}, {gigabytes:.3g} GB: {counted(len(drives), 'drive')} of "
+        f"{counted(len(set(drives.column('vehicle').to_pylist())), 'vehicle')}, "
+        f"{hours:.1f} h of driving, "
         f"{cpu:.3g} h of processor"
     )
     states = Counter(drives.column("state").to_pylist())

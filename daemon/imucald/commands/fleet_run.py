@@ -14,6 +14,7 @@ from types import FrameType
 from typing import TYPE_CHECKING
 
 from imucald.commands.interrupting import interrupt
+from imucald.core.counts import counted
 from imucald.core.errors import ConfigError, ImucaldError
 from imucald.core.extras import how_to_install
 
@@ -44,7 +45,7 @@ def run(options: argparse.Namespace) -> int:
         with _signals_call(stopping):
             return _run(options, stopping)
     except KeyboardInterrupt:
-        print("imucald: broken off. The same command goes on", file=sys.stderr)
+        print("imucald: interrupted. Run the same command to continue", file=sys.stderr)
         return INTERRUPTED
 
 
@@ -139,7 +140,9 @@ def _workers(options: argparse.Namespace, fleet: Fleet) -> Workers:
 
 
 def _said(plan: Plan) -> str:
-    text = f"imucald: {plan.listed} logs, {plan.done} known, {len(plan.tasks)} to evaluate"
+    text = (
+        f"imucald: {counted(plan.listed, 'log')}, {plan.done} known, {len(plan.tasks)} to evaluate"
+    )
     text += f" ({plan.bytes / 1e9:.3g} GB)"
     if plan.failed_before:
         text += f"; {plan.failed_before} failed before ('imucald fleet retry' tries them again)"
@@ -159,7 +162,7 @@ class _Stopping:
         if self.work is None or self.work.counts.stopping:
             interrupt(number, frame)
             return
-        text = "finishing what runs; once more breaks off"
+        text = "finishing the logs that run; press Ctrl-C again to stop at once"
         print(f"\nimucald: {text}", file=sys.stderr)
         self.work.stop()
 
@@ -210,10 +213,13 @@ def _progress(quiet: bool) -> Iterator[Callable[[Counts], None]]:
 def _print_end(counts: Counts, whole: bool) -> int:
     """Print how the run ended; return the exit status."""
     failed = ", ".join(f"{kind} {n}" for kind, n in sorted(counts.failed.items()))
-    text = f"imucald: {counts.done} logs evaluated"
+    text = f"imucald: {counted(counts.done, 'log')} evaluated"
     print(f"{text}{f'; failed: {failed}' if failed else ''}", file=sys.stderr)
     if not whole:
         left = counts.logs - counts.done
-        print(f"imucald: stopped; {left} logs are left. The same command goes on", file=sys.stderr)
+        print(
+            f"imucald: stopped; {counted(left, 'log')} left. Run the same command to continue",
+            file=sys.stderr,
+        )
         return INTERRUPTED
     return SOME_FAILED if failed else 0

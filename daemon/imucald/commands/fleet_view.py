@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 from imucald.commands.terminal import plain_console, plain_where_needed
+from imucald.core.counts import counted
 from imucald.fleet.analysis.remounts import why_not_known
 from imucald.mount.estimate import ANGLES
 from imucald.mount.mount_words import CONVENTION, UNKNOWN_HALF_DEG
@@ -29,7 +30,9 @@ def print_analysis(tables: Mapping[str, pa.Table]) -> None:
     found = [row for row in rows["remounts"] if row["found"]]
     bad = [row for row in rows["groups"] if row["verdict"] == "bad"]
     design = [row for row in rows["causes"] if row["verdict"] == "design"]
-    console.print(f"{len(rows['vehicles'])} vehicles, {len(rows['segments'])} segments")
+    console.print(
+        f"{counted(len(rows['vehicles']), 'vehicle')}, {counted(len(rows['segments']), 'segment')}"
+    )
     unknown = why_not_known(row["drives"] for row in rows["vehicles"])
     _list(
         console,

@@ -11,8 +11,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Options of `hold`."""
     add_target(
         parser,
-        " A hold outlasts a restart. The drive is watched all the same: where it contradicts "
-        "the mount, that is suspect.",
+        " A hold outlasts a restart. Data recorded during a hold is ignored. If the drive "
+        "contradicts a held mount, the state becomes suspect.",
     )
 
 

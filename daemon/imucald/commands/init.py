@@ -24,8 +24,8 @@ LISTEN_S = 120.0
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Options of `init`."""
     parser.epilog = (
-        "The recording should hold a drive of some minutes with stops and bends. Without a "
-        "recording it rests on names and units alone. Then: imucald check --config FILE LOG."
+        "The recording should be a drive of some minutes with stops and bends. Without a recording "
+        "the proposal uses names and units only. Then: imucald check --config FILE LOG."
     )
     parser.add_argument("logs", nargs="*", metavar="LOG", help=LOG_HELP)
     parser.add_argument(
@@ -37,17 +37,20 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="database of the bus (repeat for several)",
     )
     parser.add_argument(
-        "--out", default="-", metavar="FILE", help="write here (default: standard output)"
+        "--out",
+        default="-",
+        metavar="FILE",
+        help="write the configuration here (default: standard output)",
     )
     parser.add_argument("--force", action="store_true", help="overwrite FILE where it exists")
     parser.add_argument(
         "--driving-side",
         choices=("left", "right", "unknown"),
         default="unknown",
-        help="side of the road: no recording shows it, and roads lean to it",
+        help="side of the road that you drive on: roads slope to it, and no recording shows it",
     )
     parser.add_argument(
-        "--interface", help="listen on a bus: python-can interface or a name as can0"
+        "--interface", help="listen on a bus: a python-can interface, or a name such as can0"
     )
     parser.add_argument("--channel", help="its channel")
     parser.add_argument(
@@ -68,11 +71,11 @@ def run(options: argparse.Namespace) -> int:
 
     refuse_log_and_bus(options)
     if not options.database and not (options.logs or options.interface or options.channel):
-        raise ConfigError("say what there is: --database FILE, a LOG, or --interface can0")
+        raise ConfigError("give --database FILE, a LOG, or --interface can0")
     out = None if options.out == STANDARD else options.out
     check_files((*options.database, *options.logs), (out,))
     if out and Path(out).is_file() and not options.force:
-        text = "exists, and may have been edited by hand; choose another name, or give --force"
+        text = "exists and may have been edited by hand; choose another name, or give --force"
         raise ConfigError(f"{out}: {text}")
     base = Path(options.out).resolve().parent if out else Path.cwd()
     databases: dict[str, Database] = {

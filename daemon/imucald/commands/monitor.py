@@ -21,9 +21,7 @@ WEB_PORT = 8130
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Options of `monitor`."""
     add_socket_argument(parser)
-    parser.add_argument(
-        "--seconds", type=positive, metavar="S", help="stop by itself after this time"
-    )
+    parser.add_argument("--seconds", type=positive, metavar="S", help="stop after this time")
     add_web_argument(parser)
     parser.epilog = "Exit status: 0; 3 where no daemon runs, 8 where it does not answer."
 
@@ -36,7 +34,7 @@ def add_web_argument(parser: argparse.ArgumentParser) -> None:
         nargs="?",
         const=WEB_PORT,
         metavar="PORT",
-        help=f"show it on a page of this machine instead, http://127.0.0.1:{WEB_PORT} "
+        help=f"show it as a page at http://127.0.0.1:{WEB_PORT}, for this machine only "
         f"(needs {how_to_install('live')})",
     )
 

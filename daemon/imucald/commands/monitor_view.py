@@ -19,9 +19,9 @@ BESIDE = 120
 """Columns from which inputs and events stand side by side."""
 BESIDE_INPUTS = 50
 LEAST_EVENTS = 3
-TABLE_COLUMNS = 68
+TABLE_COLUMNS = 72
 """Columns of the mount table without its bars."""
-LONGEST_BAR, SHORTEST_BAR = 48, 12
+LONGEST_BAR, SHORTEST_BAR = 48, 8
 FACTS = ("now", "losses", "rejected", "process")
 LEFT_OUT = "not learnt from"
 """Shown as well where there is something."""
@@ -117,7 +117,7 @@ def input_health(status: Mapping[str, Any], channel: str, rate: float | None) ->
         return words, "bold red"
     if not rate:
         return "silent", "red"
-    return ("sound" if faults is not None else "received"), "green"
+    return ("sound" if faults is not None else "received, not checked"), "green"
 
 
 def events_table(events: Sequence[LiveEvent]) -> Table:

@@ -11,6 +11,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import json
+import socket
 import time
 from collections import deque
 from collections.abc import Awaitable, Callable, Mapping, Sequence
@@ -32,7 +33,7 @@ from imucald.mount.estimate import ANGLES
 from imucald.mount.mount_words import (
     ABOUT,
     SD_95,
-    TURNS_ABOUT,
+    VEHICLE_AXES,
     angle_cells,
     angles_line,
     half_width,
@@ -191,7 +192,7 @@ def _angle(mount: Mapping[str, Any], i: int) -> dict[str, Any]:
     value, spread = angle_cells(mount, name)
     return {
         "name": name, "value": value, "spread": spread,
-        "turn": TURNS_ABOUT[i], "half": half_width(judged_std(mount, axis)), "targets": goals,
+        "turn": VEHICLE_AXES[i], "half": half_width(judged_std(mount, axis)), "targets": goals,
     }  # fmt: skip
 
 
@@ -241,6 +242,8 @@ async def _serve(path: Path, port: int, is_over: Callable[[], bool], state: Live
             raise ImucaldError(text) from None
         _, real_port = runner.addresses[0][:2]
         print(f"http://{ADDRESS}:{real_port}   Ctrl-C ends", flush=True)
+        tunnel = f"ssh -L {real_port}:{ADDRESS}:{real_port} {socket.gethostname()}"
+        print(f"from another machine: {tunnel}, then open the same address there", flush=True)
         while not is_over():
             await _ask(path, state)
             await asyncio.sleep(PERIOD_S)

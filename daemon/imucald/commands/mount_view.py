@@ -13,7 +13,7 @@ from imucald.mount.estimate import ANGLES
 from imucald.mount.mount_words import (
     ABOUT,
     SD_95,
-    TURNS_ABOUT,
+    VEHICLE_AXES,
     angle_cells,
     half_width,
     is_trouble,
@@ -51,7 +51,10 @@ def mount_parts(
             yield Text(f"trouble      {text}", style="bold red")
         else:
             yield Text(f"waiting for  {names}: {text}", style="yellow")
-    yield Text(ABOUT + (f"; {MARK} in a bar: the target" if bar else ""), style="dim")
+    yield Text(
+        ABOUT + (f"; a shorter bar is better, {MARK} is its target (log scale)" if bar else ""),
+        style="dim",
+    )
 
 
 def _table(mount: Mapping[str, Any], bar: int) -> Table:
@@ -59,15 +62,16 @@ def _table(mount: Mapping[str, Any], bar: int) -> Table:
     table.add_column("mount", min_width=6)
     table.add_column("angle", justify="right", min_width=8)
     table.add_column("± 95 %", justify="right", min_width=7)
-    table.add_column("about", min_width=9)
+    table.add_column("")  # a gap between the mount and what states are judged by
+    table.add_column("turn about", min_width=12)
     table.add_column("± 95 %", justify="right", min_width=7)
     if bar:
         table.add_column("")
     table.add_column("target")
-    for angle, axis, turn in zip(ANGLES, "xyz", TURNS_ABOUT, strict=True):
+    for angle, axis, turn in zip(ANGLES, "xyz", VEHICLE_AXES, strict=True):
         std = judged_std(mount, axis)
         goal, limit = _target(mount, axis, std)
-        cells: list[str | Text] = [angle, *angle_cells(mount, angle), turn, plus_minus(std)]
+        cells: list[str | Text] = [angle, *angle_cells(mount, angle), "", turn, plus_minus(std)]
         if bar:
             cells.append(interval_bar(std, limit, bar))
         reached = std is not None and limit is not None and std < limit

@@ -43,7 +43,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     add_config(parser)
     parser.add_argument(
-        "--joined", action="store_true", help="the logs are pieces of one recording, in their order"
+        "--joined", action="store_true", help="the logs are the pieces of one recording, in order"
     )
     parser.add_argument(
         "--out", metavar="FILE", help="write the frames that imucald would send (candump log)"

@@ -9,7 +9,7 @@ from imucald.commands.orders import add_target, give
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Options of `reset`."""
-    add_target(parser, " What was learnt and saved is set aside; it cannot be taken back.")
+    add_target(parser, " The learnt and the saved mount are discarded; this cannot be undone.")
 
 
 def run(options: argparse.Namespace) -> int:

@@ -15,10 +15,12 @@ if TYPE_CHECKING:
 
 WRONG_CONFIGURATION = 78
 """Exit status (EX_CONFIG of sysexits.h) by which systemd knows that another start is no use."""
+LOG_LEVELS = ("error", "warning", "notice", "info")
+"""As in `service.journal`, which is loaded later."""
 NO_SOCKET = (
-    "no status socket, so status, monitor and orders do not reach this daemon: XDG_RUNTIME_DIR is "
-    "not set; set it to a folder here and for those commands, or give --status-socket PATH here "
-    "and --socket PATH there"
+    "no status socket: 'imucald status', 'monitor' and orders cannot reach this daemon, since "
+    "XDG_RUNTIME_DIR is not set; set it to a folder for all of these commands, or give "
+    "--status-socket PATH here and --socket PATH there"
 )
 
 
@@ -35,12 +37,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--check",
         action="store_true",
-        help="say what would keep it from starting, then end: status 0, or 78 with the reason; "
-        "no bus is opened",
+        help="check whether it can start, without opening a bus: exit status 0, or 78 with the "
+        "reason",
     )
-    parser.add_argument(
-        "--seconds", type=positive, metavar="S", help="stop by itself after this time"
-    )
+    parser.add_argument("--seconds", type=positive, metavar="S", help="stop after this time")
     parser.add_argument(
         "--state-dir",
         type=Path,
@@ -52,7 +52,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         type=positive,
         default=10.0,
         metavar="S",
-        help="save so often (default: 10 s)",
+        help="save the calibration every S seconds (default: 10)",
     )
     parser.add_argument(
         "--status-socket",
@@ -67,6 +67,16 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "of its own",
     )
     parser.add_argument("--json", metavar="FILE", help="write the result as JSON at the end")
+    parser.add_argument(
+        "--log-level",
+        choices=LOG_LEVELS,
+        default="info",
+        help="least important lines that are logged (default: info, all lines); "
+        "'imucald events' shows all lines whatever the level",
+    )
+    parser.add_argument(
+        "-q", "--quiet", action="store_true", help="the same as --log-level warning"
+    )
 
 
 def run(options: argparse.Namespace) -> int:
@@ -84,7 +94,7 @@ def run(options: argparse.Namespace) -> int:
     from imucald.core.errors import ConfigError, ImucaldError
     from imucald.core.file_cache import keep_databases
     from imucald.runtime.summary import as_json
-    from imucald.service.journal import WARNING, Journal
+    from imucald.service.journal import PRIORITIES, WARNING, Journal
     from imucald.service.service import Service
     from imucald.service.service_options import ServiceOptions
     from imucald.service.start_count import end_count, start_count_file
@@ -95,7 +105,7 @@ def run(options: argparse.Namespace) -> int:
     check_files(described, (options.json,))  # a missing one has its own exit status below
     if options.state_dir is not None and options.state_dir.is_file():
         raise ImucaldError(f"--state-dir {options.state_dir}: is a file; name a folder")
-    journal = Journal()
+    journal = Journal(level=WARNING if options.quiet else PRIORITIES[options.log_level])
     keep_databases(os.environ)
     if options.check:
         return _checked(options, journal)

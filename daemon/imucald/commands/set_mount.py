@@ -16,16 +16,19 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         parser,
         " Angles are those of the sensor in the vehicle, as 'imucald status' shows them. The mount "
         "counts as restored until the drive confirms it. "
-        "Example: imucald set-mount 14.1 28.5 -10.5 --std 0.5 --hold",
+        "Example: imucald set-mount 14.1 28.5 -10.5 --within 1 --hold",
     )
     for name in ANGLES:
         parser.add_argument(name, type=float, metavar=name.upper(), help=f"{name} [deg]")
-    parser.add_argument(
-        "--std",
-        required=True,
+    deviation = parser.add_mutually_exclusive_group(required=True)
+    deviation.add_argument(
+        "--within",
         metavar="DEG",
-        help="standard deviation, half of the ± that is shown: one number, or three with commas "
-        "about the vehicle's x,y,z axis",
+        help="how far off it may be (95 %%), the ± that 'imucald status' shows: one number, or "
+        "three with commas about the vehicle's forward, left and up axis",
+    )
+    deviation.add_argument(
+        "--std", metavar="DEG", help="the same as standard deviation, half of --within"
     )
     parser.add_argument("--hold", action="store_true", help="keep it: learn nothing")
 
@@ -36,14 +39,18 @@ def run(options: argparse.Namespace) -> int:
     from imucald.core.errors import ImucaldError
     from imucald.core.locations import Document
     from imucald.core.typed import typed
+    from imucald.mount.mount_words import SD_95
 
+    name, text = ("--std", options.std) if options.within is None else ("--within", options.within)
     try:
-        given = [float(part) for part in options.std.split(",")]
+        given = [float(part) for part in text.split(",")]
     except ValueError:
         given = []
-    if len(given) not in (1, 3) or not all(0.0 < std < math.inf for std in given):
-        text = "one number above 0, or three about x,y,z such as 0.3,0.3,0.5"
-        raise ImucaldError(f"--std takes {text} (here: {options.std})")
+    if len(given) not in (1, 3) or not all(0.0 < x < math.inf for x in given):
+        form = "one number above 0, or three about x,y,z such as 0.3,0.3,0.5"
+        raise ImucaldError(f"{name} takes {form} (here: {text})")
+    if options.within is not None:
+        given = [x / SD_95 for x in given]
     mount = {f"{name}_deg": getattr(options, name) for name in ANGLES}
     mount |= {"std_deg": given[0] if len(given) == 1 else given, "hold": options.hold}
     # the daemon's own words are terser

@@ -30,7 +30,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--out",
         type=Path,
         metavar="FILE.log",
-        help="the log, - for standard output; its truth is written beside it, to FILE.truth.json",
+        help="the log, - for standard output; the true values are written to FILE.truth.json",
     )
     parser.add_argument("--minutes", type=float, default=10.0, help="length (default: 10)")
     parser.add_argument("--seed", type=int, default=1, help="the same seed gives the same drive")

@@ -12,6 +12,7 @@ from rich.text import Text
 
 from imucald.commands.mount_view import mount_parts
 from imucald.core.clock_words import clock
+from imucald.core.counts import counted
 from imucald.mount.hysteresis import BAD
 from imucald.mount.mount_words import (
     EVIDENCE_KINDS,
@@ -42,13 +43,14 @@ FLOW_STYLES = {
 }
 SILENT = frozenset({FlowKind.NONE, FlowKind.STARTING})
 EVIDENCE = {
-    "launches_and_brakings": "launches and brakings",
-    "manoeuvres": "manoeuvres",
-    "left_turns": "left turns",
-    "right_turns": "right turns",
-    "stops": "stops",
-    "off_vertical": "times begun again, as gravity was far off the vertical",
+    "launches_and_brakings": ("launch or braking", "launches and brakings"),
+    "manoeuvres": ("manoeuvre", ""),
+    "left_turns": ("left turn", ""),
+    "right_turns": ("right turn", ""),
+    "stops": ("stop", ""),
+    "off_vertical": ("restart", "restarts"),
 }
+"""Kinds of evidence, one and several."""
 
 SHARE_SHOWN = 0.05
 _SILENT = frozenset({"accelerometer_missing", "gyroscope_missing"})
@@ -118,7 +120,7 @@ def _rows(status: Mapping[str, Any]) -> dict[str, str | Text]:
     link, frames, process = status["link"], status["frames"], status["process"]
     rates = [f"{c} {row['rate_hz']:.4g}/s" for c, row in status["signals"].items()]
     wrong = [*present_alarms(status).values(), *_troubles(status)]
-    well = "starting: the first samples may be on their way" if is_starting(status) else ""
+    well = "starting: no samples yet" if is_starting(status) else ""
     rejected = [f"{reason} {n}" for reason, n in frames["rejected"].items()]
     rss = "?" if process["rss_bytes"] is None else f"{process['rss_bytes'] / 2**20:.0f} MiB"
     share = 100.0 * process["cpu_s"] / max(status["uptime_s"], 1.0)
@@ -132,8 +134,8 @@ def _rows(status: Mapping[str, Any]) -> dict[str, str | Text]:
         "sensors": _sensors(status),
         "losses": f"{link['lost']} lost, {link.get('late', 0)} late, "
         f"{sum(link['send_errors'].values())} not sent, "
-        f"{link['conflicts']} in conflict, {link['went_down']} times down, "
-        f"{link['reopened']} times reopened" + _not_understood(link),
+        f"{link['conflicts']} in conflict, down {counted(link['went_down'], 'time')}, "
+        f"reopened {counted(link['reopened'], 'time')}" + _not_understood(link),
         "rejected": ", ".join(rejected) or "none",
         "saved": _saved(status["saved_state"]),
         "process": f"pid {process['pid']}, {rss}, {share:.1f} % of a core since the start",
@@ -169,17 +171,17 @@ def _sensors(status: Mapping[str, Any]) -> Text:
         for fault, axes in faults.items()
     ]
     count = len(health["events"])
-    before = f"; {count} faults so far" if count else ""
+    before = f"; {counted(count, 'fault')} so far" if count else ""
     return Text((", ".join(faulty) or "all sound") + before, style="bold red" if faulty else "")
 
 
 def _evidence(details: Mapping[str, Any]) -> str:
-    parts = [f"{details[key]} {text}" for key, text in EVIDENCE.items() if key in details]
+    parts = [counted(details[key], *nouns) for key, nouns in EVIDENCE.items() if key in details]
     if "restored" in details:
         restored = details["restored"]
         whose = "stated mount" if restored.get("given") else "mount of an earlier drive"
         turned = restored.get("turned_deg")
-        off = "" if turned is None else f", {turned:.0f} deg off what this drive shows"
+        off = "" if turned is None else f", {turned:.0f} deg from what this drive shows"
         parts.append(f"{whose}: {restored['phase'].replace('_', ' ')}{off}")
     if details.get("not_checked"):
         parts.append(f"not checked: {'; '.join(details['not_checked'])}")

@@ -10,6 +10,7 @@ from contextlib import contextmanager
 from typing import IO, TYPE_CHECKING, Any, TextIO, cast
 
 from imucald.core.clock_words import clock
+from imucald.core.counts import counted
 from imucald.core.outside_text import made_safe, stream_behind
 
 if TYPE_CHECKING:
@@ -147,7 +148,8 @@ def print_summary(result: Mapping[str, Any]) -> None:
         f"{name} {row['rate_hz'] or 0:.4g}/s" for name, row in result["signals"].items()
     )
     console.print(
-        f"{frames['read']} frames read, {frames['used']} used, {result['duration_s']:.1f} s"
+        f"{counted(frames['read'], 'frame')} read, {frames['used']} used, "
+        f"{result['duration_s']:.1f} s"
     )
     console.print(f"signals: {signals or 'none'}")
     if frames["rejected"]:
@@ -207,7 +209,7 @@ def _beside(result: Mapping[str, Any]) -> Iterator[str]:
     travel = result.get("travel_direction")
     if travel is not None:
         heading = _number(travel["heading_deg"], ".0f", " deg")
-        yield f"travel direction: {travel['steps']} steps, the last towards {heading}"
+        yield f"travel direction: {counted(travel['steps'], 'step')}, the last towards {heading}"
 
 
 def _since(result: Mapping[str, Any]) -> str:

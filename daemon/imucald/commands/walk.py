@@ -8,6 +8,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from imucald.commands.options import add_config, configuration, print_problems
+from imucald.core.counts import counted
 
 SHOWN = 20
 """Lines of the table: steps are left out until it fits a page."""
@@ -68,7 +69,8 @@ def _table(result: Mapping[str, Any]) -> None:
             cells[0] = f"{cells[0]} or opposite"
         cells.insert(1, plus_minus(step["deviation_deg"], 0, unit=""))
         table.add_row(f"{step['t_s']:.1f}", *cells, str(step.get("chosen", "-")))
-    print(f"{result['steps']} steps; heading [deg from north] by the {result['method']} method")
+    steps = counted(result["steps"], "step")
+    print(f"{steps}; heading [deg from north] by the {result['method']} method")
     if every > 1:
         print(f"the table has every {every}th step; --json has all")
     console = plain_console()

@@ -108,7 +108,7 @@ def speed_findings(response: Response, unit_advice: Mapping[str, str]) -> Iterat
     """
     gain, delay = float(np.linalg.norm(response.along)), response.delay
     if gain <= 1.0 / ODD_GAIN < gain / response.explained:
-        text = "too noisy, or too unevenly late: the accelerometer does not show its size"
+        text = "too noisy or too irregular in time: the accelerometer does not show its size"
         yield Finding("note", "speed", text)
     elif is_beyond(gain, ODD_GAIN):
         guess = gain_guess(1.0 / gain, unit_advice.get("speed"))
@@ -120,12 +120,12 @@ def speed_findings(response: Response, unit_advice: Mapping[str, str]) -> Iterat
     if delay * TICK_S > MAX_SPEED_DELAY:
         text = (
             f"is about {delay * TICK_S:.1f} s behind the accelerometer; up to {MAX_SPEED_DELAY} s "
-            "are allowed for: the calibration learns little from changes of speed"
+            "can be corrected: the calibration learns little from changes of speed"
         )
         yield Finding("warning", "speed", text)
     elif abs(delay) >= MIN_REPORTED_DELAY:
         word = "behind" if delay > 0 else "ahead of"
-        text = f"is about {abs(delay) / 10:.1f} s {word} the accelerometer (this is allowed for)"
+        text = f"is about {abs(delay) / 10:.1f} s {word} the accelerometer (this is corrected)"
         yield Finding("note", "speed", text)
 
 

@@ -34,7 +34,7 @@ SELDOM_SPEED = 1.5
 on simulated drives at 0.5 Hz a mount took twice as long."""
 
 _NO_SPEED = "missing: yaw takes longer and is less certain; "
-_NO_GYRO = "pitch and roll get nothing from turns, and no corrected angular rate is sent"
+_NO_GYRO = "turns say nothing of pitch and roll, and no corrected angular rate is sent"
 _NO_TURNS = "so are yaw rate and steering angle"
 _STEADY = "only steady angles show straight motion"
 _NEVER = (

@@ -105,7 +105,7 @@ def health_findings(events: Iterable[FaultEvent]) -> Iterator[Finding]:
         then = (
             "its corrected frames would not be available then"
             if axes
-            else "it would be left out then"
+            else "it would not be used then"
         )
         text = f"{what} ({fault}, from {times[0]:.1f} s on{often}); {then}"
         yield Finding("warning", configured_name(channel), text)

@@ -260,7 +260,7 @@ def _not_checked(
     if not turning:
         left.append("signs and units of what shows turns (no bends, or no such signal)")
     elif len(turning) == 1:
-        left.append(f"the sign of {turning[0]} in turns (nothing beside it)")
+        left.append(f"the sign of {turning[0]} in turns (no other signal to compare it with)")
     if turning == ["gyroscope"] and stated == NOT_STATED and "heading" not in motion.grid:
         left.append(f"{NOT_CHECKED}; the mount stays usable and is never fine")
     if motion.speed is None:

@@ -23,5 +23,5 @@ def not_judged(rows: Sequence[QuantitySource], found: Iterable[Finding]) -> Iter
             word = (" (never on)", " (always on)")[values.least > 0.5] if is_flag and same else ""
             left.setdefault(name, name + word)
     if left:
-        text = f"of these only unit and range were checked: {', '.join(left.values())}"
+        text = f"checked for unit and range only: {', '.join(left.values())}"
         yield Finding("note", "check", text)

@@ -72,7 +72,7 @@ def _one(key: str, unit: str, tolerance: float, source: str, low: float, high: f
 
 
 _IMU = ("accel", "gyro")
-_TURN = "the axis of turning of a measured van lies 3 to 4 deg beside what an INS says"
+_TURN = "the axis of turning of a measured van lies 3 to 4 deg from what an INS says"
 _TAPE = "a tape measure against an unknown centre of gravity"
 _DELAY = "one cycle of 50 Hz and a task's: 30 ms"
 _TYRE = "wear of 8 mm on a radius of 310 mm is 2.5 %, load and pressure 0.5 %; calibrated: 1 %"
@@ -100,7 +100,7 @@ _ROWS: tuple[Parameter, ...] = (
     *_axes("gyro.bias_temperature", "rad/s/K", 0.01 * DEG, f"0.01 (deg/s)/K, {MEMS}", 0.3 * DEG,
            (*_IMU, "temperature")),
     *_axes("mount.turn", "rad", 4.5 * DEG, _TURN, 20.0 * DEG, _IMU, "xy"),
-    *_axes("mount.turn", "rad", 0.5 * DEG, "an INS beside one measured drive: 0.3 deg", 20.0 * DEG,
+    *_axes("mount.turn", "rad", 0.5 * DEG, "an INS and one measured drive: 0.3 deg", 20.0 * DEG,
            _IMU, "z"),
     # Two places in a car are no further apart than it is long.
     _one("mount.lever_arm_m.0", "m", 0.3, _TAPE, -4.5, 4.5, *_IMU),
@@ -117,7 +117,7 @@ _ROWS: tuple[Parameter, ...] = (
     _one("steering.delay_s", "s", 0.03, _DELAY, -1.0, 1.0, "steering"),
     _one("lateral_accel.delay_s", "s", 0.02, _DELAY, -1.0, 1.0, "lateral_accel"),
     _one("longitudinal_accel.delay_s", "s", 0.02, _DELAY, -1.0, 1.0, "longitudinal_accel"),
-    _one("wheel_speeds.scale", "1", 0.005, "tyres of one car beside each other", -0.12, 0.12,
+    _one("wheel_speeds.scale", "1", 0.005, "tyres of one car compared with each other", -0.12, 0.12,
          "wheel_speeds"),
     _one("steering.offset", "rad", 1.0 * DEG, "alignment 0.5 deg; a crown of 2 % (AASHTO) pulls"
          " 0.5 deg, by 0.003 rad/(m/s^2) of understeer and a ratio of 16", -30 * DEG, 30 * DEG,
@@ -146,7 +146,7 @@ _ROWS: tuple[Parameter, ...] = (
     _one("_road.superelevation", "rad/(m/s^2)", 0.03,
          "a curve's superelevation carries up to 0.3 of the sideways force", -0.02, 0.06, *_IMU),
     _one("_steering.variable_ratio", "1/rad^2", 0.4, "racks of variable ratio: a tenth at half a"
-         " radian of the road wheels; slip angles beside tangents: 1/3", -2.0, 2.0, "steering"),
+         " radian of the road wheels; slip angles for tangents: 1/3", -2.0, 2.0, "steering"),
     _one("_tyre.rear_slip", "s^2/m", 0.003, "m l_f/(L C_r), 0.002 to 0.006 for cars", -0.01,
          0.01, "gyro"),
     _one("_speed.driven_slip", "s^2/m", 0.004, "driven wheels' slip stiffness 20 to 30", -0.02,
@@ -216,10 +216,11 @@ CAUSES: tuple[Cause, ...] = (
     Cause("gyro_bias_temperature", (_keys("gyro.bias_temperature"),),
           "The gyroscope's zero moves with its temperature.", "stops after a cold start"),
     Cause("mount_rotation", (("mount.turn.z",), ("mount.turn.x",), ("mount.turn.y",)),
-          "The sensor sits turned against what the model file says.",
+          "The sensor is turned compared with the model file.",
           "straight braking and slow tight turns"),
     Cause("lever_arm", (_keys("mount.lever_arm_m", "012"),),
-          "The sensor sits elsewhere in the vehicle.", "tight turns with changing yaw rate"),
+          "The sensor's place in the vehicle differs from the model file's.",
+          "tight turns with changing yaw rate"),
     Cause("wheel_speed_scale", (("speed.scale",),),
           "The speed's gain is off (tyre radius).", "a measured kilometre, or GNSS speed",
           with_it=(("wheel_speeds.scale", -1.0),)),
@@ -227,24 +228,26 @@ CAUSES: tuple[Cause, ...] = (
           *_each("steering", ("delay_s",)), *_each("lateral_accel", ("delay_s",)),
           *_each("longitudinal_accel", ("delay_s",)), *_each("accel", ("delay_s",)),
           *_each("gyro", ("delay_s",))),
-          "A signal is older or younger than the model file says.", "quick lane changes",
+          "A signal's delay differs from the model file's.", "quick lane changes",
           together=("accel.delay_s", "gyro.delay_s")),
     Cause("delay_rate", (("speed.delay_rate", "speed.delay_s"),),
-          "The clocks of two streams run apart.", "a longer drive", lead=1),
+          "Two clocks run at different rates.", "a longer drive", lead=1),
     Cause("steering_offset", (("steering.offset",),), "The steering angle's zero is off.",
           "straight driving on a flat road both ways"),
-    Cause("steering_ratio", (("chassis.steering_ratio",),), "The steering ratio is another.",
-          "tight turns at walking pace"),
+    Cause("steering_ratio", (("chassis.steering_ratio",),),
+          "The steering ratio differs from the model file's.", "tight turns at walking pace"),
     Cause("understeer", (("chassis.understeer_gradient",),),
-          "The vehicle understeers otherwise.", "steady circles of one radius, faster and faster"),
+          "Understeer differs from the model file's.",
+          "steady circles of one radius, faster and faster"),
     Cause("yaw_rate_offset", (("yaw_rate.offset",),), "The vehicle's yaw rate has a zero error.",
           "stops"),
     Cause("yaw_rate_scale", (("yaw_rate.scale",),), "The vehicle's yaw rate has a gain error.",
           "steady circles"),
     Cause("squat_dive", (("suspension.squat_gradient", "suspension.dive_gradient"),),
-          "The body pitches otherwise.", "braking and launching on a flat road"),
-    Cause("body_roll", (("suspension.roll_gradient",),), "The body rolls otherwise.",
-          "a slalom on a flat road"),
+          "Body pitch under acceleration differs from the model file's.",
+          "braking and launching on a flat road"),
+    Cause("body_roll", (("suspension.roll_gradient",),),
+          "Body roll in bends differs from the model file's.", "a slalom on a flat road"),
     Cause("wheels_against_speed", (("wheel_speeds.scale",),),
           "Wheel speeds and vehicle speed differ by a factor.", "a measured kilometre"),
     Cause("free_offset", (*_each("lateral_accel", ("offset",)),
@@ -252,7 +255,7 @@ CAUSES: tuple[Cause, ...] = (
           "A signal has an offset.", "stops facing both ways", generic=True),
     Cause("free_gain", (*_each("lateral_accel", ("scale",)),
           *_each("longitudinal_accel", ("scale",))),
-          "A signal has a gain that nobody explains.", "hard curves and braking", generic=True),
+          "A signal has an unexplained gain error.", "hard curves and braking", generic=True),
 )  # fmt: skip
 
 BY_NAME = {cause.name: cause for cause in CAUSES}

@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from imucald.core.counts import counted
 from imucald.core.errors import EstimateError
 from imucald.core.samples import Samples
 from imucald.diagnosis import outcome
@@ -353,7 +354,7 @@ def _refuse_short(table: Table, faults: Sequence[Sequence[Fault]]) -> None:
     taken = [fault.text for part in faults for fault in part if fault.spans]
     remedy = f"repair what took the others, or give longer drives. {' '.join(taken)}"
     raise EstimateError(
-        f"only {table.blocks} segments of driving hold all that is needed: "
+        f"only {counted(table.blocks, 'segment')} of driving with all that is needed: "
         f"{remedy if taken else 'give longer drives'}"
     )
 
@@ -418,7 +419,7 @@ def _notes(parts: Sequence[DriveSignals], table: Table, late: _Late) -> list[str
             "vehicle's own signals were examined; no scale and no bias is named."
         )
     if not (parts[0].has("steering") and (parts[0].has("yaw_rate") or parts[0].has("gyro"))):
-        notes.append("No steering angle beside a yaw rate: handling was not examined.")
+        notes.append("Steering angle and yaw rate are not both there: handling was not examined.")
     if not parts[0].has("temperature"):
         notes.append("No temperature: drift with it was not examined.")
     if parts[0].has("gyro") and not any(p.stops for p in parts):

@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
+from imucald.core.counts import counted
 from imucald.diagnosis.cause_keys import value
 from imucald.diagnosis.causes import BY_NAME, PARAMETERS
 from imucald.diagnosis.direct.direct import Rest
@@ -102,7 +103,7 @@ def _against(state: State, trial: Trial) -> list[str]:
     if trial.hypothesis.pattern is None and state.table is not None:
         few = state.table.blocks < 20
         if few:
-            texts.append(f"there are only {state.table.blocks} segments of driving")
+            texts.append(f"the drives have only {counted(state.table.blocks, 'segment')}")
     return texts
 
 
@@ -138,12 +139,12 @@ def cause_of_rest(rest: Rest, model: VehicleModel) -> FoundCause:
         )
         for axis, x, se in zip("xyz", rest.rate, rest.se, strict=True)
     }  # fmt: skip
-    few = ("there are only one or two stops",) if rest.stops < 3 else ()
+    few = ("the drives have only one or two stops",) if rest.stops < 3 else ()
     sigma = float(np.max(np.abs(rest.rate) / rest.se))
     return FoundCause(
         "gyro_bias", parameters, ("gyro_x", "gyro_y", "gyro_z"),
         {"held_out_nats": min(0.5 * sigma**2, 1e6), "sigma": sigma, "quantile": rest.quantile},
-        f"The gyroscope's zero is off: read at {rest.stops} stops.", "certain", few,
+        f"The gyroscope's zero is off: read at {counted(rest.stops, 'stop')}.", "certain", few,
     )  # fmt: skip
 
 
@@ -166,11 +167,11 @@ def cause_of_shift(shift: FittedShift, table: Table) -> FoundCause:
     return FoundCause(
         name, parameters, signals_of(table, KEYS),
         {"held_out_nats": shift.shown, "sigma": sigma, "quantile": shift.quantile}, text,
-        "certain", ("either side of it is another drive: nothing else was asked of this one",),
+        "certain", ("before and after it count as two drives: nothing else was examined",),
     )  # fmt: skip
 
 
-OTHERWISE = ", but something else may make it, or data that no fit saw do not show it"
+OTHERWISE = "; not certain: other causes fit as well, or data not fitted do not show it"
 """Why a cause that is large enough is not named."""
 
 
@@ -197,7 +198,7 @@ def other_candidates(state: State) -> tuple[Candidate, ...]:
         else:
             outcome = "not decidable here"
         size = _with_unit(f"{_n(x)} +- {_n(SD_95 * se)}", key)
-        text = f"{key} off by {size}; named from {_n(tau + q * se)} on"
+        text = f"{key} off by {size}; threshold {_n(tau + q * se)}"
         if outcome == "not ruled out" and abs(x) > tau + q * se:
             text += OTHERWISE
         made.append(Candidate(name, outcome, t.shown, text, _freed(state, name)))

@@ -32,7 +32,8 @@ REVERSED = (
     " sensor would if the axis that points up read plus 1 g at rest; if it does, remove the signs"
 )
 PERHAPS_REVERSED = (
-    "{heading} turns counter-clockwise beside it: if that is a compass course, this sensor shows"
+    "compared with it {heading} turns counter-clockwise: if that is a compass course, this sensor "
+    "shows"
     " minus the specific force, and all three axes get 'sign: -1'"
 )
 ONLY_AS_TURNED = (
@@ -40,7 +41,8 @@ ONLY_AS_TURNED = (
     " it is, this sensor shows minus the specific force, and all three axes get 'sign: -1'"
 )
 TURNED_TO_FIT = (
-    "it is turned to fit the accelerometer, and {heading} turns counter-clockwise beside both: an"
+    "it is turned to fit the accelerometer, and {heading} turns counter-clockwise compared with "
+    "both: an"
     " axis of the accelerometer may have the wrong sign instead"
 )
 

@@ -97,7 +97,7 @@ def _counter(one: MessageTraffic, data: Columns) -> tuple[dict[str, Any], str] |
                 settings: dict[str, Any] = {"signal": name}
                 if modulus != full:
                     settings["modulus"] = modulus
-                text = f"goes on by one in {_percent(share)} of {len(values)} frames"
+                text = f"counts up by one in {_percent(share)} of {len(values)} frames"
                 if best is None or share > best[0]:
                     best = share, settings, text
     return None if best is None else best[1:]

@@ -90,8 +90,8 @@ ANALYSIS: Final[dict[str, tuple[Column, ...]]] = {
     "analysis/groups": (
         *texts(column="column of drives", name="the batch"),
         Column("vehicles", "integer", "", "of the batch"),
-        Column("types", "integer", "", "in which it is beside other batches"),
-        *_xyz("deg", "beside other vehicles of its types", "d_{}_deg"),
+        Column("types", "integer", "", "that have other batches too"),
+        *_xyz("deg", "compared with other vehicles of its types", "d_{}_deg"),
         *_xyz("deg", "half of its 95 % interval; the crown cancels", "ci95_{}_deg"),
         *_TEST,
         *texts(verdict="bad, ok, or too few"),

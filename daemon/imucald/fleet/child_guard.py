@@ -164,7 +164,7 @@ def _evaluated(task: Task) -> Outcome:
     except MemoryError:
         gc.collect()
         mebibytes = task.limits.memory_bytes / 2**20
-        return Outcome("memory", f"wanted more than {mebibytes:g} MiB beside the program")
+        return Outcome("memory", f"wanted more than {mebibytes:g} MiB on top of the program itself")
     except Exception as error:
         text = f"{type(error).__name__}: {error}"
         return Outcome("bug", text, traceback=traceback.format_exc(limit=-12))

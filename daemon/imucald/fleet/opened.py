@@ -8,6 +8,7 @@ from typing import Any
 
 import pyarrow as pa
 
+from imucald.core.counts import counted
 from imucald.core.errors import ImucaldError
 from imucald.fleet.analysis.analyse import GROUPS
 from imucald.fleet.analysis_columns import ANALYSIS
@@ -42,7 +43,8 @@ class FleetTables:
         return cls(store)
 
     def __repr__(self) -> str:
-        return f"Fleet at {self._store.url}: {len(self.drives)} drives, {len(self.failures)} failed"
+        drives = counted(len(self.drives), "drive")
+        return f"Fleet at {self._store.url}: {drives}, {len(self.failures)} failed"
 
     def table(self, name: str) -> pa.Table:
         """A table by its name, such as "sources" or "analysis/groups" (see docs/fleet.md).

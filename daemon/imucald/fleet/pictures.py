@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from imucald.mount.mount_words import VEHICLE_AXES
 from imucald.report.plots import AFTER, BEFORE, FLOOR
 from imucald.report.svg_figures import drawn
 
@@ -15,7 +16,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 Row = Mapping[str, Any]
-AXES = {"x": "x (roll)", "y": "y (pitch)", "z": "z (yaw)"}
+AXES = dict(zip("xyz", VEHICLE_AXES, strict=True))
 COLOURS = {"x": BEFORE, "y": "#009E73", "z": AFTER}
 """Told apart with any colour blindness (Okabe and Ito)."""
 MAX_LINES = 20
@@ -59,7 +60,7 @@ def groups_picture(groups: Sequence[Row]) -> str:
     labels = [
         f"{g['name']} ({g['vehicles']})" + (" *" if g["verdict"] == "bad" else "") for g in judged
     ]
-    return _intervals(judged, labels, "d_{}_deg", "ci95_{}_deg", "beside its types [deg]")
+    return _intervals(judged, labels, "d_{}_deg", "ci95_{}_deg", "difference from its types [deg]")
 
 
 def types_picture(types: Sequence[Row]) -> str:

@@ -10,6 +10,7 @@ from __future__ import annotations
 from msgspec import Struct
 
 from imucald.config.base import MAX_SPEED_DELAY
+from imucald.core.counts import counted
 from imucald.mount.alternatives import NOT_CONFIRMED
 from imucald.mount.mount_changes import MountChanges
 from imucald.mount.signal_checks import SignalChecks
@@ -17,23 +18,23 @@ from imucald.mount.solver import MountSolver
 from imucald.mount.zero_step import GravityMoved
 
 NO_SIDES = (
-    "a signal that separates left from right (yaw rate, steering angle, lateral acceleration, "
-    "heading), or 'calibration: {orientation: {up: z}}' with the axis that points up: without, an "
-    "accelerometer with all signs turned looks the same"
+    "a yaw rate, steering angle, lateral acceleration or heading, or 'calibration: {orientation: "
+    "{up: z}}' with the axis that points up: without one of them an upside-down sensor looks like "
+    "one with inverted signs"
 )
 """What keeps an estimate that is certain enough from being *fine* where no signal has sides."""
 TURNED_SIDES = (
     "'calibration: {orientation: {up: z}}' with the axis that points up: the yaw rate, steering "
-    "angle or lateral acceleration has 'sign: -1', and would need it too where the accelerometer "
-    "has all signs turned"
+    "angle or lateral acceleration has 'sign: -1', so it cannot show that the accelerometer's "
+    "signs are right"
 )
 """The same where such a signal is there, and turned."""
 WHY_GRAVITY_MOVED = (
-    "more bends: gravity points elsewhere than before, and the axis of turning will say whether "
-    "the sensor was turned or a zero of its accelerometer stepped"
+    "more bends: gravity has moved in the sensor, and bends show whether the sensor was turned or "
+    "its accelerometer's zero has changed"
 )
 LATE_SPEED = (
-    f"a speed that comes sooner: it seems later than {MAX_SPEED_DELAY:g} s behind the accelerometer"
+    f"a speed with less delay: it seems more than {MAX_SPEED_DELAY:g} s behind the accelerometer"
 )
 
 
@@ -69,13 +70,13 @@ class Acceptance(Struct, frozen=True):
     def missing_to_be_fine(self) -> str:
         """What an estimate whose deviations are small enough lacks to be *fine*, in words."""
         if self.changes.is_loose:
-            times = len(self.changes.history)
-            return f"a mount that stays: it moved {times} times in this drive"
+            times = counted(len(self.changes.history), "time")
+            return f"a sensor that stays in its place: it moved {times} in this drive"
         if self.has_no_sides:
             return TURNED_SIDES if NOT_CONFIRMED in self.checks.not_checked else NO_SIDES
         if not self.is_armed:
-            return "more driving, until a moved sensor would be noticed"
-        return "more turns and changes of speed, until the signals are seen to agree"
+            return "more driving, until a small move of the sensor would be noticed"
+        return "more turns and changes of speed, to check that the signals agree"
 
     @property
     def is_armed(self) -> bool:

@@ -54,12 +54,13 @@ HEADING_FLOOR = 0.05
 TURNS_IN_A_BLOCK = 1.0
 """Independent values of a heading in a block: it holds one turn at most."""
 NOT_CHECKED = (
-    "all signs of the accelerometer at once: it needs a yaw rate, the steering angle, a lateral "
-    "acceleration, a heading, or 'calibration: {orientation: {up: ...}}'"
+    "whether all signs of the accelerometer are inverted: this needs a yaw rate, steering angle, "
+    "lateral acceleration or heading, or 'calibration: {orientation: {up: ...}}'"
 )
 NOT_CONFIRMED = (
-    "all signs of the accelerometer at once: a 'sign: -1' of what knows left from right does not "
-    "confirm them; say 'calibration: {orientation: {up: ...}}' with the axis that reads plus 1 g"
+    "whether all signs of the accelerometer are inverted: a yaw rate, steering angle or lateral "
+    "acceleration with 'sign: -1' cannot show it; state the axis that reads +1 g at rest: "
+    "'calibration: {orientation: {up: ...}}'"
 )
 
 NO_TURNS = "a gyroscope, a yaw rate or a steering angle: no other signal shows turns"
@@ -221,13 +222,15 @@ class Alternatives:
         if self._taken > YOUNG and not (self._turns.blocks or self._gyro.blocks):
             return NO_TURNS
         if not all(pair.is_seen(least) for pair in pairs) or any(p.is_opposite for p in beside):
-            return "bends, until signs of sensor and vehicle are seen to agree"
+            return "some bends, to check that no sign is wrong"
         if self._gyro.blocks and not self._gyro.is_seen(least):
-            return "slopes, until the gyroscope's axes are seen to fit the accelerometer's"
+            return "some slopes, to check the gyroscope's axes against the accelerometer's"
         if not self._knows_forward:
             if "reverse" in self._signals:
-                return "100 m and two thirds of the way, or 40 km/h, with 'reverse' off"
-            return "more than 40 km/h: slower, forwards and backwards look the same"
+                return (
+                    "driving with 'reverse' off: 100 m and two thirds of the way, or above 40 km/h"
+                )
+            return "a speed above 40 km/h: below it, forwards and backwards look the same"
         return None
 
     @property

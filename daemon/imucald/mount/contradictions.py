@@ -86,29 +86,29 @@ class StandingFault(enum.StrEnum):
 
 
 WORDS = {
-    StandingFault.TURN_YAW_RATE: "the gyroscope does not turn as the vehicle's yaw rate: a sign, "
-    "exchanged axes of gyroscope or accelerometer, or the yaw rate's sign",
-    StandingFault.TURN_STEERING: "the vehicle does not turn as it is steered: the sign of the "
-    "steering angle, reverse without a signal, or signs of the sensor",
-    StandingFault.FORCE_TURNS: "the force in turns is not where turning says: a sign or exchanged "
-    "axes of accelerometer or gyroscope, or a mount that moves",
-    StandingFault.FORCE_SPEED: "the force does not follow the change of speed",
+    StandingFault.TURN_YAW_RATE: "the gyroscope contradicts the vehicle's yaw rate: one of "
+    "them has a wrong sign, or axes of the gyroscope or accelerometer are exchanged",
+    StandingFault.TURN_STEERING: "the vehicle does not turn the way it is steered: the "
+    "steering angle or the sensor has a wrong sign, or it reverses without a reverse signal",
+    StandingFault.FORCE_TURNS: "the lateral force does not match speed times turn rate: the "
+    "accelerometer or gyroscope has a wrong sign or exchanged axes, or the sensor moves",
+    StandingFault.FORCE_SPEED: "the forward force does not follow the change of speed",
     StandingFault.GYRO_GAIN: "the gyroscope's unit is wrong",
     StandingFault.SPEED_GAIN: "the speed's unit is wrong",
-    StandingFault.GYRO_AXES: "the gyroscope's axes do not fit the accelerometer's: a sign, or two "
-    "axes exchanged, of one of them, or a sensor that sways in its holder",
-    StandingFault.ORIENTATION: "the axis that 'orientation: {up: ...}' names points down: all "
-    "signs of the accelerometer ('sign: -1'), or that line",
-    StandingFault.FORWARD: "the axis that 'orientation: {forward: ...}' names points back: that "
-    "line is wrong, or the reverse signal",
-    StandingFault.ACCEL_LEVEL: "the accelerometer's zero or gain has changed in mid-drive: gravity "
-    "is larger or smaller than before",
-    StandingFault.ACCEL_ZERO: "the accelerometer's zero has changed in mid-drive: gravity points "
-    "elsewhere than before, and the gyroscope's axis of turning does not",
-    StandingFault.ACCEL_DRIFT: "the accelerometer's zero drifts: its error stays with the sensor "
-    "in bends, and grows",
-    StandingFault.REVERSE: "the vehicle is in reverse at more than 40 km/h: what 'reverse' "
-    "says ('equals:', 'above:'), or the sign of the speed, is wrong",
+    StandingFault.GYRO_AXES: "the gyroscope's axes do not fit the accelerometer's: one of them "
+    "has a wrong sign or two exchanged axes, or the sensor sways in its holder",
+    StandingFault.ORIENTATION: "the axis that 'orientation: {up: ...}' names points down: that "
+    "line is wrong, or all signs of the accelerometer are ('sign: -1')",
+    StandingFault.FORWARD: "the axis that 'orientation: {forward: ...}' names points backward: "
+    "that line is wrong, or the reverse signal is",
+    StandingFault.ACCEL_LEVEL: "the accelerometer's zero or gain has changed during the drive: "
+    "gravity is larger or smaller than before",
+    StandingFault.ACCEL_ZERO: "the accelerometer's zero has changed during the drive: gravity "
+    "has moved in the sensor, and the gyroscope's axis of turning has not",
+    StandingFault.ACCEL_DRIFT: "the accelerometer's zero drifts: its error stays the same in "
+    "bends, and grows",
+    StandingFault.REVERSE: "the vehicle is in reverse at more than 40 km/h: 'reverse' "
+    "('equals:', 'above:') is wrong, or the sign of the speed is",
     StandingFault.NUMERICS: "numbers out of range: a unit is wrong",
 }
 

@@ -14,10 +14,13 @@ from imucald.mount.estimate import ANGLES, MountEstimate
 SD_95 = 2.0
 """Half of a 95 % interval in standard deviations, everywhere that people read "±"."""
 CONVENTION = "± is 95 % (two standard deviations)"
-ABOUT = f"{CONVENTION}; targets are for what is left in corrected samples, as turns about an axis"
+ABOUT = (
+    f"{CONVENTION}; states are judged by what is left in corrected samples, as turns about an axis"
+)
 """Stands once on each screen that shows a mount."""
-TURNS_ABOUT = ("x (roll)", "y (pitch)", "z (yaw)")
-"""Turns about the vehicle's axes, which states are judged by, and what they are called there."""
+VEHICLE_AXES = ("forward axis", "left axis", "up axis")
+"""What the axes are called about which turns are stated. Roll, pitch and yaw name the angles only:
+at a yaw of 90 deg the roll angle is the turn about the left axis."""
 MOST_OF_A_TURN = math.cos(math.radians(30.0))
 """A turn whose axis lies within 30 deg of a vehicle's axis is one about that axis in words."""
 EVIDENCE_KINDS = {
@@ -29,11 +32,13 @@ EVIDENCE_KINDS = {
 }
 """What the last part of an evidence's name means."""
 LEAST_LEFT_OUT_S = 1.0
+LEAST_SHOWN_DEG = 0.1
+"""A smaller turn is not shown as a number: it would be rounded to zero."""
 UPSIDE_DOWN = (
-    "upside down and backwards: if the sensor sits so, say 'calibration: {orientation: {up: AXIS}}'"
-    "; if not, its accelerometer shows minus the specific force: give its axes 'sign: -1'"
+    "upside down and backwards: if the sensor sits so, state it: 'calibration: {orientation: {up: "
+    "AXIS}}'; if not, its accelerometer has inverted signs: give its axes 'sign: -1'"
 )
-STATED_WRONG = "the mount that is stated is not how the sensor sits in this drive"
+STATED_WRONG = "the stated mount is not how the sensor sits in this drive"
 SAVED_WRONG = "the mount of an earlier drive is not how the sensor sits in this drive"
 """What is reported of a mount that the drive contradicts."""
 UNKNOWN_STD_DEG = math.degrees(1.0)
@@ -110,7 +115,7 @@ def how_it_sits(estimate: MountEstimate) -> str | None:
 
 
 def steep_note(estimate: MountEstimate) -> str | None:
-    """What must stand beside the angles of a steep mount; None where it is not steep."""
+    """Return the note that the angles of a steep mount need; None where it is not steep."""
     angles, quaternion = estimate.angles, estimate.quaternion
     if angles is None or quaternion is None:
         return None
@@ -118,7 +123,7 @@ def steep_note(estimate: MountEstimate) -> str | None:
 
 
 def mirror_note(estimate: MountEstimate) -> str | None:
-    """What must stand beside a mount upside down and backwards that nothing has confirmed.
+    """Return the note that an unconfirmed mount upside down and backwards needs.
 
     An accelerometer that shows minus the specific force on a sensor that sits the right way round
     gives just that mount. None where the mount is another, or where signals have confirmed it.
@@ -161,8 +166,8 @@ def contradicted_words(turned_deg: float | None, is_given: bool = True) -> str:
     """
     text = STATED_WRONG if is_given else SAVED_WRONG
     if turned_deg is None:
-        return f"{text}: with it gravity is further off the vertical than on any road"
-    return f"{text}: it is found turned by {turned_deg:.0f} deg against that"
+        return f"{text}: with it, gravity is farther off the vertical than on any road"
+    return f"{text}: it is off by {turned_deg:.0f} deg"
 
 
 def doubt_words(waiting_for: Mapping[str, str]) -> str:
@@ -202,15 +207,17 @@ def moved_words(shift: Mapping[str, Any]) -> str:
     if not is_move(shift):
         within = f"within ±{shift['within_deg']:.1f} deg"
         if turn is not None:
-            return f"the mount was found again where it was, {within}"
+            return f"the mount was determined again and is the same, {within}"
         change = f"the evidence of {shift['angle']} changed by {shift['size_deg']:+.1f} deg"
         return f"{change}, {within}: the interval is wider"
     if turn is None:
-        about = dict(zip(ANGLES, TURNS_ABOUT, strict=True))[shift["angle"]]
-        return f"it shows as {shift['size_deg']:+.1f} deg about {about}"
+        axis = dict(zip(ANGLES, VEHICLE_AXES, strict=True))[shift["angle"]]
+        return f"it shows as {shift['size_deg']:+.1f} deg about the {axis}"
     largest = max(range(3), key=lambda axis: abs(turn[axis]))
     angle = math.hypot(*turn)
-    text = f"{turn[largest]:+.1f} deg about {TURNS_ABOUT[largest]}"
+    if angle < LEAST_SHOWN_DEG:
+        return f"by less than {LEAST_SHOWN_DEG:g} deg"
+    text = f"{turn[largest]:+.1f} deg about the {VEHICLE_AXES[largest]}"
     if abs(turn[largest]) < MOST_OF_A_TURN * angle:
         text = f"{angle:.1f} deg ({', '.join(f'{x:+.1f}' for x in turn)} about x, y, z)"
     return f"by {text}"

@@ -136,7 +136,7 @@ class SignalChecks:
     def doubt(self) -> str | None:
         """The same where signs and places of the signals are known already."""
         is_doubtful = self._contradictions.doubtful
-        return "more bends, as signals contradict one another" if is_doubtful else None
+        return "more bends: some signals contradict each other" if is_doubtful else None
 
     @property
     def have_agreed(self) -> bool:

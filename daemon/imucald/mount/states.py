@@ -133,7 +133,7 @@ def waiting_for(known: MountKnowledge, s: EstimatorSettings) -> dict[str, tuple[
         )
         return {"roll": text, "pitch": text, "yaw": text}
     if known.frozen:
-        text = "signals that can be trusted: learning is frozen", Missing.LEARNING_FROZEN
+        text = "valid signals: learning is paused while they are faulty", Missing.LEARNING_FROZEN
         return {"roll": text, "pitch": text, "yaw": text}
     out: dict[str, tuple[str, Missing]] = {}
     if not known.gravity:
@@ -176,9 +176,8 @@ def _yaw_reason(known: MountKnowledge, s: EstimatorSettings) -> tuple[str, Missi
 def _mixed_axes(known: MountKnowledge) -> str:
     """What hides the rest of yaw once driving has not made it less."""
     return (
-        "more driving, or an accelerometer of a smaller cross-axis error: axes seem mixed by "
-        f"{100.0 * known.cross_axis:.1f} %; if its data sheet states less, set 'cross_axis' and "
-        "'accelerometer_bias'"
+        f"more driving; the accelerometer's axes seem {100.0 * known.cross_axis:.1f} % mixed: if "
+        "its data sheet states less, set 'cross_axis' and 'accelerometer_bias'"
     )
 
 
@@ -199,4 +198,4 @@ def _pitch_reason(known: MountKnowledge) -> tuple[str, Missing]:
     if known.straight < NEEDED:
         text = f"{_hard()} ({known.straight} of {NEEDED} seen)"
         return text, Missing.ACCELERATION
-    return "more driving: slope averages out", Missing.MORE_DRIVING
+    return "more driving: slopes average out", Missing.MORE_DRIVING

@@ -67,7 +67,7 @@ def mount_troubles(
         return dict.fromkeys(ANGLES, "; ".join(texts.values()))
     if state in GOOD:
         return {
-            angle: f"the mount creeps: about {abs(found['deg_per_h']):.0f} deg/h"
+            angle: f"the mount moves slowly: about {abs(found['deg_per_h']):.0f} deg/h"
             for angle, found in creeping.items()
         }
     moved = {angle: found["moved_deg"] for angle, found in creeping.items()}

@@ -11,12 +11,12 @@ from imucald.mount.mount_words import change_words, contradicted_words, is_move,
 
 STATE_WORDS: Mapping[str, str] = {
     "waiting": "nothing is known yet",
-    "levelled": "the tilt is known roughly; nothing is sent as available",
-    "usable": "corrected frames are sent as usable",
-    "fine": "every angle is as certain as its target",
-    "suspect": "new evidence contradicts the mount, or signals contradict one another",
-    "recalibrating": "the mount is found again",
-    "restored": "a saved or stated mount serves; this drive has not confirmed it",
+    "levelled": "roll and pitch are known roughly; corrected frames say 'not available'",
+    "usable": "corrected frames are marked usable",
+    "fine": "every angle is within its target",
+    "suspect": "the drive contradicts the mount, or signals contradict each other",
+    "recalibrating": "the sensor seems to have moved; the mount is being determined again",
+    "restored": "a saved or stated mount is in use; this drive has not confirmed it yet",
 }
 
 
@@ -59,7 +59,7 @@ def reported_events(result: Mapping[str, Any], gaps: Sequence[float] = ()) -> It
             text += f", for {one['until_s'] - one['since_s']:.0f} s"
         yield Event(float(one["since_s"]), "sensor", text)
     for t in gaps:
-        yield Event(t, "gap", "time jumped, or nothing came for more than 10 s")
+        yield Event(t, "gap", "the clock jumped, or no frame came for more than 10 s")
 
 
 def _fault_words(name: str) -> str:

@@ -107,7 +107,7 @@ def residual_map(motion: DriveMotion, axis: int) -> str:
         mean = np.where(count >= CELL_ROWS, total / np.maximum(count, 1), np.nan)
         top = max(float(np.nanpercentile(np.abs(mean), 95)), 0.05) if np.isfinite(mean).any() else 1
         drawn_map = axes.pcolormesh(*cells, mean.T, cmap=DIVERGING, vmin=-top, vmax=top, lw=0,
-                                   label="corrected less motion [m/s²]")  # fmt: skip
+                                   label="corrected minus motion [m/s²]")  # fmt: skip
         bar = figure.colorbar(drawn_map, ax=axes, extend="both")
         bar.outline.set_visible(False)
         axes.grid(visible=False)

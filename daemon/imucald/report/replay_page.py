@@ -15,7 +15,7 @@ from imucald.mount.estimate import ANGLES, MountEstimate
 from imucald.mount.mount_words import (
     ABOUT,
     EVIDENCE_KINDS,
-    TURNS_ABOUT,
+    VEHICLE_AXES,
     angle_cells,
     angles_line,
     half_width,
@@ -69,7 +69,8 @@ def replay_page(
             left_out=left_out_words(result["details"]),
             drawing_style=STYLE,
             views=view_drawings(_rotation(last)),
-            mount=_mount_rows(result["mount"]),
+            mount=[(angle, *angle_cells(result["mount"], angle)) for angle in ANGLES],
+            turns=_axis_rows(result["mount"]),
             quaternion=_quaternion(result["mount"]),
             sent=sent_words(result.get("correction")),
             convention=ABOUT,
@@ -125,16 +126,16 @@ def _rotation(estimate: MountEstimate | None) -> Any:
     return estimate.R_vehicle_from_sensor if known else None
 
 
-def _mount_rows(mount: Mapping[str, Any]) -> list[tuple[str, ...]]:
-    """Angle, its value and ±; turn about a vehicle axis, its ± and what that must fall below."""
+def _axis_rows(mount: Mapping[str, Any]) -> list[tuple[str, ...]]:
+    """Each axis with the turn that may be left about it (±), and its limits."""
     rows: list[tuple[str, ...]] = []
-    for angle, axis, turn in zip(ANGLES, "xyz", TURNS_ABOUT, strict=True):
+    for axis, turn in zip("xyz", VEHICLE_AXES, strict=True):
         targets = mount.get("target_std_deg")
         goals = ("-", "-") if targets is None else (
             plus_minus(targets["usable"][axis]), plus_minus(targets["fine"][axis])
         )  # fmt: skip
         of_turn = plus_minus(judged_std(mount, axis))
-        rows.append((angle, *angle_cells(mount, angle), turn, of_turn, *goals))
+        rows.append((turn, of_turn, *goals))
     return rows
 
 

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from imucald.core.angles import DEG_PER_RAD
 from imucald.core.rotations import vector_from_rotation
 from imucald.mount.estimate import MountState
-from imucald.mount.mount_words import EVIDENCE_KINDS, SD_95, TURNS_ABOUT
+from imucald.mount.mount_words import EVIDENCE_KINDS, SD_95, VEHICLE_AXES
 from imucald.report.drive_events import Event
 from imucald.report.drive_history import DriveHistory, Moment
 from imucald.report.svg_figures import drawn
@@ -137,7 +137,7 @@ def _draw_angle(
     for mark in events[:MAX_MARKS]:
         axes.axvline(mark.event.t, color=SOFT, lw=0.7, ls=(0, (1, 2)))
     axes.set_ylim(-size, size)
-    axes.set_ylabel(f"about {TURNS_ABOUT[axis]} [deg]")
+    axes.set_ylabel(f"{VEHICLE_AXES[axis]} [deg]")
     axes.yaxis.set_major_locator(MaxNLocator(5))
 
 

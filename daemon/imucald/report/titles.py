@@ -32,7 +32,7 @@ SIGNALS: Mapping[str, str] = {
     "yaw_rate": "vehicle yaw rate",
     "lateral_accel": "vehicle lateral acceleration",
     "longitudinal_accel": "vehicle longitudinal acceleration",
-    "speed": "speed beside the wheels",
+    "speed": "speed against the wheels",
 }
 PARTS: Mapping[str, str] = {
     **SIGNALS, "speed": "speed", "steering": "steering", "mount": "mount", "chassis": "chassis",

@@ -91,19 +91,19 @@ def verdict(diagnosis: Diagnosis) -> Words:
         groups = [few_of(of_group, "or") for of_group in look_alike_groups(diagnosis)]
         confused = {name for group in diagnosis.look_alikes for name in group}
         sure = [cause_title(c.name) for c in diagnosis.causes if c.name not in confused]
-        text = "Something is wrong, and these drives do not show which of them it is."
+        text = "Something is wrong; these drives do not show which of these causes it is."
         if sure:
-            text += f" Certain, and not one of these: {in_series(sure)}."
+            text += f" Certain, whichever of these it is: {in_series(sure)}."
         return Words(f"Ambiguous: {'; '.join(groups)}", text + _left(diagnosis) + tail)
     if diagnosis.verdict == "unknown":
         return _unknown(diagnosis, titles, tail)
     text = (
-        "The model fits as far as these drives show: what it predicts and what was measured differ "
-        "by no more than noise and the tolerances of a model file that is right."
+        "The model fits these drives: predicted and measured signals differ by no more than noise "
+        "and the tolerances of a correct model file."
     )
     undecided = sum(c.outcome == "not decidable here" for c in diagnosis.candidates)
     if undecided:
-        text += f" {undecided} of the causes could not be decided: longer drives may show them."
+        text += f" Not decidable here: {undecided} of the causes; longer drives may show them."
     return Words(f"Nothing found in {diagnosis.duration_s / 60.0:.3g} min of driving", text + tail)
 
 
@@ -112,9 +112,9 @@ def _unknown(diagnosis: Diagnosis, titles: Sequence[str], tail: str) -> Words:
     kinds = {s.kind for s in diagnosis.structure}
     if GOES_AGAINST in kinds:
         return Words(
-            f"Unknown: against the model's prediction: {where}",
-            "A sign in the configuration is wrong, or the mount in the model file: 'imucald "
-            "check' looks for wrong signs. No parameter was fitted to that.",
+            f"Unknown: opposite sign to the model's prediction in {where}",
+            "A sign in the configuration or the mount in the model file is wrong: 'imucald "
+            "check' looks for wrong signs. No parameter was fitted to these signals.",
         )
     text = "The measured signals differ from the model in a way that no known cause explains."
     if NOT_PLAUSIBLE in kinds:
@@ -122,7 +122,9 @@ def _unknown(diagnosis: Diagnosis, titles: Sequence[str], tail: str) -> Words:
         text = typographic(f"{first.text[:1].upper()}{first.text[1:]}.")
     if titles:
         text += f" Besides, this was found: {in_series(titles)}."
-    return Words(f"Unknown: something is left in {where}" if where else "Unknown", text + tail)
+    return Words(
+        f"Unknown: the model does not explain {where}" if where else "Unknown", text + tail
+    )
 
 
 def _advice(diagnosis: Diagnosis) -> str:
@@ -131,40 +133,40 @@ def _advice(diagnosis: Diagnosis) -> str:
         return ""
     if diagnosis.recommended and not diagnosis.gain.was_fitted:
         return (
-            " The extended model file states what was read directly from samples and stops, and "
-            "predicts the rest as before."
+            " The extended model file adds what was read directly from samples and stops; its "
+            "predictions do not change."
         )
     if diagnosis.recommended:
-        return " The extended model file predicts better, on data that its fit did not see: use it."
+        return " The extended model file predicts better on data that its fit did not see: use it."
     if {s.kind for s in diagnosis.structure} & {GOES_AGAINST, TOO_MUCH}:
         return (
-            " The extended model file is not recommended: beside what is left, no prediction is "
-            "believed."
+            " The extended model file is not recommended: the model does not explain "
+            f"{_where(diagnosis)}."
         )
     if diagnosis.gain.worse:
         names = in_series([signal_title(n) for n in diagnosis.gain.worse])
         return f" The extended model file is not recommended: it predicts {names} worse."
     if not diagnosis.gain.was_fitted:
-        return " No key of the model file changes by it."
-    return " The extended model file is not recommended: it brings nothing on data not fitted."
+        return " The model file does not change."
+    return " The extended model file is not recommended: on data not fitted it predicts no better."
 
 
 def advice_in_short(diagnosis: Diagnosis) -> tuple[str, str]:
     """The same as a figure: advice, and what it rests on."""
     if not model_changes(diagnosis.model_before, diagnosis.model_after):
-        return "unchanged", "what was found has no key of its own in the model file"
+        return "unchanged", "the model file has no key for what was found"
     if not diagnosis.recommended:
-        return "not recommended", "by what it brings alone"
+        return "not recommended", "judged by its gain on data not fitted"
     if not diagnosis.gain.was_fitted:
         return "states what was found", "read directly: no prediction changes"
-    return "use it", "by what it brings alone"
+    return "use it", "judged by its gain on data not fitted"
 
 
 def _likely(diagnosis: Diagnosis) -> str:
     if not diagnosis.likely:
         return ""
     names = in_series([cause_title(c.name) for c in diagnosis.likely])
-    return f" Likely, and not written into the file: {names}."
+    return f" Likely, but not written into the file: {names}."
 
 
 def _incomplete(diagnosis: Diagnosis) -> str:
@@ -178,7 +180,7 @@ def _where(diagnosis: Diagnosis) -> str:
 
 def _left(diagnosis: Diagnosis) -> str:
     where = _where(diagnosis)
-    return f" Something is left besides, in {where}, that no known cause explains." if where else ""
+    return f" No known cause explains what is left in {where}." if where else ""
 
 
 def evidence(cause: FoundCause) -> str:
@@ -186,11 +188,11 @@ def evidence(cause: FoundCause) -> str:
     known = cause.evidence
     parts = []
     if "sigma" in known:
-        parts.append(f"{number(known['sigma'], 2)} standard deviations from the model file")
+        parts.append(f"{number(known['sigma'], 2)} σ from the model file")
         if "quantile" in known:
             least = number(known["quantile"], 2)
-            parts.append(f"named from {least} beyond what a correct file may be off")
-    return "; ".join(parts)
+            parts.append(f"threshold {least} σ beyond the tolerance of a correct file")
+    return ", ".join(parts)
 
 
 def outcome(candidate: Candidate) -> str:
@@ -206,9 +208,9 @@ def size_shown(candidate: Candidate) -> str:
 def gain(found: Gain) -> str:
     """Return the gain on held-out data in one line."""
     if not math.isfinite(found.held_out_log_likelihood):
-        return "not known: the drives are too short to hold anything out"
+        return "not known: the drives are too short to keep any data for the test"
     if not found.was_fitted:
-        return "none is asked for: what was found was read directly, and not fitted"
+        return "does not apply: what was found was read directly and not fitted"
     low, high = found.interval
     return (
         f"{number(found.held_out_log_likelihood)} nats likelier "

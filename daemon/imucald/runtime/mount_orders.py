@@ -97,7 +97,7 @@ class MountOrders:
             state = self._estimator.state.name.lower()
             text = f"there is no mount to hold yet (state {state}): drive until it is usable"
             raise OrderError(f"{text}, or state the mount with set-mount")
-        text = "hold: the mount is held, nothing is learnt until it is released"
+        text = "hold: the mount is kept and nothing is learnt until it is released"
         return self._logged(who, text + _not_saved(self._put(kept)))
 
     def release(self, who: str) -> str:
@@ -125,7 +125,7 @@ class MountOrders:
         x, y, z = (2.0 * float(s) * DEG_PER_RAD for s in np.sqrt(np.diag(stored.covariance)))
         angles = f"roll {mount.roll_deg:+g}, pitch {mount.pitch_deg:+g}, yaw {mount.yaw_deg:+g} deg"
         within = f"±{x:.2g}, ±{y:.2g}, ±{z:.2g} deg (95 %) about the vehicle's x, y, z"
-        end = "and held" if mount.hold else "until the drive knows it as well"
+        end = "and held" if mount.hold else "until the drive confirms it"
         text = f"set-mount: {angles}, {within}, in force {end}"
         return self._logged(who, text + (_not_on_the_disk(not_yet) or _not_saved(not_saved)))
 

@@ -6,6 +6,7 @@ from msgspec.structs import asdict
 
 from imucald.can.link.link import LinkEvent, LinkState
 from imucald.config import LoadedConfig
+from imucald.core.counts import counted
 from imucald.mount.mount_words import reasons_line
 from imucald.runtime.engine import Engine
 from imucald.runtime.pipeline import Snapshot
@@ -77,14 +78,13 @@ class Announcements:
             text = ", ".join(f"{reason} {n}" for reason, n in sorted(rejected.items()))
             self._journal.seldom("rejected", f"rejected so far: {text}", WARNING)
         if late > self._late:
-            text = f"frames too late to be corrected so far: {late} (the processor was not free)"
+            text = f"frames too late to be corrected so far: {late} (the processor was busy)"
             self._journal.seldom("late", text, WARNING)
         self._late = late  # those of another link begin at zero
         group = engine.consumer_group
         for name, n in group.failures.items():
             if n > self._failures.get(name, 0):
-                text = (
-                    f"{name} failed and began again, {n} times so far: {group.last_failures[name]}"
-                )
+                times = f"failed and was restarted, {counted(n, 'time')} so far"
+                text = f"{name} {times}: {group.last_failures[name]}"
                 self._journal.seldom(f"{name} failed", text, WARNING)
         self._failures = dict(group.failures)  # those of another group begin at zero

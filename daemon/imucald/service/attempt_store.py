@@ -55,7 +55,10 @@ def _read(path: Path, say: Say) -> int:
     except FileNotFoundError:
         return 0
     except OSError as error:
-        say(f"wrong keys: {path} cannot be read: {error.strerror}; one is assumed", WARNING)
+        say(
+            f"wrong keys: {path} cannot be read: {error.strerror}; one wrong key is assumed",
+            WARNING,
+        )
         return 1
     title, body, is_right = split_checksum(data)
     with contextlib.suppress(ValueError, RecursionError, TypeError, KeyError):
@@ -65,5 +68,8 @@ def _read(path: Path, say: Say) -> int:
     aside = free_name(path, "corrupt")
     with contextlib.suppress(OSError):
         path.rename(aside)
-    say(f"wrong keys: {path} is damaged, set aside as {aside.name}; one is assumed", WARNING)
+    say(
+        f"wrong keys: {path} is damaged, set aside as {aside.name}; one wrong key is assumed",
+        WARNING,
+    )
     return 1

@@ -91,7 +91,7 @@ class StateWriter(Generic[Content]):
         error = self.last_error
         if error != self._reported:
             self._reported = error
-            text = f"{self._title} cannot be saved: {error}; going on without"
+            text = f"{self._title} cannot be saved: {error}; continuing without it"
             self._say(text if error else f"{self._title} can be saved again", WARNING)
 
     def status(self) -> dict[str, Any]:

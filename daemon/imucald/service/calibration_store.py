@@ -42,7 +42,7 @@ SHIFTS_KEPT = 32
 STOP_WAIT_S = 0.6
 """How long a stop waits for the disk [s]; it has a second in all."""
 
-BACK_AFTER_START = "tried again until it works, a restart before that brings it back"
+BACK_AFTER_START = "tried again until it works; a restart before then brings the old state back"
 """What is said of a reset that the disk does not take."""
 
 _OFFSETS = ("accel_bias", "gyro_bias", "yaw_rate_offset", "steering_offset", "speed_delay")
@@ -299,7 +299,10 @@ class CalibrationStore:
         """Save the last estimate and end; wait for the disk, but not for long."""
         self.save_now(estimator, driven_s)
         if not self.writer.close(STOP_WAIT_S) and self.store.is_forgotten:
-            self._say("the disk did not take the state in time; the one before stands", WARNING)
+            self._say(
+                "the disk did not write the state in time; the state before it is still saved",
+                WARNING,
+            )
         self._report_not_forgotten()
         self.writer.report()
 

@@ -10,7 +10,7 @@ from typing import Any
 
 from imucald.core.angles import DEG_PER_RAD
 from imucald.mount.estimate import ANGLES, MountEstimate
-from imucald.mount.mount_words import how_it_sits, plus_minus, reasons_line
+from imucald.mount.mount_words import VEHICLE_AXES, how_it_sits, plus_minus, reasons_line
 
 NOT_SAVED: dict[str, Any] = {
     "folder": None,
@@ -52,8 +52,8 @@ def _to_be_fine(estimate: MountEstimate) -> str:
     if std is None or targets is None:
         return ""
     missing = [
-        f"{axis} below {plus_minus(fine * DEG_PER_RAD)} (now {plus_minus(s * DEG_PER_RAD)})"
-        for axis, s, fine in zip("xyz", std, targets.fine, strict=True)
+        f"the {axis} below {plus_minus(fine * DEG_PER_RAD)} (now {plus_minus(s * DEG_PER_RAD)})"
+        for axis, s, fine in zip(VEHICLE_AXES, std, targets.fine, strict=True)
         if not s < fine
     ]
     return f"to be fine: turn about {', about '.join(missing)}" if missing else ""

@@ -13,11 +13,13 @@ from collections import deque
 from collections.abc import Callable, Mapping
 from typing import NamedTuple, TextIO
 
+from imucald.core.counts import counted
 from imucald.core.outside_text import made_safe
 
 ERROR, WARNING, NOTICE, INFO = 3, 4, 5, 6
 """Priorities of syslog."""
 LEVELS = {ERROR: "error", WARNING: "warning", NOTICE: "notice", INFO: "info"}
+PRIORITIES = {word: priority for priority, word in LEVELS.items()}
 EVENTS_KEPT = 200
 """Lines that `imucald events` shows; the journal has all of them."""
 SELDOM_S = 30.0
@@ -38,7 +40,8 @@ class Journal:
     """Says things in one line each. A log that cannot be written stops nothing, nor holds it up.
 
     stream: None for standard error, which may be closed. What cannot be written at once is dropped
-    and counted; the next line that can be says how many were.
+    and counted; the next line that can be says how many were. level: the least important priority
+    that is written; `events` keeps all lines.
     """
 
     def __init__(
@@ -47,6 +50,7 @@ class Journal:
         environment: Mapping[str, str] | None = None,
         clock: Callable[[], float] = time.monotonic,
         wall: Callable[[], float] = time.time,
+        level: int = INFO,
     ) -> None:
         self.events: deque[LogEvent] = deque(maxlen=EVENTS_KEPT)
         """The last lines, oldest first."""
@@ -60,13 +64,18 @@ class Journal:
             self._stream, os.environ if environment is None else environment
         )
         self._clock = clock
+        self._level = level
         self._due: dict[str, tuple[float, int]] = {}
 
     def say(self, text: str, priority: int = INFO) -> None:
         """Write a line."""
         line = made_safe(" ".join(text.split()))
         self.events.append(LogEvent(round(self._wall(), 3), LEVELS[priority], line[:LINE_BYTES]))
-        if self._untold and self._write(f"{self._untold} lines could not be written", WARNING):
+        if priority > self._level:
+            return
+        if self._untold and self._write(
+            f"{counted(self._untold, 'line')} could not be written", WARNING
+        ):
             self._untold = 0
         if not self._write(line, priority):
             self.dropped += 1
@@ -99,7 +108,10 @@ class Journal:
             self._due[kind] = (due, untold + 1)
             return False
         self._due[kind] = (due + SELDOM_S, 0)
-        self.say(text + (f" ({untold} such lines left out before)" if untold else ""), priority)
+        self.say(
+            text + (f" ({counted(untold, 'such line')} left out before)" if untold else ""),
+            priority,
+        )
         return True
 
     def is_due(self, kind: str) -> bool:

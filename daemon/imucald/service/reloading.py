@@ -69,11 +69,14 @@ class Reloading(Generic[Read]):
         reading = f"the configuration is still being read, since {seconds:.0f} s"
         if self._is_requested and not self._is_waiting_reported:
             self._is_waiting_reported = True
-            self._journal.say(f"a reload waits: {reading}; it begins when that is over", WARNING)
+            self._journal.say(f"a reload waits: {reading}; it begins after that", WARNING)
         if seconds > LONG_S and not self._is_long_reported:
             self._is_long_reported = True
-            text = f"{reading}: does a file (network, disk) not answer? What runs goes on as it was"
-            self._journal.say(f"{text}; a restart begins afresh", WARNING)
+            text = (
+                f"{reading}: does a file (network, disk) not answer? The daemon continues with the "
+                "old configuration; a restart begins afresh"
+            )
+            self._journal.say(text, WARNING)
 
     def _end(self, prepared: Prepared[Read]) -> None:
         try:

@@ -215,7 +215,7 @@ class Service:
             try:
                 end()
             except Exception as error:  # of a driver, say
-                text = f"what ran before the reload could not be ended ({type(error).__name__}"
+                text = f"what ran before the reload could not be stopped ({type(error).__name__}"
                 self.journal.say(f"{text}: {error})", WARNING)
 
     def close(self) -> None:
@@ -263,7 +263,9 @@ class Service:
         self.notifier.status(status_line(estimate, str(self.link.state)))
         self._rates.update(engine.router.sample_counts, now)
         if self._companion is not None and self._companion.poll():
-            self.journal.say("what serves the metrics has ended; all else goes on", WARNING)
+            self.journal.say(
+                "the metrics process has ended; the daemon continues without it", WARNING
+            )
         self._announcements.update(engine, self.link.counters.late, now - self._began)
         if (step := self.clock_watch.look()) is not None:
             text = f"the system's clock was set by {step:+.1f} s: times in this log jump"
@@ -286,7 +288,7 @@ class Service:
         """Repeat the sensor check at the next rest; whether there is one to repeat (attitude)."""
         is_there = repeat_check(self.engine)
         if is_there:
-            self.journal.say("the sensors will be checked at the next rest", NOTICE)
+            self.journal.say("the sensors will be checked at the next stop", NOTICE)
         return is_there
 
     @property

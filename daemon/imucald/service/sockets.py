@@ -45,7 +45,7 @@ class Sockets:
         except LinkError as error:
             if is_needed:
                 raise
-            journal.say(f"{error}; going on without", WARNING)
+            journal.say(f"{error}; continuing without it", WARNING)
 
     def poll_status(self) -> None:
         """Serve those who only ask, also within a batch of frames."""

@@ -42,7 +42,7 @@ class CsvTables:
         self._writers[name].write_table(to_arrow(rows))
 
     def finish(self, about: Mapping[str, Any]) -> list[Path]:
-        """Close, and write the result beside."""
+        """Close the tables and write the result file next to them."""
         for writer in self._writers.values():
             writer.close()
         files = {name: file.name for name, file in self._files.items()}

@@ -21,7 +21,7 @@ Reader = Callable[[Path, Mapping[str, Any], Tables], dict[str, Columns]]
 def open_result(path: PathLike) -> DriveResult:
     """Open what `DriveResult.write` or `imucald replay --write` wrote: the same result again.
 
-    path: the name that was given then; for Parquet and CSV any of the files beside it, too.
+    path: the name that was given then; for Parquet and CSV any of its files.
     Raises ImucaldError for a file that is not there or that imucald did not write.
     """
     file = Path(path)

@@ -24,7 +24,7 @@ Tables = Mapping[str, tuple[TableColumn, ...]]
 
 
 class TableWriter(Protocol):
-    """Writes tables to a file, or to several beside each other."""
+    """Writes tables to one file, or to several in one folder."""
 
     needs: ClassVar[tuple[str, str]]
     """The library that it writes with: module, and the extra that brings it."""

@@ -10,6 +10,7 @@ from dataclasses import dataclass, field
 from msgspec import Struct
 
 from imucald.can.columns import CAN_EFF_FLAG, CAN_EFF_MASK
+from imucald.core.counts import counted
 
 EVENT_PERIOD = 5.0
 """Events that may come with every frame are reported this often at most, with their count [s]."""
@@ -93,7 +94,9 @@ class Announcer:
             self._last[kind] = (last, unannounced + 1)
             return
         self._last[kind] = (now, 0)
-        self.announce(kind, text + (f" ({unannounced} times more before)" if unannounced else ""))
+        self.announce(
+            kind, text + (f" ({counted(unannounced, 'more time')} before)" if unannounced else "")
+        )
 
 
 def absent_text(interface: str, channel: str, error: OSError) -> str:
@@ -140,6 +143,6 @@ def rejected_text(channel: str, reason: str) -> str:
 def queue_full_text(channel: str) -> str:
     """Return the text for frames dropped because the interface does not take them."""
     return (
-        f"the send queue of {channel} is full and frames are dropped: nobody acknowledges them, "
+        f"the send queue of {channel} is full and frames are dropped: no node acknowledges them, "
         f"or it is too short (ip link set {channel} txqueuelen 100)"
     )

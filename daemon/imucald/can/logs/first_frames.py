@@ -119,5 +119,5 @@ def _by_date(t: float) -> float | None:
 
 def same_recording(log: Log, other: Log) -> LogError:
     """The error for a recording that is given under two names."""
-    text = f"{log}: {IS_THE_SAME} {other}: its evidence would count twice; leave one of them out"
+    text = f"{log}: {IS_THE_SAME} {other}: it would count twice; leave one of them out"
     return LogError(text)

@@ -10,6 +10,7 @@ from collections.abc import Iterator, Mapping, Sequence
 import numpy as np
 from scipy.stats import binom
 
+from imucald.core.counts import counted
 from imucald.core.samples import Samples, Series
 from imucald.diagnosis.direct.lost_readings import INERTIAL, Lost
 from imucald.diagnosis.direct.sample_changes import stays_until_off
@@ -218,9 +219,10 @@ def _timed(name: str, series: Series, model: VehicleModel) -> Iterator[Fault]:
     doubled = int(again.sum())
     if doubled >= DOUBLED_FEWEST and doubled > DOUBLED_TOLERANCE * len(again):
         share = doubled / len(again)
+        text = f"{counted(doubled, 'frame comes', 'frames come')} twice with the same value."
         yield Fault(
             "duplicated_frames", name, {f"_{name}.doubled": (share, 0.0, "1")},
-            f"{doubled} frames come twice with the same value.", {}, (), 2.0 * doubled,
+            text, {}, (), 2.0 * doubled,
         )  # fmt: skip
     t = series.t[~again]
     clock = _cycle(t)

@@ -56,8 +56,8 @@ def _of_sensor(name: str, drive: DriveSignals, drives: int) -> Iterator[Structur
         unit = "m/s^2" if name == "accel" else "rad/s"
         text = (
             f"it shows {value:.3g} {unit} in {100.0 * share:.2g} % of its samples while driving, "
-            f"{times:.0f} times as often as any value beside it: what it shows between is not "
-            "what it feels"
+            f"{times:.0f} times as often as any neighbouring value: it does not follow the "
+            "motion there"
         )
         yield Structure(f"{name}_{'xyz'[axis]}", VALUE_HELD, times, text)
 

@@ -158,7 +158,7 @@ def _of_axis(name: str, ratio: Array, file: Leaves) -> Iterator[Question]:
             f"in half of the segments its changes over {_samples(lag)} at {rate} Hz are "
             f"{np.exp(np.median(logs[:, i])):.2g} times those of the other axes and more, "
             f"{times:.2g} times what the model file states of its own drives; a road shakes all "
-            f"axes, and one beside the others by {ROUGHER:.2g} times as much or as little"
+            f"axes, and each at most {ROUGHER:.2g} times as much as another"
         )
         size = max(times, 1.0 / times) / ROUGHER
         structure = Structure(signal, CHANGES_OTHERWISE, size, text)

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from imucald.core.counts import counted
 from imucald.core.samples import Samples, Series
 from imucald.diagnosis.direct.held_speed import chances_of_sensors
 from imucald.diagnosis.direct.own_stays import (
@@ -103,8 +104,8 @@ def stuck(
     gaps = tuple({"start_s": max(a, 0.0), "duration_s": b - a} for a, b in spans)
     yield Fault(
         "stuck_signal", name, {f"_{name}.stuck_s": (total, 0.0, "s")},
-        f"Frames come, but the value does not change for {total:.1f} s in {len(spans)} pieces "
-        f"of driving, from {spans[0][0]:.0f} s on.",
+        f"Frames come, but the value does not change for {total:.1f} s in "
+        f"{counted(len(spans), 'piece')} of driving, from {spans[0][0]:.0f} s on.",
         {f"{name}.stuck": gaps}, tuple(spans), 5.0 * total / max(least, 1.0),
     )  # fmt: skip
 

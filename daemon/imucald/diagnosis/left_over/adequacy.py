@@ -283,7 +283,9 @@ def _peaks(
                 continue
             beside = max(bands[i - 2], bands[i + 2])
             if bands[i] > PEAK * beside and bands[i] == bands[i - 2 : i + 3].max():
-                text = f"a peak at {middle[i]:.2f} Hz, {bands[i] / beside:.0f} times what is beside"
+                text = (
+                    f"a peak at {middle[i]:.2f} Hz, {bands[i] / beside:.0f} times its surroundings"
+                )
                 found.append(Structure(name, "peak", float(bands[i] / beside), text))
                 break
     return found

@@ -76,9 +76,8 @@ def _questions(
         if len(x) >= LEAST_BLOCKS:
             size, p = _scatter(x, variance, EVENLY * may)
             text = (
-                f"{key} differs from segment to segment by {amount(key, size)} more than its own "
-                "errors say, where a correct file's may not "
-                f"({size / (EVENLY * may):.1f} times what it may)"
+                f"{key} changes from segment to segment by {amount(key, size)}, its own errors "
+                f"aside (limit {amount(key, EVENLY * may)})"
             )
             signal = (signals_of(table, [key]) or ("accel_x",))[0]
             size /= EVENLY * may

@@ -233,9 +233,9 @@ def _by_stamps(drives: Sequence[Pieces], may: float) -> list[Question]:
         if found is None:
             continue
         text = (
-            f"its stamps leave an even cycle{how}, by {amount(DELAY, spread)} from the 5th to the "
-            f"95th of a hundred, and its delay beside the accelerometer goes with them: by "
-            f"{found.value:.2g} s a second, {found.sigma:.1f} deviations"
+            f"its time stamps deviate{how} from an even cycle, by {amount(DELAY, spread)} between "
+            "the 5th and the 95th percentile, and its delay against the accelerometer follows: "
+            f"{found.value:.2g} s per second, {found.sigma:.1f} σ"
         )
         made.append(_question(found, abs(found.value) * spread / may, text))
     return made
@@ -256,10 +256,9 @@ def stepping(drives: Sequence[Pieces], may: float) -> list[Question]:
     k, found = best
     drive, start = course.drive[k], course.start_s[k]
     text = (
-        f"its delay is another by {amount(DELAY, found.value)} from {start:.0f} s"
-        f"{f' of drive {drive + 1}' if max(course.drive) > 0 else ''} on, {found.sigma:.1f} "
-        f"deviations, where a correct file's may not ({abs(found.value) / may:.1f} times what it "
-        "may)"
+        f"its delay changes by {amount(DELAY, found.value)} at {start:.0f} s"
+        f"{f' of drive {drive + 1}' if max(course.drive) > 0 else ''}, {found.sigma:.1f} σ "
+        f"({abs(found.value) / may:.1f} times the limit of a correct file)"
     )
     shared = replace(found, p=min(1.0, found.p * len(moments)))
     return [_question(shared, abs(found.value) / may, text)]

@@ -315,9 +315,8 @@ def _questions(
         is_large = abs(value) * (1.0 - 1.0 / max(sigma, 1.0)) > may and test.gain > SINGLE_NATS
         size = amount(error.key, value) if error.key else f"{value:.2g} m/s"
         text = (
-            f"{error.text} goes with {condition}: it differs by {size} from one end to the other, "
-            f"{sigma:.1f} deviations, where a correct file's may not ({abs(value) / may:.1f} times "
-            "what it may)"
+            f"{error.text} changes with {condition}: by {size} from one end to the other, "
+            f"{sigma:.1f} σ ({abs(value) / may:.1f} times the limit of a correct file)"
         )
         structure = Structure(error.signal, GOES_WITH_ANOTHER, abs(value) / may, text)
         se = abs(value) / max(sigma, 1e-300)

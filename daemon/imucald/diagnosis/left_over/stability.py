@@ -137,7 +137,7 @@ def _wandering(problem: Problem, fit: Fit, asked: list[int]) -> Iterator[Questio
             limit = (EVENLY * _may_be(problem, j)) ** 2 * float(together(h))
             rare = float(student.sf(limit / max(scatter, 1e-300), len(s) - 1))
             yield _wander(
-                problem, j, p, float(size), "wanders by {} from piece to piece of the drive", rare
+                problem, j, p, float(size), "changes by {} from piece to piece of the drive", rare
             )
 
 
@@ -349,7 +349,7 @@ def _question(
     problem: Problem, key: str, kind: str, p: float, size: float, text: str, rare: float = 1.0
 ) -> Question:
     signal = (signals_of(problem.table, [key]) or ("accel_x",))[0]
-    text = f"{text}, where a correct file's may not ({size:.1f} times what it may)"
+    text = f"{text} ({size:.1f} times the limit of a correct file)"
     return Question(p, size > 1.0, Structure(signal, kind, size, text, key), rare)
 
 

@@ -74,8 +74,8 @@ def uneven(problem: Problem, drift: Hypothesis | None) -> list[Structure]:
         size = float(over[n - few - 1])
         if size > 1.0:
             text = (
-                f"one segment in fifteen leaves {np.sqrt(size):.2g} times what a correct file may "
-                "beside its noise: something acts there, and not in the others"
+                f"one segment in fifteen leaves {np.sqrt(size):.2g} times what a correct file "
+                "leaves, its noise aside: something acts only there"
             )
             found.append(Structure(name, UNEVEN, float(np.sqrt(size)), text))
     return found

@@ -59,7 +59,7 @@ def waiting_for(known: TiltAndAngle, s: PublishedSettings) -> dict[str, tuple[st
         )
         reasons["roll"] = reasons["pitch"] = reason
     elif known.tilt.std > s.limits.fine_tilt and not s.is_level:
-        text = f"stops in other places: slope averages out ({known.stops} seen)"
+        text = f"stops in other places: slopes average out ({known.stops} seen)"
         reasons["roll"] = reasons["pitch"] = text, Missing.STANDSTILL
     yaw = _waiting_for_yaw(known, s)
     if yaw is not None:
@@ -77,7 +77,7 @@ def _waiting_for_yaw(known: TiltAndAngle, s: PublishedSettings) -> tuple[str, Mi
     if angle is None or count < s.usable_manoeuvres:
         return seen, Missing.ACCELERATION
     if not known.sign_known:
-        text = "forward or backward: brake switch, a turn, or moving off from rest"
+        text = "a turn, a start from rest or the brake switch: these separate forward from backward"
         return text, Missing.DIRECTION_OF_TRAVEL
     if angle.std > s.limits.usable_yaw:
         return f"manoeuvres that agree better ({count} seen)", Missing.AGREEMENT

@@ -13,12 +13,14 @@ function target(m) {
   return m.half === null || m.half >= usable ? ["usable", usable] : ["fine", fine];
 }
 
-function mountRow(m) {
+const mountRow = (m) => `<tr><td>${m.name}</td><td class="n">${m.value}</td><td class="n">${m.spread}</td></tr>`;
+
+function turnRow(m) {
   const [goal, limit] = target(m);
   const reached = m.half !== null && limit !== undefined && m.half < limit;
   const width = m.half === null ? 100 : 100 * part(m.half);
   const mark = limit === undefined ? "" : `<b style="left:${(100 * part(limit)).toFixed(1)}%"></b>`;
-  return `<tr><td>${m.name}</td><td class="n">${m.value}</td><td class="n">${m.spread}</td><td class="turn">${m.turn}</td><td class="n">${half(m.half)}</td>` +
+  return `<tr><td class="turn">${m.turn}</td><td class="n">${half(m.half)}</td>` +
     `<td class="bar"><div><i class="${reached ? "good" : ""}" style="width:${width.toFixed(1)}%"></i>${mark}</div></td>` +
     `<td class="${reached ? "good" : ""}">${limit === undefined ? "" : `${goal} below ${half(limit)}`}</td></tr>`;
 }
@@ -51,7 +53,7 @@ function chart(live) {
   live.mount.forEach((m, i) => {
     const series = history[m.name], base = top + i * row, inner = row - 18;
     const known = history.t.map((t, k) => ({ t, off: series.off[k], half: series.half[k] })).filter((h) => h.half !== null && h.off !== null);
-    const name = `<text class="name" x="${left + 6}" y="${base + 12}">about ${m.turn}</text>`;
+    const name = `<text class="name" x="${left + 6}" y="${base + 12}">${m.turn}</text>`;
     if (!known.length) { out += `${name}<text x="${left + 6}" y="${base + 40}">not known yet</text>`; return; }
     const late = known.slice(Math.floor(known.length / 3));
     const reach = Math.min(Math.max(...late.map((h) => Math.abs(h.off) + h.half), 0.2) * 1.1, 30);
@@ -98,8 +100,9 @@ function show(live) {
   if (byId("views").dataset.now !== views) { byId("views").dataset.now = views; byId("views").innerHTML = views; }
   if (byId("drawingstyle").textContent !== live.drawing_style) byId("drawingstyle").textContent = live.drawing_style;
   byId("mount").innerHTML = live.mount.map(mountRow).join("");
+  byId("turns").innerHTML = live.mount.map(turnRow).join("");
   byId("reasons").innerHTML = live.reasons.map((r) => r.trouble ? `<li class="bad">trouble: ${escaped(r.text)}</li>` : `<li class="waits">waiting for ${escaped(r.who)}: ${escaped(r.text)}</li>`).join("");
-  byId("convention").textContent = `${live.convention}. The mark in a bar is the target; bars are on a log scale.`;
+  byId("convention").textContent = `${live.convention}. A shorter bar is better, the mark is its target (log scale).`;
   byId("inputs").innerHTML = live.inputs.map(inputRow).join("");
   const f = live.frames, rejected = Object.entries(live.rejected).map(([k, n]) => `${k.replace(/_/g, " ")} ${n}`).join(", ") || "none";
   byId("frames").textContent = `${f.used} frames used, ${f.given_out} given out, ${f.lost} lost, ${f.not_sent} not sent, ${f.conflicts} in conflict; rejected: ${rejected}${live.left_out ? `; not learnt from: ${live.left_out}` : ""}`;
