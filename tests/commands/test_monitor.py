@@ -169,7 +169,7 @@ def test_what_is_judged_stands_beside_the_target_and_not_what_the_housing_is_kno
     text = "\n".join(drawn(picture(status), 100))
     row = next(line for line in text.splitlines() if line.startswith("yaw"))
     assert row.split()[:3] == ["yaw", "-10.60°", "±0.88°"]
-    assert row.split()[3:] == ["z", "(yaw)", "±0.24°", "fine", "below", "±0.60°"]
+    assert row.split()[3:] == ["up", "axis", "±0.24°", "fine", "below", "±0.60°"]
 
 
 def test_a_bar_is_longer_for_a_wider_interval_and_marks_the_target(status):

@@ -94,7 +94,7 @@ def test_the_page_says_how_the_sensor_sits_and_what_happened(page):
         assert re.search(rf"\b{state}: ", words), state
     for axis, angle in zip("xyz", ("roll", "pitch", "yaw"), strict=True):
         assert f"{result['mount'][f'{angle}_deg']:+.2f}°" in words
-        assert f"±{2 * result['mount']['std_deg'][axis]:.2f}°" in words
+        assert f"±{2 * result['mount']['judged_std_deg'][axis]:.2f}°" in words
         assert f"±{2 * result['mount']['angle_std_deg'][angle]:.2f}°" in words
 
 
@@ -153,6 +153,16 @@ def test_changes_of_state_and_what_is_reported_come_in_order():
     assert texts[2] == "gyro stuck (y), for 2 s"
     assert texts[3] == "the sensor was moved: it shows as -3.2 deg about the left axis"
     assert texts[-1].endswith("waiting for yaw: more driving")
+
+
+def test_a_reason_that_stands_is_listed_and_one_that_only_counts_on_or_passes_is_not():
+    reasons = ["a standstill"] * 20 + ["turns (1 seen)"] * 5 + ["bends"] * 20 + ["bends"] * 20
+    states = [
+        (float(t), "levelled", {"roll": f"{reason} ({t} left)"}) for t, reason in enumerate(reasons)
+    ]
+    events = [(e.t, e.kind, e.text) for e in state_changes(states)]
+    assert [(t, kind) for t, kind, _ in events] == [(0.0, "state"), (25.0, "reason")]
+    assert events[1][2] == "waiting for roll: bends (25 left)"
 
 
 def test_a_log_without_a_usable_drive_has_a_page_too(tmp_path):

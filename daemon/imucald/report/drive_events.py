@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -20,9 +21,14 @@ STATE_WORDS: Mapping[str, str] = {
 }
 
 
+REASON_STANDS_S = 12.8
+"""Two evaluations of the mount: a reason that is gone by the next one explains nothing."""
+_NUMBERS = re.compile(r"[0-9.]+")
+
+
 @dataclass(frozen=True)
 class Event:
-    """t: stream time [s]. kind: state, moved, fault, sensor or gap. text: for people."""
+    """t: stream time [s]. kind: state, reason, moved, fault, sensor or gap. text: for people."""
 
     t: float
     kind: str
@@ -30,13 +36,25 @@ class Event:
 
 
 def state_changes(states: Iterable[tuple[float, str, Mapping[str, str]]]) -> Iterator[Event]:
-    """Changes of state; states: time [s], state and what it waits for, one after another."""
-    before = None
+    """Changes of state, and of the reason within a state that has stood for `REASON_STANDS_S`.
+
+    states: time [s], state and what it waits for, one after another. A reason in which only
+    numbers change is the same one.
+    """
+    before, shown, newest, since, newest_text = None, "", "", 0.0, ""
     for t, state, waiting_for in states:
+        waiting = reasons_line(waiting_for)
+        reason = _NUMBERS.sub("", waiting)
+        if reason != newest:
+            newest, since, newest_text = reason, t, waiting
         if state != before:
-            waiting = reasons_line(waiting_for)
             text = f"{state}: {STATE_WORDS.get(state, '')}"
             yield Event(t, "state", text + (f"; {waiting}" if waiting else ""))
+            shown = reason
+        elif reason != shown and t - since >= REASON_STANDS_S:
+            if reason:
+                yield Event(since, "reason", newest_text)
+            shown = reason
         before = state
 
 
