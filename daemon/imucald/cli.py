@@ -58,12 +58,12 @@ GC_THRESHOLD = 50_000
 
 GROUPS = {
     "try it": {
-        "demo": "see a calibration converge, without hardware",
+        "demo": "watch a calibration converge, without hardware",
         "simulate": "write a simulated drive as a log, with the true values",
     },
     "begin with your bus": {
         "init": "propose a configuration from a database and a recording or a bus",
-        "check": "check what a configuration decodes, from a log or a live bus",
+        "check": "show what a configuration decodes, from a log or a live bus, and what is wrong",
         "replay": "find the mount in recorded logs, as the live daemon would",
         "draw": "draw how a sensor sits, from its angles",
     },

@@ -10,6 +10,7 @@ from fleet_files import CONFIG
 
 from imucald.fleet.fleet_file import load_fleet
 from imucald.fleet.listing import list_logs
+from imucald.fleet.reading import present_mounts
 from imucald.fleet.task import FAILURES
 from paths import ROOT
 
@@ -35,3 +36,20 @@ def test_the_page_names_every_way_in_which_a_log_can_fail() -> None:
     text = (ROOT / "docs" / "fleet.md").read_text()
     failing = text.partition("or in `failures` as ")[2].partition(". ")[0]
     assert set(re.findall(r"`(\w+)`", failing)) == set(FAILURES)
+
+
+def test_the_mount_of_a_vehicle_is_that_since_its_sensor_was_last_moved() -> None:
+    vehicles = [
+        {"vehicle": name, "vehicle_type": "van", "drives": drives}
+        for name, drives in (("b", 1), ("a", 5), ("unknown", 0))
+    ]
+    segments = [
+        {"vehicle": "a", "segment": 1, "roll_deg": 5.0},
+        {"vehicle": "a", "segment": 0, "roll_deg": 0.0},
+        {"vehicle": "b", "segment": 0, "roll_deg": 2.0},
+    ]
+    found = present_mounts(vehicles, segments)
+    assert [(r["vehicle"], r["roll_deg"], r["all_drives"], r["moves"]) for r in found] == [
+        ("a", 5.0, 5, 1),
+        ("b", 2.0, 1, 0),
+    ]

@@ -52,7 +52,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def _add_run(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--fleet", required=True, type=Path, metavar="FILE", help="fleet.yaml")
-    parser.add_argument("--logs", metavar="GLOB|LIST", help="in place of the file's logs")
+    parser.add_argument(
+        "--logs", metavar="GLOB|LIST", help="logs to evaluate in place of those in fleet.yaml"
+    )
     where = parser.add_mutually_exclusive_group()
     where.add_argument("--workers", type=int, metavar="N", help="processes here (default: cores)")
     where.add_argument(
@@ -60,13 +62,20 @@ def _add_run(parser: argparse.ArgumentParser) -> None:
     )
     for part in ("ca", "cert", "key"):
         parser.add_argument(f"--tls-{part}", metavar="FILE", help="PEM file for tls://")
-    parser.add_argument("--memory", default="1GiB", metavar="SIZE", help="of a log (1GiB)")
-    parser.add_argument("--time-limit", default="15min", metavar="TIME", help="of a log (15min)")
+    parser.add_argument(
+        "--memory", default="1GiB", metavar="SIZE", help="most memory for one log (default: 1GiB)"
+    )
+    parser.add_argument(
+        "--time-limit",
+        default="15min",
+        metavar="TIME",
+        help="most time for one log (default: 15min)",
+    )
     parser.add_argument("--signals", choices=("none", "corrected"), default="none",
                         help="write corrected signals too")  # fmt: skip
     parser.add_argument("--diagnose", action="store_true", help="run 'imucald "
                         "diagnose' on each drive too (some seconds a log)")  # fmt: skip
-    parser.add_argument("--since", metavar="DATE", help="only logs of that day or later")
+    parser.add_argument("--since", metavar="DATE", help="only logs of this day or later")
     parser.add_argument("--redo", choices=("nothing", "failed", "config", "all"),
                         default="nothing", help="evaluate logs again: those that failed, those "
                         "of another configuration or version, or all")  # fmt: skip

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 from imucald.commands.terminal import plain_console, plain_where_needed
 from imucald.core.counts import counted
 from imucald.fleet.analysis.remounts import why_not_known
+from imucald.fleet.reading import present_mounts
 from imucald.mount.estimate import ANGLES
 from imucald.mount.mount_words import CONVENTION, UNKNOWN_HALF_DEG
 
@@ -25,6 +26,12 @@ def print_analysis(tables: Mapping[str, pa.Table]) -> None:
     plain_where_needed()
     console = plain_console()
     rows = {name.rpartition("/")[2]: table.to_pylist() for name, table in tables.items()}
+    mounts = present_mounts(rows["vehicles"], rows["segments"])
+    if mounts:
+        console.print(_mounts(mounts[:SHOWN]))
+        if len(mounts) > SHOWN:
+            console.print(f"and {len(mounts) - SHOWN} more")
+        console.print()
     console.print(_types(rows["types"]))
     console.print(CONVENTION)
     found = [row for row in rows["remounts"] if row["found"]]
@@ -71,12 +78,37 @@ def _list(
 
 def _turn(row: dict[str, Any]) -> str:
     x, y, z = (row[f"d_{axis}_deg"] for axis in "xyz")
-    return f"x {x:+.2f}, y {y:+.2f}, z {z:+.2f} deg (q {row['q']:.2g})"
+    return f"x {x:+.2f}, y {y:+.2f}, z {z:+.2f} deg ({_q(row['q'])})"
+
+
+def _q(q: float) -> str:
+    """The false-discovery rate; smaller than any model of the noise is right it is no number."""
+    return "q < 1e-6" if q < 1e-6 else f"q {q:.2g}"
 
 
 def _angle(value: float, half: float | None) -> str:
     known = half is not None and half < UNKNOWN_HALF_DEG
     return f"{value:+.2f}° ±{half:.2f}°" if known else "not known"
+
+
+def _mounts(rows: Sequence[dict[str, Any]]) -> Table:
+    """Each vehicle with its present mount, see `present_mounts`."""
+    from rich.table import Table
+
+    table = Table(box=None, pad_edge=False)
+    for title in ("vehicle", "drives", *ANGLES, "since", "moves found"):
+        is_text = title in ("vehicle", "since")
+        table.add_column(title, justify="left" if is_text else "right", overflow="fold")
+    for row in rows:
+        start = row["start"]
+        table.add_row(
+            row["vehicle"],
+            str(row["all_drives"]),
+            *(_angle(row[f"{angle}_deg"], row[f"ci95_{angle}_deg"]) for angle in ANGLES),
+            f"{start:%Y-%m-%d %H:%M}" if start else row["first_log_key"],
+            str(row["moves"]),
+        )
+    return table
 
 
 def _types(rows: Sequence[dict[str, Any]]) -> Table:

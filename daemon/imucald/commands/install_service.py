@@ -36,10 +36,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         type=Path,
         default=Path("/usr/local"),
         metavar="DIR",
-        help="installed below DIR/lib and DIR/share (default: /usr/local)",
+        help="install below DIR/lib and DIR/share (default: /usr/local)",
     )
     parser.add_argument(
-        "--root", type=Path, default=Path("/"), metavar="DIR", help="put before it, for images"
+        "--root",
+        type=Path,
+        default=Path("/"),
+        metavar="DIR",
+        help="root of an image that all paths are put under",
     )
     parser.add_argument(
         "--exec", metavar="COMMAND", help="what the unit runs (default: this interpreter's imucald)"

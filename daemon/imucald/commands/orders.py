@@ -14,8 +14,8 @@ from typing import Any
 from imucald.core.errors import ImucaldError, LinkError
 
 WHO = (
-    "Root gives orders, or the user that the daemon runs as. The daemon writes each into its log "
-    "and events, with who gave it. Exit status: 0 done, 1 refused (the text says why), 3 no "
+    "Orders are accepted from root and from the user that the daemon runs as. Log and events show "
+    "each order with who gave it. Exit status: 0 done, 1 refused (the text says why), 3 no "
     "daemon runs, 8 one runs and does not answer."
 )
 NOT_RUNNING = 3

@@ -30,7 +30,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     deviation.add_argument(
         "--std", metavar="DEG", help="the same as standard deviation, half of --within"
     )
-    parser.add_argument("--hold", action="store_true", help="keep it: learn nothing")
+    parser.add_argument("--hold", action="store_true", help="keep this mount and learn nothing")
 
 
 def run(options: argparse.Namespace) -> int:

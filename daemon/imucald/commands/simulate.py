@@ -58,7 +58,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         default=[],
         metavar="KEY=VALUE",
         dest="changes",
-        help="change a parameter of the model, as road.crown_mean=0.02 or "
+        help="change a parameter of the model, such as road.crown_mean=0.02 or "
         "suspension.body_roll=false; may be repeated",
     )
     parser.add_argument(
@@ -120,7 +120,7 @@ def run(options: argparse.Namespace) -> int:
     if options.write_model:
         write_text(options.write_model, model.to_yaml())
     for name in encoder.left_out:
-        print(f"not written, as it comes by an expression: {name}", file=sys.stderr)
+        print(f"not written, since it is defined by an expression: {name}", file=sys.stderr)
     if options.interface is not None:
         _send(options, drive, encoder)
     return 0

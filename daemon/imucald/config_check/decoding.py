@@ -42,7 +42,7 @@ _NEVER = (
     "one of the three, or 'estimator: published'; a stated mount ('calibration: mount') serves too"
 )
 _NO_REVERSE = "missing: reversing reads as braking, which costs some accuracy"
-_NO_SIDE = "unknown: a road crown reads as mount roll (about 0.7 deg); say left or right"
+_NO_SIDE = "unknown: a road crown reads as mount roll (about 0.7 deg); state left or right"
 
 _REMEDIES = {
     "checksum": "; see 'checksum:' (kind, id_bytes, data_id) of the message",

@@ -103,7 +103,7 @@ def health_findings(events: Iterable[FaultEvent]) -> Iterator[Finding]:
         often = f", {len(times)} times" if len(times) > 1 else ""
         what = f"{', '.join(axes)} {_WORDS[fault]}".strip()
         then = (
-            "its corrected frames would not be available then"
+            "its corrected frames would say 'not available' then"
             if axes
             else "it would not be used then"
         )

@@ -142,7 +142,7 @@ def _notes(
 ) -> Iterator[str]:
     """What the head of the file says about the recording."""
     if not recording.frames:
-        yield "No recording was given: this rests on names and units alone and is unsure."
+        yield "No recording was given: the proposal uses names and units only and is unsure."
         return
     names = {c.message.name for c in candidates}
     known = sum(bool(m.signals) for d in databases.values() for m in d.messages.values())

@@ -117,7 +117,7 @@ def _names_reverse(signal: Signal) -> float | None:
 
 
 def _reverse_by_name(candidates: Sequence[SeenSignal]) -> Choice | None:
-    why = "the vehicle does not reverse here long enough to see it: the name alone speaks for it"
+    why = "chosen by its name only: the vehicle reverses too little in the recording to confirm it"
     options = []
     for c in candidates:
         value = _names_reverse(c.signal)
@@ -216,7 +216,7 @@ def _brake_by_name(candidates: Sequence[SeenSignal]) -> Choice | None:
     named.sort(key=lambda c: not c.levels)
     best = named[0]
     settings = _switches(best)[0][1] if len(best.levels) <= 2 else {}
-    why = "the recording does not show braking well enough: the name alone speaks for it"
+    why = "chosen by its name only: the recording does not show braking well enough"
     return Choice("brake", {"": source_of(best, **settings)}, f"named {best.signal.name}", why)
 
 
@@ -242,7 +242,7 @@ def find_temperature(reference: KnownMotion, candidates: Sequence[SeenSignal]) -
     )
     best = usable[0]
     near = best.message.name in triad.messages or same_family(best.message.name, own)
-    doubt = "" if near else "a temperature, but nothing says that it is the sensor's"
+    doubt = "" if near else "a temperature, perhaps not the sensor's"
     text = f"a temperature of {best.least:g} to {best.largest:g} {best.unit}"
     if near:
         text += f", and {best.message.name} is named like {own}"

@@ -51,7 +51,7 @@ def _offer(quantity: str, offers: list[tuple[Proposed, str]], why: str) -> Choic
     if not offers:
         return None
     others = [Alternative({"": source}, text) for source, text in offers[:MAX_OFFERS]]
-    return Choice(quantity, {}, "no database describes it; bytes that behave like it", why, others)
+    return Choice(quantity, {}, "no database describes it: bytes that move like it", why, others)
 
 
 def _speed(fields: Sequence[SeenSignal], reference: KnownMotion) -> Choice | None:
@@ -81,11 +81,11 @@ def _speed(fields: Sequence[SeenSignal], reference: KnownMotion) -> Choice | Non
         [
             (
                 _scaled(c, "km/h", _plausible_scale(c)),
-                f"{len(best)} fields are this but for a factor",
+                f"{len(best)} fields are the same but for a factor",
             )
             for c in best
         ],
-        "the scale is a guess: hold the highest speed against what you drove",
+        "the scale is a guess: compare the highest speed with what you drove",
     )
 
 

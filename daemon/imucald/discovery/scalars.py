@@ -153,9 +153,7 @@ def by_unit_and_name(
     if not named:
         return None
     named.sort(key=lambda c: c.cycle)
-    why = (
-        why or "the recording shows no motion to hold it against: unit and name alone speak for it"
-    )
+    why = why or "chosen by unit and name only: the recording shows no motion to compare it with"
     others = [Alternative({"": source_of(c)}, "the same") for c in named[1 : 1 + MAX_ALTERNATIVES]]
     return Choice(name, {"": source_of(named[0])}, f"named {hint(name, named[0])!r}", why, others)
 

@@ -53,7 +53,7 @@ RAW_COUNTS = (
     "an accelerometer in raw counts: {size:.0f} of them at any mount are 1 g, and the database "
     "states no scale: 'unit: g/{one:.6g}'"
 )
-BY_PLACES = "axes in the order of their places"
+BY_PLACES = "axes in the order of their bits"
 
 
 class Sensors:
@@ -164,7 +164,7 @@ class Sensors:
         assert unit is not None, "its unit was just asked for"
         self.reference.speed = SpeedFit(best, unit, Relation())
         self.taken.add(best.path)
-        doubt = "its changes do not show in the accelerometer: its unit alone speaks for it"
+        doubt = "chosen by its unit only: its changes do not show in the accelerometer"
         others = [Alternative({"": source_of(c)}, f"in {c.unit}") for c in usable[1:]]
         return Choice(
             "speed", {"": source_of(best)}, f"a speed in {best.unit}", doubt,
@@ -211,7 +211,7 @@ class Sensors:
         best = found[0]
         self.taken |= {m.path for m in best.members}
         text = f"{1e6 * best.size:.0f} uT"
-        doubt = "" if best.names_axes else "which axis is which is taken from their places"
+        doubt = "" if best.names_axes else "which axis is which is taken from their order"
         if not EARTH_FIELD[0] / 2.0 < best.size < EARTH_FIELD[1] * 2.0:
             doubt = "the earth's field has 22 to 67 uT"
         return Choice("magnetometer", axes_of(best, best.unit.name), text, doubt)

@@ -94,7 +94,7 @@ def _choice(
     sources: dict[str, Proposed] = {
         wheel: source_of(four[i], unit.name) for wheel, i in zip(WHEELS, order, strict=True)
     }
-    return Choice("wheel_speeds", sources, f"four speeds that roll together; {text}", doubt)
+    return Choice("wheel_speeds", sources, f"four similar speeds; {text}", doubt)
 
 
 def _turning(
@@ -131,11 +131,11 @@ def _by_turns(
     text = BY_TURNS
     order = [front_left, front_right, rear_left, rear_right]
     if sure_left and sure_right and same_rows:
-        return order, f"{text}, front and rear by their ways in bends", ""
+        return order, f"{text}, front and rear by their distances in bends", ""
     left.sort()
     right.sort()
     order = [left[0], right[0], left[1], right[1]]
-    return order, text, "which are the front ones is taken from their places"
+    return order, text, "which are the front ones is taken from their order"
 
 
 def _front_first(pair: list[int], further: _Ends) -> tuple[int, int, bool]:

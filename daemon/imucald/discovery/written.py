@@ -28,8 +28,8 @@ def as_yaml(proposal: Proposal, databases: Sequence[str]) -> str:
 
 
 def _lines(proposal: Proposal, databases: Sequence[str]) -> Iterator[str]:
-    yield "# Proposed by 'imucald init'. Read it through: above each entry stands its evidence."
-    yield "# 'unsure' marks what the recording does not decide. Every key: docs/configuration.md"
+    yield "# Proposed by 'imucald init'. Please check it: the evidence is above each entry."
+    yield "# 'unsure' marks what the recording leaves open. All keys: docs/configuration.md"
     for note in proposal.notes:
         yield from _comment(note, "")
     yield ""
@@ -37,7 +37,7 @@ def _lines(proposal: Proposal, databases: Sequence[str]) -> Iterator[str]:
     yield ""
     yield "vehicle:"
     yield "  id: my-car"
-    unknown = " # say left or right: a crowned road reads as mount roll"
+    unknown = " # state left or right: the slope of a road to its side reads as mount roll"
     side = proposal.driving_side
     yield f"  driving_side: {side}{unknown if side == 'unknown' else ''}"
     for key, value, evidence in proposal.vehicle:

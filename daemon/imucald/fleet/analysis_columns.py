@@ -60,7 +60,7 @@ ANALYSIS: Final[dict[str, tuple[Column, ...]]] = {
         *floats("deg", "the same shrunk to the type", *(f"shrunk_{name}" for name in _ANGLES)),
         *_xyz("deg", "half of its 95 % interval, crown included", "shrunk_ci95_{}_deg"),
         *_xyz("", "of the vehicle's own data; 1: not shrunk", "weight_{}"),
-        *_xyz("deg", "first segment beside its type, found batches taken out", "d_{}_deg"),
+        *_xyz("deg", "first segment compared with its type, found batches taken out", "d_{}_deg"),
         *_TEST,
         Column("outlier", "flag", "", "stands out from its type"),
         *_CI95_OF_ANGLES,
@@ -98,7 +98,7 @@ ANALYSIS: Final[dict[str, tuple[Column, ...]]] = {
     ),
     "analysis/outliers": (
         *texts(vehicle="name", vehicle_type="as in drives", sensor_batch="as in drives"),
-        *_xyz("deg", "first segment beside its type, found batches taken out", "d_{}_deg"),
+        *_xyz("deg", "first segment compared with its type, found batches taken out", "d_{}_deg"),
         *floats("deg", "its angle", "size_deg"),
         *_TEST,
     ),

@@ -87,7 +87,7 @@ TABLES: Final[dict[str, tuple[Column, ...]]] = {
         *floats("Hz", "good samples of the accelerometer by time", "rate_accel_hz"),
         Column("schema_version", "short", "", "version of this table"),
         *texts(
-            diagnosed="what the drive alone shows for certain by `imucald diagnose`, a JSON list; "
+            diagnosed="certain causes that `imucald diagnose` finds in this drive, a JSON list; "
             "null where it was not asked for or cannot be said"
         ),
     ),

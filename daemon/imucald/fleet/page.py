@@ -1,4 +1,4 @@
-"""A fleet's analysis as one HTML page that needs nothing beside it."""
+"""A fleet's analysis as one self-contained HTML page."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ import pyarrow.compute as pc
 from imucald import __version__
 from imucald.fleet.analysis.remounts import why_not_known
 from imucald.fleet.compaction import read_tables
-from imucald.fleet.reading import read_analysis
+from imucald.fleet.reading import present_mounts, read_analysis
 from imucald.fleet.store import Store
 from imucald.mount.mount_words import UNKNOWN_HALF_DEG
 from imucald.report.page import address_of, environment, require_libraries
@@ -57,6 +57,8 @@ def fleet_page(store: Store) -> str:
             ("Bad batches", f"{len(bad)}", f"of {len(analysis['groups'])}"),
             ("Failed logs", f"{len(failures)}", f"of {tables['sources'].num_rows}"),
         ],
+        mounts=present_mounts(analysis["vehicles"], analysis["segments"])[:MAX_ROWS],
+        more_mounts=max(0, len(analysis["vehicles"]) - MAX_ROWS),
         types=analysis["types"][:MAX_ROWS],
         unknown_half=UNKNOWN_HALF_DEG,
         remounts_not_known=unknown,

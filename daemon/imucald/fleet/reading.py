@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import pyarrow as pa
@@ -55,3 +55,25 @@ def read_analysis(store: Store) -> dict[str, pa.Table]:
     if not store.exists(main_file("analysis/vehicles")):
         raise ImucaldError(f"{store.url}: is not analysed yet ('imucald fleet analyse')")
     return {name: read_file(store, main_file(name), ANALYSIS[name]) for name in ANALYSIS}
+
+
+def present_mounts(
+    vehicles: Sequence[Mapping[str, Any]], segments: Sequence[Mapping[str, Any]]
+) -> list[dict[str, Any]]:
+    """The mount of each vehicle since its sensor was last moved: its last row of `segments`.
+
+    vehicle_type, all_drives and moves (found between drives) are added; by vehicle.
+    """
+    last: dict[str, Mapping[str, Any]] = {}
+    for row in sorted(segments, key=lambda r: r["segment"]):
+        last[row["vehicle"]] = row
+    return [
+        {
+            **last[v["vehicle"]],
+            "vehicle_type": v["vehicle_type"],
+            "all_drives": v["drives"],
+            "moves": last[v["vehicle"]]["segment"],
+        }
+        for v in sorted(vehicles, key=lambda v: v["vehicle"])
+        if v["vehicle"] in last
+    ]

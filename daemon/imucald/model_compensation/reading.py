@@ -130,9 +130,9 @@ class _Reader:
         for section in file.sections:
             for key in ("dropouts", "stuck", "clock_drift_ppm", "slip_events"):
                 if file.is_set(section, key):
-                    found.append(f"{section}.{key}: nothing can be done about it")
+                    found.append(f"{section}.{key}: it cannot be corrected")
         if file.is_set("heading", "offset") or file.is_set("heading", "scale"):
-            found.append("heading: its errors are not taken out")
+            found.append("heading: its errors are not corrected")
         return found
 
     # sections --------------------------------------------------------------------------------

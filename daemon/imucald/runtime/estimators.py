@@ -112,7 +112,7 @@ def against_orientation(mount: KnownMount | None, calibration: CalibrationSettin
         return None
     axis = calibration.orientation.up if key == "up" else calibration.orientation.forward
     other = "down" if key == "up" else "back"
-    return f"puts {axis} {other}, and 'orientation' says {key}: {axis}; one of both is wrong"
+    return f"puts {axis} {other}, and 'orientation' says {key}: {axis}; one of them is wrong"
 
 
 def published_settings(config: Config) -> PublishedSettings:

@@ -147,7 +147,7 @@ class MountOrders:
         pipeline = self._service.engine.pipeline
         pipeline.first_usable, pipeline.first_fine = first
         self._former = None
-        self._logged(who, "the former calibration is taken back")
+        self._logged(who, "the former calibration is in force again")
         return True
 
     def accept(self) -> None:

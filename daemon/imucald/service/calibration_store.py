@@ -141,7 +141,7 @@ class CalibrationStore:
         self._last, self._known, self.restored = saved, True, True
         self._driven_before = saved.driven_s
         text = f"mount restored from generation {loaded.generation}"
-        text += ", doubted when it was saved" if saved.doubted else ""
+        text += ", suspect when it was saved" if saved.doubted else ""
         text += f" ({saved.doubt})" if saved.doubted and saved.doubt else ""
         self._say(text + (", held: nothing is learnt" if saved.held else ""), NOTICE)
         return restored

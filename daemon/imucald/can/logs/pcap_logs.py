@@ -93,7 +93,7 @@ class PcapReader:
             order = _order_of_ids([packet for _, packet in first], reader.datalink())
             if order == "<":
                 self._statistics.note(
-                    f"{name}: its ids are in the byte order of a PC: they were swapped"
+                    f"{name}: its ids are little-endian: their bytes were swapped"
                 )
             for number, (t, packet) in enumerate(itertools.chain(first, packets), 1):
                 reason = self._packet(float(t), packet, reader.datalink(), order)

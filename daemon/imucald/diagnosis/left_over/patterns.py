@@ -66,11 +66,11 @@ DELAY_S = dict.fromkeys(ASKED, PARAMETERS["accel.delay_s"].tolerance) | {
 }
 """By which a signal of the equation may be late in a correct file [s]."""
 SHAPES = {
-    "bent": "is less steep for large values than for small ones",
-    "one-sided": "differs between one side and the other",
+    "bent": "has a smaller slope for large values than for small ones",
+    "one-sided": "differs between left and right",
     "steeper": "grows faster than the value",
     "by direction": "depends on whether the value rises or falls",
-    LATE: "is later on one side than on the other",
+    LATE: "has more delay on one side than on the other",
     **{f"memory {x:g}": "keeps the sign of the last large value" for x in LARGE},
     **{f"shaken {x:g}": f"goes with how much the sensor is shaken in {x:g} s" for x in SHAKEN_S},
     TURNING: "goes with how much the vehicle turns, to whichever side",
