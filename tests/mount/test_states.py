@@ -72,7 +72,7 @@ def test_beside_past_drives_a_deviation_grows_by_contradiction():
 def test_more_driving_is_the_reason_for_yaw_until_it_has_not_helped_for_long():
     usable = replace(known(0.4), yaw_seen=0.05 * DEG, cross_axis=0.008)
     text, code = waiting_for(usable, SETTINGS)["yaw"]
-    assert text == "more driving (yaw ±0.8 deg, fine below ±0.6 deg)"
+    assert text == "more driving (up axis ±0.8 deg, fine below ±0.6 deg)"
     assert code == Missing.MORE_DRIVING
     text, code = waiting_for(replace(usable, driven_s=2000.0), SETTINGS)["yaw"]
     assert "axes seem 0.8 % mixed" in text
@@ -83,7 +83,7 @@ def test_more_driving_is_the_reason_for_yaw_until_it_has_not_helped_for_long():
     assert "axes seem 4.0 % mixed" in text
     assert code is Missing.OTHER
     still = replace(levelled, std=known(0.4).std, yaw_seen=0.4 * DEG)
-    assert waiting_for(still, SETTINGS)["yaw"][0].startswith("more driving (yaw")
+    assert waiting_for(still, SETTINGS)["yaw"][0].startswith("more driving (up axis")
 
 
 def test_where_no_signal_shows_turns_that_is_the_reason_for_roll():

@@ -31,6 +31,8 @@ EVIDENCE_KINDS = {
     "before": "earlier drives",
 }
 """What the last part of an evidence's name means."""
+SENSOR_NAMES = {"accel": "accelerometer", "gyro": "gyroscope"}
+"""Channels that people call otherwise."""
 LEAST_LEFT_OUT_S = 1.0
 LEAST_SHOWN_DEG = 0.1
 """A smaller turn is not shown as a number: it would be rounded to zero."""
@@ -180,8 +182,10 @@ def left_out_words(details: Mapping[str, Any]) -> str:
     parts = []
     for one in details.get("not_learnt_from", ()):
         if one["seconds"] >= LEAST_LEFT_OUT_S:
+            signal = str(one["signal"])
+            signal = SENSOR_NAMES.get(signal, signal.replace("_", " "))
             cause = str(one["cause"]).replace("_", " ")
-            parts.append(f"{str(one['signal']).replace('_', ' ')} {cause} {one['seconds']:.0f} s")
+            parts.append(f"{signal} {cause} {one['seconds']:.0f} s")
     return ", ".join(parts)
 
 

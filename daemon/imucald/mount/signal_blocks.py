@@ -59,7 +59,7 @@ Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]
 
 BLOCK_S = BLOCK_TICKS * TICK_S
-MISSING = "no sound samples"
+MISSING = "no valid samples"
 BESIDE = 2
 """A tick beside a stuck one has no value or no slope either."""
 YAW_GAP = 0.5

@@ -170,7 +170,8 @@ def _yaw_reason(known: MountKnowledge, s: EstimatorSettings) -> tuple[str, Missi
     if known.yaw_seen < s.limits.fine_yaw < known.cross_axis and known.driven_s > LONG_S:
         return _mixed_axes(known), Missing.OTHER
     now, least = (math.degrees(2.0 * x) for x in (known.std[2], s.limits.fine_yaw))
-    return f"more driving (yaw ±{now:.2g} deg, fine below ±{least:.2g} deg)", Missing.MORE_DRIVING
+    text = f"more driving (up axis ±{now:.2g} deg, fine below ±{least:.2g} deg)"
+    return text, Missing.MORE_DRIVING
 
 
 def _mixed_axes(known: MountKnowledge) -> str:

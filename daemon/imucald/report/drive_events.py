@@ -14,7 +14,7 @@ STATE_WORDS: Mapping[str, str] = {
     "waiting": "nothing is known yet",
     "levelled": "roll and pitch are known roughly; corrected frames say 'not available'",
     "usable": "corrected frames are marked usable",
-    "fine": "every angle is within its target",
+    "fine": "every axis is within its target",
     "suspect": "the drive contradicts the mount, or signals contradict each other",
     "recalibrating": "the sensor seems to have moved; the mount is being determined again",
     "restored": "a saved or stated mount is in use; this drive has not confirmed it yet",
