@@ -89,6 +89,30 @@ def test_a_late_speed_is_found_and_costs_no_angle(late_s: float) -> None:
     assert abs(cross_talk(found.force, np.eye(3))[1, 0]) < np.radians(0.3)
 
 
+@pytest.mark.slow
+def test_a_delay_that_moves_in_long_evidence_is_followed_piece_by_piece(monkeypatch) -> None:
+    """All at once would hold the frames of the live loop up for some tenths of a second."""
+    taken, made = Evidence._take, [0]
+
+    def counted(self: Evidence, first: int, stop: int) -> None:
+        made[-1] += stop - first
+        taken(self, first, stop)
+
+    monkeypatch.setattr(Evidence, "_take", counted)
+    evidence = Evidence(LEVEL_ROADS)
+    usual, later = (blocks(40.0, Sensor(), late_s=late_s) for late_s in (0.2, 0.5))
+    for block in usual[:250] + later[250:]:
+        evidence.add(block)
+        evidence.solve_when_due()
+        made.append(0)
+    assert max(made) <= 2 * module.MADE_AT_ONCE  # with what came since the last solution
+    assert sum(made) > 1.5 * len(usual), "all was made again"
+    assert evidence.delay > 0.2
+    found = evidence.solution
+    assert found is not None
+    assert abs(cross_talk(found.force, np.eye(3))[1, 0]) < np.radians(0.3)
+
+
 def test_lost_ticks_cost_their_own_samples_alone() -> None:
     whole, holed = solved(6.0, Sensor()), solved(6.0, Sensor(), lost=0.2)
     assert abs(cross_talk(holed.force, np.eye(3))[1, 0]) < np.radians(0.3)
