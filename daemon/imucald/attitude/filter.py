@@ -82,7 +82,7 @@ HEADING_SPACING_S = 0.5
 """Headings are taken so far apart [s]."""
 HEADING_ERRORS_S = 60.0
 """An error of a source lasts so long, and all headings within it count as one [s]: a fused heading
-drifts, steel beside the road goes on. So rests count for more in the gyroscope's zero error."""
+drifts, steel next to the road goes on. So rests count for more in the gyroscope's zero error."""
 
 
 class AttitudeFilter:

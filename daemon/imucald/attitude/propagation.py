@@ -1,7 +1,7 @@
 """The attitude matrix carried along by the gyroscope, and running integrals in its frame.
 
 The frame P is that of the start, kept by the gyroscope alone: corrections of the filter are a
-rotation beside it, so nothing in the history jumps. Integrals of specific force are kept for some
+rotation next to it, so nothing in the history jumps. Integrals of specific force are kept for some
 seconds, so that an interval between two speed samples can be looked at when a late speed comes.
 """
 

@@ -61,7 +61,7 @@ _channel_numbers = itertools.count()
 
 @dataclass(frozen=True)
 class Angle:
-    """One mount angle beside the truth [rad]; std: of this angle; error: estimate less truth."""
+    """One mount angle and the truth [rad]; std: of this angle; error: estimate less truth."""
 
     name: str
     estimate: float
@@ -235,7 +235,7 @@ def _rms(error: NDArray[np.float64]) -> float:
 
 
 def angles_beside(estimate: MountEstimate, truth: Matrix3) -> list[Angle]:
-    """Those of roll, pitch and yaw that are known at all (see `UNKNOWN_STD`), beside the truth."""
+    """Those of roll, pitch and yaw that are known at all (see `UNKNOWN_STD`), with the truth."""
     R, std = estimate.R_vehicle_from_sensor, estimate.angle_std
     if R is None or std is None:
         return []

@@ -1,4 +1,4 @@
-"""`imucald demo --live`: a simulated bus, the real daemon and the monitor beside it, in one line.
+"""`imucald demo --live`: a simulated bus, the real daemon and its monitor, in one line.
 
 The daemon is the one of `imucald run`, in a thread of its own; the monitor asks it through its
 status socket, as it would any other. On python-can's virtual bus nothing has to be installed. The

@@ -1,4 +1,4 @@
-"""The result of `imucald demo`: estimate beside truth, on the terminal and as SVG."""
+"""The result of `imucald demo`: estimate and truth, on the terminal and as SVG."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ def write_svg(
 
 
 def print_result(demo: Demonstration, waited: float, console: Console | None = None) -> None:
-    """Print estimate beside truth, the frames' proof, and what to do next."""
+    """Print estimate and truth, the frames' proof, and what to do next."""
     console = console or plain_console()
     angles = angles_beside(demo.estimate(), demo.truth)
     console.print()

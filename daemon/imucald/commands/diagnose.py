@@ -1,4 +1,4 @@
-"""`imucald diagnose`: what the simulation gets wrong beside measured drives, why, and the gain."""
+"""`imucald diagnose`: what the simulation gets wrong in measured drives, why, and the gain."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`imucald replay --report DIR`: the page about a drive, made beside the replay."""
+"""`imucald replay --report DIR`: the page about a drive, made during the replay."""
 
 from __future__ import annotations
 

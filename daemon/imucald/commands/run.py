@@ -174,7 +174,7 @@ def _checked(options: argparse.Namespace, journal: Journal) -> int:
 
 
 def _metrics_process(address: str | None, status_socket: Path | None) -> ServingProcess | None:
-    """What serves metrics beside the loop, where that is wanted."""
+    """The process that serves metrics, where that is wanted."""
     if address is None:
         return None
     from imucald.commands.metrics import serve

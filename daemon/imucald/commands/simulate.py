@@ -1,4 +1,4 @@
-"""`imucald simulate`: a simulated drive as a candump log, with its truth beside it."""
+"""`imucald simulate`: a simulated drive as a candump log, with its truth in another file."""
 
 from __future__ import annotations
 

@@ -20,7 +20,7 @@ Progress = Callable[[int, int | None], None]
 
 
 MOST_EVENTS = 10
-"""Lines of events at the end of a replay: a screen holds no more beside the mount."""
+"""Lines of events at the end of a replay: a screen holds no more besides the mount."""
 PIPED_WIDTH = 2000
 """Columns where no terminal says how many there are: a row is a line, whoever reads it."""
 
@@ -197,7 +197,7 @@ def _noticed(result: Mapping[str, Any]) -> Iterator[str]:
 
 
 def _beside(result: Mapping[str, Any]) -> Iterator[str]:
-    """What runs beside the calibration, where it was switched on."""
+    """Results of what runs next to the calibration, where it was switched on."""
     attitude = result.get("attitude")
     if attitude is not None:
         angles = ", ".join(

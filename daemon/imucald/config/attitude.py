@@ -167,7 +167,7 @@ class ChoiceSettings(Settings, frozen=True):
 
 
 class AlternativeSettings(Settings, frozen=True):
-    """The alternative beside method D."""
+    """The alternative to method D."""
 
     gravity_time: Positive = 3.0
     """Time constant with which the accelerometer levels the attitude [s]."""

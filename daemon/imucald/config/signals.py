@@ -136,7 +136,7 @@ class Wheels(Settings, frozen=True):
 class ParallelSensor(Settings, frozen=True):
     """Another sensor whose axes are parallel to the accelerometer's; gets the same correction.
 
-    Without z it is a level sensor of two axes: only beside an accelerometer that counts as level.
+    Without z it is a level sensor of two axes: only with an accelerometer that counts as level.
     """
 
     name: Annotated[str, Meta(pattern=r"^[A-Za-z][A-Za-z0-9_]{0,31}$(?!\n)")]

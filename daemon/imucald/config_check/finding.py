@@ -41,7 +41,7 @@ _FACTORS = (
 
 @dataclass(frozen=True)
 class Finding:
-    """One finding; `quantity` as in the configuration; beside: others that it was held against."""
+    """One finding; `quantity` as in the configuration; beside: others that it was compared with."""
 
     level: Level
     quantity: str

@@ -1,4 +1,4 @@
-"""Witnesses of the yaw rate beside one another: signs and units of what shows turns."""
+"""Witnesses of the yaw rate, compared with each other: signs and units of what shows turns."""
 
 from __future__ import annotations
 

@@ -24,7 +24,7 @@ def write_file(path: Path, data: bytes, mode: int | None = None) -> None:
 
     mode: its permissions, where not those that new files get.
 
-    Written beside it, forced to the disk, renamed, the folder forced too: at every instant the
+    Written next to it, forced to the disk, renamed, the folder forced too: at every instant the
     file is the old one or the new one.
     """
     unfinished = write_beside(path, data)
@@ -91,7 +91,7 @@ def split_checksum(data: bytes) -> tuple[bytes, bytes, bool]:
 
 
 def free_name(path: Path, word: str) -> Path:
-    """Return a name beside the file for what is set aside: a free one, or that of the oldest."""
+    """Return a name next to the file for what is set aside: a free one, or that of the oldest."""
     names = [path.with_name(f"{path.name}.{word}.{n}") for n in range(1, MAX_ASIDE + 1)]
     ages = {}
     for name in names:

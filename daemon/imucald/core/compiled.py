@@ -2,7 +2,7 @@
 
 Everything works without it, to the last bit the same, and a replay takes about twice as long.
 `setup.py` builds it from `core/kernels`; it is loaded here and nowhere else. Each kernel has its
-numpy version beside the place that calls it::
+numpy version next to the place that calls it::
 
     kernels = compiled.kernels
     if kernels is not None:
@@ -10,7 +10,7 @@ numpy version beside the place that calls it::
         return ...
 
 `kernels` is None where the library is not there, cannot be loaded, was built from other sources
-than those that lie beside it, or takes sums in another order than this numpy; and with
+than those that lie next to it, or takes sums in another order than this numpy; and with
 IMUCALD_COMPILED=0 in the environment.
 
 A kernel takes numpy arrays as they are and checks their types and shapes itself; it raises
@@ -46,7 +46,7 @@ class Kernels:
     """The functions of the library.
 
     Each has its arguments below, as letters: o an array, i a whole number, d a float. What they
-    mean stands beside the function in `core/kernels`.
+    mean stands next to the function in `core/kernels`.
     """
 
     add_cross_spectra: Kernel

@@ -62,7 +62,7 @@ def leaning_words(R_vehicle_from_sensor: Matrix3) -> str:
 
 
 def steep_words(pitch: float, quaternion: Sequence[float]) -> str | None:
-    """What to say beside roll, pitch and yaw of a steep mount; None where these speak alone.
+    """What to say besides roll, pitch and yaw of a steep mount; None where these speak alone.
 
     pitch: [rad]. quaternion: w, x, y, z.
     """

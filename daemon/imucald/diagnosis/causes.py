@@ -178,7 +178,7 @@ says where the model file is exactly right (ten drives of the second generator, 
 1,160,009, which judge nothing; measured while slope and cross fall were noise of a block, and
 without that the same to 7 %). Of a lever arm 0.012 m, not taken: a tenth of a car's rear tyre slip,
 0.0004 s^2/m, at 40 km/h moves the point without sideways speed by 0.05 m. It does not
-shrink with longer drives, so it is in every deviation. A measured log beside its own GNSS speed has
+shrink with longer drives, so it is in every deviation. By its own GNSS speed a measured log has
 the speed's gain off by as much again."""
 LEVEL_GYRO_GAIN_ERROR = 0.018
 """The same of a gain of the gyroscope about a level axis: only slopes show it."""

@@ -81,11 +81,11 @@ GYRO_BIAS = tuple(f"gyro.bias.{axis}" for axis in "xyz")
 LEAST_BLOCKS = 4
 LITTLE_MIN = 10.0
 UNBELIEVED = (GOES_AGAINST, TOO_MUCH)
-"""Structure beside which no fit is believed."""
+"""Structure with which no fit is believed."""
 NOT_AS_STATED = (
     LOUDER, COARSER, VALUES_MISSING, CHANGES_OTHERWISE, JUMPS_ALONE, FOLLOWS_OTHERWISE,
 )  # fmt: skip
-"""Structure beside which a file keeps what it says of its own drives."""
+"""Structure with which a file keeps what it says of its own drives."""
 READ_FROM_VALUES = ("saturation", "stuck_signal", "duplicated_frames")
 """Faults that are read from how a signal's values follow each other."""
 ONE_SENSOR = ("accel", "gyro")
@@ -105,7 +105,7 @@ def diagnose(
     progress: Progress | None = None,
     limit_s: float | None = None,
 ) -> Diagnosis:
-    """Say what the simulation with this model gets wrong beside measured drives of one vehicle.
+    """Say what the simulation with this model gets wrong in measured drives of one vehicle.
 
     drives: SI samples, sensor axes (see `imucald.core.samples`); at least `accel` and `speed`, and
     minutes of them. limit_s: processor time after which what was found so far is reported; None:
@@ -190,7 +190,7 @@ def _begun(
     State,
 ]:
     """All that comes before the search: lost readings and faults of each drive, what raw values
-    show besides, the drives' signals, what stops show, and the drives beside the model file."""
+    show besides, the drives' signals, what stops show, and the drives against the model file."""
     if not drives:
         raise EstimateError("diagnosis needs at least one drive")
     for samples in drives:
@@ -239,7 +239,7 @@ def _odd(parts: Sequence[DriveSignals], model: VehicleModel) -> list[Structure]:
 
 
 def _is_owed(fault: Fault, odd: Sequence[Structure]) -> bool:
-    """Whether a fault may be owed to what its signal shows beside it. Rails, values that stay and
+    """Whether a fault may be owed to what else its signal shows. Rails, values that stay and
     frames that repeat are known by how samples follow each other, and say nothing where something
     between sensor and log has changed that."""
     if fault.cause not in READ_FROM_VALUES:

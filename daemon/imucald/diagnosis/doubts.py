@@ -27,7 +27,7 @@ from imucald.diagnosis.search.trials import Trial
 from imucald.diagnosis.signals import Array
 
 BESIDE = (NOT_PLAUSIBLE, WANDERS, LOUDER, COARSER, CHANGES_OTHERWISE)
-"""Structure that moves no value to one side: what a fit names beside it may stand."""
+"""Structure that moves no value to one side: what a fit names with it may stand."""
 NO_STEP = (GOES_WITH_ANOTHER, GOES_WITH_LEVEL, FOLLOWS_OTHERWISE)
 """Structure that a turned sensor does not leave. A turn by 10 deg leaves zeros and gains that seem
 to wander, since it is followed to first order and to a segment."""

@@ -1,4 +1,4 @@
-"""What the written model file brings by itself: nothing is fitted beside it.
+"""What the written model file brings by itself: nothing is fitted with it.
 
 *After* is what the file leaves of these drives, as whoever puts it beside them again will find.
 Whether it is worth having is asked of data that no fit saw: folds of the data give the found

@@ -32,7 +32,7 @@ from imucald.model.model import VehicleModel
 from imucald.mount.mount_words import SD_95
 
 MISSING = (NOT_PLAUSIBLE, TOO_MUCH, GOES_AGAINST)
-"""Kinds of structure beside which the model does not hold: a cause is missing, whatever is read
+"""Kinds of structure with which the model does not hold: a cause is missing, whatever is read
 directly."""
 SEEN_SHARE = 0.02
 """A signal shows a cause where it carries this share of what the cause explains."""
@@ -213,7 +213,7 @@ def other_candidates(state: State) -> tuple[Candidate, ...]:
 
 
 def _freed(state: State, name: str) -> dict[str, Estimated]:
-    """Parameters of all forms of a cause, each form freed by itself beside what was found."""
+    """Parameters of all forms of a cause, each form freed by itself with what was found."""
     made: dict[str, Estimated] = {}
     for t in state.last:
         if t.hypothesis.name != name or t.hypothesis.pattern is not None:

@@ -1,4 +1,4 @@
-"""A configuration proposed from databases and a recording, with its evidence beside each line."""
+"""A configuration proposed from databases and a recording, with its evidence above each entry."""
 
 from __future__ import annotations
 

@@ -80,7 +80,7 @@ class FleetTables:
     def analyse(self, groups: Sequence[str] = GROUPS) -> dict[str, pa.Table]:
         """Analyse as `imucald fleet analyse` does, write the tables and return them by name.
 
-        groups: columns of `drives` whose groups are held beside each other.
+        groups: columns of `drives` whose groups are compared with each other.
         """
         self.__dict__["_analysis"] = found = analyse_fleet(self._store, groups)
         return found

@@ -1,4 +1,4 @@
-"""Pictures of a fleet as SVG: vehicles beside their type, batches, histories, spreads."""
+"""Pictures of a fleet as SVG: vehicles against their type, batches, histories, spreads."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ SHOWN = 98.0
 
 
 def vehicles_picture(vehicles: Sequence[Row]) -> str:
-    """Each vehicle beside its type, axis by axis; what stands out is marked."""
+    """Each vehicle against its type, axis by axis; what stands out is marked."""
     ordered = sorted(vehicles, key=lambda v: (v["vehicle_type"], v["vehicle"]))
     kinds = [v["vehicle_type"] for v in ordered]
     begins = [i for i, k in enumerate(kinds) if i == 0 or kinds[i - 1] != k]
@@ -54,7 +54,7 @@ def vehicles_picture(vehicles: Sequence[Row]) -> str:
 
 
 def groups_picture(groups: Sequence[Row]) -> str:
-    """Batches beside the other vehicles of their types, with 95 % intervals."""
+    """Batches against the other vehicles of their types, with 95 % intervals."""
     judged = [g for g in groups if g["p"] is not None]
     judged = sorted(judged, key=lambda g: g["p"])[:MAX_LINES]
     labels = [

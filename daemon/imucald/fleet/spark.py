@@ -47,7 +47,7 @@ MORE = (
     Column("outcome", "text", "", "ok, or the kind of failure"),
     Column("message", "text", "", "of a failure, for people"),
 )
-"""Beside those of `drives`: every log has a row."""
+"""Besides those of `drives`: every log has a row."""
 COLUMNS = (*TABLES["drives"], *MORE)
 
 

@@ -35,7 +35,7 @@ class LogLimits(msgspec.Struct, frozen=True):
     """What one log may take."""
 
     memory_bytes: int = 2**30
-    """Beside the program itself."""
+    """Besides the program itself."""
     time_s: float = 900.0
     """By the wall clock."""
 

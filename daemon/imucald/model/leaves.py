@@ -29,7 +29,7 @@ class Leaves(Section, frozen=True):
     axes in place of the rms. `samples of NUMBER at RATE Hz`: exponentials of six numbers without a
     unit (see `diagnosis.direct.next_samples`). `levels of SIGNAL`: `segments` gaps between levels
     in a drive of `segment_s`; `rms` their quantiles (`GAP_QUANTILES`), each known to `spread`; the
-    least value beside 0 and the largest as `speeds_mps`, in the signal's unit.
+    least value above 0 and the largest as `speeds_mps`, in the signal's unit.
     """
 
     segments: Annotated[int, Meta(ge=1)]

@@ -111,7 +111,7 @@ class Terms:
 
 
 def inverse_gain(scale: Vector3, cross_axis: tuple[float, ...]) -> Matrix9 | None:
-    """Inverse of (1 + scale on the diagonal, xy xz yx yz zx zy beside it); None: singular."""
+    """Inverse of (1 + scale on the diagonal, xy xz yx yz zx zy off it); None: singular."""
     xy, xz, yx, yz, zx, zy = cross_axis
     a, e, i = (1.0 + s for s in scale)
     minors = (e * i - yz * zy, yz * zx - yx * i, yx * zy - e * zx)

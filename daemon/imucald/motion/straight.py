@@ -1,7 +1,7 @@
 """Straight-line motion: the recognisers of method A (step 4), and where the yaw rate comes from.
 
 Each recogniser is usable alone. A limit on the yaw rate in rad/s is the wrong unit at speed (at
-2 deg/s and 20 m/s the centripetal acceleration is 0.7 m/s^2), so beside the published ones stands
+2 deg/s and 20 m/s the centripetal acceleration is 0.7 m/s^2), so next to the published ones stands
 a gate on the lateral acceleration v*r.
 """
 

@@ -1,4 +1,4 @@
-"""What an estimate must pass beside small deviations before it is good, and before it is *fine*.
+"""What an estimate must pass besides small deviations before it is good, and before it is *fine*.
 
 Deviations say how well the evidence knows the mount if its signals are what the configuration says
 and the mount stays. Whether that is so is asked here: of `signal_checks`, of the tests for a moved

@@ -1,4 +1,4 @@
-"""Does the mount creep? Walks and steady creep beside a constant, with the evidence as weights.
+"""Does the mount creep? Walks and steady creep against a constant, with the evidence as weights.
 
 A holder that gives, tape in the sun: the mount turns slowly all the time. A constant that is fitted
 to it is a mean over the drive, and grows ever surer of what is no longer true. So what the road

@@ -2,7 +2,7 @@
 
 A configured one is among the errors that sources share. Else it is estimated. With E the six terms
 in sensor axes and C = R E R^T in the vehicle's, the force is (1 + C) f, and each source shows one
-entry of C beside its angle:
+entry of C next to its angle:
 
     yaw from dv/dt -C_yx, yaw from turns +C_xy, pitch from dv/dt +C_zx, roll from turns -C_zy,
     level parts of gravity C_xz, C_yz (most of them taken for a bias, and taken off with it),
@@ -63,7 +63,7 @@ _OFF_ROW, _OFF_COLUMN = np.nonzero(~np.eye(3, dtype=bool))
 
 
 class ForceSeen(Struct, frozen=True):
-    """What the force has shown beside the sources of angles; sensor axes, SI.
+    """What the force has shown besides the sources of angles; sensor axes, SI.
 
     mean: (3,) of the drive. bias: (3,) of the accelerometer, bias_cov: (3, 3). gains: of the
     response to dv/dt and to turns, None where no gyroscope takes the body's leaning out of them.

@@ -1,4 +1,4 @@
-"""What stands beside an estimate for those who look closer: `MountEstimate.details`.
+"""What is stated with an estimate for those who look closer: `MountEstimate.details`.
 
 Angles in degrees where the key says so, all else in SI; `t` counts the blocks of the drive [s].
 """

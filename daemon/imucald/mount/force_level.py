@@ -42,7 +42,7 @@ LEAST = 0.3
 ZEROS = 0.5
 """Zeros of two axes differ by up to so much [m/s^2]: 50 mg (BMI160: 40 mg once soldered)."""
 NOISE, NOISE_BLOCKS = 0.05, 10.0
-"""Level of a block beside the drive's own spread [m/s^2], and its weight: 0.3 m/s of height that is
+"""Level of a block and the drive's own spread [m/s^2], and its weight: 0.3 m/s of height that is
 gained or lost from its beginning to its end, as over the crest of a hill."""
 DEVIATIONS = 6.0
 """The spread comes from 20 blocks at least, `NOISE_BLOCKS` among them: 1e-5 by Student's t, and

@@ -11,7 +11,7 @@ large d is without any step is learnt from the drive itself, for every age and a
 A gyroscope that sends seldom lets the vertical walk by itself (`gyro_walk`), and d with it. Walking
 by q a second and pulled back with the time constant T, the vertical is off with a covariance of
 q T / 2 exp(-|t - s| / T); a fit of d exp(-t / T) to that has the variance q T, once it is longer
-than T, and less before. So g^2 q T is in the spread of d, beside what the drive has shown.
+than T, and less before. So g^2 q T is in the spread of d, besides what the drive has shown.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ rotation is good, and is large, ..."""
 YOUNG_SIZE = 8.0 * SPREAD_PRIOR
 """... at least that [m/s^2], and stands out beyond `LIMIT` of the prior's spread, which serves."""
 LIMIT = 7.5
-"""A step by itself is as many spreads; smaller ones count beside other evidence (`shift`)."""
+"""A step by itself is as many spreads; smaller ones count with other evidence (`shift`)."""
 OTHER_AXIS = 0.25
 """Share of the other axis in the spread squared: what is rough along is rough across."""
 HISTORY_BLOCKS = 96

@@ -42,7 +42,7 @@ MOST_AFTER = 12
 LEAST_TICKS = 32
 """Half a block must be good to say anything."""
 TILT_NOISE = math.radians(0.5)
-"""A block's tilt beside the road's slope: squat, gains, what is missed of the motion [rad]."""
+"""A block's tilt besides the road's slope: squat, gains, what is missed of the motion [rad]."""
 PRIOR_BLOCKS = 10.0
 """The spread is taken as the prior's with that weight."""
 CLIP = 4.5

@@ -1,8 +1,8 @@
 """Whether the accelerometer is mirrored, or the other signals are, by what is usual.
 
-Beside an accelerometer that shows minus the specific force everything that says where left is needs
+With an accelerometer that shows minus the specific force everything that says where left is needs
 the other sign: yaw rate, steering angle, lateral acceleration, the wheels. A gyroscope does not: it
-fits such a sensor as one that sits upside down and backwards. Beside one whose axes are a left-
+fits such a sensor as one that sits upside down and backwards. With one whose axes are a left-
 handed set the gyroscope does too. But those signals may have the other sign themselves, each for a
 reason of its own, or all of a vehicle that counts to the right. The drive is the same; how often
 each of these happens is not.
@@ -40,7 +40,7 @@ REMEDY = (
 def probability(turned: Mapping[str, bool], by_places: bool = False) -> float:
     """Probability that the accelerometer is mirrored.
 
-    turned: by quantity ("gyroscope", SIDED, "wheel_speeds") whether it needs the other sign beside
+    turned: by quantity ("gyroscope", SIDED, "wheel_speeds") whether it needs the other sign with
     the accelerometer as it is; without those whose sign is a bit of its own, which means left in
     one vehicle and right in the next. by_places: whether no names say which axis is which.
     """

@@ -68,7 +68,7 @@ def known_sensor(estimator: MountEstimator) -> KnownSensor | None:
 def held(estimator: MountEstimator) -> RestoredEstimator | None:
     """The mount that an estimator serves, held; None: it serves none.
 
-    What found it goes on beside it, as the one that knows best when the drive contradicts it.
+    What found it goes on next to it, as the one that knows best when the drive contradicts it.
     """
     stored = mount_in_force(estimator)
     if stored is None:

@@ -1,4 +1,4 @@
-"""Past drives' evidence beside this one's: fused with it, never mixed into it.
+"""Past drives' evidence next to this one's: fused with it, never mixed into it.
 
 Both stay apart for as long as the daemon runs, so that every fit can say whether they contradict
 one another, and the past ones can be left again. What they have in common is counted once: the

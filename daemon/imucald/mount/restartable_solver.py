@@ -2,7 +2,7 @@
 
 A solver begins anew in five ways: without any hint (`begin_without_rotation`), as the speed came or
 went, to go through the first minutes a second time (`look_again`), with what came after a change of
-the mount (`begin_after_change`), and with the same beside the old one, which counts until the new
+the mount (`begin_after_change`), and with the same next to the old one, which counts until the new
 one knows enough (`begin_beside`). The last three go through kept blocks, a little per tick, while
 the old one still counts.
 """
@@ -182,7 +182,7 @@ class RestartableSolver:
         self._beside = Refit(fresh, blocks, offsets.gyro_bias.copy())
 
     def take_beside(self, limits: Limits) -> bool:
-        """Let the solver beside count from now on, where it is usable; return whether it does."""
+        """Let the second solver count from now on, where it is usable; return whether it does."""
         beside = self.beside
         if beside is None or beside.fused is None or not beside.yaw_known:
             return False

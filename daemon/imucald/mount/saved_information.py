@@ -92,7 +92,7 @@ class SavedInformation(Struct, frozen=True):
 
 @runtime_checkable
 class SavesInformation(Protocol):
-    """What a `MountEstimator` has beside its verbs if its evidence outlives the process."""
+    """What a `MountEstimator` has besides its verbs if its evidence outlives the process."""
 
     @property
     def contradiction(self) -> float | None:

@@ -61,7 +61,7 @@ Flags = NDArray[np.bool_]
 BLOCK_S = BLOCK_TICKS * TICK_S
 MISSING = "no valid samples"
 BESIDE = 2
-"""A tick beside a stuck one has no value or no slope either."""
+"""A tick next to a stuck one has no value or no slope either."""
 YAW_GAP = 0.5
 NOMINAL_SPEED = 12.0
 """Where there is no speed signal, v r is taken with this [m/s]; its gain is free."""

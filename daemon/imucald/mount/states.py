@@ -18,7 +18,7 @@ SLACK, YOUNG_SLACK = 1.4, 2.0
 deviation that is stated. A young one, *usable* without past drives, rests on half a dozen pieces of
 evidence, which give a deviation to 29 % (1 / sqrt(2 n)): twice the limit lies 3.5 of those above,
 beyond what chance makes of a mount that nothing contradicts (chosen after a look at the drives of
-`benchmarks.integrity` from 700,000 on, judged on those from 720,000). Beside past drives a
+`benchmarks.integrity` from 700,000 on, judged on those from 720,000). With past drives a
 deviation grows by contradiction alone."""
 HIDDEN_SLACK = 2.8
 """*Usable* begins at so many times its usual limit where of yaw only the hidden part of a

@@ -1,4 +1,4 @@
-"""Zero offset of the steering angle, beside the mount: it gates straight-line detection.
+"""Zero offset of the steering angle, next to the mount: it gates straight-line detection.
 
 Steady cornering: delta = n (L + K v^2) r / v + offset. With delta the steering-wheel angle, r the
 yaw rate and v the speed this is linear in (1, r / v, r v), so three coefficients are fitted by

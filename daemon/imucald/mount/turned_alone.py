@@ -41,7 +41,7 @@ class Witness(Struct, frozen=True):
     gain_share: float
 
     def beside(self, walk: float) -> Witness:
-        """The same beside a gyroscope whose angle walks by so much variance a second [rad^2/s].
+        """The same with a gyroscope whose angle walks by so much variance a second [rad^2/s].
 
         least: of `DEVIATIONS` that it may differ by, of which walking makes more.
         """

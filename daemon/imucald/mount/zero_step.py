@@ -63,7 +63,7 @@ STANDING_METRES = 0.3
 
 AXIS_PRIOR = 0.07
 """The axis of turning lies that far from gravity [rad], 4 deg, before any bend: in a measured van
-it lies 3 to 4 deg beside what its INS says."""
+it lies 3 to 4 deg from what its INS says."""
 NO_PRIOR = 1e-6
 NO_ROWS: Array = np.zeros((0, 8))
 """Of each block: force without motion (3,) [m/s^2], turn (3,) [rad], sensor axes; road [m]; when it

@@ -132,7 +132,7 @@ def axes_drawing() -> str:
 
 
 def _sheet(views: Sequence[str], lines: Sequence[str], title: str) -> str:
-    """Three views beside one another, text lines below."""
+    """Three views side by side, text lines below."""
     width = VIEW_WIDTH * len(views)
     wrapped = [part for line in lines for part in _wrapped(line, 118)]
     height = VIEW_HEIGHT + 20.0 * len(wrapped) + (8.0 if wrapped else 0.0)

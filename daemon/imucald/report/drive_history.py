@@ -139,7 +139,7 @@ class DriveHistory:
         return {c: np.concatenate(parts) for c, parts in sorted(self._rejected.items())}
 
     def motion(self) -> DriveMotion:
-        """Return forces beside the vehicle's motion."""
+        """Return forces and the vehicle's motion."""
         samples = self.all_samples
         n = max(int(self.duration_s * TICK_RATE) + 1, WINDOW_TICKS + 1)
         edges = np.arange(n + 1) / TICK_RATE

@@ -1,4 +1,4 @@
-"""Pictures of the corrected force beside the vehicle's motion."""
+"""Pictures of the corrected force and the vehicle's motion."""
 
 from __future__ import annotations
 

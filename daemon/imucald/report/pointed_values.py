@@ -94,7 +94,7 @@ def _maps(axes: Axes) -> str:
     """The cells of a map that have a value; the map's label has its name and unit."""
     fields = []
     meshes = (c for c in axes.collections if isinstance(c, QuadMesh))
-    for mesh in filter(_label, meshes):  # the scale beside a map is one without a name
+    for mesh in filter(_label, meshes):  # the scale next to a map is one without a name
         corners = np.asarray(mesh.get_coordinates(), float)  # (rows + 1, columns + 1, 2)
         rows, columns = corners.shape[0] - 1, corners.shape[1] - 1
         values: Array = np.ma.filled(np.ma.asarray(mesh.get_array(), float), np.nan)

@@ -1,4 +1,4 @@
-"""A replayed drive as one HTML page that needs nothing beside it."""
+"""A replayed drive as one self-contained HTML page."""
 
 from __future__ import annotations
 

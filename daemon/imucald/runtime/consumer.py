@@ -1,4 +1,4 @@
-"""What runs beside the mount calibration on the same samples.
+"""What runs next to the mount calibration on the same samples.
 
 A consumer takes samples one by one, in the same order live as in replay, and gives frames at ends
 of ticks. The engine knows consumers only by the protocol here; `consumers` has those there are.

@@ -1,6 +1,6 @@
 """The consumers of one engine together: fed sample by sample, live and in replay.
 
-They run beside the calibration, and must not end it. Where numbers of a bus make a calculation of
+They run next to the calibration, and must not end it. Where numbers of a bus make a calculation of
 one fail, the failure is counted, and that consumer begins anew: it sends *not available* until it
 knows something again. A mistake of the program (any other exception) is none of these.
 """

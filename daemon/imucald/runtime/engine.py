@@ -51,7 +51,7 @@ class Engine:
 
     on_snapshot: called with every snapshot of the estimate (for terminals and state files).
     link_health: asked whenever a health frame is made.
-    consumers: run beside, on the same samples.
+    consumers: run on the same samples.
     new_estimator: makes the estimator of `restart_calibration`.
     preprocessing: takes out of the signals what a model file knows of them.
     on_samples: called by `columns` with the samples of every segment, as they came and corrected.
@@ -98,7 +98,7 @@ class Engine:
 
     @property
     def consumers(self) -> tuple[Consumer, ...]:
-        """What runs beside the calibration."""
+        """What runs next to the calibration."""
         return self._group.all
 
     @property

@@ -84,7 +84,7 @@ def make_engine(
 
 
 def _consumers(loaded: LoadedConfig, output: OutputFrames, gyro_step: float) -> list[Consumer]:
-    """What runs beside the calibration. Raises ConfigError where an input is missing."""
+    """What runs next to the calibration. Raises ConfigError where an input is missing."""
     if output.attitude is None and output.travel is None:
         return []
     from imucald.runtime.consumers import consumers_for  # noqa: PLC0415 - few switch one on

@@ -88,7 +88,7 @@ class TimeBase:
     def _is_overtaken(self, stamp: float) -> bool:
         """Whether `idle` has come further than this stamp: the clock was set back in a silence.
 
-        Beside the newest stamp alone it may look like one that went on, or like disorder; stream
+        Against the newest stamp alone it may look like one that went on, or like disorder; stream
         time would stand still until the stamps have caught up.
         """
         return self._now > self._frame and stamp - self._offset < self._now - BACKWARD_STEP

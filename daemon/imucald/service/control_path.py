@@ -6,7 +6,7 @@ from pathlib import Path
 
 
 def control_socket(status_socket: Path) -> Path:
-    """Beside the status socket."""
+    """Next to the status socket."""
     if status_socket.name == "status.sock":
         return status_socket.with_name("control.sock")
     return status_socket.with_name(f"{status_socket.name}.control")

@@ -1,4 +1,4 @@
-"""Keeps the DTCs over restarts: one small file beside the saved state.
+"""Keeps the DTCs over restarts: one small file next to the saved state.
 
 The codes say what a workshop should look at, nothing is driven by them: one generation is enough,
 and a file that cannot be believed is set aside and begun anew.

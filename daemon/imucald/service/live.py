@@ -85,7 +85,7 @@ class _Recent:
 
 
 class Extra(Protocol):
-    """Something that talks on the same bus beside the calibration; it never waits for anything."""
+    """Something that talks on the same bus as the calibration; it never waits for anything."""
 
     @property
     def ids(self) -> frozenset[int]:
@@ -138,7 +138,7 @@ class Daemon:
         self._next_heartbeat = clock()
 
     def serve(self, extra: Extra | None) -> None:
-        """Serve this beside the engine from now on, in place of what was served before."""
+        """Serve this next to the engine from now on, in place of what was served before."""
         self._extra = extra
         self._extra_ids = frozenset[int]() if extra is None else extra.ids
 

@@ -1,4 +1,4 @@
-"""Metrics over HTTP, for a Prometheus that scrapes: beside the daemon, in a process of its own.
+"""Metrics over HTTP, for a Prometheus that scrapes, in a process of its own.
 
 It asks the daemons' status sockets, as anybody may; nothing of the frame loop runs here.
 """
@@ -98,7 +98,7 @@ class MetricsServer(ThreadingHTTPServer):
         return name is None or name == "localhost" or _is_loopback(name)
 
     def process_request(self, request: Any, client_address: Any) -> None:
-        """Serve a connection beside the others; whoever has not asked yet makes room for it.
+        """Serve a connection along with the others; whoever has not asked yet makes room for it.
 
         Of these the oldest of the address with the most connections goes: who drips in requests,
         from however many connections, keeps nobody else out.

@@ -121,7 +121,7 @@ class PartsMaker:
     ) -> tuple[MountEstimator, CalibrationStore | None]:
         """The running estimator where it can stay; else a new one behind what is known.
 
-        Beside it the store that is to keep it.
+        With it the store that is to keep it.
         """
         running, store = parts.engine, parts.calibration_store
         old, new = running.pipeline.estimator, engine.pipeline.estimator

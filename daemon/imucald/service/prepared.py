@@ -1,4 +1,4 @@
-"""Work that may take long, done beside the loop by a thread, its result or error kept for later."""
+"""Work that may take long, done by a thread, its result or error kept for later."""
 
 from __future__ import annotations
 

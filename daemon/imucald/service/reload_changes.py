@@ -51,7 +51,7 @@ def keeps_estimator(
 def keeps_consumers(
     old: LoadedConfig, new: LoadedConfig, old_engine: Engine, new_engine: Engine
 ) -> bool:
-    """Whether what runs beside the calibration is what the new configuration would make."""
+    """Whether what runs next to the calibration is what the new configuration would make."""
     a, b = (
         (c.attitude, c.travel_direction, c.signals, c.output.ids, c.output.checksum)
         for c in (old.config, new.config)

@@ -1,4 +1,4 @@
-"""Reading the configuration again: prepared beside the loop, taken over in one of its turns."""
+"""Reading the configuration again: prepared in a thread, taken over in one of its turns."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ class Reloading(Generic[Read]):
         self._end(Prepared.of(self._read))
 
     def poll(self) -> None:
-        """Begin a reload that was asked for, beside the loop; take over what is prepared."""
+        """Begin a reload that was asked for, in a thread; take over what is prepared."""
         if self._preparing is None:
             if self._is_requested:
                 self._is_requested = False

@@ -43,7 +43,7 @@ SECOND_S = 1.0
 
 
 class Companion(Protocol):
-    """A process that serves beside this one; it ends with it."""
+    """A process that serves next to this one; it ends with it."""
 
     def poll(self) -> bool:
         """Whether it has just ended by itself."""

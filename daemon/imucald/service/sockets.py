@@ -1,4 +1,4 @@
-"""The status socket and the control socket beside it, served in the loop's turns."""
+"""The status socket and the control socket next to it, served in the loop's turns."""
 
 from __future__ import annotations
 

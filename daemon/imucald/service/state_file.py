@@ -1,7 +1,7 @@
 """The saved state: what a drive found, kept so that no power cut can damage it.
 
 Two files take turns (``.0`` and ``.1``), each with a generation number; a save replaces the older
-one: written beside it, forced to the disk, renamed, the folder forced too. So the newest or the one
+one: a new file is forced to the disk and renamed, the folder forced too. So the newest or the one
 before it is whole at every instant. A file is believed only when its length and SHA-256 fit, its
 version is known, it was made for this vehicle and this sensor, and its numbers make sense. What is
 not believed is set aside under another name with the reason in it, never deleted.

@@ -1,1 +1,1 @@
-"""A simulated drive as CAN traffic: encoded, beside other units, into a log or onto a bus."""
+"""A simulated drive as CAN traffic: encoded, with other units, into a log or onto a bus."""

@@ -1,1 +1,1 @@
-"""Direction of travel of a carried terminal (method D), and an alternative beside it."""
+"""Direction of travel of a carried terminal (method D), and an alternative to it."""

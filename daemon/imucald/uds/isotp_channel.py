@@ -23,7 +23,7 @@ FRAMES_AT_ONCE: Final = 200.0
 """The same in a burst."""
 SEND_WINDOW_S: Final = 0.05
 FRAMES_PER_WINDOW: Final = 16
-"""Frames sent in a window: what an interface's queue takes beside the corrected frames."""
+"""Frames sent in a window: what an interface's queue takes besides the corrected frames."""
 PADDING: Final = 0xCC
 """Fills frames up to 8 bytes (ISO 15765-2)."""
 LONGEST_RESPONSE_S: Final = 10.0

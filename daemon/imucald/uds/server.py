@@ -82,7 +82,7 @@ class Server:
     """Answers requests about one host.
 
     clock: monotonic [s]. security: what unlocks the routines. more: identifiers that can be read
-    beside those of the host. dtcs: a memory that is there already.
+    besides those of the host. dtcs: a memory that is there already.
     """
 
     def __init__(

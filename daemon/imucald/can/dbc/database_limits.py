@@ -18,7 +18,7 @@ MAX_MESSAGE_BYTES = 4096
 MAX_BITS = 8 * MAX_MESSAGE_BYTES
 
 MAX_PDU_BITS = 2**24
-"""Longest PDU taken in an ARXML file, which may describe Ethernet beside CAN."""
+"""Longest PDU taken in an ARXML file, which may describe Ethernet besides CAN."""
 
 MAX_MULTIPLEXED_SETS = 65_536
 """Most sets of signals that one message's multiplexers may select, nested ones multiplied."""

@@ -19,7 +19,7 @@ COUNTER_BITS = 56
 """Sums of longer ones' steps over a chunk of frames do not fit 64 bits. AUTOSAR's have 32."""
 
 _FD_LENGTHS = (8, 12, 16, 20, 24, 32, 48, 64)
-"""Payloads that CAN FD has beside those of classic CAN [bytes] (ISO 11898-1)."""
+"""Payloads that CAN FD has besides those of classic CAN [bytes] (ISO 11898-1)."""
 
 
 class CounterSpec(Struct, frozen=True):

@@ -33,7 +33,7 @@ CREDIT_S = 2.0
 FADES_S = 2.0
 """In about this time a credit fades [s]."""
 BATCH = 0.03
-"""A pause brings this share of itself as credit beside: of two batches, one has a frame more."""
+"""A pause brings this share of itself as extra credit: of two batches, one has a frame more."""
 LEARN_S, LEARN_STEPS = 5.0, 50
 """Time [s] and cycles in which a cycle is learnt, and so many without an early frame prove it."""
 REMEMBERED_S = 600.0

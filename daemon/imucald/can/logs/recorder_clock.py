@@ -141,7 +141,7 @@ class _Loop:
 
 
 class _BusTime:
-    """How long the frames of a file take on a bus at the fastest, beside the time of its stamps."""
+    """How long the frames of a file take on a bus at the fastest, and the time of its stamps."""
 
     def __init__(self, log: Log) -> None:
         self._log = log

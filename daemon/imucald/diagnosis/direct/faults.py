@@ -28,7 +28,7 @@ PILE_LEVELS = (3, 10)
 CHANCE = 0.01
 """Of a drive: that a rail is reported without a reason; shared out over ends and levels."""
 FEW_STAYS = 2
-"""Beside the longest."""
+"""Besides the longest."""
 QUESTIONS = 6 * len(INERTIAL) * (len(PILE_LEVELS) + 1)
 """Both ends of three axes of each signal."""
 INVALID_S = 0.3
@@ -101,7 +101,7 @@ def _moving(samples: Samples) -> tuple[Array, Array]:
 
 
 def _piled(name: str, series: Series, model: VehicleModel) -> Iterator[Fault]:
-    """A value at the end of a signal's range that is held far oftener than those beside it."""
+    """A value at the end of a signal's range that is held far oftener than those next to it."""
     table = series.values.reshape(len(series.t), -1)
     still = np.zeros(len(table), dtype=bool)
     still[1:] = (np.diff(table, axis=0) == 0.0).all(axis=1)

@@ -1,4 +1,4 @@
-"""A value inside a sensor's range that it shows far oftener than those beside it.
+"""A value inside a sensor's range that it shows far oftener than those next to it.
 
 A dead zone, a default that is sent where nothing was measured, a converter that has lost codes:
 what such a sensor says between is not what it feels, and no parameter describes it.

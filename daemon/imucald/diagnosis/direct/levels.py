@@ -159,7 +159,7 @@ def _in_steps(signal: Numbers, lsb: float, known_to: float) -> Iterator[Question
 
 
 def _from_zero(signal: Numbers, dead: float) -> Iterator[Question]:
-    """What a signal shows beside 0, each time that it leaves or reaches it. Where values come as
+    """What a signal shows next to 0, each time that it leaves or reaches it. Where values come as
     often in each range of one width, n of them between the least and twice that have a chance of
     2^-n, whatever the rate (least of a Poisson process: the integral of e^-u P(N >= n | u))."""
     x = np.abs(signal.values)
@@ -230,7 +230,7 @@ def _hole(signal: Numbers) -> Iterator[Question]:
 
 def with_levels(model: VehicleModel, drives: Sequence[DriveSignals]) -> VehicleModel:
     """The model file with the levels in which these drives' signals come, of each signal those that
-    lie closest, and the least speed beside 0."""
+    lie closest, and the least speed above 0."""
     made: dict[str, Leaves] = {}
     for drive in drives:
         for signal in signals_of(drive):

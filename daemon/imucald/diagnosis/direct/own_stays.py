@@ -32,7 +32,7 @@ def number_as_long(own: Steps, length: int) -> float:
     the larger of both.
 
     own: (M,) lengths of the others in steps, 1 or more; length: the same of the one in question. 1
-    beside none, since a filter that settles for the first time does so for as long as it may.
+    against none, since a filter that settles for the first time does so for as long as it may.
     """
     if not len(own):
         return 1.0

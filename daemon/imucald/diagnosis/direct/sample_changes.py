@@ -3,7 +3,7 @@
 A road shakes all axes of a sensor. By how much one axis changes over 1, 2, 4, ... samples, beside
 the others, is a matter of the vehicle and the sensor, which two drives share: a model file carries
 what half of the segments of its drives show, along the vehicle's axes. And small changes are more
-common than large ones, whatever the signal, also beside those just before and after.
+common than large ones, whatever the signal, also compared with those just before and after.
 """
 
 from __future__ import annotations
@@ -62,7 +62,7 @@ BESIDE = np.array([1.0] * 6 + [0.0] * 5 + [1.0] * 6)
 """Changes that one is held against: the third to the eighth before it and after it. The two next to
 it a wrong value makes itself, and what a filter spreads of it."""
 LEVELS = (4.0, 8.0, 16.0, 32.0, 64.0, 128.0)
-"""Times the rms of the changes beside it, octaves. Of normal noise with a rms of twelve one in 500
+"""Times the rms of the changes next to it, octaves. Of normal noise with a rms of twelve one in 500
 exceeds the first (Student)."""
 ALONE_SHARE = 0.001
 """Of the changes of a signal that jump. Fewer a blow or a stone makes; of frames so many come twice
@@ -218,7 +218,7 @@ def jumps_alone(drives: Sequence[DriveSignals]) -> list[Question]:
 
 
 def _alone(signal: Numbers) -> Iterator[Question]:
-    """Of changes that are larger than those beside them by some factor at most a quarter is so by
+    """Of changes that are larger than those next to them by some factor at most a quarter is so by
     twice the factor: tails of what has a variance fall faster than 1/x^2. A road's blows shake on,
     and are beside themselves. Asked of every two factors, the chance multiplied by their number."""
     changes, times = _beside(signal)
@@ -242,7 +242,7 @@ def _alone(signal: Numbers) -> Iterator[Question]:
 
 
 def _beside(signal: Numbers) -> tuple[Array, Array]:
-    """(N,) changes between values that differ, and how many times they are the rms of those beside
+    """(N,) changes between values that differ, and how many times they are the rms of those next to
     them. Below its noise, or its step, none is measured, and no speed is below 1 km/h: it leaves
     zero by a jump (dead band)."""
     new = np.flatnonzero(np.concatenate([[True], np.diff(signal.values) != 0.0]))

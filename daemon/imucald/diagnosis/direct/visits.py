@@ -1,4 +1,4 @@
-"""Whether a signal comes to a value too often for chance, beside the values next to it."""
+"""Whether a signal comes to a value too often for chance, by the values next to it."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ does how often each is met."""
 
 
 def visited_too_often(is_there: Mask, beside: int, levels: int, chance: float) -> bool:
-    """Whether k visits to a value are too many beside m samples in n levels next to it.
+    """Whether k visits to a value are too many for m samples in n levels next to it.
 
     Where each level is as likely as the next, k of k + m is binomial with p <= 1/(n + 1). Visits
     are counted and not samples, since a slow signal stays for some at any value.

@@ -207,7 +207,7 @@ class VehicleMotion:
             found["gyro_z"] = self._apart(self._turning(true), self._own_yaw_rate(true))
 
     def vehicle(self, found: dict[str, Array]) -> None:
-        """What the vehicle's own sensors say beside each other."""
+        """What the vehicle's own sensors say, compared with each other."""
         f, drive = self.f, self.f.drive
         if drive.has("lateral_accel") and self.f.has_turning:
             found["lateral_accel"] = self._felt("lateral_accel", 1)

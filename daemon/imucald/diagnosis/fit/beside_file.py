@@ -1,4 +1,4 @@
-"""Segments of a drive beside those that a model file was made of.
+"""Segments of a drive next to those that a model file was made of.
 
 A model file carries what half of the segments of its own drives show, number by number, and how far
 segments differ. Here such an entry is made, written and compared, whatever its numbers are.
@@ -53,7 +53,7 @@ def short(x: float) -> float:
 
 
 def with_entries(model: VehicleModel, made: Mapping[str, Leaves]) -> VehicleModel:
-    """The model file with these entries, beside others that it had."""
+    """The model file with these entries, besides others that it had."""
     return model.with_changes({"leaves": msgspec.to_builtins({**model.leaves, **made})})
 
 

@@ -25,7 +25,7 @@ FEW_S = 600.0
 """Drives shorter than this in all are cut into short blocks: intervals need blocks."""
 TOP_HZ = 1.0
 SLOW_HZ = 0.1
-"""Of equations whose quick part is the road's: upward force, wheels beside speed."""
+"""Of equations whose quick part is the road's: upward force, wheels against speed."""
 SLOW = ("accel_z", "speed")
 OF_SPEED = ("accel_x",)
 CARRIED = 0.4

@@ -135,7 +135,7 @@ def what_is_left(problem: Problem, state: State, spectra: Mapping[str, Spectra])
 
 def spectra_of(problem: Problem, forwards: Sequence[Forward]) -> Mapping[str, Spectra]:
     """Transforms (B, F) of each equation's residual while driving, in its unit; NaN rows where it
-    was not there. Beside them `_steering` and `_turning`, which move the vehicle.
+    was not there. With them `_steering` and `_turning`, which move the vehicle.
 
     Everything within its tolerance is fitted.
     """
@@ -249,7 +249,7 @@ def cut_offs(changes: Mapping[str, float]) -> list[tuple[str, float, float]]:
     """Signal, and from where to where [Hz] the low-pass that a found delay x may be leaves a peak:
     within an octave of its cut-off, 1/(2 pi x) of first order, sqrt 2/(2 pi x) of second. Below it
     a delay does as well, above it no motion is. What is younger than stated is late nowhere: the
-    signals beside it are."""
+    signals next to it are."""
     made = []
     for key, x in changes.items():
         if key.endswith("delay_s") and abs(x) > PARAMETERS[key].tolerance:

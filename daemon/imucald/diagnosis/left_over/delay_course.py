@@ -44,7 +44,7 @@ deviations are by the scatter between segments, whatever it is."""
 LEAST_SAMPLES, LEAST_BLOCKS, LEAST_COUNT = 10, 6, 3.0
 """Of a segment; segments; segments that carry what is known."""
 FURTHEST_S, EDGE_S = 1.0, 0.5
-"""Delays beside the model's that are followed; what is left of a segment for the column of one."""
+"""Delays beyond the model's that are followed; what is left of a segment for the column of one."""
 STEPS = 3
 MANY_S = 1000.0
 ENDS = (0.05, 0.95)
@@ -52,7 +52,7 @@ ENDS = (0.05, 0.95)
 
 @dataclass(frozen=True)
 class Pieces:
-    """One drive beside a model file, ready to be compared at any delay."""
+    """One drive and a model file, ready to be compared at any delay."""
 
     at: Array
     """(N,) instants of the speed's samples by their stamps and the model."""
@@ -62,7 +62,7 @@ class Pieces:
     growth: Array
     """(N,) time from the drive's middle [1000 s]."""
     stamps: Array
-    """(N, 2) by how much stamps are late beside an even cycle [s], in all and quickly."""
+    """(N, 2) by how much stamps are late against an even cycle [s], in all and quickly."""
     edges: Array
     """(B, n + 1) of the grid's steps."""
     sums: Array
@@ -97,7 +97,7 @@ class Followed:
 
 
 def off_cycle(t: Array) -> Array:
-    """(N,) by how much stamps are late [s] beside an even cycle. t: (N,) stamps [s], rising.
+    """(N,) by how much stamps are late [s] against an even cycle. t: (N,) stamps [s], rising.
 
     Steps are whole cycles: a lost frame does not make the next one late.
     """
@@ -127,7 +127,7 @@ def _quick(x: Array, t: Array) -> Array:
 
 
 def pieces_of(f: Forward, changes: Changes) -> Pieces:
-    """A drive beside a model file. changes: of the model, at the best fit."""
+    """A drive and a model file. changes: of the model, at the best fit."""
     m, drive = VehicleMotion(f, changes, False), f.drive
     shown = drive.knots.values / (1.0 + f.model.speed.scale + changes.get("speed.scale", 0.0))
     usable = drive.channels["speed"].present(drive.knots.t) & (np.abs(shown) > SLOW_MPS)
@@ -286,7 +286,7 @@ def settled(drives: Sequence[Pieces], pattern: Sequence[Array]) -> Followed | No
 
 
 def followed(course: Course, column: list[Array], before: float) -> Followed | None:
-    """Value of a column beside a delay that is even, on top of what it was `before`.
+    """Value of a column next to a delay that is even, on top of what it was `before`.
 
     Its chance is by the scatter between segments (sandwich, with as many degrees of freedom as
     segments carry what is known of it; Carter, Schnepel and Steigerwald 2017), and by the noise of

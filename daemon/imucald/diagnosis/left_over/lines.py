@@ -38,7 +38,7 @@ BAND_HZ = 0.25, 4.5
 BROAD_HZ = 1.2
 """Up to which `adequacy` looks for broader peaks of `PEAKED`."""
 NEAR, FAR = 3, 9
-"""Bins beside a line, on each side: beyond what a Hann window spreads of it, and as near as to see
+"""Bins next to a line, on each side: beyond what a Hann window spreads of it, and as near as to see
 its slope (0.1 to 0.3 Hz in segments of 30 s)."""
 ZEROS: Mapping[str, str] = {
     "accel_x": "accel.bias.x", "accel_y": "accel.bias.y", "accel_z": "accel.bias.z",

@@ -3,7 +3,7 @@
 A model that is linear in its errors leaves nothing that depends on the level, the direction or the
 last large value of a signal, whatever its parameters. What does is no cause of the catalogue.
 
-All that is linear in the signal is fitted beside a shape (as in the test of Lee, White and Granger
+All that is linear in the signal is fitted with a shape (as in the test of Lee, White and Granger
 1993): the last large value foretells the value, so that a gain which is not wholly taken off would
 look like memory.
 """
@@ -58,7 +58,7 @@ SHAKEN_S = (1.0, 3.0, 10.0)
 LATE = "late"
 TURNING = "turning"
 """A speed that is off by a length times the amount of the yaw rate (RESET with another input's even
-part; Ramsey 1969). A point beside the middle is off by its signed rate, which is odd."""
+part; Ramsey 1969). A point next to the middle is off by its signed rate, which is odd."""
 BESIDE_M = PARAMETERS["mount.lever_arm_m.1"].tolerance
 """By which the point that the speed is of may be off sideways in a correct file [m]."""
 DELAY_S = dict.fromkeys(ASKED, PARAMETERS["accel.delay_s"].tolerance) | {
@@ -82,7 +82,7 @@ SPEED_S = "accel_x"
 @dataclass(frozen=True)
 class ShapeRows:
     """Blocks of one equation, transformed. Residual (B, K), shapes (B, K, LINEAR + k): the value
-    itself, its slope and bend, and k more; beside them the tilt (B, K, Z)."""
+    itself, its slope and bend, and k more; next to them the tilt (B, K, Z)."""
 
     y: Array
     X: Array
@@ -109,7 +109,7 @@ class Grams:
 def patterns(problem: Problem, forwards: Sequence[Forward]) -> list[Question]:
     """Residuals that depend on their own signal in a way that is not linear.
 
-    Each shape is fitted beside value, slope, bend and the block's tilt. Large is what is larger
+    Each shape is fitted with value, slope, bend and the block's tilt. Large is what is larger
     than the zero error that a correct file may have, or later than its delay, and not owed to one
     block.
     """
@@ -158,7 +158,7 @@ def _gram(parts: Sequence[ShapeRows]) -> Grams:
     Z = np.concatenate([p.tilt for p in parts])
     A = without_tilt(A, Z)
     squares = np.sum(A**2, axis=1) / parts[0].rows
-    # What is left beside the linear columns is the noise.
+    # What is left besides the linear columns is the noise.
     linear = A[:, :, : 1 + LINEAR]
     line = _solved(np.einsum("bki,bkj->ij", linear, linear))
     left = A[:, :, 0] - linear[:, :, 1:] @ line

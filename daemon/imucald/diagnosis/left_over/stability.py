@@ -292,7 +292,7 @@ class ScoreTest:
 def _score_tests(
     problem: Problem, fit: Fit, asked: list[int], some: Mapping[str, Array]
 ) -> Iterator[ScoreTest]:
-    """A column times a pattern over the segments, fitted beside all others (score test, deviation
+    """A column times a pattern over the segments, fitted with all others (score test, deviation
     between segments).
 
     What is held at the edge of its box cannot take part of the pattern, and its slope, which does

@@ -47,7 +47,7 @@ def uneven(problem: Problem, drift: Hypothesis | None) -> list[Structure]:
     """Segments that leave more than their noise and than a correct file could: something acts in
     some of them that no parameter describes.
 
-    Noise is what half of the segments leave, and how one segment scatters beside their median
+    Noise is what half of the segments leave, and how one segment scatters about their median
     (Fisher's F: of few segments the median is not known well), so far that more than one in fifteen
     are beyond it with a chance of 1 % (binomial). Beyond that a segment may leave what parameters
     off by their tolerances make in it. One segment in fifteen must not decide. drift: of what was

@@ -1,4 +1,4 @@
-"""What stands of the causes that were named: each is asked again beside the others."""
+"""What stands of the causes that were named: each is asked again with the others."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def asked_again(state: State, trial: Trial) -> Trial:
 
 
 def let_go(state: State) -> list[str]:
-    """Causes that no longer pay beside the later ones are put back; returns their parameters."""
+    """Causes that no longer pay with the later ones are put back; returns their parameters."""
     if len(state.named) < 2:
         return []
     problem = state.evaluated()
@@ -63,7 +63,7 @@ def put_back(problem: Problem, state: State, keys: Sequence[str]) -> Problem:
 
 def simplify(state: State, trial: Trial) -> None:
     """A cause that grows stands if its growth pays by itself where the model has moved to; else
-    what it is without is named. Columns are slopes: beside a large delay they may need a growth
+    what it is without is named. Columns are slopes: with a large delay they may need a growth
     that is not there."""
     h = trial.hypothesis
     first, rest = h.keys[: h.lead], h.keys[h.lead :]
@@ -130,7 +130,7 @@ def without(state: State, trial: Trial) -> State:
 
 
 def _drop(state: State, less: State, trial: Trial) -> None:
-    """A cause does not stand beside the others, whose state is `less`."""
+    """A cause does not stand with the others, whose state is `less`."""
     state.named.remove(trial)
     state.doubtful.append(trial)
     state.changes, state.held, state.bounds = less.changes, less.held, less.bounds
@@ -138,7 +138,7 @@ def _drop(state: State, less: State, trial: Trial) -> None:
 
 
 def demote(state: State) -> None:
-    """What would not be named again beside all others does not stand, nor what may be beyond the
+    """What would not be named again with all others does not stand, nor what may be beyond the
     plausible: then something else explains it, and that is said."""
     for trial in list(state.named):
         if trial.hypothesis.pattern is None:

@@ -49,7 +49,7 @@ class State:
     doubtful: list[Trial] = field(default_factory=list)
     """What was named for a while, and does not stand."""
     last: list[Trial] = field(default_factory=list)
-    """All trials beside what was found: what each could have been."""
+    """All trials with what was found: what each could have been."""
     shift: FittedShift | None = None
     doubtful_shift: FittedShift | None = None
     """A moved mount that does not stand."""
@@ -65,7 +65,7 @@ class State:
         return [key for key in self.changes if key not in self.held]
 
     def evaluated(self) -> Problem:
-        """Put the drives beside the model as it is now."""
+        """Compare the drives with the model as it is now."""
         if self.table is None or self._evaluated != self.model:
             self.table, self.forwards = self.tables.of(self.drives, self.model)
             self._evaluated = self.model

@@ -191,7 +191,7 @@ def tried(
 
 
 def joined(problem: Problem, trials: Sequence[Trial], base: Array) -> list[Trial]:
-    """Variants of one cause together: one after another joins that pays on unseen data beside those
+    """Variants of one cause together: one after another joins that pays on unseen data with those
     before it. Three elements of a gain are off at once as easily as one. Each asks once more."""
     made, asked = [], len(trials)
     for cause in CAUSES:

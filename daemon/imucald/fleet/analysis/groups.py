@@ -1,4 +1,4 @@
-"""Batches and firmware: vehicles of a group beside the other vehicles of their types."""
+"""Batches and firmware: vehicles of a group against the other vehicles of their types."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ LEAST_GROUP = 5
 
 @dataclass(frozen=True)
 class GroupEffect:
-    """How vehicles of a batch sit beside others of their types. p, q are NaN with too few."""
+    """How vehicles of a batch differ from others of their types. p, q are NaN with too few."""
 
     column: str
     name: str
@@ -76,7 +76,7 @@ def group_effects(units: Units, e: Array, T: Array, codes: Codes) -> list[GroupE
 def _effects(
     units: Units, sums: Array, used: Flags, column: str, names: Sequence[str], index: Index
 ) -> list[GroupEffect]:
-    """Each group beside the other vehicles of its types: contrasts by type, put together.
+    """Each group against the other vehicles of its types: contrasts by type, put together.
 
     sums: (n, 10), by vehicle its weights, weights times e, the variance of that, and one.
     """

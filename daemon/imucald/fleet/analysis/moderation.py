@@ -2,7 +2,7 @@
 
 Empirical Bayes as in Smyth (Stat. Appl. Genet. Mol. Biol. 3, 2004): log variances of d freedoms
 scatter by trigamma(d / 2) by chance; what they scatter beyond that says how many freedoms the
-common variance is worth beside a type's own.
+common variance is worth, relative to a type's own.
 """
 
 from __future__ import annotations

@@ -93,7 +93,7 @@ def shrink(drives: KnownDrives, segments: Segments, found: Population) -> Shrunk
     s, kind = segments.ends, drives.kind
     V, T = segments.V[s], found.tau2[kind]
     plain = (segments.starts == s) & ~found.outlier
-    prior = found.offset  # of a found batch: where its vehicles sit beside the type
+    prior = found.offset  # of a found batch: how its vehicles differ from the type
     e = between(segments.rotation[s], found.centre[kind]) - prior
     wide = V + T[:, :, None] * np.eye(3)
     B = np.where(plain[:, None, None], V @ np.linalg.inv(wide), 0.0)

@@ -36,7 +36,7 @@ RESTARTS = 4
 CENTRES = 400
 """Vehicles from which the first centre is chosen."""
 LEAST_PLAIN = 5
-"""A type with fewer vehicles beside those of found batches has these in its mean too."""
+"""A type with fewer vehicles besides those of found batches has these in its mean too."""
 
 
 @dataclass
