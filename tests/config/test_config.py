@@ -27,7 +27,7 @@ def mistakes(text: str) -> list[str]:
 
 def test_a_few_lines_are_a_configuration_with_presets():
     config = parse_config(HEAD).config
-    assert config.calibration.estimator == "full"
+    assert config.calibration.estimator == "joint"
     assert config.output.status_rate == 1
     assert config.output.ids.acceleration == 0x640
     assert config.signals.accelerometer[0].x.sign == 1
