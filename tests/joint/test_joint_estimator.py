@@ -181,3 +181,24 @@ def test_what_a_data_sheet_states_is_the_prior(calibration, entry, is_wider) -> 
     assert stated.solution is not None
     before, after = (getattr(e.solution.sent(), entry) for e in (usual, stated))
     assert (after > 1.01 * before) if is_wider else (after < before / 1.01)
+
+
+@pytest.mark.slow
+def test_a_sensor_that_is_turned_twice_is_usable_again_each_time() -> None:
+    turns = [(200.0, 28.0), (420.0, 12.0)]
+    keys = "t_s", "roll_deg", "pitch_deg", "yaw_deg"
+    shifts = [dict(zip(keys, (t, 0.0, 0.0, yaw), strict=True)) for t, yaw in turns]
+    made = simulate(random_model(77).with_changes({"mount.shifts": shifts}), 77, 12.0)
+    joint, good = estimator(), []
+    for row in ticks_from_samples(made.samples, 0, 7200).tolist():
+        joint.step(row)
+        good.append(joint.state in GOOD)
+    for (t, _), end in zip(turns, (420.0, 720.0), strict=True):
+        after = np.array(good[round(10 * t) : round(10 * end)])
+        lost = np.flatnonzero(~after)
+        assert len(lost), "the move is seen"
+        assert lost[-1] < 1800, "within three minutes, and to the end"
+    correction = joint.correction
+    assert correction is not None
+    off = correction.matrix() @ made.truth.mounts[-1][1].T
+    assert np.degrees(np.arccos(0.5 * (np.trace(off) - 1.0))) < 1.5
