@@ -71,7 +71,7 @@ def _shown(form: str, size: float) -> list[Block]:
     if form == "silent":
         return _with_speed(np.where(speed < size, 0.0, speed), at, size)
     if form == "steps":
-        when, values = passages(0.1 * at, size * np.round(speed / size))
+        when, values = passages(0.1 * at, size * np.round(speed / size), size)
         return _with_speed(np.interp(0.1 * at, when, values), 10.0 * when)
     sent = at[:: int(size)]
     return _with_speed(np.interp(at, sent, speed[:: int(size)]), sent)

@@ -3,7 +3,8 @@
 A signal that is rounded to steps s keeps a value while the true speed is within s / 2 of it, and
 goes on to the next when it passes the middle. Taken as they are, the values make dv/dt zero for
 most of the time and a spike now and then, which no force follows; straight lines between the
-passages are off by s / 2 at most, and are right where they are crossed.
+passages are off by s / 2 at most, and are right where they are crossed. Noise takes the signal to
+and fro around a passage: it is where most of the samples of a tick have passed.
 """
 
 from __future__ import annotations
@@ -23,6 +24,9 @@ COARSE = 0.02
 SMALL = 0.15
 """A change of less than so much of the step is none of a speed in steps, but for the first or last
 of ten samples of a tick."""
+ON_STEP, MOST_OFF = 1e-3, 0.1
+"""A mean is on a step, but for rounding, within that part of it; fewer ticks than that share may
+hold a sample of another sender or a wrong value."""
 ONE_STEP = 1.5
 """So many steps apart, at most, are neighbours."""
 
@@ -57,38 +61,42 @@ def step_of(values: Array) -> float:
     return step if 2 * small < np.count_nonzero(moves) else 0.0
 
 
-def passages(times: Array, values: Array) -> tuple[Array, Array]:
-    """Times (M,) and speeds (M,) that straight lines go through, of ticks' mean speeds (N,).
+def comes_in(step: float, values: Array, counts: Array) -> bool:
+    """Whether mean speeds (N,) of so many samples (N,) each are of a signal in such steps [m/s].
+
+    The sum of a tick's samples is a whole number of them.
+    """
+    whole = values * counts / step
+    off = np.abs(whole - np.rint(whole)) > ON_STEP * counts
+    return bool(np.count_nonzero(off) < MOST_OFF * len(off))
+
+
+def passages(times: Array, values: Array, step: float) -> tuple[Array, Array]:
+    """Times (M,) and speeds (M,) that straight lines go through, of ticks' mean speeds (N,) in
+    steps [m/s].
 
     Standstill stays as it is, and so does what changes by more than a step from tick to tick.
     """
-    step = step_of(values)
     if step < COARSE:
         return times, values
-    change = np.diff(values)
-    is_next = np.abs(change) <= ONE_STEP * step
-    moved = np.abs(change) > SAME_SPEED
-    # of a tick in which the speed changes: both neighbours a step apart, and its mean between them
-    mixed = np.zeros(len(values), dtype=bool)
-    over = values[2:] - values[:-2]
-    part = (values[1:-1] - values[:-2]) / np.where(np.abs(over) > SAME_SPEED, over, 1.0)
-    is_step = np.abs(np.abs(over) - step) <= 0.1 * step
-    mixed[1:-1] = is_step & (part > 0.01) & (part < 0.99)
-    mixed[1:] &= ~mixed[:-1]
-    at = np.flatnonzero(mixed)
-    in_tick = times[at] + (0.5 - part[at - 1]) * TICK_S
-    middle = 0.5 * (values[at - 1] + values[at + 1])
-    # between two ticks
-    crossed = moved & is_next & ~mixed[1:] & ~mixed[:-1]
-    between = np.flatnonzero(crossed)
+    stay = values[1:][np.abs(np.diff(values)) <= SAME_SPEED] / step
+    phases, counts = np.unique(np.round(stay % 1.0, 3), return_counts=True)
+    level = step * float(phases[counts.argmax()]) if len(stay) else 0.0
+    steps = (values - level) / step
+    nearest = np.rint(steps)
+    over = np.diff(nearest)
+    is_next = (np.abs(np.diff(steps)) <= ONE_STEP) & (np.abs(over) <= 1.0)
+    at = np.flatnonzero(is_next & (over != 0.0))
+    # Of a tick with samples of both steps the mean says for how much of it which one was sent.
+    before = np.clip((steps[at] - nearest[at]) * over[at], 0.0, 0.5)
+    after = np.clip((nearest[at + 1] - steps[at + 1]) * over[at], 0.0, 0.5)
+    when = 0.5 * (times[at] + times[at + 1]) + (after - before) * TICK_S
+    middle = level + step * 0.5 * (nearest[at] + nearest[at + 1])
     # values that are no passage
-    kept = np.zeros(len(values), dtype=bool)
+    kept = np.abs(values) <= SAME_SPEED
     kept[0] = kept[-1] = True
     kept[1:] |= ~is_next
     kept[:-1] |= ~is_next
-    kept |= np.abs(values) <= SAME_SPEED
-    kept &= ~mixed
-    t = np.concatenate([times[kept], in_tick, 0.5 * (times[between] + times[between + 1])])
-    v = np.concatenate([values[kept], middle, 0.5 * (values[between] + values[between + 1])])
+    t, v = np.concatenate([times[kept], when]), np.concatenate([values[kept], middle])
     order = np.argsort(t, kind="stable")
     return t[order], v[order]

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from imucald.motion import ticks as tk
+from imucald.motion.coarse_speed import comes_in
 from imucald.motion.signal_health import SignalHealth
 from imucald.motion.standstill import (
     DRIVING_SPEED,
@@ -18,7 +19,14 @@ from imucald.motion.standstill import (
     is_parked,
 )
 from imucald.motion.stuck import SeenForward
-from imucald.mount.even_signals import BLOCK_TICKS, PART, EvenBlock, bridged_speed
+from imucald.mount.even_signals import (
+    BLOCK_TICKS,
+    IN_EACH_TICK,
+    PART,
+    Driven,
+    EvenBlock,
+    bridged_speed,
+)
 
 Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]
@@ -39,8 +47,10 @@ class BlockSpeed:
         self._reverse = 0.0
         self._rest_run = 0
         self.least = DRIVING_SPEED
-        self.knots: Array | None = None
-        """(K,) when the speed of the last block is known [s]; None: in each tick."""
+        self.knots = IN_EACH_TICK
+        """When the speed of the last block is known."""
+        self._step = 0.0
+        """Of the speed, as soon as it showed [m/s]: while noise takes it to and fro it does not."""
 
     def restart(self) -> None:
         """Time jumped."""
@@ -65,6 +75,7 @@ class BlockSpeed:
         if runs is None or not self._health.speed_moves(runs.first, runs.lasted, runs.change):
             stuck = self._health.stuck_speed(rows, forward())
         is_even = driven is not None and (stuck is None or not np.count_nonzero(stuck))
+        is_even = is_even and not self._hides_step(rows, driven)
         if driven is not None and is_even:
             self._seen.add("speed")
             self.least = min(self.least, driven.least)
@@ -76,7 +87,11 @@ class BlockSpeed:
             has &= True if stuck is None else ~stuck
             mean = rows[has, tk.SPEED.mean]
             self._follow_least_speed(np.abs(mean))
-            speed, ok, self.knots = bridged_speed(at, t[has] - rows[has, tk.SPEED.age], mean)
+            times, step = t[has] - rows[has, tk.SPEED.age], 0.0
+            if self._step and comes_in(self._step, mean, rows[has, tk.SPEED.n]):
+                step = self._step
+            speed, ok, self.knots = bridged_speed(at, times, mean, step)
+        self._step = self.knots.step or self._step
         known = rows[:, tk.REVERSE]
         if even is None:
             has_reverse = bool(np.count_nonzero(~np.isnan(known)))
@@ -89,6 +104,12 @@ class BlockSpeed:
             reverse = self._held(known)[PART]
             return np.where(reverse > 0.5, -speed, speed), ok, False
         return speed, ok, is_even
+
+    def _hides_step(self, rows: Array, driven: Driven | None) -> bool:
+        """Whether a block does not show the step that its speed is known to come in."""
+        if driven is None or driven.knots.step >= self._step:
+            return False
+        return comes_in(self._step, rows[:, tk.SPEED.mean], rows[:, tk.SPEED.n])
 
     def silence_parked(self, speed: Array, ok: Flags, force: Array, rate: Array | None) -> bool:
         """Where a speed is noise and the sensor as still as a parked vehicle's: zero.

@@ -14,7 +14,13 @@ from msgspec import Struct
 from numpy.typing import NDArray
 
 from imucald.motion import ticks as tk
-from imucald.motion.coarse_speed import SAME_SPEED, passages, stays
+from imucald.motion.coarse_speed import (
+    COARSE,
+    SAME_SPEED,
+    passages,
+    stays,
+    step_of,
+)
 from imucald.motion.signal_health import SignalHealth
 from imucald.motion.standstill import DRIVING_SPEED, ROLLING_SPEED, ZERO_SPEED
 from imucald.motion.stuck import SAME
@@ -57,13 +63,23 @@ class BlockRuns(Struct, frozen=True):
     change: Array
 
 
+class Knots(Struct, frozen=True):
+    """When a speed is known (K,) [s], None: in each tick; and its step, where that shows [m/s]."""
+
+    times: Array | None = None
+    step: float = 0.0
+
+
+IN_EACH_TICK = Knots()
+
+
 class Driven(Struct, frozen=True):
     """Speed of a block whose ticks all have one.
 
     speed: (N + 2,) [m/s], ok: (N + 2,), see `PART`; accel: (N,) dv/dt [m/s^2]. least: the least
     speed between two other speeds [m/s]. rolls: all speeds say so. moves: none says zero. runs:
     None where a speed may be stuck. calm: no tick's force, rate, speed or wheels are implausible.
-    knots: (K,) when a coarse speed is known [s]; None: in each tick.
+    knots: when the speed is known.
     """
 
     speed: Array
@@ -74,7 +90,7 @@ class Driven(Struct, frozen=True):
     moves: bool
     runs: BlockRuns | None
     calm: bool
-    knots: Array | None
+    knots: Knots
 
 
 class EvenBlock(Struct, frozen=True):
@@ -138,27 +154,35 @@ def bridged(at: Array, times: Array, values: Array, longest: float) -> tuple[Arr
     return out[0], ok[0]
 
 
-def speed_blocks(at: Array, times: Array, values: Array) -> tuple[Array, Flags, list[Array | None]]:
-    """As `bridged_blocks` of speeds (B, M), which may be coarse; and when each is known (K,) [s].
-
-    None: at each of `times`.
-    """
+def speed_blocks(at: Array, times: Array, values: Array) -> tuple[Array, Flags, list[Knots]]:
+    """As `bridged_blocks` of speeds (B, M), which may be coarse; and when each is known."""
     out, ok = bridged_blocks(at, times, values, SPEED_GAP)
-    knots: list[Array | None] = [None] * len(at)
+    knots = [IN_EACH_TICK] * len(at)
     for b in np.flatnonzero(stays(values)).tolist():
-        of_one = times[b]
-        when, speeds = passages(of_one, values[b])
-        out[b] = np.interp(at[b], when, speeds)
-        knots[b] = None if when is of_one else when
+        if (step := step_of(values[b])) >= COARSE:
+            when, speeds = passages(times[b], values[b], step)
+            out[b], knots[b] = (
+                np.interp(at[b], when, speeds),
+                Knots(when, step),
+            )
     return out, ok, knots
 
 
-def bridged_speed(at: Array, times: Array, values: Array) -> tuple[Array, Flags, Array]:
-    """As `bridged` of speeds (M,), which may be coarse; and when they are known (K,) [s]."""
+def bridged_speed(
+    at: Array, times: Array, values: Array, step: float = 0.0
+) -> tuple[Array, Flags, Knots]:
+    """As `bridged` of speeds (M,), which may be coarse; and when they are known.
+
+    step: that of the speeds, where it is known to be coarse [m/s].
+    """
     if len(times) < 1:
-        return *bridged(at, times, values, SPEED_GAP), times
+        return *bridged(at, times, values, SPEED_GAP), IN_EACH_TICK
+    if step:
+        when, speeds = passages(times, values, step)
+        _, ok = bridged(at, times, values, SPEED_GAP)
+        return np.interp(at, when, speeds), ok, Knots(when, step)
     out, ok, (knots,) = speed_blocks(at[None], times[None], values[None])
-    return out[0], ok[0], times if knots is None else knots
+    return out[0], ok[0], Knots(times) if knots.times is None else knots
 
 
 def times_of(end: Array) -> Array:

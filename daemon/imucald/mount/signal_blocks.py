@@ -256,9 +256,9 @@ class SignalBlockMaker:
 
     def _speed_knots(self, first_end: float) -> Array | None:
         """When the speed is known within a block whose first tick ends at `first_end` [s]."""
-        if self._speed.knots is None:
+        if self._speed.knots.times is None:
             return None
-        knots = (self._speed.knots - first_end) / TICK_S + 1.0
+        knots = (self._speed.knots.times - first_end) / TICK_S + 1.0
         return knots[(knots >= 0.0) & (knots < BLOCK_TICKS)]
 
     def _note_left_out(self, p: SignalBlock) -> None:
