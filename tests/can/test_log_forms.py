@@ -435,7 +435,7 @@ def test_ids_in_the_order_of_a_pc_are_known_by_the_first_packets(tmp_path: Path,
     path.write_bytes(pcap(packets, 113 if is_cooked else 227))
     reader = LogReader([path])
     assert [(f.can_id, f.data, f.fd) for f in frames_of(*reader)] == IN_PACKETS
-    assert "byte order of a PC" in reader.problems[0]
+    assert "little-endian" in reader.problems[0]
 
 
 def test_an_id_that_is_none_is_rejected(tmp_path: Path) -> None:

@@ -181,7 +181,7 @@ def test_of_few_blocks_what_depends_on_its_own_signal_is_seen():
 def test_a_gain_that_differs_between_the_sides_is_held_against_what_a_gain_may_be(share, seen):
     """Of a signal of rms 1; 8 % of its amount is 0.05 about its mean, below a zero's 0.06."""
     found = patterns_of("accel_x", left_over("uneven gain", share, 5, 120))
-    assert any("one side and the other" in s.text for s in found) == seen
+    assert any("positive and negative values" in s.text for s in found) == seen
 
 
 def test_memory_is_that_of_the_last_large_value():

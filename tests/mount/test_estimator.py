@@ -286,7 +286,7 @@ def test_frozen_learning_is_stated():
     bad = rows(minutes=5.0).copy()
     bad[-200:, tk.ACCEL.bad] = 5.0
     estimate = after(bad).estimate()
-    assert "learning is frozen" in estimate.waiting_for["yaw"]
+    assert "learning is paused" in estimate.waiting_for["yaw"]
 
 
 def test_a_stuck_accelerometer_is_not_learnt_from():

@@ -210,7 +210,7 @@ def test_a_disk_that_hangs_does_not_hold_the_loop_or_the_stop(bench, monkeypatch
     service.close()
     assert time.monotonic() - began < 1.0
     release.set()
-    assert "did not take the state in time" in bench.log.getvalue()
+    assert "did not write the state in time" in bench.log.getvalue()
 
 
 def test_status_and_metrics_come_over_the_socket_while_it_runs(bench):

@@ -67,7 +67,7 @@ DELAY_S = dict.fromkeys(ASKED, PARAMETERS["accel.delay_s"].tolerance) | {
 """By which a signal of the equation may be late in a correct file [s]."""
 SHAPES = {
     "bent": "has a smaller slope for large values than for small ones",
-    "one-sided": "differs between left and right",
+    "one-sided": "differs between positive and negative values",
     "steeper": "grows faster than the value",
     "by direction": "depends on whether the value rises or falls",
     LATE: "has more delay on one side than on the other",
