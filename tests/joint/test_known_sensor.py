@@ -129,3 +129,13 @@ def test_content_of_another_kind_is_refused() -> None:
     for content in (None, [], "x", {}):
         with pytest.raises(EstimateError):
             known_from(content)
+
+
+@pytest.mark.parametrize("cross", [1.0, 0.999, 0.9])
+def test_a_file_whose_terms_no_sensor_has_is_refused(cross: float) -> None:
+    """Nearly singular matrices multiply what is sent; each number by itself is possible."""
+    content = known().plain()
+    content["rotation"] = np.eye(3).ravel().tolist()
+    content["mean"][4] = content["mean"][6] = cross  # xy and yx of the accelerometer
+    with pytest.raises(EstimateError, match="no sensor"):
+        known_from(content).correction(np.eye(3))

@@ -28,7 +28,6 @@ from imucald.drive.speed_knots import known_times, means_between
 from imucald.drive.vertical import CarriedVertical
 from imucald.motion.standstill import DRIVING_SPEED
 from imucald.motion.ticks import TICK_S
-from imucald.mount.contradictions import WRONG_UNIT
 from imucald.mount.estimate import SentDeviations
 from imucald.mount.even_signals import BLOCK_TICKS
 from imucald.mount.joint.drift import NONE as NO_DRIFT
@@ -45,6 +44,7 @@ from imucald.mount.joint.state import (
     ZERO,
     Priors,
     WeightedPrior,
+    are_of_a_sensor,
     entry,
     level_row,
     own_matrices,
@@ -163,8 +163,7 @@ class Solution(NamedTuple):
     @property
     def is_of_sensors(self) -> bool:
         """Whether the gains of both matrices along all directions are those of this unit."""
-        gains = np.linalg.svd(np.stack([self.force, self.rate]), compute_uv=False)
-        return bool(((gains > 1.0 / WRONG_UNIT) & (gains < WRONG_UNIT)).all())
+        return are_of_a_sensor(self.force, self.rate)
 
     def sensor(self, priors: Priors) -> KnownSensor:
         """What of it is the sensor's own."""

@@ -33,6 +33,7 @@ from imucald.mount.joint.state import (
     ZERO,
     Priors,
     WeightedPrior,
+    are_of_a_sensor,
     own_matrices,
     sent_deviations,
 )
@@ -134,13 +135,15 @@ class KnownSensor(NamedTuple):
     def correction(self, R_vehicle_from_sensor: Matrix3) -> Correction:
         """What is to be applied in the mount of then; that rotation is told of the housing.
 
-        Raises EstimateError where the two are not of one mount.
+        Raises EstimateError where the two are not of one mount, or no sensor has such terms.
         """
         R = self.rotation
         if np.abs(R_vehicle_from_sensor - R).max() > APART:
             raise EstimateError("what was kept of the sensor is about another mount")
         mean, _ = self._about(R, Priors())
         mixed, tilted = own_matrices(mean)
+        if not are_of_a_sensor(mixed, tilted):
+            raise EstimateError("what was kept of the sensor is that of no sensor")
         zero = np.concatenate([mean[ZERO] * GRAVITY, [0.0]])
         force = np.asarray(np.linalg.solve(mixed, R), dtype=float)
         rate = np.asarray(np.linalg.solve(tilted, R), dtype=float)

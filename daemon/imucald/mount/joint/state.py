@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from imucald.core.rotations import Matrix3
 from imucald.core.samples import GRAVITY
+from imucald.mount.contradictions import WRONG_UNIT
 from imucald.mount.estimate import SentDeviations
 from imucald.mount.priors import CROSS_AXIS
 
@@ -74,6 +75,12 @@ class Priors(NamedTuple):
     def crown_variance(self) -> float:
         """Of the mean lean of the roads."""
         return max(self.crown[1], 1e-6) ** 2
+
+
+def are_of_a_sensor(force: Matrix3, rate: Matrix3) -> bool:
+    """Whether the gains of both matrices (3, 3) along all directions are those of their unit."""
+    gains = np.linalg.svd(np.stack([force, rate]), compute_uv=False)
+    return bool(((gains > 1.0 / WRONG_UNIT) & (gains < WRONG_UNIT)).all())
 
 
 def own_matrices(theta: Array) -> tuple[Matrix3, Matrix3]:
