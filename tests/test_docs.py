@@ -20,11 +20,13 @@ from imucald.config.base import Settings
 from imucald.config_check import Check
 from imucald.core.errors import ConfigError
 from imucald.core.locations import Document
+from imucald.core.samples import GRAVITY
 from imucald.core.typed import typed
 from imucald.core.yaml_lines import read_yaml
 from imucald.fleet.fleet_file import FleetSettings
 from imucald.inputs.wiring import compile_router
 from imucald.mount.estimate import MountState
+from imucald.mount.joint.estimator import JointSettings
 from imucald.runtime.estimators import full_settings
 from imucald.runtime.output.output_frames import OutputFrames, output_database
 from imucald.runtime.session import make_engine
@@ -259,15 +261,18 @@ def test_value_tables_are_those_of_the_database() -> None:
     assert len(tables_in_doc) == 2
 
 
-def test_the_limits_of_usable_and_fine_are_those_of_the_configuration() -> None:
+def test_the_limits_of_usable_and_fine_are_those_of_the_default_estimator() -> None:
     text = (DOCS / "output-frames.md").read_text()
-    full = full_settings(load_config(ROOT / "config" / "imucald.yaml").config)
-    for name, yaw_std, tilt_std in (
-        ("usable", full.limits.usable_yaw, full.limits.usable_tilt),
-        ("fine", full.limits.fine_yaw, full.limits.fine_tilt),
-    ):
-        yaw, tilt = (round(math.degrees(std), 6) for std in (yaw_std, tilt_std))
-        assert f"for *{name}* (yaw {yaw} deg, tilt {tilt} deg" in text
+    config = load_config(ROOT / "config" / "imucald.yaml").config
+    limits = JointSettings.of(full_settings(config)).limits
+    assert config.calibration.estimator == "joint"
+    for words, yaw_std, tilt_std in (
+        ("cross-talk `XY`, `YX` {yaw} deg, level zero {zero} m/s²",
+         limits.usable_yaw, limits.usable_tilt),
+        ("the same: {yaw} deg, {zero} m/s²", limits.fine_yaw, limits.fine_tilt),
+    ):  # fmt: skip
+        yaw, zero = round(math.degrees(yaw_std), 6), round(tilt_std * GRAVITY, 6)
+        assert words.format(yaw=yaw, zero=zero) in text
 
 
 def test_the_consumers_check_accepts_ours_and_refuses_damage() -> None:
@@ -279,6 +284,8 @@ def test_the_consumers_check_accepts_ours_and_refuses_damage() -> None:
     _, first = output.corrected("accel", (1.5, -0.25, 9.81), 2)
     _, second = output.corrected("accel", (-3.0, 0.0, 9.81), 3)
     _, missing = output.corrected("accel", None, 0)
+    _, suspect = output.corrected("accel", (1.5, -0.25, 9.81), 4)
+    assert value_of_x(suspect, None) is None
     assert value_of_x(first, None) == pytest.approx(1.5, abs=0.001)
     assert value_of_x(second, first[6] >> 4) == pytest.approx(-3.0, abs=0.001)
     assert value_of_x(second, second[6] >> 4) is None
