@@ -13,7 +13,7 @@ from imucald.motion.column_ticks import ticks_from_samples
 from imucald.mount.contradictions import StandingFault
 from imucald.mount.estimate import MountState
 from imucald.mount.joint.drift import NAMED, NONE, Drift
-from imucald.mount.joint.estimator import JointEstimator, JointSettings
+from imucald.mount.joint.estimator import LEVEL, JointEstimator, JointSettings
 from imucald.mount.joint.evidence import Block, Evidence
 from imucald.mount.joint.state import Priors
 from imucald.simulation import random_model, simulate
@@ -56,6 +56,20 @@ def test_what_a_zero_has_drifted_by_is_found_within_its_deviation(axis: int, rat
     off = found.size - true * ROTATION[:, axis]
     assert off @ np.linalg.solve(found.covariance, off) < 25.0
     np.testing.assert_allclose(found.variance(), np.diag(found.covariance) + found.size**2)
+
+
+@pytest.mark.parametrize("axis", range(2))
+def test_a_drift_shows_before_it_misleads_where_bends_are_gentle(axis: int) -> None:
+    evidence, rate = Evidence(Priors(crown=(0.0, 0.006))), 0.003
+    for k, block in enumerate(blocks(8.0, Sensor(), bends=0.4)):
+        off = rate * np.maximum(6.4 * k + 0.1 * np.arange(64) - FROM_S, 0.0)
+        force = block.force + off[:, None] * ROTATION.T[:, axis]
+        evidence.add(block._replace(force=force))
+        evidence.solve_when_due()
+        if off[-1] > WRONG:
+            break
+    found = evidence.drift
+    assert found.is_named or np.sqrt(found.variance()).max() > LEVEL[0]
 
 
 def test_a_sound_zero_adds_nothing_to_the_deviation() -> None:

@@ -61,9 +61,9 @@ class Drifts(NamedTuple):
     (BMI160) makes of a warm-up by 10 K in 10 min."""
     zero: float = 0.5
     """Zero of the force in the working axes, with gravity's part in their tilt [m/s^2]."""
-    zero_walk: float = 2e-4
-    """[m/s^2 a root second], 0.006 m/s^2 in 15 min (assumption): more is a drift, and in the
-    deviation as such."""
+    zero_walk: float = 5e-4
+    """[m/s^2 a root second], 0.012 m/s^2 in 10 min, as 0.1 mg/K and a warm-up by 10 K make it
+    (assumption): more is a drift, and in the deviation as such."""
     rate_zero: float = 0.005
     """Zero of the rate before a rest [rad/s]."""
     rate_zero_walk: float = 5e-5
@@ -75,16 +75,16 @@ class Drifts(NamedTuple):
     """Vertical as it is carried [rad a root second]: noise and gain of the gyroscope."""
     lost: float = 0.01
     """The same for each tick that is not to be used [rad]."""
-    gyro: float = 0.015
-    """Tilt of the gyroscope's axes (MPU-6050, 6.1: 2 % within limits)."""
+    gyro: float = 0.036
+    """Tilt of the gyroscope's axes (`state.Priors.gyro`) and of its working axes (`tilt`)."""
     tilt: float = 0.03
     """Working axes against the vehicle's [rad]."""
     slope: tuple[float, float] = (0.02, 400.0)
     """Slope of roads (tangent), and metres after which it is another one: `state.Priors`."""
     noise: float = 0.1
     """Of a mean [m/s^2], as a start; it is learnt axis by axis."""
-    correlated: float = 3.0
-    """Innovations are not independent over a bend: each counts a third."""
+    loudness: float = 4.0
+    """Degrees of freedom with which a block's noise is the learnt one."""
 
 
 ANSWERS: Final = np.array([[0.03, 0.03, 1.5, 3.0], [0.03, 0.03, 3.0, 1.5], [0.03, 0.03, 0.3, 0.3]])
@@ -230,6 +230,15 @@ class ZeroDrift:
             np.einsum("t,tij->ij", share, rates),
         )
 
+    def axis_of_turning(self) -> tuple[Array, Array]:
+        """Level part (2,) of the axis that the gyroscope turns about, less that of the vertical
+        which the accelerometer shows on level ground [rad], and its covariance (2, 2)."""
+        rows = np.zeros((2, STATES))
+        rows[:, GYRO] = np.eye(2)
+        rows[:, ZERO.start : ZERO.start + 2] = -np.eye(2) / GRAVITY
+        wide = np.diag(self.found().variance()[:2]) / GRAVITY**2
+        return rows @ self._mean, rows @ self._covariance @ rows.T + wide
+
     def _begin_onset(self) -> None:
         first = max(len(self._onsets) + 1 - ONSETS, 0)
         self._onsets = np.append(self._onsets, self._steps)[first:]
@@ -328,29 +337,28 @@ class ZeroDrift:
     def _whitened(self, S: Array, noise: Array, columns: Array, n: int) -> Array:
         """Columns (m, k), the innovations first, by the root of their covariance: that of the state
         and the noise, to which that of n means is added. Means that are far off count less."""
-        each = self._drifts.correlated * self._noise
-        of_means = noise[: 3 * n].reshape(n, 3)
-        of_means += each
+        free, each = self._drifts.loudness, np.tile(self._noise, n)
         diagonal = S.ravel()[:: len(S) + 1]
         diagonal += noise
+        diagonal[: 3 * n] += each
         root = _root(S)
-        made = _inverse(root) @ columns
-        white = made[: 3 * n, 0].reshape(n, 3)
-        ratio = np.square(white).sum(axis=1)
+        white = _solved(root, columns[:, 0])[: 3 * n].reshape(n, 3)
+        loud = (free + np.square(white).sum(axis=0)) / (free + n)
         if self._steps > LEARNT / 5.0:  # from then on the axes' own tilt is known
-            places = np.arange(n)
-            blocks = root[: 3 * n, : 3 * n].reshape(n, 3, n, 3)[places, :, places]
-            square = (blocks @ white[:, :, None])[:, :, 0] ** 2
-            square -= np.square(blocks).sum(axis=2) - each
-            square = np.minimum(np.maximum(square, 0.0), HEAVY * self._noise)
-            usual = self._drifts.noise**2
-            learnt = self._noise + (square - self._noise).sum(axis=0) / LEARNT
-            self._noise = np.minimum(np.maximum(learnt, LEAST * usual), MOST * usual)
-        if (ratio > HEAVY).any():
-            added = each * (np.maximum(ratio / HEAVY, 1.0) - 1.0)[:, None]
-            diagonal[: 3 * n] += added.ravel()
-            made = _inverse(_root(S)) @ columns
-        return made
+            self._learn_noise(root, white)
+        diagonal[: 3 * n] += each * np.tile(loud - 1.0, n)
+        return np.asarray(_inverse(_root(S)) @ columns)
+
+    def _learn_noise(self, root: Array, white: Array) -> None:
+        """From white innovations (n, 3) and the root of their covariance."""
+        n, places = len(white), np.arange(len(white))
+        blocks = root[: 3 * n, : 3 * n].reshape(n, 3, n, 3)[places, :, places]
+        square = (blocks @ white[:, :, None])[:, :, 0] ** 2
+        square += self._noise - np.square(blocks).sum(axis=2)
+        square = np.minimum(np.maximum(square, 0.0), HEAVY * self._noise)
+        usual = self._drifts.noise**2
+        learnt = self._noise + (square - self._noise).sum(axis=0) / LEARNT
+        self._noise = np.minimum(np.maximum(learnt, LEAST * usual), MOST * usual)
 
 
 def _means(left: Array, r: Array, speed: Array, accel: Array, use: Flags, used: Array) -> Array:
@@ -383,3 +391,7 @@ def _inverse(matrix: Array) -> Array:
 
 def _root(matrix: Array) -> Array:
     return np.asarray(np.linalg.cholesky(matrix), dtype=float)
+
+
+def _solved(matrix: Array, right: Array) -> Array:
+    return np.asarray(np.linalg.solve(matrix, right), dtype=float)
