@@ -38,8 +38,8 @@ REST_TICKS = 12
 class BlockSpeed:
     """Follows the speed from block to block, N = BLOCK_TICKS.
 
-    seen: takes "speed" and "reverse" where they come. least: up to so much the vehicle may creep
-    while its speed is zero [m/s].
+    seen: the names "speed" and "reverse" are added to it when such a signal has come. least: speed
+    up to which the vehicle may creep while its signal says zero [m/s].
     """
 
     def __init__(self, health: SignalHealth, seen: set[str]) -> None:

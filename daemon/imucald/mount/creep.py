@@ -1,15 +1,16 @@
 """Does the mount creep? Walks and steady creep against a constant, with the evidence as weights.
 
-A holder that gives, tape in the sun: the mount turns slowly all the time. A constant that is fitted
-to it is a mean over the drive, and grows ever surer of what is no longer true. So what the road
-segments leave over from the constant is also fitted by random walks of several sizes, and by a
-level that goes on at a rate, as materials do under a steady load (secondary creep; Ashby and Jones,
-Engineering Materials 1, ch. 20); local level and local linear trend, Kalman filter (Durbin and
-Koopman, Time Series Analysis by State Space Methods, 2012, ch. 2 and 3). Each has the probability
-that its likelihood and its prior give it; the constant keeps `P_CONSTANT` beforehand, so a drive
-without creep has to speak twenty times as well for the others before they are believed (in sound
-drives less than one in twenty does so; Markov's inequality on the likelihood ratio). What is served
-is the mean of all as probable as they are, and so is the interval.
+A soft holder, or tape in the sun, lets the mount turn slowly all the time. A constant that is
+fitted to it is a mean over the drive, and its deviation shrinks although the mount has moved. So
+the residuals of the road segments from the constant are also fitted by random walks of several
+sizes, and by a level that goes on at a rate, as materials do under a steady load (secondary creep;
+Ashby and Jones, Engineering Materials 1, ch. 20); local level and local linear trend, Kalman
+filter (Durbin and Koopman, Time Series Analysis by State Space Methods, 2012, ch. 2 and 3). Each
+has the probability that its likelihood and its prior give it; the constant keeps `P_CONSTANT`
+beforehand, so a drive without creep has to speak twenty times as well for the others before they
+are believed (in sound drives less than one in twenty does so; Markov's inequality on the
+likelihood ratio). What is served is the mean of all as probable as they are, and so is the
+interval.
 """
 
 from __future__ import annotations

@@ -116,7 +116,7 @@ class Correction(Struct, frozen=True):
 
     @property
     def is_rotation(self) -> bool:
-        """Whether both sensors are turned alone."""
+        """Whether the correction of both sensors is a rotation and nothing else."""
         is_one = self.force == self.rotation and self.rate == self.rotation
         return is_one and self.force_offset == NO_OFFSET and self.rate_offset == NO_OFFSET
 
@@ -181,9 +181,9 @@ class SentDeviations(Struct, frozen=True):
         deviation about x contains the crown of roads, and so zy and zero_y do.
 
         zero: the estimated zero of the accelerometer, level part in vehicle axes [m/s^2]. The
-        rotation does not take it off, so it stays in the force on level ground. The error of that
-        estimate does not: the rotation is found from gravity less the estimate, and so turns by
-        just as much the other way.
+        rotation does not take it off, so it stays in the force on level ground. An error of that
+        estimate leaves nothing there: the rotation is found from gravity less the estimate, and is
+        wrong by as much in the other direction.
         """
         level = math.hypot(GRAVITY * y, zero[0]), math.hypot(GRAVITY * x, zero[1])
         return cls(z, z, y, x, *level, y, x)
@@ -268,7 +268,7 @@ class MountEstimate(Struct, frozen=True, dict=True):
 
 
 class MountEstimator(Protocol):
-    """The verbs of every mount estimator. Pure: no I/O, no clock.
+    """What every mount estimator can do. Pure: no I/O, no clock.
 
     The pipeline calls `step` once per closed tick (10 Hz, see `motion.ticks`), in time order,
     without holes; `gap` when time was discontinuous before the next tick. `correction` is read

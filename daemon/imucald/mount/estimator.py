@@ -145,7 +145,7 @@ class FullEstimator:
         self._signals.expect(ticks)
 
     def quiet_ticks(self) -> int:
-        """Of the next ticks so many are only kept, see `mount.estimate.KeepsTicks`."""
+        """How many of the next ticks are only kept, see `mount.estimate.KeepsTicks`."""
         if self._is_catching_up or self._served.is_turning:
             return 0
         return self._signals.until_block - 1

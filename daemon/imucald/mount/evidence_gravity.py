@@ -80,7 +80,7 @@ class GravityEvidence:
         std: tuple[float, float],
         length: float,
     ) -> list[ScoreSeries]:
-        """e_x and e_y about R from gravity, road segment by road segment, the open one too.
+        """Small turns e_x and e_y about R from gravity, one of each road segment, the open one too.
 
         std: rms tangent of the roads across and along; length: over which it forgets itself [m].
         """

@@ -100,9 +100,9 @@ class _Places(Struct, frozen=True):
     """Which sources speak of which angle.
 
     angles (A,): those that any speaks of; shown (N, A): 1 where a source speaks of one. names: of
-    each angle's sources. of_angle (A, n): the same as places among all, as many as the most have.
-    used (A, n): which of those hold one; both (A, n, n): pairs of them; alone (n, n): the identity.
-    count (A,): of an angle's sources.
+    each angle's sources. of_angle (A, n): their places among all sources, in rows as long as the
+    longest. used (A, n): which places of a row are in use; both (A, n, n): pairs of them; alone
+    (n, n): the identity. count (A,): of an angle's sources.
     """
 
     angles: Index

@@ -1,12 +1,12 @@
 """How the angle walks that is summed from a gyroscope which sends seldom.
 
-Such a sensor says what the rate was at an instant, and not its mean since the sample before. What
-shakes faster than half of its rate is then taken for slow turning (aliasing), and adds up: with
-e_i the part of a sample that has nothing to do with its neighbours, and h_i the time that it
-stands for, the angle walks by the sum of h_i e_i. How large e is the samples say themselves: from
-the line between its neighbours one differs by r_i = e_i - a e_(i-1) - b e_(i+1), a + b = 1, so
-that E[r r'] = (1 + a^2 + b^2) E[e e']. Quick turning that is really there counts as well: the walk
-is rather too large than too small.
+Such a sensor measures the rate at an instant, and not its mean since the sample before. A
+vibration faster than half of the sample rate is then taken for slow turning (aliasing). The errors
+add up: the angle walks by the sum of h_i e_i. Here e_i is the part of a sample that has nothing to
+do with its neighbours, and h_i the time that the sample stands for. The samples themselves show
+the size of e: a sample differs from the line between its neighbours by r_i = e_i - a e_(i-1) - b
+e_(i+1), a + b = 1, so that E[r r'] = (1 + a^2 + b^2) E[e e']. Quick turning that is really there
+counts as well: the walk is rather too large than too small.
 """
 
 from __future__ import annotations

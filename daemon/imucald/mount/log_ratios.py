@@ -62,7 +62,7 @@ class Mirrored:
         self.blocks += 1
 
     def is_seen(self, least: float) -> bool:
-        """Whether the opposite is ruled out so far, or was looked for long enough in vain."""
+        """Whether the hypothesis holds: the opposite is excluded, or long was not found."""
         return self.sum > least or (self.blocks > ENOUGH and self.sum > -TO_BE_GOOD)
 
     @property

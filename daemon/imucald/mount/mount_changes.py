@@ -120,7 +120,7 @@ class MountChanges:
         return change
 
     def add(self, p: SignalBlock, solver: MountSolver, signals: SignalBlockMaker) -> None:
-        """Take a block to be held against those before and after it."""
+        """Take a block, which is compared with those before and after it."""
         assert solver.R is not None
         has = not signals.without_speed, "reverse" in signals.seen
         use = driven(p)

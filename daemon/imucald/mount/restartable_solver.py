@@ -48,8 +48,9 @@ where a small change is near, every block is followed by a fit again (`mount_cha
 class RestartableSolver:
     """A `MountSolver` with what it takes to begin anew.
 
-    now: the solver that counts. kept: the last blocks (350 s). driven: manoeuvres behind its
-    rotation. has_looked_again: it has gone through its first minutes twice, or need not.
+    now: the solver that counts. kept: the last blocks (350 s). driven: manoeuvres that its
+    rotation is found from. has_looked_again: it has gone through its first minutes twice, or
+    need not.
     """
 
     def __init__(self, settings: EstimatorSettings) -> None:

@@ -195,7 +195,7 @@ def _shortened(kept: SavedInformation) -> SavedInformation:
 
 
 def _fewer(x: Array) -> Array:
-    """Sums of neighbours, evenly, at most `MAX_SEGMENTS` of them."""
+    """The same in at most `MAX_SEGMENTS` rows: neighbours are summed, equally many in each."""
     if len(x) <= MAX_SEGMENTS:
         return x
     starts = np.arange(MAX_SEGMENTS) * len(x) // MAX_SEGMENTS

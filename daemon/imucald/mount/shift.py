@@ -168,7 +168,7 @@ def _columns_of(series: list[ScoreSeries], axis: int, fresh: int | None) -> tupl
 
 
 def _with_neighbours(over: Array) -> Array:
-    """Signed excesses (S,), or what each comes to together with that of the next span."""
+    """Signed excesses (S,): of each span its own, or its scaled mean with the next if larger."""
     pairs = 0.5 * (over[:-1] + over[1:]) / NEIGHBOURS
     out = over.copy()
     out[:-1] = np.where(np.abs(pairs) > np.abs(over[:-1]), pairs, over[:-1])
@@ -178,7 +178,7 @@ def _with_neighbours(over: Array) -> Array:
 def changes(series: list[ScoreSeries], spans: NDArray[np.int64]) -> tuple[Array, Array]:
     """Changes over the last spans: what each source says (S, sources) [rad], and variances.
 
-    Each source fits its own level before, its own nuisance and its own change.
+    To each source are fitted a level before the change, a nuisance and the change.
     """
     shape = len(spans), len(series)
     sizes, variances = np.zeros(shape), np.full(shape, np.inf)

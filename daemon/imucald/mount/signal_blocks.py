@@ -318,7 +318,7 @@ class SignalBlockMaker:
     def _known(
         self, t: Array, columns: tk.AccelColumns | tk.GyroColumns, stuck: Flags | None
     ) -> tuple[Array, Array]:
-        """Times (M,) and means (M, 3) of the ticks that have some."""
+        """Times (M,) [s] and means (M, 3) of those ticks that have samples."""
         rows = self._rows
         has = rows[:, columns.n] > 0
         if stuck is not None:

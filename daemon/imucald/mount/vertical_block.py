@@ -78,7 +78,8 @@ def carried(p: BlockForces, state: Array | None, count: int, pull: float, weighe
     """Carry the vertical through a block.
 
     state: (3, 4) at its beginning, None before any force. count: ticks that were drawn to the force
-    so far. pull: gain of a tick. weighed: what is left over is weighed for bias and steps.
+    so far. pull: gain of a tick. weighed: the residuals are
+    also weighted for bias and steps.
     """
     first = 0
     if state is None and p.use.any():

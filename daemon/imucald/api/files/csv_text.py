@@ -20,7 +20,7 @@ from imucald.api.interchange import arrow_schema, from_arrow, library, to_arrow
 
 
 def result_file(path: Path) -> Path:
-    """The file for what CSV has no place for."""
+    """The JSON file next to the tables, for the result, which CSV has no place for."""
     return path.with_name(f"{path.stem}.result.json")
 
 

@@ -1,4 +1,4 @@
-"""What every format is: a writer of tables in pieces; and what the file states about them."""
+"""What all file formats share: tables are written in pieces, and the file describes them."""
 
 from __future__ import annotations
 

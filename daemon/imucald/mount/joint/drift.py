@@ -205,7 +205,7 @@ class ZeroDrift:
         self._steps += STEPS
 
     def found(self) -> Drift:
-        """What is known now of a drift."""
+        """The present knowledge of a drift: how probable it is, and how large."""
         if not len(self._onsets):
             return NONE
         prior = self._drifts.rate**2

@@ -111,7 +111,7 @@ class JointEstimator(FullEstimator):
 
     @property
     def solution(self) -> Solution | None:
-        """What both sensors answer, as it is known now; None: not yet."""
+        """How both sensors answer to motion, as far as it is known now; None before it is known."""
         return self._joint.solution
 
     def _new_evidence(

@@ -84,7 +84,9 @@ class _Gathered:
 
 
 class SignEvidence:
-    """Watches intervals for forward against backward, and votes. Offset is off the force.
+    """Decides between forward and backward by votes of brakings, turns and first motions.
+
+    The sensor's offset is removed from the force before.
 
     sources: which of "brake", "turn", "first_motion" may vote.
     """
