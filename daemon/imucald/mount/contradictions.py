@@ -227,7 +227,7 @@ class Contradictions:
         self.reverse = ReverseWatch()
 
     def forget_forces(self) -> None:
-        """The rotation is found anew; what stands against the old one stands until it agrees."""
+        """A new rotation is looked for. Contradictions of the old one count until signals agree."""
         for pair in (self.turns, self.hard_turns, self.speed):
             pair.forget()
 

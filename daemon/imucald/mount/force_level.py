@@ -74,9 +74,9 @@ class ForceLevel:
         self.change: LevelChange | None = None
 
     def gap(self) -> None:
-        """Time jumped, nobody knows how far: what was before it is no past of what follows.
+        """Time jumped by an unknown step: blocks before it are not compared with those after it.
 
-        A change that stands goes on to stand: a gap mends nothing.
+        A change that was found before stays, as a gap does not end it.
         """
         self._rows = NO_ROWS
 

@@ -71,7 +71,7 @@ class GyroAlternatives:
         self.blocks += 1
 
     def add_late(self, ratios: Array) -> None:
-        """The same, for what begins in mid-drive."""
+        """Take the log ratios of a block for faults that begin in mid-drive."""
         held = _held(ratios, -MOST_OF_LATE, MOST_OF_LATE)
         self._late = _held(self._late + held, -HELD, 0.0)
 

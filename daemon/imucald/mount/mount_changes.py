@@ -199,7 +199,7 @@ class MountChanges:
         self._open = None
 
     def skip(self) -> None:
-        """Blocks come that cannot be compared with any rotation."""
+        """Restart the test for large changes: there is no rotation to compare blocks with."""
         self._large.restart()
 
     def restart(self) -> None:

@@ -189,7 +189,7 @@ class RestoredEstimator:
 
     @property
     def state(self) -> MountState:
-        """RESTORED until there is new evidence, then what that says."""
+        """RESTORED until the new evidence decides, then the state that it gives."""
         if self.phase is Phase.NEW:
             return MountState.SUSPECT if self._doubtful() else self.inner.state
         if self.phase is Phase.RESTORED:
@@ -203,7 +203,7 @@ class RestoredEstimator:
 
     @property
     def stuck_signals(self) -> Mapping[str, bool]:
-        """Of the vehicle's signals, as the estimator inside found; none where it does not look."""
+        """The vehicle's stuck signals by the inner estimator; none where it does not look."""
         return NONE_JUDGED if self._judges is None else self._judges.stuck_signals
 
     def step(self, tick: TickRow) -> None:

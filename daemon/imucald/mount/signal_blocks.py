@@ -408,7 +408,7 @@ class SignalBlockMaker:
         return self.health.stuck_yaw_rate(rows, turns, known & (np.abs(speed) > DRIVING_SPEED))
 
     def _sided(self, t: Array, at: Array, even: EvenBlock | None) -> dict[str, tuple[Array, Flags]]:
-        """Lateral acceleration and heading at times (N,), where they come."""
+        """Lateral acceleration and heading at times (N,), where the vehicle sends them."""
         rows, found = self._rows, {}
         if even is not None and even.lateral is not None:
             found["lateral_accel"] = even.lateral[MID], np.ones(len(at), dtype=bool)

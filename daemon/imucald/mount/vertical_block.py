@@ -163,7 +163,7 @@ def _turned(step: Array) -> Array:
 
 
 def _gains(use: Flags, count: int, pull: float) -> Array:
-    """Of each tick (N,): that of a mean over the first ones."""
+    """Gain of each tick (N,): that of a running mean at first, then `pull`."""
     counts = count + use.cumsum()
     gain = np.where(counts > SETTLE_TICKS, pull, np.maximum(pull, 1.0 / np.maximum(counts, 1)))
     return np.where(use, gain, 0.0)

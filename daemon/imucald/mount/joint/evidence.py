@@ -177,8 +177,8 @@ class Solution(NamedTuple):
     def sent(self, wide: float = 0.0, zero: Array = NO_ZERO) -> SentDeviations:
         """Deviations of what a consumer gets.
 
-        wide: of a turn of both sensors besides [rad]. zero: variance (3,) of a zero that is not
-        what it was [(m/s^2)^2].
+        wide: further deviation of a turn of both sensors [rad]. zero: variance (3,) of a
+        zero that has changed [(m/s^2)^2].
         """
         made = sent_deviations(self.covariance, wide)
         x, y, _ = np.sqrt(zero).tolist()

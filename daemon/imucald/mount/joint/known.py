@@ -94,7 +94,7 @@ class KnownSensor(NamedTuple):
         return cls(rotation, turned @ place @ mean, turned @ whole @ turned.T)
 
     def away(self) -> KnownSensor:
-        """The same after a time away: it may start cold, and the vehicle loaded otherwise."""
+        """The same with wider deviations after a parked time: cold sensor, another load."""
         wider = np.zeros(TERMS)
         wider[TURN] = np.square(BETWEEN_DRIVES_STD)
         wider[BIAS] = (BIAS_DRIFT_STD / GRAVITY) ** 2
