@@ -12,7 +12,7 @@ from imucald.drive.vertical import CarriedVertical
 from imucald.drive.windows import WINDOW, spectra
 from imucald.mount.joint import evidence as module
 from imucald.mount.joint import sums
-from imucald.mount.joint.evidence import Block, Evidence, Solution
+from imucald.mount.joint.evidence import Block, Evidence, Solution, mean_slope
 from imucald.mount.joint.state import Priors
 from joint.planar_drive import ROTATION, Sensor, blocks, cross_talk
 
@@ -257,3 +257,42 @@ def test_a_vertical_carried_in_one_piece_is_that_of_its_blocks() -> None:
         one, tilt = by_block.block(rate[part], pull[part], use[part])
         np.testing.assert_allclose(up[part], one, atol=1e-12)
         np.testing.assert_allclose(tilts[part], tilt, atol=1e-12)
+
+
+def test_the_axis_of_turning_is_known_from_bends_better_than_roads_are_level() -> None:
+    tilted = np.eye(3) + np.array([[0.0, 0.0, 0.03], [0.0, 0.0, -0.02], [0.0, 0.0, 0.0]])
+    sensor = Sensor(gyro=ROTATION.T @ tilted @ ROTATION, zero=np.array([0.2, -0.15, 0.1]))
+    evidence = Evidence(Priors(crown=(0.0, 0.006)))
+    for block in blocks(12.0, sensor):
+        evidence.add(block)
+        evidence.solve_when_due()
+    found = evidence.solution
+    assert found is not None
+    sent, left = found.sent(), cross_talk(found.rate, sensor.gyro)
+    assert np.degrees(sent.rate_xz) < 0.4  # the tilt of roads in bends alone: 0.5
+    assert np.degrees(sent.rate_yz) < 0.5
+    assert abs(left[0, 2]) < 3.0 * sent.rate_xz
+    assert abs(left[1, 2]) < 3.0 * sent.rate_yz
+
+
+def slopes(stretch: int, seed: int = 0) -> np.ndarray:
+    """Blocks of 100 m whose slopes of 0.02 stay for so many."""
+    rng = np.random.default_rng(seed)
+    along, across = np.repeat(0.02 * rng.standard_normal((2, 160 // stretch)), stretch, axis=1)
+    metres = np.full(160, 100.0)
+    return np.column_stack([along * metres, across * metres, metres, metres])
+
+
+def test_slopes_that_go_on_widen_the_deviation_of_the_level() -> None:
+    expected = 0.02**2 * 400.0 / 16_400.0
+    short, long = (
+        np.mean([mean_slope(slopes(stretch, seed), 0.02)[1] for seed in range(20)])
+        for stretch in (4, 20)
+    )
+    assert short < 1.4 * expected
+    assert long > 2.0 * expected
+
+
+def test_the_mean_slope_is_that_of_the_metres() -> None:
+    mean, _ = mean_slope(slopes(4), 0.02)
+    np.testing.assert_allclose(mean, slopes(4)[:, :2].sum(axis=0) / 16_000.0)

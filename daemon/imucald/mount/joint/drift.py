@@ -61,8 +61,8 @@ class Drifts(NamedTuple):
     (BMI160) makes of a warm-up by 10 K in 10 min."""
     zero: float = 0.5
     """Zero of the force in the working axes, with gravity's part in their tilt [m/s^2]."""
-    zero_walk: float = 5e-4
-    """[m/s^2 a root second], 0.012 m/s^2 in 10 min, as 0.1 mg/K and a warm-up by 10 K make it
+    zero_walk: float = 3e-4
+    """[m/s^2 a root second], 0.007 m/s^2 in 10 min, as 0.07 mg/K and a warm-up by 10 K make it
     (assumption): more is a drift, and in the deviation as such."""
     rate_zero: float = 0.005
     """Zero of the rate before a rest [rad/s]."""

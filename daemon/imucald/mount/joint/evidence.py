@@ -34,6 +34,7 @@ from imucald.mount.joint.drift import NONE as NO_DRIFT
 from imucald.mount.joint.drift import Drift, Drifts, ZeroDrift
 from imucald.mount.joint.fusion import LinearMeasurement, any_sensor, fuse
 from imucald.mount.joint.known import AS_BEFORE, PROBABLY_OTHER, KnownSensor
+from imucald.mount.joint.response import PRIOR_SEGMENTS
 from imucald.mount.joint.state import (
     CROSS,
     CROWN,
@@ -50,6 +51,7 @@ from imucald.mount.joint.state import (
     own_matrices,
     rate_entry,
     sent_deviations,
+    zero_row,
 )
 from imucald.mount.joint.sums import Fits, WindowSums
 
@@ -73,6 +75,8 @@ MOST_LEFT = 0.01
 """Windows are made again when the axes have moved by so much [rad] since."""
 MOST_LATE = 0.03
 """The same of the speed's delay [s]."""
+SLOPE_M = 400.0
+"""Slopes that forget themselves in 200 m (`Priors.slope`) are another one after so many metres."""
 DELAYS: Final = np.arange(MIN_SPEED_DELAY, MAX_SPEED_DELAY + 0.001, 0.02)
 FOLLOWS = 0.8
 """A band counts while the force follows dv/dt at this share of the slow bands' gain."""
@@ -396,10 +400,12 @@ class Evidence:
         return 0.5 * (early + late), (late - early) / TICK_S
 
     def _level_from(self, left: Array, speed: Array, use: Flags) -> None:
-        """Of each block the sums that gravity's mean level part by distance comes of."""
-        weight = (np.abs(speed) * TICK_S + 0.05 * TICK_S) * use
-        travelled = np.abs(speed) * use * TICK_S
-        rows = np.column_stack([weight[:, None] * left[:, :2], weight, travelled])
+        """Of each block the sums that gravity's mean level part comes of, weighed by how far the
+        slopes of roads have passed."""
+        slow = np.sqrt(1.0 + np.square(speed / self._priors.slow))
+        passed = np.abs(speed) / slow * use * TICK_S
+        weight = passed + 0.05 * TICK_S * use
+        rows = np.column_stack([weight[:, None] * left[:, :2], weight, passed])
         blocks = rows.reshape(-1, wd.BLOCK, 4).sum(axis=1)
         self._levels = np.concatenate([self._levels, blocks])
 
@@ -537,19 +543,18 @@ class Evidence:
             )
         measured += self._level_measured()
         measured += self._turning_measured()
+        measured.append(self._vertical_measured())
         theta, covariance, shares = fuse(self._hypotheses(), measured, self._taken)
         same = float(shares[AS_BEFORE]) if self.compares_with_before else 0.0
         return self._applied(theta, covariance, same)
 
     def _level_measured(self) -> list[LinearMeasurement]:
         priors = self._priors
-        *level, distance, travelled = self._levels.sum(axis=0).tolist()
-        mean = np.array(level) / max(distance, 1e-9) / GRAVITY
-        variance = priors.slope**2 / (1.0 + travelled / 400.0) + 0.002**2
+        mean, variance = mean_slope(self._levels / [GRAVITY, GRAVITY, 1.0, 1.0], priors.slope)
         out = []
         for i in range(2):
             value = mean[i] - (priors.crown[0] if i == 1 else 0.0)
-            noise = np.array([[variance]])
+            noise = np.array([[variance[i] + 0.002**2]])
             out.append(LinearMeasurement(level_row(i)[None], np.array([value]), noise))
         return out
 
@@ -565,6 +570,20 @@ class Evidence:
             roads = priors.turning[i] ** 2 + priors.slope**2 / found.segments[i, 0]
             out.append(LinearMeasurement(row[None], value, found.covariance[i] + roads))
         return out
+
+    def _vertical_measured(self) -> LinearMeasurement:
+        """The axis of turning against the vertical that the accelerometer shows, from the filter of
+        a drift: that one knows it by how the force goes round in bends, whatever the slopes are."""
+        assert self._axes is not None
+        self._follow_drift()
+        value, covariance = self._drift.axis_of_turning()
+        W, V, zero = self._axes
+        W_then, V_then, zero_then = self._drift_axes
+        turned, tilted = W @ _inverse(W_then), V @ _inverse(V_then)
+        level = GRAVITY * turned[:, 2] + turned @ zero_then - zero
+        value = value + tilted[:2, 2] - level[:2] / GRAVITY
+        rows = np.array([rate_entry(i, 2) - zero_row(i) for i in range(2)])
+        return LinearMeasurement(rows, value, covariance + self._priors.bent**2 * np.eye(2))
 
     def _applied(self, theta: Array, covariance: Array, same: float) -> Solution:
         """Correct the working axes by what was found to be left."""
@@ -582,6 +601,29 @@ class Evidence:
             _solved(E, W), _solved(C, V), _solved(E, zero + shift),
             covariance, self.delay, moved, turned.T @ self._rotation, turn, same,
         )  # fmt: skip
+
+
+def mean_slope(blocks: Array, slope: float) -> tuple[Array, Array]:
+    """Mean (2,) of the slopes of roads, and its variance (2,).
+
+    blocks: (n, 4) by block the weighed sums along and across, the weight, and metres. slope:
+    deviation of a road's that is expected. Slopes that go on for longer than expected show in the
+    spread between stretches, as they do in `response`.
+    """
+    *level, weight, metres = blocks.sum(axis=0).tolist()
+    mean = np.array(level) / max(weight, 1e-9)
+    expected = slope**2 / (1.0 + metres / SLOPE_M)
+    off = blocks[:, :2] - mean * blocks[:, 2:3]
+    grow = np.ones(2)
+    for length in (SLOPE_M, 4.0 * SLOPE_M):
+        place = (np.cumsum(blocks[:, 3]) / length).astype(int)
+        n = int(place[-1]) + 1 if len(place) else 0
+        if n > 1:
+            each = np.array([np.bincount(place, part, n) for part in off.T])
+            found = (each**2).sum(axis=1) + (each[:, 1:] * each[:, :-1]).sum(axis=1)
+            ratio = found * n / (n - 1.0) / weight**2 / expected
+            grow = np.maximum(grow, (PRIOR_SEGMENTS + n * ratio) / (PRIOR_SEGMENTS + n))
+    return mean, expected * grow
 
 
 def _by_window(x: NDArray[Any]) -> NDArray[Any]:

@@ -15,7 +15,6 @@ from numpy.typing import NDArray
 
 from imucald.core.rotations import Matrix3
 from imucald.core.samples import GRAVITY
-from imucald.mount.contradictions import WRONG_UNIT
 from imucald.mount.estimate import SentDeviations
 from imucald.mount.priors import CROSS_AXIS
 
@@ -30,6 +29,9 @@ TURN: Final = {
 """Axis and sign with which a turn by phi stands at each place of [phi x]."""
 PHI, CROSS, ZERO, EPS, CROWN = slice(0, 3), slice(3, 9), slice(9, 11), slice(11, 14), 14
 UNKNOWNS = 15
+MOST_GAIN = 1.45
+"""Of a sensor's matrix along any direction: four deviations of cross-axis terms of 8 %, the largest
+size that is asked, in two places."""
 FREE = 10.0
 """Prior deviation of a rotation of which nothing is known [rad]."""
 
@@ -61,6 +63,9 @@ class Priors(NamedTuple):
     """Mean lean of the roads and its deviation (tangent)."""
     slope: float = 0.02
     """Slope of a road (tangent), which forgets itself in 200 m."""
+    slow: float = 15.0
+    """Slopes of roads for speeds far beyond [m/s] are longer in proportion to the speed: curves of
+    crests and sags are built for the sight that a speed needs (assumption; AASHTO's more so)."""
     sideslip: float = 0.0025
     """E_xy: slip of the tyres in bends."""
     pitching: float = 0.0035
@@ -68,6 +73,9 @@ class Priors(NamedTuple):
     turning: tuple[float, float] = (0.008, 0.004)
     """Axis of turning, x and y: a vehicle that rolls in bends rolls about an axis of its own, and
     the slope of the bends is not that of the road."""
+    bent: float = 0.003
+    """Axis of turning in bends: a gyroscope answers to force by 0.1 (deg/s)/g (MPU-6050, 6.1), here
+    to 3 m/s^2 while the vehicle turns by 0.2 rad/s."""
     floor: float = 0.001
     """Any entry."""
 
@@ -80,7 +88,7 @@ class Priors(NamedTuple):
 def are_of_a_sensor(force: Matrix3, rate: Matrix3) -> bool:
     """Whether the gains of both matrices (3, 3) along all directions are those of their unit."""
     gains = np.linalg.svd(np.stack([force, rate]), compute_uv=False)
-    return bool(((gains > 1.0 / WRONG_UNIT) & (gains < WRONG_UNIT)).all())
+    return bool(((gains > 1.0 / MOST_GAIN) & (gains < MOST_GAIN)).all())
 
 
 def own_matrices(theta: Array) -> tuple[Matrix3, Matrix3]:
