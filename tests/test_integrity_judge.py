@@ -384,7 +384,7 @@ def test_a_measured_log_in_the_judges_frames_gives_what_its_own_frames_give():
     log = measured("second_world/01_none")
     if log is None:
         pytest.skip("the drives of second_world are not here")
-    loaded = configuration(frozenset(log.samples), False)
+    loaded = configuration(frozenset(log.samples), False, estimator="joint")
     found = sent(frames(log.samples, log.duration_s, loaded, None, 0), loaded, log.seconds)
     folder = DATA / "second_world" / "01_none"
     engine = make_engine(open_config(folder / "car.yaml"))

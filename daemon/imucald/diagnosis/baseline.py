@@ -11,6 +11,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
+from msgspec.structs import replace
 
 from imucald.config import LoadedConfig
 from imucald.core.errors import EstimateError
@@ -69,12 +70,17 @@ def _rates(recordings: Sequence[Recording]) -> Mapping[str, float]:
 
 
 def _mount(loaded: LoadedConfig, drives: Sequence[Samples]) -> dict[str, float]:
-    """Mount angles from the daemon's estimator; the drives are run one after another.
+    """Mount angles from the daemon's evidence; the drives are run one after another.
 
-    Where the end knows none, as after a sensor that swayed and is sought again, the surest estimate
-    on the way counts.
+    A model has one rotation, and errors of the axes apart from it, which diagnosis finds itself: so
+    the estimator of one rotation is asked, also where the daemon's finds matrices. Where the end
+    knows none, as after a sensor that swayed and is sought again, the surest estimate on the way
+    counts.
     """
-    pipeline = Pipeline(estimator_for(loaded.config))
+    config = loaded.config
+    if config.calibration.estimator == "joint":
+        config = replace(config, calibration=replace(config.calibration, estimator="full"))
+    pipeline = Pipeline(estimator_for(config))
     start = 0.0
     surest: MountEstimate | None = None
     for samples in drives:
