@@ -47,7 +47,7 @@ def test_the_summary_has_the_documented_keys_and_counts(log):
     }  # fmt: skip
     assert set(result["mount"]) == {
         "roll_deg", "pitch_deg", "yaw_deg", "quaternion_wxyz", "std_deg", "angle_std_deg",
-        "covariance_deg2", "sits", "steep", "mirrored", "target_std_deg",
+        "covariance_deg2", "sits", "steep", "mirrored", "judged_std_deg", "target_std_deg",
     }  # fmt: skip
     frames = drive_frames()
     assert result["frames"]["read"] == FRAMES
