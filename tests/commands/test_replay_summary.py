@@ -49,8 +49,9 @@ def test_a_sensor_that_sticks_is_reported_with_its_time(
     assert len(events) == 1
     assert events[0].startswith("at 1:4")
     text = " ".join(line.strip() for line in lines)
-    assert "waiting for" in text
-    assert "faulty" in text.partition("waiting for")[2]
+    left_out = text.partition("not learnt from")[2]
+    assert "accelerometer no valid samples" in left_out
+    assert "accelerometer stuck" in left_out
 
 
 def test_a_sound_drive_has_no_such_line(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:

@@ -102,7 +102,7 @@ def test_a_step_is_found_with_its_moment_and_size_beside_an_even_growth():
     assert step.p < 1e-4
     assert step.is_large
     assert step.structure.size * MAY == pytest.approx(0.3, abs=0.05)
-    assert "from 510 s on" in step.structure.text
+    assert "by 0.3 s at 510 s" in step.structure.text
 
 
 # simulated drives --------------------------------------------------------------------------------
@@ -145,7 +145,7 @@ def test_a_speed_that_is_late_from_some_moment_on_with_even_stamps_is_seen():
         return Series(t, np.interp(t - 0.4 * (t > t[0] + 500.0), t, v))
 
     (left,) = left_in(put)
-    assert "another by 0.4" in left.text or "another by 0.3" in left.text
+    assert "changes by 0.4" in left.text or "changes by 0.3" in left.text
 
 
 @pytest.mark.slow

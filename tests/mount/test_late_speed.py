@@ -60,7 +60,7 @@ def test_a_speed_later_than_what_is_sought_is_reported_and_is_no_contradiction()
     assert faults == set()
     assert not states & set(GOOD)
     words = " ".join(estimator.estimate().waiting_for.values())
-    assert f"later than {MAX_SPEED_DELAY:g} s" in words
+    assert f"more than {MAX_SPEED_DELAY:g} s behind the accelerometer" in words
 
 
 def swinging(late_ticks: int):
