@@ -8,12 +8,13 @@ import os
 import sys
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from imucald.core.errors import LinkError
 
-FINE, NOT_RUNNING, USABLE, NOT_YET, SUSPECT, FAULT, BUSY = 0, 3, 4, 5, 6, 7, 8
-"""Exit status; 1 and 2 are what every command means by them. 3 as in `systemctl is-active`."""
+FINE, UNCLEAR, NOT_RUNNING, USABLE, NOT_YET, SUSPECT, FAULT, BUSY = 0, 1, 3, 4, 5, 6, 7, 8
+"""Exit status; 1 (here: several daemons run) and 2 are what every command means by them. 3 as in
+`systemctl is-active`."""
 ASK_S = 1.0
 """A daemon has so long to state its channel [s]."""
 _BY_STATE = {
@@ -25,6 +26,13 @@ _BY_STATE = {
     "suspect": SUSPECT,
     "recalibrating": SUSPECT,
 }
+
+
+class NoAnswer(NamedTuple):
+    """Why a daemon gave no answer: an exit status, and the reason in words."""
+
+    status: int
+    reason: str
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -91,17 +99,24 @@ def exit_status(status: Mapping[str, Any]) -> int:
 
 def asked(options: argparse.Namespace, request: str) -> str | int:
     """The answer of the daemon that is meant; without one the exit status, the reason on stderr."""
+    answer = answer_of(options, request)
+    if isinstance(answer, str):
+        return answer
+    print(f"imucald: {answer.reason}", file=sys.stderr)
+    return answer.status
+
+
+def answer_of(options: argparse.Namespace, request: str) -> str | NoAnswer:
+    """The answer of the daemon that is meant, or why there is none."""
     from imucald.service.asking import BusyError, ask
 
     try:
         return ask(find_socket(options.socket, options.channel), request)
     except BusyError as error:
-        print(f"imucald: {error}", file=sys.stderr)
-        return BUSY
+        return NoAnswer(BUSY, str(error))
     except LinkError as error:
-        print(f"imucald: {error}", file=sys.stderr)
         several = options.socket is None and len(running_sockets(options.channel)) > 1
-        return 1 if several else NOT_RUNNING
+        return NoAnswer(UNCLEAR if several else NOT_RUNNING, str(error))
 
 
 def running_sockets(channel: str | None = None) -> list[Path]:

@@ -59,14 +59,17 @@ _SILENT = frozenset({"accelerometer_missing", "gyroscope_missing"})
 
 def waits_for(status: Mapping[str, Any]) -> str:
     """Return in one line what flows and what is waited for."""
-    waited = [f"waiting for {who}: {text}" for who, text in reasons(status["waiting_for"])]
-    return "; ".join([flow(status).text, *waited[:1]])
+    return "; ".join([flow(status).text, *_first_reason(status)])
 
 
 def short(status: Mapping[str, Any]) -> str:
     """Return the status as one line: what flows, the angles, what is waited for."""
-    now, *waited = waits_for(status).split("; ", 1)
-    return "; ".join(filter(None, [now, angles_line(status["mount"]), *waited]))
+    angles = angles_line(status["mount"])
+    return "; ".join([flow(status).text, *([angles] if angles else []), *_first_reason(status)])
+
+
+def _first_reason(status: Mapping[str, Any]) -> list[str]:
+    return [f"waiting for {who}: {text}" for who, text in reasons(status["waiting_for"])][:1]
 
 
 def picture(status: Mapping[str, Any]) -> Group:

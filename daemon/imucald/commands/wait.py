@@ -10,18 +10,17 @@ from collections.abc import Mapping
 from typing import Any
 
 POLL_S = 0.5
-QUALITY = {"restored": 1, "usable": 2, "fine": 3}
-"""What frames must be marked with at least."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Options of `wait`."""
     from imucald.commands.status import add_socket_argument
+    from imucald.runtime.flow import GOOD
 
     add_socket_argument(parser)
     parser.add_argument(
         "--state",
-        choices=QUALITY,
+        choices=tuple(GOOD.values()),
         default="usable",
         help="wait until corrected frames flow and are marked so, or better (default: usable)",
     )
@@ -61,34 +60,33 @@ def _asked(options: argparse.Namespace) -> tuple[int, str]:
     Raises LinkError where several daemons run and none is named.
     """
     from imucald.commands.status import (
-        BUSY,
         FINE,
         NOT_RUNNING,
         NOT_YET,
+        UNCLEAR,
+        NoAnswer,
+        answer_of,
         exit_status,
-        find_socket,
-        running_sockets,
     )
     from imucald.commands.status_view import waits_for
     from imucald.core.errors import LinkError
-    from imucald.service.asking import BusyError, ask
 
-    several = options.socket is None and len(running_sockets(options.channel)) > 1
-    try:
-        status = json.loads(ask(find_socket(options.socket, options.channel), "status"))
-    except BusyError:
-        return BUSY, "the daemon does not answer"
-    except LinkError:
-        if several:
-            raise
-        return NOT_RUNNING, "no daemon runs"
+    answer = answer_of(options, "status")
+    if isinstance(answer, NoAnswer):
+        if answer.status == UNCLEAR:
+            raise LinkError(answer.reason)
+        is_absent = answer.status == NOT_RUNNING
+        return answer.status, "no daemon runs" if is_absent else "the daemon does not answer"
+    status = json.loads(answer)
     if _is_reached(status, options.state):
         return FINE, waits_for(status)
     return exit_status(status) or NOT_YET, waits_for(status)
 
 
 def _is_reached(status: Mapping[str, Any], state: str) -> bool:
-    from imucald.runtime.flow import FlowKind, flow
+    from imucald.runtime.flow import GOOD, FlowKind, flow
 
-    good = flow(status).kind is FlowKind.GOOD
-    return good and int(status["quality"]) >= QUALITY[state]
+    states = tuple(GOOD.values())  # from the least to the best
+    if flow(status).kind is not FlowKind.GOOD:
+        return False
+    return states.index(GOOD[status["quality"]]) >= states.index(state)

@@ -14,7 +14,7 @@ from imucald.runtime.alarms import is_starting, present_alarms
 from imucald.runtime.input_health import MISSING_TICKS
 
 GOOD = {1: "restored", 2: "usable", 3: "fine"}
-"""Qualities of a corrected frame that a receiver may use."""
+"""Qualities of a corrected frame that a receiver may use, from the least to the best."""
 SUSPECT = 4
 
 
