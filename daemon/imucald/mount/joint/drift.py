@@ -7,7 +7,7 @@ and the slow walks of both sensors' zeros is constant:
 
     left = g u + b + v (0, -z_r, z_q) + B (dv/dt, v r, dr/dt, r^2) + noise
     u'   = r u_y - q, p - r u_x        (p, q, r) = rate - z - e r
-    u    = m + slope, another one every `Drifts.slope` metres
+    u    = m + slope, another one every `SLOPE_M` metres
 
 u: level part of the vertical (2). z: zero of the rate (3). e: tilt of the gyroscope (2). m: tilt of
 the working axes (2). b: zero of the force (3). B: what the axes still answer to motion (3 by 4).
@@ -27,8 +27,10 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from imucald.core.linear import inverse, solved
 from imucald.core.samples import GRAVITY
 from imucald.motion.ticks import TICK_S
+from imucald.mount.joint.state import SLOPE, SLOPE_M
 
 Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
@@ -79,8 +81,7 @@ class Drifts(NamedTuple):
     """Tilt of the gyroscope's axes (`state.Priors.gyro`) and of its working axes (`tilt`)."""
     tilt: float = 0.03
     """Working axes against the vehicle's [rad]."""
-    slope: tuple[float, float] = (0.02, 400.0)
-    """Slope of roads (tangent), and metres after which it is another one: `state.Priors`."""
+    slope: float = SLOPE
     noise: float = 0.1
     """Of a mean [m/s^2], as a start; it is learnt axis by axis."""
     loudness: float = 4.0
@@ -253,7 +254,7 @@ class ZeroDrift:
 
     def _go_on_from(self, past: Drift) -> None:
         """The first onset is that of a drift before: its prior is what was known of the rate."""
-        prior, information = self._drifts.rate**2, _inverse(past.rate_covariance)
+        prior, information = self._drifts.rate**2, inverse(past.rate_covariance)
         self._information[0] = information - _ONE / prior
         self._score[0] = information @ past.rate
         known = 0.5 * (past.rate @ self._score[0] - np.linalg.slogdet(information * prior)[1])
@@ -291,11 +292,10 @@ class ZeroDrift:
         H, off, noise = np.zeros((rows, STATES)), np.zeros(rows), np.zeros(rows)
         H[:n], off[:n] = self._force_rows(path, means, held)
         if passed > 0.0:
-            slope, metres = self._drifts.slope
             H[n:] = end
             H[n, TILT.start] = H[n + 1, TILT.start + 1] = -1.0
             off[n:] = self._mean[TILT] - path.up[-1]
-            noise[n:] = slope**2 * metres / passed
+            noise[n:] = self._drifts.slope**2 * SLOPE_M / passed
         P, shift = self._covariance, self._shift
         seen = H @ P
         since = (self._steps + 0.5 + held[:, None] - self._onsets) * STEP_S
@@ -342,12 +342,12 @@ class ZeroDrift:
         diagonal += noise
         diagonal[: 3 * n] += each
         root = _root(S)
-        white = _solved(root, columns[:, 0])[: 3 * n].reshape(n, 3)
+        white = solved(root, columns[:, 0])[: 3 * n].reshape(n, 3)
         loud = (free + np.square(white).sum(axis=0)) / (free + n)
         if self._steps > LEARNT / 5.0:  # from then on the axes' own tilt is known
             self._learn_noise(root, white)
         diagonal[: 3 * n] += each * np.tile(loud - 1.0, n)
-        return np.asarray(_inverse(_root(S)) @ columns)
+        return np.asarray(inverse(_root(S)) @ columns)
 
     def _learn_noise(self, root: Array, white: Array) -> None:
         """From white innovations (n, 3) and the root of their covariance."""
@@ -385,13 +385,5 @@ def _squares(rows: Array) -> Array:
     return np.asarray(rows[:, :, None] * rows[:, None, :])
 
 
-def _inverse(matrix: Array) -> Array:
-    return np.asarray(np.linalg.inv(matrix), dtype=float)
-
-
 def _root(matrix: Array) -> Array:
     return np.asarray(np.linalg.cholesky(matrix), dtype=float)
-
-
-def _solved(matrix: Array, right: Array) -> Array:
-    return np.asarray(np.linalg.solve(matrix, right), dtype=float)

@@ -25,7 +25,7 @@ from imucald.mount.estimator import FullEstimator
 from imucald.mount.estimator_settings import EstimatorSettings, Limits
 from imucald.mount.joint.drift import NONE as NO_DRIFT
 from imucald.mount.joint.drift import Drift
-from imucald.mount.joint.evidence import IN_EACH_TICK, Block, Evidence, Solution
+from imucald.mount.joint.evidence import MIDDLES, Block, Evidence, Solution
 from imucald.mount.joint.known import CHANCE_AS_BEFORE, KnownSensor
 from imucald.mount.joint.state import PHI, Priors
 from imucald.mount.mount_changes import MountChange, blocks_since
@@ -318,5 +318,5 @@ def _as_angles(sent: SentDeviations) -> tuple[float, float, float]:
 def _block(p: SignalBlock) -> Block:
     use = p.ok_force & p.had_rate & p.ok_speed & p.learn
     known = bool(p.ok_rate.any())
-    knots = IN_EACH_TICK if p.speed_knots is None else p.speed_knots
+    knots = MIDDLES if p.speed_knots is None else p.speed_knots
     return Block(p.force, p.rate, p.speed, use, known, p.gyro_bias, knots, p.least_speed)

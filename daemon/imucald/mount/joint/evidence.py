@@ -16,6 +16,7 @@ from msgspec.structs import replace
 from numpy.typing import NDArray
 
 from imucald.config.base import MAX_SPEED_DELAY, MIN_SPEED_DELAY
+from imucald.core.linear import inverse, solved
 from imucald.core.rotations import (
     Matrix3,
     levelling_rotation,
@@ -41,6 +42,7 @@ from imucald.mount.joint.state import (
     EPS,
     OFF,
     PHI,
+    SLOPE_M,
     UNKNOWNS,
     ZERO,
     Priors,
@@ -75,8 +77,6 @@ MOST_LEFT = 0.01
 """Windows are made again when the axes have moved by so much [rad] since."""
 MOST_LATE = 0.03
 """The same of the speed's delay [s]."""
-SLOPE_M = 400.0
-"""Slopes that forget themselves in 200 m (`Priors.slope`) are another one after so many metres."""
 DELAYS: Final = np.arange(MIN_SPEED_DELAY, MAX_SPEED_DELAY + 0.001, 0.02)
 FOLLOWS = 0.8
 """A band counts while the force follows dv/dt at this share of the slow bands' gain."""
@@ -121,8 +121,8 @@ ALL_BANDS: Final = np.ones(wd.BANDS, dtype=bool)
 
 NO_ZERO: Final = np.zeros(3)
 NO_AXES: Final = np.eye(3), np.eye(3), NO_ZERO
-IN_EACH_TICK: Final = np.linspace(0.5, BLOCK_TICKS - 0.5, BLOCK_TICKS)
-"""When a speed is known of which each tick has a mean [ticks]."""
+MIDDLES: Final = np.linspace(0.5, BLOCK_TICKS - 0.5, BLOCK_TICKS)
+"""Of the ticks of a block: when a speed is known of which each has a mean [ticks]."""
 
 
 class Block(NamedTuple):
@@ -140,7 +140,7 @@ class Block(NamedTuple):
     use: Flags
     is_rate_known: bool = True
     rate_zero: Array = NO_ZERO
-    knots: Array = IN_EACH_TICK
+    knots: Array = MIDDLES
     least_speed: float = 0.0
 
 
@@ -228,14 +228,14 @@ class Evidence:
         self._follow_drift()  # it can't wait until a solution is due
         if self._is_up_to(self._followed):
             found = self._drift.found()
-            self._found_drift = found.turned(self._axes[0] @ _inverse(self._drift_axes[0]))
+            self._found_drift = found.turned(self._axes[0] @ inverse(self._drift_axes[0]))
         return self._found_drift
 
     def in_sensor_axes(self, drift: Drift) -> Drift:
         """`drift` in sensor axes; before there are any axes, what was known before the blocks."""
         if self._axes is None:
             return self._past or NO_DRIFT
-        return drift.turned(_inverse(self._axes[0]))
+        return drift.turned(inverse(self._axes[0]))
 
     @property
     def seconds(self) -> float:
@@ -297,7 +297,7 @@ class Evidence:
         assert self._axes is not None
         W, V, _ = self._axes
         pairs = zip((W, V), self._drift_axes[:2], strict=True)
-        moved = max(float(np.abs(new @ _inverse(old) - np.eye(3)).max()) for new, old in pairs)
+        moved = max(float(np.abs(new @ inverse(old) - np.eye(3)).max()) for new, old in pairs)
         if moved < Drifts().tilt and abs(self.delay - self._drift_delay) < MOST_LATE:
             return
         self._drift = ZeroDrift(None if self._past is None else self._past.turned(W))
@@ -579,7 +579,7 @@ class Evidence:
         value, covariance = self._drift.axis_of_turning()
         W, V, zero = self._axes
         W_then, V_then, zero_then = self._drift_axes
-        turned, tilted = W @ _inverse(W_then), V @ _inverse(V_then)
+        turned, tilted = W @ inverse(W_then), V @ inverse(V_then)
         level = GRAVITY * turned[:, 2] + turned @ zero_then - zero
         value = value + tilted[:2, 2] - level[:2] / GRAVITY
         rows = np.array([rate_entry(i, 2) - zero_row(i) for i in range(2)])
@@ -598,7 +598,7 @@ class Evidence:
         if moved >= MOST_LEFT:
             self._taken[3:13] += theta[3:13]
         return Solution(
-            _solved(E, W), _solved(C, V), _solved(E, zero + shift),
+            solved(E, W), solved(C, V), solved(E, zero + shift),
             covariance, self.delay, moved, turned.T @ self._rotation, turn, same,
         )  # fmt: skip
 
@@ -631,11 +631,3 @@ def _by_window(x: NDArray[Any]) -> NDArray[Any]:
     blocks = x.reshape(-1, wd.BLOCK, *x.shape[1:])
     n = len(blocks) - BLOCKS_A_WINDOW + 1
     return np.concatenate([blocks[i : i + n] for i in range(BLOCKS_A_WINDOW)], axis=1)
-
-
-def _solved(matrix: Array, right: Array) -> Array:
-    return np.asarray(np.linalg.solve(matrix, right), dtype=float)
-
-
-def _inverse(matrix: Array) -> Array:
-    return np.asarray(np.linalg.inv(matrix), dtype=float)

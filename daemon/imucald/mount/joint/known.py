@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from imucald.core.errors import EstimateError
+from imucald.core.linear import solved
 from imucald.core.rotations import Matrix3, orthonormalised, vector_from_rotation
 from imucald.core.samples import GRAVITY
 from imucald.mount.estimate import BETWEEN_DRIVES_STD, Correction, SentDeviations
@@ -145,8 +146,8 @@ class KnownSensor(NamedTuple):
         if not are_of_a_sensor(mixed, tilted):
             raise EstimateError("what was kept of the sensor is that of no sensor")
         zero = np.concatenate([mean[ZERO] * GRAVITY, [0.0]])
-        force = np.asarray(np.linalg.solve(mixed, R), dtype=float)
-        rate = np.asarray(np.linalg.solve(tilted, R), dtype=float)
+        force = solved(mixed, R)
+        rate = solved(tilted, R)
         zero = np.linalg.solve(mixed, zero)
         return Correction.with_matrices(R_vehicle_from_sensor, force, rate, zero)
 

@@ -11,6 +11,7 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from imucald.core.linear import inverse, solved
 from imucald.drive.windows import BAND, BANDS, OVERLAP
 
 Array = NDArray[np.float64]
@@ -117,7 +118,7 @@ def respond(
         weight = (2.0 / OVERLAP) * trust[:, :, None] / noise[:, None]
         total = packing.matrices((weight.reshape(fits, 1, -1) @ flat)[:, 0])
         information = total[:, 1:, 1:] + prior
-        beta = np.linalg.solve(information, total[:, 1:, :1])[:, :, 0]
+        beta = solved(information, total[:, 1:, :1])[:, :, 0]
         vector = np.concatenate([one, -beta], axis=1)
         left = left_of(rows, vector, packing)
         n = (trust * counts).sum(axis=1)
@@ -127,8 +128,8 @@ def respond(
         trust[:, old:] = trust_in(left[:, old:], noise)  # in the sums of old ones it is already
     each = (weight[:, :, None] @ rows)[:, :, 0]
     scores = (packing.matrices(each) @ vector[:, None, :, None])[:, :, 1:, 0]
-    inverse = np.asarray(np.linalg.inv(information), dtype=float)
-    model = inverse[:, :keep, :keep]
+    covariances = inverse(information)
+    model = covariances[:, :keep, :keep]
     variance = np.diagonal(model, axis1=1, axis2=2)
     windows = old * SEGMENTS[0] + np.arange(rows.shape[1] - old)
     segment = np.concatenate([np.arange(old), windows // SEGMENTS[0]])
@@ -142,9 +143,9 @@ def respond(
                 s[:, 1:].swapaxes(1, 2) @ s[:, :-1] + s[:, :-1].swapaxes(1, 2) @ s[:, 1:]
             )
         enough = 1.0 if length == SEGMENTS[0] else min(1.0, s.shape[1] / 8.0)
-        spread_out = np.diagonal(inverse @ M @ inverse, axis1=1, axis2=2)[:, :keep]
+        spread_out = np.diagonal(covariances @ M @ covariances, axis1=1, axis2=2)[:, :keep]
         sandwich = np.maximum(sandwich, enough * spread_out)
-    segments = _effective_segments(each, inverse[:, :keep], packing, segment)
+    segments = _effective_segments(each, covariances[:, :keep], packing, segment)
     ratio = np.clip(sandwich / variance, 0.1, 100.0)
     grow = (PRIOR_SEGMENTS * PRIOR_RATIO + segments * ratio) / (PRIOR_SEGMENTS + segments)
     grow = np.maximum(grow, 1.0) * (1.0 + 12.0 / (PRIOR_SEGMENTS + segments) ** 2)  # Student, about
@@ -154,13 +155,13 @@ def respond(
 
 
 def _effective_segments(
-    each: Array, inverse: Array, packing: Packing, segment: NDArray[np.int_]
+    each: Array, covariances: Array, packing: Packing, segment: NDArray[np.int_]
 ) -> Array:
     """How many road segments (F, keep) the coefficients rest on.
 
-    each: (F, n, size) weighed windows. inverse: (F, keep, p) rows of the covariance.
+    each: (F, n, size) weighed windows. covariances: (F, keep, p) rows of them.
     """
-    picked = np.concatenate([np.zeros((*inverse.shape[:2], 1)), inverse], axis=2)
+    picked = np.concatenate([np.zeros((*covariances.shape[:2], 1)), covariances], axis=2)
     part = each @ packing.form(picked).swapaxes(1, 2)
     share = _by_place(part, segment, int(segment[-1]) + 1)
     squares = np.maximum((share**2).sum(axis=1), 1e-30)

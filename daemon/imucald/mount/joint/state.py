@@ -32,6 +32,8 @@ UNKNOWNS = 15
 MOST_GAIN = 1.45
 """Of a sensor's matrix along any direction: four deviations of cross-axis terms of 8 %, the largest
 size that is asked, in two places."""
+SLOPE, SLOPE_M = 0.02, 400.0
+"""Slope of a road (tangent), and metres after which it is another one: twice its memory."""
 FREE = 10.0
 """Prior deviation of a rotation of which nothing is known [rad]."""
 
@@ -61,8 +63,7 @@ class Priors(NamedTuple):
     """Tilt and turn of the gyroscope's axes against the accelerometer's [rad] (MPU-6050, 6.1)."""
     crown: tuple[float, float] = (0.012, 0.006)
     """Mean lean of the roads and its deviation (tangent)."""
-    slope: float = 0.02
-    """Slope of a road (tangent), which forgets itself in 200 m."""
+    slope: float = SLOPE
     slow: float = 15.0
     """Slopes of roads for speeds far beyond [m/s] are longer in proportion to the speed: curves of
     crests and sags are built for the sight that a speed needs (assumption; AASHTO's more so)."""
