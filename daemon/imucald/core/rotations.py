@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -26,6 +27,7 @@ Rows = tuple[float, float, float, float, float, float, float, float, float]
 Quaternion = tuple[float, float, float, float]
 """w, x, y, z of a unit quaternion."""
 IDENTITY: Quaternion = (1.0, 0.0, 0.0, 0.0)
+Number = TypeVar("Number", float, NDArray[np.float64])
 
 
 def times(m: Rows, v: Sequence[float]) -> Vector:
@@ -262,8 +264,10 @@ def quaternion_turned(q: Quaternion, x: float, y: float, z: float) -> Quaternion
     return quaternion_product(q, quaternion_from_vector(x, y, z))
 
 
-def rows_from_quaternion(q: Quaternion) -> Rows:
-    """The rotation matrix of a unit quaternion."""
+def rows_from_quaternion(
+    q: tuple[Number, Number, Number, Number],
+) -> tuple[Number, Number, Number, Number, Number, Number, Number, Number, Number]:
+    """The rotation matrix of a unit quaternion, row by row; of numbers or of columns (N,)."""
     w, x, y, z = q
     xx, yy, zz = x * x, y * y, z * z
     xy, xz, yz = x * y, x * z, y * z

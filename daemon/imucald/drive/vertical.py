@@ -11,6 +11,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from imucald.core.rotations import rows_from_quaternion
 from imucald.motion.ticks import TICK_S
 
 Array = NDArray[np.float64]
@@ -89,15 +90,9 @@ def _small_turns(vectors: Array) -> Array:
 
 
 def _matrices(quaternions: Array) -> Array:
-    """Rotation matrices (N, 3, 3)."""
+    """Rotation matrices (N, 3, 3) of quaternions (4, N)."""
     w, x, y, z = quaternions
-    made = np.empty((len(w), 3, 3))
-    made[:, 0, 0], made[:, 1, 1] = 1 - 2 * (y * y + z * z), 1 - 2 * (x * x + z * z)
-    made[:, 2, 2] = 1 - 2 * (x * x + y * y)
-    made[:, 0, 1], made[:, 1, 0] = 2 * (x * y - w * z), 2 * (x * y + w * z)
-    made[:, 0, 2], made[:, 2, 0] = 2 * (x * z + w * y), 2 * (x * z - w * y)
-    made[:, 1, 2], made[:, 2, 1] = 2 * (y * z - w * x), 2 * (y * z + w * x)
-    return made
+    return np.stack(rows_from_quaternion((w, x, y, z)), axis=1).reshape(-1, 3, 3)
 
 
 def _prefix_products(turns: Array) -> Array:
