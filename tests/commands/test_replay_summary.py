@@ -19,7 +19,8 @@ from paths import ROOT
 
 EXAMPLE = ROOT / "config" / "examples" / "passenger_car.yaml"
 MINUTES = 3.0
-STICKS_AT = 100.0
+STICKS_AT, STICKS_EARLY = 100.0, 30.0
+"""When the mount is nearly *fine*, and before it is *usable* [s]."""
 
 
 def replayed(
@@ -52,6 +53,18 @@ def test_a_sensor_that_sticks_is_reported_with_its_time(
     left_out = text.partition("not learnt from")[2]
     assert "accelerometer no valid samples" in left_out
     assert "accelerometer stuck" in left_out
+
+
+def test_a_sensor_that_sticks_before_the_mount_is_known_is_what_it_waits_for(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    lines = replayed(capsys, tmp_path, STICKS_EARLY)
+    events = [line for line in lines if line.startswith("at ") and "accel stuck" in line]
+    assert len(events) == 1
+    assert events[0].startswith("at 0:3")
+    text = " ".join(line.strip() for line in lines)
+    assert "waiting for" in text
+    assert "faulty" in text.partition("waiting for")[2]
 
 
 def test_a_sound_drive_has_no_such_line(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
