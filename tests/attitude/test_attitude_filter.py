@@ -119,16 +119,21 @@ def test_it_starts_in_motion_too():
     assert (found[-1].roll, found[-1].pitch) == pytest.approx(motion.angles(-1), abs=0.5 * DEG)
 
 
-def test_driving_is_followed_within_its_own_deviation():
-    motion = Motion(hilly, driving, 240.0)
-    bias = (0.3 * DEG, -0.4 * DEG, 0.5 * DEG)
-    found = motion.feed(AttitudeFilter(settings()), bias)
+def settled_errors(motion, found):
+    """Errors and deviations (N, 2) of roll and pitch from 30 s on, twice a second."""
     errors, stds = [], []
     for i in range(int(30 * RATE), len(found), 25):
         roll, pitch = motion.angles(i)
         errors.append((found[i].roll - roll, found[i].pitch - pitch))
         stds.append(found[i].std[:2])
-    errors, stds = np.array(errors), np.array(stds)
+    return np.array(errors), np.array(stds)
+
+
+def test_driving_is_followed_within_its_own_deviation():
+    motion = Motion(hilly, driving, 240.0)
+    bias = (0.3 * DEG, -0.4 * DEG, 0.5 * DEG)
+    found = motion.feed(AttitudeFilter(settings()), bias)
+    errors, stds = settled_errors(motion, found)
     assert np.sqrt((errors**2).mean(axis=0)).max() < 0.1 * DEG
     assert np.mean(np.abs(errors) < 1.96 * stds) > 0.9
     assert found[-1].bias == pytest.approx(bias, abs=0.02 * DEG)
@@ -159,12 +164,7 @@ def test_it_updates_at_its_interval_whatever_the_rate_of_the_speed(speed_every, 
     found = motion.feed(attitude, bias, speed_every)
     times = np.unique([t for t in newest if t > 10.0])
     assert np.diff(times).max() == pytest.approx(1.0 / RATE, abs=1e-6)
-    errors, stds = [], []
-    for i in range(int(30 * RATE), len(found), 25):
-        roll, pitch = motion.angles(i)
-        errors.append((found[i].roll - roll, found[i].pitch - pitch))
-        stds.append(found[i].std[:2])
-    errors, stds = np.array(errors), np.array(stds)
+    errors, stds = settled_errors(motion, found)
     assert np.sqrt((errors**2).mean(axis=0)).max() < 0.15 * DEG
     assert np.mean(np.abs(errors) < 1.96 * stds) > 0.9
 

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from imucald.commands.options import LOG_HELP, positive, print_problems, refuse_log_and_bus
+from imucald.core.counts import counted
 
 if TYPE_CHECKING:
     from imucald.can.dbc.database import Database
@@ -132,7 +133,7 @@ def _outcome(proposal: Proposal, options: argparse.Namespace) -> str:
     """What was found, and what to do next, on the same log or bus."""
     count = len(proposal.choices)
     unsure = sum(not choice.is_sure for choice in proposal.choices)
-    found = f"{count} {'quantity' if count == 1 else 'quantities'}, {unsure} of them unsure; "
+    found = f"{counted(count, 'quantity', 'quantities')}, {unsure} of them unsure; "
     if proposal.missing:
         missing = (
             n.replace("_", " ") + (f" ({why})" if why else "")
