@@ -1,1 +1,1 @@
-"""Are signals borne as they come on real buses? See `__main__`."""
+"""Does the estimator work with signals as real buses carry them? See `__main__`."""

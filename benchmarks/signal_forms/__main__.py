@@ -1,4 +1,4 @@
-"""Are signals borne as they come on real buses?
+"""Does the estimator work with signals as real buses carry them?
 
     python -m benchmarks.signal_forms [--form TEXT ...] [--drives N] [--first SEED] [--jobs N]
                                       [--group simulated second_world measured] [--check]

@@ -1,4 +1,4 @@
-"""Whether the accelerometer is mirrored, by the signs that the signals beside it need."""
+"""Whether the accelerometer is mirrored, by the signs that the other signals need."""
 
 from __future__ import annotations
 

@@ -95,7 +95,7 @@ def test_a_sensor_that_is_turned_is_told_and_found_again() -> None:
 
 @pytest.mark.slow
 def test_signs_that_turn_end_nothing_and_leave_nothing_good() -> None:
-    """Two signs of the accelerometer, which no matrix of a sensor explains beside the gyroscope."""
+    """Two signs of the accelerometer, which no sensor's matrix explains with this gyroscope."""
     made, at = drive(976_001), 200.0
     accel = made.samples["accel"]
     values = np.where((accel.t > at)[:, None], accel.values * [-1.0, -1.0, 1.0], accel.values)

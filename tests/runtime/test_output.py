@@ -222,7 +222,7 @@ ZERO = ("ZeroX", "ZeroY", "RateXZ", "RateYZ")
 
 
 def sent_deviations(loaded, estimate, usable, out_dbc):
-    """The eight deviations of what is sent, and the states beside them."""
+    """The eight deviations of what is sent, and the states that come with them."""
     frames = OutputFrames(loaded.config).status(estimate, usable, Health())
     force = decoded(out_dbc, "IMUCALD_CrossTalkDeviation", frames)[0]
     zero = decoded(out_dbc, "IMUCALD_ZeroDeviation", frames)[0]

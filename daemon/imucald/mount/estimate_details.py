@@ -90,7 +90,8 @@ def change_details(one: TakenChange, turn: tuple[Array, Array] | None) -> dict[s
     """A change of the mount, and by how far it is turned since (`TakenChange.turn`).
 
     within_deg: half of the 95 % interval [deg] in which the change lies, so that nothing shows that
-    the sensor was moved; None where it is a move. The interval covers a change that is borne.
+    the sensor was moved; None where it is a move. The mount stays in use then, and its
+    interval covers the change.
     """
     half, is_within = max(SD_95 * one.std, abs(one.change.size)), one.is_borne
     if turn is not None:

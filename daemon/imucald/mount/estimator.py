@@ -292,13 +292,13 @@ class FullEstimator:
             self._changes.know_borne()
 
     def _begin_without_rotation(self, blocks: Iterable[SignalBlock] = ()) -> None:
-        """Begin anew from these blocks: not even the rotation so far is a hint."""
+        """Begin again from these blocks: not even the rotation so far is a hint."""
         self._changes.end_of_mounting(self._good_mount())
         self._changes.zero.restart()
         self._begin_afresh(blocks)
 
     def _begin_afresh(self, blocks: Iterable[SignalBlock]) -> None:
-        """Begin anew from these blocks, and go on to ask what moved gravity."""
+        """Begin again from these blocks, and go on to ask what moved gravity."""
         self._served.has_moved = True
         self._changes.restart()
         self._checks.restart()

@@ -188,12 +188,12 @@ class MountChanges:
         return is_new
 
     def take(self, found: MountChange, block: int, std: float, good: GoodMount | None) -> None:
-        """Take a change after which the mount is found anew; good: the mount until then."""
+        """Take a change after which the mount is found again; good: the mount until then."""
         self.history.append(TakenChange(block, found, std, before=good))
         self._open = self.history[-1]
 
     def end_of_mounting(self, good: GoodMount | None) -> None:
-        """Another change comes, or all begins anew; good: the mount until now."""
+        """Another change comes, or everything begins again; good: the mount until now."""
         if self._open is not None:
             self._open.after = good
         self._open = None

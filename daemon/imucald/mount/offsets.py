@@ -42,7 +42,7 @@ class Offsets:
         self._turns: deque[float] = deque(maxlen=MAX_TURNS)
 
     def doubt_gyro(self) -> None:
-        """The sensor was moved or exchanged: its bias is found anew, and the old one serves until
+        """The sensor was moved or exchanged: its bias is found again, and the old one serves until
         then. Held on to, one that is 0.4 deg/s off would keep the vertical off by 6 deg."""
         self._is_old = self._is_old or self.gyro_ticks > 0.0 or self._moving >= GUESS_TICKS
         self.gyro_ticks = 0.0

@@ -60,7 +60,7 @@ Flags = NDArray[np.bool_]
 
 BLOCK_S = BLOCK_TICKS * TICK_S
 MISSING = "no valid samples"
-BESIDE = 2
+NEIGHBOUR_TICKS = 2
 """A tick next to a stuck one has no value or no slope either."""
 YAW_GAP = 0.5
 NOMINAL_SPEED = 12.0
@@ -274,7 +274,7 @@ class SignalBlockMaker:
             if (flags := found.get((signal, fault))) is None:
                 continue
             ticks = np.any(flags, axis=1) if flags.ndim > 1 else flags
-            own = spread_out(ticks, HOLD_TICKS.get(fault, BESIDE))
+            own = spread_out(ticks, HOLD_TICKS.get(fault, NEIGHBOUR_TICKS))
             first = (len(own) - BLOCK_TICKS) // 2 if len(own) < ROWS else BEFORE
             self._leave_out(signal, fault.value, open_ticks, lacks & own[first:][:BLOCK_TICKS])
         self._leave_out("accel", MISSING, open_ticks, ~p.ok_force)

@@ -74,7 +74,7 @@ class Reloading(Generic[Read]):
             self._is_long_reported = True
             text = (
                 f"{reading}: does a file (network, disk) not answer? The daemon continues with the "
-                "old configuration; a restart begins afresh"
+                "old configuration; a restart reads it from the beginning"
             )
             self._journal.say(text, WARNING)
 

@@ -269,7 +269,7 @@ class Evidence:
             for b in self._blocks
         ]
         if self._axes is not None:
-            self._drift_delay = math.inf  # it begins anew as well
+            self._drift_delay = math.inf  # it begins again as well
             self._rework(*self._axes)
 
     def _forget(self, count: int) -> None:
@@ -293,7 +293,7 @@ class Evidence:
         self._done = 0
 
     def _reset_drift(self) -> None:
-        """Begin anew with the filter of a drift, where the axes have moved beyond its own tilt."""
+        """Begin again with the filter of a drift, where the axes have moved beyond its own tilt."""
         assert self._axes is not None
         W, V, _ = self._axes
         pairs = zip((W, V), self._drift_axes[:2], strict=True)

@@ -48,7 +48,7 @@ TERMS = 24
 PROBABLY_OTHER = 0.005
 """Chance that a sensor was exchanged, or became another, since (assumption)."""
 PROBABLY_MOVED: Final = ((0.1, 0.005), (FREE, 0.005))
-"""Deviation of a turn in between [rad] and its chance: somebody touched it, or mounted it anew
+"""Deviation of a turn in between [rad] and its chance: somebody touched it, or mounted it again
 (assumption; one start in a hundred)."""
 AS_BEFORE = 0
 """Place among the hypotheses of the one that nothing has changed ..."""
