@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from imucald.core.median import median
+from imucald.core.arrays import median
 
 
 @given(st.lists(st.floats(-1e9, 1e9), min_size=1, max_size=60))

@@ -8,15 +8,14 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from imucald.core.angles import DEG_PER_RAD, RAD_PER_DEG
+from imucald.core.arrays import Array
 from imucald.core.rotations import angles_from_rotation, quaternion_from_rotation
 from imucald.mount.angle_deviations import angle_deviations
 from imucald.mount.estimate import MountEstimate
 from imucald.mount.mount_words import plus_minus
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -21,6 +21,7 @@ from imucald.api.columns import (
 from imucald.api.growing_table import GrowingTable
 from imucald.core import compiled
 from imucald.core.angles import DEG_PER_RAD
+from imucald.core.arrays import Array
 from imucald.motion.ticks import TICK_RATE
 from imucald.mount.estimate import MountEstimate
 from imucald.mount.mount_words import is_move, moved_words
@@ -40,8 +41,6 @@ LATEST_US = 2**62
 """Times of day are kept within this [us]: a damaged stamp must not overflow."""
 _UPPER = (0, 1, 2, 4, 5, 8)
 """The upper triangle of a 3 x 3 matrix, row by row: xx, xy, xz, yy, yz, zz."""
-
-Array = NDArray[np.float64]
 
 
 class Recorder:

@@ -6,9 +6,9 @@ import math
 from collections.abc import Mapping
 
 import numpy as np
-from numpy.typing import NDArray
 
 from imucald.api.columns import TIMES, Columns, TableColumn, columns_from
+from imucald.core.arrays import Array
 from imucald.core.errors import ImucaldError
 
 WINDOW_PERIODS = 4.0
@@ -20,8 +20,6 @@ were lost, and some jitter."""
 MAX_ROWS = 50_000_000
 """More rows than that are a mistake in the rate."""
 SKIPPED = ("t_s", "time", "quality")
-
-Array = NDArray[np.float64]
 
 
 def resampled(tables: Mapping[str, Columns], rate_hz: float) -> Columns:

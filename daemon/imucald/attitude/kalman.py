@@ -18,14 +18,12 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from imucald.config.attitude import FilterSettings
 from imucald.config.base import PerAxis, per_axis
 from imucald.config.calibration import CalibrationSettings
+from imucald.core.arrays import Array
 from imucald.core.rotations import Rows, Vector, matrix_times
-
-Array = NDArray[np.float64]
 
 Measurement = tuple[Array, float, float, bool]
 """z = h . x + noise: h (9,), z, variance of the noise, whether an unlikely z is widened."""

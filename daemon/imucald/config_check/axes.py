@@ -14,7 +14,6 @@ from imucald.config_check.finding import (
     MIN_TICKS,
     ODD_GAIN,
     OTHER_UNIT,
-    Array,
     Finding,
     gain_between,
     gain_guess,
@@ -23,6 +22,7 @@ from imucald.config_check.finding import (
 )
 from imucald.config_check.motion import Motion, less, shifted, smooth
 from imucald.config_check.yaw_rate_check import MIN_TURNING
+from imucald.core.arrays import Array
 from imucald.core.samples import GRAVITY
 from imucald.motion.ticks import TICK_S
 from imucald.mount.gyro_alternatives import TRIED, gyro_energies, ratios_of

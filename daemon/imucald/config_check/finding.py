@@ -7,12 +7,11 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from imucald.core.angles import DEG_PER_RAD
+from imucald.core.arrays import Array
 from imucald.core.samples import GRAVITY
 
-Array = NDArray[np.float64]
 Level = Literal["error", "warning", "note", "ok"]
 
 MIN_TICKS = 200

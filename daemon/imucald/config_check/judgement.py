@@ -26,7 +26,6 @@ from imucald.config_check.finding import (
     MIN_TICKS,
     OTHER_UNIT,
     TURN_SIGN,
-    Array,
     Finding,
     gain_between,
     gain_guess,
@@ -36,6 +35,7 @@ from imucald.config_check.finding import (
 from imucald.config_check.motion import Motion, smooth
 from imucald.config_check.turning_axis import turning_axis_findings
 from imucald.config_check.yaw_rate_check import MIN_TURNING, yaw_rate_findings
+from imucald.core.arrays import Array
 from imucald.core.samples import GRAVITY
 from imucald.mount.alternatives import NOT_CHECKED
 from imucald.mount.mirror import AT_REST, DOUBTED, REMEDY, names_of, probability

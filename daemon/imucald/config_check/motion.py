@@ -8,11 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from imucald.config.vehicle import VehicleSettings
+from imucald.core.arrays import Array
 from imucald.core.samples import CHANNEL_WIDTH, Samples
 from imucald.motion.standstill import DRIVING_SPEED, ZERO_SPEED_SMOOTHED
 from imucald.motion.ticks import TICK_RATE
-
-Array = NDArray[np.float64]
 
 MAX_TICKS = 72_000
 """Two hours: enough to judge a sign by, and no more memory for a longer log."""

@@ -17,13 +17,12 @@ from imucald.can.columns import FD_BYTES, IdMatch
 from imucald.can.dbc.message import Message, Selectors
 from imucald.can.e2e.protection import DOUBLED
 from imucald.can.lost_frames import lost_share
+from imucald.core.arrays import Array
 from imucald.inputs.conversion import REASONS, Conversion
 from imucald.inputs.rate_guard import JudgesRate, Rows
 from imucald.inputs.routes import Carried, MessageRoute, SignalRoute
 from imucald.inputs.sender_choice import SenderChoice
 from imucald.inputs.taps import Columns, Physical, Raw, Tap, TapColumns, arrays_of
-
-Array = NDArray[np.float64]
 
 CYCLE_FRAMES = 5000
 """The cycle seen is the median over so many frames at most."""

@@ -7,8 +7,9 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from imucald.config_check.finding import CLEAR, MIN_TICKS, Array, Finding
+from imucald.config_check.finding import CLEAR, MIN_TICKS, Finding
 from imucald.config_check.motion import Motion, smooth
+from imucald.core.arrays import Array
 from imucald.mount.gyro_alternatives import TRIED
 from imucald.mount.log_ratios import INDEPENDENT, TO_ACCUSE
 from imucald.mount.signal_blocks import BLOCK_TICKS

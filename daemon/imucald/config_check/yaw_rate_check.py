@@ -11,13 +11,13 @@ from imucald.config_check.finding import (
     CLEAR,
     OTHER_UNIT,
     TURN_SIGN,
-    Array,
     Finding,
     gain_between,
     gain_guess,
     is_beyond,
     spread,
 )
+from imucald.core.arrays import Array
 
 MIN_TURNING = 0.008
 """Least standard deviation of the yaw rate for a judgement [rad/s]: bends of a motorway."""

@@ -16,6 +16,7 @@ from typing import Any
 import msgspec
 import numpy as np
 
+from imucald.core.arrays import Array
 from imucald.core.rotations import (
     Matrix3,
     angles_from_rotation,
@@ -24,7 +25,6 @@ from imucald.core.rotations import (
 )
 from imucald.core.samples import GRAVITY
 from imucald.diagnosis.causes import LEVEL_GYRO_GAIN_ERROR, MODEL_ERROR, PARAMETERS, family
-from imucald.diagnosis.signals import Array
 from imucald.model.model import VehicleModel
 from imucald.model.sensors import LONGEST_DELAY_S
 

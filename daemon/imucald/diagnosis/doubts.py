@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
+from imucald.core.arrays import Array
 from imucald.diagnosis.causes import family
 from imucald.diagnosis.direct.stuck import Fault
 from imucald.diagnosis.fit.blocks import TAKES, Table
@@ -24,7 +25,6 @@ from imucald.diagnosis.result import (
 from imucald.diagnosis.search.standing import unsettle
 from imucald.diagnosis.search.state import State
 from imucald.diagnosis.search.trials import Trial
-from imucald.diagnosis.signals import Array
 
 BESIDE = (NOT_PLAUSIBLE, WANDERS, LOUDER, COARSER, CHANGES_OTHERWISE)
 """Structure that moves no value to one side: what a fit names with it may stand."""

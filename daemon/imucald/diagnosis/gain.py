@@ -11,12 +11,12 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
+from imucald.core.arrays import Array
 from imucald.diagnosis.equations.forward import UNITS, Forward
 from imucald.diagnosis.fit.blocks import TILTED, Table
 from imucald.diagnosis.fit.box import box_fit
 from imucald.diagnosis.fit.score import Problem, folds, losses
 from imucald.diagnosis.result import Gain, SignalGain
-from imucald.diagnosis.signals import Array
 
 Z95 = 1.959964
 WORSE_SE = 2.0

@@ -7,10 +7,11 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from scipy.signal import welch
 
+from imucald.core.arrays import Array
 from imucald.diagnosis.equations.forward import UNITS, Forward
 from imucald.diagnosis.fit.blocks import TILTED
 from imucald.diagnosis.result import SignalPicture
-from imucald.diagnosis.signals import STEP_S, Array
+from imucald.diagnosis.signals import STEP_S
 
 SEGMENT = 256
 

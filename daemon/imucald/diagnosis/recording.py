@@ -9,10 +9,10 @@ from pathlib import Path
 
 import numpy as np
 from msgspec.structs import replace
-from numpy.typing import NDArray
 
 from imucald.can.logs.log_reader import LogReader, Progress
 from imucald.config import LoadedConfig
+from imucald.core.arrays import Array
 from imucald.core.errors import LogError
 from imucald.core.samples import CHANNEL_WIDTH, Samples, Series
 from imucald.inputs.column_samples import Routed
@@ -21,8 +21,6 @@ from imucald.inputs.router import Router
 from imucald.inputs.routes import MessageRoute, SignalRoute
 from imucald.inputs.wiring import compile_router
 from imucald.runtime.timebase import TimeBase, TimeSegment
-
-Array = NDArray[np.float64]
 
 TRIADS = ("accelerometer", "gyroscope", "magnetometer")
 """Keys of the configuration that may name several sensors, each in axes of its own."""

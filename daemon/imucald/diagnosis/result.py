@@ -7,9 +7,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any, Literal
 
-import numpy as np
-from numpy.typing import NDArray
-
+from imucald.core.arrays import Array
 from imucald.model.model import VehicleModel
 
 Verdict = Literal["found", "ambiguous", "unknown", "nothing"]
@@ -17,7 +15,6 @@ Certainty = Literal["certain", "likely"]
 Outcome = Literal[
     "within tolerance", "not decidable here", "does not pay", "not plausible", "not ruled out"
 ]
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

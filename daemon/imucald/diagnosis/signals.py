@@ -14,10 +14,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import binom
 
+from imucald.core.arrays import Array
 from imucald.core.errors import EstimateError
 from imucald.core.samples import Samples, Series
 
-Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 Spans = tuple[tuple[float, float], ...]
 

@@ -17,6 +17,7 @@ from imucald.can.dbc.decode import J1939_ADDRESS_MASK, compile_decode, id_match
 from imucald.can.dbc.message import Message, Signal
 from imucald.can.dbc.resolved_signal import raw_limits
 from imucald.config_check.motion import bridged, smooth
+from imucald.core.arrays import Array
 from imucald.core.errors import DatabaseError
 from imucald.discovery.evidence import factor_of
 from imucald.discovery.recording import Traffic
@@ -24,8 +25,6 @@ from imucald.inputs.sender_choice import AS_OFTEN, SENDER_SETTLING
 from imucald.inputs.units import is_unit
 from imucald.inputs.value_table import no_values
 from imucald.motion.ticks import TICK_RATE
-
-Array = NDArray[np.float64]
 
 FEW_LEVELS = 16
 """A signal with so few values may be a switch or a lever."""

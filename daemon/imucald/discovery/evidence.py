@@ -14,12 +14,10 @@ from dataclasses import dataclass
 from statistics import NormalDist
 
 import numpy as np
-from numpy.typing import NDArray
 
+from imucald.core.arrays import Array
 from imucald.core.errors import ConfigError
 from imucald.inputs.units import find_unit
-
-Array = NDArray[np.float64]
 
 FALSE_ALARM = 1e-3
 """Part of the recordings in which a search may find a relation that is chance."""

@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 
 from imucald.can.dbc.message import Signal
 from imucald.config_check.motion import SMOOTH
-from imucald.discovery.candidates import Array, SeenSignal, words
+from imucald.core.arrays import Array
+from imucald.discovery.candidates import SeenSignal, words
 from imucald.discovery.evidence import BELIEVED_NATS
 from imucald.discovery.names import hint, same_family
 from imucald.discovery.proposal import Alternative, Choice, source_of

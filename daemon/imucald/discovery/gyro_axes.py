@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from imucald.config_check.motion import SMOOTH, shifted, smooth
-from imucald.discovery.candidates import Array
+from imucald.core.arrays import Array
 from imucald.discovery.evidence import BELIEVED_NATS, Relation, relation
 from imucald.discovery.reference import KnownMotion
 from imucald.discovery.triads import Triad

@@ -12,7 +12,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from imucald.discovery.candidates import Array, SeenSignal
+from imucald.core.arrays import Array
+from imucald.discovery.candidates import SeenSignal
 from imucald.discovery.evidence import Relation, relation
 from imucald.discovery.proposal import Alternative, Choice, Proposed
 from imucald.discovery.reference import KnownMotion, response

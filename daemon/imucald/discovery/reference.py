@@ -13,7 +13,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from imucald.config_check.motion import SMOOTH, shifted
-from imucald.discovery.candidates import Array, SeenSignal
+from imucald.core.arrays import Array
+from imucald.discovery.candidates import SeenSignal
 from imucald.discovery.evidence import (
     COMMON_UNITS,
     Relation,

@@ -8,7 +8,8 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
-from imucald.discovery.candidates import Array, SeenSignal
+from imucald.core.arrays import Array
+from imucald.discovery.candidates import SeenSignal
 from imucald.discovery.evidence import Relation, UnitChoice, choose_unit, is_better, relation
 from imucald.discovery.names import hint, is_of_another
 from imucald.discovery.proposal import Alternative, Choice, source_of

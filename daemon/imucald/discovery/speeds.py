@@ -11,7 +11,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from imucald.discovery.candidates import Array, SeenSignal
+from imucald.core.arrays import Array
+from imucald.discovery.candidates import SeenSignal
 from imucald.discovery.evidence import choose_unit, is_better, relation
 from imucald.discovery.names import hint
 from imucald.discovery.reference import SpeedFit, stated_unit

@@ -13,8 +13,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from imucald.core.arrays import Array
 from imucald.core.samples import GRAVITY
-from imucald.discovery.candidates import Array, SeenSignal
+from imucald.discovery.candidates import SeenSignal
 from imucald.discovery.evidence import COMMON_UNITS, UnitChoice, choose_unit, factor_of, in_counts
 from imucald.discovery.names import axes_by_name
 from imucald.inputs.units import is_unit

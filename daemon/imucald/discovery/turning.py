@@ -6,7 +6,8 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from imucald.discovery.candidates import Array, SeenSignal
+from imucald.core.arrays import Array
+from imucald.discovery.candidates import SeenSignal
 from imucald.discovery.evidence import choose_unit, factor_of, relation
 from imucald.discovery.proposal import Choice, candidate_of
 from imucald.discovery.reference import stated_unit

@@ -12,10 +12,10 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from imucald.core.arrays import Array
 from imucald.motion.standstill import ZERO_SPEED
 from imucald.motion.ticks import TICK_S
 
-Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]
 
 GENTLE = 0.5

@@ -11,10 +11,10 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from imucald.core.arrays import Array
 from imucald.core.rotations import rows_from_quaternion
 from imucald.motion.ticks import TICK_S
 
-Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]
 
 PULL_S = 30.0

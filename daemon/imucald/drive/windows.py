@@ -18,10 +18,10 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from imucald.core.arrays import Array
 from imucald.core.samples import GRAVITY
 from imucald.motion.ticks import TICK_S
 
-Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]
 Complex = NDArray[np.complex128]
 

@@ -11,10 +11,10 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from imucald.core.arrays import Array
 from imucald.model.section import Vector3
 from imucald.model_compensation.sample_chain import Stage, through
 
-Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]
 
 

@@ -16,6 +16,7 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from imucald.core.arrays import Array
 from imucald.model.section import Vector3
 from imucald.model_compensation.suspension import (
     GAP_S,
@@ -26,7 +27,6 @@ from imucald.model_compensation.suspension import (
 from imucald.model_compensation.terms import Terms
 from imucald.model_compensation.yaw_acceleration import YawAcceleration
 
-Array = NDArray[np.float64]
 Number = TypeVar("Number", float, Array)
 
 STALE_S = 0.25

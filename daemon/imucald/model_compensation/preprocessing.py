@@ -8,16 +8,14 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from imucald.core.arrays import Array
 from imucald.inputs.column_samples import ColumnSamples, Routed
 from imucald.inputs.router import Sample
 from imucald.model.section import Vector3
 from imucald.model_compensation.lever_arm_and_suspension import Corrected, VehicleCorrection
 from imucald.model_compensation.sensors import SensorCorrection
 from imucald.model_compensation.tick_preprocessing import TickPreprocessing
-
-Array = NDArray[np.float64]
 
 REFUSED = "out_of_range"
 """Reason under which refused samples are counted."""

@@ -7,10 +7,10 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from imucald.core.arrays import Array
 from imucald.inputs.conversion import LIMITS
 from imucald.model_compensation.terms import ScalarTerms
 
-Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]
 
 

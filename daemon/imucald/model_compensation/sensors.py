@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from imucald.core.arrays import Array
 from imucald.core.samples import Series
 from imucald.inputs.conversion import LIMITS
 from imucald.model.section import Vector3
@@ -23,7 +24,6 @@ from imucald.model_compensation.smoothing import Smoothed
 from imucald.model_compensation.terms import ScalarTerms, Terms, TriadTerms
 from imucald.model_compensation.triads import TriadCompensator
 
-Array = NDArray[np.float64]
 Order = NDArray[np.int64] | NDArray[np.float64]
 Flags = NDArray[np.bool_]
 

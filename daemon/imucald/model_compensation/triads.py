@@ -7,11 +7,10 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from imucald.core.arrays import Array
 from imucald.core.rotations import times, times_columns
 from imucald.model.section import Vector3
 from imucald.model_compensation.terms import IDENTITY, NO_RAIL, REFERENCE_DEGC, TriadTerms
-
-Array = NDArray[np.float64]
 
 
 class TriadCompensator:

@@ -12,9 +12,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from imucald.core.arrays import Array
 from imucald.motion.ticks import TICK_S
 
-Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]
 
 SAME_SPEED = 1e-6

@@ -15,9 +15,9 @@ from msgspec import Struct
 from numpy.typing import NDArray
 
 from imucald.core import compiled
+from imucald.core.arrays import Array
 from imucald.motion.ticks import TICK_S
 
-Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 
 HOP_TICKS = 5

@@ -14,10 +14,10 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from imucald.core.arrays import Array
 from imucald.core.samples import GRAVITY
 from imucald.motion.ticks import ACCEL, GYRO, SPEED, STEERING, TICK_S, YAW_RATE, TickRow
 
-Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]
 
 # impossible --------------------------------------------------------------------------------

@@ -10,10 +10,9 @@ import numpy as np
 from msgspec import Struct, field
 from numpy.typing import NDArray
 
+from imucald.core.arrays import Array
 from imucald.motion.hops import HopRows
 from imucald.motion.sensor_judges import Runs, rate_of
-
-Array = NDArray[np.float64]
 
 LEAST_AT_EXTREME = 5
 PILE = 1.3

@@ -15,11 +15,11 @@ import numpy as np
 from msgspec import Struct
 from numpy.typing import NDArray
 
+from imucald.core.arrays import Array
 from imucald.core.compiled import Kernels
 from imucald.motion.hops import SIDES
 from imucald.motion.rail_evidence import AxisHops, Pile
 
-Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 Flags = NDArray[np.bool_]
 Hops = Sequence[int] | Index

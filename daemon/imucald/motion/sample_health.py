@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from imucald.core.angles import DEG_PER_RAD
+from imucald.core.arrays import Array
 from imucald.core.samples import Samples, Series
 from imucald.motion.faults_in_force import EVENTS, FaultEvent, Faults, FaultsInForce
 from imucald.motion.hops import HOP_S, HOP_TICKS, Carry, HopRows, hop_rows
@@ -50,7 +51,6 @@ SEVERAL = 8
 """So many hops are taken at once where nothing is unusual in any of them; few cost less singly."""
 _UNITS = {"gyro": DEG_PER_RAD}
 
-Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]
 _More = tuple[Array, NDArray[np.int64]]
 """Samples and their hops."""

@@ -17,6 +17,7 @@ from collections.abc import Collection, Mapping
 import numpy as np
 from numpy.typing import NDArray
 
+from imucald.core.arrays import Array
 from imucald.motion.physical_limits import (
     MAX_ROAD_DVDT,
     MAX_ROAD_RATE,
@@ -28,7 +29,6 @@ from imucald.motion.stuck import SeenForward, StuckSensor, StuckSpeed, zero_whil
 from imucald.motion.stuck_yaw_rate import StuckYawRate
 from imucald.motion.ticks import ACCEL, GYRO, SPEED, STEERING, TICK_S, WHEEL_SPREAD, YAW_RATE
 
-Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]
 
 SPREAD_FLOOR, SPREAD_SLOPE = 0.6, 0.03

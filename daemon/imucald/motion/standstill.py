@@ -13,10 +13,10 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
+from imucald.core.arrays import Array
 from imucald.core.rotations import Vector
 from imucald.core.samples import GRAVITY
 
-Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]
 
 # What a speed signal says ------------------------------------------------------------------

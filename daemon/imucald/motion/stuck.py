@@ -15,6 +15,7 @@ import numpy as np
 from msgspec import Struct
 from numpy.typing import NDArray
 
+from imucald.core.arrays import Array
 from imucald.core.rotations import Vector
 from imucald.motion import ticks as tk
 from imucald.motion.coarse_speed import SAME_SPEED
@@ -22,7 +23,6 @@ from imucald.motion.standstill import DRIVING_SPEED, ROLLING_SPEED
 from imucald.motion.ticks import ACCEL, TICK_S, TickRow
 from imucald.motion.usual_runs import MIN_STUCK_S, TIMES_USUAL, UsualRuns, runs_of
 
-Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]
 
 STUCK_TICKS = 12

@@ -12,10 +12,10 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
+from imucald.core.arrays import Array
 from imucald.motion.ticks import TICK_S, YAW_RATE
 from imucald.motion.usual_runs import MIN_STUCK_S, TIMES_USUAL, Places, UsualRuns, runs_of
 
-Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]
 
 SAME_RATE = 1e-9

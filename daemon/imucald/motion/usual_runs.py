@@ -7,7 +7,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from imucald.core.arrays import Array
+
 Places = NDArray[np.int64]
 
 MIN_STUCK_S = 1.2

@@ -21,6 +21,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from imucald.core.arrays import Array
 from imucald.core.rotations import Matrix3
 from imucald.core.samples import GRAVITY
 from imucald.motion.straight import yaw_rate_with_understeer
@@ -31,7 +32,6 @@ from imucald.mount.log_ratios import LEAST_TICKS, TO_BE_FINE, TO_BE_GOOD, Mirror
 from imucald.mount.signal_blocks import SignalBlock
 from imucald.mount.stated_orientation import Stated, StatedOrientation
 
-Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]
 
 RATE_FLOOR, FORCE_FLOOR = 0.01, 0.3

@@ -8,6 +8,7 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
+from imucald.core.arrays import Array
 from imucald.motion import ticks as tk
 from imucald.motion.coarse_speed import comes_in
 from imucald.motion.signal_health import SignalHealth
@@ -28,7 +29,6 @@ from imucald.mount.even_signals import (
     bridged_speed,
 )
 
-Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]
 
 REST_TICKS = 12

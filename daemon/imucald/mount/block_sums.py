@@ -8,9 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from imucald.core import compiled
+from imucald.core.arrays import Array
 from imucald.mount.signal_blocks import SignalBlock
 
-Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]
 
 

@@ -14,11 +14,11 @@ from msgspec import Struct
 from numpy.typing import NDArray
 
 from imucald.core import compiled
+from imucald.core.arrays import Array
 from imucald.motion.signal_health import slope
 from imucald.motion.ticks import TICK_S
 from imucald.mount.vertical_block import FORCE_NOISE
 
-Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]
 
 PRIOR_TICKS = 16.0

@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from imucald.core import compiled
-from imucald.core.median import median
+from imucald.core.arrays import Array, median
 from imucald.motion.straight import yaw_rate_with_understeer
 from imucald.motion.ticks import TICK_S
 from imucald.mount.alternatives import MAX_REVERSE
@@ -31,7 +31,6 @@ from imucald.mount.estimator_settings import EstimatorSettings
 from imucald.mount.gyro_walk import SELDOM
 from imucald.mount.signal_blocks import SignalBlock
 
-Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]
 
 UNLIKE = 0.3

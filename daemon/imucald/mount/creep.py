@@ -23,10 +23,10 @@ from msgspec import Struct
 from numpy.typing import NDArray
 
 from imucald.core import compiled
+from imucald.core.arrays import Array
 from imucald.mount.road_segments import AngleEvidence
 from imucald.mount.score_series import ScoreSeries
 
-Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]
 
 SIZES = np.radians([0.03, 0.07, 0.15, 0.3, 0.6])

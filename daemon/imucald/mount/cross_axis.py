@@ -23,8 +23,8 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 from msgspec import Struct
-from numpy.typing import NDArray
 
+from imucald.core.arrays import Array
 from imucald.core.rotations import Matrix3
 from imucald.core.samples import GRAVITY
 from imucald.mount.common_errors import common_errors
@@ -45,8 +45,6 @@ from imucald.mount.priors import (
     SPEED_SCALE_STD,
 )
 from imucald.mount.road_segments import AngleEvidence
-
-Array = NDArray[np.float64]
 
 SEEN_SHARE = 1.0
 """From as much information as the prior's on what the data say of a bias is looked at."""

@@ -19,8 +19,6 @@ from imucald.mount.estimator_settings import DelayPrior
 from imucald.mount.evidence_spectra import OMEGA, WINDOW
 from imucald.mount.signal_blocks import BLOCK_TICKS
 
-Array = NDArray[np.float64]
-
 STEP = 0.025
 """Grid of candidates [s]."""
 MIN_POWER = 2e-2

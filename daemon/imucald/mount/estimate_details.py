@@ -8,8 +8,8 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
+from imucald.core.arrays import Array
 from imucald.motion.ticks import TICK_S
 from imucald.mount.creep import BELIEVED, Creep
 from imucald.mount.estimate import ANGLES
@@ -21,8 +21,6 @@ from imucald.mount.signal_blocks import BLOCK_S, SignalBlockMaker
 from imucald.mount.signal_checks import SignalChecks
 from imucald.mount.solver import MountSolver
 from imucald.mount.states import MountKnowledge
-
-Array = NDArray[np.float64]
 
 SEGMENTS_PER_H = 3600.0 / (GROUP * BLOCK_S)
 """Road segments in an hour of driving."""

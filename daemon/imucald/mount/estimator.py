@@ -27,8 +27,8 @@ from collections.abc import Collection, Iterable, Mapping
 
 import numpy as np
 from msgspec.structs import replace
-from numpy.typing import NDArray
 
+from imucald.core.arrays import Array
 from imucald.core.rotations import Matrix3
 from imucald.motion.ticks import TickRow
 from imucald.mount.acceptance import Acceptance
@@ -57,8 +57,6 @@ from imucald.mount.states import MountKnowledge, targets_in_force
 from imucald.mount.steering import SteeringOffsetEstimator
 from imucald.mount.waiting_reasons import mount_troubles, waiting_reasons
 from imucald.mount.zero_step import GravityMoved
-
-Array = NDArray[np.float64]
 
 FAILED_BLOCKS = 14
 """Numbers out of range stand as a fault for so long after the last of them (90 s)."""

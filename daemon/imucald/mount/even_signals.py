@@ -13,6 +13,7 @@ import numpy as np
 from msgspec import Struct
 from numpy.typing import NDArray
 
+from imucald.core.arrays import Array
 from imucald.motion import ticks as tk
 from imucald.motion.coarse_speed import (
     COARSE,
@@ -29,7 +30,6 @@ from imucald.motion.ticks import TICK_S
 from imucald.motion.usual_runs import short_runs
 from imucald.mount.gyro_walk import SELDOM
 
-Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]
 
 BLOCK_TICKS = 64

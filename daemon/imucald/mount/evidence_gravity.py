@@ -16,17 +16,15 @@ import math
 import operator
 
 import numpy as np
-from numpy.typing import NDArray
 
 from imucald.core import compiled
+from imucald.core.arrays import Array
 from imucald.core.rotations import Matrix3
 from imucald.core.samples import GRAVITY
 from imucald.motion.ticks import TICK_S
 from imucald.mount.block_sums import driven
 from imucald.mount.score_series import ScoreSeries
 from imucald.mount.signal_blocks import SignalBlock
-
-Array = NDArray[np.float64]
 
 STOP_METRES = 12.0
 """A stop counts as much as that much road at most: no motion, but one place."""

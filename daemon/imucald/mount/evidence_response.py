@@ -24,6 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from imucald.core import compiled
+from imucald.core.arrays import Array
 from imucald.core.rotations import Matrix3, vector_from_rotation
 from imucald.mount import evidence_spectra as sp
 from imucald.mount.evidence_rows import GAINS, MAX_REGRESSORS, P_ROW, ROLL_ROW, ROWS
@@ -42,8 +43,6 @@ from imucald.mount.evidence_spectra import (
 from imucald.mount.road_segments import AngleEvidence, apart, fit_regressions
 from imucald.mount.score_series import ScoreSeries
 from imucald.mount.signal_blocks import BLOCK_TICKS
-
-Array = NDArray[np.float64]
 
 KEPT = 64
 """Windows kept whole (7 min): those can be weighed afresh; older ones are only summed."""

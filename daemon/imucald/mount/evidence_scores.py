@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from imucald.core import compiled
+from imucald.core.arrays import Array
 from imucald.mount.evidence_rows import (
     GAINS,
     GP_QUARTER,
@@ -28,7 +29,6 @@ from imucald.mount.evidence_rows import (
 )
 from imucald.mount.evidence_spectra import BAND_OMEGA2, BANDS, PAIR, Term
 
-Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 
 KNOWN = (

@@ -17,11 +17,11 @@ from msgspec import Struct
 from numpy.typing import NDArray
 
 from imucald.core import compiled
+from imucald.core.arrays import Array
 from imucald.core.rotations import Matrix3
 from imucald.motion.ticks import TICK_S
 from imucald.mount.signal_blocks import BLOCK_TICKS
 
-Array = NDArray[np.float64]
 Spectra = NDArray[np.complex128]
 Index = NDArray[np.int64]
 

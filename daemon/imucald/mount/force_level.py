@@ -22,13 +22,11 @@ import math
 
 import numpy as np
 from msgspec import Struct
-from numpy.typing import NDArray
 
+from imucald.core.arrays import Array
 from imucald.mount.block_sums import masked_sums
 from imucald.mount.large_change import LEAST_TICKS
 from imucald.mount.signal_blocks import BLOCK_S, SignalBlock
-
-Array = NDArray[np.float64]
 
 REMEMBERED = 60
 """Blocks (384 s): the last 4 to 9 are those since the change, the 51 to 56 others what was before.

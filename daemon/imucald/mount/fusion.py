@@ -10,10 +10,9 @@ from msgspec import Struct
 from numpy.typing import NDArray
 
 from imucald.core import compiled
-from imucald.core.in_order import summed_in_order
+from imucald.core.arrays import Array, summed_in_order
 from imucald.mount.road_segments import AngleEvidence
 
-Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 Flags = NDArray[np.bool_]
 

@@ -18,6 +18,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from imucald.core.arrays import Array
 from imucald.core.rotations import inverse_of_symmetric
 from imucald.core.samples import GRAVITY
 from imucald.motion.ticks import TICK_S
@@ -25,7 +26,6 @@ from imucald.mount.gravity_step import GravityStepDetector
 from imucald.mount.signal_blocks import BLOCK_TICKS, SignalBlock
 from imucald.mount.vertical_block import FORCE_LARGE, BlockForces, Carried, carried
 
-Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]
 _EYE = np.eye(3)
 

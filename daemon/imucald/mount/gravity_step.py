@@ -18,13 +18,11 @@ from __future__ import annotations
 
 import numpy as np
 from msgspec import Struct
-from numpy.typing import NDArray
 
 from imucald.core import compiled
+from imucald.core.arrays import Array
 from imucald.core.rotations import Matrix3, applied
 from imucald.core.samples import GRAVITY
-
-Array = NDArray[np.float64]
 
 AGES = 10
 """Hops since the step that are tried (64 s): the pull forgets a step in 16 s."""

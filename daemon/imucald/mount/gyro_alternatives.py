@@ -9,16 +9,14 @@ any road show it within a minute or two.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from imucald.core import compiled
+from imucald.core.arrays import Array
 from imucald.core.rotations import Matrix3
 from imucald.core.samples import GRAVITY
 from imucald.motion.ticks import TICK_S
 from imucald.mount.log_ratios import ENOUGH, HELD, INDEPENDENT, MOST, TO_ACCUSE, TO_BE_GOOD
 from imucald.mount.signal_blocks import BLOCK_TICKS
-
-Array = NDArray[np.float64]
 
 TILT_FLOOR = 0.003
 """Least noise of the level parts [rad]: smaller values count as noise."""

@@ -12,11 +12,9 @@ counts as well: the walk is rather too large than too small.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from imucald.core.arrays import Array
 from imucald.motion.ticks import TICK_S
-
-Array = NDArray[np.float64]
 
 SELDOM = 1.5 * TICK_S
 """From so much on, between samples, some tick has none of its own [s]."""

@@ -20,6 +20,7 @@ from msgspec import Struct
 from numpy.typing import NDArray
 
 from imucald.core import compiled
+from imucald.core.arrays import Array
 from imucald.core.rotations import Matrix3, vector_from_rotation
 from imucald.core.samples import GRAVITY
 from imucald.motion.ticks import TICK_S
@@ -30,7 +31,6 @@ from imucald.mount.estimator_settings import EstimatorSettings
 from imucald.mount.signal_blocks import SignalBlock
 from imucald.mount.turned_alone import DEVIATIONS, FORCE, MIN_SPEED, YAW_RATE, TurnedAlone
 
-Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]
 
 REMEMBERED = 50

@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from imucald.core.arrays import Array
 from imucald.core.rotations import Matrix3
 from imucald.motion.ticks import TICK_S
 from imucald.mount.signal_blocks import SignalBlock
-
-Array = NDArray[np.float64]
 
 
 class LeverArm:

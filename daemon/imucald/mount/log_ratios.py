@@ -16,10 +16,10 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
+from imucald.core.arrays import Array
 from imucald.mount.block_sums import pair_sums
 from imucald.mount.signal_blocks import BLOCK_TICKS
 
-Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]
 
 TO_BE_GOOD = -math.log(1e-2)

@@ -6,8 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from imucald.core import compiled
-
-Array = NDArray[np.float64]
+from imucald.core.arrays import Array
 
 HARD_ACCEL = 1.0
 """Acceleration or braking of that size [m/s^2] counts as a manoeuvre."""

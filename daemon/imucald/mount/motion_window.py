@@ -7,9 +7,9 @@ Each block pushes the oldest one out, so windows overlap (Welch, IEEE Trans. Aud
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from imucald.core import compiled
+from imucald.core.arrays import Array
 from imucald.mount.evidence_spectra import (
     MEASURED,
     RATE,
@@ -21,8 +21,6 @@ from imucald.mount.evidence_spectra import (
 )
 from imucald.mount.gravity_observer import GravityObserver
 from imucald.mount.signal_blocks import BLOCK_TICKS, SignalBlock
-
-Array = NDArray[np.float64]
 
 MIN_POWER = 1e-3
 """A window with less squared motion per tick [(m/s^2)^2] shows nothing."""

@@ -12,8 +12,8 @@ from collections.abc import Sequence
 
 import numpy as np
 from msgspec import Struct
-from numpy.typing import NDArray
 
+from imucald.core.arrays import Array
 from imucald.core.rotations import Rows, vector_from_rotation
 from imucald.mount.block_sums import block_sums, driven
 from imucald.mount.estimator_settings import EstimatorSettings
@@ -25,7 +25,6 @@ from imucald.mount.signal_blocks import SignalBlock, SignalBlockMaker
 from imucald.mount.solver import MountSolver
 from imucald.mount.zero_step import LEAST_TILT, ZeroStep
 
-Array = NDArray[np.float64]
 MountChange = Shift | GravityStep | LargeChange
 
 NEAR_SHIFT = 0.7

@@ -10,9 +10,7 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
-from numpy.typing import NDArray
-
+from imucald.core.arrays import Array
 from imucald.core.rotations import Matrix3, times
 from imucald.core.samples import GRAVITY
 from imucald.motion.standstill import ZERO_SPEED
@@ -21,8 +19,6 @@ from imucald.mount.block_sums import masked_sums
 from imucald.mount.estimate import Correction
 from imucald.mount.large_change import LEAST_TICKS
 from imucald.mount.signal_blocks import SignalBlock
-
-Array = NDArray[np.float64]
 
 MAX_OFF_VERTICAL = math.radians(25.0)
 """The steepest street has 35 % (19.3 deg, Baldwin Street); the rest is what a mount, levelled on

@@ -7,9 +7,9 @@ from collections import deque
 import numpy as np
 from numpy.typing import NDArray
 
+from imucald.core.arrays import Array
 from imucald.motion.standstill import IDLE_RATE, MAX_GYRO_BIAS, is_idle
 
-Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]
 
 MIN_TICKS = 8

@@ -13,8 +13,8 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 from msgspec.structs import replace
-from numpy.typing import NDArray
 
+from imucald.core.arrays import Array
 from imucald.core.rotations import Matrix3
 from imucald.mount.common_errors import cross_axis_errors
 from imucald.mount.estimate import BETWEEN_DRIVES_STD
@@ -29,8 +29,6 @@ from imucald.mount.saved_information import (
     kept_evidence,
 )
 from imucald.mount.score_series import ScoreSeries
-
-Array = NDArray[np.float64]
 
 BEFORE = "_before"
 """Ends the names of past drives' sources."""

@@ -9,13 +9,9 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Iterable
 
-import numpy as np
-from numpy.typing import NDArray
-
+from imucald.core.arrays import Array
 from imucald.mount.signal_blocks import SignalBlock
 from imucald.mount.solver import MountSolver
-
-Array = NDArray[np.float64]
 
 KEPT_BLOCKS = 55
 """Hops that are kept: 350 s."""

@@ -11,14 +11,12 @@ import math
 import operator
 
 import numpy as np
-from numpy.typing import NDArray
 
+from imucald.core.arrays import Array
 from imucald.core.rotations import Matrix3, rotation_from_vector
 from imucald.mount.estimator_settings import EstimatorSettings
 from imucald.mount.priors import YAW_PER_CROWN
 from imucald.mount.solver import MountSolver
-
-Array = NDArray[np.float64]
 
 MOST_OF_LEAN = 0.9
 """Yaw's deviation is at most in so much that of the road's lean: a covariance stays one."""

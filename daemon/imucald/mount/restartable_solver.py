@@ -13,7 +13,6 @@ from collections import deque
 from collections.abc import Iterable
 
 import numpy as np
-from numpy.typing import NDArray
 
 from imucald.mount.creep import P_CONSTANT, P_CONSTANT_AGAIN
 from imucald.mount.estimator_settings import EstimatorSettings, Limits
@@ -24,8 +23,6 @@ from imucald.mount.refit import KEPT_BLOCKS, Refit
 from imucald.mount.saved_information import SavedInformation
 from imucald.mount.signal_blocks import SignalBlock
 from imucald.mount.solver import MountSolver
-
-Array = NDArray[np.float64]
 
 KNOWN_REST_TICKS = 25.0
 """Ticks at rest from which the gyro bias counts as known."""

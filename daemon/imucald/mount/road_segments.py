@@ -9,14 +9,11 @@ from __future__ import annotations
 
 import numpy as np
 from msgspec import Struct
-from numpy.typing import NDArray
 
 from imucald.core import compiled
-from imucald.core.in_order import summed_in_order
+from imucald.core.arrays import Array, summed_in_order
 from imucald.mount.evidence_rows import MAX_REGRESSORS, ROWS, WITHOUT_SPEED
 from imucald.mount.score_series import AngleFit, ScoreSeries
-
-Array = NDArray[np.float64]
 
 MODEL_GROUPS = 6.0
 """The model's variance counts like that many road segments in the sandwich."""

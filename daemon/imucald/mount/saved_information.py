@@ -13,8 +13,8 @@ from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 from msgspec import Struct
-from numpy.typing import NDArray
 
+from imucald.core.arrays import Array
 from imucald.core.errors import EstimateError
 from imucald.core.rotations import Matrix3, orthonormalised, vector_from_rotation
 from imucald.mount.estimate import BETWEEN_DRIVES_STD
@@ -23,8 +23,6 @@ from imucald.mount.evidence_rows import ROWS
 from imucald.mount.fusion import AXES
 from imucald.mount.road_segments import AngleEvidence
 from imucald.mount.score_series import ScoreSeries
-
-Array = NDArray[np.float64]
 
 GRAVITY_KINDS = ("roll_gravity", "pitch_gravity")
 KINDS = frozenset((*(row.name for row in ROWS), *GRAVITY_KINDS))

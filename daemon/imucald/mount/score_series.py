@@ -6,9 +6,8 @@ from functools import cache, cached_property
 
 import numpy as np
 from msgspec import Struct
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from imucald.core.arrays import Array
 
 _AXES = {"roll": 0, "pitch": 1, "yaw": 2}
 

@@ -25,11 +25,9 @@ from msgspec import Struct
 from numpy.typing import NDArray
 
 from imucald.core import compiled
-from imucald.core.in_order import summed_in_order
+from imucald.core.arrays import Array, summed_in_order
 from imucald.mount.evidence_rows import MAX_REGRESSORS, SAME_NOISE
 from imucald.mount.score_series import AngleFit, ScoreSeries
-
-Array = NDArray[np.float64]
 
 FIRST_SPAN = 2
 SPANS = np.arange(FIRST_SPAN, 13)

@@ -15,6 +15,7 @@ from msgspec import Struct, field
 from msgspec.structs import replace
 from numpy.typing import NDArray
 
+from imucald.core.arrays import Array
 from imucald.core.samples import GRAVITY
 from imucald.motion import ticks as tk
 from imucald.motion.physical_limits import MAX_ROAD_RATE
@@ -55,7 +56,6 @@ __all__ = [
     "SignalBlockMaker",
 ]
 
-Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]
 
 BLOCK_S = BLOCK_TICKS * TICK_S

@@ -9,8 +9,8 @@ from collections.abc import Mapping
 
 import numpy as np
 from msgspec.structs import replace
-from numpy.typing import NDArray
 
+from imucald.core.arrays import Array
 from imucald.core.rotations import (
     Matrix3,
     orthonormalised,
@@ -51,8 +51,6 @@ from imucald.mount.shift import (
 )
 from imucald.mount.signal_blocks import BLOCK_TICKS, SignalBlock
 from imucald.mount.source_variances import widened
-
-Array = NDArray[np.float64]
 
 SETTLED_BLOCKS = 20
 """Until then (128 s) each fit goes round twice: the rotation still moves much."""

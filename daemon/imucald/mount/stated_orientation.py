@@ -12,12 +12,10 @@ from __future__ import annotations
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from imucald.config.calibration import OrientationSettings, SensorAxis
+from imucald.core.arrays import Array
 from imucald.core.rotations import Matrix3
-
-Array = NDArray[np.float64]
 
 CLEAR = 0.5
 """Part of an axis along where it is stated to point that confirms, with the other sign contradicts:

@@ -14,9 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from imucald.core import compiled
+from imucald.core.arrays import Array
 from imucald.core.samples import GRAVITY
-
-Array = NDArray[np.float64]
 
 MIN_SPEED = 4.0
 """Below, tyres scrub and r / v is noisy [m/s]."""

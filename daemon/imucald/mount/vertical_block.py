@@ -12,10 +12,10 @@ from msgspec import Struct
 from numpy.typing import NDArray
 
 from imucald.core import compiled
+from imucald.core.arrays import Array
 from imucald.core.samples import GRAVITY
 from imucald.motion.ticks import TICK_S
 
-Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]
 
 SETTLE_TICKS = 25

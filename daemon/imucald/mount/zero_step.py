@@ -25,8 +25,8 @@ import math
 
 import numpy as np
 from msgspec import Struct
-from numpy.typing import NDArray
 
+from imucald.core.arrays import Array
 from imucald.motion.ticks import TICK_S
 from imucald.mount.block_sums import BlockSums, masked_sums
 from imucald.mount.estimator_settings import EstimatorSettings
@@ -34,8 +34,6 @@ from imucald.mount.large_change import LEAST_TICKS
 from imucald.mount.shift import UNEVEN_STD
 from imucald.mount.signal_blocks import BLOCK_S, SignalBlock
 from imucald.mount.solver import MountSolver
-
-Array = NDArray[np.float64]
 
 REMEMBERED = 240
 """Blocks (26 min)."""

@@ -13,12 +13,11 @@ from dataclasses import dataclass
 from html import escape
 
 import numpy as np
-from numpy.typing import NDArray
 
+from imucald.core.arrays import Array
 from imucald.core.orientation_words import AXES
 from imucald.core.rotations import Matrix3
 
-Array = NDArray[np.float64]
 Point = tuple[float, float]
 
 VIEW_WIDTH, VIEW_HEIGHT = 300.0, 200.0

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from imucald.can.columns import FrameColumns
+from imucald.core.arrays import Array
 from imucald.core.samples import Samples, Series
 from imucald.motion.ticks import TICK_RATE
 from imucald.mount.estimate import MountEstimate
@@ -20,8 +21,6 @@ from imucald.runtime.engine import Engine
 from imucald.runtime.output.output_message import NOT_AVAILABLE_SIGNED, output_database
 from imucald.runtime.pipeline import Snapshot
 from imucald.runtime.segment_samples import SegmentSamples
-
-Array = NDArray[np.float64]
 
 CORRECTED = {
     "accel": ("IMUCALD_Acceleration", "AccelX"),

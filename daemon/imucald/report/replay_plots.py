@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 from matplotlib.ticker import MaxNLocator
-from numpy.typing import NDArray
 
 from imucald.core.angles import DEG_PER_RAD
+from imucald.core.arrays import Array
 from imucald.core.rotations import vector_from_rotation
 from imucald.mount.estimate import MountState
 from imucald.mount.mount_words import EVIDENCE_KINDS, SD_95, VEHICLE_AXES
@@ -33,7 +33,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-Array = NDArray[np.float64]
 
 KIND_COLOURS = dict(
     zip(

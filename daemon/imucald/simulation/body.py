@@ -11,10 +11,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from imucald.core.arrays import Array
 from imucald.core.samples import GRAVITY
 from imucald.model.section import Vector3
 from imucald.model.vehicle import Suspension
-from imucald.simulation.filters import Array, second_order
+from imucald.simulation.filters import second_order
 from imucald.simulation.road import RoadAttitude, Roughness
 from imucald.simulation.single_track import VehicleResponse
 

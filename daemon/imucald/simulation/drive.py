@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from imucald.core.arrays import Array
 from imucald.core.errors import ConfigError
 from imucald.core.rotations import Matrix3, angles_from_rotation, quaternion_from_rotation
 from imucald.core.samples import Samples, Series
@@ -22,7 +23,7 @@ from imucald.simulation.body import (
     suspension_attitude,
 )
 from imucald.simulation.driver import Driving, drive_route
-from imucald.simulation.filters import Array, generator
+from imucald.simulation.filters import generator
 from imucald.simulation.imu import accel_series, gyro_series, mounts
 from imucald.simulation.road import RoadAttitude, road_attitude, road_roughness, slope_distance
 from imucald.simulation.single_track import VehicleResponse, handle, steer_for

@@ -6,9 +6,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from imucald.core.arrays import Array
 from imucald.core.samples import GRAVITY
 from imucald.model.vehicle import MAX_SPEED_MPS, DriveRoute
-from imucald.simulation.filters import Array, gauss_markov, generator, smoothed
+from imucald.simulation.filters import gauss_markov, generator, smoothed
 from imucald.simulation.route import Path, build_path
 
 JERK_WINDOW_S = 0.35

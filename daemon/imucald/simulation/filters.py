@@ -10,10 +10,9 @@ import zlib
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg.blas import dtbsv
 
-Array = NDArray[np.float64]
+from imucald.core.arrays import Array
 
 
 def generator(seed: int, stream: str) -> np.random.Generator:

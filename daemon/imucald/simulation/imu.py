@@ -13,13 +13,14 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from imucald.core.arrays import Array
 from imucald.core.rotations import Matrix3, rotation_from_angles
 from imucald.core.samples import Series
 from imucald.model.model import VehicleModel
 from imucald.model.sensors import Temperature, TriaxialSensor
 from imucald.model.vehicle import Mount
 from imucald.simulation.body import BodyMotion
-from imucald.simulation.filters import Array, butterworth, filtered, generator
+from imucald.simulation.filters import butterworth, filtered, generator
 from imucald.simulation.timing import Timing, at_times, frame_timing, quantised
 
 REFERENCE_DEGC = 25.0

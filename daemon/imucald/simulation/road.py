@@ -7,9 +7,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from imucald.core.arrays import Array
 from imucald.core.samples import GRAVITY
 from imucald.model.vehicle import Chassis, DriveRoute, Road, Suspension
-from imucald.simulation.filters import Array, bilinear, filtered, gauss_markov, generator, smoothed
+from imucald.simulation.filters import bilinear, filtered, gauss_markov, generator, smoothed
 
 REFERENCE_WAVENUMBER = 0.1
 """[cycles/m] of ISO 8608."""

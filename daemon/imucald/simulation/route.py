@@ -12,8 +12,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from imucald.core.arrays import Array
 from imucald.model.vehicle import DriveRoute
-from imucald.simulation.filters import Array, generator
+from imucald.simulation.filters import generator
 
 FINE_STEP_M = 0.5
 COARSE_STEP_M = 1.0

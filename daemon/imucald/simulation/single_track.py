@@ -20,10 +20,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import LinAlgError, solve_banded
 
+from imucald.core.arrays import Array
 from imucald.core.errors import ConfigError
 from imucald.core.samples import GRAVITY
 from imucald.model.vehicle import Chassis
-from imucald.simulation.filters import Array
 
 LOW_SPEED_MPS = 0.2
 """|v| in the slip angles is sqrt(v^2 + this^2): the rolling limit without division by zero."""

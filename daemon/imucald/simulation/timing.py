@@ -7,8 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from imucald.core.arrays import Array
 from imucald.model.sensors import Transmission
-from imucald.simulation.filters import Array, generator
+from imucald.simulation.filters import generator
 
 SHARED_PHASE = {"accel": "imu", "gyro": "imu"}
 """Accelerometer and gyroscope are sampled by one unit, at the same moments."""

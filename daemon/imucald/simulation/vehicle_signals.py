@@ -5,13 +5,14 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from imucald.core.arrays import Array
 from imucald.core.samples import Series
 from imucald.model.model import VehicleModel
 from imucald.model.sensors import Scalar, Speed, Transmission
 from imucald.model.vehicle import STEERING_GEAR_S
 from imucald.simulation.body import BodyAttitude, BodyMotion
 from imucald.simulation.driver import Driving
-from imucald.simulation.filters import Array, butterworth, first_order, generator
+from imucald.simulation.filters import butterworth, first_order, generator
 from imucald.simulation.imu import Mounts, temperature_at, turned
 from imucald.simulation.road import RoadAttitude
 from imucald.simulation.single_track import VehicleResponse

@@ -9,7 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from imucald.can.columns import CAN_EFF_FLAG, FrameColumns
-from imucald.simulation.filters import Array, generator
+from imucald.core.arrays import Array
+from imucald.simulation.filters import generator
 
 STANDARD_BITS = 47
 """Bits of an 11-bit data frame without payload, with the gap to the next one."""

@@ -19,7 +19,7 @@ from imucald.core.rotations import Vector
 from imucald.travel_direction.certainty import MAX_STD, axis_std
 from imucald.travel_direction.step_cycles import POINTS, StepCycle
 
-Array = NDArray[np.complex128]
+ComplexArray = NDArray[np.complex128]
 
 SWING_POWER = 0.5
 """Mean square of the angular rate from which on a terminal swings [(rad/s)^2]: a leg has 0.7."""
@@ -46,7 +46,7 @@ class GyroStepAxis:
         self._weight = self._square_weight = 0.0
         self._turned = math.nan
         self._up: Vector | None = None
-        self._before: tuple[float, Array] | None = None
+        self._before: tuple[float, ComplexArray] | None = None
 
     def take(self, cycle: StepCycle, turned: float, up_in_terminal: Vector) -> float | None:
         """Return the direction after this cycle [0, 2 pi); None: not known.

@@ -20,13 +20,11 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from imucald.config.attitude import ChoiceSettings
+from imucald.core.arrays import Array
 from imucald.travel_direction.certainty import MIN_HORIZONTAL
 from imucald.travel_direction.step_cycles import POINTS, StepCycle
-
-Array = NDArray[np.float64]
 
 TWO_PI = 2.0 * math.pi
 

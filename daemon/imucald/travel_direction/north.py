@@ -11,11 +11,9 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
+from imucald.core.arrays import Array
 from imucald.core.rotations import Rows, Vector
-
-Array = NDArray[np.float64]
 
 MICRO = 1e6
 """Tesla to uT: numbers near one are good for a covariance."""

@@ -6,12 +6,10 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from imucald.config.attitude import StepSettings
+from imucald.core.arrays import Array
 from imucald.core.rotations import Vector
-
-Array = NDArray[np.float64]
 
 POINTS = 64
 """A cycle is looked at on so many equal parts of its duration."""

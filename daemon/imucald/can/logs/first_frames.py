@@ -12,8 +12,8 @@ import numpy as np
 from imucald.can.columns import FrameColumns
 from imucald.can.logs.log_format import Cycles
 from imucald.can.logs.text_blocks import OpenLog, is_read_once
+from imucald.core.arrays import median
 from imucald.core.errors import LogError
-from imucald.core.median import median
 
 MIN_FRAMES: Final = 64
 """Fewer frames show nothing. So many with the same times and payloads, noise of sensors among them,

@@ -23,8 +23,8 @@ from numpy.typing import NDArray
 from imucald.can.columns import CAN_EFF_FLAG, FrameColumns, concatenate
 from imucald.can.logs.log_format import DAMAGED_STEP, ReadStatistics
 from imucald.can.logs.text_blocks import OpenLog
+from imucald.core.arrays import median
 from imucald.core.errors import LogError
-from imucald.core.median import median
 
 Log = Path | str | OpenLog
 Times = NDArray[np.float64]

@@ -11,9 +11,10 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.stats import t as student
 
+from imucald.core.arrays import Array
 from imucald.diagnosis.cause_keys import mounts, sensor_of, tolerance
 from imucald.diagnosis.causes import DEG
-from imucald.diagnosis.signals import Array, DriveSignals
+from imucald.diagnosis.signals import DriveSignals
 from imucald.model.model import VehicleModel
 
 FEW_STOPS = 3

@@ -10,13 +10,14 @@ from collections.abc import Iterator, Mapping, Sequence
 import numpy as np
 from scipy.stats import binom
 
+from imucald.core.arrays import Array
 from imucald.core.counts import counted
 from imucald.core.samples import Samples, Series
 from imucald.diagnosis.direct.lost_readings import INERTIAL, Lost
 from imucald.diagnosis.direct.sample_changes import stays_until_off
 from imucald.diagnosis.direct.stuck import Fault, stuck
 from imucald.diagnosis.direct.visits import PILE_RATIO, visited_too_often
-from imucald.diagnosis.signals import Array, Channel, Mask, Spans, duplicates
+from imucald.diagnosis.signals import Channel, Mask, Spans, duplicates
 from imucald.model.model import VehicleModel
 
 LEAST_ROWS = 100

@@ -11,8 +11,9 @@ from __future__ import annotations
 import numpy as np
 from scipy.stats import t as student
 
+from imucald.core.arrays import Array
 from imucald.core.samples import Samples, Series
-from imucald.diagnosis.signals import Array, Spans
+from imucald.diagnosis.signals import Spans
 
 STEP_S = 0.2
 MOVING_MPS = 2.0

@@ -11,8 +11,9 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 from scipy.stats import binom
 
+from imucald.core.arrays import Array
 from imucald.diagnosis.result import VALUE_HELD, Structure
-from imucald.diagnosis.signals import Array, DriveSignals
+from imucald.diagnosis.signals import DriveSignals
 
 SENSORS = ("accel", "gyro")
 MOVING_MPS = 2.0

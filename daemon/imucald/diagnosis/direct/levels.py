@@ -16,11 +16,12 @@ import msgspec
 import numpy as np
 from scipy.stats import binom
 
+from imucald.core.arrays import Array
 from imucald.diagnosis.causes import PARAMETERS
 from imucald.diagnosis.fit.beside_file import short, six, with_entries
 from imucald.diagnosis.fit.chance import Question
 from imucald.diagnosis.result import COARSER, VALUES_MISSING, Structure
-from imucald.diagnosis.signals import Array, Channel, DriveSignals, Mask
+from imucald.diagnosis.signals import Channel, DriveSignals, Mask
 from imucald.model.leaves import GAP_QUANTILES, Leaves
 from imucald.model.model import VehicleModel
 

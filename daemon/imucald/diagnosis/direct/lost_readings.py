@@ -12,9 +12,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import binom
 
+from imucald.core.arrays import Array
 from imucald.core.samples import Samples, Series
 from imucald.diagnosis.result import READINGS_LOST, Structure
-from imucald.diagnosis.signals import Array, Mask
+from imucald.diagnosis.signals import Mask
 
 INERTIAL = ("accel", "gyro", "yaw_rate", "lateral_accel", "longitudinal_accel")
 """Signals of accelerations and rates."""

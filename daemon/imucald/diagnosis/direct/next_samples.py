@@ -17,6 +17,7 @@ import numpy as np
 from scipy.special import erf
 from scipy.stats import t as student
 
+from imucald.core.arrays import Array
 from imucald.diagnosis.direct.levels import (
     GAIN,
     OF_WHEELS,
@@ -30,7 +31,7 @@ from imucald.diagnosis.direct.lost_readings import INERTIAL
 from imucald.diagnosis.fit.beside_file import Left, beside_file, in_both, leaves_of, with_entries
 from imucald.diagnosis.fit.chance import Question, chance_of_large
 from imucald.diagnosis.result import FOLLOWS_OTHERWISE, Structure
-from imucald.diagnosis.signals import STANDING_MPS, Array, DriveSignals, Mask
+from imucald.diagnosis.signals import STANDING_MPS, DriveSignals, Mask
 from imucald.model.leaves import Leaves
 from imucald.model.model import VehicleModel
 

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from scipy.special import betaln
 from scipy.stats import chi2
 
-from imucald.diagnosis.signals import Array
+from imucald.core.arrays import Array
 
 Steps = NDArray[np.intp]
 FEW_STAYS = 20

@@ -17,6 +17,7 @@ from scipy.ndimage import maximum_filter1d
 from scipy.stats import binom
 from scipy.stats import t as student
 
+from imucald.core.arrays import Array
 from imucald.diagnosis.cause_keys import mounts
 from imucald.diagnosis.direct.held_values import noise_about
 from imucald.diagnosis.direct.levels import (
@@ -44,7 +45,7 @@ from imucald.diagnosis.result import (
     JUMPS_ALONE,
     Structure,
 )
-from imucald.diagnosis.signals import STANDING_MPS, Array, Channel, DriveSignals, Mask
+from imucald.diagnosis.signals import STANDING_MPS, Channel, DriveSignals, Mask
 from imucald.model.leaves import LAGS, Leaves
 from imucald.model.model import VehicleModel
 

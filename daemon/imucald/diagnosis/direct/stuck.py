@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from imucald.core.arrays import Array
 from imucald.core.counts import counted
 from imucald.core.samples import Samples, Series
 from imucald.diagnosis.direct.held_speed import chances_of_sensors
@@ -18,7 +19,7 @@ from imucald.diagnosis.direct.own_stays import (
     chance_of_change,
     number_as_long,
 )
-from imucald.diagnosis.signals import Array, Mask, Spans
+from imucald.diagnosis.signals import Mask, Spans
 
 Index = NDArray[np.intp]
 QUICK = ("accel", "gyro", "yaw_rate", "lateral_accel", "longitudinal_accel")

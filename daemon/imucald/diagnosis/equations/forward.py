@@ -14,13 +14,14 @@ from dataclasses import dataclass, field
 import numpy as np
 from scipy.fft import dct
 
+from imucald.core.arrays import Array
 from imucald.core.samples import GRAVITY
 from imucald.diagnosis.cause_keys import Changes, age
 from imucald.diagnosis.equations.kinematics import slope
 from imucald.diagnosis.equations.motion import NONE, VehicleMotion
 from imucald.diagnosis.equations.reading import Reader
 from imucald.diagnosis.equations.single_track import SLOW_MPS
-from imucald.diagnosis.signals import STANDING_MPS, STEP_S, Array, Channel, Mask
+from imucald.diagnosis.signals import STANDING_MPS, STEP_S, Channel, Mask
 
 STOPPING_MPS2 = 3.4
 """Most drivers stop no harder (AASHTO, Green Book: stopping sight distance)."""

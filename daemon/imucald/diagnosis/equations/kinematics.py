@@ -7,9 +7,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from imucald.core.arrays import Array
 from imucald.core.samples import GRAVITY
 from imucald.diagnosis.equations.single_track import Complex, slip_delay
-from imucald.diagnosis.signals import STEP_S, Array
+from imucald.diagnosis.signals import STEP_S
 from imucald.model.vehicle import Chassis
 
 Axes = tuple[Array, Array, Array]

@@ -7,12 +7,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from imucald.core.arrays import Array
 from imucald.core.rotations import rotation_from_vector
 from imucald.core.samples import GRAVITY
 from imucald.diagnosis.cause_keys import Changes, age, along_vehicle, mounts, sensor_of
 from imucald.diagnosis.equations.kinematics import Axes, column
 from imucald.diagnosis.equations.once import Known, Once
-from imucald.diagnosis.signals import Array, DriveSignals
+from imucald.diagnosis.signals import DriveSignals
 from imucald.model.model import VehicleModel
 
 REFERENCE_DEGC = 25.0

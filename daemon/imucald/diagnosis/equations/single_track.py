@@ -12,8 +12,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from imucald.core.arrays import Array
 from imucald.diagnosis.equations.once import Once
-from imucald.diagnosis.signals import STEP_S, Array
+from imucald.diagnosis.signals import STEP_S
 from imucald.model.vehicle import STEERING_GEAR_S, Chassis
 
 Complex = NDArray[np.complex128]

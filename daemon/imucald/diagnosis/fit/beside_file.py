@@ -11,7 +11,7 @@ from collections.abc import Iterator, Mapping
 import msgspec
 import numpy as np
 
-from imucald.diagnosis.signals import Array
+from imucald.core.arrays import Array
 from imucald.model.leaves import Bands, Leaves
 from imucald.model.model import VehicleModel
 

@@ -13,11 +13,12 @@ from dataclasses import dataclass, field
 import numpy as np
 from scipy.fft import dct
 
+from imucald.core.arrays import Array
 from imucald.diagnosis.cause_keys import model_error, plausible, tolerance
 from imucald.diagnosis.causes import PARAMETERS
 from imucald.diagnosis.equations.forward import Forward
 from imucald.diagnosis.fit.box import box_fit
-from imucald.diagnosis.signals import STEP_S, Array, DriveSignals, Mask
+from imucald.diagnosis.signals import STEP_S, DriveSignals, Mask
 from imucald.model.model import VehicleModel
 
 BLOCK_S, SHORT_BLOCK_S = 30.0, 20.0

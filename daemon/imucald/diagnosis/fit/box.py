@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from imucald.diagnosis.signals import Array, Mask
+from imucald.core.arrays import Array
+from imucald.diagnosis.signals import Mask
 
 RIDGE, TINY = 1e-9, 1e-9
 STEPS = 20

@@ -8,9 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.stats import t as student
 
+from imucald.core.arrays import Array
 from imucald.diagnosis.fit.sandwich import QUARTERS, between_quarters, ridge, scatters, variances
 from imucald.diagnosis.fit.score import Hypothesis, Problem
-from imucald.diagnosis.signals import Array
 
 ERROR_RATE = 0.01
 """Of a drive: the chance that anything is named without a reason."""

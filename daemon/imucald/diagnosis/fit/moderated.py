@@ -13,7 +13,7 @@ import numpy as np
 from scipy.optimize import brentq
 from scipy.special import digamma, polygamma
 
-from imucald.diagnosis.signals import Array
+from imucald.core.arrays import Array
 
 FEW = 10
 """Questions of which no law is taken."""

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from imucald.core.arrays import Array
 from imucald.diagnosis.fit.box import RIDGE
-from imucald.diagnosis.signals import Array
 
 QUARTERS = 4
 

@@ -12,10 +12,10 @@ from functools import cached_property
 
 import numpy as np
 
+from imucald.core.arrays import Array
 from imucald.diagnosis.causes import family
 from imucald.diagnosis.fit.blocks import NDArrayInt, Table
 from imucald.diagnosis.fit.box import box_fit
-from imucald.diagnosis.signals import Array
 
 FOLDS = 8
 REACH = 3.0

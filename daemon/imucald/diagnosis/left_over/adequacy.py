@@ -12,6 +12,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from imucald.core.arrays import Array
 from imucald.diagnosis.cause_keys import BUTTERWORTH_S_HZ, mount_of
 from imucald.diagnosis.causes import PARAMETERS
 from imucald.diagnosis.equations.forward import Forward
@@ -25,7 +26,7 @@ from imucald.diagnosis.result import (
 )
 from imucald.diagnosis.search.state import State
 from imucald.diagnosis.search.trials import BIAS, tried
-from imucald.diagnosis.signals import STEP_S, Array, Mask
+from imucald.diagnosis.signals import STEP_S, Mask
 from imucald.mount.mount_words import SD_95
 
 Spectra = NDArray[np.complex128]

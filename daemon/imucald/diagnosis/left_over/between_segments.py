@@ -12,6 +12,7 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 from scipy.stats import chi2
 
+from imucald.core.arrays import Array
 from imucald.diagnosis.fit.blocks import Table
 from imucald.diagnosis.fit.chance import Question
 from imucald.diagnosis.fit.intervals import ERROR_RATE
@@ -22,7 +23,6 @@ from imucald.diagnosis.result import WANDERS, Structure
 from imucald.diagnosis.search.search import beyond
 from imucald.diagnosis.search.state import State
 from imucald.diagnosis.search.trials import hypotheses
-from imucald.diagnosis.signals import Array
 from imucald.mount.mount_words import SD_95
 
 LEAST_BLOCKS = 8

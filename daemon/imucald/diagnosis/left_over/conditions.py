@@ -7,8 +7,9 @@ from collections.abc import Mapping
 import numpy as np
 from scipy.signal import lfilter
 
+from imucald.core.arrays import Array
 from imucald.diagnosis.equations.forward import Forward
-from imucald.diagnosis.signals import STANDING_MPS, STEP_S, Array, Channel, Mask
+from imucald.diagnosis.signals import STANDING_MPS, STEP_S, Channel, Mask
 
 SMOOTH_S = 1.0
 """What turns and brakes a vehicle lasts longer than this."""

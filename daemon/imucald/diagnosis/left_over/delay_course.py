@@ -17,6 +17,7 @@ import numpy as np
 from scipy.stats import norm
 from scipy.stats import t as student
 
+from imucald.core.arrays import Array
 from imucald.core.samples import GRAVITY
 from imucald.diagnosis.cause_keys import Changes
 from imucald.diagnosis.equations import kinematics
@@ -29,7 +30,7 @@ from imucald.diagnosis.fit.score import Problem
 from imucald.diagnosis.left_over.stability import EITHER_SIDE, LEAST_SIDE, amount
 from imucald.diagnosis.result import WANDERS, Structure
 from imucald.diagnosis.search.state import State
-from imucald.diagnosis.signals import STEP_S, Array, Mask
+from imucald.diagnosis.signals import STEP_S, Mask
 from imucald.mount.mount_words import SD_95
 
 DELAY = "speed.delay_s"

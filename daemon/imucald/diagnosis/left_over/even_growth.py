@@ -13,6 +13,7 @@ from dataclasses import replace
 import numpy as np
 from scipy.stats import t as student
 
+from imucald.core.arrays import Array
 from imucald.diagnosis.fit.score import Hypothesis, Problem, held_out, paired
 from imucald.diagnosis.left_over.stability import LEAST_SIDE, moment
 from imucald.diagnosis.outcome import signals_of
@@ -20,7 +21,6 @@ from imucald.diagnosis.result import WANDERS, Structure
 from imucald.diagnosis.search.standing import put_back
 from imucald.diagnosis.search.state import State
 from imucald.diagnosis.search.trials import SINGLE, Trial, on_table
-from imucald.diagnosis.signals import Array
 
 
 def uneven_growth(problem: Problem, state: State) -> list[Structure]:

@@ -14,6 +14,7 @@ from collections.abc import Mapping
 import numpy as np
 from scipy.stats import gamma
 
+from imucald.core.arrays import Array
 from imucald.diagnosis.causes import PARAMETERS
 from imucald.diagnosis.equations.forward import UNITS
 from imucald.diagnosis.fit.blocks import CARRIED, OF_SPEED, TAKES, NDArrayInt
@@ -31,7 +32,7 @@ from imucald.diagnosis.left_over.adequacy import (
 )
 from imucald.diagnosis.result import Structure
 from imucald.diagnosis.search.state import State
-from imucald.diagnosis.signals import STEP_S, Array
+from imucald.diagnosis.signals import STEP_S
 
 BAND_HZ = 0.25, 4.5
 """From what the tilt of a segment does not take to below half the grid's rate."""

@@ -14,6 +14,7 @@ import numpy as np
 from scipy.fft import dct
 from scipy.stats import t as student
 
+from imucald.core.arrays import Array
 from imucald.diagnosis.equations.forward import UNITS
 from imucald.diagnosis.fit.beside_file import (
     ROAD_CLASS,
@@ -28,7 +29,7 @@ from imucald.diagnosis.fit.chance import Question, chance_of_large
 from imucald.diagnosis.fit.score import Problem
 from imucald.diagnosis.result import LOUDER, Structure
 from imucald.diagnosis.search.state import State
-from imucald.diagnosis.signals import STANDING_MPS, STEP_S, Array, Mask
+from imucald.diagnosis.signals import STANDING_MPS, STEP_S, Mask
 from imucald.model.leaves import BANDS_HZ, Leaves
 from imucald.model.model import VehicleModel
 

@@ -17,12 +17,12 @@ from itertools import pairwise
 import numpy as np
 from scipy.stats import gamma
 
+from imucald.core.arrays import Array
 from imucald.diagnosis.equations.forward import Forward
 from imucald.diagnosis.fit.chance import Question
 from imucald.diagnosis.fit.score import Problem, one_in_fifteen
 from imucald.diagnosis.result import TURNS_WITH_WHEEL, Structure
 from imucald.diagnosis.search.state import State
-from imucald.diagnosis.signals import Array
 
 ROUND_M = 1.5, 2.3
 """Once round a tyre of a passenger car or van: 155/65 R13 is 1.60 m, 235/65 R17 is 2.27 m."""

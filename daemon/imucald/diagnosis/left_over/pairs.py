@@ -18,6 +18,7 @@ from scipy.fft import idct
 from scipy.stats import norm
 from scipy.stats import t as student
 
+from imucald.core.arrays import Array
 from imucald.diagnosis.cause_keys import model_error, tolerance
 from imucald.diagnosis.equations.forward import STOPPING_MPS2, Forward
 from imucald.diagnosis.fit.blocks import (
@@ -45,7 +46,7 @@ from imucald.diagnosis.left_over.stability import EITHER_SIDE, amount, drift_of
 from imucald.diagnosis.result import GOES_WITH_ANOTHER, Structure
 from imucald.diagnosis.search.state import State
 from imucald.diagnosis.search.trials import SINGLE_NATS
-from imucald.diagnosis.signals import STEP_S, Array
+from imucald.diagnosis.signals import STEP_S
 from imucald.model.model import VehicleModel
 from imucald.mount.mount_words import SD_95
 

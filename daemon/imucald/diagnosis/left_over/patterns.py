@@ -18,6 +18,7 @@ from scipy.fft import idct
 from scipy.stats import norm
 from scipy.stats import t as student
 
+from imucald.core.arrays import Array
 from imucald.core.samples import GRAVITY
 from imucald.diagnosis.causes import MODEL_ERROR, PARAMETERS
 from imucald.diagnosis.equations.forward import UNITS, Forward
@@ -28,7 +29,7 @@ from imucald.diagnosis.fit.score import Problem, without_best
 from imucald.diagnosis.left_over.conditions import shaken
 from imucald.diagnosis.result import GOES_WITH_LEVEL, GOES_WITH_SHAKING, Structure
 from imucald.diagnosis.search.trials import SINGLE_NATS
-from imucald.diagnosis.signals import STEP_S, Array
+from imucald.diagnosis.signals import STEP_S
 from imucald.mount.mount_words import SD_95
 
 ASKED = ("accel_x", "accel_y", "gyro_z", "lateral_accel", "longitudinal_accel")

@@ -14,6 +14,7 @@ from functools import partial
 import numpy as np
 from scipy.stats import t as student
 
+from imucald.core.arrays import Array
 from imucald.diagnosis.causes import PARAMETERS
 from imucald.diagnosis.equations.forward import Forward
 from imucald.diagnosis.fit.blocks import Table
@@ -25,7 +26,7 @@ from imucald.diagnosis.outcome import signals_of
 from imucald.diagnosis.result import DIFFERS, WANDERS, Structure
 from imucald.diagnosis.search.state import State
 from imucald.diagnosis.search.trials import on_table
-from imucald.diagnosis.signals import STEP_S, Array, DriveSignals, Mask
+from imucald.diagnosis.signals import STEP_S, DriveSignals, Mask
 from imucald.mount.mount_words import SD_95
 
 ASKED = ("bias", "scale", "offset")

@@ -14,13 +14,13 @@ from scipy.special import betainc, ndtr, stdtr, stdtrit
 from scipy.stats import beta, chi2
 from scipy.stats import f as fisher
 
+from imucald.core.arrays import Array
 from imucald.diagnosis.fit.beside_file import LEAST_RMS, ROAD_CLASS, beside_file, in_both
 from imucald.diagnosis.fit.chance import Question
 from imucald.diagnosis.fit.score import Hypothesis, Problem, one_in_fifteen, what_leaves
 from imucald.diagnosis.left_over.louder import left_of
 from imucald.diagnosis.result import LOUDER, UNEVEN, Structure
 from imucald.diagnosis.search.state import State
-from imucald.diagnosis.signals import Array
 from imucald.model.leaves import BANDS_HZ, Leaves
 
 EVEN = ("accel_x", "accel_y", "accel_z")

@@ -10,11 +10,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from imucald.core.arrays import Array
 from imucald.diagnosis.causes import DEG
 from imucald.diagnosis.fit.blocks import Table
 from imucald.diagnosis.fit.intervals import estimate, quantile
 from imucald.diagnosis.fit.score import Hypothesis, Problem, held_out, without_best
-from imucald.diagnosis.signals import Array
 
 KEYS = ("mount.turn.x", "mount.turn.y", "mount.turn.z")
 LEAST_BLOCKS, LEAST_SHARE = 4, 0.2

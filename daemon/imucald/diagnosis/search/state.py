@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from imucald.core.arrays import Array
 from imucald.diagnosis.cause_keys import Changes, extended, with_delay_rate, with_shifts
 from imucald.diagnosis.causes import PARAMETERS
 from imucald.diagnosis.equations.forward import Forward
@@ -16,7 +17,7 @@ from imucald.diagnosis.fit.kept_tables import KeptTables
 from imucald.diagnosis.fit.score import Hypothesis, Problem
 from imucald.diagnosis.search.shift import FittedShift
 from imucald.diagnosis.search.trials import Trial
-from imucald.diagnosis.signals import Array, DriveSignals
+from imucald.diagnosis.signals import DriveSignals
 from imucald.model.model import VehicleModel
 
 REFITS = 3

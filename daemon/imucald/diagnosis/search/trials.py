@@ -9,12 +9,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.stats import t as student
 
+from imucald.core.arrays import Array
 from imucald.diagnosis.cause_keys import level_effect
 from imucald.diagnosis.causes import CAUSES, MODEL_ERROR, Cause, family
 from imucald.diagnosis.fit.blocks import NDArrayInt, Table
 from imucald.diagnosis.fit.intervals import ERROR_RATE, Estimate, estimate
 from imucald.diagnosis.fit.score import Hypothesis, Problem, held_out, paired, without_best
-from imucald.diagnosis.signals import Array
 from imucald.model.model import VehicleModel
 
 SINGLE = 0.05

@@ -8,10 +8,10 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from imucald.core.angles import DEG_PER_RAD, RAD_PER_DEG
+from imucald.core.arrays import Array
 from imucald.fleet.analysis.causes import UNKNOWN, cause_rows, never_usable_rows
 from imucald.fleet.analysis.components import VarianceComponent
 from imucald.fleet.analysis.known_drives import KnownDrives, known_drives
@@ -29,7 +29,6 @@ from imucald.mount.angle_deviations import angle_deviations
 from imucald.mount.estimate import ANGLES
 from imucald.mount.mount_words import SD_95
 
-Array = NDArray[np.float64]
 Columns = Mapping[str, Sequence[Any]]
 Rows = list[dict[str, Any]]
 

@@ -15,7 +15,8 @@ from numpy.typing import NDArray
 from scipy.optimize import brentq, minimize_scalar
 from scipy.stats import chi2
 
-Array = NDArray[np.float64]
+from imucald.core.arrays import Array
+
 Index = NDArray[np.int64]
 
 MEDIAN_CHI2 = float(chi2.median(1))

@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 from scipy.stats import f as f_distribution
 from scipy.stats import false_discovery_control
 
+from imucald.core.arrays import Array
 from imucald.fleet.analysis.units import MAX_Q, Units, t_quantile, t_weights
 
-Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 Flags = NDArray[np.bool_]
 Codes = Mapping[str, tuple[list[str], Index]]

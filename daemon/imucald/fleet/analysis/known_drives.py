@@ -9,7 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-Array = NDArray[np.float64]
+from imucald.core.arrays import Array
+
 Index = NDArray[np.int64]
 
 KNOWN = ("usable", "fine")

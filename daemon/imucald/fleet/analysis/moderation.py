@@ -10,13 +10,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import brentq
 from scipy.special import digamma, polygamma
 
+from imucald.core.arrays import Array
 from imucald.fleet.analysis.components import VarianceComponent
-
-Array = NDArray[np.float64]
 
 LEAST = 1e-6
 """Of a variance whose logarithm is taken [deg^2]."""

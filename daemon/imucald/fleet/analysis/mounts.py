@@ -8,13 +8,13 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from imucald.core.arrays import Array
 from imucald.fleet.analysis.known_drives import KnownDrives, between, turned
 from imucald.fleet.analysis.population import Population
 from imucald.fleet.analysis.remounts import Remounts, weights
 from imucald.fleet.analysis.segments import means
 from imucald.fleet.analysis.units import Units, t_quantile
 
-Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 
 NORMAL_95 = 1.959964

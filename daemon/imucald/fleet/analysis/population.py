@@ -16,6 +16,7 @@ from scipy.spatial.transform import Rotation
 from scipy.stats import f as f_distribution
 from scipy.stats import false_discovery_control
 
+from imucald.core.arrays import Array
 from imucald.fleet.analysis.components import VarianceComponent, between_vehicles, robust_variance
 from imucald.fleet.analysis.groups import (
     GroupEffect,
@@ -27,7 +28,6 @@ from imucald.fleet.analysis.known_drives import between, turned
 from imucald.fleet.analysis.moderation import moderated
 from imucald.fleet.analysis.units import MAX_Q, T_FREEDOM, Units, t_weights
 
-Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 Flags = NDArray[np.bool_]
 

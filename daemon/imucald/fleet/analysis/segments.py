@@ -13,7 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import chi2
 
-Array = NDArray[np.float64]
+from imucald.core.arrays import Array
+
 Index = NDArray[np.int64]
 
 CANDIDATE_P = 0.05

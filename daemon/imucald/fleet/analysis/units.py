@@ -9,7 +9,8 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 from scipy.stats import t as t_distribution
 
-Array = NDArray[np.float64]
+from imucald.core.arrays import Array
+
 Index = NDArray[np.int64]
 
 MAX_Q = 0.05

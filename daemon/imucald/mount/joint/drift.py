@@ -27,12 +27,11 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from imucald.core.linear import inverse, solved
+from imucald.core.arrays import Array, inverse, solved
 from imucald.core.samples import GRAVITY
 from imucald.motion.ticks import TICK_S
 from imucald.mount.joint.state import SLOPE, SLOPE_M
 
-Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 Flags = NDArray[np.bool_]
 

@@ -14,8 +14,8 @@ from collections.abc import Iterable
 
 import numpy as np
 from msgspec.structs import replace
-from numpy.typing import NDArray
 
+from imucald.core.arrays import Array
 from imucald.core.rotations import orthonormalised
 from imucald.core.samples import GRAVITY
 from imucald.mount.acceptance import Acceptance
@@ -31,8 +31,6 @@ from imucald.mount.joint.state import PHI, Priors
 from imucald.mount.mount_changes import MountChange, blocks_since
 from imucald.mount.signal_blocks import SignalBlock
 from imucald.mount.states import NEEDED, MountKnowledge, targets_in_force
-
-Array = NDArray[np.float64]
 
 SOLUTIONS_KEPT = 32
 """As many as are made in the first three minutes; later ones are further apart."""

@@ -6,12 +6,10 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from imucald.core.arrays import Array
 from imucald.core.samples import GRAVITY
 from imucald.mount.joint.state import CROSS, CROWN, EPS, FREE, UNKNOWNS, ZERO, Priors, WeightedPrior
-
-Array = NDArray[np.float64]
 
 
 class LinearMeasurement(NamedTuple):

@@ -16,10 +16,9 @@ from collections.abc import Mapping
 from typing import Any, Final, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from imucald.core.arrays import Array, solved
 from imucald.core.errors import EstimateError
-from imucald.core.linear import solved
 from imucald.core.rotations import Matrix3, orthonormalised, vector_from_rotation
 from imucald.core.samples import GRAVITY
 from imucald.mount.estimate import BETWEEN_DRIVES_STD, Correction, SentDeviations
@@ -39,8 +38,6 @@ from imucald.mount.joint.state import (
     sent_deviations,
 )
 from imucald.mount.priors import BIAS_DRIFT_STD
-
-Array = NDArray[np.float64]
 
 TURN, ACCEL, BIAS, GYRO = slice(0, 3), slice(3, 12), slice(12, 15), slice(15, 24)
 TERMS = 24

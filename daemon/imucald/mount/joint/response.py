@@ -11,10 +11,8 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from imucald.core.linear import inverse, solved
+from imucald.core.arrays import Array, inverse, solved
 from imucald.drive.windows import BAND, BANDS, OVERLAP
-
-Array = NDArray[np.float64]
 
 SEGMENTS: Final = (4, 16)
 """Windows a road segment: 26 s and 102 s."""

@@ -11,14 +11,12 @@ from __future__ import annotations
 from typing import Final, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from imucald.core.arrays import Array
 from imucald.core.rotations import Matrix3
 from imucald.core.samples import GRAVITY
 from imucald.mount.estimate import SentDeviations
 from imucald.mount.priors import CROSS_AXIS
-
-Array = NDArray[np.float64]
 
 OFF: Final = ((0, 1), (1, 0), (0, 2), (2, 0), (1, 2), (2, 1))
 """Places of the cross-axis terms e in a matrix."""

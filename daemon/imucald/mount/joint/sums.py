@@ -11,6 +11,7 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from imucald.core.arrays import Array
 from imucald.drive import windows as wd
 from imucald.mount.joint.response import (
     SEGMENTS,
@@ -21,7 +22,6 @@ from imucald.mount.joint.response import (
     trust_in,
 )
 
-Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
 RECENT = 64
