@@ -40,9 +40,9 @@ DIED_OF = 128
 SIGNALS = (
     (signal.SIGINT, signal.default_int_handler, interrupt),
     (signal.SIGTERM, signal.SIG_DFL, terminate),
-    (signal.SIGHUP, signal.SIG_DFL, terminate),
+    *([(signal.SIGHUP, signal.SIG_DFL, terminate)] if hasattr(signal, "SIGHUP") else []),
 )
-"""What a signal does by default, and what it does here."""
+"""What a signal does by default, and what it does here; Windows has no SIGHUP."""
 FULL = (errno.ENOSPC, errno.EDQUOT, errno.EIO)
 """What writing gives where a disk is full or broken."""
 

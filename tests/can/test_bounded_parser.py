@@ -100,8 +100,8 @@ def test_a_parser_that_takes_for_ever_is_ended(monkeypatch):
     endless = """
 import sys, json
 sys.path[:] = json.loads(sys.argv[1])
-from imucald.can.dbc.bounded_parser import _limit
-_limit(1 << 30, 1)
+from imucald.core.memory import limit_own
+limit_own(1 << 30, 1)
 while True: pass
 """
     monkeypatch.setattr(bounded_parser, "_START", endless)

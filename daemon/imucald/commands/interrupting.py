@@ -23,6 +23,8 @@ def interrupt(_: int, frame: FrameType | None) -> None:
     """Raise KeyboardInterrupt, after the import that runs: a signal handler of the main thread."""
     while frame is not None:
         if frame.f_code.co_filename.startswith(IMPORTING):
+            if not hasattr(signal, "setitimer"):  # Windows
+                break
             signal.signal(signal.SIGALRM, interrupt)
             signal.setitimer(signal.ITIMER_REAL, AFTER_IMPORT_S)
             return

@@ -133,6 +133,8 @@ def _is_ours(folder: Path) -> bool:
         found = folder.stat()
     except OSError:
         return False
+    if not hasattr(os, "geteuid"):  # Windows: a user's own folder is closed to others
+        return True
     return found.st_uid == os.geteuid() and not found.st_mode & 0o022
 
 

@@ -2,16 +2,25 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
-import resource
 from pathlib import Path
 
+try:
+    import resource
+except ImportError:  # Windows
+    resource = None  # type: ignore[assignment]
+
 _GROUPS = Path("/sys/fs/cgroup")
+_UNSTATED = 4 * 2**30
+"""Memory of a machine that does not state it (Windows): the least that a desktop has today."""
 
 
 def allowed_memory(own_group: Path = Path("/proc/self/cgroup"), groups: Path = _GROUPS) -> int:
     """Return bytes: the least of physical memory, the process's limits of address space and data
     (`ulimit`), and MemoryMax of the groups around (cgroup v2)."""
+    if resource is None:
+        return _UNSTATED
     limits = [os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")]
     own = (resource.getrlimit(kind)[0] for kind in (resource.RLIMIT_AS, resource.RLIMIT_DATA))
     limits += [limit for limit in own if limit != resource.RLIM_INFINITY]
@@ -24,6 +33,15 @@ def allowed_memory(own_group: Path = Path("/proc/self/cgroup"), groups: Path = _
         if group == groups:
             break
     return min(limits)
+
+
+def limit_own(memory: int, seconds: int) -> None:
+    """Limit this process's data [bytes] and processor time [s], where the system can."""
+    if resource is None:
+        return
+    for kind, value in ((resource.RLIMIT_DATA, memory), (resource.RLIMIT_CPU, seconds)):
+        with contextlib.suppress(ValueError, OSError):  # there is a lower one
+            resource.setrlimit(kind, (value, value))
 
 
 def _unified(own_group: Path) -> str:

@@ -7,6 +7,9 @@ import os
 import stat
 from pathlib import Path
 
+_FLAGS = sum(getattr(os, name, 0) for name in ("O_NONBLOCK", "O_CLOEXEC", "O_BINARY"))
+"""Each is of some systems: the last of Windows."""
+
 
 def read_regular(path: Path, max_bytes: int) -> bytes:
     """Return a file's bytes, one more than `max_bytes` at most: then it is too long.
@@ -16,7 +19,7 @@ def read_regular(path: Path, max_bytes: int) -> bytes:
     """
     # looked at before it is opened: opening a device may do things
     _refuse_other(path, path.stat())
-    descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)
+    descriptor = os.open(path, os.O_RDONLY | _FLAGS)
     with os.fdopen(descriptor, "rb") as file:
         _refuse_other(path, os.fstat(descriptor))  # what was opened, whoever renames meanwhile
         return file.read(max_bytes + 1)

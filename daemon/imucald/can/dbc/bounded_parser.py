@@ -9,7 +9,6 @@ from __future__ import annotations
 import contextlib
 import json
 import os
-import resource
 import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -19,7 +18,7 @@ import msgspec
 from imucald.can.dbc.message import Message
 from imucald.can.dbc.parser import parse
 from imucald.core.errors import DatabaseError
-from imucald.core.memory import allowed_memory
+from imucald.core.memory import allowed_memory, limit_own
 
 if TYPE_CHECKING:
     import subprocess
@@ -85,7 +84,9 @@ def parse_bounded(text: str, database_format: str, source: str) -> list[Message]
 
 def parse_for_parent(database_format: str, source: str, memory: str, seconds: str) -> int:
     """What the process of its own does: text of standard input -> JSON, or status 1 and why not."""
-    _limit(int(memory), int(seconds))
+    limit_own(int(memory), int(seconds))
+    with contextlib.suppress(OSError):  # where memory gets short, this is what has to go
+        Path("/proc/self/oom_score_adj").write_text("1000")
     try:
         text = sys.stdin.buffer.read().decode("utf-8", "surrogatepass")
         found = msgspec.json.encode(parse(text, database_format, source))
@@ -96,14 +97,6 @@ def parse_for_parent(database_format: str, source: str, memory: str, seconds: st
         return 2
     sys.stdout.buffer.write(found)
     return 0
-
-
-def _limit(memory: int, seconds: int) -> None:
-    for kind, value in ((resource.RLIMIT_DATA, memory), (resource.RLIMIT_CPU, seconds)):
-        with contextlib.suppress(ValueError, OSError):  # there is a lower one
-            resource.setrlimit(kind, (value, value))
-    with contextlib.suppress(OSError):  # where memory gets short, this is what has to go
-        Path("/proc/self/oom_score_adj").write_text("1000")
 
 
 def _why(done: subprocess.CompletedProcess[bytes], memory: int, seconds: int) -> str:

@@ -15,7 +15,6 @@ last frame would have come with the next one: both are asked for when a socket i
 from __future__ import annotations
 
 import errno
-import fcntl
 import os
 import select
 import socket
@@ -26,6 +25,11 @@ from contextlib import suppress
 
 from imucald.can.columns import CAN_ERR_FLAG, CAN_RTR_FLAG, CLASSIC_BYTES, FD_BYTES, IdMatch
 from imucald.core.errors import LinkError
+
+try:
+    import fcntl
+except ImportError:  # Windows, where logs are read, too
+    fcntl = None  # type: ignore[assignment]
 
 Frame = tuple[float, int, bytes]
 """Kernel stamp [s, whole microseconds], id with the kernel's flags, payload."""
@@ -59,7 +63,6 @@ _FLAGS_REQUEST = struct.Struct("@16sH14x")
 _CANFD_BRS = 0x01
 _CANFD_FDF = 0x04
 _FD_LENGTHS = (8, 12, 16, 20, 24, 32, 48, FD_BYTES)
-_ANCILLARY_BYTES = socket.CMSG_SPACE(_TIMESPEC.size) + socket.CMSG_SPACE(_DROPS.size)
 
 
 class SocketCan:
@@ -137,9 +140,10 @@ class SocketCan:
             return []
         frames: list[Frame] = []
         recvmsg, add = self._socket.recvmsg, frames.append
+        ancillary_bytes = sum(socket.CMSG_SPACE(part.size) for part in (_TIMESPEC, _DROPS))
         while len(frames) < MAX_BATCH:
             try:
-                raw, ancillary, _, _ = recvmsg(_FD.size, _ANCILLARY_BYTES)
+                raw, ancillary, _, _ = recvmsg(_FD.size, ancillary_bytes)
             except BlockingIOError:
                 break
             except OSError as error:
