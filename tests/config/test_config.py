@@ -166,7 +166,7 @@ def test_files_that_are_none_are_reported(tmp_path):
 def test_the_schema_describes_every_key():
     schema = json.loads(json_schema())
     assert set(schema["properties"]) == set(Config.__struct_fields__)
-    assert "SourceSettings" in schema["$defs"]
+    assert "SourceSettings" in schema["definitions"]
 
 
 def test_a_database_in_the_place_of_the_configuration_is_named_as_one(tmp_path):

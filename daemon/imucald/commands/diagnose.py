@@ -65,7 +65,8 @@ def run(options: argparse.Namespace) -> int:
     """Read, diagnose, then report in every way that was asked for."""
     from imucald.api.diagnosing import diagnosis_of
     from imucald.commands.diagnose_view import share_bar
-    from imucald.commands.files import STANDARD, write_text
+    from imucald.commands.files import STANDARD, write_text, write_yaml
+    from imucald.commands.schema import MODEL
     from imucald.runtime.summary import as_json
     from imucald.simulation import load_model
 
@@ -79,7 +80,7 @@ def run(options: argparse.Namespace) -> int:
     if options.json:
         write_text(options.json, as_json(found.to_dict()))
     if options.write_model:
-        write_text(options.write_model, found.model_text())
+        write_yaml(options.write_model, found.model_text(), MODEL)
     files = [options.json, options.write_model]
     if options.report:
         files.append(_write_report(found.diagnosis, options))

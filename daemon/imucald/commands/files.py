@@ -87,6 +87,21 @@ def write_text(name: Name, text: str) -> None:
         raise ImucaldError(f"{name}: cannot be written: {error.strerror or error}") from None
 
 
+def write_yaml(name: Name, text: str, schema: str) -> None:
+    """Write a YAML file with the line by which editors find its schema, and that next to it.
+
+    schema: its file's name, of `commands.schema`. Standard output gets the text alone. Raises
+    ImucaldError where a file cannot be written.
+    """
+    from imucald.commands.schema import schema_text
+
+    if str(name) == STANDARD:
+        write_text(name, text)
+        return
+    write_text(name, f"# yaml-language-server: $schema={schema}\n{text}")
+    write_text(Path(name).with_name(schema), schema_text(schema))
+
+
 @contextmanager
 def reported_when_cut(name: Name) -> Iterator[None]:
     """Say on stderr that a file is not complete, when the body ends by an error or Ctrl-C.

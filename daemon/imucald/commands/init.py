@@ -66,7 +66,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(options: argparse.Namespace) -> int:
     """Read or listen, then propose."""
     from imucald.can.dbc.database import load_database
-    from imucald.commands.files import STANDARD, check_files, write_text
+    from imucald.commands.files import STANDARD, check_files, write_yaml
+    from imucald.commands.schema import CONFIGURATION
     from imucald.core.errors import ConfigError
     from imucald.discovery import GatheredFrames, as_yaml, discover
 
@@ -94,7 +95,7 @@ def run(options: argparse.Namespace) -> int:
     proposal = discover(databases, recording)
     _require_matches(options, recording, proposal)
     proposal.driving_side = options.driving_side
-    write_text(options.out, as_yaml(proposal, list(databases)))
+    write_yaml(options.out, as_yaml(proposal, list(databases)), CONFIGURATION)
     if proposal.loss:
         print(f"imucald: {proposal.loss}", file=sys.stderr)
     if out:

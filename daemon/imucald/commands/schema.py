@@ -1,22 +1,40 @@
-"""`imucald schema`: the configuration's JSON schema, for editors and checkers."""
+"""`imucald schema`: JSON schemas of the configuration and the model file, for editors."""
 
 from __future__ import annotations
 
 import argparse
 
+CONFIGURATION, MODEL = "imucald.schema.json", "imucald-model.schema.json"
+"""Schemas, as they are called next to the files that name them."""
+
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """`schema` takes no options."""
+    """Options of `schema`."""
+    parser.add_argument(
+        "--model", action="store_true", help="of the model file, not of the configuration"
+    )
 
 
 def run(options: argparse.Namespace) -> int:
     """Print the schema."""
+    print(schema_text(MODEL if options.model else CONFIGURATION), end="")
+    return 0
+
+
+def schema_text(of: str) -> str:
+    """The content of a schema file, by its name."""
+    import json
+
     from imucald.can.e2e.checksums import KINDS, NO_CHECKSUM, ONE_BYTE_KINDS
     from imucald.config import json_schema
 
+    if of == MODEL:
+        from imucald.config.schema import described_schema
+        from imucald.model.model import VehicleModel
+
+        return json.dumps(described_schema(VehicleModel, {}), indent=2) + "\n"
     choices = {
         ("ChecksumSettings", "kind"): [NO_CHECKSUM, *KINDS],
         ("Output", "checksum"): [NO_CHECKSUM, *ONE_BYTE_KINDS],
     }
-    print(json_schema(choices))
-    return 0
+    return json_schema(choices) + "\n"

@@ -92,7 +92,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Simulate, write log, truth and perhaps the model; say what was written."""
-    from imucald.commands.files import check_files, write_text
+    from imucald.commands.files import check_files, write_yaml
+    from imucald.commands.schema import MODEL
     from imucald.config import load_config
     from imucald.simulation.drive import simulate
     from imucald.traffic.drive_encoder import BusEncoder, example_config
@@ -118,7 +119,7 @@ def run(options: argparse.Namespace) -> int:
     if options.out is not None:
         _write_log(options, drive, encoder)
     if options.write_model:
-        write_text(options.write_model, model.to_yaml())
+        write_yaml(options.write_model, model.to_yaml(), MODEL)
     for name in encoder.left_out:
         print(f"not written, since it is defined by an expression: {name}", file=sys.stderr)
     if options.interface is not None:

@@ -164,7 +164,7 @@ def _name(path: Path | None) -> str:
 
 
 def json_schema(choices: Mapping[tuple[str, str], Sequence[str]] | None = None) -> str:
-    """JSON schema (draft 2020-12) of the configuration; choices: see `described_schema`."""
+    """JSON schema (draft 7) of the configuration; choices: see `described_schema`."""
     from imucald.config.schema import described_schema  # noqa: PLC0415 - only for this
 
     return json.dumps(described_schema(Config, choices or {}), indent=2)

@@ -1,6 +1,7 @@
-"""JSON schema of the configuration, with what the settings' docstrings state of each key.
+"""JSON schema of a YAML file of ours, with what the docstrings state of each key.
 
-Only `imucald schema` needs it.
+Draft 7: editors' language servers know no later one. Only `imucald schema` and what writes a YAML
+file need it.
 """
 
 from __future__ import annotations
@@ -13,16 +14,16 @@ from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 import msgspec
+from msgspec import Struct
 
-from imucald.config.base import Settings
 from imucald.config.shorthand import ONE_OF_LIST, SHORT_TEXTS
 
-DRAFT = "https://json-schema.org/draft/2020-12/schema"
-REFERENCE = "#/$defs/"
+DRAFT = "http://json-schema.org/draft-07/schema#"
+REFERENCE = "#/definitions/"
 
 
 def described_schema(
-    kind: type[Settings], choices: Mapping[tuple[str, str], Sequence[str]]
+    kind: type[Struct], choices: Mapping[tuple[str, str], Sequence[str]]
 ) -> dict[str, Any]:
     """JSON schema of settings and of all that they hold, with a description of each key.
 
@@ -30,7 +31,7 @@ def described_schema(
     knows them.
     """
     _, parts = msgspec.json.schema_components([kind], ref_template=f"{REFERENCE}{{name}}")
-    kinds = {found.__name__: found for found in _settings_within(Settings)}
+    kinds = {found.__name__: found for found in _within(kind.__mro__[1])}
     for name, part in parts.items():
         part["properties"] = {k: _with_short(v) for k, v in part.get("properties", {}).items()}
         for key, text in _texts(kinds[name]).items():
@@ -39,7 +40,7 @@ def described_schema(
     for (name, key), words in choices.items():
         parts[name]["properties"][key]["enum"] = list(words)
     whole = parts.pop(kind.__name__)
-    return {"$schema": DRAFT, **whole, "$defs": parts}
+    return {"$schema": DRAFT, **_as_draft_7({**whole, "definitions": parts})}
 
 
 def _with_short(node: dict[str, Any]) -> dict[str, Any]:
@@ -65,15 +66,30 @@ def _with_short(node: dict[str, Any]) -> dict[str, Any]:
     return found
 
 
-def _settings_within(base: type[Settings]) -> Iterator[type[Settings]]:
-    pending = list(base.__subclasses__())
+def _as_draft_7(node: Any) -> Any:
+    """A schema of draft 2020-12 as one of draft 7, of what msgspec makes."""
+    if isinstance(node, list):
+        return [_as_draft_7(one) for one in node]
+    if not isinstance(node, dict):
+        return node
+    found = {key: _as_draft_7(value) for key, value in node.items()}
+    if "prefixItems" in found:
+        found["additionalItems"] = found.pop("items", True)
+        found["items"] = found.pop("prefixItems")
+    if "$ref" in found and len(found) > 1:  # what stands next to a reference does not count
+        found["allOf"] = [{"$ref": found.pop("$ref")}]
+    return found
+
+
+def _within(base: type) -> Iterator[type]:
+    pending: list[type] = list(base.__subclasses__())
     while pending:
         found = pending.pop()
         pending.extend(found.__subclasses__())
         yield found
 
 
-def _texts(kind: type[Settings]) -> dict[str, str]:
+def _texts(kind: type) -> dict[str, str]:
     """The string that follows each annotated name in the class's source."""
     (tree,) = ast.parse(textwrap.dedent(inspect.getsource(kind))).body
     found: dict[str, str] = {}
