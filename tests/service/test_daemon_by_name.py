@@ -12,11 +12,23 @@ from pathlib import Path
 
 import pytest
 
-from imucald.commands.status import find_socket
+from imucald.commands.status import FAULT, NOT_RUNNING, NOT_YET, find_socket
 from imucald.core.errors import LinkError
 from imucald.service.status import StatusServer
 from paths import ROOT
 
+AS_USER = (
+    "import os, sys; os.geteuid = lambda: 1000; from imucald.cli import main; sys.exit(main())"
+)
+AS_ROOT = """
+import os, pathlib, sys
+import imucald.service.status
+
+os.geteuid = lambda: 0
+imucald.service.status.RUNNING = pathlib.Path(sys.argv.pop(1))
+from imucald.cli import main
+sys.exit(main())
+"""
 CHANNEL = "239.74.163.2"
 
 
@@ -65,9 +77,37 @@ def test_a_daemon_without_a_status_socket_reports_it_with_the_remedy(folder, tmp
     configuration = str(ROOT / "config" / "imucald.yaml")
     bus = ["--interface", "virtual", "--channel", "by-name", "--seconds", "0.01"]
     done = subprocess.run(
-        [sys.executable, "-m", "imucald", "run", "--config", configuration, *bus],
+        [sys.executable, "-c", AS_USER, "run", "--config", configuration, *bus],
         env=environment, stderr=subprocess.PIPE, text=True, timeout=60, check=True,
     )  # fmt: skip
     assert ("no status socket" in done.stderr) == (folder is None)
     assert ("--status-socket PATH" in done.stderr) == (folder is None)
     assert ("XDG_RUNTIME_DIR" in done.stderr) == (folder is None)
+
+
+@pytest.mark.parametrize("channel", [[], ["--channel", "by-root"]])
+def test_root_needs_no_folder_for_run_and_status_to_find_each_other(channel, tmp_path):
+    environment = {
+        k: v for k, v in os.environ.items() if k not in ("RUNTIME_DIRECTORY", "XDG_RUNTIME_DIR")
+    }
+    command = [sys.executable, "-c", AS_ROOT, str(tmp_path)]
+    configuration = str(ROOT / "config" / "imucald.yaml")
+    bus = ["--interface", "virtual", *channel]
+    daemon = subprocess.Popen(
+        [*command, "run", "--config", configuration, *bus],
+        env=environment, stderr=subprocess.PIPE, text=True,
+    )  # fmt: skip
+    try:
+        answer, end = NOT_RUNNING, time.monotonic() + 30.0
+        while answer == NOT_RUNNING and time.monotonic() < end:
+            asked = [*command, "status", "--quiet"]
+            answer = subprocess.run(
+                asked, env=environment, stderr=subprocess.DEVNULL, check=False
+            ).returncode
+        assert answer in (NOT_YET, FAULT), "it starts, or has no sensor"
+        control = list(tmp_path.glob("*/control.sock"))
+        assert len(control) == 1, "orders find it, too"
+    finally:
+        daemon.terminate()
+        output = daemon.communicate()[1]
+    assert "no status socket" not in output

@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import io
 import json
+import os
 import re
 import signal
 import socket
@@ -432,7 +433,12 @@ def test_the_daemon_that_is_meant_is_found_or_the_choice_is_reported(tmp_path, m
     assert default_socket("can7", {"RUNTIME_DIRECTORY": "/run/a:/run/b"}) == Path(
         "/run/a/status.sock"
     )
+    monkeypatch.setattr(os, "geteuid", lambda: 1000)
     assert default_socket("can7", {}) is None
+    monkeypatch.setattr(os, "geteuid", lambda: 0)
+    assert default_socket("can7", {}) == Path("/run/imucald/can7/status.sock")
+    assert default_socket("/dev/ttyACM0", {}) == Path("/run/imucald/dev-ttyACM0/status.sock")
+    assert default_socket("can7") == tmp_path / "imucald-can7.sock", "where there is one, there"
 
 
 def test_a_status_socket_that_nobody_asked_for_is_no_reason_not_to_start(bench):

@@ -58,7 +58,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--status-socket",
         type=Path,
         metavar="PATH",
-        help="answer 'imucald status' here (default: in $RUNTIME_DIRECTORY or $XDG_RUNTIME_DIR)",
+        help="answer 'imucald status' here (default: in $RUNTIME_DIRECTORY, "
+        "$XDG_RUNTIME_DIR or, as root, /run/imucald)",
     )
     parser.add_argument(
         "--metrics-listen",

@@ -122,8 +122,9 @@ def answer_of(options: argparse.Namespace, request: str) -> str | NoAnswer:
 def running_sockets(channel: str | None = None) -> list[Path]:
     """Status sockets of this machine's daemons, of those of a channel where one is named."""
     from imucald.core.encodable import encodable
+    from imucald.service.status import RUNNING
 
-    found = [*Path("/run/imucald").glob("*/status.sock")]
+    found = [*RUNNING.glob("*/status.sock")]
     if runtime := os.environ.get("XDG_RUNTIME_DIR"):
         found += Path(runtime).glob("imucald-*.sock")
     if channel is not None:

@@ -18,18 +18,33 @@ from imucald.service.background_writer import Say
 from imucald.service.line_server import LineServer, nobody_listens
 from imucald.service.metrics import metrics_text
 
+RUNNING = Path("/run/imucald")
+"""Holds a folder for each daemon of systemd or root."""
 READABLE_BY_ALL = 0o666
 """It answers questions and takes no orders."""
 
 
 def default_socket(channel: str, environment: Mapping[str, str] | None = None) -> Path | None:
-    """Where the status socket is, or None where there is no folder for it."""
+    """Where the status socket is, or None where there is no folder for it.
+
+    Root has one where its environment names none, as in a container, under sudo or cron.
+    """
     environment = os.environ if environment is None else environment
     if folder := environment.get("RUNTIME_DIRECTORY", "").partition(":")[0]:
         return Path(folder) / "status.sock"
     if folder := environment.get("XDG_RUNTIME_DIR", ""):
-        return Path(folder) / f"imucald-{channel}.sock"
-    return None
+        return Path(folder) / f"imucald-{_in_one_name(channel)}.sock"
+    return running_socket(channel) if os.geteuid() == 0 else None
+
+
+def running_socket(channel: str) -> Path:
+    """The status socket of systemd's or root's daemon of a channel."""
+    return RUNNING / _in_one_name(channel) / "status.sock"
+
+
+def _in_one_name(channel: str) -> str:
+    """A channel such as /dev/ttyACM0 without what would name other folders."""
+    return channel.strip("/.").replace("/", "-")
 
 
 class StatusServer(LineServer):
