@@ -394,5 +394,5 @@ def test_the_schema_lists_every_kind_of_checksum(capsys):
     kinds = schema["definitions"]["ChecksumSettings"]["properties"]["kind"]["enum"]
     profiles = ["e2e_p1", "e2e_p2", "e2e_p5", "e2e_p11"]
     assert kinds == ["none", "xor", "crc8_j1850", "crc16_ccitt", *profiles]
-    own = schema["$defs"]["Output"]["properties"]["checksum"]["enum"]
+    own = schema["definitions"]["Output"]["properties"]["checksum"]["enum"]
     assert own == ["none", "xor", "crc8_j1850"]
