@@ -58,8 +58,8 @@ DIAGNOSIS_ROOMS: Mapping[str, set[str]] = {
 """Rooms of the diagnosis, and those of its others that each imports."""
 
 LAZY_LIBRARIES = {
-    "aiohttp", "asammdf", "can", "difflib", "dpkt", "isotp", "jinja2", "kuksa_client", "matplotlib",
-    "paho", "rich", "scipy", "subprocess", "threadpoolctl", "yaml", "zstandard",
+    "aiohttp", "asammdf", "can", "difflib", "dpkt", "foxglove", "isotp", "jinja2", "kuksa_client",
+    "matplotlib", "paho", "rich", "scipy", "subprocess", "threadpoolctl", "yaml", "zstandard",
     "bz2", "glob", "gzip", "lzma", "pkgutil", "tempfile",
 }  # fmt: skip
 """Large libraries, which a function may import when it needs them, and in the last line what makes

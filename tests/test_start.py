@@ -14,7 +14,8 @@ from imucald.cli import PROCESS_SETTINGS
 from simulated_bus import CONFIG, drive_frames
 
 HEAVY = ("can", "scipy", "asammdf", "pandas", "matplotlib", "asyncio", "rich", "cantools.tester",
-         "http.server", "subprocess", "paho", "kuksa_client", "prometheus_client")  # fmt: skip
+         "http.server", "subprocess", "paho", "kuksa_client", "foxglove",
+         "prometheus_client")  # fmt: skip
 """Each costs 20 ms to a second, or tens of megabytes."""
 PROBE = """
 import json, os, sys

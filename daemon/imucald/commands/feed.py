@@ -1,4 +1,4 @@
-"""`imucald feed`: hand what a running daemon finds on to MQTT or to a KUKSA databroker."""
+"""`imucald feed`: hand what a running daemon finds on to MQTT, a KUKSA databroker or Foxglove."""
 
 from __future__ import annotations
 
@@ -15,11 +15,12 @@ from imucald.core.extras import how_to_install
 if TYPE_CHECKING:
     from imucald.feeds.feed_loop import Receiver
 
-LIBRARIES = {"mqtt": "paho", "kuksa": "kuksa_client"}
-MQTT_PORT, MQTT_TLS_PORT, KUKSA_PORT = 1883, 8883, 55555
+LIBRARIES = {"mqtt": "paho", "kuksa": "kuksa_client", "foxglove": "foxglove"}
+MQTT_PORT, MQTT_TLS_PORT, KUKSA_PORT, FOXGLOVE_PORT = 1883, 8883, 55555, 8765
 TARGETS = {
     "mqtt": "to an MQTT broker, as JSON",
     "kuksa": "to a KUKSA databroker, as VSS signals",
+    "foxglove": "to Foxglove, which opens the address that this serves",
 }
 
 
@@ -31,11 +32,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
             name, help=text, description=f"Hand what a running daemon finds on {text}."
         )
         _add_source(sub)
-        if name == "mqtt":
-            _add_mqtt(sub)
-        else:
-            _add_kuksa(sub)
-        sub.add_argument("--ca", type=Path, metavar="FILE", help="certificates to trust: use TLS")
+        {"mqtt": _add_mqtt, "kuksa": _add_kuksa, "foxglove": _add_foxglove}[name](sub)
 
 
 def _add_mqtt(parser: argparse.ArgumentParser) -> None:
@@ -49,6 +46,7 @@ def _add_mqtt(parser: argparse.ArgumentParser) -> None:
         "--topic", metavar="TOPIC", help="what all topics begin with (default: imucald/CHANNEL)"
     )
     parser.add_argument("--user", metavar="NAME", help="its password is in $IMUCALD_MQTT_PASSWORD")
+    _add_ca(parser)
 
 
 def _add_kuksa(parser: argparse.ArgumentParser) -> None:
@@ -60,6 +58,21 @@ def _add_kuksa(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--token", type=Path, metavar="FILE", help="its access token")
     parser.add_argument("--server-name", metavar="NAME", help="the one in its certificate")
+    _add_ca(parser)
+
+
+def _add_ca(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--ca", type=Path, metavar="FILE", help="certificates to trust: use TLS")
+
+
+def _add_foxglove(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "--listen",
+        default="127.0.0.1",
+        metavar="HOST[:PORT]",
+        help=f"default: 127.0.0.1:{FOXGLOVE_PORT}; whoever reaches another host's address may look",
+    )
+    parser.set_defaults(ca=None)
 
 
 def _add_source(parser: argparse.ArgumentParser) -> None:
@@ -112,6 +125,7 @@ def run(options: argparse.Namespace) -> int:
         range(least, FINE + 1),
         options.config,
         not options.status_only,
+        wants_raw=options.target == "foxglove",
     )
     feed = Feed(source, receiver, 1.0 / options.rate, _say)
     for number in (signal.SIGINT, signal.SIGTERM):
@@ -144,6 +158,10 @@ def _receiver(options: argparse.Namespace, bus: str) -> Receiver:
         if not topic or "#" in topic or "+" in topic:
             raise ImucaldError(f"--topic {topic!r}: no '#' or '+' in a topic that is sent")
         return MqttReceiver(MqttSettings(host, port, topic, options.user, options.ca), _say)
+    if options.target == "foxglove":
+        from imucald.feeds.foxglove import FoxgloveReceiver, FoxgloveSettings
+
+        return FoxgloveReceiver(FoxgloveSettings(*_address(options.listen, FOXGLOVE_PORT)), _say)
     from imucald.feeds.kuksa import KuksaReceiver, KuksaSettings
 
     if options.token is not None and not options.token.is_file():

@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 
 from imucald.can.columns import CAN_EFF_FLAG, CAN_EFF_MASK, CAN_SFF_MASK, IdMatch
 from imucald.can.e2e.protection import MessageChecker
-from imucald.config import Config
+from imucald.config import Config, LoadedConfig
+from imucald.core.angles import DEG_PER_RAD
 from imucald.core.errors import DecodeError
+from imucald.inputs.wiring import compile_router
 from imucald.runtime.output.output_frames import OutputFrames
-from imucald.runtime.output.output_message import OutputMessage
 
 Triple = tuple[float, float, float]
+Attitude = tuple[float, float, float | None]
 
 STALE_S = 0.5
 """Without a good frame for so long [s] a value is not available: five periods of 10 Hz."""
@@ -20,23 +22,45 @@ GOOD = frozenset({USABLE, FINE})
 """Qualities that are handed on."""
 CHANNELS = {"accel": "acceleration", "gyro": "angular_rate"}
 """Channels of the engine, and what they are called in a feed."""
+ATTITUDE = "attitude"
 
 
-class _Sum:
-    """Good samples of one message since the last look."""
+class VectorMeans:
+    """Means of vectors between two looks, by name."""
 
-    def __init__(self, message: OutputMessage) -> None:
-        self.message = message
-        self.checker = MessageChecker(message.protection)
-        self.last_good = float("-inf")
-        self.clear()
+    def __init__(self, names: Iterable[str]) -> None:
+        self._sums: dict[str, list[float]] = {name: [0, 0.0, 0.0, 0.0] for name in names}
+        self._newest: dict[str, Triple] = {}
+        self._times = dict.fromkeys(self._sums, float("-inf"))
 
-    def clear(self) -> None:
-        self.n, self.x, self.y, self.z = 0, 0.0, 0.0, 0.0
+    @property
+    def names(self) -> tuple[str, ...]:
+        """What there is to read."""
+        return tuple(self._sums)
+
+    def add(self, name: str, t: float, values: Sequence[float]) -> None:
+        """Take a vector that is good at t [s], of the clock that `means` is asked with."""
+        n, x, y, z = self._sums[name]
+        self._sums[name] = [n + 1, x + values[0], y + values[1], z + values[2]]
+        self._times[name] = t
+
+    def means(self, now: float) -> Mapping[str, Triple | None]:
+        """By name the mean since the last call; None: not available.
+
+        Where nothing came since, the mean before stands until it is stale.
+        """
+        for name, (n, x, y, z) in self._sums.items():
+            if n:
+                self._newest[name] = x / n, y / n, z / n
+            self._sums[name] = [0, 0.0, 0.0, 0.0]
+        return {
+            name: self._newest.get(name) if now - t <= STALE_S else None
+            for name, t in self._times.items()
+        }
 
 
 class CorrectedFrames:
-    """Means of the corrected samples between two looks.
+    """Means of the corrected samples between two looks, in m/s^2 and deg/s; the newest attitude.
 
     accepted: qualities that count; the frames of others are as none. Checksum, counter, length and
     *not available* are obeyed.
@@ -45,18 +69,24 @@ class CorrectedFrames:
     def __init__(self, config: Config, accepted: Iterable[int] = GOOD) -> None:
         output = OutputFrames(config)
         self._accepted = frozenset(accepted)
-        self._sums = {
-            name: _Sum(output.message_of(channel))
+        messages = {
+            name: output.message_of(channel)
             for channel, name in CHANNELS.items()
             if channel in output.triads
         }
-        self._by_id = {s.message.can_id: s for s in self._sums.values()}
-        self._newest: dict[str, Triple] = {}
+        self._means = VectorMeans(messages)
+        if output.attitude is not None:
+            messages[ATTITUDE] = output.attitude.angles
+        self._by_id = {
+            message.can_id: (name, message, MessageChecker(message.protection))
+            for name, message in messages.items()
+        }
+        self._attitude: tuple[float, Attitude] = (float("-inf"), (0.0, 0.0, None))
 
     @property
     def names(self) -> tuple[str, ...]:
         """What there is to read: "acceleration", "angular_rate"."""
-        return tuple(self._sums)
+        return self._means.names
 
     @property
     def matches(self) -> list[IdMatch]:
@@ -65,29 +95,56 @@ class CorrectedFrames:
 
     def take(self, t: float, can_id: int, data: bytes) -> None:
         """Take a frame received at t [s], of the clock that `means` is asked with."""
-        one = self._by_id.get(can_id)
-        if one is None or one.checker.check(t, data) is not None:
+        if can_id not in self._by_id:
+            return
+        name, message, checker = self._by_id[can_id]
+        if checker.check(t, data) is not None:
             return
         try:
-            x, y, z, quality = one.message.values(data)
+            x, y, z, quality = message.values(data)
         except DecodeError:
             return
-        if x is None or y is None or z is None or quality not in self._accepted:
+        if x is None or y is None:
             return
-        one.n += 1
-        one.x, one.y, one.z = one.x + x, one.y + y, one.z + z
-        one.last_good = t
+        if name == ATTITUDE:
+            self._attitude = t, (x, y, z)
+        elif z is not None and quality in self._accepted:
+            self._means.add(name, t, (x, y, z))
 
     def means(self, now: float) -> Mapping[str, Triple | None]:
-        """By name the mean since the last call, in m/s^2 and deg/s; None: not available.
+        """By name the mean since the last call, in m/s^2 and deg/s; see `VectorMeans`."""
+        return self._means.means(now)
 
-        Where nothing came since, the mean before stands until it is stale.
-        """
-        for name, one in self._sums.items():
-            if one.n:
-                self._newest[name] = one.x / one.n, one.y / one.n, one.z / one.n
-            one.clear()
-        return {
-            name: self._newest.get(name) if now - one.last_good <= STALE_S else None
-            for name, one in self._sums.items()
-        }
+    def attitude(self, now: float) -> Attitude | None:
+        """Roll, pitch and heading [deg] of the vehicle; None: not available."""
+        t, angles = self._attitude
+        return angles if now - t <= STALE_S else None
+
+
+class RawSamples:
+    """Means of the samples as the sensor gave them, in its own axes, m/s^2 and deg/s.
+
+    Raises ConfigError where the databases of the configuration cannot be read.
+    """
+
+    def __init__(self, loaded: LoadedConfig) -> None:
+        self._router = compile_router(loaded)
+        there = self._router.channels
+        self._means = VectorMeans(name for channel, name in CHANNELS.items() if channel in there)
+
+    @property
+    def matches(self) -> list[IdMatch]:
+        """Which frames of the bus are wanted."""
+        return self._router.matches
+
+    def take(self, t: float, can_id: int, data: bytes) -> None:
+        """Take a frame received at t [s], of the clock that `means` is asked with."""
+        for channel, values in self._router.frame(t, can_id, data)[0]:
+            if channel == "accel":
+                self._means.add(CHANNELS[channel], t, values)
+            elif channel == "gyro":
+                self._means.add(CHANNELS[channel], t, [v * DEG_PER_RAD for v in values])
+
+    def means(self, now: float) -> Mapping[str, Triple | None]:
+        """By name the mean since the last call; see `VectorMeans`."""
+        return self._means.means(now)

@@ -9,10 +9,11 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from imucald.can.columns import IdMatch
 from imucald.can.link.link import Link
 from imucald.config import LoadedConfig, load_config
 from imucald.core.errors import ImucaldError, LinkError
-from imucald.feeds.corrected_frames import GOOD, CorrectedFrames, Triple
+from imucald.feeds.corrected_frames import GOOD, Attitude, CorrectedFrames, RawSamples, Triple
 from imucald.service.asking import ask
 
 STATUS_S = 1.0
@@ -28,20 +29,23 @@ class Reading:
     """at: wall clock [s]. status: as `imucald status --json` has it; None: no daemon answers.
 
     is_new: whether the status was asked for just now. corrected: by name ("acceleration" in m/s^2,
-    "angular_rate" in deg/s) x, y, z in vehicle axes; None: not available.
+    "angular_rate" in deg/s) x, y, z in vehicle axes; None: not available. raw: the same of the
+    sensor as it sent them, in its own axes. attitude: roll, pitch, heading of the vehicle [deg].
     """
 
     at: float
     status: Mapping[str, Any] | None
     is_new: bool = True
     corrected: Mapping[str, Triple | None] = field(default_factory=dict)
+    raw: Mapping[str, Triple | None] = field(default_factory=dict)
+    attitude: Attitude | None = None
 
 
 class DaemonSource:
     """Reads one daemon. The bus is the one that the daemon says it is on.
 
     accepted: qualities of corrected frames that count. config: None for the file that the daemon
-    names. wants_frames: without them only the status is read.
+    names. wants_frames: without them only the status is read. wants_raw: the sensor's frames too.
     """
 
     def __init__(
@@ -52,16 +56,18 @@ class DaemonSource:
         config: Path | None = None,
         wants_frames: bool = True,
         clock: Callable[[], float] = time.monotonic,
+        wants_raw: bool = False,
     ) -> None:
         self._socket = status_socket
         self._say = say
         self._accepted = frozenset(accepted)
         self._config = config
-        self._wants_frames = wants_frames
+        self._wants_frames, self._wants_raw = wants_frames, wants_raw
         self._clock = clock
         self._next_status = clock()
         self._status: Mapping[str, Any] | None = None
         self._frames: CorrectedFrames | None = None
+        self._raw: RawSamples | None = None
         self._link: Link | None = None
         self._reported = ""
 
@@ -74,15 +80,25 @@ class DaemonSource:
             self._ask()
         while (left := end - self._clock()) > 0.0:
             self._listen(left)
-        means = {} if self._frames is None else self._frames.means(self._clock())
-        return Reading(time.time(), self._status, is_new, means)
+        frames, raw, now = self._frames, self._raw, self._clock()
+        return Reading(
+            time.time(),
+            self._status,
+            is_new,
+            {} if frames is None else frames.means(now),
+            {} if raw is None else raw.means(now),
+            None if frames is None else frames.attitude(now),
+        )
 
     def _listen(self, seconds: float) -> None:
         if self._link is None or self._frames is None:
             time.sleep(seconds)
             return
         for _, can_id, data in self._link.receive(seconds):
-            self._frames.take(self._clock(), can_id, data)
+            now = self._clock()
+            self._frames.take(now, can_id, data)
+            if self._raw is not None:
+                self._raw.take(now, can_id, data)
 
     def _ask(self) -> None:
         try:
@@ -104,7 +120,11 @@ class DaemonSource:
         try:
             loaded = load_config(self._config or Path(status["config"]))
             frames = CorrectedFrames(loaded.config, self._accepted)
-            self._link = _opened(loaded, frames, str(link["interface"]), str(link["channel"]))
+            matches = frames.matches
+            if self._wants_raw:
+                self._raw = RawSamples(loaded)
+                matches += self._raw.matches
+            self._link = _opened(loaded, matches, str(link["interface"]), str(link["channel"]))
         except ImucaldError as error:
             self._wants_frames = False
             self._say(f"{error}; only the status is handed on (--config names the file)")
@@ -123,12 +143,12 @@ class DaemonSource:
             self._link.close()
 
 
-def _opened(loaded: LoadedConfig, frames: CorrectedFrames, interface: str, channel: str) -> Link:
+def _opened(loaded: LoadedConfig, matches: list[IdMatch], interface: str, channel: str) -> Link:
     bus = loaded.config.bus
     return Link(
         interface,
         channel,
-        receive=frames.matches,
+        receive=matches,
         fd=bus.fd,
         bitrate=bus.bitrate,
         options=bus.options,

@@ -12,8 +12,7 @@ from imucald.core.encodable import json_text
 from imucald.core.errors import ConfigError
 from imucald.feeds.daemon_source import Reading, Say
 from imucald.feeds.feed_loop import LONGEST_PAUSE_S
-from imucald.mount.mount_words import SD_95
-from imucald.runtime.alarms import present_alarms
+from imucald.feeds.status_content import QUALITIES, status_content
 
 PASSWORD = "IMUCALD_MQTT_PASSWORD"
 """Environment variable; a password does not belong on a command line."""
@@ -22,7 +21,6 @@ KEEPALIVE_S = 10
 PACKET_MAX = 1 << 16
 """Longest packet taken from a broker [bytes]: only acknowledgements are asked for."""
 UNITS = {"acceleration": "m/s2", "angular_rate": "deg/s"}
-QUALITIES = ("not_available", "restored", "usable", "fine", "suspect")
 
 
 @dataclass(frozen=True)
@@ -123,35 +121,6 @@ class MqttReceiver:
         if text != self._reported:
             self._reported = text
             self._say(f"{self._broker} {text}; trying again")
-
-
-def status_content(reading: Reading) -> dict[str, Any]:
-    """What the topic `status` carries."""
-    status = reading.status
-    if status is None:
-        return {"at": round(reading.at, 3), "running": False}
-    mount = status["mount"]
-    return {
-        "at": round(reading.at, 3),
-        "running": True,
-        "state": status["state"],
-        "quality": QUALITIES[status["quality"]],
-        "held": bool(status.get("held")),
-        "mount": {
-            **{f"{a}_deg": mount[f"{a}_deg"] for a in ("roll", "pitch", "yaw")},
-            "plus_minus_deg": _halves(mount["std_deg"]),
-            "angle_plus_minus_deg": _halves(mount.get("angle_std_deg", {})),
-            "quaternion_wxyz": mount["quaternion_wxyz"],
-            "sits": mount["sits"],
-        },
-        "waiting_for": status["waiting_for"],
-        "alarms": list(present_alarms(status)),
-        "bus": status["link"]["state"],
-    }
-
-
-def _halves(std: Mapping[str, float | None]) -> dict[str, float | None]:
-    return {name: None if s is None else SD_95 * s for name, s in std.items()}
 
 
 def corrected_content(

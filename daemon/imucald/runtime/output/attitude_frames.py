@@ -24,7 +24,7 @@ HEADING_LSB = 0.01
 
 
 class AttitudeFrames:
-    """Encodes attitude estimates for one configuration."""
+    """Encodes attitude estimates for one configuration. angles: roll, pitch, heading, state."""
 
     def __init__(self, config: Config) -> None:
         ids, checksum = config.output.ids, config.output.checksum
@@ -33,7 +33,7 @@ class AttitudeFrames:
             return OutputMessage(name, (*signals, "State"), can_id, checksum, signals)
 
         low, high = NOT_AVAILABLE_SIGNED, NOT_AVAILABLE_UNSIGNED
-        self._angles = message(
+        self.angles = message(
             "IMUCALD_Attitude", ids.attitude, {"Roll": low, "Pitch": low, "Heading": high}
         )
         self._deviation = message(
@@ -58,7 +58,7 @@ class AttitudeFrames:
     def messages(self) -> list[OutputMessage]:
         """Every message that is sent."""
         free = [] if self._free is None else [self._free]
-        return [self._angles, self._deviation, self._rates, self._grade, *free]
+        return [self.angles, self._deviation, self._rates, self._grade, *free]
 
     def frames(self, estimate: AttitudeEstimate | None) -> list[OutFrame]:
         """The frames; None: nothing is known. Angles are there from *settling* on."""

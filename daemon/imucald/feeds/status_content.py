@@ -1,0 +1,41 @@
+"""What a feed hands on of the daemon's status, as plain data."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from imucald.feeds.daemon_source import Reading
+from imucald.mount.mount_words import SD_95
+from imucald.runtime.alarms import present_alarms
+
+QUALITIES = ("not_available", "restored", "usable", "fine", "suspect")
+
+
+def status_content(reading: Reading) -> dict[str, Any]:
+    """State, mount with its ± (95 %), what is waited for; without a daemon `running` false."""
+    status = reading.status
+    if status is None:
+        return {"at": round(reading.at, 3), "running": False}
+    mount = status["mount"]
+    return {
+        "at": round(reading.at, 3),
+        "running": True,
+        "state": status["state"],
+        "quality": QUALITIES[status["quality"]],
+        "held": bool(status.get("held")),
+        "mount": {
+            **{f"{a}_deg": mount[f"{a}_deg"] for a in ("roll", "pitch", "yaw")},
+            "plus_minus_deg": _halves(mount["std_deg"]),
+            "angle_plus_minus_deg": _halves(mount.get("angle_std_deg", {})),
+            "quaternion_wxyz": mount["quaternion_wxyz"],
+            "sits": mount["sits"],
+        },
+        "waiting_for": status["waiting_for"],
+        "alarms": list(present_alarms(status)),
+        "bus": status["link"]["state"],
+    }
+
+
+def _halves(std: Mapping[str, float | None]) -> dict[str, float | None]:
+    return {name: None if s is None else SD_95 * s for name, s in std.items()}
