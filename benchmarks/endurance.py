@@ -21,7 +21,7 @@ import numpy as np
 
 from imucald.can.columns import FrameColumns, concatenate
 from imucald.runtime.session import make_engine, open_config
-from imucald.service.figures import process_figures
+from imucald.service.running_status import process_figures
 from imucald.service.service import Service
 from imucald.service.service_options import ServiceOptions
 from imucald.simulation import random_model, simulate

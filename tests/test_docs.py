@@ -19,9 +19,8 @@ from imucald.config import Config, json_schema, load_config, parse_config
 from imucald.config.base import Settings
 from imucald.config_check import Check
 from imucald.core.errors import ConfigError
-from imucald.core.locations import Document
 from imucald.core.samples import GRAVITY
-from imucald.core.typed import typed
+from imucald.core.typed import Document, typed
 from imucald.core.yaml_lines import read_yaml
 from imucald.fleet.fleet_file import FleetSettings
 from imucald.inputs.wiring import compile_router

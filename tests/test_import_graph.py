@@ -7,6 +7,7 @@ to be put right stands in `KNOWN`; a test fails as soon as one of these entries 
 from __future__ import annotations
 
 import ast
+import os
 import subprocess
 import sys
 from collections import deque
@@ -15,6 +16,7 @@ from functools import cache
 from pathlib import Path
 
 import imucald
+from simulated_bus import CONFIG
 
 PACKAGE = Path(imucald.__file__).parent
 NAME = PACKAGE.name
@@ -47,6 +49,18 @@ NEVER = {
     "uds": {"runtime", "service"},
 }
 """Rooms that never reach these rooms, directly or through others."""
+
+WORKBENCH = {
+    "api", "config_check", "diagnosis", "discovery", "fleet", "report", "simulation", "traffic",
+}  # fmt: skip
+"""The wing that no car needs; `commands` leads into both wings."""
+VEHICLE = {
+    "attitude", "can", "config", "core", "drive", "feeds", "inputs", "model", "model_compensation",
+    "motion", "mount", "runtime", "service", "travel_direction", "uds",
+}  # fmt: skip
+"""The wing that runs in a car."""
+MOST_MODULES = 215
+"""Modules of the package in a daemon that has started again (its databases are kept)."""
 
 DIAGNOSIS_ROOMS: Mapping[str, set[str]] = {
     "equations": set(),
@@ -81,6 +95,7 @@ LAZY_MODULES: Mapping[str, str] = {
     "api.table_access.to_pandas: api.interchange": "with it",
     "api.table_access.to_polars: api.interchange": "with it",
     "cli.__call__: core.compiled": "loads numpy: only `--version` asks",
+    "can.dbc.database._parsed: can.dbc.bounded_parser": "a kept database needs no parser",
     "can.link.port.open_port: can.link.adapter": "python-can: SocketCAN does without",
     "can.logs.python_can_logs._open: can.python_can": "python-can: candump does without",
     "config.root.json_schema: config.schema": "only `imucald schema` needs it",
@@ -93,6 +108,7 @@ LAZY_MODULES: Mapping[str, str] = {
     "report.replay_page.replay_page: report.replay_plots": "loads matplotlib",
     "runtime.estimators.estimator_for: mount.restored": "1 ms: few state a mount",
     "runtime.estimators.known_mount: mount.restored": "with it",
+    "runtime.estimators.learning_estimator: mount.estimator": "9 modules: few use it",
     "runtime.estimators.learning_estimator: mount.joint.estimator": "3 ms: few use it",
     "runtime.estimators.learning_estimator: mount.method_a.estimator": "4 ms, 0.4 MiB: few use it",
     "runtime.output.output_frames._attitude_frames: runtime.output.attitude_frames": "1 ms",
@@ -227,6 +243,43 @@ def test_rooms_reach_only_the_rooms_they_may():
         for way in way_into(name, NEVER.get(room(name), set())):
             found.add(f"{room(name)}: {way[-2]} -> {way[-1]}")
     hold("room", found, "an import leaves its room in a direction that is not allowed:")
+
+
+def test_what_runs_in_a_car_imports_nothing_of_the_workbench():
+    rooms = {room(name) for name in modules() if "." in name} - {"commands"}
+    assert rooms == VEHICLE | WORKBENCH, "name the wing of a new room"
+    found = {
+        f"{name} -> {to}"
+        for name, targets in arrows().items()
+        for to in targets
+        if room(name) in VEHICLE and room(to) in WORKBENCH
+    }
+    hold("room", found, "what runs in a car imports a part of the workbench:")
+
+
+def test_the_daemon_loads_the_wing_of_the_car_only(tmp_path):
+    code = (
+        "import sys\n"
+        "from imucald.cli import main\n"
+        "status = main(sys.argv[1:])\n"
+        f"print(status, *(m for m in sys.modules if m.split('.')[0] in ('{NAME}', 'scipy')))"
+    )
+    options = ["--seconds", "0.1", "--interface", "virtual", "--channel", "wings", "--quiet"]
+    options += ["--config", str(CONFIG), "--status-socket", str(tmp_path / "status")]
+    options += ["--state-dir", str(tmp_path)]
+    environment = os.environ | {"CACHE_DIRECTORY": str(tmp_path / "cache")}
+    for _ in "first", "again":
+        process = subprocess.run(
+            [sys.executable, "-c", code, "run", *options],
+            capture_output=True, text=True, check=False, env=environment,
+        )  # fmt: skip
+        assert process.returncode == 0, process.stderr
+    status, *loaded = process.stdout.splitlines()[-1].split()
+    rooms = {name.split(".")[1] for name in loaded if name.startswith(f"{NAME}.")}
+    assert status == "0"
+    assert not rooms & WORKBENCH
+    assert not [name for name in loaded if name.startswith("scipy")]
+    assert len(loaded) <= MOST_MODULES, f"{len(loaded)} modules"
 
 
 def test_rooms_of_the_diagnosis_call_one_way():

@@ -23,7 +23,7 @@ from typing import Any
 from imucald import __version__
 from imucald.commands.interrupting import ending_signal, interrupt, terminate
 from imucald.core.errors import ImucaldError
-from imucald.core.outside_text import SafeStream
+from imucald.core.text import SafeStream
 
 PROCESS_SETTINGS = {
     "OPENBLAS_NUM_THREADS": "1",  # matrices are small: threads cost more time than they save

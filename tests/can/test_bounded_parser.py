@@ -22,10 +22,10 @@ COMMENT = 'CM_ BO_ 16 "{}";\n'
 PROBE = """
 import resource, sys
 from pathlib import Path
-from imucald.can.dbc import bounded_parser
+from imucald.can.dbc import bounded_parser, database
 from imucald.can.dbc.database import load_database
 from imucald.core.errors import DatabaseError
-bounded_parser.allowed_memory = lambda: int(sys.argv[2])
+bounded_parser.allowed_memory = database.allowed_memory = lambda: int(sys.argv[2])
 try:
     print("read", len(load_database([Path(sys.argv[1])]).messages))
 except DatabaseError as error:
@@ -170,7 +170,7 @@ def test_a_file_larger_than_memory_could_hold_is_refused_unread(tmp_path, monkey
     path = tmp_path / "long.arxml"
     with path.open("wb") as file:
         file.truncate(40 * 2**20)
-    monkeypatch.setattr(bounded_parser, "allowed_memory", lambda: UNIT_MEMORY)
+    monkeypatch.setattr(database, "allowed_memory", lambda: UNIT_MEMORY)
     assert database.max_file_bytes() == 32 * 2**20
     with pytest.raises(DatabaseError, match="larger than 32 MiB"):
         load_database([path])

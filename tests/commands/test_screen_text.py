@@ -14,7 +14,7 @@ import pytest
 from imucald import cli
 from imucald.commands.check_view import print_report
 from imucald.commands.terminal import screen_console
-from imucald.core.outside_text import SafeStream, made_safe
+from imucald.core.text import SafeStream, made_safe
 from imucald.service.journal import Journal
 from paths import ROOT
 

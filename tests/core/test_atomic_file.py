@@ -9,13 +9,13 @@ from pathlib import Path
 
 import pytest
 
-from imucald.core.atomic_file import (
+from imucald.core.files import (
     free_name,
+    read_regular,
     split_checksum,
     with_checksum,
     write_file,
 )
-from imucald.core.regular_file import read_regular
 
 
 def test_a_written_file_is_read_back_and_leaves_nothing_beside_it(tmp_path):

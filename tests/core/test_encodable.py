@@ -10,8 +10,8 @@ import yaml
 from hypothesis import given
 from hypothesis import strategies as st
 
-from imucald.core.encodable import encodable, json_text
 from imucald.core.errors import ConfigError
+from imucald.core.text import encodable, json_text
 from imucald.core.yaml_parser import parse_yaml
 
 ANY_TEXT = st.text(st.characters(codec=None, exclude_categories=()))

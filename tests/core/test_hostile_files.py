@@ -13,7 +13,7 @@ import pytest
 
 from imucald.config import load_config
 from imucald.core.errors import ConfigError, DatabaseError
-from imucald.core.regular_file import read_regular
+from imucald.core.files import read_regular
 from imucald.core.yaml_parser import parse_yaml
 from imucald.inputs.wiring import compile_router
 

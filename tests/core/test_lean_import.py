@@ -8,7 +8,7 @@ from types import ModuleType
 
 import pytest
 
-from imucald.core.partial_import import standing_in
+from imucald.core.libraries import standing_in
 
 
 def test_a_module_is_absent_in_the_body_and_there_afterwards(monkeypatch):

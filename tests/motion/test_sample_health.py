@@ -10,10 +10,9 @@ import numpy as np
 import pytest
 
 from imucald.core.samples import GRAVITY, Series
-from imucald.motion.faults_in_force import SOUND_S
 from imucald.motion.sample_health import SampleHealth
 from imucald.motion.sensor_judges import USUAL_HOPS, Runs
-from imucald.motion.signal_health import SignalFault
+from imucald.motion.signal_health import SOUND_S, SignalFault
 
 HZ = 100.0
 ACCEL_STEP, GYRO_STEP = 0.002, math.radians(0.01)

@@ -13,7 +13,7 @@ from imucald.mount.angle_deviations import angle_deviations
 from imucald.mount.estimate import MountEstimate, MountState
 from imucald.mount.mount_words import angle_text
 from imucald.runtime.summary import mount_dict
-from imucald.service.figures import status_line
+from imucald.service.running_status import status_line
 
 DEG = math.radians(1.0)
 STD = np.array([1.0, 0.3, 0.5])

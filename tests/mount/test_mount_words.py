@@ -25,7 +25,7 @@ from imucald.mount.mount_words import (
 )
 from imucald.mount.waiting_reasons import mount_troubles
 from imucald.runtime.summary import mount_dict
-from imucald.service.figures import status_line
+from imucald.service.running_status import status_line
 
 DEG = math.radians(1.0)
 

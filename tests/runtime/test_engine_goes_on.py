@@ -19,7 +19,7 @@ from engine_bus import (
     frames_of,
     load,
 )
-from imucald.motion.faults_in_force import SOUND_S
+from imucald.motion.signal_health import SOUND_S
 from imucald.runtime.engine import Engine
 
 GYROSCOPE = (

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from imucald.can.link.link import Frame
-from imucald.service.backlog import Backlog
+from imucald.service.live import Backlog
 
 MAX_AGE = 0.1
 STEP = 0.01

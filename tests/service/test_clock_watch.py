@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 import shuttle
-from imucald.service.clock_watch import ClockWatch
+from imucald.service.live import ClockWatch
 from imucald.service.service import Service
 from imucald.service.service_options import ServiceOptions
 

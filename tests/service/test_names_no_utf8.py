@@ -13,8 +13,8 @@ from pathlib import Path
 import pytest
 from prometheus_client.parser import text_string_to_metric_families
 
-from imucald.core.encodable import encodable
 from imucald.core.errors import LinkError
+from imucald.core.text import encodable
 from imucald.service.asking import ask
 from imucald.service.exposition import gathered
 from imucald.service.journal import Journal

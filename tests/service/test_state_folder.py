@@ -18,8 +18,8 @@ import pytest
 import shuttle
 from feed_bench import wait_until
 from imucald.core import atomic_file
-from imucald.core.atomic_file import free_name, write_file
 from imucald.core.errors import ImucaldError
+from imucald.core.files import free_name, write_file
 from imucald.service.calibration_store import CalibrationStore
 from imucald.service.folder_lock import FolderInUseError, FolderLock
 from imucald.service.service import Service

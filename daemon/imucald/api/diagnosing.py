@@ -15,9 +15,8 @@ from imucald.api.html import html_table
 from imucald.api.logs import pieces
 from imucald.api.run import Progress
 from imucald.can.logs.first_frames import same_recording
-from imucald.core.clock_words import duration
-from imucald.core.counts import counted
 from imucald.core.errors import ConfigError, EstimateError, ImucaldError
+from imucald.core.text import counted, duration
 from imucald.diagnosis.baseline import baseline_model
 from imucald.diagnosis.diagnose import diagnose as diagnosed
 from imucald.diagnosis.recording import Recording, is_same_recording, read_samples

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 from imucald.api.drive import DriveResult
 from imucald.api.html import html_table
 from imucald.api.interchange import library
-from imucald.core.counts import counted
+from imucald.core.text import counted
 from imucald.mount.mount_words import CONVENTION, angle_text
 
 if TYPE_CHECKING:

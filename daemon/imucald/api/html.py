@@ -7,7 +7,7 @@ from html import escape
 from typing import Any
 
 from imucald.api.mount import MountResult
-from imucald.core.clock_words import clock
+from imucald.core.text import clock
 from imucald.mount.mount_words import CONVENTION, angle_text
 
 

@@ -13,7 +13,7 @@ import numpy as np
 
 from imucald.api.columns import Columns, TableColumn, columns_from
 from imucald.core.errors import ImucaldError
-from imucald.core.extras import how_to_install
+from imucald.core.libraries import how_to_install
 
 if TYPE_CHECKING:
     import pandas as pd

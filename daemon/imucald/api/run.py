@@ -25,8 +25,8 @@ from imucald.api.logs import LogSource, opened
 from imucald.api.mount import MountResult
 from imucald.api.recorder import Recorder, microseconds
 from imucald.can.logs.log_reader import LogReader
-from imucald.core.counts import counted
 from imucald.core.errors import NoFramesError
+from imucald.core.text import counted
 from imucald.runtime.engine import Engine
 from imucald.runtime.pipeline import Snapshot
 from imucald.runtime.replay import Replay, Sink

@@ -16,7 +16,7 @@ from imucald.api.run import Progress, refuse_empty
 from imucald.api.table_access import NamedTables
 from imucald.can.logs.log_reader import LogReader
 from imucald.config import LoadedConfig
-from imucald.core.counts import counted
+from imucald.core.text import counted
 from imucald.inputs.router import Router
 from imucald.inputs.wiring import compile_router
 from imucald.runtime.consumer import events_of

@@ -9,7 +9,7 @@ from __future__ import annotations
 import importlib
 from typing import Any
 
-from imucald.core.partial_import import standing_in
+from imucald.core.libraries import standing_in
 
 with standing_in("asammdf", None):
     import can

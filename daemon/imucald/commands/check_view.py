@@ -9,8 +9,7 @@ from rich.table import Table
 from rich.text import Text
 
 from imucald.commands.terminal import plain_console
-from imucald.core.counts import counted
-from imucald.core.outside_text import one_line
+from imucald.core.text import counted, one_line
 
 WIDE = 130
 """Columns from which long names stay on one line: below, they are broken at their dot."""

@@ -14,8 +14,8 @@ from rich.text import Text
 
 from imucald.commands.demo_drive import Demonstration, angles_beside
 from imucald.core.angles import DEG_PER_RAD
-from imucald.core.clock_words import clock
 from imucald.core.rotations import angles_from_rotation
+from imucald.core.text import clock
 from imucald.mount.estimate import ANGLES, MountState
 from imucald.mount.mount_words import (
     SD_95,

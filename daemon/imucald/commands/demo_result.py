@@ -16,8 +16,8 @@ from imucald.commands.demo_picture import Picture, degrees, interval
 from imucald.commands.files import with_origin
 from imucald.commands.terminal import plain_console
 from imucald.core.angles import DEG_PER_RAD
-from imucald.core.clock_words import clock
 from imucald.core.errors import ImucaldError
+from imucald.core.text import clock
 from imucald.mount.mount_words import (
     CONVENTION,
     how_it_sits,

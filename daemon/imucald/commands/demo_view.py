@@ -13,7 +13,7 @@ from imucald.commands.demo_drive import Angle, Demonstration, angles_beside
 from imucald.commands.demo_picture import Picture
 from imucald.commands.terminal import plain_console
 from imucald.core.angles import DEG_PER_RAD
-from imucald.core.clock_words import clock
+from imucald.core.text import clock
 from imucald.mount.estimate import ANGLES
 from imucald.mount.mount_words import (
     plus_minus,

@@ -8,7 +8,7 @@ from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
 from imucald.commands.terminal import plain_console, plain_where_needed, screen_console
-from imucald.core.counts import counted
+from imucald.core.text import counted
 from imucald.report import numbers, titles
 from imucald.report import wording as words
 from imucald.report.model_changes import model_changes, value_text

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 from imucald.commands.options import positive
 from imucald.core.errors import ImucaldError
-from imucald.core.extras import how_to_install
+from imucald.core.libraries import how_to_install
 
 if TYPE_CHECKING:
     from imucald.feeds.feed_loop import Receiver

@@ -8,7 +8,7 @@ import importlib.util
 from pathlib import Path
 
 from imucald.core.errors import ImucaldError
-from imucald.core.extras import how_to_install
+from imucald.core.libraries import how_to_install
 
 LIBRARIES = ("pyarrow", "fsspec")
 ACTIONS = {

@@ -6,8 +6,8 @@ import argparse
 import time
 from typing import TYPE_CHECKING
 
-from imucald.core.counts import counted
 from imucald.core.errors import ImucaldError
+from imucald.core.text import counted
 
 if TYPE_CHECKING:
     from imucald.fleet.store import Store

@@ -14,9 +14,9 @@ from types import FrameType
 from typing import TYPE_CHECKING
 
 from imucald.commands.interrupting import interrupt
-from imucald.core.counts import counted
 from imucald.core.errors import ConfigError, ImucaldError
-from imucald.core.extras import how_to_install
+from imucald.core.libraries import how_to_install
+from imucald.core.text import counted
 
 if TYPE_CHECKING:
     from imucald.fleet.driver import Counts, FleetRun

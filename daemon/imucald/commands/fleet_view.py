@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 from imucald.commands.terminal import plain_console, plain_where_needed
-from imucald.core.counts import counted
+from imucald.core.text import counted
 from imucald.fleet.analysis.remounts import why_not_known
 from imucald.fleet.reading import present_mounts
 from imucald.mount.estimate import ANGLES

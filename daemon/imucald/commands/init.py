@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from imucald.commands.options import LOG_HELP, positive, print_problems, refuse_log_and_bus
-from imucald.core.counts import counted
+from imucald.core.text import counted
 
 if TYPE_CHECKING:
     from imucald.can.dbc.database import Database

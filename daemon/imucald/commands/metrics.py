@@ -83,8 +83,8 @@ def serve(listening: socket.socket, text: Callable[[], str]) -> None:
 
 def _write(path: Path, text: str) -> None:
     """Replace a regular file or make one; raises ImucaldError, and leaves all else as it is."""
-    from imucald.core.atomic_file import write_file
     from imucald.core.errors import ImucaldError
+    from imucald.core.files import write_file
 
     try:
         if not _may_replace(path):

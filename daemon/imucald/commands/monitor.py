@@ -11,7 +11,7 @@ from pathlib import Path
 
 from imucald.commands.options import positive
 from imucald.commands.status import add_socket_argument, asked, find_socket
-from imucald.core.extras import how_to_install
+from imucald.core.libraries import how_to_install
 
 PERIOD_S = 0.5
 """The picture is made anew so often [s]."""

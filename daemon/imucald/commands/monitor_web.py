@@ -27,7 +27,7 @@ from imucald.commands.live_events import LiveEvents
 from imucald.commands.monitor_view import input_health
 from imucald.core.angles import DEG_PER_RAD
 from imucald.core.errors import ImucaldError, LinkError
-from imucald.core.extras import how_to_install
+from imucald.core.libraries import how_to_install
 from imucald.core.rotations import Matrix3, rows_from_quaternion, vector_from_rotation
 from imucald.mount.estimate import ANGLES
 from imucald.mount.mount_words import (

@@ -58,8 +58,7 @@ def give(options: argparse.Namespace, order: str, **more: Any) -> int:
 
 def _given(status_socket: Path, request: Mapping[str, Any], is_named: bool) -> int:
     from imucald.commands.status import BUSY
-    from imucald.service.asking import BusyError, ask
-    from imucald.service.control_path import control_socket
+    from imucald.service.asking import BusyError, ask, control_socket
 
     path = control_socket(status_socket)
     if path.exists() and not os.access(path, os.R_OK | os.W_OK):

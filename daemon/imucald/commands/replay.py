@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from imucald.commands.options import LOG_HELP, add_config, configuration, print_problems
-from imucald.core.extras import how_to_install
+from imucald.core.libraries import how_to_install
 
 if TYPE_CHECKING:
     from imucald.api.configuration import Configuration

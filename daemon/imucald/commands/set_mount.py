@@ -37,8 +37,7 @@ def run(options: argparse.Namespace) -> int:
     """Give the order."""
     from imucald.config.calibration import KnownMount
     from imucald.core.errors import ImucaldError
-    from imucald.core.locations import Document
-    from imucald.core.typed import typed
+    from imucald.core.typed import Document, typed
     from imucald.mount.mount_words import SD_95
 
     name, text = ("--std", options.std) if options.within is None else ("--within", options.within)

@@ -121,7 +121,7 @@ def answer_of(options: argparse.Namespace, request: str) -> str | NoAnswer:
 
 def running_sockets(channel: str | None = None) -> list[Path]:
     """Status sockets of this machine's daemons, of those of a channel where one is named."""
-    from imucald.core.encodable import encodable
+    from imucald.core.text import encodable
     from imucald.service.status import RUNNING
 
     found = [*RUNNING.glob("*/status.sock")]

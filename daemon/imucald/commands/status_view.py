@@ -11,8 +11,7 @@ from rich.table import Table
 from rich.text import Text
 
 from imucald.commands.mount_view import mount_parts
-from imucald.core.clock_words import clock
-from imucald.core.counts import counted
+from imucald.core.text import clock, counted
 from imucald.mount.hysteresis import BAD
 from imucald.mount.mount_words import (
     EVIDENCE_KINDS,

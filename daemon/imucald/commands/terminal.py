@@ -9,9 +9,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from typing import IO, TYPE_CHECKING, Any, TextIO, cast
 
-from imucald.core.clock_words import clock
-from imucald.core.counts import counted
-from imucald.core.outside_text import made_safe, stream_behind
+from imucald.core.text import clock, counted, made_safe, stream_behind
 
 if TYPE_CHECKING:
     from rich.console import Console

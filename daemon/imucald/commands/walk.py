@@ -8,7 +8,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from imucald.commands.options import add_config, configuration, print_problems
-from imucald.core.counts import counted
+from imucald.core.text import counted
 
 SHOWN = 20
 """Lines of the table: steps are left out until it fits a page."""

@@ -18,15 +18,13 @@ from imucald.config.network import (
     DatabaseSettings,
     MessageProtection,
     Output,
+    Uds,
 )
-from imucald.config.shorthand import spelled_out
-from imucald.config.signals import Signals
-from imucald.config.uds import Uds
+from imucald.config.signals import Signals, spelled_out
 from imucald.config.vehicle import ModelFile, VehicleSettings
 from imucald.config.without_effect import idle_keys, impossible
 from imucald.core.errors import ConfigError
-from imucald.core.locations import Document, Marks, Place
-from imucald.core.typed import typed
+from imucald.core.typed import Document, Marks, Place, typed
 from imucald.core.yaml_lines import read_yaml, read_yaml_file
 
 _WHOLE = "configuration"

@@ -16,7 +16,7 @@ from typing import Any
 import msgspec
 from msgspec import Struct
 
-from imucald.config.shorthand import ONE_OF_LIST, SHORT_TEXTS
+from imucald.config.signals import ONE_OF_LIST, SHORT_TEXTS
 
 DRAFT = "http://json-schema.org/draft-07/schema#"
 REFERENCE = "#/definitions/"

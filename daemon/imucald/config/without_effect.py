@@ -11,7 +11,7 @@ from typing import Protocol
 from imucald.config.attitude import AttitudeSettings, TravelDirectionSettings
 from imucald.config.calibration import CalibrationSettings
 from imucald.config.signals import Signals
-from imucald.core.locations import Place
+from imucald.core.typed import Place
 
 Rule = tuple[tuple[str, ...], bool, str]
 """Key (dotted path in parts), whether it is idle, why."""

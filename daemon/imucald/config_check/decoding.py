@@ -14,7 +14,7 @@ from imucald.config import LoadedConfig
 from imucald.config_check.finding import Finding, cut_frames
 from imucald.config_check.source import QuantitySource, configured_name, id_text, stated_cycle
 from imucald.config_check.statistics import Probe
-from imucald.core.clock_words import clock
+from imucald.core.text import clock
 from imucald.inputs.router import OF_SENSOR
 from imucald.inputs.routes import MessageRoute
 from imucald.mount.signal_blocks import ACCEL_GAP, SPEED_GAP

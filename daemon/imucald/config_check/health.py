@@ -12,9 +12,8 @@ from imucald.config import Config
 from imucald.config_check.finding import Finding
 from imucald.config_check.source import configured_name
 from imucald.core.samples import Samples
-from imucald.motion.faults_in_force import FaultEvent
 from imucald.motion.sample_health import SampleHealth
-from imucald.motion.signal_health import SignalFault
+from imucald.motion.signal_health import FaultEvent, SignalFault
 from imucald.motion.ticks import TickRow, tick_index
 from imucald.mount.estimate import MountEstimate, MountState
 from imucald.mount.estimate_details import left_out_details

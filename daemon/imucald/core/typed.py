@@ -1,14 +1,33 @@
-"""Data of a YAML file -> a typed structure. Every mistake is one line: file, line, key, remedy."""
+"""Data of a YAML file -> a typed structure. Every mistake is one line: file, line, key, remedy.
+
+msgspec stops at the first mistake. Here the data are gone through field by field, each checked by
+msgspec alone, so that all mistakes are reported at once, each at its place.
+"""
 
 from __future__ import annotations
 
-from typing import Any, TypeVar
+import math
+import re
+from collections.abc import Iterator
+from functools import cache
+from types import NoneType, UnionType
+from typing import (
+    Annotated,
+    Any,
+    Literal,
+    NamedTuple,
+    TypeVar,
+    Union,
+    get_args,
+    get_origin,
+    get_type_hints,
+)
 
 import msgspec
+import msgspec.structs
+from msgspec import Struct
 
 from imucald.core.errors import ConfigError
-from imucald.core.explain import explain
-from imucald.core.locations import Document, Place, infinite_places
 
 T = TypeVar("T")
 
@@ -40,3 +59,205 @@ def typed(
         lines = list(explain(data, full, kind, document, at))
         lines = lines or [f"{document.located(at)}: {error}"]
         raise ConfigError("\n".join(lines)) from None
+
+
+Place = tuple[str | int, ...]
+Marks = dict[Place, int]
+"""Line (from 1) of every key and item."""
+
+
+def infinite_places(data: Any, place: Place = ()) -> Iterator[Place]:
+    """Where numbers are infinite or none at all, which no key may be."""
+    if isinstance(data, float) and not math.isfinite(data):
+        yield place
+    elif isinstance(data, dict | list):
+        for key, value in data.items() if isinstance(data, dict) else enumerate(data):
+            yield from infinite_places(value, (*place, key))
+
+
+def line_of(marks: Marks, place: Place) -> int:
+    """Line of a key, or of the nearest one around it."""
+    while place and place not in marks:
+        place = place[:-1]
+    return marks.get(place, 1)
+
+
+def dotted(place: Place) -> str:
+    """Name of a key with all that it stands in; empty for the whole file."""
+    text = ""
+    for part in place:
+        text += f"[{part}]" if isinstance(part, int) else f".{part}" if text else str(part)
+    return text
+
+
+class Document(NamedTuple):
+    """What data were read from: the file's name, and the lines that its keys stand in.
+
+    marks: empty where the data come from no text; then there is no line. whole: what the file is
+    called where no key is to blame.
+    """
+
+    name: str
+    marks: Marks
+    whole: str = "configuration"
+
+    def located(self, place: Place) -> str:
+        """File, line and key, as every mistake in a YAML file begins."""
+        where = f"{self.name}:{line_of(self.marks, place)}" if self.marks else self.name
+        return f"{where}: {dotted(place) or self.whole}"
+
+
+_NAMES = {
+    "float": "a number",
+    "int": "a whole number",
+    "str": "a text",
+    "bool": "true or false",
+    "null": "nothing",
+    "array": "a list",
+    "object": "a mapping",
+}
+_BOUNDS = {">": "greater than", ">=": "at least", "<": "less than", "<=": "at most"}
+
+SHOWN_KEYS = 4
+"""Keys of a mapping that a message names."""
+
+Mistake = tuple[Place, str]
+
+
+@cache
+def _fields(model: type[Struct]) -> tuple[msgspec.structs.FieldInfo, ...]:
+    """The fields of a struct; to find them, msgspec compiles each annotation again."""
+    return msgspec.structs.fields(model)
+
+
+def explain(data: Any, full: Any, kind: Any, document: Document, at: Place = ()) -> Iterator[str]:
+    """One line for each mistake: file, line, key, reason, remedy.
+
+    full: the data as checked, with all short forms spelled out; data: as they were written.
+    kind: the type that they shall have. at: the key that they stand at.
+    """
+    reported: set[Mistake] = set()
+    for long_place, reason in _mistakes(full, kind, ()):
+        place = (*at, *_real_place(long_place, data))
+        if (place, reason) not in reported:
+            reported.add((place, reason))
+            yield f"{document.located(place)}: {reason}"
+
+
+def _real_place(long_place: Place, data: Any) -> Place:
+    """Drop what spelling out added to the path (the index of a single source, its key)."""
+    place: list[str | int] = []
+    here = data
+    last = len(long_place) - 1
+    for i, part in enumerate(long_place):
+        if isinstance(here, dict) and (part in here or (i == last and isinstance(part, str))):
+            place.append(part)
+            here = here.get(part)
+        elif isinstance(here, list) and isinstance(part, int) and part < len(here):
+            place.append(part)
+            here = here[part]
+    return tuple(place)
+
+
+def _mistakes(value: Any, kind: Any, place: Place) -> Iterator[Mistake]:
+    """Mistakes of a value that shall be of a kind (a type, with constraints)."""
+    bare = _bare(kind)
+    if value is None and NoneType in get_args(bare):
+        return
+    inner = list(_inner_mistakes(value, bare, place))
+    if inner:
+        yield from inner
+        return
+    try:
+        msgspec.convert(value, kind)
+    except (ValueError, OverflowError) as error:  # msgspec.ValidationError is a ValueError
+        yield place, _reason(value, bare, str(error))
+
+
+def _inner_mistakes(value: Any, kind: Any, place: Place) -> Iterator[Mistake]:
+    """Mistakes of what a mapping or list holds."""
+    for part in map(_bare, get_args(kind) if _is_union(kind) else (kind,)):
+        arguments = get_args(part)
+        if isinstance(part, type) and issubclass(part, Struct) and isinstance(value, dict):
+            yield from _of_fields(value, part, place)
+        elif get_origin(part) is tuple and isinstance(value, list):
+            every = arguments[1:] == (...,)
+            if every or len(arguments) == len(value):
+                for index, one in enumerate(value):
+                    kind_of_one = arguments[0] if every else arguments[index]
+                    yield from _mistakes(one, kind_of_one, (*place, index))
+        elif get_origin(part) is dict and isinstance(value, dict):
+            for key, one in value.items():
+                yield from _mistakes(one, arguments[1], (*place, key))
+
+
+def _of_fields(value: dict[Any, Any], model: type[Struct], place: Place) -> Iterator[Mistake]:
+    hints = _hints(model)
+    for key, one in value.items():
+        if key in hints:
+            yield from _mistakes(one, hints[key], (*place, key))
+        else:
+            yield (*place, key), _unknown(str(key), list(hints))
+    for field in _fields(model):
+        if field.required and field.name not in value:
+            yield (*place, field.name), "is missing; it is required, add it"
+
+
+def _unknown(key: str, allowed: list[str]) -> str:
+    import difflib  # noqa: PLC0415 - for a mistake only
+
+    close = difflib.get_close_matches(key, allowed, n=1)
+    hint = f"did you mean '{close[0]}'?" if close else "allowed: " + ", ".join(sorted(allowed))
+    return f"unknown key; {hint}"
+
+
+def _reason(value: Any, kind: Any, text: str) -> str:
+    choices = _choices(kind)
+    if choices and not isinstance(value, list | dict):
+        reason = "must be one of " + ", ".join(map(repr, choices))
+    else:
+        reason = _plain(text.partition(" - at `")[0]) + _keys(value, kind)
+    is_plain = isinstance(value, str | int | float | bool) or value is None
+    return f"{reason} (here: {value!r})" if is_plain else reason
+
+
+def _keys(value: Any, kind: Any) -> str:
+    """Which keys a mapping would have, where something else stands in its place."""
+    if isinstance(value, dict) or not (isinstance(kind, type) and issubclass(kind, Struct)):
+        return ""
+    names = [field.name for field in _fields(kind)]
+    more = ", ..." if len(names) > SHOWN_KEYS else ""
+    return f"; its keys: {', '.join(names[:SHOWN_KEYS])}{more}"
+
+
+def _plain(text: str) -> str:
+    """A message of msgspec, such as "Expected `float` > 0.0", in the words of YAML."""
+
+    def named(match: re.Match[str]) -> str:
+        return " or ".join(_NAMES.get(name, name) for name in match[1].split(" | "))
+
+    text = re.sub(r"`([^`]*)`", named, text.replace("Expected ", "must be ", 1))
+    text = re.sub(r" ([<>]=?) ", lambda match: f" {_BOUNDS[match[1]]} ", text)
+    return f"{text[:1].lower()}{text[1:]}"
+
+
+def _bare(kind: Any) -> Any:
+    return get_args(kind)[0] if get_origin(kind) is Annotated else kind
+
+
+def _is_union(kind: Any) -> bool:
+    return get_origin(kind) in {Union, UnionType}
+
+
+def _choices(kind: Any) -> tuple[Any, ...]:
+    """What a literal, or a union with one, allows."""
+    if get_origin(kind) is Literal:
+        return get_args(kind)
+    parts = get_args(kind) if _is_union(kind) else ()
+    return tuple(one for part in parts for one in _choices(_bare(part)))
+
+
+@cache
+def _hints(model: type[Struct]) -> dict[str, Any]:
+    """Type of each key, constraints included."""
+    return get_type_hints(model, include_extras=True)

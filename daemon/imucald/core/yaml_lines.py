@@ -9,8 +9,8 @@ from msgspec import Struct
 
 from imucald.core import file_cache
 from imucald.core.errors import ConfigError
-from imucald.core.locations import Marks, Place
-from imucald.core.regular_file import read_regular
+from imucald.core.files import read_regular
+from imucald.core.typed import Marks, Place
 
 MAX_FILE_BYTES = 1_000_000
 """Largest accepted file: a thousand times a real one."""

@@ -7,9 +7,9 @@ from typing import Any
 
 import yaml
 
-from imucald.core.encodable import encodable
 from imucald.core.errors import ConfigError
-from imucald.core.locations import Marks, Place
+from imucald.core.text import encodable
+from imucald.core.typed import Marks, Place
 
 MAX_DEPTH = 30
 """Deepest accepted nesting."""

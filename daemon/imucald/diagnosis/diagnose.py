@@ -12,9 +12,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from imucald.core.counts import counted
 from imucald.core.errors import EstimateError
 from imucald.core.samples import Samples
+from imucald.core.text import counted
 from imucald.diagnosis import outcome
 from imucald.diagnosis.cause_keys import extended, mount_of, with_delay_rate, with_shifts
 from imucald.diagnosis.direct.direct import Rest, rest_of

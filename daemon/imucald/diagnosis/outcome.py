@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from imucald.core.counts import counted
+from imucald.core.text import counted
 from imucald.diagnosis.cause_keys import value
 from imucald.diagnosis.causes import BY_NAME, PARAMETERS
 from imucald.diagnosis.direct.direct import Rest

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from imucald.core.encodable import json_text
 from imucald.core.errors import ConfigError
+from imucald.core.text import json_text
 from imucald.feeds.daemon_source import Reading, Say
 from imucald.feeds.feed_loop import LONGEST_PAUSE_S
 from imucald.feeds.status_content import QUALITIES, status_content

@@ -12,8 +12,7 @@ import msgspec
 
 from imucald.config.base import Settings
 from imucald.core.errors import ConfigError
-from imucald.core.locations import Document
-from imucald.core.typed import typed
+from imucald.core.typed import Document, typed
 from imucald.core.yaml_lines import read_yaml_file
 from imucald.fleet.bundle import Bundle, bundle_of
 

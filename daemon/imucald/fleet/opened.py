@@ -8,8 +8,8 @@ from typing import Any
 
 import pyarrow as pa
 
-from imucald.core.counts import counted
 from imucald.core.errors import ImucaldError
+from imucald.core.text import counted
 from imucald.fleet.analysis.analyse import GROUPS
 from imucald.fleet.analysis_columns import ANALYSIS
 from imucald.fleet.columns import TABLES

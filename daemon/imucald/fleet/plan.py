@@ -7,7 +7,7 @@ from typing import Literal
 
 import msgspec
 
-from imucald.core.encodable import encodable
+from imucald.core.text import encodable
 from imucald.fleet.bundle import code_hash
 from imucald.fleet.compaction import read_tables
 from imucald.fleet.fleet_file import Fleet

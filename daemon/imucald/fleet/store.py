@@ -11,8 +11,8 @@ from typing import Any
 
 import fsspec
 
-from imucald.core.atomic_file import sync_folder
 from imucald.core.errors import ImucaldError
+from imucald.core.files import sync_folder
 from imucald.fleet.fetch import LOCAL, bare_path, file_system, protocol_of
 
 WORK = "_work"

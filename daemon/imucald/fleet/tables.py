@@ -16,8 +16,8 @@ import pyarrow as pa
 import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
-from imucald.core.encodable import encodable
 from imucald.core.errors import ImucaldError
+from imucald.core.text import encodable
 from imucald.fleet.columns import ORDER, TABLES, VERSION, Column
 from imucald.fleet.store import Store
 

@@ -15,7 +15,7 @@ from typing import Any, Protocol
 
 import msgspec
 
-from imucald.core.encodable import encodable
+from imucald.core.text import encodable
 from imucald.fleet.bundle import Bundle, unpack
 from imucald.fleet.task import Outcome, Task
 from imucald.fleet.template_client import close_templates, template_for

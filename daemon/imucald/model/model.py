@@ -14,8 +14,7 @@ import msgspec
 from msgspec import Meta
 
 from imucald.core.errors import ConfigError
-from imucald.core.locations import Document
-from imucald.core.typed import typed
+from imucald.core.typed import Document, typed
 from imucald.core.yaml_lines import read_yaml_file
 from imucald.model.leaves import Leaves
 from imucald.model.plain import plain

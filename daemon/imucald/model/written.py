@@ -13,8 +13,7 @@ from pathlib import Path
 from typing import Any, get_type_hints
 
 from imucald.core.errors import ConfigError
-from imucald.core.locations import Document, Marks
-from imucald.core.typed import typed
+from imucald.core.typed import Document, Marks, typed
 from imucald.core.yaml_lines import read_yaml_file
 from imucald.model.model import WHOLE, VehicleModel
 from imucald.model.plain import plain

@@ -19,10 +19,8 @@ from numpy.typing import NDArray
 from imucald.core.angles import DEG_PER_RAD
 from imucald.core.arrays import Array
 from imucald.core.samples import Samples, Series
-from imucald.motion.faults_in_force import EVENTS, FaultEvent, Faults, FaultsInForce
-from imucald.motion.hops import HOP_S, HOP_TICKS, Carry, HopRows, hop_rows
-from imucald.motion.lost_contact import MIN_RUN, LostContact
-from imucald.motion.rail_evidence import AxisHops
+from imucald.motion.hops import HOP_S, HOP_TICKS, Carry, HopRows, hop_rows, single_hop
+from imucald.motion.rail_evidence import MIN_RUN, AxisHops, LostContact
 from imucald.motion.rails import AxisRails
 from imucald.motion.sensor_judges import (
     FORCE_HOPS,
@@ -33,8 +31,7 @@ from imucald.motion.sensor_judges import (
     turning_wildly,
     unlike_gravity,
 )
-from imucald.motion.signal_health import SignalFault
-from imucald.motion.single_hop import single_hop
+from imucald.motion.signal_health import EVENTS, FaultEvent, Faults, FaultsInForce, SignalFault
 from imucald.motion.standstill import ROLLING_SPEED
 from imucald.motion.ticks import TICK_RATE
 

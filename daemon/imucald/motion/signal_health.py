@@ -5,16 +5,19 @@ and, where an axis can fail alone, by axis; who learns takes the ticks of all of
 who reports reads `found`. What each fault means stands where its
 limits are: `physical_limits`, `stuck`.
 Every reason is counted. A tick that is flagged is left out; what is known stays.
+`FaultsInForce` says how long a fault that was seen is believed.
 """
 
 from __future__ import annotations
 
 import enum
 import math
-from collections import Counter
+from collections import Counter, deque
 from collections.abc import Collection, Mapping
+from typing import Any
 
 import numpy as np
+from msgspec import Struct
 from numpy.typing import NDArray
 
 from imucald.core.arrays import Array
@@ -272,3 +275,82 @@ class SignalHealth:
         n = int(np.count_nonzero(flags))
         if n:
             self.counts[signal, fault] += n
+
+
+SOUND_S = 10.0
+"""A sensor is used again when it has been sound for so long [s]: longer than a loose contact's
+pauses, of which each costs two seconds at most."""
+EVENTS = 50
+"""So many faults are remembered for the report."""
+
+Faults = Mapping[SignalFault, str]
+"""Faults and the axes that have them, such as {stuck: "y"}."""
+
+
+class FaultEvent(Struct):
+    """A fault that was reported: since and until stream time [s]; None while it lasts.
+
+    axes: such as "y"; empty for a signal that has none.
+    """
+
+    channel: str
+    fault: SignalFault
+    axes: str
+    since: float
+    until: float | None = None
+
+    def as_dict(self) -> dict[str, Any]:
+        """Plain, for JSON."""
+        until = None if self.until is None else round(self.until, 1)
+        return {
+            "sensor": self.channel,
+            "fault": str(self.fault),
+            "axes": self.axes,
+            "since_s": round(self.since, 1),
+            "until_s": until,
+        }
+
+
+class FaultsInForce:
+    """A channel's faults now, and for how long each has not been seen [s].
+
+    events: those of all channels; what begins is appended, what ends is ended there.
+    """
+
+    def __init__(self, channel: str, events: deque[FaultEvent]) -> None:
+        self.channel = channel
+        self.faults: Faults = {}
+        self._sound: dict[SignalFault, float] = {}
+        self._events = events
+
+    def go_on(self, found: Faults, now: float, passed: float) -> None:
+        """Go on with the faults found and those that have not been gone for long enough.
+
+        now: stream time [s]; passed: since the last call [s].
+        """
+        faults = dict(self.faults)
+        for fault in list(faults):
+            if fault in found:
+                self._sound[fault] = 0.0
+            else:
+                self._sound[fault] += passed
+                if self._sound[fault] >= SOUND_S:
+                    del faults[fault]
+                    self._ended(fault, now)
+        for fault, axes in found.items():
+            if fault not in faults:
+                self._events.append(FaultEvent(self.channel, fault, axes, now))
+            faults[fault] = "".join(sorted({*faults.get(fault, ""), *axes}))
+            self._sound[fault] = 0.0
+        self.faults = faults
+
+    def end(self, now: float) -> None:
+        """Nobody watches the channel any more from stream time now [s] on."""
+        for fault in self.faults:
+            self._ended(fault, now)
+        self.faults = {}
+
+    def _ended(self, fault: SignalFault, now: float) -> None:
+        for event in self._events:
+            if event.channel == self.channel and event.fault is fault and event.until is None:
+                event.until = now

@@ -10,7 +10,7 @@ from __future__ import annotations
 from msgspec import Struct
 
 from imucald.config.base import MAX_SPEED_DELAY
-from imucald.core.counts import counted
+from imucald.core.text import counted
 from imucald.mount.alternatives import NOT_CONFIRMED
 from imucald.mount.mount_changes import MountChanges
 from imucald.mount.signal_checks import SignalChecks

@@ -10,9 +10,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from imucald.core.clock_words import duration
 from imucald.core.errors import ImucaldError
-from imucald.core.extras import how_to_install
+from imucald.core.libraries import how_to_install
+from imucald.core.text import duration
 from imucald.diagnosis.result import Diagnosis, FoundCause, SignalPicture
 from imucald.report import numbers, titles
 from imucald.report import wording as words

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from imucald.core.angles import DEG_PER_RAD
-from imucald.core.clock_words import clock, duration
+from imucald.core.text import clock, duration
 from imucald.mount.estimate import ANGLES, MountEstimate
 from imucald.mount.mount_words import (
     ABOUT,

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 from matplotlib.ticker import FuncFormatter, MultipleLocator
 
-from imucald.core.clock_words import clock
+from imucald.core.text import clock
 from imucald.mount.estimate import MountState
 from imucald.report.svg_figures import without_name_space
 

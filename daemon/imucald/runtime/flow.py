@@ -8,7 +8,7 @@ from typing import Any
 
 from msgspec import Struct
 
-from imucald.core.clock_words import duration
+from imucald.core.text import duration
 from imucald.motion.ticks import TICK_S
 from imucald.runtime.alarms import is_starting, present_alarms
 from imucald.runtime.input_health import MISSING_TICKS

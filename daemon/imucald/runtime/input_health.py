@@ -10,7 +10,7 @@ from msgspec import Struct
 from numpy.typing import NDArray
 
 from imucald.inputs.column_samples import Routed
-from imucald.motion.faults_in_force import Faults
+from imucald.motion.signal_health import Faults
 from imucald.motion.ticks import TICK_RATE, tick_index
 from imucald.runtime.output.output_frames import Health
 

@@ -21,9 +21,9 @@ from imucald.core import compiled
 from imucald.core.rotations import times_columns
 from imucald.core.samples import Samples, Series
 from imucald.motion.column_ticks import ticks_from_samples
-from imucald.motion.faults_in_force import Faults
 from imucald.motion.hops import HOP_TICKS
 from imucald.motion.sample_health import SampleHealth
+from imucald.motion.signal_health import Faults
 from imucald.motion.ticks import (
     SPEED,
     TICK_RATE,

@@ -10,8 +10,8 @@ import numpy as np
 from msgspec import Struct
 
 from imucald.core.angles import DEG_PER_RAD
-from imucald.core.encodable import json_text
 from imucald.core.rotations import Rows
+from imucald.core.text import json_text
 from imucald.mount.estimate import ANGLES, MountEstimate, SentDeviations
 from imucald.mount.mount_words import how_it_sits, mirror_note, steep_note
 from imucald.runtime.engine import Engine

@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 from msgspec.structs import asdict
 
 from imucald.can.link.link import LinkEvent, LinkState
 from imucald.config import LoadedConfig
-from imucald.core.counts import counted
+from imucald.core.text import counted
 from imucald.mount.mount_words import reasons_line
+from imucald.runtime.alarms import ALARMS, PASSING, alarms_of
 from imucald.runtime.engine import Engine
 from imucald.runtime.pipeline import Snapshot
-from imucald.service.alarm_watch import AlarmWatch
 from imucald.service.journal import INFO, NOTICE, WARNING, Journal
 
 _QUIET_EVENTS = frozenset({"up", "lost", "conflict", "queue_full", "rejected"})
@@ -88,3 +90,26 @@ class Announcements:
                 text = f"{name} {times}: {group.last_failures[name]}"
                 self._journal.seldom(f"{name} failed", text, WARNING)
         self._failures = dict(group.failures)  # those of another group begin at zero
+
+
+START_S = 2.0
+"""Before that much of a run [s] inputs are not missed."""
+
+
+class AlarmWatch:
+    """Looks at the health once a second."""
+
+    def __init__(self, journal: Journal) -> None:
+        self._journal = journal
+        self._on: set[str] = set()
+
+    def update(self, health: Mapping[str, object], uptime: float) -> None:
+        """health: flags by the names of `Health`. uptime: of the process [s]."""
+        if uptime < START_S:
+            return
+        now = set(alarms_of(health)) - PASSING
+        for name in sorted(now - self._on):
+            self._journal.seldom(f"alarm {name}", ALARMS[name], WARNING)
+        for name in sorted(self._on - now):
+            self._journal.seldom(f"over {name}", f"{ALARMS[name]}: over", NOTICE)
+        self._on = now

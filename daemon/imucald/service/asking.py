@@ -1,4 +1,4 @@
-"""Asking a running daemon over one of its Unix sockets: one line there, everything back."""
+"""Asking a running daemon over one of its Unix sockets (one line there, everything back)."""
 
 from __future__ import annotations
 
@@ -71,3 +71,10 @@ def _connect(connection: socket.socket, path: str, end: float) -> None:
             time.sleep(RETRY_S)
         else:
             return
+
+
+def control_socket(status_socket: Path) -> Path:
+    """Next to the status socket."""
+    if status_socket.name == "status.sock":
+        return status_socket.with_name("control.sock")
+    return status_socket.with_name(f"{status_socket.name}.control")

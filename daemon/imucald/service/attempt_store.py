@@ -10,8 +10,7 @@ import json
 from pathlib import Path
 from typing import Final
 
-from imucald.core.atomic_file import free_name, split_checksum, with_checksum, write_file
-from imucald.core.regular_file import read_regular
+from imucald.core.files import free_name, read_regular, split_checksum, with_checksum, write_file
 from imucald.service.background_writer import Say, StateWriter
 from imucald.service.journal import WARNING
 

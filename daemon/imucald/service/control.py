@@ -16,8 +16,8 @@ from msgspec import DecodeError, Meta, Struct
 from msgspec.json import Decoder
 
 from imucald.config.calibration import KnownMount
-from imucald.core.encodable import json_text
 from imucald.core.errors import ImucaldError
+from imucald.core.text import json_text
 from imucald.runtime.mount_orders import MountOrders
 from imucald.service.background_writer import Say
 from imucald.service.journal import WARNING

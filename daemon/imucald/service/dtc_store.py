@@ -13,8 +13,7 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, Final
 
-from imucald.core.atomic_file import free_name, split_checksum, with_checksum, write_file
-from imucald.core.regular_file import read_regular
+from imucald.core.files import free_name, read_regular, split_checksum, with_checksum, write_file
 from imucald.service.background_writer import Say, StateWriter
 from imucald.service.journal import WARNING
 from imucald.uds.dtc_memory import DtcMemory

@@ -6,8 +6,8 @@ import re
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 
-from imucald.core.encodable import encodable
 from imucald.core.errors import LinkError
+from imucald.core.text import encodable
 from imucald.service.asking import ask
 
 UP = "imucald_up"

@@ -9,7 +9,7 @@ from typing import Any
 from msgspec import to_builtins
 
 from imucald.config import LoadedConfig, SourceSettings, TriadSettings
-from imucald.core.digest import sha256
+from imucald.core.files import sha256
 from imucald.inputs.router import Router
 from imucald.inputs.routes import MessageRoute
 from imucald.service.state_file import StateKey

@@ -13,8 +13,7 @@ from collections import deque
 from collections.abc import Callable, Mapping
 from typing import NamedTuple, TextIO
 
-from imucald.core.counts import counted
-from imucald.core.outside_text import made_safe
+from imucald.core.text import counted, made_safe
 
 ERROR, WARNING, NOTICE, INFO = 3, 4, 5, 6
 """Priorities of syslog."""

@@ -7,20 +7,20 @@ frame that waited too long, as the loop was held up or does not keep up, is not 
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import Protocol
 
 from imucald.can.columns import FrameColumns, IdMatch
-from imucald.can.link.link import Link, LinkEvent
+from imucald.can.link.link import Frame, Link, LinkEvent
 from imucald.can.link.outbox import MAX_HOLD
 from imucald.config import LoadedConfig
 from imucald.runtime.engine import Engine
 from imucald.runtime.input_health import LinkHealth
 from imucald.runtime.output.output_message import OutFrame
 from imucald.runtime.timebase import FORWARD_STEP
-from imucald.service.backlog import Backlog
 
 WAIT_S = 0.05
 """Longest wait for a frame [s]: bounds how late a silent bus is noticed and a stop obeyed."""
@@ -217,3 +217,90 @@ class Daemon:
             return
         for can_id, data in out:
             self.link.send(can_id, data)
+
+
+class Backlog:
+    """Tells which frames are too old to be corrected, whatever clock stamps them.
+
+    The stamps' clock may be wrong, be set at any time, or be an adapter's own. What is certain is
+    the loop's clock: a frame came after the bus was last found empty. The first frame since stands
+    for that moment, and the others count from it by their stamps. So a frame counts as older than
+    it is by no more than the silence before the first. Where the clock was set forward meanwhile,
+    stamps look too new; then the wall clock tells, as far as they are of it.
+
+    now: monotonic [s], here and in all methods. max_age: of a frame that is handled [s].
+    wall: the clock of the stamps, where they are the system's [s].
+    """
+
+    def __init__(self, now: float, max_age: float, wall: Callable[[], float] = time.time) -> None:
+        self.max_age = max_age
+        self._wall = wall
+        self._read_at = self._since = now
+        self._is_empty = True
+        self._first = math.inf  # stamp of the first frame that came after `_since`
+
+    def read(self, frames: Sequence[Frame], is_empty: bool, now: float) -> bool:
+        """Take note of what was read until now; whether any of it can be too old.
+
+        is_empty: nothing is left on the bus.
+        """
+        if self._is_empty:
+            self._since = self._read_at
+            self._first = frames[0][0] if frames else math.inf
+        elif frames and self._first == math.inf:
+            self._first = frames[0][0]
+        self._is_empty = is_empty
+        self._read_at = now
+        return self.may_be_late(now)
+
+    def may_be_late(self, now: float) -> bool:
+        """Whether any frame of the last read can be too old by now."""
+        return now - self._since > self.max_age
+
+    def is_late(self, stamp: float, now: float) -> bool:
+        """Whether a frame of the last read is too old by now."""
+        waited = now - self._since
+        if waited - (stamp - self._first) > self.max_age:
+            return True
+        return self.max_age < self._wall() - stamp <= waited
+
+
+MAX_SLEW = 0.1
+"""A clock that is led to the right time is faster or slower by no more: adjtimex(2), `tick`."""
+LEAST_S = 0.1
+"""A smaller step is not told from slewing between two looks a second apart."""
+
+
+def steady_clock() -> float:
+    """Seconds since the boot, those of a suspend among them where the system says so."""
+    return time.clock_gettime(getattr(time, "CLOCK_BOOTTIME", time.CLOCK_MONOTONIC))
+
+
+class ClockWatch:
+    """Notices that the system's clock was set: compares it with a clock that nobody sets [s]."""
+
+    def __init__(
+        self, wall: Callable[[], float] = time.time, steady: Callable[[], float] = steady_clock
+    ) -> None:
+        self._wall, self._steady = wall, steady
+        self.count = 0
+        """How often the clock was set."""
+        self._low, self._high, self._at = self._ahead()
+
+    def _ahead(self) -> tuple[float, float, float]:
+        """Bounds of wall less steady clock (the process may be held up within), and the latter."""
+        before = self._steady()
+        wall = self._wall()
+        after = self._steady()
+        return wall - after, wall - before, after
+
+    def look(self) -> float | None:
+        """By how much the clock was set since the last look [s]; None: it was not."""
+        low, high, at = self._ahead()
+        slewed = max(MAX_SLEW * (at - self._at), LEAST_S)
+        forward, back = low - self._high, high - self._low
+        self._low, self._high, self._at = low, high, at
+        if forward <= slewed and back >= -slewed:
+            return None
+        self.count += 1
+        return forward if forward > slewed else back

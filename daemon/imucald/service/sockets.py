@@ -8,8 +8,8 @@ from typing import Any
 
 from imucald.core.errors import LinkError
 from imucald.runtime.mount_orders import MountOrders
+from imucald.service.asking import control_socket
 from imucald.service.control import ControlServer
-from imucald.service.control_path import control_socket
 from imucald.service.journal import WARNING, Journal
 from imucald.service.status import StatusServer
 

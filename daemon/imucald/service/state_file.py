@@ -19,17 +19,17 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from imucald.core.atomic_file import (
+from imucald.core.files import (
     UNFINISHED,
     free_name,
     put_in_place,
+    read_regular,
+    sha256,
     split_checksum,
     sync_folder,
     with_checksum,
     write_beside,
 )
-from imucald.core.digest import sha256
-from imucald.core.regular_file import read_regular
 
 MAGIC = "imucald-state"
 VERSION = 2

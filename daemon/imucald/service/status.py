@@ -13,7 +13,7 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from imucald.core.encodable import json_text
+from imucald.core.text import json_text
 from imucald.service.background_writer import Say
 from imucald.service.line_server import LineServer, nobody_listens
 from imucald.service.metrics import metrics_text

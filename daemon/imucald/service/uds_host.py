@@ -10,10 +10,10 @@ from typing import Final, Protocol
 from msgspec import to_builtins
 
 from imucald import __version__
-from imucald.can.dbc.bounded_parser import MAX_FILE_BYTES
+from imucald.can.dbc.database import MAX_FILE_BYTES
 from imucald.can.link.link import LinkCounters
 from imucald.config import LoadedConfig
-from imucald.core.regular_file import read_regular
+from imucald.core.files import read_regular
 from imucald.motion.ticks import TICK_RATE
 from imucald.mount.estimate import MountEstimate, MountEstimator
 from imucald.mount.hysteresis import BAD

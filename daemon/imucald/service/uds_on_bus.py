@@ -15,9 +15,9 @@ from typing import Any, Final
 
 from imucald.can.columns import CAN_EFF_FLAG, CAN_EFF_MASK, CAN_SFF_MASK, IdMatch
 from imucald.config import LoadedConfig
-from imucald.config.uds import Uds
+from imucald.config.network import Uds
 from imucald.core.errors import ConfigError
-from imucald.core.extras import how_to_install
+from imucald.core.libraries import how_to_install
 from imucald.runtime.engine import Engine
 from imucald.runtime.output.output_message import OutFrame
 from imucald.service.attempt_store import AttemptStore

@@ -10,7 +10,7 @@ import struct
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
-from imucald.core.encodable import encodable
+from imucald.core.text import encodable
 from imucald.mount.estimate import ANGLES
 from imucald.uds.codes import Answer, Nrc
 from imucald.uds.host import Host

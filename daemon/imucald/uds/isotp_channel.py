@@ -13,7 +13,7 @@ from collections.abc import Callable
 from typing import Any, Final
 
 from imucald.can.columns import CAN_EFF_FLAG, CAN_SFF_MASK
-from imucald.core.partial_import import standing_in
+from imucald.core.libraries import standing_in
 
 MAX_REQUEST: Final = 128
 """Longest request [bytes]: twice the longest that has a meaning; others get "overflow"."""

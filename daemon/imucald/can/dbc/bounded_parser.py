@@ -25,12 +25,8 @@ if TYPE_CHECKING:
 
 SMALL = 64 * 2**10
 """Characters of text that this process parses itself: 220 times that is 14 MiB."""
-MAX_FILE_BYTES = 256 * 2**20
-"""Vehicle-wide ARXML files reach 100 MB; more than this is no database."""
 PARSER_SHARE = 0.6
 """Of the memory allowed, for the parser; the rest holds this process, and the text twice."""
-TEXT_SHARE = 1 / 16
-"""Of the memory allowed, for the text: as bytes, and as text of two bytes a character."""
 MIN_SECONDS = 60
 """Processor time for any database [s]: a slow processor takes 10 s for each megabyte of DBC."""
 SECONDS_PER_MB = 10
@@ -41,11 +37,6 @@ sys.path[:] = json.loads(sys.argv[1])
 from imucald.can.dbc.bounded_parser import parse_for_parent
 sys.exit(parse_for_parent(*sys.argv[2:]))
 """
-
-
-def max_file_bytes() -> int:
-    """Size of the largest file that is taken: what the memory allowed can hold."""
-    return min(MAX_FILE_BYTES, int(allowed_memory() * TEXT_SHARE))
 
 
 def parse_bounded(text: str, database_format: str, source: str) -> list[Message]:

@@ -10,12 +10,12 @@ from pathlib import Path
 from msgspec.structs import replace
 
 from imucald.can.columns import CAN_EFF_FLAG
-from imucald.can.dbc.bounded_parser import max_file_bytes, parse_bounded
 from imucald.can.dbc.decode import J1939_ADDRESS_MASK, J1939_NO_ADDRESS, pgn_of
 from imucald.can.dbc.message import Message, Signal, nearest
 from imucald.core import file_cache as database_cache
 from imucald.core.errors import DatabaseError
-from imucald.core.regular_file import read_regular
+from imucald.core.files import read_regular
+from imucald.core.memory import allowed_memory
 
 FORMATS = ("dbc", "sym", "kcd", "arxml")
 """Endings of the files that are read."""
@@ -25,6 +25,10 @@ _MARKS: Mapping[bytes, str] = {
     codecs.BOM_UTF16_BE: "utf-16",
 }
 """Encodings by the bytes that a file begins with."""
+MAX_FILE_BYTES = 256 * 2**20
+"""Vehicle-wide ARXML files reach 100 MB; more than this is no database."""
+TEXT_SHARE = 1 / 16
+"""Of the memory allowed, for the text: as bytes, and as text of two bytes a character."""
 REMEMBERED = 4
 """Databases that a process keeps in memory: the next log most often needs the same ..."""
 REMEMBERED_TEXT = 2 * 2**20
@@ -126,6 +130,11 @@ def load_database_text(text: str, database_format: str, name: str = "<text>") ->
     return Database(_parse(text, database_format, name), {})
 
 
+def max_file_bytes() -> int:
+    """Size of the largest file that is taken: what the memory allowed can hold."""
+    return min(MAX_FILE_BYTES, int(allowed_memory() * TEXT_SHARE))
+
+
 def _load_file(path: Path) -> list[Message]:
     database_format = path.suffix.lower().removeprefix(".")
     if database_format not in FORMATS:
@@ -177,6 +186,8 @@ def _parsed(text: str, database_format: str, source: str) -> Sequence[Message]:
     name = f"{database_format} {source}"
     messages = database_cache.find(text, name, Message)
     if messages is None:
+        from imucald.can.dbc.bounded_parser import parse_bounded  # noqa: PLC0415 - few are not kept
+
         messages = parse_bounded(text, database_format, source)
         database_cache.keep(text, name, messages, Message)
     return messages

@@ -21,7 +21,7 @@ from imucald.can.dbc.dbc_mending import LeftOut, MendedText, lost_multiplexers
 from imucald.can.dbc.kcd_mending import MendedKcd
 from imucald.can.dbc.message import Message, Signal
 from imucald.core.errors import DatabaseError
-from imucald.core.partial_import import standing_in
+from imucald.core.libraries import standing_in
 
 MAX_REASON = 300
 """Characters of a reason that are shown."""

@@ -31,7 +31,7 @@ from imucald.can.link.own_echoes import Echoes
 from imucald.can.link.socketcan import MAX_BATCH, Frame
 from imucald.can.python_can import can
 from imucald.core.errors import LinkError
-from imucald.core.extras import how_to_install
+from imucald.core.libraries import how_to_install
 
 SEND_WAIT = 0.002
 """An adapter may block so long when its transmit queue is full [s]."""

@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 from msgspec import Struct
 
 from imucald.can.columns import CAN_EFF_FLAG, CAN_EFF_MASK
-from imucald.core.counts import counted
+from imucald.core.text import counted
 
 EVENT_PERIOD = 5.0
 """Events that may come with every frame are reported this often at most, with their count [s]."""

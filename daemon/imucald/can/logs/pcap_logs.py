@@ -30,7 +30,7 @@ from imucald.can.logs.log_format import ReadStatistics
 from imucald.can.logs.text_blocks import OpenLog
 from imucald.can.logs.unpacking import plain_file
 from imucald.core.errors import LogError
-from imucald.core.extras import how_to_install
+from imucald.core.libraries import how_to_install
 
 _PCAPNG: Final = b"\x0a\x0d\x0d\x0a"
 _PCAP: Final = (

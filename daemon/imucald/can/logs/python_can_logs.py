@@ -33,7 +33,7 @@ from imucald.can.logs.sqlite_table import why_not_stored
 from imucald.can.logs.text_blocks import OpenLog
 from imucald.can.logs.unpacking import plain_ending, plain_file
 from imucald.core.errors import LogError
-from imucald.core.extras import how_to_install
+from imucald.core.libraries import how_to_install
 
 PROGRESS_FRAMES: Final = 20_000
 """Frames between two reports of progress."""

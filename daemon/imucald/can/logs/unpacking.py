@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any, Final, Protocol
 
 from imucald.core.errors import LogError
-from imucald.core.extras import how_to_install
+from imucald.core.libraries import how_to_install
 
 COMPRESSED_BYTES: Final = 1 << 18
 """Compressed bytes read at once."""

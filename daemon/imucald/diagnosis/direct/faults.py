@@ -11,8 +11,8 @@ import numpy as np
 from scipy.stats import binom
 
 from imucald.core.arrays import Array
-from imucald.core.counts import counted
 from imucald.core.samples import Samples, Series
+from imucald.core.text import counted
 from imucald.diagnosis.direct.lost_readings import INERTIAL, Lost
 from imucald.diagnosis.direct.sample_changes import stays_until_off
 from imucald.diagnosis.direct.stuck import Fault, stuck

@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from imucald.core.arrays import Array
-from imucald.core.counts import counted
 from imucald.core.samples import Samples, Series
+from imucald.core.text import counted
 from imucald.diagnosis.direct.held_speed import chances_of_sensors
 from imucald.diagnosis.direct.own_stays import (
     FEW_STAYS,

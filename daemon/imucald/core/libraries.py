@@ -1,4 +1,4 @@
-"""Imports without what a library would load besides, where that is worth more than milliseconds."""
+"""Libraries of others: how an optional one is installed, and imports without what it would load."""
 
 from __future__ import annotations
 
@@ -6,6 +6,11 @@ import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from types import ModuleType
+
+
+def how_to_install(extra: str) -> str:
+    """Words for a message: the command that brings an extra of pyproject.toml."""
+    return f"pip install '.[{extra}]' in imucald's checkout"
 
 
 @contextmanager

@@ -1,11 +1,16 @@
-"""Text from outside (names of files, keys, vehicles), made fit for a screen or a line of a log.
+"""Text for people: numbers with their nouns, times, and text from outside made fit for a screen.
 
 A terminal obeys control characters; those that turn the direction of writing hide what a text
 says. Each is shown as an escape of JSON (``\\u001b``), so that JSON keeps its meaning.
+
+A file name is bytes; where they are no UTF-8, Python holds them as lone surrogates, which no
+encoder takes. So a text that may name a file is made encodable before it is sent or written.
 """
 
 from __future__ import annotations
 
+import json
+import math
 import re
 from collections.abc import Iterable
 from typing import Any, Final, TextIO
@@ -61,3 +66,42 @@ class SafeStream:
 def stream_behind(stream: Any) -> Any:
     """The stream that takes control characters."""
     return stream.behind if isinstance(stream, SafeStream) else stream
+
+
+def counted(n: int, one: str, many: str = "") -> str:
+    """Return `1 stop`, `2 stops`; many: the plural where it is not `one` with an s."""
+    return f"{n} {one if n == 1 else many or one + 's'}"
+
+
+def clock(seconds: float) -> str:
+    """`4:02`, with hours where there are any; whole seconds that have passed, as a watch shows."""
+    minutes, rest = divmod(int(max(seconds, 0.0) + 1e-6), 60)
+    hours, minutes = divmod(minutes, 60)
+    return f"{hours}:{minutes:02d}:{rest:02d}" if hours else f"{minutes}:{rest:02d}"
+
+
+def duration(seconds: float) -> str:
+    """Return a length of time: `45 s`, `31 min`, `2.3 h`."""
+    if not math.isfinite(seconds):
+        return "-"
+    if seconds < 100.0:
+        return f"{seconds:.0f} s"
+    return f"{seconds / 60:.0f} min" if seconds < 7200.0 else f"{seconds / 3600:.1f} h"
+
+
+_LONE = re.compile("[\ud800-\udfff]")
+
+
+def encodable(text: str) -> str:
+    r"""Return the text with each lone surrogate in the letters ``\udcff``; never fails."""
+    return _LONE.sub(lambda found: f"\\u{ord(found[0]):04x}", text)
+
+
+def json_text(content: Any, indent: int | None = None) -> str:
+    r"""Return JSON that UTF-8 can hold. Raises ValueError for NaN and infinity.
+
+    A lone surrogate becomes the letters ``\udcff`` within its string: as a JSON escape of its own
+    (``"\udcff"``) strict readers refuse it, and those that take it cannot print what they got.
+    """
+    text = json.dumps(content, indent=indent, allow_nan=False, ensure_ascii=False)
+    return _LONE.sub(lambda found: f"\\\\u{ord(found[0]):04x}", text)
