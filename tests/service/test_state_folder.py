@@ -17,7 +17,7 @@ import pytest
 
 import shuttle
 from feed_bench import wait_until
-from imucald.core import atomic_file
+from imucald.core import files
 from imucald.core.errors import ImucaldError
 from imucald.core.files import free_name, write_file
 from imucald.service.calibration_store import CalibrationStore
@@ -39,7 +39,7 @@ class SlowDisk:
     def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
         self.asked, self.go_on = threading.Event(), threading.Event()
         self.threads: set[str] = set()
-        monkeypatch.setattr(atomic_file.os, "fsync", self.fsync)
+        monkeypatch.setattr(files.os, "fsync", self.fsync)
 
     def fsync(self, _: int) -> None:
         self.threads.add(threading.current_thread().name)
