@@ -353,6 +353,22 @@ def test_an_mf4_whose_channel_lies_beyond_its_record_is_refused_before_it_is_rea
     assert refused >= 5
 
 
+@pytest.mark.parametrize("begins", [b"MDF     ", b"UnFinMF "])
+@pytest.mark.parametrize("kind", [b"##CN", b"##CG", b"##DG"])
+def test_an_mf4_whose_list_leads_back_into_itself_is_refused(
+    tmp_path: Path, kind: bytes, begins: bytes
+) -> None:
+    """asammdf follows it for ever."""
+    path = tmp_path / "a.mf4"
+    whole = bytearray(written_mf4(path))
+    at = whole.index(kind)
+    whole[at + 24 : at + 32] = at.to_bytes(8, "little")
+    whole[:8] = begins
+    path.write_bytes(whole)
+    with pytest.raises(LogError, match=f"the block at byte {at} is in two places"):
+        list(LogReader([path]))
+
+
 def frame(can_id: int, data: bytes, marks: int = 0) -> bytes:
     """A frame as linktype 227 has it (tcpdump.org/linktypes/LINKTYPE_CAN_SOCKETCAN.html)."""
     return struct.pack(">IBBBB", can_id, len(data), marks, 0, 0) + data

@@ -201,3 +201,12 @@ def test_topics_have_the_channel_that_was_asked_for(channel, topic, tmp_path, mo
     monkeypatch.setattr(feed_command, "_receiver", received)
     assert cli.main(["feed", "mqtt", *([channel] if channel else []), "--broker", "x:1"]) == 1
     assert begun == [topic]
+
+
+def test_a_receiver_that_takes_one_reading_and_goes_is_tried_later_and_later():
+    script = Script()
+    feed = Feed(script, script, 0.1, lambda _: None, script.clock)
+    while script.now < 600.0:
+        script.fails = script.done[-1:] != [] and script.done[-1][0] == "publish"
+        feed.step()
+    assert sum(what == "connect" for what, _ in script.done) < 20

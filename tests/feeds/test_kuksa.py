@@ -228,3 +228,25 @@ def test_a_value_that_is_refused_is_an_error_of_the_receiver_not_of_the_feed(tmp
             receiver.publish(Reading(0.0, wrong))
         receiver.disconnect()
     assert threading.active_count() < 50
+
+
+@pytest.mark.parametrize("kind", ["string", "uint8"])
+def test_a_databroker_with_other_types_is_an_error_of_the_receiver(kind):
+    reading = Reading(0.0, None, False, {"acceleration": (-1.0, 0.5, 9.8)})
+    with databroker() as broker:
+        broker.types["Vehicle.Acceleration.Longitudinal"] = kind
+        receiver = receiver_of(broker.port, [])
+        receiver.connect()
+        with pytest.raises(ReceiverError, match="no use can be made of its answer"):
+            receiver.publish(reading)
+        receiver.disconnect()
+
+
+def test_a_databroker_that_answers_for_other_signals_is_an_error_of_the_receiver(monkeypatch):
+    empty = val_v1.GetResponse()
+    with databroker() as broker:
+        monkeypatch.setattr(broker, "metadata", lambda _request: empty)
+        receiver = receiver_of(broker.port, [])
+        with pytest.raises(ReceiverError, match="no use can be made of its answer"):
+            receiver.connect()
+        receiver.disconnect()

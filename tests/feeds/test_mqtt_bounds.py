@@ -1,18 +1,25 @@
-"""A broker that sends more than an acknowledgement: its connection ends, no memory is taken."""
+"""A broker that sends more than an acknowledgement, or reads nothing, or drops its connections."""
 
 from __future__ import annotations
 
 import contextlib
 import socket
+import time
 import tracemalloc
 from collections.abc import Iterator
 
 import pytest
 
 from feed_bench import wait_until
+from imucald.feeds.daemon_source import Reading
 from imucald.feeds.mqtt import MqttReceiver, MqttSettings
 from threads import in_a_thread
 
+QOS_2 = b"".join(
+    b"\x34\x84\x06\x00\x01t" + mid.to_bytes(2, "big") + bytes(767) for mid in range(1, 1000)
+)
+"""Messages that a client keeps until they are released: a broker need not ever."""
+NOT_UNDERSTOOD = b"\xf0\x00"
 CONNACK = b"\x20\x02\x00\x00"
 LONG = b"\x30\xff\xff\xff\x7f"
 """Head of a PUBLISH of 256 MiB, the longest that there is."""
@@ -81,3 +88,48 @@ def test_an_acknowledgement_is_taken(said):
     with fed_by(broker, said) as receiver:
         wait_until(receiver._client.is_connected)
         assert broker.connections == 1
+
+
+def test_messages_that_would_be_kept_end_the_connection(said):
+    broker = Broker(CONNACK + QOS_2, b"")
+    with fed_by(broker, said) as receiver:
+        wait_until(lambda: broker.connections >= 2)
+        assert not receiver._client._in_messages
+
+
+@pytest.mark.parametrize("packet", [b"\x90\x00", b"\x40\x01\x00", b"\x50\x00", NOT_UNDERSTOOD])
+def test_a_packet_that_cannot_be_taken_apart_ends_the_connection_and_not_the_feed(said, packet):
+    broker = Broker(CONNACK + packet, b"")
+    with fed_by(broker, said):
+        wait_until(lambda: broker.connections >= 2)
+
+
+def test_a_broker_that_drops_its_connections_is_tried_ever_more_seldom(said):
+    broker = Broker(CONNACK + NOT_UNDERSTOOD, b"")
+    began = time.monotonic()
+    with fed_by(broker, said):
+        wait_until(lambda: broker.connections >= 4, 20.0)
+    assert time.monotonic() - began > 1.0 + 2.0 + 4.0 - 0.5
+
+
+def test_a_broker_that_does_not_read_for_a_while_gets_few_old_values(said):
+    """20,000 readings while it does not read; then those that waited."""
+    server = socket.create_server(("127.0.0.1", 0))
+    server.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 1 << 14)
+    port = server.getsockname()[1]
+    receiver = MqttReceiver(MqttSettings("127.0.0.1", port, "car"), said.append)
+    receiver.connect()
+    with server, server.accept()[0] as connection:
+        connection.recv(1000)
+        connection.sendall(CONNACK)
+        wait_until(receiver._client.is_connected)
+        for i in range(20_000):
+            reading = Reading(float(i), None, False, {"acceleration": (1.0, 2.0, 3.0)})
+            receiver.publish(reading)
+        connection.settimeout(0.5)
+        got = b""
+        with contextlib.suppress(TimeoutError):
+            while part := connection.recv(1 << 16):
+                got += part
+    receiver.close()
+    assert 1 < got.count(b'"at"') < 2000

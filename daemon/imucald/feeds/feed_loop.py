@@ -14,6 +14,16 @@ FIRST_PAUSE_S = 1.0
 LONGEST_PAUSE_S = 60.0
 
 
+def next_pause(pause: float, lasted: float) -> float:
+    """The pause [s] after one of `pause` (0: none yet) and a connection that lasted so long.
+
+    One that does not outlast the longest pause is no success: a receiver that takes connections
+    and drops them is tried ever more seldom.
+    """
+    is_first = pause == 0.0 or lasted > LONGEST_PAUSE_S
+    return FIRST_PAUSE_S if is_first else min(2.0 * pause, LONGEST_PAUSE_S)
+
+
 class ReceiverError(ImucaldError):
     """A receiver cannot be reached, or refuses what it is sent: why."""
 
@@ -65,8 +75,8 @@ class Feed:
         self._say = say
         self._clock = clock
         self._is_connected = False
-        self._pause = FIRST_PAUSE_S
-        self._next_try = clock()
+        self._pause = 0.0
+        self._next_try = self._connected_at = clock()
         self._last_error = ""
         self.stopping = False
 
@@ -86,18 +96,19 @@ class Feed:
         try:
             if not self._is_connected:
                 self._receiver.connect()
-                self._is_connected = True
+                self._is_connected, self._connected_at = True, self._clock()
             self._receiver.publish(reading)
-            self._pause, self._last_error = FIRST_PAUSE_S, ""
+            self._last_error = ""
         except ReceiverError as error:
             self._failed(str(error))
 
     def _failed(self, text: str) -> None:
         self._receiver.disconnect()
+        lasted = self._clock() - self._connected_at if self._is_connected else 0.0
         self._is_connected = False
-        pause = self._pause * random.uniform(0.8, 1.2)  # many vehicles, one receiver
-        self._next_try = self._clock() + pause
-        self._pause = min(2.0 * self._pause, LONGEST_PAUSE_S)
+        self._pause = next_pause(self._pause, lasted)
+        many = random.uniform(0.8, 1.2)  # many vehicles, one receiver
+        self._next_try = self._clock() + many * self._pause
         if text != self._last_error:
             self._last_error = text
             self._say(f"{text}; trying again, at last every {LONGEST_PAUSE_S:g} s")

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -57,8 +58,26 @@ class KuksaReceiver:
         self._types: dict[str, Any] = {}
         self._reported: set[str] = set()
 
+    @contextmanager
+    def _errors_as_ours(self) -> Iterator[None]:
+        """The library takes types and answers as a databroker states them: what comes of wrong
+        ones is anything, and the databroker's error."""
+        try:
+            yield
+        except ReceiverError:
+            raise
+        except self._library.VSSClientError as error:
+            raise self._unreached(error) from None
+        except Exception as error:
+            text = f"{self._broker}: no use can be made of its answer: {type(error).__name__}"
+            raise ReceiverError(f"{text}: {' '.join(str(error).split())[:200]}") from None
+
     def connect(self) -> None:
         """Reach the databroker and see which of our signals it knows."""
+        with self._errors_as_ours():
+            self._connect()
+
+    def _connect(self) -> None:
         settings = self._settings
         token = None if settings.token is None else settings.token.read_text().strip()
         self._client = self._library.VSSClient(
@@ -81,7 +100,7 @@ class KuksaReceiver:
             return self._client.get_value_types([path], timeout=CALL_S)[path]
         except self._library.VSSClientError as error:
             if error.error.get("code") != NOT_FOUND:
-                raise self._unreached(error) from None
+                raise
         if path not in self._reported:
             self._reported.add(path)
             hint = "; load config/imucald-vss.json for it" if path.startswith(OWN) else ""
@@ -108,10 +127,8 @@ class KuksaReceiver:
         ]
         if not updates:
             return
-        try:
+        with self._errors_as_ours():
             self._client.set(updates, try_v2=True, timeout=CALL_S)
-        except library.VSSClientError as error:
-            raise self._unreached(error) from None
 
     def disconnect(self) -> None:
         """Let go of the databroker."""

@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import os
+import socket
+import time
 from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -11,15 +14,18 @@ from typing import Any
 from imucald.core.errors import ConfigError
 from imucald.core.text import json_text
 from imucald.feeds.daemon_source import Reading, Say
-from imucald.feeds.feed_loop import LONGEST_PAUSE_S
+from imucald.feeds.feed_loop import FIRST_PAUSE_S, LONGEST_PAUSE_S, next_pause
 from imucald.feeds.status_content import QUALITIES, status_content
 
 PASSWORD = "IMUCALD_MQTT_PASSWORD"
 """Environment variable; a password does not belong on a command line."""
 KEEPALIVE_S = 10
 """A connection that is silent for one and a half times this [s] is dead: the will is sent."""
-PACKET_MAX = 1 << 16
-"""Longest packet taken from a broker [bytes]: only acknowledgements are asked for."""
+PACKET_MAX = 4
+"""Longest packet taken from a broker [bytes]: only acknowledgements are asked for. No message that
+paho would keep (QoS 2) is so short."""
+SENT_AHEAD = 1 << 14
+"""So much waits in the kernel for a broker that does not read [bytes]: some seconds of values."""
 UNITS = {"acceleration": "m/s2", "angular_rate": "deg/s"}
 
 
@@ -39,21 +45,31 @@ class MqttReceiver:
 
     def __init__(self, settings: MqttSettings, say: Say) -> None:
         from paho.mqtt.client import Client  # noqa: PLC0415 - an extra
-        from paho.mqtt.enums import CallbackAPIVersion  # noqa: PLC0415
+        from paho.mqtt.enums import CallbackAPIVersion, MQTTErrorCode  # noqa: PLC0415
 
         class BoundedClient(Client):
-            """paho holds whatever length a packet announces; nothing long is meant for us."""
+            """paho holds whatever length a packet announces; nothing long is meant for us. Its
+            thread ends at a packet that it cannot take apart."""
 
             def _sock_recv(self, bufsize: int) -> bytes:
                 if bufsize > PACKET_MAX:
                     raise ConnectionError(f"the broker sends a packet of {bufsize} bytes")
                 return bytes(super()._sock_recv(bufsize))
 
+            def _packet_handle(self) -> MQTTErrorCode:
+                try:
+                    return super()._packet_handle()
+                except Exception:  # whatever a broker sends
+                    return MQTTErrorCode.MQTT_ERR_PROTOCOL
+
         self._settings = settings
         self._say = say
         self._reported = ""
+        self._leaving: dict[str, Any] = {}
+        self._pause, self._connected_at = 0.0, time.monotonic()
         client = BoundedClient(CallbackAPIVersion.VERSION2, client_id="")
-        client.reconnect_delay_set(1, int(LONGEST_PAUSE_S))
+        client.reconnect_delay_set(int(FIRST_PAUSE_S), int(LONGEST_PAUSE_S))
+        client.on_socket_open = _opened
         client.will_set(self._topic("online"), "0", qos=1, retain=True)
         if settings.user is not None:
             client.username_pw_set(settings.user, os.environ.get(PASSWORD))
@@ -89,28 +105,37 @@ class MqttReceiver:
     def close(self) -> None:
         """Take leave: offline, by our own word."""
         if self._client.is_connected():
-            self._client.publish(self._topic("online"), "0", qos=1, retain=True).wait_for_publish(
-                1.0
-            )
+            last = self._client.publish(self._topic("online"), "0", qos=1, retain=True)
+            with suppress(RuntimeError, ValueError):  # the broker goes meanwhile
+                last.wait_for_publish(1.0)
         self._client.disconnect()
         self._client.loop_stop()
 
     def _send(self, name: str, content: Mapping[str, Any], retain: bool = False) -> None:
-        self._client.publish(self._topic(name), json_text(content), retain=retain)
+        self._put(name, json_text(content), 0, retain)
+
+    def _put(self, name: str, text: str, qos: int, retain: bool) -> None:
+        """Publish, unless what the topic was given before has not left: paho keeps all that a slow
+        broker does not take, and sends it late."""
+        if name not in self._leaving or _has_left(self._leaving[name]):
+            self._leaving[name] = self._client.publish(self._topic(name), text, qos, retain)
 
     def _topic(self, name: str) -> str:
         return f"{self._settings.topic}/{name}"
 
-    def _connected(self, client: Any, _user: Any, _flags: Any, code: Any, _more: Any) -> None:
+    def _connected(self, _client: Any, _user: Any, _flags: Any, code: Any, _more: Any) -> None:
         if code.is_failure:
             self._report(f"refuses us: {code}")
             return
         self._reported = ""
+        self._connected_at = time.monotonic()
         self._say(f"{self._broker} takes {self._settings.topic}/#")
-        client.publish(self._topic("online"), "1", qos=1, retain=True)
+        self._put("online", "1", 1, True)
 
-    def _disconnected(self, _c: Any, _user: Any, _flags: Any, code: Any, _more: Any) -> None:
+    def _disconnected(self, client: Any, _user: Any, _flags: Any, code: Any, _more: Any) -> None:
         if code.is_failure:
+            self._pause = next_pause(self._pause, time.monotonic() - self._connected_at)
+            client.reconnect_delay_set(int(self._pause), int(LONGEST_PAUSE_S))
             self._report(f"is gone: {code}")
 
     @property
@@ -121,6 +146,17 @@ class MqttReceiver:
         if text != self._reported:
             self._reported = text
             self._say(f"{self._broker} {text}; trying again")
+
+
+def _opened(_client: Any, _user: Any, opened: Any) -> None:
+    opened.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, SENT_AHEAD)
+
+
+def _has_left(message: Any) -> bool:
+    try:
+        return bool(message.is_published())
+    except (RuntimeError, ValueError):  # it is lost with its connection, or was never taken
+        return True
 
 
 def corrected_content(

@@ -97,7 +97,7 @@ class GvretReader:
             bus = int(words[at["bus"]])
             extended = words[at["extended"]].strip().lower() in (b"true", b"1")
             data = bytes(int(w, 16) for w in words[at["d1"] : at["d1"] + length])
-        except (ValueError, IndexError):
+        except (ValueError, IndexError, OverflowError):
             return "bad_line"
         if t < 0:
             return "negative_timestamp"

@@ -1,7 +1,8 @@
 """Whether an MF4 file is whole and asammdf can bear it: it says of a cut one that it cannot seek.
 
 asammdf's compiled part believes what a channel says of its place: one beyond the record makes it
-write where it may not, and the process ends later, somewhere else.
+write where it may not, and the process ends later, somewhere else. It goes round for ever where a
+list leads back into itself.
 
 Layout: ASAM MDF 4: an identification of 64 bytes, then blocks, each with its length and links to
 others. A file that its recorder did not finish (UnFinMF) does not state all lengths: what it lacks
@@ -26,25 +27,37 @@ _CHANNEL: Final = struct.Struct("<3xBII")
 """Of a ##CN block behind its links: first bit, first byte, bits."""
 _FIRST: Final = 64
 MAX_BLOCKS: Final = 1_000_000
+_OWN_LINKS: Final = {
+    b"##HD": 5, b"##DG": 3, b"##CG": 2, b"##CN": 2, b"##CA": 1, b"##HL": 1, b"##DL": None,
+    b"##LD": None, b"##FH": 1, b"##CH": 1, b"##AT": 1, b"##EV": 1,
+}  # fmt: skip
+"""First links of a block that name what is a part of it, or the next in its list; None: all."""
 
 
-class _Channels:
-    """Channel groups and channels of a file, and whether each lies within its group's record."""
+class _Structure:
+    """Blocks of a file: whether each has one place, and each channel lies within its record."""
 
     def __init__(self) -> None:
+        self._placed, self._twice = {_FIRST}, 0
         self._groups: list[tuple[int, int]] = []  # first channel, bytes of a record
         self._channels: dict[int, tuple[int, int, int]] = {}  # next, composition, end [bytes]
 
     def take(self, at: int, kind: bytes, links: tuple[int, ...], data: bytes) -> None:
         """Take a block; data: what follows its links."""
+        for link in filter(None, links[: _OWN_LINKS.get(kind, 0)]):
+            if link in self._placed:
+                self._twice = self._twice or link
+            self._placed.add(link)
         if kind == b"##CG" and len(links) > 1 and len(data) >= _GROUP.size:
             self._groups.append((links[1], sum(_GROUP.unpack_from(data))))
         elif kind == b"##CN" and len(links) > 1 and len(data) >= _CHANNEL.size:
             bit, byte, bits = _CHANNEL.unpack_from(data)
             self._channels[at] = links[0], links[1], byte + (bit + bits + 7) // 8
 
-    def beyond(self) -> int | None:
-        """Where a channel is that lies beyond its record; None: there is none."""
+    def damage(self) -> str | None:
+        """What is wrong; None: nothing."""
+        if self._twice:
+            return f"the file is damaged: the block at byte {self._twice} is in two places"
         for first, record in self._groups:
             waiting, seen = [first], set()
             while waiting:
@@ -54,7 +67,7 @@ class _Channels:
                 seen.add(at)
                 following, composition, end = self._channels[at]
                 if end > record:
-                    return at
+                    return f"the file is damaged: a channel at byte {at} lies beyond its record"
                 waiting += [following, composition]
         return None
 
@@ -63,7 +76,7 @@ def mf4_end(path: Path) -> str | None:
     """Why an MF4 file ends too soon or cannot be read; None where all that it names is there."""
     size = path.stat().st_size
     unpacked = 0
-    channels = _Channels()
+    structure = _Structure()
     with path.open("rb") as file:
         begins = file.read(8)
         is_finished = begins.startswith(b"MDF")
@@ -89,7 +102,7 @@ def mf4_end(path: Path) -> str | None:
             named = file.read(8 * min(count, size // 8))
             links = struct.unpack(f"<{len(named) // 8}Q", named[: len(named) // 8 * 8])
             head = file.read(max(_DEFLATED.size, _GROUP.size))
-            channels.take(at, kind, links, head)
+            structure.take(at, kind, links, head)
             if kind == b"##DZ" and len(head) >= _DEFLATED.size:
                 _, _, _, stated, packed = _DEFLATED.unpack_from(head)
                 file.seek(at + _BLOCK.size + 8 * count + _DEFLATED.size)
@@ -100,9 +113,4 @@ def mf4_end(path: Path) -> str | None:
                     return f"its blocks unpack to more than {MOST_TIMES} times its size"
             waiting += [link for link in links if link not in seen]
             seen.update(links)
-    beyond = channels.beyond()
-    return (
-        None
-        if beyond is None
-        else f"the file is damaged: a channel at byte {beyond} lies beyond its record"
-    )
+    return structure.damage()

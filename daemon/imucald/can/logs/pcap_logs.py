@@ -28,7 +28,7 @@ from imucald.can.id_filter import IdFilters
 from imucald.can.logs.frame_batches import FrameBatches
 from imucald.can.logs.log_format import ReadStatistics
 from imucald.can.logs.text_blocks import OpenLog
-from imucald.can.logs.unpacking import plain_file
+from imucald.can.logs.unpacking import InPieces, plain_file
 from imucald.core.errors import LogError
 from imucald.core.libraries import how_to_install
 
@@ -174,7 +174,7 @@ def _opened(file: BinaryIO, name: str) -> Any:
         raise LogError(f"{name}: {text}") from None
     magic = file.read(4)
     file.seek(0)
-    reader = (dpkt.pcapng.Reader if magic == _PCAPNG else dpkt.pcap.Reader)(file)
+    reader = (dpkt.pcapng.Reader if magic == _PCAPNG else dpkt.pcap.Reader)(InPieces(file))
     if (link := reader.datalink()) not in (SOCKETCAN, SLL, SLL2):
         kind = (
             f"{OTHER_LINKS[link]} (link type {link})"

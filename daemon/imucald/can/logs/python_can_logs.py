@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import os
 import re
+import sqlite3
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any, ClassVar, Final
@@ -31,7 +32,7 @@ from imucald.can.logs.log_format import ReadStatistics
 from imucald.can.logs.mf4_end import mf4_end
 from imucald.can.logs.sqlite_table import why_not_stored
 from imucald.can.logs.text_blocks import OpenLog
-from imucald.can.logs.unpacking import plain_ending, plain_file
+from imucald.can.logs.unpacking import FREE_BYTES, InPieces, plain_ending, plain_file
 from imucald.core.errors import LogError
 from imucald.core.libraries import how_to_install
 
@@ -213,12 +214,30 @@ def _open(path: Path, kind: str, named: Path) -> Any:
     if kind in texts:
         return texts[kind](_AnyText(path, named, kind))
     if kind != ".mf4":
-        return {".blf": can.BLFReader, ".db": can.SqliteReader}[kind](path)
+        return {".blf": _opened_blf, ".db": _opened_database}[kind](can, path)
     try:
         return with_mf4()(path)
     except ImportError:
         text = f"reading MF4 needs the package asammdf: {how_to_install('mf4')}"
         raise LogError(f"{named}: {text}") from None
+
+
+def _opened_blf(can: Any, path: Path) -> Any:
+    class Bounded(can.BLFReader):  # type: ignore[misc]
+        """python-can keeps what an object in a container lacks, however long it says it is."""
+
+        def _parse_container(self, data: bytes) -> Iterator[Any]:
+            yield from super()._parse_container(data)
+            if len(self._tail) > FREE_BYTES:
+                raise ValueError(f"an object in it is longer than {FREE_BYTES >> 20} MiB")
+
+    return Bounded(InPieces(path.open("rb")))
+
+
+def _opened_database(can: Any, path: Path) -> Any:
+    reader = can.SqliteReader(path)
+    reader._conn.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, FREE_BYTES)
+    return reader
 
 
 class _AnyText:

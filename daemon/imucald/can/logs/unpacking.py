@@ -9,7 +9,7 @@ import shutil
 import zlib
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
-from typing import Any, Final, Protocol
+from typing import Any, BinaryIO, Final, Protocol
 
 from imucald.core.errors import LogError
 from imucald.core.libraries import how_to_install
@@ -170,6 +170,26 @@ KEPT_BYTES: Final = 1 << 30
 
 MOST_OF_A_BYTE: Final = 1032
 """So many bytes deflate makes of one at most."""
+
+
+class InPieces:
+    """An open file for a reader of another library, which believes the lengths that stand in it.
+
+    Raises ValueError where it asks for more than `FREE_BYTES` at once.
+    """
+
+    def __init__(self, file: BinaryIO) -> None:
+        self._file = file
+
+    def read(self, size: int = -1) -> bytes:
+        """Read up to so many bytes; below zero: all."""
+        if not 0 <= size <= FREE_BYTES:
+            length = f"{size} bytes" if size > 0 else "all of it"
+            raise ValueError(f"{length} at once are more than {FREE_BYTES >> 20} MiB")
+        return self._file.read(size)
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._file, name)
 
 
 def unpacks_to_too_much(file: Any, size: int) -> bool:
