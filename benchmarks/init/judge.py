@@ -11,8 +11,9 @@ import numpy as np
 
 from imucald import config as cfg
 from imucald.config import LoadedConfig, load_config
+from imucald.core.samples import QUANTITIES
 from imucald.discovery.proposal import Proposal
-from imucald.inputs.quantities import DIMENSIONS, wanted_numbers
+from imucald.inputs.quantities import wanted_numbers
 from imucald.inputs.units import find_unit
 from imucald.inputs.wiring import load_databases
 
@@ -82,7 +83,7 @@ def quantities_of(path: Path) -> list[Quantities]:
 
 
 def _number(loaded: LoadedConfig, channel: str, source: cfg.SourceSettings) -> Number:
-    dimension = DIMENSIONS[channel]
+    dimension = QUANTITIES[channel].dimension
     if source.raw is not None:
         where, unit, top = f"{source.raw.id:X} {source.raw.value}", source.unit or "", 1
     else:

@@ -13,7 +13,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from imucald.core.samples import CHANNEL_WIDTH, Series
+from imucald.core.samples import QUANTITIES, Series
 from imucald.model_compensation import ModelCompensation, compensation_from_model
 from imucald.model_compensation.lever_arm_and_suspension import Corrected, VehicleCorrection
 from imucald.model_compensation.sensors import SensorCorrection
@@ -69,7 +69,7 @@ def test_the_sensors_stage(seed):
         samples = []
         for channel in channels:
             size = SIZES[channel] * rng.choice([1.0, 1.0, 1.0, 30.0])
-            width = CHANNEL_WIDTH[channel]
+            width = QUANTITIES[channel].width
             values = tuple(rng.uniform(-size, size) for _ in range(width))
             if channel in last and rng.random() < 0.3:  # stuck
                 values = last[channel]
@@ -101,7 +101,7 @@ def by_columns(stage: SensorCorrection, frames):
     columns = {}
     for channel, found in series.items():
         values = np.array([v for _, v in found])
-        if CHANNEL_WIDTH[channel] == 1:
+        if QUANTITIES[channel].width == 1:
             values = values[:, 0]
         columns[channel] = Series(np.array([t for t, _ in found]), values)
     order = {channel: np.array(found) for channel, found in rows.items()}

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from imucald.core.samples import CHANNEL_WIDTH, Series
+from imucald.core.samples import QUANTITIES, Series
 from imucald.motion.column_ticks import ticks_from_samples
 from imucald.motion.ticks import ACCEL, COLUMNS, TickAccumulator, tick_index
 
@@ -21,9 +21,9 @@ TIME = st.floats(0.0, 1.2, allow_nan=False) | st.integers(0, 12).map(lambda k: k
 def channels(draw: st.DrawFn) -> dict[str, Series]:
     """Some channels with some samples, in time order, ties and empty ticks included."""
     out = {}
-    for name in draw(st.sets(st.sampled_from(sorted(CHANNEL_WIDTH)), max_size=5)):
+    for name in draw(st.sets(st.sampled_from(sorted(QUANTITIES)), max_size=5)):
         times = sorted(draw(st.lists(TIME, min_size=1, max_size=20)))
-        width = CHANNEL_WIDTH[name]
+        width = QUANTITIES[name].width
         rows = draw(
             st.lists(
                 st.lists(VALUE, min_size=width, max_size=width),

@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from engine_bus import ScriptedEstimator
-from imucald.core.samples import CHANNEL_WIDTH, Series
+from imucald.core.samples import QUANTITIES, Series
 from imucald.mount.estimate import HOUSING, Correction, MountEstimate, MountState
 from imucald.runtime.estimators import estimator_for
 from imucald.runtime.pipeline import Pipeline
@@ -19,13 +19,13 @@ from simulated_bus import degrees_between, drive, drive_frames, fed, loaded
 
 def random_samples(rng: random.Random, seconds: float):
     """Samples of some channels at irregular times, and times of rejected ones."""
-    channels = rng.sample(sorted(CHANNEL_WIDTH), rng.randint(1, 6))
+    channels = rng.sample(sorted(QUANTITIES), rng.randint(1, 6))
     samples, rejected = {}, {}
     generator = np.random.default_rng(rng.getrandbits(32))
     for channel in channels:
         n = rng.choice([0, 1, 5, 200])
         t = np.sort(np.round(generator.uniform(0.0, seconds, n), rng.choice([1, 2, 6])))
-        width = CHANNEL_WIDTH[channel]
+        width = QUANTITIES[channel].width
         values = generator.normal(0.0, 5.0, (n, width) if width > 1 else n)
         if n:
             samples[channel] = Series(t, values)

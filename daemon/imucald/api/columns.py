@@ -12,6 +12,8 @@ import numpy as np
 from msgspec import Struct
 from numpy.typing import NDArray
 
+from imucald.core.samples import QUANTITIES
+
 RAW = "raw/"
 """Tables of samples as the sensors gave them begin so."""
 HISTORY, EVENTS = "history", "events"
@@ -41,23 +43,16 @@ _DTYPES: Mapping[str, Any] = {
     "time": np.int64,
 }
 
-_TRIADS = {
-    "accel": ("accel", "mps2", "m/s^2"),
-    "gyro": ("gyro", "radps", "rad/s"),
-    "mag": ("mag", "tesla", "T"),
+_SUFFIXES = {
+    "m/s^2": "mps2",
+    "rad/s": "radps",
+    "rad": "rad",
+    "m/s": "mps",
+    "T": "tesla",
+    "degC": "degc",
 }
+"""What a column's name ends in, by its unit."""
 _WHEELS = ("fl", "fr", "rl", "rr")
-_SCALARS = {
-    "speed": ("speed_mps", "m/s"),
-    "steering": ("steering_rad", "rad"),
-    "yaw_rate": ("yaw_rate_radps", "rad/s"),
-    "lateral_accel": ("lateral_accel_mps2", "m/s^2"),
-    "longitudinal_accel": ("longitudinal_accel_mps2", "m/s^2"),
-    "reverse": ("reverse", "1"),
-    "brake": ("brake", "1"),
-    "heading": ("heading_rad", "rad"),
-    "temperature": ("temperature_degc", "degC"),
-}
 
 HISTORY_COLUMNS = (
     *TIMES,
@@ -84,17 +79,19 @@ def corrected_columns(kind: str) -> tuple[TableColumn, ...]:
 def raw_columns(channel: str, kind: str | None = None) -> tuple[TableColumn, ...]:
     """Columns of a channel's samples as they came (see `core.samples`); kind: of a parallel one."""
     sensor = kind or channel
-    if sensor in _TRIADS:
+    quantity = QUANTITIES[sensor]
+    if quantity.width == 3:
         return (*TIMES, *_triad(sensor, "raw_"))
     if sensor == "wheel_speeds":
         return (*TIMES, *(TableColumn(f"raw_wheel_speed_{w}_mps", "m/s") for w in _WHEELS))
-    name, unit = _SCALARS[sensor]
-    return (*TIMES, TableColumn(f"raw_{name}", unit))
+    if not quantity.unit:
+        return (*TIMES, TableColumn(f"raw_{sensor}", "1"))
+    return (*TIMES, TableColumn(f"raw_{sensor}_{_SUFFIXES[quantity.unit]}", quantity.unit))
 
 
 def _triad(kind: str, before: str) -> tuple[TableColumn, ...]:
-    name, suffix, unit = _TRIADS[kind]
-    return tuple(TableColumn(f"{before}{name}_{axis}_{suffix}", unit) for axis in "xyz")
+    unit = QUANTITIES[kind].unit
+    return tuple(TableColumn(f"{before}{kind}_{axis}_{_SUFFIXES[unit]}", unit) for axis in "xyz")
 
 
 class Columns(Struct, frozen=True, eq=False):

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from imucald.config.vehicle import VehicleSettings
 from imucald.core.arrays import Array
-from imucald.core.samples import CHANNEL_WIDTH, Samples
+from imucald.core.samples import Samples, width_of
 from imucald.motion.standstill import DRIVING_SPEED, ZERO_SPEED_SMOOTHED
 from imucald.motion.ticks import TICK_RATE
 
@@ -72,7 +72,7 @@ class TickMeans:
             rows = np.flatnonzero(counts)
             means = sums[rows] / counts[rows, None]
             table = np.column_stack([bridged(n, rows, column) for column in means.T])
-            grid[channel] = table[:, 0] if CHANNEL_WIDTH.get(channel, 3) == 1 else table
+            grid[channel] = table[:, 0] if width_of(channel) == 1 else table
         return grid
 
 

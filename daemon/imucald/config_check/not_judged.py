@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Sequence
 
 from imucald.config_check.finding import Finding
-from imucald.config_check.source import SI_UNITS, QuantitySource
+from imucald.config_check.source import QuantitySource
+from imucald.core.samples import SI_UNITS
 
 _FLAG = SI_UNITS["flag"]
 

@@ -11,35 +11,17 @@ from imucald.can.columns import CAN_EFF_MASK
 from imucald.can.dbc.message import Signal
 from imucald.config import LoadedConfig
 from imucald.config_check.statistics import Probe, SignalStatistics
+from imucald.core.samples import QUANTITIES, SI_UNITS
 from imucald.inputs.quantities import Wanted, wanted_numbers
 from imucald.inputs.routes import MessageRoute
 
-SI_UNITS = {
-    "acceleration": "m/s^2",
-    "angular_rate": "rad/s",
-    "angle": "rad",
-    "speed": "m/s",
-    "magnetic_field": "T",
-    "temperature": "degC",
-    "flag": "",
-}
-
-_WORDS = {
-    "accel": "accelerometer",
-    "gyro": "gyroscope",
-    "mag": "magnetometer",
-    "steering": "steering_wheel_angle",
-    "lateral_accel": "lateral_acceleration",
-    "longitudinal_accel": "longitudinal_acceleration",
-}
-"""Channels whose name in the configuration differs."""
 _NAMES_SIGN = re.compile("sign|vz|vorz|dir|richt|neg|left|right|links|rechts", re.I)
 _WHEELS = ("front_left", "front_right", "rear_left", "rear_right")
 
 
 def configured_name(channel: str) -> str:
     """The configuration's name of a channel."""
-    return _WORDS.get(channel, channel).replace("/", ".")
+    return QUANTITIES[channel].key if channel in QUANTITIES else channel.replace("/", ".")
 
 
 @dataclass(frozen=True)

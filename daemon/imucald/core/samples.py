@@ -1,29 +1,9 @@
-"""Time-stamped physical samples: what every part inside the edges speaks.
-
-Channels and their units (SI; shapes for N samples):
-
-=================  ======  =============================================================
-channel            shape   meaning
-=================  ======  =============================================================
-``accel``          (N, 3)  specific force in sensor axes [m/s^2] (+9.81 on an axis up at rest)
-``gyro``           (N, 3)  angular rate in sensor axes [rad/s], right-handed
-``mag``            (N, 3)  magnetic field in sensor axes [T]
-``speed``          (N,)    vehicle speed [m/s], not negative; direction comes from ``reverse``
-``wheel_speeds``   (N, 4)  front left, front right, rear left, rear right [m/s]
-``steering``       (N,)    steering-wheel angle [rad], positive to the left
-``yaw_rate``       (N,)    vehicle yaw rate [rad/s], positive to the left (ISO 8855)
-``lateral_accel``  (N,)    vehicle lateral acceleration [m/s^2], positive to the left
-``longitudinal_accel`` (N,) vehicle longitudinal acceleration [m/s^2], positive forward
-``reverse``        (N,)    1 when the vehicle is in reverse gear, else 0
-``brake``          (N,)    1 when the brake is applied, else 0
-``heading``        (N,)    heading, clockwise from north [rad]
-``temperature``    (N,)    sensor temperature [degC]
-=================  ======  =============================================================
-"""
+"""Time-stamped physical samples: what every part inside the edges speaks."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
+from typing import NamedTuple
 
 import numpy as np
 from msgspec import Struct
@@ -32,22 +12,66 @@ from numpy.typing import NDArray
 GRAVITY = 9.80665
 """Standard gravity [m/s^2] (ISO 80000-3)."""
 
-CHANNEL_WIDTH: Mapping[str, int] = {
-    "accel": 3,
-    "gyro": 3,
-    "mag": 3,
-    "speed": 1,
-    "wheel_speeds": 4,
-    "steering": 1,
-    "yaw_rate": 1,
-    "lateral_accel": 1,
-    "longitudinal_accel": 1,
-    "reverse": 1,
-    "brake": 1,
-    "heading": 1,
-    "temperature": 1,
+SI_UNITS: Mapping[str, str] = {
+    "acceleration": "m/s^2",
+    "angular_rate": "rad/s",
+    "angle": "rad",
+    "speed": "m/s",
+    "magnetic_field": "T",
+    "temperature": "degC",
+    "flag": "",
 }
-"""How many numbers a sample of each channel has."""
+"""Unit of each dimension."""
+
+
+class Quantity(NamedTuple):
+    """What a sample of a channel is. key: in the configuration's `signals`. width: its numbers."""
+
+    channel: str
+    key: str
+    dimension: str
+    width: int = 1
+
+    @property
+    def unit(self) -> str:
+        """SI unit; empty for a flag."""
+        return SI_UNITS[self.dimension]
+
+
+QUANTITIES: Mapping[str, Quantity] = {
+    row.channel: row
+    for row in (
+        # specific force in sensor axes (+9.81 on an axis up at rest); angular rate, right-handed
+        Quantity("accel", "accelerometer", "acceleration", 3),
+        Quantity("gyro", "gyroscope", "angular_rate", 3),
+        Quantity("mag", "magnetometer", "magnetic_field", 3),
+        Quantity("speed", "speed", "speed"),  # not negative; direction comes from `reverse`
+        # front left, front right, rear left, rear right
+        Quantity("wheel_speeds", "wheel_speeds", "speed", 4),
+        # of the vehicle (ISO 8855): positive to the left, and forward
+        Quantity("steering", "steering_wheel_angle", "angle"),
+        Quantity("yaw_rate", "yaw_rate", "angular_rate"),
+        Quantity("lateral_accel", "lateral_acceleration", "acceleration"),
+        Quantity("longitudinal_accel", "longitudinal_acceleration", "acceleration"),
+        Quantity("reverse", "reverse", "flag"),  # 1 in reverse gear, else 0
+        Quantity("brake", "brake", "flag"),  # 1 when it is applied, else 0
+        Quantity("temperature", "temperature", "temperature"),  # of the sensor
+        Quantity("heading", "heading", "angle"),  # clockwise from north
+    )
+}
+"""Every quantity, by channel, in the order in which people read them. A sample of one is a number
+or `width` of them in `unit`: arrays (N,) or (N, width). A setting of its `key` in
+`config/signals.py`, and it is read from the bus."""
+
+INERTIAL = tuple(
+    row.channel for row in QUANTITIES.values() if row.dimension in ("acceleration", "angular_rate")
+)
+"""Channels of accelerations and rates: a sensor's noise moves them from sample to sample."""
+
+
+def width_of(channel: str) -> int:
+    """How many numbers a sample has; a channel of a parallel sensor has three."""
+    return QUANTITIES[channel].width if channel in QUANTITIES else 3
 
 
 class Series(Struct, frozen=True):

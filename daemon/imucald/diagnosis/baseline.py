@@ -15,7 +15,7 @@ from msgspec.structs import replace
 
 from imucald.config import LoadedConfig
 from imucald.core.errors import EstimateError
-from imucald.core.samples import Samples
+from imucald.core.samples import INERTIAL, Samples
 from imucald.diagnosis.recording import Recording
 from imucald.model.model import VehicleModel
 from imucald.mount.estimate import MountEstimate
@@ -48,7 +48,7 @@ def baseline_model(loaded: LoadedConfig, recordings: Sequence[Recording]) -> Veh
     }
     for name, hz in _rates(recordings).items():
         changes[f"{name}.rate_hz"] = hz
-        if name in ("accel", "gyro", "yaw_rate", "lateral_accel", "longitudinal_accel"):
+        if name in INERTIAL:
             changes[f"{name}.lowpass_hz"] = None
     changes["grid_hz"] = max(200.0, *(changes.get(f"{n}.rate_hz", 0.0) for n in ("accel", "gyro")))
     return VehicleModel().with_changes(changes)

@@ -14,7 +14,7 @@ from imucald.can.logs.log_reader import LogReader, Progress
 from imucald.config import LoadedConfig
 from imucald.core.arrays import Array
 from imucald.core.errors import LogError
-from imucald.core.samples import CHANNEL_WIDTH, Samples, Series
+from imucald.core.samples import QUANTITIES, Samples, Series
 from imucald.inputs.column_samples import Routed
 from imucald.inputs.quantities import wanted_numbers
 from imucald.inputs.router import Router
@@ -130,7 +130,7 @@ class _Kept:
             channel: Series(
                 np.concatenate(self._t.pop(channel)), np.concatenate(self._values.pop(channel))
             )
-            for channel in CHANNEL_WIDTH
+            for channel in QUANTITIES
             if channel in self._t
         }
 

@@ -9,14 +9,12 @@ from imucald.can.dbc.decode import compile_decode, id_match
 from imucald.can.dbc.message import Message
 from imucald.can.j1939_transport import in_transport
 from imucald.core.errors import DatabaseError
+from imucald.core.samples import QUANTITIES
 from imucald.discovery.candidates import MessageTraffic, SeenSignal
 from imucald.discovery.names import named_so
 
-LOOKED_FOR = (
-    "accelerometer", "gyroscope", "speed", "wheel_speeds", "steering_wheel_angle", "yaw_rate",
-    "lateral_acceleration", "longitudinal_acceleration", "reverse", "brake", "temperature",
-    "heading",
-)  # fmt: skip
+LOOKED_FOR = tuple(row.key for row in QUANTITIES.values() if row.channel != "mag")
+"""A magnetometer is seldom there."""
 
 
 def not_found(

@@ -36,7 +36,7 @@ class Match:
 
 
 @dataclass(frozen=True)
-class Quantity:
+class ScalarQuantity:
     """What a single signal may be. unit: how its unit follows from the relation."""
 
     name: str
@@ -59,18 +59,18 @@ def _steering_unit(c: SeenSignal, found: Relation) -> UnitChoice | None:
     return choose_unit(c.unit, "angle", low / middle, high / middle)
 
 
-YAW_RATE = Quantity("yaw_rate", "angular_rate", "the yaw rate", _by_gain("angular_rate"))
-LATERAL = Quantity(
+YAW_RATE = ScalarQuantity("yaw_rate", "angular_rate", "the yaw rate", _by_gain("angular_rate"))
+LATERAL = ScalarQuantity(
     "lateral_acceleration", "acceleration", "speed times yaw rate", _by_gain("acceleration")
 )
-LONGITUDINAL = Quantity(
+LONGITUDINAL = ScalarQuantity(
     "longitudinal_acceleration", "acceleration", "the change of speed", _by_gain("acceleration")
 )
-STEERING = Quantity("steering_wheel_angle", "angle", "the curvature", _steering_unit)
+STEERING = ScalarQuantity("steering_wheel_angle", "angle", "the curvature", _steering_unit)
 
 
 def find_scalar(
-    quantity: Quantity, reference: Array | None, candidates: Sequence[SeenSignal], sides: str
+    quantity: ScalarQuantity, reference: Array | None, candidates: Sequence[SeenSignal], sides: str
 ) -> Choice | None:
     """The signal that follows a reference best, with its unit and sign; None where none does.
 
@@ -112,7 +112,7 @@ def find_scalar(
     return Choice(quantity.name, {"": chosen}, evidence, doubt, others)
 
 
-def _ranked(matches: list[Match], quantity: Quantity) -> list[Match]:
+def _ranked(matches: list[Match], quantity: ScalarQuantity) -> list[Match]:
     """Those whose unit fits first, then stated units, then the stronger relation."""
     return sorted(
         matches,
@@ -124,7 +124,7 @@ def _ranked(matches: list[Match], quantity: Quantity) -> list[Match]:
     )
 
 
-def _doubt(best: Match, others: list[Match], quantity: Quantity, sides: str) -> str:
+def _doubt(best: Match, others: list[Match], quantity: ScalarQuantity, sides: str) -> str:
     if best.unit is None:
         return "its size fits no unit: scale or meaning are not what the database says"
     if not best.unit.is_sure:
@@ -163,7 +163,7 @@ def _words(found: Relation) -> str:
     return f"correlation {found.correlation:+.2f}"
 
 
-def _gain_words(quantity: Quantity, match: Match) -> str:
+def _gain_words(quantity: ScalarQuantity, match: Match) -> str:
     if match.unit is None:
         return ""
     size = match.relation.gain * match.unit.factor

@@ -6,14 +6,10 @@ import json
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Any
 
+from imucald.core.samples import QUANTITIES
 from imucald.discovery.proposal import Alternative, Choice, Proposal, Proposed
 
 WIDTH = 100
-_ORDER = (
-    "accelerometer", "gyroscope", "magnetometer", "speed", "wheel_speeds", "steering_wheel_angle",
-    "yaw_rate", "lateral_acceleration", "longitudinal_acceleration", "reverse", "brake",
-    "temperature", "heading",
-)  # fmt: skip
 _MISSING = {
     "accelerometer": "{x: MESSAGE.SIGNAL, y: MESSAGE.SIGNAL, z: MESSAGE.SIGNAL}",
     "gyroscope": "{x: MESSAGE.SIGNAL, y: MESSAGE.SIGNAL, z: MESSAGE.SIGNAL}",
@@ -45,7 +41,7 @@ def _lines(proposal: Proposal, databases: Sequence[str]) -> Iterator[str]:
     yield ""
     yield "signals:"
     by_name = {choice.quantity: choice for choice in proposal.choices}
-    for name in _ORDER:
+    for name in (row.key for row in QUANTITIES.values()):
         choice = by_name.get(name)
         if choice is not None:
             yield from _choice(choice)

@@ -9,7 +9,7 @@ from msgspec import Struct, field
 from numpy.typing import NDArray
 
 from imucald.can.columns import FrameColumns, IdMatch
-from imucald.core.samples import CHANNEL_WIDTH, Series
+from imucald.core.samples import Series, width_of
 from imucald.inputs.routes import SignalRoute
 from imucald.inputs.source_selector import SourceSelector
 from imucald.inputs.taps import Tap
@@ -130,8 +130,3 @@ def rows_of(match: IdMatch, frames: FrameColumns) -> NDArray[np.int64]:
         wanted = [i for i, name in enumerate(frames.channels) if name == match.channel]
         hit &= np.isin(frames.channel, wanted)
     return np.flatnonzero(hit)
-
-
-def width_of(channel: str) -> int:
-    """Values that a sample of the channel has."""
-    return CHANNEL_WIDTH.get(channel, 3)

@@ -7,36 +7,10 @@ from collections.abc import Iterator, Sequence
 from msgspec import Struct
 
 from imucald import config as cfg
+from imucald.core.samples import QUANTITIES
 
 Place = tuple[str | int, ...]
 
-DIMENSIONS = {
-    "accel": "acceleration",
-    "gyro": "angular_rate",
-    "mag": "magnetic_field",
-    "speed": "speed",
-    "wheel_speeds": "speed",
-    "steering": "angle",
-    "yaw_rate": "angular_rate",
-    "lateral_accel": "acceleration",
-    "longitudinal_accel": "acceleration",
-    "reverse": "flag",
-    "brake": "flag",
-    "temperature": "temperature",
-    "heading": "angle",
-}
-_TRIADS = {"accelerometer": "accel", "gyroscope": "gyro", "magnetometer": "mag"}
-_SCALARS = {
-    "speed": "speed",
-    "steering_wheel_angle": "steering",
-    "yaw_rate": "yaw_rate",
-    "lateral_acceleration": "lateral_accel",
-    "longitudinal_acceleration": "longitudinal_accel",
-    "reverse": "reverse",
-    "brake": "brake",
-    "temperature": "temperature",
-    "heading": "heading",
-}
 _WHEELS = ("front_left", "front_right", "rear_left", "rear_right")
 
 
@@ -56,22 +30,26 @@ class Wanted(Struct, frozen=True):
 
 def wanted_numbers(signals: cfg.Signals) -> Iterator[Wanted]:
     """Every number that the configuration's `signals` section names."""
-    for key, channel in _TRIADS.items():
+    for channel, key, dimension, width in QUANTITIES.values():
+        if width != 3:
+            continue
         triads: Sequence[cfg.TriadSettings] | None = getattr(signals, key)
         for rank, triad in enumerate(triads or ()):
             place: Place = ("signals", key, rank)
-            yield from _axes(channel, DIMENSIONS[channel], rank, triad, place)
+            yield from _axes(channel, dimension, rank, triad, place)
     for sensor_index, sensor in enumerate(signals.parallel):
         address = sensor.source_address
         triad = cfg.TriadSettings(x=sensor.x, y=sensor.y, z=sensor.z, source_address=address)
         place = ("signals", "parallel", sensor_index)
         yield from _axes(f"parallel/{sensor.name}", sensor.kind, 0, triad, place)
-    for key, channel in _SCALARS.items():
+    for channel, key, dimension, width in QUANTITIES.values():
+        if width != 1:
+            continue
         sources: Sequence[cfg.SourceSettings] | None = getattr(signals, key)
         for rank, source in enumerate(sources or ()):
             place = ("signals", key, rank)
             address = source.source_address
-            yield Wanted(channel, DIMENSIONS[channel], rank, 0, 1, False, source, place, address)
+            yield Wanted(channel, dimension, rank, 0, 1, False, source, place, address)
     if signals.wheel_speeds is not None:
         for slot, key in enumerate(_WHEELS):
             source = getattr(signals.wheel_speeds, key)

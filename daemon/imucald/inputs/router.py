@@ -14,13 +14,13 @@ from numpy.typing import NDArray
 
 from imucald.can.columns import FrameColumns, IdMatch
 from imucald.can.e2e.protection import DOUBLED
+from imucald.core.samples import width_of
 from imucald.inputs.column_samples import (
     ColumnSamples,
     Routed,
     assembled,
     guarded,
     joined,
-    width_of,
 )
 from imucald.inputs.conversion import REASONS
 from imucald.inputs.route_rows import RouteRows

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from imucald.core.arrays import Array
-from imucald.core.samples import Series
+from imucald.core.samples import QUANTITIES, Series
 from imucald.inputs.conversion import LIMITS
 from imucald.model.section import Vector3
 from imucald.model_compensation.held_repeats import HeldRepeats, HeldStages
@@ -40,9 +40,6 @@ CHANNELS = (
     "speed", "steering", "yaw_rate", "lateral_accel", "longitudinal_accel",
 )  # fmt: skip
 """Those that a term may change."""
-_DIMENSION = {"accel": "acceleration", "gyro": "angular_rate", "mag": "magnetic_field"}
-_DIMENSION |= {"speed": "speed", "steering": "angle", "yaw_rate": "angular_rate"}
-_DIMENSION |= {"lateral_accel": "acceleration", "longitudinal_accel": "acceleration"}
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,13 +63,13 @@ class SensorCorrection:
         self._sensitive = any(terms.g_sensitivity)
         self._felt = Smoothed(FELT_HZ)
         self._triads = {
-            channel: TriadCompensator(t, LIMITS[_DIMENSION[channel]])
+            channel: TriadCompensator(t, LIMITS[QUANTITIES[channel].dimension])
             for channel, t in triads.items()
             if t != TriadTerms() or (channel == "gyro" and self._sensitive)
         }
         self._temperature_dependent = [t for t in self._triads.values() if t.follows_temperature]
         self._scalars = {
-            channel: ScalarCompensator(s, LIMITS[_DIMENSION[channel]])
+            channel: ScalarCompensator(s, LIMITS[QUANTITIES[channel].dimension])
             for channel, s in terms.scalars.items()
             if s != ScalarTerms() and not (channel == "speed" and derived_speed)
         }

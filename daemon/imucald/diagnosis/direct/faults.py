@@ -11,9 +11,9 @@ import numpy as np
 from scipy.stats import binom
 
 from imucald.core.arrays import Array
-from imucald.core.samples import Samples, Series
+from imucald.core.samples import INERTIAL, QUANTITIES, Samples, Series
 from imucald.core.text import counted
-from imucald.diagnosis.direct.lost_readings import INERTIAL, Lost
+from imucald.diagnosis.direct.lost_readings import Lost
 from imucald.diagnosis.direct.sample_changes import stays_until_off
 from imucald.diagnosis.direct.stuck import Fault, stuck
 from imucald.diagnosis.direct.visits import PILE_RATIO, visited_too_often
@@ -123,7 +123,7 @@ def _piled(name: str, series: Series, model: VehicleModel) -> Iterator[Fault]:
     # what never goes beyond 0 has no symmetric range that a model file could state
     size = float(min((abs(r) for r in rails if r != 0.0), default=0.0))
     shown = ", ".join(f"{r:.4g}" for r in rails)
-    unit = "m/s^2" if "accel" in name else "rad/s"
+    unit = QUANTITIES[name].unit
     yield Fault(
         "saturation", name, {f"{name}.full_scale": (size, 0.0, unit)} if size else {},
         f"Values pile up at {shown} {unit}: {100 * share:.2g} % of the samples.",

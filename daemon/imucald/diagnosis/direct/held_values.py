@@ -12,6 +12,7 @@ import numpy as np
 from scipy.stats import binom
 
 from imucald.core.arrays import Array
+from imucald.core.samples import QUANTITIES
 from imucald.diagnosis.result import VALUE_HELD, Structure
 from imucald.diagnosis.signals import DriveSignals
 
@@ -54,7 +55,7 @@ def _of_sensor(name: str, drive: DriveSignals, drives: int) -> Iterator[Structur
         if held is None:
             continue
         value, share, times = held
-        unit = "m/s^2" if name == "accel" else "rad/s"
+        unit = QUANTITIES[name].unit
         text = (
             f"it shows {value:.3g} {unit} in {100.0 * share:.2g} % of its samples while driving, "
             f"{times:.0f} times as often as any neighbouring value: it does not follow the "

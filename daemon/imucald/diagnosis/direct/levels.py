@@ -17,6 +17,7 @@ import numpy as np
 from scipy.stats import binom
 
 from imucald.core.arrays import Array
+from imucald.core.samples import QUANTITIES
 from imucald.diagnosis.causes import PARAMETERS
 from imucald.diagnosis.fit.beside_file import short, six, with_entries
 from imucald.diagnosis.fit.chance import Question
@@ -25,11 +26,11 @@ from imucald.diagnosis.signals import Channel, DriveSignals, Mask
 from imucald.model.leaves import GAP_QUANTILES, Leaves
 from imucald.model.model import VehicleModel
 
-SIGNALS = {
-    "accel": "m/s^2", "gyro": "rad/s", "speed": "m/s", "wheel_speeds": "m/s", "steering": "rad",
-    "yaw_rate": "rad/s", "lateral_accel": "m/s^2", "longitudinal_accel": "m/s^2",
-}  # fmt: skip
-"""Signals that are asked, with their unit."""
+SIGNALS = (
+    "accel", "gyro", "speed", "wheel_speeds", "steering", "yaw_rate", "lateral_accel",
+    "longitudinal_accel",
+)  # fmt: skip
+"""Signals that are asked."""
 OF_WHEELS = ("speed", "wheel_speeds")
 """Signals that say 0 below some speed."""
 NEAR_STEPS, OFF_STEP, ON_STEPS = 5.5, 0.1, 0.9
@@ -80,7 +81,7 @@ def numbers_of(name: str, channel: Channel) -> Iterator[Numbers]:
     for i, x in enumerate(table.T):
         letters = "xyz" if table.shape[1] == 3 else "0123"
         own = name if table.shape[1] == 1 else f"{name}_{letters[i]}"
-        yield Numbers(own, name, SIGNALS[name], t, x, is_next)
+        yield Numbers(own, name, QUANTITIES[name].unit, t, x, is_next)
 
 
 # levels ------------------------------------------------------------------------------------------

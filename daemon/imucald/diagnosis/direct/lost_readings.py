@@ -13,12 +13,10 @@ from numpy.typing import NDArray
 from scipy.stats import binom
 
 from imucald.core.arrays import Array
-from imucald.core.samples import Samples, Series
+from imucald.core.samples import INERTIAL, QUANTITIES, Samples, Series
 from imucald.diagnosis.result import READINGS_LOST, Structure
 from imucald.diagnosis.signals import Mask
 
-INERTIAL = ("accel", "gyro", "yaw_rate", "lateral_accel", "longitudinal_accel")
-"""Signals of accelerations and rates."""
 LEAST_ROWS = 100
 CHANCE = 0.01
 """Of a drive; shared out over its signals."""
@@ -53,7 +51,7 @@ def all_lost(samples: Samples) -> dict[str, Lost]:
 
 def as_structure(name: str, lost: Lost) -> Structure:
     """The finding, in words and with its number of visits."""
-    unit = "m/s^2" if "accel" in name else "rad/s"
+    unit = QUANTITIES[name].unit
     value = " ".join(f"{x + 0.0:.3g}" for x in lost.value)
     text = (
         f"it jumps to {value} {unit} and back {lost.visits} times, whatever it showed before: "

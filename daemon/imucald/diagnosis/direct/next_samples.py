@@ -18,6 +18,7 @@ from scipy.special import erf
 from scipy.stats import t as student
 
 from imucald.core.arrays import Array
+from imucald.core.samples import INERTIAL
 from imucald.diagnosis.direct.levels import (
     GAIN,
     OF_WHEELS,
@@ -27,7 +28,6 @@ from imucald.diagnosis.direct.levels import (
     signals_of,
     step_of,
 )
-from imucald.diagnosis.direct.lost_readings import INERTIAL
 from imucald.diagnosis.fit.beside_file import Left, beside_file, in_both, leaves_of, with_entries
 from imucald.diagnosis.fit.chance import Question, chance_of_large
 from imucald.diagnosis.result import FOLLOWS_OTHERWISE, Structure

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from imucald.core.arrays import Array
-from imucald.core.samples import Samples, Series
+from imucald.core.samples import INERTIAL, Samples, Series
 from imucald.core.text import counted
 from imucald.diagnosis.direct.held_speed import chances_of_sensors
 from imucald.diagnosis.direct.own_stays import (
@@ -22,8 +22,6 @@ from imucald.diagnosis.direct.own_stays import (
 from imucald.diagnosis.signals import Mask, Spans
 
 Index = NDArray[np.intp]
-QUICK = ("accel", "gyro", "yaw_rate", "lateral_accel", "longitudinal_accel")
-"""Sensors whose noise moves them from sample to sample."""
 MOVING_MPS = 2.0
 STUCK_S, STUCK_SLOW_S, STUCK_RUNS = 0.5, 8.0, 4.0
 """A quick sensor is stuck from so long on, a slow one; and only if so many times the usual, or if
@@ -76,14 +74,14 @@ def stuck(
     steps = np.diff(t) * (np.interp(0.5 * (t[1:] + t[:-1]), *moving) > MOVING_MPS)
     driven = np.concatenate([[0.0], np.cumsum(steps)])
     length = np.minimum(length, driven[last] - driven[first])
-    least = STUCK_S if name in QUICK else STUCK_SLOW_S
+    least = STUCK_S if name in INERTIAL else STUCK_SLOW_S
     driving = length[length > 0.0]
     usual = _usual(driving)
     long = length > max(least, STUCK_RUNS * usual)
     for k in np.flatnonzero(long):
         long[k] = length[k] > STUCK_RUNS * _usual_of(table[first], length, int(k))
     stays = [(float(t[a]), float(t[b])) for a, b in zip(first, last, strict=True)]
-    if name in QUICK:
+    if name in INERTIAL:
         spans = [stays[k] for k in np.flatnonzero(long)]
     else:
         asked = np.flatnonzero(length > STUCK_SLOW_S)
@@ -100,7 +98,7 @@ def stuck(
         ]
     spans = [s for s in spans if not _is_shown_often(t, table, first, s)]
     total = sum(b - a for a, b in spans)
-    if not spans or (name not in QUICK and total < STUCK_SLOW_S):
+    if not spans or (name not in INERTIAL and total < STUCK_SLOW_S):
         return
     gaps = tuple({"start_s": max(a, 0.0), "duration_s": b - a} for a, b in spans)
     yield Fault(

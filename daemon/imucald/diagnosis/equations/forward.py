@@ -15,7 +15,7 @@ import numpy as np
 from scipy.fft import dct
 
 from imucald.core.arrays import Array
-from imucald.core.samples import GRAVITY
+from imucald.core.samples import GRAVITY, QUANTITIES
 from imucald.diagnosis.cause_keys import Changes, age
 from imucald.diagnosis.equations.kinematics import slope
 from imucald.diagnosis.equations.motion import NONE, VehicleMotion
@@ -26,10 +26,9 @@ from imucald.diagnosis.signals import STANDING_MPS, STEP_S, Channel, Mask
 STOPPING_MPS2 = 3.4
 """Most drivers stop no harder (AASHTO, Green Book: stopping sight distance)."""
 UNITS: Mapping[str, str] = {
-    "accel_x": "m/s^2", "accel_y": "m/s^2", "accel_z": "m/s^2", "gyro_x": "rad/s",
-    "gyro_y": "rad/s", "gyro_z": "rad/s", "yaw_rate": "rad/s", "lateral_accel": "m/s^2",
-    "longitudinal_accel": "m/s^2", "speed": "m/s",
-}  # fmt: skip
+    **{channel: row.unit for channel, row in QUANTITIES.items()},
+    **{f"{name}_{axis}": QUANTITIES[name].unit for name in ("accel", "gyro") for axis in "xyz"},
+}
 
 
 @dataclass(frozen=True)
