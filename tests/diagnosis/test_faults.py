@@ -6,9 +6,12 @@ import numpy as np
 import pytest
 
 from imucald.core.samples import Series
+from imucald.diagnosis.baseline import _rates
 from imucald.diagnosis.direct.faults import find_faults, invalid_spans
 from imucald.diagnosis.direct.lost_readings import all_lost
+from imucald.diagnosis.direct.stamps import clock_of
 from imucald.diagnosis.outcome import cause_of_fault
+from imucald.diagnosis.recording import Recording
 from imucald.model.model import VehicleModel
 
 MODEL = VehicleModel().with_changes({"accel.rate_hz": 100.0, "speed.rate_hz": 10.0})
@@ -411,3 +414,41 @@ def test_late_frames_lose_no_cycle():
     ppm, se, _ = found["clock_drift:accel"].values["accel.clock_drift_ppm"]
     assert ppm == pytest.approx(260.0, abs=2.0)
     assert se < 2.0
+
+
+def with_jitter(lost: float, seed: int = 3) -> dict[str, Series]:
+    """As a candump of a bus: the accelerometer's frames each 10 ms to the microsecond, stamped
+    late by up to 0.8 ms, some of them lost."""
+    samples, rng = drive(), np.random.default_rng(seed)
+    n = len(samples["accel"].t)
+    kept = rng.random(n) >= lost
+    t = 0.01 * np.arange(n) + rng.uniform(0.0, 0.0008, n)
+    return {**samples, "accel": Series(t[kept], samples["accel"].values[kept])}
+
+
+@pytest.mark.parametrize("lost", [0.0, 0.05])
+def test_the_rate_of_a_plain_car_is_that_of_the_stamps_however_many_frames_are_lost(lost):
+    """The median of the steps is 2000 ppm off where one frame in twenty is lost."""
+    recording = Recording("log", with_jitter(lost), SECONDS, 1, {})
+    assert _rates([recording])["accel"] == pytest.approx(100.0, rel=2e-6)
+
+
+def test_where_frames_are_lost_no_clock_error_is_certain():
+    model = MODEL.with_changes({"accel.rate_hz": 100.2})
+    assert causes(with_jitter(0.0), model)["clock_drift:accel"].changes
+    fault = causes(with_jitter(0.05), model)["clock_drift:accel"]
+    assert not fault.changes
+    assert cause_of_fault(fault, model).certainty == "likely"
+
+
+def test_the_deviation_of_a_cycle_is_that_of_stamps_that_wander():
+    """A logger's clock that walks to and fro: the cycles of many drives scatter by what each says
+    of itself."""
+    rng, said = np.random.default_rng(11), []
+    for _ in range(40):
+        walk = 2e-5 * np.cumsum(rng.standard_normal(30_000))
+        clock = clock_of(0.01 * np.arange(30_000) + walk)
+        assert clock is not None
+        said.append(((clock.cycle_s - 0.01) / 0.01, clock.se))
+    error, se = np.array(said).T
+    assert 0.7 < np.sqrt(np.mean((error / se) ** 2)) < 1.6

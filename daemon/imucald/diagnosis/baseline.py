@@ -16,6 +16,7 @@ from msgspec.structs import replace
 from imucald.config import LoadedConfig
 from imucald.core.errors import EstimateError
 from imucald.core.samples import INERTIAL, Samples
+from imucald.diagnosis.direct.stamps import clock_of
 from imucald.diagnosis.recording import Recording
 from imucald.model.model import VehicleModel
 from imucald.mount.estimate import MountEstimate
@@ -55,7 +56,7 @@ def baseline_model(loaded: LoadedConfig, recordings: Sequence[Recording]) -> Veh
 
 
 def _rates(recordings: Sequence[Recording]) -> Mapping[str, float]:
-    """Nominal rates [Hz]: the database's cycle times, else the median of the stamps."""
+    """Nominal rates [Hz]: the database's cycle times, else those of the stamps."""
     rates: dict[str, float] = {}
     for recording in recordings:
         for name in RATES:
@@ -64,7 +65,9 @@ def _rates(recordings: Sequence[Recording]) -> Mapping[str, float]:
             t = recording.samples[name].t
             if len(t) < 2:
                 continue
-            cycle = recording.cycle_s.get(name) or float(np.median(np.diff(t)))
+            clock = clock_of(t)
+            seen = clock.cycle_s if clock is not None else float(np.median(np.diff(t)))
+            cycle = recording.cycle_s.get(name) or seen
             rates[name] = min(max(1.0 / max(cycle, 1e-3), SLOWEST_HZ), FASTEST_HZ)
     return rates
 

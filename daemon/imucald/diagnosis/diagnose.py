@@ -62,6 +62,7 @@ from imucald.diagnosis.result import (
     VALUE_HELD,
     VALUES_MISSING,
     WANDERS,
+    Certainty,
     Diagnosis,
     FoundCause,
     Gain,
@@ -160,7 +161,14 @@ def diagnose(
         signals=signals,
         gain=gain,
         duration_s=driven_s,
-        likely=tuple(outcome.cause_of_trial(state, t, {}, "likely") for t in state.likely),
+        likely=tuple(
+            _merged(
+                [
+                    *(outcome.cause_of_trial(state, t, {}, "likely") for t in state.likely),
+                    *_fault_causes(faults, model, "likely"),
+                ]
+            )
+        ),
         candidates=outcome.other_candidates(state),
         structure=left,
         notes=tuple(_notes(parts, problem.table, late)),
@@ -369,9 +377,14 @@ def _certain_causes(
         causes.append(outcome.cause_of_rest(at, model))
     if state.shift is not None and state.table is not None:
         causes.append(outcome.cause_of_shift(state.shift, state.table))
-    for part in faults:
-        causes += [outcome.cause_of_fault(fault, model) for fault in part]
-    return _merged(causes)
+    return _merged([*causes, *_fault_causes(faults, model, "certain")])
+
+
+def _fault_causes(
+    faults: Sequence[Sequence[Fault]], model: VehicleModel, certainty: Certainty
+) -> list[FoundCause]:
+    every = [outcome.cause_of_fault(fault, model) for part in faults for fault in part]
+    return [cause for cause in every if cause.certainty == certainty]
 
 
 def _merged(causes: Sequence[FoundCause]) -> list[FoundCause]:

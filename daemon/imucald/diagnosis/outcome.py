@@ -120,8 +120,9 @@ def cause_of_fault(fault: Fault, model: VehicleModel) -> FoundCause:
     name = _SENSORS.get(fault.signal, fault.signal.replace("_", " ").capitalize())
     text = f"{name}: {fault.text[:1].lower()}{fault.text[1:]}"
     return FoundCause(
-        fault.cause, parameters, (fault.signal,), {"held_out_nats": fault.score}, text
-    )
+        fault.cause, parameters, (fault.signal,), {"held_out_nats": fault.score}, text,
+        "likely" if fault.against else "certain", fault.against,
+    )  # fmt: skip
 
 
 def _stated(model: VehicleModel, key: str) -> float:

@@ -15,6 +15,7 @@ from imucald.core.samples import INERTIAL, QUANTITIES, Samples, Series
 from imucald.core.text import counted
 from imucald.diagnosis.direct.lost_readings import Lost
 from imucald.diagnosis.direct.sample_changes import stays_until_off
+from imucald.diagnosis.direct.stamps import clock_of
 from imucald.diagnosis.direct.stuck import Fault, stuck
 from imucald.diagnosis.direct.visits import PILE_RATIO, visited_too_often
 from imucald.diagnosis.signals import Channel, Mask, Spans, duplicates
@@ -38,15 +39,6 @@ LOST_TOLERANCE, LOST_FEWEST = 0.003, 8
 PAUSE_S = 10.0
 """A hole that is longer begins a new segment everywhere in this program."""
 DOUBLED_TOLERANCE, DOUBLED_FEWEST = 0.001, 5
-NEAR, NEAR_SHARE, JITTER_SHARE, WANDER_S = 0.85, 0.4, 0.2, 0.01
-"""A cycle is known where most stamps are near it, scatter little, and do not walk away from it: who
-is asked for each value (OBD-II) has none."""
-ADDED_UP = 0.5
-"""Variance of the sum of many steps over the sum of their variances: 1 where each begins when the
-one before it ends (who is asked again on the answer), near 0 where a clock sends (variance ratio;
-Lo and MacKinlay 1988)."""
-LOCKS, NEIGHBOURS = 4, 50
-"""Stamps that share a phase: a cycle known to 1 % moves it by half a cycle at most."""
 CLOCK_PPM, CLOCK_UNKNOWN_PPM = 200.0, 10_000.0
 """Two crystals of +-100 ppm over temperature and age. Further off than 1 % the model file states
 another rate: that is no fault."""
@@ -226,38 +218,38 @@ def _timed(name: str, series: Series, model: VehicleModel) -> Iterator[Fault]:
             text, {}, (), 2.0 * doubled,
         )  # fmt: skip
     t = series.t[~again]
-    clock = _cycle(t)
+    clock = clock_of(t)
     if clock is None:
         return
-    cycle, se, steps, is_steady = clock
     # A pause of the sender or the logger is no loss.
-    steps = np.where(np.diff(t) > PAUSE_S, 1.0, steps)
+    steps = np.where(np.diff(t) > PAUSE_S, 1.0, clock.steps)
     sent = int(steps.sum()) + 1
     lost = sent - len(t)
     stated = float(message.loss)
     chance = 5.0 * np.sqrt(max(stated, 1e-4) * sent)
-    if (
-        lost >= LOST_FEWEST
-        and lost - stated * sent > max(LOST_TOLERANCE * sent, chance)
-        and not _has_other_rate(steps)
-    ):
+    loses = lost >= LOST_FEWEST and lost - stated * sent > max(LOST_TOLERANCE * sent, chance)
+    if loses and not _has_other_rate(steps):
         share = lost / sent
         yield Fault(
             "dropouts", name, {f"{name}.loss": (share, float(np.sqrt(share / sent)), "1")},
             f"{lost} of {sent} frames are missing ({100 * share:.2g} %).",
             {f"{name}.loss": share}, (), float(lost),
         )  # fmt: skip
-    ppm = 1e6 * (cycle * message.rate_hz - 1.0)
+    ppm, se = 1e6 * (clock.cycle_s * message.rate_hz - 1.0), 1e6 * clock.se
     off = ppm - message.clock_drift_ppm
     if (
-        is_steady
+        clock.is_steady
         and name in ("accel", "gyro", "speed", "steering", "yaw_rate")
-        and (CLOCK_PPM + 5.0 * 1e6 * se < abs(off) < CLOCK_UNKNOWN_PPM)
+        and (CLOCK_PPM + 5.0 * se < abs(off) < CLOCK_UNKNOWN_PPM)
     ):
+        key = f"{name}.clock_drift_ppm"
+        cycle = f"{1000 * clock.cycle_s:.5g} ms"
+        has_holes = lost > LOST_TOLERANCE * sent
         yield Fault(
-            "clock_drift", name, {f"{name}.clock_drift_ppm": (ppm, 1e6 * se, "ppm")},
-            f"The cycle is {1000 * cycle:.5g} ms, {off:+.0f} ppm off what the model file states.",
-            {f"{name}.clock_drift_ppm": ppm}, (), abs(off) / CLOCK_PPM * 10.0,
+            "clock_drift", name, {key: (ppm, se, "ppm")},
+            f"The cycle is {cycle}, {off:+.0f} ppm off what the model file states.",
+            {} if has_holes else {key: ppm}, (), abs(off) / CLOCK_PPM * 10.0,
+            against=("frames are missing: their numbers are counted from the stamps",) * has_holes,
         )  # fmt: skip
 
 
@@ -266,56 +258,3 @@ def _has_other_rate(steps: Array) -> bool:
     at random or in bursts most are followed by a step of one cycle. steps: (N,) cycles."""
     wide = steps > 1.0
     return bool(wide[:-1].sum() > 0 and wide[1:][wide[:-1]].mean() > 0.5)
-
-
-def _cycle(t: Array) -> tuple[float, float, Array, bool] | None:
-    """Cycle time [s], its relative deviation, cycles between frames, whether stamps keep to it over
-    the drive (a logger's clock that wanders still shows what is lost); None without a clear one."""
-    steps = np.diff(t)
-    if len(steps) < 50:
-        return None
-    cycle = float(np.median(steps))
-    near = np.abs(steps - cycle) < NEAR_SHARE * cycle
-    if near.mean() < NEAR or np.std(steps[near]) > JITTER_SHARE * cycle:
-        return None
-    at = t - t[0]
-    for _ in range(LOCKS):
-        count = _counted(at, cycle)
-        centred = count - count.mean()
-        slope = float(centred @ (at - at.mean()) / (centred @ centred))
-        if abs(slope / cycle - 1.0) > 0.02:
-            return None
-        cycle = slope
-    left = at - at.mean() - cycle * centred
-    is_steady = bool(np.std(left) <= WANDER_S + 0.3 * cycle) and not _adds_up(steps, cycle)
-    # Stamps wander slowly: halves of the drive are compared, not samples.
-    half = len(count) // 2
-    ends = [np.polyfit(count[s], at[s], 1)[0] for s in (slice(0, half), slice(half, None))]
-    se = max(abs(ends[1] - ends[0]) / 2.0, float(np.std(left) / np.sqrt(centred @ centred)))
-    return cycle, se / cycle, np.round(steps / cycle), is_steady
-
-
-def _adds_up(steps: Array, cycle: float) -> bool:
-    """Whether delay adds up from frame to frame: then nothing sends in a cycle, and the mean of
-    the steps is no clock's. steps: (N,) [s]."""
-    late = steps - cycle * np.maximum(np.round(steps / cycle), 1.0)
-    late = late[np.abs(late) < NEAR_SHARE * cycle]
-    late = late - late.mean()
-    total = np.concatenate([[0.0], np.cumsum(late)])
-    many = min(NEIGHBOURS, len(late) // 2)
-    power = float(np.mean((total[many:] - total[:-many]) ** 2))
-    return bool(power > WANDER_S**2 and power > ADDED_UP * many * float(np.mean(late**2)))
-
-
-def _counted(at: Array, cycle: float) -> Array:
-    """(N,) whole cycles since the first frame. at: (N,) stamps [s], one comes at 0.
-
-    Each stamp is counted from the phase of its neighbours (circular mean), which moves slowly.
-    Steps that are rounded one by one lose a cycle for good wherever two late frames lie just so.
-    """
-    share = at / cycle
-    first = np.arange(0, len(at), NEIGHBOURS)
-    turns = np.add.reduceat(np.exp(2j * np.pi * share), first)
-    middle = np.add.reduceat(at, first) / np.diff(np.append(first, len(at)))
-    phase = np.unwrap(np.angle(turns)) / (2.0 * np.pi)
-    return np.asarray(np.round(share - np.interp(at, middle, phase)))

@@ -50,6 +50,8 @@ class Fault:
     """Evidence in nats, as far as it is known."""
     held: Spans = ()
     """The samples themselves, of a rail: without what is kept out about them."""
+    against: tuple[str, ...] = ()
+    """What speaks against it, in sentences: it is likely then, not certain."""
 
 
 def stuck(
