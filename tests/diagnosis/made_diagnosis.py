@@ -83,7 +83,9 @@ def not_extended(p: SignalPicture) -> SignalPicture:
 
 SIGNALS = {
     "accel_x": SignalGain(0.081, 0.080, 0.078, "m/s^2"),
-    "accel_y": SignalGain(0.312, 0.101, 0.094, "m/s^2", 0.3, 0.08, "offset +0.13 m/s^2", 0.102),
+    "accel_y": SignalGain(
+        0.312, 0.101, 0.094, "m/s^2", 0.3, 0.08, "offset +0.13 m/s^2", 0.102, "found"
+    ),
     "gyro_x": SignalGain(0.0102, 0.0068, 0.0065, "rad/s"),
     "yaw_rate": SignalGain(0.0021, 0.0021, 0.0020, "rad/s"),
 }

@@ -132,7 +132,7 @@ def test_json_has_the_documented_keys_and_is_alone_on_standard_output(asked, dia
     assert result["signals"]["accel_y"] == {
         "rms_before": 0.312, "rms_after": 0.101, "noise_floor": 0.094, "unit": "m/s^2",
         "slow_before": 0.3, "slow_after": 0.08, "left": "offset +0.13 m/s^2",
-        "rms_unseen": 0.102,
+        "rms_unseen": 0.102, "verdict": "found",
     }  # fmt: skip
     assert result["gain"] == {
         "held_out_log_likelihood": 673.0, "interval": [590.0, 755.0],

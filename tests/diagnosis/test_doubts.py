@@ -9,8 +9,8 @@ from hidden import Effect, hidden_drive
 from imucald.core.samples import Samples, Series
 from imucald.diagnosis.cause_keys import with_shifts
 from imucald.diagnosis.diagnose import diagnose
-from imucald.diagnosis.doubts import _may_be_a_low_pass, doubt
-from imucald.diagnosis.fit.blocks import Table
+from imucald.diagnosis.doubts import _may_be_a_low_pass, doubt, unexplained
+from imucald.diagnosis.fit.blocks import TAKES, Table
 from imucald.diagnosis.fit.intervals import Estimate
 from imucald.diagnosis.fit.score import Hypothesis
 from imucald.diagnosis.result import (
@@ -146,6 +146,44 @@ def test_beside_what_cannot_be_stands_what_is_named_without_all_that_it_explains
     state.implausible.append(with_a_drift(pull)[1])
     doubt(state, [Structure("accel_x", NOT_PLAUSIBLE, 2.0, "")], [])
     assert (state.named == [drift]) == stands
+
+
+@pytest.mark.slow
+def test_what_is_certain_of_the_speed_stays_certain_where_the_accelerometer_is_unexplained():
+    """The wheels show 1.5 % less than the speed, and the sensor swings as nothing explains."""
+
+    def wrong(samples: dict[str, Series]) -> dict[str, Series]:
+        accel, wheels = samples["accel"], samples["wheel_speeds"]
+        swings = np.sin(0.7 * accel.t) * np.sin(0.013 * accel.t)
+        loose = accel.values + np.outer(swings, [0.6, 0.7, 0.0])
+        return {
+            **samples,
+            "accel": Series(accel.t, loose),
+            "wheel_speeds": Series(wheels.t, 0.985 * wheels.values),
+        }
+
+    d = diagnosed(wrong)
+    scale = next(c for c in d.causes if c.name == "wheels_against_speed")
+    p = scale.parameters["wheel_speeds.scale"]
+    assert p.value - p.stated == pytest.approx(-0.015, abs=0.002)
+    assert names(d) == {"wheels_against_speed"}
+    assert d.verdict == d.signals["accel_y"].verdict == "unknown"
+    assert d.signals["speed"].verdict in ("found", "ambiguous")
+    assert d.signals["yaw_rate"].verdict == "nothing"
+
+
+@pytest.mark.parametrize(
+    ("signal", "rest"),
+    [
+        ("accel_y", {"speed"}),
+        ("gyro", {"speed", "lateral_accel", "longitudinal_accel"}),
+        ("speed", {"accel_z", "gyro_x", "gyro_y", "gyro_z", "lateral_accel",
+                   "longitudinal_accel"}),
+        ("steering", set(TAKES) - {"yaw_rate"}),
+    ],
+)  # fmt: skip
+def test_what_is_unexplained_leaves_the_equations_that_do_not_take_it(signal, rest):
+    assert set(TAKES) - unexplained([Structure(signal, UNEVEN, 2.0, "")]) == rest
 
 
 KEYS = ("accel.scale.0", "accel.scale.1", "speed.delay_s")

@@ -72,7 +72,9 @@ def test_causes_come_with_values_intervals_and_evidence(found):
 def test_gain_signals_and_what_was_not_named_are_there(found):
     text = found.text
     assert "673 nats likelier (95 % interval 590 to 755)" in text
-    assert "accelerometer left m/s² 0.312 0.101 0.0940 -68 % 0.300 → 0.0800 offset +0.13" in text
+    assert (
+        "accelerometer left found m/s² 0.312 0.101 0.0940 -68 % 0.300 → 0.0800 offset +0.13" in text
+    )
     assert "use it" in text
     outcomes = ["accelerometer scale not decidable here", "gyroscope scale within tolerance"]
     places = [text.index(one) for one in outcomes]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import made_diagnosis as made
 import pytest
 
-from imucald.diagnosis.outcome import verdict_of
+from imucald.diagnosis.outcome import of_signal, verdict_of
 from imucald.diagnosis.result import GOES_AGAINST, NOT_PLAUSIBLE, TOO_MUCH, UNEVEN, Structure
 
 
@@ -22,3 +22,16 @@ def test_what_else_is_left_leaves_a_cause_standing():
     assert verdict_of(causes, (("a", "b"),), left) == "ambiguous"
     assert verdict_of((), (), left) == "unknown"
     assert verdict_of((), (), ()) == "nothing"
+
+
+def test_each_signal_has_a_verdict_of_its_own():
+    causes = made.found().causes
+    left = [Structure("gyro", TOO_MUCH, 2.0, ""), Structure("accel_x", UNEVEN, 2.0, "")]
+
+    def said(name: str) -> str:
+        return of_signal(name, causes, (("body_roll", "accel_scale"),), left)
+
+    assert said("accel_y") == "ambiguous"
+    assert said("gyro_x") == "unknown"
+    assert said("accel_x") == "unknown"
+    assert said("lateral_accel") == "nothing"

@@ -125,6 +125,7 @@ def _print_open(console: Console, diagnosis: Diagnosis) -> None:
 def _print_signals(console: Console, diagnosis: Diagnosis) -> None:
     table = _table()
     table.add_column("residual of", overflow="fold")
+    table.add_column("verdict")
     for title in ("rms before", "after", "change", "floor"):
         table.add_column(title, justify="right")
     table.add_column("unit")
@@ -133,7 +134,7 @@ def _print_signals(console: Console, diagnosis: Diagnosis) -> None:
         cells = [numbers.number(x) for x in (s.rms_before, s.rms_after, s.noise_floor)]
         cells.insert(2, words.less(s))
         left = numbers.typographic(s.left)
-        table.add_row(titles.signal_title(name), *cells, numbers.unit_text(s.unit), left)
+        table.add_row(titles.signal_title(name), s.verdict, *cells, numbers.unit_text(s.unit), left)
     console.print(table)
 
 

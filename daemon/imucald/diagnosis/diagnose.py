@@ -30,7 +30,7 @@ from imucald.diagnosis.direct.sample_changes import (
     with_changes,
 )
 from imucald.diagnosis.direct.stuck import Fault
-from imucald.diagnosis.doubts import doubt
+from imucald.diagnosis.doubts import doubt, unexplained
 from imucald.diagnosis.fit.blocks import Table
 from imucald.diagnosis.fit.chance import beyond_chance
 from imucald.diagnosis.fit.intervals import estimate, quantile
@@ -129,15 +129,13 @@ def diagnose(
 
     tick("which causes pay on data that their fit did not see")
     wrong = goes_against(forwards_before)
-    if not wrong:
-        search(state, tick, late, GYRO_BIAS if rest else ())
+    if wrong:
+        state.leave_out(unexplained(wrong), ())
+    search(state, tick, late, GYRO_BIAS if rest else ())
     report(0.8, "what is left")
     gone = {name: as_structure(name, x) for each in lost for name, x in each.items()}
-    left = (*gone.values(), *odd, *(wrong or _left(state)))
-    if any(s.kind == TOO_MUCH for s in left):
-        state.give_up()
-    else:
-        doubt(state, left, faults)
+    left = (*gone.values(), *odd, *wrong, *(s for s in _left(state) if not _is_in(s, wrong)))
+    doubt(state, left, faults)
     problem = state.evaluated()
     causes = _certain_causes(state, rest if _shows_zero(left) else None, faults, model)
     report(0.88, "what the written file brings")
@@ -148,7 +146,8 @@ def diagnose(
         written = with_leaves(written, problem, state)
         written = with_changes(with_levels(written, parts), parts, state.model)
         written = with_traits(written, parts)
-    gain, signals = gain_of(before, problem, state.free, state.forwards)
+    whole = state.whole or problem.table
+    gain, signals = gain_of(before, problem, whole, state.free, state.forwards)
     if state.shift is not None:
         gain = summed(state.shift.gain, gain.worse)
     sets = outcome.look_alikes(state)
@@ -158,7 +157,10 @@ def diagnose(
         causes=tuple(sorted(causes, key=lambda c: -c.evidence["held_out_nats"])),
         look_alikes=sets,
         to_separate=outcome.manoeuvres(sets),
-        signals=signals,
+        signals={
+            name: replace(s, verdict=outcome.of_signal(name, causes, sets, left))
+            for name, s in signals.items()
+        },
         gain=gain,
         duration_s=driven_s,
         likely=tuple(
@@ -295,6 +297,11 @@ def _left(state: State) -> tuple[Structure, ...]:
         *what_is_left(problem, state, spectra),
     )
     return tuple(dict.fromkeys(left))  # a named gain is asked about twice
+
+
+def _is_in(structure: Structure, others: Sequence[Structure]) -> bool:
+    """Whether it is in an equation that others leave unexplained."""
+    return bool(unexplained([structure]) & unexplained(others))
 
 
 def _silent(share: float, text: str) -> None:

@@ -9,7 +9,7 @@ import numpy as np
 from imucald.core.arrays import Array
 from imucald.diagnosis.causes import family
 from imucald.diagnosis.direct.stuck import Fault
-from imucald.diagnosis.fit.blocks import TAKES, Table
+from imucald.diagnosis.fit.blocks import SENSED, TAKES, TILTED, Table
 from imucald.diagnosis.outcome import SEEN_SHARE, signals_of
 from imucald.diagnosis.result import (
     CHANGES_OTHERWISE,
@@ -19,18 +19,27 @@ from imucald.diagnosis.result import (
     GOES_WITH_LEVEL,
     LOUDER,
     NOT_PLAUSIBLE,
+    TOO_MUCH,
     WANDERS,
     Structure,
 )
-from imucald.diagnosis.search.standing import unsettle
+from imucald.diagnosis.search.standing import leave_out, unsettle
 from imucald.diagnosis.search.state import State
 from imucald.diagnosis.search.trials import Trial
 
 BESIDE = (NOT_PLAUSIBLE, WANDERS, LOUDER, COARSER, CHANGES_OTHERWISE)
 """Structure that moves no value to one side: what a fit names with it may stand."""
-NO_STEP = (GOES_WITH_ANOTHER, GOES_WITH_LEVEL, FOLLOWS_OTHERWISE)
+NO_STEP = (GOES_WITH_ANOTHER, GOES_WITH_LEVEL, FOLLOWS_OTHERWISE, TOO_MUCH)
 """Structure that a turned sensor does not leave. A turn by 10 deg leaves zeros and gains that seem
 to wander, since it is followed to first order and to a segment."""
+
+
+USES = {
+    **TAKES,
+    "accel_y": (*TAKES["accel_y"], "speed"),
+    "yaw_rate": (*TAKES["yaw_rate"], "speed"),
+}
+"""Signals of each equation; of these the speed bounds no band."""
 
 
 def doubt(state: State, left: Sequence[Structure], faults: Sequence[Sequence[Fault]]) -> None:
@@ -39,16 +48,22 @@ def doubt(state: State, left: Sequence[Structure], faults: Sequence[Sequence[Fau
     changing = {family(s.parameter) for s in left if s.parameter}
     shifted = {fault.signal for fault in every if fault.cause == "saturation"}
     # A cause is missing there, and gains and zeros take its place; a delay shows in the timing.
-    shifted |= {name for s in left if s.kind == NOT_PLAUSIBLE for name in TAKES[s.signal]}
+    impossible = [s for s in left if s.kind == NOT_PLAUSIBLE]
+    shifted |= {name for s in impossible for name in TAKES[s.signal]}
     clocks_differ = any(fault.cause == "clock_drift" for fault in every)
     delays = {key: x for key, x in state.changes.items() if key.endswith("delay_s")}
     missing = max((t.shown for t in state.implausible), default=0.0)
 
+    def rests_on(trial: Trial, structures: Sequence[Structure]) -> bool:
+        seen = set(signals_of(state.table, trial.hypothesis.keys))
+        return bool(structures) and (not seen or bool(seen & unexplained(structures)))
+
     def is_doubtful(trial: Trial) -> bool:
-        if any(s.kind not in BESIDE for s in left):
-            # A cause is missing, and a fit shares out what it makes among those that it knows.
-            return True
-        if missing > 0.0 and trial.shown < (missing**0.5 + trial.needed**0.5) ** 2:
+        if (
+            missing > 0.0
+            and trial.shown < (missing**0.5 + trial.needed**0.5) ** 2
+            and rests_on(trial, impossible)
+        ):
             # Of what cannot be it is known how much it explains: that much may lie along this one,
             # and what is left must name it. Nats are squares of deviations, which add up.
             return True
@@ -68,11 +83,31 @@ def doubt(state: State, left: Sequence[Structure], faults: Sequence[Sequence[Fau
 
     if state.shift is not None and any(s.kind in NO_STEP for s in left):
         state.withdraw_shift()
-    unsettle(state, is_doubtful)
     likely, state.likely = state.likely, []
     for trial in likely:
         # Where anything is left a cause is missing, and may be what a weaker statement rests on.
-        (state.doubtful if left or is_doubtful(trial) else state.likely).append(trial)
+        weak = rests_on(trial, left) or is_doubtful(trial)
+        (state.doubtful if weak else state.likely).append(trial)
+    if moving := [s for s in left if s.kind not in BESIDE]:
+        # A cause is missing, and a fit shares out what it makes among those that it knows: only
+        # what other equations show stands.
+        stands = [t for t in state.named if not rests_on(t, moving)]
+        leave_out(state, unexplained(moving), stands)
+    unsettle(state, is_doubtful)
+
+
+def unexplained(left: Sequence[Structure]) -> set[str]:
+    """Equations with a signal that may be what is left: all that an equation takes may be, but the
+    speed, which most take, only where it is compared with another speed."""
+    signals: set[str] = set()
+    for s in left:
+        if s.signal in TAKES:
+            signals |= {x for x in TAKES[s.signal] if x != "speed" or s.signal == "speed"}
+        else:
+            signals |= {x for x in SENSED if s.signal.startswith(x)}
+    made = {name for name, uses in USES.items() if signals & set(uses)}
+    # Force forward and sideways share what they say of gravity.
+    return made | (set(TILTED) if made & set(TILTED) else set())
 
 
 def _may_be_a_low_pass(table: Table | None, trial: Trial, delays: Mapping[str, float]) -> bool:

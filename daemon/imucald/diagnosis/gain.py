@@ -44,9 +44,10 @@ def _fold_losses(table: Table, x: Array) -> Array:
 
 
 def gain_of(
-    before: Table, after: Problem, free: Sequence[str], forwards: Sequence[Forward]
+    before: Table, after: Problem, whole: Table, free: Sequence[str], forwards: Sequence[Forward]
 ) -> tuple[Gain, dict[str, SignalGain]]:
-    """Compare the stated model file with the written one. before, after: tables at these models."""
+    """Compare the stated model file with the written one. before, after: tables at these models;
+    whole: the latter with the equations that no fit uses."""
     table = after.table
     x = found_by_fold(after, free)
     signals, worse = {}, []
@@ -55,7 +56,7 @@ def gain_of(
         if name not in before.plain or before.rms(name) == 0.0:
             continue
         one = SignalGain(
-            before.rms(name), table.rms(name), _floor(table, name), UNITS[name],
+            before.rms(name), table.rms(name), _floor(whole, name), UNITS[name],
             before.rms(name, band=0), table.rms(name, band=0), left.get(name, ""),
             table.rms(name, x),
         )  # fmt: skip

@@ -12,7 +12,7 @@ from imucald.diagnosis.cause_keys import value
 from imucald.diagnosis.causes import BY_NAME, PARAMETERS
 from imucald.diagnosis.direct.direct import Rest
 from imucald.diagnosis.direct.stuck import Fault
-from imucald.diagnosis.fit.blocks import Table
+from imucald.diagnosis.fit.blocks import TAKES, Table
 from imucald.diagnosis.result import (
     GOES_AGAINST,
     NOT_PLAUSIBLE,
@@ -278,6 +278,28 @@ def manoeuvres(sets: Sequence[Sequence[str]]) -> str:
         ways = list(dict.fromkeys(BY_NAME[n].separate for n in names if n in BY_NAME))
         parts.append(f"{' or '.join(names)}: {'; '.join(ways)}")
     return ". ".join(parts)
+
+
+def of_signal(
+    name: str,
+    causes: Sequence[FoundCause],
+    sets: Sequence[Sequence[str]],
+    structure: Sequence[Structure],
+) -> Verdict:
+    """The verdict of one equation: of what shows in it, and of what is left in it."""
+    own = [cause for cause in causes if any(_is_of(signal, name) for signal in cause.signals)]
+    names = {cause.name for cause in own}
+    return verdict_of(
+        own,
+        [names_alike for names_alike in sets if names & set(names_alike)],
+        [s for s in structure if _is_of(s.signal, name)],
+    )
+
+
+def _is_of(signal: str, equation: str) -> bool:
+    """Whether a signal is what an equation predicts: itself, or an axis of it."""
+    measured = TAKES[equation] if equation == "speed" else TAKES[equation][:1]
+    return signal == equation or (signal not in TAKES and signal.startswith(measured))
 
 
 def verdict_of(

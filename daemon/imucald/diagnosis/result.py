@@ -79,6 +79,8 @@ class SignalGain:
     """What is left, in words: an offset, a drift."""
     rms_unseen: float = math.nan
     """*After* of each segment by parameters that were found without it."""
+    verdict: Verdict = "nothing"
+    """What is said of this signal alone."""
 
 
 @dataclass(frozen=True)
@@ -207,6 +209,7 @@ class Diagnosis:
             "to_separate": self.to_separate,
             "signals": {
                 name: {
+                    "verdict": s.verdict,
                     "rms_before": _plain(s.rms_before),
                     "rms_after": _plain(s.rms_after),
                     "rms_unseen": _plain(s.rms_unseen),

@@ -125,7 +125,7 @@ def _key_figures(diagnosis: Diagnosis) -> list[tuple[str, str, str]]:
     """Title, figure and what it means, of the few numbers that sum it up."""
     figures = []
     rows = [(name, s) for name, s in diagnosis.signals.items() if s.rms_before > 0.0]
-    if rows and diagnosis.causes:
+    if rows and diagnosis.causes and diagnosis.gain.was_fitted:
         name, best = min(rows, key=lambda row: _size(row[1].rms_after / row[1].rms_before))
         unit = numbers.unit_text(best.unit)
         figures.append((
@@ -134,6 +134,7 @@ def _key_figures(diagnosis: Diagnosis) -> list[tuple[str, str, str]]:
             f"{titles.signal_title(name)}: {numbers.number(best.rms_before)} → "
             f"{numbers.number(best.rms_after)} {unit}",
         ))  # fmt: skip
+    if diagnosis.causes:
         figures.append(("Extended model file", *words.advice_in_short(diagnosis)))
     figures.append(("Data", duration(diagnosis.duration_s), "diagnosed"))
     return figures
@@ -169,6 +170,7 @@ def _signal_rows(diagnosis: Diagnosis) -> list[dict[str, Any]]:
         share = 100.0 / top if top > 0.0 and math.isfinite(top) else 0.0
         rows.append({
             "name": name,
+            "verdict": s.verdict,
             "unit": s.unit,
             "before": numbers.number(s.rms_before),
             "after": numbers.number(s.rms_after),

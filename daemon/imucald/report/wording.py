@@ -120,11 +120,11 @@ def _unknown(diagnosis: Diagnosis, titles: Sequence[str], tail: str) -> Words:
     if NOT_PLAUSIBLE in kinds:
         first = next(s for s in diagnosis.structure if s.kind == NOT_PLAUSIBLE)
         text = typographic(f"{first.text[:1].upper()}{first.text[1:]}.")
+    headline = f"Unknown: the model does not explain {where}" if where else "Unknown"
     if titles:
-        text += f" Besides, this was found: {in_series(titles)}."
-    return Words(
-        f"Unknown: the model does not explain {where}" if where else "Unknown", text + tail
-    )
+        headline = f"Found: {in_series(titles)}. {headline}"
+        text += f" Certain all the same: {in_series(titles)}."
+    return Words(headline, text + tail)
 
 
 def _advice(diagnosis: Diagnosis) -> str:

@@ -7,8 +7,8 @@ Waugh). What is kept of block b is G_b = [y X]'[y X]: every fit, fold and interv
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from scipy.fft import dct
@@ -50,6 +50,7 @@ TAKES: Mapping[str, tuple[str, ...]] = {
     "speed": ("speed", "wheel_speeds"),
 }  # fmt: skip
 """Signals whose rate bounds the band of an equation."""
+SENSED = tuple(dict.fromkeys(signal for signals in TAKES.values() for signal in signals))
 
 
 @dataclass(frozen=True)
@@ -95,9 +96,17 @@ class Table:
         if x is not None:
             z[:, 1:] = -x
         power = np.einsum("bi,bkij,bj->bk", z, gram, z)
-        there = self.by_equation[equation][:, 0, 0] > 0.0
+        there = gram[:, :, 0, 0].any(axis=1)
         chosen = power[there] if band is None else power[there][:, band : band + 1]
         return float(np.sqrt(np.maximum(chosen.sum() / max(int(there.sum()), 1), 0.0)))
+
+    def without(self, equations: Collection[str]) -> Table:
+        """The same, its fits without some equations; what they leave is still there."""
+        if not equations:
+            return self
+        others = {n: gram for n, gram in self.by_equation.items() if n not in equations}
+        gram = np.asarray(sum(others.values(), np.zeros_like(self.gram)))
+        return replace(self, gram=gram, by_equation=others)
 
     @property
     def blocks(self) -> int:

@@ -40,6 +40,11 @@ class Hypothesis:
     """What the equations err by in it; None: as in the best known of its parameters."""
 
     @property
+    def moved(self) -> set[str]:
+        """The keys with what moves with them."""
+        return {k for d in self.directions for k in d} or set(self.keys)
+
+    @property
     def is_plain(self) -> bool:
         """Whether nothing but the keys is freed, everywhere."""
         return not self.directions and self.pattern is None

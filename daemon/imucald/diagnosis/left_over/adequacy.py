@@ -16,7 +16,7 @@ from imucald.core.arrays import Array
 from imucald.diagnosis.cause_keys import BUTTERWORTH_S_HZ, mount_of
 from imucald.diagnosis.causes import PARAMETERS
 from imucald.diagnosis.equations.forward import Forward
-from imucald.diagnosis.fit.blocks import TAKES
+from imucald.diagnosis.fit.blocks import SENSED, TAKES
 from imucald.diagnosis.fit.score import Hypothesis, Problem, held_out, one_in_fifteen
 from imucald.diagnosis.result import (
     GOES_AGAINST,
@@ -59,7 +59,6 @@ PEAKED = ("accel_y", "yaw_rate")
 FIRST_ORDER_S_HZ = 1.0 / (2.0 * np.pi)
 """Delay of a first-order low-pass well below its cut-off, times the cut-off."""
 OCTAVE = 2.0
-SENSED = tuple(dict.fromkeys(signal for signals in TAKES.values() for signal in signals))
 DRIVEN = ("_winding", "_braking")
 """Accelerations sideways and forward that the driver makes."""
 DRIVING_MPS = 2.0

@@ -86,7 +86,7 @@ def _grown(
         state.last = _trials(problem, state, [*skip, *dropped])
         open_to = [t for t in state.last if t.hypothesis.name not in fallen]
         best = _winner(open_to) or _where_it_leads(problem, replace(state, last=open_to))
-        shift = find_shift(problem, problem.table.levels)
+        shift = None if state.left_out else find_shift(problem, problem.table.levels)
         if shift is not None and shift.named and (best is None or shift.shown > best.shown):
             # Either side of a shift is another drive: nothing else is asked of this one.
             state.shift = shift

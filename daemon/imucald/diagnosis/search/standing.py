@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -20,7 +20,7 @@ def asked_again(state: State, trial: Trial) -> Trial:
     index = [h.keys.index(k) for k in kept]
     if h.is_plain:
         h = replace(h, keys=tuple(kept), lead=min(h.lead, len(kept)))
-    null = put_back(problem, state, list({k for d in h.directions for k in d} or kept))
+    null = put_back(problem, state, list(h.moved))
     again = tried(problem, h, held_out(null), max(len(state.last), 1), null)
     moved = np.array([state.changes[k] for k in kept])
     e = replace(again.estimate, value=again.estimate.value + moved)
@@ -116,7 +116,7 @@ def eliminate(state: State, late: Callable[[], bool]) -> None:
 def without(state: State, trial: Trial) -> State:
     """The others alone, fitted again."""
     h = trial.hypothesis
-    keys = {k for d in h.directions for k in d} or set(h.keys)
+    keys = h.moved
     less = replace(
         state,
         changes={k: x for k, x in state.changes.items() if k not in keys},
@@ -157,6 +157,17 @@ def set_aside(state: State, trial: Trial) -> None:
     else:  # it has no place in the model file: nothing moves
         state.named.remove(trial)
         state.doubtful.append(trial)
+
+
+def leave_out(state: State, equations: Collection[str], stands: Sequence[Trial]) -> None:
+    """Fit to the other equations alone; of what rests on these (`stands`) stays what is named
+    again."""
+    state.leave_out(equations, stands)
+    if stands:
+        refit(state)
+    for trial in stands:
+        if trial.hypothesis.pattern is None and not asked_again(state, trial).named:
+            set_aside(state, trial)
 
 
 def unsettle(state: State, doubts: Callable[[Trial], bool]) -> None:

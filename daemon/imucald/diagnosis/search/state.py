@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -54,7 +54,11 @@ class State:
     shift: FittedShift | None = None
     doubtful_shift: FittedShift | None = None
     """A moved mount that does not stand."""
+    left_out: frozenset[str] = frozenset()
+    """Equations that no fit uses: what is left of them is unexplained."""
     table: Table | None = None
+    whole: Table | None = None
+    """The same with what is left out."""
     forwards: list[Forward] = field(default_factory=list)
     tables: KeptTables = field(default_factory=KeptTables)
     """Shared with the states that are made of this one."""
@@ -68,7 +72,8 @@ class State:
     def evaluated(self) -> Problem:
         """Compare the drives with the model as it is now."""
         if self.table is None or self._evaluated != self.model:
-            self.table, self.forwards = self.tables.of(self.drives, self.model)
+            self.whole, self.forwards = self.tables.of(self.drives, self.model)
+            self.table = self.whole.without(self.left_out)
             self._evaluated = self.model
         return Problem.of(self.table, [k for k in self.free if k in self.table.keys], self.bounds)
 
@@ -77,13 +82,18 @@ class State:
         self.doubtful_shift, self.shift = self.shift, None
         self.apply({})
 
-    def give_up(self) -> None:
-        """No fit is to be believed: what was named is not ruled out, and no more."""
-        self.doubtful = [*self.named, *self.likely, *self.doubtful]
-        self.named, self.likely, self.shift = [], [], None
-        for key in self.held:
+    def leave_out(self, equations: Collection[str], stands: Sequence[Trial]) -> None:
+        """Fit nothing to some equations. Of what was named `stands`, with its parameters; the rest
+        is not ruled out, and no more."""
+        keys = {key for t in stands for key in t.hypothesis.moved}
+        self.doubtful = [*(t for t in self.named if not any(t is s for s in stands)),
+                         *self.doubtful]  # fmt: skip
+        self.named = list(stands)
+        for key in self.held - keys:
             self.bounds.pop(key, None)
-        self.changes, self.held = {}, set()
+        self.changes = {k: x for k, x in self.changes.items() if k in keys}
+        self.held &= keys
+        self.left_out, self.table = frozenset(equations), None
         self.apply({})
 
     def apply(self, changes: Changes) -> None:
