@@ -2,15 +2,23 @@
 
 from __future__ import annotations
 
+import made_diagnosis as made
 import numpy as np
 import pytest
 
 from imucald.diagnosis.fit.intervals import Estimate
 from imucald.diagnosis.fit.score import Hypothesis
-from imucald.diagnosis.outcome import OTHERWISE, _against, implausible, other_candidates
+from imucald.diagnosis.outcome import (
+    _against,
+    implausible,
+    other_candidates,
+    with_sensor_axes,
+)
+from imucald.diagnosis.result import OTHERWISE, Estimated, FoundCause
 from imucald.diagnosis.search.state import State
 from imucald.diagnosis.search.trials import Trial
 from imucald.model.model import VehicleModel
+from imucald.report import wording as words
 
 NAMED_FROM = 0.4
 """Tolerance 0.1, and three deviations of 0.1."""
@@ -52,3 +60,43 @@ def test_a_value_that_differs_between_quarters_is_said_with_its_unit():
     for trial, text in ((of(0.3), "moves by 0.2 between"), (zero, "moves by 0.2 m/s^2 between")):
         (against,) = _against(state(), trial)
         assert text in against
+
+
+def test_what_is_too_small_is_said_with_the_size_from_which_it_would_have_shown():
+    (found,) = other_candidates(state(last=[of(0.02, "speed.scale", "wheel_speed_scale")]))
+    assert found.outcome == "not decidable here"
+    assert (found.key, found.off, found.std) == ("speed.scale", 0.02, 0.1)
+    assert found.shows_from == pytest.approx(NAMED_FROM)
+    (row,) = words.not_named(made.found(candidates=(found,)))
+    assert row.value == "speed gain error: 2 ± 20 %"
+    assert row.shows == "from 40.0 % on"
+
+
+def test_a_vector_is_along_the_sensors_axes_under_the_files_key():
+    """Three zero errors put in along the sensor's axes, of a sensor that lies on its side."""
+    zero = np.radians([0.25, -0.40, 0.15])
+    turns = {"mount.roll_deg": 178.0, "mount.pitch_deg": -12.0, "mount.yaw_deg": 94.0}
+    model = VehicleModel().with_changes(turns)
+    r, p, y = np.radians([178.0, -12.0, 94.0])
+    R = (
+        np.array([[np.cos(y), -np.sin(y), 0.0], [np.sin(y), np.cos(y), 0.0], [0.0, 0.0, 1.0]])
+        @ np.array([[np.cos(p), 0.0, np.sin(p)], [0.0, 1.0, 0.0], [-np.sin(p), 0.0, np.cos(p)]])
+        @ np.array([[1.0, 0.0, 0.0], [0.0, np.cos(r), -np.sin(r)], [0.0, np.sin(r), np.cos(r)]])
+    )
+    parameters = {
+        f"gyro.bias.{axis}": Estimated(float(x), 1e-4, "rad/s", 0.0, 1e-3)
+        for axis, x in zip("xyz", R @ zero, strict=True)
+    }
+    found = with_sensor_axes(FoundCause("gyro_bias", parameters, (), {}, ""), model, model)
+    assert [found.in_file[f"gyro.bias.{i}"].value for i in range(3)] == pytest.approx(zero)
+    assert found.in_file["gyro.bias.0"].std == pytest.approx(1e-4)
+    assert list(found.along_vehicle) == [f"gyro.bias.{w}" for w in ("forward", "left", "up")]
+    said = made.found(causes=(found,)).as_json()["causes"][0]
+    assert list(said["parameters"]) == ["gyro.bias.0", "gyro.bias.1", "gyro.bias.2"]
+    assert said["parameters"]["gyro.bias.1"]["value"] == pytest.approx(zero[1], abs=1e-8)
+    assert said["vehicle_axes"]["gyro.bias.up"]["value"] == pytest.approx((R @ zero)[2], abs=1e-8)
+    rows = words.parameter_rows(found)
+    assert [row.key for row in rows] == [*said["parameters"], "", "", ""]
+    assert [row.title for row in rows[1::3]] == [
+        "gyroscope zero error, sensor y", "gyroscope zero error, left",
+    ]  # fmt: skip

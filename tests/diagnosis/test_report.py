@@ -504,4 +504,5 @@ def test_a_time_of_the_drive_is_in_seconds_and_a_pure_number_has_no_unit():
     assert titles.key_title("mount.shifts.t_s") == "time of the shift"
     text = "gyro.scale.0 off by 0.54 +- 0.4; threshold 0.85"
     candidate = Candidate("gyro_scale", "not ruled out", 1.0, text)
-    assert words.outcome(candidate).endswith("off by 0.54 ± 0.4; threshold 0.85")
+    (row,) = words.not_named(made.found(candidates=(candidate,)))
+    assert row.value.endswith("off by 0.54 ± 0.4; threshold 0.85")

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
     from imucald.diagnosis.result import Diagnosis, FoundCause
 
-SHOWN_CANDIDATES = 5
+SHOWN_CANDIDATES = 12
 SHOWN_STRUCTURE = 8
 SHOWN_NOTES = 12
 INDENT = (0, 0, 0, 2)
@@ -85,10 +85,10 @@ def _print_cause(console: Console, cause: FoundCause, how_sure: str) -> None:
     table.add_column("parameter", overflow="fold")
     table.add_column("value ± 95 %", justify="right")
     table.add_column("model file", justify="right")
-    table.add_column("by key, vehicle axes", overflow="fold")
-    for key, p in cause.parameters.items():
-        shown, stated = numbers.for_people(key, p)
-        table.add_row(f"  {titles.key_title(key)}", shown, stated, f"{key}: {numbers.in_file(p)}")
+    table.add_column("by the file's key", overflow="fold")
+    for row in words.parameter_rows(cause):
+        in_file = f"{row.key}: {row.in_file}" if row.key else ""
+        table.add_row(f"  {row.title}", row.value, row.stated, in_file)
     console.print(table)
     if cause.signals:
         signals = words.in_series([titles.signal_title(s) for s in cause.signals])
@@ -139,11 +139,15 @@ def _print_signals(console: Console, diagnosis: Diagnosis) -> None:
 
 
 def _print_candidates(console: Console, diagnosis: Diagnosis) -> None:
-    open_ones = [c for c in diagnosis.candidates if c.outcome != "within tolerance"]
-    ordered = sorted(open_ones, key=lambda c: -c.nats)
-    for c in ordered[:SHOWN_CANDIDATES]:
-        console.print(f"not named: {titles.cause_title(c.name)}, {words.outcome(c)}")
-    rest = len(diagnosis.candidates) - min(len(ordered), SHOWN_CANDIDATES)
+    rows = [row for row in words.not_named(diagnosis) if row.outcome != "within tolerance"]
+    if rows:
+        table = _table()
+        for title in ("not named", "outcome", "value ± 95 %", "would have shown"):
+            table.add_column(title, overflow="fold")
+        for row in rows[:SHOWN_CANDIDATES]:
+            table.add_row(row.title, row.outcome, row.value, row.shows)
+        console.print(table)
+    rest = len(diagnosis.candidates) - min(len(rows), SHOWN_CANDIDATES)
     if rest > 0:
         console.print(f"{rest} more were not named; report and JSON have them")
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
@@ -151,10 +152,11 @@ def diagnose(
     if state.shift is not None:
         gain = summed(state.shift.gain, gain.worse)
     sets = outcome.look_alikes(state)
+    in_axes = partial(outcome.with_sensor_axes, stated=model, written=written)
     report(0.95, "pictures")
     return Diagnosis(
         verdict=outcome.verdict_of(causes, sets, left),
-        causes=tuple(sorted(causes, key=lambda c: -c.evidence["held_out_nats"])),
+        causes=tuple(sorted(map(in_axes, causes), key=lambda c: -c.evidence["held_out_nats"])),
         look_alikes=sets,
         to_separate=outcome.manoeuvres(sets),
         signals={
@@ -164,7 +166,8 @@ def diagnose(
         gain=gain,
         duration_s=driven_s,
         likely=tuple(
-            _merged(
+            in_axes(cause)
+            for cause in _merged(
                 [
                     *(outcome.cause_of_trial(state, t, {}, "likely") for t in state.likely),
                     *_fault_causes(faults, model, "likely"),

@@ -4,18 +4,20 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 
 from imucald.core.text import counted
-from imucald.diagnosis.cause_keys import value
-from imucald.diagnosis.causes import BY_NAME, PARAMETERS
+from imucald.diagnosis.cause_keys import TRIADS, mount_of, tolerance, value
+from imucald.diagnosis.causes import BY_NAME, PARAMETERS, family
 from imucald.diagnosis.direct.direct import Rest
 from imucald.diagnosis.direct.stuck import Fault
 from imucald.diagnosis.fit.blocks import TAKES, Table
 from imucald.diagnosis.result import (
     GOES_AGAINST,
     NOT_PLAUSIBLE,
+    OTHERWISE,
     TOO_MUCH,
     Candidate,
     Certainty,
@@ -68,6 +70,35 @@ def cause_of_trial(
         certainty,
         tuple(_against(state, trial)),
     )  # fmt: skip
+
+
+def with_sensor_axes(cause: FoundCause, stated: VehicleModel, written: VehicleModel) -> FoundCause:
+    """The same with vectors along the sensor's axes, by the file's key: what is written, where it
+    is, else what the fit says."""
+    made: dict[str, Estimated] = {}
+    R = mount_of(stated)
+    for stem in dict.fromkeys(family(key) for key in cause.parameters):
+        section, _, name = stem.partition(".")
+        if section not in TRIADS or f"{stem}.x" not in PARAMETERS:
+            continue
+        keys = [f"{stem}.{axis}" for axis in "xyz"]
+        # What was not fitted is as uncertain as an even spread over its tolerance.
+        own = [cause.parameters.get(k) or _as_stated(stated, k) for k in keys]
+        before, after = (np.array(getattr(getattr(m, section), name)) for m in (stated, written))
+        fitted = R.T @ [p.value for p in own]
+        std, tau = (np.sqrt((R.T**2) @ [x**2 for x in each])
+                    for each in ([p.std for p in own], [p.tolerance for p in own]))  # fmt: skip
+        value_now = fitted if np.array_equal(before, after) else after
+        for i in range(3):
+            made[f"{stem}.{i}"] = Estimated(
+                float(value_now[i]), float(std[i]), own[i].unit, float(before[i]), float(tau[i])
+            )
+    return replace(cause, along_sensor=made)
+
+
+def _as_stated(model: VehicleModel, key: str) -> Estimated:
+    x, tau = value(model, key), tolerance(model, key)
+    return Estimated(x, tau / math.sqrt(3.0), PARAMETERS[key].unit, x, tau)
 
 
 def signals_of(table: Table | None, keys: Sequence[str]) -> tuple[str, ...]:
@@ -172,10 +203,6 @@ def cause_of_shift(shift: FittedShift, table: Table) -> FoundCause:
     )  # fmt: skip
 
 
-OTHERWISE = "; not certain: other causes fit as well, or data not fitted do not show it"
-"""Why a cause that is large enough is not named."""
-
-
 def other_candidates(state: State) -> tuple[Candidate, ...]:
     """Every cause that was not named, with the size that these drives could have shown."""
     named = {t.hypothesis.name for t in (*state.named, *state.likely)}
@@ -202,7 +229,8 @@ def other_candidates(state: State) -> tuple[Candidate, ...]:
         text = f"{key} off by {size}; threshold {_n(tau + q * se)}"
         if outcome == "not ruled out" and abs(x) > tau + q * se:
             text += OTHERWISE
-        made.append(Candidate(name, outcome, t.shown, text, _freed(state, name)))
+        of_key = key, x, se, tau + q * se, PARAMETERS[key].unit
+        made.append(Candidate(name, outcome, t.shown, text, _freed(state, name), *of_key))
     if state.doubtful_shift is not None and state.table is not None:
         shift = state.doubtful_shift
         cause = cause_of_shift(shift, state.table)

@@ -47,6 +47,34 @@ class FoundCause:
     certainty: Certainty = "certain"
     against: tuple[str, ...] = ()
     """What speaks against it, in sentences."""
+    along_sensor: Mapping[str, Estimated] = field(default_factory=dict)
+    """Vectors of `parameters` along the sensor's axes, as the model file has them: by the file's
+    key and the number of the axis."""
+
+    @property
+    def in_file(self) -> dict[str, Estimated]:
+        """By the file's own key."""
+        own = {k: p for k, p in self.parameters.items() if not self._is_turned(k)}
+        return {**self.along_sensor, **own}
+
+    @property
+    def along_vehicle(self) -> dict[str, Estimated]:
+        """Vectors along the vehicle's axes: `accel.bias.forward`, `.left`, `.up`."""
+        return {
+            f"{k[:-1]}{VEHICLE_AXES[k[-1]]}": p
+            for k, p in self.parameters.items()
+            if self._is_turned(k)
+        }
+
+    def _is_turned(self, key: str) -> bool:
+        return f"{key[:-1]}0" in self.along_sensor
+
+
+VEHICLE_AXES = {"x": "forward", "y": "left", "z": "up"}
+
+
+OTHERWISE = "; not certain: other causes fit as well, or data not fitted do not show it"
+"""Why a cause that is large enough is not named."""
 
 
 @dataclass(frozen=True)
@@ -61,6 +89,14 @@ class Candidate:
     """Its value, and the size that these drives could have shown."""
     parameters: Mapping[str, Estimated] = field(default_factory=dict)
     """What each of its parameters would be, freed by itself."""
+    key: str = ""
+    """The parameter that is furthest off."""
+    off: float = math.nan
+    """By how much, in `unit`; likewise the next two."""
+    std: float = math.nan
+    shows_from: float = math.nan
+    """Size from which these drives would have shown it."""
+    unit: str = ""
 
 
 @dataclass(frozen=True)
@@ -233,7 +269,17 @@ class Diagnosis:
                 for s in self.structure
             ],
             "candidates": [
-                {"name": c.name, "outcome": c.outcome, "nats": _plain(c.nats), "text": c.text}
+                {
+                    "name": c.name,
+                    "outcome": c.outcome,
+                    "nats": _plain(c.nats),
+                    "text": c.text,
+                    "parameter": c.key,
+                    "off": _plain(c.off),
+                    "std": _plain(c.std),
+                    "shows_from": _plain(c.shows_from),
+                    "unit": c.unit,
+                }
                 for c in self.candidates
             ],
             "notes": list(self.notes),
@@ -244,20 +290,22 @@ def _cause_json(cause: FoundCause) -> dict[str, Any]:
     return {
         "name": cause.name,
         "certainty": cause.certainty,
-        "parameters": {
-            name: {
-                "value": _plain(p.value),
-                "std": _plain(p.std),
-                "unit": p.unit,
-                "stated": _plain(p.stated),
-                "tolerance": _plain(p.tolerance),
-            }
-            for name, p in cause.parameters.items()
-        },
+        "parameters": {key: _estimated_json(p) for key, p in cause.in_file.items()},
+        "vehicle_axes": {key: _estimated_json(p) for key, p in cause.along_vehicle.items()},
         "signals": list(cause.signals),
         "evidence": {name: _plain(x) for name, x in cause.evidence.items()},
         "text": cause.text,
         "against": list(cause.against),
+    }
+
+
+def _estimated_json(p: Estimated) -> dict[str, Any]:
+    return {
+        "value": _plain(p.value),
+        "std": _plain(p.std),
+        "unit": p.unit,
+        "stated": _plain(p.stated),
+        "tolerance": _plain(p.tolerance),
     }
 
 

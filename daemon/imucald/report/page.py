@@ -71,7 +71,7 @@ def report_page(diagnosis: Diagnosis, about: About) -> str:
         signals=_signal_rows(diagnosis),
         pictures=_pictures(diagnosis),
         unpictured=max(0, len(diagnosis.pictures) - MAX_PICTURED),
-        candidates=_candidates(diagnosis),
+        candidates=words.not_named(diagnosis)[:MAX_ROWS],
         structure=sorted(diagnosis.structure, key=lambda s: -_size(s.size))[:MAX_ROWS],
         gain_line=words.gain(diagnosis.gain),
         diff=as_diff(changes[:MAX_ROWS]),
@@ -141,22 +141,12 @@ def _key_figures(diagnosis: Diagnosis) -> list[tuple[str, str, str]]:
 
 
 def _card(cause: FoundCause, diagnosis: Diagnosis) -> dict[str, Any]:
-    rows = []
-    for key, p in list(cause.parameters.items())[:MAX_ROWS]:
-        shown, stated = numbers.for_people(key, p)
-        rows.append({
-            "title": titles.key_title(key),
-            "key": key,
-            "value": shown,
-            "stated": stated,
-            "in_file": numbers.in_file(p),
-        })  # fmt: skip
     return {
         "title": titles.cause_title(cause.name),
         "name": cause.name,
         "certainty": words.how_sure(cause, diagnosis),
         "text": numbers.typographic(cause.text),
-        "rows": rows,
+        "rows": words.parameter_rows(cause)[:MAX_ROWS],
         "evidence": words.evidence(cause),
         "against": words.against(cause),
         "signals": [titles.signal_title(name) for name in cause.signals],
@@ -187,19 +177,6 @@ def _signal_rows(diagnosis: Diagnosis) -> list[dict[str, Any]]:
 
 def _width(share: float) -> str:
     return f"{share:.1f}" if math.isfinite(share) else "0"
-
-
-def _candidates(diagnosis: Diagnosis) -> list[dict[str, Any]]:
-    """Causes that were not named, what pays most first."""
-    ordered = sorted(diagnosis.candidates, key=lambda c: -_size(c.nats))
-    return [
-        {
-            "title": titles.cause_title(c.name),
-            "outcome": c.outcome,
-            "text": words.size_shown(c),
-        }
-        for c in ordered[:MAX_ROWS]
-    ]
 
 
 def _pictures(diagnosis: Diagnosis) -> list[dict[str, Any]]:

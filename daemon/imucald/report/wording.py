@@ -5,27 +5,51 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 from imucald.diagnosis.causes import BY_NAME
 from imucald.diagnosis.result import (
     GOES_AGAINST,
     NOT_PLAUSIBLE,
+    OTHERWISE,
     TOO_MUCH,
     Candidate,
     Diagnosis,
+    Estimated,
     FoundCause,
     Gain,
     SignalGain,
     Structure,
 )
 from imucald.report.model_changes import model_changes
-from imucald.report.numbers import number, typographic
+from imucald.report.numbers import for_people, in_file, number, typographic
 from imucald.report.titles import cause_title, key_title, signal_title
 
 AS_WELL = " does as well on data that no fit saw"
 """How the diagnosis ends what it says of rivals."""
 MANY = 4
 """Of more names than this a sentence shows the first ones."""
+
+
+class ParameterRow(NamedTuple):
+    """A number of a cause, as people read it."""
+
+    title: str
+    value: str
+    stated: str
+    key: str
+    """Of the model file; empty: it has no place there."""
+    in_file: str
+
+
+class CandidateRow(NamedTuple):
+    """A cause that was not named, as people read it."""
+
+    title: str
+    outcome: str
+    value: str
+    shows: str
+    """From which size on."""
 
 
 @dataclass(frozen=True)
@@ -195,14 +219,34 @@ def evidence(cause: FoundCause) -> str:
     return ", ".join(parts)
 
 
-def outcome(candidate: Candidate) -> str:
-    """Return why a cause was not named."""
-    return f"{candidate.outcome}: {size_shown(candidate)}"
+def parameter_rows(cause: FoundCause) -> list[ParameterRow]:
+    """What is said of a cause's numbers: by the file's key along the sensor's axes, then along the
+    vehicle's."""
+    rows = []
+    for key, p in (*cause.in_file.items(), *cause.along_vehicle.items()):
+        shown, stated = for_people(key, p)
+        of_file = "" if key in cause.along_vehicle else key
+        rows.append(ParameterRow(key_title(key), shown, stated, of_file, in_file(p)))
+    return rows
 
 
-def size_shown(candidate: Candidate) -> str:
-    """Its size and the size from which it would be named."""
-    return typographic(candidate.text)
+def not_named(diagnosis: Diagnosis) -> list[CandidateRow]:
+    """Causes that were not named, what pays most first, with the size from which these drives would
+    have shown each."""
+    ordered = sorted(
+        diagnosis.candidates, key=lambda c: -c.nats if math.isfinite(c.nats) else math.inf
+    )
+    return [CandidateRow(cause_title(c.name), c.outcome, *_sizes(c)) for c in ordered]
+
+
+def _sizes(c: Candidate) -> tuple[str, str]:
+    """Of what a cause is off by how much, and from which size on it shows."""
+    if not math.isfinite(c.shows_from):
+        return typographic(c.text), ""
+    off = Estimated(c.off, c.std, c.unit, c.shows_from)
+    value, least = for_people(c.key, off)
+    why = OTHERWISE if c.text.endswith(OTHERWISE) else ""
+    return f"{key_title(c.key)}: {value}", f"from {least} on{why}"
 
 
 def gain(found: Gain) -> str:
