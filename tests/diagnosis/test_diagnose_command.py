@@ -151,7 +151,8 @@ def test_the_written_model_loads_and_says_where_it_comes_from(asked, diagnosed, 
     assert status == 0
     assert f"written: {model}" in out
     assert load_model(model) == made.AFTER
-    head = [line for line in model.read_text().splitlines() if line.startswith("#")]
+    modeline, *head = [line for line in model.read_text().splitlines() if line.startswith("#")]
+    assert modeline.startswith("# yaml-language-server: $schema=")
     assert "drive.log (12 s)" in head[1]
     assert "Found: body roll and accelerometer bias" in head[2]
     assert "suspension.roll_gradient: 0.008 -> 0.0171235" in head[3]

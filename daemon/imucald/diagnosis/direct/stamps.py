@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from imucald.diagnosis.signals import Array
+from imucald.core.arrays import Array
 
 NEAR, NEAR_SHARE, JITTER_SHARE, WANDER_S = 0.85, 0.4, 0.2, 0.01
 """A cycle is known where most stamps are near it, scatter little, and do not walk away from it: who
