@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import pyarrow.parquet as pq
@@ -14,7 +15,9 @@ from imucald.core.errors import ImucaldError
 from imucald.fleet.columns import TABLES
 from imucald.fleet.compaction import read_tables
 from imucald.fleet.damaged import ASIDE, set_damaged_aside
+from imucald.fleet.fetch import local_copy
 from imucald.fleet.fleet_file import Fleet, load_fleet
+from imucald.fleet.listing import list_logs
 from imucald.fleet.store import Store
 from imucald.fleet.task import Outcome, Task
 from imucald.fleet.workers import run_one_log
@@ -139,3 +142,32 @@ def test_a_link_that_is_named_itself_is_followed(tmp_path: Path) -> None:
     fleet = str(fleet_file(tmp_path))
     main(["fleet", "run", "--fleet", fleet, "--out", str(out), "--logs", "1.log", "--quiet"])
     assert "words of the log" in messages(out)["1.log"]
+
+
+def test_a_log_stays_the_one_that_was_judged_when_a_link_takes_its_name(tmp_path: Path) -> None:
+    (tmp_path / "secret").write_text(f"{SECRET}\n")
+    log = tmp_path / "logs" / "1.log"
+    log.parent.mkdir()
+    log.write_text("words of the log's own\n")
+    with local_copy(str(log), {}, str(log.parent)) as (path, _):
+        log.unlink()
+        log.symlink_to(tmp_path / "secret")
+        assert path.read_text() == "words of the log's own\n"
+        assert path.name == "1.log"
+
+
+@pytest.mark.parametrize(
+    ("content", "why"),
+    [
+        ("list.csv\n", "names itself"),
+        ('"' + "x" * 200_000, "cannot be read"),
+        ("ftp://a/b.log\n", "ftp://a/b.log"),
+        ("filecache::file:///1.log\n", "filecache"),
+    ],
+)
+def test_a_list_that_makes_no_sense_is_refused(tmp_path: Path, content: str, why: str) -> None:
+    (tmp_path / "list.csv").write_text(content)
+    path = fleet_file(tmp_path)
+    path.write_text(re.sub(r"(?m)^logs:.*", "logs: list.csv", path.read_text()))
+    with pytest.raises(ImucaldError, match=why):
+        list_logs(load_fleet(path))

@@ -94,6 +94,12 @@ def test_several_daemons_stand_in_one_text_with_each_family_once(metrics_and_sta
     checked(promtool, "check", "metrics", text=both)
 
 
+@pytest.mark.parametrize("odd", ["\u2028", "\x85", "\x0b", "\x1e"])
+def test_a_line_break_that_is_none_of_the_format_stays_in_its_name(odd):
+    text = f'# HELP a b.\n# TYPE a gauge\na{{bus="x{odd}y"}} 1\n'
+    assert merged([text]) == text
+
+
 def test_a_daemon_that_does_not_answer_is_down_and_the_others_are_reported(tmp_path):
     bench = Bench(tmp_path)
     with running(bench.service()) as service:

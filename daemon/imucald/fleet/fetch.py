@@ -50,7 +50,7 @@ def file_system(url: str, storage: Mapping[str, Mapping[str, Any]]) -> fsspec.Ab
     protocol = protocol_of(url)
     try:
         return fsspec.filesystem(protocol, **storage.get(protocol, {}))
-    except (ImportError, ValueError) as error:
+    except Exception as error:  # each storage has errors of its own
         raise StorageError(f"{url}: {error}") from None
 
 
@@ -63,35 +63,35 @@ def local_copy(
     within: folder that a local log must lie in, links followed. Raises NoRegularFileError, for a
     link that leads out of it too, and StorageError.
     """
-    if protocol_of(url) in LOCAL:
-        path = Path(bare_path(url))
-        if within is not None:
-            path = _kept_within(path, within)
-        yield path, _hashed(path)
-        return
     with tempfile.TemporaryDirectory(prefix="imucald-log-") as folder:
         path = Path(folder) / url.rpartition("/")[2]
-        yield path, _downloaded(url, storage, path)
+        if protocol_of(url) not in LOCAL:
+            yield path, _downloaded(url, storage, path)
+            return
+        with _opened(Path(bare_path(url)), within) as file:
+            path.symlink_to(_held(file))
+            yield path, _hash(file, None)
 
 
-def _kept_within(path: Path, folder: str) -> Path:
-    """The path with no link in it: whoever delivers logs has no say over other files."""
-    found = Path(os.path.realpath(path))
-    if not found.is_relative_to(os.path.realpath(folder)):
-        text = f"{path}: is a link that leads out of {folder}; put the log there, or list its path"
-        raise NoRegularFileError(text)
-    return found
+def _held(file: IO[bytes]) -> str:
+    """A path that leads to an open file, whatever comes to stand under its name."""
+    return f"/proc/{os.getpid()}/fd/{file.fileno()}"
 
 
-def _hashed(path: Path) -> str:
+def _opened(path: Path, within: str | None) -> IO[bytes]:
+    """Open a local log; whoever delivers logs has no say over other files."""
     try:
         if not stat.S_ISREG(path.stat().st_mode):
             raise NoRegularFileError(f"{path}: is a pipe, a device or a folder, no regular file")
-        descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)
-        with os.fdopen(descriptor, "rb") as file:
-            return _hash(file, None)
+        file = os.fdopen(os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC), "rb")
     except OSError as error:
         raise StorageError(f"{path}: cannot be read: {error.strerror or error}") from None
+    found = Path(os.path.realpath(_held(file)))
+    if within is not None and not found.is_relative_to(os.path.realpath(within)):
+        file.close()
+        text = f"{path}: is a link that leads out of {within}; put the log there, or list its path"
+        raise NoRegularFileError(text)
+    return file
 
 
 def _hash(source: IO[bytes], target: IO[bytes] | None) -> str:

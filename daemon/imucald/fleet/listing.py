@@ -41,7 +41,8 @@ def list_logs(fleet: Fleet) -> list[Log]:
     return [found[source] for source in sorted(found)]
 
 
-def _of(fleet: Fleet, pattern: str) -> Iterator[Log]:
+def _of(fleet: Fleet, pattern: str, lists: tuple[str, ...] = ()) -> Iterator[Log]:
+    """The logs of a pattern that stands in a list, which itself stands in a list, and so on."""
     storage = fleet.settings.storage
     url = pattern
     if protocol_of(pattern) == "memory":
@@ -49,8 +50,10 @@ def _of(fleet: Fleet, pattern: str) -> Iterator[Log]:
     if protocol_of(pattern) in LOCAL:
         url = str(fleet.folder / bare_path(pattern))
     if url.lower().endswith(LISTS) and not any(c in url for c in "*?["):
+        if url in lists:
+            raise ImucaldError(f"{url}: is a list that names itself")
         for address in _listed(url, storage):
-            yield from _of(fleet, address)
+            yield from _of(fleet, address, (*lists, url))
         return
     system = file_system(url, storage)
     try:
@@ -68,9 +71,9 @@ def _listed(url: str, storage: Mapping[str, Mapping[str, Any]]) -> list[str]:
     """Addresses of a list: one a line, or the column `log` (else the first) of a CSV file."""
     try:
         text = file_system(url, storage).cat_file(url).decode("utf-8-sig")
-    except (OSError, UnicodeDecodeError) as error:
+        rows = [row for row in csv.reader(io.StringIO(text)) if row and not row[0].startswith("#")]
+    except (OSError, UnicodeDecodeError, csv.Error) as error:
         raise ImucaldError(f"{url}: cannot be read: {error}") from None
-    rows = [row for row in csv.reader(io.StringIO(text)) if row and not row[0].startswith("#")]
     if url.lower().endswith(".csv") and rows and "log" in rows[0]:
         column = rows[0].index("log")
         return [row[column] for row in rows[1:] if len(row) > column]

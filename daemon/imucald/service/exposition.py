@@ -54,7 +54,7 @@ def merged(texts: Iterable[str]) -> str:
     lines: dict[str, list[str]] = {}
     for text in texts:
         family = ""
-        for line in text.splitlines():
+        for line in text.split("\n"):  # and at no other line break: a name may hold one
             if line.startswith("# "):
                 family = line.split(" ", 3)[2]
                 if line not in heads.setdefault(family, ""):
