@@ -191,6 +191,11 @@ def test_a_signal_in_two_groups_of_a_multiplexer_comes_with_both():
         (MULTIPLEXED.format("16|8@1+"), "2 signals named S; the one at bit 16 is taken"),
         (GOOD + ' SG_ A : 32|8@1+ (1,0) [0|0] "" CAR\n', "2 signals named A"),
         ('BO_ 16 M: 8 CAR\n SG_ S m0 : 8|8@1+ (1,0) [0|0] "" CAR\n', "has no multiplexer"),
+        (
+            'BO_ 16 M: 8 CAR\n SG_ P M : 0|8@1+ (1,0) [0|0] "" CAR\n'
+            ' SG_ Q M : 8|8@1+ (1,0) [0|0] "" CAR\n SG_ S m0 : 16|8@1+ (1,0) [0|0] "" CAR\n',
+            "several and no SG_MUL_VAL_ for it",
+        ),
     ],
 )
 def test_a_choice_that_was_made_is_said(text, words):

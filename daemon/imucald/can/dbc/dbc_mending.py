@@ -7,11 +7,12 @@ from __future__ import annotations
 
 import re
 from bisect import bisect_right
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 
 from msgspec import Struct
 
 from imucald.can.columns import CAN_EFF_FLAG, CAN_EFF_MASK, CAN_SFF_MASK
+from imucald.can.dbc.message import Message
 
 MOST_ATTEMPTS = 40
 """Times that a database is read again without what could not be read ..."""
@@ -36,7 +37,7 @@ _DECISIVE = frozenset({"SIG_VALTYPE_", "SG_MUL_VAL_"})
 """Without these a signal would be read, and be another one: the database is refused."""
 _NAME = re.compile(r"[A-Za-z_]\w*", re.ASCII)
 _MULTIPLEXING = re.compile(
-    r"^[ \t]*(?:BO_[ \t]+\d+[ \t]+(\w+)|SG_[ \t]+(\w+)[ \t]+(M|m\d+M?)[ \t]*:)", re.MULTILINE
+    r"^[ \t]*(?:BO_[ \t]+\d+[ \t]+(\w+)|SG_[ \t]+(\w+)[ \t]+m\d+M?[ \t]*:)", re.MULTILINE
 )
 _POSITION = re.compile(r"Invalid syntax at line (\d+), column (\d+)")
 _UNDEFINED = re.compile(r'BA_\s+"([^"]*)"')
@@ -245,24 +246,19 @@ class MendedText:
         self.text = "".join(parts) + self.text[at:]
 
 
-def lost_multiplexers(text: str) -> Iterator[LeftOut]:
-    """Multiplexed signals of messages that have no multiplexer."""
+def lost_multiplexers(text: str, messages: Iterable[Message]) -> Iterator[LeftOut]:
+    """Signals that the text marks as multiplexed, and for which the parser found no multiplexer."""
+    always = {m.name: {s.name for s in m.signals.values() if not s.selectors} for m in messages}
     message, line, at = "", 1, 0
-    waiting: list[LeftOut] = []
     for found in _MULTIPLEXING.finditer(text):
         line, at = line + text.count("\n", at, found.start()), found.start()
-        if found.group(1):
-            yield from waiting
-            waiting, message = [], found.group(1)
-        elif message and "M" in found.group(3):
-            message, waiting = "", []
-        elif message:
+        message = found.group(1) or message
+        if found.group(2) in always.get(message, ()):
             why = (
-                "is multiplexed, and its message has no multiplexer: it is taken from every frame; "
-                "mark the multiplexer with M"
+                "is multiplexed, and its message has no multiplexer, or several and no SG_MUL_VAL_ "
+                "for it: it is taken from every frame; mark one with M"
             )
-            waiting.append(LeftOut(message, found.group(2), 0, 0, line, why))
-    yield from waiting
+            yield LeftOut(message, found.group(2), 0, 0, line, why)
 
 
 def _statements(text: str) -> Iterator[_Statement]:

@@ -57,7 +57,7 @@ def parse(text: str, database_format: str, source: str) -> list[Message]:
             if first is not None and not found and not any(one.length for one in left_out):
                 raise DatabaseError(f"{source}: {_reason(first)}") from first
             if database_format == "dbc":
-                left_out = [*left_out, *lost_multiplexers(mended.text)]
+                left_out = [*left_out, *lost_multiplexers(mended.text, found)]
             return _with_left_out(found, left_out, source)
 
 
