@@ -6,7 +6,6 @@ msgspec alone, so that all mistakes are reported at once, each at its place.
 
 from __future__ import annotations
 
-import math
 import re
 from collections.abc import Iterator
 from functools import cache
@@ -14,6 +13,7 @@ from types import NoneType, UnionType
 from typing import (
     Annotated,
     Any,
+    Final,
     Literal,
     NamedTuple,
     TypeVar,
@@ -47,7 +47,7 @@ def typed(
     Raises ConfigError with one line for each mistake.
     """
     infinite = [
-        f"{document.located((*at, *place))}: must be a finite number"
+        f"{document.located((*at, *place))}: must be a finite number, below {LARGEST:g}"
         for place in infinite_places(data)
     ]
     if infinite:
@@ -61,14 +61,16 @@ def typed(
         raise ConfigError("\n".join(lines)) from None
 
 
+LARGEST: Final = 1e30
+"""Squares and products of such numbers are finite."""
 Place = tuple[str | int, ...]
 Marks = dict[Place, int]
 """Line (from 1) of every key and item."""
 
 
 def infinite_places(data: Any, place: Place = ()) -> Iterator[Place]:
-    """Where numbers are infinite or none at all, which no key may be."""
-    if isinstance(data, float) and not math.isfinite(data):
+    """Where numbers are infinite, none at all, or so large that what is made of them is."""
+    if isinstance(data, float) and not abs(data) < LARGEST:
         yield place
     elif isinstance(data, dict | list):
         for key, value in data.items() if isinstance(data, dict) else enumerate(data):
