@@ -251,3 +251,18 @@ def test_a_new_format_is_one_file_in_the_folder_of_logs(tmp_path, monkeypatch):
     other = tmp_path / "a.log"
     other.write_bytes(b"ONE45678")
     assert [c.data.tobytes() for c in LogReader([other])] == [b"ONE45678"]
+
+
+def test_what_python_can_leaves_out_is_rejected_and_no_line_on_the_screen(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "a.trc"
+    lines = [";$FILEVERSION=1.1", ";$STARTTIME=43008.9", " 1) 1.0 Rx 0300 1 00"]
+    path.write_text("\n".join([*lines, " \033[2J) 1.5 Rx 0300", " 3) 2.0 Rx 0300 1 00", ""]))
+    reader = LogReader([path])
+    assert sum(map(len, reader)) == 2
+    assert reader.rejected == {"left_out": 1}
+    assert "Failed to parse message" in reader.problems[0]
+    assert capsys.readouterr().err == ""
+    with pytest.raises(LogError, match="Failed to parse message"):
+        list(LogReader([path], strict=True))

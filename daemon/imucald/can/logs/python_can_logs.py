@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import logging
 import math
 import os
 import re
 import sqlite3
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 from typing import Any, ClassVar, Final
 
@@ -121,7 +122,7 @@ class PythonCanReader:
         frame, counted, reader = None, before, None
         try:
             with _open(plain, kind, path) as reader:
-                for number, message in enumerate(reader, 1):
+                for number, message in enumerate(self._heard(reader, path), 1):
                     counted = self._statistics.frames_read
                     frame = self._judge(message, path, number)
                     if frame is not None:
@@ -149,6 +150,26 @@ class PythonCanReader:
             self._statistics.reject("cut_file", f"{path}: {end}; {self._so_far(before)}")
         if batch:
             yield columns_of_frames(batch, self._channels.names)
+
+    def _heard(self, reader: Iterable[Any], path: Path) -> Iterator[Any]:
+        """The messages of a reader. What it warns of, it has left out: that is rejected."""
+        warned: list[str] = []
+        handler = logging.Handler(logging.WARNING)
+        handler.emit = lambda record: warned.append(record.getMessage())  # type: ignore[method-assign]
+        handler.addFilter(lambda record: record.name != "can.io.asc")  # that frame it hands on
+        logger, messages = logging.getLogger("can"), iter(reader)
+        while True:
+            logger.addHandler(handler)  # only meanwhile: several logs may be read by turns
+            try:
+                message = next(messages, None)
+            finally:
+                logger.removeHandler(handler)
+            for text in warned:
+                self._statistics.reject("left_out", f"{path}: {shown(text.encode())}")
+            warned.clear()
+            if message is None:
+                return
+            yield message
 
     def _so_far(self, before: int) -> str:
         """What was read of this file, for messages."""
