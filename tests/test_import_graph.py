@@ -16,7 +16,7 @@ from functools import cache
 from pathlib import Path
 
 import imucald
-from simulated_bus import CONFIG
+from paths import ROOT
 
 PACKAGE = Path(imucald.__file__).parent
 NAME = PACKAGE.name
@@ -108,7 +108,6 @@ LAZY_MODULES: Mapping[str, str] = {
     "report.replay_page.replay_page: report.replay_plots": "loads matplotlib",
     "runtime.estimators.estimator_for: mount.restored": "1 ms: few state a mount",
     "runtime.estimators.known_mount: mount.restored": "with it",
-    "runtime.estimators.learning_estimator: mount.estimator": "9 modules: few use it",
     "runtime.estimators.learning_estimator: mount.joint.estimator": "3 ms: few use it",
     "runtime.estimators.learning_estimator: mount.method_a.estimator": "4 ms, 0.4 MiB: few use it",
     "runtime.output.output_frames._attitude_frames: runtime.output.attitude_frames": "1 ms",
@@ -265,7 +264,7 @@ def test_the_daemon_loads_the_wing_of_the_car_only(tmp_path):
         f"print(status, *(m for m in sys.modules if m.split('.')[0] in ('{NAME}', 'scipy')))"
     )
     options = ["--seconds", "0.1", "--interface", "virtual", "--channel", "wings", "--quiet"]
-    options += ["--config", str(CONFIG), "--status-socket", str(tmp_path / "status")]
+    options += ["--config", str(ROOT / "config" / "examples" / "passenger_car.yaml"), "--status-socket", str(tmp_path / "status")]
     options += ["--state-dir", str(tmp_path)]
     environment = os.environ | {"CACHE_DIRECTORY": str(tmp_path / "cache")}
     for _ in "first", "again":

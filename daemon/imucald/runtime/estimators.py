@@ -15,6 +15,7 @@ from imucald.config.signals import Signals
 from imucald.core.errors import EstimateError
 from imucald.core.rotations import rotation_from_angles
 from imucald.mount.estimate import BETWEEN_DRIVES_STD, MountEstimator, MountState, Targets
+from imucald.mount.estimator import FullEstimator
 from imucald.mount.estimator_settings import DelayPrior, EstimatorSettings
 from imucald.mount.mirror import DOUBTED, SIDED, probability
 from imucald.mount.stated_orientation import StatedOrientation
@@ -69,8 +70,6 @@ def learning_estimator(
         from imucald.mount.joint.estimator import JointEstimator, JointSettings  # noqa: PLC0415
 
         return JointEstimator(JointSettings.of(full))
-    from imucald.mount.estimator import FullEstimator  # noqa: PLC0415 - few use it
-
     return FullEstimator(full)
 
 
