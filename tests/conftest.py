@@ -8,7 +8,7 @@ from collections.abc import Iterator
 import pytest
 
 from imucald.core import file_cache as database_cache
-from imucald.runtime.consumer_group import ConsumerGroup
+from imucald.runtime.consumer import ConsumerGroup
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:

@@ -15,7 +15,7 @@ from imucald.can.dbc.encode import compile_encode
 from imucald.can.e2e.protector import MessageProtector
 from imucald.config import LoadedConfig, parse_config
 from imucald.core.rotations import rotation_from_angles
-from imucald.inputs.protection_settings import checker_for
+from imucald.inputs.settings_of_signals import checker_for
 from imucald.inputs.wiring import compile_router
 from imucald.mount.estimate import Correction, MountEstimate, MountState
 from imucald.runtime.consumers import consumers_for

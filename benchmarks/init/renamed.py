@@ -9,7 +9,7 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
-from imucald.inputs.value_table import is_no_value
+from imucald.inputs.settings_of_signals import is_no_value
 
 _MESSAGE = re.compile(r"^(\s*BO_ \d+ )(\w+)(\s*:.*)$")
 _SIGNAL = re.compile(r"^(\s*SG_ )(\w+)(.*)$")

@@ -8,8 +8,8 @@ import time
 import pytest
 
 from imucald.can.columns import IdMatch
+from imucald.can.link.adapter import ECHO_S, Echoes
 from imucald.can.link.link import Link
-from imucald.can.link.own_echoes import ECHO_S, Echoes
 from imucald.can.python_can import can
 
 OURS, THEIRS = 0x640, 0x200

@@ -10,8 +10,8 @@ from recorded_calls import needs_kernels
 
 from both_ways import agree, spiked
 from imucald.core.samples import GRAVITY
+from imucald.mount import block_sums as block_sums_module
 from imucald.mount import (
-    block_yaw,
     contradictions,
     creep,
     evidence_gravity,
@@ -23,19 +23,18 @@ from imucald.mount import (
     vertical_block,
 )
 from imucald.mount import evidence_response as response
-from imucald.mount import evidence_scores as scores
+from imucald.mount import evidence_rows as scores
 from imucald.mount import evidence_spectra as spectra
 from imucald.mount import gyro_alternatives as alternatives
 from imucald.mount.block_sums import block_sums, masked_sums, pair_sums
 from imucald.mount.delay import DelaySearch
 from imucald.mount.estimator_settings import DelayPrior, EstimatorSettings
 from imucald.mount.evidence_rows import GAINS, MAX_REGRESSORS, ROWS
-from imucald.mount.gravity_observer import GravityObserver
+from imucald.mount.gravity_observer import GravityObserver, MotionWindow
 from imucald.mount.gravity_step import AGES, GravityStepDetector
-from imucald.mount.manoeuvres import Manoeuvres
-from imucald.mount.motion_window import MotionWindow
+from imucald.mount.large_change import TurnedAlone
 from imucald.mount.signal_blocks import BLOCK_TICKS, SignalBlock
-from imucald.mount.turned_alone import TurnedAlone
+from imucald.mount.states import Manoeuvres
 from signal_block import block
 
 pytestmark = [needs_kernels, pytest.mark.slow]
@@ -156,8 +155,10 @@ def test_sums_over_the_ticks_of_a_block(seed: int) -> None:
     agree(steering._sums_of, p.steering, p.speed, turn_rate, p.learn)
     agree(evidence_gravity._sums, p, p.speed * 0.1, float(rng.choice([0.0, 5.0, 12.0])))
     late = float(rng.choice([0.0, 0.3, -0.2, 1.2, 0.05]))
-    motion = block_yaw.BlockMotion(p.force, p.accel, p.speed * turn_rate, turn_rate, late, 0.1)
-    agree(block_yaw._sums, motion, p.learn)
+    motion = block_sums_module.BlockMotion(
+        p.force, p.accel, p.speed * turn_rate, turn_rate, late, 0.1
+    )
+    agree(block_sums_module._sums, motion, p.learn)
     agree(alternatives.gyro_energies, p.accel, p.force[:, 1], p.rate, p.speed, rotation(rng), 0.9)
 
 

@@ -11,7 +11,7 @@ from msgspec.structs import replace
 from engine_bus import DBC, Sender, columns_of, load
 from imucald.can.columns import IdMatch
 from imucald.can.dbc.database import Database, load_database
-from imucald.can.link.link_events import LinkCounters
+from imucald.can.link.link import LinkCounters
 from imucald.inputs import wiring
 from imucald.inputs.wiring import compile_router
 from imucald.runtime.output.output_frames import OutputFrames

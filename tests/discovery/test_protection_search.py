@@ -15,7 +15,7 @@ from imucald.can.e2e.protector import MessageProtector
 from imucald.config import MessageProtection, parse_config
 from imucald.discovery.candidates import MessageTraffic
 from imucald.discovery.protection_search import find_protection
-from imucald.inputs.protection_settings import checker_for
+from imucald.inputs.settings_of_signals import checker_for
 
 FRAMES = 400
 

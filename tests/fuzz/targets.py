@@ -45,7 +45,7 @@ from imucald.fleet.listing import list_logs
 from imucald.inputs.expression import Expression
 from imucald.inputs.wiring import compile_router
 from imucald.model.model import load_model
-from imucald.runtime.alarms import ALARMS
+from imucald.runtime.flow import ALARMS
 from imucald.runtime.session import make_engine, open_config
 from imucald.service import dtc_store, state_file
 from imucald.service.attempt_store import AttemptStore

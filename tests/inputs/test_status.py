@@ -7,7 +7,7 @@ import pytest
 
 from engine_bus import DBC, columns_of, frames_of, load
 from imucald.core.errors import ConfigError
-from imucald.inputs.value_table import is_no_value
+from imucald.inputs.settings_of_signals import is_no_value
 from imucald.inputs.wiring import compile_router
 from imucald.runtime.session import make_engine
 

@@ -7,8 +7,7 @@ import pytest
 from numpy.typing import NDArray
 
 from imucald.mount.creep import BELIEVED, Creep, creep
-from imucald.mount.road_segments import AngleEvidence
-from imucald.mount.score_series import ScoreSeries
+from imucald.mount.road_segments import AngleEvidence, ScoreSeries
 
 Array = NDArray[np.float64]
 

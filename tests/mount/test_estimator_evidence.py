@@ -15,8 +15,7 @@ from imucald.mount.delay import DelaySearch
 from imucald.mount.estimator_settings import DelayPrior, EstimatorSettings
 from imucald.mount.evidence_gravity import GravityEvidence
 from imucald.mount.evidence_response import ResponseEvidence
-from imucald.mount.evidence_rows import GAINS, ROWS
-from imucald.mount.evidence_scores import left_over, less_angle
+from imucald.mount.evidence_rows import GAINS, ROWS, left_over, less_angle
 from imucald.mount.evidence_spectra import Measured
 from imucald.mount.fusion import CommonCovariance, CommonError, fuse
 from imucald.mount.gravity_observer import GravityObserver

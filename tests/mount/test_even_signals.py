@@ -11,8 +11,8 @@ import pytest
 
 from imucald.core.samples import GRAVITY
 from imucald.motion import ticks as tk
+from imucald.motion.stuck import SHORT_TICKS, short_runs
 from imucald.motion.ticks import empty_rows
-from imucald.motion.usual_runs import SHORT_TICKS, short_runs
 from imucald.mount.even_signals import bridged
 from imucald.mount.signal_blocks import BLOCK_TICKS, LAG, SignalBlock, SignalBlockMaker
 from mount_settings import full

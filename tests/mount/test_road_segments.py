@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from imucald.mount.fusion import CommonCovariance, fuse
-from imucald.mount.road_segments import AngleEvidence, apart
-from imucald.mount.score_series import AngleFit, ScoreSeries
+from imucald.mount.road_segments import AngleEvidence, AngleFit, ScoreSeries, apart
 
 SEGMENTS = 40
 

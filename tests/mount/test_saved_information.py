@@ -17,18 +17,17 @@ from imucald.mount.common_errors import common_errors
 from imucald.mount.estimate import BETWEEN_DRIVES_STD, MountState
 from imucald.mount.estimator import FullEstimator
 from imucald.mount.fusion import CommonCovariance, CommonError, fuse
-from imucald.mount.past_drives import PastDrives
 from imucald.mount.restored import Phase, RestoredEstimator, StoredMount
-from imucald.mount.road_segments import AngleEvidence
+from imucald.mount.road_segments import AngleEvidence, ScoreSeries
 from imucald.mount.saved_information import (
     MAX_SEGMENTS,
+    PastDrives,
     SavedInformation,
     SavedSource,
     kept_evidence,
     saved_from,
     together,
 )
-from imucald.mount.score_series import ScoreSeries
 from imucald.runtime.estimators import estimator_for
 from simulated_bus import drive, loaded
 

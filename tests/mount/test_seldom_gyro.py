@@ -15,8 +15,8 @@ from imucald.mount.contradictions import Contradictions, StandingFault
 from imucald.mount.gravity_observer import GravityObserver
 from imucald.mount.gravity_step import GravityStep
 from imucald.mount.gyro_walk import sampling_walk
+from imucald.mount.large_change import FORCE, TurnedAlone
 from imucald.mount.signal_blocks import ACCEL_GAP, BLOCK_TICKS, SignalBlockMaker
-from imucald.mount.turned_alone import FORCE, TurnedAlone
 from mount_settings import full
 from signal_block import block
 

@@ -13,12 +13,12 @@ from imucald.motion.column_ticks import ticks_from_samples
 from imucald.mount.estimate import Missing, MountState
 from imucald.mount.estimator import FullEstimator
 from imucald.mount.estimator_settings import EstimatorSettings
-from imucald.mount.manoeuvres import Manoeuvres
-from imucald.mount.score_series import ScoreSeries
+from imucald.mount.road_segments import ScoreSeries
 from imucald.mount.shift import NO_STEPS, UNEVEN_STD, largest_change
 from imucald.mount.states import (
     SLACK,
     YOUNG_SLACK,
+    Manoeuvres,
     MountKnowledge,
     judged,
     targets_in_force,

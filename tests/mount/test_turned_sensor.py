@@ -9,12 +9,18 @@ import pytest
 
 from imucald.core.samples import GRAVITY, Samples, Series
 from imucald.motion.column_ticks import ticks_from_samples
-from imucald.mount.block_yaw import ARM, FLOOR, BlockMotion, block_yaw
+from imucald.mount.block_sums import ARM, FLOOR, BlockMotion, block_yaw
 from imucald.mount.estimate import MountState
 from imucald.mount.estimator import FullEstimator
-from imucald.mount.large_change import LATE_TICKS, LargeChange, LargeChangeDetector
+from imucald.mount.large_change import (
+    FORCE,
+    LATE_TICKS,
+    YAW_RATE,
+    LargeChange,
+    LargeChangeDetector,
+    TurnedAlone,
+)
 from imucald.mount.signal_blocks import BLOCK_TICKS, SignalBlockMaker
-from imucald.mount.turned_alone import FORCE, YAW_RATE, TurnedAlone
 from imucald.simulation import Drive, random_model, simulate
 from mount_settings import full
 from signal_block import block

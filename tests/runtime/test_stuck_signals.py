@@ -13,7 +13,7 @@ from imucald.config_check.health import LogHealth, health_findings
 from imucald.core.samples import Samples, Series
 from imucald.motion.sample_health import SampleHealth
 from imucald.mount.estimator import FullEstimator
-from imucald.runtime.alarms import alarms_of
+from imucald.runtime.flow import alarms_of
 from imucald.runtime.input_health import LinkHealth, health_at
 from imucald.runtime.pipeline import Pipeline, Snapshot
 from imucald.simulation import random_model, simulate

@@ -21,10 +21,18 @@ from imucald.core import files
 from imucald.core.errors import ImucaldError
 from imucald.core.files import free_name, write_file
 from imucald.service.calibration_store import CalibrationStore
-from imucald.service.folder_lock import FolderInUseError, FolderLock
 from imucald.service.service import Service
 from imucald.service.service_options import ServiceOptions
-from imucald.service.state_file import MAGIC, VERSION, SavedState, StateKey, StateStore, encoded
+from imucald.service.state_file import (
+    MAGIC,
+    VERSION,
+    FolderInUseError,
+    FolderLock,
+    SavedState,
+    StateKey,
+    StateStore,
+    encoded,
+)
 from service_bench import running
 
 KEY = StateKey("car", "imu")
@@ -193,7 +201,7 @@ def test_a_second_daemon_on_one_folder_is_refused_with_the_pid_of_the_first(tmp_
 def test_a_killed_daemon_leaves_no_lock(tmp_path):
     code = (
         "import sys, time; from pathlib import Path;"
-        "from imucald.service.folder_lock import FolderLock;"
+        "from imucald.service.state_file import FolderLock;"
         f"lock = FolderLock(Path({str(tmp_path)!r})); print('held', flush=True); time.sleep(60)"
     )
     process = subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE)

@@ -10,7 +10,7 @@ from typing import Any
 
 from imucald.mount.mount_words import reasons_line
 from imucald.report.drive_events import STATE_WORDS, reported_events
-from imucald.runtime.alarms import ALARMS, present_alarms
+from imucald.runtime.flow import ALARMS, present_alarms
 from imucald.runtime.timebase import FORWARD_STEP
 
 KEPT = 200

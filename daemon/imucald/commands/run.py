@@ -96,9 +96,9 @@ def run(options: argparse.Namespace) -> int:
     from imucald.core.file_cache import keep_databases
     from imucald.runtime.summary import as_json
     from imucald.service.journal import PRIORITIES, WARNING, Journal
+    from imucald.service.notify import end_count, start_count_file
     from imucald.service.service import Service
     from imucald.service.service_options import ServiceOptions
-    from imucald.service.start_count import end_count, start_count_file
     from imucald.service.status import default_socket
 
     fill_standard_files()

@@ -88,7 +88,7 @@ def run(options: argparse.Namespace) -> int:
 
 def exit_status(status: Mapping[str, Any]) -> int:
     """A daemon's status as an exit status."""
-    from imucald.runtime.alarms import PASSING, is_starting, present_alarms
+    from imucald.runtime.flow import PASSING, is_starting, present_alarms
 
     if status["link"]["state"] != "up" or set(present_alarms(status)) - PASSING:
         return FAULT

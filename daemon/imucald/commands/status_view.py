@@ -21,8 +21,7 @@ from imucald.mount.mount_words import (
     reasons,
 )
 from imucald.report.drive_events import STATE_WORDS
-from imucald.runtime.alarms import is_starting, present_alarms
-from imucald.runtime.flow import FlowKind, flow
+from imucald.runtime.flow import FlowKind, flow, is_starting, present_alarms
 
 STYLES = {
     "usable": "green",

@@ -22,8 +22,8 @@ from imucald.core.errors import DatabaseError
 from imucald.discovery.evidence import factor_of
 from imucald.discovery.recording import Traffic
 from imucald.inputs.sender_choice import AS_OFTEN, SENDER_SETTLING
+from imucald.inputs.settings_of_signals import no_values
 from imucald.inputs.units import is_unit
-from imucald.inputs.value_table import no_values
 from imucald.motion.ticks import TICK_RATE
 
 FEW_LEVELS = 16

@@ -7,7 +7,7 @@ from typing import Any
 
 from imucald.feeds.daemon_source import Reading
 from imucald.mount.mount_words import SD_95
-from imucald.runtime.alarms import present_alarms
+from imucald.runtime.flow import present_alarms
 
 QUALITIES = ("not_available", "restored", "usable", "fine", "suspect")
 

@@ -11,9 +11,8 @@ from numpy.typing import NDArray
 from imucald.can.columns import FrameColumns, IdMatch
 from imucald.core.samples import Series, width_of
 from imucald.inputs.routes import SignalRoute
-from imucald.inputs.source_selector import SourceSelector
+from imucald.inputs.source_selector import SourceSelector, TapSamples, TriadAssembler, in_row_order
 from imucald.inputs.taps import Tap
-from imucald.inputs.triad_assembler import TapSamples, TriadAssembler, in_row_order
 
 Rows = NDArray[np.int64]
 

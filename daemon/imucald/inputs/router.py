@@ -27,9 +27,8 @@ from imucald.inputs.route_rows import RouteRows
 from imucald.inputs.routes import Carried, SignalRoute
 from imucald.inputs.sender_choice import Asked, taken
 from imucald.inputs.sender_choice import joined as joined_senders
-from imucald.inputs.source_selector import SourceSelector
+from imucald.inputs.source_selector import SourceSelector, TapSamples, TriadAssembler
 from imucald.inputs.taps import Physical, Raw, Tap
-from imucald.inputs.triad_assembler import TapSamples, TriadAssembler
 
 MAX_KNOWN_IDS = 4096
 """Identifiers remembered by the dispatcher; J1939 sources are few, an attacker's are many."""

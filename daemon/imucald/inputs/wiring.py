@@ -19,16 +19,14 @@ from imucald.can.e2e.checksums import KINDS, NO_CHECKSUM, ONE_BYTE_KINDS
 from imucald.can.e2e.protection import MessageChecker
 from imucald.config import LoadedConfig
 from imucald.core.errors import ConfigError, DatabaseError
-from imucald.inputs.configured_values import as_decoded, check_raw
 from imucald.inputs.conversion import Conversion
 from imucald.inputs.expression import Expression
-from imucald.inputs.protection_settings import checker_for
 from imucald.inputs.quantities import Place, Wanted, wanted_numbers
 from imucald.inputs.router import Router
 from imucald.inputs.routes import MessageRoute, RawRoute, SignalRoute
+from imucald.inputs.settings_of_signals import as_decoded, check_raw, checker_for, no_values
 from imucald.inputs.taps import PLANAR_Z, Component, Status, Tap
 from imucald.inputs.units import Unit, find_unit, unit_names
-from imucald.inputs.value_table import no_values
 
 Number = TypeVar("Number", int, float)
 

@@ -2,7 +2,7 @@
 
 `SampleHealth` looks at hops of half a second (`hops`), live and by columns, equal to the last bit.
 A fault counts from the end of the hop that shows it until the sensor has been sound for a while
-(`faults_in_force`).
+(`signal_health`).
 """
 
 from __future__ import annotations

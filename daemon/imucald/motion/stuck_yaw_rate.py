@@ -13,8 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from imucald.core.arrays import Array
+from imucald.motion.stuck import MIN_STUCK_S, TIMES_USUAL, Places, UsualRuns, runs_of
 from imucald.motion.ticks import TICK_S, YAW_RATE
-from imucald.motion.usual_runs import MIN_STUCK_S, TIMES_USUAL, Places, UsualRuns, runs_of
 
 Flags = NDArray[np.bool_]
 

@@ -24,8 +24,7 @@ from numpy.typing import NDArray
 
 from imucald.core import compiled
 from imucald.core.arrays import Array
-from imucald.mount.road_segments import AngleEvidence
-from imucald.mount.score_series import ScoreSeries
+from imucald.mount.road_segments import AngleEvidence, ScoreSeries
 
 Flags = NDArray[np.bool_]
 

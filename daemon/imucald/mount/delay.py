@@ -4,6 +4,8 @@ A signal x that is late by tau has the spectrum X(w) exp(-i w tau); the response
 it is real, so the tau is right at which the real parts of the cross-spectrum, summed along the
 direction of response, are largest (generalised cross-correlation; Knapp and Carter, IEEE Trans.
 ASSP 24, 1976), each bin weighed by the inverse of the force's power.
+
+The force that a sensor feels by where it sits: away from the point whose motion is reckoned.
 """
 
 from __future__ import annotations
@@ -15,9 +17,12 @@ from numpy.typing import NDArray
 
 from imucald.config.base import MAX_SPEED_DELAY, MIN_SPEED_DELAY
 from imucald.core import compiled
+from imucald.core.arrays import Array
+from imucald.core.rotations import Matrix3
+from imucald.motion.ticks import TICK_S
 from imucald.mount.estimator_settings import DelayPrior
 from imucald.mount.evidence_spectra import OMEGA, WINDOW
-from imucald.mount.signal_blocks import BLOCK_TICKS
+from imucald.mount.signal_blocks import BLOCK_TICKS, SignalBlock
 
 STEP = 0.025
 """Grid of candidates [s]."""
@@ -119,3 +124,31 @@ class DelaySearch:
         self.value = (information * tau + prior * p.mean) / (information + prior)
         self.std = 1.0 / math.sqrt(information + prior)
         return self.value
+
+
+class LeverArm:
+    """arm: (3,) from that point to the sensor, vehicle axes [m]."""
+
+    def __init__(self, arm: Array) -> None:
+        self._arm = arm
+        self._is_long = bool(self._arm.any())
+        self._last_rate: Array | None = None
+
+    def __bool__(self) -> bool:
+        return self._is_long
+
+    def restart(self) -> None:
+        """Time jumped."""
+        self._last_rate = None
+
+    def force(self, p: SignalBlock, R: Matrix3) -> Array:
+        """Specific force at its end more than at its root, sensor axes (N, 3) [m/s^2].
+
+        dw/dt x l + w x (w x l); the derivative is a central difference, which is not late.
+        """
+        rate = p.rate @ R.T
+        before = rate[:1] if self._last_rate is None else self._last_rate
+        self._last_rate = rate[-1:]
+        change = np.gradient(np.concatenate([before, rate]), TICK_S, axis=0)[1:]
+        carried = np.cross(change, self._arm) + np.cross(rate, np.cross(rate, self._arm))
+        return np.asarray((carried * p.ok_rate[:, None]) @ R)

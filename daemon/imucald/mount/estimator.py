@@ -34,28 +34,28 @@ from imucald.motion.ticks import TickRow
 from imucald.mount.acceptance import Acceptance
 from imucald.mount.contradictions import StandingFault
 from imucald.mount.estimate import Correction, MountEstimate, MountState, SentDeviations
-from imucald.mount.estimate_details import (
-    creep_details,
-    estimate_details,
-    left_out_details,
-    level_details,
-)
 from imucald.mount.estimator_settings import EstimatorSettings
 from imucald.mount.force_level import ForceLevel
 from imucald.mount.hysteresis import GOOD
 from imucald.mount.large_change import LargeChange
 from imucald.mount.mount_changes import GoodMount, MountChange, MountChanges, blocks_since
 from imucald.mount.off_vertical_limit import is_off_vertical
-from imucald.mount.reported_rotation import ReportedRotation
 from imucald.mount.restartable_solver import RestartableSolver
 from imucald.mount.saved_information import SavedInformation
-from imucald.mount.served_mount import ServedMount
+from imucald.mount.served_mount import ReportedRotation, ServedMount
 from imucald.mount.signal_blocks import BLOCK_S, MountSoFar, SignalBlock, SignalBlockMaker
 from imucald.mount.signal_checks import SignalChecks
 from imucald.mount.solver import MountSolver
 from imucald.mount.states import MountKnowledge, targets_in_force
 from imucald.mount.steering import SteeringOffsetEstimator
-from imucald.mount.waiting_reasons import mount_troubles, waiting_reasons
+from imucald.mount.waiting_reasons import (
+    creep_details,
+    estimate_details,
+    left_out_details,
+    level_details,
+    mount_troubles,
+    waiting_reasons,
+)
 from imucald.mount.zero_step import GravityMoved
 
 FAILED_BLOCKS = 14

@@ -24,10 +24,9 @@ from imucald.motion.coarse_speed import (
 )
 from imucald.motion.signal_health import SignalHealth
 from imucald.motion.standstill import DRIVING_SPEED, ROLLING_SPEED, ZERO_SPEED
-from imucald.motion.stuck import SAME
+from imucald.motion.stuck import SAME, short_runs
 from imucald.motion.stuck_yaw_rate import SAME_RATE
 from imucald.motion.ticks import TICK_S
-from imucald.motion.usual_runs import short_runs
 from imucald.mount.gyro_walk import SELDOM
 
 Flags = NDArray[np.bool_]

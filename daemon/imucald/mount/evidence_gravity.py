@@ -23,7 +23,7 @@ from imucald.core.rotations import Matrix3
 from imucald.core.samples import GRAVITY
 from imucald.motion.ticks import TICK_S
 from imucald.mount.block_sums import driven
-from imucald.mount.score_series import ScoreSeries
+from imucald.mount.road_segments import ScoreSeries
 from imucald.mount.signal_blocks import SignalBlock
 
 STOP_METRES = 12.0

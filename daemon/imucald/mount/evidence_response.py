@@ -27,8 +27,17 @@ from imucald.core import compiled
 from imucald.core.arrays import Array
 from imucald.core.rotations import Matrix3, vector_from_rotation
 from imucald.mount import evidence_spectra as sp
-from imucald.mount.evidence_rows import GAINS, MAX_REGRESSORS, P_ROW, ROLL_ROW, ROWS
-from imucald.mount.evidence_scores import left_over, less_angle, put_scores, renewed_gains
+from imucald.mount.evidence_rows import (
+    GAINS,
+    MAX_REGRESSORS,
+    P_ROW,
+    ROLL_ROW,
+    ROWS,
+    left_over,
+    less_angle,
+    put_scores,
+    renewed_gains,
+)
 from imucald.mount.evidence_spectra import (
     BAND_WIDTH,
     BANDS,
@@ -40,8 +49,7 @@ from imucald.mount.evidence_spectra import (
     Measured,
     Term,
 )
-from imucald.mount.road_segments import AngleEvidence, apart, fit_regressions
-from imucald.mount.score_series import ScoreSeries
+from imucald.mount.road_segments import AngleEvidence, ScoreSeries, apart, fit_regressions
 from imucald.mount.signal_blocks import BLOCK_TICKS
 
 KEPT = 64

@@ -1,10 +1,22 @@
-"""The regressions that the response evidence is made of; see `evidence_response`."""
+"""The regressions that the response evidence is made of; see `evidence_response`.
+
+Weighted sums that the regressions of `evidence_rows` need, all rows and windows at once.
+
+Which products of signals, with which gains, go into which sum is written down once in tables;
+a fit then is a few large sums instead of some hundred small ones.
+"""
 
 from __future__ import annotations
 
-from msgspec import Struct
+from collections.abc import Sequence
 
-from imucald.mount.evidence_spectra import BANDS, Term
+import numpy as np
+from msgspec import Struct
+from numpy.typing import NDArray
+
+from imucald.core import compiled
+from imucald.core.arrays import Array
+from imucald.mount.evidence_spectra import BAND_OMEGA2, BANDS, PAIR, Term
 
 X_ROW, Y_ROW, PITCH_ROW, ROLL_ROW, P_ROW, Q_ROW = range(6)
 
@@ -73,3 +85,201 @@ GAINS = (
 )
 """Gains per band: row, target, signal, expected, least, most."""
 MAX_REGRESSORS = 4
+
+
+Index = NDArray[np.int64]
+
+KNOWN = (
+    ((Term.DVDT, GX), (Term.DVDT_QUARTER, GX_QUARTER)),
+    ((Term.LATERAL, GY), (Term.LATERAL_QUARTER, GY_QUARTER)),
+    ((Term.SPEED_PITCH, GQ),),
+    (),
+    ((Term.LATERAL_QUARTER, GP_QUARTER),),
+    ((Term.DVDT_QUARTER, GQ_QUARTER),),
+)
+"""Per row: signals and gains that its target is freed from."""
+
+_LEFT = [
+    (row, PAIR[target, target], -1, -1) for row, target in enumerate(TARGETS)
+] + [
+    (row, pair, gain, square)
+    for row, target in enumerate(TARGETS)
+    for signal, gain in KNOWN[row]
+    for pair, square in ((PAIR[signal, signal], gain), (PAIR[target, signal], -1))
+]  # fmt: skip
+_LEFT.sort(key=lambda term: term[0])
+_LEFT_PAIR = np.array([pair for _, pair, _, _ in _LEFT])
+_LEFT_FACTOR = np.array(
+    [0 if k < 0 else 1 + k + (0 if square >= 0 else len(GAINS)) for _, _, k, square in _LEFT]
+)
+_ONE = np.ones((1, BANDS))
+_LEFT_ENDS = np.searchsorted([row for row, _, _, _ in _LEFT], np.arange(len(TARGETS) + 1))
+_LEFT_START = _LEFT_ENDS[:-1]
+
+_PLACES = [(row, a) for row, spec in enumerate(ROWS) for a in range(len(spec.regressors))]
+_PLACES.sort(key=lambda place: -len(KNOWN[place[0]]))  # those with most terms come first
+_SCORE_ROW, _SCORE_A = np.array(_PLACES).T
+
+
+def _terms(places: Sequence[tuple[int, int]], rank: int) -> tuple[Index, Index]:
+    """Of each place that has so many terms and one more: that one's pair, and where its sign is."""
+    signals = [((TARGETS[row], -1), *KNOWN[row]) for row, _ in places]
+    found = [
+        (PAIR[terms[rank][0], ROWS[row].regressors[a]], 1 + terms[rank][1])
+        for (row, a), terms in zip(places, signals, strict=True)
+        if len(terms) > rank
+    ]
+    pair, sign = np.array(found).T
+    return pair, sign
+
+
+_TERMS = tuple(_terms(_PLACES, rank) for rank in range(1 + max(map(len, KNOWN))))
+
+_ENTRIES = [
+    (row, a, b, PAIR[spec.regressors[a], spec.regressors[b]])
+    for row, spec in enumerate(ROWS)
+    for a in range(len(spec.regressors))
+    for b in range(a, len(spec.regressors))
+]
+_ENTRY_TABLE = np.array(_ENTRIES)
+_ENTRY_ROW, _ENTRY_A, _ENTRY_B, _ENTRY_PAIR = _ENTRY_TABLE.T
+
+
+def _place_table() -> Index:
+    """Of each place its row and regressor, then the pair of each term and where its sign is."""
+    table = np.full((len(_PLACES), 2 + 2 * len(_TERMS)), -1)
+    table[:, 0], table[:, 1] = _SCORE_ROW, _SCORE_A
+    for rank, (pair, sign) in enumerate(_TERMS):
+        table[: len(pair), 2 + 2 * rank], table[:, 3 + 2 * rank] = pair, 0
+        table[: len(pair), 3 + 2 * rank] = sign
+    return table
+
+
+_PLACE_TABLE = _place_table()
+_USED = np.zeros((len(ROWS), 1, BANDS))
+for _i, _row in enumerate(ROWS):
+    _USED[_i, 0, _row.first : _row.bands] = 1.0
+
+
+def left_over(P: Array, gains: Array) -> Array:
+    """Power per window and band that each row's known response leaves (6, n, BANDS).
+
+    P: products in vehicle axes (pairs, n, BANDS); gains: (gains, BANDS).
+    """
+    if compiled.kernels is not None:
+        found = np.empty((len(TARGETS), *P.shape[1:]))
+        flags = compiled.kernels.left_over(P, gains, _LEFT_PAIR, _LEFT_FACTOR, _LEFT_ENDS, found)
+        if flags:
+            compiled.note(flags)
+        return found
+    factor = np.concatenate([_ONE, gains**2, -2.0 * gains])[_LEFT_FACTOR]
+    terms = P.take(_LEFT_PAIR, axis=0)
+    terms *= factor[:, None, :]
+    out: Array = np.add.reduceat(terms, _LEFT_START, axis=0)
+    return np.maximum(out, 0.0, out=out)
+
+
+_ANGLE = [
+    (row, PAIR[signal, spec.regressors[0]], gain)
+    for row, spec in enumerate(ROWS)
+    for signal, gain in ((TARGETS[row], -1), *KNOWN[row])
+]
+_ANGLE_PAIR = np.array([pair for _, pair, _ in _ANGLE])
+_ANGLE_SIGN = np.array([1 + gain for *_, gain in _ANGLE])
+_ANGLE_ENDS = np.searchsorted([row for row, _, _ in _ANGLE], np.arange(len(ROWS) + 1))
+_ANGLE_START = _ANGLE_ENDS[:-1]
+_ANGLE_POWER = np.array([PAIR[spec.regressors[0], spec.regressors[0]] for spec in ROWS])
+_ANGLE_AXIS = np.array([spec.axis for spec in ROWS])
+
+
+def less_angle(left: Array, P: Array, gains: Array, angle: Array) -> Array:
+    """What is left over (6, n, BANDS) once each window's own angle (n, 3) [rad] is taken off."""
+    factor = factors(gains)[:, 0]
+    if compiled.kernels is not None:
+        found = np.empty_like(left)
+        flags = compiled.kernels.less_angle(
+            left, P, gains, _ANGLE_PAIR, _ANGLE_SIGN, _ANGLE_ENDS, _ANGLE_POWER, _ANGLE_AXIS,
+            factor, angle, found,
+        )  # fmt: skip
+        if flags:
+            compiled.note(flags)
+        return found
+    sign = np.concatenate([_ONE, -gains])[_ANGLE_SIGN]
+    target = np.add.reduceat(P[_ANGLE_PAIR] * sign[:, None, :], _ANGLE_START, axis=0)
+    answer = factor[:, None, :] * angle.T[_ANGLE_AXIS][:, :, None]
+    out: Array = np.maximum(left + answer * (answer * P[_ANGLE_POWER] - 2.0 * target), 0.0)
+    return out
+
+
+_GAIN_ROW = np.array([row for row, *_ in GAINS])
+_GAIN_POWER = np.array([PAIR[signal, signal] for _, _, signal, *_ in GAINS])
+_GAIN_CROSS = np.array([PAIR[target, signal] for _, target, signal, *_ in GAINS])
+_EXPECTED, _LOW, _HIGH = (np.array([[gain[k]] for gain in GAINS]) for k in (3, 4, 5))
+_SCALE = np.where(_GAIN_ROW < P_ROW, 4.0, 400.0)[:, None]
+_GAIN_NUMBERS = np.concatenate([_SCALE, _EXPECTED, _LOW, _HIGH], axis=1)
+
+
+def renewed_gains(P: Array, weight: Array) -> Array:
+    """Gains per band (gains, BANDS): free, as squat, body roll and noise in dv/dt change them."""
+    if compiled.kernels is not None:
+        found = np.empty((len(GAINS), BANDS))
+        flags = compiled.kernels.renewed_gains(
+            P, weight, _GAIN_ROW, _GAIN_POWER, _GAIN_CROSS, _GAIN_NUMBERS, found
+        )
+        if flags:
+            compiled.note(flags)
+        return found
+    w = weight[_GAIN_ROW]
+    power = (w * P[_GAIN_POWER]).sum(axis=1) + _SCALE
+    cross = (w * P[_GAIN_CROSS]).sum(axis=1) + _SCALE * _EXPECTED
+    out: Array = np.clip(cross / power, _LOW, _HIGH)
+    return out
+
+
+def factors(gains: Array) -> Array:
+    """What the regressors of each row are multiplied with, band by band (rows, most, BANDS)."""
+    gx, gy = gains[GX], gains[GY]
+    out = np.ones((len(ROWS), MAX_REGRESSORS, BANDS))
+    out[0, 0] = gy
+    out[1, 0] = -gx
+    out[2, 0], out[2, 1] = gx, gx * BAND_OMEGA2
+    out[3, 0], out[3, 1] = -gy, gy * BAND_OMEGA2
+    out[4, 0], out[4, 2] = -1.0, BAND_OMEGA2
+    return out
+
+
+def put_scores(
+    P: Array, weight: Array, gains: Array, score: Array, normal: Array, first: int
+) -> None:
+    """Put the scores of windows into (rows, N, most) from place `first` on, and their normal
+    matrices into (rows, N, most, most).
+
+    P: (pairs, n, BANDS) in vehicle axes; weight: (rows, n, BANDS).
+    """
+    factor = factors(gains)
+    if compiled.kernels is not None:
+        flags = compiled.kernels.scores(
+            P, weight, _USED[:, 0], gains, factor, _PLACE_TABLE, _ENTRY_TABLE, first, score, normal
+        )
+        if flags:
+            compiled.note(flags)
+        return
+    n = P.shape[1]
+    weight = weight * _USED
+    signs = np.concatenate([_ONE, -gains])
+    target, known, *more = (P.take(pair, axis=0) * signs[sign][:, None] for pair, sign in _TERMS)
+    for terms in more:
+        known[: len(terms)] += terms
+    target[: len(known)] += known
+    target *= weight[_SCORE_ROW]
+    target *= factor[_SCORE_ROW, _SCORE_A][:, None]
+    use = slice(first, first + n)
+    score[:, use], normal[:, use] = 0.0, 0.0
+    own_score, own_normal = score[:, use], normal[:, use]
+    own_score[_SCORE_ROW, :, _SCORE_A] = target.sum(axis=2)
+    both = factor[_ENTRY_ROW, _ENTRY_A] * factor[_ENTRY_ROW, _ENTRY_B]
+    entries = P[_ENTRY_PAIR] * weight[_ENTRY_ROW]
+    entries *= both[:, None]
+    values = entries.sum(axis=2)
+    own_normal[_ENTRY_ROW, :, _ENTRY_A, _ENTRY_B] = values
+    own_normal[_ENTRY_ROW, :, _ENTRY_B, _ENTRY_A] = values

@@ -5,6 +5,11 @@ went, to go through the first minutes a second time (`look_again`), with what ca
 the mount (`begin_after_change`), and with the same next to the old one, which counts until the new
 one knows enough (`begin_beside`). The last three go through kept blocks, a little per tick, while
 the old one still counts.
+
+Going through kept blocks again into a new solver, a little per tick.
+
+Two uses: once gyro bias and rotation are known, the first minutes are worth a second look; and
+after a shift the last minutes are all that counts.
 """
 
 from __future__ import annotations
@@ -14,15 +19,45 @@ from collections.abc import Iterable
 
 import numpy as np
 
+from imucald.core.arrays import Array
 from imucald.mount.creep import P_CONSTANT, P_CONSTANT_AGAIN
 from imucald.mount.estimator_settings import EstimatorSettings, Limits
 from imucald.mount.evidence_response import GROUP
-from imucald.mount.manoeuvres import Manoeuvres
 from imucald.mount.offsets import Offsets
-from imucald.mount.refit import KEPT_BLOCKS, Refit
 from imucald.mount.saved_information import SavedInformation
 from imucald.mount.signal_blocks import SignalBlock
 from imucald.mount.solver import MountSolver
+from imucald.mount.states import Manoeuvres
+
+KEPT_BLOCKS = 55
+"""Hops that are kept: 350 s."""
+
+
+class Refit:
+    """Feeds kept blocks to a new solver; new blocks queue up behind them."""
+
+    def __init__(self, fresh: MountSolver, blocks: Iterable[SignalBlock], gyro_bias: Array) -> None:
+        self.fresh = fresh
+        self._queue = deque(blocks)
+        self._gyro_bias = gyro_bias
+
+    @property
+    def is_behind(self) -> bool:
+        """Whether blocks are waiting."""
+        return bool(self._queue)
+
+    def push(self, p: SignalBlock) -> None:
+        """Queue a new block."""
+        self._queue.append(p)
+
+    def step(self) -> tuple[Array, Array] | None:
+        """Feed one block; return its dv/dt and v r, or None when all is done."""
+        if not self._queue:
+            self.fresh.fit()
+            return None
+        p = self._queue.popleft()
+        return self.fresh.add(p.with_gyro_bias(self._gyro_bias))
+
 
 KNOWN_REST_TICKS = 25.0
 """Ticks at rest from which the gyro bias counts as known."""

@@ -27,7 +27,7 @@ from numpy.typing import NDArray
 from imucald.core import compiled
 from imucald.core.arrays import Array, summed_in_order
 from imucald.mount.evidence_rows import MAX_REGRESSORS, SAME_NOISE
-from imucald.mount.score_series import AngleFit, ScoreSeries
+from imucald.mount.road_segments import AngleFit, ScoreSeries
 
 FIRST_SPAN = 2
 SPANS = np.arange(FIRST_SPAN, 13)

@@ -17,31 +17,28 @@ from imucald.core.rotations import (
     rotation_from_vector,
 )
 from imucald.core.samples import GRAVITY
-from imucald.mount.block_yaw import BlockMotion
+from imucald.mount.block_sums import BlockMotion
 from imucald.mount.common_errors import common_errors
 from imucald.mount.creep import P_CONSTANT, Creep, creep
 from imucald.mount.cross_axis import CrossAxisFusion, ForceSeen
-from imucald.mount.delay import DelaySearch
+from imucald.mount.delay import DelaySearch, LeverArm
 from imucald.mount.estimator_settings import DelayPrior, EstimatorSettings
 from imucald.mount.evidence_gravity import ROAD_SHARE, GravityEvidence
 from imucald.mount.evidence_response import ResponseEvidence
 from imucald.mount.evidence_rows import SAME_NOISE
 from imucald.mount.first_rotation import first_rotation
 from imucald.mount.fusion import Fused
-from imucald.mount.gravity_observer import GravityObserver
+from imucald.mount.gravity_observer import GravityObserver, MotionWindow
 from imucald.mount.gravity_step import GravityStep
-from imucald.mount.lever_arm import LeverArm
-from imucald.mount.motion_window import MotionWindow
-from imucald.mount.past_drives import PastDrives
-from imucald.mount.road_segments import AngleEvidence
+from imucald.mount.road_segments import AngleEvidence, ScoreSeries
 from imucald.mount.saved_information import (
     GRAVITY_KINDS,
+    PastDrives,
     SavedInformation,
     named_series,
     saved_sources,
     together,
 )
-from imucald.mount.score_series import ScoreSeries
 from imucald.mount.shift import (
     MIN_BEFORE,
     NO_STEPS,

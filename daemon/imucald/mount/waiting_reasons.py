@@ -1,16 +1,32 @@
-"""Per angle, what an estimate still waits for: troubles first, then tests, then more driving."""
+"""Per angle, what an estimate still waits for: troubles first, then tests, then more driving.
+
+What is stated with an estimate for those who look closer: `MountEstimate.details`.
+
+Angles in degrees where the key says so, all else in SI; `t` counts the blocks of the drive [s].
+"""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
 
+import numpy as np
+
+from imucald.core.arrays import Array
+from imucald.motion.ticks import TICK_S
 from imucald.mount.acceptance import Acceptance
 from imucald.mount.contradictions import WORDS, StandingFault
+from imucald.mount.creep import BELIEVED, Creep
 from imucald.mount.estimate import ANGLES, Missing, MountState
 from imucald.mount.estimator_settings import EstimatorSettings
+from imucald.mount.evidence_response import GROUP
 from imucald.mount.force_level import LevelChange
 from imucald.mount.hysteresis import BAD, GOOD
+from imucald.mount.mount_changes import GoodMount, MountChanges, TakenChange
+from imucald.mount.mount_words import SD_95
+from imucald.mount.signal_blocks import BLOCK_S, SignalBlockMaker
+from imucald.mount.signal_checks import SignalChecks
+from imucald.mount.solver import MountSolver
 from imucald.mount.states import MountKnowledge, waiting_for
 
 
@@ -77,4 +93,109 @@ def mount_troubles(
     return {
         angle: f"the mount moves by {abs(degrees):.1f} deg within the drive"
         for angle, degrees in moved.items()
+    }
+
+
+SEGMENTS_PER_H = 3600.0 / (GROUP * BLOCK_S)
+"""Road segments in an hour of driving."""
+
+
+def estimate_details(
+    solver: MountSolver,
+    signals: SignalBlockMaker,
+    known: MountKnowledge,
+    changes: MountChanges,
+    checks: SignalChecks,
+    steering: tuple[float, float] | None,
+    good: GoodMount | None,
+) -> dict[str, object]:
+    """Return the details of an estimate.
+
+    steering: zero offset of the steering-wheel angle and its deviation [rad], where it is known.
+    good: the mount that is good now.
+    """
+    fused, bias, counts = solver.fused, solver.bias, signals.health.counts
+    return {
+        "evidence_share": {} if fused is None else fused.shares,
+        "evidence_std_deg": {
+            name: math.degrees(math.sqrt(source.variance))
+            for name, source in solver.sources.items()
+        },
+        "accel_bias": [] if bias is None else bias.tolist(),
+        "gyro_bias": signals.offsets.gyro_bias.tolist(),
+        "yaw_rate_offset": signals.offsets.yaw_rate,
+        "steering_offset": None if steering is None else steering[0],
+        "steering_offset_std": None if steering is None else steering[1],
+        "speed_delay": solver.delay_speed.value,
+        "speed_delay_std": solver.delay_speed.std,
+        "gain_dvdt": solver.gains()[0],
+        "gain_turn": solver.gains()[1],
+        "launches_and_brakings": known.straight,
+        "left_turns": known.lefts,
+        "right_turns": known.rights,
+        "stops": known.stops,
+        "distance": solver.gravity.metres,
+        "shifts": [
+            change_details(one, turn)
+            for one, turn in zip(changes.history, changes.turns(good), strict=True)
+        ],
+        "creep": creep_details(solver.creep),
+        "cross_axis_std": solver.cross_axis_std,
+        "faults": [{"t": block * BLOCK_S, "fault": fault.value} for block, fault in checks.history],
+        "not_checked": list(checks.not_checked),
+        "frozen_ticks": {
+            signal: {fault.value: n for (of, fault), n in counts.items() if of == signal}
+            for signal in dict.fromkeys(of for of, _ in counts)
+        },
+    }
+
+
+def left_out_details(signals: SignalBlockMaker) -> list[dict[str, object]]:
+    """What nothing was learnt from, by signal, cause and time, the longest first."""
+    return [
+        {"signal": signal, "cause": cause, "seconds": ticks * TICK_S}
+        for (signal, cause), ticks in signals.left_out.most_common()
+    ]
+
+
+def change_details(one: TakenChange, turn: tuple[Array, Array] | None) -> dict[str, object]:
+    """A change of the mount, and by how far it is turned since (`TakenChange.turn`).
+
+    within_deg: half of the 95 % interval [deg] in which the change lies, so that nothing shows that
+    the sensor was moved; None where it is a move. The mount stays in use then, and its
+    interval covers the change.
+    """
+    half, is_within = max(SD_95 * one.std, abs(one.change.size)), one.is_borne
+    if turn is not None:
+        halves = SD_95 * turn[1]
+        largest = int(np.argmax(np.abs(turn[0]) / halves))
+        half = float(halves[largest])
+        is_within = bool(abs(turn[0][largest]) <= half)
+    return {
+        "t": one.block * BLOCK_S,
+        "angle": ANGLES[one.change.axis],
+        "size_deg": math.degrees(one.change.size),
+        "deviations": one.change.deviations,
+        "turn_deg": None if turn is None else np.degrees(turn[0]).tolist(),
+        "within_deg": math.degrees(half) if is_within else None,
+    }
+
+
+def level_details(change: LevelChange | None) -> dict[str, float] | None:
+    """Size of gravity [m/s^2] before and after the accelerometer's zero or gain changed."""
+    return None if change is None else {"before": change.before, "after": change.after}
+
+
+def creep_details(creep: Creep | None) -> dict[str, dict[str, float]]:
+    """Angles that creep: how fast by the time of driving, how far so far, how sure that is."""
+    if creep is None:
+        return {}
+    return {
+        angle: {
+            "deg_per_h": math.degrees(float(creep.rate[i])) * SEGMENTS_PER_H,
+            "moved_deg": math.degrees(float(creep.moved[i])),
+            "probability": float(creep.probability[i]),
+        }
+        for i, angle in enumerate(ANGLES)
+        if creep.probability[i] > BELIEVED
     }

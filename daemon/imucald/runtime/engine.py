@@ -23,8 +23,7 @@ from imucald.inputs.router import Router, Sample
 from imucald.motion.sample_health import SampleHealth
 from imucald.motion.ticks import TICK_RATE, tick_index
 from imucald.mount.estimate import Correction, MountEstimator
-from imucald.runtime.consumer import Consumer
-from imucald.runtime.consumer_group import ConsumerGroup
+from imucald.runtime.consumer import Consumer, ConsumerGroup
 from imucald.runtime.input_health import MISSING_TICKS, InputWatch, LinkHealth, health_at
 from imucald.runtime.output.output_columns import (
     OutPart,

@@ -10,8 +10,8 @@ from imucald.can.link.link import LinkEvent, LinkState
 from imucald.config import LoadedConfig
 from imucald.core.text import counted
 from imucald.mount.mount_words import reasons_line
-from imucald.runtime.alarms import ALARMS, PASSING, alarms_of
 from imucald.runtime.engine import Engine
+from imucald.runtime.flow import ALARMS, PASSING, alarms_of
 from imucald.runtime.pipeline import Snapshot
 from imucald.service.journal import INFO, NOTICE, WARNING, Journal
 

@@ -6,7 +6,7 @@ from collections.abc import Iterator, Mapping
 from typing import Any
 
 from imucald.mount.estimate import MountState
-from imucald.runtime.alarms import ALARMS
+from imucald.runtime.flow import ALARMS
 from imucald.service.exposition import escaped
 
 _Sample = tuple[Mapping[str, str], float | int | None]

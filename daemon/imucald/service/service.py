@@ -20,18 +20,16 @@ from imucald.runtime.flow import flow
 from imucald.runtime.input_health import LinkHealth
 from imucald.runtime.mount_orders import TESTER, MountOrders
 from imucald.service.announcements import Announcements, say_idle_keys
-from imucald.service.folder_lock import FolderInUseError, FolderLock
 from imucald.service.identity import state_key
 from imucald.service.journal import NOTICE, WARNING, Journal
 from imucald.service.live import ClockWatch, Daemon
-from imucald.service.notify import Notifier
+from imucald.service.notify import Notifier, StartCount
 from imucald.service.parts import Listeners, Parts, PartsMaker, is_checked, repeat_check
 from imucald.service.reloading import Reloading
 from imucald.service.running_status import InputRates, run_result, running_status, status_line
 from imucald.service.service_options import ServiceOptions
 from imucald.service.sockets import Sockets
-from imucald.service.start_count import StartCount
-from imucald.service.state_file import clear_unfinished
+from imucald.service.state_file import FolderInUseError, FolderLock, clear_unfinished
 
 CHORE_S = 0.1
 """The loop turns to everything but frames so often [s]."""

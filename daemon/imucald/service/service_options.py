@@ -14,7 +14,7 @@ class ServiceOptions:
     """What the command line says.
 
     state_folder, status_socket: None for none. socket_needed: without it nothing starts.
-    save_period: [s]. start_count: the unit's file (see `start_count`).
+    save_period: [s]. start_count: the unit's file (see `notify`).
     """
 
     config: Path

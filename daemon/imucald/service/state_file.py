@@ -5,13 +5,17 @@ one: a new file is forced to the disk and renamed, the folder forced too. So the
 before it is whole at every instant. A file is believed only when its length and SHA-256 fit, its
 version is known, it was made for this vehicle and this sensor, and its numbers make sense. What is
 not believed is set aside under another name with the reason in it, never deleted.
+
+One daemon on one state folder: two would write into one another's files.
 """
 
 from __future__ import annotations
 
 import contextlib
+import fcntl
 import json
 import math
+import os
 import re
 import threading
 from collections.abc import Mapping
@@ -19,6 +23,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from imucald.core.errors import ImucaldError
 from imucald.core.files import (
     UNFINISHED,
     free_name,
@@ -367,3 +372,83 @@ def _is_covariance(c: tuple[float, ...]) -> bool:
         xx * (yy * zz - yz * zy) - xy * (yx * zz - yz * zx) + xz * (yx * zy - yy * zx),
     )
     return symmetric and all(m > 0.0 for m in minors) and max(xx, yy, zz) <= LARGEST_VARIANCE
+
+
+LOCK_FILE = ".lock"
+
+
+class FolderInUseError(ImucaldError):
+    """Another process keeps its state in the folder."""
+
+
+class FolderLock:
+    """Holds a folder until `release`, or until the process ends, however it does.
+
+    The folder itself is locked, which a read-only one takes too, and a file in it, which says who
+    has it and serves where a file system locks no folders. Raises FolderInUseError with the
+    holder's pid; OSError where neither can be locked.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        self._path = folder
+        self._held: list[int] = []
+        folder.mkdir(parents=True, exist_ok=True)
+        self._folder = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
+        try:
+            self._take()
+        except BaseException:
+            self.release()
+            raise
+
+    def _take(self) -> None:
+        flags = os.O_RDWR | os.O_CREAT | os.O_CLOEXEC | os.O_NOFOLLOW | os.O_NONBLOCK
+        no_lock: OSError | None = None
+        try:
+            fcntl.flock(self._folder, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            raise self._in_use() from None
+        except OSError as error:
+            no_lock = error
+        try:
+            file = os.open(self._path / LOCK_FILE, flags, 0o600)
+        except OSError:
+            if no_lock is not None:
+                raise
+            return
+        self._held.append(file)
+        try:
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            raise self._in_use() from None
+        with contextlib.suppress(OSError):  # a full disk
+            os.ftruncate(file, 0)
+            os.pwrite(file, f"{os.getpid()}\n".encode(), 0)
+
+    def _in_use(self) -> FolderInUseError:
+        holder = ""
+        with contextlib.suppress(OSError):
+            flags = os.O_RDONLY | os.O_CLOEXEC | os.O_NOFOLLOW | os.O_NONBLOCK
+            with os.fdopen(os.open(self._path / LOCK_FILE, flags), "rb") as file:
+                holder = (file.read(20) or b"").decode("ascii", "replace").strip()
+        return FolderInUseError(
+            f"{self._path} is in use by process {holder or '?'}; see --state-dir"
+        )
+
+    def renew(self) -> bool:
+        """Take the folder again where another one has its name; whether that was so.
+
+        Raises as the constructor does; FolderInUseError where another process was faster.
+        """
+        with contextlib.suppress(FileNotFoundError):
+            if os.path.samestat(self._path.stat(), os.fstat(self._folder)):
+                return False
+        now = FolderLock(self._path)
+        self.release()
+        self._folder, self._held = now._folder, now._held
+        return True
+
+    def release(self) -> None:
+        """Let others have the folder."""
+        for descriptor in (self._folder, *self._held):
+            os.close(descriptor)
+        self._held = []
