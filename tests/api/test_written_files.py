@@ -210,6 +210,17 @@ def test_a_file_that_is_not_ours_is_reported_with_its_name(tmp_path, ending, fol
         imucald.open_result(path)
 
 
+@pytest.mark.parametrize("kind", [b"##CN", b"##CG", b"##DG"])
+def test_an_mf4_whose_list_leads_back_into_itself_is_reported(tmp_path, folder, kind):
+    whole = bytearray((folder / "drive.mf4").read_bytes())
+    at = whole.index(kind)
+    whole[at + 24 : at + 32] = at.to_bytes(8, "little")
+    path = tmp_path / "other.mf4"
+    path.write_bytes(whole)
+    with pytest.raises(imucald.ImucaldError, match="in two places"):
+        imucald.open_result(path)
+
+
 @pytest.mark.parametrize(("library", "extra", "use"), [
     ("pyarrow", "arrow", lambda d, _: d.accel),
     ("pyarrow", "arrow", lambda d, p: d.write(p / "a.parquet")),

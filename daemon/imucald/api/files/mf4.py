@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from imucald.api.columns import Columns, TableColumn, columns_from
 from imucald.api.files.table_file import Tables, axes_of, given_up, named, unfinished
 from imucald.api.interchange import library
+from imucald.can.logs.mf4_end import mf4_end
 from imucald.core.errors import ImucaldError
 
 ATTACHMENT = "imucald.json"
@@ -97,6 +98,8 @@ def opened(path: Path) -> Iterator[Any]:
     with path.open("rb") as file:
         if file.read(len(SIGNATURE)) != SIGNATURE:
             raise ImucaldError(f"{path}: is no MF4 file")
+        if why := mf4_end(path):
+            raise ImucaldError(f"{path}: cannot be read: {why}")
         file.seek(0)
         try:
             opening = asammdf.MDF(file)
