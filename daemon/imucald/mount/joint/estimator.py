@@ -27,7 +27,7 @@ from imucald.mount.joint.drift import NONE as NO_DRIFT
 from imucald.mount.joint.drift import Drift
 from imucald.mount.joint.evidence import MIDDLES, Block, Evidence, Solution
 from imucald.mount.joint.known import CHANCE_AS_BEFORE, KnownSensor
-from imucald.mount.joint.state import PHI, Priors
+from imucald.mount.joint.state import PHI, Priors, Signals
 from imucald.mount.mount_changes import MountChange, blocks_since
 from imucald.mount.signal_blocks import SignalBlock
 from imucald.mount.states import NEEDED, MountKnowledge, targets_in_force
@@ -39,6 +39,8 @@ MOVE_UNSEEN_S = 60.0
 one later."""
 LEVEL = (0.2, 0.1)
 """Level zero below which an estimate is usable, and fine [m/s^2]."""
+STEERING_ZERO = math.radians(2.0)
+"""Zero error of an angle of the steering wheel that nothing has measured (assumption)."""
 REMEMBERED = 240
 """Blocks (26 min) of which it is known what was known of a drift."""
 
@@ -89,11 +91,11 @@ class JointEstimator(FullEstimator):
     def __init__(self, settings: EstimatorSettings | None = None) -> None:
         super().__init__(settings or JointSettings())
         self._known_before: KnownSensor | None = None
+        self._has_zero = self._has_gyro = False
         self._lately_known: deque[tuple[float, Solution]] = deque(maxlen=SOLUTIONS_KEPT)
         self._joint = self._new_evidence()
         self._next: Evidence | None = None
         self._widened = 0.0
-        self._has_zero = self._has_gyro = False
         self._taken_until = self._now = -math.inf
         self._corrected: tuple[Solution, Correction] | None = None  # of the last solution
         self._drift, self._has_drifted = NO_DRIFT, False
@@ -115,7 +117,19 @@ class JointEstimator(FullEstimator):
     def _new_evidence(
         self, known: KnownSensor | None = None, is_moved: bool = False, past: Drift | None = None
     ) -> Evidence:
-        return Evidence(self.priors, known, is_moved, past)
+        return Evidence(self.priors, known, is_moved, past, self._signals_now())
+
+    def _signals_now(self) -> Signals:
+        """What there is next to the accelerometer by now."""
+        if self._has_gyro:
+            return Signals()
+        if "yaw_rate" in self._signals.seen:
+            return Signals(gyro=False)
+        s = self._settings
+        if not (s.uses_steering and "steering" in self._signals.seen):
+            return Signals(gyro=False, turns=False)
+        path = s.vehicle.steering_ratio * s.vehicle.wheelbase
+        return Signals(gyro=False, bend=STEERING_ZERO / path)
 
     @property
     def priors(self) -> Priors:
@@ -165,13 +179,15 @@ class JointEstimator(FullEstimator):
         self._drifts.append((self._now, self._joint.in_sensor_axes(self._drift)))
 
     def _solve_with(self, p: SignalBlock) -> None:
-        block = _block(p)
+        self._has_gyro = self._has_gyro or bool(p.had_rate.any())
+        if self._joint.signals != self._signals_now():
+            self._follow_signals()
+        block = _block(p, self._joint.signals)
         known = bool(p.ok_rate.any())
         target = self._next or self._joint
         if known and not self._has_zero:
             target.subtract_rate_zero(p.gyro_bias)
         self._has_zero = self._has_zero or known
-        self._has_gyro = self._has_gyro or bool(p.had_rate.any())
         if float(p.t[-1]) <= self._taken_until:  # after a move it was among those that count
             return
         target.add(block)
@@ -187,6 +203,15 @@ class JointEstimator(FullEstimator):
             self._remember(float(p.t[-1]))
         if self._next is not None and self._is_usable(self._next.solution):
             self._joint, self._next, self._widened = self._next, None, 0.0
+
+    def _follow_signals(self) -> None:
+        """Go through the last blocks again, as evidence of the signals that there are by now."""
+        former, kept = self._next or self._joint, list(self._solvers.kept)[:-1]
+        made = self._new_evidence(former.known, former.is_moved)
+        for p in kept[max(len(kept) - former.blocks, 0) :]:
+            made.add(_block(p, made.signals))
+        self._joint, self._next, self._widened = made, None, 0.0
+        self._lately_known.clear()
 
     def _remember(self, t: float) -> None:
         solution, lately = self.solution, self._lately_known
@@ -205,7 +230,7 @@ class JointEstimator(FullEstimator):
         past = drifts[-1] if drifts else None
         made = self._new_evidence(self._known_before, is_moved=True, past=past)
         for p in blocks:
-            made.add(_block(p))
+            made.add(_block(p, made.signals))
             self._taken_until = float(p.t[-1])
         return made
 
@@ -252,7 +277,7 @@ class JointEstimator(FullEstimator):
     def _knowledge(self, p: SignalBlock) -> MountKnowledge:
         """What is known after a block, of the joint solution where there is one."""
         known = super()._knowledge(p)
-        if not self._has_gyro or self._signals.without_speed:
+        if self._signals.without_speed:
             return known
         solution = self.solution
         if solution is None:
@@ -313,8 +338,16 @@ def _as_angles(sent: SentDeviations) -> tuple[float, float, float]:
     return sent.zero_y / GRAVITY, sent.zero_x / GRAVITY, max(sent.xy, sent.yx)
 
 
-def _block(p: SignalBlock) -> Block:
-    use = p.ok_force & p.had_rate & p.ok_speed & p.learn
-    known = bool(p.ok_rate.any())
+def _block(p: SignalBlock, signals: Signals) -> Block:
+    """What of a block the joint solution takes, by what the vehicle has."""
+    use = p.ok_force & p.ok_speed & p.learn
     knots = MIDDLES if p.speed_knots is None else p.speed_knots
-    return Block(p.force, p.rate, p.speed, use, known, p.gyro_bias, knots, p.least_speed)
+    if signals.gyro:
+        use &= p.had_rate
+        known = bool(p.ok_rate.any())
+        return Block(p.force, p.rate, p.speed, use, known, p.gyro_bias, knots, p.least_speed)
+    if signals.turns:
+        use &= p.ok_yaw
+    rate = np.zeros_like(p.rate)
+    rate[:, 2] = p.yaw_rate * p.ok_yaw
+    return Block(p.force, rate, p.speed, use, knots=knots, least_speed=p.least_speed)

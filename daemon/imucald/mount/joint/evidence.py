@@ -8,7 +8,7 @@ ticks (Gauss-Newton).
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from typing import Any, Final, NamedTuple
 
 import numpy as np
@@ -46,6 +46,7 @@ from imucald.mount.joint.state import (
     UNKNOWNS,
     ZERO,
     Priors,
+    Signals,
     WeightedPrior,
     are_of_a_sensor,
     entry,
@@ -103,21 +104,36 @@ speed, lag of the body, lever arm [m], zero of the gyroscope, tilt of the gyrosc
 TURN_SPREAD: Final = np.array([1.0, 0.02, 0.02, 0.3, 0.02])
 """Of the rate: axis of turning, and rolling, pitching, dr/dt, lean in bends."""
 _XS = tuple(range(wd.X.start, wd.X.stop))
-FORCE_FITS: Final = Fits(
-    tuple((i, *_XS) for i in range(3)),
-    USUAL_NOISE,
-    np.concatenate([np.ones((3, 2)), SPREAD], axis=1),
-    keep=2,
-)
+_ROLLING: Final = len(wd.MAIN) + wd.EXTRA.index("dp/dt")
 TURN_FITS: Final = Fits(
     tuple((wd.RATES.start + i, *wd.TURN_COLUMNS) for i in range(2)),
     USUAL_TURN_NOISE,
     np.tile(TURN_SPREAD, (2, 1)),
     keep=1,
 )
+TURN_DELAY = 0.05
+"""The bus's yaw rate comes so late [s], as `DelayPrior` has it; the rest is in `ROLLING_SPREAD`."""
+ROLLS, PITCHES = 0.0075, 0.004
+"""Without a gyroscope rolling and pitching are what springs make of v r and dv/dt [rad/(m/s^2)]:
+4 to 6 and 2 to 3 deg/g (assumption)."""
+ROLLING_SPREAD: Final = np.array([0.7, 1.5, 1.5])
+"""Prior deviations by axis of what answers to the slope of rolling, if springs make it: the lever
+arm, and what is left of the yaw rate's delay times the lever arm."""
+SLOPE_NOISE: Final = np.array(
+    [
+        [6.0, 6.0, 2.0, 0.5, 0.1, 0.0, 0.0, 0.0],
+        [8.0, 12.0, 4.0, 1.0, 0.3, 0.2, 0.3, 0.5],
+        [1.5, 4.0, 2.5, 1.3, 0.7, 0.5, 0.6, 1.2],
+    ]
+)
+"""Noise that slopes add where no gyroscope carries the vertical. Means of simulated seeds 970000 to
+970011, which judge nothing."""
 ALL_BANDS: Final = np.ones(wd.BANDS, dtype=bool)
 
 
+ALL_SIGNALS: Final = Signals()
+LEVEL: Final = np.array([0.0, 0.0, 1.0])
+"""The vertical where nothing carries it."""
 NO_ZERO: Final = np.zeros(3)
 NO_AXES: Final = np.eye(3), np.eye(3), NO_ZERO
 MIDDLES: Final = np.linspace(0.5, BLOCK_TICKS - 0.5, BLOCK_TICKS)
@@ -125,7 +141,8 @@ MIDDLES: Final = np.linspace(0.5, BLOCK_TICKS - 0.5, BLOCK_TICKS)
 
 
 class Block(NamedTuple):
-    """Even signals of 64 ticks. force, rate: (64, 3) in sensor axes, the rate without its zero.
+    """Even signals of 64 ticks. force, rate: (64, 3) in sensor axes, the rate without its zero;
+    without a gyroscope the vehicle's own rate, about its z alone.
 
     speed: (64,) [m/s], negative in reverse. use: (64,) ticks that may be learnt from.
     rate_zero: (3,) what was taken off the rate [rad/s]; is_rate_known: whether that was known.
@@ -197,12 +214,14 @@ class Evidence:
         known: KnownSensor | None = None,
         is_moved: bool = False,
         past: Drift | None = None,
+        signals: Signals = ALL_SIGNALS,
     ) -> None:
         """known: of the sensor before; is_moved: and it was moved since. past: a drift until then,
         in sensor axes."""
+        self.signals = signals
         self._past = past
         self._priors = priors
-        self._known, self._is_moved = known, is_moved
+        self.known, self.is_moved = known, is_moved
         self._rotation = np.eye(3)  # of the housing, by which the working axes came about
         self._blocks: list[Block] = []
         self._breaks: set[int] = {0}
@@ -212,8 +231,8 @@ class Evidence:
         self._bands = np.ones(wd.BANDS, dtype=bool)
         self.solution: Solution | None = None
         self._due = 0
-        self._sums = WindowSums(FORCE_FITS, TURN_FITS)
-        self._levels: Array = np.zeros((0, 4))
+        self._sums = WindowSums(force_fits(signals), TURN_FITS)
+        self._levels: Array = np.zeros((0, 5))
         self._done = self._followed = 0
         self._drift, self._found_drift = ZeroDrift(), NO_DRIFT
         self._drift_axes, self._drift_delay = NO_AXES, math.inf
@@ -222,7 +241,7 @@ class Evidence:
     @property
     def drift(self) -> Drift:
         """What the same blocks say of a zero of the force that drifts."""
-        if self._axes is None:
+        if self._axes is None or not self.signals.gyro:
             return NO_DRIFT
         self._follow_drift()  # it can't wait until a solution is due
         if self._is_up_to(self._followed):
@@ -237,6 +256,11 @@ class Evidence:
         return drift.turned(inverse(self._axes[0]))
 
     @property
+    def blocks(self) -> int:
+        """How many it has."""
+        return len(self._blocks)
+
+    @property
     def seconds(self) -> float:
         """Length of the evidence [s]."""
         return len(self._blocks) * BLOCK_TICKS * TICK_S
@@ -244,7 +268,7 @@ class Evidence:
     @property
     def compares_with_before(self) -> bool:
         """Whether one of the hypotheses is that all is as before."""
-        return self._known is not None and not self._is_moved
+        return self.known is not None and not self.is_moved
 
     def gap(self) -> None:
         """Time jumped: what comes next is not joined with what came before."""
@@ -275,7 +299,8 @@ class Evidence:
         """Leave out the first blocks: what is known is that of the last hour."""
         if self._axes is not None:
             self._extend()
-            self._follow_drift()
+            if self.signals.gyro:
+                self._follow_drift()
         del self._blocks[:count]
         self._due = 0
         self._breaks = {0} | {k - count for k in self._breaks if k > count}
@@ -288,12 +313,14 @@ class Evidence:
         self._vertical = CarriedVertical()
         self._tail: tuple[Array, Flags, Array, Array] | None = None
         self._sums.restart()
-        self._levels = np.zeros((0, 4))
+        self._levels = np.zeros((0, 5))
         self._done = 0
 
     def _reset_drift(self) -> None:
         """Begin again with the filter of a drift, where the axes have moved beyond its own tilt."""
         assert self._axes is not None
+        if not self.signals.gyro:
+            return
         W, V, _ = self._axes
         pairs = zip((W, V), self._drift_axes[:2], strict=True)
         moved = max(float(np.abs(new @ inverse(old) - np.eye(3)).max()) for new, old in pairs)
@@ -350,7 +377,13 @@ class Evidence:
         run = self._blocks[first:stop]
         speed, accel = moved
         force = np.concatenate([b.force for b in run]) @ W.T - zero
-        rate = np.concatenate([b.rate for b in run]) @ V.T
+        if self.signals.gyro:
+            rate = np.concatenate([b.rate for b in run]) @ V.T
+        else:
+            rate = np.zeros((len(force), 3))
+            rate[:, 2] = self._in_time(first, stop, lambda b: b.rate[:, 2], TURN_DELAY)
+            rate[:, 0] = ROLLS * np.gradient(speed * rate[:, 2], TICK_S)
+            rate[:, 1] = -PITCHES * np.gradient(accel, TICK_S)
         motion = np.column_stack([accel, speed * rate[:, 2], -speed * rate[:, 1]])
         return force, rate, speed, accel, motion
 
@@ -360,7 +393,10 @@ class Evidence:
         use = np.concatenate([b.use for b in self._blocks[first:stop]])
         moved = self._motion(first, stop, self.delay)
         force, rate, speed, accel, motion = self._in_axes(first, stop, self._axes, moved)
-        up, tilts = self._vertical.block(rate, (force - motion) / GRAVITY, use)
+        if self.signals.gyro:
+            up, tilts = self._vertical.block(rate, (force - motion) / GRAVITY, use)
+        else:
+            up, tilts = np.tile(LEVEL, (len(use), 1)), np.zeros((len(use), 3, 3))
         self._level_from(force - motion, speed, use)
         knots = self._knots_of(self._blocks[first:stop])
         x, v = wd.columns(force, rate, speed, accel, up, tilts), speed
@@ -390,13 +426,21 @@ class Evidence:
 
     def _motion(self, first: int, stop: int, delay: float) -> tuple[Array, Array]:
         """Speed and its slope in the ticks of joined blocks, of a speed that comes so late [s]."""
+        early, late = (
+            self._in_time(first, stop, lambda b: b.speed, delay, 0.5 * part) for part in (-1.0, 1.0)
+        )
+        return 0.5 * (early + late), (late - early) / TICK_S
+
+    def _in_time(
+        self, first: int, stop: int, of: Callable[[Block], Array], delay: float, later: float = 0.0
+    ) -> Array:
+        """A signal of joined blocks (N,) that comes so late [s], so many ticks later."""
         before = first - 1 if first not in self._breaks else first
         after = stop + 1 if stop < len(self._blocks) and stop not in self._breaks else stop
-        series = np.concatenate([b.speed for b in self._blocks[before:after]])
+        series = np.concatenate([of(b) for b in self._blocks[before:after]])
         at = np.arange(len(series)) - (first - before) * wd.BLOCK
-        t = np.arange((stop - first) * wd.BLOCK) + delay / TICK_S
-        early, late = np.interp(t - 0.5, at, series), np.interp(t + 0.5, at, series)
-        return 0.5 * (early + late), (late - early) / TICK_S
+        t = np.arange((stop - first) * wd.BLOCK) + delay / TICK_S + later
+        return np.asarray(np.interp(t, at, series), dtype=float)
 
     def _level_from(self, left: Array, speed: Array, use: Flags) -> None:
         """Of each block the sums that gravity's mean level part comes of, weighed by how far the
@@ -404,8 +448,9 @@ class Evidence:
         slow = np.sqrt(1.0 + np.square(speed / self._priors.slow))
         passed = np.abs(speed) / slow * use * TICK_S
         weight = passed + 0.05 * TICK_S * use
-        rows = np.column_stack([weight[:, None] * left[:, :2], weight, passed])
-        blocks = rows.reshape(-1, wd.BLOCK, 4).sum(axis=1)
+        square = weight * np.square(speed)
+        rows = np.column_stack([weight[:, None] * left[:, :2], weight, passed, square])
+        blocks = rows.reshape(-1, wd.BLOCK, 5).sum(axis=1)
         self._levels = np.concatenate([self._levels, blocks])
 
     # solving -------------------------------------------------------------------------------------
@@ -434,7 +479,7 @@ class Evidence:
             return self.solution
         self._extend()
         for _ in range(3):
-            if len(self._sums) < (2 if self._known is None else 1):
+            if len(self._sums) < (2 if self.known is None else 1):
                 break
             if self._is_up_to(self._done):
                 self._look_for_delay()
@@ -453,12 +498,12 @@ class Evidence:
     @property
     def known_sensor(self) -> KnownSensor | None:
         """What goes on when the sensor is moved, or the process ends."""
-        return self._known if self.solution is None else self.solution.sensor(self._priors)
+        return self.known if self.solution is None else self.solution.sensor(self._priors)
 
     def _hypotheses(self) -> list[WeightedPrior]:
-        if self._known is None:
+        if self.known is None:
             return any_sensor(self._priors)
-        known = self._known.hypotheses(self._rotation, self._priors, self._is_moved)
+        known = self.known.hypotheses(self._rotation, self._priors, self.is_moved)
         return [*known, *any_sensor(self._priors, PROBABLY_OTHER)]
 
     def _rework(self, force: Matrix3, rate: Matrix3, zero: Array) -> None:
@@ -480,13 +525,14 @@ class Evidence:
         if use.sum() < BLOCK_TICKS or (np.abs(v) > DRIVING_SPEED).sum() < BLOCK_TICKS:
             return False
         level_from_sensor = levelling_rotation(force[use].mean(axis=0))
+        turning = rate @ level_from_sensor[2] if self.signals.gyro else rate[:, 2]
         ahead, left, _ = level_from_sensor @ force.T
         kernel = np.ones(10) / 10.0
 
         def smooth(x: Array) -> Array:
             return np.asarray(np.convolve(np.where(use, x, 0.0), kernel, "same"))
 
-        m = smooth(a) + 1j * smooth(v * (rate @ level_from_sensor[2]))
+        m = smooth(a) + 1j * smooth(v * turning)
         level = smooth(ahead) + 1j * smooth(left)
         level, m = (level - level[use].mean())[use], (m - m.mean())[use]
         answer = np.vdot(m, level)
@@ -517,6 +563,7 @@ class Evidence:
     def _solve_once(self) -> Solution:
         assert self._axes is not None
         priors = self._priors
+        has_gyro = self.signals.gyro
         answers = self._sums.force.respond(self._bands)
         h = answers.value
         gain = np.maximum(np.diag(h[:2]), 0.3)
@@ -526,30 +573,37 @@ class Evidence:
             places = [j for j in range(2) if j != i]
             C = answers.covariance[i][np.ix_(places, places)]
             rows = np.array([entry(i, j) for j in places])
+            value = h[i, places]
             for m, j in enumerate(places):
                 C[m, m] += priors.floor**2
                 if (i, j) == (0, 1):
                     C[m, m] += priors.sideslip**2
                 if (i, j) == (2, 0):
-                    C[m, m] += priors.pitching**2
+                    C[m, m] += priors.pitching**2 * (1.0 if has_gyro else 2.0)
             if i < 2:
                 rows[0, [PHI.start + 2, EPS.start + 2]] -= leak[i, 1 - i]
-            else:  # -v q of a rate that is itself tilted has been taken off
+            elif has_gyro:  # -v q of a rate that is itself tilted has been taken off
                 rows[1] += rate_entry(1, 2)
+            else:  # -v q of bends that lean is in it
+                rows[1, CROWN] = -1.0
+                value[1] += priors.crown[0] * gain[1]
+                C[1, 1] += priors.turning[1] ** 2 + priors.slope**2 / answers.segments[2, 1]
             scale = gain[places]
-            measured.append(
-                LinearMeasurement(rows, h[i, places] / scale, C / np.outer(scale, scale))
-            )
+            measured.append(LinearMeasurement(rows, value / scale, C / np.outer(scale, scale)))
         measured += self._level_measured()
-        measured += self._turning_measured()
-        measured.append(self._vertical_measured())
+        if has_gyro:
+            measured += self._turning_measured()
+            measured.append(self._vertical_measured())
         theta, covariance, shares = fuse(self._hypotheses(), measured, self._taken)
         same = float(shares[AS_BEFORE]) if self.compares_with_before else 0.0
         return self._applied(theta, covariance, same)
 
     def _level_measured(self) -> list[LinearMeasurement]:
         priors = self._priors
-        mean, variance = mean_slope(self._levels / [GRAVITY, GRAVITY, 1.0, 1.0], priors.slope)
+        levels = self._levels / [GRAVITY, GRAVITY, 1.0, 1.0, GRAVITY]
+        mean, variance = mean_slope(levels[:, :4], priors.slope)
+        if self.signals.bend:
+            mean[1], variance[1] = without_bend(levels, variance[1], self.signals.bend)
         out = []
         for i in range(2):
             value = mean[i] - (priors.crown[0] if i == 1 else 0.0)
@@ -602,6 +656,16 @@ class Evidence:
         )  # fmt: skip
 
 
+def force_fits(signals: Signals) -> Fits:
+    """The three axes of the force on what these signals say of the motion."""
+    noise = USUAL_NOISE.copy()
+    spread = np.concatenate([np.ones((3, 2)), SPREAD], axis=1)
+    if not signals.gyro:
+        noise += SLOPE_NOISE
+        spread[:, _ROLLING] = ROLLING_SPREAD
+    return Fits(tuple((i, *_XS) for i in range(3)), noise, spread, keep=2)
+
+
 def mean_slope(blocks: Array, slope: float) -> tuple[Array, Array]:
     """Mean (2,) of the slopes of roads, and its variance (2,).
 
@@ -623,6 +687,23 @@ def mean_slope(blocks: Array, slope: float) -> tuple[Array, Array]:
             ratio = found * n / (n - 1.0) / weight**2 / expected
             grow = np.maximum(grow, (PRIOR_SEGMENTS + n * ratio) / (PRIOR_SEGMENTS + n))
     return mean, expected * grow
+
+
+def without_bend(blocks: Array, variance: float, bend: float) -> tuple[float, float]:
+    """Mean slope across, and its variance, of a path whose curvature has a zero of its own.
+
+    blocks: (n, 5) as of `mean_slope`, and the weighed squares of the speed over g. variance: of
+    that mean. bend: deviation of the zero [1/m].
+    """
+    weight = blocks[:, 2]
+    share, square = weight / weight.sum(), blocks[:, 4] / np.maximum(weight, 1e-9)
+    rows = np.column_stack([np.ones(len(blocks)), square])
+    information = rows.T @ (share[:, None] * rows) / variance
+    information[1, 1] += bend**-2
+    across = np.divide(blocks[:, 1], weight, out=np.zeros(len(blocks)), where=weight > 1e-9)
+    score = rows.T @ (share * across) / variance
+    covariance = inverse(information)
+    return float(covariance[0] @ score), float(covariance[0, 0])
 
 
 def _by_window(x: NDArray[Any]) -> NDArray[Any]:

@@ -36,6 +36,19 @@ FREE = 10.0
 """Prior deviation of a rotation of which nothing is known [rad]."""
 
 
+class Signals(NamedTuple):
+    """What there is next to the accelerometer and the speed.
+
+    gyro: the sensor has one; else the vertical is not carried, slopes are noise of the level force,
+    and the vehicle's bus says how it turns. turns: any signal shows turns. bend: deviation of the
+    path's curvature that the zero of a steering angle leaves [1/m].
+    """
+
+    gyro: bool = True
+    turns: bool = True
+    bend: float = 0.0
+
+
 class WeightedPrior(NamedTuple):
     """One prior of the unknowns: mean (UNKNOWNS,), covariance (UNKNOWNS, UNKNOWNS), probability."""
 
