@@ -2,8 +2,8 @@
 
 It takes the same blocks of even signals as the full estimator, and its detectors of faults and of
 a moved sensor. What is applied, what is stated and when it is good come from the joint solution
-(`evidence`). Where a vehicle has no gyroscope or no speed there is none, and the full estimator's
-own is served.
+(`evidence`), by the vehicle's yaw rate or steering angle where there is no gyroscope. Without a
+speed there is none, and the full estimator's own is served.
 """
 
 from __future__ import annotations
@@ -123,9 +123,10 @@ class JointEstimator(FullEstimator):
         """What there is next to the accelerometer by now."""
         if self._has_gyro:
             return Signals()
-        if "yaw_rate" in self._signals.seen:
-            return Signals(gyro=False)
         s = self._settings
+        if "yaw_rate" in self._signals.seen:
+            late = s.delays["yaw_rate"].mean if "yaw_rate" in s.delays else Signals().late
+            return Signals(gyro=False, late=late)
         if not (s.uses_steering and "steering" in self._signals.seen):
             return Signals(gyro=False, turns=False)
         path = s.vehicle.steering_ratio * s.vehicle.wheelbase

@@ -111,14 +111,12 @@ TURN_FITS: Final = Fits(
     np.tile(TURN_SPREAD, (2, 1)),
     keep=1,
 )
-TURN_DELAY = 0.05
-"""The bus's yaw rate comes so late [s], as `DelayPrior` has it; the rest is in `ROLLING_SPREAD`."""
 ROLLS, PITCHES = 0.0075, 0.004
 """Without a gyroscope rolling and pitching are what springs make of v r and dv/dt [rad/(m/s^2)]:
 4 to 6 and 2 to 3 deg/g (assumption)."""
 ROLLING_SPREAD: Final = np.array([0.7, 1.5, 1.5])
-"""Prior deviations by axis of what answers to the slope of rolling, if springs make it: the lever
-arm, and what is left of the yaw rate's delay times the lever arm."""
+"""Prior deviations by axis of what answers to dp/dt of such a rolling: the lever arm, and what a
+yaw rate that is 0.1 s earlier or later makes of it."""
 SLOPE_NOISE: Final = np.array(
     [
         [6.0, 6.0, 2.0, 0.5, 0.1, 0.0, 0.0, 0.0],
@@ -126,8 +124,8 @@ SLOPE_NOISE: Final = np.array(
         [1.5, 4.0, 2.5, 1.3, 0.7, 0.5, 0.6, 1.2],
     ]
 )
-"""Noise that slopes add where no gyroscope carries the vertical. Means of simulated seeds 970000 to
-970011, which judge nothing."""
+"""Noise that slopes add where no gyroscope carries the vertical. Medians of simulated seeds 970000
+to 970011, which judge nothing."""
 ALL_BANDS: Final = np.ones(wd.BANDS, dtype=bool)
 
 
@@ -381,7 +379,7 @@ class Evidence:
             rate = np.concatenate([b.rate for b in run]) @ V.T
         else:
             rate = np.zeros((len(force), 3))
-            rate[:, 2] = self._in_time(first, stop, lambda b: b.rate[:, 2], TURN_DELAY)
+            rate[:, 2] = self._in_time(first, stop, lambda b: b.rate[:, 2], self.signals.late)
             rate[:, 0] = ROLLS * np.gradient(speed * rate[:, 2], TICK_S)
             rate[:, 1] = -PITCHES * np.gradient(accel, TICK_S)
         motion = np.column_stack([accel, speed * rate[:, 2], -speed * rate[:, 1]])

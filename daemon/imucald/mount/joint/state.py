@@ -40,13 +40,14 @@ class Signals(NamedTuple):
     """What there is next to the accelerometer and the speed.
 
     gyro: the sensor has one; else the vertical is not carried, slopes are noise of the level force,
-    and the vehicle's bus says how it turns. turns: any signal shows turns. bend: deviation of the
-    path's curvature that the zero of a steering angle leaves [1/m].
+    and the vehicle's bus says how it turns, by so much late [s]. turns: any signal shows turns.
+    bend: deviation of the path's curvature that the zero of a steering angle leaves [1/m].
     """
 
     gyro: bool = True
     turns: bool = True
     bend: float = 0.0
+    late: float = 0.05
 
 
 class WeightedPrior(NamedTuple):
