@@ -289,7 +289,7 @@ class JointEstimator(FullEstimator):
             std=_as_angles(self._sent(solution)),
             straight=max(known.straight, NEEDED),
             cross_axis=0.0,
-            has_past=True,
+            has_past=self._joint.signals.gyro or known.has_past,
         )
 
     def _acceptance(self) -> Acceptance:
