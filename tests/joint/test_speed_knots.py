@@ -10,7 +10,7 @@ from imucald.drive.speed_knots import known_times, means_between
 from imucald.motion.coarse_speed import passages
 from imucald.mount.joint.estimator import _block
 from imucald.mount.joint.evidence import Block, Evidence, Solution
-from imucald.mount.joint.state import Priors, Signals
+from imucald.mount.joint.state import OtherSignals, Priors
 from joint.planar_drive import Sensor, blocks, cross_talk
 from signal_block import block
 
@@ -103,7 +103,7 @@ def test_a_speed_of_which_little_is_shown_costs_little_of_what_bends_tell(
 def test_the_knots_of_a_signal_block_are_those_of_its_speed() -> None:
     given = block()
     given.speed_knots, given.least_speed = np.array([3.5, 40.25]), 1.4
-    made = _block(given, Signals())
+    made = _block(given, OtherSignals())
     assert made.knots.tolist() == [3.5, 40.25]
     assert made.least_speed == 1.4
-    assert len(_block(block(), Signals()).knots) == 64
+    assert len(_block(block(), OtherSignals()).knots) == 64

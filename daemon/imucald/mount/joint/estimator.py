@@ -27,7 +27,7 @@ from imucald.mount.joint.drift import NONE as NO_DRIFT
 from imucald.mount.joint.drift import Drift
 from imucald.mount.joint.evidence import MIDDLES, Block, Evidence, Solution
 from imucald.mount.joint.known import CHANCE_AS_BEFORE, KnownSensor
-from imucald.mount.joint.state import PHI, Priors, Signals
+from imucald.mount.joint.state import PHI, OtherSignals, Priors
 from imucald.mount.mount_changes import MountChange, blocks_since
 from imucald.mount.signal_blocks import SignalBlock
 from imucald.mount.states import NEEDED, MountKnowledge, targets_in_force
@@ -119,18 +119,18 @@ class JointEstimator(FullEstimator):
     ) -> Evidence:
         return Evidence(self.priors, known, is_moved, past, self._signals_now())
 
-    def _signals_now(self) -> Signals:
+    def _signals_now(self) -> OtherSignals:
         """What there is next to the accelerometer by now."""
         if self._has_gyro:
-            return Signals()
+            return OtherSignals()
         s = self._settings
         if "yaw_rate" in self._signals.seen:
-            late = s.delays["yaw_rate"].mean if "yaw_rate" in s.delays else Signals().late
-            return Signals(gyro=False, late=late)
+            late = s.delays["yaw_rate"].mean if "yaw_rate" in s.delays else OtherSignals().late
+            return OtherSignals(gyro=False, late=late)
         if not (s.uses_steering and "steering" in self._signals.seen):
-            return Signals(gyro=False, turns=False)
+            return OtherSignals(gyro=False, turns=False)
         path = s.vehicle.steering_ratio * s.vehicle.wheelbase
-        return Signals(gyro=False, bend=STEERING_ZERO / path)
+        return OtherSignals(gyro=False, bend=STEERING_ZERO / path)
 
     @property
     def priors(self) -> Priors:
@@ -339,7 +339,7 @@ def _as_angles(sent: SentDeviations) -> tuple[float, float, float]:
     return sent.zero_y / GRAVITY, sent.zero_x / GRAVITY, max(sent.xy, sent.yx)
 
 
-def _block(p: SignalBlock, signals: Signals) -> Block:
+def _block(p: SignalBlock, signals: OtherSignals) -> Block:
     """What of a block the joint solution takes, by what the vehicle has."""
     use = p.ok_force & p.ok_speed & p.learn
     knots = MIDDLES if p.speed_knots is None else p.speed_knots

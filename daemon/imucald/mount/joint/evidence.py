@@ -45,8 +45,8 @@ from imucald.mount.joint.state import (
     SLOPE_M,
     UNKNOWNS,
     ZERO,
+    OtherSignals,
     Priors,
-    Signals,
     WeightedPrior,
     are_of_a_sensor,
     entry,
@@ -129,7 +129,7 @@ to 970011, which judge nothing."""
 ALL_BANDS: Final = np.ones(wd.BANDS, dtype=bool)
 
 
-ALL_SIGNALS: Final = Signals()
+ALL_SIGNALS: Final = OtherSignals()
 LEVEL: Final = np.array([0.0, 0.0, 1.0])
 """The vertical where nothing carries it."""
 NO_ZERO: Final = np.zeros(3)
@@ -212,7 +212,7 @@ class Evidence:
         known: KnownSensor | None = None,
         is_moved: bool = False,
         past: Drift | None = None,
-        signals: Signals = ALL_SIGNALS,
+        signals: OtherSignals = ALL_SIGNALS,
     ) -> None:
         """known: of the sensor before; is_moved: and it was moved since. past: a drift until then,
         in sensor axes."""
@@ -654,7 +654,7 @@ class Evidence:
         )  # fmt: skip
 
 
-def force_fits(signals: Signals) -> Fits:
+def force_fits(signals: OtherSignals) -> Fits:
     """The three axes of the force on what these signals say of the motion."""
     noise = USUAL_NOISE.copy()
     spread = np.concatenate([np.ones((3, 2)), SPREAD], axis=1)

@@ -36,7 +36,7 @@ FREE = 10.0
 """Prior deviation of a rotation of which nothing is known [rad]."""
 
 
-class Signals(NamedTuple):
+class OtherSignals(NamedTuple):
     """What there is next to the accelerometer and the speed.
 
     gyro: the sensor has one; else the vertical is not carried, slopes are noise of the level force,
