@@ -47,3 +47,10 @@ def median(values: Iterable[float]) -> float:
     if len(ordered) % 2:
         return float(ordered[middle])
     return float((ordered[middle - 1] + ordered[middle]) / 2.0)
+
+
+def true_runs(flags: NDArray[np.bool_]) -> NDArray[np.intp]:
+    """Runs of true flags (N,): of each its first place and the one after its last (R, 2)."""
+    padded = np.zeros(len(flags) + 2, np.int8)
+    padded[1:-1] = flags
+    return np.flatnonzero(np.diff(padded)).reshape(-1, 2)

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import binom
 
-from imucald.core.arrays import Array
+from imucald.core.arrays import Array, true_runs
 from imucald.core.errors import EstimateError
 from imucald.core.samples import Samples, Series
 
@@ -243,9 +243,8 @@ def _stops(channels: Mapping[str, Channel], knots: Channel, t: Array) -> tuple[S
     still &= channels["gyro"].present(t) & channels["accel"].present(t)
     rate, force = channels["gyro"].means(t), channels["accel"].means(t)
     found = []
-    edges = np.flatnonzero(np.diff(np.concatenate([[0], still.astype(int), [0]])))
     trim = max(TRIM_S, 1.2 * channels["speed"].period_s)
-    for first, last in zip(edges[::2], edges[1::2], strict=True):
+    for first, last in true_runs(still):
         low, high = t[first] + trim, t[last - 1] - trim
         inside = (t >= low) & (t <= high)
         if high - low < SHORTEST_STOP_S:

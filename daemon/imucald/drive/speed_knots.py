@@ -12,7 +12,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from imucald.core.arrays import Array
+from imucald.core.arrays import Array, true_runs
 from imucald.motion.standstill import ZERO_SPEED
 from imucald.motion.ticks import TICK_S
 
@@ -36,9 +36,8 @@ def known_times(knots: Array, speed: Array, least: float) -> Array:
     silent = np.abs(speed) < max(ZERO_SPEED, SURE * least)
     if margin < 1.0 or not silent.any():
         return knots
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], silent, [False]])))
     hidden = np.zeros(len(knots), dtype=bool)
-    for start, stop in edges.reshape(-1, 2).tolist():
+    for start, stop in true_runs(silent).tolist():
         if start > 0:
             hidden |= (knots >= start) & (knots < min(start + margin, stop))
         if stop < len(speed):

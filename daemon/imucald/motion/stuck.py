@@ -18,7 +18,7 @@ import numpy as np
 from msgspec import Struct
 from numpy.typing import NDArray
 
-from imucald.core.arrays import Array
+from imucald.core.arrays import Array, true_runs
 from imucald.core.rotations import Vector
 from imucald.motion import ticks as tk
 from imucald.motion.coarse_speed import SAME_SPEED
@@ -197,8 +197,7 @@ class StuckSensor:
         latest = np.maximum.accumulate(np.where(received, np.arange(len(rows)), 0))
         moving = np.abs(rows[latest, tk.SPEED.mean]) > ROLLING_SPEED
         moving = np.where(rows[latest, tk.SPEED.n] > 0, moving, self._moving and not received.any())
-        edges = np.flatnonzero(np.diff(np.concatenate(([0], same.astype(np.int8), [0]))))
-        for first, last in edges.reshape(-1, 2):
+        for first, last in true_runs(same):
             part = slice(at[first], at[last] + 1)
             held = self._held
             known = held is not None and bool((np.abs(values[first] - held) < SAME).all())

@@ -10,7 +10,7 @@ from collections.abc import Iterator, Mapping, Sequence
 import numpy as np
 from scipy.stats import binom
 
-from imucald.core.arrays import Array
+from imucald.core.arrays import Array, true_runs
 from imucald.core.samples import INERTIAL, QUANTITIES, Samples, Series
 from imucald.core.text import counted
 from imucald.diagnosis.direct.lost_readings import Lost
@@ -185,8 +185,7 @@ def _is_held(x: Array, at: Mask) -> bool:
 
 def _runs_of(t: Array, hit: Mask) -> Spans:
     """Intervals of time that hold the rows, and no other."""
-    edges = np.flatnonzero(np.diff(np.concatenate([[0], hit.astype(np.int8), [0]])))
-    return tuple(zip(t[edges[::2]].tolist(), t[edges[1::2] - 1].tolist(), strict=True))
+    return tuple((float(t[first]), float(t[after - 1])) for first, after in true_runs(hit))
 
 
 def spans_of(t: Array, hit: Mask) -> Spans:

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import binom
 
-from imucald.core.arrays import Array
+from imucald.core.arrays import Array, true_runs
 from imucald.core.samples import INERTIAL, QUANTITIES, Samples, Series
 from imucald.diagnosis.result import READINGS_LOST, Structure
 from imucald.diagnosis.signals import Mask
@@ -86,7 +86,7 @@ def lost_readings(series: Series, signals: int) -> Lost | None:
         return None
     away = np.linalg.norm(runs - value, axis=1)
     near = ~there & (away < 0.5 * float(np.median(size[jumps[index.ravel() == best] - 1])))
-    passing = int((np.diff(np.concatenate([[False], near]).astype(int)) == 1).sum())
+    passing = len(true_runs(near))
     if binom.sf(visits - 1, visits + passing, PASSES_HALF) >= CHANCE / signals:
         return None
     return Lost(value, (table == value).all(axis=1), visits)

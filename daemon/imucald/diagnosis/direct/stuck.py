@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from imucald.core.arrays import Array
+from imucald.core.arrays import Array, true_runs
 from imucald.core.samples import INERTIAL, Samples, Series
 from imucald.core.text import counted
 from imucald.diagnosis.direct.held_speed import chances_of_sensors
@@ -65,8 +65,7 @@ def stuck(
     one value on a rail (of a signal with one number, on either end)."""
     t, table = series.t, series.values.reshape(len(series.t), -1)
     same = (np.diff(table, axis=0) == 0.0).all(axis=1)
-    edges = np.flatnonzero(np.diff(np.concatenate([[0], same.astype(int), [0]])))
-    first, last = edges[::2], edges[1::2]
+    first, last = true_runs(same).T
     if not len(first):
         return
     # Frames that do not come are another fault.

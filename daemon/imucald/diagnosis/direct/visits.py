@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import numpy as np
 from scipy.stats import binom
 
+from imucald.core.arrays import true_runs
 from imucald.diagnosis.signals import Mask
 
 PILE_RATIO = 1.3
@@ -21,5 +21,5 @@ def visited_too_often(is_there: Mask, beside: int, levels: int, chance: float) -
     is_there: (N,) samples at the value, in order of time; beside: m; levels: n; chance: of saying
     so without a reason.
     """
-    visits = int(is_there[0]) + int((np.diff(is_there.astype(int)) == 1).sum())
+    visits = len(true_runs(is_there))
     return bool(binom.sf(visits - 1, visits + beside, PILE_RATIO / (PILE_RATIO + levels)) < chance)

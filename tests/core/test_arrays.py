@@ -1,4 +1,4 @@
-"""The median of a list, against numpy's."""
+"""Medians, against numpy's, and runs of flags."""
 
 import subprocess
 import sys
@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from imucald.core.arrays import median
+from imucald.core.arrays import median, true_runs
 
 
 @given(st.lists(st.floats(-1e9, 1e9), min_size=1, max_size=60))
@@ -39,3 +39,10 @@ def test_a_replay_does_not_load_masked_arrays(tmp_path):
         check=True,
     )
     assert found.stdout.strip().splitlines()[-1] == "False", found.stderr
+
+
+def test_runs_of_true_flags_begin_and_end_where_they_do():
+    flags = np.array([1, 1, 0, 0, 1, 0, 1], dtype=bool)
+    assert true_runs(flags).tolist() == [[0, 2], [4, 5], [6, 7]]
+    assert true_runs(~flags).tolist() == [[2, 4], [5, 6]]
+    assert true_runs(flags[:0]).tolist() == []
