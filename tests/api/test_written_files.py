@@ -20,6 +20,7 @@ pandas = pytest.importorskip("pandas")
 polars = pytest.importorskip("polars")
 parquet = pytest.importorskip("pyarrow.parquet")
 mcap_reader = pytest.importorskip("mcap.reader")
+ros2_decoder = pytest.importorskip("mcap_ros2.decoder")
 
 FORMATS = ("parquet", "csv", "mf4", "mcap")
 EVERYTHING = ("accel", "gyro", "raw", "history", "events")
@@ -131,32 +132,73 @@ def test_asammdf_reads_mf4_with_units_and_one_group_a_rate(folder):
         assert abs(seconds) < 1e-3
 
 
-def test_mcap_has_messages_shaped_as_foxglove_and_ros_know_them(folder):
+def decoded(path: Path) -> dict[str, list]:
+    """Schema, message and content of each topic, by another library than the one that wrote."""
     found: dict[str, list] = {}
-    with (folder / "drive.mcap").open("rb") as file:
-        for schema, channel, message in mcap_reader.make_reader(file).iter_messages():
-            found.setdefault(channel.topic, []).append((schema, message, json.loads(message.data)))
-    schema, message, imu = found["/imu/accel"][-1]
-    assert schema.name == "sensor_msgs/Imu"
-    assert schema.encoding == "jsonschema"
-    assert imu["header"]["frame_id"] == "vehicle"
-    assert imu["angular_velocity_covariance"][0] == imu["orientation_covariance"][0] == -1
-    assert imu["linear_acceleration_covariance"][0] != -1
-    table = drive().tables["accel"]
-    assert imu["linear_acceleration"]["z"] == table["accel_z_mps2"][-1]
-    stamp = imu["header"]["stamp"]
-    assert stamp["sec"] * 10**9 + stamp["nanosec"] == message.log_time == table["time"][-1] * 1000
-    _, _, rate = found["/imu/gyro"][-1]
-    assert rate["angular_velocity"]["x"] == drive().tables["gyro"]["gyro_x_radps"][-1]
-    assert rate["linear_acceleration_covariance"][0] == -1
-    schema, _, transform = found["/mount"][-1]
-    assert schema.name == "foxglove.FrameTransform"
-    q = transform["rotation"]
-    assert (transform["parent_frame_id"], transform["child_frame_id"]) == ("vehicle", "sensor")
-    history = drive().tables["history"]
-    assert [q["w"], q["x"]] == [history["q_w"][-1], history["q_x"][-1]]
-    assert found["/events"][0][0].name == "foxglove.Log"
-    assert all(json.loads(s.data)["type"] == "object" for s, _, _ in (v[0] for v in found.values()))
+    factory = ros2_decoder.DecoderFactory()
+    with path.open("rb") as file:
+        reader = mcap_reader.make_reader(file, decoder_factories=[factory])
+        assert reader.get_header().profile == "ros2"
+        for schema, channel, message, content in reader.iter_decoded_messages():
+            found.setdefault(channel.topic, []).append((schema, channel, message, content))
+    return found
+
+
+def test_mcap_has_the_messages_that_ros_2_knows(folder):
+    found = decoded(folder / "drive.mcap")
+    assert {channel.message_encoding for (_, channel, _, _), *_ in found.values()} == {"cdr"}
+    schema, _, message, imu = found["/imu/data"][-1]
+    assert (schema.name, schema.encoding) == ("sensor_msgs/msg/Imu", "ros2msg")
+    assert imu.header.frame_id == "vehicle"
+    assert imu.orientation_covariance[0] == -1
+    accel, gyro = drive().tables["accel"], drive().tables["gyro"]
+    good = np.flatnonzero(accel["quality"])
+    assert len(found["/imu/data"]) == len(good)
+    assert imu.linear_acceleration.z == accel["accel_z_mps2"][good[-1]]
+    stamp = imu.header.stamp
+    assert stamp.sec * 10**9 + stamp.nanosec == message.log_time == accel["time"][good[-1]] * 1000
+    nearest = np.argmin(np.abs(gyro["t_s"] - accel["t_s"][good[-1]]))
+    assert imu.angular_velocity.x == gyro["gyro_x_radps"][nearest]
+    for covariance in (imu.linear_acceleration_covariance, imu.angular_velocity_covariance):
+        assert (np.linalg.eigvalsh(np.reshape(covariance, (3, 3))) > 0.0).all()
+    _, _, _, raw = found["/imu/data_raw"][-1]
+    assert raw.header.frame_id == "sensor"
+    assert raw.linear_acceleration.x == drive().tables["raw/accel"].arrays[2][-1]
+    (one,) = found["/tf_static"]
+    assert one[0].name == "tf2_msgs/msg/TFMessage"
+    assert "durability: 1" in one[1].metadata["offered_qos_profiles"], "transient_local"
+    (turn,) = one[3].transforms
+    assert (turn.header.frame_id, turn.child_frame_id) == ("vehicle", "sensor")
+    q = turn.transform.rotation
+    assert (q.w, q.x, q.y, q.z) == pytest.approx(drive().mount.quaternion_wxyz)
+    schema, _, _, line = found["/rosout"][0]
+    assert (schema.name, line.name) == ("rcl_interfaces/msg/Log", "imucald")
+    assert line.msg.endswith(drive().tables["events"]["text"][0])
+    assert found["/mount"][-1][3].yaw_deg == drive().tables["history"]["yaw_deg"][-1]
+
+
+def test_mcap_without_gyroscope_or_history_says_what_is_not_known(tmp_path):
+    drive().write(tmp_path / "a.mcap", "accel")
+    found = decoded(tmp_path / "a.mcap")
+    assert set(found) == {"/imu/accel", "/imu/data"}
+    _, _, _, imu = found["/imu/data"][-1]
+    assert imu.angular_velocity_covariance[0] == -1
+    noise = np.reshape(imu.linear_acceleration_covariance, (3, 3))
+    assert np.count_nonzero(noise) == 3, "of the samples alone"
+
+
+def test_mcap_of_json_of_an_earlier_version_is_reported(tmp_path):
+    writer = pytest.importorskip("mcap.writer").Writer(str(tmp_path / "old.mcap"))
+    writer.start()
+    schema = writer.register_schema("sensor_msgs/Imu", "jsonschema", b"{}")
+    writer.add_message(writer.register_channel("/imu/accel", "json", schema), 1, b"{}", 1)
+    columns = [[c.name, c.unit, c.kind] for c in drive().tables["accel"].columns]
+    about = {"version": 1, "imucald": "0.2.0", "tables": {"accel": columns}, "drive": {}}
+    text = json.dumps({**about, "topics": {"accel": "/imu/accel"}})
+    writer.add_metadata("imucald", {"imucald": text})
+    writer.finish()
+    with pytest.raises(imucald.ImucaldError, match=r"old\.mcap: its messages are JSON"):
+        imucald.open_result(tmp_path / "old.mcap")
 
 
 def test_one_table_is_just_that_file(tmp_path):
@@ -228,6 +270,7 @@ def test_an_mf4_whose_list_leads_back_into_itself_is_reported(tmp_path, folder, 
     ("polars", "polars", lambda d, _: d.to_polars("accel")),
     ("asammdf", "mf4", lambda d, p: d.write(p / "a.mf4")),
     ("mcap", "mcap", lambda d, p: d.write(p / "a.mcap")),
+    ("rosbags", "mcap", lambda d, p: d.write(p / "a.mcap")),
     ("matplotlib", "report", lambda d, _: d.plot.mount()),
 ])  # fmt: skip
 def test_a_missing_library_is_reported_with_the_extra_that_brings_it(

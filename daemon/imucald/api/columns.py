@@ -107,6 +107,10 @@ class Columns(Struct, frozen=True, eq=False):
         """An array by its column's name."""
         return self.as_dict()[name]
 
+    def from_row(self, first: int) -> Columns:
+        """The rows from one on."""
+        return Columns(self.columns, tuple(array[first:] for array in self.arrays))
+
     def as_dict(self) -> dict[str, NDArray[Any]]:
         """Arrays by name."""
         return {c.name: a for c, a in zip(self.columns, self.arrays, strict=True)}

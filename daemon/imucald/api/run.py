@@ -147,6 +147,10 @@ class ReplayRun:
         """The samples since the last call, by table; what was taken is not kept."""
         return self._recorder.take_signals(self._replay.lead, self._kinds)
 
+    def history(self) -> Columns:
+        """The estimate once a second, as far as the replay is."""
+        return self._recorder.history(self._replay.lead)
+
     def result(self) -> DriveResult:
         """What the frames so far came to, with the signals since they were last taken."""
         engine, reader = self.engine, self._reader
@@ -173,7 +177,7 @@ class ReplayRun:
             notes=tuple(notes),
             tables={
                 **self._in_order(tables),
-                HISTORY: self._recorder.history(lead),
+                HISTORY: self.history(),
                 EVENTS: self._recorder.events(lead, engine),
             },
         )

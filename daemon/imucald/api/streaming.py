@@ -6,7 +6,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from imucald.api.columns import Columns
+from imucald.api.columns import HISTORY, Columns
 from imucald.api.configuration import Configuration, PathLike
 from imucald.api.drive import DriveResult, drive_plain
 from imucald.api.logs import LogSource, pieces
@@ -78,9 +78,13 @@ class DriveStream:
         tables = chosen(self._run.table_columns(), quantities)
 
         def parts() -> Iterator[Mapping[str, Columns]]:
+            done = 0
             for part in self:
-                yield part.tables
-            yield self.result.tables
+                history = self._run.history()
+                yield {HISTORY: history.from_row(done), **part.tables}
+                done = len(history)
+            rest = self.result.tables
+            yield {**rest, HISTORY: rest[HISTORY].from_row(done)}
 
         return write_parts(Path(path), tables, parts(), lambda: drive_plain(self.result))
 

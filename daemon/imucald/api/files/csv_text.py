@@ -37,9 +37,10 @@ class CsvTables:
             self._files, lambda name, path: csv.CSVWriter(path, arrow_schema(tables[name], None))
         )
 
-    def add(self, name: str, rows: Columns) -> None:
+    def add(self, part: Mapping[str, Columns]) -> None:
         """Append rows."""
-        self._writers[name].write_table(to_arrow(rows))
+        for name, rows in part.items():
+            self._writers[name].write_table(to_arrow(rows))
 
     def finish(self, about: Mapping[str, Any]) -> list[Path]:
         """Close the tables and write the result file next to them."""

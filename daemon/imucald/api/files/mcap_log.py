@@ -1,69 +1,155 @@
-"""MCAP with JSON messages, for Foxglove and PlotJuggler: to look at, not to compute with.
+"""MCAP of ROS 2, for `ros2 bag play`, Foxglove and PlotJuggler.
 
-Samples are shaped like ROS's sensor_msgs/Imu and sensor_msgs/MagneticField (Foxglove has no schema
-of its own for these), the mount is a foxglove.FrameTransform, an event a foxglove.Log. As those
-messages ask, the first number of a covariance is -1 where a quantity is not measured. Each message
-has more keys than the schema asks for: `t_s`, and the table's other columns.
+Each table is a topic of messages with its columns, by which it is read again (a player without
+their definition leaves them out). What ROS knows stands in its own messages as well: corrected and
+raw samples as sensor_msgs/Imu, the mount as a static transform, events as rcl_interfaces/Log. An
+array of zeros is a covariance that is not known, and one that begins with -1 belongs to what is not
+measured, as sensor_msgs/Imu says.
 """
 
 from __future__ import annotations
 
 import json
-import math
-from collections.abc import Callable, Iterator, Mapping
+import re
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, ClassVar
 
-import msgspec
+import numpy as np
 
-from imucald.api.columns import EVENTS, HISTORY, RAW, Columns, TableColumn, columns_from
-from imucald.api.files.mcap_schemas import SCHEMAS, TIMESTAMP
+from imucald.api.columns import EVENTS, HISTORY, RAW, Columns, columns_from
+from imucald.api.files.imu_samples import ImuSamples, joined, mounts_of
 from imucald.api.files.table_file import Tables, given_up, named, unfinished
 from imucald.api.interchange import FILE_KEY, library
 from imucald.core.errors import ImucaldError
 
-NOT_MEASURED = [-1.0] + [0.0] * 8
-UNKNOWN = [0.0] * 9
-"""Covariances, as sensor_msgs/Imu says."""
-_XYZ = "xyz"
+_KINDS = {"float": "float64", "int8": "int8", "bool": "bool", "text": "string", "time": "int64"}
+"""Types of ROS; `time` is whole microseconds since 1970."""
+VEHICLE, SENSOR = "vehicle", "sensor"
+_IMUS = {
+    "/imu/data": ("accel", "gyro", VEHICLE),
+    "/imu/data_raw": (f"{RAW}accel", f"{RAW}gyro", SENSOR),
+}
+"""Topics of REP 145: tables of force and rate, frame."""
+_LATCHED = """- history: 1
+  depth: 1
+  reliability: 1
+  durability: 1
+  deadline: {sec: 9223372036, nsec: 854775807}
+  lifespan: {sec: 9223372036, nsec: 854775807}
+  liveliness: 1
+  liveliness_lease_duration: {sec: 9223372036, nsec: 854775807}
+  avoid_ros_namespace_conventions: false
+"""
+"""Quality of service, as rosbag2 records it, without which no listener of tf2 takes a static
+transform: durability transient_local."""
+_INFO = 20
+_NOT_MEASURED = np.array([-1.0] + [0.0] * 8)
 
 
 class McapTables:
-    """Writes MCAP: a topic for each table."""
+    """Writes MCAP with messages of ROS 2."""
 
     needs: ClassVar = ("mcap.writer", "mcap")
 
     def __init__(self, path: Path, tables: Tables) -> None:
         writer = library(*self.needs)
+        self._store = _Definitions()
         self._path = path
         self._file = unfinished(path).open("wb")
         self._writer = writer.Writer(self._file)
-        self._writer.start(profile="", library="imucald")
+        self._writer.start(profile="ros2", library="imucald")
+        self._schemas: dict[str, int] = {}
         self._topics = {name: _topic(name) for name in tables}
-        self._channels: dict[str, int] = {}
-        self._messages: dict[str, Callable[[Mapping[str, Any]], bytes]] = {}
-        schemas: dict[str, int] = {}
-        for name, columns in tables.items():
-            schema, self._messages[name] = _message(name, columns)
-            if schema not in schemas:
-                text = json.dumps(SCHEMAS.get(schema) or _plain_schema(columns)).encode()
-                schemas[schema] = self._writer.register_schema(schema, "jsonschema", text)
-            self._channels[name] = self._writer.register_channel(
-                self._topics[name], "json", schemas[schema]
-            )
+        self._types = self._store.of_tables(tables)
+        self._channels = {
+            topic: self._channel(topic, self._types[name]) for name, topic in self._topics.items()
+        }
+        imus = (topic for topic, (force, _, _) in _IMUS.items() if force in tables)
+        standard = dict.fromkeys(imus, "sensor_msgs/msg/Imu")
+        if EVENTS in tables:
+            standard["/rosout"] = "rcl_interfaces/msg/Log"
+        if HISTORY in tables:
+            standard["/tf_static"] = "tf2_msgs/msg/TFMessage"
+        self._channels |= {topic: self._channel(topic, of) for topic, of in standard.items()}
+        self._start_us: int | None = None
+        self._mounts = np.zeros((0, 10))
+        self._mount: tuple[float, ...] | None = None
 
-    def add(self, name: str, rows: Columns) -> None:
-        """Append a message for each row."""
-        channel, message = self._channels[name], self._messages[name]
-        keys = [c.name for c in rows.columns]
-        cells = (array.tolist() for array in rows.arrays)
-        for row in zip(*cells, strict=True):
-            values = dict(zip(keys, row, strict=True))
-            stamp = max(values["time"], 0) * 1000
-            self._writer.add_message(channel, stamp, message(values), stamp)
+    def _channel(self, topic: str, of: str) -> int:
+        if of not in self._schemas:
+            text = self._store.definition(of).encode()
+            self._schemas[of] = self._writer.register_schema(of, "ros2msg", text)
+        quality = _LATCHED if topic == "/tf_static" else ""
+        channel: int = self._writer.register_channel(
+            topic, "cdr", self._schemas[of], {"offered_qos_profiles": quality}
+        )
+        return channel
+
+    def _put(self, topic: str, us: int, of: str, message: Any) -> None:
+        """Append a message of a time [us]."""
+        stamp = max(us, 0) * 1000
+        data = self._store.encoded(message, of)
+        self._writer.add_message(self._channels[topic], stamp, data, stamp)
+
+    def add(self, part: Mapping[str, Columns]) -> None:
+        """Append a message for each row, and those of ROS that follow from them."""
+        for name, rows in part.items():
+            topic, of = self._topics[name], self._types[name]
+            make = self._store.types[of]
+            for cells in zip(*(array.tolist() for array in rows.arrays), strict=True):
+                self._put(topic, cells[1], of, make(*cells))
+            if self._start_us is None and len(rows):
+                self._start_us = int(rows["time"][0])
+        if HISTORY in part:
+            self._take_mounts(part[HISTORY])
+        if EVENTS in part:
+            self._put_events(part[EVENTS])
+        for topic, (force, rate, frame) in _IMUS.items():
+            if force in part:
+                mounts = self._mounts if frame == VEHICLE else self._mounts[:0]
+                for samples in joined(part[force], part.get(rate), mounts):
+                    self._put_imu(topic, frame, samples)
+
+    def _take_mounts(self, rows: Columns) -> None:
+        """Keep the newest row of before: it holds until the next one."""
+        self._mounts = np.concatenate([self._mounts[-1:], mounts_of(rows)])
+        quaternions = np.stack([rows[f"q_{part}"] for part in "xyzw"], axis=1)
+        known = quaternions[~np.isnan(quaternions).any(axis=1)]
+        if len(known):
+            self._mount = tuple(known[-1].tolist())
+
+    def _put_events(self, rows: Columns) -> None:
+        of = "rcl_interfaces/msg/Log"
+        make, no_place = self._store.types[of], ("", "", 0)
+        for us, kind, text in zip(rows["time"], rows["kind"], rows["text"], strict=True):
+            stamp = self._store.stamp(int(us))
+            message = make(stamp, _INFO, "imucald", f"{kind}: {text}", *no_place)
+            self._put("/rosout", int(us), of, message)
+
+    def _put_imu(self, topic: str, frame: str, samples: ImuSamples) -> None:
+        of = "sensor_msgs/msg/Imu"
+        make = self._store.types[of]
+        vector = self._store.types["geometry_msgs/msg/Vector3"]
+        nothing, level = vector(0.0, 0.0, 0.0), self._store.quaternion(0.0, 0.0, 0.0, 1.0)
+        for us, force, rate, of_force, of_rate in zip(*samples, strict=True):
+            measured = vector(*rate.tolist()), of_rate
+            if np.isnan(rate[0]):
+                measured = nothing, _NOT_MEASURED
+            accelerations = vector(*force.tolist()), of_force
+            head = self._store.header(int(us), frame)
+            message = make(head, level, _NOT_MEASURED, *measured, *accelerations)
+            self._put(topic, int(us), of, message)
 
     def finish(self, about: Mapping[str, Any]) -> list[Path]:
-        """Write the metadata and close."""
+        """Write the mount and the metadata, and close."""
+        if self._mount is not None and self._start_us is not None:
+            self._put(
+                "/tf_static",
+                self._start_us,
+                "tf2_msgs/msg/TFMessage",
+                self._store.transform(self._start_us, VEHICLE, SENSOR, self._mount),
+            )
         text = json.dumps({**about, "topics": self._topics}, allow_nan=False, ensure_ascii=False)
         self._writer.add_metadata(FILE_KEY, {FILE_KEY: text})
         self._writer.finish()
@@ -83,130 +169,61 @@ def _topic(name: str) -> str:
     return f"/imu/{name}"
 
 
-# rows as messages --------------------------------------------------------------------------
+class _Definitions:
+    """Messages of ROS 2, and those of our tables."""
 
+    def __init__(self) -> None:
+        self._typesys = library("rosbags.typesys", "mcap")
+        self._store = self._typesys.get_typestore(self._typesys.Stores.ROS2_HUMBLE)
+        self.types: Mapping[str, Any] = self._store.types
+        self.quaternion = self.types["geometry_msgs/msg/Quaternion"]
 
-def _message(
-    name: str, columns: tuple[TableColumn, ...]
-) -> tuple[str, Callable[[Mapping[str, Any]], bytes]]:
-    """Schema of a table's messages, and what makes one of a row."""
-    if name == HISTORY:
-        return "foxglove.FrameTransform", _transform
-    if name == EVENTS:
-        return "foxglove.Log", _log
-    frame = "sensor" if name.startswith(RAW) else "vehicle"
-    axes = tuple(c.name for c in columns[2:5])
-    kind = axes[0].removeprefix("raw_").partition("_")[0] if len(axes) == len(_XYZ) else ""
-    if kind in ("accel", "gyro"):
-        return "sensor_msgs/Imu", lambda row: _imu(row, axes, frame, kind == "gyro")
-    if kind == "mag":
-        return "sensor_msgs/MagneticField", lambda row: _field(row, axes, frame)
-    return f"imucald.{name.removeprefix(RAW)}", _plain_message
+    def of_tables(self, tables: Tables) -> dict[str, str]:
+        """Define a message for each table; return its type by the table's name."""
+        found: dict[str, str] = {}
+        for name, columns in tables.items():
+            words = re.findall(r"[A-Za-z0-9]+", name)
+            of = f"imucald_msgs/msg/Table{''.join(word.capitalize() for word in words)}"
+            while of in found.values():
+                of += "Next"
+            found[name] = of
+            self.define(of, "\n".join(f"{_KINDS[c.kind]} {c.name}" for c in columns))
+        return found
 
+    def define(self, of: str, text: str) -> None:
+        """Take the definition of a message."""
+        self._store.register(self._typesys.get_types_from_msg(text, of))
 
-def _stamp(row: Mapping[str, Any]) -> tuple[int, int]:
-    seconds, microseconds = divmod(max(row["time"], 0), 1_000_000)
-    return seconds, microseconds * 1000
+    def definition(self, of: str) -> str:
+        """The definition of a message, with those of its parts."""
+        text: str = self._store.generate_msgdef(of, ros_version=2)[0]
+        return text
 
+    def encoded(self, message: Any, of: str) -> bytes:
+        """A message as CDR."""
+        return bytes(self._store.serialize_cdr(message, of))
 
-def _number(value: float) -> float | None:
-    return value if math.isfinite(value) else None
+    def decoded(self, data: bytes, of: str) -> Any:
+        """A message of CDR."""
+        return self._store.deserialize_cdr(data, of)
 
+    def stamp(self, us: int) -> Any:
+        """builtin_interfaces/Time of a time [us]."""
+        seconds, microseconds = divmod(max(us, 0), 1_000_000)
+        return self.types["builtin_interfaces/msg/Time"](seconds, microseconds * 1000)
 
-def _head(row: Mapping[str, Any], frame: str) -> dict[str, Any]:
-    seconds, nanoseconds = _stamp(row)
-    found = {
-        "header": {"stamp": {"sec": seconds, "nanosec": nanoseconds}, "frame_id": frame},
-        "t_s": row["t_s"],
-    }
-    if "quality" in row:
-        found["quality"] = row["quality"]
-    return found
+    def header(self, us: int, frame: str) -> Any:
+        """std_msgs/Header."""
+        return self.types["std_msgs/msg/Header"](self.stamp(us), frame)
 
-
-def _vector(row: Mapping[str, Any], axes: tuple[str, ...]) -> dict[str, float | None]:
-    return {axis: _number(row[name]) for axis, name in zip(_XYZ, axes, strict=True)}
-
-
-_ZERO = dict.fromkeys(_XYZ, 0.0)
-
-
-def _imu(row: Mapping[str, Any], axes: tuple[str, ...], frame: str, is_rate: bool) -> bytes:
-    measured = _vector(row, axes)
-    content = {
-        **_head(row, frame),
-        "orientation": {**_ZERO, "w": 1.0},
-        "orientation_covariance": NOT_MEASURED,
-        "angular_velocity": measured if is_rate else _ZERO,
-        "angular_velocity_covariance": UNKNOWN if is_rate else NOT_MEASURED,
-        "linear_acceleration": _ZERO if is_rate else measured,
-        "linear_acceleration_covariance": NOT_MEASURED if is_rate else UNKNOWN,
-    }
-    return msgspec.json.encode(content)
-
-
-def _field(row: Mapping[str, Any], axes: tuple[str, ...], frame: str) -> bytes:
-    content = {
-        **_head(row, frame),
-        "magnetic_field": _vector(row, axes),
-        "magnetic_field_covariance": UNKNOWN,
-    }
-    return msgspec.json.encode(content)
-
-
-def _rest(row: Mapping[str, Any], taken: tuple[str, ...]) -> dict[str, Any]:
-    return {
-        key: _number(value) if isinstance(value, float) else value
-        for key, value in row.items()
-        if key not in ("time", *taken)
-    }
-
-
-def _timestamp(row: Mapping[str, Any]) -> dict[str, int]:
-    seconds, nanoseconds = _stamp(row)
-    return {"sec": seconds, "nsec": nanoseconds}
-
-
-_QUATERNION = ("q_w", "q_x", "q_y", "q_z")
-
-
-def _transform(row: Mapping[str, Any]) -> bytes:
-    known = math.isfinite(row["q_w"])
-    rotation = {axis: row[f"q_{axis}"] if known else float(axis == "w") for axis in "xyzw"}
-    content = {
-        "timestamp": _timestamp(row),
-        "parent_frame_id": "vehicle",
-        "child_frame_id": "sensor" if known else "sensor_unknown",
-        "translation": _ZERO,
-        "rotation": rotation,
-        **_rest(row, _QUATERNION),
-    }
-    return msgspec.json.encode(content)
-
-
-def _log(row: Mapping[str, Any]) -> bytes:
-    content = {
-        "timestamp": _timestamp(row),
-        "level": 2,  # INFO
-        "message": f"{row['kind']}: {row['text']}",
-        "name": "imucald",
-        "file": "",
-        "line": 0,
-        **_rest(row, ()),
-    }
-    return msgspec.json.encode(content)
-
-
-def _plain_message(row: Mapping[str, Any]) -> bytes:
-    return msgspec.json.encode({"timestamp": _timestamp(row), **_rest(row, ())})
-
-
-def _plain_schema(columns: tuple[TableColumn, ...]) -> dict[str, Any]:
-    numbers = {c.name: {"type": ["number", "null"]} for c in columns if c.name != "time"}
-    return {"type": "object", "properties": {"timestamp": TIMESTAMP, **numbers}}
-
-
-# messages as rows --------------------------------------------------------------------------
+    def transform(self, us: int, parent: str, child: str, xyzw: tuple[float, ...]) -> Any:
+        """tf2_msgs/TFMessage of one rotation."""
+        types = self.types
+        turn = types["geometry_msgs/msg/Transform"](
+            types["geometry_msgs/msg/Vector3"](0.0, 0.0, 0.0), self.quaternion(*xyzw)
+        )
+        one = types["geometry_msgs/msg/TransformStamped"](self.header(us, parent), child, turn)
+        return types["tf2_msgs/msg/TFMessage"]([one])
 
 
 def read_about(path: Path) -> dict[str, Any]:
@@ -222,37 +239,18 @@ def read_about(path: Path) -> dict[str, Any]:
 def read_tables(path: Path, about: Mapping[str, Any], tables: Tables) -> dict[str, Columns]:
     """The tables of a file."""
     names = {topic: name for name, topic in about["topics"].items()}
+    store, known = _Definitions(), set[str]()
     rows: dict[str, list[list[Any]]] = {name: [[] for _ in cs] for name, cs in tables.items()}
     with path.open("rb") as file:
-        messages = library("mcap.reader", "mcap").make_reader(file).iter_messages()
-        for _, channel, message in messages:
+        reader = library("mcap.reader", "mcap").make_reader(file)
+        for schema, channel, message in reader.iter_messages(topics=list(names)):
+            if channel.message_encoding != "cdr":
+                raise ImucaldError("its messages are JSON, of an earlier imucald; replay the log")
+            if schema.name not in known:
+                store.define(schema.name, schema.data.decode())
+                known.add(schema.name)
             name = names[channel.topic]
-            cells = _cells(
-                msgspec.json.decode(message.data), message.log_time // 1000, tables[name]
-            )
-            for column, cell in zip(rows[name], cells, strict=True):
-                column.append(cell)
+            found = store.decoded(message.data, schema.name)
+            for cells, column in zip(rows[name], tables[name], strict=True):
+                cells.append(getattr(found, column.name))
     return {name: columns_from(tables[name], cells) for name, cells in rows.items()}
-
-
-_VECTORS = {"accel": "linear_acceleration", "gyro": "angular_velocity", "mag": "magnetic_field"}
-
-
-def _cells(
-    message: Mapping[str, Any], time: int, columns: tuple[TableColumn, ...]
-) -> Iterator[Any]:
-    for column in columns:
-        if column.kind == "time":
-            yield time
-            continue
-        value = message[column.name] if column.name in message else _nested(message, column.name)
-        yield math.nan if value is None and column.kind == "float" else value
-
-
-def _nested(message: Mapping[str, Any], name: str) -> Any:
-    """A column's value from where the schema has it."""
-    if name in _QUATERNION:
-        is_known = message["child_frame_id"] == "sensor"
-        return message["rotation"][name[-1]] if is_known else None
-    kind, axis = name.removeprefix("raw_").split("_")[:2]
-    return message[_VECTORS[kind]][axis]

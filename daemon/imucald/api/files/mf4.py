@@ -39,10 +39,13 @@ class Mf4Tables:
         self._mdf = self._asammdf.MDF(version="4.10")
         self._groups: dict[str, int] = {}
 
-    def add(self, name: str, rows: Columns) -> None:
-        """Append rows to the table's channel group, which the first rows make."""
-        if not len(rows):
-            return
+    def add(self, part: Mapping[str, Columns]) -> None:
+        """Append rows to each table's channel group, which the first rows make."""
+        for name, rows in part.items():
+            if len(rows):
+                self._append(name, rows)
+
+    def _append(self, name: str, rows: Columns) -> None:
         arrays = [_stored(c, a) for c, a in zip(rows.columns, rows.arrays, strict=True)]
         if name in self._groups:
             self._mdf.extend(self._groups[name], [(array, None) for array in arrays])

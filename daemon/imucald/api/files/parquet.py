@@ -49,10 +49,11 @@ class ParquetTables:
 
         self._writers = opened(self._files, writer)
 
-    def add(self, name: str, rows: Columns) -> None:
+    def add(self, part: Mapping[str, Columns]) -> None:
         """Append rows, as row groups."""
-        writer = self._writers[name]
-        writer.write_table(to_arrow(rows).cast(writer.schema), row_group_size=ROW_GROUP)
+        for name, rows in part.items():
+            writer = self._writers[name]
+            writer.write_table(to_arrow(rows).cast(writer.schema), row_group_size=ROW_GROUP)
 
     def finish(self, about: Mapping[str, Any]) -> list[Path]:
         """Write the keys and close."""

@@ -31,8 +31,8 @@ class TableWriter(Protocol):
 
     def __init__(self, path: Path, tables: Tables) -> None: ...
 
-    def add(self, name: str, rows: Columns) -> None:
-        """Append rows to a table."""
+    def add(self, part: Mapping[str, Columns]) -> None:
+        """Append the rows of a part of the drive to their tables."""
         ...
 
     def finish(self, about: Mapping[str, Any]) -> list[Path]:

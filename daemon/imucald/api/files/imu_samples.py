@@ -1,0 +1,107 @@
+"""Samples of force and rate as one, with covariances.
+
+The covariance of a corrected vector v is what the mount's error turns it by, [v]x P [v]x' with P
+the covariance of the turn about the vehicle's axes, and the noise of a sample: the variance of
+second differences over 6 (von Neumann and others, Ann. Math. Stat. 12, 1941), which driving
+changes little.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import NamedTuple
+
+import numpy as np
+
+from imucald.api.columns import Columns
+from imucald.core.angles import RAD_PER_DEG
+from imucald.core.arrays import Array
+
+_BLOCK = 10_000
+"""Rows at a time: a whole drive may be one part."""
+_FURTHEST_S = 0.05
+"""A rate that is further away than this [s] is not that of a force: half a period of 10 Hz."""
+_UPPER = ("xx", "xy", "xz", "yy", "yz", "zz")
+_FULL = (0, 1, 2, 1, 3, 4, 2, 4, 5)
+"""Of the upper triangle, a 3 x 3 matrix row by row."""
+_SECOND_DIFFERENCE = 6.0
+"""Variance of x[i-1] - 2 x[i] + x[i+1] over that of x."""
+
+
+class ImuSamples(NamedTuple):
+    """times (N,) [us]; force, rate (N, 3), NaN: there is no rate; covariances (N, 9)."""
+
+    times: Array
+    force: Array
+    rate: Array
+    force_covariance: Array
+    rate_covariance: Array
+
+
+def mounts_of(history: Columns) -> Array:
+    """Times [s] and covariances [rad^2] (N, 10) of the rows of a history that know the mount."""
+    entries = [history[f"cov_{name}_deg2"] * RAD_PER_DEG**2 for name in _UPPER]
+    found = np.stack([history["t_s"], *(entries[i] for i in _FULL)], axis=1)
+    return _complete(found)
+
+
+def joined(force: Columns, rate: Columns | None, mounts: Array) -> Iterator[ImuSamples]:
+    """Each known force with the nearest rate.
+
+    mounts: as of `mounts_of`; each holds from its time on, and before the first one, or without
+    any, a covariance is that of the noise alone.
+    """
+    forces, rates = _known(force), np.zeros((0, 5)) if rate is None else _known(rate)
+    force_noise, rate_noise = _noise(forces[:, 2:]), _noise(rates[:, 2:])
+    for start in range(0, len(forces), _BLOCK):
+        t, times, *axes = forces[start : start + _BLOCK].T
+        values, nearest = np.stack(axes, axis=1), _nearest(rates, t)
+        of = np.searchsorted(mounts[:, 0], t, "right") - 1
+        turns = np.zeros((len(t), 9))
+        turns[of >= 0] = mounts[of[of >= 0], 1:]
+        covariances = (
+            _covariance(v, turns, noise)
+            for v, noise in ((values, force_noise), (nearest, rate_noise))
+        )
+        yield ImuSamples(times.astype(np.int64), values, nearest, *covariances)
+
+
+def _known(rows: Columns) -> Array:
+    """Times [s], [us] and values (N, 5) of the rows without a missing axis."""
+    return _complete(np.stack([array.astype(float) for array in rows.arrays[:5]], axis=1))
+
+
+def _complete(rows: Array) -> Array:
+    found: Array = rows[~np.isnan(rows).any(axis=1)]
+    return found
+
+
+def _noise(values: Array) -> Array:
+    """Variance (3,) of a sample's noise; zeros where there are too few samples."""
+    if len(values) < 3:
+        return np.zeros(3)
+    noise: Array = np.mean(np.diff(values, n=2, axis=0) ** 2, axis=0) / _SECOND_DIFFERENCE
+    return noise
+
+
+def _nearest(rates: Array, t: Array) -> Array:
+    """The rate (N, 3) nearest to each time; NaN where none is near."""
+    if not len(rates):
+        return np.full((len(t), 3), np.nan)
+    after = np.searchsorted(rates[:, 0], t).clip(1, max(1, len(rates) - 1))
+    before = after - 1
+    after = after.clip(max=len(rates) - 1)
+    is_after = np.abs(rates[after, 0] - t) < np.abs(rates[before, 0] - t)
+    chosen = rates[np.where(is_after, after, before)]
+    found: Array = chosen[:, 2:].copy()
+    found[np.abs(chosen[:, 0] - t) > _FURTHEST_S] = np.nan
+    return found
+
+
+def _covariance(values: Array, turns: Array, noise: Array) -> Array:
+    """Covariances (N, 9) of vectors (N, 3) that are turned with these covariances (N, 9)."""
+    x, y, z = np.nan_to_num(values).T
+    o = np.zeros_like(x)
+    cross = np.stack([o, -z, y, z, o, -x, -y, x, o], axis=1).reshape(-1, 3, 3)
+    found: Array = cross @ turns.reshape(-1, 3, 3) @ cross.transpose(0, 2, 1) + np.diag(noise)
+    return found.reshape(-1, 9)
