@@ -44,6 +44,7 @@ from benchmarks.mount_accuracy.seeds import (
     tuned_on,
 )
 from benchmarks.mount_accuracy.tables import bars, force_table, quantiles, table
+from imucald.motion import ticks as tk
 from imucald.mount.estimator import FullEstimator
 
 PAGE = ROOT / "benchmarks" / "records" / "mount-accuracy.md"
@@ -89,12 +90,15 @@ class Size:
 QUICK = Size(2, 2, 1, 12.0, 1, 1, 10.0, (2.0, 5.0))
 
 
-def traces(size: Size, cross_axis: float) -> dict[str, list[Trace]]:
+def traces(size: Size, cross_axis: float, has_gyro: bool = True) -> dict[str, list[Trace]]:
     """Both estimators over the same drives."""
     out: dict[str, list[Trace]] = {name: [] for name in estimators()}
     for seed in range(size.first, size.first + size.drives):
         made = drive(seed, max(size.times), cross_axis=cross_axis)
-        for name, estimator in estimators(cross_axis).items():
+        if not has_gyro:
+            made.rows[:, tk.GYRO.n] = 0.0
+            made.rows[:, tk.GYRO.x : tk.GYRO.age + 1] = np.nan
+        for name, estimator in estimators(cross_axis if has_gyro else 0.0).items():
             out[name].append(run(estimator, made, size.times))
         progress(f"drive {seed - size.first + 1} of {size.drives}")
     return out
@@ -111,6 +115,18 @@ def accuracy(size: Size) -> list[str]:
         lines += force_table(found, size.times)
         if not cross:
             lines += bars(found["joint"], size.times)
+    return lines
+
+
+def without_gyroscope(size: Size) -> list[str]:
+    """What a consumer gets where the vehicle's yaw rate alone shows turns, and how soon."""
+    found = traces(size, 0.02, has_gyro=False)
+    lines = ["", f"### Without a gyroscope, {size.drives} drives, 2 % cross-axis error", ""]
+    lines += [*force_table(found, size.times), ""]
+    for name, of in found.items():
+        after = np.nan_to_num([trace.usable_after for trace in of], nan=np.inf)
+        middle, late = np.quantile(after, [0.5, 0.9], method="higher")
+        lines.append(f"- {name}: *usable* after {middle:.0f} s of driving (90 %: {late:.0f} s).")
     return lines
 
 
@@ -230,6 +246,7 @@ def false_alarms(size: Size) -> list[str]:
 
 PARTS: dict[str, Callable[[Size], list[str]]] = {
     "accuracy": accuracy,
+    "no_gyroscope": without_gyroscope,
     "long": long_drives,
     "bound": efficiency,
     "cost": step_cost,
