@@ -13,6 +13,7 @@ import subprocess
 import threading
 import time
 from pathlib import Path
+from typing import Any
 
 import pytest
 from rich.console import Console
@@ -28,6 +29,7 @@ from imucald.runtime.flow import flow
 from imucald.service.journal import Journal
 from imucald.service.service import Service
 from imucald.service.service_options import ServiceOptions
+from imucald.service.status import COLUMNS
 from simulated_bus import CONFIG
 
 REASON = "acceleration or braking above 1 m/s2 (2 of 3 seen), and then a little more of it"
@@ -172,14 +174,54 @@ def test_what_is_judged_stands_beside_the_target_and_not_what_the_housing_is_kno
     assert row.split()[3:] == ["up", "axis", "±0.24°", "fine", "below", "±0.60°"]
 
 
-def test_a_bar_is_longer_for_a_wider_interval_and_marks_the_target(status):
-    lines = drawn(lambda c: monitor_picture(status, [], c, Text("")), 120)
-    rows = {line.split()[0]: line for line in lines if line.startswith(("roll", "pitch", "yaw"))}
-    filled = {name: row.rindex("━") for name, row in rows.items()}
-    assert filled["roll"] > filled["yaw"] > filled["pitch"]
-    assert all(row.count("┃") == 1 for row in rows.values())
-    inside = {name: row.rindex("━") < row.index("┃") for name, row in rows.items()}
-    assert inside == {"roll": True, "pitch": True, "yaw": False}
+PROGRESS = {
+    "goal": "fine",
+    "gates": [
+        {"gate": "forward axis", "share": 1.0, "left_s": 0},
+        {"gate": "up axis", "share": 0.349, "left_s": 160},
+        {"gate": "check of the signs", "share": 0.7, "left_s": None},
+    ],
+}
+
+
+def test_each_gate_has_a_bar_with_its_share_and_the_driving_that_is_left(status):
+    status["progress"] = PROGRESS
+    lines = drawn(lambda c: monitor_picture(status, [], c, Text("")), 100)
+    names = ("forward axis", "up axis", "check of the signs")
+    forward, up, signs = ([x for x in lines if x.startswith(name)][-1] for name in names)
+    assert any(line.startswith("to fine") for line in lines)
+    assert forward.split()[-2:] == ["100", "%"]
+    assert up.rstrip().endswith("34 %  about 3 min of driving")
+    assert signs.rstrip().endswith("70 %")
+
+
+def test_one_line_has_the_gate_that_takes_longest(status):
+    status["progress"] = PROGRESS
+    assert short(status).endswith("; to fine: check of the signs 70 %")
+    gates = [*PROGRESS["gates"][:2]]  # type: ignore[index]
+    status["progress"] = {"goal": "fine", "gates": gates}
+    assert short(status).endswith("; to fine: up axis 34 %, about 3 min of driving")
+    assert "to fine" not in short(status | {"progress": None})
+
+
+def test_the_target_is_that_of_the_state_that_is_waited_for(status):
+    """All deviations small, and the signs not seen to agree: *usable* is what comes next."""
+    status["progress"] = {"goal": "usable", "gates": PROGRESS["gates"][2:]}  # type: ignore[index]
+    assert "usable below ±2.00°" in "\n".join(drawn(picture(status), 100))
+
+
+def test_a_reason_that_changes_within_a_state_is_an_event(status):
+    other = copy.deepcopy(status) | {"waiting_for": {"yaw": "turns"}}
+    events = events_of(status, *[other] * 15)
+    assert [(e.kind, e.text) for e in events.events][-1] == ("reason", "waiting for yaw: turns")
+    assert sum(e.kind == "reason" for e in events.events) == 1
+
+
+def test_a_monitor_that_is_opened_late_begins_with_what_the_daemon_logged(status):
+    events = LiveEvents()
+    events.remember([{"at": 1.5e9, "level": "notice", "text": "usable at 70.4 s"}])
+    events.update(status, 1.6e9)
+    assert [(e.at, e.kind, e.text) for e in events.events] == [(1.5e9, "log", "usable at 70.4 s")]
 
 
 @pytest.mark.parametrize(("width", "height"), [(80, 24), (80, 40), (140, 40)])
@@ -342,6 +384,13 @@ def test_a_mount_that_nothing_has_confirmed_is_not_called_usable(silent, status)
 # the page --------------------------------------------------------------------------------------
 
 
+def history(count: int) -> dict[str, Any]:
+    """So many rows of a daemon's history."""
+    numbers = [14.4, 28.6, -10.6, 1.1, 0.6, 0.9, 1.0, 2.0, 9.0, 0.1, 0.2, 9.8, 0.1, 0.2]
+    rows = [[1.6e9 + 2.0 * i, "usable", "good", *numbers] for i in range(count)]
+    return {"period_s": 2.0, "columns": list(COLUMNS), "rows": rows}
+
+
 def asked(status, *requests):
     """Status, headers and text of the answers to (method, path, host)."""
     pytest.importorskip("aiohttp")
@@ -352,6 +401,7 @@ def asked(status, *requests):
     state = LiveState("a note")
     for second in range(5):
         state.update(status, 1.6e9 + second)
+    state.add_history(history(5))
 
     async def ask():
         found = []
@@ -375,12 +425,12 @@ def test_the_page_shows_what_the_terminal_does(status):
     assert "default-src 'none'" in headers["Content-Security-Policy"]
     found = json.loads(data)
     yaw = found["mount"][2]
-    assert (yaw["half"], yaw["targets"]["fine"]) == (0.7, 0.6)
+    assert (yaw["left"], yaw["target"]) == ("±0.70°", "fine below ±0.60°")
     assert found["sits"] == status["mount"]["sits"]
     assert [i["health"] for i in found["inputs"]] == ["stuck (y)", "silent"]
     assert len(found["views"]) == 3
-    assert len(found["history"]["t"]) == 5
-    assert found["history"]["yaw"]["off"][-1] == pytest.approx(0.0, abs=1e-6)
+    assert [row[0] for row in found["history"]["rows"]] == [1.6e9 + 2.0 * i for i in range(5)]
+    assert found["history"]["columns"] == list(COLUMNS)
 
 
 @pytest.mark.parametrize(
@@ -442,15 +492,18 @@ def test_half_open_requests_are_few_and_keep_nobody_out(status, monkeypatch):
     assert left == 1
 
 
-def test_a_long_history_stays_small_and_ends_with_now(status):
-    from imucald.commands.monitor_web import HISTORY, POINTS, LiveState
+def test_the_page_gets_only_rows_that_it_has_not_and_no_more_than_half_an_hour(status):
+    from imucald.commands.monitor_web import LiveState
 
     state = LiveState()
-    for second in range(HISTORY + 50):
-        state.update(status, 1.6e9 + second)
-    found = state.page()["history"]
-    assert len(found["t"]) <= POINTS + 1
-    assert found["t"][-1] == 1.6e9 + HISTORY + 49
+    state.update(status, 1.6e9)
+    state.add_history(history(950))
+    assert len(state.page()["history"]["rows"]) == 900
+    assert state.newest == 1.6e9 + 1898.0
+    assert [row[0] for row in state.page(1.6e9 + 1895.0)["history"]["rows"]] == [
+        1.6e9 + 1896.0,
+        1.6e9 + 1898.0,
+    ]
 
 
 def test_a_daemon_that_went_away_is_reported(status):
@@ -488,6 +541,7 @@ def test_a_real_browser_draws_the_page(status, tmp_path: Path):
     state = LiveState()
     for second in range(20):
         state.update(status, 1.6e9 + second)
+    state.add_history(history(20))
     ready, ports, loop = threading.Event(), [], asyncio.new_event_loop()
 
     async def begin():
@@ -521,4 +575,5 @@ def test_a_real_browser_draws_the_page(status, tmp_path: Path):
     assert status["mount"]["sits"] in done.stdout
     assert "fine below ±0.60°" in done.stdout
     assert done.stdout.count('class="sits"') == 3
-    assert done.stdout.count('class="line"') == 3
+    assert done.stdout.count('class="band"') == 3
+    assert done.stdout.count('class="line raw"') == 3

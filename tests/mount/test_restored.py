@@ -12,12 +12,20 @@ from msgspec.structs import replace
 from scipy.spatial.transform import Rotation
 
 from imucald.motion.column_ticks import ticks_from_samples
-from imucald.mount.estimate import ANGLES, Correction, MountEstimate, MountState
+from imucald.mount.estimate import (
+    ANGLES,
+    Correction,
+    Gate,
+    Missing,
+    MountEstimate,
+    MountState,
+    Progress,
+)
 from imucald.mount.method_a.estimator import PublishedEstimator
 from imucald.mount.mount_in_force import mount_in_force
 from imucald.mount.restored import HAND_OVER_RATE, Phase, RestoredEstimator, StoredMount
 from imucald.mount.saved_information import SavedInformation
-from imucald.report.drive_events import reported_events
+from imucald.runtime.drive_events import reported_events
 from imucald.runtime.estimators import estimator_for
 from published_drive import Drive
 from simulated_bus import drive, loaded
@@ -84,6 +92,23 @@ def test_it_is_usable_at_once_and_says_that_it_is_restored():
     assert all(math.degrees(s) >= 0.3 for s in estimate.std)
     run(estimator, 3600.0)  # a drive without evidence confirms nothing
     assert estimator.state is MountState.RESTORED
+
+
+def test_a_mount_that_is_fine_from_before_waits_for_nothing():
+    """The drive's own estimate may wait for more; what is served does not."""
+    estimator, inner = restored()
+    inner.say(MountState.USABLE, STORED, 1.0)
+    inner.answer = replace(
+        inner.answer,
+        waiting_for={"yaw": "more driving"},
+        missing={"yaw": Missing.MORE_DRIVING},
+        progress=Progress(MountState.FINE, (Gate("up axis", 0.5),)),
+    )
+    assert estimator.estimate().progress is not None, "restored: the drive is to confirm it"
+    run(estimator, 3.0)
+    found = estimator.estimate()
+    assert found.state is MountState.FINE
+    assert (found.waiting_for, found.missing, found.progress) == ({}, {}, None)
 
 
 def test_agreement_confirms_it_only_when_the_new_estimate_can_be_used():

@@ -13,8 +13,8 @@ import pytest
 from html_page import Page
 from imucald import cli
 from imucald.can.logs.log_reader import LogReader
-from imucald.report.drive_events import in_order, reported_events, state_changes
 from imucald.report.drive_history import DriveHistory
+from imucald.runtime.drive_events import in_order, reported_events, state_changes
 from imucald.runtime.replay import Replay
 from imucald.runtime.session import make_engine
 from imucald.simulation import random_model, simulate

@@ -2,23 +2,29 @@
 
 from __future__ import annotations
 
+import json
 import time
 from collections import deque
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any
 
-from imucald.mount.mount_words import reasons_line
-from imucald.report.drive_events import STATE_WORDS, reported_events
+from imucald.core.errors import LinkError
+from imucald.runtime.drive_events import StateChanges, reported_events
 from imucald.runtime.flow import ALARMS, present_alarms
 from imucald.runtime.timebase import FORWARD_STEP
+from imucald.service.asking import ask
 
 KEPT = 200
 
 
 @dataclass(frozen=True)
 class LiveEvent:
-    """at: wall clock [s]. kind: state, moved, fault, sensor, bus or alarm. text: for people."""
+    """at: wall clock [s]. kind: state, reason, moved, fault, sensor, bus, alarm or log.
+
+    text: for people.
+    """
 
     at: float
     kind: str
@@ -39,10 +45,17 @@ class LiveEvents:
 
     def __init__(self) -> None:
         self.events: deque[LiveEvent] = deque(maxlen=KEPT)
+        self._states = StateChanges()
         self._state: str | None = None
         self._link: str | None = None
         self._alarms: frozenset[str] = frozenset()
+        self._has_log = False
         self._listed: dict[tuple[float, str, str], LiveEvent] = {}
+
+    def remember(self, logged: Sequence[Mapping[str, Any]]) -> None:
+        """Take the daemon's own events of the time before, as `imucald events` lists them."""
+        self.events.extend(LiveEvent(e["at"], _kind(e), e["text"]) for e in logged)
+        self._has_log = bool(logged)
 
     def update(self, status: Mapping[str, Any], now: float) -> None:
         """Take a status at wall clock `now` [s]."""
@@ -63,7 +76,9 @@ class LiveEvents:
                 self._listed[key] = replace(before, kind=event.kind, text=event.text)
                 same = [self._listed[key] if e is before else e for e in self.events]
                 self.events = deque(same, maxlen=KEPT)
-        if first and status["state"] != "restored":  # not confirmed, and in force
+        if (
+            first and not self._has_log and status["state"] != "restored"
+        ):  # not confirmed, and in force
             found += [
                 LiveEvent(began + status[f"first_{name}_s"], "state", f"{name} for the first time")
                 for name in ("usable", "fine")
@@ -74,10 +89,9 @@ class LiveEvents:
 
     def _changes(self, status: Mapping[str, Any], now: float) -> None:
         state, link = str(status["state"]), str(status["link"]["state"])
-        if state != self._state:
-            waiting = reasons_line(status["waiting_for"])
-            text = f"{state}: {STATE_WORDS.get(state, '')}" + (f"; {waiting}" if waiting else "")
-            self.events.append(LiveEvent(now, "state", text))
+        event = self._states.take(now, state, status["waiting_for"])
+        if event is not None and not (self._state is None and self._has_log):
+            self.events.append(LiveEvent(event.t, event.kind, event.text))
         if self._link is not None and link != self._link:
             self.events.append(LiveEvent(now, "bus", f"{status['link']['channel']} is {link}"))
         alarms = frozenset(present_alarms(status))
@@ -88,3 +102,16 @@ class LiveEvents:
         for flag in sorted(self._alarms - alarms):
             self.events.append(LiveEvent(now, "alarm", f"{ALARMS[flag]}: over"))
         self._state, self._link, self._alarms = state, link, alarms
+
+
+def logged_events(path: Path) -> list[dict[str, Any]]:
+    """What the daemon behind a status socket has logged; nothing where it does not say."""
+    try:
+        found: list[dict[str, Any]] = json.loads(ask(path, "events"))["events"]
+    except (LinkError, ValueError, LookupError):
+        return []
+    return found
+
+
+def _kind(logged: Mapping[str, Any]) -> str:
+    return "alarm" if logged["level"] in ("error", "warning") else "log"

@@ -69,7 +69,7 @@ def _watch_on_terminal(path: Path, is_over: Callable[[], bool], note: str) -> No
     from rich.live import Live
     from rich.text import Text
 
-    from imucald.commands.live_events import LiveEvents
+    from imucald.commands.live_events import LiveEvents, logged_events
     from imucald.commands.monitor_view import monitor_picture
     from imucald.commands.terminal import plain_console, plain_where_needed
     from imucald.core.errors import LinkError
@@ -88,6 +88,8 @@ def _watch_on_terminal(path: Path, is_over: Callable[[], bool], note: str) -> No
             is_last = is_over()
             trouble = ""
             try:
+                if status is None:
+                    events.remember(logged_events(path))
                 status = json.loads(ask(path, "status"))
                 events.update(status, time.time())
             except (LinkError, ValueError) as error:

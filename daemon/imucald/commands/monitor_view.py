@@ -11,17 +11,16 @@ from rich.table import Table
 from rich.text import Text
 
 from imucald.commands.live_events import LiveEvent
-from imucald.commands.mount_view import mount_parts
+from imucald.commands.mount_view import BAR, mount_parts
 from imucald.commands.status_view import facts, headline
 from imucald.mount.mount_words import left_out_words
 
 BESIDE = 120
 """Columns from which inputs and events stand side by side."""
-BESIDE_INPUTS = 50
+BESIDE_INPUTS = 66
 LEAST_EVENTS = 3
-TABLE_COLUMNS = 72
-"""Columns of the mount table without its bars."""
-LONGEST_BAR, SHORTEST_BAR = 48, 8
+LONG_BAR = 60
+"""Columns of a bar where there is room."""
 FACTS = ("now", "losses", "rejected", "process")
 LEFT_OUT = "not learnt from"
 """Shown as well where there is something."""
@@ -46,9 +45,7 @@ def monitor_picture(
     trouble: why the daemon does not answer; the rest is what it said last.
     """
     width, height = console.size
-    bar = min(max(width - TABLE_COLUMNS, SHORTEST_BAR), LONGEST_BAR)
-    correction = status.get("correction")
-    mount = Group(*mount_parts(status["mount"], status["waiting_for"], bar, correction))
+    mount = Group(*mount_parts(status, BAR if width < BESIDE else LONG_BAR))
     top: list[RenderableType] = [headline(status, trouble), Padding(mount, (1, 0))]
     inputs: RenderableType = inputs_table(status)
     wanted = (*FACTS, LEFT_OUT) if left_out_words(status["details"]) else FACTS

@@ -1,9 +1,9 @@
 """`imucald monitor --web`: the monitor as one page, served to this machine only.
 
-The server asks the daemon's status socket once a second, keeps a history for the chart, and answers
-GET requests on 127.0.0.1. It takes no orders. A page of another site cannot read it: the host
-name that the browser asked for must be this machine's (against DNS rebinding), and nothing allows
-other origins.
+The server asks the daemon's status socket once a second, keeps its history for the charts, and
+answers GET requests on 127.0.0.1. It takes no orders. A page of another site cannot read it: the
+host name that the browser asked for must be this machine's (against DNS rebinding), and nothing
+allows other origins.
 """
 
 from __future__ import annotations
@@ -11,11 +11,11 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import json
+import math
 import socket
 import time
 from collections import deque
 from collections.abc import Awaitable, Callable, Mapping, Sequence
-from dataclasses import dataclass
 from importlib import resources
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -23,39 +23,38 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from msgspec.structs import asdict
 
-from imucald.commands.live_events import LiveEvents
+from imucald.commands.live_events import LiveEvents, logged_events
 from imucald.commands.monitor_view import input_health
-from imucald.core.angles import DEG_PER_RAD
 from imucald.core.errors import ImucaldError, LinkError
 from imucald.core.libraries import how_to_install
-from imucald.core.rotations import Matrix3, rows_from_quaternion, vector_from_rotation
+from imucald.core.rotations import Matrix3, rows_from_quaternion
 from imucald.mount.estimate import ANGLES
 from imucald.mount.mount_words import (
     ABOUT,
-    SD_95,
     VEHICLE_AXES,
     angle_cells,
     angles_line,
+    driving_left,
     half_width,
     is_trouble,
     judged_std,
     left_out_words,
+    percent,
+    plus_minus,
     reasons,
     sent_words,
+    target,
 )
 from imucald.report.drawing import STYLE, view_drawings
 from imucald.runtime.flow import flow
 from imucald.service.asking import ask
+from imucald.service.status import KEPT, since
 
 if TYPE_CHECKING:
     from aiohttp import web
 
 ADDRESS = "127.0.0.1"
 PERIOD_S = 1.0
-HISTORY = 3600
-"""Seconds that the chart goes back: an hour."""
-POINTS = 400
-"""Of them so many are drawn."""
 CONNECTIONS_MAX = 32
 ASK_S = 2.0
 """A connection has so long to send a request [s] ..."""
@@ -70,15 +69,6 @@ HEADERS = {
 }
 
 
-@dataclass(frozen=True)
-class _Point:
-    """One second: wall clock [s], the mount's quaternion, half intervals about x, y, z [deg]."""
-
-    t: float
-    quaternion: Sequence[float] | None
-    halves: tuple[float | None, ...]
-
-
 class LiveState:
     """What the page shows: the newest status, the history, the events."""
 
@@ -87,22 +77,39 @@ class LiveState:
         self._status: dict[str, Any] | None = None
         self._trouble = ""
         self._events = LiveEvents()
-        self._history: deque[_Point] = deque(maxlen=HISTORY)
+        self._columns: list[str] = []
+        self._rows: deque[list[Any]] = deque(maxlen=KEPT)
 
     def update(self, status: dict[str, Any], now: float) -> None:
         """Take a status at wall clock `now` [s]."""
         self._status, self._trouble = status, ""
         self._events.update(status, now)
-        mount = status["mount"]
-        halves = tuple(half_width(mount["std_deg"][axis]) for axis in "xyz")
-        self._history.append(_Point(now, mount["quaternion_wxyz"], halves))
+
+    def remember(self, events: Sequence[Mapping[str, Any]]) -> None:
+        """Take what the daemon logged before this page was started."""
+        self._events.remember(events)
+
+    @property
+    def newest(self) -> float:
+        """Time of day of the newest row [s]."""
+        return float(self._rows[-1][0]) if self._rows else -math.inf
+
+    def add_history(self, found: Mapping[str, Any]) -> None:
+        """Take the daemon's rows after `newest`."""
+        self._columns = list(found["columns"])
+        self._rows.extend(found["rows"])
+
+    @property
+    def is_begun(self) -> bool:
+        """Whether a daemon has answered."""
+        return self._status is not None
 
     def fail(self, text: str) -> None:
         """The daemon did not answer."""
         self._trouble = text
 
-    def page(self) -> dict[str, Any]:
-        """Everything that the page needs, as JSON can carry it."""
+    def page(self, since: float = -math.inf) -> dict[str, Any]:
+        """Everything that the page needs, as JSON; since: of the history, rows after that time."""
         status = self._status
         if status is None:
             return {"trouble": self._trouble or "no answer yet"}
@@ -120,13 +127,13 @@ class LiveState:
             "first_usable_s": status["first_usable_s"],
             "first_fine_s": status["first_fine_s"],
             "angles": angles_line(mount),
-            "rotation_is_judged": mount.get("judged_std_deg", mount["std_deg"]) == mount["std_deg"],
             "sits": mount.get("sits"),
             "steep": mount.get("steep"),
             "mirrored": mount.get("mirrored"),
             "sent": sent_words(status.get("correction")),
             "convention": ABOUT,
-            "mount": [_angle(mount, i) for i in range(len(ANGLES))],
+            "mount": [_angle(status, i) for i in range(len(ANGLES))],
+            "progress": _progress(status.get("progress")),
             "reasons": [
                 {"who": who, "text": text, "trouble": is_trouble(text)}
                 for who, text in reasons(status["waiting_for"])
@@ -145,38 +152,10 @@ class LiveState:
             ],
             "views": view_drawings(_rotation(mount)),
             "drawing_style": STYLE,
-            "history": _history(self._history),
+            "history": {
+                "columns": self._columns, "rows": [row for row in self._rows if row[0] > since],
+            },
         }  # fmt: skip
-
-
-def _history(points: Sequence[_Point]) -> dict[str, Any]:
-    """How each estimate is turned from the newest about the vehicle's axes, and its interval.
-
-    In degrees, so that the chart is true near 90 deg of pitch too; null where not known.
-    """
-    shown = list(points)[:: -(-len(points) // POINTS) or 1]
-    if points and shown[-1] is not points[-1]:
-        shown.append(points[-1])
-    end = points[-1].quaternion if points else None
-    off = [_turned(p.quaternion, end) for p in shown]
-    return {
-        "t": [round(p.t, 1) for p in shown],
-        **{
-            name: {
-                "off": [o[i] for o in off],
-                "half": [p.halves[i] for p in shown],
-            }
-            for i, name in enumerate(ANGLES)
-        },
-    }
-
-
-def _turned(q: Sequence[float] | None, end: Sequence[float] | None) -> Sequence[float | None]:
-    """The rotation vector [deg] from the mount `end` to the mount `q`."""
-    if q is None or end is None:
-        return None, None, None
-    turned = vector_from_rotation(_matrix(q) @ _matrix(end).T)
-    return [round(float(x) * DEG_PER_RAD, 4) for x in turned]
 
 
 def _matrix(quaternion: Sequence[float]) -> Matrix3:
@@ -184,16 +163,28 @@ def _matrix(quaternion: Sequence[float]) -> Matrix3:
     return np.array(rows_from_quaternion((w, x, y, z))).reshape(3, 3)
 
 
-def _angle(mount: Mapping[str, Any], i: int) -> dict[str, Any]:
-    """A row: an angle with its ±, and the turn about a vehicle axis with its own and targets."""
-    name, axis = ANGLES[i], "xyz"[i]
-    targets = mount.get("target_std_deg")
-    goals = {} if targets is None else {goal: SD_95 * of[axis] for goal, of in targets.items()}
+def _angle(status: Mapping[str, Any], i: int) -> dict[str, Any]:
+    """A row: an angle with its ±, and the turn about a vehicle axis with its own and its target."""
+    mount, name, axis = status["mount"], ANGLES[i], "xyz"[i]
     value, spread = angle_cells(mount, name)
+    std = judged_std(mount, axis)
+    goal, limit = target(mount, axis, status.get("progress"))
     return {
         "name": name, "value": value, "spread": spread,
-        "turn": VEHICLE_AXES[i], "half": half_width(judged_std(mount, axis)), "targets": goals,
+        "turn": VEHICLE_AXES[i], "left": plus_minus(std),
+        "target": f"{goal} below {plus_minus(limit)}" if limit else "",
+        "reached": std is not None and limit is not None and std < limit,
     }  # fmt: skip
+
+
+def _progress(progress: Mapping[str, Any] | None) -> dict[str, Any] | None:
+    if progress is None:
+        return None
+    gates = [
+        {**gate, "percent": percent(gate["share"]), "left": driving_left(gate["left_s"])}
+        for gate in progress["gates"]
+    ]
+    return {"goal": progress["goal"], "gates": gates}
 
 
 def _input(status: Mapping[str, Any], channel: str, row: Mapping[str, Any]) -> dict[str, Any]:
@@ -254,9 +245,15 @@ async def _serve(path: Path, port: int, is_over: Callable[[], bool], state: Live
 async def _ask(path: Path, state: LiveState) -> None:
     try:
         status = json.loads(await asyncio.to_thread(ask, path, "status"))
+        if not state.is_begun:
+            state.remember(await asyncio.to_thread(logged_events, path))
         state.update(status, time.time())
     except (LinkError, ValueError) as error:
         state.fail(str(error))
+        return
+    with contextlib.suppress(LinkError, ValueError, LookupError):  # an older daemon has none
+        history = await asyncio.to_thread(ask, path, f"history {state.newest}")
+        state.add_history(json.loads(history))
 
 
 class Connections:
@@ -335,8 +332,8 @@ def application(state: LiveState, connections: Connections | None = None) -> web
         text = (pages / "monitor.js").read_text("utf-8")
         return web.Response(text=text, content_type="text/javascript")
 
-    async def live(_: web.Request) -> web.Response:
-        return web.json_response(state.page())
+    async def live(request: web.Request) -> web.Response:
+        return web.json_response(state.page(since(request.query.get("since", ""))))
 
     app = web.Application(middlewares=[guarded])
     app.router.add_get("/", page)

@@ -18,9 +18,10 @@ from imucald.mount.mount_words import (
     angles_line,
     is_trouble,
     left_out_words,
+    progress_words,
     reasons,
 )
-from imucald.report.drive_events import STATE_WORDS
+from imucald.runtime.drive_events import STATE_WORDS
 from imucald.runtime.flow import FlowKind, flow, is_starting, present_alarms
 
 STYLES = {
@@ -57,23 +58,24 @@ _SILENT = frozenset({"accelerometer_missing", "gyroscope_missing"})
 
 def waits_for(status: Mapping[str, Any]) -> str:
     """Return in one line what flows and what is waited for."""
-    return "; ".join([flow(status).text, *_first_reason(status)])
+    return "; ".join([flow(status).text, *_still_missing(status)])
 
 
 def short(status: Mapping[str, Any]) -> str:
     """Return the status as one line: what flows, the angles, what is waited for."""
     angles = angles_line(status["mount"])
-    return "; ".join([flow(status).text, *([angles] if angles else []), *_first_reason(status)])
+    return "; ".join([flow(status).text, *([angles] if angles else []), *_still_missing(status)])
 
 
-def _first_reason(status: Mapping[str, Any]) -> list[str]:
-    return [f"waiting for {who}: {text}" for who, text in reasons(status["waiting_for"])][:1]
+def _still_missing(status: Mapping[str, Any]) -> list[str]:
+    waits = [f"waiting for {who}: {text}" for who, text in reasons(status["waiting_for"])][:1]
+    progress = progress_words(status.get("progress"))
+    return waits + [progress] * bool(progress)
 
 
 def picture(status: Mapping[str, Any]) -> Group:
     """Return the whole status, for any width."""
-    correction = status.get("correction")
-    mount = Group(*mount_parts(status["mount"], status["waiting_for"], correction=correction))
+    mount = Group(*mount_parts(status))
     return Group(headline(status), Padding(mount, (1, 0)), facts(status))
 
 

@@ -137,9 +137,7 @@ def print_summary(result: Mapping[str, Any]) -> None:
     plain_where_needed()
     console = plain_console()
     console.print(Text.assemble("state: ", (result["state"], "bold"), _since(result)))
-    for part in mount_parts(
-        result["mount"], result["waiting_for"], correction=result.get("correction")
-    ):
+    for part in mount_parts(result):
         console.print(part)
     frames = result["frames"]
     signals = ", ".join(
@@ -185,7 +183,7 @@ def print_drives(rows: Sequence[Mapping[str, Any]], notes: Sequence[str]) -> Non
 
 def _noticed(result: Mapping[str, Any]) -> Iterator[str]:
     """What was noticed of moved sensors and of faults, in the order of time."""
-    from imucald.report.drive_events import in_order, reported_events
+    from imucald.runtime.drive_events import in_order, reported_events
 
     events = in_order(reported_events(result))
     for event in events[:MOST_EVENTS]:

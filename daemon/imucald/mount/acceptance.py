@@ -33,6 +33,8 @@ WHY_GRAVITY_MOVED = (
     "more bends: gravity has moved in the sensor, and bends show whether the sensor was turned or "
     "its accelerometer's zero has changed"
 )
+SIGNS = "check of the signs"
+WATCH = "moved-sensor watch"
 LATE_SPEED = (
     f"a speed with less delay: it seems more than {MAX_SPEED_DELAY:g} s behind the accelerometer"
 )
@@ -59,6 +61,15 @@ class Acceptance(Struct, frozen=True):
     def _missing_of_signals(self) -> str | None:
         return self.checks.missing_to_be_good()
 
+    def shares(self, is_fine: bool) -> dict[str, float]:
+        """How much of what is asked for is there (0 to 1), by name; is_fine: for *fine*."""
+        found = {}
+        if self.has_speed and (is_fine or self._missing_of_signals() is not None):
+            found[SIGNS] = self.checks.share(is_fine)
+        if is_fine and not self.is_armed:
+            found[WATCH] = self.solver.armed_share
+        return found
+
     def may_be_fine(self) -> bool:
         """Whether every test is armed, the signals were seen to agree, and little has happened."""
         if self.changes.is_loose or not self.is_armed:
@@ -77,6 +88,11 @@ class Acceptance(Struct, frozen=True):
         if not self.is_armed:
             return "more driving, until a small move of the sensor would be noticed"
         return "more turns and changes of speed, to check that the signals agree"
+
+    @property
+    def can_become_fine(self) -> bool:
+        """Whether driving leads there, whatever the deviations are."""
+        return not (self.changes.is_loose or self.has_no_sides)
 
     @property
     def is_armed(self) -> bool:

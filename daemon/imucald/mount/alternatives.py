@@ -213,15 +213,12 @@ class Alternatives:
 
     def missing(self, least: float) -> str | None:
         """What is still to be driven, in words, before all is seen to agree; None: nothing."""
-        pairs = [self._turns]
-        if self._gyro.blocks and "yaw_rate" in self._signals:
-            pairs.append(self._yaw_rate)
-        if "steering" in self._signals and (self._gyro.blocks or "yaw_rate" in self._signals):
-            pairs.append(self._steering)
         beside = (self._lateral, self._heading)
         if self._taken > YOUNG and not (self._turns.blocks or self._gyro.blocks):
             return NO_TURNS
-        if not all(pair.is_seen(least) for pair in pairs) or any(p.is_opposite for p in beside):
+        if not all(pair.is_seen(least) for pair in self._asked) or any(
+            p.is_opposite for p in beside
+        ):
             return "some bends, to check that no sign is wrong"
         if self._gyro.blocks and not self._gyro.is_seen(least):
             return "some slopes, to check the gyroscope's axes against the accelerometer's"
@@ -232,6 +229,23 @@ class Alternatives:
                 )
             return "a speed above 40 km/h: below it, forwards and backwards look the same"
         return None
+
+    def share(self, least: float) -> float:
+        """How much of what `missing` asks for has been seen, 0 to 1."""
+        shares = [pair.share(least) for pair in self._asked]
+        shares += [self._gyro.share(least)] if self._gyro.blocks else []
+        shares += [] if self._knows_forward else [self._fastest / MAX_REVERSE]
+        return min(shares)
+
+    @property
+    def _asked(self) -> list[Mirrored]:
+        """Pairs of signals that must be seen to agree."""
+        pairs = [self._turns]
+        if self._gyro.blocks and "yaw_rate" in self._signals:
+            pairs.append(self._yaw_rate)
+        if "steering" in self._signals and (self._gyro.blocks or "yaw_rate" in self._signals):
+            pairs.append(self._steering)
+        return pairs
 
     @property
     def _knows_forward(self) -> bool:
@@ -249,14 +263,19 @@ class Alternatives:
     @property
     def is_mirror_excluded(self) -> bool:
         """Whether anything has shown that this is the drive and not its mirror image."""
+        return self.mirror_share >= 1.0
+
+    @property
+    def mirror_share(self) -> float:
+        """How much of what shows that is there, 0 to 1."""
         if self._is_up_stated or self._is_forward_stated:
-            return True
+            return 1.0
         sided = [self._heading]
         if not self._settings.are_sides_turned:
             sided += [self._yaw_rate, self._steering, self._lateral]
             if not self._gyro.blocks:  # turning is the vehicle's own yaw rate
                 sided.append(self._turns)
-        return any(pair.sum > TO_BE_FINE for pair in sided)
+        return min(max(0.0, *(pair.sum / TO_BE_FINE for pair in sided)), 1.0)
 
     @property
     def not_checked(self) -> tuple[str, ...]:

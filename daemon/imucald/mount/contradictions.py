@@ -154,6 +154,11 @@ class PairWatch:
         return correlation >= LIKE and not self._is_odd(correlation, gain)
 
     @property
+    def share(self) -> float:
+        """How much of the next piece is there, 0 to 1; 1 once it has agreed."""
+        return 1.0 if self.agreed else min(self._sums[0] / self._least, 1.0)
+
+    @property
     def gain(self) -> float:
         """Median of the pieces' gains."""
         return median([g for _, g in self._pieces]) if self._pieces else 1.0
@@ -311,8 +316,16 @@ class Contradictions:
 
         Slope and a speed of few samples may hide what dv/dt says: there no contradiction is enough.
         """
-        seen = [pair for pair in (self.yaw_rate, self.steering) if pair.pieces]
-        return self.turns.agreed and all(pair.agreed for pair in seen)
+        return all(pair.agreed for pair in self._asked)
+
+    @property
+    def share(self) -> float:
+        """How much of what `agreed` asks for has come, 0 to 1."""
+        return min(pair.share for pair in self._asked)
+
+    @property
+    def _asked(self) -> list[PairWatch]:
+        return [self.turns, *(pair for pair in (self.yaw_rate, self.steering) if pair.pieces)]
 
 
 _NO_MOUNT = np.zeros((3, 3))

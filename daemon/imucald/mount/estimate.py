@@ -69,6 +69,25 @@ class Targets(Struct, frozen=True):
     fine: tuple[float, float, float]
 
 
+class Gate(Struct, frozen=True):
+    """One thing that an estimate waits for.
+
+    share: how much of it is there (0 to 1). left: driving that the rest takes, as the last minutes
+    were [s]; None: not known.
+    """
+
+    name: str
+    share: float
+    left: float | None = None
+
+
+class Progress(Struct, frozen=True):
+    """How far an estimate is on its way to the state `goal`."""
+
+    goal: MountState
+    gates: tuple[Gate, ...]
+
+
 def _rows(matrix: Matrix3) -> Rows:
     xx, xy, xz, yx, yy, yz, zx, zy, zz = matrix.ravel().tolist()
     return xx, xy, xz, yx, yy, yz, zx, zy, zz
@@ -200,6 +219,7 @@ class MountEstimate(Struct, frozen=True, dict=True):
     faults: contradictions between signals that stand, by the names of
     `contradictions.StandingFault`; while there is any, nothing is sent as good.
     targets: what `judged_std` must fall below; None where the estimator states none.
+    progress: how far it is on the way to the next state; None where driving does not lead there.
     judged_as: (3,) deviations that are judged instead of those of the housing's rotation [rad];
     None: `std` itself is judged.
     matrices: what will be applied when it is reached, where that is more than the rotation.
@@ -217,6 +237,7 @@ class MountEstimate(Struct, frozen=True, dict=True):
     matrices: Correction | None = None
     deviations: SentDeviations | None = None
     judged_as: tuple[float, float, float] | None = None
+    progress: Progress | None = None
 
     @property
     def judged_std(self) -> tuple[float, float, float] | None:

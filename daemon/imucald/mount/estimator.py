@@ -49,6 +49,7 @@ from imucald.mount.solver import MountSolver
 from imucald.mount.states import MountKnowledge, targets_in_force
 from imucald.mount.steering import SteeringOffsetEstimator
 from imucald.mount.waiting_reasons import (
+    ProgressWatch,
     creep_details,
     estimate_details,
     left_out_details,
@@ -90,6 +91,7 @@ class FullEstimator:
         self._known = MountKnowledge(begun=False, accelerometer=False)
         self._rotation = ReportedRotation(self._settings)
         self._served = ServedMount(self._settings)
+        self._progress = ProgressWatch()
         self._estimate: MountEstimate | None = None
 
     @property
@@ -322,6 +324,8 @@ class FullEstimator:
             is_refitting=self._solvers.is_refitting,
             found_correction=self._found_correction,
         )
+        t = self._signals.blocks * BLOCK_S
+        self._progress.take(t, self._known, self.state, self._settings, self._acceptance())
 
     def _found_correction(self) -> Correction:
         """What is to be applied, by the evidence so far."""
@@ -407,7 +411,19 @@ class FullEstimator:
         if self._off_vertical:
             details["off_vertical"] = self._off_vertical
         targets = targets_in_force(self._known, state, self._settings)
-        made = MountEstimate(state, R, covariance, words, codes, details, self.faults, targets)
+        can_be_fine = self._acceptance().can_become_fine
+        progress = None if troubles else self._progress.after(state, self._known, can_be_fine)
+        made = MountEstimate(
+            state,
+            R,
+            covariance,
+            words,
+            codes,
+            details,
+            self.faults,
+            targets,
+            progress=progress,
+        )
         if R is None or made.std is None or solver.bias is None:
             return made
         along, across, _ = (R @ solver.bias).tolist()

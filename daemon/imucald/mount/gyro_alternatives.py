@@ -15,7 +15,14 @@ from imucald.core.arrays import Array
 from imucald.core.rotations import Matrix3
 from imucald.core.samples import GRAVITY
 from imucald.motion.ticks import TICK_S
-from imucald.mount.log_ratios import ENOUGH, HELD, INDEPENDENT, MOST, TO_ACCUSE, TO_BE_GOOD
+from imucald.mount.log_ratios import (
+    HELD,
+    INDEPENDENT,
+    MOST,
+    TO_ACCUSE,
+    is_seen,
+    share_seen,
+)
 from imucald.mount.signal_blocks import BLOCK_TICKS
 
 TILT_FLOOR = 0.003
@@ -75,8 +82,11 @@ class GyroAlternatives:
 
     def is_seen(self, least: float) -> bool:
         """Whether all are ruled out so far, or were looked for long enough in vain."""
-        closest = float(self._sums.min())
-        return closest > least or (self.blocks > ENOUGH and closest > -TO_BE_GOOD)
+        return is_seen(float(self._sums.min()), self.blocks, least)
+
+    def share(self, least: float) -> float:
+        """How much of what `is_seen` asks for is there, 0 to 1."""
+        return share_seen(float(self._sums.min()), self.blocks, least)
 
     @property
     def is_accused(self) -> bool:

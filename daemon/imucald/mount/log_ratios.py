@@ -38,6 +38,19 @@ ENOUGH = 60
 """After so many blocks (6 min of driving) that spoke neither way they are not waited for."""
 
 
+def is_seen(ratio: float, blocks: int, least: float) -> bool:
+    """Whether a log ratio rules an alternative out, or long was not found to speak for it."""
+    return ratio > least or (blocks > ENOUGH and ratio > -TO_BE_GOOD)
+
+
+def share_seen(ratio: float, blocks: int, least: float) -> float:
+    """How much of what `is_seen` asks for is there, 0 to 1."""
+    if is_seen(ratio, blocks, least):
+        return 1.0
+    waited = blocks / (ENOUGH + 1) if ratio > -TO_BE_GOOD else 0.0
+    return min(max(ratio / least, waited, 0.0), 1.0)
+
+
 class Mirrored:
     """Two signals that show the same motion, against the same with opposite signs."""
 
@@ -63,7 +76,11 @@ class Mirrored:
 
     def is_seen(self, least: float) -> bool:
         """Whether the hypothesis holds: the opposite is excluded, or long was not found."""
-        return self.sum > least or (self.blocks > ENOUGH and self.sum > -TO_BE_GOOD)
+        return is_seen(self.sum, self.blocks, least)
+
+    def share(self, least: float) -> float:
+        """How much of what `is_seen` asks for is there, 0 to 1."""
+        return share_seen(self.sum, self.blocks, least)
 
     @property
     def is_opposite(self) -> bool:

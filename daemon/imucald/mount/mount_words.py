@@ -100,6 +100,47 @@ def judged_std(mount: Mapping[str, Any], axis: str) -> float | None:
     return found
 
 
+def target(
+    mount: Mapping[str, Any], axis: str, progress: Mapping[str, Any] | None
+) -> tuple[str, float | None]:
+    """The next state and the deviation [deg] about an axis from which it is reached.
+
+    mount, progress: as in docs/json.md; without progress the next state is that which the
+    deviation has not reached yet.
+    """
+    targets = mount.get("target_std_deg")
+    if targets is None:
+        return "", None
+    std, usable = judged_std(mount, axis), float(targets["usable"][axis])
+    goal = "usable" if std is None or std >= usable else "fine"
+    if progress is not None:
+        goal = progress["goal"]
+    return goal, float(targets[goal][axis])
+
+
+def percent(share: float) -> str:
+    """A share (0 to 1) as people read it; 100 % only once it is all."""
+    return f"{math.floor(100.0 * share)} %"
+
+
+def driving_left(seconds: float | None) -> str:
+    """How much driving a gate still takes; "" where it takes none, or nobody knows."""
+    if not seconds:
+        return ""
+    return f"about {max(round(seconds / 60.0), 1)} min of driving"
+
+
+def progress_words(progress: Mapping[str, Any] | None) -> str:
+    """The gate that takes longest: "to fine: up axis 34 %, about 2 min of driving"; or ""."""
+    waiting = [gate for gate in (progress or {}).get("gates", ()) if gate["share"] < 1.0]
+    if progress is None or not waiting:
+        return ""
+    last = max(waiting, key=lambda gate: (gate["left_s"] or math.inf, -gate["share"]))
+    left = driving_left(last["left_s"])
+    text = f"to {progress['goal']}: {last['gate']} {percent(last['share'])}"
+    return text + (f", {left}" if left else "")
+
+
 def angles_line(mount: Mapping[str, Any]) -> str:
     """`roll +14.40° ±1.10°, pitch ..., yaw ...`: what was asked for; "" before it is known."""
     if mount["quaternion_wxyz"] is None:

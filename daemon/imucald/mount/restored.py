@@ -228,6 +228,10 @@ class RestoredEstimator:
     def estimate(self) -> MountEstimate:
         """Return the present state of knowledge."""
         new = self.inner.estimate()
+        if self.state is MountState.FINE:  # the drive's own estimate may wait for something still
+            new = replace(new, waiting_for={}, missing={})
+        if self.is_held or self.state in (MountState.FINE, MountState.SUSPECT):
+            new = replace(new, progress=None)
         details = {**new.details, "restored": self._details()}
         if not self.serves_stored:
             return replace(new, state=self.state, details=details)
@@ -400,7 +404,7 @@ class RestoredEstimator:
 def _waiting_for_release(served: MountEstimate) -> MountEstimate:
     """What a held mount waits for to be *fine*: nothing but that learning goes on."""
     if served.state is MountState.FINE:
-        return replace(served, waiting_for={}, missing={})
+        return served
     return replace(
         served,
         waiting_for=dict.fromkeys(ANGLES, HELD),

@@ -143,6 +143,13 @@ class SignalChecks:
         """Whether all signals were seen to agree, as surely as *fine* asks for."""
         return self._contradictions.agreed and self._alternatives.are_seen(TO_BE_FINE)
 
+    def share(self, is_fine: bool) -> float:
+        """How much of what shows that they agree has been seen, 0 to 1; is_fine: all of it."""
+        if not is_fine:
+            return self._alternatives.share(TO_BE_GOOD)
+        signs = self._alternatives
+        return min(signs.share(TO_BE_FINE), signs.mirror_share, self._contradictions.share)
+
     @property
     def is_mirror_excluded(self) -> bool:
         """Whether anything has shown that this is the drive and not its mirror image."""

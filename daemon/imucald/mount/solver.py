@@ -24,7 +24,7 @@ from imucald.mount.cross_axis import CrossAxisFusion, ForceSeen
 from imucald.mount.delay import DelaySearch, LeverArm
 from imucald.mount.estimator_settings import DelayPrior, EstimatorSettings
 from imucald.mount.evidence_gravity import ROAD_SHARE, GravityEvidence
-from imucald.mount.evidence_response import ResponseEvidence
+from imucald.mount.evidence_response import GROUP, ResponseEvidence
 from imucald.mount.evidence_rows import SAME_NOISE
 from imucald.mount.first_rotation import first_rotation
 from imucald.mount.fusion import Fused
@@ -295,9 +295,17 @@ class MountSolver:
     @property
     def armed(self) -> bool:
         """Whether a change of each angle would be seen: enough road before, and after."""
-        segments = self.response.segment
+        return self._armed_share(self.response.segment) >= 1.0
+
+    @property
+    def armed_share(self) -> float:
+        """How much of that road there is, 0 to 1."""
+        return min(self._armed_share(self.response.blocks / GROUP), 1.0)
+
+    def _armed_share(self, segments: float) -> float:
         before = 0 if self.past_drives is None else self.past_drives.segments
-        return bool(segments >= SPANS[0] and segments + before >= max(MIN_BEFORE) + SPANS[0])
+        needed = max(MIN_BEFORE) + SPANS[0]
+        return float(min(segments / SPANS[0], (segments + before) / needed))
 
     def largest_change(self, axes: tuple[int, ...] = (0, 1, 2)) -> Shift | None:
         """The change of the mount that the last minutes' evidence speaks for most."""

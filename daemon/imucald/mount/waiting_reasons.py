@@ -1,13 +1,15 @@
-"""Per angle, what an estimate still waits for: troubles first, then tests, then more driving.
+"""What an estimate still waits for: a reason per angle, and how far it is on its way.
 
-What is stated with an estimate for those who look closer: `MountEstimate.details`.
-
-Angles in degrees where the key says so, all else in SI; `t` counts the blocks of the drive [s].
+Troubles go first, then tests, then more driving. The information about an angle, 1 / variance,
+grows about evenly with driving. So the share of it that a limit asks for, (limit / deviation)^2,
+is a percentage that moves evenly, and what it has grown by lately says how long the rest takes. The
+log ratios of signs grow so as well.
 """
 
 from __future__ import annotations
 
 import math
+from collections import deque
 from collections.abc import Mapping, Sequence
 
 import numpy as np
@@ -17,17 +19,17 @@ from imucald.motion.ticks import TICK_S
 from imucald.mount.acceptance import Acceptance
 from imucald.mount.contradictions import WORDS, StandingFault
 from imucald.mount.creep import BELIEVED, Creep
-from imucald.mount.estimate import ANGLES, Missing, MountState
+from imucald.mount.estimate import ANGLES, Gate, Missing, MountState, Progress
 from imucald.mount.estimator_settings import EstimatorSettings
 from imucald.mount.evidence_response import GROUP
 from imucald.mount.force_level import LevelChange
 from imucald.mount.hysteresis import BAD, GOOD
 from imucald.mount.mount_changes import GoodMount, MountChanges, TakenChange
-from imucald.mount.mount_words import SD_95
+from imucald.mount.mount_words import SD_95, VEHICLE_AXES
 from imucald.mount.signal_blocks import BLOCK_S, SignalBlockMaker
 from imucald.mount.signal_checks import SignalChecks
 from imucald.mount.solver import MountSolver
-from imucald.mount.states import MountKnowledge, waiting_for
+from imucald.mount.states import NEEDED, MountKnowledge, targets_in_force, waiting_for
 
 
 def waiting_reasons(
@@ -199,3 +201,82 @@ def creep_details(creep: Creep | None) -> dict[str, dict[str, float]]:
         for i, angle in enumerate(ANGLES)
         if creep.probability[i] > BELIEVED
     }
+
+
+Shares = Mapping[str, float]
+
+REMEMBERED = 29
+"""Blocks whose growth says how fast it goes: 3 min, with roads and stops of all kinds."""
+LONGEST_S = 3600.0
+"""A longer time is no estimate [s]: the evidence has all but stopped to come."""
+GOALS = (MountState.USABLE, MountState.FINE)
+
+
+class ProgressWatch:
+    """Remembers the shares of the last minutes. Times count blocks, so driving only."""
+
+    def __init__(self) -> None:
+        self._lately: deque[tuple[float, dict[MountState, Shares]]] = deque(maxlen=REMEMBERED)
+
+    def take(
+        self,
+        t: float,
+        known: MountKnowledge,
+        state: MountState,
+        settings: EstimatorSettings,
+        acceptance: Acceptance,
+    ) -> None:
+        """Take what is known after a block that ended at t [s]; state: what is reported for it."""
+        shares: dict[MountState, Shares] = {
+            goal: {
+                **_of_angles(known, state, settings, goal),
+                **acceptance.shares(goal is MountState.FINE),
+            }
+            for goal in GOALS
+        }
+        self._lately.append((t, shares))
+
+    def after(self, state: MountState, known: MountKnowledge, can_be_fine: bool) -> Progress | None:
+        """Return the gates of the state after this one; None where driving leads to none."""
+        goal = MountState.FINE if state is MountState.USABLE else MountState.USABLE
+        if not self._lately or state is MountState.FINE:
+            return None
+        if goal is MountState.FINE and not can_be_fine:
+            return None
+        is_learning = known.accelerometer and not known.frozen
+        now, shares = self._lately[-1]
+        gates = [
+            Gate(name, share, self._left(goal, name, now, share) if is_learning else None)
+            for name, share in shares[goal].items()
+        ]
+        return Progress(goal, tuple(gates))
+
+    def _left(self, goal: MountState, name: str, now: float, share: float) -> float | None:
+        """Driving that a gate still takes [s]; None where nothing says so."""
+        if share >= 1.0:
+            return 0.0
+        began, before = next(
+            ((t, of[goal][name]) for t, of in self._lately if of[goal].get(name)), (now, share)
+        )
+        grown = share - before
+        if grown <= 0.0:
+            return None
+        left = (1.0 - share) * (now - began) / grown
+        return left if left <= LONGEST_S else None
+
+
+def _of_angles(
+    known: MountKnowledge, state: MountState, settings: EstimatorSettings, goal: MountState
+) -> dict[str, float]:
+    limits = settings.limits
+    if goal is MountState.FINE:
+        tilt, yaw = limits.fine_tilt, limits.fine_yaw
+    else:
+        tilt, yaw = limits.usable_tilt, targets_in_force(known, state, settings).usable[2]
+    shares = {
+        axis: min((limit / std) ** 2, 1.0) if std else 1.0
+        for axis, limit, std in zip(VEHICLE_AXES, (tilt, tilt, yaw), known.std, strict=True)
+    }
+    if known.straight < NEEDED:
+        shares["launches and brakings"] = known.straight / NEEDED
+    return shares

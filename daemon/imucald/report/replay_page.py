@@ -26,9 +26,15 @@ from imucald.mount.mount_words import (
     sent_words,
 )
 from imucald.report.drawing import STYLE, view_drawings
-from imucald.report.drive_events import STATE_WORDS, Event, in_order, reported_events, state_changes
 from imucald.report.drive_history import DriveHistory, DriveMotion
 from imucald.report.page import About, environment, require_libraries
+from imucald.runtime.drive_events import (
+    STATE_WORDS,
+    Event,
+    in_order,
+    reported_events,
+    state_changes,
+)
 
 SHOWN_PROBLEMS = 20
 SNAPSHOT_S = 1.0

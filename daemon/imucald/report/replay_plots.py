@@ -14,7 +14,6 @@ from imucald.core.arrays import Array
 from imucald.core.rotations import vector_from_rotation
 from imucald.mount.estimate import MountState
 from imucald.mount.mount_words import EVIDENCE_KINDS, SD_95, VEHICLE_AXES
-from imucald.report.drive_events import Event
 from imucald.report.drive_history import DriveHistory, Moment
 from imucald.report.svg_figures import drawn
 from imucald.report.themed_figures import (
@@ -28,6 +27,7 @@ from imucald.report.themed_figures import (
     themed,
     time_axis,
 )
+from imucald.runtime.drive_events import Event
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

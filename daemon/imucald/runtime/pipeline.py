@@ -171,6 +171,8 @@ class Pipeline:
         """The open tick."""
         self.speed: tuple[int, float] | None = None
         """The last tick in which speed was known, and its mean [m/s]."""
+        self.closed: TickRow | None = None
+        """The row of the tick before the open one, where it was closed by itself."""
         self.status_ticks = status_ticks
         self._ticks = TickAccumulator()
         self._judges, self._keeps = _judging(estimator), _keeping(estimator)
@@ -324,6 +326,7 @@ class Pipeline:
         estimator = self.estimator
         if faults:
             row = emptied(row, faults)
+        self.closed = row
         if row[SPEED.n]:
             self.speed = self.k, row[SPEED.mean]
         if self._preprocessor is not None:

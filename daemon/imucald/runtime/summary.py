@@ -44,6 +44,7 @@ def summary(
         "correction": correction_dict(estimate),
         "state": estimate.state.name.lower(),
         "waiting_for": {a: estimate.waiting_for[a] for a in ANGLES if a in estimate.waiting_for},
+        "progress": progress_dict(estimate),
         "first_usable_s": _after(pipeline.first_usable, lead),
         "first_fine_s": _after(pipeline.first_fine, lead),
         "frames": {
@@ -88,6 +89,22 @@ def mount_dict(estimate: MountEstimate) -> dict[str, Any]:
         else [[round(v, 8) for v in row] for row in (covariance * DEG_PER_RAD**2).tolist()]
     )
     return result | _for_people(estimate)
+
+
+def progress_dict(estimate: MountEstimate) -> dict[str, Any] | None:
+    """What is waited for as shares with the driving that is left; None: driving leads nowhere."""
+    progress = estimate.progress
+    if progress is None:
+        return None
+    gates = [
+        {
+            "gate": gate.name,
+            "share": math.floor(1000.0 * gate.share) / 1000.0,  # 1 only once it is there
+            "left_s": None if gate.left is None else round(gate.left),
+        }
+        for gate in progress.gates
+    ]
+    return {"goal": progress.goal.name.lower(), "gates": gates}
 
 
 def correction_dict(estimate: MountEstimate) -> dict[str, Any] | None:

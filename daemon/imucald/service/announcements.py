@@ -10,6 +10,7 @@ from imucald.can.link.link import LinkEvent, LinkState
 from imucald.config import LoadedConfig
 from imucald.core.text import counted
 from imucald.mount.mount_words import reasons_line
+from imucald.runtime.drive_events import StateChanges
 from imucald.runtime.engine import Engine
 from imucald.runtime.flow import ALARMS, PASSING, alarms_of
 from imucald.runtime.pipeline import Snapshot
@@ -36,7 +37,7 @@ class Announcements:
     def __init__(self, journal: Journal) -> None:
         self._journal = journal
         self._alarms = AlarmWatch(journal)
-        self._state: object = None
+        self._states = StateChanges()
         self._untold_event: LinkEvent | None = None
         self._rejected = self._late = 0
         self._failures: dict[str, int] = {}
@@ -59,13 +60,17 @@ class Announcements:
             self._untold_event = None if is_told else event
 
     def snapshot(self, snapshot: Snapshot) -> None:
-        """Each change of state, in one line."""
+        """Each change of state in one line, and of the reason within a state."""
         estimate = snapshot.estimate
-        if estimate.state is self._state:
+        state, waiting_for = estimate.state.name.lower(), estimate.waiting_for
+        event = self._states.take(snapshot.t, state, waiting_for)
+        if event is None:
             return
-        self._state = estimate.state
-        waiting = reasons_line(estimate.waiting_for)
-        text = f"{estimate.state.name.lower()} at {snapshot.t:.1f} s"
+        if event.kind == "reason":  # an input may come and go for ever
+            self._journal.seldom("reason", event.text, INFO)
+            return
+        waiting = reasons_line(waiting_for)
+        text = f"{state} at {snapshot.t:.1f} s"
         self._journal.say(text + (waiting and f" ({waiting})"), NOTICE)
 
     def update(self, engine: Engine, late: int, uptime: float) -> None:

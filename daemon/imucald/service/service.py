@@ -16,7 +16,7 @@ from imucald.can.link.link import Link, LinkCounters
 from imucald.config import LoadedConfig
 from imucald.core.errors import ImucaldError
 from imucald.runtime.engine import Engine
-from imucald.runtime.flow import flow
+from imucald.runtime.flow import Flow, flow
 from imucald.runtime.input_health import LinkHealth
 from imucald.runtime.mount_orders import TESTER, MountOrders
 from imucald.service.announcements import Announcements, say_idle_keys
@@ -30,6 +30,7 @@ from imucald.service.running_status import InputRates, run_result, running_statu
 from imucald.service.service_options import ServiceOptions
 from imucald.service.sockets import Sockets
 from imucald.service.state_file import FolderInUseError, FolderLock, clear_unfinished
+from imucald.service.status import PERIOD_S, RecentHistory
 
 CHORE_S = 0.1
 """The loop turns to everything but frames so often [s]."""
@@ -74,6 +75,7 @@ class Service:
         self.orders = MountOrders(self)
         self._announcements = own = Announcements(self.journal)
         self.clock_watch = ClockWatch()
+        self._history, self._next_row = RecentHistory(), clock()
         listeners = Listeners(own.snapshot, own.link_event, self._link_health, self.journal.say)
         self._maker = PartsMaker(self, options, listeners, clock)
         self._reloading = Reloading(
@@ -95,7 +97,9 @@ class Service:
             self.daemon = Daemon(engine, self.link, self._clock, self.parts.diagnostics.uds)
             self.daemon.between = self._between
             path, is_needed = self.options.status_socket, self.options.socket_needed
-            self.sockets = Sockets(path, is_needed, self.status, self.orders, self.journal)
+            self.sockets = Sockets(
+                path, is_needed, self.status, self.orders, self.journal, self._history.as_json
+            )
         except ImucaldError:
             self.link.close()
             raise
@@ -237,6 +241,7 @@ class Service:
 
     def _chores(self, now: float) -> None:
         self.notifier.feed()
+        self._history.tick(self.engine)
         self._reloading.poll()
         if self._check_wanted:
             self._check_wanted = False
@@ -262,6 +267,9 @@ class Service:
                 "the metrics process has ended; the daemon continues without it", WARNING
             )
         self._announcements.update(engine, self.link.counters.late, now - self._began)
+        if now >= self._next_row:
+            self._next_row = now + PERIOD_S
+            self._history.end_row(engine, self._flow().kind)
         if (step := self.clock_watch.look()) is not None:
             text = f"the system's clock was set by {step:+.1f} s: times in this log jump"
             self.journal.seldom("clock", text, NOTICE)
@@ -351,3 +359,18 @@ class Service:
             "diagnostics": self.parts.diagnostics.status(),
         }
         return found | {"flow": asdict(flow(found))}
+
+    def _flow(self) -> Flow:
+        """What a receiver gets now, without making all of the status."""
+        pipeline = self.engine.pipeline
+        return flow(
+            {
+                "state": pipeline.estimator.state.name.lower(),
+                "quality": pipeline.quality,
+                "link": {"state": str(self.link.state)},
+                "health": asdict(self.engine.health()),
+                "signals": self.engine.router.sample_counts,
+                "uptime_s": self._clock() - self._began,
+                "silent_s": self.daemon.silent_s,
+            }
+        )

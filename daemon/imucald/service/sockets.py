@@ -18,7 +18,7 @@ class Sockets:
     """Both, as far as they can be had: nothing else depends on them.
 
     path: of the status socket; None for neither. is_needed: raise LinkError where it cannot be
-    made. status: makes the status.
+    made. status: makes the status; history: see `StatusServer`.
     """
 
     def __init__(
@@ -28,6 +28,7 @@ class Sockets:
         status: Callable[[], Mapping[str, Any]],
         orders: MountOrders,
         journal: Journal,
+        history: Callable[[float], str],
     ) -> None:
         self.status: StatusServer | None = None
         self.control: ControlServer | None = None
@@ -38,6 +39,7 @@ class Sockets:
                 path,
                 status,
                 events=lambda: [event._asdict() for event in journal.events],
+                history=history,
                 say=journal.say,
             )
             is_needed = False

@@ -2,28 +2,13 @@
 // Asks /live once a second and draws what it says. It sends nothing.
 const byId = (id) => document.getElementById(id);
 const escaped = (text) => String(text ?? "").replace(/[&<>"]/g, (c) => ({ "&": "&amp;", "<": "&lt;", ">": "&gt;", '"': "&quot;" })[c]);
-const half = (x) => (x === null || x === undefined ? "-" : `±${x.toFixed(2)}°`);
 const clock = (s) => { const w = Math.floor(s); return `${Math.floor(w / 60)}:${String(w % 60).padStart(2, "0")}`; };
-const WIDEST = 16, NARROWEST = 0.1;  // degrees: bars are on a log scale, as on the terminal
-const part = (x) => Math.min(Math.max(Math.log(Math.max(x, NARROWEST) / NARROWEST) / Math.log(WIDEST / NARROWEST), 0.02), 1);
-
-function target(m) {
-  const usable = m.targets.usable, fine = m.targets.fine;
-  if (usable === undefined) return ["", undefined];
-  return m.half === null || m.half >= usable ? ["usable", usable] : ["fine", fine];
-}
-
 const mountRow = (m) => `<tr><td>${m.name}</td><td class="n">${m.value}</td><td class="n">${m.spread}</td></tr>`;
 
-function turnRow(m) {
-  const [goal, limit] = target(m);
-  const reached = m.half !== null && limit !== undefined && m.half < limit;
-  const width = m.half === null ? 100 : 100 * part(m.half);
-  const mark = limit === undefined ? "" : `<b style="left:${(100 * part(limit)).toFixed(1)}%"></b>`;
-  return `<tr><td class="turn">${m.turn}</td><td class="n">${half(m.half)}</td>` +
-    `<td class="bar"><div><i class="${reached ? "good" : ""}" style="width:${width.toFixed(1)}%"></i>${mark}</div></td>` +
-    `<td class="${reached ? "good" : ""}">${limit === undefined ? "" : `${goal} below ${half(limit)}`}</td></tr>`;
-}
+const turnRow = (m) => `<tr><td class="turn">${m.turn}</td><td class="n">${m.left}</td><td class="${m.reached ? "good" : ""}">${m.target}</td></tr>`;
+
+const gateRow = (g) => `<tr><td>${escaped(g.gate)}</td><td class="bar"><div><i class="${g.share < 1 ? "" : "good"}" style="width:${100 * g.share}%"></i></div></td>` +
+  `<td class="n">${g.percent}</td><td>${g.left}</td></tr>`;
 
 function inputRow(r) {
   const rate = r.rate === null ? "-" : `${Number(r.rate.toPrecision(4))}/s`;
@@ -31,45 +16,75 @@ function inputRow(r) {
     `<td class="${r.good ? "good" : "bad"}">${escaped(r.health)}</td></tr>`;
 }
 
+const STEPS_S = [5, 10, 15, 30, 60, 120, 300, 600, 900];
+const FORCES_S = 300;  // the forces of the last five minutes: a braking is wide enough to be seen
+let rows = [], columns = [];
+
 function niceStep(span, ticks) {
   const raw = span / ticks, power = 10 ** Math.floor(Math.log10(raw));
   return power * [1, 2, 5, 10].find((f) => f * power >= raw);
 }
 
-function chart(live) {
-  const svg = byId("chart"), width = svg.clientWidth || 800, row = 118, left = 52, right = 12, top = 8;
-  const history = live.history, height = 3 * row + 26, n = history.t.length;
+const column = (name, from) => from.map((r) => r[columns.indexOf(name)] ?? null);
+const timeOfDay = (t) => new Date(1000 * t).toTimeString().slice(0, 8);
+
+// Panels one below the other with one time axis. A panel: name, unit, lines [[class, values]], half (of a band).
+function chart(svg, from, panels) {
+  const width = svg.clientWidth || 800, row = 118, left = 56, right = 12, top = 8, height = panels.length * row + 26;
   svg.setAttribute("viewBox", `0 0 ${width} ${height}`);
   svg.style.height = `${height}px`;
-  if (n < 2) { svg.innerHTML = `<text x="${left}" y="40">waiting for the first seconds</text>`; return; }
-  const t0 = history.t[0], t1 = Math.max(history.t[n - 1], t0 + 10);
-  const x = (t) => (left + ((t - t0) / (t1 - t0)) * (width - left - right)).toFixed(1);
+  if (from.length < 2) { svg.innerHTML = `<text x="${left}" y="40">waiting for the first seconds</text>`; return; }
+  const t = from.map((r) => r[0]), t0 = t[0], t1 = Math.max(t[t.length - 1], t0 + 10);
+  const x = (s) => (left + ((s - t0) / (t1 - t0)) * (width - left - right)).toFixed(1);
+  const step = STEPS_S.find((s) => (t1 - t0) / s <= width / 110) || 1800, bottom = panels.length * row;
   let out = "";
-  const tStep = [1, 2, 5, 10, 15, 30, 60, 120, 300, 600, 900].find((s) => (t1 - t0) / s <= width / 90) || 1800;
-  for (let t = 0; t <= t1 - t0; t += tStep)
-    out += `<line class="grid" x1="${x(t0 + t)}" x2="${x(t0 + t)}" y1="${top}" y2="${3 * row}"/><text x="${x(t0 + t)}" y="${3 * row + 16}" text-anchor="middle">${clock(t)}</text>`;
-  for (const e of live.events)
-    if (e.t > t0 && (e.kind === "state" || e.kind === "moved")) out += `<line class="mark" x1="${x(e.t)}" x2="${x(e.t)}" y1="${top}" y2="${3 * row}"/>`;
-  live.mount.forEach((m, i) => {
-    const series = history[m.name], base = top + i * row, inner = row - 18;
-    const known = history.t.map((t, k) => ({ t, off: series.off[k], half: series.half[k] })).filter((h) => h.half !== null && h.off !== null);
-    const name = `<text class="name" x="${left + 6}" y="${base + 12}">${m.turn}</text>`;
-    if (!known.length) { out += `${name}<text x="${left + 6}" y="${base + 40}">not known yet</text>`; return; }
-    const late = known.slice(Math.floor(known.length / 3));
-    const reach = Math.min(Math.max(...late.map((h) => Math.abs(h.off) + h.half), 0.2) * 1.1, 30);
-    const y = (v) => (base + inner / 2 - (Math.min(Math.max(v, -reach), reach) / reach) * (inner / 2)).toFixed(1);
-    const step = niceStep(2 * reach, 4);
-    for (let v = Math.ceil(-reach / step) * step; v <= reach; v += step)
-      out += `<line class="grid" x1="${left}" x2="${width - right}" y1="${y(v)}" y2="${y(v)}"/><text x="${left - 6}" y="${Number(y(v)) + 4}" text-anchor="end">${Number(v.toFixed(2))}°</text>`;
-    const fine = live.rotation_is_judged ? m.targets.fine : undefined;
-    if (fine !== undefined && fine < reach)
-      for (const v of [-fine, fine]) out += `<line class="target" x1="${left}" x2="${width - right}" y1="${y(v)}" y2="${y(v)}"/>`;
-    const upper = known.map((h) => `${x(h.t)},${y(h.off + h.half)}`);
-    const lower = known.map((h) => `${x(h.t)},${y(h.off - h.half)}`).reverse();
-    out += `<polygon class="band" points="${upper.concat(lower).join(" ")}"/>`;
-    out += `<polyline class="line" points="${known.map((h) => `${x(h.t)},${y(h.off)}`).join(" ")}"/>${name}`;
+  for (let s = Math.ceil(t0 / step) * step; s <= t1; s += step)
+    out += `<line class="grid" x1="${x(s)}" x2="${x(s)}" y1="${top}" y2="${bottom}"/>` + (x(s) > width - 34 ? "" : `<text x="${x(s)}" y="${bottom + 16}" text-anchor="middle">${timeOfDay(s)}</text>`);
+  from.forEach((r, i) => { if (i && r[1] !== from[i - 1][1]) out += `<line class="mark" x1="${x(r[0])}" x2="${x(r[0])}" y1="${top}" y2="${bottom}"><title>${timeOfDay(r[0])} ${r[1]}</title></line>`; });
+  panels.forEach((panel, p) => {
+    const base = top + p * row, inner = row - 18, half = panel.half || t.map(() => 0), edges = [];
+    for (const [, values] of panel.lines)
+      values.forEach((v, i) => { if (v !== null && (!panel.half || i >= values.length / 3 || values.length < 9)) edges.push(v - half[i], v + half[i]); });
+    const name = `<text class="name" x="${left + 6}" y="${base + 12}">${panel.name} [${panel.unit}]</text>`;
+    if (!edges.length) { out += `${name}<text x="${left + 6}" y="${base + 40}">not known yet</text>`; return; }
+    const least = Math.max(panel.least - (Math.max(...edges) - Math.min(...edges)), 0) / 2;
+    const low = Math.min(...edges) - least, high = Math.max(...edges) + least;
+    const y = (v) => (base + inner - ((Math.min(Math.max(v, low), high) - low) / (high - low)) * inner).toFixed(1);
+    const every = niceStep(high - low, 4);
+    for (let v = Math.ceil(low / every) * every; v <= high; v += every)
+      out += `<line class="grid" x1="${left}" x2="${width - right}" y1="${y(v)}" y2="${y(v)}"/><text x="${left - 6}" y="${Number(y(v)) + 4}" text-anchor="end">${Number(v.toFixed(2))}</text>`;
+    for (const [kind, values] of panel.lines)
+      for (const part of pieces(values)) {
+        if (panel.half) out += `<polygon class="band" points="${part.map((i) => `${x(t[i])},${y(values[i] + half[i])}`).concat(part.map((i) => `${x(t[i])},${y(values[i] - half[i])}`).reverse()).join(" ")}"/>`;
+        out += `<polyline class="line ${kind}" points="${part.map((i) => `${x(t[i])},${y(values[i])}`).join(" ")}"/>`;
+      }
+    out += name;
   });
   svg.innerHTML = out;
+}
+
+// Where values are known without a hole: lists of places.
+function pieces(values) {
+  const found = [];
+  values.forEach((v, i) => { if (v === null) return; if (i && values[i - 1] !== null && found.length) found[found.length - 1].push(i); else found.push([i]); });
+  return found;
+}
+
+// An angle goes on over half a turn, as it is near its last value.
+function unwrapped(values) {
+  const last = values.filter((v) => v !== null).pop();
+  return values.map((v) => (v === null ? null : v - 360 * Math.round((v - last) / 360)));
+}
+
+function showHistory(found) {
+  columns = found.columns.length ? found.columns : columns;
+  rows = rows.concat(found.rows).slice(-900);
+  chart(byId("chart"), rows, ["roll", "pitch", "yaw"].map((name) => ({
+    name, unit: "deg", least: 0.4, half: column(`${name}_half_deg`, rows), lines: [["", unwrapped(column(`${name}_deg`, rows))]],
+  })));
+  const lately = rows.filter((r) => r[0] >= rows[rows.length - 1][0] - FORCES_S);
+  const force = (name, axis, motion) => ({ name, unit: "m/s²", least: 1, lines: [["raw", column(`raw_${axis}_mps2`, lately)], ["motion", motion], ["", column(`corrected_${axis}_mps2`, lately)]] });
+  chart(byId("forces"), lately, [force("forward: x", "x", column("dvdt_mps2", lately)), force("left: y", "y", column("turn_mps2", lately)), force("up: z", "z", [])]);
 }
 
 function showFlow(kind, text, name) {
@@ -102,18 +117,20 @@ function show(live) {
   byId("mount").innerHTML = live.mount.map(mountRow).join("");
   byId("turns").innerHTML = live.mount.map(turnRow).join("");
   byId("reasons").innerHTML = live.reasons.map((r) => r.trouble ? `<li class="bad">trouble: ${escaped(r.text)}</li>` : `<li class="waits">waiting for ${escaped(r.who)}: ${escaped(r.text)}</li>`).join("");
-  byId("convention").textContent = `${live.convention}. A shorter bar is better, the mark is its target (log scale).`;
+  byId("convention").textContent = `${live.convention}.`;
+  byId("progress").hidden = !live.progress;
+  if (live.progress) { byId("goal").textContent = `To ${live.progress.goal}`; byId("gates").innerHTML = live.progress.gates.map(gateRow).join(""); }
   byId("inputs").innerHTML = live.inputs.map(inputRow).join("");
   const f = live.frames, rejected = Object.entries(live.rejected).map(([k, n]) => `${k.replace(/_/g, " ")} ${n}`).join(", ") || "none";
   byId("frames").textContent = `${f.used} frames used, ${f.given_out} given out, ${f.lost} lost, ${f.not_sent} not sent, ${f.conflicts} in conflict; rejected: ${rejected}${live.left_out ? `; not learnt from: ${live.left_out}` : ""}`;
   byId("eventrows").innerHTML = [...live.events].reverse().map((e) => `<tr><td class="n">${e.at}</td><td>${e.kind}</td><td>${escaped(e.text)}</td></tr>`).join("");
   byId("note").textContent = live.note;
-  chart(live);
+  showHistory(live.history);
 }
 
 async function ask() {
   try {
-    show(await (await fetch("/live")).json());
+    show(await (await fetch(`/live?since=${rows.length ? rows[rows.length - 1][0] : ""}`)).json());
   } catch (error) {
     showDead("the program that serves this page has ended");
   }

@@ -35,27 +35,38 @@ class Event:
     text: str
 
 
-def state_changes(states: Iterable[tuple[float, str, Mapping[str, str]]]) -> Iterator[Event]:
+class StateChanges:
     """Changes of state, and of the reason within a state that has stood for `REASON_STANDS_S`.
 
-    states: time [s], state and what it waits for, one after another. A reason in which only
-    numbers change is the same one.
+    A reason in which only numbers change is the same one.
     """
-    before, shown, newest, since, newest_text = None, "", "", 0.0, ""
-    for t, state, waiting_for in states:
+
+    def __init__(self) -> None:
+        self._state: str | None = None
+        self._shown = self._newest = self._text = ""
+        self._since = 0.0
+
+    def take(self, t: float, state: str, waiting_for: Mapping[str, str]) -> Event | None:
+        """Take time [s], state and what it waits for; return what is new of it."""
         waiting = reasons_line(waiting_for)
         reason = _NUMBERS.sub("", waiting)
-        if reason != newest:
-            newest, since, newest_text = reason, t, waiting
+        if reason != self._newest:
+            self._newest, self._since, self._text = reason, t, waiting
+        before, self._state = self._state, state
         if state != before:
+            self._shown = reason
             text = f"{state}: {STATE_WORDS.get(state, '')}"
-            yield Event(t, "state", text + (f"; {waiting}" if waiting else ""))
-            shown = reason
-        elif reason != shown and t - since >= REASON_STANDS_S:
-            if reason:
-                yield Event(since, "reason", newest_text)
-            shown = reason
-        before = state
+            return Event(t, "state", text + (f"; {waiting}" if waiting else ""))
+        if reason == self._shown or t - self._since < REASON_STANDS_S:
+            return None
+        self._shown = reason
+        return Event(self._since, "reason", self._text) if reason else None
+
+
+def state_changes(states: Iterable[tuple[float, str, Mapping[str, str]]]) -> Iterator[Event]:
+    """The same of a list: time [s], state and what it waits for, one after another."""
+    changes = StateChanges()
+    yield from filter(None, (changes.take(*one) for one in states))
 
 
 def reported_events(result: Mapping[str, Any], gaps: Sequence[float] = ()) -> Iterator[Event]:
