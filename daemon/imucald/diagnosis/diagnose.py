@@ -135,7 +135,7 @@ def diagnose(
     search(state, tick, late, GYRO_BIAS if rest else ())
     report(0.8, "what is left")
     gone = {name: as_structure(name, x) for each in lost for name, x in each.items()}
-    left = (*gone.values(), *odd, *wrong, *(s for s in _left(state) if not _is_in(s, wrong)))
+    left = (*gone.values(), *odd, *(wrong or _left(state)))
     doubt(state, left, faults)
     problem = state.evaluated()
     causes = _certain_causes(state, rest if _shows_zero(left) else None, faults, model)
@@ -300,11 +300,6 @@ def _left(state: State) -> tuple[Structure, ...]:
         *what_is_left(problem, state, spectra),
     )
     return tuple(dict.fromkeys(left))  # a named gain is asked about twice
-
-
-def _is_in(structure: Structure, others: Sequence[Structure]) -> bool:
-    """Whether it is in an equation that others leave unexplained."""
-    return bool(unexplained([structure]) & unexplained(others))
 
 
 def _silent(share: float, text: str) -> None:
