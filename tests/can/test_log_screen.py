@@ -1,4 +1,4 @@
-"""What candump prints on a screen is read thousands of lines at once, as strictly as singly.
+"""What candump prints on a screen is read strictly, whatever its time stamps say.
 
 The truth is the list of frames from which the lines are printed here.
 """
@@ -12,7 +12,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from imucald.can.logs import candump_screen_line, candump_screen_logs
 from imucald.can.logs.log_reader import CAN_EFF_FLAG, IdMatch, LogReader
 from imucald.core.errors import LogError
 from log_text import Frame, frames_of
@@ -76,28 +75,12 @@ def text_of(frames: list[Frame], stamp) -> list[str]:  # type: ignore[no-untyped
     return [printed(f, stamp(f, before[k], frames[0])) for k, f in enumerate(frames)]
 
 
-def counted_lines(monkeypatch: pytest.MonkeyPatch) -> list[bytes]:
-    """The lines that are read one by one from now on."""
-    singly: list[bytes] = []
-    read = candump_screen_line.frame_of_line
-
-    def counted(line, match):  # type: ignore[no-untyped-def]
-        singly.append(line)
-        return read(line, match)
-
-    monkeypatch.setattr(candump_screen_logs, "frame_of_line", counted)
-    return singly
-
-
 @pytest.mark.parametrize("stamp", STAMPS)
 @pytest.mark.parametrize("tail", ["", "\r", "   '........'"])
-def test_common_lines_are_read_together_and_give_their_frames(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, stamp, tail: str
-) -> None:
+def test_common_lines_give_their_frames(tmp_path: Path, stamp, tail: str) -> None:
     frames = drive(6000)  # more than a block of text
     path = tmp_path / "a.txt"
     path.write_text("".join(f"{line}{tail}\n" for line in text_of(frames, stamp)), newline="")
-    singly = counted_lines(monkeypatch)
     found = frames_of(*LogReader([path], strict=True))
     assert [f._replace(t=0.0) for f in found] == [f._replace(t=0.0) for f in frames]
     start = frames[0].t - found[0].t
@@ -105,7 +88,6 @@ def test_common_lines_are_read_together_and_give_their_frames(
     assert np.abs([f.t + start - g.t for f, g in zip(found, frames, strict=True)]).max() <= (
         exact + 1e-6 * (stamp is date)
     )
-    assert len(singly) < 40  # one for each shape
 
 
 @pytest.mark.parametrize("count", [400, 6000])
@@ -142,13 +124,10 @@ def test_a_few_stamps_of_another_form_are_rejected(tmp_path: Path, stamp, damage
     assert found[-1].t - found[0].t < frames[-1].t - frames[0].t
 
 
-def test_plain_lines_are_read_together_and_spread_over_the_cycle(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_plain_lines_are_spread_over_the_cycle(tmp_path: Path) -> None:
     frames = drive(18_000)
     path = tmp_path / "a.txt"
     path.write_text("\n".join(text_of(frames, lambda *_: "")))
-    singly = counted_lines(monkeypatch)
     found = frames_of(*LogReader([path], cycles=[(IdMatch(CLOCK, 0x7FF), CYCLE)]))
     assert [f._replace(t=0.0) for f in found] == [f._replace(t=0.0) for f in frames]
     times = [f.t for f in found]
@@ -156,7 +135,6 @@ def test_plain_lines_are_read_together_and_spread_over_the_cycle(
     # ten frames a cycle, the last of which is the clock's
     np.testing.assert_allclose(times[1:17_991], CYCLE + np.arange(1, 17_991) * CYCLE / 10)
     assert times[17_991:] == pytest.approx([18.0 + k * CYCLE / 9 for k in range(1, 10)])
-    assert len(singly) < 240  # those that are looked at first, and one for each shape
 
 
 def test_only_wanted_frames_are_handed_on_at_the_times_that_all_give(tmp_path: Path) -> None:

@@ -1,4 +1,4 @@
-"""Candump text of any kind: the compiled part reads the frames that numpy reads, to the letter."""
+"""Candump text of any kind: the compiled part reads what the strict reader of lines reads."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
 """Blocks of candump text by the compiled part, which goes through their bytes once.
 
-What it takes, and what it leaves to the strict reader, is the same as in `candump_block`: that is
-what is used without it, and what it is held against.
+What it takes is what the strict reader (`candump_line`) takes too: that is what is used without it,
+and what it is held against. All other lines are left to that one.
 """
 
 from __future__ import annotations
@@ -15,9 +15,13 @@ from numpy.typing import NDArray
 
 from imucald.can.columns import CLASSIC_BYTES, FD_BYTES, Channels, FrameColumns
 from imucald.can.id_filter import IdFilter
-from imucald.can.logs.ascii_columns import Bytes, Index
+from imucald.can.logs.text_blocks import Bytes
 from imucald.core.compiled import Kernels
 
+Index = NDArray[np.int64]
+
+PADDING: Final = 16
+"""Bytes by which a block must be longer than its text: the kernel reads words."""
 LEAST_LINE: Final = len("(0.0) a 1#\n")
 """Bytes of the shortest line of a frame."""
 ODD_LINES: Final = 4096
@@ -113,7 +117,7 @@ class LineReader:
         )
 
     def read(self, kernels: Kernels, buf: Bytes, size: int) -> Lines:
-        """Read `buf[:size]`, whole lines; `buf` must be at least 16 bytes longer."""
+        """Read `buf[:size]`, whole lines; `buf` must be at least `PADDING` longer."""
         if len(self._columns[0]) < size // LEAST_LINE + 1:
             self._make(size // LEAST_LINE + 1)
         odd = [self._odd[:0]]

@@ -1,12 +1,8 @@
 """Candump text to columns, a block of lines at a time.
 
-Every line is checked whole, but only wanted frames are turned into numbers. Each line's head is
-compared with the shapes seen so far (`candump_shape`), then the id is read and the place of ``#``
-and the number of digits are checked. What is left to know is whether all the rest are hexadecimal
-digits: the block is searched for other characters once, and their number must be just that of the
-marks and spaces the lines are known to hold. If not, they are counted line by line. Any line that
-falls out anywhere goes to the strict reader of single lines (`candump_line`), which decides.
-With the compiled part lines are taken one by one (`candump_lines`), to the same result.
+The compiled part reads the lines that are as candump writes them (`candump_lines`), at some ten
+million a second; any other goes to the strict reader of single lines (`candump_line`), which
+decides. Without the compiled part that one reads all of them.
 """
 
 from __future__ import annotations
@@ -18,18 +14,33 @@ from typing import ClassVar, Final
 
 import numpy as np
 
-from imucald.can.columns import CLASSIC_BYTES, FD_BYTES, Channels, FrameColumns, concatenate
+from imucald.can.columns import Channels, FrameColumns, concatenate
 from imucald.can.id_filter import IdFilters
-from imucald.can.logs.ascii_columns import Bytes, hex_bytes, runs_at
-from imucald.can.logs.candump_block import CandumpBlock, Hits
-from imucald.can.logs.candump_line import REASONS, Line, parse_line, shown
-from imucald.can.logs.candump_lines import LineReader, line_at
-from imucald.can.logs.candump_shape import Layout, Shape
-from imucald.can.logs.known_shapes import KnownShapes
-from imucald.can.logs.log_format import ReadStatistics
-from imucald.can.logs.text_blocks import OpenLog
-from imucald.can.logs.text_log_reader import PADDING, Place, read_text_log
+from imucald.can.logs.candump_line import MAX_LINE_BYTES, REASONS, Line, parse_line, shown
+from imucald.can.logs.candump_lines import PADDING, LineReader, line_at
+from imucald.can.logs.frame_batches import columns_of_frames
+from imucald.can.logs.log_format import DamageError, ReadStatistics
+from imucald.can.logs.text_blocks import Bytes, OpenLog, TextBlocks, open_source
 from imucald.core import compiled
+from imucald.core.errors import LogError
+
+CHUNK_FRAMES: Final = 32_768
+"""Frames gathered from blocks before they are passed on: what follows has costs per chunk."""
+
+CHUNK_BLOCKS: Final = 8
+"""Blocks after which they are passed on however few they are, so that progress shows."""
+
+PIECE_LINES: Final = 64
+"""Lines of a damaged file that are parsed at once."""
+
+NEWLINE: Final = 0x0A
+
+KEPT_BYTES: Final = 16 << 20
+"""Freed memory that the C library may keep for reuse, above the arrays of one block (about 6 MiB
+with their copies)."""
+
+Place = tuple[str, int]
+"""File name, number of lines before."""
 
 _LOG_LINE: Final = re.compile(
     rb"^\([ \t]{0,32}\d{1,19}\.\d{1,19}\)[ \t]{1,32}\S{1,32}[ \t]{1,32}[0-9A-Fa-f]{3,8}#", re.M
@@ -43,7 +54,6 @@ class CandumpParser:
         self._filters = filters
         self._channels = channels
         self._statistics = statistics
-        self._shapes = KnownShapes[Shape, Hits](self._shape_of)
         self._lines = LineReader(channels, filters.of, self._index_of)
 
     def parse(self, buf: Bytes, size: int, place: Place) -> tuple[FrameColumns, int]:
@@ -51,54 +61,31 @@ class CandumpParser:
 
         `buf` is (size + PADDING,) or longer. Raises LogError at a bad line of a strict reading.
         """
-        if compiled.kernels is not None:
-            return self._parse_compiled(compiled.kernels, buf, size, place)
-        block = CandumpBlock(buf, size)
-        _, hits = self._shapes.find(len(block), block.text, block.find)
-        odd, wrong = block.settle()
-        if wrong is not None:
-            hits = [h.only(~wrong[h.line]) for h in hits]
-        if self._statistics.first_stamp is None:
-            self._stamp_first(block.text(number) for number in range(len(block)))
-        singles: list[tuple[int, Line]] = []
-        for number in odd.tolist():
-            line = self.judge(block.text(number), (place[0], place[1] + number))
-            if line is not None:
-                singles.append((number, line))
-        self._statistics.frames_read += len(block) - len(odd)
-        return self._columns(buf, hits, singles), len(block)
-
-    def _parse_compiled(
-        self, kernels: compiled.Kernels, buf: Bytes, size: int, place: Place
-    ) -> tuple[FrameColumns, int]:
-        """As `parse`."""
-        found = self._lines.read(kernels, buf, size)
+        if compiled.kernels is None:
+            texts = buf[:size].tobytes().split(b"\n")[:-1]
+            lines = [self.judge(text, (place[0], n)) for n, text in enumerate(texts, place[1])]
+            return self._columns(lines), len(texts)
+        found = self._lines.read(compiled.kernels, buf, size)
         if self._statistics.first_stamp is None:
             self._stamp_first(buf[:size].tobytes().split(b"\n"))
-        singles: list[tuple[int, Line]] = []
+        singles, places = [], [found.place]
         for number, start in found.odd.tolist():
-            text = line_at(buf, start, size)
-            line = self.judge(text, (place[0], place[1] + number))
+            line = self.judge(line_at(buf, start, size), (place[0], place[1] + number))
             if line is not None:
-                singles.append((start, line))
+                singles.append(line)
+                places.append(np.array([start]))
         self._statistics.frames_read += found.count - len(found.odd)
         if not singles:
             return found.frames, found.count
-        both = [found.frames, _of_lines([line for _, line in singles], self._channels.names)]
-        order = np.argsort(np.concatenate([found.place, [at for at, _ in singles]]))
-        return concatenate(both).take(order), found.count
+        frames = concatenate([found.frames, self._columns(singles)])
+        return frames.take(np.argsort(np.concatenate(places))), found.count
 
     def parse_rest(self, text: bytes, place: Place) -> FrameColumns:
         """Return the frame (or none) of a file's last line, which lacks its newline.
 
         It counts only where it is whole; else it was cut.
         """
-        line = self.judge(text, place, last=True)
-        return self._columns(np.zeros(PADDING, np.uint8), [], [] if line is None else [(0, line)])
-
-    def end(self) -> FrameColumns:
-        """Return no frames: each had its own time stamp."""
-        return self._columns(np.zeros(PADDING, np.uint8), [], [])
+        return self._columns([self.judge(text, place, last=True)])
 
     def judge(self, text: bytes, place: Place, last: bool = False) -> Line | None:
         """Read one line strictly and count it; return it if it is a wanted data frame."""
@@ -136,27 +123,15 @@ class CandumpParser:
             return None
         return self._channels.index(line.channel)
 
-    def _shape_of(self, text: bytes) -> Shape | None:
-        line = parse_line(text)
-        if not isinstance(line, Line) or line.layout is None:
-            return None
-        index = self._channels.index(line.channel)
-        if index is None:
-            return None
-        layout = Layout(*line.layout, line.channel)
-        return Shape(layout, index, self._filters.of(line.channel))
-
-    def _columns(
-        self, buf: Bytes, hits: list[Hits], singles: list[tuple[int, Line]]
-    ) -> FrameColumns:
-        channels = self._channels.names
-        parts = [_of_hits(buf, h, channels) for h in hits]
-        if singles or not hits:
-            parts.append(_of_lines([line for _, line in singles], channels))
-        if len(parts) == 1:
-            return parts[0]
-        numbers = [h.line for h in hits] + [np.array([n for n, _ in singles], np.intp)]
-        return concatenate(parts).take(np.argsort(np.concatenate(numbers), kind="stable"))
+    def _columns(self, lines: Iterable[Line | None]) -> FrameColumns:
+        names = self._channels.names
+        index = {name: k for k, name in enumerate(names)}
+        frames = [
+            (line.t, line.can_id, line.data, index[line.channel], line.fd)
+            for line in lines
+            if line is not None
+        ]
+        return columns_of_frames(frames, names)
 
 
 class CandumpReader:
@@ -177,42 +152,83 @@ class CandumpReader:
         self, path: Path | str | OpenLog, report: Callable[[int], None]
     ) -> Iterator[FrameColumns]:
         """Yield the wanted frames of one file in chunks, as `LogFormat.read` says."""
-        return read_text_log(path, self._parser, self._statistics, report)
+        _keep_freed_memory()
+        return _gathered(_blocks(path, self._parser, self._statistics, report))
 
 
-_DIGIT_MASKS: Final = np.tril(np.full((2 * FD_BYTES + 1, 2 * FD_BYTES), 0xFF, np.uint8), -1).view(
-    "<u8"
-)
-"""(129, 16): ones over as many characters as data digits."""
+def _blocks(
+    path: Path | str | OpenLog,
+    parser: CandumpParser,
+    statistics: ReadStatistics,
+    report: Callable[[int], None],
+) -> Iterator[FrameColumns]:
+    name, lines = str(path), 0
+    with statistics.until_damage(path), open_source(path) as source:
+        blocks = TextBlocks(source, PADDING, MAX_LINE_BYTES)
+        for buf, size in blocks:
+            if statistics.damage:
+                for columns, count in _cautiously(parser, statistics, buf, size, (name, lines)):
+                    lines += count
+                    yield columns
+                continue
+            columns, count = parser.parse(buf, size, (name, lines))
+            lines += count
+            report(blocks.bytes_read)
+            yield columns
+        if blocks.damage and not lines:
+            raise LogError(f"{name}: cannot be read: {blocks.damage}")
+        if blocks.damage:
+            # The last line is cut with the file, even where what is left of it can be read.
+            where = f"{name}:{lines + 1}"
+            statistics.reject("damaged_file", f"{where}: reading ends here: {blocks.damage}")
+        elif blocks.rest:
+            yield parser.parse_rest(blocks.rest, (name, lines))
 
 
-def _of_hits(buf: Bytes, hits: Hits, channels: tuple[str, ...]) -> FrameColumns:
-    count = len(hits.line)
-    length = (hits.digits >> 1).astype(np.uint8)
-    words = 2 * (CLASSIC_BYTES if length.max(initial=0) <= CLASSIC_BYTES else FD_BYTES) // 8
-    digits = runs_at(buf, hits.at, words)
-    digits &= _DIGIT_MASKS[:, :words][hits.digits]
-    data = hex_bytes(digits).astype("<u4").view(np.uint8).reshape(count, 4 * words)
-    channel = np.full(count, hits.shape.channel_index, np.uint8)
-    t = hits.shape.times(buf, hits.start)
-    fd = np.ones(count, np.bool_) if hits.fd else None
-    return FrameColumns(t, hits.can_id, length, data, channel, channels, fd)
+def _cautiously(
+    parser: CandumpParser, statistics: ReadStatistics, buf: Bytes, size: int, place: Place
+) -> Iterator[tuple[FrameColumns, int]]:
+    """Parse a damaged file's block in small pieces: one with a sign of it is left out whole."""
+    start, lines = 0, place[1]
+    ends = np.flatnonzero(buf[:size] == NEWLINE)[PIECE_LINES - 1 :: PIECE_LINES] + 1
+    for end in [*ends.tolist(), size]:
+        if end == start:
+            continue
+        before = statistics.frames_read
+        columns, count = parser.parse(buf[start:], end - start, (place[0], lines))
+        try:
+            for t in columns.t.tolist():
+                statistics.follows(t, f"{place[0]}:{lines + 1}")
+        except DamageError:
+            statistics.frames_read = before
+            raise
+        start, lines = end, lines + count
+        yield columns, count
 
 
-def _of_lines(lines: list[Line], channels: tuple[str, ...]) -> FrameColumns:
-    longest = max((len(line.data) for line in lines), default=0)
-    width = CLASSIC_BYTES if longest <= CLASSIC_BYTES else FD_BYTES
-    text = b"".join(line.data.ljust(width, b"\0") for line in lines)
-    fd = np.array([line.fd for line in lines], np.bool_)
-    return FrameColumns(
-        np.array([line.t for line in lines], np.float64),
-        np.array([line.can_id for line in lines], np.uint32),
-        np.array([len(line.data) for line in lines], np.uint8),
-        np.frombuffer(text, np.uint8).reshape(len(lines), width),
-        np.array([channels.index(line.channel) for line in lines], np.uint8),
-        channels,
-        fd if fd.any() else None,
-    )
+def _keep_freed_memory() -> None:
+    """Let glibc reuse freed memory, instead of giving it back and faulting it in for each block.
+
+    It sets its threshold for that to the largest block it has seen freed. The array is never
+    touched, so it costs nothing; reading takes less than half the time. Elsewhere: no effect.
+    """
+    np.empty(KEPT_BYTES, np.uint8)
+
+
+def _gathered(blocks: Iterator[FrameColumns]) -> Iterator[FrameColumns]:
+    """Yield what several blocks hold as one, since rare frames make small columns."""
+    parts: list[FrameColumns] = []
+    count = frames = 0
+    for part in blocks:
+        count += 1
+        if len(part):
+            parts.append(part)
+            frames += len(part)
+        if parts and (frames >= CHUNK_FRAMES or count >= CHUNK_BLOCKS):
+            yield concatenate(parts)
+            parts, count, frames = [], 0, 0
+    if parts:
+        yield concatenate(parts)
 
 
 FORMAT = CandumpReader

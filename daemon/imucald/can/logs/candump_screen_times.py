@@ -8,11 +8,7 @@ from calendar import timegm
 from time import strptime
 from typing import Final
 
-import numpy as np
-from numpy.typing import NDArray
-
-from imucald.can.columns import FrameColumns, concatenate
-from imucald.can.logs.ascii_columns import Index
+from imucald.can.logs.candump_screen_line import ScreenFrame
 from imucald.can.logs.recorder_clock import DELTA_SHARE
 from imucald.core.errors import LogError
 
@@ -38,10 +34,9 @@ class StampedTimes:
         self._now = 0.0
         self._days: dict[bytes, int] = {}
 
-    def fits(self, stamp: bytes | None) -> bool:
-        """Whether a stamp, if there is one, has the form of the file's first ones: time of day, or
-        not."""
-        return stamp is None or _is_absolute(stamp) == self._are_absolute
+    def fits(self, stamp: bytes) -> bool:
+        """Whether a stamp has the form of the file's first ones: time of day, or not."""
+        return _is_absolute(stamp) == self._are_absolute
 
     def other(self, name: str, line: int) -> None:
         """Take note of a line whose stamp does not fit. Raises LogError where all do from one on.
@@ -58,20 +53,31 @@ class StampedTimes:
                 f"({before} before, {after} now): give each recording in a file of its own"
             )
 
-    def value(self, text: bytes) -> float | None:
-        """The number or the date [s] that a stamp spells; None where it is neither."""
+    def time(self, stamp: bytes) -> float | None:
+        """When a line was printed [s]; None where its stamp is neither a number nor a date.
+
+        Differences count whatever else the line holds.
+        """
+        value = self._value(stamp)
+        if value is None or not self._are_steps:
+            return value
+        self._now += value
+        return self._now
+
+    def _value(self, text: bytes) -> float | None:
+        """The number or the date [s] that a stamp spells."""
         whole, _, part = text.partition(b".")
         if b":" not in text:
             try:
                 return float(text)
             except ValueError:
                 return None
-        date = self.date(whole)
+        date = self._date(whole)
         if date is None:
             return None
         return date + (float(b"0." + part) if part.isdigit() else 0.0)
 
-    def date(self, text: bytes) -> int | None:
+    def _date(self, text: bytes) -> int | None:
         """Seconds since 1970 of a date and time of day, in UTC; None where it is none."""
         if text not in self._days:
             try:
@@ -79,20 +85,6 @@ class StampedTimes:
             except (ValueError, UnicodeDecodeError):
                 return None
         return self._days[text]
-
-    def times(self, values: NDArray[np.float64]) -> NDArray[np.float64]:
-        """When lines were printed, from what their stamps spell (NaN: none); both (N,).
-
-        Differences count whatever else the line holds.
-        """
-        if not self._are_steps:
-            return values
-        missing = np.isnan(values)
-        steps = np.where(missing, 0.0, values)
-        t = np.add.accumulate(np.concatenate([[self._now], steps]))[1:]
-        self._now = float(t[-1]) if len(t) else self._now
-        t[missing] = np.nan
-        return t
 
 
 def _is_absolute(stamp: bytes) -> bool:
@@ -110,46 +102,24 @@ class CountedTimes:
         self.can_id = can_id
         self.channel = channel
         self._cycle = cycle
-        self._cycles = 0
-        self._open = 0
-        self._waiting: FrameColumns | None = None
-        self._places: Index = np.zeros(0, np.intp)
+        self._cycles = self._open = 0
+        self._waiting: list[tuple[int, ScreenFrame]] = []
         self.first: float | None = None
         """Of the first frame of all [s], once its cycle has ended."""
 
-    def take(self, frames: FrameColumns, places: Index, ends: Index, count: int) -> FrameColumns:
-        """Take the next `count` frames; return those whose time is known now, with it.
+    def take(self, frame: ScreenFrame, is_wanted: bool) -> list[tuple[float, ScreenFrame]]:
+        """Take the next frame; return the wanted ones whose time is known now, with it."""
+        self._open += 1
+        if is_wanted:
+            self._waiting.append((self._open, frame))
+        is_end = frame.can_id == self.can_id and frame.channel == self.channel
+        return self.end() if is_end else []
 
-        frames: the wanted ones, W of them, without time; places: (W,) their numbers among all;
-        ends: (E,) the numbers of the message's frames.
-        """
-        if self._waiting is not None:
-            frames = concatenate([self._waiting, frames])
-        places = np.concatenate([self._places, places + self._open])
-        ends, count = ends + self._open, count + self._open
-        starts = np.concatenate([[-1], ends])
-        cycle = np.searchsorted(ends, places)
-        known = cycle < len(ends)
-        self._waiting, self._places = frames.take(~known), places[~known] - (starts[-1] + 1)
-        self._open = count - (int(starts[-1]) + 1)
-        frames, places, cycle = frames.take(known), places[known], cycle[known]
-        if len(ends) and self.first is None:
-            self.first = self._cycle / int(ends[0] + 1)
-        t = np.zeros(0)
-        if len(ends):
-            step = self._cycle / np.diff(starts)[cycle]
-            t = (self._cycles + cycle) * self._cycle + (places - starts[cycle]) * step
-        self._cycles += len(ends)
-        return frames.at(t)
-
-    def rest(self) -> FrameColumns | None:
-        """All wanted frames that wait, with their times."""
-        waiting, self._waiting = self._waiting, None
-        if waiting is None:
-            return None
-        step = self._cycle / max(self._open, 1)
+    def end(self) -> list[tuple[float, ScreenFrame]]:
+        """All wanted frames that wait, with their times: their cycle ends."""
+        start, step = self._cycles * self._cycle, self._cycle / max(self._open, 1)
         if self._open and self.first is None:
             self.first = step
-        t = np.float64(self._cycles * self._cycle) + (self._places + 1) * step
-        self._places, self._open, self._cycles = self._places[:0], 0, self._cycles + 1
-        return waiting.at(t)
+        timed = [(start + place * step, frame) for place, frame in self._waiting]
+        self._waiting, self._open, self._cycles = [], 0, self._cycles + 1
+        return timed

@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator
+from pathlib import Path
 from typing import Final
 
 import numpy as np
 
 from imucald.can.columns import CLASSIC_BYTES, FD_BYTES, Channels, FrameColumns
 from imucald.can.id_filter import IdFilters
+from imucald.can.logs.candump_line import MAX_LINE_BYTES
 from imucald.can.logs.log_format import ReadStatistics
+from imucald.can.logs.text_blocks import OpenLog, TextBlocks, open_source
+from imucald.core.errors import LogError
 
 BATCH_FRAMES: Final = 8192
 """Frames of ours gathered before they are passed on."""
@@ -61,6 +66,38 @@ class FrameBatches:
         """The frames gathered so far, which start again."""
         batch, self._batch = self._batch, []
         return columns_of_frames(batch, self._channels.names)
+
+
+def read_lines(
+    path: Path | str | OpenLog,
+    batches: FrameBatches,
+    statistics: ReadStatistics,
+    report: Callable[[int], None],
+    take: Callable[[list[bytes], str, int, bool], None],
+) -> Iterator[FrameColumns]:
+    """Yield the frames that `take` adds to the batches from the lines of a text.
+
+    take: gets lines, the file's name, how many lines were before, and whether they are the last
+    one, which has no newline. Raises LogError for a file that cannot be read at all.
+    """
+    name, number = str(path), 0
+    with statistics.until_damage(path), open_source(path) as source:
+        blocks = TextBlocks(source, 0, MAX_LINE_BYTES)
+        for buf, size in blocks:
+            lines = buf[:size].tobytes().split(b"\n")[:-1]
+            for start in range(0, len(lines), BATCH_FRAMES):
+                take(lines[start : start + BATCH_FRAMES], name, number + start, False)
+                yield batches.columns()
+            number += len(lines)
+            report(blocks.bytes_read)
+        if blocks.damage and not number:
+            raise LogError(f"{name}: cannot be read: {blocks.damage}")
+        if blocks.damage:
+            text = f"{name}:{number + 1}: reading ends here: {blocks.damage}"
+            statistics.reject("damaged_file", text)
+        elif blocks.rest:
+            take([blocks.rest], name, number, True)
+    yield batches.columns()
 
 
 def columns_of_frames(batch: list[GatheredFrame], channels: tuple[str, ...]) -> FrameColumns:

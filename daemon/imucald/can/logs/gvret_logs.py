@@ -23,10 +23,10 @@ from imucald.can.columns import (
     FrameColumns,
 )
 from imucald.can.id_filter import IdFilters
-from imucald.can.logs.candump_line import MAX_LINE_BYTES, shown, words_of
-from imucald.can.logs.frame_batches import FrameBatches
+from imucald.can.logs.candump_line import shown, words_of
+from imucald.can.logs.frame_batches import FrameBatches, read_lines
 from imucald.can.logs.log_format import ReadStatistics
-from imucald.can.logs.text_blocks import OpenLog, TextBlocks, open_source
+from imucald.can.logs.text_blocks import OpenLog
 from imucald.core.errors import LogError
 
 MICRO: Final = 1e-6
@@ -53,25 +53,10 @@ class GvretReader:
         self, path: Path | str | OpenLog, report: Callable[[int], None]
     ) -> Iterator[FrameColumns]:
         """Yield the wanted frames of one file in batches, as `LogFormat.read` says."""
-        name, number = str(path), 0
         self._places = {}
-        with self._statistics.until_damage(path), open_source(path) as source:
-            blocks = TextBlocks(source, 0, MAX_LINE_BYTES)
-            for buf, size in blocks:
-                lines = buf[:size].tobytes().splitlines()
-                yield from self._lines(lines, name, number)
-                number += len(lines)
-                report(blocks.bytes_read)
-            if blocks.damage:
-                text = f"{name}:{number + 1}: reading ends here: {blocks.damage}"
-                self._statistics.reject("damaged_file", text)
-            elif blocks.rest:
-                yield from self._lines([blocks.rest], name, number, last=True)
-        yield self._batches.columns()
+        return read_lines(path, self._batches, self._statistics, report, self._take)
 
-    def _lines(
-        self, lines: list[bytes], name: str, before: int, last: bool = False
-    ) -> Iterator[FrameColumns]:
+    def _take(self, lines: list[bytes], name: str, before: int, last: bool) -> None:
         for number, line in enumerate(lines, before + 1):
             if not self._places:
                 self._places = _places(line, name)
@@ -81,8 +66,6 @@ class GvretReader:
                 reason = "cut_line" if last else reason
                 text = f"{name}:{number}: {words_of(reason)}: {shown(line)}"
                 self._statistics.reject(reason, text)
-            if self._batches.is_full:
-                yield self._batches.columns()
 
     def _line(self, line: bytes) -> str:
         """Take one line; the reason why it cannot be used, or nothing."""

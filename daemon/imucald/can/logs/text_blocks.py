@@ -12,8 +12,8 @@ from typing import Final, cast
 
 import numpy as np
 from msgspec import Struct
+from numpy.typing import NDArray
 
-from imucald.can.logs.ascii_columns import Bytes
 from imucald.can.logs.unpacking import (
     DAMAGE,
     MAGIC_BYTES,
@@ -22,6 +22,8 @@ from imucald.can.logs.unpacking import (
     packed_as,
 )
 from imucald.core.errors import LogError
+
+Bytes = NDArray[np.uint8]
 
 BLOCK_BYTES: Final = 1 << 20
 """Text read at once: the arrays made of it stay within a core's caches."""
