@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from imucald.core.angles import DEG_PER_RAD
 from imucald.core.arrays import Array
 from imucald.core.samples import Samples, Series
-from imucald.motion.hops import HOP_S, HOP_TICKS, Carry, HopRows, hop_rows, single_hop
+from imucald.motion.hops import HOP_S, HOP_TICKS, Carry, HopRows, hop_rows
 from imucald.motion.rail_evidence import MIN_RUN, AxisHops, LostContact
 from imucald.motion.rails import AxisRails
 from imucald.motion.sensor_judges import (
@@ -79,8 +79,6 @@ class _Sensor(FaultsInForce):
     def rows(self, hops: int, more: _More | None) -> HopRows | None:
         """The figures of so many hops from what is pending, which are in the first, and more."""
         pending, self.pending = self.pending, []
-        if more is None and hops == 1 and pending:
-            return single_hop(pending, self.carry)
         values, hop = more if more is not None else (np.zeros((0, 3)), np.zeros(0, np.int64))
         if pending:
             values = np.concatenate([np.array(pending), values])

@@ -73,8 +73,7 @@ class TimeBase:
             self.started = True
             self._offset, self._newest = stamp, stamp
             return 0.0, False
-        limit = FORWARD_STEP if stamp > self._highest else BACKWARD_STEP
-        gap = not -BACKWARD_STEP <= stamp - self._newest <= limit or self._is_overtaken(stamp)
+        gap = self._is_step(stamp)
         if gap:
             self._begin_segment(stamp)
         elif self.is_live and self._now - (stamp - self._offset) > SET_BACK:
@@ -84,6 +83,11 @@ class TimeBase:
             self._behind = None
         self._now = self._frame = max(self._now, stamp - self._offset)
         return self._now, gap
+
+    def _is_step(self, stamp: float) -> bool:
+        """Whether a new segment begins with this stamp."""
+        limit = FORWARD_STEP if stamp > self._highest else BACKWARD_STEP
+        return not -BACKWARD_STEP <= stamp - self._newest <= limit or self._is_overtaken(stamp)
 
     def _is_overtaken(self, stamp: float) -> bool:
         """Whether `idle` has come further than this stamp: the clock was set back in a silence.
@@ -119,58 +123,26 @@ class TimeBase:
         """Split a column of stamps (N,) into segments without discontinuity, with stream times."""
         start, n = 0, len(stamps)
         while start < n:
-            gap, stamp = False, float(stamps[start])
-            if not self.started:
-                self.started = True
-                self._offset = self._newest = stamp
-            elif self._end_of_segment(stamps[start : start + 1], 0) == 0 or self._is_overtaken(
-                stamp
-            ):
-                gap = True
-                self._begin_segment(stamp)
-            self._newest = max(self._newest, stamp)
-            t = self._times(stamps, start)
+            first, gap = self.stream_time(float(stamps[start]))
+            t = self._times(stamps, start, first)
             yield TimeSegment(start, start + len(t), t, gap)
             start += len(t)
 
-    def _times(self, stamps: NDArray[np.float64], start: int) -> NDArray[np.float64]:
-        """Stream times of a segment that begins at row `start`, up to the next step."""
+    def _times(self, stamps: NDArray[np.float64], start: int, first: float) -> NDArray[np.float64]:
+        """Stream times of a segment that begins at row `start`, at `first`, up to the next step."""
         if compiled.kernels is not None:
             numbers = np.array([self._offset, self._now, self._newest, self._highest, *_STEPS])
             times = np.empty(len(stamps) - start)
             stop = compiled.kernels.stream_times(stamps, start, numbers, times)
-            if stop > start:
-                self._now, self._newest = self._frame, _ = numbers[1:3].tolist()
-                return times[: stop - start]
-        stop = self._end_of_segment(stamps, start + 1)
-        times = np.maximum.accumulate(np.maximum(stamps[start:stop] - self._offset, self._now))
-        self._newest = max(self._newest, float(stamps[start:stop].max()))
-        self._now = self._frame = float(times[-1])
-        return times
-
-    def _end_of_segment(self, stamps: NDArray[np.float64], start: int) -> int:
-        """The first row from `start` on that steps; looked for in windows that double.
-
-        To look through all that is left at each step takes the square of their number.
-        """
-        stop, width, newest = start, 64, self._newest
-        while stop < len(stamps):
-            rows = stamps[stop : stop + width]
-            stop += len(rows)
-            width *= 2
-            before = np.concatenate([[newest], rows[:-1]])
-            change = rows - before
-            if change.min() >= 0.0 and change.max() <= min(FORWARD_STEP, BACKWARD_STEP):
-                newest = float(rows[-1])  # as nearly always
-                continue
-            before = np.maximum.accumulate(before)
-            change = rows - before
-            limit = np.where(rows > self._highest, FORWARD_STEP, BACKWARD_STEP)
-            bad = np.flatnonzero((change < -BACKWARD_STEP) | (change > limit))
-            if len(bad):
-                return stop - len(rows) + int(bad[0])
-            newest = max(float(before[-1]), float(rows[-1]))
-        return stop
+            self._now, self._newest = self._frame, _ = numbers[1:3].tolist()
+            return times[: stop - start]
+        found = [first]
+        for row in range(start + 1, len(stamps)):
+            stamp = float(stamps[row])
+            if self._is_step(stamp):
+                break
+            found.append(self.stream_time(stamp)[0])
+        return np.array(found)
 
     def _begin_segment(self, stamp: float) -> None:
         self.steps += 1

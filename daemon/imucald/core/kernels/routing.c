@@ -4,11 +4,11 @@
 
 enum { STANDARD = 2048, SEVERAL = -2 };
 
-/* Stream times of stamps[start:], up to one that steps, as `TimeBase.segments` has them.
+/* Stream times of stamps[start:], up to one that steps, as `TimeBase.stream_time` has them.
 
    numbers: offset; stream time so far; the newest stamp; the highest of all segments; how far a
    stamp may go back, and how far forward where none has been before. The second and the third go on.
-   Returns the place of the stamp that steps, or how many there are; -1 where one is not a number. */
+   Returns the place of the stamp that steps, or how many there are; one that is not a number does. */
 KERNEL long stream_times(PyObject *stamps_, long start, PyObject *numbers_, PyObject *t_)
 {
     Arrays a = {0};
@@ -26,8 +26,6 @@ KERNEL long stream_times(PyObject *stamps_, long start, PyObject *numbers_, PyOb
     Size i = start;
     for (; i < n; i++) {
         double stamp = stamps[i];
-        if (stamp != stamp)
-            return leave(&a, -1);
         if (i > start && !(stamp - newest >= -back &&
                            stamp - newest <= (stamp > highest ? forward : back)))
             break;

@@ -5,14 +5,14 @@
 enum { MOST_WIDTH = 3 };
 #define MOST_TICKS 4503599627370496.0 /* whole numbers of doubles are exact up to there */
 
-enum Columns { COUNT, MEAN, SQUARE, LEAST, MOST, AGE, COLUMNS };
+enum Columns { COUNT, MEAN, SQUARE, LEAST, MOST, AGE, LAST, COLUMNS };
 enum { NONE = -1 };
 
 /* Sums over the samples of each tick, as `column_ticks` makes them.
 
    out: (ticks, W) rows of ticks, the first of number `first`; each ends at out[k][0]. values: (N, k)
-   of any strides. columns: where the count goes, the first mean, ..., -1 where it is not wanted. Times
-   never decrease; 1 where they do, and nothing has been written. */
+   of any strides. columns: where the count goes, the first mean, ..., the last value, -1 where it is
+   not wanted. Times never decrease; 1 where they do, and nothing has been written. */
 KERNEL long tick_sums(PyObject *t_, PyObject *values_, PyObject *columns_, long first, double rate,
                       PyObject *out_)
 {
@@ -26,9 +26,9 @@ KERNEL long tick_sums(PyObject *t_, PyObject *values_, PyObject *columns_, long 
     Size ticks = length_of(&a, 0), row = length_of(&a, 1);
     if (a.failed)
         return leave(&a, -1);
-    int fits = width <= MOST_WIDTH && fabs((double)first) <= MOST_TICKS;
+    int fits = width >= 1 && width <= MOST_WIDTH && fabs((double)first) <= MOST_TICKS;
     for (int k = 0; k < COLUMNS; k++) {
-        Size most = k == COUNT || k == AGE ? 1 : width;
+        Size most = k == COUNT || k == AGE || k == LAST ? 1 : width;
         fits = fits && columns[k] >= NONE && columns[k] <= row - most;
     }
     if (!fits)
@@ -73,6 +73,8 @@ KERNEL long tick_sums(PyObject *t_, PyObject *values_, PyObject *columns_, long 
             if (columns[MOST] >= 0)
                 tick[columns[MOST] + k] = most;
         }
+        if (columns[LAST] >= 0)
+            tick[columns[LAST]] = *(const double *)(base + (i - 1) * down);
         if (columns[AGE] >= 0)
             tick[columns[AGE]] = tick[0] - time / samples;
     }
