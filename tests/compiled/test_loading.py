@@ -133,6 +133,19 @@ def test_a_replay_without_it_gives_the_same(tmp_path: Path) -> None:
     assert result == str(imucald.replay(imucald.Config.load(CONFIG), log).to_dict())
 
 
+@pytest.mark.parametrize("command", ["replay", "run"])
+def test_that_it_is_slow_without_it_is_said_once(tmp_path: Path, command: str) -> None:
+    more = ["--interface", "virtual", "--channel", "slow", "--seconds", "0.2"]
+    if command == "replay":
+        more = [str(simulated(tmp_path, 0.2))] * 2
+    arguments = [sys.executable, "-m", "imucald", command, "--config", str(CONFIG), *more]
+    for switch, times in (("0", 1), ("1", int(compiled.kernels is None))):
+        variables = os.environ | {SWITCH: switch, "XDG_RUNTIME_DIR": str(tmp_path)}
+        done = subprocess.run(arguments, env=variables, capture_output=True, text=True)
+        assert (done.stdout + done.stderr).count("slow, as there is no compiled part") == times
+        assert done.returncode == 0, done.stderr
+
+
 @needs_kernels
 def test_it_is_loaded_within_five_milliseconds(beside: Path) -> None:
     took = []

@@ -87,10 +87,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(options: argparse.Namespace) -> int:
     """Replay, then say what came of it."""
     from imucald.api.logs import found_names
+    from imucald.core import compiled
     from imucald.core.file_cache import keep_databases
 
     logs = found_names(options.logs)
     _check(options, logs)
+    if (slow := compiled.slow_words()) and not options.quiet:
+        print_problems([slow])
     keep_databases(os.environ)
     config = configuration(options)
     if len(logs) > 1 and not options.joined:

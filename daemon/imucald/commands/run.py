@@ -92,6 +92,7 @@ def run(options: argparse.Namespace) -> int:
     import os
 
     from imucald.commands.files import check_files, fill_standard_files, write_text
+    from imucald.core import compiled
     from imucald.core.errors import ConfigError, ImucaldError
     from imucald.core.file_cache import keep_databases
     from imucald.runtime.summary import as_json
@@ -122,6 +123,8 @@ def run(options: argparse.Namespace) -> int:
         save_period=options.save_every,
         start_count=start_count_file(os.environ),
     )
+    if slow := compiled.slow_words():
+        journal.say(slow)
     if settings.status_socket is None:
         journal.say(NO_SOCKET, WARNING)
     metrics = _metrics_process(options.metrics_listen, settings.status_socket)

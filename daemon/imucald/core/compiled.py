@@ -1,8 +1,9 @@
 """The compiled part: loops in C, where a C compiler was there when the package was installed.
 
-Everything works without it, to the last bit the same, and a replay takes about twice as long.
-`setup.py` builds it from `core/kernels`; it is loaded here and nowhere else. Each kernel has its
-numpy version next to the place that calls it::
+Everything works without it, to the last bit the same, but slowly: frames and samples are then taken
+one by one in Python, which is also what the kernels are held against. `setup.py` builds it from
+`core/kernels`; it is loaded here and nowhere else. Each kernel has its Python version next to the
+place that calls it::
 
     kernels = compiled.kernels
     if kernels is not None:
@@ -149,6 +150,16 @@ kernels: Kernels | None = None
 """The compiled part, or None."""
 state = ""
 """Whether it is used, in words: "in use", or why not."""
+
+
+def slow_words() -> str:
+    """That results take long without the compiled part, and why it is not used; "" where it is."""
+    if kernels is not None:
+        return ""
+    return (
+        f"slow, as there is no compiled part ({state}): results are the same, a replay takes some 15 "
+        "times as long; with gcc and python3-dev at installation it is built"
+    )
 
 
 def load(folder: Path, sources: Path = SOURCES) -> tuple[Kernels | None, str]:

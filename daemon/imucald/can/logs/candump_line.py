@@ -100,20 +100,18 @@ def parse_line(text: bytes) -> Line | str | None:
     match = _LINE.fullmatch(text)
     if match is None:
         return _reason(text) if text.strip() else None
-    kind = "data"
-    for other in ("remote", "error", "xl"):
-        if match[other] is not None:
-            kind = f"{other}_frame"
+    pad, t, whole, part, gap, name, mid, can_id, data, fd, remote, error, _ = match.groups()
     layout = None
-    if not match["pad"] and match["mid"] == b" " and b"\t" not in match["gap"]:
-        layout = len(match["sec"]), len(match["frac"]), len(match["gap"])
-    t, channel = float(match["t"]), match["channel"].decode("ascii")
-    if kind != "data":
-        return Line(kind, t, channel, 0, b"", False, layout)
-    can_id = int(match["id"], 16) | (CAN_EFF_FLAG if len(match["id"]) == 8 else 0)
-    fd = match["fd"] is not None
-    digits = match["fd"] if fd else match["data"].partition(b"_")[0]
-    return Line(kind, t, channel, can_id, bytes.fromhex(digits.decode("ascii")), fd, layout)
+    if not pad and mid == b" " and b"\t" not in gap:
+        layout = len(whole), len(part), len(gap)
+    channel = name.decode("ascii")
+    if can_id is None or remote is not None:
+        kind = "remote_frame" if remote else "error_frame" if error else "xl_frame"
+        return Line(kind, float(t), channel, 0, b"", False, layout)
+    number = int(can_id, 16) | (CAN_EFF_FLAG if len(can_id) == 8 else 0)
+    digits = data.partition(b"_")[0] if fd is None else fd
+    payload = bytes.fromhex(digits.decode("ascii"))
+    return Line("data", float(t), channel, number, payload, fd is not None, layout)
 
 
 def _reason(text: bytes) -> str:
