@@ -157,8 +157,8 @@ def slow_words() -> str:
     if kernels is not None:
         return ""
     return (
-        f"slow, as there is no compiled part ({state}): results are the same, a replay takes some 15 "
-        "times as long; with gcc and python3-dev at installation it is built"
+        f"slow, as there is no compiled part ({state}): results are the same, a replay takes some "
+        "15 times as long; with gcc and python3-dev at installation it is built"
     )
 
 
