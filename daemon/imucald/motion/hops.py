@@ -18,7 +18,6 @@ from numpy.typing import NDArray
 
 from imucald.core import compiled
 from imucald.core.arrays import Array
-from imucald.core.arrays import Array
 from imucald.motion.ticks import TICK_S
 
 Index = NDArray[np.int64]
