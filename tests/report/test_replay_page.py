@@ -186,6 +186,8 @@ def test_several_drives_have_a_page_each_in_a_folder_of_their_own(moved, tmp_pat
     arguments = ["replay", "--config", str(CONFIG), *map(str, logs), "--report", str(folder)]
     assert cli.main([*arguments, "--quiet"]) == 0
     assert sorted(file.parent.name for file in folder.glob("*/index.html")) == ["mon", "tue"]
+    index = (folder / "index.html").read_text()
+    assert [index.count(f'href="{log.stem}/index.html"') for log in logs] == [1, 1]
     for log in logs:
         page = Page((folder / log.stem / "index.html").read_text())
         assert any(log.name in text for text in page.texts)

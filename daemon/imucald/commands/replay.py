@@ -68,7 +68,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--report",
         type=Path,
         metavar="DIR",
-        help="write a page about the drive here, of several drives one in a folder each (needs "
+        help="write a page about the drive here, of several drives one in a folder each and an "
+        "index (needs "
         f"{how_to_install('report')})",
     )
     parser.add_argument("--strict", action="store_true", help="stop at the first bad line")
@@ -132,7 +133,7 @@ def _several(options: argparse.Namespace, config: Configuration, logs: Sequence[
     from imucald.core.errors import LogError
     from imucald.runtime.summary import as_json
 
-    drives, written, failed = [], list[Path](), False
+    drives, written, failed, folders = [], list[Path](), False, list[str]()
     places = zip(_paths(options.write, logs), _folders(options.report, logs), strict=True)
     for log, (path, folder) in zip(logs, places, strict=True):
         try:
@@ -150,8 +151,17 @@ def _several(options: argparse.Namespace, config: Configuration, logs: Sequence[
             continue
         failed = failed or is_unused(drive)
         drives.append(drive)
+        folders.append("" if folder is None else folder.name)
         written += files
     found = DriveSet(tuple(drives), notes_between(drives))
+    if options.report is not None and drives:
+        from imucald.commands.replay_report import write_index
+
+        file = write_index(
+            options.report, list(zip(folders, found.rows(), strict=True)), found.notes
+        )
+        if not options.quiet:
+            print(f"imucald: written: {file}", file=sys.stderr)
     if options.json:
         write_text(options.json, as_json(found.to_dict()))
     if options.json != STANDARD and not options.quiet:

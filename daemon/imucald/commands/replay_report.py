@@ -10,7 +10,10 @@ from typing import Any
 
 from imucald.commands.report_folder import about_now, check_report_folder, write_page
 from imucald.core.errors import ImucaldError
+from imucald.mount.estimate import ANGLES
+from imucald.mount.mount_words import CONVENTION, angle_text
 from imucald.report.drive_history import DriveHistory
+from imucald.report.page import environment
 from imucald.report.replay_page import replay_page
 
 
@@ -36,3 +39,19 @@ class ReplayReport:
         file = write_page(self._folder, replay_page(self.history, result, problems, about))
         if not options.quiet:
             print(f"imucald: written: {file}", file=sys.stderr)
+
+
+def write_index(
+    folder: Path, drives: Sequence[tuple[str, Mapping[str, Any]]], notes: Sequence[str]
+) -> Path:
+    """Write the page that leads to those of several drives: a row for each; return its path.
+
+    drives: name of the folder in `folder`, and row of `DriveSet.rows`. notes: between drives.
+    Raises ImucaldError where it cannot be written.
+    """
+    rows = [
+        (name, row, [angle_text(row[f"{a}_deg"], row[f"std_{a}_deg"]) for a in ANGLES])
+        for name, row in drives
+    ]
+    page = environment().get_template("drives.html")
+    return write_page(folder, page.render(rows=rows, notes=notes, convention=CONVENTION))

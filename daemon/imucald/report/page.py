@@ -103,6 +103,7 @@ def environment() -> Environment:
         "structure": words.structure_text,
         "breakable": _breakable,
         "with_contents": with_contents,
+        "duration": duration,
     }
     return environment
 
