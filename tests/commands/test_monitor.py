@@ -220,6 +220,7 @@ def test_a_reason_that_changes_within_a_state_is_an_event(status):
 def test_a_monitor_that_is_opened_late_begins_with_what_the_daemon_logged(status):
     events = LiveEvents()
     events.remember([{"at": 1.5e9, "level": "notice", "text": "usable at 70.4 s"}])
+    status["health"] |= {"speed_missing": True}  # since before: in the log
     events.update(status, 1.6e9)
     assert [(e.at, e.kind, e.text) for e in events.events] == [(1.5e9, "log", "usable at 70.4 s")]
 

@@ -97,6 +97,8 @@ class LiveEvents:
         alarms = frozenset(present_alarms(status))
         if self._state is None and not status["signals"]:
             alarms = frozenset()  # nothing has come yet: that is no news
+        if self._state is None and self._has_log:
+            self._alarms = alarms  # they are in the log
         for flag in sorted(alarms - self._alarms):
             self.events.append(LiveEvent(now, "alarm", ALARMS[flag]))
         for flag in sorted(self._alarms - alarms):
