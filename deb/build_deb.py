@@ -1,4 +1,4 @@
-"""Build a .deb for Debian 12: the daemon and the packages it needs, beside the system's Python.
+"""Build .debs for Debian 12: the daemon with the packages it needs, next to the system's Python.
 
     python deb/build_deb.py [--out DIR]
 
@@ -6,6 +6,9 @@ Debian's own numpy, python-can, cantools and msgspec are older than what imucald
 package brings those of the environment that builds it, in /usr/lib/imucald, where no other
 program finds them. They are compiled for one Python: run this with that of the target (3.11). The
 file is reproducible from one environment but for its time stamps.
+
+The second package, imucald-workbench, has the libraries of the commands that a vehicle has no use
+for (simulate, demo, diagnose, pages), which the first leaves out.
 """
 
 from __future__ import annotations
@@ -29,9 +32,10 @@ from imucald.core import compiled
 
 ROOT = Path(__file__).resolve().parents[1]
 LIBRARY = "usr/lib/imucald"
-LEFT_OUT = {"scipy"}
-"""Needed by `simulate` and `demo` only; larger than all the rest."""
+LEFT_OUT = frozenset({"scipy"})
+"""Larger than all the rest, and not for a vehicle: it is in the workbench."""
 EXTRAS = ("diagnostics",)
+WORKBENCH_EXTRAS = ("live", "report")
 UNWANTED = ("tests", "__pycache__", "include", "_pyinstaller")
 """Folders of packages that a daemon has no use for."""
 OWN_UNWANTED = ("kernels",)
@@ -57,6 +61,18 @@ Priority: optional
 Description: IMU calibration daemon on CAN
  Finds out how an inertial sensor sits in a vehicle, from what the CAN bus carries, and sends its
  signals corrected to vehicle axes. One service per interface: imucald@can0.
+"""
+WORKBENCH = """Package: imucald-workbench
+Version: {version}
+Architecture: {architecture}
+Maintainer: imucald <imucald@localhost>
+Installed-Size: {size}
+Depends: imucald (= {version})
+Section: net
+Priority: optional
+Description: libraries for imucald's commands at a desk
+ With them imucald simulates, demonstrates and diagnoses, and shows pages: simulate, demo, diagnose,
+ replay --report, monitor --web. A vehicle needs the package imucald alone.
 """
 POSTINST = """#!/bin/sh
 set -e
@@ -85,13 +101,15 @@ fi
 """
 
 
-def needed() -> list[importlib.metadata.Distribution]:
-    """The installed distributions that imucald needs, itself not among them."""
+def needed(
+    extras: tuple[str, ...] = EXTRAS, left_out: frozenset[str] = LEFT_OUT
+) -> list[importlib.metadata.Distribution]:
+    """The installed distributions that imucald needs with these extras, itself not among them."""
     found: dict[str, importlib.metadata.Distribution] = {}
-    open_names = list(_requirements("imucald", EXTRAS))
+    open_names = list(_requirements("imucald", extras))
     while open_names:
         name = open_names.pop()
-        if name in found or name in LEFT_OUT:
+        if name in found or name in left_out:
             continue
         found[name] = importlib.metadata.distribution(name)
         open_names += _requirements(name, ())
@@ -115,7 +133,18 @@ def copy_packages(target: Path) -> None:
     shutil.copytree(
         ROOT / "daemon/imucald", target / "imucald", ignore=shutil.ignore_patterns(*unwanted)
     )
-    for distribution in needed():
+    _copy(needed(), target)
+
+
+def copy_workbench(target: Path) -> None:
+    """Copy what `copy_packages` leaves out of what the commands at a desk need."""
+    there = {distribution.name for distribution in needed()}
+    more = needed((*EXTRAS, *WORKBENCH_EXTRAS), frozenset())
+    _copy([distribution for distribution in more if distribution.name not in there], target)
+
+
+def _copy(distributions: list[importlib.metadata.Distribution], target: Path) -> None:
+    for distribution in distributions:
         for file in distribution.files or ():
             if ".." in file.parts or any(part in UNWANTED for part in file.parts):
                 continue
@@ -130,8 +159,8 @@ def copy_packages(target: Path) -> None:
         print("note: some files of the packages are not for this Python", file=sys.stderr)
 
 
-def build(out: Path) -> Path:
-    """Make the package; return its path."""
+def build(out: Path) -> list[Path]:
+    """Make both packages; return their paths."""
     version = re.search(r'__version__ = "(.+)"', (ROOT / "daemon/imucald/__init__.py").read_text())
     assert version is not None
     architecture = subprocess.run(
@@ -146,18 +175,32 @@ def build(out: Path) -> Path:
         help_files.write(tree / "usr")
         _write(tree / "usr/bin/imucald", LAUNCHER)
         (tree / "etc/imucald").mkdir(parents=True)
-        size = sum(path.stat().st_size for path in tree.rglob("*") if path.is_file()) // 1024
         major, minor = sys.version_info[:2]
-        fields = {"version": version[1], "architecture": architecture, "size": size}
+        fields = {"version": version[1], "architecture": architecture}
         fields |= {"low": f"{major}.{minor}", "high": f"{major}.{minor + 1}"}
         (tree / "DEBIAN").mkdir()
-        (tree / "DEBIAN/control").write_text(CONTROL.format(**fields))
         for name, text in (("postinst", POSTINST), ("prerm", PRERM), ("postrm", POSTRM)):
             _write(tree / "DEBIAN" / name, text)
+        workbench = Path(folder) / "workbench"
+        copy_workbench(workbench / LIBRARY)
+        (workbench / "DEBIAN").mkdir()
         out.mkdir(parents=True, exist_ok=True)
-        package = out / f"imucald_{version[1]}_{architecture}.deb"
-        command = ["dpkg-deb", "--root-owner-group", "-Zgzip", "--build", str(tree), str(package)]
-        subprocess.run(command, check=True, stdout=subprocess.DEVNULL)
+        return [
+            _packed(tree, CONTROL, fields, out / f"imucald_{version[1]}_{architecture}.deb"),
+            _packed(
+                workbench,
+                WORKBENCH,
+                fields,
+                out / f"imucald-workbench_{version[1]}_{architecture}.deb",
+            ),
+        ]
+
+
+def _packed(tree: Path, control: str, fields: dict[str, str], package: Path) -> Path:
+    size = sum(path.stat().st_size for path in tree.rglob("*") if path.is_file()) // 1024
+    (tree / "DEBIAN/control").write_text(control.format(**fields, size=size))
+    command = ["dpkg-deb", "--root-owner-group", "-Zgzip", "--build", str(tree), str(package)]
+    subprocess.run(command, check=True, stdout=subprocess.DEVNULL)
     return package
 
 
@@ -175,4 +218,4 @@ if __name__ == "__main__":
     if options.packages_only is not None:
         copy_packages(options.packages_only)
     else:
-        print(build(options.out))
+        print(*build(options.out), sep="\n")

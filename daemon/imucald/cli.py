@@ -272,7 +272,7 @@ def _done(argv: Sequence[str] | None) -> int:
         library = (error.name or "").partition(".")[0]
         if library not in LARGE_LIBRARIES:
             raise
-        text = f"needs {library}, which is not installed here (the .deb leaves it out)"
+        text = f"needs {library}, which is not installed here (the .deb imucald-workbench has it)"
         print(f"imucald: {options.command} {text}", file=sys.stderr)
         return 1
     except BrokenPipeError:

@@ -49,7 +49,7 @@ def package(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("deb")
     build = [sys.executable, str(ROOT / "deb/build_deb.py"), "--out", str(folder)]
     subprocess.run(build, check=True, capture_output=True)
-    (made,) = folder.glob("*.deb")
+    (made,) = folder.glob("imucald_*.deb")
     return made
 
 
