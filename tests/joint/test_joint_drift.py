@@ -183,3 +183,25 @@ def test_no_value_is_good_while_a_drifting_zero_has_made_it_wrong(axis: int, rat
         assert joint.state not in GOOD or off < WRONG, off
     assert was_good
     assert StandingFault.ACCEL_DRIFT in joint.estimate().faults
+
+
+def test_a_zero_of_the_rate_that_was_guessed_badly_is_no_drift() -> None:
+    """In the bends of a car park the guess from driving is off by some degrees a second."""
+    evidence, off, odds = Evidence(LEVEL_ROADS), ROTATION.T @ np.array([0.0, 0.0, 0.1]), []
+    for b in blocks(6.0, Sensor()):
+        evidence.add(b._replace(rate=b.rate + off))
+        evidence.solve_when_due()
+        odds.append(evidence.drift.log_odds)
+    assert max(odds) < -3.0
+
+
+def test_a_tilt_that_lost_samples_hide_within_a_block_is_no_drift() -> None:
+    """The vehicle rolls while nothing comes; the samples before the hole know nothing of it."""
+    across, tilt, made = ROTATION.T @ np.array([0.0, 0.35, 0.0]), 0.0, blocks(8.0, Sensor())
+    for k, b in enumerate(made):
+        tilts, use = np.full(64, tilt), np.ones(64, dtype=bool)
+        if k > 40 and k % 4 == 0:
+            tilt = 1.0 - tilt
+            tilts[31:], use[29:33] = tilt, False
+        made[k] = b._replace(force=b.force + tilts[:, None] * across, use=use)
+    assert max(held(made[:n]).drift.log_odds for n in (46, 54, 62, 70)) < -3.0

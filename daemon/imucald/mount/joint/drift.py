@@ -22,6 +22,7 @@ passes A once in A onsets at most (Pollak, Ann. Statistics 13, 1985).
 from __future__ import annotations
 
 import math
+from itertools import pairwise
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -29,6 +30,7 @@ from numpy.typing import NDArray
 
 from imucald.core.arrays import Array, inverse, solved
 from imucald.core.samples import GRAVITY
+from imucald.motion.standstill import MAX_GYRO_BIAS
 from imucald.motion.ticks import TICK_S
 from imucald.mount.joint.state import SLOPE, SLOPE_M
 
@@ -51,7 +53,7 @@ NAMED = 0.3
 _LOG_ONSETS = math.log(FALSE_ALARM_H * 3600.0 / (ONSET_BLOCKS * STEPS * STEP_S))
 _ONE, _AXES = np.eye(3), np.arange(3)
 _UNTIL = np.vstack([np.tril(np.ones((STEPS, STEPS)), -1) + 0.5 * np.eye(STEPS), np.ones(STEPS)])
-"""Shares of the steps that have passed in the middle of each, and at the end of the block."""
+"""Shares of the steps that have passed in the middle of each, and at the end."""
 
 
 class Drifts(NamedTuple):
@@ -65,8 +67,9 @@ class Drifts(NamedTuple):
     zero_walk: float = 3e-4
     """[m/s^2 a root second], 0.007 m/s^2 in 10 min, as 0.07 mg/K and a warm-up by 10 K make it
     (assumption): more is a drift, and in the deviation as such."""
-    rate_zero: float = 0.005
-    """Zero of the rate before a rest [rad/s]."""
+    rate_zero: float = MAX_GYRO_BIAS
+    """Zero of the rate before a rest [rad/s]: it is guessed from driving, and in the bends of a car
+    park that guess was off by 6 deg/s (css_canmod_164, which was looked at for it)."""
     rate_zero_walk: float = 5e-5
     """[rad/s a root second], 0.03 deg/s in 100 s: a phone warms up so (vehsense_2018_08_04, which
     was looked at for it and judges nothing here)."""
@@ -133,8 +136,8 @@ NONE = Drift(-math.inf, np.zeros(3), np.zeros((3, 3)))
 
 
 class _Path(NamedTuple):
-    """The level vertical in the middles of the steps of a block, and at its end: (STEPS + 1, 2),
-    and its slopes (STEPS + 1, 2, STATES) by the state at the start."""
+    """The level vertical in the middles of n steps, and at their end: (n + 1, 2), and its slopes
+    (n + 1, 2, STATES) by the state at the start."""
 
     up: Array
     slopes: Array
@@ -160,7 +163,7 @@ class ZeroDrift:
         self._covariance = np.diag(std**2)
         walk = np.zeros(STATES)
         walk[UP], walk[RATE_ZERO], walk[ZERO] = d.up_walk, d.rate_zero_walk, d.zero_walk
-        self._walk = STEPS * STEP_S * walk**2
+        self._walk = STEP_S * walk**2
         self._noise = np.full(3, d.noise**2)
         self._taken: Array | None = None
         self._steps = self._blocks = 0
@@ -182,7 +185,8 @@ class ZeroDrift:
     def add(
         self, left: Array, rate: Array, speed: Array, accel: Array, use: Flags, rate_zero: Array
     ) -> None:
-        """Take a block of N = 64 ticks in the working axes; its random walks come at its start.
+        """Take a block of N = 64 ticks in the working axes, in parts: random walks come at the
+        start of one, and what ticks that are not to be used hide has to be there before the rest.
 
         left: (N, 3) force less motion. rate: (N, 3), from which rate_zero (3,) has been taken.
         speed, accel, use: (N,).
@@ -194,15 +198,19 @@ class ZeroDrift:
             self._mean[RATE_ZERO] -= rate_zero - self._taken
         self._taken = rate_zero
         used = use.reshape(STEPS, STEP).sum(axis=1)
-        P = self._covariance = 0.5 * (self._covariance + self._covariance.T)
-        diagonal = P.ravel()[:: STATES + 1]
-        diagonal += self._walk
-        diagonal[UP] += self._drifts.lost**2 * float(np.square(STEP - used).sum())
         means = _means(left, rate[:, 2], speed, accel, use, used)
-        path = self._path(rate.reshape(STEPS, STEP, 3).sum(axis=1) * TICK_S)
-        held = np.flatnonzero(used >= STEP // 2)
-        self._take(path, means, held, float(np.abs(speed) @ use) * TICK_S)
-        self._steps += STEPS
+        turns = rate.reshape(STEPS, STEP, 3).sum(axis=1) * TICK_S
+        passed = (np.abs(speed) * use).reshape(STEPS, STEP).sum(axis=1) * TICK_S
+        cuts = [0, *(k for k in np.flatnonzero(used < STEP).tolist() if k), STEPS]
+        for first, stop in pairwise(cuts):
+            P = self._covariance = 0.5 * (self._covariance + self._covariance.T)
+            diagonal = P.ravel()[:: STATES + 1]
+            diagonal += (stop - first) * self._walk
+            diagonal[UP] += (self._drifts.lost * (STEP - used[first])) ** 2
+            held = np.flatnonzero(used[first:stop] >= STEP // 2)
+            path = self._path(turns[first:stop])
+            self._take(path, means[first:stop], held, float(passed[first:stop].sum()))
+            self._steps += stop - first
 
     def found(self) -> Drift:
         """The present knowledge of a drift: how probable it is, and how large."""
@@ -263,16 +271,17 @@ class ZeroDrift:
     # the filter ----------------------------------------------------------------------------------
 
     def _path(self, turns: Array) -> _Path:
-        """The vertical over a block, in whose steps the vehicle turned by (STEPS, 3) [rad]."""
-        x = self._mean
+        """The vertical over steps in which the vehicle turned by (n, 3) [rad]."""
+        x, n = self._mean, len(turns)
+        until = _UNTIL[[*range(n), STEPS], :n]
         p, q, r = (turns - x[RATE_ZERO] * STEP_S).T
-        theta = _UNTIL @ r
+        theta = until @ r
         back = np.exp(-1j * theta)
         tilts = 1j * back[:-1].conj()  # of a step by one, in the axes of the block's start
         start, gyro = complex(*x[UP]), complex(*x[GYRO])
         tilted = tilts * (p + 1j * q - gyro * r)
-        turned = 1j * STEP_S * (start + _UNTIL[:-1] @ tilted)
-        made = _UNTIL @ np.array([tilted, -STEP_S * tilts, -tilts * r, turned]).T
+        turned = 1j * STEP_S * (start + until[:-1] @ tilted)
+        made = until @ np.array([tilted, -STEP_S * tilts, -tilts * r, turned]).T
         made[:, 0] += start
         made *= back[:, None]
         slopes = np.zeros((len(theta), 2, STATES))
@@ -283,9 +292,9 @@ class ZeroDrift:
         return _Path(np.array([made[:, 0].real, made[:, 0].imag]).T, slopes)
 
     def _take(self, path: _Path, means: Array, held: NDArray[np.int_], passed: float) -> None:
-        """Hold the state against the means (STEPS, 8) of the force in the steps `held`, and the
-        vertical at the end of the block against the slopes of roads over so many metres; then
-        carry it over the block."""
+        """Hold the state against the means (n, 8) of the force in the steps `held`, and the
+        vertical at the end of the last against the slopes of roads over so many metres; then
+        carry it over the steps."""
         n, end = 3 * len(held), path.slopes[-1]
         rows = n + 2 if passed > 0.0 else n
         H, off, noise = np.zeros((rows, STATES)), np.zeros(rows), np.zeros(rows)
