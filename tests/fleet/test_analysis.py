@@ -77,13 +77,15 @@ def test_a_remount_is_found_between_the_right_drives() -> None:
     def offset(v: int, d: int) -> tuple[float, float, float]:
         return (0.0, 2.0, 0.0) if v == 7 and d >= 3 else (0.0, 0.0, 0.0)
 
-    tables = analysed(columns_of(offset=offset))
+    usable_at_last = {"state": lambda _, d: "usable" if d == 4 else "fine"}
+    tables = analysed(columns_of(offset=offset, **usable_at_last))
     (row,) = found(tables, "remounts")
     assert (row["vehicle"], row["before_log_key"], row["after_log_key"]) == ("v0007", "7-2", "7-3")
     assert row["d_y_deg"] == pytest.approx(2.0, abs=0.6)
     assert row["p"] < row["q"] < 0.05
     segments = [s for s in tables["analysis/segments"] if s["vehicle"] == "v0007"]
     assert [s["drives"] for s in segments] == [3, 2]
+    assert [s["last_state"] for s in segments] == ["fine", "usable"]
     (vehicle,) = [v for v in tables["analysis/vehicles"] if v["vehicle"] == "v0007"]
     assert vehicle["segments"] == 2
     assert vehicle["weight_y"] == 1.0, "a sensor that was moved is not shrunk to its type"

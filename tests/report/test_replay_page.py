@@ -64,6 +64,18 @@ def test_the_page_is_whole_and_needs_no_network(page):
 
 
 @pytest.mark.slow
+def test_the_angles_by_time_can_be_read_off_their_axes(page):
+    text, result = page
+    (picture,) = (svg for svg in Page(text).pictures if "roll [deg]" in svg)
+    words = [word.strip() for word in Page(picture).texts if word.strip()]
+    for k, name in enumerate(("roll", "pitch", "yaw")):
+        label = words.index(f"{name} [deg]")
+        before = words[label - 9 : label]
+        ticks = [float(t.replace("\u2212", "-")) for t in before if re.fullmatch(r"[\u2212.\d]+", t)]
+        assert min(ticks) <= result["mount"][f"{name}_deg"] <= max(ticks), (k, ticks)
+
+
+@pytest.mark.slow
 def test_the_page_names_what_was_not_learnt_from(moved, tmp_path):
     lines = moved[1].read_text("utf-8").splitlines(keepends=True)
     times = [float(line[1 : line.index(")")]) for line in lines]

@@ -96,8 +96,8 @@ def _mounts(rows: Sequence[dict[str, Any]]) -> Table:
     from rich.table import Table
 
     table = Table(box=None, pad_edge=False)
-    for title in ("vehicle", "drives", *ANGLES, "since", "moves found"):
-        is_text = title in ("vehicle", "since")
+    for title in ("vehicle", "drives", *ANGLES, "state", "since", "moves found"):
+        is_text = title in ("vehicle", "state", "since")
         table.add_column(title, justify="left" if is_text else "right", overflow="fold")
     for row in rows:
         start = row["start"]
@@ -105,6 +105,7 @@ def _mounts(rows: Sequence[dict[str, Any]]) -> Table:
             row["vehicle"],
             str(row["all_drives"]),
             *(_angle(row[f"{angle}_deg"], row[f"ci95_{angle}_deg"]) for angle in ANGLES),
+            row["last_state"] or "",
             f"{start:%Y-%m-%d %H:%M}" if start else row["first_log_key"],
             str(row["moves"]),
         )

@@ -75,6 +75,7 @@ ANALYSIS: Final[dict[str, tuple[Column, ...]]] = {
         Column("drives", "integer", "", "of the segment"),
         *_MOUNT,
         *_CI95_OF_ANGLES,
+        *texts(last_state="state at the end of its last drive"),
     ),
     "analysis/remounts": (
         *texts(

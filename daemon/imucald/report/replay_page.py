@@ -80,7 +80,6 @@ def replay_page(
             quaternion=_quaternion(result["mount"]),
             sent=sent_words(result.get("correction")),
             convention=ABOUT,
-            rotation_is_judged=last is None or last.judged_as is None,
             mount_picture=draw.mount_picture(history, events) if history.moments else "",
             events=[(e.number, clock(e.event.t), e.event.kind, e.event.text) for e in events],
             stretch=beside.stretch_picture(motion) if rows.any() else "",

@@ -11,9 +11,8 @@ from matplotlib.ticker import MaxNLocator
 
 from imucald.core.angles import DEG_PER_RAD
 from imucald.core.arrays import Array
-from imucald.core.rotations import vector_from_rotation
-from imucald.mount.estimate import MountState
-from imucald.mount.mount_words import EVIDENCE_KINDS, SD_95, VEHICLE_AXES
+from imucald.mount.estimate import ANGLES, MountState
+from imucald.mount.mount_words import EVIDENCE_KINDS, SD_95
 from imucald.report.drive_history import DriveHistory, Moment
 from imucald.report.svg_figures import drawn
 from imucald.report.themed_figures import (
@@ -23,7 +22,6 @@ from imucald.report.themed_figures import (
     SOFT,
     STATE_COLOURS,
     STYLE,
-    TRUTH,
     themed,
     time_axis,
 )
@@ -60,7 +58,7 @@ class Numbered:
 
 
 def mount_picture(history: DriveHistory, events: Sequence[Numbered]) -> str:
-    """The mount against time: each axis, turned from where it ends, with its 95 % interval."""
+    """Roll, pitch and yaw of the mount against time with their 95 % intervals."""
     known = [m for m in history.moments if m.estimate.R_vehicle_from_sensor is not None]
 
     def draw(figure: Figure) -> None:
@@ -68,8 +66,8 @@ def mount_picture(history: DriveHistory, events: Sequence[Numbered]) -> str:
             4, 1, sharex=True, gridspec_kw={"height_ratios": [0.22, 1.0, 1.0, 1.0]}
         )
         _draw_states(parts[0], history, events)
-        for axes, axis in zip(parts[1:], range(3), strict=True):
-            _draw_angle(axes, known, axis, events)
+        for axes, angle in zip(parts[1:], range(3), strict=True):
+            _draw_angle(axes, known, angle, events)
         time_axis(parts[-1], history.duration_s)
 
     return themed(drawn(draw, WIDE, STYLE))
@@ -117,38 +115,33 @@ def _stretches(history: DriveHistory) -> list[tuple[MountState, float, float]]:
 
 
 def _draw_angle(
-    axes: Axes, moments: Sequence[Moment], axis: int, events: Sequence[Numbered]
+    axes: Axes, moments: Sequence[Moment], angle: int, events: Sequence[Numbered]
 ) -> None:
-    rows = [(m.t, *_off_the_end(m, moments[-1], axis)) for m in moments]
-    table = np.array(rows).reshape(len(rows), 3)
-    t, off, half = table.T
+    table = np.array([(m.t, *_angle(m, angle)) for m in moments]).reshape(len(moments), 3)
+    t, value, half = table.T
     known = half < SD_95 * DEG_PER_RAD
-    off, half = np.where(known, off, np.nan), np.where(known, half, np.nan)
+    half = np.where(known, half, np.nan)
+    end = value[-1] if len(value) else np.nan
+    off = np.where(known, (value - end + 180.0) % 360.0 - 180.0, np.nan)
     size = _size(off, half)
-    axes.fill_between(t, off - half, off + half, color=OURS, alpha=0.22, lw=0)
-    axes.plot(t, off, color=OURS, lw=1.4)
-    axes.axhline(0.0, color=SOFT, lw=0.6)
-    last = moments[-1].estimate if moments else None
-    if last is not None and last.targets is not None and last.judged_as is None:
-        fine = SD_95 * last.targets.fine[axis] * DEG_PER_RAD
-        for edge in (-fine, fine):
-            axes.axhline(edge, color=TRUTH, lw=0.9, ls=(0, (4, 3)))
+    axes.fill_between(t, end + off - half, end + off + half, color=OURS, alpha=0.22, lw=0)
+    axes.plot(t, end + off, color=OURS, lw=1.4)
     for mark in events[:MAX_MARKS]:
         axes.axvline(mark.event.t, color=SOFT, lw=0.7, ls=(0, (1, 2)))
-    axes.set_ylim(-size, size)
-    axes.set_ylabel(f"{VEHICLE_AXES[axis]} [deg]")
+    if np.isfinite(end):
+        axes.axhline(end, color=SOFT, lw=0.6)
+        axes.set_ylim(end - size, end + size)
+    axes.set_ylabel(f"{ANGLES[angle]} [deg]")
     axes.yaxis.set_major_locator(MaxNLocator(5))
+    axes.ticklabel_format(axis="y", useOffset=False)
 
 
-def _off_the_end(moment: Moment, last: Moment, axis: int) -> tuple[float, float]:
-    """How far an estimate is turned from the last one about a vehicle axis, and ± 95 % [deg]."""
-    R, end = moment.estimate.R_vehicle_from_sensor, last.estimate.R_vehicle_from_sensor
-    std = moment.estimate.std
-    if R is None or end is None or std is None:
+def _angle(moment: Moment, angle: int) -> tuple[float, float]:
+    """An angle of the mount, and half of its 95 % interval [deg]."""
+    angles, std = moment.estimate.angles, moment.estimate.angle_std
+    if angles is None or std is None:
         return np.nan, np.inf
-    return float(vector_from_rotation(R @ end.T)[axis]) * DEG_PER_RAD, SD_95 * std[
-        axis
-    ] * DEG_PER_RAD
+    return angles[angle] * DEG_PER_RAD, SD_95 * std[angle] * DEG_PER_RAD
 
 
 def _size(off: Array, half: Array) -> float:
@@ -157,7 +150,7 @@ def _size(off: Array, half: Array) -> float:
     edge = np.abs(off[late]) + half[late]
     if not np.isfinite(edge).any():
         return LARGEST_DEG
-    return float(min(max(1.15 * np.nanmax(edge), 1.5 * half[-1]), LARGEST_DEG))
+    return float(min(max(1.15 * np.nanmax(edge), 1.5 * np.nan_to_num(half[-1])), LARGEST_DEG))
 
 
 def arrivals_picture(history: DriveHistory) -> str:

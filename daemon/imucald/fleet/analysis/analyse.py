@@ -181,6 +181,7 @@ def _segment_rows(columns: Columns, drives: KnownDrives, segments: Segments) -> 
             "end": columns["end"][last],
             "first_log_key": columns["log_key"][first],
             "last_log_key": columns["log_key"][last],
+            "last_state": columns["state"][last],
             "drives": int(segments.last[i] - segments.first[i] + 1),
             **mount,
         })  # fmt: skip
