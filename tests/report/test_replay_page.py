@@ -68,11 +68,11 @@ def test_the_angles_by_time_can_be_read_off_their_axes(page):
     text, result = page
     (picture,) = (svg for svg in Page(text).pictures if "roll [deg]" in svg)
     words = [word.strip() for word in Page(picture).texts if word.strip()]
-    for k, name in enumerate(("roll", "pitch", "yaw")):
+    for name in ("roll", "pitch", "yaw"):
         label = words.index(f"{name} [deg]")
-        before = words[label - 9 : label]
-        ticks = [float(t.replace("\u2212", "-")) for t in before if re.fullmatch(r"[\u2212.\d]+", t)]
-        assert min(ticks) <= result["mount"][f"{name}_deg"] <= max(ticks), (k, ticks)
+        texts = (word.replace("\N{MINUS SIGN}", "-") for word in words[label - 9 : label])
+        ticks = [float(text) for text in texts if re.fullmatch(r"[-.\d]+", text)]
+        assert min(ticks) <= result["mount"][f"{name}_deg"] <= max(ticks), ticks
 
 
 @pytest.mark.slow
