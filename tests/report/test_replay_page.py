@@ -70,8 +70,8 @@ def test_the_angles_by_time_can_be_read_off_their_axes(page):
     words = [word.strip() for word in Page(picture).texts if word.strip()]
     for name in ("roll", "pitch", "yaw"):
         label = words.index(f"{name} [deg]")
-        texts = (word.replace("\N{MINUS SIGN}", "-") for word in words[label - 9 : label])
-        ticks = [float(text) for text in texts if re.fullmatch(r"[-.\d]+", text)]
+        texts = (word.replace("\N{MINUS SIGN}", "-") for word in words[label - 5 : label])
+        ticks = [float(text) for text in texts if re.fullmatch(r"-?[.\d]+", text)]
         assert min(ticks) <= result["mount"][f"{name}_deg"] <= max(ticks), ticks
 
 
