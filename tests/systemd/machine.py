@@ -20,6 +20,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from guarded import Guarded
+from uml import on_any_processor
 
 SUITE = "bookworm"
 PACKAGES = (
@@ -181,7 +182,7 @@ def _boot(root: Path, exchange: Path, limit: float) -> str:
         *(f"systemd.mask={unit}" for unit in UNWANTED_UNITS),
     ]
     console = exchange / "console"
-    machine = Guarded(command, console)
+    machine = Guarded(on_any_processor(command, exchange), console)
     machine.wait(limit)
     machine.end()
     return console.read_text(errors="replace")

@@ -24,6 +24,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from guarded import Guarded
+from uml import on_any_processor
 
 REPORTS_VARIABLE = "IMUCALD_VCAN_REPORTS"  # set inside: the file to which reports are written
 REQUIRE_VARIABLE = "IMUCALD_REQUIRE_VCAN"  # set to 1 by CI: a missing ground is a failure
@@ -120,7 +121,7 @@ def start_inner_pytest(ground: Ground, root: Path, folder: Path, ids: Sequence[s
 def _command(ground: Ground, script: Path, folder: Path) -> list[str]:
     if ground.prefix is not None:
         return [*ground.prefix, str(script)]
-    return [
+    kernel = [
         str(which("linux.uml")),
         f"mem={UML_MEMORY}",
         "rootfstype=hostfs",
@@ -132,6 +133,7 @@ def _command(ground: Ground, script: Path, folder: Path) -> list[str]:
         "con0=fd:0,fd:1",
         "quiet",
     ]
+    return on_any_processor(kernel, folder)
 
 
 def _inner_script(ground: Ground, root: Path, folder: Path) -> str:
