@@ -21,9 +21,9 @@ import numpy as np
 
 from imucald.can.columns import FrameColumns, concatenate
 from imucald.runtime.session import make_engine, open_config
+from imucald.service.parts import ServiceOptions
 from imucald.service.running_status import process_figures
 from imucald.service.service import Service
-from imucald.service.service_options import ServiceOptions
 from imucald.simulation import random_model, simulate
 from imucald.traffic.can_log import bus_frames
 from imucald.traffic.drive_encoder import BusEncoder

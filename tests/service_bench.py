@@ -12,8 +12,8 @@ import shuttle
 from imucald.can.logs.log_reader import LogReader
 from imucald.service.journal import Journal
 from imucald.service.notify import Notifier
+from imucald.service.parts import ServiceOptions
 from imucald.service.service import Service
-from imucald.service.service_options import ServiceOptions
 from threads import in_a_thread
 
 CHANNELS = itertools.count()

@@ -96,3 +96,14 @@ def test_cantools_can_be_had_whole_after_a_database_was_read():
         f"Tester {file}",
         str(len(messages)),
     ]
+
+
+def test_metrics_of_daemons_are_collected_without_numpy(tmp_path):
+    code = (
+        "import sys; from imucald.cli import main; main(sys.argv[1:]);"
+        "sys.exit('numpy' in sys.modules)"
+    )
+    command = [sys.executable, "-c", code, "metrics", "--textfile", str(tmp_path / "m.prom")]
+    process = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert process.returncode == 0, process.stderr
+    assert (tmp_path / "m.prom").exists(), "its unit refuses system calls that numpy makes"

@@ -19,8 +19,8 @@ import shuttle
 from imucald.can.logs.log_reader import LogReader
 from imucald.can.python_can import can  # before isotp, which would import all of it
 from imucald.service.journal import Journal
+from imucald.service.parts import ServiceOptions
 from imucald.service.service import Service
-from imucald.service.service_options import ServiceOptions
 
 import isotp  # isort: skip
 import udsoncan  # isort: skip

@@ -27,8 +27,8 @@ from imucald.mount.contradictions import WORDS, StandingFault
 from imucald.mount.estimate import ANGLES
 from imucald.runtime.flow import flow
 from imucald.service.journal import Journal
+from imucald.service.parts import ServiceOptions
 from imucald.service.service import Service
-from imucald.service.service_options import ServiceOptions
 from imucald.service.status import COLUMNS
 from simulated_bus import CONFIG
 

@@ -13,8 +13,8 @@ import pytest
 
 from imucald.cli import main
 from imucald.service.journal import Journal
+from imucald.service.parts import ServiceOptions
 from imucald.service.service import Service
-from imucald.service.service_options import ServiceOptions
 from imucald.service.status import StatusServer
 from simulated_bus import CONFIG
 

@@ -52,8 +52,8 @@ from imucald.service.attempt_store import AttemptStore
 from imucald.service.control import ControlServer
 from imucald.service.journal import Journal
 from imucald.service.line_server import Peer
+from imucald.service.parts import ServiceOptions
 from imucald.service.service import Service
-from imucald.service.service_options import ServiceOptions
 from imucald.service.status import StatusServer
 from imucald.uds.isotp_channel import IsoTpChannel
 from log_text import frames_of

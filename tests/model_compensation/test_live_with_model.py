@@ -22,8 +22,8 @@ from imucald.mount.restored import RestoredEstimator
 from imucald.runtime.session import make_engine, open_config
 from imucald.service.journal import Journal
 from imucald.service.live import Daemon, open_link
+from imucald.service.parts import ServiceOptions
 from imucald.service.service import Service
-from imucald.service.service_options import ServiceOptions
 from simulated_bus import CONFIG, drive, drive_frames
 
 CHANNELS = itertools.count()

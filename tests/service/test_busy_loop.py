@@ -18,8 +18,8 @@ from imucald.service.asking import ask
 from imucald.service.journal import Journal
 from imucald.service.line_server import BACKLOG
 from imucald.service.notify import Notifier
+from imucald.service.parts import ServiceOptions
 from imucald.service.service import Service
-from imucald.service.service_options import ServiceOptions
 from imucald.service.status import StatusServer
 
 LEVEL = bytes.fromhex("0000000027130000")

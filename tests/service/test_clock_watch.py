@@ -6,8 +6,8 @@ import pytest
 
 import shuttle
 from imucald.service.live import ClockWatch
+from imucald.service.parts import ServiceOptions
 from imucald.service.service import Service
-from imucald.service.service_options import ServiceOptions
 
 
 class Clocks:

@@ -22,10 +22,10 @@ AS_USER = (
 )
 AS_ROOT = """
 import os, pathlib, sys
-import imucald.service.status
+import imucald.service.asking
 
 os.geteuid = lambda: 0
-imucald.service.status.RUNNING = pathlib.Path(sys.argv.pop(1))
+imucald.service.asking.RUNNING = pathlib.Path(sys.argv.pop(1))
 from imucald.cli import main
 sys.exit(main())
 """

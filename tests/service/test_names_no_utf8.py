@@ -20,8 +20,8 @@ from imucald.service.exposition import gathered
 from imucald.service.journal import Journal
 from imucald.service.line_server import LineServer
 from imucald.service.notify import Notifier
+from imucald.service.parts import ServiceOptions
 from imucald.service.service import Service
-from imucald.service.service_options import ServiceOptions
 from imucald.service.status import StatusServer
 from service_bench import Bench, running
 

@@ -10,7 +10,7 @@ import pytest
 
 from imucald.runtime.session import make_engine
 from imucald.service.asking import ask
-from imucald.service.status import COLUMNS, KEPT, RecentHistory
+from imucald.service.recent_history import COLUMNS, KEPT, RecentHistory
 from service_bench import Bench, running
 from simulated_bus import EPOCH, drive, drive_frames, loaded
 

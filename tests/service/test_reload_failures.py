@@ -17,9 +17,9 @@ from imucald.service import parts as parts_module
 from imucald.service.calibration_store import CalibrationStore
 from imucald.service.journal import Journal
 from imucald.service.notify import Notifier
+from imucald.service.parts import ServiceOptions
 from imucald.service.reloading import LONG_S, Reloading
 from imucald.service.service import Service
-from imucald.service.service_options import ServiceOptions
 
 OTHER_VEHICLE = "vehicle: {id: another}\ndatabase:"
 

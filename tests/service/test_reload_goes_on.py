@@ -15,8 +15,8 @@ from imucald.can.dbc.decode import compile_decode
 from imucald.can.logs.log_reader import LogReader
 from imucald.runtime.output.output_frames import output_database
 from imucald.service.journal import Journal
+from imucald.service.parts import ServiceOptions
 from imucald.service.service import Service
-from imucald.service.service_options import ServiceOptions
 
 GYROSCOPE, SPEED, CORRECTED_RATE, CORRECTED_FORCE = 0x201, 0x202, 0x641, 0x640
 RATE = compile_decode(output_database().message("IMUCALD_AngularRate"), ["Quality"])

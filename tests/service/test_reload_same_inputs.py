@@ -16,8 +16,8 @@ from imucald.mount.estimator import FullEstimator
 from imucald.mount.mount_in_force import without_stored
 from imucald.runtime.output.output_frames import output_database
 from imucald.service.journal import Journal
+from imucald.service.parts import ServiceOptions
 from imucald.service.service import Service
-from imucald.service.service_options import ServiceOptions
 from service_bench import Bench
 
 Frame = tuple[float, int, bytes]

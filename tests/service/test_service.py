@@ -23,13 +23,13 @@ from imucald.can.logs.log_reader import LogReader
 from imucald.commands.status import find_socket
 from imucald.core.errors import LinkError
 from imucald.mount.restored import RestoredEstimator
-from imucald.service.asking import ask
+from imucald.service.asking import ask, default_socket
 from imucald.service.journal import Journal
 from imucald.service.line_server import KEPT_FOR_OWNER
 from imucald.service.notify import Notifier
+from imucald.service.parts import ServiceOptions
 from imucald.service.service import Service
-from imucald.service.service_options import ServiceOptions
-from imucald.service.status import StatusServer, default_socket
+from imucald.service.status import StatusServer
 from service_bench import Bench, running
 
 ACCEL = bytes.fromhex("0000000027130000")

@@ -16,9 +16,9 @@ import pytest
 
 import shuttle
 from imucald.can.logs.log_reader import LogReader
+from imucald.service.parts import ServiceOptions
 from imucald.service.running_status import process_figures
 from imucald.service.service import Service
-from imucald.service.service_options import ServiceOptions
 
 pytestmark = pytest.mark.slow
 

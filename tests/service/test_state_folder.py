@@ -21,8 +21,8 @@ from imucald.core import files
 from imucald.core.errors import ImucaldError
 from imucald.core.files import free_name, write_file
 from imucald.service.calibration_store import CalibrationStore
+from imucald.service.parts import ServiceOptions
 from imucald.service.service import Service
-from imucald.service.service_options import ServiceOptions
 from imucald.service.state_file import (
     MAGIC,
     VERSION,

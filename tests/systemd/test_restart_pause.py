@@ -16,8 +16,8 @@ import shuttle
 from imucald import cli
 from imucald.can.link.link import Frame
 from imucald.service.notify import StartCount, start_count_file
+from imucald.service.parts import ServiceOptions
 from imucald.service.service import Service
-from imucald.service.service_options import ServiceOptions
 from paths import ROOT
 
 UNIT = ROOT / "systemd" / "imucald@.service"

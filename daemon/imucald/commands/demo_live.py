@@ -30,8 +30,8 @@ from imucald.core.errors import ConfigError, LinkError
 from imucald.core.orientation_words import sits_words
 from imucald.core.rotations import rotation_from_angles
 from imucald.service.journal import Journal
+from imucald.service.parts import ServiceOptions
 from imucald.service.service import Service
-from imucald.service.service_options import ServiceOptions
 
 START_S = 10.0
 """The daemon's socket must answer within this time [s]."""

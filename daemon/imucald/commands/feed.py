@@ -140,7 +140,7 @@ def run(options: argparse.Namespace) -> int:
 def _socket(options: argparse.Namespace) -> Path:
     """The status socket that is meant; one of a named channel may come later."""
     from imucald.commands.status import find_socket, running_sockets
-    from imucald.service.status import running_socket
+    from imucald.service.asking import running_socket
 
     if options.socket is None and options.channel and not running_sockets(options.channel):
         return running_socket(options.channel)

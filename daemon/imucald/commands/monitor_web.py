@@ -48,7 +48,8 @@ from imucald.mount.mount_words import (
 from imucald.report.drawing import STYLE, view_drawings
 from imucald.runtime.flow import flow
 from imucald.service.asking import ask
-from imucald.service.status import KEPT, since
+from imucald.service.recent_history import KEPT
+from imucald.service.status import since
 
 if TYPE_CHECKING:
     from aiohttp import web

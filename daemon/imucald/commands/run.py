@@ -96,11 +96,11 @@ def run(options: argparse.Namespace) -> int:
     from imucald.core.errors import ConfigError, ImucaldError
     from imucald.core.file_cache import keep_databases
     from imucald.runtime.summary import as_json
+    from imucald.service.asking import default_socket
     from imucald.service.journal import PRIORITIES, WARNING, Journal
     from imucald.service.notify import end_count, start_count_file
+    from imucald.service.parts import ServiceOptions
     from imucald.service.service import Service
-    from imucald.service.service_options import ServiceOptions
-    from imucald.service.status import default_socket
 
     fill_standard_files()
     described = [path for path in (options.config, *options.database) if path.exists()]

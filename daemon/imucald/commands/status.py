@@ -122,7 +122,7 @@ def answer_of(options: argparse.Namespace, request: str) -> str | NoAnswer:
 def running_sockets(channel: str | None = None) -> list[Path]:
     """Status sockets of this machine's daemons, of those of a channel where one is named."""
     from imucald.core.text import encodable
-    from imucald.service.status import RUNNING
+    from imucald.service.asking import RUNNING
 
     found = [*RUNNING.glob("*/status.sock")]
     if runtime := os.environ.get("XDG_RUNTIME_DIR"):

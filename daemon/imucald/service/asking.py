@@ -1,15 +1,42 @@
-"""Asking a running daemon over one of its Unix sockets (one line there, everything back)."""
+"""Where a daemon's status socket is; asking it one line, and getting everything back."""
 
 from __future__ import annotations
 
+import os
 import socket
 import time
+from collections.abc import Mapping
 from pathlib import Path
 
 from imucald.core.errors import LinkError
 
+RUNNING = Path("/run/imucald")
+"""Holds a folder for each daemon of systemd or root."""
 RETRY_S = 0.02
 """A full queue of clients is tried again after so long [s]; the daemon looks every 0.1 s."""
+
+
+def default_socket(channel: str, environment: Mapping[str, str] | None = None) -> Path | None:
+    """Where the status socket is, or None where there is no folder for it.
+
+    Root has one where its environment names none, as in a container, under sudo or cron.
+    """
+    environment = os.environ if environment is None else environment
+    if folder := environment.get("RUNTIME_DIRECTORY", "").partition(":")[0]:
+        return Path(folder) / "status.sock"
+    if folder := environment.get("XDG_RUNTIME_DIR", ""):
+        return Path(folder) / f"imucald-{_in_one_name(channel)}.sock"
+    return running_socket(channel) if os.geteuid() == 0 else None
+
+
+def running_socket(channel: str) -> Path:
+    """The status socket of systemd's or root's daemon of a channel."""
+    return RUNNING / _in_one_name(channel) / "status.sock"
+
+
+def _in_one_name(channel: str) -> str:
+    """A channel such as /dev/ttyACM0 without what would name other folders."""
+    return channel.strip("/.").replace("/", "-")
 
 
 class BusyError(LinkError):

@@ -8,7 +8,7 @@ Diagnostics (UDS) of a service: what answers on the bus, and what of it outlives
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -27,10 +27,9 @@ from imucald.runtime.input_health import LinkHealth
 from imucald.runtime.pipeline import Snapshot
 from imucald.runtime.session import make_engine, open_config
 from imucald.service.background_writer import Say
-from imucald.service.calibration_store import CalibrationStore
+from imucald.service.calibration_store import SAVE_PERIOD_S, CalibrationStore
 from imucald.service.identity import state_key
 from imucald.service.live import open_link
-from imucald.service.service_options import ServiceOptions
 from imucald.service.state_file import StateStore
 
 if TYPE_CHECKING:
@@ -38,6 +37,25 @@ if TYPE_CHECKING:
     from imucald.service.dtc_store import DtcStore
     from imucald.service.uds_host import RunningService
     from imucald.service.uds_on_bus import BusUds
+
+
+@dataclass(frozen=True)
+class ServiceOptions:
+    """What the command line says of a service.
+
+    state_folder, status_socket: None for none. socket_needed: without it nothing starts.
+    save_period: [s]. start_count: the unit's file (see `notify`).
+    """
+
+    config: Path
+    databases: Sequence[Path] = ()
+    interface: str | None = None
+    channel: str | None = None
+    state_folder: Path | None = None
+    status_socket: Path | None = None
+    socket_needed: bool = True
+    save_period: float = SAVE_PERIOD_S
+    start_count: Path | None = None
 
 
 class UdsDiagnostics(Struct, frozen=True):

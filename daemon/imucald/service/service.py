@@ -24,13 +24,19 @@ from imucald.service.identity import state_key
 from imucald.service.journal import NOTICE, WARNING, Journal
 from imucald.service.live import ClockWatch, Daemon
 from imucald.service.notify import Notifier, StartCount
-from imucald.service.parts import Listeners, Parts, PartsMaker, is_checked, repeat_check
+from imucald.service.parts import (
+    Listeners,
+    Parts,
+    PartsMaker,
+    ServiceOptions,
+    is_checked,
+    repeat_check,
+)
+from imucald.service.recent_history import PERIOD_S, RecentHistory
 from imucald.service.reloading import Reloading
 from imucald.service.running_status import InputRates, run_result, running_status, status_line
-from imucald.service.service_options import ServiceOptions
 from imucald.service.sockets import Sockets
 from imucald.service.state_file import FolderInUseError, FolderLock, clear_unfinished
-from imucald.service.status import PERIOD_S, RecentHistory
 
 CHORE_S = 0.1
 """The loop turns to everything but frames so often [s]."""
