@@ -13,7 +13,7 @@ from imucald.motion.column_ticks import ticks_from_samples
 from imucald.mount.contradictions import StandingFault
 from imucald.mount.estimate import MountState
 from imucald.mount.joint.drift import NAMED, NONE, Drift
-from imucald.mount.joint.estimator import LEVEL, JointEstimator, JointSettings
+from imucald.mount.joint.estimator import LEVEL, MAY_DRIFT, JointEstimator, JointSettings
 from imucald.mount.joint.evidence import Block, Evidence
 from imucald.mount.joint.state import Priors
 from imucald.simulation import random_model, simulate
@@ -176,12 +176,16 @@ def test_no_value_is_good_while_a_drifting_zero_has_made_it_wrong(axis: int, rat
     values[:, axis] += rate * np.maximum(series.t - FROM_S, 0.0)
     samples["accel"] = Series(series.t, values)
     joint, was_good = JointEstimator(JointSettings.of(full())), False
+    reasons: set[str] = set()
     for k, row in enumerate(ticks_from_samples(samples, 0, 7200).tolist()):
         joint.step(row)
         off = rate * (0.1 * k - FROM_S)
         was_good = was_good or (joint.state in GOOD and off < 0.0)
+        if off > 0.0 and joint.state is not MountState.FINE and not joint.faults:
+            reasons |= set(joint.estimate().waiting_for.values())
         assert joint.state not in GOOD or off < WRONG, off
     assert was_good
+    assert rate > 0.001 or MAY_DRIFT in reasons, "a slow one is a reason before it is a fault"
     assert StandingFault.ACCEL_DRIFT in joint.estimate().faults
 
 

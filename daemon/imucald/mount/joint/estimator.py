@@ -20,7 +20,7 @@ from imucald.core.rotations import orthonormalised
 from imucald.core.samples import GRAVITY
 from imucald.mount.acceptance import Acceptance
 from imucald.mount.contradictions import StandingFault
-from imucald.mount.estimate import Correction, MountEstimate, SentDeviations
+from imucald.mount.estimate import ANGLES, Correction, MountEstimate, SentDeviations
 from imucald.mount.estimator import FullEstimator
 from imucald.mount.estimator_settings import EstimatorSettings, Limits
 from imucald.mount.joint.drift import NONE as NO_DRIFT
@@ -41,6 +41,7 @@ LEVEL = (0.2, 0.1)
 """Level zero below which an estimate is usable, and fine [m/s^2]."""
 STEERING_ZERO = math.radians(2.0)
 """Zero error of an angle of the steering wheel that nothing has measured (assumption)."""
+MAY_DRIFT = "bends: they show whether the accelerometer's zero drifts"
 REMEMBERED = 240
 """Blocks (26 min) of which it is known what was known of a drift."""
 
@@ -318,6 +319,7 @@ class JointEstimator(FullEstimator):
         correction, sent = self._found_correction(), self._sent(solution)
         return replace(
             made,
+            waiting_for=dict(made.waiting_for) | self._waits_for_bends(solution, made.waiting_for),
             R_vehicle_from_sensor=correction.matrix(),
             covariance=self._housing_covariance(solution),
             details=dict(made.details) | {"speed_delay": solution.delay},
@@ -326,6 +328,18 @@ class JointEstimator(FullEstimator):
             deviations=sent,
             judged_as=_as_angles(sent),
         )
+
+    def _waits_for_bends(self, solution: Solution, reasons: Iterable[str]) -> dict[str, str]:
+        """The reason of those angles that would be fine if the zero were known not to drift."""
+        if self.faults or not self._drift.variance().any():
+            return {}
+        limit = self._settings.limits.fine_tilt
+        now, still = _as_angles(self._sent(solution)), _as_angles(solution.sent(self._widened))
+        return {
+            angle: MAY_DRIFT
+            for angle, std, of_still in zip(ANGLES[:2], now, still, strict=False)
+            if angle in reasons and of_still < limit < std
+        }
 
     def _housing_covariance(self, solution: Solution) -> Array:
         """Of the housing's rotation. Too small where the cross-axis errors are antisymmetric: those
