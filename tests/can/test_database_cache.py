@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 from full_disk import full_after
-from imucald.can.dbc import database
+from imucald.can.dbc import bounded_parser, database
 from imucald.can.dbc.database import Database, load_database, load_database_text
 from imucald.core import file_cache as database_cache
 from imucald.core.errors import DatabaseError
@@ -46,13 +46,13 @@ def folder(tmp_path, monkeypatch):
 def parsed(monkeypatch):
     """Sources that were really parsed."""
     found: list[str] = []
-    real = database.parse_bounded
+    real = bounded_parser.parse_bounded
 
     def parse(text: str, database_format: str, source: str):
         found.append(source)
         return real(text, database_format, source)
 
-    monkeypatch.setattr(database, "parse_bounded", parse)
+    monkeypatch.setattr(bounded_parser, "parse_bounded", parse)
     return found
 
 
