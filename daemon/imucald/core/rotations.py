@@ -115,10 +115,11 @@ def angles_from_rotation(R_vehicle_from_sensor: ArrayLike) -> tuple[float, float
     return math.atan2(R[2, 1], R[2, 2]), pitch, math.atan2(R[1, 0], R[0, 0])
 
 
-def skew(v: ArrayLike) -> Matrix3:
-    """Cross-product matrix: ``skew(a) @ b == cross(a, b)``; (3,) -> (3, 3)."""
-    x, y, z = np.asarray(v, dtype=float).tolist()
-    return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+def skew(v: ArrayLike) -> NDArray[np.float64]:
+    """Cross-product matrices: ``skew(a) @ b == cross(a, b)``; (..., 3) -> (..., 3, 3)."""
+    x, y, z = np.moveaxis(np.asarray(v, dtype=float), -1, 0)
+    o = np.zeros_like(x)
+    return np.stack([o, -z, y, z, o, -x, -y, x, o], axis=-1).reshape(*x.shape, 3, 3)
 
 
 _EYE = np.eye(3)

@@ -16,6 +16,7 @@ import numpy as np
 from imucald.api.columns import Columns
 from imucald.core.angles import RAD_PER_DEG
 from imucald.core.arrays import Array
+from imucald.core.rotations import skew
 
 _BLOCK = 10_000
 """Rows at a time: a whole drive may be one part."""
@@ -100,8 +101,6 @@ def _nearest(rates: Array, t: Array) -> Array:
 
 def _covariance(values: Array, turns: Array, noise: Array) -> Array:
     """Covariances (N, 9) of vectors (N, 3) that are turned with these covariances (N, 9)."""
-    x, y, z = np.nan_to_num(values).T
-    o = np.zeros_like(x)
-    cross = np.stack([o, -z, y, z, o, -x, -y, x, o], axis=1).reshape(-1, 3, 3)
+    cross = skew(np.nan_to_num(values))
     found: Array = cross @ turns.reshape(-1, 3, 3) @ cross.transpose(0, 2, 1) + np.diag(noise)
     return found.reshape(-1, 9)
