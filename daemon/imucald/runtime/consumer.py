@@ -95,29 +95,6 @@ class ChecksSensors(Protocol):
         ...
 
 
-def hand_on(
-    consumer: Consumer,
-    t: float,
-    channel: str,
-    values: Sequence[float],
-    correction: Correction | None,
-    unfit: Collection[str],
-) -> None:
-    """Hand a sample on to a consumer that wants it; unfit: channels of faulty sensors now.
-
-    Of a faulty sensor nothing is handed on. Where it is one that the consumer carries on from, it
-    begins anew when that is sound again, and has nothing to say until then.
-    """
-    if channel not in consumer.channels:
-        return
-    if not unfit:
-        consumer.sample(t, channel, values, correction)
-    elif not INERTIAL.isdisjoint(consumer.channels.intersection(unfit)):
-        consumer.gap()
-    elif channel not in unfit:
-        consumer.sample(t, channel, values, correction)
-
-
 def in_order(samples: Sequence[Sample]) -> Sequence[Sample]:
     """Samples of one frame in the order consumers take them."""
     return samples if len(samples) < 2 else sorted(samples, key=lambda s: _RANK.get(s[0], 99))
@@ -168,7 +145,7 @@ class ConsumerGroup:
         correction: Correction | None,
         unfit: Collection[str],
     ) -> None:
-        """Hand on the samples of one frame at stream time t [s]; unfit: see `hand_on`."""
+        """Hand on the samples of one frame at stream time t [s]; unfit: see `_hand_on`."""
         for channel, values in in_order(samples):
             for consumer in self.all:
                 self._hand_on(consumer, t, channel, values, correction, unfit)
@@ -182,8 +159,20 @@ class ConsumerGroup:
         correction: Correction | None,
         unfit: Collection[str],
     ) -> None:
+        """Hand a sample on to a consumer that wants it; unfit: channels of faulty sensors now.
+
+        Of a faulty sensor nothing is handed on. Where it is one that the consumer carries on from,
+        it begins again when that is sound again, and has nothing to say until then.
+        """
+        if channel not in consumer.channels:
+            return
         try:
-            hand_on(consumer, t, channel, values, correction, unfit)
+            if not unfit:
+                consumer.sample(t, channel, values, correction)
+            elif not INERTIAL.isdisjoint(consumer.channels.intersection(unfit)):
+                consumer.gap()
+            elif channel not in unfit:
+                consumer.sample(t, channel, values, correction)
         except FAILURES as error:
             self._failed(consumer, error)
 
