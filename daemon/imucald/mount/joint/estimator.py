@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Iterable
+from collections.abc import Collection, Iterable
 
 import numpy as np
 from msgspec.structs import replace
@@ -317,9 +317,10 @@ class JointEstimator(FullEstimator):
         if solution is None:
             return made
         correction, sent = self._found_correction(), self._sent(solution)
+        reasons = dict(made.waiting_for)
         return replace(
             made,
-            waiting_for=dict(made.waiting_for) | self._waits_for_bends(solution, made.waiting_for),
+            waiting_for=reasons | self._waits_for_bends(solution, sent, reasons),
             R_vehicle_from_sensor=correction.matrix(),
             covariance=self._housing_covariance(solution),
             details=dict(made.details) | {"speed_delay": solution.delay},
@@ -329,12 +330,14 @@ class JointEstimator(FullEstimator):
             judged_as=_as_angles(sent),
         )
 
-    def _waits_for_bends(self, solution: Solution, reasons: Iterable[str]) -> dict[str, str]:
+    def _waits_for_bends(
+        self, solution: Solution, sent: SentDeviations, reasons: Collection[str]
+    ) -> dict[str, str]:
         """The reason of those angles that would be fine if the zero were known not to drift."""
-        if self.faults or not self._drift.variance().any():
+        if self.faults or not reasons:
             return {}
         limit = self._settings.limits.fine_tilt
-        now, still = _as_angles(self._sent(solution)), _as_angles(solution.sent(self._widened))
+        now, still = _as_angles(sent), _as_angles(solution.sent(self._widened))
         return {
             angle: MAY_DRIFT
             for angle, std, of_still in zip(ANGLES[:2], now, still, strict=False)

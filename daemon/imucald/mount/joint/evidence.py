@@ -577,7 +577,9 @@ class Evidence:
                 if (i, j) == (0, 1):
                     C[m, m] += priors.sideslip**2
                 if (i, j) == (2, 0):
-                    C[m, m] += priors.pitching**2 * (1.0 if has_gyro else 2.0)
+                    C[m, m] += priors.pitching**2
+                    if not has_gyro:  # nor has the pitching itself been taken off (assumption)
+                        C[m, m] += priors.pitching**2
             if i < 2:
                 rows[0, [PHI.start + 2, EPS.start + 2]] -= leak[i, 1 - i]
             elif has_gyro:  # -v q of a rate that is itself tilted has been taken off
