@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -42,13 +43,16 @@ def replayed(
     return tuple(capsys.readouterr().out.splitlines())
 
 
+def the_one_event(lines: Sequence[str]) -> str:
+    (event,) = (line for line in lines if line.startswith("at ") and "accel stuck" in line)
+    return event
+
+
 def test_a_sensor_that_sticks_is_reported_with_its_time(
     capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
     lines = replayed(capsys, tmp_path, STICKS_AT)
-    events = [line for line in lines if line.startswith("at ") and "accel stuck" in line]
-    assert len(events) == 1
-    assert events[0].startswith("at 1:4")
+    assert the_one_event(lines).startswith("at 1:4")
     text = " ".join(line.strip() for line in lines)
     left_out = text.partition("not learnt from")[2]
     assert "accelerometer no valid samples" in left_out
@@ -59,9 +63,7 @@ def test_a_sensor_that_sticks_before_the_mount_is_known_is_what_it_waits_for(
     capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
     lines = replayed(capsys, tmp_path, STICKS_EARLY)
-    events = [line for line in lines if line.startswith("at ") and "accel stuck" in line]
-    assert len(events) == 1
-    assert events[0].startswith("at 0:3")
+    assert the_one_event(lines).startswith("at 0:3")
     text = " ".join(line.strip() for line in lines)
     assert "waiting for" in text
     assert "faulty" in text.partition("waiting for")[2]

@@ -36,7 +36,7 @@ class StatusServer(LineServer):
         status: Callable[[], Mapping[str, Any]],
         clock: Callable[[], float] = time.monotonic,
         events: Callable[[], Sequence[Mapping[str, Any]]] = list,
-        history: Callable[[float], str] = lambda since: "{}\n",  # noqa: ARG005
+        history: Callable[[float], str] = lambda _: "{}\n",
         say: Say = nobody_listens,
     ) -> None:
         super().__init__(path, READABLE_BY_ALL, lambda line, _: self._answer(line), clock, say=say)
