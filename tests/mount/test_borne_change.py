@@ -14,13 +14,13 @@ from imucald.core.rotations import rotation_from_angles, vector_from_rotation
 from imucald.motion.column_ticks import ticks_from_samples
 from imucald.mount.estimate import MountState
 from imucald.mount.estimator import FullEstimator
+from imucald.mount.explanation import change_details
 from imucald.mount.gravity_step import GravityStep
 from imucald.mount.large_change import LargeChange
 from imucald.mount.mount_changes import GoodMount, MountChanges, blocks_since, probability
 from imucald.mount.mount_words import change_words, is_move
 from imucald.mount.shift import Shift
 from imucald.mount.signal_blocks import BLOCK_S
-from imucald.mount.waiting_reasons import change_details
 from imucald.simulation import random_model, simulate
 from mount_settings import full
 from signal_block import block

@@ -12,6 +12,7 @@ from imucald.config.vehicle import VehicleSettings
 from imucald.mount.contradictions import WORDS, StandingFault
 from imucald.mount.estimate import MountEstimate, MountState
 from imucald.mount.estimator_settings import EstimatorSettings
+from imucald.mount.explanation import mount_troubles
 from imucald.mount.force_level import LevelChange
 from imucald.mount.mount_words import (
     change_words,
@@ -23,7 +24,6 @@ from imucald.mount.mount_words import (
     reasons_line,
     steep_note,
 )
-from imucald.mount.waiting_reasons import mount_troubles
 from imucald.runtime.summary import mount_dict
 from imucald.service.running_status import status_line
 

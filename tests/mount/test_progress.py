@@ -9,8 +9,8 @@ import pytest
 
 from imucald.mount.estimate import MountState, Progress
 from imucald.mount.estimator_settings import EstimatorSettings
+from imucald.mount.explanation import ProgressWatch
 from imucald.mount.states import MountKnowledge
-from imucald.mount.waiting_reasons import ProgressWatch
 from imucald.runtime.session import make_engine
 from simulated_bus import drive_frames, loaded
 

@@ -11,9 +11,9 @@ import pytest
 from imucald.mount.acceptance import WHY_GRAVITY_MOVED
 from imucald.mount.estimate import ANGLES, MountState
 from imucald.mount.estimator_settings import EstimatorSettings
+from imucald.mount.explanation import waiting_reasons
 from imucald.mount.hysteresis import BAD
 from imucald.mount.states import MountKnowledge
-from imucald.mount.waiting_reasons import waiting_reasons
 
 SETTINGS = EstimatorSettings()
 DEG = math.radians(1.0)

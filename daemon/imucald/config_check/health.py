@@ -17,9 +17,9 @@ from imucald.motion.signal_health import FaultEvent, SignalFault
 from imucald.motion.ticks import TickRow, tick_index
 from imucald.mount.estimate import MountEstimate, MountState
 from imucald.mount.estimator_settings import EstimatorSettings
+from imucald.mount.explanation import left_out_details
 from imucald.mount.mount_words import left_out_words
 from imucald.mount.signal_blocks import SignalBlockMaker
-from imucald.mount.waiting_reasons import left_out_details
 from imucald.runtime.pipeline import Pipeline
 
 MOST_SHARE = 0.5

@@ -35,6 +35,15 @@ from imucald.mount.acceptance import Acceptance
 from imucald.mount.contradictions import StandingFault
 from imucald.mount.estimate import Correction, MountEstimate, MountState, SentDeviations
 from imucald.mount.estimator_settings import EstimatorSettings
+from imucald.mount.explanation import (
+    ProgressWatch,
+    creep_details,
+    estimate_details,
+    left_out_details,
+    level_details,
+    mount_troubles,
+    waiting_reasons,
+)
 from imucald.mount.force_level import ForceLevel
 from imucald.mount.hysteresis import GOOD
 from imucald.mount.large_change import LargeChange
@@ -48,15 +57,6 @@ from imucald.mount.signal_checks import SignalChecks
 from imucald.mount.solver import MountSolver
 from imucald.mount.states import MountKnowledge, targets_in_force
 from imucald.mount.steering import SteeringOffsetEstimator
-from imucald.mount.waiting_reasons import (
-    ProgressWatch,
-    creep_details,
-    estimate_details,
-    left_out_details,
-    level_details,
-    mount_troubles,
-    waiting_reasons,
-)
 from imucald.mount.zero_step import GravityMoved
 
 FAILED_BLOCKS = 14

@@ -167,7 +167,7 @@ static void slope_of(const double *x, Size n, double tick, double *out)
     out[n - 1] = (x[n - 1] - x[n - 2]) / tick;
 }
 
-/* Sums of products of a block's force and motion about their means (`block_yaw`).
+/* Sums of products of a block's force and motion about their means (`block_sums.block_yaw`).
 
    late: the speed, behind the force [ticks]. pairs: (P, 2) of signals. out: (1 + P,) how many, sums. */
 KERNEL long yaw_sums(PyObject *force_, PyObject *accel_, PyObject *turn_, PyObject *rate_,
@@ -365,7 +365,7 @@ KERNEL long gravity_sums(PyObject *learn_, PyObject *ok_speed_, PyObject *rest_,
     return leave(&a, raised());
 }
 
-/* Launches, brakings, turns to the left and to the right (`manoeuvres`): counted are runs above a
+/* Launches, brakings, turns to the left and to the right (`states.Manoeuvres`): counted are runs above a
    level. levels: (4,). state: (4, 3) how many, ticks of the run, whether it was counted. */
 KERNEL long count_manoeuvres(PyObject *accel_, PyObject *turn_, PyObject *levels_, long least,
                              PyObject *state_)

@@ -1,4 +1,4 @@
-/* The largest values of an axis, hop by hop (`motion.rails`, `motion.rail_tops`). */
+/* The largest values of an axis, hop by hop (`motion.rails`). */
 
 #include "arrays.h"
 

@@ -1,5 +1,5 @@
 /* Products of spectra band by band, and the sums that the regressions need of them
-   (`mount.evidence_spectra`, `mount.evidence_scores`). */
+   (`mount.evidence_spectra`, `mount.evidence_rows`). */
 
 #include "numerics.h"
 
@@ -139,7 +139,7 @@ static inline double factor_of(const double *gains, int64_t code, Size band)
     return code <= GAINS ? gain * gain : -2.0 * gain;
 }
 
-/* Power that each row's known response leaves of windows, as `evidence_scores.left_over` has it.
+/* Power that each row's known response leaves of windows, as `evidence_rows.left_over` has it.
 
    P: (pairs, n, BANDS). pair, code: (terms,) of what is summed; starts: (ROWS + 1,) by row. */
 KERNEL long left_over(PyObject *P_, PyObject *gains_, PyObject *pair_, PyObject *code_,
@@ -183,7 +183,7 @@ KERNEL long left_over(PyObject *P_, PyObject *gains_, PyObject *pair_, PyObject 
 
 enum { RANKS = 3 };
 
-/* Scores and normal matrices of windows first .., as `evidence_scores.scores` makes them.
+/* Scores and normal matrices of windows first .., as `evidence_rows.scores` makes them.
 
    P: (pairs, n, BANDS). weight: (ROWS, n, BANDS); used: (ROWS, BANDS). factor: (ROWS, REGRESSORS,
    BANDS). places: (K, 2 + 2 RANKS) row, regressor, then pair and gain of each term, -1 where there is
@@ -271,7 +271,7 @@ KERNEL long scores(PyObject *P_, PyObject *weight_, PyObject *used_, PyObject *g
     return leave(&a, raised());
 }
 
-/* What is left over once each window's own angle is taken off, as `evidence_scores.less_angle` has it.
+/* What is left over once each window's own angle is taken off, as `evidence_rows.less_angle` has it.
 
    left: (ROWS, n, BANDS). pair, sign: (terms,) of the target, sign 0 one, k a gain taken off; starts:
    (ROWS + 1,) by row. power, axis: (ROWS,) of the angle. factor: (ROWS, BANDS). angle: (n, 3). */
@@ -352,7 +352,7 @@ KERNEL long window_weights(PyObject *left_, PyObject *nu_, PyObject *noise_, PyO
 enum Levels { LONE, LEAST_POWER, PER_TICK, TRUST, MEAN_SHARE, UNEVEN, UNEVEN_WINDOWS, NU_MIN, NU_MAX,
               LEVELS };
 
-/* Gains per band, as `evidence_scores.renewed_gains` has them. row, power, cross: (GAINS,) of the
+/* Gains per band, as `evidence_rows.renewed_gains` has them. row, power, cross: (GAINS,) of the
    weights and the products; numbers: (GAINS, 4) scale, expected, least, most. */
 KERNEL long renewed_gains(PyObject *P_, PyObject *weight_, PyObject *row_, PyObject *power_,
                           PyObject *cross_, PyObject *numbers_, PyObject *out_)

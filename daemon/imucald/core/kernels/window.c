@@ -1,4 +1,4 @@
-/* The window of force and motion (`mount.motion_window`, `mount.evidence_spectra`). */
+/* The window of force and motion (`mount.gravity_observer`, `mount.evidence_spectra`). */
 
 #include "numerics.h"
 

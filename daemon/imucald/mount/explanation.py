@@ -1,4 +1,4 @@
-"""What an estimate still waits for: a reason per angle, and how far it is on its way.
+"""What explains an estimate: what each angle still waits for, how far it is, and the details.
 
 Troubles go first, then tests, then more driving. The information about an angle, 1 / variance,
 grows about evenly with driving. So the share of it that a limit asks for, (limit / deviation)^2,
@@ -71,7 +71,7 @@ def mount_troubles(
 ) -> dict[str, str]:
     """What more driving does not mend, per angle: contradictions, and a mount that moves.
 
-    creeping: see `estimate_details.creep_details`. shifted: how far roll, pitch, yaw have moved
+    creeping: see `creep_details`. shifted: how far roll, pitch, yaw have moved
     [rad] where they were found to have shifted again, else 0. level: how the size of gravity has
     changed, where that is a fault.
     """
