@@ -28,8 +28,8 @@ from imucald.mount.estimate import ANGLES
 from imucald.runtime.flow import flow
 from imucald.service.journal import Journal
 from imucald.service.parts import ServiceOptions
+from imucald.service.recent_history import COLUMNS
 from imucald.service.service import Service
-from imucald.service.status import COLUMNS
 from simulated_bus import CONFIG
 
 REASON = "acceleration or braking above 1 m/s2 (2 of 3 seen), and then a little more of it"
