@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from imucald.motion import ticks as tk
 from imucald.motion.signal_health import SignalHealth
-from imucald.motion.stuck import SeenForward, StuckSpeed
+from imucald.motion.stuck import SeenForward
 from imucald.motion.ticks import empty_rows
 from imucald.mount.signal_blocks import BEFORE, BLOCK_TICKS, KEEP
 
@@ -39,11 +39,12 @@ def flagged(
     rows[KEEP:, tk.SPEED.n] = np.isfinite(speed)
     accel = np.zeros(len(rows))
     accel[KEEP:] = off + np.gradient(true_speed() if true is None else true, 0.1)
-    watch, out = StuckSpeed(), np.zeros(len(rows), dtype=bool)
+    health = SignalHealth(slice(BEFORE, BEFORE + BLOCK_TICKS))
+    out = np.zeros(len(rows), dtype=bool)
     for first in range(0, len(rows) - KEEP - BLOCK_TICKS + 1, BLOCK_TICKS):
         part = slice(first, first + KEEP + BLOCK_TICKS)
         seen = SeenForward(accel[part], late, 0.05, 0.3)
-        flags = watch.flags(rows[part], BLOCK_TICKS, seen)
+        flags = health.stuck_speed(rows[part], seen)
         out[first + BEFORE : first + BEFORE + BLOCK_TICKS] = flags[BEFORE : BEFORE + BLOCK_TICKS]
     return out[KEEP:]
 
@@ -136,7 +137,7 @@ def test_a_speed_that_never_changed_is_not_called_stuck():
 def test_where_no_mount_is_known_nothing_is_called_stuck():
     rows = empty_rows(KEEP + BLOCK_TICKS)
     rows[:, tk.SPEED.mean], rows[:, tk.SPEED.n] = 12.0, 5
-    assert not StuckSpeed().flags(rows, BLOCK_TICKS, None).any()
+    assert not SignalHealth(slice(0, BLOCK_TICKS)).stuck_speed(rows, None).any()
 
 
 def flagged_with_wheels(speed: NDArray[np.float64], wheels: NDArray[np.float64]) -> np.ndarray:

@@ -21,6 +21,7 @@ from msgspec import Struct
 from numpy.typing import NDArray
 
 from imucald.core.arrays import Array
+from imucald.motion.coarse_speed import SAME_SPEED
 from imucald.motion.physical_limits import (
     MAX_ROAD_DVDT,
     MAX_ROAD_RATE,
@@ -28,8 +29,17 @@ from imucald.motion.physical_limits import (
     ROAD_FORCE,
     saturated_axes,
 )
-from imucald.motion.stuck import SeenForward, StuckSensor, StuckSpeed, zero_while_wheels_turn
-from imucald.motion.stuck_yaw_rate import StuckYawRate
+from imucald.motion.standstill import DRIVING_SPEED
+from imucald.motion.stuck import (
+    SAME,
+    SeenForward,
+    StuckSensor,
+    StuckSignal,
+    by_force,
+    by_turning,
+    latest_speed,
+    zero_while_wheels_turn,
+)
 from imucald.motion.ticks import ACCEL, GYRO, SPEED, STEERING, TICK_S, WHEEL_SPREAD, YAW_RATE
 
 Flags = NDArray[np.bool_]
@@ -105,8 +115,10 @@ class SignalHealth:
             "accel": StuckSensor(ACCEL.n, ACCEL.x, moving=True),
             "gyro": StuckSensor(GYRO.n, GYRO.x, moving=False),
         }
-        self._speed = StuckSpeed()
-        self._yaw_rate = StuckYawRate()
+        self._signals = {
+            "speed": StuckSignal(SPEED.n, SPEED.mean, SAME_SPEED),
+            "yaw_rate": StuckSignal(YAW_RATE.n, YAW_RATE.mean, SAME),
+        }
         self.counts: Counter[tuple[str, SignalFault]] = Counter()
         """Ticks with a fault, by signal and fault."""
         self.found: dict[tuple[str, SignalFault], Flags] = {}
@@ -115,17 +127,16 @@ class SignalHealth:
 
     def take_usual(self, former: SignalHealth, channels: Collection[str]) -> None:
         """Take what another one has learnt of these channels: how long they keep a value."""
-        if "speed" in channels:
-            self._speed.take_usual(former._speed)
-        if "yaw_rate" in channels:
-            self._yaw_rate.take_usual(former._yaw_rate)
+        for channel, signal in self._signals.items():
+            if channel in channels:
+                signal.take_usual(former._signals[channel])
 
     def restart(self) -> None:
         """Time jumped: what comes next is compared with nothing before."""
         for sensor in self._sensors.values():
             sensor.restart()
-        self._speed.restart()
-        self._yaw_rate.restart()
+        for signal in self._signals.values():
+            signal.restart()
         self.found = {}
 
     @staticmethod
@@ -150,44 +161,42 @@ class SignalHealth:
         return self._note_stuck(signal, self._sensors[signal].flags(rows))
 
     def stuck_speed(self, rows: Array, seen: SeenForward | None) -> Flags:
-        """Ticks (N,) at which the speed is stuck; see `StuckSpeed`."""
-        flags = self._speed.flags(rows, self._new.stop - self._new.start, seen)
+        """Ticks (N,) at which the speed is stuck; seen: None where no mount is known."""
+        leaving = self._new.stop - self._new.start
+        witness = None if seen is None else by_force(seen, leaving)
+        driving = latest_speed(rows) > DRIVING_SPEED
+        flags = self._signals["speed"].flags(rows, driving, leaving, witness)
         contradicted = zero_while_wheels_turn(rows)
         # A sensor that was moved looks like a speed that stays: wheels alone accuse it.
         self.stuck_now["speed"] = bool(contradicted[self._new].any())
         return self._note_stuck("speed", flags | contradicted)
+
+    def stuck_yaw_rate(self, rows: Array, turning: Array, driving: Flags) -> Flags:
+        """Ticks (N,) at which the yaw rate is stuck.
+
+        turning: (N,) yaw rate by another signal [rad/s]. driving: (N,) where that is known, and the
+        vehicle drives.
+        """
+        leaving, witness = self._new.stop - self._new.start, by_turning(turning, driving)
+        flags = self._signals["yaw_rate"].flags(rows, driving, leaving, witness)
+        self.stuck_now["yaw_rate"] = bool(flags[self._new].any())
+        return self._note_stuck("yaw_rate", flags)
 
     def sensor_moves(self, signal: str) -> None:
         """Take new ticks in which "accel" or "gyro" never repeats its mean: it is not stuck."""
         self._sensors[signal].restart()
         self.found.pop((signal, SignalFault.STUCK), None)
 
-    def speed_moves(self, first: float, lasted: Array, change: Array) -> bool:
-        """Take new ticks with a speed that `stuck_speed` finds nothing in; False: it has to look.
+    def signal_moves(self, signal: str, first: float, driven: Array, change: Array) -> bool:
+        """Take new ticks in which "speed" or "yaw_rate" is not stuck; False: it has to be asked.
 
-        For the arguments see `StuckSpeed.take_short_runs`. No speed may be zero.
+        For the arguments see `StuckSignal.take_short_runs`. No speed may be zero.
         """
-        if not self._speed.take_short_runs(first, lasted, change):
+        if not self._signals[signal].take_short_runs(first, driven, change):
             return False
-        self._note_moving("speed")
-        return True
-
-    def yaw_rate_moves(self, first: float, driven: Array, change: Array) -> bool:
-        """The same of the yaw rate, see `StuckYawRate.take_short_runs`."""
-        if not self._yaw_rate.take_short_runs(first, driven, change):
-            return False
-        self._note_moving("yaw_rate")
-        return True
-
-    def stuck_yaw_rate(self, rows: Array, turning: Array, driving: Flags) -> Flags:
-        """Ticks (N,) at which the yaw rate is stuck; see `StuckYawRate`."""
-        flags = self._yaw_rate.flags(rows, turning, driving, self._new.stop - self._new.start)
-        self.stuck_now["yaw_rate"] = bool(flags[self._new].any())
-        return self._note_stuck("yaw_rate", flags)
-
-    def _note_moving(self, signal: str) -> None:
         self.stuck_now[signal] = False
         self.found.pop((signal, SignalFault.STUCK), None)
+        return True
 
     def _note_stuck(self, signal: str, flags: Flags) -> Flags:
         self.found[signal, SignalFault.STUCK] = flags

@@ -1,9 +1,9 @@
 """Signals that are stuck: a sensor or a sender that repeats one value.
 
-The value is wrong by as much as the truth has changed, and at the end it jumps. Three kinds
-of signal, three tests: a sensor's noise always moves (`StuckSensor`, over blocks of ticks;
-`HeldForce`, tick by tick), a speed that is rounded does not, and is held against the forward force
-(`StuckSpeed`).
+The value is wrong by as much as the truth has changed, and at the end it jumps. Two kinds
+of signal, two tests: a sensor's noise always moves (`StuckSensor`, over blocks of ticks;
+`HeldForce`, tick by tick), a speed or a yaw rate that is rounded does not, and is held against
+another signal (`StuckSignal`).
 `model_compensation.held_repeats` finds nothing: it keeps a stuck sensor recognisable.
 
 Runs of equal values of one signal: where they are, and how long they usually last.
@@ -22,7 +22,7 @@ from imucald.core.arrays import Array, true_runs
 from imucald.core.rotations import Vector
 from imucald.motion import ticks as tk
 from imucald.motion.coarse_speed import SAME_SPEED
-from imucald.motion.standstill import DRIVING_SPEED, ROLLING_SPEED
+from imucald.motion.standstill import ROLLING_SPEED
 from imucald.motion.ticks import ACCEL, TICK_S, TickRow
 
 Places = NDArray[np.int64]
@@ -100,14 +100,8 @@ class UsualRuns:
         """Whether enough have ended to say what is usual."""
         return self._ended >= MIN_RUNS
 
-    @property
-    def usual(self) -> float:
-        """How long a run lasts, as seen at any time: long ones weigh more."""
-        lasted = self._runs[: self._ended, 0]
-        return float(lasted @ lasted / lasted.sum())
-
     def repeated(self, share: float, times: float) -> float:
-        """How long a run of a sender lasts that repeats its values; 0: it does not.
+        """How long a run of a sender lasts that repeats its values, long ones weigh more; 0: none.
 
         Most of its changes are then larger than so many times its step, the change that a share of
         all changes does not exceed.
@@ -144,11 +138,18 @@ STUCK_HOLE = 4
 """Ticks from one sample to the next, at most: 2.5 Hz."""
 SAME = 1e-9
 """Means over nine and ten equal samples differ by rounding [m/s^2, rad/s]."""
+TURNED, STEPS = 0.008, 3.0
+"""A yaw rate is stuck where the other one moves by so much [rad/s]: that comes to 3 deg in the
+6.4 s of a block, which would be taken for a sensor that was turned. And by so many of its own
+steps: rounding holds a value back by one, a sender's dead band by two."""
+SMOOTH = np.full(10, 0.1)
+"""The other yaw rate is taken as means over a second: vibration is no turn."""
 SPLIT, JUMPS = 0.1, 1.5
 """So many of the changes are finer than the signal's step: means over ticks split steps. A sender
 that repeats its values jumps by more than so many steps most of the time."""
 LARGE = 0.9
-"""A speed may be off by as much as so many of its changes come to."""
+"""A signal may be off by as much as so many of its changes come to: means over ticks split steps.
+"""
 GAINED = 1.5
 """... and by so much more [m/s]: the answer of the body and of the vertical to hard braking."""
 HARD, DEVIATIONS = 2.0, 3.0
@@ -193,10 +194,10 @@ class StuckSensor:
     def _flag_runs(
         self, rows: Array, at: NDArray[np.int64], values: Array, same: Flags, flags: Flags
     ) -> None:
-        received = rows[:, tk.SPEED.n] > 0
-        latest = np.maximum.accumulate(np.where(received, np.arange(len(rows)), 0))
-        moving = np.abs(rows[latest, tk.SPEED.mean]) > ROLLING_SPEED
-        moving = np.where(rows[latest, tk.SPEED.n] > 0, moving, self._moving and not received.any())
+        speed = latest_speed(rows)
+        moving = (
+            speed > ROLLING_SPEED if np.isfinite(speed[-1]) else np.full(len(rows), self._moving)
+        )
         for first, last in true_runs(same):
             part = slice(at[first], at[last] + 1)
             held = self._held
@@ -204,6 +205,13 @@ class StuckSensor:
             driven = int(moving[part].sum()) >= STUCK_MOVING_TICKS
             if known or (part.stop - part.start >= STUCK_TICKS and driven):
                 flags[part] = True
+
+
+def latest_speed(rows: Array) -> Array:
+    """Size of the speed last received in ticks (N, COLUMNS) up to each; NaN before the first."""
+    received = rows[:, tk.SPEED.n] > 0
+    latest = np.maximum.accumulate(np.where(received, np.arange(len(rows)), 0))
+    return np.asarray(np.where(received[latest], np.abs(rows[latest, tk.SPEED.mean]), math.nan))
 
 
 class HeldForce:
@@ -245,120 +253,153 @@ class SeenForward(Struct, frozen=True):
     drift: float
 
 
-class StuckSpeed:
-    """Flags ticks at which the speed is stuck: the force says that it has changed.
+class OtherSignal(Struct, frozen=True):
+    """What another signal says of one that may be stuck, of the ticks (N,) that are looked at.
 
-    A coarse speed keeps a value while its vehicle keeps its speed, for minutes; a sender that
-    repeats each value some times has long runs all the time. So a run is held against the forward
-    force within it, and a sender that repeats is given four of its usual runs. Where no mount is
-    known nothing is called stuck: then nothing rests on the speed either.
+    said: (2, N) by how much the signal has risen up to each tick, and fallen, in its unit; NaN
+    where the other one says nothing. least: a stuck signal has changed by so much and by `steps` of
+    its own changes. origin: (2,) from where the next call counts what is said.
     """
 
-    def __init__(self) -> None:
+    said: Array
+    least: float
+    steps: float
+    origin: Array
+
+
+def by_force(seen: SeenForward, leaving: int) -> OtherSignal:
+    """The force as witness of the speed [m/s]: what it adds up to, less what it may be off."""
+    n = len(seen.accel)
+    gained = np.concatenate([[0.0], np.cumsum(seen.accel) * TICK_S])
+    gained = np.interp(np.arange(1, n + 1) - seen.late / TICK_S, np.arange(n + 1), gained)
+    drift = seen.drift * TICK_S * np.arange(1, n + 1)
+    said = np.stack([gained - drift, -gained - drift])
+    return OtherSignal(said, GAINED + HARD * DEVIATIONS * seen.late_std, 1.0, said[:, leaving - 1])
+
+
+def by_turning(turning: Array, driving: Flags) -> OtherSignal:
+    """Another yaw rate (N,) [rad/s] as witness of the yaw rate, where that is driving."""
+    turned = np.where(driving, np.convolve(turning, SMOOTH, mode="same"), math.nan)
+    return OtherSignal(np.stack([turned, -turned]), TURNED, STEPS, np.zeros(2))
+
+
+class _OpenRun(Struct, frozen=True):
+    """A run that goes on with the next call. low: (2,) least of what was said, from the next call's
+    origin; gained: largest change that was said."""
+
+    value: float
+    lasted: float
+    low: Array
+    gained: float
+    is_stuck: bool
+
+
+_NO_RUN = _OpenRun(math.nan, 0.0, np.full(2, math.nan), 0.0, False)
+
+
+class StuckSignal:
+    """Flags ticks at which a signal of the vehicle stays while another says that it has changed.
+
+    A coarse signal keeps a value while its vehicle keeps its speed, or its direction, for minutes;
+    a sender that repeats each value some times has long runs all the time. So a run is held against
+    another signal within it, and a sender that repeats is given four of its usual runs. Where there
+    is no witness nothing is called stuck: then nothing rests on the signal either.
+
+    count, mean: columns of its samples' number and of their mean. same: values that differ by no
+    more than that are equal.
+    """
+
+    def __init__(self, count: int, mean: int, same: float) -> None:
+        self._count, self._mean, self._same = count, mean, same
         self._ended = UsualRuns()
-        """While driving: how long they lasted [s], the change after [m/s]."""
+        """How long was driven in them [ticks], the change after."""
         self.restart()
 
-    def take_usual(self, former: StuckSpeed) -> None:
+    def take_usual(self, former: StuckSignal) -> None:
         """Take the runs that another one has seen end."""
         self._ended = former._ended
 
     def restart(self) -> None:
         """Time jumped: the run before is over."""
-        self._value, self._lasted = math.nan, 0.0
-        self._low = np.zeros(2)  # see `_gained`
-        self._is_stuck = False
+        self._open = _NO_RUN
 
-    def flags(self, rows: Array, leaving: int, seen: SeenForward | None) -> Flags:
-        """Ticks (N,) with a speed that is stuck; rows: (N, COLUMNS), `leaving` leave next.
+    def flags(
+        self, rows: Array, driving: Flags, leaving: int, witness: OtherSignal | None
+    ) -> Flags:
+        """Ticks (N,) at which the signal is stuck; rows: (N, COLUMNS), `leaving` leave next.
 
-        seen: None where nobody knows what the speed should do.
+        driving: (N,) where the vehicle drives: other ticks do not count.
         """
         out = np.zeros(len(rows), dtype=bool)
-        at = np.flatnonzero(rows[:, tk.SPEED.n] > 0)
+        at = np.flatnonzero(rows[:, self._count] > 0)
         if not len(at):
             return out
-        speed = rows[at, tk.SPEED.mean]
-        first, last, change = runs_of(speed, SAME_SPEED)
+        values = rows[at, self._mean]
+        first, last, change = runs_of(values, self._same)
         begins, ends = at[first], at[last]
-        lasted = (ends - begins) * TICK_S
-        goes_on = abs(speed[0] - self._value) <= SAME_SPEED
-        if goes_on:
-            lasted[0] += self._lasted
-        driving = np.abs(speed[first]) > DRIVING_SPEED
-        stuck = driving & (lasted > MIN_STUCK_S)
-        against = None if seen is None else _against(seen)
+        driven = np.zeros(len(rows) + 1)
+        np.cumsum(driving, out=driven[1:])
+        lasted = driven[ends + 1] - driven[begins]
+        before = self._open if abs(values[0] - self._open.value) <= self._same else _NO_RUN
+        lasted[0] += before.lasted
+        stuck = lasted > MIN_STUCK_S / TICK_S
         if np.count_nonzero(stuck):
-            longer = lasted > self._limit()
-            for i in np.flatnonzero(stuck).tolist():
-                of_before = goes_on and i == 0
-                stuck[i] = (of_before and self._is_stuck) or (
-                    bool(longer[i])
-                    and against is not None
-                    and seen is not None
-                    and self._gained(against, int(begins[i]), int(ends[i]), of_before)
-                    > self._least(seen)
-                )
-            for begin, end in zip(begins[stuck].tolist(), ends[stuck].tolist(), strict=True):
-                out[begin : end + 1] = True
-        over = driving & ~stuck & (ends < leaving)
+            stuck &= lasted > self._limit()
+        for i in np.flatnonzero(stuck).tolist():
+            run = before if i == 0 else _NO_RUN
+            stuck[i] = run.is_stuck or self._has_changed(
+                witness, slice(begins[i], ends[i] + 1), run
+            )
+        for begin, end in zip(begins[stuck].tolist(), ends[stuck].tolist(), strict=True):
+            out[begin : end + 1] = True
+        over = ~stuck & (ends < leaving) & (lasted > 0.0)
         over[-1] = False
         after = last[over]
-        self._ended.add(lasted[over] + (at[after + 1] - at[after]) * TICK_S, change[after])
+        self._ended.add(lasted[over] + driven[at[after + 1]] - driven[at[after] + 1], change[after])
         crossing = np.flatnonzero((begins < leaving) & (leaving <= ends))
         if not len(crossing):
             self.restart()
             return one_more(out)
         i = int(crossing[0])
-        kept = at[int(np.searchsorted(at, leaving))]
-        low = self._low if goes_on and i == 0 else np.full(2, math.inf)
-        self._value, self._is_stuck = float(speed[first[i]]), bool(stuck[i])
-        self._lasted = float(lasted[i]) - float(ends[i] - kept) * TICK_S
-        self._low = np.zeros(2)
-        if against is not None:
-            before = against[:, leaving - 1]
-            lowest = against[:, begins[i] : leaving].min(axis=1)
-            self._low = np.minimum(np.minimum(lowest, low) - before, 0.0)
+        run = before if i == 0 else _NO_RUN
+        low, gained = np.full(2, math.nan), run.gained
+        if witness is not None:
+            low, gained = _changes(witness, slice(begins[i], leaving), run)
+            low = low - witness.origin
+        so_far = run.lasted + float(driven[leaving] - driven[begins[i]])
+        self._open = _OpenRun(float(values[first[i]]), so_far, low, gained, bool(stuck[i]))
         return one_more(out)
 
-    def take_short_runs(self, first: float, lasted: Array, change: Array) -> bool:
-        """Take ticks all of which have a speed that keeps no value for long, see `short_runs`.
+    def take_short_runs(self, first: float, driven: Array, change: Array) -> bool:
+        """Take ticks all of which have a signal that keeps no value for long, see `short_runs`.
 
-        first: their first speed [m/s]. lasted: (M,) of the runs while driving [s]; change: (M,)
-        [m/s]. False: the first of them goes on from before, and `flags` has to look.
+        first: their first value. driven: (M,) of the runs while driving [ticks]; change: (M,) of
+        the value. False: the first of them goes on from before, and `flags` has to look.
         """
-        if abs(first - self._value) <= SAME_SPEED:
+        if abs(first - self._open.value) <= self._same:
             return False
-        self._ended.add(lasted, change)
+        self._ended.add(driven, change)
         self.restart()
         return True
 
     def _limit(self) -> float:
-        """A run may be stuck if it is longer than that [s]; never, until the signal is known."""
+        """A run of more ticks may be stuck; none, until the signal is known."""
         if not self._ended.known:
             return math.inf
-        return max(MIN_STUCK_S, TIMES_USUAL * self._ended.repeated(SPLIT, JUMPS))
+        return max(MIN_STUCK_S / TICK_S, TIMES_USUAL * self._ended.repeated(SPLIT, JUMPS))
 
-    def _least(self, seen: SeenForward) -> float:
-        """By so much the force says at least that a stuck speed has changed [m/s]."""
-        return self._ended.change(LARGE) + GAINED + HARD * DEVIATIONS * seen.late_std
-
-    def _gained(self, against: Array, begin: int, end: int, of_before: bool) -> float:
-        """The largest change of speed within a run that the force speaks of [m/s]."""
-        part = against[:, begin : end + 1]
-        lowest = np.minimum.accumulate(part, axis=1)
-        if of_before:
-            lowest = np.minimum(lowest, self._low[:, None])
-        return float((part - lowest).max())
+    def _has_changed(self, witness: OtherSignal | None, part: slice, run: _OpenRun) -> bool:
+        if witness is None:
+            return False
+        least = witness.least + witness.steps * self._ended.change(LARGE)
+        return _changes(witness, part, run)[1] > least
 
 
-def _against(seen: SeenForward) -> Array:
-    """The speed gained, and that lost, up to each tick (2, N), less what the force may be off."""
-    n = len(seen.accel)
-    gained = np.concatenate([[0.0], np.cumsum(seen.accel) * TICK_S])
-    gained = np.interp(np.arange(1, n + 1) - seen.late / TICK_S, np.arange(n + 1), gained)
-    drift = seen.drift * TICK_S * np.arange(1, n + 1)
-    return np.stack([gained - drift, -gained - drift])
+def _changes(witness: OtherSignal, part: slice, run: _OpenRun) -> tuple[Array, float]:
+    """Lowest of what was said (2,) and largest change, of a run's ticks and those before."""
+    said = witness.said[:, part]
+    lowest = np.fmin(np.fmin.accumulate(said, axis=1), run.low[:, None])
+    return lowest[:, -1], float(np.fmax.reduce(said - lowest, axis=None, initial=run.gained))
 
 
 def zero_while_wheels_turn(rows: Array) -> Flags:

@@ -72,7 +72,9 @@ class BlockSpeed:
         driven = None if even is None else even.driven
         runs = None if driven is None else driven.runs
         stuck = None
-        if runs is None or not self._health.speed_moves(runs.first, runs.lasted, runs.change):
+        if runs is None or not self._health.signal_moves(
+            "speed", runs.first, runs.driven, runs.change
+        ):
             stuck = self._health.stuck_speed(rows, forward())
         is_even = driven is not None and (stuck is None or not np.count_nonzero(stuck))
         is_even = is_even and not self._hides_step(rows, driven)

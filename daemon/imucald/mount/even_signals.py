@@ -25,7 +25,6 @@ from imucald.motion.coarse_speed import (
 from imucald.motion.signal_health import SignalHealth
 from imucald.motion.standstill import DRIVING_SPEED, ROLLING_SPEED, ZERO_SPEED
 from imucald.motion.stuck import SAME, short_runs
-from imucald.motion.stuck_yaw_rate import SAME_RATE
 from imucald.motion.ticks import TICK_S
 from imucald.mount.gyro_walk import SELDOM
 
@@ -54,11 +53,12 @@ _BACK = (np.arange(ROWS) - (ROWS - 1)) * TICK_S
 class BlockRuns(Struct, frozen=True):
     """Runs of equal values of a block, all of them short and none across its end.
 
-    first: the first value. lasted: (M,) of those while driving, how long; change: (M,) after each.
+    first: the first value. driven: (M,) ticks of driving in each, where there are any; change: (M,)
+    after each.
     """
 
     first: float
-    lasted: Array
+    driven: Array
     change: Array
 
 
@@ -298,27 +298,27 @@ def _driven(
 
 def _speed_runs(mean: Array, size: Array) -> list[BlockRuns | None]:
     """Of speeds (B, ROWS) and their sizes; also None where one is zero: wheels may turn then."""
-    simple, block, first, last, change = short_runs(mean, SAME_SPEED, BLOCK_TICKS)
-    simple &= size.min(axis=1) > SAME_SPEED
-    use: Flags = size[block, first] > DRIVING_SPEED
-    lasted = (last - first).astype(np.float64)[use] * TICK_S + TICK_S
-    return _by_block(mean, simple, block[use], lasted, change[use])
+    simple: Flags = size.min(axis=1) > SAME_SPEED
+    return _runs(mean, SAME_SPEED, simple, size > DRIVING_SPEED)
 
 
 def _yaw_runs(windows: Array) -> list[BlockRuns | None]:
-    """Lengths are ticks in which the vehicle drives [ticks]."""
-    mean = windows[:, :, tk.YAW_RATE.mean]
     whole = _whole(windows, tk.YAW_RATE.n)
     if not whole.any():
         return [None] * len(windows)
     known = windows[:, :, tk.SPEED.n] > 0
     drives = known & (np.abs(windows[:, :, tk.SPEED.mean]) > DRIVING_SPEED)
-    driven: Array = np.zeros((len(windows), ROWS + 1))
+    return _runs(windows[:, :, tk.YAW_RATE.mean], SAME, whole, drives)
+
+
+def _runs(values: Array, same: float, use: Flags, drives: Flags) -> list[BlockRuns | None]:
+    """Of values (B, ROWS) of a signal, in the blocks (B,) that are to be used."""
+    driven: Array = np.zeros((len(values), ROWS + 1))
     np.cumsum(drives, axis=1, out=driven[:, 1:])
-    simple, block, first, last, change = short_runs(mean, SAME_RATE, BLOCK_TICKS)
+    simple, block, first, last, change = short_runs(values, same, BLOCK_TICKS)
     lasted = driven[block, last + 1] - driven[block, first]
-    use = lasted > 0.0
-    return _by_block(mean, simple & whole, block[use], lasted[use], change[use])
+    kept = lasted > 0.0
+    return _by_block(values, simple & use, block[kept], lasted[kept], change[kept])
 
 
 def _by_block(

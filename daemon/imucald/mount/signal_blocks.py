@@ -390,7 +390,7 @@ class SignalBlockMaker:
         if (
             runs is not None
             and is_known
-            and self.health.yaw_rate_moves(runs.first, runs.lasted, runs.change)
+            and self.health.signal_moves("yaw_rate", runs.first, runs.driven, runs.change)
         ):
             return None
         speed = np.where(rows[:, tk.SPEED.n] > 0, rows[:, tk.SPEED.mean], 0.0)
