@@ -187,7 +187,7 @@ def _unknown_command(name: str) -> str:
 
     near = difflib.get_close_matches(name, COMMANDS, n=1)
     hint = f"did you mean '{near[0]}'? " if near else ""
-    return f"imucald: no command '{name}'; {hint}'imucald --help' lists them"
+    return f"imucald: there is no command '{name}'; {hint}'imucald --help' lists all commands"
 
 
 def _parsed(parser: argparse.ArgumentParser, arguments: list[str]) -> argparse.Namespace:
@@ -234,12 +234,12 @@ def _limit_words(error: Exception) -> str | None:
     """Which limit of this process is reached, and what to do; None where it is none."""
     number = error.errno if isinstance(error, OSError) else None
     if number in TOO_MANY_FILES:
-        return "too many open files: allow this process more of them (ulimit -n)"
+        return "too many open files: raise the limit of this process (ulimit -n)"
     no_room = isinstance(error, ImportError) and NO_ROOM in str(error)
     if isinstance(error, MemoryError) or number == errno.ENOMEM or no_room:
         return (
-            "the memory that this process may use is full: allow it more, or give it less at once "
-            "(one log, a shorter one)"
+            "the memory that this process may use is full: raise its limit, or give it fewer "
+            "or shorter logs at once"
         )
     return None
 
@@ -272,7 +272,10 @@ def _done(argv: Sequence[str] | None) -> int:
         library = (error.name or "").partition(".")[0]
         if library not in LARGE_LIBRARIES:
             raise
-        text = f"needs {library}, which is not installed here (the .deb imucald-workbench has it)"
+        text = (
+            f"needs the library {library}, which is not installed here (the Debian package "
+            "imucald-workbench contains it)"
+        )
         print(f"imucald: {options.command} {text}", file=sys.stderr)
         return 1
     except BrokenPipeError:

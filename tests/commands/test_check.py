@@ -673,7 +673,7 @@ def test_a_silent_bus_says_what_to_look_at_and_nothing_else(
     assert cli.main([*arguments, "--interface", "virtual", "--channel", "silent"]) == 1
     (finding,) = json.loads(capsys.readouterr().out)["findings"]
     assert finding["level"] == "error"
-    assert "no frame at all" in finding["text"]
+    assert "no frame came in" in finding["text"]
     assert "bit rate" in finding["text"]
 
 

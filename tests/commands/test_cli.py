@@ -396,3 +396,26 @@ def test_the_schema_lists_every_kind_of_checksum(capsys):
     assert kinds == ["none", "xor", "crc8_j1850", "crc16_ccitt", *profiles]
     own = schema["definitions"]["Output"]["properties"]["checksum"]["enum"]
     assert own == ["none", "xor", "crc8_j1850"]
+
+
+def test_a_service_whose_program_systemd_hides_is_refused_before_anything_is_written(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    order = ["install-service", "--prefix", str(tmp_path / "usr"), "--exec"]
+    for hidden in ("/home/u/venv/bin/imucald", "/root/bin/imucald run", "/tmp/v/imucald"):
+        assert cli.main([*order, hidden]) == 1
+        error = capsys.readouterr().err
+        assert "Nothing was written" in error
+        assert "sudo /opt/imucald/bin/imucald install-service" in error
+    assert not list(tmp_path.iterdir())
+    assert cli.main([*order, "/tmp/v/imucald", "--root", str(tmp_path / "image")]) == 0
+    assert (tmp_path / "image").exists()
+
+
+@pytest.mark.parametrize("command", ["check", "replay", "diagnose", "walk", "status", "wait"])
+def test_quiet_has_the_same_two_names_in_every_command(
+    command: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with pytest.raises(SystemExit):
+        cli.main([command, "--help"])
+    assert "--quiet, -q" in capsys.readouterr().out

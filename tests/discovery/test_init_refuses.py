@@ -36,7 +36,7 @@ def test_a_file_that_was_edited_is_kept_unless_forced(tmp_path: Path, capsys):
     ("log", "reason", "remedy"),
     [
         ("", "holds no CAN frame", "give a log of this bus"),
-        (FOREIGN, "none of its messages is among the 300 frames", "leave --database out"),
+        (FOREIGN, "the 300 frames contain no message of this database", "leave --database out"),
     ],
 )
 def test_what_shows_nothing_is_an_error_and_no_file(log, reason, remedy, tmp_path, capsys):

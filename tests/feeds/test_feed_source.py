@@ -177,7 +177,7 @@ def test_a_receiver_that_is_not_there_is_tried_again_later_and_later_and_reporte
     [
         (["feed", "mqtt", "can7", "--rate", "1000"], "--rate must be 0.1 to 100"),
         (["feed", "mqtt", "can7", "--broker", "host:x"], "HOST:PORT"),
-        (["feed", "mqtt", "can7", "--topic", "a/#"], "no '#' or '\\+'"),
+        (["feed", "mqtt", "can7", "--topic", "a/#"], "must not contain '#' or '\\+'"),
         (["feed", "mqtt", "can7", "--ca", "/nowhere"], "/nowhere: there is no such file"),
         (["feed", "kuksa", "can7", "--token", "/nowhere"], "/nowhere: there is no such file"),
         (["feed", "kuksa"], "no running daemon found"),

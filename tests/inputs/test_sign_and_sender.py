@@ -97,10 +97,13 @@ def test_a_speed_with_a_sign_bit_shows_reverse(tmp_path):
 @pytest.mark.parametrize(
     ("source", "words"),
     [
-        ("{signal: ESP_02.Rate, sign_signal: OTHER.Bit}", "ESP_02"),
+        (
+            "{signal: ESP_02.Rate, sign_signal: OTHER.Bit}",
+            "OTHER, but .* message ESP_02: write .ESP_02.SIGNAL",
+        ),
         ("{signal: ESP_02.Rate, sign_signal: ESP_02.Two}", "one bit"),
         ("{signal: ESP_02.Rate, sign_signal: ESP_02.VZ}", "has no signal"),
-        ("{signal: ESP_02.Signed, sign_signal: ESP_02.VZ_Rate}", "has a sign already"),
+        ("{signal: ESP_02.Signed, sign_signal: ESP_02.VZ_Rate}", "is signed already"),
         ("{raw: {id: 1, value: '1'}, unit: rad/s, sign_signal: ESP_02.VZ_Rate}", "needs 'signal'"),
     ],
 )

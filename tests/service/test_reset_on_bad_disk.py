@@ -176,7 +176,7 @@ def test_order_log_and_status_say_that_it_is_not_on_the_disk_yet(tmp_path, disk)
         assert service.sockets.control is not None
         disk.on = True
         answer = json.loads(ask(service.sockets.control.path, '{"order": "reset"}'))["done"]
-        assert "NOT ON THE DISK YET (Read-only file system)" in answer
+        assert "NOT SAVED YET (Read-only file system)" in answer
         assert json.loads(ask(tmp_path / "status.sock", "status"))["saved_state"]["to_be_forgotten"]
         assert not service.state_forgotten
         disk.on = False
@@ -187,7 +187,7 @@ def test_order_log_and_status_say_that_it_is_not_on_the_disk_yet(tmp_path, disk)
         assert service.state_forgotten
         answer = json.loads(ask(service.sockets.control.path, '{"order": "reset"}'))["done"]
         assert "DISK" not in answer
-    assert "NOT ON THE DISK YET" in bench.log.getvalue()
+    assert "NOT SAVED YET" in bench.log.getvalue()
     again = bench.service()
     assert again.engine.pipeline.quality == 0
     again.close()
@@ -210,7 +210,7 @@ def test_every_order_that_will_not_outlast_a_restart_says_so(tmp_path, is_full):
             service.orders.release(ME),
             service.orders.set_mount(KnownMount(0.0, 0.0, 40.0, 0.5), ME),
         ):
-            assert "NOT ON THE DISK YET (F" in answer
+            assert "NOT SAVED YET (F" in answer
     if not is_full:
         folder.unlink()
     assert "DISK" not in service.orders.hold(ME)
@@ -222,7 +222,7 @@ def test_a_mount_that_is_set_says_so_as_well(tmp_path, disk):
     bench = Bench(tmp_path)
     service = learnt(bench)
     disk.on = True
-    assert "NOT ON THE DISK YET" in service.orders.set_mount(KnownMount(0.0, 0.0, 40.0, 0.5), ME)
+    assert "NOT SAVED YET" in service.orders.set_mount(KnownMount(0.0, 0.0, 40.0, 0.5), ME)
     disk.on = False
     service.close()
     again = bench.service()

@@ -129,7 +129,7 @@ def diagnose(
     names = [str(log) for log in pieces(logs)]
     twice = {name for name in names if names.count(name) > 1}
     if twice:
-        raise ConfigError(f"{', '.join(sorted(twice))} is given twice: a drive counts once")
+        raise ConfigError(f"{', '.join(sorted(twice))} is given twice; give each log once")
     vehicle = load_model(Path(model)) if model is not None else None
     recordings = [read_samples(config.loaded, [name], reading, strict) for name in names]
     return diagnosis_of(config, names, recordings, vehicle, time_limit_s, progress)

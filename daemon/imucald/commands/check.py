@@ -10,6 +10,7 @@ from imucald.commands.options import (
     LOG_HELP,
     add_bus,
     add_config,
+    add_quiet,
     configuration,
     positive,
     print_problems,
@@ -26,9 +27,9 @@ LISTEN_S = 10.0
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Options of `check`."""
     parser.epilog = (
-        "Without LOG it listens on the configuration's bus; it never sends. Exit status: 0 when "
-        "the configuration can be used, 1 when something necessary is missing or wrong, and with "
-        "--strict when there are warnings too."
+        "Without LOG it listens on the configuration's bus. It never sends. Exit status: 0 "
+        "the configuration can be used, 1 something necessary is missing or wrong. With "
+        "--strict, warnings give 1 too."
     )
     parser.add_argument(
         "logs",
@@ -45,8 +46,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="S",
         help=f"how long to listen without LOG (default: {LISTEN_S:g})",
     )
-    parser.add_argument("--strict", action="store_true", help="fail on warnings too")
+    parser.add_argument("--strict", action="store_true", help="warnings give exit status 1 too")
     parser.add_argument("--json", action="store_true", help="print the result as JSON")
+    add_quiet(parser, "no progress, no report: the exit status gives the result")
 
 
 def run(options: argparse.Namespace) -> int:
@@ -62,7 +64,7 @@ def run(options: argparse.Namespace) -> int:
     config = configuration(options)
     check_start(config.loaded)
     if options.logs:
-        with progress_bar("check") as progress:
+        with progress_bar("check", options.quiet) as progress:
             found = check(config, options.logs, progress=progress)
         print_problems(found.problems)
     else:
@@ -73,7 +75,7 @@ def run(options: argparse.Namespace) -> int:
     passed = report["usable"] and not (options.strict and report["warnings"])
     if options.json:
         sys.stdout.write(as_json(report))
-    else:
+    elif not options.quiet:
         from imucald.commands.check_view import print_report
         from imucald.commands.terminal import plain_where_needed
 
@@ -92,7 +94,7 @@ def _for_a_bus(loaded: LoadedConfig, options: argparse.Namespace) -> Check:
         remedy = (
             f"the plug, the ignition and the bit rate: ip -details -statistics link show {channel}"
         )
-    text = f"listened {options.seconds:g} s on {channel}: no frame at all. Look at {remedy}"
+    text = f"no frame came in {options.seconds:g} s on {channel}. Check {remedy}"
     return Check(loaded, text)
 
 

@@ -51,7 +51,7 @@ def _verdict(report: Mapping[str, Any], strict: bool) -> Text:
         return Text("This configuration can be used: no warnings.", style="bold green")
     if strict:
         return Text(
-            f"This configuration has {how_many}, and --strict allows none.", style="bold red"
+            f"This configuration has {how_many}; --strict allows no warning.", style="bold red"
         )
     return Text(f"This configuration can be used, with {how_many}: see above.", style="bold yellow")
 

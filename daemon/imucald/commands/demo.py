@@ -48,7 +48,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--live",
         action="store_true",
-        help="in real time: a simulated bus, the real daemon and its monitor",
+        help="run in real time: a simulated bus, the real daemon and its monitor",
     )
     add_web_argument(parser)
     parser.add_argument(

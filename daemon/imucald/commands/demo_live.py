@@ -104,7 +104,10 @@ def run_live(
 ) -> None:
     """Show a drive live until it ends or Ctrl-C; then the truth. Raises ConfigError, LinkError."""
     if speed != 1.0 and interface != "virtual":
-        raise ConfigError("--speed needs the virtual bus: elsewhere stamps are those of arrival")
+        raise ConfigError(
+            "--speed needs the virtual bus (leave --interface out): on other buses, frames "
+            "get the time at which they arrive"
+        )
     channel = channel or CHANNELS.get(interface, "")
     note = f"simulated car (seed {seed}) on {interface} {channel}"
     note += f", {speed:g} times real time" if speed != 1.0 else ""

@@ -73,8 +73,10 @@ def print_result(demo: Demonstration, waited: float, console: Console | None = N
     console.print()
     console.print("Next, with a database and a log of your vehicle:")
     console.print("  imucald init --database car.dbc --out car.yaml drive.log   proposes car.yaml")
-    console.print("  imucald check  --config car.yaml drive.log   what it decodes, what is odd")
-    console.print("  imucald replay --config car.yaml drive.log   the mount")
+    console.print(
+        "  imucald check  --config car.yaml drive.log   shows what it decodes, and what is wrong"
+    )
+    console.print("  imucald replay --config car.yaml drive.log   finds the mount")
 
 
 def _result_table(angles: list[Angle]) -> Table:

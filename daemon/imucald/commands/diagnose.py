@@ -6,7 +6,7 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from imucald.commands.options import LOG_HELP, add_config, configuration, print_problems
+from imucald.commands.options import LOG_HELP, add_config, add_quiet, configuration, print_problems
 from imucald.core.libraries import how_to_install
 
 if TYPE_CHECKING:
@@ -18,9 +18,9 @@ if TYPE_CHECKING:
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Options of `diagnose`."""
     parser.epilog = (
-        "Several logs are drives of one vehicle with the sensor in its place; whole drives then "
-        "serve as data that the fit does not see. Exit status: 0 whatever the verdict, 1 where "
-        "nothing could be diagnosed."
+        "Several logs must be drives of one vehicle, with the sensor at the same place. "
+        "Whole drives are then kept out of the fit and test it. Exit status: 0 whatever the "
+        "verdict, 1 nothing could be diagnosed."
     )
     parser.add_argument(
         "logs",
@@ -33,8 +33,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--model",
         type=Path,
         metavar="FILE",
-        help="model file to put to the test (default: a plain car, with the configuration's "
-        "figures and the mount that the drives give)",
+        help="model file to test (default: a plain car, with the values of the configuration and "
+        "the mount that the drives show)",
     )
     parser.add_argument(
         "--json", metavar="FILE", help="write the diagnosis as JSON ('-': standard output)"
@@ -43,22 +43,24 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--report",
         type=Path,
         metavar="DIR",
-        help=f"write a page with pictures there (index.html; needs {how_to_install('report')})",
+        help="write a page with pictures into this folder (index.html; needs "
+        f"{how_to_install('report')})",
     )
     parser.add_argument(
         "--write-model",
         metavar="FILE",
-        help="write the extended model file, for 'simulate --model' and the key 'model:'",
+        help="write the extended model file. 'simulate --model' and the key 'model:' of a "
+        "configuration take it",
     )
     parser.add_argument(
         "--time-limit",
         type=float,
         metavar="S",
-        help="processor time after which the search ends, with what it found "
-        "(40 s an hour of driving, 10 s at least)",
+        help="processor time after which the search ends with what it found so far (default: 40 "
+        "s for each hour of driving, at least 10 s)",
     )
     parser.add_argument("--strict", action="store_true", help="stop at the first bad line")
-    parser.add_argument("--quiet", action="store_true", help="no progress, no summary")
+    add_quiet(parser, "no progress, no summary")
 
 
 def run(options: argparse.Namespace) -> int:
@@ -102,7 +104,7 @@ def _check(options: argparse.Namespace) -> None:
     for log in options.logs:
         place = log if log == STANDARD else Path(log).resolve()
         if place in seen:
-            raise ConfigError(f"{log} is given twice: a drive counts once")
+            raise ConfigError(f"{log} is given twice; give each log once")
         seen[place] = log
     outputs = [options.json, options.write_model]
     if options.report:

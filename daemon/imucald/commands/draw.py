@@ -21,7 +21,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     what.add_argument(
         "--quaternion",
         metavar="W,X,Y,Z",
-        help="the rotation from sensor to vehicle axes, as replay --json gives it",
+        help="the rotation from sensor to vehicle axes, as 'imucald replay --json' writes it",
     )
     what.add_argument(
         "--axes", action="store_true", help="the vehicle's axes and the signs of the angles"
@@ -76,12 +76,12 @@ def _rotation(options: argparse.Namespace) -> Matrix3:
     except ValueError:
         numbers = []
     if len(numbers) != wanted or not all(map(math.isfinite, numbers)):
-        raise ConfigError(f"{name} must be {wanted} numbers with commas between, not {text!r}")
+        raise ConfigError(f"{name} must be {wanted} numbers with commas between them, not {text!r}")
     if options.mount:
         roll, pitch, yaw = (math.radians(x) for x in numbers)
         return rotation_from_angles(roll, pitch, yaw)
     length = math.hypot(*numbers)
     if not 0.99 < length < 1.01:
-        raise ConfigError(f"--quaternion must have the length 1, not {length:.3g}")
+        raise ConfigError(f"--quaternion must have length 1; it has length {length:.3g}")
     w, x, y, z = (n / length for n in numbers)
     return np.array(rows_from_quaternion((w, x, y, z))).reshape(3, 3)

@@ -15,12 +15,17 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     from imucald.commands.status import add_socket_argument
 
     add_socket_argument(parser)
-    parser.add_argument("-n", type=int, default=20, metavar="N", help="the last N (default: 20)")
-    parser.add_argument("--json", action="store_true", help="as JSON, times in Unix seconds")
+    parser.add_argument(
+        "-n", type=int, default=20, metavar="N", help="show the last N events (default: 20)"
+    )
+    parser.add_argument(
+        "--json", action="store_true", help="print the events as JSON, with times in Unix seconds"
+    )
     parser.epilog = (
-        "The daemon keeps the last 200 since its start: changes of state, alarms, orders with who "
-        "gave them, reloads, the bus. All of them, and those of earlier runs: journalctl -u "
-        "imucald@can0. Exit status: 0; 3 where no daemon runs, 8 where it does not answer."
+        "The daemon keeps the last 200 events since its start: changes of state, alarms, "
+        "orders with who gave them, reloads, errors of the bus. The journal has all events, "
+        "earlier runs too: journalctl -u imucald@can0. Exit status: 0 done, 3 no daemon "
+        "runs, 8 the daemon does not answer."
     )
 
 

@@ -20,7 +20,7 @@ MQTT_PORT, MQTT_TLS_PORT, KUKSA_PORT, FOXGLOVE_PORT = 1883, 8883, 55555, 8765
 TARGETS = {
     "mqtt": "to an MQTT broker, as JSON",
     "kuksa": "to a KUKSA databroker, as VSS signals",
-    "foxglove": "to Foxglove, which opens the address that this serves",
+    "foxglove": "to Foxglove, which connects to this program",
 }
 
 
@@ -43,9 +43,13 @@ def _add_mqtt(parser: argparse.ArgumentParser) -> None:
         help=f"default: localhost:{MQTT_PORT}, with --ca port {MQTT_TLS_PORT}",
     )
     parser.add_argument(
-        "--topic", metavar="TOPIC", help="what all topics begin with (default: imucald/CHANNEL)"
+        "--topic", metavar="TOPIC", help="beginning of every topic (default: imucald/CHANNEL)"
     )
-    parser.add_argument("--user", metavar="NAME", help="its password is in $IMUCALD_MQTT_PASSWORD")
+    parser.add_argument(
+        "--user",
+        metavar="NAME",
+        help="user name at the broker; set its password in $IMUCALD_MQTT_PASSWORD",
+    )
     _add_ca(parser)
 
 
@@ -57,7 +61,9 @@ def _add_kuksa(parser: argparse.ArgumentParser) -> None:
         help=f"default: localhost:{KUKSA_PORT}",
     )
     parser.add_argument("--token", type=Path, metavar="FILE", help="its access token")
-    parser.add_argument("--server-name", metavar="NAME", help="the one in its certificate")
+    parser.add_argument(
+        "--server-name", metavar="NAME", help="host name that stands in the server's certificate"
+    )
     _add_ca(parser)
 
 
@@ -70,7 +76,8 @@ def _add_foxglove(parser: argparse.ArgumentParser) -> None:
         "--listen",
         default="127.0.0.1",
         metavar="HOST[:PORT]",
-        help=f"default: 127.0.0.1:{FOXGLOVE_PORT}; whoever reaches another host's address may look",
+        help=f"address to listen on (default: 127.0.0.1:{FOXGLOVE_PORT}). With another "
+        "address, everybody who reaches it can read the data",
     )
     parser.set_defaults(ca=None)
 
@@ -81,7 +88,8 @@ def _add_source(parser: argparse.ArgumentParser) -> None:
     add_socket_argument(parser)
     parser.add_argument(
         "--rate", type=positive, default=10.0, metavar="HZ",
-        help="corrected values per second, each the mean since the one before (default: 10)",
+        help="corrected values per second; each is the mean since the value before (default: "
+             "10)",
     )  # fmt: skip
     parser.add_argument(
         "--accept", choices=("fine", "usable", "restored"), default="usable",
@@ -93,11 +101,15 @@ def _add_source(parser: argparse.ArgumentParser) -> None:
         help="send only the mount and its state; do not open the bus",
     )
     parser.add_argument(
-        "--config", type=Path, metavar="FILE", help="the daemon's, where its own path is not here"
+        "--config",
+        type=Path,
+        metavar="FILE",
+        help="database of the daemon's frames, where the path that the daemon uses does not "
+        "exist here",
     )
     parser.epilog = (
-        "It runs until Ctrl-C or SIGTERM. It waits for a daemon or receiver that is not there, and "
-        "says so. What it sends: docs/feeds.md."
+        "It runs until Ctrl-C or SIGTERM. If the daemon or the receiver is not there, it "
+        "says so and waits. docs/feeds.md lists what it sends."
     )
 
 
@@ -156,7 +168,9 @@ def _receiver(options: argparse.Namespace, bus: str) -> Receiver:
         host, port = _address(options.broker, MQTT_TLS_PORT if options.ca else MQTT_PORT)
         topic = (options.topic or f"imucald/{bus}").rstrip("/")
         if not topic or "#" in topic or "+" in topic:
-            raise ImucaldError(f"--topic {topic!r}: no '#' or '+' in a topic that is sent")
+            raise ImucaldError(
+                f"--topic {topic!r}: the topic must not be empty and must not contain '#' or '+'"
+            )
         return MqttReceiver(MqttSettings(host, port, topic, options.user, options.ca), _say)
     if options.target == "foxglove":
         from imucald.feeds.foxglove import FoxgloveReceiver, FoxgloveSettings
@@ -177,7 +191,7 @@ def _address(text: str, port: int) -> tuple[str, int]:
     if not colon or (host.count(":") and not host.endswith("]")):
         return text.strip("[]"), port
     if not given.isdecimal() or not 0 < int(given) <= 0xFFFF or not host:
-        raise ImucaldError(f"{text!r} is no address: write HOST or HOST:PORT")
+        raise ImucaldError(f"{text!r} is not an address: write HOST or HOST:PORT")
     return host.strip("[]"), int(given)
 
 

@@ -41,13 +41,17 @@ def check_files(inputs: Iterable[Name], outputs: Sequence[Name | None]) -> None:
             raise LogError(f"{path}: cannot be opened: {error.strerror or error}") from None
     wanted = [str(name) for name in outputs if name is not None]
     if wanted.count(STANDARD) > 1:
-        raise ImucaldError("standard output can be asked for once only")
+        raise ImucaldError(
+            "'-' (standard output) is given twice: give a file for one of the outputs"
+        )
     written: list[Path] = []
     for path in (Path(name) for name in wanted if name != STANDARD):
         _check_output(path)
         for other in (*read, *written):
             if path.resolve() == other.resolve() or (path.exists() and _same(path, other)):
-                raise ImucaldError(f"{path}: would overwrite {other}; choose another name")
+                raise ImucaldError(
+                    f"{path}: writing it would overwrite {other}; choose another name"
+                )
         written.append(path)
 
 

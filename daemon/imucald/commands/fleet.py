@@ -7,15 +7,16 @@ import importlib
 import importlib.util
 from pathlib import Path
 
+from imucald.commands.options import add_quiet
 from imucald.core.errors import ImucaldError
 from imucald.core.libraries import how_to_install
 
 LIBRARIES = ("pyarrow", "fsspec")
 ACTIONS = {
     "run": "evaluate the logs that were not evaluated yet",
-    "retry": "the same, with those that failed before",
+    "retry": "evaluate the new logs and those that failed before",
     "status": "show the progress of the runs and what failed",
-    "why": "show all that is known of one log",
+    "why": "show everything that is known about one log",
     "analyse": "read all drives together: vehicles, types, batches, remounts, outliers",
     "report": "write what the analysis found as one HTML page",
 }
@@ -33,17 +34,24 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
             _add_run(sub)
             continue
         sub.add_argument(
-            "--fleet", type=Path, metavar="FILE", help="fleet.yaml, for its options of storage"
+            "--fleet",
+            type=Path,
+            metavar="FILE",
+            help="fleet.yaml, where the options of the storage stand",
         )
         if name == "why":
-            sub.add_argument("log", metavar="LOG", help="its address, a part of it, or its log_key")
+            sub.add_argument(
+                "log",
+                metavar="LOG",
+                help="address of the log, a part of the address, or its log_key",
+            )
         elif name == "analyse":
             sub.add_argument(
                 "--group",
                 action="append",
                 default=[],
                 metavar="COLUMN",
-                help="columns of drives to compare vehicles by, within their type "
+                help="columns of the drives table: vehicles of one type are compared by them "
                 "(default: sensor_batch and firmware)",
             )
         elif name == "report":
@@ -53,7 +61,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def _add_run(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--fleet", required=True, type=Path, metavar="FILE", help="fleet.yaml")
     parser.add_argument(
-        "--logs", metavar="GLOB|LIST", help="logs to evaluate in place of those in fleet.yaml"
+        "--logs",
+        metavar="GLOB|LIST",
+        help="logs to evaluate; those in fleet.yaml are then not used",
     )
     where = parser.add_mutually_exclusive_group()
     where.add_argument("--workers", type=int, metavar="N", help="processes here (default: cores)")
@@ -63,25 +73,29 @@ def _add_run(parser: argparse.ArgumentParser) -> None:
     for part in ("ca", "cert", "key"):
         parser.add_argument(f"--tls-{part}", metavar="FILE", help="PEM file for tls://")
     parser.add_argument(
-        "--memory", default="1GiB", metavar="SIZE", help="most memory for one log (default: 1GiB)"
+        "--memory", default="1GiB", metavar="SIZE", help="memory limit for one log (default: 1GiB)"
     )
     parser.add_argument(
         "--time-limit",
         default="15min",
         metavar="TIME",
-        help="most time for one log (default: 15min)",
+        help="time limit for one log (default: 15min)",
     )
     parser.add_argument("--signals", choices=("none", "corrected"), default="none",
                         help="write corrected signals too")  # fmt: skip
-    parser.add_argument("--diagnose", action="store_true", help="run 'imucald "
-                        "diagnose' on each drive too (some seconds a log)")  # fmt: skip
+    parser.add_argument("--diagnose", action="store_true", help="run 'imucald diagnose' on each "
+                                                                "drive too (takes some seconds "
+                                                                "for each log)")  # fmt: skip
     parser.add_argument("--since", metavar="DATE", help="only logs of this day or later")
     parser.add_argument("--redo", choices=("nothing", "failed", "config", "all"),
-                        default="nothing", help="evaluate logs again: those that failed, those "
-                        "of another configuration or version, or all")  # fmt: skip
-    parser.add_argument("--limit", type=int, metavar="N", help="no more than N logs")
-    parser.add_argument("--dry-run", action="store_true", help="only show what would be done")
-    parser.add_argument("--quiet", action="store_true", help="no progress")
+                        default="nothing", help="which logs to evaluate again: those that "
+                                                "failed, those that were evaluated with another "
+                                                "configuration or version, or all")  # fmt: skip
+    parser.add_argument("--limit", type=int, metavar="N", help="evaluate N logs at most")
+    parser.add_argument(
+        "--dry-run", action="store_true", help="show what would be done, and do nothing"
+    )
+    add_quiet(parser, "no progress")
 
 
 def run(options: argparse.Namespace) -> int:

@@ -21,7 +21,7 @@ def _store(options: argparse.Namespace) -> Store:
     storage = read_settings(options.fleet)[0].storage if options.fleet else None
     store = Store(options.out, storage)
     if not parts(store, "sources"):
-        raise ImucaldError(f"{store.url}: no run has written here ('imucald fleet run')")
+        raise ImucaldError(f"{store.url}: no results here yet; run 'imucald fleet run' first")
     return store
 
 
@@ -41,7 +41,7 @@ def status(options: argparse.Namespace) -> int:
     holder = holder_of(store)
     if holder is not None:
         age = time.time() - holder.beat
-        console.print(f"a run goes on: process {holder.pid} on {holder.host}, {age:.0f} s ago")
+        console.print(f"a run is active: process {holder.pid} on {holder.host}, {age:.0f} s ago")
     drives, failures = tables["drives"], tables["failures"]
     sources = tables["sources"]
     gigabytes = sum(sources.column("bytes").to_pylist()) / 1e9
@@ -84,10 +84,12 @@ def why(options: argparse.Namespace) -> int:
     )
     found = sources.filter(fits).to_pylist()
     if not found:
-        raise ImucaldError(f"{options.log}: no log of this fleet has such an address or key")
+        raise ImucaldError(f"{options.log}: no log of this fleet has this address or key")
     if len(found) > 1:
         names = "\n  ".join(row["source"] for row in found[:20])
-        raise ImucaldError(f"{options.log}: {len(found)} logs have that; say more:\n  {names}")
+        raise ImucaldError(
+            f"{options.log}: {len(found)} logs match; give more of the address:\n  {names}"
+        )
     wanted = {"source": found[0]["source"], "log_key": found[0]["log_key"]}
     for name, table in tables.items():
         key = "log_key" if name in ("drives", "events") else "source"

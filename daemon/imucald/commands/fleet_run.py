@@ -72,7 +72,7 @@ def _run(options: argparse.Namespace, stopping: _Stopping) -> int:
         _bytes("--memory", options.memory), _seconds("--time-limit", options.time_limit)
     )
     if options.since is not None and not _is_date(options.since):
-        raise ConfigError(f"--since {options.since}: is no date of the form YYYY-MM-DD")
+        raise ConfigError(f"--since {options.since}: this is not a date; write YYYY-MM-DD")
     fleet = load_fleet(options.fleet, {"logs": options.logs} if options.logs else None)
     for bundle in fleet.bundles.values():
         print_problems(f"warning: {text}" for text in bundle.warnings)
@@ -109,14 +109,14 @@ def _is_date(text: str) -> bool:
 def _bytes(option: str, text: str) -> int:
     match = _SIZE.fullmatch(text.strip())
     if match is None or float(match[1]) <= 0:
-        raise ConfigError(f"{option} {text}: a size such as 512MiB or 2GiB is needed")
+        raise ConfigError(f"{option} {text}: this is not a size; write for example 512MiB or 2GiB")
     return round(float(match[1]) * _SIZES[match[2]])
 
 
 def _seconds(option: str, text: str) -> float:
     match = _TIME.fullmatch(text.strip())
     if match is None or float(match[1]) <= 0:
-        raise ConfigError(f"{option} {text}: a time such as 90s or 15min is needed")
+        raise ConfigError(f"{option} {text}: this is not a time; write for example 90s or 15min")
     return float(match[1]) * _TIMES[match[2]]
 
 
@@ -135,7 +135,7 @@ def _workers(options: argparse.Namespace, fleet: Fleet) -> Workers:
         raise ImucaldError(text) from None
     files = (options.tls_ca, options.tls_cert, options.tls_key)
     if any(files) and not all(files):
-        raise ConfigError("--tls-ca, --tls-cert and --tls-key belong together")
+        raise ConfigError("give --tls-ca, --tls-cert and --tls-key together, or none of them")
     return DaskWorkers(options.scheduler, fleet.bundles, TlsFiles(*files) if all(files) else None)
 
 
@@ -218,7 +218,8 @@ def _print_end(counts: Counts, whole: bool) -> int:
     if not whole:
         left = counts.logs - counts.done
         print(
-            f"imucald: stopped; {counted(left, 'log')} left. Run the same command to continue",
+            f"imucald: stopped; {counted(left, 'log')} not evaluated. Run the same "
+            "command to continue",
             file=sys.stderr,
         )
         return INTERRUPTED

@@ -25,8 +25,9 @@ LISTEN_S = 120.0
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Options of `init`."""
     parser.epilog = (
-        "The recording should be a drive of some minutes with stops and bends. Without a recording "
-        "the proposal uses names and units only. Then: imucald check --config FILE LOG."
+        "The recording should be a drive with stops and bends: two minutes at least, better ten. "
+        "Without a recording the proposal uses names and units only. Then: imucald check --config "
+        "FILE LOG."
     )
     parser.add_argument("logs", nargs="*", metavar="LOG", help=LOG_HELP)
     parser.add_argument(
@@ -48,7 +49,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--driving-side",
         choices=("left", "right", "unknown"),
         default="unknown",
-        help="side of the road that you drive on: roads slope to it, and no recording shows it",
+        help="side of the road that you drive on. Roads slope to this side, and a recording does "
+        "not show which side it is",
     )
     parser.add_argument(
         "--interface", help="listen on a bus: a python-can interface, or a name such as can0"
@@ -59,7 +61,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         type=positive,
         default=LISTEN_S,
         metavar="S",
-        help=f"how long to listen (default: {LISTEN_S:g})",
+        help=f"how long to listen on the bus (default: {LISTEN_S:g}, enough for a stop, a start "
+        "and some bends; 600 gives surer units and signs). It does not limit a LOG",
     )
 
 
@@ -111,16 +114,23 @@ def _require_matches(
 
     if not recording.frames:
         if options.logs:
-            text = "holds no CAN frame; give a log of this bus, or leave LOG out (names alone)"
+            text = (
+                "the log holds no CAN frame; give a log of this bus, or leave LOG out (then "
+                "only the names in the database are used)"
+            )
             raise NoFramesError(f"{', '.join(options.logs)}: {text}")
         if options.interface or options.channel:
-            text = f"no frame came in {options.seconds:g} s; is the bus awake, its bit rate right?"
+            text = (
+                f"no frame came in {options.seconds:g} s. Is the bus awake? Is its bit rate right?"
+            )
             raise LinkError(f"{options.channel or options.interface}: {text}")
     elif options.database and not proposal.messages_seen:
         names = ", ".join(str(path) for path in options.database)
-        text = "give the database of this bus, or leave --database out (raw bytes alone)"
+        text = (
+            "give the database of this bus, or leave --database out (then only raw bytes are used)"
+        )
         raise ConfigError(
-            f"{names}: none of its messages is among the {recording.frames} frames; {text}"
+            f"{names}: the {recording.frames} frames contain no message of this database; {text}"
         )
     if not any(choice.sources for choice in proposal.choices):
         text = (
@@ -143,8 +153,11 @@ def _outcome(proposal: Proposal, options: argparse.Namespace) -> str:
         found += f"not found: {', '.join(missing)}; "
     accelerometer = proposal.choice("accelerometer")
     if accelerometer is None:
-        return found + "no accelerometer was found, without which nothing works: fill it in by hand"
-    doubt = f"the accelerometer is one: {accelerometer.doubt}; " if accelerometer.doubt else ""
+        return found + (
+            "no accelerometer was found, and nothing works without one: write it into the "
+            "file by hand"
+        )
+    doubt = f"the accelerometer is unsure ({accelerometer.doubt}); " if accelerometer.doubt else ""
     arguments = ["--config", options.out, *options.logs]
     if not options.logs and options.interface:
         arguments += ["--interface", options.interface]

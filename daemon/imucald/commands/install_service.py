@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import argparse
+import os
+import shlex
 import sys
+from collections.abc import Iterable
 from pathlib import Path
 
 from imucald.core.errors import ConfigError
@@ -27,10 +30,16 @@ FILES = {
 }
 """Name in the package -> place below PREFIX."""
 _PACKAGED = "/usr/bin/imucald"
+HIDDEN = tuple(map(Path, ("/home", "/root", "/run/user", "/tmp", "/var/tmp")))
+"""What a unit does not see: ProtectHome=yes and PrivateTmp=yes."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Options of `install-service`."""
+    parser.epilog = (
+        "Writing to the system needs root: sudo imucald install-service. The program must not "
+        "stand under /home, /root or /tmp, since systemd hides these folders from the units."
+    )
     parser.add_argument(
         "--prefix",
         type=Path,
@@ -43,10 +52,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         type=Path,
         default=Path("/"),
         metavar="DIR",
-        help="root of an image that all paths are put under",
+        help="write into an image: all paths are put under DIR (default: /, this system)",
     )
     parser.add_argument(
-        "--exec", metavar="COMMAND", help="what the unit runs (default: this interpreter's imucald)"
+        "--exec",
+        metavar="COMMAND",
+        help="command that the unit runs (default: the imucald that you call now)",
     )
 
 
@@ -56,6 +67,9 @@ def run(options: argparse.Namespace) -> int:
 
     command = options.exec or f"{sys.executable} -m imucald"
     data = resources.files("imucald") / "data"
+    if options.root == Path("/"):
+        package = [] if options.exec else [str(Path(__file__).parents[1])]
+        _refuse_hidden([shlex.split(command)[0], *package])
     base = options.root / options.prefix.relative_to(options.prefix.anchor)
     for name, place in FILES.items():
         text = (data / name).read_text("utf-8")
@@ -63,8 +77,6 @@ def run(options: argparse.Namespace) -> int:
             for place_before in ("  ", "ExecStart=", "ExecReload="):
                 text = text.replace(f"{place_before}{_PACKAGED} ", f"{place_before}{command} ")
         _write(base / place, text)
-    if command.startswith(("/home/", "/root/")):
-        print(f"note: the unit hides /home and /root, but runs {command}; install it elsewhere")
     print("next: put a configuration in /etc/imucald/can0.yaml, then")
     print("  systemctl daemon-reload && systemctl enable --now imucald@can0")
     return 0
@@ -74,6 +86,22 @@ def _write(path: Path, text: str) -> None:
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         path.write_text(text, encoding="utf-8")
+    except PermissionError as error:
+        raise ConfigError(f"{path}: {error.strerror}; run it with sudo") from None
     except OSError as error:
-        raise ConfigError(f"{path}: {error.strerror or error}; --prefix names another") from None
+        text = f"{error.strerror or error}; name another folder with --prefix"
+        raise ConfigError(f"{path}: {text}") from None
     print(path)
+
+
+def _refuse_hidden(programs: Iterable[str]) -> None:
+    """Raise ConfigError where a unit could not see one of these files, or what it links to."""
+    for program in map(Path, filter(os.path.isabs, programs)):
+        for path in (program, program.resolve()):
+            if hiding := [str(folder) for folder in HIDDEN if path.is_relative_to(folder)]:
+                raise ConfigError(
+                    f"the service would run {path}, but systemd hides {hiding[0]} from it. Nothing "
+                    "was written. Install imucald into another folder, for example with: "
+                    "sudo python3 -m venv /opt/imucald && sudo /opt/imucald/bin/pip install . "
+                    "Then run: sudo /opt/imucald/bin/imucald install-service"
+                )

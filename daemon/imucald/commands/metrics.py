@@ -25,17 +25,19 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--textfile",
         type=Path,
         metavar="FILE",
-        help="write them for node_exporter's textfile collector, whole or not at all; what is no "
-        "regular file (device, pipe, link) is refused",
+        help="write the metrics into FILE, for node_exporter's textfile collector. FILE is "
+        "replaced in one step. A device, pipe or link is refused",
     )
     way.add_argument(
         "--listen",
         metavar="HOST:PORT",
-        help="serve them at http://HOST:PORT/metrics until Ctrl-C, such as 127.0.0.1:8131",
+        help="serve the metrics at http://HOST:PORT/metrics until Ctrl-C; an example is "
+        "127.0.0.1:8131",
     )
     parser.epilog = (
-        "Without a channel: those of all daemons that run here, with the label 'bus'. "
-        "A daemon that does not answer has imucald_up 0. Exit status: 0, also where none runs."
+        "Without a channel, the metrics of all daemons on this machine are written, with the "
+        "label 'bus'. A daemon that does not answer has imucald_up 0. Exit status: 0, also "
+        "where no daemon runs."
     )
 
 
@@ -89,8 +91,9 @@ def _write(path: Path, text: str) -> None:
     try:
         if not _may_replace(path):
             raise ImucaldError(
-                f"{path}: is no regular file and is left as it is (links are not followed); "
-                "name a file, or leave --textfile out to print the metrics"
+                f"{path}: this is not a regular file (it may be a device, a pipe or a link), "
+                "so nothing is written; name a file, or leave --textfile out to print the "
+                "metrics"
             )
         write_file(path, text.encode(), TEXTFILE_MODE)
     except OSError as error:

@@ -23,7 +23,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_socket_argument(parser)
     parser.add_argument("--seconds", type=positive, metavar="S", help="stop after this time")
     add_web_argument(parser)
-    parser.epilog = "Exit status: 0; 3 where no daemon runs, 8 where it does not answer."
+    parser.epilog = (
+        "Exit status: 0 ended by Ctrl-C, 3 no daemon runs, 8 the daemon does not answer."
+    )
 
 
 def add_web_argument(parser: argparse.ArgumentParser) -> None:
@@ -34,7 +36,7 @@ def add_web_argument(parser: argparse.ArgumentParser) -> None:
         nargs="?",
         const=WEB_PORT,
         metavar="PORT",
-        help=f"show it as a page at http://127.0.0.1:{WEB_PORT}, for this machine only "
+        help=f"show the status as a page at http://127.0.0.1:{WEB_PORT}, for this machine only "
         f"(needs {how_to_install('live')})",
     )
 

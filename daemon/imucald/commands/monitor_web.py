@@ -230,7 +230,7 @@ async def _serve(path: Path, port: int, is_over: Callable[[], bool], state: Live
             await web.TCPSite(runner, ADDRESS, port).start()
         except OSError as error:
             reason = error.strerror or error
-            text = f"{ADDRESS}:{port} cannot be opened: {reason}; --web takes another port"
+            text = f"{ADDRESS}:{port} cannot be opened: {reason}; give another port (--web PORT)"
             raise ImucaldError(text) from None
         _, real_port = runner.addresses[0][:2]
         print(f"http://{ADDRESS}:{real_port}   Ctrl-C ends", flush=True)

@@ -46,7 +46,7 @@ def add_config(parser: argparse.ArgumentParser) -> None:
         default=[],
         type=Path,
         metavar="FILE",
-        help="database to use in place of the configuration's (repeat for several)",
+        help="database to use instead of that in the configuration (repeat for several)",
     )
 
 
@@ -65,10 +65,15 @@ def print_problems(texts: Iterable[str]) -> None:
         print(f"imucald: {text}", file=sys.stderr)
 
 
+def add_quiet(parser: argparse.ArgumentParser, text: str) -> None:
+    """The same two names in every command. text: what is left out."""
+    parser.add_argument("--quiet", "-q", action="store_true", help=text)
+
+
 def refuse_log_and_bus(options: argparse.Namespace) -> None:
     """Raise ConfigError where both a recording and a bus are named."""
     if options.logs and (options.interface or options.channel):
-        raise ConfigError("either LOG or --interface and --channel: not both")
+        raise ConfigError("give either LOG, or --interface and --channel, but not both")
 
 
 def add_bus(parser: argparse.ArgumentParser) -> None:

@@ -14,9 +14,9 @@ from typing import Any
 from imucald.core.errors import ImucaldError, LinkError
 
 WHO = (
-    "Orders are accepted from root and from the user that the daemon runs as. Log and events show "
-    "each order with who gave it. Exit status: 0 done, 1 refused (the text says why), 3 no "
-    "daemon runs, 8 one runs and does not answer."
+    "Orders are accepted from root and from the user that the daemon runs as. Log and events "
+    "show each order with who gave it. Exit status: 0 done, 1 refused (the text says why), 3 "
+    "no daemon runs, 8 the daemon does not answer."
 )
 NOT_RUNNING = 3
 """As `systemctl is-active` and `status` of init scripts have it."""
@@ -26,7 +26,10 @@ def add_target(parser: argparse.ArgumentParser, more: str = "") -> None:
     """Which daemons are meant."""
     from imucald.commands.status import add_socket_argument
 
-    add_socket_argument(parser)
+    add_socket_argument(
+        parser,
+        "status socket of the daemon; the order goes to the control socket that stands next to it",
+    )
     parser.add_argument("--all", action="store_true", help="every daemon that runs here")
     parser.epilog = WHO + more
 
@@ -36,7 +39,7 @@ def give(options: argparse.Namespace, order: str, **more: Any) -> int:
     from imucald.commands.status import find_socket, running_sockets
 
     if options.all and (options.channel or options.socket):
-        raise ImucaldError("--all means every daemon: leave out the channel and --socket")
+        raise ImucaldError("--all means every daemon; leave the channel and --socket out")
     if options.all:
         sockets = running_sockets()
     else:
@@ -63,7 +66,9 @@ def _given(status_socket: Path, request: Mapping[str, Any], is_named: bool) -> i
     path = control_socket(status_socket)
     if path.exists() and not os.access(path, os.R_OK | os.W_OK):
         command = "sudo imucald ..."
-        raise ImucaldError(f"{path}: only root may give orders; say {command}")
+        raise ImucaldError(
+            f"{path}: you may not give orders to this daemon; run it as root: {command}"
+        )
     try:
         answer = json.loads(ask(path, json.dumps(request), is_repeatable=False))
     except BusyError as error:
@@ -73,7 +78,10 @@ def _given(status_socket: Path, request: Mapping[str, Any], is_named: bool) -> i
         print(f"imucald: {error}", file=sys.stderr)
         return NOT_RUNNING
     except ValueError:
-        raise ImucaldError(f"{path}: this is not imucald's control socket") from None
+        raise ImucaldError(
+            f"{path}: the answer is not that of an imucald daemon; name the status socket of "
+            "the daemon (--socket PATH)"
+        ) from None
     name = f"{status_socket.parent.name}: " if is_named else ""
     if "done" in answer:
         print(f"{name}{answer['done']}")

@@ -9,7 +9,11 @@ from imucald.commands.orders import add_target, give
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Options of `release`."""
-    add_target(parser)
+    add_target(
+        parser,
+        " A hold that the configuration states ('calibration: mount: hold: true') cannot be "
+        "released by this command: remove it from the configuration, then reload.",
+    )
 
 
 def run(options: argparse.Namespace) -> int:

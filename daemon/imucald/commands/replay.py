@@ -11,7 +11,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from imucald.commands.options import LOG_HELP, add_config, configuration, print_problems
+from imucald.commands.options import LOG_HELP, add_config, add_quiet, configuration, print_problems
 from imucald.core.libraries import how_to_install
 
 if TYPE_CHECKING:
@@ -26,9 +26,9 @@ if TYPE_CHECKING:
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Options of `replay`."""
     parser.epilog = (
-        "Several logs are several drives, each replayed on its own; overlaps and mounts that "
-        "differ from drive to drive are reported. With --joined they are pieces of one recording: "
-        "what two of them hold counts twice, and is reported. "
+        "Several logs are several drives, each replayed on its own. Logs that overlap in time and "
+        "mounts that differ from drive to drive are reported. With --joined the logs are pieces of "
+        "one recording. A frame that two pieces hold counts twice, and this is reported. "
         "Exit status: 0 done (whatever the state reached), 1 a log could not be read or has no "
         "frame that can be used.\n\n"
         "  imucald replay --config car.yaml drive.log\n"
@@ -39,11 +39,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "logs",
         nargs="+",
         metavar="LOG",
-        help=f"{LOG_HELP}; a folder or a pattern stands for the logs in it",
+        help=f"{LOG_HELP}; a folder or a pattern means all logs in it",
     )
     add_config(parser)
     parser.add_argument(
-        "--joined", action="store_true", help="the logs are the pieces of one recording, in order"
+        "--joined", action="store_true", help="the logs are pieces of one recording, in this order"
     )
     parser.add_argument(
         "--out", metavar="FILE", help="write the frames that imucald would send (candump log)"
@@ -52,14 +52,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--write",
         type=Path,
         metavar="FILE",
-        help="write corrected signals, history and events: .parquet, .csv, .mf4 or .mcap (of "
-        "several drives a file each)",
+        help="write corrected signals, history and events as .parquet, .csv, .mf4 or .mcap "
+        "(several drives get a file each)",
     )
     parser.add_argument(
         "--quantities",
         metavar="NAMES",
-        help="with --write: which tables, such as accel,gyro,raw/speed ('raw': all samples as "
-        "they came; default: all but these)",
+        help="with --write: which tables, such as accel,gyro,raw/speed. 'raw' is all samples as "
+        "they came (default: all tables but 'raw')",
     )
     parser.add_argument(
         "--json", metavar="FILE", help="write the result as JSON ('-': standard output)"
@@ -68,7 +68,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--report",
         type=Path,
         metavar="DIR",
-        help="write a page about the drive here, of several drives one in a folder each and an "
+        help="write a page about the drive into DIR; several drives get a folder each and an "
         "index (needs "
         f"{how_to_install('report')})",
     )
@@ -77,12 +77,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--speed",
         type=float,
         metavar="X",
-        help="send the corrected frames on a bus, at X times real time (default: send "
-        "nothing, compute as fast as possible)",
+        help="SENDS the corrected frames on a bus, at X times real time (default: nothing is sent, "
+        "and the log is computed as fast as possible)",
     )
-    parser.add_argument("--interface", help="with --speed: python-can interface of that bus")
-    parser.add_argument("--channel", help="with --speed: its channel")
-    parser.add_argument("--quiet", action="store_true", help="no progress, no table")
+    parser.add_argument(
+        "--interface", help="with --speed: python-can interface of the bus to send on"
+    )
+    parser.add_argument("--channel", help="with --speed: channel of the bus to send on")
+    add_quiet(parser, "no progress, no table")
 
 
 def run(options: argparse.Namespace) -> int:
@@ -282,8 +284,8 @@ def _check(options: argparse.Namespace, logs: Sequence[str]) -> None:
     check_files(inputs, (options.out, options.json, *written))
     if several and (options.out or options.speed is not None):
         raise ConfigError(
-            "several logs are several drives: --out and --speed take one, or the pieces of one "
-            "with --joined"
+            "--out and --speed take one drive, but several logs are several drives; give one "
+            "log, or --joined if the logs are pieces of one recording"
         )
 
 

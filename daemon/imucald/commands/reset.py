@@ -9,7 +9,11 @@ from imucald.commands.orders import add_target, give
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Options of `reset`."""
-    add_target(parser, " The learnt and the saved mount are discarded; this cannot be undone.")
+    add_target(
+        parser,
+        " The learnt and the saved mount are discarded. This cannot be undone. A mount that the "
+        "configuration states ('calibration: mount') is used again after the reset.",
+    )
 
 
 def run(options: argparse.Namespace) -> int:

@@ -18,34 +18,35 @@ WRONG_CONFIGURATION = 78
 LOG_LEVELS = ("error", "warning", "notice", "info")
 """As in `service.journal`, which is loaded later."""
 NO_SOCKET = (
-    "no status socket: 'imucald status', 'monitor' and orders cannot reach this daemon, since "
-    "XDG_RUNTIME_DIR is not set; set it to a folder for all of these commands, or give "
-    "--status-socket PATH here and --socket PATH there"
+    "there is no status socket, since XDG_RUNTIME_DIR is not set: 'imucald status', "
+    "'monitor' and orders cannot reach this daemon. Set XDG_RUNTIME_DIR to a folder for all "
+    "these commands, or give --status-socket PATH to 'run' and --socket PATH to the others"
 )
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Options of `run`."""
     parser.epilog = (
-        "Ctrl-C or SIGTERM stops it, SIGHUP reads the configuration again. Exit status: 0 stopped, "
-        "1 an error (no such interface), 78 a configuration that is wrong.\n\n"
-        "  imucald run --config car.yaml\n"
-        "  imucald run --config car.yaml --channel can0 --state-dir state"
+        "Ctrl-C or SIGTERM stops it. SIGHUP makes it read the configuration again. Exit "
+        "status: 0 stopped, 1 an error (for example: the interface does not exist), 78 the "
+        "configuration is wrong.\n\n  imucald run --config car.yaml\n  imucald run --config "
+        "car.yaml --channel can0 --state-dir state"
     )
     add_config(parser)
     add_bus(parser)
     parser.add_argument(
         "--check",
         action="store_true",
-        help="check whether it can start, without opening a bus: exit status 0, or 78 with the "
-        "reason",
+        help="check whether the daemon can start, without opening a bus. Exit status: 0 it can, "
+        "78 it cannot (the text says why)",
     )
     parser.add_argument("--seconds", type=positive, metavar="S", help="stop after this time")
     parser.add_argument(
         "--state-dir",
         type=Path,
         metavar="DIR",
-        help="keep the calibration here across restarts (default: systemd's $STATE_DIRECTORY)",
+        help="folder that keeps the calibration over restarts (default: systemd's "
+        "$STATE_DIRECTORY)",
     )
     parser.add_argument(
         "--save-every",
@@ -58,22 +59,22 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--status-socket",
         type=Path,
         metavar="PATH",
-        help="answer 'imucald status' here (default: in $RUNTIME_DIRECTORY, "
-        "$XDG_RUNTIME_DIR or, as root, /run/imucald)",
+        help="socket that answers 'imucald status' (default: in $RUNTIME_DIRECTORY, in "
+        "$XDG_RUNTIME_DIR or, as root, in /run/imucald)",
     )
     parser.add_argument(
         "--metrics-listen",
         metavar="HOST:PORT",
-        help="serve metrics at http://HOST:PORT/metrics, such as 127.0.0.1:8131, from a process "
-        "of its own",
+        help="serve metrics at http://HOST:PORT/metrics from a process of its own; an example is "
+        "127.0.0.1:8131",
     )
     parser.add_argument("--json", metavar="FILE", help="write the result as JSON at the end")
     parser.add_argument(
         "--log-level",
         choices=LOG_LEVELS,
         default="info",
-        help="least important lines that are logged (default: info, all lines); "
-        "'imucald events' shows all lines whatever the level",
+        help="log lines of this level and above (default: info, which is all lines). 'imucald "
+        "events' always shows all lines",
     )
     parser.add_argument(
         "-q", "--quiet", action="store_true", help="the same as --log-level warning"
@@ -106,7 +107,7 @@ def run(options: argparse.Namespace) -> int:
     described = [path for path in (options.config, *options.database) if path.exists()]
     check_files(described, (options.json,))  # a missing one has its own exit status below
     if options.state_dir is not None and options.state_dir.is_file():
-        raise ImucaldError(f"--state-dir {options.state_dir}: is a file; name a folder")
+        raise ImucaldError(f"--state-dir {options.state_dir}: this is a file; name a folder")
     journal = Journal(level=WARNING if options.quiet else PRIORITIES[options.log_level])
     keep_databases(os.environ)
     if options.check:
@@ -187,6 +188,6 @@ def _metrics_process(address: str | None, status_socket: Path | None) -> Serving
     from imucald.service.listening import ServingProcess, listening_at
 
     if status_socket is None:
-        raise LinkError("--metrics-listen asks the status socket: give --status-socket PATH too")
+        raise LinkError("--metrics-listen needs a status socket: give --status-socket PATH too")
     listening = listening_at(address)
     return ServingProcess(listening, lambda bound: serve(bound, lambda: gathered([status_socket])))

@@ -11,7 +11,7 @@ CONFIGURATION, MODEL = "imucald.schema.json", "imucald-model.schema.json"
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Options of `schema`."""
     parser.add_argument(
-        "--model", action="store_true", help="of the model file, not of the configuration"
+        "--model", action="store_true", help="print the schema of the model file instead"
     )
 
 

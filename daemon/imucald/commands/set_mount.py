@@ -14,9 +14,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Options of `set-mount`."""
     add_target(
         parser,
-        " Angles are those of the sensor in the vehicle, as 'imucald status' shows them. The mount "
-        "counts as restored until the drive confirms it. "
-        "Example: imucald set-mount 14.1 28.5 -10.5 --within 1 --hold",
+        " Angles are those of the sensor in the vehicle, as 'imucald status' shows them. The state "
+        "is 'restored' until the drive confirms the mount. "
+        "Example:\n\n  imucald set-mount 14.1 28.5 -10.5 --within 1 --hold",
     )
     for name in ANGLES:
         parser.add_argument(name, type=float, metavar=name.upper(), help=f"{name} [deg]")
@@ -24,8 +24,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     deviation.add_argument(
         "--within",
         metavar="DEG",
-        help="how far off it may be (95 %%), the ± that 'imucald status' shows: one number, or "
-        "three with commas about the vehicle's forward, left and up axis",
+        help="how far the mount may be off (95 %%), as the ± that 'imucald status' shows: one "
+        "number, or three with commas about the vehicle's forward, left and up axis",
     )
     deviation.add_argument(
         "--std", metavar="DEG", help="the same as standard deviation, half of --within"

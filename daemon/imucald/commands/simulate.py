@@ -30,7 +30,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--out",
         type=Path,
         metavar="FILE.log",
-        help="the log, - for standard output; the true values are written to FILE.truth.json",
+        help="log to write ('-': standard output). The true values are written to FILE.truth.json",
     )
     parser.add_argument("--minutes", type=float, default=10.0, help="length (default: 10)")
     parser.add_argument("--seed", type=int, default=1, help="the same seed gives the same drive")
@@ -42,7 +42,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         action="append",
         default=[],
         metavar="T,R,P,Y",
-        help="turn the sensor by these degrees, T seconds into the drive; may be repeated",
+        help="turn the sensor by these degrees at T seconds of the drive; may be repeated",
     )
     parser.add_argument("--route", choices=ROUTES, metavar="KIND",
                         help=f"kind of route: {', '.join(ROUTES)} (default: mixed)")  # fmt: skip
@@ -58,7 +58,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         default=[],
         metavar="KEY=VALUE",
         dest="changes",
-        help="change a parameter of the model, such as road.crown_mean=0.02 or "
+        help="change a parameter of the model, for example road.crown_mean=0.02 or "
         "suspension.body_roll=false; may be repeated",
     )
     parser.add_argument(
@@ -73,20 +73,20 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         default=False,
         help="write the frames of other units too, about 2300/s",
     )
-    parser.add_argument("--interface", help="send the drive onto a bus: python-can interface")
+    parser.add_argument("--interface", help="send the drive onto a bus: its python-can interface")
     parser.add_argument("--channel", help="its channel, such as vcan0")
     parser.add_argument(
         "--speed",
         type=float,
         default=1.0,
-        help="with --interface: so many times as fast as real (default: 1); a daemon that "
-        "listens takes time as it passes and finds no mount at another speed than 1",
+        help="with --interface: how many times as fast as real time (default: 1). A listening "
+        "daemon uses real time: only 1 gives a mount",
     )
     parser.add_argument(
         "--write-model",
         type=Path,
         metavar="FILE",
-        help="write the model that was used, every parameter",
+        help="write the model that was used, with every parameter",
     )
 
 
@@ -99,11 +99,11 @@ def run(options: argparse.Namespace) -> int:
     from imucald.traffic.drive_encoder import BusEncoder, example_config
 
     if not 0.0 < options.minutes <= MAX_MINUTES:
-        raise ConfigError(f"--minutes must be between 0 and {MAX_MINUTES:g}")
+        raise ConfigError(f"--minutes must be above 0 and not above {MAX_MINUTES:g}")
     if options.out is None and options.interface is None:
         raise ConfigError("say where the frames go: --out FILE.log, or --interface and --channel")
     if (options.interface is None) != (options.channel is None):
-        raise ConfigError("--interface and --channel belong together")
+        raise ConfigError("give --interface and --channel together, or neither")
     if not 0.0 < options.speed < 1e6:
         raise ConfigError("--speed must be positive")
     inputs = [name for name in (options.config, options.model) if name]
@@ -113,7 +113,9 @@ def run(options: argparse.Namespace) -> int:
     latest = max((_numbers("--shift", text, 4)[0] for text in options.shift or ()), default=0.0)
     if latest >= 60.0 * options.minutes:
         text = f"the drive ends after {60.0 * options.minutes:g} s"
-        raise ConfigError(f"--shift at {latest:g} s: {text}; more --minutes, or an earlier time")
+        raise ConfigError(
+            f"--shift at {latest:g} s: {text}; give more --minutes, or an earlier time"
+        )
     encoder = BusEncoder(config)
     drive = simulate(model, options.seed, options.minutes)
     if options.out is not None:
@@ -121,7 +123,9 @@ def run(options: argparse.Namespace) -> int:
     if options.write_model:
         write_yaml(options.write_model, model.to_yaml(), MODEL)
     for name in encoder.left_out:
-        print(f"not written, since it is defined by an expression: {name}", file=sys.stderr)
+        print(
+            f"{name} is not written into the log, since an expression defines it", file=sys.stderr
+        )
     if options.interface is not None:
         _send(options, drive, encoder)
     return 0
@@ -204,8 +208,8 @@ def _side(options: argparse.Namespace, model: VehicleModel, side: str) -> str:
     stated = model.route.driving_side
     if stated != side:
         print(
-            f"imucald: warning: {options.model} drives on the {stated}, {options.config} states "
-            f"'driving_side: {side}'; the model file counts",
+            f"imucald: warning: {options.model} drives on the {stated}, but {options.config} "
+            f"states 'driving_side: {side}'; the model file is used",
             file=sys.stderr,
         )
     return stated
@@ -222,7 +226,7 @@ def _numbers(option: str, text: str, count: int) -> list[float]:
     except ValueError:
         numbers = []
     if len(numbers) != count:
-        raise ConfigError(f"{option} {text!r}: {count} numbers with commas between are needed")
+        raise ConfigError(f"{option} {text!r}: write {count} numbers with commas between them")
     return numbers
 
 
@@ -231,7 +235,7 @@ def _change(text: str) -> tuple[str, Any]:
 
     key, equals, value = text.partition("=")
     if not equals:
-        raise ConfigError(f"--set {text!r}: the form is KEY=VALUE")
+        raise ConfigError(f"--set {text!r}: write KEY=VALUE")
     return key.strip(), read_yaml(value, f"--set {key}")[0]
 
 

@@ -40,26 +40,32 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_socket_argument(parser)
     form = parser.add_mutually_exclusive_group()
     form.add_argument(
-        "--short", "-s", action="store_true", help="one line, for scripts and prompts"
+        "--short", "-s", action="store_true", help="print one line, for scripts and prompts"
     )
     form.add_argument("--json", action="store_true", help="everything, as JSON")
     form.add_argument("--metrics", action="store_true", help="as Prometheus text")
-    form.add_argument("--quiet", "-q", action="store_true", help="nothing but the exit status")
+    form.add_argument(
+        "--quiet", "-q", action="store_true", help="print nothing; the exit status gives the state"
+    )
     parser.epilog = (
-        "Exit status, for scripts: 0 fine, 4 usable or restored, 5 not yet (starting, waiting, "
-        "levelled), 6 suspect or recalibrating, 7 a fault (bus not up, an input missing or faulty, "
-        "frames not sent, another sender of our identifiers), 3 no daemon runs, 8 one runs and "
-        "does not answer, 1 any other error. --metrics: 0, 3 or 8. A fault goes before the state "
-        "of the mount."
+        "Exit status, for scripts: 0 fine, 4 usable or restored, 5 not yet (starting, "
+        "waiting, levelled), 6 suspect or recalibrating, 7 a fault (bus not up, an input "
+        "missing or faulty, frames not sent, another sender of our identifiers), 3 no daemon "
+        "runs, 8 the daemon does not answer, 1 any other error. With --metrics: 0, 3 or 8. "
+        "If there is a fault, 7 is given whatever the state of the mount is."
     )
 
 
-def add_socket_argument(parser: argparse.ArgumentParser) -> None:
+def add_socket_argument(
+    parser: argparse.ArgumentParser, socket_help: str = "status socket of the daemon"
+) -> None:
     """Which daemon is meant; `monitor` asks the same."""
     parser.add_argument(
-        "channel", nargs="?", help="interface of the daemon, such as can0, where several run"
+        "channel",
+        nargs="?",
+        help="interface of the daemon, such as can0: needed where several daemons run",
     )
-    parser.add_argument("--socket", type=Path, metavar="PATH", help="its status socket")
+    parser.add_argument("--socket", type=Path, metavar="PATH", help=socket_help)
 
 
 def run(options: argparse.Namespace) -> int:
@@ -158,4 +164,4 @@ def find_socket(given: Path | None, channel: str | None) -> Path:
             "start imucald@can0), or name the status socket of one (--socket PATH)"
         )
     choice = ", ".join(str(path) for path in found)
-    raise LinkError(f"several daemons run, name one by channel or --socket: {choice}")
+    raise LinkError(f"several daemons run; name one by its channel or by --socket: {choice}")

@@ -184,7 +184,7 @@ def _evidence(details: Mapping[str, Any]) -> str:
         restored = details["restored"]
         whose = "stated mount" if restored.get("given") else "mount of an earlier drive"
         turned = restored.get("turned_deg")
-        off = "" if turned is None else f", {turned:.0f} deg from what this drive shows"
+        off = "" if turned is None else f", {turned:.0f} deg away from what this drive shows"
         parts.append(f"{whose}: {restored['phase'].replace('_', ' ')}{off}")
     if details.get("not_checked"):
         parts.append(f"not checked: {'; '.join(details['not_checked'])}")
@@ -218,5 +218,5 @@ def _saved(saved: Mapping[str, Any]) -> Text:
     if saved["last_error"]:
         text.append(f"\ncannot be saved: {saved['last_error']}", style="bold red")
     if saved.get("to_be_forgotten"):  # an older daemon does not say it
-        text.append("\na reset is not on the disk yet: a restart undoes it", style="bold red")
+        text.append("\na reset is not saved yet: a restart would undo it", style="bold red")
     return text

@@ -189,7 +189,7 @@ def _noticed(result: Mapping[str, Any]) -> Iterator[str]:
     for event in events[:MOST_EVENTS]:
         yield f"at {clock(event.t)}  {event.text}"
     if len(events) > MOST_EVENTS:
-        yield f"and {len(events) - MOST_EVENTS} more: see --report, --json"
+        yield f"and {len(events) - MOST_EVENTS} more events: --report and --json show all"
 
 
 def _beside(result: Mapping[str, Any]) -> Iterator[str]:

@@ -9,6 +9,8 @@ import time
 from collections.abc import Mapping
 from typing import Any
 
+from imucald.commands.options import add_quiet
+
 POLL_S = 0.5
 
 
@@ -22,16 +24,16 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--state",
         choices=tuple(GOOD.values()),
         default="usable",
-        help="wait until corrected frames flow and are marked so, or better (default: usable)",
+        help="quality of the corrected frames to wait for, or better (default: usable)",
     )
     parser.add_argument(
-        "--timeout", type=float, metavar="S", help="give up after S seconds (default: never)"
+        "--timeout", type=float, metavar="S", help="stop waiting after S seconds (default: never)"
     )
-    parser.add_argument("--quiet", "-q", action="store_true", help="no line at each change")
+    add_quiet(parser, "print no lines")
     parser.epilog = (
-        "A daemon that does not run yet is waited for. Exit status: 0 reached; after the timeout "
-        "that of 'imucald status': 4 usable (not fine yet), 5 not yet, 6 suspect, 7 a fault, 3 no "
-        "daemon runs, 8 it does not answer."
+        "If no daemon runs yet, it waits for one. Exit status: 0 the quality is reached. "
+        "After the timeout it is that of 'imucald status': 4 usable (not fine yet), 5 not "
+        "yet, 6 suspect, 7 a fault, 3 no daemon runs, 8 the daemon does not answer."
     )
 
 

@@ -7,7 +7,7 @@ import math
 from collections.abc import Mapping
 from typing import Any
 
-from imucald.commands.options import add_config, configuration, print_problems
+from imucald.commands.options import LOG_HELP, add_config, add_quiet, configuration, print_problems
 from imucald.core.text import counted
 
 SHOWN = 20
@@ -16,9 +16,7 @@ SHOWN = 20
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Options of `walk`."""
-    parser.add_argument(
-        "logs", nargs="+", metavar="LOG", help="as for replay; '-' is standard input"
-    )
+    parser.add_argument("logs", nargs="+", metavar="LOG", help=LOG_HELP)
     add_config(parser)
     parser.add_argument(
         "--json",
@@ -28,7 +26,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="write every step as JSON (without FILE: standard output)",
     )
     parser.add_argument("--strict", action="store_true", help="stop at the first bad line")
-    parser.add_argument("--quiet", action="store_true", help="no progress, no table")
+    add_quiet(parser, "no progress, no table")
 
 
 def run(options: argparse.Namespace) -> int:
@@ -72,7 +70,7 @@ def _table(result: Mapping[str, Any]) -> None:
     steps = counted(result["steps"], "step")
     print(f"{steps}; heading [deg from north] by the {result['method']} method")
     if every > 1:
-        print(f"the table has every {every}th step; --json has all")
+        print(f"the table shows every {every}th step; --json writes all steps")
     console = plain_console()
     console.print(table)
     console.print(CONVENTION)

@@ -39,7 +39,7 @@ class FleetTables:
         """
         store = Store(str(url), storage)
         if not parts(store, "sources"):
-            raise ImucaldError(f"{store.url}: no run has written here ('imucald fleet run')")
+            raise ImucaldError(f"{store.url}: no results here yet; run 'imucald fleet run' first")
         return cls(store)
 
     def __repr__(self) -> str:

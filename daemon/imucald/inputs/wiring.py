@@ -142,20 +142,25 @@ def _signed_index(
                 return index
         return _added(group, signal)
     place = (*wanted.place, "sign_signal")
+    own = group.message.name
     message_name, _, name = path.rpartition(".")
+    if message_name != own:
+        text = f"write '{own}.SIGNAL' with the signal of {own} that holds the sign bit"
+        told = f"is in message {message_name}" if message_name else "names no message"
+        magnitude = f"its magnitude, {wanted.source.signal}, is in message {own}"
+        raise loaded.error(place, f"{path} {told}, but {magnitude}: {text}")
     try:
         sign = group.message.signal(name)
     except DatabaseError as error:
         raise loaded.error(place, str(error)) from None
-    if message_name != group.message.name:
-        text = f"the sign must come in the message of its signal, {group.message.name}"
-        raise loaded.error(place, f"{path} is in another message: {text}")
     if sign.length != 1 or sign.name == signal.name:
         raise loaded.error(
-            place, f"{path} is no sign: a sign is a signal of one bit, apart from its magnitude"
+            place,
+            f"{path} cannot be the sign: it must be a signal of one bit, and not the "
+            "magnitude itself",
         )
     if signal.is_signed or signal.is_float:
-        text = f"{wanted.source.signal} has a sign already; leave 'sign_signal' out"
+        text = f"{wanted.source.signal} is signed already: remove 'sign_signal'"
         raise loaded.error(place, text)
     at = group.names.index(sign.name) if sign.name in group.names else _added(group, sign)
     for index, known in group.signs.items():

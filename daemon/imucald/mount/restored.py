@@ -60,6 +60,9 @@ HAND_OVER_RATE = math.radians(1.0)
 CLEAR_STD = math.radians(20.0)
 """An angle that is known worse says nothing of how far a stated mount is off [rad]."""
 HELD = "the end of the hold (imucald release)"
+HELD_BY_CONFIGURATION = (
+    "the end of the hold by the configuration ('calibration: mount: hold: true')"
+)
 """What a held mount waits for."""
 
 NONE_JUDGED: Mapping[str, bool] = {}
@@ -144,7 +147,8 @@ class RestoredEstimator:
     """An estimator with the mount of an earlier drive in front; a `MountEstimator` itself.
 
     is_held: that mount stays, whatever the drive says. phase: how far the drive has confirmed it
-    already, CONFIRMED or RESTORED; without it nothing has.
+    already, CONFIRMED or RESTORED; without it nothing has. held_until: what ends the hold, in
+    words.
     """
 
     def __init__(
@@ -153,11 +157,13 @@ class RestoredEstimator:
         stored: StoredMount,
         is_held: bool = False,
         phase: Phase = Phase.RESTORED,
+        held_until: str = HELD,
     ) -> None:
         self.inner = inner
         self._judges = inner if isinstance(inner, JudgesSignals) else None
         self.stored = stored
         self.is_held = is_held
+        self.held_until = held_until
         self.phase = Phase.DOUBTED if stored.doubted else phase
         self.distance = math.nan
         """Of the last comparison, as a chi-square with 3 degrees of freedom."""
@@ -245,7 +251,7 @@ class RestoredEstimator:
             deviations=self.stored.sent,
         )
         if self.is_held and self.phase is Phase.CONFIRMED:
-            return _waiting_for_release(served)
+            return _waiting_for_release(served, self.held_until)
         if self._is_statement_wrong and not new.faults:
             return self._against_statement(served)
         return served
@@ -401,12 +407,12 @@ class RestoredEstimator:
             self.phase, self._turned = Phase.NEW, None
 
 
-def _waiting_for_release(served: MountEstimate) -> MountEstimate:
+def _waiting_for_release(served: MountEstimate, held_until: str) -> MountEstimate:
     """What a held mount waits for to be *fine*: nothing but that learning goes on."""
     if served.state is MountState.FINE:
         return served
     return replace(
         served,
-        waiting_for=dict.fromkeys(ANGLES, HELD),
+        waiting_for=dict.fromkeys(ANGLES, held_until),
         missing=dict.fromkeys(ANGLES, Missing.LEARNING_FROZEN),
     )

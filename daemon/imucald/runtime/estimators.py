@@ -41,10 +41,13 @@ def estimator_for(
     learning = learning_estimator(config, compensation, stated)
     if (mount := config.calibration.mount) is None:
         return learning
-    from imucald.mount.restored import RestoredEstimator  # noqa: PLC0415 - few state one
+    from imucald.mount.restored import (  # noqa: PLC0415 - few state one
+        HELD_BY_CONFIGURATION,
+        RestoredEstimator,
+    )
 
     stored = known_mount(mount, learning.estimate().targets)
-    return RestoredEstimator(learning, stored, is_held=mount.hold)
+    return RestoredEstimator(learning, stored, is_held=mount.hold, held_until=HELD_BY_CONFIGURATION)
 
 
 def learning_estimator(

@@ -85,7 +85,7 @@ class MountOrders:
         not_yet = self._service.forget_state()
         stated = self._service.loaded.config.calibration.mount is not None
         begun = "started again from the mount of the configuration" if stated else "started again"
-        text = f"reset: the learnt mount is forgotten, the calibration {begun}"
+        text = f"reset: the learnt mount is forgotten; the calibration {begun}"
         return self._logged(who, text + _not_on_the_disk(not_yet))
 
     def hold(self, who: str) -> str:
@@ -96,8 +96,11 @@ class MountOrders:
         if kept is None:
             state = self._estimator.state.name.lower()
             text = f"there is no mount to hold yet (state {state}): drive until it is usable"
-            raise OrderError(f"{text}, or state the mount with set-mount")
-        text = "hold: the mount is kept and nothing is learnt until it is released"
+            raise OrderError(f"{text}, or state the mount (imucald set-mount)")
+        text = (
+            "hold: the mount is kept and nothing is learnt until the hold is released "
+            "(imucald release)"
+        )
         return self._logged(who, text + _not_saved(self._put(kept)))
 
     def release(self, who: str) -> str:
@@ -174,8 +177,11 @@ class MountOrders:
         mount = self._service.loaded.config.calibration.mount
         if mount is not None and mount.hold:
             file = self._service.loaded.path
-            text = f"{file} states the mount and holds it (calibration: mount)"
-            raise OrderError(f"{text}; change it there, then reload")
+            text = f"{file} states the mount and holds it ('calibration: mount: hold: true')"
+            raise OrderError(
+                f"{text}; change it in the file, then reload (systemctl reload imucald@can0, "
+                "or SIGHUP)"
+            )
 
     def _logged(self, who: str, text: str) -> str:
         self._service.log_order(who, text)
@@ -187,8 +193,8 @@ def _not_on_the_disk(reason: str) -> str:
     if not reason:
         return ""
     return (
-        f"; NOT ON THE DISK YET ({reason}): a restart brings the former mount back, until the "
-        "saved state can be set aside, which is tried every 10 s"
+        f"; NOT SAVED YET ({reason}): a restart would bring the former mount back. Removing "
+        "the saved state is tried every 10 s"
     )
 
 
@@ -197,6 +203,5 @@ def _not_saved(reason: str) -> str:
     if not reason:
         return ""
     return (
-        f"; NOT ON THE DISK YET ({reason}): a restart undoes this order, until the state can be "
-        "saved, which is tried every 10 s"
+        f"; NOT SAVED YET ({reason}): a restart would undo this order. Saving is tried every 10 s"
     )

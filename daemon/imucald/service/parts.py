@@ -20,7 +20,7 @@ from imucald.config import LoadedConfig
 from imucald.mount.estimate import MountEstimator
 from imucald.mount.estimator import FullEstimator
 from imucald.mount.mount_in_force import mount_in_force, without_stored
-from imucald.mount.restored import RestoredEstimator
+from imucald.mount.restored import HELD, RestoredEstimator
 from imucald.runtime.consumer import ChecksSensors
 from imucald.runtime.engine import Engine
 from imucald.runtime.input_health import LinkHealth
@@ -318,7 +318,8 @@ def behind_the_known(old: MountEstimator, new: MountEstimator) -> MountEstimator
     if stored is None:
         return new
     is_held = isinstance(old, RestoredEstimator) and old.is_held
-    return RestoredEstimator(without_stored(new), stored, is_held)
+    until = new.held_until if isinstance(new, RestoredEstimator) else HELD
+    return RestoredEstimator(without_stored(new), stored, is_held, held_until=until)
 
 
 def repeat_check(engine: Engine) -> bool:
