@@ -9,6 +9,7 @@ import signal
 import subprocess
 import sys
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import made_diagnosis as made
@@ -156,6 +157,20 @@ def test_the_written_model_loads_and_says_where_it_comes_from(asked, diagnosed, 
     assert "drive.log (12 s)" in head[1]
     assert "Found: body roll and accelerometer bias" in head[2]
     assert "suspension.roll_gradient: 0.008 -> 0.0171235" in head[3]
+
+
+def test_the_file_of_look_alikes_says_that_it_may_hold_the_wrong_one(
+    asked, diagnosed, log, tmp_path
+):
+    model = tmp_path / "extended.yaml"
+    asked["answer"] = replace(made.ambiguous(), model_after=made.AFTER)
+    _, out, _ = diagnosed(log, "--write-model", model)
+    assert "for prediction only: it holds one of several causes that fit equally well" in out
+    assert "ambiguous: mount rotation. The sensor is turned" in out
+    assert (
+        "# For prediction only: one of several causes that fit equally well.\n" in model.read_text()
+    )
+    assert load_model(model) == made.AFTER
 
 
 def test_a_hostile_file_name_stays_in_the_comment(asked, diagnosed, log, tmp_path):

@@ -113,10 +113,27 @@ def test_ambiguous_says_what_it_may_be_and_how_to_tell():
         assert way in text
     assert "What it may be" in text
     tags = re.findall(r'<span class="tag (\w+)">(\w+)</span>', whole("ambiguous"))
-    assert tags == [("ambiguous", "ambiguous")], "none of them is certain"
+    assert tags == [("ambiguous", "ambiguous")] * 3, "none of them is certain, each has a card"
     assert ("certain", "certain") in re.findall(
         r'<span class="tag (\w+)">(\w+)</span>', whole("found")
     )
+
+
+def test_the_file_of_an_ambiguous_verdict_is_for_prediction_only():
+    two = ("accel_bias", "mount_rotation")
+    d = replace(made.ambiguous(), look_alikes=(two,), model_after=made.AFTER)
+    why = "one of two causes that fit equally well"
+    text = page(d).text
+    assert f"for prediction only: it holds {why}" in words.verdict(d).explanation
+    assert words.advice_in_short(d) == ("for prediction only", why)
+    assert "use it" not in text
+    assert "nothing that was looked for" not in text
+    assert "mount rotation fits as well" in text
+    assert "Residual reduced most, on data not fitted by 68 %" in text
+
+
+def test_one_way_to_separate_two_causes_stands_once():
+    assert len(words.ways_apart(("wheels_against_speed", "wheel_speed_scale"))) == 1
 
 
 def test_unknown_says_where_the_structure_lives():
@@ -489,7 +506,7 @@ def test_a_dozen_that_cannot_be_distinguished_have_a_short_headline_and_rivals_t
     )
     rivals = "accel bias and gyro scale and lever arm does as well on data that no fit saw"
     one = "gyro scale does as well on data that no fit saw"
-    assert words.against(replace(made.BIAS, against=(rivals, one, "+- 2"))) == [
+    assert words.against(replace(made.BIAS, against=(rivals, one, "+- 2")), made.ambiguous()) == [
         "accelerometer bias, gyroscope scale and lever arm do as well on data that no fit saw",
         "gyroscope scale does as well on data that no fit saw",
         "± 2",

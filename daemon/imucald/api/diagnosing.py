@@ -23,7 +23,7 @@ from imucald.diagnosis.recording import Recording, is_same_recording, read_sampl
 from imucald.diagnosis.result import Diagnosis
 from imucald.model.model import VehicleModel, load_model
 from imucald.report.model_changes import model_changes, value_text
-from imucald.report.wording import verdict
+from imucald.report.wording import for_prediction_only, verdict
 
 FEW_REJECTED = 1e-4
 """Share of frames that may be rejected without a word: a damaged line or two."""
@@ -74,6 +74,8 @@ class DiagnosisResult:
         head += [f"  {c.key}: {value_text(c.before)} -> {value_text(c.after)}" for c in changes]
         if not changes:
             head.append("  no key was changed")
+        elif why := for_prediction_only(found):
+            head.append(f"For prediction only: {why}.")
         lines = ("".join(c if c.isprintable() else "?" for c in line) for line in head)
         return "".join(f"# {line}\n" for line in lines) + found.model_after.to_yaml()
 

@@ -57,7 +57,10 @@ def print_diagnosis(diagnosis: Diagnosis) -> None:
     console.print(Text(verdict.headline, style=COLOURS[diagnosis.verdict]))
     console.print(Text(verdict.explanation))
     for cause in (*diagnosis.causes, *diagnosis.likely):
-        _print_cause(console, cause, words.how_sure(cause, diagnosis))
+        _print_cause(console, cause, diagnosis)
+    for other in words.other_suspects(diagnosis):
+        console.print()
+        console.print(f"ambiguous: {other.title}. {other.text} Not written into the file.")
     _print_open(console, diagnosis)
     console.print()
     _print_signals(console, diagnosis)
@@ -74,12 +77,12 @@ def print_diagnosis(diagnosis: Diagnosis) -> None:
         console.print(f"{more} in the JSON")
 
 
-def _print_cause(console: Console, cause: FoundCause, how_sure: str) -> None:
+def _print_cause(console: Console, cause: FoundCause, diagnosis: Diagnosis) -> None:
     from rich.padding import Padding
     from rich.text import Text
 
     console.print()
-    title = f"{how_sure}: {titles.cause_title(cause.name)}"
+    title = f"{words.how_sure(cause, diagnosis)}: {titles.cause_title(cause.name)}"
     console.print(Text.assemble((title, "bold"), f". {numbers.typographic(cause.text)}"))
     table = _table()
     table.add_column("parameter", overflow="fold")
@@ -95,7 +98,7 @@ def _print_cause(console: Console, cause: FoundCause, how_sure: str) -> None:
         console.print(Padding(f"seen in {signals}", INDENT))
     if words.evidence(cause):
         console.print(Padding(words.evidence(cause), INDENT))
-    for text in words.against(cause):
+    for text in words.against(cause, diagnosis):
         console.print(Padding(f"against it: {text}", INDENT))
 
 

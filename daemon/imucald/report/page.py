@@ -64,6 +64,7 @@ def report_page(diagnosis: Diagnosis, about: About) -> str:
         figures=_key_figures(diagnosis),
         causes=[_card(cause, diagnosis) for cause in diagnosis.causes],
         likely=[_card(cause, diagnosis) for cause in diagnosis.likely],
+        others=words.other_suspects(diagnosis)[:MAX_ROWS],
         groups=[
             (list(group_titles), words.ways_apart(group))
             for group_titles, group in [*words.look_alike_groups(diagnosis).items()][:MAX_ROWS]
@@ -130,8 +131,8 @@ def _key_figures(diagnosis: Diagnosis) -> list[tuple[str, str, str]]:
         name, best = min(rows, key=lambda row: _size(row[1].rms_after / row[1].rms_before))
         unit = numbers.unit_text(best.unit)
         figures.append((
-            "Largest gain, on data not fitted",
-            words.less(best),
+            "Residual reduced most, on data not fitted",
+            f"by {words.less(best).removeprefix('-')}",
             f"{titles.signal_title(name)}: {numbers.number(best.rms_before)} → "
             f"{numbers.number(best.rms_after)} {unit}",
         ))  # fmt: skip
@@ -149,7 +150,7 @@ def _card(cause: FoundCause, diagnosis: Diagnosis) -> dict[str, Any]:
         "text": numbers.typographic(cause.text),
         "rows": words.parameter_rows(cause)[:MAX_ROWS],
         "evidence": words.evidence(cause),
-        "against": words.against(cause),
+        "against": words.against(cause, diagnosis),
         "signals": [titles.signal_title(name) for name in cause.signals],
     }
 

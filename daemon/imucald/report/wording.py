@@ -80,9 +80,39 @@ def ways_apart(group: Sequence[str]) -> list[str]:
     return list(dict.fromkeys(BY_NAME[name].separate for name in group if name in BY_NAME))
 
 
-def against(cause: FoundCause) -> list[str]:
+def against(cause: FoundCause, diagnosis: Diagnosis) -> list[str]:
     """What speaks against a cause, with the names of rivals as people call them."""
-    return [_with_rivals(typographic(text)) for text in cause.against]
+    texts = [_with_rivals(typographic(text)) for text in cause.against]
+    if not any(text.endswith(AS_WELL) for text in cause.against):
+        groups = [g for g in diagnosis.look_alikes if cause.name in g]
+        others = dict.fromkeys(cause_title(n) for g in groups for n in g if n != cause.name)
+        if others:
+            texts.append(f"{few_of([*others], 'and')} fit{'s' if len(others) == 1 else ''} as well")
+    return texts
+
+
+class Suspect(NamedTuple):
+    """A cause that fits like one that was found, and of which the file has nothing."""
+
+    name: str
+    title: str
+    text: str
+
+
+def other_suspects(diagnosis: Diagnosis) -> list[Suspect]:
+    """Causes of the look-alikes that were not named themselves."""
+    named = {cause.name for cause in (*diagnosis.causes, *diagnosis.likely)}
+    names = dict.fromkeys(n for group in diagnosis.look_alikes for n in group if n not in named)
+    return [Suspect(n, cause_title(n), BY_NAME[n].sentence) for n in names if n in BY_NAME]
+
+
+def for_prediction_only(diagnosis: Diagnosis) -> str:
+    """Why an extended file that predicts well may hold the wrong cause; empty: it is certain."""
+    sets = diagnosis.look_alikes
+    if not sets:
+        return ""
+    count = "two" if len(sets) == 1 and len(sets[0]) == 2 else "several"
+    return f"one of {count} causes that fit equally well"
 
 
 def _with_rivals(text: str) -> str:
@@ -160,6 +190,8 @@ def _advice(diagnosis: Diagnosis) -> str:
             " The extended model file adds what was read directly from samples and stops; its "
             "predictions do not change."
         )
+    if diagnosis.recommended and (why := for_prediction_only(diagnosis)):
+        return f" The extended model file is for prediction only: it holds {why}."
     if diagnosis.recommended:
         return " The extended model file predicts better on data that its fit did not see: use it."
     if {s.kind for s in diagnosis.structure} & {GOES_AGAINST, TOO_MUCH}:
@@ -183,6 +215,8 @@ def advice_in_short(diagnosis: Diagnosis) -> tuple[str, str]:
         return "not recommended", "judged by its gain on data not fitted"
     if not diagnosis.gain.was_fitted:
         return "states what was found", "read directly: no prediction changes"
+    if why := for_prediction_only(diagnosis):
+        return "for prediction only", why
     return "use it", "judged by its gain on data not fitted"
 
 
