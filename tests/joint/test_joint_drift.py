@@ -13,7 +13,7 @@ from imucald.motion.column_ticks import ticks_from_samples
 from imucald.mount.contradictions import StandingFault
 from imucald.mount.estimate import MountState
 from imucald.mount.joint.drift import NAMED, NONE, Drift
-from imucald.mount.joint.estimator import LEVEL, MAY_DRIFT, JointEstimator, JointSettings
+from imucald.mount.joint.estimator import LEVEL, JointEstimator, JointSettings
 from imucald.mount.joint.evidence import Block, Evidence
 from imucald.mount.joint.state import Priors
 from imucald.simulation import random_model, simulate
@@ -165,6 +165,9 @@ def drive() -> Drive:
     return simulate(random_model(976_001, standing_first=True), 976_001, 12.0)
 
 
+ASKS_FOR_DRIFT = "bends: they show whether the accelerometer's zero drifts ("
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("axis", range(3))
 @pytest.mark.parametrize("rate", [0.001, 0.003])
@@ -185,7 +188,8 @@ def test_no_value_is_good_while_a_drifting_zero_has_made_it_wrong(axis: int, rat
             reasons |= set(joint.estimate().waiting_for.values())
         assert joint.state not in GOOD or off < WRONG, off
     assert was_good
-    assert rate > 0.001 or MAY_DRIFT in reasons, "a slow one is a reason before it is a fault"
+    is_named = any(text.startswith(ASKS_FOR_DRIFT) for text in reasons)
+    assert rate > 0.001 or is_named, "a slow one is a reason before it is a fault"
     assert StandingFault.ACCEL_DRIFT in joint.estimate().faults
 
 

@@ -44,6 +44,14 @@ class Limits(NamedTuple):
     fine_yaw: float
     fine_tilt: float
 
+    def about_axes(self, crown: float = 0.0) -> Targets:
+        """The same about each axis of the vehicle; crown: what is in the roll besides [rad]."""
+        usable, fine = self.usable_tilt, self.fine_tilt
+        return Targets(
+            (math.hypot(usable, crown), usable, self.usable_yaw),
+            (math.hypot(fine, crown), fine, self.fine_yaw),
+        )
+
 
 class MountSettings(Struct, frozen=True, dict=True):
     """What both estimators take from the configuration, and what a model file knows better.
@@ -78,11 +86,7 @@ class MountSettings(Struct, frozen=True, dict=True):
     @cached_property
     def targets(self) -> Targets:
         """The same about each axis of the vehicle, with the crown that roll cannot be rid of."""
-        limits, crown = self.limits, self.vehicle.crown_std
-        return Targets(
-            (math.hypot(limits.usable_tilt, crown), limits.usable_tilt, limits.usable_yaw),
-            (math.hypot(limits.fine_tilt, crown), limits.fine_tilt, limits.fine_yaw),
-        )
+        return self.limits.about_axes(self.vehicle.crown_std)
 
 
 class EstimatorSettings(MountSettings, frozen=True):

@@ -46,7 +46,7 @@ def waiting_reasons(
     """
     if state is MountState.FINE:
         return {}, {}
-    reasons = waiting_for(known, settings)
+    reasons = waiting_for(known, settings, state)
     words = {name: text for name, (text, _) in reasons.items()}
     codes = {name: code for name, (_, code) in reasons.items()}
     for angle, text in troubles.items():

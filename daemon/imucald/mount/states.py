@@ -18,6 +18,7 @@ from imucald.mount.alternatives import NO_TURNS
 from imucald.mount.estimate import Missing, MountState, Targets
 from imucald.mount.estimator_settings import EstimatorSettings
 from imucald.mount.hysteresis import GOOD, Level, best_level
+from imucald.mount.mount_words import SD_95, UNKNOWN_STD_DEG, VEHICLE_AXES
 
 HARD_ACCEL = 1.0
 """Acceleration or braking of that size [m/s^2] counts as a manoeuvre."""
@@ -125,6 +126,10 @@ class MountKnowledge(Struct, frozen=True):
     """Ticks a second, of the last minute, that had a speed."""
     driven_s: float = 0.0
     """Time of the evidence."""
+    cross_talk: tuple[float, float] | None = None
+    """Deviations of what is left of xy and yx [rad], where these are judged and no rotation is."""
+    std_without_drift: tuple[float, float, float] | None = None
+    """What `std` would be if the accelerometer's zero were known not to drift; None: it is."""
 
 
 def judged(known: MountKnowledge, before: MountState, s: EstimatorSettings) -> MountState:
@@ -191,8 +196,13 @@ def reported(
     return found
 
 
-def waiting_for(known: MountKnowledge, s: EstimatorSettings) -> dict[str, tuple[str, Missing]]:
-    """One reason per angle, in words and as a code; no entry where nothing is missing."""
+def waiting_for(
+    known: MountKnowledge, s: EstimatorSettings, before: MountState = MountState.USABLE
+) -> dict[str, tuple[str, Missing]]:
+    """One reason per angle, in words and as a code; no entry where nothing is missing.
+
+    before: the state that is reported. Reasons are those of the next one.
+    """
     if not known.accelerometer:
         text = (
             (NO_SAMPLES if known.begun else "the first 6 s of samples"),
@@ -202,26 +212,51 @@ def waiting_for(known: MountKnowledge, s: EstimatorSettings) -> dict[str, tuple[
     if known.frozen:
         text = "valid signals: learning is paused while they are faulty", Missing.LEARNING_FROZEN
         return {"roll": text, "pitch": text, "yaw": text}
+    goal = _goal(known, before, s)
     out: dict[str, tuple[str, Missing]] = {}
     if not known.gravity:
         text = "a standstill, or driving", Missing.STANDSTILL
         out = {"roll": text, "pitch": text}
-    if known.std[2] > s.limits.fine_yaw or known.straight < NEEDED:
-        out["yaw"] = _yaw_reason(known, s)
+    if known.std[2] > goal.yaw or known.straight < NEEDED:
+        out["yaw"] = _yaw_reason(known, goal, s)
     if "roll" in out:
         return out
-    if known.std[0] > s.limits.fine_tilt:
-        out["roll"] = _roll_reason(known)
-    if known.std[1] > s.limits.fine_tilt:
-        out["pitch"] = _pitch_reason(known)
+    if known.std[0] > goal.tilt:
+        out["roll"] = _roll_reason(known, goal)
+    if known.std[1] > goal.tilt:
+        out["pitch"] = _pitch_reason(known, goal)
     return out
+
+
+class _Goal(Struct, frozen=True):
+    """The next state, and the deviations that it asks for [rad]."""
+
+    state: MountState
+    tilt: float
+    yaw: float
+
+    def far(self, axis: int, std: float) -> str:
+        """How far a turn about an axis of the vehicle is from its limit, both as 95 %."""
+        if not math.degrees(std) < UNKNOWN_STD_DEG:
+            return ""
+        limit = self.yaw if axis == 2 else self.tilt
+        now, least = (f"±{math.degrees(SD_95 * x):.3g} deg" for x in (std, limit))
+        return f" ({VEHICLE_AXES[axis]} {now}, {self.state.name.lower()} below {least})"
+
+
+def _goal(known: MountKnowledge, before: MountState, s: EstimatorSettings) -> _Goal:
+    limits = s.limits
+    if before in GOOD:
+        return _Goal(MountState.FINE, limits.fine_tilt, limits.fine_yaw)
+    yaw = targets_in_force(known, before, s).usable[2]
+    return _Goal(MountState.USABLE, limits.usable_tilt, yaw)
 
 
 def _hard() -> str:
     return f"acceleration or braking above {HARD_ACCEL:g} m/s2"
 
 
-def _yaw_reason(known: MountKnowledge, s: EstimatorSettings) -> tuple[str, Missing]:
+def _yaw_reason(known: MountKnowledge, goal: _Goal, s: EstimatorSettings) -> tuple[str, Missing]:
     if not known.speed:
         if known.std[2] > math.radians(100.0):
             return "speed, or acceleration from rest or braking", Missing.SPEED
@@ -230,15 +265,17 @@ def _yaw_reason(known: MountKnowledge, s: EstimatorSettings) -> tuple[str, Missi
     if known.straight < NEEDED:
         text = f"{_hard()} ({known.straight} of {NEEDED} seen)"
         return text, Missing.ACCELERATION
-    if known.std[2] > s.limits.usable_yaw:
-        if known.yaw_seen < s.limits.usable_yaw < known.cross_axis and known.driven_s > LONG_S:
-            return _mixed_axes(known), Missing.OTHER
-        return f"more {_hard()} ({known.straight} seen)", Missing.ACCELERATION
-    if known.yaw_seen < s.limits.fine_yaw < known.cross_axis and known.driven_s > LONG_S:
+    far = goal.far(2, known.std[2])
+    if known.cross_talk is not None:
+        xy, yx = known.cross_talk
+        if math.isinf(xy):
+            return f"{_hard()}, and bends", Missing.ACCELERATION
+        return (f"bends{far}", Missing.TURNS) if xy >= yx else (_hard() + far, Missing.ACCELERATION)
+    if known.yaw_seen < goal.yaw < known.cross_axis and known.driven_s > LONG_S:
         return _mixed_axes(known), Missing.OTHER
-    now, least = (math.degrees(2.0 * x) for x in (known.std[2], s.limits.fine_yaw))
-    text = f"more driving (up axis ±{now:.2g} deg, fine below ±{least:.2g} deg)"
-    return text, Missing.MORE_DRIVING
+    if goal.state is MountState.USABLE:
+        return f"more {_hard()} ({known.straight} seen)", Missing.ACCELERATION
+    return f"more driving{far}", Missing.MORE_DRIVING
 
 
 def _mixed_axes(known: MountKnowledge) -> str:
@@ -249,9 +286,11 @@ def _mixed_axes(known: MountKnowledge) -> str:
     )
 
 
-def _roll_reason(known: MountKnowledge) -> tuple[str, Missing]:
+def _roll_reason(known: MountKnowledge, goal: _Goal) -> tuple[str, Missing]:
     if not known.turning:
         return NO_TURNS, Missing.TURNS
+    if known.cross_talk is not None:
+        return _of_level(0, known, goal)
     if known.lefts == 0 and known.rights == 0:
         return "turns (none yet)", Missing.TURNS
     if known.lefts == 0:
@@ -262,8 +301,16 @@ def _roll_reason(known: MountKnowledge) -> tuple[str, Missing]:
     return f"more turns ({seen})", Missing.TURNS
 
 
-def _pitch_reason(known: MountKnowledge) -> tuple[str, Missing]:
+def _pitch_reason(known: MountKnowledge, goal: _Goal) -> tuple[str, Missing]:
     if known.straight < NEEDED:
         text = f"{_hard()} ({known.straight} of {NEEDED} seen)"
         return text, Missing.ACCELERATION
-    return "more driving: slopes average out", Missing.MORE_DRIVING
+    return _of_level(1, known, goal)
+
+
+def _of_level(axis: int, known: MountKnowledge, goal: _Goal) -> tuple[str, Missing]:
+    far, still = goal.far(axis, known.std[axis]), known.std_without_drift
+    if still is not None and still[axis] < goal.tilt:
+        text = f"bends: they show whether the accelerometer's zero drifts{far}"
+        return text, Missing.TURNS
+    return f"more driving: slopes average out{far}", Missing.MORE_DRIVING

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Collection, Iterable
+from collections.abc import Iterable
 
 import numpy as np
 from msgspec.structs import replace
@@ -20,7 +20,7 @@ from imucald.core.rotations import orthonormalised
 from imucald.core.samples import GRAVITY
 from imucald.mount.acceptance import Acceptance
 from imucald.mount.contradictions import StandingFault
-from imucald.mount.estimate import ANGLES, Correction, MountEstimate, SentDeviations
+from imucald.mount.estimate import Correction, MountEstimate, SentDeviations
 from imucald.mount.estimator import FullEstimator
 from imucald.mount.estimator_settings import EstimatorSettings, Limits
 from imucald.mount.joint.drift import NONE as NO_DRIFT
@@ -30,7 +30,7 @@ from imucald.mount.joint.known import CHANCE_AS_BEFORE, KnownSensor
 from imucald.mount.joint.state import PHI, OtherSignals, Priors
 from imucald.mount.mount_changes import MountChange, blocks_since
 from imucald.mount.signal_blocks import SignalBlock
-from imucald.mount.states import NEEDED, MountKnowledge, targets_in_force
+from imucald.mount.states import NEEDED, MountKnowledge
 
 SOLUTIONS_KEPT = 32
 """As many as are made in the first three minutes; later ones are further apart."""
@@ -41,7 +41,6 @@ LEVEL = (0.2, 0.1)
 """Level zero below which an estimate is usable, and fine [m/s^2]."""
 STEERING_ZERO = math.radians(2.0)
 """Zero error of an angle of the steering wheel that nothing has measured (assumption)."""
-MAY_DRIFT = "bends: they show whether the accelerometer's zero drifts"
 REMEMBERED = 240
 """Blocks (26 min) of which it is known what was known of a drift."""
 
@@ -283,13 +282,16 @@ class JointEstimator(FullEstimator):
             return known
         solution = self.solution
         if solution is None:
-            return replace(known, std=(math.inf,) * 3)
+            return replace(known, std=(math.inf,) * 3, cross_talk=(math.inf,) * 2)
+        sent = self._sent(solution)
         return replace(
             known,
             gravity=True,
-            std=_as_angles(self._sent(solution)),
+            std=_as_angles(sent),
             straight=max(known.straight, NEEDED),
             cross_axis=0.0,
+            cross_talk=(sent.xy, sent.yx),
+            std_without_drift=_as_angles(solution.sent(self._widened)),
             has_past=self._joint.signals.gyro or known.has_past,
         )
 
@@ -317,32 +319,16 @@ class JointEstimator(FullEstimator):
         if solution is None:
             return made
         correction, sent = self._found_correction(), self._sent(solution)
-        reasons = dict(made.waiting_for)
         return replace(
             made,
-            waiting_for=reasons | self._waits_for_bends(solution, sent, reasons),
             R_vehicle_from_sensor=correction.matrix(),
             covariance=self._housing_covariance(solution),
             details=dict(made.details) | {"speed_delay": solution.delay},
-            targets=targets_in_force(self._known, self.state, self._settings),
+            targets=self._settings.limits.about_axes(),
             matrices=correction,
             deviations=sent,
             judged_as=_as_angles(sent),
         )
-
-    def _waits_for_bends(
-        self, solution: Solution, sent: SentDeviations, reasons: Collection[str]
-    ) -> dict[str, str]:
-        """The reason of those angles that would be fine if the zero were known not to drift."""
-        if self.faults or not reasons:
-            return {}
-        limit = self._settings.limits.fine_tilt
-        now, still = _as_angles(sent), _as_angles(solution.sent(self._widened))
-        return {
-            angle: MAY_DRIFT
-            for angle, std, of_still in zip(ANGLES[:2], now, still, strict=False)
-            if angle in reasons and of_still < limit < std
-        }
 
     def _housing_covariance(self, solution: Solution) -> Array:
         """Of the housing's rotation. Too small where the cross-axis errors are antisymmetric: those
