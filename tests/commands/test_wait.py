@@ -80,6 +80,19 @@ def test_it_ends_when_the_state_comes(daemon, tmp_path, capsys):
     assert last.startswith("corrected frames flow")
 
 
+def test_a_line_in_which_only_numbers_change_is_not_repeated_each_second(daemon, tmp_path, capsys):
+    usable = daemon.now
+    for k in range(4):
+        text = {"roll": f"more turns ({k} left, 1 right seen)"}
+        waits = usable | {"state": "levelled", "quality": 0, "waiting_for": text}
+        threading.Timer(0.6 * k, lambda waits=waits: setattr(daemon, "now", waits)).start()
+    threading.Timer(2.4, lambda: setattr(daemon, "now", usable)).start()
+    daemon.now = usable | {"state": "levelled", "quality": 0}
+    assert waited(tmp_path, "--timeout", "20") == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert sum("more turns" in line for line in lines) == 1
+
+
 @pytest.mark.parametrize(
     ("state", "quality", "wanted", "status"),
     [("usable", 2, "fine", 4), ("levelled", 0, "usable", 5), ("suspect", 4, "usable", 6)],

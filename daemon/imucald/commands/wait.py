@@ -12,6 +12,8 @@ from typing import Any
 from imucald.commands.options import add_quiet
 
 POLL_S = 0.5
+REPEAT_S = 30.0
+"""So long a line in which only numbers change is not printed again [s]."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -38,20 +40,23 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(options: argparse.Namespace) -> int:
-    """Ask twice a second; print a line for each change of what is waited for."""
+    """Ask twice a second; print what is waited for when it changes, and how far it is by then."""
     from imucald.commands.status import FINE
     from imucald.core.errors import ImucaldError
+    from imucald.core.text import without_numbers
 
     if options.timeout is not None and not options.timeout >= 0.0:
         raise ImucaldError("--timeout must be 0 or more seconds")
     end = time.monotonic() + (math.inf if options.timeout is None else options.timeout)
-    said = ""
+    said, repeats = "", -math.inf
     while True:
         reached, line = _asked(options)
-        if line != said and not options.quiet:
+        now = time.monotonic()
+        is_new = without_numbers(line) != without_numbers(said)
+        if not options.quiet and (is_new or (line != said and now >= repeats)):
             print(line, flush=True)
-            said = line
-        if reached == FINE or time.monotonic() >= end:
+            said, repeats = line, now + REPEAT_S
+        if reached == FINE or now >= end:
             return reached
         time.sleep(min(POLL_S, max(end - time.monotonic(), 0.0)))
 

@@ -24,6 +24,7 @@ UNSAFE: Final = re.compile(
     f"{_SURROGATES}]|\r(?!\n)"
 )
 """For screens and logs; new lines and tabs are neither."""
+_NUMBERS: Final = re.compile(r"[0-9.]+")
 _LINE_BREAKING: Final = re.compile(f"{UNSAFE.pattern}|[\n\t\r]")
 
 
@@ -35,6 +36,11 @@ def made_safe(text: str, unsafe: re.Pattern[str] = UNSAFE) -> str:
 def one_line(text: str) -> str:
     """The text for a cell of a table or a sentence: what would break its line is an escape too."""
     return made_safe(text, _LINE_BREAKING)
+
+
+def without_numbers(text: str) -> str:
+    """Return a text by which two are the same where only numbers differ."""
+    return _NUMBERS.sub("", text)
 
 
 class SafeStream:

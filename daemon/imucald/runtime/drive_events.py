@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from imucald.core.text import without_numbers
 from imucald.mount.contradictions import WORDS
 from imucald.mount.mount_words import change_words, contradicted_words, is_move, reasons_line
 
@@ -23,7 +23,6 @@ STATE_WORDS: Mapping[str, str] = {
 
 REASON_STANDS_S = 12.8
 """Two evaluations of the mount: a reason that is gone by the next one explains nothing."""
-_NUMBERS = re.compile(r"[0-9.]+")
 
 
 @dataclass(frozen=True)
@@ -49,7 +48,7 @@ class StateChanges:
     def take(self, t: float, state: str, waiting_for: Mapping[str, str]) -> Event | None:
         """Take time [s], state and what it waits for; return what is new of it."""
         waiting = reasons_line(waiting_for)
-        reason = _NUMBERS.sub("", waiting)
+        reason = without_numbers(waiting)
         if reason != self._newest:
             self._newest, self._since, self._text = reason, t, waiting
         before, self._state = self._state, state
