@@ -144,7 +144,7 @@ MISTAKES = {
     "miles for kilometres": (
         ("ESC_Speed.VehicleSpeed", "unit: mph"), "speed", "mph against km/h"),
     "brake inverted": (("ESC_Brake.BrakePressed", "equals: 0"), "brake", "accelerates"),
-    "reverse inverted": (("TCU_Gear.GearPosition", "equals: 0"), "reverse", "18 km/h"),
+    "reverse inverted": (("TCU_Gear.GearPosition", "equals: 0"), "reverse", "25 km/h"),
     "one axis of the accelerometer inverted": (
         ("IMU_Accel.AccelY", "sign: -1"), "accelerometer", "left-handed"),
     "one axis of the gyroscope inverted": (

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from imucald.config_check.motion import smooth
-from imucald.discovery.evidence import believed_z, choose_unit, relation
+from imucald.config_check.relation import believed_z, relation
+from imucald.discovery.evidence import choose_unit
 
 
 def slow_noise(rng: np.random.Generator, ticks: int = 3000) -> np.ndarray:

@@ -13,8 +13,8 @@ import pytest
 from imucald import cli
 from imucald.can.dbc.database import load_database
 from imucald.can.logs.log_reader import LogReader
+from imucald.config_check.relation import Relation
 from imucald.discovery import GatheredFrames, Proposal, discover
-from imucald.discovery.evidence import Relation
 from imucald.discovery.heading import HeadingFit, doubt_what_is_turned
 from imucald.discovery.proposal import Choice, Proposed
 from paths import ROOT

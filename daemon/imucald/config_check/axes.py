@@ -10,21 +10,20 @@ import numpy as np
 
 from imucald.config.base import MAX_SPEED_DELAY, MIN_SPEED_DELAY
 from imucald.config_check.finding import (
-    CLEAR,
     MIN_TICKS,
     ODD_GAIN,
-    OTHER_UNIT,
     Finding,
-    gain_between,
     gain_guess,
     is_beyond,
     spread,
 )
 from imucald.config_check.motion import Motion, less, shifted, smooth
+from imucald.config_check.relation import relation
 from imucald.config_check.yaw_rate_check import MIN_TURNING
 from imucald.core.arrays import Array
 from imucald.core.samples import GRAVITY
 from imucald.motion.ticks import TICK_S
+from imucald.mount.contradictions import LIKE, MOVING, WRONG_UNIT
 from imucald.mount.gyro_alternatives import TRIED, gyro_energies, ratios_of
 from imucald.mount.log_ratios import MOST, TO_ACCUSE, TO_BE_FINE
 from imucald.mount.signal_blocks import BLOCK_TICKS
@@ -44,8 +43,6 @@ MIN_REPORTED_DELAY = 2
 """Ticks of speed delay from which it is reported."""
 MIN_ACROSS = 0.15
 """Least standard deviation of the force in turns [m/s^2]: twice what crowns and slopes leave."""
-MOVING = 2.0
-"""Below this speed [m/s] slopes hardly change."""
 LATEST = 2.5
 """Delay of the speed up to which its size is judged [s]: a receiver that smooths, is asked once a
 second, and whose answer waits."""
@@ -97,7 +94,7 @@ def best_response(motion: Motion, rates: Mapping[str, Array]) -> Response | None
     zero = motion.turn_zero if name == "gyroscope" else motion.turn_zero[:, :0]
     fits = [_response(motion.accel, motion.change, turn, zero, delay) for delay in _DELAYS]
     best = max((fit for fit in fits if fit is not None), key=lambda f: f.explained, default=None)
-    return best if best is not None and best.explained >= CLEAR**2 else None
+    return best if best is not None and best.explained >= LIKE**2 else None
 
 
 def speed_findings(response: Response, unit_advice: Mapping[str, str]) -> Iterator[Finding]:
@@ -113,7 +110,7 @@ def speed_findings(response: Response, unit_advice: Mapping[str, str]) -> Iterat
     elif is_beyond(gain, ODD_GAIN):
         guess = gain_guess(1.0 / gain, unit_advice.get("speed"))
         text = f"its changes are {guess} (against the accelerometer)"
-        yield Finding("error" if is_beyond(gain, OTHER_UNIT) else "warning", "speed", text)
+        yield Finding("error" if is_beyond(gain, WRONG_UNIT) else "warning", "speed", text)
     else:
         text = f"its changes show in the accelerometer (gain {gain:.2f})"
         yield Finding("ok", "speed", text)
@@ -173,10 +170,10 @@ def _turn_gain(
         return
     both = np.cov(level[rows].T, turn[rows])
     across = both[3, :3] / both[3, 3]
-    gain, size = gain_between(turn[rows], level[rows] @ across), float(np.linalg.norm(across))
-    if float(np.std(level[rows] @ across)) < MIN_ACROSS * size or abs(gain[1]) < CLEAR:
+    force, size = level[rows] @ across, float(np.linalg.norm(across))
+    if float(np.std(force)) < MIN_ACROSS * size or not relation(turn[rows], force).is_same_motion:
         return
-    if not is_beyond(size, OTHER_UNIT):
+    if not is_beyond(size, WRONG_UNIT):
         return
     if knows_speed or is_beyond(size, NO_SPEED):
         name, product, other = "gyroscope", "its rate times the speed", "speed"
@@ -244,7 +241,11 @@ def _gyro_zeros(motion: Motion, rate: Array, moving: Array, up: Array) -> list[A
 
 
 def _rotation_axis(motion: Motion, rates: Mapping[str, Array], up: Array) -> Iterator[Finding]:
-    """In turns a gyroscope turns about the direction that the accelerometer calls up."""
+    """In turns a gyroscope turns about the direction that the accelerometer calls up.
+
+    Another question than `turning_axis`: the axis is seen in all three rates, next to a signal that
+    shows turns, where a force in bends shows only which rate it follows.
+    """
     names = [n for n, rate in rates.items() if n != "gyroscope" and spread(rate) > MIN_TURNING]
     if "gyro" not in motion.grid or not names:
         return
@@ -255,7 +256,7 @@ def _rotation_axis(motion: Motion, rates: Mapping[str, Array], up: Array) -> Ite
     axis = np.cov(gyro[rows].T, rate[rows])[3, :3]
     aligned = abs(float(axis @ up)) / max(float(np.linalg.norm(axis)), 1e-12)
     angle = math.degrees(math.acos(min(aligned, 1.0)))
-    if angle > AXIS_DEG and abs(gain_between(gyro @ axis, rate)[1]) > CLEAR:
+    if angle > AXIS_DEG and relation(gyro @ axis, rate).is_same_motion:
         text = (
             f"turns about an axis {angle:.0f} deg from gravity's: one of its axes (or of the "
             "accelerometer's) has the wrong sign, or two are exchanged"

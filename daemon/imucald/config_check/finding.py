@@ -16,11 +16,6 @@ Level = Literal["error", "warning", "note", "ok"]
 
 MIN_TICKS = 200
 """Ticks in motion that a judgement needs: 20 s."""
-CLEAR = 0.6
-"""Correlation from which two signals are taken to show the same motion."""
-OTHER_UNIT = 1.9
-"""A gain beyond this (or below its inverse) is a unit, not a vehicle: half way, as a ratio, to km/h
-taken for m/s."""
 ODD_GAIN = 1.4
 """A gain beyond this (or below its inverse) is odd: measured and simulated vehicles show 0.8 to
 1.2, miles taken for kilometres 0.6 or 1.6 of that."""
@@ -71,21 +66,6 @@ def spread(x: Array) -> float:
     """Standard deviation of what is known of x; 0 where that is too little."""
     known = x[np.isfinite(x)]
     return float(np.std(known)) if len(known) >= MIN_TICKS else 0.0
-
-
-def gain_between(reference: Array, signal: Array) -> tuple[float, float]:
-    """How many times the reference the signal is, with sign, and the correlation.
-
-    The gain is the ratio of spreads: noise in either of them moves it less than a regression.
-    """
-    rows = np.isfinite(reference) & np.isfinite(signal)
-    if np.count_nonzero(rows) < MIN_TICKS:
-        return 1.0, 0.0
-    a, b = reference[rows], signal[rows]
-    if np.std(a) == 0.0 or np.std(b) == 0.0:
-        return 1.0, 0.0
-    correlation = float(np.corrcoef(a, b)[0, 1])
-    return math.copysign(float(np.std(b) / np.std(a)), correlation), correlation
 
 
 def cut_frames(name: str, shortest: int, size: int) -> str:

@@ -22,22 +22,21 @@ from imucald.config_check.axes import (
     speed_findings,
 )
 from imucald.config_check.finding import (
-    CLEAR,
     MIN_TICKS,
-    OTHER_UNIT,
     TURN_SIGN,
     Finding,
-    gain_between,
     gain_guess,
     is_beyond,
     spread,
 )
 from imucald.config_check.motion import Motion, smooth
+from imucald.config_check.relation import relation
 from imucald.config_check.turning_axis import turning_axis_findings
 from imucald.config_check.yaw_rate_check import MIN_TURNING, yaw_rate_findings
 from imucald.core.arrays import Array
 from imucald.core.samples import GRAVITY
 from imucald.mount.alternatives import NOT_CHECKED
+from imucald.mount.contradictions import WRONG_UNIT
 from imucald.mount.mirror import AT_REST, DOUBTED, REMEDY, names_of, probability
 from imucald.mount.priors import SLOPE_STD
 from imucald.mount.stated_orientation import CLEAR as CLEAR_PART
@@ -49,17 +48,13 @@ PLANAR_REST = 1.5
 """What a level accelerometer may show at rest [m/s^2]: slope and offset."""
 GYRO_REST = math.radians(5.0)
 """Largest plausible gyro offset at rest [rad/s]."""
-REVERSE_SPEED = 5.0
+REVERSE_SPEED = 7.0
 """Nobody reverses faster for long [m/s]."""
 REVERSE_SHARE = 0.1
 """Part of the time above that speed that reverse may be on: a lever passing by."""
 WHEELS_DIFFER = 0.1
 """Part by which the speed may differ from the wheels': worn and wrong tyres make 5 %, displays show
 up to 10 % more (UN R39)."""
-MIN_BRAKING_TICKS = 50
-"""Ticks with and without brake that a judgement of it needs: 5 s."""
-CLEAR_BRAKING = 0.1
-"""By so much the change of speed must differ with and without brake [m/s^2]."""
 TURNING = 0.05
 """Yaw rate of a turn [rad/s]: a bend of 200 m at 10 m/s."""
 ONE_SIDED_TURNS = 5
@@ -113,7 +108,7 @@ def judge(
             if not any(finding.level == "error" for finding in of_up):  # that is the mirror image
                 ahead = response.along / gain
                 yield from _stated_axis(stated.forward, "forward", ahead, "back", FORWARD_REMEDY)
-            if is_beyond(gain, OTHER_UNIT):
+            if is_beyond(gain, WRONG_UNIT):
                 motion = motion.scaled(speed=gain)
                 is_scaled = True
     rates = motion.turn_rates(vehicle)
@@ -242,7 +237,7 @@ def _speed_against_wheels(motion: Motion, unit_advice: str | None) -> Iterator[F
     if np.count_nonzero(fast) < MIN_TICKS:
         return
     ratio = float(np.median(speed[fast] / wheels[fast]))
-    if is_beyond(ratio, OTHER_UNIT):
+    if is_beyond(ratio, WRONG_UNIT):
         text = f"against the wheels' speeds {gain_guess(ratio, unit_advice)}"
         yield Finding("error", "speed", text, _WHEELS)
     elif abs(ratio - 1.0) > WHEELS_DIFFER:
@@ -331,16 +326,17 @@ def _along(motion: Motion, unit_advice: Mapping[str, str]) -> Iterator[Finding]:
     if motion.planar and motion.accel is not None:
         signals["accelerometer.x"] = motion.accel[:, 0]
     for name, signal in signals.items():
-        gain, correlation = gain_between(motion.change, signal)
-        if abs(correlation) < CLEAR:
+        found = relation(motion.change, signal)
+        if not found.is_same_motion:
             continue
+        gain = found.sign * found.gain
         if gain < 0.0 and name == "accelerometer.x":
             text = "is negative when the vehicle accelerates: backwards mounted, or 'sign: -1'"
             yield Finding("warning", name, text)
         elif gain < 0.0:
             text = f"is negative when the vehicle accelerates; {TURN_SIGN}"
             yield Finding("warning", name, text)
-        elif is_beyond(gain, OTHER_UNIT):
+        elif is_beyond(gain, WRONG_UNIT):
             guess = gain_guess(gain, unit_advice.get(name))
             yield Finding("warning", name, f"against the change of speed {guess}")
         else:
@@ -353,23 +349,23 @@ def _reverse(motion: Motion) -> Iterator[Finding]:
     fast = np.nan_to_num(np.abs(motion.speed)) > REVERSE_SPEED
     reverse = motion.grid["reverse"][fast]
     share = float(np.mean(reverse > 0.5)) if len(reverse) >= MIN_TICKS else 0.0
+    fastest = f"{3.6 * REVERSE_SPEED:.0f} km/h"
     if share > REVERSE_SHARE:
-        text = f"is on {100 * share:.0f} % of the time above 18 km/h: see 'equals:' and 'above:'"
+        text = f"is on {100 * share:.0f} % of the time above {fastest}: see 'equals:' and 'above:'"
         yield Finding("error" if share > 0.5 else "warning", "reverse", text)
     elif len(reverse) >= MIN_TICKS and np.nanmax(motion.grid["reverse"]) > 0.5:
-        yield Finding("ok", "reverse", "is off above 18 km/h")  # and on at times
+        yield Finding("ok", "reverse", f"is off above {fastest}")  # and on at times
 
 
 def _brake(motion: Motion) -> Iterator[Finding]:
     if motion.speed is None or motion.change is None or "brake" not in motion.grid:
         return
-    moving = (np.nan_to_num(np.abs(motion.speed)) > 1.0) & np.isfinite(motion.change)
-    brake = motion.grid["brake"] > 0.5
-    on, off = motion.change[moving & brake], motion.change[moving & ~brake]
-    if min(len(on), len(off)) < MIN_BRAKING_TICKS:
+    moving = np.nan_to_num(np.abs(motion.speed)) > 1.0
+    found = relation(np.where(moving, motion.change, np.nan), motion.grid["brake"])
+    if not found.is_believed_of(1):
         return
-    if on.mean() > off.mean() + CLEAR_BRAKING:
+    if found.sign > 0:
         text = "is on when the vehicle accelerates: see 'equals:' and 'above:'"
         yield Finding("warning", "brake", text)
-    elif on.mean() < off.mean() - CLEAR_BRAKING:
+    else:
         yield Finding("ok", "brake", "is on when the vehicle slows down")

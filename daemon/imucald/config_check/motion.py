@@ -214,9 +214,10 @@ class Motion:
 
 
 def less(x: Array, known: Array) -> Array:
-    """What (n, k) columns and a constant leave of x (n,), by least squares; NaN where one is."""
-    rows = np.isfinite(x) & np.isfinite(known).all(axis=1)
-    left = np.full(len(x), np.nan)
+    """What (n, k) columns and a constant leave of x (n,) or (n, w), by least squares; NaN where one
+    is."""
+    rows = np.isfinite(x).reshape(len(x), -1).all(axis=1) & np.isfinite(known).all(axis=1)
+    left = np.full_like(x, np.nan)
     if rows.any():
         basis = np.column_stack([known[rows], np.ones(np.count_nonzero(rows))])
         solution, *_ = np.linalg.lstsq(basis, x[rows], rcond=None)

@@ -7,15 +7,13 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from imucald.config_check.finding import CLEAR, MIN_TICKS, Finding
-from imucald.config_check.motion import Motion, smooth
+from imucald.config_check.finding import MIN_TICKS, Finding
+from imucald.config_check.motion import Motion, less, smooth
 from imucald.core.arrays import Array
+from imucald.mount.contradictions import LIKE, MOVING
 from imucald.mount.gyro_alternatives import TRIED
 from imucald.mount.log_ratios import INDEPENDENT, TO_ACCUSE
 from imucald.mount.signal_blocks import BLOCK_TICKS
-
-MOVING = 2.0
-"""Below this speed [m/s] there are no bends to speak of."""
 
 
 def turning_axis_findings(motion: Motion) -> Iterator[Finding]:
@@ -41,13 +39,13 @@ def turning_axis_findings(motion: Motion) -> Iterator[Finding]:
         return
     level, change, speed, rate = table[:, :3], table[:, 3], table[:, 4], table[:, 5:]
     # a zero error of the rate adds the speed in its own shape
-    without = _left_over(level, np.column_stack([change, speed]))
+    without = _energy_left(level, np.column_stack([change, speed]))
     left = [
-        _left_over(level, np.column_stack([change, speed, speed * (rate @ (S.T @ up))]))
+        _energy_left(level, np.column_stack([change, speed, speed * (rate @ (S.T @ up))]))
         for S in TRIED
     ]
     best = min(left)
-    if best <= 0.0 or 1.0 - best / max(without, 1e-12) < CLEAR**2:
+    if best <= 0.0 or 1.0 - best / max(without, 1e-12) < LIKE**2:
         return
     independent = INDEPENDENT * len(table) / BLOCK_TICKS
     if 0.5 * independent * 2.0 * math.log(left[0] / best) > TO_ACCUSE:
@@ -58,9 +56,6 @@ def turning_axis_findings(motion: Motion) -> Iterator[Finding]:
         yield Finding("error", "gyroscope", text)
 
 
-def _left_over(signals: Array, known: Array) -> float:
+def _energy_left(signals: Array, known: Array) -> float:
     """Energy that is left of signals (N, k) when columns (N, m) and a constant are taken off."""
-    known = np.column_stack([known, np.ones(len(known))])
-    coefficients, *_ = np.linalg.lstsq(known, signals, rcond=None)
-    left = signals - known @ coefficients
-    return float((left * left).sum())
+    return float(np.square(less(signals, known)).sum())

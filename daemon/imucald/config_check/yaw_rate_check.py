@@ -7,17 +7,10 @@ from types import MappingProxyType
 
 import numpy as np
 
-from imucald.config_check.finding import (
-    CLEAR,
-    OTHER_UNIT,
-    TURN_SIGN,
-    Finding,
-    gain_between,
-    gain_guess,
-    is_beyond,
-    spread,
-)
+from imucald.config_check.finding import TURN_SIGN, Finding, gain_guess, is_beyond, spread
+from imucald.config_check.relation import relation
 from imucald.core.arrays import Array
+from imucald.mount.contradictions import UNLIKE, WRONG_UNIT
 
 MIN_TURNING = 0.008
 """Least standard deviation of the yaw rate for a judgement [rad/s]: bends of a motorway."""
@@ -44,11 +37,11 @@ def yaw_rate_findings(
     reference, *others = names
     gains = {reference: 1.0}
     for name in others:
-        gain, correlation = gain_between(rates[reference], rates[name])
-        if abs(correlation) >= CLEAR:
-            gains[name] = gain
-        elif abs(correlation) < CLEAR / 2.0 and spread(rates[reference]) > MIN_TURNING_TO_FOLLOW:
-            text = f"hardly follows {reference} in turns (correlation {correlation:+.2f})"
+        found = relation(rates[reference], rates[name])
+        if found.is_same_motion:
+            gains[name] = found.sign * found.gain
+        elif abs(found.correlation) < UNLIKE and spread(rates[reference]) > MIN_TURNING_TO_FOLLOW:
+            text = f"hardly follows {reference} in turns (correlation {found.correlation:+.2f})"
             yield Finding("error", name, text)
     yield from _signs(gains, turned)
     yield from _gains(gains, unit_advice)
@@ -59,7 +52,7 @@ def _gains(gains: Mapping[str, float], unit_advice: Mapping[str, str]) -> Iterat
     sizes = {name: abs(gain) for name, gain in gains.items()}
     middle = float(np.median(list(sizes.values()))) if len(sizes) > 2 else 1.0
     for name, size in sizes.items():
-        if is_beyond(size / middle, OTHER_RATIO if name == _STEERING else OTHER_UNIT):
+        if is_beyond(size / middle, OTHER_RATIO if name == _STEERING else WRONG_UNIT):
             others = tuple(other for other in sizes if other != name)
             guess = gain_guess(size / middle, unit_advice.get(name))
             text = f"against {', '.join(others)} in turns {guess}"

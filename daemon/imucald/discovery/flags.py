@@ -11,18 +11,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from imucald.can.dbc.message import Signal
+from imucald.config_check.judgement import REVERSE_SPEED
 from imucald.config_check.motion import SMOOTH
+from imucald.config_check.relation import BELIEVED_NATS
 from imucald.core.arrays import Array
 from imucald.discovery.candidates import SeenSignal, words
-from imucald.discovery.evidence import BELIEVED_NATS
 from imucald.discovery.names import hint, same_family
 from imucald.discovery.proposal import Alternative, Choice, source_of
 from imucald.discovery.reference import KnownMotion
 from imucald.discovery.scalars import MAX_ALTERNATIVES
 from imucald.inputs.units import find_unit
 
-REVERSE_SPEED = 7.0
-"""Nobody reverses faster [m/s]."""
 CREEP = 0.2
 MIN_REVERSE_TICKS = 15
 BRAKING = 0.7

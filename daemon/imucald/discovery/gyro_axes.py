@@ -15,8 +15,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from imucald.config_check.motion import SMOOTH, shifted, smooth
+from imucald.config_check.relation import BELIEVED_NATS, Relation, relation
 from imucald.core.arrays import Array
-from imucald.discovery.evidence import BELIEVED_NATS, Relation, relation
 from imucald.discovery.reference import KnownMotion
 from imucald.discovery.triads import Triad
 from imucald.motion.ticks import TICK_RATE

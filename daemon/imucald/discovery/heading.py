@@ -13,8 +13,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from imucald.config_check.motion import shifted
+from imucald.config_check.relation import Relation, relation
 from imucald.discovery.candidates import SeenSignal
-from imucald.discovery.evidence import Relation, relation
 from imucald.discovery.names import hint
 from imucald.discovery.proposal import Choice, source_of
 from imucald.discovery.reference import DELAYS, KnownMotion, stated_unit

@@ -6,9 +6,10 @@ import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+from imucald.config_check.relation import Relation, relation
 from imucald.core.arrays import Array
 from imucald.discovery.candidates import SeenSignal
-from imucald.discovery.evidence import Relation, UnitChoice, relation
+from imucald.discovery.evidence import UnitChoice
 from imucald.discovery.names import WHEELS, wheel_by_name
 from imucald.discovery.proposal import Alternative, Choice, source_of
 from imucald.discovery.reference import (

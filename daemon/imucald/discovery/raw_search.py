@@ -12,9 +12,9 @@ from dataclasses import replace
 
 import numpy as np
 
+from imucald.config_check.relation import Relation, relation
 from imucald.core.arrays import Array
 from imucald.discovery.candidates import SeenSignal
-from imucald.discovery.evidence import Relation, relation
 from imucald.discovery.proposal import Alternative, Choice, Proposed
 from imucald.discovery.reference import KnownMotion, response
 from imucald.discovery.scalars import SAME_MOTION

@@ -13,16 +13,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from imucald.config_check.motion import SMOOTH, shifted
+from imucald.config_check.relation import Relation, relation
 from imucald.core.arrays import Array
 from imucald.discovery.candidates import SeenSignal
-from imucald.discovery.evidence import (
-    COMMON_UNITS,
-    Relation,
-    UnitChoice,
-    choose_unit,
-    factor_of,
-    relation,
-)
+from imucald.discovery.evidence import COMMON_UNITS, UnitChoice, choose_unit, factor_of
 from imucald.discovery.triads import Triad
 from imucald.motion.ticks import TICK_RATE
 

@@ -8,9 +8,10 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
+from imucald.config_check.relation import Relation, is_better, relation
 from imucald.core.arrays import Array
 from imucald.discovery.candidates import SeenSignal
-from imucald.discovery.evidence import Relation, UnitChoice, choose_unit, is_better, relation
+from imucald.discovery.evidence import UnitChoice, choose_unit
 from imucald.discovery.names import hint, is_of_another
 from imucald.discovery.proposal import Alternative, Choice, source_of
 from imucald.discovery.reference import stated_unit, unit_for

@@ -7,9 +7,9 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from imucald.config_check.relation import Relation
 from imucald.core.samples import GRAVITY
 from imucald.discovery.candidates import SeenSignal
-from imucald.discovery.evidence import Relation
 from imucald.discovery.gyro_axes import AS_IT_IS, fit_gyroscope, right_handed_orders, signed
 from imucald.discovery.gyro_choice import axes_of, gyroscope_choice
 from imucald.discovery.heading import (

@@ -11,9 +11,10 @@ from dataclasses import replace
 
 import numpy as np
 
+from imucald.config_check.relation import is_better, relation
 from imucald.core.arrays import Array
 from imucald.discovery.candidates import SeenSignal
-from imucald.discovery.evidence import choose_unit, is_better, relation
+from imucald.discovery.evidence import choose_unit
 from imucald.discovery.names import hint
 from imucald.discovery.reference import SpeedFit, stated_unit
 from imucald.discovery.scalars import SAME_MOTION

@@ -6,9 +6,10 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
+from imucald.config_check.relation import relation
 from imucald.core.arrays import Array
 from imucald.discovery.candidates import SeenSignal
-from imucald.discovery.evidence import choose_unit, factor_of, relation
+from imucald.discovery.evidence import choose_unit, factor_of
 from imucald.discovery.proposal import Choice, candidate_of
 from imucald.discovery.reference import stated_unit
 from imucald.discovery.scalars import (

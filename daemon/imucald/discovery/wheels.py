@@ -8,8 +8,9 @@ from collections.abc import Callable, Iterator, Sequence
 import numpy as np
 
 from imucald.config_check.motion import less
+from imucald.config_check.relation import Relation, relation
 from imucald.discovery.candidates import SeenSignal
-from imucald.discovery.evidence import Relation, UnitChoice, relation
+from imucald.discovery.evidence import UnitChoice
 from imucald.discovery.names import WHEELS, wheel_by_name
 from imucald.discovery.proposal import Choice, Proposed, source_of
 from imucald.discovery.reference import KnownMotion, moving
