@@ -1,4 +1,8 @@
-"""How many frames of a cyclic message did not come, by the times of those that came."""
+"""How many frames of a cyclic message did not come, by the times of those that came.
+
+A share is asked for, also of coarse stamps. `diagnosis.direct.stamps` asks which frames are missing
+and how far the sender's clock is off, and answers where stamps keep to a cycle.
+"""
 
 from __future__ import annotations
 

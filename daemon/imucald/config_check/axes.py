@@ -86,7 +86,10 @@ def _response(accel: Array, change: Array, turn: Array, zero: Array, delay: int)
 
 
 def best_response(motion: Motion, rates: Mapping[str, Array]) -> Response | None:
-    """The response with the delay that explains most; None where it is not clear."""
+    """The response with the delay that explains most; None where it is not clear.
+
+    `discovery.reference.response` asks it of speeds in any unit before turns are known.
+    """
     if motion.change is None or motion.accel is None or motion.speed is None:
         return None
     name = next((name for name, r in rates.items() if spread(r) > MIN_TURNING), None)

@@ -4,6 +4,8 @@ Two facts show it, whatever the mount. In turns speed times the rate about up is
 the left. And while the body pitches and rolls, gravity moves through the accelerometer's axes as
 the gyroscope says: g' = -omega x g. Each of the 48 ways to name and sign three axes is held against
 both, by likelihood; offsets, and acceleration that goes with speed, are fitted and do not count.
+The unit is free here. `mount.gyro_alternatives` and `config_check.turning_axis` know it, and ask
+whether the axes as configured are wrong.
 """
 
 from __future__ import annotations

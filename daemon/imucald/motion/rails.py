@@ -5,6 +5,7 @@ again, and stays. What is played twice to the last bit, such as a recording in a
 
 Kept are the values that nothing has gone beyond since they came, of one side of an axis, from high
 to low. Samples on a value, and one and two steps below it, show whether it is the end of a range.
+What a whole recording shows of a rail is more than what came so far: `diagnosis.direct.faults`.
 Both ways to keep them do the same: a list, one hop at a time, and an array, in which the compiled
 part takes all hops in a row that need no more (`core/kernels/rails.c`).
 """

@@ -1,6 +1,9 @@
 """Faults that show in samples and time stamps alone: pile-up, stuck, lost, doubled, wrong cycle.
 
-Each is direct evidence. The samples that it makes invalid are kept from the fit.
+Each is direct evidence. The samples that it makes invalid are kept from the fit. `motion.rails` and
+`motion.sensor_judges` ask while driving, of what came so far; here the whole recording is known.
+A third of it may lie on a rail, an axis may end where it is met most (a vector of one length), and
+a dead zone may repeat itself: those are told apart by all of its values.
 """
 
 from __future__ import annotations
@@ -17,9 +20,10 @@ from imucald.diagnosis.direct.lost_readings import Lost
 from imucald.diagnosis.direct.sample_changes import stays_until_off
 from imucald.diagnosis.direct.stamps import clock_of
 from imucald.diagnosis.direct.stuck import Fault, stuck
-from imucald.diagnosis.direct.visits import PILE_RATIO, visited_too_often
+from imucald.diagnosis.direct.visits import visited_too_often
 from imucald.diagnosis.signals import Channel, Mask, Spans, duplicates
 from imucald.model.model import VehicleModel
+from imucald.motion.rail_evidence import PILE
 
 LEAST_ROWS = 100
 WATCHED = ("accel", "gyro", "speed", "steering", "yaw_rate", "lateral_accel", "longitudinal_accel")
@@ -143,7 +147,7 @@ def _is_thickest_there(x: Array, top: float, near: float) -> bool:
     if middle >= top - near:
         return True
     above, below = int((between > near).sum()), int((between < -near).sum())
-    chance = binom.sf(above - 1, above + below, PILE_RATIO / (PILE_RATIO + 1.0))
+    chance = binom.sf(above - 1, above + below, PILE / (PILE + 1.0))
     return bool(chance < CHANCE / QUESTIONS)
 
 
@@ -178,7 +182,7 @@ def _is_held(x: Array, at: Mask) -> bool:
         return False
     # A standing vehicle's values stay as well.
     others = others[: int(0.99 * len(others)) + 1]
-    share = PILE_RATIO * float(1.0 - len(others) / others.sum()) + 1.0 / float(others.sum())
+    share = PILE * float(1.0 - len(others) / others.sum()) + 1.0 / float(others.sum())
     repeats = int(own.sum() - len(own))
     return bool(share < 1.0 and binom.sf(repeats - 1, own.sum(), share) < CHANCE / QUESTIONS)
 

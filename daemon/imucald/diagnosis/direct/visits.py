@@ -6,10 +6,7 @@ from scipy.stats import binom
 
 from imucald.core.arrays import true_runs
 from imucald.diagnosis.signals import Mask
-
-PILE_RATIO = 1.3
-"""Codes of a converter differ in width by some 30 % (differential nonlinearity of 0.3 LSB), and so
-does how often each is met."""
+from imucald.motion.rail_evidence import PILE
 
 
 def visited_too_often(is_there: Mask, beside: int, levels: int, chance: float) -> bool:
@@ -22,4 +19,4 @@ def visited_too_often(is_there: Mask, beside: int, levels: int, chance: float) -
     so without a reason.
     """
     visits = len(true_runs(is_there))
-    return bool(binom.sf(visits - 1, visits + beside, PILE_RATIO / (PILE_RATIO + levels)) < chance)
+    return bool(binom.sf(visits - 1, visits + beside, PILE / (PILE + levels)) < chance)
