@@ -249,6 +249,30 @@ def _delays(model: VehicleModel, changes: Changes) -> dict[str, Any]:
     }
 
 
+def low_pass(model: VehicleModel, key: str, x: float) -> tuple[str, float] | None:
+    """Key and value of the filter that makes a signal late by x [s] more than the file says, where
+    the file has a place for it: `key` is that of the delay."""
+    name = key.partition(".")[0]
+    seconds = age(model, name) - getattr(model, name).delay_s + x
+    if seconds <= 0.0 or name == "wheel_speeds":
+        return None
+    if hasattr(getattr(model, name), "lowpass_hz"):
+        return f"{name}.lowpass_hz", BUTTERWORTH_S_HZ / seconds
+    return f"{name}.time_constant_s", seconds
+
+
+def with_low_passes(model: VehicleModel, stated: VehicleModel, late: Changes) -> VehicleModel:
+    """The model file with filters in place of delays. stated: the file before; late: how much of
+    each delay the filter makes [s]."""
+    made: dict[str, float] = {}
+    for key, x in late.items():
+        name = key.partition(".")[0]
+        if (filtered := low_pass(stated, key, x)) is not None:
+            made[filtered[0]] = filtered[1]
+            made[key] = max(getattr(model, name).delay_s - x, 0.0)
+    return model.with_changes(made) if made else model
+
+
 def rear_slip(model: VehicleModel) -> float:
     """Sideslip at the rear axle per speed and lateral acceleration: m l_f / (L C_r) [s^2/m]."""
     c = model.chassis

@@ -58,6 +58,8 @@ class Cause:
     """How many of the first parameters must be off for the name to hold; 0: any of them."""
     joins: bool = False
     """Its variants are also tried together, as far as each pays."""
+    form_of: str = ""
+    """The cause whose parameters it has, in another form: what is found as that may be it."""
 
 
 def _axes(key: str, unit: str, tolerance: float, source: str, plausible: float,
@@ -230,6 +232,9 @@ CAUSES: tuple[Cause, ...] = (
           *_each("gyro", ("delay_s",))),
           "A signal's delay differs from the model file's.", "quick lane changes",
           together=("accel.delay_s", "gyro.delay_s")),
+    Cause("sensor_lowpass", (), "A signal passes a low-pass that the model file does not have.",
+          "quick steering and hard braking: a low-pass makes them smaller, and a delay does not",
+          form_of="signal_delay"),
     Cause("delay_rate", (("speed.delay_rate", "speed.delay_s"),),
           "Two clocks run at different rates.", "a longer drive", lead=1),
     Cause("steering_offset", (("steering.offset",),), "The steering angle's zero is off.",

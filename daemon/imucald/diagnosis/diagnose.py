@@ -17,7 +17,13 @@ from imucald.core.errors import EstimateError
 from imucald.core.samples import Samples
 from imucald.core.text import counted
 from imucald.diagnosis import outcome
-from imucald.diagnosis.cause_keys import extended, mount_of, with_delay_rate, with_shifts
+from imucald.diagnosis.cause_keys import (
+    extended,
+    mount_of,
+    with_delay_rate,
+    with_low_passes,
+    with_shifts,
+)
 from imucald.diagnosis.direct.direct import Rest, rest_of
 from imucald.diagnosis.direct.faults import find_faults, invalid_spans
 from imucald.diagnosis.direct.held_values import held_values
@@ -69,6 +75,7 @@ from imucald.diagnosis.result import (
     Gain,
     Structure,
 )
+from imucald.diagnosis.search.low_pass import low_passes
 from imucald.diagnosis.search.search import search
 from imucald.diagnosis.search.state import State, final_estimates, shift_steps
 from imucald.diagnosis.signals import DriveSignals, drive_of, require
@@ -426,6 +433,7 @@ def _written(state: State, problem: Problem) -> VehicleModel:
         changes[key] = changes.get(key, 0.0) + x
     middle = state.forwards[0].middle_s
     written = extended(state.stated, with_delay_rate(changes, middle), known)
+    written = with_low_passes(written, state.stated, low_passes(state))
     return written if state.shift is None else with_shifts(written, shift_steps(state.shift))
 
 

@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 
 from imucald.core.text import counted
-from imucald.diagnosis.cause_keys import TRIADS, mount_of, tolerance, value
+from imucald.diagnosis.cause_keys import TRIADS, low_pass, mount_of, tolerance, value
 from imucald.diagnosis.causes import BY_NAME, PARAMETERS, family
 from imucald.diagnosis.direct.direct import Rest
 from imucald.diagnosis.direct.stuck import Fault
@@ -63,6 +63,8 @@ def cause_of_trial(
             stated + change, se, row.unit, stated, float(trial.tolerance[i])
         )
     sd = max(abs(p.value - p.stated) / max(p.std, 1e-30) for p in parameters.values())
+    if BY_NAME[h.name].form_of:
+        parameters = dict(_as_low_pass(state.stated, k, p) for k, p in parameters.items())
     return FoundCause(
         h.name, parameters, signals_of(state.table, h.keys),
         {"held_out_nats": trial.shown, "sigma": sd, "quantile": trial.estimate.quantile},
@@ -70,6 +72,21 @@ def cause_of_trial(
         certainty,
         tuple(_against(state, trial)),
     )  # fmt: skip
+
+
+def _as_low_pass(model: VehicleModel, key: str, late: Estimated) -> tuple[str, Estimated]:
+    """A delay as the file's filter, where it has one: a cut-off that is known as well as that."""
+    filtered = low_pass(model, key, late.value - late.stated)
+    if filtered is None:
+        return key, late
+    (name, x), stated = filtered, low_pass(model, key, 0.0)
+    share = x / (late.value - late.stated)
+    unit = "Hz" if name.endswith("hz") else "s"
+    if unit == "s":
+        share = 1.0
+    return name, Estimated(
+        x, share * late.std, unit, stated[1] if stated else math.nan, share * late.tolerance
+    )
 
 
 def with_sensor_axes(cause: FoundCause, stated: VehicleModel, written: VehicleModel) -> FoundCause:

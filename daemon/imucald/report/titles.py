@@ -51,7 +51,7 @@ QUANTITIES: Mapping[str, str] = {
     "scale": "gain error", "offset": "offset", "turn": "turn", "bias": "zero error",
     "full_scale": "rail", "loss": "lost frames", "stuck_s": "stuck for", "doubled": "doubled",
     "clock_drift_ppm": "clock error", "steering_ratio": "steering ratio", "t_s": "time",
-    "shifts": "shift",
+    "shifts": "shift", "lowpass_hz": "cut-off",
 }  # fmt: skip
 
 

@@ -46,14 +46,15 @@ def followed_angle(
     return made
 
 
-def _frequencies(n: int) -> Complex:
+def frequencies(n: int) -> Complex:
+    """(n + 1,) s = i w of n samples of the grid, mirrored at their end [rad/s]."""
     return np.asarray(2j * np.pi * np.fft.rfftfreq(2 * n, STEP_S))
 
 
 def spectrum_of(steer: Array) -> Complex:
     """(N + 1,) of an angle behind the steering gear, mirrored at its end, so that a drive's last
     angle does not run into its first."""
-    gear = np.exp(-STEERING_GEAR_S * _frequencies(len(steer)))
+    gear = np.exp(-STEERING_GEAR_S * frequencies(len(steer)))
     return np.asarray(np.fft.rfft(np.concatenate([steer, steer[::-1]])) * gear)
 
 
@@ -64,7 +65,7 @@ def at_level(spectrum: Complex, response: Complex, n: int) -> Array:
 
 def response_at(n: int, level: int, chassis: Chassis, gradient: float) -> Complex:
     """(n + 1,) by frequency, of the followed angle to the angle, at a level of the speed."""
-    c, s = chassis, _frequencies(n)
+    c, s = chassis, frequencies(n)
     rear, length, m = c.rear_cornering_stiffness_npr, c.wheelbase_m, c.mass_kg
     a, b, inertia = c.cg_to_front_m, c.cg_to_rear_m, c.yaw_inertia_kgm2
     front = b / max(gradient * length / m + a / rear, 1e-9)

@@ -53,6 +53,13 @@ TAKES: Mapping[str, tuple[str, ...]] = {
 SENSED = tuple(dict.fromkeys(signal for signals in TAKES.values() for signal in signals))
 
 
+def late_signals(key: str, x: float) -> list[str]:
+    """Signals that a found delay x [s] may be a low-pass of. What is younger than stated is late
+    nowhere: the signals next to it are."""
+    own = key.partition(".")[0]
+    return [own] if x > 0.0 else [signal for signal in SENSED if signal != own]
+
+
 @dataclass(frozen=True)
 class Table:
     """The blocks of all drives against one model file.

@@ -16,7 +16,7 @@ from imucald.core.arrays import Array
 from imucald.diagnosis.cause_keys import BUTTERWORTH_S_HZ, mount_of
 from imucald.diagnosis.causes import PARAMETERS
 from imucald.diagnosis.equations.forward import Forward
-from imucald.diagnosis.fit.blocks import SENSED, TAKES
+from imucald.diagnosis.fit.blocks import TAKES, late_signals
 from imucald.diagnosis.fit.score import Hypothesis, Problem, held_out, one_in_fifteen
 from imucald.diagnosis.result import (
     GOES_AGAINST,
@@ -248,15 +248,12 @@ def left_of_known(z: Spectra, known: Spectra) -> Spectra:
 def cut_offs(changes: Mapping[str, float]) -> list[tuple[str, float, float]]:
     """Signal, and from where to where [Hz] the low-pass that a found delay x may be leaves a peak:
     within an octave of its cut-off, 1/(2 pi x) of first order, sqrt 2/(2 pi x) of second. Below it
-    a delay does as well, above it no motion is. What is younger than stated is late nowhere: the
-    signals next to it are."""
+    a delay does as well, above it no motion is."""
     made = []
     for key, x in changes.items():
         if key.endswith("delay_s") and abs(x) > PARAMETERS[key].tolerance:
-            own = key.partition(".")[0]
-            late = [own] if x > 0.0 else [s for s in SENSED if s != own]
             band = FIRST_ORDER_S_HZ / abs(x) / OCTAVE, OCTAVE * BUTTERWORTH_S_HZ / abs(x)
-            made += [(signal, *band) for signal in late]
+            made += [(signal, *band) for signal in late_signals(key, x)]
     return made
 
 

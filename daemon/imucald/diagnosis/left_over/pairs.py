@@ -11,7 +11,7 @@ asked beside every condition, by the equations' own physics.
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from scipy.fft import idct
@@ -21,16 +21,8 @@ from scipy.stats import t as student
 from imucald.core.arrays import Array
 from imucald.diagnosis.cause_keys import model_error, tolerance
 from imucald.diagnosis.equations.forward import STOPPING_MPS2, Forward
-from imucald.diagnosis.fit.blocks import (
-    TILTED,
-    Rows,
-    Table,
-    cosine,
-    joined,
-    noise_weights,
-    rows_of,
-    without_tilt,
-)
+from imucald.diagnosis.fit.added import AddedRows, level_of, rows_with, whitened
+from imucald.diagnosis.fit.blocks import Table
 from imucald.diagnosis.fit.chance import Question, chance_of_large
 from imucald.diagnosis.fit.moderated import moderated
 from imucald.diagnosis.fit.sandwich import scatters
@@ -138,16 +130,8 @@ def asked_of(
         for name in some[0]
         if all(name in each for each in some) and _can_be_asked(error, name)
     ]
-    parts: dict[str, list[tuple[Rows, Array]]] = {}
-    at = 0
-    for f, own in zip(forwards, some, strict=True):
-        known = {name: X[at : at + f.blocks] for name, X in table.columns.items()}
-        at += f.blocks
-        rows = rows_of(f, model, table.keys, table.top_hz, known)
-        columns = _columns(f, rows, model, asked, own)
-        f.forget()
-        for name, r in rows.items():
-            parts.setdefault(name, []).append((r, columns[name]))
+    each = iter(some)
+    parts = rows_with(forwards, model, table, lambda f: _added(f, model, asked, next(each)))
     if not asked or sum(f.blocks for f in forwards) < LEAST_BLOCKS:
         return []
     prior = np.diag(PRIOR / np.maximum(np.abs(table.plausible).max(axis=1), 1e-12) ** 2)
@@ -186,95 +170,46 @@ def may_be(error: Error, condition: str, model: VehicleModel) -> float:
 # columns -----------------------------------------------------------------------------------------
 
 
-def _columns(
-    f: Forward, rows: Mapping[str, Rows], model: VehicleModel, asked: Sequence[Asked],
-    some: Mapping[str, Array],
-) -> dict[str, Array]:  # fmt: skip
-    """(B, K, E) by equation: what an error of one from one end of a condition to the other adds."""
-    masks, base = f.usable(), f.residuals({}).of
-    made = {n: np.zeros((*r.y.shape, len(asked))) for n, r in rows.items()}
-    for e, (error, name) in enumerate(asked):
+def _added(
+    f: Forward, model: VehicleModel, asked: Sequence[Asked], some: Mapping[str, Array]
+) -> Iterator[tuple[dict[str, Array], float]]:
+    """What an error of one from one end of a condition to the other adds, times a step."""
+    for error, name in asked:
         step = may_be(error, name, model)
-        unit = _unit(f, error)
-        added = step * (some[name] * unit.T).T
-        moved = f.residuals({}, added={error.signal: added}).of
-        for n, r in rows.items():
-            if moved[n] is not base[n]:
-                made[n][:, :, e] = cosine((moved[n] - base[n]) / step, masks[n], r.y.shape[1])
-    return made
+        yield {error.signal: step * (some[name] * _unit(f, error).T).T}, step
 
 
 def _unit(f: Forward, error: Error) -> Array:
     """(N,), or (N, 3) along the vehicle: what a zero, a gain or a delay of one adds."""
-    if error.kind == LATE:
-        level = _unit(f, replace(error, kind=GAIN))
-        return np.asarray(-np.gradient(level, STEP_S, axis=0))
     if error.kind == ZERO:
         if error.axis is None:
             return np.ones(len(f.t))
         return np.tile(np.eye(3)[error.axis], (len(f.t), 1))
-    if error.signal == "accel" and f.reference is not None:
-        # One g upright is a zero.
-        return np.asarray(f.reference.force * np.array([1.0, 1.0, 0.0]))
-    if error.signal == "gyro" and f.reference is not None and f.reference.rate is not None:
-        return f.reference.rate
-    if error.signal == "speed":
-        return np.asarray(np.interp(f.t, f.knots, f.drive.knots.values))
-    return f.scalar(error.signal, {})
+    level = level_of(f, error.signal)
+    return level if error.kind == GAIN else np.asarray(-np.gradient(level, STEP_S, axis=0))
 
 
 # scores ------------------------------------------------------------------------------------------
 
 
-def _scores(
-    parts: Mapping[str, list[tuple[Rows, Array]]], x: Array, prior: Array
-) -> tuple[Array, Array]:
+def _scores(parts: Mapping[str, AddedRows], x: Array, prior: Array) -> tuple[Array, Array]:
     """(B, PARTS, E) slope of the loss along each column, and its curvature: beside all columns of
     the catalogue, which go as far as is plausible (Frisch and Waugh), and the tilt. None of a
     column that these make up for."""
-    tilted = [n for n in TILTED if n in parts]
-    groups = [*([tilted] if tilted else []), *([n] for n in parts if n not in tilted)]
-    rows = [_whitened([parts[n] for n in group], x) for group in groups]
+    rows = list(whitened(parts, x).values())
     P = x.shape[1]
-    flat = [a.reshape(-1, a.shape[2])[:, 1:] for each, _ in rows for a in each]
+    flat = [a.reshape(-1, a.shape[2])[:, 1:] for a in rows]
     inner = np.asarray(sum(a[:, :P].T @ a for a in flat))
     w = np.linalg.pinv(prior + inner[:, :P], hermitian=True) @ inner[:, P:]
     u = h = whole = np.zeros(1)
-    for each, _ in rows:
-        for a in each:
-            left = _in_time(a[:, :, :1] - a[:, :, 1 : P + 1] @ x[:, :, None])
-            own = _in_time(a[:, :, P + 1 :] - a[:, :, 1 : P + 1] @ w)
-            u = u + _by_part(left, own)
-            h = h + _by_part(own, own)
-            whole = whole + np.sum(a[:, :, P + 1 :] ** 2, axis=(0, 1))
+    for a in rows:
+        left = _in_time(a[:, :, :1] - a[:, :, 1 : P + 1] @ x[:, :, None])
+        own = _in_time(a[:, :, P + 1 :] - a[:, :, 1 : P + 1] @ w)
+        u = u + _by_part(left, own)
+        h = h + _by_part(own, own)
+        whole = whole + np.sum(a[:, :, P + 1 :] ** 2, axis=(0, 1))
     is_own = h.sum(axis=(0, 1)) > OWN_SHARE * whole
     return u * is_own, h * is_own
-
-
-def _whitened(some: Sequence[list[tuple[Rows, Array]]], x: Array) -> tuple[list[Array], int]:
-    """(B, K, 1 + P + E) of each equation of a group that shares its tilt, which is taken off."""
-    made, tilts = [], []
-    for own in some:
-        rows = joined([r for r, _ in own])
-        columns = np.concatenate([c for _, c in own])
-        made.append(np.concatenate([rows.y[:, :, None], rows.X, columns], axis=2))
-        tilts.append(rows.tilt)
-    goods = [np.concatenate([r.good for r, _ in own]) for own in some]
-    P = x.shape[1]
-    left = _apart([a[:, :, :1] - a[:, :, 1 : P + 1] @ x[:, :, None] for a in made], tilts)
-    weights = [noise_weights(y[:, :, 0], g) for y, g in zip(left, goods, strict=True)]
-    made = [a * w[:, :, None] for a, w in zip(made, weights, strict=True)]
-    tilts = [z if z is None else z * w[:, :, None] for z, w in zip(tilts, weights, strict=True)]
-    return _apart(made, tilts), P
-
-
-def _apart(some: Sequence[Array], tilts: Sequence[Array | None]) -> list[Array]:
-    """Rows without what the tilt of each block makes of them."""
-    known = [z for z in tilts if z is not None]
-    if not known:
-        return list(some)
-    A, Z = np.concatenate(some, axis=1), np.concatenate(known, axis=1)
-    return np.split(without_tilt(A, Z), np.cumsum([a.shape[1] for a in some])[:-1], axis=1)
 
 
 def _in_time(a: Array) -> Array:

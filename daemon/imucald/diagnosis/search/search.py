@@ -16,6 +16,7 @@ import numpy as np
 from imucald.diagnosis.cause_keys import with_shifts
 from imucald.diagnosis.causes import family
 from imucald.diagnosis.fit.score import Hypothesis, Problem, held_out, paired
+from imucald.diagnosis.search.low_pass import delay_or_low_pass
 from imucald.diagnosis.search.shift import find_shift
 from imucald.diagnosis.search.standing import (
     asked_again,
@@ -28,6 +29,7 @@ from imucald.diagnosis.search.standing import (
 )
 from imucald.diagnosis.search.state import State, refit, shift_steps
 from imucald.diagnosis.search.trials import (
+    ALIKE_SE,
     SINGLE_NATS,
     Trial,
     hypotheses,
@@ -37,7 +39,6 @@ from imucald.diagnosis.search.trials import (
     tried,
 )
 
-ALIKE_SE = 2.0
 MOST_NAMED = 6
 
 Tick = Callable[[str], None]
@@ -57,6 +58,7 @@ def search(state: State, tick: Tick, late: Callable[[], bool], skip: Sequence[st
         fallen |= more
         if not more or _is_ended(state) or late():
             break
+    delay_or_low_pass(state)
     if state.doubtful:
         state.last = _trials(state.evaluated(), state, [*skip, *dropped])
     known = {t.hypothesis.name for t in (*state.named, *state.doubtful)}

@@ -22,6 +22,8 @@ SINGLE = 0.05
 SINGLE_NATS = -math.log(SINGLE)
 """A likelihood ratio on data that the fit did not see exceeds 1/p with a chance of p at most, where
 nothing is wrong (Markov)."""
+ALIKE_SE = 2.0
+"""Standard errors of the difference within which two causes do as well."""
 FALSE_SHARE = 0.2
 """Of what is called likely, one in five may be false."""
 RESAMPLED = 1000

@@ -1,0 +1,112 @@
+"""What is put on top of a signal: rows of the equations with its columns next to the catalogue's.
+
+The catalogue's columns are slopes of parameters. A question that no parameter asks, as of a gain
+that goes with the speed or of a low-pass, is an array that is added to a signal, and its column is
+what that adds to each equation.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+
+import numpy as np
+
+from imucald.core.arrays import Array
+from imucald.diagnosis.equations.forward import Forward
+from imucald.diagnosis.fit.blocks import (
+    TILTED,
+    Rows,
+    Table,
+    cosine,
+    joined,
+    noise_weights,
+    rows_of,
+    without_tilt,
+)
+from imucald.model.model import VehicleModel
+
+AddedRows = Sequence[tuple[Rows, Array]]
+"""Of an equation, drive by drive: its rows, and columns (B, K, E) of what is added."""
+Added = Callable[[Forward], Iterable[tuple[Mapping[str, Array], float]]]
+"""Of a drive: what is added by signal, and by what factor it is larger than the column's unit."""
+
+
+def level_of(f: Forward, signal: str) -> Array:
+    """(N,), or (N, 3) along the vehicle: a signal as columns are made of it (`Forward.settle`)."""
+    if signal == "accel" and f.reference is not None:
+        # One g upright is a zero.
+        return np.asarray(f.reference.force * np.array([1.0, 1.0, 0.0]))
+    if signal == "gyro" and f.reference is not None and f.reference.rate is not None:
+        return f.reference.rate
+    if signal == "speed":
+        return np.asarray(np.interp(f.t, f.knots, f.drive.knots.values))
+    return f.scalar(signal, {})
+
+
+def rows_with(
+    forwards: Sequence[Forward], model: VehicleModel, table: Table, added: Added
+) -> dict[str, list[tuple[Rows, Array]]]:
+    """Rows and added columns by equation. table: of these drives next to this model file. What
+    the drives read is forgotten."""
+    parts: dict[str, list[tuple[Rows, Array]]] = {}
+    at = 0
+    for f in forwards:
+        known = {name: X[at : at + f.blocks] for name, X in table.columns.items()}
+        at += f.blocks
+        rows = rows_of(f, model, table.keys, table.top_hz, known)
+        columns = _columns(f, rows, list(added(f)))
+        f.forget()
+        for name, r in rows.items():
+            parts.setdefault(name, []).append((r, columns[name]))
+    return parts
+
+
+def _columns(
+    f: Forward, rows: Mapping[str, Rows], added: Sequence[tuple[Mapping[str, Array], float]]
+) -> dict[str, Array]:
+    masks, base = f.usable(), f.residuals({}).of
+    made = {n: np.zeros((*r.y.shape, len(added))) for n, r in rows.items()}
+    for e, (own, step) in enumerate(added):
+        moved = f.residuals({}, added=own).of
+        for n, r in rows.items():
+            if moved[n] is not base[n]:
+                made[n][:, :, e] = cosine((moved[n] - base[n]) / step, masks[n], r.y.shape[1])
+    return made
+
+
+def whitened(parts: Mapping[str, AddedRows], x: Array) -> dict[str, Array]:
+    """(B, K, 1 + P + E) by equation, of all blocks: residual, catalogue and what is added, over the
+    noise, and without what the tilt of a block makes. x: (B, P) departures that fit their blocks.
+    """
+    tilted = [n for n in TILTED if n in parts]
+    groups = [*([tilted] if tilted else []), *([n] for n in parts if n not in tilted)]
+    made: dict[str, Array] = {}
+    for group in groups:
+        made |= zip(group, _group([parts[n] for n in group], x), strict=True)
+    return made
+
+
+def _group(some: Sequence[AddedRows], x: Array) -> list[Array]:
+    """The equations of a group share their tilt."""
+    made, tilts = [], []
+    for own in some:
+        rows = joined([r for r, _ in own])
+        columns = np.concatenate([c for _, c in own])
+        made.append(np.concatenate([rows.y[:, :, None], rows.X, columns], axis=2))
+        tilts.append(rows.tilt)
+    goods = [np.concatenate([r.good for r, _ in own]) for own in some]
+    P = x.shape[1]
+    left = _apart([a[:, :, :1] - a[:, :, 1 : P + 1] @ x[:, :, None] for a in made], tilts)
+    weights = [noise_weights(y[:, :, 0], g) for y, g in zip(left, goods, strict=True)]
+    made = [a * w[:, :, None] for a, w in zip(made, weights, strict=True)]
+    tilts = [z if z is None else z * w[:, :, None] for z, w in zip(tilts, weights, strict=True)]
+    return _apart(made, tilts)
+
+
+def _apart(some: Sequence[Array], tilts: Sequence[Array | None]) -> list[Array]:
+    """Rows without what the tilt of each block makes of them."""
+    known = [z for z in tilts if z is not None]
+    if not known:
+        return list(some)
+    A, Z = np.concatenate(some, axis=1), np.concatenate(known, axis=1)
+    return np.split(without_tilt(A, Z), np.cumsum([a.shape[1] for a in some])[:-1], axis=1)

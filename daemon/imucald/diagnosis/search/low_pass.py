@@ -1,0 +1,146 @@
+"""A signal that is late: a delay, or a low-pass? Both in one likelihood.
+
+A delay x has the phase w x and the gain 1. A low-pass of first order has the phase atan(w T) and
+the gain 1/sqrt(1 + (w T)^2), a Butterworth filter of second order arctan(w T/(1 - (w T)^2/2)) and
+1/sqrt(1 + (w T)^4/4): all are late by x = T well below the cut-off, and differ by (w T)^2/2, or by
+(w T)^3/6. So a found delay is held against filters of about as much: next to the model with the
+delay stands a column of what the filter adds to that, with a factor of 0, or about 1. All delays
+are free in both, so that only the shape counts. What is behind by two standard errors and by what
+names a cause is ruled out, where the shape is more than what the equations err by; else the answer
+is both.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from imucald.core.arrays import Array
+from imucald.diagnosis.causes import BY_NAME, CAUSES
+from imucald.diagnosis.equations.forward import Forward
+from imucald.diagnosis.equations.single_track import Complex, frequencies
+from imucald.diagnosis.fit.added import level_of, rows_with, whitened
+from imucald.diagnosis.fit.blocks import late_signals
+from imucald.diagnosis.fit.score import REACH, Problem, held_out, without_best
+from imucald.diagnosis.search.state import State
+from imucald.diagnosis.search.trials import ALIKE_SE, Trial
+from imucald.mount.mount_words import SD_95
+
+ORDERS = 1, 2
+LONGER = tuple(2.0 ** (k / 3.0) for k in range(-1, 4))
+"""Time constants that are tried, over the delay that was found: a filter is late by less than its
+time constant near its cut-off."""
+SHARE = 2.0**-0.5, 2.0**0.5
+"""Of what a filter adds: that goes with the cube of its time constant (or the square), so that any
+between two of these is there."""
+
+
+def delay_or_low_pass(state: State) -> None:
+    """Put a low-pass next to each delay that was named, or in its place."""
+    for cause in CAUSES:
+        for trial in [t for t in state.named if t.hypothesis.name == cause.form_of]:
+            late = _late(state, trial)
+            if late:
+                _compare(state, trial, cause.name, late)
+
+
+def low_passes(state: State) -> dict[str, float]:
+    """By key of a delay, how much of it [s] is a low-pass by what was named."""
+    keys = [
+        k for t in state.named if BY_NAME[t.hypothesis.name].form_of for k in t.hypothesis.moved
+    ]
+    return {k: state.changes[k] for k in keys if state.changes.get(k, 0.0) > 0.0}
+
+
+def _late(state: State, trial: Trial) -> dict[str, float]:
+    """By how much signals are late [s] by what a trial found."""
+    own = {k: state.changes[k] for k in trial.hypothesis.moved if state.changes.get(k)}
+    drive = state.drives[0]
+    return {
+        signal: abs(x)
+        for key, x in own.items()
+        for signal in late_signals(key, x)
+        if signal != "wheel_speeds" and drive.has(signal)
+    }
+
+
+@dataclass(frozen=True)
+class _Filter:
+    """One filter in place of a delay."""
+
+    more: Array
+    """(B,) nats by which it explains blocks better, whose fold no fit saw."""
+    is_apart: bool
+    """Whether what it adds to a delay is more than what the equations err by in one."""
+
+
+def _compare(state: State, trial: Trial, name: str, late: Mapping[str, float]) -> None:
+    filters = _filters(state, state.evaluated(), late)
+    best = max(filters, key=lambda x: float(x.more.sum()))
+    more, ahead = best.more, float(best.more.sum())
+    least = max(ALIKE_SE * float(np.sqrt(len(more)) * np.std(more, ddof=1)), trial.needed)
+    if ahead < -least and all(x.is_apart for x in filters):
+        return
+    other = replace(
+        trial, hypothesis=replace(trial.hypothesis, name=name), gain=trial.gain + more,
+        shown=without_best(trial.gain + more),
+    )  # fmt: skip
+    delay = trial.hypothesis.name
+    if ahead > least and best.is_apart:
+        state.named[[t is trial for t in state.named].index(True)] = other
+        state.rivals[name] = state.rivals.pop(delay, [])
+    else:
+        state.rivals[delay] = [*state.rivals.get(delay, []), other]
+
+
+def _filters(state: State, problem: Problem, late: Mapping[str, float]) -> list[_Filter]:
+    """Each of the filters next to the delay."""
+    table = problem.table
+    x = np.tile(problem.fit(), (sum(f.blocks for f in state.forwards), 1))
+    parts = rows_with(state.forwards, state.model, table, lambda f: _filtered(f, late))
+    if "speed" in late:
+        for _, columns in parts.get("speed", ()):
+            columns[:] = 0.0  # wheels and speed come of one unit, and are filtered together
+    rows = [a for n, a in whitened(parts, x).items() if n in table.by_equation]
+    gram = np.asarray(sum(np.swapaxes(a, 1, 2) @ a for a in rows))[table.number]
+    own = list(range(1 + len(table.keys)))
+    low, high = problem.low.copy(), problem.high.copy()
+    index = [j for j, key in enumerate(table.keys) if key.endswith("delay_s")]
+    low[index], high[index] = REACH * table.plausible[index].T
+    wide = np.append(low, SHARE[0]), np.append(high, SHARE[1])
+
+    def loss(some: list[int], low: Array, high: Array) -> Array:
+        """(B,) held out, of these columns."""
+        return held_out(Problem(replace(table, gram=gram[:, some][:, :, some]), low, high))
+
+    delayed, total = loss(own, low, high), gram.sum(axis=0)
+    delays = [1 + j for j in index if table.keys[j].partition(".")[0] in late]
+    inner = total[np.ix_(delays, delays)]
+    errs = SD_95 * float(table.model_error[index].max())
+    made = []
+    for e in range(len(own), gram.shape[1]):
+        c = total[delays, e]
+        added = total[e, e] - c @ np.linalg.lstsq(inner, c, rcond=None)[0]
+        is_apart = bool(added > errs**2 * inner.sum())
+        made.append(_Filter(delayed - loss([*own, e], *wide), is_apart))
+    return made
+
+
+def _filtered(f: Forward, late: Mapping[str, float]) -> Iterator[tuple[dict[str, Array], float]]:
+    """Of each filter, what it adds to signals that are read with the delay in its place."""
+    level = {signal: level_of(f, signal) for signal in late}
+    s = frequencies(len(f.t))
+    for order in ORDERS:
+        for longer in LONGER:
+            yield {n: _more(y, s, late[n], longer * late[n], order) for n, y in level.items()}, 1.0
+
+
+def _more(y: Array, s: Complex, delay_s: float, seconds: float, order: int) -> Array:
+    """What a filter of so many seconds adds to a signal y, (N,) or (N, 3), read by so much later.
+    It is mirrored at its end, so that the end does not run into the start."""
+    a = s * seconds
+    response = np.exp(s * delay_s) / (1.0 + a + (0.5 * a * a if order == 2 else 0.0)) - 1.0
+    spectrum = np.fft.rfft(np.concatenate([y, y[::-1]]), axis=0)
+    return np.asarray(np.fft.irfft((spectrum.T * response).T, 2 * len(y), axis=0)[: len(y)])
