@@ -70,6 +70,13 @@ def test_history_is_the_estimate_at_whole_seconds_and_ends_as_the_mount():
     assert history["roll_deg"][-1] == pytest.approx(mount.roll_deg, abs=0.1)
     assert history["yaw_deg"][-1] == pytest.approx(mount.yaw_deg, abs=0.1)
     assert history["cov_zz_deg2"][-1] == pytest.approx(mount.covariance_deg2[2, 2], rel=0.2)
+    assert history["roll_std_deg"][-1] == pytest.approx(mount.angle_std_deg[0], rel=0.2)
+    usable = history["usable"]
+    assert np.isfinite(history["yaw_std_deg"][usable]).all()
+    early = history["cov_zz_deg2"] > 3600.0
+    assert early.any(), "yaw is not known at first"
+    assert np.isnan(history["yaw_deg"][early]).all()
+    assert np.isnan(history["yaw_std_deg"][early]).all()
     first = history["t_s"][np.flatnonzero(history["usable"])[0]]
     assert drive().first_usable_s <= first < drive().first_usable_s + 1.0
     quaternions = np.stack([history[f"q_{part}"] for part in "wxyz"])

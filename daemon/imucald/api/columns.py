@@ -61,6 +61,7 @@ HISTORY_COLUMNS = (
     *(TableColumn(f"{angle}_deg", "deg") for angle in ("roll", "pitch", "yaw")),
     *(TableColumn(f"q_{part}", "1") for part in "wxyz"),
     *(TableColumn(f"cov_{pair}_deg2", "deg^2") for pair in ("xx", "xy", "xz", "yy", "yz", "zz")),
+    *(TableColumn(f"{angle}_std_deg", "deg") for angle in ("roll", "pitch", "yaw")),
 )
 EVENT_COLUMNS = (
     *TIMES,

@@ -2,19 +2,14 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
 from imucald.api.columns import HISTORY, Columns
 from imucald.api.interchange import library
-from imucald.core.angles import DEG_PER_RAD, RAD_PER_DEG
 from imucald.core.errors import ImucaldError
-from imucald.core.rotations import rotation_from_angles
-from imucald.mount.angle_deviations import angle_deviations
 from imucald.mount.estimate import ANGLES
 from imucald.mount.mount_words import SD_95
 
@@ -23,7 +18,6 @@ if TYPE_CHECKING:
 
 MAX_POINTS = 20_000
 """Points of a line; a screen has fewer."""
-_PAIRS = ("xx", "xy", "xz", "yy", "yz", "zz")
 
 
 class Drawn(Protocol):
@@ -50,16 +44,16 @@ class DrivePlots:
         """The three angles [deg] with their 95 % intervals, against time [s]."""
         history = self._drive.tables[HISTORY]
         ax = _axes(ax)
-        deviations = _deviations(history)
-        for i, name in enumerate(ANGLES):
-            value, std = history[f"{name}_deg"], deviations[:, i]
+        for name in ANGLES:
+            value, std = history[f"{name}_deg"], history[f"{name}_std_deg"]
             (line,) = ax.plot(history["t_s"], value, label=name)
             low, high = value - SD_95 * std, value + SD_95 * std
             ax.fill_between(history["t_s"], low, high, color=line.get_color(), alpha=0.2)
         known = history["roll_deg"][history["usable"]]
         if len(known):  # before the mount is known at all its intervals would hide all else
             shown = [history[f"{n}_deg"][history["usable"]] for n in ANGLES]
-            ax.set_ylim(min(map(np.min, shown)) - 5.0, max(map(np.max, shown)) + 5.0)
+            bottom, top = float(np.nanmin(shown)), float(np.nanmax(shown))
+            ax.set_ylim(bottom - 5.0, top + 5.0)
         return _finished(ax, "mount [deg], bands: 95 %")
 
     def signals(self, table: str = "accel", ax: Axes | None = None) -> Axes:
@@ -85,18 +79,6 @@ class DrivePlots:
         ax.set_xscale("log")
         ax.set_xlabel("standard deviation [deg]")
         return ax
-
-
-def _deviations(history: Columns) -> NDArray[np.float64]:
-    """Standard deviations of roll, pitch and yaw (N, 3) [deg]; NaN where not known."""
-    parts = np.column_stack([history[f"cov_{pair}_deg2"] for pair in _PAIRS]) * RAD_PER_DEG**2
-    angles = np.column_stack([history[f"{name}_deg"] for name in ANGLES]) * RAD_PER_DEG
-    found = np.full((len(history), 3), math.nan)
-    for i, (xx, xy, xz, yy, yz, zz) in enumerate(parts.tolist()):
-        if all(map(math.isfinite, angles[i])):
-            covariance = ((xx, xy, xz), (xy, yy, yz), (xz, yz, zz))
-            found[i] = angle_deviations(rotation_from_angles(*angles[i]), covariance)
-    return np.where(np.isfinite(found), found * DEG_PER_RAD, math.nan)
 
 
 def _axes(ax: Axes | None) -> Any:

@@ -23,6 +23,7 @@ from imucald.core import compiled
 from imucald.core.angles import DEG_PER_RAD
 from imucald.core.arrays import Array
 from imucald.motion.ticks import TICK_RATE
+from imucald.mount.angle_deviations import angle_deviations
 from imucald.mount.estimate import MountEstimate
 from imucald.mount.mount_words import is_move, moved_words
 from imucald.runtime.engine import Engine
@@ -183,13 +184,18 @@ class Recorder:
 def _history_figures(e: MountEstimate) -> list[float]:
     """A row of the history from its angles on."""
     nothing = (math.nan,)
-    angles = nothing * 3 if e.angles is None else [a * DEG_PER_RAD for a in e.angles]
+    angles = list(nothing * 3 if e.angles is None else (a * DEG_PER_RAD for a in e.angles))
     quaternion = nothing * 4 if e.quaternion is None else e.quaternion
     covariance: Any = nothing * 6
-    if e.covariance is not None:
+    deviations: Any = nothing * 3
+    if e.covariance is not None and e.R_vehicle_from_sensor is not None:
         flat = e.covariance.ravel().tolist()
         covariance = [flat[i] * DEG_PER_RAD**2 for i in _UPPER]
-    return [*angles, *quaternion, *covariance]
+        of_angles = angle_deviations(e.R_vehicle_from_sensor, e.covariance.tolist())
+        deviations = [s * DEG_PER_RAD if math.isfinite(s) else math.nan for s in of_angles]
+        if math.isnan(deviations[2]):  # a number that stands for no direction
+            angles[2] = math.nan
+    return [*angles, *quaternion, *covariance, *deviations]
 
 
 def _gap_text(before: float, stamp: float) -> str:
