@@ -61,6 +61,11 @@ def test_raw_samples_are_what_the_sensor_sent():
     assert np.median(size) == pytest.approx(9.81, abs=0.3)
 
 
+def test_nothing_is_left_out_of_a_drive_that_lost_nothing():
+    """The first block begins before the first frame: those ticks are no loss."""
+    assert "accel" not in drive().summary["details"].get("frozen_ticks", {})
+
+
 def test_history_is_the_estimate_at_whole_seconds_and_ends_as_the_mount():
     history, mount = drive().tables["history"], drive().mount
     assert mount is not None

@@ -20,6 +20,7 @@ from hypothesis import strategies as st
 from engine_bus import columns_of, frames_of, load
 from gait import CARRYINGS, walk
 from imucald.cli import main
+from imucald.commands.terminal import _beside
 from imucald.core.errors import ConfigError
 from imucald.core.rotations import rotation_from_angles
 from imucald.inputs.wiring import compile_router
@@ -419,12 +420,21 @@ def test_walk_reports_every_step(tmp_path, bus, capsys):
     assert {"t_s", "heading_deg", "compass_deg", "alternative_deg", "published_deg", "tilt_deg",
             "correlation_deg", "chosen", "turn"} <= set(step)  # fmt: skip
     assert step["heading_deg"] == step["alternative_deg"]
+    assert main(["replay", str(log), "--config", config, "--json", "-", "--quiet"]) == 0
+    replayed = json.loads(capsys.readouterr().out)["travel_direction"]
+    assert replayed["ambiguous"] == step["ambiguous"]
     loaded.path.write_text(PHONE.replace("enabled: true", "method: published"))
     assert main(["walk", str(log), "--config", config, "--json", str(tmp_path / "r.json")]) == 0
     shown = capsys.readouterr().out
     assert "published" in shown
     result = json.loads((tmp_path / "r.json").read_text())
     assert result["track"][-1]["heading_deg"] == result["track"][-1]["published_deg"]
+
+
+def test_replay_says_or_opposite_as_walk_does():
+    travel = {"steps": 30, "heading_deg": 129.0, "ambiguous": True}
+    (text,) = _beside({"travel_direction": travel})
+    assert text == "travel direction: 30 steps, the last towards 129 deg or opposite"
 
 
 def test_walk_without_a_compass_is_refused(tmp_path, capsys):

@@ -37,7 +37,7 @@ def test_of_three_pieces_each_is_held_against_the_one_that_ends_last(tmp_path: P
     recorded(second, TODAY + 10.0, 5.0)
     recorded(third, TODAY + 58.0, 60.0)
     within, shared = overlaps(first, second, third)
-    assert within.startswith(f"{second} begins 5.0 s before {first} ends")
+    assert within.startswith(f"{second} and {first} overlap completely in time; are their clocks")
     assert shared.startswith(f"{third} begins 2.0 s before {first} ends")
 
 

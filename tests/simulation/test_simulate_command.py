@@ -163,6 +163,16 @@ def test_the_drive_keeps_to_the_side_that_the_configuration_states(tmp_path, cap
     assert "warning" not in capsys.readouterr().err
     model.write_text("route: {driving_side: right}\n")
     assert side("left", "--model", str(model)) == "right"
-    assert "the model file counts" in capsys.readouterr().err
+    assert "the model file is used" in capsys.readouterr().err
     assert side("left", "--model", str(model), "--set", "route.driving_side=left") == "left"
     assert "warning" not in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("change", ["speed.scale=1.04", "accel.scale=[0, 0.96, 0]"])
+def test_a_factor_in_place_of_a_gain_error_is_refused_with_the_remedy(tmp_path, capsys, change):
+    out = tmp_path / "drive.log"
+    assert main(["simulate", "--out", str(out), "--set", change]) == 1
+    error = capsys.readouterr().err
+    assert f"{change.partition('=')[0]} is " in error
+    assert "0.04 stands for values that are 4 % too large" in error
+    assert not out.exists()

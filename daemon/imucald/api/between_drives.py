@@ -33,12 +33,13 @@ def _overlaps(drives: Sequence[DriveResult]) -> Iterator[str]:
     seen: dict[tuple[int | None, int | None], DriveResult] = {}
     for drive in drives:
         if latest is not None:
-            shared = ((latest.end_us or 0) - (drive.start_us or 0)) / 1e6
+            length = ((drive.end_us or 0) - (drive.start_us or 0)) / 1e6
+            shared = min(((latest.end_us or 0) - (drive.start_us or 0)) / 1e6, length)
             same = seen.get((drive.start_us, drive.end_us))
             if same is not None and _is_same(same, drive):
                 yield f"{_name(drive)} {IS_THE_SAME} {_name(same)}"
             elif shared > 0.0:
-                yield overlap_words(_name(drive), _name(latest), shared)
+                yield overlap_words(_name(drive), _name(latest), shared, length)
         seen[drive.start_us, drive.end_us] = drive
         if latest is None or (drive.end_us or 0) > (latest.end_us or 0):
             latest = drive
@@ -69,7 +70,7 @@ def _shifts(drives: Sequence[DriveResult]) -> Iterator[str]:
                 turn = ", ".join(f"{axis} {v:+.2f}" for axis, v in zip("xyz", e, strict=True))
                 yield (
                     f"the mount was moved between {_name(before)} and {_name(drive)}: "
-                    f"by {turn} deg about the vehicle's axes (p = {p:.1g})"
+                    f"by {turn} deg about the vehicle's axes, more than chance explains"
                 )
         before = drive
 

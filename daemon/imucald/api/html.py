@@ -7,7 +7,7 @@ from html import escape
 from typing import Any
 
 from imucald.api.mount import MountResult
-from imucald.core.text import clock
+from imucald.core.text import when_reached
 from imucald.mount.mount_words import CONVENTION, angle_text
 
 
@@ -28,7 +28,7 @@ def drive_html(
 ) -> str:
     """A drive: its state, the three angles, its tables, and notes."""
     usable = summary["first_usable_s"]
-    since = "never usable" if usable is None else f"usable after {clock(usable)}"
+    since = "never usable" if usable is None else when_reached("usable", usable)
     title = f"{', '.join(logs)}: {summary['state']}, {since}, {summary['duration_s']:.1f} s"
     angles: list[tuple[str, str, str]] = []
     for i, angle in enumerate(("roll", "pitch", "yaw")):

@@ -17,7 +17,7 @@ from imucald.commands.files import with_origin
 from imucald.commands.terminal import plain_console
 from imucald.core.angles import DEG_PER_RAD
 from imucald.core.errors import ImucaldError
-from imucald.core.text import clock
+from imucald.core.text import clock, when_reached
 from imucald.mount.mount_words import (
     CONVENTION,
     how_it_sits,
@@ -102,7 +102,7 @@ def _result_lines(demo: Demonstration, waited: float) -> list[str]:
     pipeline, listener = demo.engine.pipeline, demo.listener
     first, best = pipeline.first_usable, pipeline.first_fine
     name = demo.estimate().state.name.lower()
-    usable = "not yet usable" if first is None else f"usable after {clock(first)}"
+    usable = "not yet usable" if first is None else when_reached("usable", first)
     fine = "" if best is None else f", fine after {clock(best)}"
     targets = demo.estimate().targets
     if best is None and targets is not None:

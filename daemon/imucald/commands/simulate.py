@@ -18,6 +18,8 @@ if TYPE_CHECKING:
     from imucald.traffic.drive_encoder import BusEncoder
 
 ROUTES = ("mixed", "city", "motorway", "straight_only", "circles", "parked")
+MAX_SCALE = 0.5
+"""Largest gain error: no sensor is off by half, and 1 is what is written for a factor."""
 MAX_MINUTES = 600.0
 """Ten hours: about 1.5 GB of memory."""
 
@@ -192,7 +194,21 @@ def chosen_model(options: argparse.Namespace, side: str | None = None) -> Vehicl
         shifts.sort()
         changes["mount.shifts"] = [dict(zip(keys, shift, strict=True)) for shift in shifts]
     changes |= asked
-    return model.with_changes(changes) if changes else model
+    model = model.with_changes(changes) if changes else model
+    _check_scales(model)
+    return model
+
+
+def _check_scales(model: VehicleModel) -> None:
+    """Raise ConfigError for a gain error of which a factor was meant."""
+    for section, values in model.dump().items():
+        scale = values.get("scale", 0.0) if isinstance(values, dict) else 0.0
+        for x in scale if isinstance(scale, (list, tuple)) else (scale,):
+            if abs(x) > MAX_SCALE:
+                raise ConfigError(
+                    f"{section}.scale is {x:g}: it is an error as a fraction, of which 0 is right "
+                    f"and {MAX_SCALE:g} the most; 0.04 stands for values that are 4 % too large"
+                )
 
 
 def _side(options: argparse.Namespace, model: VehicleModel, side: str) -> str:

@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from typing import IO, TYPE_CHECKING, Any, TextIO, cast
 
-from imucald.core.text import clock, counted, made_safe, stream_behind
+from imucald.core.text import clock, counted, made_safe, stream_behind, when_reached
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -205,12 +205,14 @@ def _beside(result: Mapping[str, Any]) -> Iterator[str]:
     travel = result.get("travel_direction")
     if travel is not None:
         heading = _number(travel["heading_deg"], ".0f", " deg")
-        yield f"travel direction: {counted(travel['steps'], 'step')}, the last towards {heading}"
+        opposite = " or opposite" if travel["ambiguous"] else ""
+        steps = counted(travel["steps"], "step")
+        yield f"travel direction: {steps}, the last towards {heading}{opposite}"
 
 
 def _since(result: Mapping[str, Any]) -> str:
     parts = [
-        f"{name} after {clock(result[key])}"
+        when_reached(name, result[key])
         for name, key in (("usable", "first_usable_s"), ("fine", "first_fine_s"))
         if result[key] is not None
     ]

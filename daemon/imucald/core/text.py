@@ -86,6 +86,11 @@ def clock(seconds: float) -> str:
     return f"{hours}:{minutes:02d}:{rest:02d}" if hours else f"{minutes}:{rest:02d}"
 
 
+def when_reached(name: str, seconds: float) -> str:
+    """When a state came: `usable after 4:02`; of a mount that was known before, from the start."""
+    return f"{name} after {clock(seconds)}" if seconds >= 1.0 else f"{name} from the start"
+
+
 def duration(seconds: float) -> str:
     """Return a length of time: `45 s`, `31 min`, `2.3 h`."""
     if not math.isfinite(seconds):

@@ -121,6 +121,8 @@ class SignalBlockMaker:
         self._settings = settings
         self._rows = empty_rows(ROWS)
         self._n = KEEP
+        self._begins = True
+        """The next block has ticks from before the first one: nothing was lost there."""
         self._expected: deque[tuple[float, EvenBlock | None]] = deque()  # of the ticks to come
         self.offsets = Offsets()
         self.steering_offset = 0.0
@@ -178,6 +180,7 @@ class SignalBlockMaker:
         """Forget the kept ticks: time jumped."""
         self._rows[:] = empty_rows(1)
         self._n = KEEP
+        self._begins = True
         self._speed.restart()
         self._expected.clear()
         self.health.restart()
@@ -252,6 +255,7 @@ class SignalBlockMaker:
         self.stuck = dict(self.health.stuck_now)
         rows[:KEEP] = rows[BLOCK_TICKS:].copy()
         self._n = KEEP
+        self._begins = False
         return prepared
 
     def _speed_knots(self, first_end: float) -> Array | None:
@@ -264,6 +268,8 @@ class SignalBlockMaker:
     def _note_left_out(self, p: SignalBlock) -> None:
         """Count the ticks that nothing is learnt from, each by the signal and what it has."""
         open_ticks = ~(p.learn & p.ok_force & p.ok_speed)
+        if self._begins:
+            open_ticks[: KEEP - BEFORE] = False
         if not np.count_nonzero(open_ticks):
             return
         found = self.health.found

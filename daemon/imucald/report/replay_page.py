@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from imucald.core.angles import DEG_PER_RAD
-from imucald.core.text import clock, duration
+from imucald.core.text import clock, duration, when_reached
 from imucald.mount.estimate import ANGLES, MountEstimate
 from imucald.mount.mount_words import (
     ABOUT,
@@ -116,7 +116,7 @@ def _at_its_time(event: Event, history: DriveHistory, result: Mapping[str, Any])
 
 def _headline(result: Mapping[str, Any], lead: float) -> str:
     reached = [
-        f"{name} after {clock(result[key] - lead)}"
+        when_reached(name, result[key] - lead)
         for name, key in (("usable", "first_usable_s"), ("fine", "first_fine_s"))
         if result[key] is not None
     ]

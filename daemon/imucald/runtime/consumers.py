@@ -310,4 +310,5 @@ class TravelConsumer:
             "steps": self.travel.steps,
             "rejected_samples": self.travel.rejected,
             "heading_deg": None if heading is None else round(heading, 2),
+            "ambiguous": last is not None and last.ambiguous,
         }

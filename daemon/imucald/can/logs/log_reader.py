@@ -190,7 +190,9 @@ def _reader_for(readers: Iterable[LogFormat], head: bytes, path: Path | str | Op
         raise LogError(
             f"{path}: its first line is '{first}'; known are the CSV of SavvyCAN (Time Stamp,ID,"
             "Extended,Dir,Bus,LEN,D1,...,D8) and of python-can (timestamp,arbitration_id,extended,"
-            "remote,error,dlc,data), with these headings and with commas between the columns"
+            "remote,error,dlc,data), with these headings and with commas between the columns; "
+            "columns of signals are not read: encode them with your database (cantools) and save "
+            "them as a CAN log"
         )
     for program, begins in OTHER_PROGRAMS.items():
         if begins.match(head):

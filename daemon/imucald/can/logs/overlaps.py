@@ -15,8 +15,10 @@ CLOCK_SET_S: Final = 946_684_800.0
 Log = Path | str | OpenLog
 
 
-def overlap_words(later: object, earlier: object, seconds: float) -> str:
-    """Two logs that share some time."""
+def overlap_words(later: object, earlier: object, seconds: float, shorter_s: float) -> str:
+    """Two logs that share some time; shorter_s: length of the shorter one."""
+    if seconds >= shorter_s:
+        return f"{later} and {earlier} overlap completely in time; are their clocks right?"
     return f"{later} begins {seconds:.1f} s before {earlier} ends"
 
 
@@ -43,10 +45,9 @@ class Overlaps:
                 shared = min(end, last) - max(begin, first)
                 if shared > 0.0:
                     later, earlier = (log, name) if first >= begin else (name, log)
-                    yield (
-                        f"{overlap_words(later, earlier, shared)}: what both hold counts twice; "
-                        "cut it out of one of them"
-                    )
+                    words = overlap_words(later, earlier, shared, min(last - first, end - begin))
+                    mark = "" if words.endswith("?") else ":"
+                    yield f"{words}{mark} what both hold counts twice; cut it out of one of them"
                 elif last < begin:
                     yield (
                         f"{log} is earlier than {name}, which is read before it: name the pieces "
