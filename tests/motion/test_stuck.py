@@ -123,10 +123,49 @@ def test_whole_kilometres_an_hour_once_a_second_are_not_stuck():
     assert not flagged(speed).any()
 
 
-def test_standing_is_not_being_stuck():
-    speed = np.round(true_speed() / 0.0028) * 0.0028
-    speed[3000:3600] = 0.0
-    assert not flagged(speed).any()
+def stopping() -> NDArray[np.float64]:
+    """Ten minutes of driving with a stop of a minute, at 2 m/s^2 from and to some 15 m/s."""
+    t = np.arange(TICKS) * 0.1
+    limit = 2.0 * np.clip(np.abs(t - 330.0) - 30.0, 0.0, None)
+    return np.asarray(np.minimum(true_speed(), limit))
+
+
+@pytest.mark.parametrize("dead", [0.0, 0.5, 1.4])
+@pytest.mark.parametrize("cycle", [1, 10, 20])
+@pytest.mark.parametrize("late", [0, 12])
+def test_standing_is_not_being_stuck(dead: float, cycle: int, late: int):
+    true = stopping()
+    late_speed = true[np.maximum(np.arange(TICKS) - late, 0)]
+    speed = np.full(TICKS, np.nan)
+    speed[::cycle] = np.where(late_speed < dead, 0.0, np.round(late_speed / 0.0028) * 0.0028)[
+        ::cycle
+    ]
+    assert not flagged(speed, true, late=0.1 * late).any()
+
+
+@pytest.mark.parametrize("step", [0.0028, 0.28])
+def test_a_speed_that_falls_to_zero_on_a_cruise_is_stuck_from_then_on(step: float):
+    speed = np.round(braking() / step) * step
+    cruise = slice(3010, 3610)
+    speed[cruise] = 0.0
+    assert flagged(speed, braking())[cruise].all()
+    assert flagged(speed, braking()).sum() <= 602
+
+
+def test_a_speed_that_stays_zero_in_a_launch_is_stuck():
+    true, speed = stopping(), np.round(stopping() / 0.0028) * 0.0028
+    speed[3500:4200] = 0.0
+    found = flagged(speed, true)
+    assert found[3680:4200].all()
+    assert not found[:3500].any()
+
+
+def test_a_value_that_drops_out_makes_the_next_ones_not_stuck():
+    true = np.full(TICKS, 20.0)
+    true[:1500] = braking()[:1500]
+    speed = np.round(true / 0.28) * 0.28
+    speed[3000:3005] = 0.0
+    assert not flagged(speed, true).any()
 
 
 def test_a_speed_that_never_changed_is_not_called_stuck():

@@ -12,7 +12,9 @@ from imucald.config import Config
 from imucald.config_check.health import LogHealth, health_findings
 from imucald.core.samples import Samples, Series
 from imucald.motion.sample_health import SampleHealth
+from imucald.mount.estimate import MountState
 from imucald.mount.estimator import FullEstimator
+from imucald.mount.joint.estimator import JointEstimator
 from imucald.runtime.flow import alarms_of
 from imucald.runtime.input_health import LinkHealth, health_at
 from imucald.runtime.pipeline import Pipeline, Snapshot
@@ -89,6 +91,27 @@ def test_a_speed_that_repeats_itself_is_left_out_but_not_accused() -> None:
     assert not any(s.faults for s in snapshots)
     left_out = pipeline.estimator.estimate().details["frozen_ticks"]["speed"]["stuck"]
     assert left_out > 100
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("is_lost", [False, True])
+def test_a_speed_that_is_zero_or_lost_in_the_drive_costs_the_mount_nothing(is_lost: bool) -> None:
+    """Without wheel speeds only the force contradicts the zero. Taken as true it was a sensor that
+    was tilted, and later an accelerometer whose zero drifts; a smooth cruise was a rest."""
+    samples = {name: s for name, s in stuck("speed").items() if name != "wheel_speeds"}
+    if is_lost:
+        t, values = samples["speed"].t, samples["speed"].values
+        known = (t < FROM_S) | (t >= UNTIL_S)
+        samples["speed"] = Series(t[known], values[known])
+    pipeline = Pipeline(JointEstimator())
+    _, snapshots = pipeline.run(samples, {}, 60.0 * MINUTES)
+    states = {s.estimate.state for s in snapshots if s.t > FROM_S}
+    assert states <= {MountState.USABLE, MountState.FINE}
+    details = pipeline.estimator.estimate().details
+    assert not details.get("faults")
+    (lost,) = (one for one in details["not_learnt_from"] if one["signal"] == "speed")
+    assert lost["cause"] == ("no valid samples" if is_lost else "stuck")
+    assert lost["seconds"] == pytest.approx(UNTIL_S - FROM_S, abs=3.0)
 
 
 def test_nothing_is_reported_of_a_sound_drive() -> None:

@@ -163,7 +163,7 @@ class SignalHealth:
     def stuck_speed(self, rows: Array, seen: SeenForward | None) -> Flags:
         """Ticks (N,) at which the speed is stuck; seen: None where no mount is known."""
         leaving = self._new.stop - self._new.start
-        witness = None if seen is None else by_force(seen, leaving)
+        witness = None if seen is None else by_force(seen, rows, leaving)
         driving = latest_speed(rows) > DRIVING_SPEED
         flags = self._signals["speed"].flags(rows, driving, leaving, witness)
         contradicted = zero_while_wheels_turn(rows)

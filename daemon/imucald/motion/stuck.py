@@ -16,13 +16,14 @@ from typing import NamedTuple
 
 import numpy as np
 from msgspec import Struct
+from msgspec.structs import replace
 from numpy.typing import NDArray
 
 from imucald.core.arrays import Array, true_runs
 from imucald.core.rotations import Vector
 from imucald.motion import ticks as tk
 from imucald.motion.coarse_speed import SAME_SPEED
-from imucald.motion.standstill import ROLLING_SPEED
+from imucald.motion.standstill import DRIVING_SPEED, ROLLING_SPEED
 from imucald.motion.ticks import ACCEL, TICK_S, TickRow
 
 Places = NDArray[np.int64]
@@ -130,6 +131,8 @@ Flags = NDArray[np.bool_]
 
 STUCK_TICKS = 12
 """Identical means of a sensor for that long are a stuck signal: noise always moves."""
+BEFORE_RUN = 12
+"""Ticks before a run whose speeds say what it begins from."""
 STUCK_MOVING_TICKS = 5
 """So many of them while the vehicle rolls."""
 HELD_TICKS = 10
@@ -244,37 +247,47 @@ class SeenForward(Struct, frozen=True):
     """What the accelerometer says of the speed, of the ticks (N,) that are looked at.
 
     accel: forward force without gravity [m/s^2]. late: the speed, behind it [s], and how well that
-    is known. drift: by so much the force may be off for long [m/s^2].
+    is known. drift: by so much the force may be off for long [m/s^2]. hidden: up to so much the
+    vehicle may creep while its speed is zero [m/s].
     """
 
     accel: Array
     late: float
     late_std: float
     drift: float
+    hidden: float = DRIVING_SPEED
 
 
 class OtherSignal(Struct, frozen=True):
     """What another signal says of one that may be stuck, of the ticks (N,) that are looked at.
 
-    said: (2, N) by how much the signal has risen up to each tick, and fallen, in its unit; NaN
-    where the other one says nothing. least: a stuck signal has changed by so much and by `steps` of
-    its own changes. origin: (2,) from where the next call counts what is said.
+    said: (2, N) by how much the signal has risen up to each tick, and fallen, in its unit, beyond
+    what it shows; NaN where the other one says nothing. least: a stuck signal has changed by so
+    much and by `steps` of its own changes. origin: (2,) from where the next call counts what is
+    said. since: ticks before a run that say what it begins from.
     """
 
     said: Array
     least: float
     steps: float
     origin: Array
+    since: int = 0
 
 
-def by_force(seen: SeenForward, leaving: int) -> OtherSignal:
-    """The force as witness of the speed [m/s]: what it adds up to, less what it may be off."""
+def by_force(seen: SeenForward, rows: Array, leaving: int) -> OtherSignal:
+    """The force as witness of the speed [m/s] of ticks (N, COLUMNS): what it adds up to, less what
+    it may be off, and less what the speed shows."""
     n = len(seen.accel)
     gained = np.concatenate([[0.0], np.cumsum(seen.accel) * TICK_S])
     gained = np.interp(np.arange(1, n + 1) - seen.late / TICK_S, np.arange(n + 1), gained)
+    at = np.flatnonzero(rows[:, tk.SPEED.n] > 0)
+    if len(at):
+        speed = rows[at, tk.SPEED.mean]
+        gained -= np.interp(np.arange(n), at, speed - speed[0])
     drift = seen.drift * TICK_S * np.arange(1, n + 1)
     said = np.stack([gained - drift, -gained - drift])
-    return OtherSignal(said, GAINED + HARD * DEVIATIONS * seen.late_std, 1.0, said[:, leaving - 1])
+    least = GAINED + seen.hidden + HARD * DEVIATIONS * seen.late_std
+    return OtherSignal(said, least, 1.0, said[:, leaving - 1], BEFORE_RUN)
 
 
 def by_turning(turning: Array, driving: Flags) -> OtherSignal:
@@ -284,26 +297,30 @@ def by_turning(turning: Array, driving: Flags) -> OtherSignal:
 
 
 class _OpenRun(Struct, frozen=True):
-    """A run that goes on with the next call. low: (2,) least of what was said, from the next call's
-    origin; gained: largest change that was said."""
+    """A run that goes on with the next call.
+
+    lasted: (2,) ticks that were driven in it, and in which the witness spoke. low: (2,) least of
+    what was said, from the next call's origin. gained: largest change that was said.
+    """
 
     value: float
-    lasted: float
+    lasted: Array
     low: Array
     gained: float
     is_stuck: bool
 
 
-_NO_RUN = _OpenRun(math.nan, 0.0, np.full(2, math.nan), 0.0, False)
+_NO_RUN = _OpenRun(math.nan, np.zeros(2), np.full(2, math.nan), 0.0, False)
 
 
 class StuckSignal:
     """Flags ticks at which a signal of the vehicle stays while another says that it has changed.
 
     A coarse signal keeps a value while its vehicle keeps its speed, or its direction, for minutes;
-    a sender that repeats each value some times has long runs all the time. So a run is held against
-    another signal within it, and a sender that repeats is given four of its usual runs. Where there
-    is no witness nothing is called stuck: then nothing rests on the signal either.
+    a sender that repeats each value some times has long runs all the time. So a run, of zeros as
+    well, is held against another signal within it, and a speed as it begins; a sender that repeats
+    is given four of its usual runs. Where there is no witness nothing is called stuck: then nothing
+    rests on the signal either.
 
     count, mean: columns of its samples' number and of their mean. same: values that differ by no
     more than that are equal.
@@ -328,7 +345,7 @@ class StuckSignal:
     ) -> Flags:
         """Ticks (N,) at which the signal is stuck; rows: (N, COLUMNS), `leaving` leave next.
 
-        driving: (N,) where the vehicle drives: other ticks do not count.
+        driving: (N,) where the vehicle drives: other ticks do not count as usual.
         """
         out = np.zeros(len(rows), dtype=bool)
         at = np.flatnonzero(rows[:, self._count] > 0)
@@ -337,36 +354,44 @@ class StuckSignal:
         values = rows[at, self._mean]
         first, last, change = runs_of(values, self._same)
         begins, ends = at[first], at[last]
-        driven = np.zeros(len(rows) + 1)
-        np.cumsum(driving, out=driven[1:])
-        lasted = driven[ends + 1] - driven[begins]
+        count = np.zeros((2, len(rows) + 1))
+        np.cumsum(driving, out=count[0, 1:])
+        if witness is not None:
+            np.cumsum(np.isfinite(witness.said[0]), out=count[1, 1:])
+        lasted = count[:, ends + 1] - count[:, begins]
         before = self._open if abs(values[0] - self._open.value) <= self._same else _NO_RUN
-        lasted[0] += before.lasted
-        stuck = lasted > MIN_STUCK_S / TICK_S
+        lasted[:, 0] += before.lasted
+        stuck = lasted[1] > MIN_STUCK_S / TICK_S
         if np.count_nonzero(stuck):
-            stuck &= lasted > self._limit()
+            stuck &= lasted[1] > self._limit()
+        if before.is_stuck:
+            stuck[0] = True
+
+        def begun(i: int) -> _OpenRun:
+            if witness is None or (i == 0 and before is not _NO_RUN):
+                return before if i == 0 else _NO_RUN
+            return replace(_NO_RUN, low=_begins_from(witness, at[: first[i]], out))
+
         for i in np.flatnonzero(stuck).tolist():
-            run = before if i == 0 else _NO_RUN
-            stuck[i] = run.is_stuck or self._has_changed(
-                witness, slice(begins[i], ends[i] + 1), run
-            )
-        for begin, end in zip(begins[stuck].tolist(), ends[stuck].tolist(), strict=True):
-            out[begin : end + 1] = True
-        over = ~stuck & (ends < leaving) & (lasted > 0.0)
+            run, part = begun(i), slice(begins[i], ends[i] + 1)
+            stuck[i] = run.is_stuck or self._has_changed(witness, part, run)
+            out[part] |= stuck[i]
+        over = ~stuck & (ends < leaving) & (lasted[0] > 0.0)
         over[-1] = False
         after = last[over]
-        self._ended.add(lasted[over] + driven[at[after + 1]] - driven[at[after] + 1], change[after])
+        until_next = count[0, at[after + 1]] - count[0, at[after] + 1]
+        self._ended.add(lasted[0, over] + until_next, change[after])
         crossing = np.flatnonzero((begins < leaving) & (leaving <= ends))
         if not len(crossing):
             self.restart()
             return one_more(out)
         i = int(crossing[0])
-        run = before if i == 0 else _NO_RUN
+        run = begun(i)
         low, gained = np.full(2, math.nan), run.gained
         if witness is not None:
             low, gained = _changes(witness, slice(begins[i], leaving), run)
             low = low - witness.origin
-        so_far = run.lasted + float(driven[leaving] - driven[begins[i]])
+        so_far = run.lasted + count[:, leaving] - count[:, begins[i]]
         self._open = _OpenRun(float(values[first[i]]), so_far, low, gained, bool(stuck[i]))
         return one_more(out)
 
@@ -400,6 +425,14 @@ def _changes(witness: OtherSignal, part: slice, run: _OpenRun) -> tuple[Array, f
     said = witness.said[:, part]
     lowest = np.fmin(np.fmin.accumulate(said, axis=1), run.low[:, None])
     return lowest[:, -1], float(np.fmax.reduce(said - lowest, axis=None, initial=run.gained))
+
+
+def _begins_from(witness: OtherSignal, at: Places, stuck: Flags) -> Array:
+    """What a run begins from (2,), of the ticks before it that have a sample (M,): the highest, so
+    that no single value makes the next ones wrong; NaN: nothing."""
+    near = at[at >= at[-1] - witness.since] if len(at) and witness.since else at[:0]
+    near = near[~stuck[near]]
+    return np.asarray(witness.said[:, near].max(axis=1)) if len(near) else np.full(2, math.nan)
 
 
 def zero_while_wheels_turn(rows: Array) -> Flags:

@@ -51,10 +51,12 @@ class BlockSpeed:
         """When the speed of the last block is known."""
         self._step = 0.0
         """Of the speed, as soon as it showed [m/s]: while noise takes it to and fro it does not."""
+        self._is_rolling = False  # when the speed was last known, or while it is stuck
 
     def restart(self) -> None:
         """Time jumped."""
         self._rest_run = 0
+        self._is_rolling = False
 
     def of(
         self,
@@ -94,6 +96,10 @@ class BlockSpeed:
                 step = self._step
             speed, ok, self.knots = bridged_speed(at, times, mean, step)
         self._step = self.knots.step or self._step
+        if np.count_nonzero(ok):
+            self._is_rolling = abs(float(speed[ok][-1])) > ROLLING_SPEED
+        elif stuck is not None and np.count_nonzero(stuck):
+            self._is_rolling = True
         known = rows[:, tk.REVERSE]
         if even is None:
             has_reverse = bool(np.count_nonzero(~np.isnan(known)))
@@ -158,10 +164,13 @@ class BlockSpeed:
         return np.zeros(BLOCK_TICKS, dtype=bool)
 
     def rest(self, speed: Array, ok: Flags, force: Array, rate: Array, ok_rate: Flags) -> Flags:
-        """At rest: speed zero (where there is one) and the force still."""
+        """At rest: speed zero, or the force still where nobody knows the speed; not where that is
+        lost in the drive, as a smooth cruise is as still."""
         rest = np.zeros(len(speed), dtype=bool)
         if np.count_nonzero(ok):
             still = ok & (np.abs(speed) < ZERO_SPEED)
+        elif self._is_rolling:
+            return self.no_rest()
         else:
             still = is_parked(force, rate if ok_rate.any() else None)
         run = self._rest_run

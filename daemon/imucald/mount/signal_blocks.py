@@ -347,7 +347,8 @@ class SignalBlockMaker:
         has = (rows[:, tk.ACCEL.n] > 0)[:, None]
         force = np.where(has, rows[:, tk.ACCEL.x : tk.ACCEL.z + 1] - tilted, 0.0)
         drift = DRIFT if np.count_nonzero(turns) > 0.5 * len(rows) else DRIFT_NO_GYRO
-        return SeenForward(force @ known.forward, known.late, known.late_std, drift)
+        ahead, hidden = force @ known.forward, self._speed.least
+        return SeenForward(ahead, known.late, known.late_std, drift, hidden)
 
     def _steering_angle(self, t: Array, at: Array, even: EvenBlock | None) -> tuple[Array, Flags]:
         rows = self._rows
