@@ -50,6 +50,8 @@ class Watch:
     learnt: int = 0
     """Ticks of driving that something was learnt from, and all of them."""
     driven: int = 0
+    until: float = 0.0
+    """Time of the last whole block [s]: what comes after it nobody has looked at yet."""
     last: Snapshot | None = None
     kinds: dict[str, int] = field(default_factory=dict)
     """Why not, as far as the block's own flags say it: force, speed, forbidden."""
@@ -77,6 +79,7 @@ class Watch:
         speed = self.base.samples["speed"]
         drives = np.interp(p.t, speed.t, np.abs(speed.values)) > MOVING_MPS
         self.driven += int(drives.sum())
+        self.until = float(p.t[-1])
         use = p.learn & p.ok_force & p.ok_speed
         self.learnt += int((drives & use).sum())
         reasons = {
@@ -153,7 +156,7 @@ def replayed(base: Base, loaded: LoadedConfig, log: Path) -> dict[str, Any]:
     reader = LogReader([log], router.matches, cycles=router.stated_cycles)
     summary = Replay(engine, reader).run()
     watch.at_end()
-    driving = 10 * int(base.moving().sum())
+    driving = round(10.0 * float(base.driven(np.array(watch.until))))
     details = summary["details"]
     return {
         "usable_s": summary["first_usable_s"],
