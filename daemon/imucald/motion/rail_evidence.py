@@ -95,12 +95,6 @@ class AxisHops(Struct, frozen=True, dict=True):
         found: list[list[float]] = self.top_values.tolist()
         return found
 
-    @cached_property
-    def on_tops(self) -> list[list[int]]:
-        """By side and hop."""
-        found: list[list[int]] = self.top_counts.tolist()
-        return found
-
 
 def _listed(figures: Array) -> list[float]:
     found: list[float] = figures.tolist()

@@ -6,14 +6,13 @@ again, and stays. What is played twice to the last bit, such as a recording in a
 Kept are the values that nothing has gone beyond since they came, of one side of an axis, from high
 to low. Samples on a value, and one and two steps below it, show whether it is the end of a range.
 What a whole recording shows of a rail is more than what came so far: `diagnosis.direct.faults`.
-Both ways to keep them do the same: a list, one hop at a time, and an array, in which the compiled
-part takes all hops in a row that need no more (`core/kernels/rails.c`).
+The compiled part takes all hops in a row that need no more (`core/kernels/rails.c`), as `rail_hops`
+does.
 """
 
 from __future__ import annotations
 
 import math
-from collections import deque
 from collections.abc import Sequence
 
 import numpy as np
@@ -22,15 +21,13 @@ from numpy.typing import NDArray
 
 from imucald.core import compiled
 from imucald.core.arrays import Array
-from imucald.core.compiled import Kernels
+from imucald.core.compiled import Kernel
 from imucald.motion.hops import SIDES
 from imucald.motion.rail_evidence import LEAST_AT_EXTREME, AxisHops, Pile
 
 Flags = NDArray[np.bool_]
 
 Index = NDArray[np.int64]
-Hops = Sequence[int] | Index
-Moves = Sequence[bool] | Flags
 
 LONG_STAY = 4
 """Fewer samples on a value that is reached for the first time say nothing."""
@@ -54,86 +51,11 @@ class Top(Struct):
     two_below: int
 
 
-class TopList:
-    """The tops of a side. piles: of those values whose samples are counted."""
-
-    def __init__(self) -> None:
-        self._tops: list[Top] = []
-        self.recent: deque[float] = deque(maxlen=TAIL_HOPS)
-        """Tops of the last hops of driving."""
-        self.piles: dict[float, Pile] = {}
-
-    @property
-    def newest(self) -> float:
-        """Top of the last hop of driving."""
-        return self.recent[-1]
-
-    @property
-    def last(self) -> Top | None:
-        """The lowest; None before any."""
-        return self._tops[-1] if self._tops else None
-
-    def drop_below(self, value: float) -> None:
-        """Let go what lies below a value that was reached."""
-        tops = self._tops
-        while tops and tops[-1].value < value:
-            self.piles.pop(tops[-1].value, None)
-            del tops[-1]
-
-    def below(self, value: float) -> tuple[int, int]:
-        """Samples one and two steps below a top."""
-        top = next(one for one in self._tops if one.value == value)
-        return top.one_below, top.two_below
-
-    def add_pile(self, top: Top, pile: Pile) -> None:
-        """Begin to count the samples of the lowest."""
-        self.piles[top.value] = pile
-
-    def reached(self, value: float, on: int, step: float, hop: int) -> Top | None:
-        """Take a value as the latest top; those that it goes beyond are no longer watched.
-
-        on: samples of the hop on it. Returns the top where its samples have to be weighed: they
-        stay long, or it was reached before.
-        """
-        tops, one_below, two_below = self._tops, 0, 0
-        two_steps = 2.5 * step
-        while tops:
-            last = tops[-1]
-            lower = value - last.value
-            if lower <= 0.0:
-                break
-            del tops[-1]
-            if self.piles:
-                self.piles.pop(last.value, None)
-            if lower < two_steps:
-                if lower < 1.5 * step:
-                    one_below += last.on
-                    two_below += last.one_below
-                else:
-                    two_below += last.on
-        else:
-            lower = -math.inf
-        if lower == 0.0:
-            last.on += on  # those below it were added when they came
-            return last
-        if -lower < two_steps:
-            if -lower < 1.5 * step:
-                last.one_below += on
-            else:
-                last.two_below += on
-        if len(tops) == REMEMBERED:
-            k = next((k for k, one in enumerate(tops) if one.value not in self.piles), 0)
-            self.piles.pop(tops[k].value, None)
-            del tops[k]
-        new = Top(value, hop, on, one_below, two_below)
-        tops.append(new)
-        return new if on >= LONG_STAY else None
-
-
 class TopRows:
-    """The same in rows of an array (`REMEMBERED` + 1, 6), of which depth (1,) are used.
+    """The tops of a side: rows of an array (`REMEMBERED` + 1, 6), of which depth (1,) are used.
 
-    recent: (`TAIL_HOPS`,) tops of the last of so many hops (1,) of driving, in turn.
+    The sixth column says whether samples on it are counted (`piles`, by value). recent:
+    (`TAIL_HOPS`,) tops of the last of so many hops (1,) of driving, in turn.
     """
 
     def __init__(self, rows: Array, depth: Index, recent: Array, hops: Index) -> None:
@@ -166,10 +88,7 @@ class TopRows:
 
     def drop_below(self, value: float) -> None:
         """Let go what lies below a value that was reached."""
-        depth = int(self._depth[0])
-        while depth and self._rows[depth - 1, 0] < value:
-            depth -= 1
-        self._depth[0] = depth
+        _drop_below(self._rows, self._depth, value)
         self.forget_below(value)
 
     def forget_below(self, value: float) -> None:
@@ -188,55 +107,10 @@ class TopRows:
         self._rows[self._depth[0] - 1, 5] = 1.0
 
 
-class BothLists:
-    """The tops of both sides of an axis.
-
-    usual: mean change from sample to sample while driving. hops: of driving.
-    """
+class AxisTops:
+    """The tops of both sides of an axis."""
 
     def __init__(self) -> None:
-        self.sides = [TopList() for _ in range(SIDES)]
-        self.usual, self.hops = 0.0, 0
-
-    @staticmethod
-    def prepared(hops: Sequence[int], moving: Flags) -> tuple[Sequence[int], Sequence[bool]]:
-        """Hops, and whether the vehicle moves in each of all, as `take` has them quickest."""
-        return hops, moving.tolist()
-
-    def take(
-        self, at: AxisHops, hops: Hops, begin: int, moving: Moves
-    ) -> tuple[int, list[Top | None]]:
-        """Take hops from place `begin` on, up to one whose tops have to be weighed.
-
-        moving: of all hops. Returns its place and, by side, which; or the place of the first hop
-        that was not taken.
-        """
-        high, low = self.sides
-        level, steps, (highest, lowest), (on_high, on_low) = at.level, at.step, at.tops, at.on_tops
-        for k in range(begin, len(hops)):
-            h = hops[k]
-            value, other = highest[h], lowest[h]
-            if not moving[h]:
-                high.drop_below(value)
-                low.drop_below(other)
-                continue
-            hop = self.hops
-            self.hops += 1
-            self.usual += (level[h] - self.usual) / (hop + 1 if hop < TAIL_HOPS else TAIL_HOPS)
-            high.recent.append(value)
-            low.recent.append(other)
-            top = high.reached(value, on_high[h], steps[h], hop)
-            bottom = low.reached(other, on_low[h], steps[h], hop)
-            if top is not None or bottom is not None:
-                return k, [top, bottom]
-        return len(hops), [None, None]
-
-
-class BothRows:
-    """The same for the compiled part."""
-
-    def __init__(self, kernels: Kernels) -> None:
-        self._kernels = kernels
         self._rows = np.zeros((SIDES, REMEMBERED + 1, 6))
         self._depth = np.zeros(SIDES, np.int64)
         self._usual, self._hops = np.zeros(1), np.zeros(1, np.int64)
@@ -249,25 +123,25 @@ class BothRows:
 
     @property
     def usual(self) -> float:
-        """See `BothLists`."""
+        """Mean change from sample to sample while driving."""
         return self._usual.item(0)
 
     @property
     def hops(self) -> int:
-        """See `BothLists`."""
+        """Hops of driving."""
         return self._hops.item(0)
 
-    @staticmethod
-    def prepared(hops: Sequence[int], moving: Flags) -> tuple[Index, Flags]:
-        """See `BothLists`."""
-        return np.array(hops, np.int64), moving
-
     def take(
-        self, at: AxisHops, hops: Hops, begin: int, moving: Moves
+        self, at: AxisHops, hops: Index, begin: int, moving: Flags
     ) -> tuple[int, list[Top | None]]:
-        """See `BothLists`."""
-        stopped = self._kernels.rail_hops(
-            np.asarray(hops, np.int64), begin, np.asarray(moving, np.bool_), *at.in_rows,
+        """Take hops from place `begin` on, up to one whose tops have to be weighed.
+
+        moving: of all hops. Returns its place and, by side, which; or the place of the first hop
+        that was not taken.
+        """
+        kernel: Kernel = rail_hops if compiled.kernels is None else compiled.kernels.rail_hops
+        stopped: int = kernel(
+            hops, begin, moving, *at.in_rows,
             self._rows, self._depth, self._usual, self._hops, self._recent, self._found,
         )  # fmt: skip
         high, low, *largest = self._found.tolist()
@@ -280,6 +154,90 @@ class BothRows:
                 side.piles.pop(dropped, None)
             reached.append(side.last if is_reached else None)
         return stopped, reached
+
+
+def rail_hops(
+    hops: Index,
+    begin: int,
+    moving: Flags,
+    tops: Array,
+    on_tops: Index,
+    steps: Array,
+    levels: Array,
+    rows: Array,
+    depth: Index,
+    usual: Array,
+    count: Index,
+    recent: Array,
+    found: Array,
+) -> int:
+    """As `core/kernels/rails.c` does, where it says what the arguments are."""
+    found[:] = (0.0,) * SIDES + (-math.inf,) * SIDES + (math.nan,) * SIDES
+    weighed, largest, dropped = found.reshape(3, SIDES)
+    for k in range(begin, len(hops)):
+        h = hops[k]
+        largest[:] = np.maximum(largest, tops[:, h])
+        if not moving[h]:
+            for side in range(SIDES):
+                _drop_below(rows[side], depth[side : side + 1], tops[side, h])
+            continue
+        hop = int(count[0])
+        count[0] += 1
+        usual[0] += (levels[h] - usual[0]) / (hop + 1 if hop < TAIL_HOPS else TAIL_HOPS)
+        recent[:, hop % TAIL_HOPS] = tops[:, h]
+        for side in range(SIDES):
+            value, on = float(tops[side, h]), float(on_tops[side, h])
+            own = rows[side], depth[side : side + 1]
+            weighed[side], let_go = _reach(*own, value, on, float(steps[h]), hop)
+            if not math.isnan(let_go):
+                dropped[side] = let_go
+        if weighed.any():
+            return k
+        if not np.isnan(dropped).all():
+            return k + 1
+    return len(hops)
+
+
+def _drop_below(rows: Array, depth: Index, value: float) -> None:
+    while depth[0] and rows[depth[0] - 1, 0] < value:
+        depth[0] -= 1
+
+
+def _reach(
+    rows: Array, depth: Index, value: float, on: float, step: float, hop: int
+) -> tuple[bool, float]:
+    """Take a value as the latest top of a side; those that it goes beyond are no longer watched.
+
+    on: samples of the hop on it. Returns whether its samples have to be weighed, as they stay long,
+    or it was reached before; and the value whose pile was let go for want of room, NaN if none.
+    """
+    n, one_below, two_below, lower = int(depth[0]), 0.0, 0.0, -math.inf
+    while n:
+        top, _, on_it, below_it, *_ = rows[n - 1].tolist()
+        lower = value - top
+        if lower <= 0.0:
+            break
+        n, lower = n - 1, -math.inf if n == 1 else lower
+        if value - top < 1.5 * step:
+            one_below, two_below = one_below + on_it, two_below + below_it
+        elif value - top < 2.5 * step:
+            two_below += on_it
+    depth[0] = n
+    if lower == 0.0:
+        rows[n - 1, 2] += on  # those below it were added when they came
+        return True, math.nan
+    if -lower < 2.5 * step:
+        rows[n - 1, 3 if -lower < 1.5 * step else 4] += on
+    let_go = math.nan
+    if n == REMEMBERED:
+        free = np.flatnonzero(rows[:n, 5] == 0.0)
+        k = int(free[0]) if len(free) else 0
+        let_go = math.nan if len(free) else float(rows[k, 0])
+        rows[k : n - 1] = rows[k + 1 : n]
+        n -= 1
+    rows[n] = value, hop, on, one_below, two_below, 0.0
+    depth[0] = n + 1
+    return on >= LONG_STAY, let_go
 
 
 LEAST_TAIL_HOPS = 30
@@ -315,7 +273,7 @@ class Rail:
     which it is.
     """
 
-    def __init__(self, side: int, axis: int, tops: TopList | TopRows) -> None:
+    def __init__(self, side: int, axis: int, tops: TopRows) -> None:
         self._side, self._axis, self._tops = side, axis, tops
         self._rail = -math.inf
         self._changed = False
@@ -467,10 +425,8 @@ class AxisRails:
 
     def __init__(self, axis: int) -> None:
         self._axis = axis
-        kernels = compiled.kernels
-        self._tops = BothLists() if kernels is None else BothRows(kernels)
-        sides: Sequence[TopList | TopRows] = self._tops.sides
-        self._high, self._low = (Rail(side, axis, own) for side, own in enumerate(sides))
+        self._tops = AxisTops()
+        self._high, self._low = (Rail(side, axis, own) for side, own in enumerate(self._tops.sides))
 
     def step(self, at: AxisHops, h: int, moving: bool, stuck: bool) -> bool:
         """Take hop h, which has samples; return whether the axis is on a rail.
@@ -488,7 +444,8 @@ class AxisRails:
             for rail in (high, low):
                 rail.stand(at, h)
         else:
-            _, tops = self._tops.take(at, (h,), 0, (True,) * len(at.levels))
+            hops, always = np.array([h]), np.ones(len(at.levels), dtype=bool)
+            _, tops = self._tops.take(at, hops, 0, always)
             self._pile_up(at, h, tops)
         return self._weigh(at, h, high.changed, low.changed)
 
@@ -500,7 +457,7 @@ class AxisRails:
         """
         high, low = self._high, self._low
         moves: list[bool] = moving.tolist()
-        places, flags = self._tops.prepared(hops, moving)
+        places = np.array(hops, np.int64)
         found: list[bool] = []
         is_clear = high.is_clear and low.is_clear
         while (done := len(found)) < len(hops):
@@ -508,7 +465,7 @@ class AxisRails:
                 h = hops[done]
                 found.append(self.step(at, h, moves[h], stuck=False))
             else:
-                stopped, tops = self._tops.take(at, places, done, flags)
+                stopped, tops = self._tops.take(at, places, done, moving)
                 found += [False] * (stopped - done)
                 if tops == [None, None]:
                     continue

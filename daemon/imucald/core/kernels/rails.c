@@ -6,7 +6,7 @@ enum { SIDES = 2, REMEMBERED = 64, LONG_STAY = 4, TAIL_HOPS = 120 };
 enum Top { VALUE, BORN, ON, ONE_BELOW, TWO_BELOW, HAS_PILE, TOP };
 enum Found { IS_REACHED, HIGHEST = IS_REACHED + SIDES, DROPPED = HIGHEST + SIDES, FOUND = DROPPED + SIDES };
 
-/* Take a value as the latest top, as `TopList.reached` does; whether it has to be weighed. */
+/* Take a value as the latest top, as `_reach` does; whether it has to be weighed. */
 static int reach(double (*tops)[TOP], int64_t *depth, double value, double on, double step,
                  double hop, double *dropped)
 {
