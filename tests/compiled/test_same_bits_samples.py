@@ -33,7 +33,6 @@ from imucald.motion.column_ticks import ticks_from_samples
 from imucald.motion.hops import Carry, hop_rows
 from imucald.motion.rail_evidence import AxisHops
 from imucald.motion.rails import AxisRails
-from imucald.motion.sensor_judges import Runs
 from imucald.mount.estimate import Correction
 from imucald.runtime.pipeline import TickCorrections
 from imucald.runtime.timebase import TimeBase
@@ -76,8 +75,7 @@ def test_hops_and_their_rails(seed: int) -> None:
             rows = hop_rows(values, hop, hops, carry)
             entries = rows.entries()
             some = np.flatnonzero(rows.count).tolist()
-            runs = Runs()
-            runs.add(100, 2, 150)
+            runs = [(100, 2)] * hops
             for axis in range(3):
                 at = AxisHops(axis, rows, entries, runs)
                 cut = len(some) // 2

@@ -9,7 +9,6 @@ jumps to it and away from it.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from functools import cached_property
 from typing import Any
 
@@ -33,8 +32,8 @@ MOST_SAMPLES = 512
 class AxisHops(Struct, frozen=True, dict=True):
     """Hops of one axis, as many as the rows have.
 
-    runs: of equal values of the axis, after all hops; or of each hop how many had ended before it
-    and how long the longest was. levels, steps: of each hop (H,), as `HopRows` has level and step;
+    runs: of equal values of the axis, of each hop how many had ended before it and how long the
+    longest was. levels, steps: of each hop (H,), as `HopRows` has level and step;
     entries: of the rows. top_values, top_counts: (2, H), the same of top and on_top, first of the
     upper, then of the lower side. Their lists are made when they are first asked for.
     """
@@ -42,11 +41,11 @@ class AxisHops(Struct, frozen=True, dict=True):
     axis: int
     rows: HopRows
     entries: Array
-    runs: Runs | list[tuple[int, int]]
+    runs: list[tuple[int, int]]
 
     def rate(self, h: int) -> float:
         """See `Pile`, as known at hop h."""
-        return self.runs.rate() if isinstance(self.runs, Runs) else rate_of(*self.runs[h])
+        return rate_of(*self.runs[h])
 
     @cached_property
     def in_rows(self) -> tuple[NDArray[Any], ...]:
@@ -173,9 +172,6 @@ def _more_often(stays: int, of: int, rate: float) -> float:
     return of * (share * (math.log(share) + rate) + left)
 
 
-Flags = NDArray[np.bool_]
-Counts = NDArray[np.int64]
-
 JUMP = 5.0
 """A jump is so many times the axis's mean change, where it changes at all (an axis that is coarser
 than its noise seldom does, by its step): four deviations of normal changes. At both ends of the
@@ -219,20 +215,6 @@ class LostContact:
             self._entry = at.entry[h]
         self._open = run
         return found, jumped
-
-    def step_through(self, at: AxisHops, some: Flags, counts: Sequence[Counts]) -> None:
-        """Take the hops (H,) that have samples, where none has a run longer than usual.
-
-        counts: of each hop (H,) as `step` takes them.
-        """
-        count, ended, _, run = (x[some] for x in counts)
-        change = np.array(at.level)[some] * count
-        self._change = float(np.add.accumulate(np.append(self._change, change))[-1])
-        self._changes += int(ended.sum())
-        began = np.flatnonzero(run <= count)
-        if len(began):
-            self._entry = at.entry[int(np.flatnonzero(some)[began[-1]])]
-        self._open = int(run[-1])
 
     def _between_jumps(self, rows: HopRows, h: int, axis: int) -> int:
         """The longest run between two jumps that ended in the hop [samples]."""

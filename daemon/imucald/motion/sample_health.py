@@ -20,7 +20,7 @@ from imucald.core.angles import DEG_PER_RAD
 from imucald.core.arrays import Array
 from imucald.core.samples import Samples, Series
 from imucald.motion.hops import HOP_S, HOP_TICKS, Carry, HopRows, hop_rows
-from imucald.motion.rail_evidence import MIN_RUN, AxisHops, LostContact
+from imucald.motion.rail_evidence import AxisHops, LostContact
 from imucald.motion.rails import AxisRails
 from imucald.motion.sensor_judges import (
     FORCE_HOPS,
@@ -44,8 +44,6 @@ NOISE: Mapping[str, float] = {"accel": 0.0018, "gyro": 0.00012, "mag": 8e-8}
 0.6 uT rms at 20 Hz and more (BMM150 data sheet, regular preset: 0.08 uT by that is less)."""
 WATCHED = ("accel", "gyro", "mag")
 AXES = "xyz"
-SEVERAL = 8
-"""So many hops are taken at once where nothing is unusual in any of them; few cost less singly."""
 _UNITS = {"gyro": DEG_PER_RAD}
 
 Flags = NDArray[np.bool_]
@@ -122,14 +120,6 @@ class _Sensor(FaultsInForce):
         counts = rows.count, rows.ended[:, axis], rows.longest[:, axis], rows.run[:, axis]
         moves = moving.tolist()
         stuck, saturated = [False] * len(moves), [False] * len(moves)
-        if len(moves) >= SEVERAL and judge.is_usual(moving, counts, MIN_RUN):
-            at, some = AxisHops(axis, rows, entries, judge.moving), rows.count > 0
-            contact.step_through(at, some, counts)
-            judge.step_through(moving[some], [x[some] for x in counts])
-            hops = np.flatnonzero(some).tolist()
-            for h, on_rail in zip(hops, rails.step_through(at, hops, moving), strict=True):
-                saturated[h] = on_rail
-            return stuck, saturated
         known: list[tuple[int, int]] = []
         at = AxisHops(axis, rows, entries, known)
         begins: list[tuple[int, bool]] = []  # of hops with samples; whether it was stuck then

@@ -7,7 +7,6 @@ now; how long it is believed to last is the business of `sample_health`.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -150,35 +149,6 @@ class StuckAxis:
             self._rested = True
         self.stuck = self.stuck or self._is_stuck(run, q)
         return self.stuck
-
-    def is_usual(self, moving: Flags, counts: Sequence[Counts], short: int) -> bool:
-        """Whether hops (H,) may be taken by `step_through`; counts: as there.
-
-        short: runs of fewer samples are usual, however long those before were.
-        """
-        count, ended, longest, _ = counts
-        usual = np.where(moving, self.moving.longest, self._resting.longest)
-        holds = (ended > 0) & (longest <= np.maximum(usual, short - 1))
-        return not self.stuck and bool((holds | (count == 0)).all() and count.any())
-
-    def step_through(self, moving: Flags, counts: Sequence[Counts]) -> None:
-        """Take hops (H,) in each of which runs ended, none of them longer than usual.
-
-        The axis may not be stuck. counts: of each hop (H,) count, ended, longest and run.
-        """
-        count, ended, longest, run = counts
-        samples = np.append(self._run, run[:-1]) + count - run
-        rested = np.append(self._rested, ~moving[:-1])
-        in_motion = moving & ~((longest > count) & rested)
-        for pool, of in ((self.moving, in_motion), (self._resting, ~in_motion)):
-            use = of & (samples > 0)
-            if use.any():
-                pool.add(
-                    *(int(x) for x in (ended[use].sum(), longest[use].max(), samples[use].sum()))
-                )
-        self._rest_hops += int(np.count_nonzero(~moving))
-        self._moved_run = self._moved_hops = self._hops = 0
-        self._rested, self._run = not moving[-1], int(run[-1])
 
     def _is_stuck(self, run: int, q: float) -> bool:
         if self._moved_hops >= SHORTEST_HOPS:
