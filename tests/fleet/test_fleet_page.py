@@ -48,7 +48,8 @@ def test_the_mount_of_a_vehicle_is_that_since_its_sensor_was_last_moved() -> Non
         {"vehicle": "a", "segment": 0, "roll_deg": 0.0},
         {"vehicle": "b", "segment": 0, "roll_deg": 2.0},
     ]
-    found = present_mounts(vehicles, segments)
+    moves = [{"vehicle": "a", "found": found} for found in (True, False)]
+    found = present_mounts(vehicles, segments, moves)
     assert [(r["vehicle"], r["roll_deg"], r["all_drives"], r["moves"]) for r in found] == [
         ("a", 5.0, 5, 1),
         ("b", 2.0, 1, 0),

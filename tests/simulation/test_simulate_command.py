@@ -176,3 +176,22 @@ def test_a_factor_in_place_of_a_gain_error_is_refused_with_the_remedy(tmp_path, 
     assert f"{change.partition('=')[0]} is " in error
     assert "0.04 stands for values that are 4 % too large" in error
     assert not out.exists()
+
+
+@pytest.mark.parametrize(
+    ("start", "stamp"),
+    [("2026-05-01T08:00", 1777622400.0), ("2026-05-01T10:00+02:00", 1777622400.0)],
+)
+def test_the_log_starts_when_it_is_asked_to(tmp_path: Path, start: str, stamp: float) -> None:
+    log = tmp_path / "d.log"
+    assert main(["simulate", "--minutes", "0.1", "--start", start, "--out", str(log)]) == 0
+    first = float(log.read_text()[1:].partition(")")[0])
+    assert stamp <= first < stamp + 0.1
+
+
+@pytest.mark.parametrize("start", ["yesterday", "1969-01-01", "2200-01-01"])
+def test_a_start_that_is_no_date_is_refused(
+    tmp_path: Path, start: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["simulate", "--start", start, "--out", str(tmp_path / "d.log")]) == 1
+    assert f"--start '{start}'" in capsys.readouterr().err

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 from imucald.commands.terminal import plain_console, plain_where_needed
 from imucald.core.text import counted
-from imucald.fleet.analysis.remounts import why_not_known
+from imucald.fleet.move_words import time_text, unordered_words, when_moved, why_not_known
 from imucald.fleet.reading import present_mounts
 from imucald.mount.estimate import ANGLES
 from imucald.mount.mount_words import CONVENTION, UNKNOWN_HALF_DEG
@@ -26,7 +26,7 @@ def print_analysis(tables: Mapping[str, pa.Table]) -> None:
     plain_where_needed()
     console = plain_console()
     rows = {name.rpartition("/")[2]: table.to_pylist() for name, table in tables.items()}
-    mounts = present_mounts(rows["vehicles"], rows["segments"])
+    mounts = present_mounts(rows["vehicles"], rows["segments"], rows["remounts"])
     if mounts:
         console.print(_mounts(mounts[:SHOWN]))
         if len(mounts) > SHOWN:
@@ -40,14 +40,18 @@ def print_analysis(tables: Mapping[str, pa.Table]) -> None:
     console.print(
         f"{counted(len(rows['vehicles']), 'vehicle')}, {counted(len(rows['segments']), 'segment')}"
     )
-    unknown = why_not_known(row["drives"] for row in rows["vehicles"])
+    unknown = why_not_known(rows["vehicles"])
     _list(
         console,
-        "sensors moved between drives",
+        "moves of sensors",
         found,
-        lambda r: f"{r['vehicle']} {_turn(r)}",
+        lambda r: f"{r['vehicle']} {when_moved(r)}: {_turn(r)}",
         f"not known: {unknown}" if unknown else "none",
     )
+    if found and unknown:
+        console.print(f"  between drives: not known: {unknown}")
+    if unordered := unordered_words(rows["vehicles"]):
+        console.print(f"  {unordered}")
     _list(
         console, "vehicles that stand out", rows["outliers"], lambda r: f"{r['vehicle']} {_turn(r)}"
     )
@@ -77,8 +81,11 @@ def _list(
 
 
 def _turn(row: dict[str, Any]) -> str:
+    if row["d_x_deg"] is None:
+        return "by how much is not known"
     x, y, z = (row[f"d_{axis}_deg"] for axis in "xyz")
-    return f"x {x:+.2f}, y {y:+.2f}, z {z:+.2f} deg ({_q(row['q'])})"
+    q = "" if row["q"] is None else f" ({_q(row['q'])})"
+    return f"x {x:+.2f}, y {y:+.2f}, z {z:+.2f} deg{q}"
 
 
 def _q(q: float) -> str:
@@ -96,17 +103,16 @@ def _mounts(rows: Sequence[dict[str, Any]]) -> Table:
     from rich.table import Table
 
     table = Table(box=None, pad_edge=False)
-    for title in ("vehicle", "drives", *ANGLES, "state", "since", "moves found"):
-        is_text = title in ("vehicle", "state", "since")
+    for title in ("vehicle", "drives", *ANGLES, "last drive", "since", "moves found"):
+        is_text = title in ("vehicle", "last drive", "since")
         table.add_column(title, justify="left" if is_text else "right", overflow="fold")
     for row in rows:
-        start = row["start"]
         table.add_row(
             row["vehicle"],
             str(row["all_drives"]),
             *(_angle(row[f"{angle}_deg"], row[f"ci95_{angle}_deg"]) for angle in ANGLES),
             row["last_state"] or "",
-            f"{start:%Y-%m-%d %H:%M}" if start else row["first_log_key"],
+            time_text(row["start"], row["first_log_key"]),
             str(row["moves"]),
         )
     return table

@@ -7,6 +7,7 @@ import json
 import math
 import re
 import sys
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -24,6 +25,10 @@ MAX_MINUTES = 600.0
 """Ten hours: about 1.5 GB of memory."""
 
 
+LATEST_START_S = 4_102_444_800.0
+"""1 January 2100 [UNIX s]."""
+
+
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options of `simulate`."""
     # Otherwise "-5,3,30" would be taken for an option.
@@ -35,6 +40,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="log to write ('-': standard output). The true values are written to FILE.truth.json",
     )
     parser.add_argument("--minutes", type=float, default=10.0, help="length (default: 10)")
+    parser.add_argument(
+        "--start",
+        metavar="TIME",
+        help="date and time of the log's first frame, such as 2026-05-01T08:00 (UTC, or with an "
+        "offset; default: 2020-09-13T12:26:40)",
+    )
     parser.add_argument("--seed", type=int, default=1, help="the same seed gives the same drive")
     parser.add_argument(
         "--mount", metavar="R,P,Y", help="mount angles in degrees (default: drawn from the seed)"
@@ -118,10 +129,11 @@ def run(options: argparse.Namespace) -> int:
         raise ConfigError(
             f"--shift at {latest:g} s: {text}; give more --minutes, or an earlier time"
         )
+    start_s = _start(options.start)
     encoder = BusEncoder(config)
     drive = simulate(model, options.seed, options.minutes)
     if options.out is not None:
-        _write_log(options, drive, encoder)
+        _write_log(options, drive, encoder, start_s)
     if options.write_model:
         write_yaml(options.write_model, model.to_yaml(), MODEL)
     for name in encoder.left_out:
@@ -133,13 +145,31 @@ def run(options: argparse.Namespace) -> int:
     return 0
 
 
-def _write_log(options: argparse.Namespace, drive: Drive, encoder: BusEncoder) -> None:
+def _start(text: str | None) -> float:
+    """The stamp of the first frame [UNIX s]."""
+    from imucald.traffic.can_log import EPOCH_S
+
+    if text is None:
+        return EPOCH_S
+    try:
+        time = datetime.fromisoformat(text)
+    except ValueError:
+        raise ConfigError(f"--start {text!r}: no date such as 2026-05-01T08:00") from None
+    start = (time if time.tzinfo else time.replace(tzinfo=UTC)).timestamp()
+    if not 0.0 <= start < LATEST_START_S:
+        raise ConfigError(f"--start {text!r}: must be between 1970 and 2100")
+    return start
+
+
+def _write_log(
+    options: argparse.Namespace, drive: Drive, encoder: BusEncoder, start_s: float
+) -> None:
     from imucald.commands.files import reported_when_cut, write_text
     from imucald.commands.terminal import countdown
     from imucald.traffic.can_log import write_log
 
     with countdown("writing", drive.duration_s) as progress, reported_when_cut(options.out):
-        frames = write_log(drive, options.out, encoder, options.background, progress)
+        frames = write_log(drive, options.out, encoder, options.background, progress, start_s)
     truth = _truth_beside(options.out)
     if truth is None:
         return

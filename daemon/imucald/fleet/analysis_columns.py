@@ -65,6 +65,13 @@ ANALYSIS: Final[dict[str, tuple[Column, ...]]] = {
         Column("outlier", "flag", "", "stands out from its type"),
         *_CI95_OF_ANGLES,
         *floats(*_OF_ANGLES, *(f"shrunk_ci95_{name}" for name in _ANGLES)),
+        Column(
+            "drives_unordered",
+            "integer",
+            "",
+            "of `drives`: overlap in time with an earlier "
+            "one, or have no time; no move is looked for before them",
+        ),
     ),
     "analysis/segments": (
         *texts(vehicle="name"),
@@ -79,14 +86,22 @@ ANALYSIS: Final[dict[str, tuple[Column, ...]]] = {
     ),
     "analysis/remounts": (
         *texts(
-            vehicle="name", before_log_key="last drive before", after_log_key="first drive after"
+            vehicle="name",
+            before_log_key="last drive before, or the drive in which the sensor was moved",
+            after_log_key="first drive after, or the drive in which the sensor was moved",
         ),
-        Column("before", "time", "", "end of the last drive before"),
-        Column("after", "time", "", "start of the first drive after"),
+        Column("before", "time", "", "end of the last drive before; within a drive, its start"),
+        Column(
+            "after",
+            "time",
+            "",
+            "start of the first drive after; within a drive, when the move was found",
+        ),
         *_xyz("deg", "turn about the vehicle's axes", "d_{}_deg"),
         *floats("deg", "its angle", "size_deg"),
         *_TEST,
-        Column("found", "flag", "", "q is at most 5 %"),
+        Column("found", "flag", "", "q is at most 5 %, or the drive found it itself"),
+        *floats("s", "within a drive: from its log's first frame until it was found", "found_s"),
     ),
     "analysis/groups": (
         *texts(column="column of drives", name="the batch"),

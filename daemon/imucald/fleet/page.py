@@ -11,8 +11,15 @@ from typing import Any
 import pyarrow.compute as pc
 
 from imucald import __version__
-from imucald.fleet.analysis.remounts import why_not_known
+from imucald.core.text import counted
 from imucald.fleet.compaction import read_tables
+from imucald.fleet.move_words import (
+    names_of,
+    time_text,
+    unordered_words,
+    when_moved,
+    why_not_known,
+)
 from imucald.fleet.reading import present_mounts, read_analysis
 from imucald.fleet.store import Store
 from imucald.mount.mount_words import UNKNOWN_HALF_DEG
@@ -39,7 +46,7 @@ def fleet_page(store: Store) -> str:
     found = [r for r in analysis["remounts"] if r["found"]]
     bad = [g for g in analysis["groups"] if g["verdict"] == "bad"]
     design = [c for c in analysis["causes"] if c["verdict"] == "design"]
-    unknown = why_not_known(row["drives"] for row in analysis["vehicles"])
+    unknown = why_not_known(analysis["vehicles"])
     hours = (pc.sum(drives.column("duration_s")).as_py() or 0.0) / 3600.0
     return environment().get_template("fleet.html").render(
         place=store.url,
@@ -51,18 +58,21 @@ def fleet_page(store: Store) -> str:
             (
                 "Moved sensors",
                 f"{len(found) or ('not known' if unknown else 0)}",
-                "between drives, at most 5 % of them false",
+                "at most 5 % of those between drives false",
             ),
             ("Stand out from their type", f"{len(analysis['outliers'])}", "vehicles"),
             ("Bad batches", f"{len(bad)}", f"of {len(analysis['groups'])}"),
             ("Failed logs", f"{len(failures)}", f"of {tables['sources'].num_rows}"),
         ],
-        mounts=present_mounts(analysis["vehicles"], analysis["segments"])[:MAX_ROWS],
+        mounts=_mounts(analysis)[:MAX_ROWS],
         more_mounts=max(0, len(analysis["vehicles"]) - MAX_ROWS),
         types=analysis["types"][:MAX_ROWS],
         unknown_half=UNKNOWN_HALF_DEG,
         remounts_not_known=unknown,
-        remounts=sorted(found, key=lambda r: r["q"])[:MAX_ROWS],
+        unordered=unordered_words(analysis["vehicles"]),
+        when_moved=when_moved,
+        time_text=time_text,
+        remounts=sorted(found, key=lambda r: r["q"] or 0.0)[:MAX_ROWS],
         outliers=sorted(analysis["outliers"], key=lambda r: r["q"])[:MAX_ROWS],
         groups=sorted(analysis["groups"], key=_by_p)[:MAX_ROWS],
         causes=sorted(analysis["causes"], key=lambda c: c["q"])[:MAX_ROWS],
@@ -79,14 +89,31 @@ def _by_p(group: dict[str, Any]) -> float:
 
 
 def _headline(found: Rows, outliers: Rows, bad: Rows, design: Rows) -> str:
-    counted = [
-        (len(bad), "bad batch", "bad batches"),
-        (len(design), "fault of many vehicles", "faults of many vehicles"),
-        (len(outliers), "vehicle that stands out", "vehicles that stand out"),
-        (len(found), "sensor moved between drives", "sensors moved between drives"),
+    named = [
+        (len(bad), "bad batch", "bad batches", ", ".join(g["name"] for g in bad)),
+        (len(design), "fault of many vehicles", "faults of many vehicles", ""),
+        (len(outliers), "vehicle stands out", "vehicles stand out", names_of(outliers)),
+        (len(found), "move of a sensor", "moves of sensors", names_of(found)),
     ]
-    parts = [f"{n} {one if n == 1 else many}" for n, one, many in counted if n]
+    parts = [
+        f"{n} {one if n == 1 else many}" + (f" ({names})" if names else "")
+        for n, one, many, names in named
+        if n
+    ]
     return ", ".join(parts) if parts else "Nothing stands out"
+
+
+def _mounts(analysis: dict[str, Rows]) -> Rows:
+    """The present mount of each vehicle, those to look at first: moved, then those that stand out.
+
+    mark: why it is to be looked at; "": it is sound.
+    """
+    odd = {row["vehicle"] for row in analysis["outliers"]}
+    rows = present_mounts(analysis["vehicles"], analysis["segments"], analysis["remounts"])
+    for row in rows:
+        moves = f"moved {counted(row['moves'], 'time')}" if row["moves"] else ""
+        row["mark"] = ", ".join(filter(None, (moves, "stands out" * (row["vehicle"] in odd))))
+    return sorted(rows, key=lambda row: (not row["moves"], not row["mark"]))
 
 
 def _failures(failures: Rows) -> Rows:
@@ -119,7 +146,7 @@ def _pictures(analysis: dict[str, Rows]) -> dict[str, str]:
 def _histories(found: Sequence[dict[str, Any]], drives: Any) -> Rows:
     """The drives of the vehicles whose sensors were moved furthest."""
     cuts: dict[str, list[str]] = {}
-    for row in sorted(found, key=lambda r: -r["size_deg"]):
+    for row in sorted(found, key=lambda r: -(r["size_deg"] or 0.0)):
         cuts.setdefault(row["vehicle"], []).append(row["after_log_key"])
     rows = []
     for vehicle, keys in list(cuts.items())[:MAX_HISTORIES]:

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from typing import Any
 
 import pyarrow as pa
 import pyarrow.compute as pc
 
+from imucald.api.recorder import SHIFT
 from imucald.core.errors import ImucaldError
 from imucald.fleet.analysis.analyse import GROUPS, analysed
 from imucald.fleet.analysis_columns import ANALYSIS
@@ -18,12 +20,14 @@ from imucald.fleet.tables import as_parquet, main_file, read_file, table_of
 
 NEEDED = (
     *("log_key", "vehicle", "vehicle_type", "sensor_serial", "sensor_batch", "firmware"),
-    *("start", "end", "state", "first_usable_s", "q_w", "q_x", "q_y", "q_z"),
+    *("start", "end", "date", "state", "first_usable_s", "q_w", "q_x", "q_y", "q_z"),
     *(f"cov_{pair}_deg2" for pair in ("xx", "xy", "xz", "yy", "yz", "zz")),
     *("crown_std_deg", "driving_side", "waiting_roll", "waiting_pitch", "waiting_yaw", "causes"),
     "diagnosed",
 )
 """Columns of `drives` that the analysis reads."""
+OF_SHIFT = ("log_key", "vehicle", "time", "t_s", "d_x_deg", "d_y_deg", "d_z_deg")
+"""Columns of `events` that it reads of a move within a drive."""
 
 
 def analyse_fleet(store: Store, groups: Sequence[str] = GROUPS) -> dict[str, pa.Table]:
@@ -31,8 +35,11 @@ def analyse_fleet(store: Store, groups: Sequence[str] = GROUPS) -> dict[str, pa.
     wrong = [g for g in groups if g not in {c.name for c in TABLES["drives"] if c.kind == "text"}]
     if wrong:
         raise ImucaldError(f"--group {wrong[0]}: drives has no such column of texts")
-    drives = read_tables(store, ("drives",))["drives"]
-    rows = analysed(plain_columns(drives, (*NEEDED, *groups)), groups)
+    tables_read = read_tables(store, ("drives", "events"))
+    drives, events = tables_read["drives"], tables_read["events"]
+    moved = plain_columns(events.filter(pc.equal(events.column("kind"), SHIFT)), OF_SHIFT)
+    shifts = [dict(zip(moved, row, strict=True)) for row in zip(*moved.values(), strict=True)]
+    rows = analysed(plain_columns(drives, (*NEEDED, *groups)), groups, shifts)
     tables = {name: table_of(name, rows[name], ANALYSIS[name]) for name in ANALYSIS}
     for name, table in tables.items():
         store.write(main_file(name), as_parquet(table))
@@ -58,12 +65,15 @@ def read_analysis(store: Store) -> dict[str, pa.Table]:
 
 
 def present_mounts(
-    vehicles: Sequence[Mapping[str, Any]], segments: Sequence[Mapping[str, Any]]
+    vehicles: Sequence[Mapping[str, Any]],
+    segments: Sequence[Mapping[str, Any]],
+    remounts: Sequence[Mapping[str, Any]],
 ) -> list[dict[str, Any]]:
     """The mount of each vehicle since its sensor was last moved: its last row of `segments`.
 
-    vehicle_type, all_drives and moves (found between drives) are added; by vehicle.
+    vehicle_type, all_drives and moves (that were found) are added; by vehicle.
     """
+    moves = Counter(row["vehicle"] for row in remounts if row["found"])
     last: dict[str, Mapping[str, Any]] = {}
     for row in sorted(segments, key=lambda r: r["segment"]):
         last[row["vehicle"]] = row
@@ -72,7 +82,7 @@ def present_mounts(
             **last[v["vehicle"]],
             "vehicle_type": v["vehicle_type"],
             "all_drives": v["drives"],
-            "moves": last[v["vehicle"]]["segment"],
+            "moves": moves[v["vehicle"]],
         }
         for v in sorted(vehicles, key=lambda v: v["vehicle"])
         if v["vehicle"] in last

@@ -16,7 +16,7 @@ from imucald.traffic.drive_encoder import BusEncoder
 from imucald.traffic.other_units import arbitrated, background, joined
 
 EPOCH_S = 1_600_000_000.0
-"""Stamp of the start of a drive: logs with relative times begin here."""
+"""Stamp of the start of a drive [UNIX s], where no other is asked for."""
 BLOCK_S = 30.0
 """Frames are made in blocks, so that memory does not grow with background traffic."""
 
@@ -67,11 +67,15 @@ def write_log(
     encoder: BusEncoder,
     with_background: bool = False,
     progress: Progress | None = None,
+    start_s: float = EPOCH_S,
 ) -> int:
-    """Write a drive as a candump log; return the number of frames. LogError where it cannot be."""
+    """Write a drive as a candump log; return the number of frames. LogError where it cannot be.
+
+    start_s: stamp of the start [UNIX s].
+    """
     with CandumpWriter(path) as writer:
         for block in bus_frames(drive, encoder, with_background):
-            writer.write_columns(replace(block, t=block.t + EPOCH_S))
+            writer.write_columns(replace(block, t=block.t + start_s))
             if progress is not None:
                 progress(float(block.t[-1]))
     return writer.frames_written

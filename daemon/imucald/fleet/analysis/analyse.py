@@ -37,19 +37,23 @@ GROUPS = ("sensor_batch", "firmware")
 OF_VEHICLE = ("vehicle_type", "sensor_serial", "sensor_batch", "firmware")
 
 
-def analysed(columns: Columns, groups: Sequence[str] = GROUPS) -> dict[str, Rows]:
+def analysed(
+    columns: Columns, groups: Sequence[str] = GROUPS, shifts: Sequence[Mapping[str, Any]] = ()
+) -> dict[str, Rows]:
     """Read all drives together; columns: those of `drives`, sorted by vehicle and time.
 
+    shifts: rows of `events` of the kind "shift", the moves that a drive found itself.
     Returns the rows of each table of `analysis_columns`. Times are as they are in the columns.
     """
     found: dict[str, Rows] = {
         "analysis/causes": cause_rows(columns),
         "analysis/never_usable": never_usable_rows(columns),
     }
-    drives = known_drives(columns)
+    drives = known_drives(columns, {row["log_key"] for row in shifts})
+    within = _within_rows(columns, shifts)
     names = ("types", "vehicles", "segments", "remounts", "groups", "outliers")
     if not len(drives):
-        return found | {f"analysis/{name}": [] for name in names}
+        return found | {f"analysis/{name}": [] for name in names} | {"analysis/remounts": within}
     remounts = find_remounts(drives)
     segments = segment_mounts(drives, remounts)
     first = drives.row[segments.first[segments.starts]]
@@ -61,7 +65,7 @@ def analysed(columns: Columns, groups: Sequence[str] = GROUPS) -> dict[str, Rows
         "analysis/types": _type_rows(drives, segments, remounts, people),
         "analysis/vehicles": vehicles,
         "analysis/segments": _segment_rows(columns, drives, segments),
-        "analysis/remounts": _remount_rows(columns, drives, remounts),
+        "analysis/remounts": [*_remount_rows(columns, drives, remounts), *within],
         "analysis/groups": _group_rows(people),
         "analysis/outliers": [
             row | {"size_deg": math.hypot(*(row[f"d_{a}_deg"] for a in "xyz"))}
@@ -146,6 +150,7 @@ def _vehicle_rows(
     all_drives = Counter(str(v) for v in columns["vehicle"])
     count = np.bincount(segments.vehicle)
     last = drives.row[segments.last[s]]
+    unordered = np.bincount(drives.vehicle[~drives.is_after], minlength=len(drives.vehicles))
     return [
         {
             "vehicle": name,
@@ -161,6 +166,7 @@ def _vehicle_rows(
             "p": float(people.p[i]),
             "q": float(people.q[i]),
             "outlier": bool(people.outlier[i]),
+            "drives_unordered": int(unordered[i]),
         }
         for i, name in enumerate(drives.vehicles)
     ]
@@ -203,6 +209,27 @@ def _remount_rows(columns: Columns, drives: KnownDrives, remounts: Remounts) -> 
             "p": float(remounts.p[i]),
             "q": float(remounts.q[i]),
             "found": bool(remounts.found[i]),
+        })  # fmt: skip
+    return rows
+
+
+def _within_rows(columns: Columns, shifts: Sequence[Mapping[str, Any]]) -> Rows:
+    """Moves that drives found themselves: after the drive's start and before they were found."""
+    row_of = {key: i for i, key in enumerate(columns["log_key"])}
+    rows = []
+    for shift in shifts:
+        turn = [shift[f"d_{axis}_deg"] for axis in "xyz"]
+        known = None not in turn
+        rows.append({
+            "vehicle": shift["vehicle"],
+            "before_log_key": shift["log_key"],
+            "after_log_key": shift["log_key"],
+            "before": columns["start"][row_of[shift["log_key"]]],
+            "after": shift["time"],
+            **{f"d_{axis}_deg": v for axis, v in zip("xyz", turn, strict=True)},
+            "size_deg": math.hypot(*turn) if known else None,
+            "found": True,
+            "found_s": shift["t_s"],
         })  # fmt: skip
     return rows
 

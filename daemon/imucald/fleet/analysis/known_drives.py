@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
+from datetime import UTC, datetime
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,6 +19,7 @@ KNOWN = ("usable", "fine")
 """States of drives whose mount counts: the others say that it is not known, or moving."""
 FLOOR_DEG2 = 1e-4
 """Least variance of a drive [deg^2], 0.01 deg: no estimate is better, whatever it says."""
+DAY_S = 86_400.0
 
 
 @dataclass(frozen=True)
@@ -27,6 +30,9 @@ class KnownDrives:
     vehicle's axes [deg^2] without the road crown's part. crown: (n,) standard deviation of that
     part [deg], a roll, common to a driving side. row: index into the table. vehicle: index into
     `vehicles`, ascending. kind: index into `kinds` (vehicle types), by vehicle. side: driving side.
+    is_after: (n,) whether it began when all earlier ones of its vehicle had ended; False: drives
+    that share some time, or have none, have no order. is_moved: (n,) whether a drive found
+    itself that the sensor was moved in it, or in one since the known drive before.
     """
 
     rotation: Rotation
@@ -38,6 +44,8 @@ class KnownDrives:
     vehicles: Sequence[str]
     kind: Index
     kinds: Sequence[str]
+    is_after: NDArray[np.bool_]
+    is_moved: NDArray[np.bool_]
 
     def __len__(self) -> int:
         """Return the number of drives."""
@@ -49,8 +57,11 @@ class KnownDrives:
         return np.flatnonzero(np.diff(self.vehicle, prepend=-1)).astype(np.int64)
 
 
-def known_drives(columns: Mapping[str, Sequence[object]]) -> KnownDrives:
-    """Take the drives out of the table's columns (in its order: by vehicle and time)."""
+def known_drives(columns: Mapping[str, Sequence[Any]], moved: Collection[str] = ()) -> KnownDrives:
+    """Take the drives out of the table's columns.
+
+    moved: keys of the drives, known or not, in which the sensor was moved.
+    """
     state = np.array(columns["state"], dtype=object)
     numbers = np.array(
         [columns[n] for n in ("q_x", "q_y", "q_z", "q_w", *_COVARIANCE, "crown_std_deg")],
@@ -58,10 +69,13 @@ def known_drives(columns: Mapping[str, Sequence[object]]) -> KnownDrives:
     ).T
     good = np.isin(state, KNOWN) & np.isfinite(numbers).all(axis=1)
     names = np.array([str(v) for v in columns["vehicle"]], dtype=object)
-    row = np.flatnonzero(good)
-    row = row[np.argsort(names[row], kind="stable")]
+    begin, end = _times(columns)
+    every = np.lexsort((begin, np.unique(names, return_inverse=True)[1]))
+    row = every[good[every]]
     numbers = numbers[row]
     vehicles, vehicle = np.unique(names[row], return_inverse=True)
+    is_after = _is_after(begin[row], end[row], vehicle)
+    shifts = np.cumsum([columns["log_key"][i] in moved for i in every])[good[every]]
     types = np.array([str(t or "unknown") for t in columns["vehicle_type"]], dtype=object)[row]
     kinds, kind_of_drive = np.unique(types, return_inverse=True)
     kind = np.zeros(len(vehicles), dtype=np.int64)
@@ -77,7 +91,50 @@ def known_drives(columns: Mapping[str, Sequence[object]]) -> KnownDrives:
         [str(v) for v in vehicles],
         kind,
         [str(k) for k in kinds],
+        is_after,
+        _is_moved(shifts, is_after, vehicle),
     )
+
+
+def _times(columns: Mapping[str, Sequence[Any]]) -> tuple[Array, Array]:
+    """When drives begin and end, as UNIX time [s].
+
+    One of a logger without a clock has its whole day, where the path says it; without a day too,
+    infinity.
+    """
+    begin, end = (np.array(columns[name], dtype=float) for name in ("start", "end"))
+    for i in np.flatnonzero(np.isnan(begin)).tolist():
+        day = columns["date"][i]
+        midnight = datetime.fromisoformat(day).replace(tzinfo=UTC).timestamp() if day else np.inf
+        begin[i], end[i] = midnight, midnight + DAY_S
+    return begin, end
+
+
+def _is_after(begin: Array, end: Array, vehicle: Index) -> NDArray[np.bool_]:
+    """See `KnownDrives`; drives are sorted by vehicle and begin."""
+    found = np.ones(len(begin), dtype=np.bool_)
+    latest = -np.inf
+    for i in range(len(begin)):
+        if i == 0 or vehicle[i] != vehicle[i - 1]:
+            latest = -np.inf
+        else:
+            found[i] = latest <= begin[i] < np.inf
+        latest = max(latest, end[i])
+    return found
+
+
+def _is_moved(shifts: Index, is_after: NDArray[np.bool_], vehicle: Index) -> NDArray[np.bool_]:
+    """See `KnownDrives`; shifts: (n,) how many were found until each drive's end.
+
+    What was found in one of several drives without an order shows after the last of them.
+    """
+    found = np.zeros(len(shifts), dtype=np.bool_)
+    before = 0
+    for i in range(1, len(shifts)):
+        same = vehicle[i] == vehicle[i - 1]
+        before = before if same and not is_after[i - 1] else i - 1
+        found[i] = bool(same and is_after[i] and shifts[i] > shifts[before])
+    return found
 
 
 _COVARIANCE = tuple(f"cov_{pair}_deg2" for pair in ("xx", "xy", "xz", "yy", "yz", "zz"))

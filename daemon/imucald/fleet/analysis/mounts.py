@@ -61,7 +61,8 @@ def segment_mounts(drives: KnownDrives, remounts: Remounts) -> Segments:
     segment = remounts.segment
     first = np.flatnonzero(np.diff(segment, prepend=-1))
     e = between(drives.rotation, drives.rotation[first[segment]])
-    mean, V = means(e, weights(drives, remounts.D, remounts.scale), segment)
+    W = weights(drives, remounts.D, remounts.scale)
+    mean, V = means(e, W, segment, drives.is_after)
     last = np.append(first[1:], len(drives)) - 1
     crown = np.add.reduceat(drives.crown, first) / (last - first + 1)
     rotation = turned(drives.rotation[first], mean)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from itertools import pairwise
 
@@ -21,8 +20,8 @@ Index = NDArray[np.int64]
 
 ROUNDS = 3
 LEAST_PAIRS = 3
-"""Pairs of drives in turn. D begins as their median: of fewer, one remount is the median or half of
-it, and so looks like what drives differ by."""
+"""Pairs of drives in turn, see `_pairs`. D begins as their median: of fewer, one remount is the
+median or half of it, and so looks like what drives differ by."""
 OWN_FREEDOM = 20
 """A type with fewer differences between drives has the D of all types together."""
 FREEDOMS = (5.0, 6.0, 8.0, 10.0, 14.0, 20.0, 30.0)
@@ -38,7 +37,7 @@ class Remounts:
 
     D: (kinds, 3) variance between drives [deg^2], components by type and axis. scale: by how much
     variances are larger than stated (1: as stated). segment: (n,) of each drive,
-    ascending over all vehicles.
+    ascending over all vehicles. Cuts where a drive itself found a move are no candidates.
     """
 
     drive: Index
@@ -57,17 +56,6 @@ class Remounts:
         return self.q <= MAX_Q
 
 
-def why_not_known(drives_of_vehicles: Iterable[int]) -> str:
-    """Why no remount could be found, from each vehicle's number of known drives; "": it could."""
-    pairs = sum(max(drives - 1, 0) for drives in drives_of_vehicles)
-    if pairs >= LEAST_PAIRS:
-        return ""
-    return (
-        f"too few drives: {pairs} of the {LEAST_PAIRS} pairs (two drives of a vehicle in turn with "
-        "a known mount) that show what drives differ by without a move"
-    )
-
-
 def find_remounts(drives: KnownDrives) -> Remounts:
     """Look for remounts in all vehicles; D is learnt on the way from what is none."""
     e = between(drives.rotation, drives.rotation[drives.first[drives.vehicle]])
@@ -84,8 +72,9 @@ def find_remounts(drives: KnownDrives) -> Remounts:
 
 
 def _pairs(drives: KnownDrives) -> Index:
-    """Index of each drive that follows another of its vehicle."""
-    return np.flatnonzero(np.diff(drives.vehicle, prepend=-1) == 0).astype(np.int64)
+    """Index of each drive that follows another of its vehicle, without a move that it found."""
+    same = np.diff(drives.vehicle, prepend=-1) == 0
+    return np.flatnonzero(same & drives.is_after & ~drives.is_moved).astype(np.int64)
 
 
 def _first_D(e: Array, drives: KnownDrives) -> Array:
@@ -153,15 +142,16 @@ def _null(e: Array, drives: KnownDrives, D: Array, cuts: Index) -> Null:
 
 def _cuts(e: Array, drives: KnownDrives, D: Array, null: Null) -> Remounts:
     W = weights(drives, D, null.widening)
-    bounds = [*drives.first.tolist(), len(drives)]
+    moved = np.flatnonzero(drives.is_moved).astype(np.int64)
+    bounds = [*np.union1d(drives.first, moved).tolist(), len(drives)]
     cuts = [
         start + cut
         for start, stop in pairwise(bounds)
-        for cut in candidates(e[start:stop], W[start:stop])
+        for cut in candidates(e[start:stop], W[start:stop], drives.is_after[start:stop])
     ]
     drive = np.array(cuts, dtype=np.int64)
-    segment = _segments(drives, drive)
-    mean, covariance = means(e, W, segment)
+    segment = _segments(drives, np.union1d(drive, moved))
+    mean, covariance = means(e, W, segment, drives.is_after)
     after = segment[drive]
     turn = mean[after] - mean[after - 1]
     spread = covariance[after] + covariance[after - 1]
@@ -172,7 +162,7 @@ def _cuts(e: Array, drives: KnownDrives, D: Array, null: Null) -> Remounts:
     padded = np.ones(max(len(_pairs(drives)), len(p)))
     padded[: len(p)] = p
     q = false_discovery_control(padded)[: len(p)] if len(padded) else p
-    segment = _segments(drives, drive[q <= MAX_Q])
+    segment = _segments(drives, np.union1d(drive[q <= MAX_Q], moved))
     return Remounts(drive, turn, spread, p, q, D, [], null.widening, segment)
 
 
@@ -185,9 +175,13 @@ def _segments(drives: KnownDrives, cuts: Index) -> Index:
 
 
 def _components(e: Array, drives: KnownDrives, segment: Index) -> list[list[VarianceComponent]]:
-    """D by type and axis; of all types together where a type shows too little."""
-    kind = drives.kind[drives.vehicle]
-    P = np.diagonal(drives.P, axis1=1, axis2=2)
+    """D by type and axis; of all types together where a type shows too little.
+
+    Segments with drives that have no order may hold a move, and are left out.
+    """
+    use = ~np.isin(segment, segment[~drives.is_after])
+    e, segment, kind = e[use], segment[use], drives.kind[drives.vehicle][use]
+    P = np.diagonal(drives.P, axis1=1, axis2=2)[use]
     pooled = [between_drives(e[:, a], P[:, a], segment) for a in range(3)]
     found = []
     for k in range(len(drives.kinds)):

@@ -21,10 +21,11 @@ CANDIDATE_P = 0.05
 """A vehicle without a remount gets a candidate so often."""
 
 
-def candidates(e: Array, W: Array) -> list[int]:
+def candidates(e: Array, W: Array, may: NDArray[np.bool_]) -> list[int]:
     """Cuts (index of the first drive after each) of one vehicle.
 
     e: (n, 3) rotation vectors [deg]. W: (n, 3, 3) inverse covariances of single drives [1/deg^2].
+    may: (n,) before which drives a cut may be.
     """
     n = len(e)
     if n < 2:
@@ -42,7 +43,7 @@ def candidates(e: Array, W: Array) -> list[int]:
     for end in range(1, n + 1):
         total = best[:end] + _costs(sums, end) + penalty
         before[end] = int(np.argmin(total))
-        best[end] = total[before[end]]
+        best[end] = total[before[end]] if end == n or may[end] else np.inf
     cuts = []
     place = int(before[n])
     while place > 0:
@@ -68,9 +69,21 @@ def _costs(sums: tuple[Array, Array, Array], end: int) -> Array:
     return np.asarray(eWe - np.einsum("ni,ni->n", We, mean))
 
 
-def means(e: Array, W: Array, segment: Index) -> tuple[Array, Array]:
-    """Weighted means (k, 3) and their covariances (k, 3, 3) of segments 0 ... k - 1, ascending."""
+def means(e: Array, W: Array, segment: Index, is_after: NDArray[np.bool_]) -> tuple[Array, Array]:
+    """Weighted means (k, 3) and their covariances (k, 3, 3) of segments 0 ... k - 1, ascending.
+
+    Drives of a segment that have no order (`KnownDrives.is_after`) may hold a move: what they
+    differ by beyond what they state is added to the covariance.
+    """
     starts = np.flatnonzero(np.diff(segment, prepend=-1))
     We = np.einsum("nij,nj->ni", W, e)
     covariance = np.linalg.inv(np.add.reduceat(W, starts, axis=0))
-    return np.einsum("kij,kj->ki", covariance, np.add.reduceat(We, starts, axis=0)), covariance
+    mean = np.einsum("kij,kj->ki", covariance, np.add.reduceat(We, starts, axis=0))
+    if not is_after.all():
+        count = np.diff(starts, append=len(e))[:, None]
+        spread = np.add.reduceat((e - mean[segment]) ** 2, starts) / np.maximum(count - 1, 1)
+        stated = np.diagonal(np.linalg.inv(W), axis1=1, axis2=2)
+        more = np.maximum(spread - np.add.reduceat(stated, starts) / count, 0.0)
+        more[np.logical_and.reduceat(is_after, starts)] = 0.0
+        covariance = covariance + more[:, :, None] * np.eye(3)
+    return mean, covariance
