@@ -20,12 +20,14 @@ from rich.console import Console
 from rich.text import Text
 
 from imucald.commands.live_events import LiveEvents
-from imucald.commands.monitor_view import monitor_picture
+from imucald.commands.monitor_view import input_health, monitor_picture
 from imucald.commands.status import exit_status
-from imucald.commands.status_view import headline, picture, short, waits_for
+from imucald.commands.status_view import headline, no_answer, picture, short, waits_for
+from imucald.core.errors import LinkError
 from imucald.mount.contradictions import WORDS, StandingFault
 from imucald.mount.estimate import ANGLES
 from imucald.runtime.flow import flow
+from imucald.service.asking import BusyError
 from imucald.service.journal import Journal
 from imucald.service.parts import ServiceOptions
 from imucald.service.recent_history import COLUMNS
@@ -87,6 +89,7 @@ SEEN_FIRST = {
     "the bus is down": ({"link": {"state": "down"}}, {}, "BUS DOWN"),
     "the bus takes nothing": ({}, {"send_failed": True}, "FRAMES NOT SENT"),
     "a stuck sensor": ({}, {"accelerometer_faulty": True}, "ACCELEROMETER FAULTY"),
+    "two calibrators": ({}, {"id_conflict": True}, "ANOTHER NODE SENDS OUR IDS"),
     "a suspect mount": ({"state": "suspect", "quality": 4}, {}, "SUSPECT"),
     "no mount yet": ({"state": "levelled", "quality": 0}, {}, "not yet"),
 }
@@ -108,7 +111,12 @@ def test_the_first_line_says_whether_corrected_frames_flow_now(status, case):
         if changed.get("state") is None and words != SEEN_FIRST["all is well"][2]:
             assert "(mount: fine)" in lines[0]
     assert flow(now).kind == {"all is well": "good", "no mount yet": "not yet"}.get(
-        case, {"a stuck sensor": "faulty", "a suspect mount": "suspect"}.get(case, "none")
+        case,
+        {
+            "a stuck sensor": "faulty",
+            "a suspect mount": "suspect",
+            "two calibrators": "conflict",
+        }.get(case, "none"),
     )
 
 
@@ -118,9 +126,14 @@ def test_a_known_mount_has_no_colour_while_nothing_flows(status):
     silent = status | {"state": "fine", "quality": 3, "silent_s": 25.0}
     silent["health"] = status["health"] | {"accelerometer_missing": True}
     console.print(headline(silent))
+    console.print(monitor_picture(silent, [], console, Text("")))
+    console.print(picture(silent))
+    dead = monitor_picture(status, [], console, Text(""), "the daemon has ended")
+    console.print(dead)
     text = console.file.getvalue()  # type: ignore[attr-defined]
     green = "\x1b[1;32m"
     assert f"{green}fine" not in text
+    assert "\x1b[32m" not in text
     console.print(headline(status | {"state": "fine", "quality": 3}))
     assert f"{green}fine" in console.file.getvalue()  # type: ignore[attr-defined]
 
@@ -128,6 +141,31 @@ def test_a_known_mount_has_no_colour_while_nothing_flows(status):
 def test_a_daemon_that_does_not_answer_is_the_first_line(status):
     lines = drawn(lambda c: monitor_picture(status, [], c, Text(""), "no such socket"), 80, 24)
     assert lines[0].startswith("NO ANSWER: no such socket")
+
+
+def test_an_ended_daemon_and_a_silent_one_are_named_with_the_time_of_the_last_answer():
+    gone, silent = LinkError("/run/x.sock: refused"), BusyError("no answer")
+    clock = time.strftime("%H:%M:%S", time.localtime(1.6e9))
+    ended = f"the daemon has ended; its last answer was at {clock}"
+    assert no_answer(gone, 1.6e9) == ended
+    assert no_answer(silent, 1.6e9) == ended.replace("has ended", "does not answer")
+    assert no_answer(gone, None) == "the daemon has ended: /run/x.sock: refused"
+
+
+def test_a_low_terminal_shows_what_is_wrong_with_events_and_foot(status):
+    status["health"] |= {"id_conflict": True}
+    status["progress"] = PROGRESS
+    status["mount"]["steep"] = "the angles of a steep mount go together: use the quaternion " * 2
+    events = events_of(status, status)
+    lines = drawn(lambda c: monitor_picture(status, events.events, c, Text("the foot")), 80, 24)
+    assert len(lines) <= 24
+    assert lines[-1].strip() == "the foot"
+    assert "now     another node sends our ids" in "\n".join(lines)
+    assert events.events[-1].clock in "\n".join(lines)
+
+
+def test_an_input_that_is_not_checked_is_not_green(status):
+    assert input_health(status, "speed", 50.0) == ("received, not checked", "dim")
 
 
 def test_one_line_has_flow_angles_and_what_is_waited_for(status):
@@ -513,7 +551,7 @@ def test_a_daemon_that_went_away_is_reported(status):
     state = LiveState()
     assert state.page() == {"trouble": "no answer yet"}
     state.update(status, 1.6e9)
-    state.fail("no socket")
+    state.fail(LinkError("no socket"))
     assert state.page()["trouble"] == "no socket"
     assert state.page()["state"] == "usable"
 

@@ -73,6 +73,7 @@ def _watch_on_terminal(path: Path, is_over: Callable[[], bool], note: str) -> No
 
     from imucald.commands.live_events import LiveEvents, logged_events
     from imucald.commands.monitor_view import monitor_picture
+    from imucald.commands.status_view import no_answer
     from imucald.commands.terminal import plain_console, plain_where_needed
     from imucald.core.errors import LinkError
     from imucald.service.asking import ask
@@ -84,7 +85,7 @@ def _watch_on_terminal(path: Path, is_over: Callable[[], bool], note: str) -> No
     view = Live(
         console=console, auto_refresh=False, screen=console.is_terminal, vertical_overflow="crop"
     )
-    status, is_last = None, False
+    status, is_last, last = None, False, None
     with contextlib.suppress(KeyboardInterrupt), view as live:
         while not is_last:
             is_last = is_over()
@@ -93,9 +94,10 @@ def _watch_on_terminal(path: Path, is_over: Callable[[], bool], note: str) -> No
                 if status is None:
                     events.remember(logged_events(path))
                 status = json.loads(ask(path, "status"))
-                events.update(status, time.time())
+                last = time.time()
+                events.update(status, last)
             except (LinkError, ValueError) as error:
-                trouble = str(error)
+                trouble = no_answer(error, last)
             if status is not None:
                 picture = monitor_picture(status, events.events, console, foot, trouble)
                 live.update(picture, refresh=True)

@@ -12,7 +12,7 @@ from rich.text import Text
 
 from imucald.commands.live_events import LiveEvent
 from imucald.commands.mount_view import BAR, mount_parts
-from imucald.commands.status_view import facts, headline
+from imucald.commands.status_view import facts, headline, is_stale, wrong_now
 from imucald.mount.mount_words import left_out_words
 
 BESIDE = 120
@@ -45,9 +45,10 @@ def monitor_picture(
     trouble: why the daemon does not answer; the rest is what it said last.
     """
     width, height = console.size
-    mount = Group(*mount_parts(status, BAR if width < BESIDE else LONG_BAR))
-    top: list[RenderableType] = [headline(status, trouble), Padding(mount, (1, 0))]
-    inputs: RenderableType = inputs_table(status)
+    is_grey = is_stale(status, trouble)
+    mount = list(mount_parts(status, BAR if width < BESIDE else LONG_BAR, is_grey))
+    top: list[RenderableType] = [headline(status, trouble), Padding(Group(*mount), (1, 0))]
+    inputs: RenderableType = inputs_table(status, is_grey)
     wanted = (*FACTS, LEFT_OUT) if left_out_words(status["details"]) else FACTS
     below: list[RenderableType] = [Padding(facts(status, wanted), (1, 0, 0, 0)), foot]
     if width >= BESIDE:
@@ -60,11 +61,17 @@ def monitor_picture(
         grid.add_row(inputs, events_table(shown))
         return Group(*top, grid, *below)
     left = height - _lines(console, *top, inputs, *below) - 1
-    if left < LEAST_EVENTS:  # a low terminal: what comes in as one line, and no figures
+    if left < LEAST_EVENTS:  # a low terminal: what comes in and what is wrong as one line each
+        wrong = wrong_now(status)
+        below = [*([Text(f"now     {wrong}", style="red")] if wrong else []), foot]
         inputs = Text(_short(status))
-        below = [foot]
-        left = height - _lines(console, *top, inputs, *below) - 1
-    shown = _fitting(console, events, max(left, LEAST_EVENTS), width)
+        while True:
+            top = [headline(status, trouble), Group(*mount)]
+            left = height - _lines(console, *top, inputs, *below) - 1
+            if left >= LEAST_EVENTS or len(mount) == 1:
+                break
+            mount.pop()  # the last is what helps least
+    shown = _fitting(console, events, left, width)
     return Group(*top, inputs, Padding(events_table(shown), (1, 0, 0, 0)), *below)
 
 
@@ -88,7 +95,7 @@ def _short(status: Mapping[str, Any]) -> str:
     return "inputs  " + (", ".join(f"{c} {row['rate_hz'] or 0:.4g}/s" for c, row in rows) or "none")
 
 
-def inputs_table(status: Mapping[str, Any]) -> Table:
+def inputs_table(status: Mapping[str, Any], is_grey: bool = False) -> Table:
     """What comes in: rate, samples so far, health."""
     table = Table(box=None, pad_edge=False)
     table.add_column("input")
@@ -97,6 +104,7 @@ def inputs_table(status: Mapping[str, Any]) -> Table:
     table.add_column("health")
     for channel, row in status["signals"].items():
         words, style = input_health(status, channel, row["rate_hz"])
+        style = "dim" if is_grey and style == "green" else style
         rate = "-" if row["rate_hz"] is None else f"{row['rate_hz']:.4g}/s"
         table.add_row(channel, rate, str(row["samples"]), Text(words, style=style))
     if not status["signals"]:
@@ -114,7 +122,7 @@ def input_health(status: Mapping[str, Any], channel: str, rate: float | None) ->
         return words, "bold red"
     if not rate:
         return "silent", "red"
-    return ("sound" if faults is not None else "received, not checked"), "green"
+    return ("sound", "green") if faults is not None else ("received, not checked", "dim")
 
 
 def events_table(events: Sequence[LiveEvent]) -> Table:

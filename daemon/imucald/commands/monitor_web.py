@@ -25,6 +25,7 @@ from msgspec.structs import asdict
 
 from imucald.commands.live_events import LiveEvents, logged_events
 from imucald.commands.monitor_view import input_health
+from imucald.commands.status_view import is_stale, no_answer
 from imucald.core.errors import ImucaldError, LinkError
 from imucald.core.libraries import how_to_install
 from imucald.core.rotations import Matrix3, rows_from_quaternion
@@ -77,13 +78,14 @@ class LiveState:
         self._note = note
         self._status: dict[str, Any] | None = None
         self._trouble = ""
+        self._last: float | None = None
         self._events = LiveEvents()
         self._columns: list[str] = []
         self._rows: deque[list[Any]] = deque(maxlen=KEPT)
 
     def update(self, status: dict[str, Any], now: float) -> None:
         """Take a status at wall clock `now` [s]."""
-        self._status, self._trouble = status, ""
+        self._status, self._trouble, self._last = status, "", now
         self._events.update(status, now)
 
     def remember(self, events: Sequence[Mapping[str, Any]]) -> None:
@@ -105,9 +107,9 @@ class LiveState:
         """Whether a daemon has answered."""
         return self._status is not None
 
-    def fail(self, text: str) -> None:
+    def fail(self, error: Exception) -> None:
         """The daemon did not answer."""
-        self._trouble = text
+        self._trouble = no_answer(error, self._last)
 
     def page(self, since: float = -math.inf) -> dict[str, Any]:
         """Everything that the page needs, as JSON; since: of the history, rows after that time."""
@@ -174,7 +176,7 @@ def _angle(status: Mapping[str, Any], i: int) -> dict[str, Any]:
         "name": name, "value": value, "spread": spread,
         "turn": VEHICLE_AXES[i], "left": plus_minus(std),
         "target": f"{goal} below {plus_minus(limit)}" if limit else "",
-        "reached": std is not None and limit is not None and std < limit,
+        "reached": std is not None and limit is not None and std < limit and not is_stale(status),
     }  # fmt: skip
 
 
@@ -195,7 +197,8 @@ def _input(status: Mapping[str, Any], channel: str, row: Mapping[str, Any]) -> d
         "rate": row["rate_hz"],
         "samples": row["samples"],
         "health": words,
-        "good": style == "green",
+        "good": style == "green" and not is_stale(status),
+        "bad": style not in ("green", "dim"),
     }
 
 
@@ -250,7 +253,7 @@ async def _ask(path: Path, state: LiveState) -> None:
             state.remember(await asyncio.to_thread(logged_events, path))
         state.update(status, time.time())
     except (LinkError, ValueError) as error:
-        state.fail(str(error))
+        state.fail(error)
         return
     with contextlib.suppress(LinkError, ValueError, LookupError):  # an older daemon has none
         history = await asyncio.to_thread(ask, path, f"history {state.newest}")

@@ -28,13 +28,16 @@ BAR = 24
 """Columns of a bar."""
 
 
-def mount_parts(result: Mapping[str, Any], bar: int = BAR) -> Iterator[Table | Text]:
+def mount_parts(
+    result: Mapping[str, Any], bar: int = BAR, is_stale: bool = False
+) -> Iterator[Table | Text]:
     """Yield the table, how the sensor sits, what is left, what is missing, and what "±" means.
 
     result: as in docs/json.md, or a status (of an older daemon too). bar: columns of the bars.
+    is_stale: nothing flows now, so that no target is shown as reached.
     """
     mount, progress = result["mount"], result.get("progress")
-    yield _table(mount, progress)
+    yield _table(mount, progress, is_stale)
     for key, style in (("sits", ""), ("steep", "yellow"), ("mirrored", "yellow")):
         if mount.get(key):
             yield Text(mount[key], style=style)
@@ -65,7 +68,7 @@ def _gates(progress: Mapping[str, Any], bar: int) -> Table:
     return table
 
 
-def _table(mount: Mapping[str, Any], progress: Mapping[str, Any] | None) -> Table:
+def _table(mount: Mapping[str, Any], progress: Mapping[str, Any] | None, is_stale: bool) -> Table:
     table = Table(box=None, pad_edge=False)
     table.add_column("mount", min_width=6)
     table.add_column("angle", justify="right", min_width=8)
@@ -79,6 +82,6 @@ def _table(mount: Mapping[str, Any], progress: Mapping[str, Any] | None) -> Tabl
         goal, limit = target(mount, axis, progress)
         reached = std is not None and limit is not None and std < limit
         text = Text(f"{goal} below {plus_minus(limit)}" if limit else "")
-        text.style = "green" if reached else ""
+        text.style = "dim" if is_stale else "green" if reached else ""
         table.add_row(angle, *angle_cells(mount, angle), "", turn, plus_minus(std), text)
     return table

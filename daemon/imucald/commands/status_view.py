@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Collection, Mapping
 from typing import Any
 
@@ -11,6 +12,7 @@ from rich.table import Table
 from rich.text import Text
 
 from imucald.commands.mount_view import mount_parts
+from imucald.core.errors import LinkError
 from imucald.core.text import clock, counted
 from imucald.mount.hysteresis import BAD
 from imucald.mount.mount_words import (
@@ -23,6 +25,7 @@ from imucald.mount.mount_words import (
 )
 from imucald.runtime.drive_events import STATE_WORDS
 from imucald.runtime.flow import FlowKind, flow, is_starting, present_alarms
+from imucald.service.asking import BusyError
 
 STYLES = {
     "usable": "green",
@@ -38,6 +41,7 @@ FLOW_STYLES = {
     FlowKind.NOT_YET: "yellow",
     FlowKind.SUSPECT: "bold red",
     FlowKind.FAULTY: "bold red",
+    FlowKind.CONFLICT: "bold white on red",
     FlowKind.NONE: "bold white on red",
 }
 SILENT = frozenset({FlowKind.NONE, FlowKind.STARTING})
@@ -75,7 +79,7 @@ def _still_missing(status: Mapping[str, Any]) -> list[str]:
 
 def picture(status: Mapping[str, Any]) -> Group:
     """Return the whole status, for any width."""
-    mount = Group(*mount_parts(status))
+    mount = Group(*mount_parts(status, is_stale=is_stale(status)))
     return Group(headline(status), Padding(mount, (1, 0)), facts(status))
 
 
@@ -93,16 +97,32 @@ def headline(status: Mapping[str, Any], trouble: str = "") -> Text:
         text.append(f"{now.text}\n", style=FLOW_STYLES[now.kind])
     text.append("imucald ", style="bold")
     text.append(f"{status['version']} on {link['channel']}")
-    text.append(f" ({link['state']})", style="green" if link["state"] == "up" else "bold red")
+    is_grey = is_stale(status, trouble)
+    up = "dim" if is_grey else "green"
+    text.append(f" ({link['state']})", style=up if link["state"] == "up" else "bold red")
     text.append(f", {status['vehicle']}, up {clock(status['uptime_s'])}\nmount  ")
-    is_silent = bool(trouble) or now.kind in SILENT
-    text.append(state, style="dim" if is_silent else STYLES.get(state, "yellow"))
+    text.append(state, style="dim" if is_grey else STYLES.get(state, "yellow"))
     if status.get("held"):
         text.append("   held: nothing is learnt", style="bold yellow")
     for name in ("usable", "fine") if state != "restored" else ():
         if (after := status[f"first_{name}_s"]) is not None:
             text.append(f"   {name} after {clock(after)}")
     return text
+
+
+def is_stale(status: Mapping[str, Any], trouble: str = "") -> bool:
+    """Whether nothing flows now, so that nothing may look good; trouble: see `headline`."""
+    return bool(trouble) or flow(status).kind in SILENT
+
+
+def no_answer(error: Exception, last: float | None) -> str:
+    """Why a daemon does not answer, in words; last: time of day of its last answer [s]."""
+    words = "the daemon has ended"
+    if isinstance(error, BusyError) or not isinstance(error, LinkError):
+        words = "the daemon does not answer"
+    if last is None:
+        return f"{words}: {error}"
+    return f"{words}; its last answer was at {time.strftime('%H:%M:%S', time.localtime(last))}"
 
 
 def facts(status: Mapping[str, Any], wanted: Collection[str] = ()) -> Table:
@@ -119,10 +139,15 @@ def facts(status: Mapping[str, Any], wanted: Collection[str] = ()) -> Table:
     return grid
 
 
+def wrong_now(status: Mapping[str, Any]) -> str:
+    """What is wrong now, in one line; "": nothing."""
+    return "; ".join([*present_alarms(status).values(), *_troubles(status)])
+
+
 def _rows(status: Mapping[str, Any]) -> dict[str, str | Text]:
     link, frames, process = status["link"], status["frames"], status["process"]
     rates = [f"{c} {row['rate_hz']:.4g}/s" for c, row in status["signals"].items()]
-    wrong = [*present_alarms(status).values(), *_troubles(status)]
+    wrong = wrong_now(status)
     well = "starting: no samples yet" if is_starting(status) else ""
     rejected = [f"{reason} {n}" for reason, n in frames["rejected"].items()]
     rss = "?" if process["rss_bytes"] is None else f"{process['rss_bytes'] / 2**20:.0f} MiB"
@@ -133,7 +158,7 @@ def _rows(status: Mapping[str, Any]) -> dict[str, str | Text]:
         "weights": _weights(status["details"]),
         "not learnt from": left_out_words(status["details"]) or "nothing so far",
         "frames": f"{frames['used']} used, {status['frames_given_out']} sent",
-        "now": Text("; ".join(wrong) or well or "nothing wrong", style="red" if wrong else ""),
+        "now": Text(wrong or well or "nothing wrong", style="red" if wrong else ""),
         "sensors": _sensors(status),
         "losses": f"{link['lost']} lost, {link.get('late', 0)} late, "
         f"{sum(link['send_errors'].values())} not sent, "

@@ -73,10 +73,12 @@ class FlowKind(StrEnum):
     SUSPECT = "suspect"
     FAULTY = "faulty"
     """Frames without numbers, as the accelerometer is faulty."""
+    CONFLICT = "conflict"
+    """Frames of ours, and another node's under the same identifiers."""
     NONE = "none"
 
 
-TROUBLE = frozenset({FlowKind.SUSPECT, FlowKind.FAULTY, FlowKind.NONE})
+TROUBLE = frozenset({FlowKind.SUSPECT, FlowKind.FAULTY, FlowKind.CONFLICT, FlowKind.NONE})
 """Somebody has to do something."""
 
 
@@ -92,6 +94,9 @@ def flow(status: Mapping[str, Any]) -> Flow:
     state, quality = status["state"], status["quality"]
     if (cause := _why_none(status)) is not None:
         return Flow(FlowKind.NONE, f"{cause}: no corrected frames (mount: {state})")
+    if "id_conflict" in present_alarms(status):
+        text = f"ANOTHER NODE SENDS OUR IDS: its frames come as ours (mount: {state})"
+        return Flow(FlowKind.CONFLICT, text)
     if is_starting(status):
         return Flow(FlowKind.STARTING, "starting: no corrected frames yet")
     if "accelerometer_faulty" in present_alarms(status):

@@ -13,7 +13,7 @@ const gateRow = (g) => `<tr><td>${escaped(g.gate)}</td><td class="bar"><div><i c
 function inputRow(r) {
   const rate = r.rate === null ? "-" : `${Number(r.rate.toPrecision(4))}/s`;
   return `<tr><td>${escaped(r.name)}</td><td class="n">${rate}</td><td class="n">${r.samples}</td>` +
-    `<td class="${r.good ? "good" : "bad"}">${escaped(r.health)}</td></tr>`;
+    `<td class="${r.good ? "good" : r.bad ? "bad" : ""}">${escaped(r.health)}</td></tr>`;
 }
 
 const STEPS_S = [5, 10, 15, 30, 60, 120, 300, 600, 900];
@@ -122,6 +122,7 @@ function show(live) {
   if (live.progress) { byId("goal").textContent = `To ${live.progress.goal}`; byId("gates").innerHTML = live.progress.gates.map(gateRow).join(""); }
   byId("inputs").innerHTML = live.inputs.map(inputRow).join("");
   const f = live.frames, rejected = Object.entries(live.rejected).map(([k, n]) => `${k.replace(/_/g, " ")} ${n}`).join(", ") || "none";
+  byId("frames").className = f.conflicts ? "bad" : "";
   byId("frames").textContent = `${f.used} frames used, ${f.given_out} given out, ${f.lost} lost, ${f.not_sent} not sent, ${f.conflicts} in conflict; rejected: ${rejected}${live.left_out ? `; not learnt from: ${live.left_out}` : ""}`;
   byId("eventrows").innerHTML = [...live.events].reverse().map((e) => `<tr><td class="n">${e.at}</td><td>${e.kind}</td><td>${escaped(e.text)}</td></tr>`).join("");
   byId("note").textContent = live.note;
