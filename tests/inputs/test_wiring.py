@@ -128,9 +128,13 @@ MISTAKES = {
         "messages:\n  ACC: {checksum: {kind: e2e_p1}}  # here",
         ["checksum e2e_p1: needs 'data_id:'"],
     ),
+    "quoted number": (
+        'vehicle: {wheelbase: "2.68"}  # here',
+        ["must be a number", "remove the quotes"],
+    ),
     "output id": (
         "output:\n  ids: {health: 0x100}  # here",
-        ["0x100 is both an input and an output"],
+        ["0x100 is output 'health' and also input message ACC"],
     ),
 }
 
@@ -144,6 +148,11 @@ def test_a_mistake_is_reported_with_line_reason_and_remedy(name, tmp_path):
     assert f"config.yaml:{line}:" in message
     for part in expected:
         assert part in message
+
+
+def test_a_database_that_is_not_there_is_reported_with_what_paths_are_relative_to(tmp_path):
+    found = mistake("database: gone.dbc\nsignals:\n  accelerometer: {x: A.X, y: A.Y}\n", tmp_path)
+    assert "No such file or directory; paths are relative to the configuration file" in found
 
 
 def test_a_planar_accelerometer_must_come_in_one_message(tmp_path):

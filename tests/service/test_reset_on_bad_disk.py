@@ -87,6 +87,7 @@ def test_a_reset_is_tried_again_until_the_disk_takes_it(kept, disk, tmp_path):
     disk.on = True
     assert kept.keeper.forget() == "Read-only file system"
     assert kept.keeper.status()["to_be_forgotten"]
+    assert kept.keeper.status()["generation"] == 0, "it is not what a reset counts as saved"
     assert loaded(tmp_path) == state(2.0)
     time.sleep(0.1)
     assert kept.keeper.writer.failures > 1

@@ -237,7 +237,8 @@ def _weights(details: Mapping[str, Any]) -> str:
 def _saved(saved: Mapping[str, Any]) -> Text:
     if saved["folder"] is None:
         return Text("nowhere (no --state-dir)")
-    text = Text(f"generation {saved['generation']} in {saved['folder']}")
+    what = f"generation {saved['generation']}" if saved["generation"] else "nothing"
+    text = Text(f"{what} in {saved['folder']}")
     for problem in saved["problems"]:
         text.append(f"\n{problem}", style="yellow")
     if saved["last_error"]:

@@ -220,7 +220,19 @@ def _reason(value: Any, kind: Any, text: str) -> str:
     else:
         reason = _plain(text.partition(" - at `")[0]) + _keys(value, kind)
     is_plain = isinstance(value, str | int | float | bool) or value is None
-    return f"{reason} (here: {value!r})" if is_plain else reason
+    remedy = "; remove the quotes" if isinstance(value, str) and _is_number(value, text) else ""
+    return f"{reason} (here: {value!r}){remedy}" if is_plain else reason
+
+
+def _is_number(value: str, text: str) -> bool:
+    """Whether a number that is wanted stands in quotes; text: of msgspec."""
+    if "`float`" not in text and "`int" not in text:
+        return False
+    try:
+        float(value)
+    except ValueError:
+        return False
+    return True
 
 
 def _keys(value: Any, kind: Any) -> str:

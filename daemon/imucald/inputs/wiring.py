@@ -66,10 +66,12 @@ def load_databases(loaded: LoadedConfig) -> list[LoadedDatabase]:
     found = []
     for i, entry in enumerate(loaded.config.database):
         place: Place = ("database", i)
+        path = loaded.database_path(entry)
         try:
-            database = load_database([loaded.database_path(entry)])
+            database = load_database([path])
         except DatabaseError as error:
-            raise loaded.error(place, str(error)) from None
+            remedy = "" if path.exists() else "; paths are relative to the configuration file"
+            raise loaded.error(place, f"{error}{remedy}") from None
         found.append(LoadedDatabase(entry, database, place))
     return found
 

@@ -86,9 +86,15 @@ def angle_text(value: float | None, std_deg: float | None) -> str:
 
 def angle_cells(mount: Mapping[str, Any], angle: str) -> tuple[str, str]:
     """The same in two cells; mount: as in docs/json.md (of an older daemon too: without ±)."""
-    text = angle_text(mount[f"{angle}_deg"], mount.get("angle_std_deg", {}).get(angle))
+    text = angle_text(mount[f"{angle}_deg"], _angle_std(mount, angle))
     value, _, spread = text.partition(" ")
     return value, spread or "-"
+
+
+def _angle_std(mount: Mapping[str, Any], angle: str) -> float | None:
+    """Deviation [deg] of an angle; an older daemon does not say it."""
+    std: float | None = mount.get("angle_std_deg", {}).get(angle)
+    return std
 
 
 def judged_std(mount: Mapping[str, Any], axis: str) -> float | None:
@@ -145,7 +151,8 @@ def angles_line(mount: Mapping[str, Any]) -> str:
     """`roll +14.40° ±1.10°, pitch ..., yaw ...`: what was asked for; "" before it is known."""
     if mount["quaternion_wxyz"] is None:
         return ""
-    return ", ".join(" ".join((name, *angle_cells(mount, name))).rstrip(" -") for name in ANGLES)
+    texts = ((name, angle_text(mount[f"{name}_deg"], _angle_std(mount, name))) for name in ANGLES)
+    return ", ".join(f"{name} {'not known' if text == '-' else text}" for name, text in texts)
 
 
 def how_it_sits(estimate: MountEstimate) -> str | None:

@@ -6,11 +6,12 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from msgspec.structs import astuple, replace
+from msgspec.structs import asdict, astuple, replace
 
-from imucald.can.columns import CAN_EFF_MASK, IdMatch
+from imucald.can.columns import CAN_EFF_MASK
 from imucald.config import LoadedConfig, load_config
 from imucald.core.errors import ConfigError, EstimateError
+from imucald.inputs.router import Router
 from imucald.inputs.wiring import compile_router
 from imucald.mount.estimate import MountEstimator
 from imucald.runtime.engine import Engine
@@ -51,7 +52,7 @@ def make_engine(
     config = loaded.config
     router = compile_router(loaded)
     output = OutputFrames(config)
-    _refuse_shared_ids(loaded, output, router.matches)
+    _refuse_shared_ids(loaded, output, router)
     if (text := against_orientation(config.calibration.mount, config.calibration)) is not None:
         raise loaded.error(("calibration", "mount"), text)
     compensation = open_compensation(loaded)
@@ -105,14 +106,21 @@ def open_compensation(loaded: LoadedConfig) -> ModelCompensation | None:
     return found.with_speed_delay(loaded.config.calibration.speed_delay)
 
 
-def _refuse_shared_ids(loaded: LoadedConfig, output: OutputFrames, inputs: list[IdMatch]) -> None:
+def _refuse_shared_ids(loaded: LoadedConfig, output: OutputFrames, router: Router) -> None:
     taken = dict.fromkeys(astuple(loaded.config.output.ids), "an output frame")
     for index, sensor in enumerate(loaded.config.signals.parallel):
         if sensor.id in taken:
             text = f"0x{sensor.id:X} is already the id of {taken[sensor.id]}; choose another"
             raise loaded.error(("signals", "parallel", index, "id"), text)
         taken[sensor.id] = f"parallel sensor {sensor.name}"
+    ids = asdict(loaded.config.output.ids)
+    names = {can_id: f"output '{name}'" for name, can_id in ids.items()}
+    names |= {one.id: f"output of '{one.name}'" for one in loaded.config.signals.parallel}
     for can_id in sorted(output.can_ids):
-        if any(not (can_id ^ match.can_id) & match.full_mask for match in inputs):
-            text = f"0x{can_id & CAN_EFF_MASK:X} is both an input and an output id; choose another"
+        for route in router.routes:
+            if (can_id ^ route.match.can_id) & route.match.full_mask:
+                continue
+            number = can_id & CAN_EFF_MASK
+            mine = names.get(number, "an output frame")
+            text = f"0x{number:X} is {mine} and also input message {route.name}: choose another id"
             raise loaded.error(("output", "ids"), text)

@@ -316,7 +316,7 @@ class CalibrationStore:
         """What `imucald status` shows of it."""
         return {
             "folder": str(self.store.folder),
-            "generation": self.store.generation,
+            "generation": 0 if self.store.is_empty else self.store.generation,
             "restored_at_start": self.restored,
             **self.writer.status(),
             "to_be_forgotten": not self.store.is_forgotten,

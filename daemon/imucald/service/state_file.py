@@ -126,6 +126,8 @@ class StateStore:
         self.key = key
         self.generation = 0
         """Of the newest one saved, loaded or forgotten."""
+        self.is_empty = True
+        """Whether nothing is saved: nothing was, or all was forgotten since."""
         self.era = 0
         """Goes up when all that was saved is forgotten; a save of an earlier era comes too late."""
         self._forgotten: set[int] = set()
@@ -154,7 +156,7 @@ class StateStore:
             highest = max(highest, number)
             if best is None or number > generation:
                 best, generation = state, number
-        self.generation = highest
+        self.generation, self.is_empty = highest, best is None
         return Loaded(best, generation, tuple(problems))
 
     def save(self, state: SavedState, era: int | None = None) -> None:
@@ -172,7 +174,7 @@ class StateStore:
                 unfinished.unlink()
                 return
             put_in_place(unfinished, path)
-            self.generation = generation
+            self.generation, self.is_empty = generation, False
             self._forgotten.discard(generation % 2)
         self.sync()
 
@@ -199,6 +201,7 @@ class StateStore:
         """
         with self._renaming:
             self.era += 1
+            self.is_empty = True
             self._forgotten.update(SLOTS)
         self.set_aside_forgotten()
 
