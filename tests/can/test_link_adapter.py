@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import os
 import socket
 import sys
 import time
@@ -315,16 +316,19 @@ def test_a_damaged_record_of_a_serial_adapter(monkeypatch: pytest.MonkeyPatch) -
     monkeypatch.delitem(sys.modules, "can.interfaces.slcan", raising=False)
 
 
+SOUND = {
+    **dict.fromkeys(("is_extended_id", "is_remote_frame", "is_error_frame"), False),
+    **dict.fromkeys(("is_fd", "bitrate_switch", "error_state_indicator"), False),
+    **{"timestamp": 1.0, "arbitration_id": 0x201, "channel": None, "dlc": 2, "data": b"ab"},
+}
+"""A frame as python-can puts it into a datagram."""
+
+
 def test_datagrams_that_are_no_frames_neither_end_nor_reopen_a_multicast_bus() -> None:
     msgpack = pytest.importorskip("msgpack")
     group = "239.74.163.77"
-    sound = {
-        **dict.fromkeys(("is_extended_id", "is_remote_frame", "is_error_frame"), False),
-        **dict.fromkeys(("is_fd", "bitrate_switch", "error_state_indicator"), False),
-        **{"timestamp": 1.0, "arbitration_id": 0x201, "channel": None, "dlc": 2, "data": b"ab"},
-    }
     hostile = [
-        msgpack.packb(sound | change)
+        msgpack.packb(SOUND | change)
         for change in (
             {"arbitration_id": 513.0},
             {"arbitration_id": 513.0, "is_remote_frame": True},
@@ -339,7 +343,7 @@ def test_datagrams_that_are_no_frames_neither_end_nor_reopen_a_multicast_bus() -
         pytest.skip(f"no multicast here: {error}")
     with link, socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as out:
         out.setsockopt(socket.IPPROTO_IP, socket.IP_MULTICAST_TTL, 0)
-        for datagram in (*hostile, b"junk", b"", msgpack.packb(sound)):
+        for datagram in (*hostile, b"junk", b"", msgpack.packb(SOUND)):
             out.sendto(datagram, (group, 43113))
         end, frames = time.monotonic() + 2.0, []
         while not frames and time.monotonic() < end:
@@ -349,6 +353,26 @@ def test_datagrams_that_are_no_frames_neither_end_nor_reopen_a_multicast_bus() -
         assert [data for _, _, data in frames] == [b"ab"]
         assert link.counters.rejected >= len(hostile)
         assert (link.counters.reopened, link.state) == (0, LinkState.UP)
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="what Linux does with groups of one port")
+def test_a_multicast_group_does_not_hear_another_one_on_its_port() -> None:
+    msgpack = pytest.importorskip("msgpack")
+    other, group = f"239.211.19.{os.getpid() % 250}", f"239.74.163.{os.getpid() % 250}"
+    wanted = [IdMatch(0x201, CAN_SFF_MASK)]
+    try:
+        links = [Link("udp_multicast", name, receive=wanted) for name in (other, group)]
+    except LinkError as error:
+        pytest.skip(f"no multicast here: {error}")
+    frame = msgpack.packb(SOUND)
+    with links[0] as there, links[1] as here, socket.socket(type=socket.SOCK_DGRAM) as out:
+        out.setsockopt(socket.IPPROTO_IP, socket.IP_MULTICAST_TTL, 0)
+        out.sendto(frame, (other, 43113))
+        if not there.receive(2.0):
+            pytest.skip("multicast does not come back here")
+        assert here.receive(0.3) == []
+        out.sendto(frame, (group, 43113))
+        assert len(here.receive(2.0)) == 1
 
 
 def test_a_descriptor_is_none_whatever_a_driver_that_has_gone_raises(

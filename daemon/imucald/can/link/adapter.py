@@ -18,6 +18,9 @@ from __future__ import annotations
 
 import errno
 import math
+import os
+import socket
+import sys
 import time
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
@@ -85,7 +88,11 @@ FAILURE_PAUSE_S = 0.002
 MAX_STAMP = 2**53 / 1e6
 """Up to there a float holds whole microseconds [s]: until the year 2255."""
 
-ECHOING = ("udp_multicast",)
+MULTICAST = "udp_multicast"
+IP_MULTICAST_ALL, IPV6_MULTICAST_ALL = 49, 29
+"""Of linux/in.h and linux/in6.h; Python does not name them."""
+
+ECHOING = (MULTICAST,)
 """Interfaces of python-can that hand back what we sent without a mark."""
 
 _IN_MEMORY = ("virtual",)  # no filter of their own; the link's is quicker than python-can's
@@ -144,6 +151,8 @@ class Adapter:
         except Exception as error:  # CanError, ValueError, or what else a driver knows
             text = f"interface {interface!r}, channel {channel!r}: {_reason(error)}"
             raise OSError(text) from error
+        if interface == MULTICAST and sys.platform == "linux":
+            _hear_own_group_only(self._bus.fileno())
 
     def fileno(self) -> int | None:
         """Return a descriptor that is readable when frames wait, None where there is none."""
@@ -249,6 +258,15 @@ class Adapter:
     def is_up(self) -> bool:
         """Whether the interface is up: adapters are, while open."""
         return True
+
+
+def _hear_own_group_only(descriptor: int) -> None:
+    """Linux gives every socket of a port the datagrams of all groups that anybody joined."""
+    with socket.socket(fileno=os.dup(descriptor)) as same:
+        if same.family == socket.AF_INET6:
+            same.setsockopt(socket.IPPROTO_IPV6, IPV6_MULTICAST_ALL, 0)
+        else:
+            same.setsockopt(socket.IPPROTO_IP, IP_MULTICAST_ALL, 0)
 
 
 def _filter(match: IdMatch) -> Any:
