@@ -9,6 +9,7 @@ from replayed_drive import config
 
 import imucald
 import shuttle
+from imucald.api.between_drives import notes_between
 from imucald.api.drives import names_apart
 
 
@@ -47,6 +48,34 @@ def test_several_logs_are_several_drives(tmp_path):
     assert pickle.loads(pickle.dumps(found)).to_dict() == found.to_dict()
     joined = imucald.replay(loaded, names[:2], joined=True, signals=False)
     assert joined.to_dict()["frames"]["read"] == sum(d.frames["read"] for d in found.drives[:2])
+
+
+def test_drives_that_overlap_have_no_order_and_so_no_move_between_them(tmp_path):
+    names = []
+    for name, t0, yaw_deg in (("a", 1.6e9, 25.0), ("b", 1.6e9 + 10, 35.0), ("c", 1.6e9 + 20, 25.0)):
+        first = shuttle.write(tmp_path, yaw_deg=yaw_deg, t0=t0)
+        names.append((tmp_path / "shuttle.log").rename(tmp_path / f"{name}.log"))
+    found = imucald.replay(imucald.Config.load(first), names, signals=False)
+    assert sum("begins" in note for note in found.notes) == 2
+    assert not any("moved" in note for note in found.notes)
+
+
+def test_a_move_within_a_drive_is_none_between_it_and_the_one_before(tmp_path, monkeypatch):
+    drives = []
+    for t0, yaw_deg in ((1.6e9, 25.0), (1.6e9 + 1000, 35.0)):
+        first = shuttle.write(tmp_path, yaw_deg=yaw_deg, t0=t0)
+        drives.append(imucald.replay(imucald.Config.load(first), tmp_path / "shuttle.log"))
+    (between,) = notes_between(drives)
+    assert "was moved between" in between
+    shift = {"t": 396.0, "within_deg": None}
+    result = drives[1].to_dict()
+    result["details"]["shifts"] = [shift]
+    monkeypatch.setattr(type(drives[1]), "to_dict", lambda _: result)
+    notes = list(notes_between(drives))
+    within = notes[-1]
+    assert not any("was moved between" in note for note in notes)
+    assert "was moved within" in within
+    assert within.endswith("found at 6:36")
 
 
 @pytest.mark.parametrize(("logs", "names"), [

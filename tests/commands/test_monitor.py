@@ -378,7 +378,7 @@ def test_events_are_reported_once_with_the_time_of_day(silent, status):
     assert kinds == [
         ("state", "waiting"),
         ("state", "usable"),
-        ("moved", "the sensor was moved"),
+        ("moved", "the sensor was found moved"),
         ("bus", f"{status['link']['channel']} is down"),
         ("alarm", "no speed"),
         ("bus", f"{status['link']['channel']} is up"),
@@ -395,7 +395,7 @@ def test_what_is_known_later_of_an_event_takes_its_place(silent, status):
     first["details"] = {"shifts": [shift]}
     later["details"] = {"shifts": [shift | {"turn_deg": [0.0, 0.1, 7.0]}]}
     moved = [e for e in events_of(silent, first, later).events if e.kind == "moved"]
-    assert [e.text for e in moved] == ["the sensor was moved: by +7.0 deg about the up axis"]
+    assert [e.text for e in moved] == ["the sensor was found moved: by +7.0 deg about the up axis"]
 
 
 def test_a_sensor_that_was_found_where_it_was_is_no_longer_said_to_be_moved(silent, status):

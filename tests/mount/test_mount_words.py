@@ -146,4 +146,4 @@ def test_a_change_within_its_interval_is_worded_as_evidence_and_not_as_a_move():
     borne = {"t": 5.0, "angle": "yaw", "size_deg": 0.3, "turn_deg": None, "within_deg": 1.0}
     expected = "the evidence of yaw changed by +0.3 deg, within ±1.0 deg: the interval is wider"
     assert change_words(borne) == expected
-    assert change_words(borne | {"within_deg": None}).startswith("the sensor was moved: ")
+    assert change_words(borne | {"within_deg": None}).startswith("the sensor was found moved: ")

@@ -99,7 +99,9 @@ def test_the_page_says_how_the_sensor_sits_and_what_happened(page):
     text, result = page
     words = " ".join(Page(text).texts)
     assert result["mount"]["sits"] in words
-    moved = re.search(r"the sensor was moved: by ([+-][0-9.]+) deg about the left axis", words)
+    moved = re.search(
+        r"the sensor was found moved: by ([+-][0-9.]+) deg about the left axis", words
+    )
     assert moved
     assert float(moved[1]) == pytest.approx(SHIFT_DEG, abs=1.0)
     for state in ("levelled", "usable", "suspect", "recalibrating"):
@@ -163,7 +165,7 @@ def test_changes_of_state_and_what_is_reported_come_in_order():
     texts = [e.text for e in events]
     assert texts[1] == "the speed's unit is wrong"
     assert texts[2] == "gyro stuck (y), for 2 s"
-    assert texts[3] == "the sensor was moved: it shows as -3.2 deg about the left axis"
+    assert texts[3] == "the sensor was found moved: it shows as -3.2 deg about the left axis"
     assert texts[-1].endswith("waiting for yaw: more driving")
 
 

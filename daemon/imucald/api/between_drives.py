@@ -12,7 +12,9 @@ from imucald.can.logs.first_frames import IS_THE_SAME
 from imucald.can.logs.overlaps import CLOCK_SET_S, overlap_words
 from imucald.core.angles import DEG_PER_RAD
 from imucald.core.rotations import vector_from_rotation
+from imucald.core.text import clock
 from imucald.mount.estimate import BETWEEN_DRIVES_STD
+from imucald.mount.mount_words import is_move
 
 CLOCK_SET_US = round(1e6 * CLOCK_SET_S)
 LIKELY = 1e-3
@@ -56,12 +58,20 @@ def _without_time(drives: Sequence[DriveResult], timed: Sequence[DriveResult]) -
 
 
 def _shifts(drives: Sequence[DriveResult]) -> Iterator[str]:
-    """Mounts that differ between consecutive good drives by more than chance and load explain."""
+    """Mounts that differ between consecutive good drives by more than chance and load explain.
+
+    A move that a drive found itself is one within that drive, and none between it and the one
+    before. Drives that share some time have no order: no move between them is claimed.
+    """
     before: DriveResult | None = None
+    is_moved = False
     for drive in drives:
+        for shift in filter(is_move, drive.to_dict()["details"].get("shifts", ())):
+            is_moved = True
+            yield f"the mount was moved within {_name(drive)}, found at {clock(shift['t'])}"
         if drive.state not in GOOD or drive.mount is None:
             continue
-        if before is not None and before.mount is not None:
+        if before is not None and before.mount is not None and not is_moved | _share(before, drive):
             one, other = before.mount, drive.mount
             e = vector_from_rotation(other.matrix @ one.matrix.T) * DEG_PER_RAD
             between = 2.0 * np.diag(np.square(BETWEEN_DRIVES_STD)) * DEG_PER_RAD**2
@@ -72,7 +82,14 @@ def _shifts(drives: Sequence[DriveResult]) -> Iterator[str]:
                     f"the mount was moved between {_name(before)} and {_name(drive)}: "
                     f"by {turn} deg about the vehicle's axes, more than chance explains"
                 )
-        before = drive
+        before, is_moved = drive, False
+
+
+def _share(one: DriveResult, other: DriveResult) -> bool:
+    """Whether two drives with a time of day share some of it; other: the one that begins later."""
+    if one.end_us is None or other.start_us is None or other.start_us < CLOCK_SET_US:
+        return False
+    return other.start_us < one.end_us
 
 
 def _chance(e: np.ndarray, covariance: np.ndarray) -> float:

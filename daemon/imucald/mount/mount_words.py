@@ -243,8 +243,8 @@ def is_move(shift: Mapping[str, Any]) -> bool:
 
 
 def change_words(shift: Mapping[str, Any]) -> str:
-    """An item of `details.shifts` as a sentence."""
-    prefix = "the sensor was moved: " if is_move(shift) else ""
+    """An item of `details.shifts` as a sentence; its time is that at which it was found."""
+    prefix = "the sensor was found moved: " if is_move(shift) else ""
     return prefix + moved_words(shift)
 
 
