@@ -11,10 +11,9 @@ from imucald.diagnosis.cause_keys import mount_of
 from imucald.diagnosis.fit.beside_file import leaves_of
 from imucald.diagnosis.fit.chance import beyond_chance
 from imucald.diagnosis.left_over.louder import (
+    LEAVES,
     _by_band,
-    _of_equation,
-    louder,
-    with_leaves,
+    left_of,
 )
 from imucald.diagnosis.result import LOUDER
 from imucald.diagnosis.search.state import State
@@ -33,7 +32,7 @@ def segments(seed: int, times: float = 1.0, count: int = SEGMENTS):
 
 def found(seed: int, times: float, count: int = SEGMENTS, name: str = "accel_z"):
     file = leaves_of({name: segments(seed)}, SEGMENT_S)[name]
-    return beyond_chance(_of_equation(name, segments(1000 + seed, times, count)[1], file))
+    return beyond_chance(LEAVES.questions(name, segments(1000 + seed, times, count)[1], file))
 
 
 def test_a_sine_lies_in_its_band_with_its_size():
@@ -75,7 +74,7 @@ def test_sideways_a_road_shakes_above_the_frequencies_at_which_the_body_lies_on_
     file = leaves_of({"accel_y": segments(4)}, SEGMENT_S)["accel_y"]
     rms = segments(1004)[1]
     rms[:, band] *= 3.0
-    assert bool(beyond_chance(_of_equation("accel_y", rms, file))) == is_seen
+    assert bool(beyond_chance(LEAVES.questions("accel_y", rms, file))) == is_seen
 
 
 @pytest.mark.parametrize("likeness", [0.0, 0.4])
@@ -91,7 +90,7 @@ def test_segments_that_last_over_neighbours_count_for_fewer(likeness):
         own, other = np.exp(SPREAD * logs)
         v = np.linspace(5.0, 30.0, SEGMENTS)
         file = leaves_of({"accel_x": (v, other)}, SEGMENT_S)["accel_x"]
-        wrong += _of_equation("accel_x", own, file)[0].p < 0.01
+        wrong += LEAVES.questions("accel_x", own, file)[0].p < 0.01
     assert wrong <= 20
 
 
@@ -112,11 +111,11 @@ def of(model: VehicleModel, seed: int, shake: float = 0.0):
 @pytest.mark.slow
 def test_a_later_drive_is_held_against_what_the_file_carries():
     plain = random_model(516)
-    assert louder(*of(plain, 517, shake=1.0)) == []
-    model = with_leaves(plain, *of(plain, 516))
+    assert LEAVES.asked(left_of(*of(plain, 517, shake=1.0)), plain) == []
+    model = LEAVES.written(plain, left_of(*of(plain, 516)))
     assert {"accel_x", "accel_y", "accel_z"} <= set(model.leaves)
-    assert beyond_chance(louder(*of(model, 517))) == []
-    seen = beyond_chance(louder(*of(model, 517, shake=1.0)))
+    assert beyond_chance(LEAVES.asked(left_of(*of(model, 517)), model)) == []
+    seen = beyond_chance(LEAVES.asked(left_of(*of(model, 517, shake=1.0)), model))
     assert "accel_z" in {s.signal for s in seen}
 
 

@@ -9,7 +9,7 @@ from scipy.ndimage import median_filter
 from imucald.core.samples import GRAVITY, Series
 from imucald.diagnosis.cause_keys import mount_of
 from imucald.diagnosis.direct.levels import with_levels
-from imucald.diagnosis.direct.next_samples import follows_otherwise, with_traits
+from imucald.diagnosis.direct.next_samples import follows, traits_of
 from imucald.diagnosis.fit.chance import beyond_chance
 from imucald.diagnosis.result import FOLLOWS_OTHERWISE
 from imucald.diagnosis.signals import drive_of
@@ -39,11 +39,16 @@ def samples(seed: int, road: float = 1.0, jerk: float = 1.0) -> dict[str, Series
 @pytest.fixture(scope="module")
 def file() -> VehicleModel:
     parts = [drive_of(samples(1))]
-    return with_traits(with_levels(VehicleModel(), parts), parts)
+    model = with_levels(VehicleModel(), parts)
+    return follows(parts, model).written(model, traits_of(parts))
+
+
+def asked_of(drives, file: VehicleModel):
+    return follows(drives, file).asked(traits_of(drives), file)
 
 
 def found(file: VehicleModel, made: dict[str, Series]):
-    return beyond_chance(follows_otherwise([drive_of(made)], file))
+    return beyond_chance(asked_of([drive_of(made)], file))
 
 
 def changed(made: dict[str, Series], name: str, change) -> dict[str, Series]:
@@ -83,7 +88,7 @@ def test_what_comes_between_sensor_and_log_is_seen_on_all_axes_alike(file, chang
     left = found(file, changed(samples(2), "gyro", change))
     assert {s.kind for s in left} == {FOLLOWS_OTHERWISE}
     assert {s.signal for s in left} == {"gyro_x", "gyro_y", "gyro_z"}
-    asked = follows_otherwise([drive_of(changed(samples(2), "gyro", change))], file)
+    asked = asked_of([drive_of(changed(samples(2), "gyro", change))], file)
     assert any(words in q.structure.text and q.is_large and q.p < 1e-6 for q in asked)
 
 
@@ -120,7 +125,7 @@ def test_lost_frames_change_nothing(file):
 
 
 def test_a_file_that_does_not_say_it_asks_nothing():
-    assert follows_otherwise([drive_of(samples(2))], VehicleModel()) == []
+    assert asked_of([drive_of(samples(2))], VehicleModel()) == []
 
 
 def test_what_is_written_is_read_back(file, tmp_path):

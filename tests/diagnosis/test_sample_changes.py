@@ -9,11 +9,11 @@ from imucald.core.samples import GRAVITY, Series
 from imucald.diagnosis.cause_keys import mount_of
 from imucald.diagnosis.direct.faults import find_faults
 from imucald.diagnosis.direct.sample_changes import (
+    CHANGES,
+    SEGMENT_S,
     changes_missing,
     changes_of,
-    changes_otherwise,
     jumps_alone,
-    with_changes,
 )
 from imucald.diagnosis.fit.chance import beyond_chance
 from imucald.diagnosis.result import CHANGES_MISSING, CHANGES_OTHERWISE, JUMPS_ALONE
@@ -40,11 +40,11 @@ def samples(seed: int, shaken=(1.0, 1.0, 1.0), model=PLAIN, **changes):
 
 
 def file_of(model=PLAIN, **how):
-    return with_changes(model, [drive_of(samples(1, model=model, **how))], model)
+    return CHANGES.written(model, changes_of([drive_of(samples(1, model=model, **how))], model))
 
 
 def found(file, made, model=PLAIN):
-    return beyond_chance(changes_otherwise([drive_of(made)], file, model))
+    return beyond_chance(CHANGES.asked(changes_of([drive_of(made)], model), file))
 
 
 def test_the_ratio_to_the_other_axes_is_carried_by_rate():
@@ -81,7 +81,7 @@ def test_another_rate_is_not_compared():
     made = samples(2, shaken=(1.0, 5.0, 1.0))
     half = {k: Series(s.t[::2], s.values[::2]) for k, s in made.items() if k != "speed"}
     file = file_of()
-    assert changes_otherwise([drive_of(made | half)], file, PLAIN) == []
+    assert CHANGES.asked(changes_of([drive_of(made | half)], PLAIN), file) == []
 
 
 def test_an_extended_file_is_read_as_it_was_written(tmp_path):
@@ -144,7 +144,7 @@ def test_nothing_is_asked_of_few_changes():
     drive = drive_of(made)
     assert not [q for q in changes_missing([drive]) if q.structure.signal.startswith("gyro")]
     names = {f"changes of {n}_{a} at 50 Hz" for n in ("accel", "gyro") for a in "xyz"}
-    assert set(changes_of([drive], PLAIN)) <= names
+    assert set(changes_of([drive], PLAIN)[SEGMENT_S]) <= names
 
 
 # jumps -------------------------------------------------------------------------------------------

@@ -29,17 +29,17 @@ from imucald.diagnosis.direct.faults import find_faults, invalid_spans
 from imucald.diagnosis.direct.held_values import held_values
 from imucald.diagnosis.direct.levels import coarser, holes, with_levels
 from imucald.diagnosis.direct.lost_readings import Lost, all_lost, as_structure
-from imucald.diagnosis.direct.next_samples import follows_otherwise, with_traits
+from imucald.diagnosis.direct.next_samples import follows, traits_of
 from imucald.diagnosis.direct.sample_changes import (
+    CHANGES,
     changes_missing,
-    changes_otherwise,
+    changes_of,
     jumps_alone,
-    with_changes,
 )
 from imucald.diagnosis.direct.stuck import Fault
 from imucald.diagnosis.doubts import doubt, unexplained
 from imucald.diagnosis.fit.blocks import Table
-from imucald.diagnosis.fit.chance import beyond_chance
+from imucald.diagnosis.fit.chance import Question, beyond_chance
 from imucald.diagnosis.fit.intervals import estimate, quantile
 from imucald.diagnosis.fit.score import Hypothesis, Problem
 from imucald.diagnosis.gain import gain_of, summed
@@ -48,7 +48,7 @@ from imucald.diagnosis.left_over.between_segments import gains_apart, named_apar
 from imucald.diagnosis.left_over.delay_course import delay_course
 from imucald.diagnosis.left_over.even_growth import uneven_growth
 from imucald.diagnosis.left_over.lines import lines
-from imucald.diagnosis.left_over.louder import louder, with_leaves
+from imucald.diagnosis.left_over.louder import LEAVES, left_of
 from imucald.diagnosis.left_over.orders import orders
 from imucald.diagnosis.left_over.pairs import pairs
 from imucald.diagnosis.left_over.patterns import patterns
@@ -151,9 +151,9 @@ def diagnose(
     changes = written != state.stated or state.stated != model
     problem = state.evaluated()
     if not any(s.kind in (*UNBELIEVED, *NOT_AS_STATED) for s in left):
-        written = with_leaves(written, problem, state)
-        written = with_changes(with_levels(written, parts), parts, state.model)
-        written = with_traits(written, parts)
+        written = LEAVES.written(written, left_of(problem, state))
+        written = CHANGES.written(with_levels(written, parts), changes_of(parts, state.model))
+        written = follows(parts, written).written(written, traits_of(parts))
     whole = state.whole or problem.table
     gain, signals = gain_of(before, problem, whole, state.free, state.forwards)
     if state.shift is not None:
@@ -253,7 +253,7 @@ def _odd(parts: Sequence[DriveSignals], model: VehicleModel) -> list[Structure]:
             *holes(parts),
             *changes_missing(parts),
             *jumps_alone(parts),
-            *follows_otherwise(parts, model),
+            *(follows(parts, model).asked(traits_of(parts), model) if model.leaves else ()),
         ]
     )
 
@@ -296,9 +296,7 @@ def _left(state: State) -> tuple[Structure, ...]:
                 *lines(state, spectra),
                 *unstable(problem, state),
                 *gains_apart(problem, state, drift),
-                *louder(problem, state),
-                *more_than_stated(problem, state),
-                *changes_otherwise(state.drives, state.stated, state.model),
+                *_beside_stated(problem, state),
             ]
         ),
         *beyond_chance(delay_course(problem, state)),
@@ -307,6 +305,19 @@ def _left(state: State) -> tuple[Structure, ...]:
         *what_is_left(problem, state, spectra),
     )
     return tuple(dict.fromkeys(left))  # a named gain is asked about twice
+
+
+def _beside_stated(problem: Problem, state: State) -> list[Question]:
+    """Next to what the model file states of its own drives."""
+    stated = state.stated
+    if not stated.leaves:
+        return []
+    left = left_of(problem, state)
+    return [
+        *LEAVES.asked(left, stated),
+        *more_than_stated(left, stated),
+        *CHANGES.asked(changes_of(state.drives, state.model), stated),
+    ]
 
 
 def _silent(share: float, text: str) -> None:

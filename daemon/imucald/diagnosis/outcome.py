@@ -132,6 +132,11 @@ def signals_of(table: Table | None, keys: Sequence[str]) -> tuple[str, ...]:
     return tuple(name for name, x in shares.items() if total > 0.0 and x > SEEN_SHARE * total)
 
 
+def first_signal(table: Table | None, keys: Sequence[str]) -> str:
+    """The first of these; `accel_x` where they show in none."""
+    return (signals_of(table, keys) or ("accel_x",))[0]
+
+
 def _against(state: State, trial: Trial) -> list[str]:
     """What speaks against a cause: blocks, wander, rivals, a fit that stands at a bound."""
     texts = []
@@ -290,7 +295,7 @@ def implausible(state: State) -> tuple[Structure, ...]:
         key = t.hypothesis.keys[i]
         x = float(t.estimate.value[i])
         low, high = t.plausible[i]
-        signal = (signals_of(state.table, [key]) or ("accel_x",))[0]
+        signal = first_signal(state.table, [key])
         text = (
             f"{t.hypothesis.name.replace('_', ' ')} with {key} off by "
             f"{_with_unit(f'{x:.3g} +- {SD_95 * float(t.estimate.se[i]):.2g}', key)} "

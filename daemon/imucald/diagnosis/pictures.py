@@ -9,7 +9,6 @@ from scipy.signal import welch
 
 from imucald.core.arrays import Array
 from imucald.diagnosis.equations.forward import UNITS, Forward
-from imucald.diagnosis.fit.blocks import TILTED
 from imucald.diagnosis.result import SignalPicture
 from imucald.diagnosis.signals import STEP_S
 
@@ -46,25 +45,13 @@ def _one(before: Forward, after: Forward) -> Mapping[str, tuple[Array, Array, Ar
     """By equation: measured, residual before and after, (N,), NaN where it was not there."""
     masks = before.usable()
     measured = before.measured()
-    old, new = (_residuals(f) for f in (before, after))
+    old, new = (f.level(f.residuals({}), f.usable()) for f in (before, after))
     made = {}
     for name, x in old.items():
         if name in new and name in measured:
             gone = ~masks[name].ravel()
             columns = [np.where(gone, np.nan, v.ravel()) for v in (measured[name], x, new[name])]
             made[name] = (columns[0], columns[1], columns[2])
-    return made
-
-
-def _residuals(f: Forward) -> dict[str, Array]:
-    """Residuals with each block's tilt fitted."""
-    found = f.residuals({})
-    tilt = f.tilts(found, f.usable())
-    made = dict(found.of)
-    for name in TILTED:
-        if name in found.tilt:
-            first, second = found.tilt[name]
-            made[name] = made[name] - tilt[:, :1] * first - tilt[:, 1:] * second
     return made
 
 

@@ -243,20 +243,7 @@ class Diagnosis:
             "likely": [_cause_json(cause) for cause in self.likely],
             "look_alikes": [list(names) for names in self.look_alikes],
             "to_separate": self.to_separate,
-            "signals": {
-                name: {
-                    "verdict": s.verdict,
-                    "rms_before": _plain(s.rms_before),
-                    "rms_after": _plain(s.rms_after),
-                    "rms_unseen": _plain(s.rms_unseen),
-                    "slow_before": _plain(s.slow_before),
-                    "slow_after": _plain(s.slow_after),
-                    "noise_floor": _plain(s.noise_floor),
-                    "unit": s.unit,
-                    "left": s.left,
-                }
-                for name, s in self.signals.items()
-            },
+            "signals": {name: _fields(s, *OF_SIGNAL) for name, s in self.signals.items()},
             "gain": {
                 "held_out_log_likelihood": _plain(self.gain.held_out_log_likelihood),
                 "interval": [_plain(x) for x in self.gain.interval],
@@ -264,21 +251,12 @@ class Diagnosis:
                 "recommended": self.recommended,
             },
             "duration_s": _plain(self.duration_s),
-            "structure": [
-                {"signal": s.signal, "kind": s.kind, "size": _plain(s.size), "text": s.text}
-                for s in self.structure
-            ],
+            "structure": [_fields(s, "signal", "kind", "size", "text") for s in self.structure],
             "candidates": [
                 {
-                    "name": c.name,
-                    "outcome": c.outcome,
-                    "nats": _plain(c.nats),
-                    "text": c.text,
+                    **_fields(c, "name", "outcome", "nats", "text"),
                     "parameter": c.key,
-                    "off": _plain(c.off),
-                    "std": _plain(c.std),
-                    "shows_from": _plain(c.shows_from),
-                    "unit": c.unit,
+                    **_fields(c, "off", "std", "shows_from", "unit"),
                 }
                 for c in self.candidates
             ],
@@ -286,12 +264,16 @@ class Diagnosis:
         }
 
 
+OF_SIGNAL = ("verdict", "rms_before", "rms_after", "rms_unseen", "slow_before", "slow_after",
+             "noise_floor", "unit", "left")  # fmt: skip
+OF_NUMBER = ("value", "std", "unit", "stated", "tolerance")
+
+
 def _cause_json(cause: FoundCause) -> dict[str, Any]:
     return {
-        "name": cause.name,
-        "certainty": cause.certainty,
-        "parameters": {key: _estimated_json(p) for key, p in cause.in_file.items()},
-        "vehicle_axes": {key: _estimated_json(p) for key, p in cause.along_vehicle.items()},
+        **_fields(cause, "name", "certainty"),
+        "parameters": {key: _fields(p, *OF_NUMBER) for key, p in cause.in_file.items()},
+        "vehicle_axes": {key: _fields(p, *OF_NUMBER) for key, p in cause.along_vehicle.items()},
         "signals": list(cause.signals),
         "evidence": {name: _plain(x) for name, x in cause.evidence.items()},
         "text": cause.text,
@@ -299,14 +281,10 @@ def _cause_json(cause: FoundCause) -> dict[str, Any]:
     }
 
 
-def _estimated_json(p: Estimated) -> dict[str, Any]:
-    return {
-        "value": _plain(p.value),
-        "std": _plain(p.std),
-        "unit": p.unit,
-        "stated": _plain(p.stated),
-        "tolerance": _plain(p.tolerance),
-    }
+def _fields(of: object, *names: str) -> dict[str, Any]:
+    """Texts as they are, numbers as JSON has them."""
+    found = ((name, getattr(of, name)) for name in names)
+    return {name: x if isinstance(x, str) else _plain(x) for name, x in found}
 
 
 def _plain(x: float | None) -> float | None:

@@ -10,12 +10,11 @@ as a filter, a gap that is filled, a value that is held, shows here and in no eq
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from scipy.special import erf
-from scipy.stats import t as student
 
 from imucald.core.arrays import Array
 from imucald.core.samples import INERTIAL
@@ -28,11 +27,9 @@ from imucald.diagnosis.direct.levels import (
     signals_of,
     step_of,
 )
-from imucald.diagnosis.fit.beside_file import Left, beside_file, in_both, leaves_of, with_entries
-from imucald.diagnosis.fit.chance import Question, chance_of_large
-from imucald.diagnosis.result import FOLLOWS_OTHERWISE, Structure
+from imucald.diagnosis.fit.beside_file import Family, Left, Row, joined
+from imucald.diagnosis.result import FOLLOWS_OTHERWISE
 from imucald.diagnosis.signals import STANDING_MPS, DriveSignals, Mask
-from imucald.model.leaves import Leaves
 from imucald.model.model import VehicleModel
 
 SEGMENT_S, SEGMENT_ROWS = 10.0, 15
@@ -86,13 +83,7 @@ def traits_of(drives: Sequence[DriveSignals]) -> dict[float, Left]:
             v, numbers = _of_signal(signal, drive, period, seconds)
             name = f"samples of {signal.name} at {1.0 / period:.2g} Hz"
             made.setdefault(seconds, {}).setdefault(name, []).append((v, np.exp(numbers)))
-    return {
-        seconds: {
-            name: (np.concatenate([v for v, _ in p]), np.concatenate([x for _, x in p]))
-            for name, p in of.items()
-        }
-        for seconds, of in made.items()
-    }
+    return {seconds: joined(of) for seconds, of in made.items()}
 
 
 def _of_signal(
@@ -149,24 +140,11 @@ def _arcsine(share: Array) -> Array:
     return np.asarray(np.arcsin(np.sqrt(np.clip(share, 0.0, 1.0))))
 
 
-def with_traits(model: VehicleModel, drives: Sequence[DriveSignals]) -> VehicleModel:
-    """The model file with how these drives' samples follow each other."""
-    for seconds, left in traits_of(drives).items():
-        model = with_entries(model, leaves_of(left, seconds, FEW_SEGMENTS))
-    return model
-
-
-def follows_otherwise(drives: Sequence[DriveSignals], stated: VehicleModel) -> list[Question]:
+def follows(drives: Sequence[DriveSignals], stated: VehicleModel) -> Family:
     """Whether samples follow each other otherwise than the model file states of its own drives."""
-    if not stated.leaves:
-        return []
     same = _on_the_files_grid(drives, stated)
-    return [
-        question
-        for seconds, left in traits_of(drives).items()
-        for name, x, file in in_both(left, stated.leaves, seconds, FEW_SEGMENTS, FEW_SEGMENTS)
-        for question in _of_number(name, x, file, name.split()[2] in same)
-    ]
+    return Family(FOLLOWS_OTHERWISE, lambda name, i: _row(name.split()[2], TRAITS[i], same),
+                  FEW_SEGMENTS)  # fmt: skip
 
 
 def _on_the_files_grid(drives: Sequence[DriveSignals], stated: VehicleModel) -> set[str]:
@@ -185,22 +163,17 @@ def _on_the_files_grid(drives: Sequence[DriveSignals], stated: VehicleModel) -> 
     return same
 
 
-def _of_number(name: str, x: Array, file: Leaves, is_on_grid: bool) -> Iterator[Question]:
-    """One question a trait. x: (B, 6)."""
-    signal = name.split()[2]
-    is_inertial = signal.split("_")[0] in INERTIAL
-    _, more, se, free = beside_file(x, file)
-    for i, trait in enumerate(TRAITS):
-        if not (is_inertial or trait.of_speed) or free[i] < 1.0:
-            continue
-        if trait.limit == SHARE and not is_on_grid:
-            continue
-        chance = min(2.0 * float(student.sf(abs(more[i]) / se[i], free[i])), 1.0)
-        text = (
-            f"it {trait.more if more[i] > 0.0 else trait.less} than in the drives that the model "
-            f"file was made of, by {abs(more[i]):.2g} {trait.unit}, where roads and driving make "
+def _row(signal: str, trait: Trait, on_grid: Collection[str]) -> Row | None:
+    is_inertial = signal.partition("_")[0] in INERTIAL
+    if not (is_inertial or trait.of_speed) or (trait.limit == SHARE and signal not in on_grid):
+        return None
+    return Row(
+        trait.limit,
+        lambda _, more: (
+            f"it {trait.more if more > 0.0 else trait.less} than in the drives that the model "
+            f"file was made of, by {abs(more):.2g} {trait.unit}, where roads and driving make "
             f"{trait.limit:g} at most: something between the sensor and the log is not as it was"
-        )
-        structure = Structure(signal, FOLLOWS_OTHERWISE, abs(more[i]) / trait.limit, text)
-        rare = chance_of_large(trait.limit, float(se[i]), float(free[i]))
-        yield Question(chance, bool(abs(more[i]) - se[i] > trait.limit), structure, rare)
+        ),
+        either_way=True,
+        in_times=False,
+    )

@@ -15,9 +15,9 @@ from math import comb
 import numpy as np
 from scipy.ndimage import maximum_filter1d
 from scipy.stats import binom
-from scipy.stats import t as student
 
 from imucald.core.arrays import Array
+from imucald.core.text import counted
 from imucald.diagnosis.cause_keys import mounts
 from imucald.diagnosis.direct.held_values import noise_about
 from imucald.diagnosis.direct.levels import (
@@ -30,14 +30,7 @@ from imucald.diagnosis.direct.levels import (
     step_of,
 )
 from imucald.diagnosis.direct.lost_readings import PASSES_HALF
-from imucald.diagnosis.fit.beside_file import (
-    ROAD_CLASS,
-    Left,
-    beside_file,
-    in_both,
-    leaves_of,
-    with_entries,
-)
+from imucald.diagnosis.fit.beside_file import ROAD_CLASS, Family, Left, Row, joined
 from imucald.diagnosis.fit.chance import Question, beyond_chance
 from imucald.diagnosis.result import (
     CHANGES_MISSING,
@@ -46,7 +39,7 @@ from imucald.diagnosis.result import (
     Structure,
 )
 from imucald.diagnosis.signals import STANDING_MPS, Channel, DriveSignals, Mask
-from imucald.model.leaves import LAGS, Leaves
+from imucald.model.leaves import LAGS
 from imucald.model.model import VehicleModel
 
 TRIADS = ("accel", "gyro")
@@ -73,19 +66,16 @@ without a fault (`faults`)."""
 # against the file --------------------------------------------------------------------------------
 
 
-def changes_of(drives: Sequence[DriveSignals], model: VehicleModel) -> Left:
-    """By axis and rate: (B,) mean speed of each segment, (B, lags) rms of its changes over the
-    geometric mean of the other axes'."""
+def changes_of(drives: Sequence[DriveSignals], model: VehicleModel) -> dict[float, Left]:
+    """By length of a segment [s], axis and rate: (B,) mean speed of each segment,
+    (B, lags) rms of its changes over the geometric mean of the other axes'."""
     parts: dict[str, list[tuple[Array, Array]]] = {}
     for drive in drives:
         for name in TRIADS:
             if drive.has(name) and len(drive.channels[name].t) > LEAST_ROWS and not drive.planar:
                 for own, found in _of_triad(name, drive, model):
                     parts.setdefault(own, []).append(found)
-    return {
-        name: (np.concatenate([v for v, _ in p]), np.concatenate([ratio for _, ratio in p]))
-        for name, p in parts.items()
-    }
+    return {SEGMENT_S: joined(parts)}
 
 
 def _of_triad(
@@ -130,44 +120,26 @@ def _sizes(t: Array, table: Array, good: Mask, period: float) -> Array:
     return made
 
 
-def with_changes(
-    model: VehicleModel, drives: Sequence[DriveSignals], found: VehicleModel
-) -> VehicleModel:
-    """The model file with how these drives change. found: their mount."""
-    return with_entries(model, leaves_of(changes_of(drives, found), SEGMENT_S))
+def _row(name: str, i: int) -> Row:
+    """Either way, beyond what a road makes of one axis."""
+    _, _, _, _, rate, _ = name.split()
+    lag = counted(LAGS[i], "sample")
+    rougher = float(np.log(ROUGHER))
+    return Row(
+        rougher,
+        lambda middle, more: (
+            f"in half of the segments its changes over {lag} at {rate} Hz are {middle:.2g} times "
+            f"those of the other axes and more, {np.exp(more):.2g} times what the model file "
+            "states of its own drives; a road shakes all axes, and each at most "
+            f"{ROUGHER:.2g} times as much as another"
+        ),
+        start=rougher,
+        either_way=True,
+    )
 
 
-def changes_otherwise(
-    drives: Sequence[DriveSignals], stated: VehicleModel, found: VehicleModel
-) -> list[Question]:
-    """Whether an axis changes by more than the others, or by less, than the model file states."""
-    if not stated.leaves:
-        return []
-    asked = in_both(changes_of(drives, found), stated.leaves, SEGMENT_S)
-    return [q for name, ratio, file in asked for q in _of_axis(name, ratio, file)]
-
-
-def _of_axis(name: str, ratio: Array, file: Leaves) -> Iterator[Question]:
-    """One question a lag. ratio: (B, lags)."""
-    logs, more, se, free = beside_file(ratio, file)
-    rougher = np.log(ROUGHER)
-    chance = np.minimum(2.0 * student.sf((np.abs(more) - rougher) / se, free), 1.0)
-    _, _, signal, _, rate, _ = name.split()
-    for i, lag in enumerate(LAGS):
-        times = float(np.exp(more[i]))
-        text = (
-            f"in half of the segments its changes over {_samples(lag)} at {rate} Hz are "
-            f"{np.exp(np.median(logs[:, i])):.2g} times those of the other axes and more, "
-            f"{times:.2g} times what the model file states of its own drives; a road shakes all "
-            f"axes, and each at most {ROUGHER:.2g} times as much as another"
-        )
-        size = max(times, 1.0 / times) / ROUGHER
-        structure = Structure(signal, CHANGES_OTHERWISE, size, text)
-        yield Question(float(chance[i]), bool(abs(more[i]) - se[i] > rougher), structure)
-
-
-def _samples(lag: int) -> str:
-    return "1 sample" if lag == 1 else f"{lag} samples"
+CHANGES = Family(CHANGES_OTHERWISE, _row)
+"""By how much axes change over some samples (`changes_of`)."""
 
 
 # without a file ----------------------------------------------------------------------------------

@@ -141,7 +141,7 @@ class Forward(Reader):
             name: channel.present(self.t + self._age_or_0(name))
             for name, channel in self.drive.channels.items()
         }
-        speed = np.interp(self.t, self.knots, np.abs(self.drive.knots.values))
+        speed = self.amount_of_speed()
         drive, base = self.drive, there["accel"] & there["speed"]
         yaw = there["yaw_rate"] if drive.has("yaw_rate") else np.ones(len(self.t), dtype=bool)
         turning = there["gyro"] if drive.has("gyro") else yaw

@@ -66,6 +66,10 @@ class Reader:
         self.known.clear()
         self.reference = None
 
+    def amount_of_speed(self) -> Array:
+        """(N,) without its sign, as it is shown [m/s]."""
+        return np.interp(self.t, self.knots, np.abs(self.drive.knots.values))
+
     def raw(self, name: str, later: float) -> Array:
         """Means over the grid's step, read later by so much [s]."""
         key = (name, round(later, 6))

@@ -14,14 +14,14 @@ import numpy as np
 from imucald.core.arrays import Array
 from imucald.diagnosis.equations.forward import Forward
 from imucald.diagnosis.fit.blocks import (
-    TILTED,
     Rows,
     Table,
     cosine,
     joined,
+    levelled,
     noise_weights,
     rows_of,
-    without_tilt,
+    tilts_of,
 )
 from imucald.model.model import VehicleModel
 
@@ -78,35 +78,14 @@ def whitened(parts: Mapping[str, AddedRows], x: Array) -> dict[str, Array]:
     """(B, K, 1 + P + E) by equation, of all blocks: residual, catalogue and what is added, over the
     noise, and without what the tilt of a block makes. x: (B, P) departures that fit their blocks.
     """
-    tilted = [n for n in TILTED if n in parts]
-    groups = [*([tilted] if tilted else []), *([n] for n in parts if n not in tilted)]
-    made: dict[str, Array] = {}
-    for group in groups:
-        made |= zip(group, _group([parts[n] for n in group], x), strict=True)
-    return made
-
-
-def _group(some: Sequence[AddedRows], x: Array) -> list[Array]:
-    """The equations of a group share their tilt."""
-    made, tilts = [], []
-    for own in some:
-        rows = joined([r for r, _ in own])
-        columns = np.concatenate([c for _, c in own])
-        made.append(np.concatenate([rows.y[:, :, None], rows.X, columns], axis=2))
-        tilts.append(rows.tilt)
-    goods = [np.concatenate([r.good for r, _ in own]) for own in some]
+    rows = {n: joined([r for r, _ in own]) for n, own in parts.items()}
+    columns = {n: np.concatenate([c for _, c in own]) for n, own in parts.items()}
+    whole = {n: np.concatenate([r.y[:, :, None], r.X, columns[n]], axis=2) for n, r in rows.items()}
     P = x.shape[1]
-    left = _apart([a[:, :, :1] - a[:, :, 1 : P + 1] @ x[:, :, None] for a in made], tilts)
-    weights = [noise_weights(y[:, :, 0], g) for y, g in zip(left, goods, strict=True)]
-    made = [a * w[:, :, None] for a, w in zip(made, weights, strict=True)]
-    tilts = [z if z is None else z * w[:, :, None] for z, w in zip(tilts, weights, strict=True)]
-    return _apart(made, tilts)
-
-
-def _apart(some: Sequence[Array], tilts: Sequence[Array | None]) -> list[Array]:
-    """Rows without what the tilt of each block makes of them."""
-    known = [z for z in tilts if z is not None]
-    if not known:
-        return list(some)
-    A, Z = np.concatenate(some, axis=1), np.concatenate(known, axis=1)
-    return np.split(without_tilt(A, Z), np.cumsum([a.shape[1] for a in some])[:-1], axis=1)
+    left = {n: a[:, :, :1] - a[:, :, 1 : P + 1] @ x[:, :, None] for n, a in whole.items()}
+    weights = {
+        n: noise_weights(y[:, :, 0], rows[n].good)
+        for n, y in levelled(left, tilts_of(rows)).items()
+    }
+    weighted = {n: a * weights[n][:, :, None] for n, a in whole.items()}
+    return levelled(weighted, tilts_of(rows, weights))

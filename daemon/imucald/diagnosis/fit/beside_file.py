@@ -1,17 +1,22 @@
 """Segments of a drive next to those that a model file was made of.
 
 A model file carries what half of the segments of its own drives show, number by number, and how far
-segments differ. Here such an entry is made, written and compared, whatever its numbers are.
+segments differ. Here such an entry is made, written and compared, whatever its numbers are: a
+family of entries is a row for each of its numbers.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
 
 import msgspec
 import numpy as np
+from scipy.stats import t as student
 
 from imucald.core.arrays import Array
+from imucald.diagnosis.fit.chance import Question, chance_of_large
+from imucald.diagnosis.result import Structure
 from imucald.model.leaves import Bands, Leaves
 from imucald.model.model import VehicleModel
 
@@ -26,6 +31,77 @@ LEAST_RMS = 1e-9
 INSIDE = (0.05, 0.95)
 Left = dict[str, tuple[Array, Array]]
 """By name: mean speed (B,) of each segment, and its numbers (B, 6)."""
+
+
+@dataclass(frozen=True)
+class Row:
+    """One number of a family, next to the file's."""
+
+    limit: float
+    """By how much the logarithms of two correct drives may differ."""
+    words: Callable[[float, float], str]
+    """What is reported: of what half of the segments show and more, and of the logarithm of its
+    ratio to the file's."""
+    start: float = 0.0
+    """Difference from which chance is counted."""
+    either_way: bool = False
+    """Whether less is asked as well."""
+    in_times: bool = True
+    """Whether the size is a ratio over that of the limit, or the difference over the limit."""
+
+
+@dataclass(frozen=True)
+class Family:
+    """Numbers of segments that a model file states of its own drives."""
+
+    kind: str
+    row: Callable[[str, int], Row | None]
+    """By name of an entry and number; None: not asked."""
+    least: int = LEAST_SEGMENTS
+    """Segments of an entry, and of a drive that is held against it."""
+
+    def asked(self, left: Mapping[float, Left], stated: VehicleModel) -> list[Question]:
+        """One question a number. left: by length of a segment [s]."""
+        return [
+            question
+            for seconds, own in left.items()
+            for name, x, file in in_both(own, stated.leaves, seconds, self.least, self.least)
+            for question in self.questions(name, x, file)
+        ]
+
+    def questions(self, name: str, x: Array, file: Leaves) -> list[Question]:
+        """Of one entry. x: (B, 6)."""
+        logs, more, se, free = beside_file(x, file)
+        made = []
+        for i in range(x.shape[1]):
+            row = self.row(name, i)
+            if row is None or free[i] < 1.0:
+                continue
+            far = float(abs(more[i]) if row.either_way else more[i])
+            sides = 2.0 if row.either_way else 1.0
+            p = min(sides * float(student.sf((far - row.start) / se[i], free[i])), 1.0)
+            size = float(np.exp(far - row.limit)) if row.in_times else far / row.limit
+            text = row.words(float(np.exp(np.median(logs[:, i]))), float(more[i]))
+            structure = Structure(name.split()[2] if " " in name else name, self.kind, size, text)
+            # Chance that starts from the limit is that of looking large.
+            is_sharp = row.start == 0.0
+            rare = chance_of_large(row.limit, float(se[i]), float(free[i])) if is_sharp else 1.0
+            made.append(Question(p, bool(far - se[i] > row.limit), structure, rare))
+        return made
+
+    def written(self, model: VehicleModel, left: Mapping[float, Left]) -> VehicleModel:
+        """The model file with what these segments show, besides entries that it had."""
+        for seconds, own in left.items():
+            model = with_entries(model, leaves_of(own, seconds, self.least))
+        return model
+
+
+def joined(parts: Mapping[str, list[tuple[Array, Array]]]) -> Left:
+    """Speeds and numbers of drives, one after another."""
+    return {
+        name: (np.concatenate([v for v, _ in p]), np.concatenate([x for _, x in p]))
+        for name, p in parts.items()
+    }
 
 
 def leaves_of(left: Left, segment_s: float, least: int = LEAST_SEGMENTS) -> dict[str, Leaves]:

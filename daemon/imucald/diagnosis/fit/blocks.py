@@ -201,7 +201,7 @@ def _top_hz(drive: DriveSignals, equation: str) -> float:
 
 
 def _moving(f: Forward) -> Array:
-    v = np.interp(f.t, f.knots, np.abs(f.drive.knots.values))
+    v = f.amount_of_speed()
     return np.asarray((v.reshape(f.blocks, f.rows) > MOVING_MPS).mean(axis=1))
 
 
@@ -297,29 +297,37 @@ def _weighed(
 
 def _without_tilt(parts: Mapping[str, Rows], x: Array) -> dict[str, Array]:
     """Residual rows (B, K) less X x, the tilt fitted anew."""
-    left = {name: rows.y - rows.X @ x for name, rows in parts.items()}
-    tilted = [n for n in TILTED if n in parts]
-    if not tilted:
-        return left
-    Z = np.concatenate([_tilt_of(parts[n]) for n in tilted], axis=1)
-    y = np.concatenate([left[n] for n in tilted], axis=1)[:, :, None]
-    y = without_tilt(y, Z)[:, :, 0]
-    at = 0
-    for n in tilted:
-        k = left[n].shape[1]
-        left[n], at = y[:, at : at + k], at + k
-    return left
+    left = {name: (rows.y - rows.X @ x)[:, :, None] for name, rows in parts.items()}
+    return {name: y[:, :, 0] for name, y in levelled(left, tilts_of(parts)).items()}
+
+
+def tilts_of(
+    parts: Mapping[str, Rows], weights: Mapping[str, Array] | None = None
+) -> dict[str, Array]:
+    """(B, K, Z) of the equations that share the tilt of a block, times weights (B, K)."""
+    tilts = {n: parts[n].tilt for n in TILTED if n in parts}
+    return {
+        n: z if weights is None else z * weights[n][:, :, None]
+        for n, z in tilts.items()
+        if z is not None
+    }
+
+
+def levelled(rows: Mapping[str, Array], tilts: Mapping[str, Array]) -> dict[str, Array]:
+    """Rows (B, K, P) by equation, without what the tilt makes of them; those that have one (B, K,
+    Z) come first."""
+    if not tilts:
+        return dict(rows)
+    A, Z = (np.concatenate([of[n] for n in tilts], axis=1) for of in (rows, tilts))
+    ends = np.cumsum([z.shape[1] for z in tilts.values()])[:-1]
+    made = dict(zip(tilts, np.split(without_tilt(A, Z), ends, axis=1), strict=True))
+    return made | {n: a for n, a in rows.items() if n not in made}
 
 
 def without_tilt(A: Array, Z: Array) -> Array:
     """Rows (B, K, P) without what the tilt (B, K, Z) of each block makes of them."""
     inner = np.swapaxes(Z, 1, 2) @ Z + 1e-9 * np.eye(Z.shape[2])
     return np.asarray(A - Z @ np.linalg.solve(inner, np.swapaxes(Z, 1, 2) @ A))
-
-
-def _tilt_of(rows: Rows) -> Array:
-    assert rows.tilt is not None
-    return rows.tilt
 
 
 def noise_weights(left: Array, good: Mask) -> Array:
@@ -338,23 +346,21 @@ def noise_weights(left: Array, good: Mask) -> Array:
     return made
 
 
+def _rows(parts: Mapping[str, Rows], weights: Mapping[str, Array]) -> dict[str, Array]:
+    """(B, K, P+1) residual and columns times weights (B, K), the tilt projected out."""
+    rows = {
+        n: np.concatenate([r.y[:, :, None], r.X], axis=2) * weights[n][:, :, None]
+        for n, r in parts.items()
+    }
+    return levelled(rows, tilts_of(parts, weights))
+
+
 def _plain(parts: Mapping[str, Rows]) -> dict[str, Array]:
     """Gram matrices in the equations' own units (squares per sample), in two bands."""
     made: dict[str, Array] = {}
-    tilted = [n for n in TILTED if n in parts]
-    full = {
-        n: np.concatenate([r.y[:, :, None], r.X], axis=2) * r.good[:, None, None]
-        for n, r in parts.items()
-    }
-    if tilted:
-        A = np.concatenate([full[n] for n in tilted], axis=1)
-        Z = np.concatenate([_tilt_of(parts[n]) * parts[n].good[:, None, None] for n in tilted], 1)
-        A = without_tilt(A, Z)
-        at = 0
-        for n in tilted:
-            k = parts[n].y.shape[1]
-            full[n], at = A[:, at : at + k], at + k
-    for n, a in full.items():
+    for n, a in _rows(
+        parts, {n: r.good[:, None].astype(np.float64) for n, r in parts.items()}
+    ).items():
         # Coefficient k of a block of T seconds lies at k / 2T.
         cut = max(1, round(2.0 * SLOW_BAND_HZ * parts[n].seconds))
         halves = [np.swapaxes(b, 1, 2) @ b for b in (a[:, :cut], a[:, cut:])]
@@ -363,23 +369,5 @@ def _plain(parts: Mapping[str, Rows]) -> dict[str, Array]:
 
 
 def _gram(parts: Mapping[str, Rows], weights: Mapping[str, Array]) -> dict[str, Array]:
-    """(B, P+1, P+1) by equation; those with gravity are one, named by the first."""
-    made: dict[str, Array] = {}
-    tilted = [n for n in TILTED if n in parts]
-    both = [np.concatenate([parts[n].y[:, :, None], parts[n].X], axis=2)
-            * weights[n][:, :, None] for n in tilted]  # fmt: skip
-    if both:
-        A = np.concatenate(both, axis=1)
-        Z = np.concatenate([_tilt_of(parts[n]) * weights[n][:, :, None] for n in tilted], axis=1)
-        A = without_tilt(A, Z)
-        at = 0
-        for n in tilted:
-            k = parts[n].y.shape[1]
-            a = A[:, at : at + k]
-            made[n] = np.swapaxes(a, 1, 2) @ a
-            at += k
-    for name, rows in parts.items():
-        if name not in tilted:
-            a = np.concatenate([rows.y[:, :, None], rows.X], axis=2) * weights[name][:, :, None]
-            made[name] = np.swapaxes(a, 1, 2) @ a
-    return made
+    """(B, P+1, P+1) by equation."""
+    return {n: np.swapaxes(a, 1, 2) @ a for n, a in _rows(parts, weights).items()}

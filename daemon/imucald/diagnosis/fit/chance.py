@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.stats import norm
 from scipy.stats import t as student
 
 from imucald.diagnosis.result import Structure
@@ -31,6 +32,12 @@ def chance_of_large(limit: float, se: float, free: float, beside: float = 1.0) -
     """That a value whose error has a deviation `se`, known by so many degrees of freedom, exceeds a
     limit by so many deviations to either side, where nothing is there."""
     return float(2.0 * student.sf(limit / max(se, 1e-300) + beside, max(free, 1.0)))
+
+
+def chance_of_both(by_parts: float, free: float, by_rows: float) -> float:
+    """Of a value by so many deviations: by how parts scatter (Student), and by the noise of all
+    rows (normal), to either side. Each has its own law."""
+    return 2.0 * max(float(student.sf(by_parts, free)), float(norm.sf(by_rows)))
 
 
 def beyond_chance(asked: Sequence[Question]) -> list[Structure]:

@@ -144,7 +144,7 @@ def spectra_of(problem: Problem, forwards: Sequence[Forward]) -> Mapping[str, Sp
     for f in forwards:
         masks, found = f.usable(), f.residuals(changes)
         leveled = f.level(found, masks)
-        v = np.interp(f.t, f.knots, np.abs(f.drive.knots.values)).reshape(f.blocks, f.rows)
+        v = f.amount_of_speed().reshape(f.blocks, f.rows)
         # One product under two masks: a segment may lack one of the two equations.
         sideways = v * f.yaw_rate().reshape(v.shape) if f.has_turning else v
         if "yaw_rate" in leveled:

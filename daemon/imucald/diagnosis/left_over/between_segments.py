@@ -18,7 +18,7 @@ from imucald.diagnosis.fit.chance import Question
 from imucald.diagnosis.fit.intervals import ERROR_RATE
 from imucald.diagnosis.fit.score import Hypothesis, Problem, one_in_fifteen, what_leaves
 from imucald.diagnosis.left_over.stability import EVENLY, amount
-from imucald.diagnosis.outcome import SEEN_SHARE, signals_of
+from imucald.diagnosis.outcome import SEEN_SHARE, first_signal
 from imucald.diagnosis.result import WANDERS, Structure
 from imucald.diagnosis.search.search import beyond
 from imucald.diagnosis.search.state import State
@@ -79,7 +79,7 @@ def _questions(
                 f"{key} changes from segment to segment by {amount(key, size)}, its own errors "
                 f"aside (limit {amount(key, EVENLY * may)})"
             )
-            signal = (signals_of(table, [key]) or ("accel_x",))[0]
+            signal = first_signal(table, [key])
             size /= EVENLY * may
             yield Question(p, size > 1.0, Structure(signal, WANDERS, size, text, key))
 

@@ -28,7 +28,7 @@ BEYOND = 0.5
 
 def conditions(f: Forward) -> dict[str, Array]:
     """(N,) by name: from -0.5 at the 5th to 0.5 at the 95th of a hundred rows in motion."""
-    v = np.interp(f.t, f.knots, np.abs(f.drive.knots.values))
+    v = f.amount_of_speed()
     moves = v > STANDING_MPS
     if not moves.any():
         return {}

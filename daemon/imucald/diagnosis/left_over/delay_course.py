@@ -14,8 +14,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.stats import norm
-from scipy.stats import t as student
 
 from imucald.core.arrays import Array
 from imucald.core.samples import GRAVITY
@@ -24,7 +22,7 @@ from imucald.diagnosis.equations import kinematics
 from imucald.diagnosis.equations.forward import Forward
 from imucald.diagnosis.equations.motion import VehicleMotion
 from imucald.diagnosis.equations.single_track import SLOW_MPS
-from imucald.diagnosis.fit.chance import Question
+from imucald.diagnosis.fit.chance import Question, chance_of_both
 from imucald.diagnosis.fit.sandwich import scatters
 from imucald.diagnosis.fit.score import Problem
 from imucald.diagnosis.left_over.stability import EITHER_SIDE, LEAST_SIDE, amount
@@ -313,6 +311,6 @@ def followed(course: Course, column: list[Array], before: float) -> Followed | N
     value = before + step
     by_blocks = abs(value) * information / float(np.sqrt(max(scatter, 1e-300)))
     by_rows = abs(value) * float(np.sqrt(information))
-    p = 2.0 * max(float(student.sf(by_blocks, count - 1.0)), float(norm.sf(by_rows)))
+    p = chance_of_both(by_blocks, count - 1.0, by_rows)
     even = np.linalg.lstsq(R, Q.T @ (y - step * x), rcond=None)[0] / size
     return Followed(value, min(by_blocks, by_rows), p, even)

@@ -16,7 +16,7 @@ from scipy.stats import t as student
 from imucald.core.arrays import Array
 from imucald.diagnosis.fit.score import Hypothesis, Problem, held_out, paired
 from imucald.diagnosis.left_over.stability import LEAST_SIDE, moment
-from imucald.diagnosis.outcome import signals_of
+from imucald.diagnosis.outcome import first_signal
 from imucald.diagnosis.result import WANDERS, Structure
 from imucald.diagnosis.search.standing import put_back
 from imucald.diagnosis.search.state import State
@@ -58,7 +58,7 @@ def _as_steps(problem: Problem, state: State, trial: Trial) -> Iterator[Structur
         f"{keys[0].rpartition('.')[0] if len(keys) > 1 else keys[0]} may be another from "
         f"{moment(table, k)} on instead of growing evenly: that explains unseen segments as well"
     )
-    signal = (signals_of(table, keys) or ("accel_x",))[0]
+    signal = first_signal(table, keys)
     size = float(sure * se / max(behind, 1e-9)) if behind > 0.0 else float(table.blocks)
     yield Structure(signal, WANDERS, size, text, h.keys[0])
 

@@ -15,15 +15,13 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.fft import idct
-from scipy.stats import norm
-from scipy.stats import t as student
 
 from imucald.core.arrays import Array
 from imucald.diagnosis.cause_keys import model_error, tolerance
 from imucald.diagnosis.equations.forward import STOPPING_MPS2, Forward
 from imucald.diagnosis.fit.added import AddedRows, level_of, rows_with, whitened
 from imucald.diagnosis.fit.blocks import Table
-from imucald.diagnosis.fit.chance import Question, chance_of_large
+from imucald.diagnosis.fit.chance import Question, chance_of_both, chance_of_large
 from imucald.diagnosis.fit.moderated import moderated
 from imucald.diagnosis.fit.sandwich import scatters
 from imucald.diagnosis.fit.score import Problem, what_leaves, without_best
@@ -278,7 +276,7 @@ class PairTest:
     def chance(self, over: float, free: float) -> float:
         """Its chance with a scatter that is known by so many degrees of freedom."""
         by = self.by_rows / float(np.sqrt(max(over, 1e-300)))
-        return 2.0 * max(float(student.sf(by, free)), float(norm.sf(self.by_rows)))
+        return chance_of_both(by, free, self.by_rows)
 
 
 def _test(u: Array, h: Array) -> PairTest:

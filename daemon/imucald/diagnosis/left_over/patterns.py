@@ -15,15 +15,13 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.fft import idct
-from scipy.stats import norm
-from scipy.stats import t as student
 
 from imucald.core.arrays import Array
 from imucald.core.samples import GRAVITY
 from imucald.diagnosis.causes import MODEL_ERROR, PARAMETERS
 from imucald.diagnosis.equations.forward import UNITS, Forward
 from imucald.diagnosis.fit.blocks import LEAST_SHARE, cosine, noise_weights, without_tilt
-from imucald.diagnosis.fit.chance import Question, chance_of_large
+from imucald.diagnosis.fit.chance import Question, chance_of_both, chance_of_large
 from imucald.diagnosis.fit.sandwich import scatters, variances
 from imucald.diagnosis.fit.score import Problem, without_best
 from imucald.diagnosis.left_over.conditions import shaken
@@ -278,7 +276,7 @@ def _fit(parts: Array) -> tuple[float, float, float, float, float]:
         return float(value[-1]), 0.0, 1.0, 0.0, 1.0
     by_blocks, by_rows = abs(value[-1]) / np.sqrt(blocks), abs(value[-1]) / np.sqrt(rows)
     freedom = _effective(fine[:, 1:, 1:], inverse[-1]) - 1.0
-    p = 2.0 * max(float(student.sf(by_blocks, freedom)), float(norm.sf(by_rows)))
+    p = chance_of_both(float(by_blocks), freedom, float(by_rows))
     rest = total - gram
     gain = _losses(gram[:, :-1, :-1], _solved(rest[:, :-1, :-1])) - _losses(gram, _solved(rest))
     return float(value[-1]), float(min(by_blocks, by_rows)), p, without_best(gain), freedom

@@ -22,7 +22,7 @@ from imucald.diagnosis.fit.box import box_fit
 from imucald.diagnosis.fit.chance import FALSE_SHARE, Question, chance_of_large
 from imucald.diagnosis.fit.moderated import moderated
 from imucald.diagnosis.fit.score import REACH, Hypothesis, Problem
-from imucald.diagnosis.outcome import signals_of
+from imucald.diagnosis.outcome import first_signal
 from imucald.diagnosis.result import DIFFERS, WANDERS, Structure
 from imucald.diagnosis.search.state import State
 from imucald.diagnosis.search.trials import on_table
@@ -349,7 +349,7 @@ def amount(key: str, x: float) -> str:
 def _question(
     problem: Problem, key: str, kind: str, p: float, size: float, text: str, rare: float = 1.0
 ) -> Question:
-    signal = (signals_of(problem.table, [key]) or ("accel_x",))[0]
+    signal = first_signal(problem.table, [key])
     text = f"{text} ({size:.1f} times the limit of a correct file)"
     return Question(p, size > 1.0, Structure(signal, kind, size, text, key), rare)
 

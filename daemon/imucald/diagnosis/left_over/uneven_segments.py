@@ -6,7 +6,7 @@ state what its own drives left, and how far their segments differ.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from itertools import pairwise, product
 
 import numpy as np
@@ -15,13 +15,12 @@ from scipy.stats import beta, chi2
 from scipy.stats import f as fisher
 
 from imucald.core.arrays import Array
-from imucald.diagnosis.fit.beside_file import LEAST_RMS, ROAD_CLASS, beside_file, in_both
+from imucald.diagnosis.fit.beside_file import LEAST_RMS, ROAD_CLASS, Left, beside_file, in_both
 from imucald.diagnosis.fit.chance import Question
 from imucald.diagnosis.fit.score import Hypothesis, Problem, one_in_fifteen, what_leaves
-from imucald.diagnosis.left_over.louder import left_of
 from imucald.diagnosis.result import LOUDER, UNEVEN, Structure
-from imucald.diagnosis.search.state import State
 from imucald.model.leaves import BANDS_HZ, Leaves
+from imucald.model.model import VehicleModel
 
 EVEN = ("accel_x", "accel_y", "accel_z")
 """Equations in which nothing of the road is left, nor of the springs, where a gyroscope carries
@@ -81,13 +80,16 @@ def uneven(problem: Problem, drift: Hypothesis | None) -> list[Structure]:
     return found
 
 
-def more_than_stated(problem: Problem, state: State) -> list[Question]:
+def more_than_stated(left: Mapping[float, Left], stated: VehicleModel) -> list[Question]:
     """Whether one segment in fifteen, in four or in two leaves more of an equation in a band than
-    the model file states of its own drives. Of segments at speeds of the file's."""
-    asked = in_both(
-        left_of(problem, state), state.stated.leaves, problem.table.seconds, LEAST_BLOCKS
-    )
-    return [q for name, rms, file in asked for q in _of_equation(name, rms, file)]
+    the model file states of its own drives. Of segments at speeds of the file's. left: of
+    `left_of`."""
+    return [
+        question
+        for seconds, own in left.items()
+        for name, rms, file in in_both(own, stated.leaves, seconds, LEAST_BLOCKS)
+        for question in _of_equation(name, rms, file)
+    ]
 
 
 def _of_equation(name: str, rms: Array, file: Leaves) -> Iterator[Question]:
