@@ -15,6 +15,7 @@ from benchmarks.public_logs import (
     pocket_phones,
     race_cars,
     repositories,
+    robots,
     tensors,
     vehicles,
 )
@@ -145,4 +146,19 @@ LOGS = (
     # in circles: no yaw to be known
     PublicLog("boston_circles", repositories.BOSTON_CIRCLES, loggers.boston_circles,
               (180.0, 1.8, None), 3.0, right="boston_vectornav"),
+    # from here on: the eighth search; by gravity, turns and changes of speed
+    PublicLog("kia_5hz", repositories.CSS_2026, bus_recordings.kia_5hz, (-6.1, -4.4, 17.0), 6.0),
+    PublicLog("kia_10hz", repositories.CSS_PARQUET, bus_recordings.kia_10hz, (2.0, 1.7, 2.9), 2.0),
+    PublicLog("kia_car_park", repositories.CSS_2026, bus_recordings.kia_car_park,
+              (1.6, 1.4, 12.0), 8.0),
+    PublicLog("racer_2", repositories.FRICTION_MAPS, partial(robots.racer, run=2),
+              (3.5, 0.0, 92.0), 4.0, right="racer"),
+    PublicLog("racer_3", repositories.FRICTION_MAPS, partial(robots.racer, run=3),
+              (3.3, 0.9, 89.0), 4.0, right="racer"),
+    # its yaw shows in nothing; stated as 0
+    PublicLog("mars_yard", repositories.NAVEGO, robots.mars_yard, (179.5, -1.5, None), 3.0),
+    PublicLog("skoda_receiver", repositories.WHEEL_INERTIAL, robots.skoda_receiver,
+              (0.7, 3.4, 12.0), 6.0),
+    PublicLog("skoda_dot", repositories.WHEEL_INERTIAL, robots.skoda_dot, (-4.8, 1.9, -84.0),
+              10.0),
 )  # fmt: skip

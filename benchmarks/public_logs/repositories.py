@@ -154,3 +154,17 @@ BOSTON_1HZ = Repository(
 BOSTON_CIRCLES = Repository(
     "sazgar001", "EECE5554", "f8d31a6bf430e277cda6f9121af548cc06cb52d3", "none stated"
 )
+CSS_PARQUET = Repository(
+    "CSS-Electronics", "canedge-mdftoparquet-automation",
+    "ed76f8fc85c3559757c725572804e133fbcf6783", "none stated",
+)  # fmt: skip
+CSS_2026 = Repository(
+    "CSS-Electronics", "api-examples", "f7932bacb2969dec591508d15f89e8a898ca99c6", "MIT"
+)
+FRICTION_MAPS = Repository(
+    "AhmadAmine998", "FrictionMaps", "6a1b907d68999067960553bcec18fbf70b30bf4e", "MIT"
+)
+NAVEGO = Repository("rodralez", "NaveGo", "550d90660dceddf70af8957f1fdc988eb763a315", "LGPL-3.0")
+WHEEL_INERTIAL = Repository(
+    "ansfl", "WID", "9f15b32a26393c5870e83fc31948280eb41e5710", "none stated"
+)
