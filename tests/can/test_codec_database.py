@@ -187,12 +187,24 @@ def test_one_identifier_in_two_files_is_refused_unless_allowed(tmp_path: Path) -
     assert set(load_database([a, b], shared_ids=True).messages) == {"M", "N"}
 
 
-def test_two_messages_of_one_name_in_a_file_are_refused_when_asked_for(tmp_path: Path) -> None:
+def test_two_messages_of_one_name_in_a_file_are_told_apart_by_their_ids(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
     text = HEAD + "BO_ 16 M: 8 Vector__XXX\n" + SIGNAL + "\nBO_ 17 M: 8 Vector__XXX\n" + SIGNAL
     text += "\nBO_ 18 N: 8 Vector__XXX\n" + SIGNAL
     database = load_database([write(tmp_path, "a.dbc", text)])
-    assert database.message("N").can_id == 18
-    with pytest.raises(DatabaseError, match="two different messages are named M"):
+    assert {name: m.can_id for name, m in database.messages.items()} == {
+        "M_0x10": 16, "M_0x11": 17, "N": 18,
+    }  # fmt: skip
+    with pytest.raises(DatabaseError, match="two different messages are named M; write M_0x10 or"):
+        database.message("M")
+    assert not caplog.records
+
+
+def test_two_messages_of_one_name_and_id_are_refused_when_asked_for(tmp_path: Path) -> None:
+    text = HEAD + "BO_ 16 M: 8 Vector__XXX\n" + SIGNAL + "\nBO_ 16 M: 7 Vector__XXX\n" + SIGNAL
+    database = load_database([write(tmp_path, "a.dbc", text)])
+    with pytest.raises(DatabaseError, match=r"two different messages are named M$"):
         database.message("M")
 
 

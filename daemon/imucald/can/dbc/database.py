@@ -9,7 +9,7 @@ from pathlib import Path
 
 from msgspec.structs import replace
 
-from imucald.can.columns import CAN_EFF_FLAG
+from imucald.can.columns import CAN_EFF_FLAG, CAN_EFF_MASK
 from imucald.can.dbc.decode import J1939_ADDRESS_MASK, J1939_NO_ADDRESS, pgn_of
 from imucald.can.dbc.message import Message, Signal, nearest
 from imucald.core import file_cache as database_cache
@@ -98,15 +98,40 @@ def load_database(paths: Sequence[Path], shared_ids: bool = False) -> Database:
     ambiguous: dict[str, str] = {}
     for path in paths:
         in_file: dict[str, Message] = {}
-        for message in _load_file(Path(path)):
+        found, names = _named_apart(_load_file(Path(path)))
+        for message in found:
             earlier = in_file.get(message.name)
             if earlier is not None and earlier != message:
-                ambiguous[message.name] = f"{path}: two different messages are named {message.name}"
+                names[message.name] = ()
             in_file[message.name] = message
+        for name, instead in names.items():
+            remedy = f"; write {' or '.join(instead)}" if instead else ""
+            ambiguous[name] = f"{path}: two different messages are named {name}{remedy}"
         _refuse_conflicts(messages, list(in_file.values()), shared_ids)
         known = {m.name for m in messages}
         messages += [m for m in in_file.values() if m.name not in known]
     return Database(messages, ambiguous)
+
+
+def _named_apart(
+    messages: Sequence[Message],
+) -> tuple[list[Message], dict[str, Sequence[str]]]:
+    """The messages, and the names that several had with what these are called instead.
+
+    A file may describe two senders of one kind by the same names: identifiers tell them apart.
+    """
+    ids: dict[str, list[int]] = {}
+    for one in messages:
+        known = ids.setdefault(one.name, [])
+        if one.can_id not in known:
+            known.append(one.can_id)
+    shared = {name: {i: f"{name}_0x{i & CAN_EFF_MASK:X}" for i in known}
+              for name, known in ids.items() if len(known) > 1}  # fmt: skip
+    apart = [
+        replace(one, name=shared[one.name][one.can_id]) if one.name in shared else one
+        for one in messages
+    ]
+    return apart, {name: list(instead.values()) for name, instead in shared.items()}
 
 
 def _told_apart(messages: Sequence[Message]) -> list[Message]:
@@ -206,7 +231,7 @@ def _refuse_conflicts(known: list[Message], new: list[Message], shared_ids: bool
         other = ids.get(message.can_id)
         if other is not None and not shared_ids and message.signals and not _same(other, message):
             raise DatabaseError(
-                f"identifier 0x{message.can_id & 0x1FFF_FFFF:X} is {other.name} in {other.source} "
+                f"identifier 0x{message.can_id & CAN_EFF_MASK:X} is {other.name} in {other.source} "
                 f"but {message.name} in {message.source}"
             )
 

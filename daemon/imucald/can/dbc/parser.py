@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import importlib
 import importlib.util
+import logging
 import math
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -100,8 +101,9 @@ def _cantools() -> Any:
     """`cantools.database`, without the rest of cantools, which would load python-can.
 
     That is 12 MiB (of the 50 that a daemon may take) and 45 ms. Whoever imports cantools later
-    gets it whole.
+    gets it whole. What its log warns of (double names) is told here, with a remedy.
     """
+    logging.getLogger("cantools").setLevel(logging.ERROR)
     spec = importlib.util.find_spec("cantools")
     with standing_in("cantools", None if spec is None else importlib.util.module_from_spec(spec)):
         return importlib.import_module("cantools.database")
