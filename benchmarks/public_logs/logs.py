@@ -157,8 +157,9 @@ LOGS = (
               (3.3, 0.9, 89.0), 4.0, right="racer"),
     # its yaw shows in nothing; stated as 0
     PublicLog("mars_yard", repositories.NAVEGO, robots.mars_yard, (179.5, -1.5, None), 3.0),
+    # with the slopes that its heights show; 12 was written down, without them
     PublicLog("skoda_receiver", repositories.WHEEL_INERTIAL, robots.skoda_receiver,
-              (0.7, 3.4, 12.0), 6.0),
+              (0.7, 3.4, -1.0), 6.0),
     PublicLog("skoda_dot", repositories.WHEEL_INERTIAL, robots.skoda_dot, (-4.8, 1.9, -84.0),
               10.0),
 )  # fmt: skip
