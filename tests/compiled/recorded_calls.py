@@ -78,5 +78,4 @@ def calls() -> dict[str, list[Arguments]]:
 
     with tempfile.TemporaryDirectory() as folder, watched(keep):
         imucald.replay(imucald.Config.load(CONFIG), simulated(Path(folder)))
-    found["sums"] = [(np.ones((3, 4)), np.empty(3), np.empty(4))]
     return found

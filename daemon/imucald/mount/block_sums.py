@@ -1,4 +1,4 @@
-"""Sums over the ticks of a block, in one order of summation, by numpy or the compiled part.
+"""Sums over the ticks of a block, in one order of summation.
 
 By how much the force of one block answers turned from dv/dt and v r, and how sure that is.
 
@@ -16,7 +16,6 @@ import numpy as np
 from msgspec import Struct
 from numpy.typing import NDArray
 
-from imucald.core import compiled
 from imucald.core.arrays import Array
 from imucald.motion.signal_health import slope
 from imucald.motion.ticks import TICK_S
@@ -48,17 +47,12 @@ def driven(p: SignalBlock) -> Flags:
 def block_sums(p: SignalBlock, turn_rate: Array, use: Flags) -> BlockSums:
     """Of the ticks (N,) in use; turn_rate: (N,) r [rad/s]."""
     out = np.empty(8)
-    if compiled.kernels is not None:
-        flags = compiled.kernels.block_sums(use, p.force, p.accel, p.speed, turn_rate, out)
-        if flags:
-            compiled.note(flags)
-    else:
-        size = np.abs(p.speed) * use
-        out[0] = np.count_nonzero(use)
-        (p.force * use[:, None]).sum(axis=0, out=out[1:4])
-        out[4] = (p.accel * use).sum()
-        out[5] = (p.speed * turn_rate * use).sum()
-        out[6], out[7] = size.sum(), size.max()
+    size = np.abs(p.speed) * use
+    out[0] = np.count_nonzero(use)
+    (p.force * use[:, None]).sum(axis=0, out=out[1:4])
+    out[4] = (p.accel * use).sum()
+    out[5] = (p.speed * turn_rate * use).sum()
+    out[6], out[7] = size.sum(), size.max()
     n, x, y, z, accel, turn, speed, fastest = out.tolist()
     return BlockSums(int(n), (x, y, z), accel, turn, speed, fastest)
 
@@ -70,13 +64,6 @@ def pair_sums(
 
     centred: about the means.
     """
-    if compiled.kernels is not None:
-        out = np.empty(4)
-        flags = compiled.kernels.pair_sums(x, y, use, centred, out)
-        if flags:
-            compiled.note(flags)
-        n, xx, xy, yy = out.tolist()
-        return int(n), xx, xy, yy
     count = int(np.count_nonzero(use))
     if not count:
         return 0, 0.0, 0.0, 0.0
@@ -91,13 +78,8 @@ def pair_sums(
 def masked_sums(values: Array, use: Flags) -> tuple[int, float, float, float]:
     """How many ticks (N,) are in use, and the sums of their vectors (N, 3)."""
     out = np.empty(4)
-    if compiled.kernels is not None:
-        flags = compiled.kernels.masked_sums(values, use, out)
-        if flags:
-            compiled.note(flags)
-    else:
-        out[0] = np.count_nonzero(use)
-        (values * use[:, None]).sum(axis=0, out=out[1:])
+    out[0] = np.count_nonzero(use)
+    (values * use[:, None]).sum(axis=0, out=out[1:])
     n, x, y, z = out.tolist()
     return int(n), x, y, z
 
@@ -165,15 +147,6 @@ _PAIRS = np.array(
 def _sums(m: BlockMotion, use: Flags) -> list[float]:
     """How many ticks are in use, and sums of products about their means, see `_PAIRS`."""
     late = m.delay / TICK_S
-    if compiled.kernels is not None:
-        out = np.empty(1 + len(_PAIRS))
-        flags = compiled.kernels.yaw_sums(
-            m.force, m.accel, m.turn, m.turn_rate, use, late, TICK_S, _PAIRS, out
-        )
-        if flags:
-            compiled.note(flags)
-        found: list[float] = out.tolist()
-        return found
     n = len(use)
     at = np.minimum(np.maximum(np.arange(n) + late, 0.0), n - 1.0)
     before = np.minimum(at.astype(np.int64), n - 2)

@@ -21,7 +21,6 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from imucald.core import compiled
 from imucald.core.arrays import Array, median
 from imucald.motion.straight import yaw_rate_with_understeer
 from imucald.motion.ticks import TICK_S
@@ -347,19 +346,6 @@ def _sums_of_pairs(
     vehicle: steering ratio, wheelbase and understeer. R: the mount. walk: noise of the turn rate
     [rad/s] that does not show in it. late: the speed, behind the force [ticks].
     """
-    ratio, wheelbase, understeer = vehicle
-    if compiled.kernels is not None:
-        bend = ratio * wheelbase, understeer / wheelbase
-        figures = np.array([steering_offset, *bend, MOVING, walk, NOISE, TURNS, HARD_TURNS])
-        out = np.empty((5, 4))
-        flags = compiled.kernels.signal_pairs(
-            p.speed, p.accel, p.yaw_rate, turn_rate, p.steering, p.force, p.ok_speed, p.ok_yaw,
-            p.ok_rate, p.ok_force, p.ok_steering, p.learn, R, figures, late, asked, out,
-        )  # fmt: skip
-        if flags:
-            compiled.note(flags)
-        seen: list[list[float]] = out.tolist()
-        return seen
     found: list[_Sums] = [_NOTHING_SEEN] * 5
     moving = p.ok_speed & (np.abs(p.speed) > MOVING)
     if asked & _YAW_RATE:

@@ -22,7 +22,6 @@ import numpy as np
 from msgspec import Struct
 from numpy.typing import NDArray
 
-from imucald.core import compiled
 from imucald.core.arrays import Array
 from imucald.mount.road_segments import AngleEvidence, ScoreSeries
 
@@ -183,16 +182,8 @@ def _filtered(left: Array, known: Array, each: Array) -> tuple[Array, Array, Arr
     P[2] = RATES**2
     off, spread = np.zeros((len(each), *shape)), np.ones((len(each), *shape))
     last = np.where(has_begun[-1], 0.5 * float(each[-1]) + LATE, 0.0)
-    if compiled.kernels is not None:
-        columns = (one[:, :, 0] for one in (value, noise, gaps, goes_on, begins))
-        flags = compiled.kernels.creep_filters(
-            *columns, WALK_VARIANCES, last[:, 0], off, spread, state, P
-        )
-        if flags:
-            compiled.note(flags)
-    else:
-        _run(value, noise, gaps, goes_on, begins, off, spread, state, P)
-        _go_on(state, P, last)
+    _run(value, noise, gaps, goes_on, begins, off, spread, state, P)
+    _go_on(state, P, last)
     loss = 0.5 * (off * off / spread + np.log(spread))
     log = -np.where(goes_on, loss, 0.0).sum(axis=0)
     return log, state[0] - state[0, :, :1], np.maximum(P[0] - 1.0 / total, 0.0)

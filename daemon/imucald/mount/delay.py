@@ -16,7 +16,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from imucald.config.base import MAX_SPEED_DELAY, MIN_SPEED_DELAY
-from imucald.core import compiled
 from imucald.core.arrays import Array
 from imucald.core.rotations import Matrix3
 from imucald.motion.ticks import TICK_S
@@ -76,15 +75,6 @@ class DelaySearch:
         if t <= self._until:
             return False
         self._until = t
-        if compiled.kernels is not None:
-            used = np.empty(1, np.int64)
-            flags = compiled.kernels.add_cross_spectra(
-                signal, force, MIN_POWER, self._cross, self._powers, used
-            )
-            if flags:
-                compiled.note(flags)
-            self.windows += int(used[0])
-            return True
         re, im = signal.real, signal.imag
         power = re * re + im * im
         if power.sum() < MIN_POWER:

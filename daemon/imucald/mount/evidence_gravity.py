@@ -17,7 +17,6 @@ import operator
 
 import numpy as np
 
-from imucald.core import compiled
 from imucald.core.arrays import Array
 from imucald.core.rotations import Matrix3
 from imucald.core.samples import GRAVITY
@@ -175,24 +174,12 @@ def _row(each: list[float], std: tuple[float, float], length: float) -> list[flo
     return [*mean, *known]
 
 
-_NUMBERS = np.array([(SHARE / STILL) ** 2, REST_METRES_PER_TICK, STOP_METRES, TICK_S])
-
-
 def _sums(p: SignalBlock, turn: Array, stop_used: float) -> list[float]:
     """Over a block: the weight, and weighed with it force (3,), dv/dt, v r; metres; how many ticks
     are in use, at rest, and move; metres that each tick at rest counts for.
 
     turn: (N,) v r [m/s^2]; stop_used: metres that the stop so far has counted for.
     """
-    if compiled.kernels is not None:
-        out = np.empty(11)
-        flags = compiled.kernels.gravity_sums(
-            p.learn, p.ok_speed, p.rest, p.force, p.speed, p.accel, turn, _NUMBERS, stop_used, out
-        )
-        if flags:
-            compiled.note(flags)
-        found: list[float] = out.tolist()
-        return found
     use = driven(p)
     sizes = np.abs(p.speed)
     weight = np.where(p.rest, 0.0, sizes * TICK_S)

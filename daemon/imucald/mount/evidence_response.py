@@ -23,7 +23,6 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from imucald.core import compiled
 from imucald.core.arrays import Array
 from imucald.core.rotations import Matrix3, vector_from_rotation
 from imucald.mount import evidence_spectra as sp
@@ -94,9 +93,6 @@ _POWERS = np.array(
     [_MOTION] * ROLL_ROW + [(_MOTION[1], -1)] + [(PAIR[Term.YAW_RATE, Term.YAW_RATE], -1)] * 2
 )
 """Of each row, the products whose sum is a window's power; -1: none."""
-_LEVELS = np.array(
-    [LONE, LEAST_POWER, PER_TICK, TRUST, MEAN_SHARE, UNEVEN, UNEVEN_WINDOWS, NU_MIN, NU_MAX]
-)
 
 
 def _first_of_each(group: NDArray[np.int64]) -> NDArray[np.int64]:
@@ -297,30 +293,12 @@ class ResponseEvidence:
 
     def _weights(self, left: Array) -> Array:
         nu, dof = self.nu, 2.0 * BAND_WIDTH
-        if compiled.kernels is not None:
-            found = np.empty_like(left)
-            flags = compiled.kernels.window_weights(
-                left, nu[:, 0, 0], self.noise, dof, 2.0 * PER_TICK, found
-            )
-            if flags:
-                compiled.note(flags)
-            return found
         out: Array = (nu + dof) / (nu * self.noise[:, None, :] + 2.0 * PER_TICK * left)
         return out
 
     def _renew_levels(self, P: Array, weight: Array, left: Array) -> None:
         """Noise per tick, band and axis, and degrees of freedom, of windows and their weights."""
-        if compiled.kernels is None:
-            self.nu, self.noise = self._evenness(left), self._levels(P, weight, left)
-            return
-        noise, nu = self.noise.copy(), np.empty(len(ROWS))
-        flags = compiled.kernels.renew_levels(
-            P, weight, left, _POWERS, BAND_WIDTH, _PRIOR[:, 0], _FLOOR[:, 0], _LEVELS,
-            float(self._n), P_ROW, noise, nu,
-        )  # fmt: skip
-        if flags:
-            compiled.note(flags)
-        self.nu, self.noise = nu[:, None, None], noise
+        self.nu, self.noise = self._evenness(left), self._levels(P, weight, left)
 
     @staticmethod
     def _evenness(left: Array) -> Array:

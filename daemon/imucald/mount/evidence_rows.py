@@ -14,7 +14,6 @@ import numpy as np
 from msgspec import Struct
 from numpy.typing import NDArray
 
-from imucald.core import compiled
 from imucald.core.arrays import Array
 from imucald.mount.evidence_spectra import BAND_OMEGA2, BANDS, PAIR, Term
 
@@ -113,8 +112,7 @@ _LEFT_FACTOR = np.array(
     [0 if k < 0 else 1 + k + (0 if square >= 0 else len(GAINS)) for _, _, k, square in _LEFT]
 )
 _ONE = np.ones((1, BANDS))
-_LEFT_ENDS = np.searchsorted([row for row, _, _, _ in _LEFT], np.arange(len(TARGETS) + 1))
-_LEFT_START = _LEFT_ENDS[:-1]
+_LEFT_START = np.searchsorted([row for row, _, _, _ in _LEFT], np.arange(len(TARGETS)))
 
 _PLACES = [(row, a) for row, spec in enumerate(ROWS) for a in range(len(spec.regressors))]
 _PLACES.sort(key=lambda place: -len(KNOWN[place[0]]))  # those with most terms come first
@@ -141,21 +139,7 @@ _ENTRIES = [
     for a in range(len(spec.regressors))
     for b in range(a, len(spec.regressors))
 ]
-_ENTRY_TABLE = np.array(_ENTRIES)
-_ENTRY_ROW, _ENTRY_A, _ENTRY_B, _ENTRY_PAIR = _ENTRY_TABLE.T
-
-
-def _place_table() -> Index:
-    """Of each place its row and regressor, then the pair of each term and where its sign is."""
-    table = np.full((len(_PLACES), 2 + 2 * len(_TERMS)), -1)
-    table[:, 0], table[:, 1] = _SCORE_ROW, _SCORE_A
-    for rank, (pair, sign) in enumerate(_TERMS):
-        table[: len(pair), 2 + 2 * rank], table[:, 3 + 2 * rank] = pair, 0
-        table[: len(pair), 3 + 2 * rank] = sign
-    return table
-
-
-_PLACE_TABLE = _place_table()
+_ENTRY_ROW, _ENTRY_A, _ENTRY_B, _ENTRY_PAIR = np.array(_ENTRIES).T
 _USED = np.zeros((len(ROWS), 1, BANDS))
 for _i, _row in enumerate(ROWS):
     _USED[_i, 0, _row.first : _row.bands] = 1.0
@@ -166,12 +150,6 @@ def left_over(P: Array, gains: Array) -> Array:
 
     P: products in vehicle axes (pairs, n, BANDS); gains: (gains, BANDS).
     """
-    if compiled.kernels is not None:
-        found = np.empty((len(TARGETS), *P.shape[1:]))
-        flags = compiled.kernels.left_over(P, gains, _LEFT_PAIR, _LEFT_FACTOR, _LEFT_ENDS, found)
-        if flags:
-            compiled.note(flags)
-        return found
     factor = np.concatenate([_ONE, gains**2, -2.0 * gains])[_LEFT_FACTOR]
     terms = P.take(_LEFT_PAIR, axis=0)
     terms *= factor[:, None, :]
@@ -186,8 +164,7 @@ _ANGLE = [
 ]
 _ANGLE_PAIR = np.array([pair for _, pair, _ in _ANGLE])
 _ANGLE_SIGN = np.array([1 + gain for *_, gain in _ANGLE])
-_ANGLE_ENDS = np.searchsorted([row for row, _, _ in _ANGLE], np.arange(len(ROWS) + 1))
-_ANGLE_START = _ANGLE_ENDS[:-1]
+_ANGLE_START = np.searchsorted([row for row, _, _ in _ANGLE], np.arange(len(ROWS)))
 _ANGLE_POWER = np.array([PAIR[spec.regressors[0], spec.regressors[0]] for spec in ROWS])
 _ANGLE_AXIS = np.array([spec.axis for spec in ROWS])
 
@@ -195,15 +172,6 @@ _ANGLE_AXIS = np.array([spec.axis for spec in ROWS])
 def less_angle(left: Array, P: Array, gains: Array, angle: Array) -> Array:
     """What is left over (6, n, BANDS) once each window's own angle (n, 3) [rad] is taken off."""
     factor = factors(gains)[:, 0]
-    if compiled.kernels is not None:
-        found = np.empty_like(left)
-        flags = compiled.kernels.less_angle(
-            left, P, gains, _ANGLE_PAIR, _ANGLE_SIGN, _ANGLE_ENDS, _ANGLE_POWER, _ANGLE_AXIS,
-            factor, angle, found,
-        )  # fmt: skip
-        if flags:
-            compiled.note(flags)
-        return found
     sign = np.concatenate([_ONE, -gains])[_ANGLE_SIGN]
     target = np.add.reduceat(P[_ANGLE_PAIR] * sign[:, None, :], _ANGLE_START, axis=0)
     answer = factor[:, None, :] * angle.T[_ANGLE_AXIS][:, :, None]
@@ -216,19 +184,10 @@ _GAIN_POWER = np.array([PAIR[signal, signal] for _, _, signal, *_ in GAINS])
 _GAIN_CROSS = np.array([PAIR[target, signal] for _, target, signal, *_ in GAINS])
 _EXPECTED, _LOW, _HIGH = (np.array([[gain[k]] for gain in GAINS]) for k in (3, 4, 5))
 _SCALE = np.where(_GAIN_ROW < P_ROW, 4.0, 400.0)[:, None]
-_GAIN_NUMBERS = np.concatenate([_SCALE, _EXPECTED, _LOW, _HIGH], axis=1)
 
 
 def renewed_gains(P: Array, weight: Array) -> Array:
     """Gains per band (gains, BANDS): free, as squat, body roll and noise in dv/dt change them."""
-    if compiled.kernels is not None:
-        found = np.empty((len(GAINS), BANDS))
-        flags = compiled.kernels.renewed_gains(
-            P, weight, _GAIN_ROW, _GAIN_POWER, _GAIN_CROSS, _GAIN_NUMBERS, found
-        )
-        if flags:
-            compiled.note(flags)
-        return found
     w = weight[_GAIN_ROW]
     power = (w * P[_GAIN_POWER]).sum(axis=1) + _SCALE
     cross = (w * P[_GAIN_CROSS]).sum(axis=1) + _SCALE * _EXPECTED
@@ -257,13 +216,6 @@ def put_scores(
     P: (pairs, n, BANDS) in vehicle axes; weight: (rows, n, BANDS).
     """
     factor = factors(gains)
-    if compiled.kernels is not None:
-        flags = compiled.kernels.scores(
-            P, weight, _USED[:, 0], gains, factor, _PLACE_TABLE, _ENTRY_TABLE, first, score, normal
-        )
-        if flags:
-            compiled.note(flags)
-        return
     n = P.shape[1]
     weight = weight * _USED
     signs = np.concatenate([_ONE, -gains])

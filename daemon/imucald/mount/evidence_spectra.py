@@ -13,10 +13,8 @@ import math
 from functools import cache, lru_cache
 
 import numpy as np
-from msgspec import Struct
 from numpy.typing import NDArray
 
-from imucald.core import compiled
 from imucald.core.arrays import Array
 from imucald.core.rotations import Matrix3
 from imucald.motion.ticks import TICK_S
@@ -128,16 +126,11 @@ def spectra(signals: Array, mask: NDArray[np.bool_], keep_mean: bool = False) ->
     over ticks of x^2 (in band). keep_mean: the mean is a signal as well; else it is taken off.
     """
     x = np.empty_like(signals)
-    if compiled.kernels is not None:
-        flags = compiled.kernels.tapered(signals, mask, _TAPER_COLUMN[:, 0], keep_mean, x)
-        if flags:
-            compiled.note(flags)
-    else:
-        np.multiply(signals, mask[:, None], out=x)
-        if not keep_mean:
-            x -= x.sum(axis=0) / max(float(mask.sum()), 1.0)
-            x *= mask[:, None]
-        x *= _TAPER_COLUMN
+    np.multiply(signals, mask[:, None], out=x)
+    if not keep_mean:
+        x -= x.sum(axis=0) / max(float(mask.sum()), 1.0)
+        x *= mask[:, None]
+    x *= _TAPER_COLUMN
     s: Spectra = np.fft.rfft(x, axis=0)[FIRST_BIN : FIRST_BIN + BINS]
     s[0] *= _HALF  # the only bin without a mirror image
     return s
@@ -230,19 +223,10 @@ PRODUCTS = len(_NEEDED)
 _PLACE = {int(k): i for i, k in enumerate(_NEEDED)}
 
 
-class _Parts(Struct, frozen=True):
-    """Of which products of signals each product in vehicle axes is made: 2 % of all.
-
-    column: (parts,) of the products, pair by pair. left, right: (parts,) places in `_turning` whose
-    product is the factor. starts: (pairs + 1,) where each pair's parts begin. by_rank: the same by
-    the part's place within its pair: pairs that have so many, their columns, left and right.
-    """
-
-    starts: Index
-    column: Index
-    left: Index
-    right: Index
-    by_rank: tuple[tuple[Index, Index, Index, Index], ...]
+_Parts = tuple[tuple[Index, Index, Index, Index], ...]
+"""Of which products of signals each product in vehicle axes is made (2 % of all), by the part's
+place within its pair: pairs that have so many, columns of the products, and the two places in
+`_turning` whose product is the factor."""
 
 
 @cache
@@ -252,13 +236,11 @@ def _parts(without_speed: bool) -> _Parts:
     pair, column = np.nonzero(used)
     left = _LEFT_OF[pair] * SIGNALS + _NEEDED_LEFT[column]
     right = _RIGHT_OF[pair] * SIGNALS + _NEEDED_RIGHT[column]
-    starts = np.searchsorted(pair, np.arange(len(PAIRS) + 1))
-    rank = np.arange(len(pair)) - starts[pair]
-    by_rank = tuple(
+    rank = np.arange(len(pair)) - np.searchsorted(pair, np.arange(len(PAIRS)))[pair]
+    return tuple(
         (pair[of], column[of], left[of], right[of])
         for of in (rank == k for k in range(int(rank.max()) + 1))
     )
-    return _Parts(starts, column, left, right, by_rank)
 
 
 def place(i: int, j: int) -> int:
@@ -285,13 +267,6 @@ def band_products(s: Spectra, tau_speed: float, tau_turn: float) -> Array:
 def put_products(products: Array, k: int, s: Spectra, tau_speed: float, tau_turn: float) -> None:
     """Put the products of a window's spectra in place k of products (PRODUCTS, n, BANDS)."""
     phases = _phases(tau_speed, tau_turn)
-    if compiled.kernels is not None:
-        flags = compiled.kernels.band_products(
-            s, _LATE_COLUMNS, phases, _EDGES, _NEEDED, k, products
-        )
-        if flags:
-            compiled.note(flags)
-        return
     both = np.empty((BINS, 2, SIGNALS))  # real and imaginary parts
     both[:, 0, :MEASURED], both[:, 1, :MEASURED] = s.real, s.imag
     for columns, phase in ((_LATE_COLUMNS, phases[0]), (_LATERAL_COLUMN, phases[1])):
@@ -319,18 +294,9 @@ def in_vehicle_axes(
     Returns (len(PAIRS), n, BANDS).
     """
     turn, parts = _turning(R_vehicle_from_sensor, without_speed), _parts(without_speed)
-    if compiled.kernels is not None:
-        n = (products.shape[1] if stop is None else stop) - first
-        out = np.empty((len(PAIRS), n, BANDS))
-        flags = compiled.kernels.vehicle_axes(
-            products, turn, parts.starts, parts.column, parts.left, parts.right, first, out
-        )
-        if flags:
-            compiled.note(flags)
-        return out
     products, turn = products[:, first:stop], turn.ravel()
     out = np.empty((len(PAIRS), *products.shape[1:]))
-    for rank, (pair, column, left, right) in enumerate(parts.by_rank):
+    for rank, (pair, column, left, right) in enumerate(parts):
         part = (turn[left] * turn[right])[:, None, None] * products[column]
         if rank:
             out[pair] += part

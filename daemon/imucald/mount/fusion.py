@@ -9,7 +9,6 @@ import numpy as np
 from msgspec import Struct
 from numpy.typing import NDArray
 
-from imucald.core import compiled
 from imucald.core.arrays import Array, summed_in_order
 from imucald.mount.road_segments import AngleEvidence
 
@@ -245,18 +244,6 @@ def _free_of_angles(
     information. known, answers, scales2: see `_covariances`.
     """
     scales, n, angles = len(scales2), len(y), X.shape[1]
-    if compiled.kernels is not None:
-        squares, pivots, of_angles = (
-            np.empty(scales),
-            np.empty((scales, n)),
-            np.empty((scales, angles)),
-        )
-        flags = compiled.kernels.free_of_angles(
-            known, answers, scales2, X, y, squares, pivots, of_angles
-        )
-        if flags:
-            compiled.note(flags)
-        return squares, pivots, of_angles
     V = _covariances(known, answers, scales2)
     columns = np.broadcast_to(np.concatenate([X, y[:, None]], axis=1), (scales, n, angles + 1))
     both = _eliminated(V, columns)
@@ -280,15 +267,6 @@ def _means(
     known, answers, scales2: see `_covariances`; values: of the sources; probability: of the scales.
     """
     used = at.used
-    if compiled.kernels is not None:
-        (mean, variance), carried = np.empty((2, len(used))), np.empty(used.shape)
-        flags = compiled.kernels.fused_means(
-            known, answers, scales2, values, at.of_angle, used, probability, MAX_WIDENED,
-            mean, variance, carried,
-        )  # fmt: skip
-        if flags:
-            compiled.note(flags)
-        return mean, variance, carried
     V = _covariances(known, answers, scales2)
     V = V[:, at.of_angle[:, :, None], at.of_angle[:, None, :]]  # (scales, A, n, n)
     V = np.where(at.both, V, at.alone)  # an unused place stands alone

@@ -23,7 +23,6 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from imucald.core import compiled
 from imucald.core.arrays import Array
 from imucald.core.rotations import inverse_of_symmetric
 from imucald.core.samples import GRAVITY
@@ -274,14 +273,6 @@ class MotionWindow:
         """
         w, m, new = self._values, self._mask, slice(-BLOCK_TICKS, None)
         learn = p.learn & p.ok_speed & (not vertical.seeking)
-        if compiled.kernels is not None:
-            flags = compiled.kernels.push_window(
-                w, m, lone, p.accel, turn, yaw_rate, p.speed, p.rate, p.ok_rate, learn,
-                vertical.use, vertical.pull, vertical.taken,
-            )  # fmt: skip
-            if flags:
-                compiled.note(flags)
-            return
         w[:-BLOCK_TICKS] = w[BLOCK_TICKS:].copy()
         m[:-BLOCK_TICKS] = m[BLOCK_TICKS:].copy()
         a, r, rate = p.accel, yaw_rate, p.rate * p.ok_rate[:, None]

@@ -19,7 +19,6 @@ from __future__ import annotations
 import numpy as np
 from msgspec import Struct
 
-from imucald.core import compiled
 from imucald.core.arrays import Array
 from imucald.core.rotations import Matrix3, applied
 from imucald.core.samples import GRAVITY
@@ -82,10 +81,6 @@ class GravityStepHistory:
 
     def near(self, ages: list[int]) -> Array:
         """The largest and the least (n, roll and pitch, 2) about so many blocks ago each."""
-        if compiled.kernels is not None:
-            out = np.empty((len(ages), 2, 2))
-            compiled.kernels.near_steps(self.both, np.array(ages, dtype=np.int64), AROUND, out)
-            return out
         newest = np.maximum(np.array(ages, dtype=np.int64) - 1 - AROUND, 0)
         oldest = np.minimum(np.array(ages, dtype=np.int64) - 2 + AROUND, HISTORY_BLOCKS - 1)
         places = newest[:, None] + np.arange(2 * AROUND)
@@ -131,12 +126,6 @@ class GravityStepDetector:
         end (3, 3).
         """
         self._blocks += 1
-        if compiled.kernels is not None:
-            of_steps = self._start, self._score, self._information
-            flags = compiled.kernels.add_steps(*of_steps, before, sums, end)
-            if flags:
-                compiled.note(flags)
-            return
         for kept in (self._start, self._score, self._information):
             kept[1:] = kept[:-1].copy()
             kept[0] = 0.0
@@ -179,17 +168,6 @@ class GravityStepDetector:
         walked = np.zeros(2)
         if self._walked.any():  # a turn about y moves gravity ahead, one about x aside
             walked = (R @ self._walked @ R.T).diagonal()[1::-1].copy()
-        if compiled.kernels is not None:
-            numbers = np.array([_PRIOR, GRAVITY * GRAVITY, OTHER_AXIS, part, least, is_kept])
-            found = np.zeros(5)
-            flags = compiled.kernels.find_step(
-                R, self._score, self._information, walked, numbers, ages, FIRST_AGE, self._square,
-                self.history.both, found,
-            )  # fmt: skip
-            if flags:
-                compiled.note(flags)
-            age, axis, size_of_it, deviations_of_it, large_of_it = found.tolist()
-            return (int(age), int(axis), size_of_it, deviations_of_it) if large_of_it else None
         level = R[:2]
         J = applied(applied(level, self._information[:ages]), level.T)
         aside, ahead = (applied(level, self._score[:ages, :, None])[:, i, 0] for i in (1, 0))

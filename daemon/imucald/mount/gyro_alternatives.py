@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import numpy as np
 
-from imucald.core import compiled
 from imucald.core.arrays import Array
 from imucald.core.rotations import Matrix3
 from imucald.core.samples import GRAVITY
@@ -119,13 +118,6 @@ def gyro_energies(
     Rates with all signs turned make the opposite changes, so those of one half are enough.
     """
     turned = np.matmul(R, TRIED[:HALF])  # exact: each is a permutation
-    if compiled.kernels is not None:
-        numbers = np.array([gain / GRAVITY, TICK_S, WEIGHT, LEAST_ENERGY])
-        found = np.empty((2 * HALF, 2))
-        flags = compiled.kernels.gyro_energies(ahead, across, rate, speed, turned, numbers, found)
-        if flags:
-            compiled.note(flags)
-        return found
     x, y, z = rate.T
     rates = turned[:, :, 0, None] * x + turned[:, :, 1, None] * y  # (7, 3, N)
     rates += turned[:, :, 2, None] * z

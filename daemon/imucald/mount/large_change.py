@@ -28,7 +28,6 @@ import numpy as np
 from msgspec import Struct
 from numpy.typing import NDArray
 
-from imucald.core import compiled
 from imucald.core.arrays import Array
 from imucald.core.rotations import Matrix3, vector_from_rotation
 from imucald.core.samples import GRAVITY
@@ -87,19 +86,7 @@ class TurnedAlone:
 
     def add(self, turn_rate: Array, vehicle: Array, ok: Flags, by: Witness = YAW_RATE) -> float:
         """Take a block (N,) [rad/s]; return by how much the sensor turned alone [rad], or 0."""
-        if compiled.kernels is not None:
-            n = len(ok)
-            both, used, alone = np.empty((2, APART + n)), np.empty(1, np.int64), np.empty(1)
-            numbers = np.array([STILL_RATE, TICK_S, by.gain_share, by.least])
-            flags = compiled.kernels.turned_alone(
-                self._before, turn_rate, vehicle, ok, numbers, both, used, alone
-            )
-            if flags:
-                compiled.note(flags)
-            found = float(alone[0])
-            self._before = both[:, max(int(used[0]) - APART, 0) : used[0]]
-        else:
-            found = self._alone(turn_rate, vehicle, ok, by)
+        found = self._alone(turn_rate, vehicle, ok, by)
         if found:
             self.restart()
         return found
@@ -279,13 +266,6 @@ class LargeChangeDetector:
         most = min(MOST_AFTER, n - LEAST_BEFORE[axes[0]])  # blocks after the change, from two on
         if most < 2:
             return None
-        if compiled.kernels is not None:
-            large = np.empty(1)
-            flags = compiled.kernels.large_turns(e, w, most, MIN_SIZE[axes[0]], large)
-            if flags:
-                compiled.note(flags)
-            if not large[0]:
-                return None
         weights, sums = w[::-1].cumsum(), (w[:, None] * e)[::-1].cumsum(axis=0)
         new_w, new_e = weights[1:most], sums[1:most]
         old_w, old_e = weights[-1] - new_w, sums[-1] - new_e

@@ -14,7 +14,6 @@ from functools import cache, cached_property
 import numpy as np
 from msgspec import Struct
 
-from imucald.core import compiled
 from imucald.core.arrays import Array, summed_in_order
 from imucald.mount.evidence_rows import MAX_REGRESSORS, ROWS, WITHOUT_SPEED
 
@@ -199,17 +198,7 @@ def _fitted(
 ) -> tuple[_Fit, Array]:
     """The fit, and inverses of the informations. score, normal: of all rows; others of those in
     use."""
-    rows, n = len(use), score.shape[1]
-    if compiled.kernels is not None:
-        inverse = np.empty(total.shape)
-        value, sums = np.empty((rows, MAX_REGRESSORS)), np.empty((rows, 3))
-        left, u, own, flow = np.empty((4, rows, n))
-        flags = compiled.kernels.fit_segments(
-            score, normal, np.array(use), total, priors, inverse, value, left, u, own, flow, sums
-        )
-        if flags:
-            compiled.note(flags)
-        return _Fit(value, left, own, flow, *sums.T), inverse
+    rows = len(use)
     inverse = _inverses(total + priors)
     if rows < len(ROWS):
         score, normal = score[use], normal[use]

@@ -24,7 +24,6 @@ import numpy as np
 from msgspec import Struct
 from numpy.typing import NDArray
 
-from imucald.core import compiled
 from imucald.core.arrays import Array, summed_in_order
 from imucald.mount.evidence_rows import MAX_REGRESSORS, SAME_NOISE
 from imucald.mount.road_segments import AngleFit, ScoreSeries
@@ -267,15 +266,6 @@ def _changes_of(fits: list[AngleFit], spans: NDArray[np.int64]) -> tuple[Array, 
         own = slice(fit.rows.shape[1])
         rows[k, :, own], inverse[k, own, own] = fit.rows, fit.inverse
     spans = np.minimum(spans, left.shape[1] - 1)
-    if compiled.kernels is not None:
-        sizes, informations = np.empty((2, len(fits), len(spans)))
-        scratch = np.empty((4, left.shape[1]))
-        flags = compiled.kernels.span_changes(
-            left, rows, inverse, spans, _NUMBERS, scratch, sizes, informations
-        )
-        if flags:
-            compiled.note(flags)
-        return sizes, informations
     n = rows[:, :, 0]
     longest = int(spans.max())
     new, backwards = slice(-longest, None), slice(-1, -longest - 1, -1)
@@ -300,9 +290,6 @@ def _changes_of(fits: list[AngleFit], spans: NDArray[np.int64]) -> tuple[Array, 
     clipped = np.minimum(np.maximum(alone[:, :, new], -limit), limit)
     clipped = ((1.0 - old[:, new]) * clipped).sum(axis=2)
     return clipped / np.maximum(w[:, :, 0], LEAST) * use, known / scale
-
-
-_NUMBERS = np.array([MIN_KNOWN, CLIP, PRIOR_SEGMENTS, PRIOR_SPREAD, MIN_SPREAD, LEAST])
 
 
 def _sums(old: Array, of: Array) -> Array:

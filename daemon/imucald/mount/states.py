@@ -12,7 +12,6 @@ from msgspec import Struct
 from msgspec.structs import replace
 from numpy.typing import NDArray
 
-from imucald.core import compiled
 from imucald.core.arrays import Array
 from imucald.mount.alternatives import NO_TURNS
 from imucald.mount.estimate import Missing, MountState, Targets
@@ -44,9 +43,6 @@ class Manoeuvres:
 
     def add(self, accel: Array, turn: Array) -> None:
         """Take a block of dv/dt and v r, zero where not to be trusted."""
-        if compiled.kernels is not None:
-            compiled.kernels.count_manoeuvres(accel, turn, _LEVELS, HARD_TICKS, self._state)
-            return
         for k, values in enumerate((accel, -accel, turn, -turn)):
             self._feed(self._state[k], values, float(_LEVELS[k]))
 

@@ -13,7 +13,6 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from imucald.core import compiled
 from imucald.core.arrays import Array
 from imucald.core.samples import GRAVITY
 
@@ -87,15 +86,6 @@ class SteeringOffsetEstimator:
 
 def _sums_of(angle: Array, speed: Array, yaw_rate: Array, use: NDArray[np.bool_]) -> list[float]:
     """Of a block, see `SteeringOffsetEstimator`: over the ticks from which the offset is known."""
-    if compiled.kernels is not None:
-        out = np.empty(9)
-        flags = compiled.kernels.steering_sums(
-            angle, speed, yaw_rate, use, MIN_SPEED, MAX_LATERAL, out
-        )
-        if flags:
-            compiled.note(flags)
-        found: list[float] = out.tolist()
-        return found
     lateral = speed * yaw_rate
     use = use & (speed > MIN_SPEED) & (np.abs(lateral) < MAX_LATERAL)
     y, angle = lateral[use], angle[use]

@@ -1,8 +1,8 @@
 """A block of the vertical's filter (`gravity_observer`): carried tick by tick, and what is left.
 
 With T the turn and g the gain of a tick, the state y = (u, B) follows y_i = (1 - g_i) T_i y_(i-1) +
-g_i target_i. All sums of products are taken in one order, so that the compiled part gives the same
-bits; a library's matrix products take another one on each processor.
+g_i target_i. All sums of products are taken in one order: a library's matrix products take another
+one on each processor.
 """
 
 from __future__ import annotations
@@ -11,7 +11,6 @@ import numpy as np
 from msgspec import Struct
 from numpy.typing import NDArray
 
-from imucald.core import compiled
 from imucald.core.arrays import Array
 from imucald.core.samples import GRAVITY
 from imucald.motion.ticks import TICK_S
@@ -27,13 +26,6 @@ FORCE_SHARE = 0.12
 FORCE_LARGE = 0.25
 """An innovation beyond counts less [m/s^2] (Huber)."""
 _EYE = np.eye(3)
-_NUMBERS = np.array(
-    [
-        TICK_S, GRAVITY, SETTLE_TICKS, FORCE_NOISE * FORCE_NOISE, FORCE_SHARE * FORCE_SHARE,
-        FORCE_LARGE, 2.0 * FORCE_LARGE,
-    ]
-)  # fmt: skip
-"""As `core/kernels/vertical.c` takes them."""
 
 
 class BlockForces(Struct, frozen=True):
@@ -86,8 +78,6 @@ def carried(p: BlockForces, state: Array | None, count: int, pull: float, weighe
         first = int(np.argmax(p.use))
         force = p.force[first] if p.motion is None else p.force[first] - p.motion[first]
         state = np.concatenate([force[:, None] / GRAVITY, _EYE], axis=1)
-    if state is not None and compiled.kernels is not None:
-        return _by_kernel(compiled.kernels, p, state, first, count, pull, weighed)
     force = (p.force if p.motion is None else p.force - p.motion).T
     end = _EYE.copy()
     states = np.zeros((3, 7, len(p.use)))  # ticks last: long loops
@@ -117,32 +107,6 @@ def carried(p: BlockForces, state: Array | None, count: int, pull: float, weighe
             of_steps = _weighed(both, unexplained, weight)
     up = states[:, 0, -1].copy()
     return Carried(np.ascontiguousarray(lone), up, state, end, largest, left, of_bias, of_steps)
-
-
-def _by_kernel(
-    kernels: compiled.Kernels,
-    p: BlockForces,
-    state: Array,
-    first: int,
-    count: int,
-    pull: float,
-    weighed: bool,
-) -> Carried:
-    """As `carried`, from a state that is known."""
-    n = len(p.force)
-    lone, last = np.empty((n, 3)), np.empty((3, 7))
-    sums = np.empty(7)
-    of_bias, of_steps = np.zeros((4, 3)), np.zeros((7, 6))
-    last[:, :4], last[:, 4:] = state, _EYE
-    motion = p.force if p.motion is None else p.motion
-    flags = kernels.vertical(
-        p.rate, p.drift, p.ok_rate, p.force, motion, p.bias, p.use, p.learn, _NUMBERS, pull, first,
-        count, p.motion is not None, weighed, lone, last, sums, of_bias, of_steps,
-    )  # fmt: skip
-    if flags:
-        compiled.note(flags)
-    answer = float(sums[3])
-    return Carried(lone, sums[4:], last[:, :4], last[:, 4:], answer, sums[:3], of_bias, of_steps)
 
 
 def _turned(step: Array) -> Array:
