@@ -197,7 +197,7 @@ def test_an_accelerometer_without_gravity_is_named_and_not_taken_for_a_unit() ->
     report = checked(list(bus_frames(linear, BusEncoder(example_config()))))
     assert not report["usable"]
     text = findings(report, "error")["accelerometer"]
-    assert "gravity is taken out" in text
+    assert "gravity is removed from it" in text
     assert "unit" not in text
 
 
@@ -229,8 +229,8 @@ def test_a_wrong_unit_that_is_set_is_named_and_not_asked_for(frames: Frames) -> 
     stated = "  speed: {signal: ESC_Speed.VehicleSpeed, unit: m/s}"
     report = checked(frames, replacing(speed, stated))
     text = findings(report, "error")["speed"]
-    assert "as km/h against m/s would be" in text
-    assert "'unit: m/s' is set: remove it (the database has km/h) or correct it" in text
+    assert "which looks like km/h against m/s" in text
+    assert "'unit: m/s' is set: remove it (the unit in the database is km/h) or correct it" in text
     assert "set 'unit:'" not in text
     assert "speed" not in findings(report, "ok"), "as sent it is not that of the wheels"
 
@@ -250,7 +250,7 @@ def test_a_speed_too_late_for_the_calibration_is_named(frames: Frames, late: flo
         shifted.append(replace(chunk.take(order), t=t[order]))
     warned = findings(checked(shifted), "warning")
     assert (
-        f"behind the accelerometer; up to {MAX_SPEED_DELAY} s can be corrected" in warned["speed"]
+        f"behind the accelerometer, and only {MAX_SPEED_DELAY} s can be corrected" in warned["speed"]
     )
 
 
@@ -267,7 +267,7 @@ def test_a_speed_of_two_senders_that_contradict_is_named_and_nothing_judged_by_i
         mixed.append(replace(chunk, data=data))
     report = checked(mixed, lambda text: re.sub(r"  ESC_Speed:\n(?:    .*\n)+", "", text))
     wrong = findings(report, "error", "warning")
-    assert "jumps as no vehicle does" in wrong["speed"]
+    assert "jumps more than a vehicle can" in wrong["speed"]
     assert "source_address" in wrong["speed"]
     assert "gyroscope" not in wrong
     assert not report["usable"]
@@ -280,7 +280,7 @@ def test_what_nothing_is_learnt_from_is_named_with_signal_cause_and_time(frames:
         t = chunk.t - began
         silent.append(chunk.take(~((chunk.can_id == 0x1A0) & (t > 100.0) & (t < 130.0))))
     said = findings(checked(silent), "note")["log"]
-    seconds = re.search(r"of 240 s nothing is learnt from: speed no valid samples (\d+) s", said)
+    seconds = re.search(r"the log has 240 s; the calibration does not use: speed no valid samples (\d+) s", said)
     assert seconds is not None, said
     assert 25 <= int(seconds[1]) <= 35
 
@@ -304,7 +304,7 @@ def test_frames_that_all_come_twice_at_one_stamp_count_once_and_are_named(frames
     assert row["cycle_s"] == own["cycle_s"]
     warned = findings(report, "warning")["accelerometer"]
     assert "of IMU_Accel are rejected (doubled" in warned
-    assert "each counts once" in warned
+    assert "Each frame is used once" in warned
 
 
 def test_copies_are_not_counted_among_the_frames_that_are_lost(frames: Frames) -> None:
@@ -321,10 +321,10 @@ def test_copies_are_not_counted_among_the_frames_that_are_lost(frames: Frames) -
 def test_frames_that_all_come_again_a_little_later_leave_no_accelerometer(frames: Frames) -> None:
     report = checked(twice(frames, later=1e-6))
     assert not report["usable"]
-    assert "nearly all of it is rejected" in findings(report, "error")["accelerometer"]
+    assert "nearly all samples are rejected" in findings(report, "error")["accelerometer"]
     assert "counter_repeated" in findings(report, "error")["accelerometer"]
     warned = findings(report, "warning")["accelerometer"]
-    assert "a gateway or a second log sends the same again, or see 'counter:'" in warned
+    assert "a gateway or a second log sends the same frames again, or 'counter:'" in warned
 
 
 def test_a_message_without_counter_that_comes_twice_from_some_time_on_is_named(
@@ -371,7 +371,7 @@ def test_a_few_frames_that_come_twice_are_no_error(frames: Frames) -> None:
 def test_a_log_in_which_no_time_passes_is_an_error(frames: Frames) -> None:
     report = checked([replace(chunk, t=np.zeros(len(chunk))) for chunk in frames])
     assert not report["usable"]
-    assert "no time passes" in findings(report, "error")["log"]
+    assert "all frames have the same time stamp" in findings(report, "error")["log"]
 
 
 @pytest.mark.parametrize("stamp", ["milliseconds for seconds", "begins again each second"])
@@ -422,7 +422,7 @@ def test_what_is_missing_is_reported_with_its_cost(frames: Frames) -> None:
     report = checked(frames, change)
     assert report["usable"]
     assert "first motion" in findings(report, "warning")["speed"]
-    assert "no drive makes the mount usable" in findings(report, "warning")["gyroscope"]
+    assert "the mount never becomes usable" in findings(report, "warning")["gyroscope"]
     published = checked(frames, lambda text: change(text) + "calibration: {estimator: published}\n")
     assert "steady angles" in findings(published, "note")["gyroscope"]
 
@@ -490,7 +490,7 @@ def test_every_frame_that_the_daemon_sends_is_listed(frames: Frames, switches: s
 def test_a_channel_mix_up_is_reported(frames: Frames) -> None:
     change = replacing("ESC_Brake.BrakePressed", "{signal: ESC_Brake.BrakePressed, channel: can7}")
     report = checked(frames[:1], change)
-    assert "comes on can0, the configuration says can7" in findings(report, "warning")["brake"]
+    assert "comes on can0, but the configuration says can7" in findings(report, "warning")["brake"]
 
 
 def test_an_empty_log_is_not_usable() -> None:
@@ -712,7 +712,7 @@ def test_a_stated_axis_is_held_against_gravity_and_the_change_of_speed(frames: F
     assert f"its {forward['away']} points back" in back
     assert "sign: -1" not in back
     mirrored = findings(stating(up=up["away"], forward=forward["away"]), "error")["accelerometer"]
-    assert "'sign: -1' on all axes" in mirrored
+    assert "turn the signs of all axes ('sign: -1'" in mirrored
     assert "points back" not in mirrored
 
 
@@ -839,7 +839,7 @@ def edited(channel: str, axis: int | None, value: float) -> Frames:
 def test_a_speed_that_never_changes_cannot_be_used() -> None:
     report = checked(edited("speed", None, 13.0))
     assert not report["usable"]
-    assert "13.00 m/s from beginning to end" in findings(report, "error")["speed"]
+    assert "13.00 m/s in the whole log" in findings(report, "error")["speed"]
 
 
 def steady(speed: float, accel_unit: float, noise: float, seconds: float = 90.0) -> Frames:
@@ -869,7 +869,7 @@ def test_a_cruise_in_whole_kilometres_per_hour_is_a_warning_at_most() -> None:
     """70 s at 100 km/h as OBD-II sends it: the accelerometer shows no change either."""
     report = checked(steady(100.0 / 3.6, 1.0, noise=0.3, seconds=75.0))
     assert "speed" not in findings(report, "error")
-    assert "from beginning to end" in findings(report, "warning")["speed"]
+    assert "in the whole log" in findings(report, "warning")["speed"]
 
 
 def test_a_coarse_sensor_in_a_parked_vehicle_is_still_held_against_gravity() -> None:

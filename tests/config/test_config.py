@@ -106,7 +106,7 @@ def test_examples_are_valid(path):
 
 def test_two_axes_of_a_sensor_are_two_signals():
     text = "database: a.dbc\nsignals:\n  accelerometer: {x: A.X, y: A.Y, z: A.X}\n"
-    assert mistakes(text) == ["dir/car.yaml:3: signals.accelerometer: x and z are one signal, A.X"]
+    assert mistakes(text) == ["dir/car.yaml:3: signals.accelerometer: x and z name the same signal, A.X"]
 
 
 def test_a_wheelbase_in_centimetres_is_refused():
@@ -172,7 +172,7 @@ def test_the_schema_describes_every_key():
 def test_a_database_in_the_place_of_the_configuration_is_named_as_one(tmp_path):
     path = tmp_path / "car.dbc"
     path.write_text('VERSION ""\n')
-    with pytest.raises(ConfigError, match=r"car\.dbc: is a CAN database; .*imucald init"):
+    with pytest.raises(ConfigError, match=r"car\.dbc: this is a CAN database; .*imucald init"):
         load_config(path)
 
 

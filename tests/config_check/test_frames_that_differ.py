@@ -64,7 +64,7 @@ def test_neither_an_answer_nor_another_message_announces_it(tmp_path):
 
 def test_frames_shorter_than_the_database_are_named_with_both_lengths(tmp_path):
     findings = found(tmp_path, (ACC + 0xE2, bytes(6)), (SPEED, bytes(8)))
-    assert "frames of ACC have 6 bytes, in the database it has 8" in texts(findings, "ACC")
+    assert "frames of ACC have 6 bytes, but the database says 8" in texts(findings, "ACC")
     assert not texts(findings, "frames of CCVS1")
 
 
@@ -84,7 +84,7 @@ def test_the_address_that_is_taken_is_the_one_to_name_not_a_lower_one_that_came_
     early = [(0.01 * i, ACC + 0xE2 | CAN_EFF_FLAG, bytes(8)) for i in range(800)]
     check.feed(columns_of(sorted(early + late)))
     text = texts(check.findings(), "addresses")
-    assert "0xE2, chosen in the first seconds, is taken" in text
+    assert "0xE2 is used, which was chosen in the first seconds" in text
     assert "'source_address: 0xE2'" in text
 
 

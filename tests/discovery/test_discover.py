@@ -100,13 +100,13 @@ def test_a_wrong_scale_in_the_database_is_named(scale, has_other, drive, tmp_pat
     database.write_text(text)
     accelerometer = proposed(database, drive).choice("accelerometer")
     assert accelerometer is not None
-    assert "IMU_Accel.AccelX, AccelY, AccelZ keep a size" in accelerometer.doubt
-    (times,) = re.findall(r"that is ([\d.]+) times", accelerometer.doubt)
+    assert "IMU_Accel.AccelX, AccelY, AccelZ look like the sensor" in accelerometer.doubt
+    (times,) = re.findall(r"seems to be ([\d.]+) times", accelerometer.doubt)
     assert float(times) == pytest.approx(scale / 0.002, rel=0.03)
     out = tmp_path / "car.yaml"
     assert cli.main(["init", "--database", str(database), str(drive), "--out", str(out)]) == 0
     printed = capsys.readouterr().err
-    assert "with a scale in the database" in printed
+    assert "the scale in the database seems" in printed
     assert printed.strip().endswith(f"next: imucald check --config {out} {drive}")
 
 
@@ -200,7 +200,7 @@ def test_a_database_of_another_vehicle_is_reported(drive):
         'VERSION ""\nBS_:\nBU_: A\nBO_ 5 Other: 8 A\n SG_ S : 0|8@1+ (1,0) [0|255] "" A\n', "dbc"
     )
     proposal = discover({"other.dbc": other}, GatheredFrames.of(LogReader([drive])))
-    assert any("is it this vehicle's" in note for note in proposal.notes)
+    assert any("Is it the database of this vehicle" in note for note in proposal.notes)
 
 
 def test_output_ids_that_are_on_the_bus_are_moved():
@@ -445,7 +445,7 @@ def test_an_accelerometer_against_which_all_else_speaks_is_turned_and_unsure(dri
     out = tmp_path / "car.yaml"
     out.write_text(as_yaml(proposal, [str(database)]))
     found = [f for f in imucald.check(out, drive).findings if f["level"] == "warning"]
-    assert any("the axis that points up must read plus 1 g" in f["text"] for f in found)
+    assert any("the axis that points up must show +1 g" in f["text"] for f in found)
 
 
 def test_two_signals_that_need_the_other_sign_make_the_accelerometer_unsure(drive, tmp_path):
@@ -484,10 +484,10 @@ signals:
 """
     )
     found = [f for f in imucald.check(out, drive).findings if f["level"] == "warning"]
-    assert any("does not confirm it" in f["text"] for f in found)
+    assert any("its signs are not certain" in f["text"] for f in found)
     out.write_text(out.read_text() + "calibration: {orientation: {up: z}}\n")
     found = imucald.check(out, drive).findings
-    assert not any("does not confirm it" in f["text"] for f in found)
+    assert not any("its signs are not certain" in f["text"] for f in found)
 
 
 @pytest.mark.parametrize(

@@ -98,7 +98,7 @@ class OutputIds(Settings, frozen=True):
         for name, can_id in structs.asdict(self).items():
             if can_id in names:
                 text = f"{names[can_id]} and {name} have the same id 0x{can_id:X}"
-                raise ValueError(f"{text}: every frame needs its own")
+                raise ValueError(f"{text}: give each frame an id of its own")
             names[can_id] = name
 
 
@@ -142,6 +142,8 @@ class Uds(Settings, frozen=True):
     def __post_init__(self) -> None:
         ids = [self.request_id, self.response_id, self.functional_id]
         if len(set(ids)) != len(ids):
-            raise ValueError("request, response and functional id must differ")
+            raise ValueError(
+                "the request, response and functional ids must differ from one another"
+            )
         if (self.request_id > 0x7FF) != (self.response_id > 0x7FF):
-            raise ValueError("request and response id must both have 11 bits, or both 29")
+            raise ValueError("the request and response ids must both have 11 bits, or both 29 bits")

@@ -87,7 +87,9 @@ class LoadedConfig:
         try:
             return (base / path).resolve()
         except (OSError, RuntimeError, ValueError) as error:  # a loop of links, a NUL in the name
-            raise ConfigError(f"{_name(self.path)}: {path!r} is no path: {error}") from None
+            raise ConfigError(
+                f"{_name(self.path)}: {path!r} is not a valid path: {error}"
+            ) from None
 
     def with_databases(self, entries: tuple[DatabaseSettings, ...]) -> LoadedConfig:
         """The same configuration with other database entries."""
@@ -102,7 +104,7 @@ class LoadedConfig:
     def with_model(self, path: Path) -> LoadedConfig:
         """The same configuration with its model file at another place."""
         if self.config.model is None:
-            raise self.error(("model",), "there is none to be put at another place")
+            raise self.error(("model",), "the file has no database, so its place cannot be changed")
         model = msgspec.structs.replace(self.config.model, path=str(path.resolve()))
         config = msgspec.structs.replace(self.config, model=model)
         return LoadedConfig(config, self.path, self._marks)
@@ -130,8 +132,9 @@ def load_config(path: Path) -> LoadedConfig:
     """
     if path.suffix.lower() in _DATABASES and path.is_file():
         raise ConfigError(
-            f"{path}: is a CAN database; give the configuration (YAML) that names it under "
-            f"'database:' ('imucald init --database {path} LOG' proposes one)"
+            f"{path}: this is a CAN database; give the configuration (YAML) that names it "
+            f"under 'database:' ('imucald init --database {path} LOG' proposes a "
+            "configuration)"
         )
     data, marks = read_yaml_file(path, _WHOLE)
     return _checked(data, marks, path)

@@ -90,11 +90,16 @@ class SourceSettings(Settings, frozen=True):
         if (self.signal is None) == (self.raw is None):
             raise ValueError("give either 'signal: MESSAGE.SIGNAL' or 'raw: {id, value}'")
         if self.raw is not None and self.valid_when is not None:
-            raise ValueError("'valid_when' needs 'signal'; a raw source has 'when'")
+            raise ValueError("'valid_when' needs 'signal'; in a raw source write 'when'")
         if self.raw is not None and self.sign_signal is not None:
-            raise ValueError("'sign_signal' needs 'signal'; the value of a raw source has its sign")
+            raise ValueError(
+                "'sign_signal' needs 'signal'; in a raw source, write the sign into "
+                "the expression of 'value'"
+            )
         if self.raw is not None and self.source_address is not None:
-            raise ValueError("'source_address' needs 'signal'; a raw source has the whole 'id'")
+            raise ValueError(
+                "'source_address' needs 'signal'; in a raw source, the 'id' contains the address"
+            )
         if self.range is not None and self.range[0] >= self.range[1]:
             raise ValueError("range must be [low, high] with low < high")
 
@@ -123,7 +128,7 @@ class TriadSettings(Settings, frozen=True):
         for first, second in combinations(names, 2):
             one, other = axes[first], axes[second]
             if one and other and one.signal == other.signal:
-                raise ValueError(f"{first} and {second} are one signal, {one.signal}")
+                raise ValueError(f"{first} and {second} name the same signal, {one.signal}")
 
 
 Triads = Annotated[tuple[TriadSettings, ...], Meta(min_length=1)]

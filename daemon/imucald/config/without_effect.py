@@ -63,8 +63,9 @@ def idle_keys(config: Keys, is_given: Callable[[Place], bool]) -> Iterator[tuple
 
 
 LEANING = (
-    "z is missing: a sensor of two axes cannot be levelled, only one that is level can be turned "
-    "(an accelerometer of two axes, or estimator: published with method_a: {level: false})"
+    "z is missing: a sensor of two axes must be mounted level. Configure its z axis; or, if "
+    "the sensors are level, configure an accelerometer of two axes, or 'estimator: "
+    "published' with 'method_a: {level: false}'"
 )
 
 
@@ -73,7 +74,7 @@ def impossible(config: Keys) -> Iterator[tuple[Place, str]]:
     calibration, signals = config.calibration, config.signals
     up, forward = calibration.orientation.up, calibration.orientation.forward
     if up is not None and forward is not None and up[-1] == forward[-1]:
-        text = f"up: {up} and forward: {forward} name one axis: up and forward are never one"
+        text = f"up: {up} and forward: {forward} name the same axis; name two different axes"
         yield ("calibration", "orientation"), text
     if not _is_level(config):
         for i, sensor in enumerate(signals.parallel):
@@ -87,13 +88,13 @@ def impossible(config: Keys) -> Iterator[tuple[Place, str]]:
     if not any(all(there[name] for name in group) for group in groups):
         needs = {"steering": "signals.steering_wheel_angle", "yaw_rate": "signals.yaw_rate"}
         missing = sorted({needs[n] for g in groups for n in g if not there[n]})
-        text = f"no motion is ever straight without {' and '.join(missing)}"
+        text = f"straight driving cannot be recognised without {' and '.join(missing)}"
         yield ("calibration", "straight", "recognise_by"), text
     known = {"speed": has_speed, "brake": signals.brake is not None}
     sources = calibration.target_angle.sign_from
     if not any(known.get(source, True) for source in sources):
         missing = sorted(f"signals.{source}" for source in sources)
-        text = f"nothing separates forward from backward without {' or '.join(missing)}"
+        text = f"forward and backward cannot be separated without {' or '.join(missing)}"
         yield ("calibration", "target_angle", "sign_from"), text
 
 
@@ -110,7 +111,11 @@ def _calibration(config: Keys) -> Iterator[Rule]:
     at = "calibration"
     published = calibration.estimator == "published"
     for section in ("static", "straight", "target_angle", "method_a"):
-        yield (at, section), not published, "unless estimator: published (method A alone reads it)"
+        yield (
+            (at, section),
+            not published,
+            "without 'estimator: published' (only method A reads it)",
+        )
     for key in ("cross_axis", "orientation"):
         yield (at, key), published, "with estimator: published"
     yield from _method_a(config)
@@ -122,7 +127,7 @@ def _method_a(config: Keys) -> Iterator[Rule]:
     if not published:
         return
     letter = calibration.method_a.to_the_letter
-    why = "with method_a: to_the_letter, which leaves it out"
+    why = "with 'method_a: to_the_letter', which does not use it"
     yield (at, "static", "average_stops"), letter, why
     yield (at, "static", "threshold_at_zero_speed"), letter, why
     yield (at, "straight", "lateral_limit"), letter, why
@@ -138,15 +143,15 @@ def _method_a(config: Keys) -> Iterator[Rule]:
     gated = calibration.straight.lateral_limit > 0.0 and not letter
     idle, why = gated and not has_speed, "without a speed"
     yield (at, "straight", "yaw_rate_limit_deg_s"), idle, why
-    why = "without the gate on v r (lateral_limit): yaw_rate_limit_without_speed_deg_s rules"
+    why = "with 'lateral_limit: 0': yaw_rate_limit_without_speed_deg_s is used instead"
     yield (at, "straight", "yaw_rate_limit_deg_s"), not gated, why
     idle = not (letter or has_speed or signals.lateral_acceleration is not None)
     why = "without a speed and without signals.lateral_acceleration"
     yield (at, "straight", "lateral_limit"), idle, why
     has_gear = signals.reverse is not None
-    why = "without signals.reverse: min_speed_without_reverse rules"
+    why = "without signals.reverse: min_speed_without_reverse is used instead"
     yield (at, "straight", "min_speed"), has_speed and not (has_gear or letter), why
-    why = "with signals.reverse: min_speed rules"
+    why = "with signals.reverse: min_speed is used instead"
     idle = has_speed and has_gear and not letter
     yield (at, "straight", "min_speed_without_reverse"), idle, why
     for section, key in (
@@ -186,12 +191,12 @@ def _recognisers(config: Keys) -> Iterator[Rule]:
     for name, keys in LIMITS.items():
         idle, why = False, ""
         if name not in straight.recognisers:
-            idle, why = True, f"where recognise_by does not name {name}"
+            idle, why = True, f"since 'recognise_by' does not name {name}"
         elif name == "steering" and not there[name]:
             idle, why = True, "without signals.steering_wheel_angle"
         elif deciding and name not in deciding[0]:
             first = " and ".join(deciding[0])
-            idle, why = True, f"while there is {first}, which recognise_by prefers to {name}"
+            idle, why = True, f"since {first} is configured, which 'recognise_by' prefers to {name}"
         if name == "yaw_rate" and not config.calibration.method_a.to_the_letter:
             idle = False
         for key in keys:
@@ -226,7 +231,11 @@ def _attitude(config: Keys) -> Iterator[Rule]:
     why = "with method: filter"
     yield (at, "compensation", "rate_time"), not alone, why
     idle = not alone and not attitude.compensation.send
-    yield (at, "compensation", "centripetal"), idle, f"{why} (it takes all of omega x v)"
+    yield (
+        (at, "compensation", "centripetal"),
+        idle,
+        f"{why} (which always removes the whole of omega x v)",
+    )
     for key in type(attitude.filter).__struct_fields__:
         idle = alone and key not in B_READS
         yield (at, "filter", key), idle, "with method: compensation"
@@ -248,7 +257,7 @@ def _travel(config: Keys) -> Iterator[Rule]:
     at = "travel_direction"
     yield (at, "alternative"), signals.gyroscope is None, "without signals.gyroscope"
     idle = travel.method == "alternative" and signals.gyroscope is not None
-    why = "on the heading while the alternative gives one (method: alternative)"
+    why = "on the heading with 'method: alternative' and a gyroscope"
     for key in ("tilt_on_turn_deg", "differ_deg", "tilt_deg"):
         yield (at, "choice", key), idle, why
     yield (at, "compass"), signals.heading is None, "without signals.heading"

@@ -108,19 +108,23 @@ def speed_findings(response: Response, unit_advice: Mapping[str, str]) -> Iterat
     """
     gain, delay = float(np.linalg.norm(response.along)), response.delay
     if gain <= 1.0 / ODD_GAIN < gain / response.explained:
-        text = "too noisy or too irregular in time: the accelerometer does not show its size"
+        text = (
+            "its changes are too noisy or too irregular in time to check its scale against "
+            "the accelerometer"
+        )
         yield Finding("note", "speed", text)
     elif is_beyond(gain, ODD_GAIN):
         guess = gain_guess(1.0 / gain, unit_advice.get("speed"))
-        text = f"its changes are {guess} (against the accelerometer)"
+        text = f"its changes are {guess} (compared with the accelerometer)"
         yield Finding("error" if is_beyond(gain, WRONG_UNIT) else "warning", "speed", text)
     else:
         text = f"its changes show in the accelerometer (gain {gain:.2f})"
         yield Finding("ok", "speed", text)
     if delay * TICK_S > MAX_SPEED_DELAY:
         text = (
-            f"is about {delay * TICK_S:.1f} s behind the accelerometer; up to {MAX_SPEED_DELAY} s "
-            "can be corrected: the calibration learns little from changes of speed"
+            f"is about {delay * TICK_S:.1f} s behind the accelerometer, and only "
+            f"{MAX_SPEED_DELAY} s can be corrected: the calibration learns little from "
+            "changes of speed"
         )
         yield Finding("warning", "speed", text)
     elif abs(delay) >= MIN_REPORTED_DELAY:
@@ -147,12 +151,12 @@ def axes_findings(
     handed = float(np.cross(along, across) @ up / np.linalg.norm(along) / np.linalg.norm(across))
     if handed < -HANDED:
         text = (
-            "forward, left and up are a left-handed set: one axis has the wrong sign, two are "
-            "exchanged, or the turn rate has the wrong sign"
+            "its axes are left-handed: one axis has the wrong sign, two axes are exchanged, "
+            "or the turn rate has the wrong sign"
         )
         yield Finding("error", "accelerometer", text)
     elif handed > HANDED:
-        yield Finding("ok", "accelerometer", "forward, left and up are a right-handed set")
+        yield Finding("ok", "accelerometer", "its axes are right-handed")
 
 
 def _turn_gain(
@@ -179,12 +183,14 @@ def _turn_gain(
     if not is_beyond(size, WRONG_UNIT):
         return
     if knows_speed or is_beyond(size, NO_SPEED):
-        name, product, other = "gyroscope", "its rate times the speed", "speed"
+        name, product, other = "gyroscope", "its product with the speed", "speed"
     else:
-        name, product, other = "speed", "times the gyroscope's rate it", "gyroscope"
+        name, product, other = "speed", "its product with the gyroscope's rate", "gyroscope"
     guess = gain_guess(1.0 / size, unit_advice.get(name))
-    text = f"{product} is {guess} (against the force in turns)"
-    yield Finding("error", name, text if knows_speed else f"{text}; or the {other}'s unit is wrong")
+    text = f"{product} is {guess} (compared with the force in turns)"
+    yield Finding(
+        "error", name, text if knows_speed else f"{text}; or the unit of the {other} is wrong"
+    )
 
 
 def _gyro_axes(motion: Motion, response: Response, up: Array) -> Iterator[Finding]:
@@ -218,14 +224,18 @@ def _gyro_axes(motion: Motion, response: Response, up: Array) -> Iterator[Findin
         total += np.clip(ratios_of(np.array(left_over)), -MOST, MOST)
     if total.min() < -TO_ACCUSE:
         text = (
-            "does not tilt as the accelerometer does: one of its axes (or of the accelerometer's) "
-            "has the wrong sign, or two are exchanged, or the sensor sways in its holder"
+            "does not tilt as the accelerometer does: one axis of the gyroscope or of the "
+            "accelerometer has the wrong sign, two axes are exchanged, or the sensor moves "
+            "in its holder"
         )
         yield Finding("error", "gyroscope", text)
     elif total.min() > TO_BE_FINE:
         yield Finding("ok", "gyroscope", "tilts as the accelerometer does")
     elif motion.standing is None:
-        text = "not checked: the sign of each axis of the gyroscope: no stop shows its zero error"
+        text = (
+            "not checked: the sign of each axis of the gyroscope (the drive has no stop, so "
+            "its zero error is unknown)"
+        )
         yield Finding("note", "check", text)
 
 
@@ -261,7 +271,7 @@ def _rotation_axis(motion: Motion, rates: Mapping[str, Array], up: Array) -> Ite
     angle = math.degrees(math.acos(min(aligned, 1.0)))
     if angle > AXIS_DEG and relation(gyro @ axis, rate).is_same_motion:
         text = (
-            f"turns about an axis {angle:.0f} deg from gravity's: one of its axes (or of the "
-            "accelerometer's) has the wrong sign, or two are exchanged"
+            f"turns about an axis that is {angle:.0f} deg off the vertical: one axis of the "
+            "gyroscope or of the accelerometer has the wrong sign, or two axes are exchanged"
         )
         yield Finding("error", "gyroscope", text)

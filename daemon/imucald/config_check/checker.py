@@ -137,7 +137,7 @@ class Check:
         """Where nothing of ours came, one error says what to look at, and no warning besides."""
         if not self.frames_read:
             bad = (
-                f"; lines that cannot be used: {counts_text(self.bad_lines)}"
+                f"; some lines cannot be used: {counts_text(self.bad_lines)}"
                 if self.bad_lines
                 else ""
             )
@@ -146,8 +146,9 @@ class Check:
             return []
         ids = ", ".join(dict.fromkeys(f"{id_text(i)} on {channel}" for channel, i in self.ids))
         text = (
-            f"none of the {len(self.probes)} configured messages came, but {len(self.ids)} other "
-            f"ids ({_shortened(ids)}): is it the right bus ('channel:'), and its database?"
+            f"none of the {len(self.probes)} configured messages came, but {len(self.ids)} "
+            f"other ids did ({_shortened(ids)}). Is this the right bus ('channel:')? Does the "
+            "database belong to it?"
         )
         return [Finding("error", "bus", text)]
 

@@ -33,36 +33,45 @@ SELDOM_SPEED = 1.5
 """A speed that comes more seldom [s] hides what a vehicle does within 3 s, most starts and brakes:
 on simulated drives at 0.5 Hz a mount took twice as long."""
 
-_NO_SPEED = "missing: yaw takes longer and is less certain; "
-_NO_GYRO = "turns say nothing of pitch and roll, and no corrected angular rate is sent"
-_NO_TURNS = "so are yaw rate and steering angle"
-_STEADY = "only steady angles show straight motion"
+_NO_SPEED = "missing: yaw is found later and is less certain; "
+_NO_GYRO = "turns then do not help to find pitch and roll, and no corrected angular rate is sent"
+_NO_TURNS = "yaw rate and steering angle are missing too"
+_STEADY = "straight driving is recognised by steady angles only"
 _NEVER = (
-    "no bend can show that the signs are right, so that no drive makes the mount usable; configure "
-    "one of the three, or 'estimator: published'; a stated mount ('calibration: mount') serves too"
+    "no signal shows turns, so the signs cannot be checked and the mount never becomes "
+    "usable. Configure one of the three signals, or 'estimator: published', or state the "
+    "mount ('calibration: mount')"
 )
-_NO_REVERSE = "missing: reversing reads as braking, which costs some accuracy"
-_NO_SIDE = "unknown: a road crown reads as mount roll (about 0.7 deg); state left or right"
+_NO_REVERSE = (
+    "missing: driving backwards looks like braking, so the mount is a little less accurate"
+)
+_NO_SIDE = (
+    "unknown: the roll of the mount may be off by about 0.7 deg, since roads slope to the "
+    "side; state left or right"
+)
 
 _REMEDIES = {
-    "checksum": "; see 'checksum:' (kind, id_bytes, data_id) of the message",
-    "counter": "; see 'counter:' (signal, modulus, max_step) of the message",
-    "doubled": "; each counts once, nothing is lost: a gateway or the logger wrote copies",
+    "checksum": "; check 'checksum:' (kind, id_bytes, data_id) of the message",
+    "counter": "; check 'counter:' (signal, modulus, max_step) of the message",
+    "doubled": "; a gateway or the logger wrote copies. Each frame is used once: nothing is lost",
     "short_frame": "; the database describes a longer frame: is it this vehicle's?",
     "long_frame": "; the database describes a shorter frame: is it this vehicle's?",
     "too_early": "; a second unit sends this identifier, or a gateway sends it again",
-    "counter_repeated": "; a gateway or a second log sends the same again, or see 'counter:' "
-    "(signal, modulus, max_step) of the message",
+    "counter_repeated": "; a gateway or a second log sends the same frames again, or 'counter:' "
+    "(signal, modulus, max_step) of the message is wrong",
     "duplicate_sender": "; a second unit sends this identifier, or a gateway sends it again",
-    "too_fast": "; it comes far more often than usual: see its sender, or 'cycle_time:'",
-    "status": "; the sensor says that it cannot be used, or see 'valid_when:' of the source",
-    "out_of_range": "; see 'range:' of the source, and its unit",
-    "not_available": "; the sender says so, or see 'not_available:' of the source",
-    "saturated": "; the sensor runs into its end, or the database's range is too narrow",
+    "too_fast": "; it comes far more often than usual: check its sender, or set 'cycle_time:'",
+    "status": "; the sensor says that its value cannot be used, or 'valid_when:' of the source is "
+    "wrong",
+    "out_of_range": "; check 'range:' of the source, and its unit",
+    "not_available": "; the sender marks the value as not available, or 'not_available:' of the "
+    "source is wrong",
+    "saturated": "; the sensor reaches the end of its range, or the range in the database is too "
+    "narrow",
 }
 
 
-COARSE = ", of frames that come oftener (are the time stamps too coarse?)"
+COARSE = ", although its frames come more often (are the time stamps too coarse?)"
 BURST_S = 0.5
 """An adapter may hand over frames so late and all at once [s]."""
 
@@ -128,11 +137,15 @@ class Decoding:
         """A hint where the frame came by another channel or with another kind of id."""
         channels = [c for c, can_id in self.ids if not (can_id ^ match.can_id) & match.full_mask]
         if channels:
-            return f"; it comes on {', '.join(channels)}, the configuration says {match.channel}"
+            return (
+                f"; it comes on {', '.join(channels)}, but the configuration says {match.channel}"
+            )
         flipped = IdMatch(match.can_id ^ CAN_EFF_FLAG, match.mask)
         if any(flipped.matches(can_id, c) for c, can_id in self.ids):
             bits = 11 if match.can_id & CAN_EFF_FLAG else 29
-            return f"; the same number comes as a {bits}-bit id"
+            return (
+                f"; an id of the same number comes with {bits} bits: check the id in the database"
+            )
         return ""
 
     def _of_its_pgn(self, probe: Probe) -> str:
@@ -143,7 +156,7 @@ class Decoding:
         found = {i & J1939_ADDRESS_MASK for c, i in self.ids if match.matches(i, c)}
         if found:
             names = ", ".join(f"0x{address:02X}" for address in sorted(found))
-            key = "'j1939: true' at its database takes it from any address"
+            key = "set 'j1939: true' at its database to take it from any address"
             if probe.match.mask != CAN_EFF_MASK:
                 key = "see 'source_address:'"
             return f"; its PGN comes from the address {names}: {key}"
@@ -169,10 +182,10 @@ class Decoding:
             if len(found) < 2:
                 continue
             names = ", ".join(f"0x{address:02X}" for address in sorted(found))
-            taken, address = "all of them are taken", min(found)
+            taken, address = "all of them are used", min(found)
             if probe.sender is not None and probe.sender.address is not None:
                 address = probe.sender.address
-                taken = f"0x{address:02X}, chosen in the first seconds, is taken"
+                taken = f"0x{address:02X} is used, which was chosen in the first seconds"
             text = (
                 f"{probe.name} comes from {len(found)} addresses ({names}): {taken}; name the "
                 f"sender: 'source_address: 0x{address:02X}'"
@@ -188,8 +201,9 @@ class Decoding:
         if len(set(chosen.values())) > 1:
             names = ", ".join(f"{name} of 0x{address:02X}" for name, address in chosen.items())
             text = (
-                f"its messages come from several senders ({names}): are they one sensor? Name the "
-                "sender with 'source_address:', or leave out what another sensor sends"
+                f"its messages come from several senders ({names}). Are they one sensor? If "
+                "not, name the sender with 'source_address:', or remove the signals of the "
+                "other sensor"
             )
             yield Finding("warning", "accelerometer", text)
 
@@ -212,17 +226,20 @@ class Decoding:
             # A database states the cycle of a frame, whatever its group, or that of a group.
             if stated and seen and not any(_is_near(c, stated) for c in seen):
                 text = (
-                    f"{probe.name} comes every {1e3 * seen[-1]:.3g} ms, stated are {1e3 * stated:g}"
+                    f"{probe.name} comes every {1e3 * seen[-1]:.3g} ms, but the "
+                    f"configuration or the database states {1e3 * stated:g} ms"
                 )
                 yield Finding("note", "", text)
         dropping = dropping_recorder([p.lost_share for p in self.probes])
         if dropping is not None:
             yield Finding("warning", "log", dropping)
         if self.bad_lines:
-            text = f"lines that cannot be used: {counts_text(self.bad_lines)}"
+            text = f"some lines cannot be used: {counts_text(self.bad_lines)}"
             yield Finding("warning", "log", text)
         if self.steps:
-            text = f"jumps of the time stamps: {self.steps}; holes, or a clock that was set"
+            text = (
+                f"the time stamps jump {self.steps} times: frames are missing, or the clock was set"
+            )
             yield Finding("note", "", text)
 
     def _too_slow(self) -> Iterator[Finding]:
@@ -234,15 +251,15 @@ class Decoding:
             if cycles and max(min(cycles), pace) > longest:
                 why = "" if min(cycles) > longest else COARSE
                 text = (
-                    f"comes every {max(min(cycles), pace):.3g} s{why}: the calibration uses none "
-                    f"of it, it needs a sample every {longest:g} s at least"
+                    f"comes every {max(min(cycles), pace):.3g} s{why}: the calibration does "
+                    f"not use it, since it needs a sample at least every {longest:g} s"
                 )
                 name = configured_name(channel)
                 yield Finding("error" if channel == "accel" else "warning", name, text)
             elif channel == "speed" and cycles and min(cycles) > SELDOM_SPEED:
                 text = (
-                    f"comes every {min(cycles):.3g} s: the mount takes about twice as long as with "
-                    "a speed every second; ask for it more often"
+                    f"comes every {min(cycles):.3g} s: finding the mount takes about twice as "
+                    "long as with a speed every second; request the speed more often"
                 )
                 yield Finding("note", configured_name(channel), text)
 
@@ -250,13 +267,14 @@ class Decoding:
         """An accelerometer of which the calibration can use nothing, though samples came."""
         left = self.samples.get("accel", 0)
         if left > 1 and self.duration == 0.0:
-            text = "no time passes: all frames have one time stamp; record with: candump -l can0"
+            text = "all frames have the same time stamp; record with: candump -l can0"
             yield Finding("error", "log", text)
         elif self.least_duration > self.duration + BURST_S:
             text = (
                 f"more frames than any CAN bus carries: {sum(self.ids.values())} in "
-                f"{self.duration:.1f} s, where they take {self.least_duration:.1f} s at 1 Mbit/s: "
-                "are the time stamps in milliseconds, or do they begin again and again?"
+                f"{self.duration:.1f} s, where they take {self.least_duration:.1f} s at 1 "
+                "Mbit/s: are the time stamps in milliseconds, or do they start again several "
+                "times?"
             )
             yield Finding("error", "log", text)
         ours = [
@@ -270,8 +288,9 @@ class Decoding:
         # rejections take most of it, and leave less than a sample in each gap that is bridged
         if 0 < left < min(rejected.total(), self.duration / ACCEL_GAP):
             text = (
-                f"nearly all of it is rejected ({counts_text(rejected)}): the calibration needs a "
-                f"sample every {ACCEL_GAP:g} s, {left} came in {self.duration:.0f} s"
+                f"nearly all samples are rejected ({counts_text(rejected)}): the calibration "
+                f"needs a sample every {ACCEL_GAP:g} s, but {left} were left in "
+                f"{self.duration:.0f} s"
             )
             yield Finding("error", "accelerometer", text)
         elif left and all(2 * p.refused.total() > p.frames for p in ours):
@@ -286,7 +305,7 @@ class Decoding:
         """What is missing, and what that costs."""
         config = self.loaded.config
         if not self._has("accel"):
-            text = "gives no sample: nothing can be calibrated"
+            text = "no sample of it came: nothing can be calibrated"
             yield Finding("error", "accelerometer", text)
         if not self._has("speed"):
             yield Finding("warning", "speed", _NO_SPEED + self._direction_without_speed())
@@ -321,8 +340,9 @@ class Decoding:
             seen = sum(n for (_, other), n in self.ids.items() if other == can_id)
             if seen:
                 text = (
-                    f"{id_text(can_id)} is on this bus already ({seen} frames): imucald sent it, "
-                    "or another unit does; then choose another under 'output: ids:'"
+                    f"{id_text(can_id)} is on this bus already ({seen} frames). If imucald "
+                    "did not send them, another unit uses this id: choose another id under "
+                    "'output: ids:'"
                 )
                 yield Finding("warning", "output.ids", text)
 

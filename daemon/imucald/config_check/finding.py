@@ -20,7 +20,7 @@ ODD_GAIN = 1.4
 """A gain beyond this (or below its inverse) is odd: measured and simulated vehicles show 0.8 to
 1.2, miles taken for kilometres 0.6 or 1.6 of that."""
 
-TURN_SIGN = "set 'sign: -1', or remove it where it is set"
+TURN_SIGN = "set 'sign: -1', or remove 'sign: -1' if it is set"
 """The remedy for a wrong sign: where one is configured, that one is the mistake."""
 
 _FACTORS = (
@@ -58,7 +58,7 @@ def gain_guess(ratio: float, unit_advice: str | None) -> str:
     words = f"{size:.3g} times too much" if size > 1.0 else f"{1.0 / size:.3g} times too little"
     for factor, guess in _FACTORS:
         if abs(math.log(max(size, 1.0 / size) / factor)) < math.log(1.15):
-            return f"{words}, as {guess} would be; {unit_advice}"
+            return f"{words}, which looks like {guess}; {unit_advice}"
     return f"{words}; check its unit and scale"
 
 
@@ -71,6 +71,6 @@ def spread(x: Array) -> float:
 def cut_frames(name: str, shortest: int, size: int) -> str:
     """What to say of a message whose frames are shorter [bytes] than the database describes it."""
     return (
-        f"frames of {name} have {shortest} bytes, in the database it has {size}: signals beyond "
-        "their end are not there; is it the database of this vehicle?"
+        f"frames of {name} have {shortest} bytes, but the database says {size}: the signals "
+        "in the last bytes are missing. Is it the database of this vehicle?"
     )

@@ -26,8 +26,8 @@ MOST_SHARE = 0.5
 """Part of a log from which a signal that is left out is no witness."""
 _WORDS = {
     SignalFault.STUCK: "repeats one value",
-    SignalFault.SATURATED: "stays at the end of its range: is a range set too small?",
-    SignalFault.IMPLAUSIBLE: "has values impossible in a road vehicle, or another unit than before",
+    SignalFault.SATURATED: "stays at the end of its range (is a range set too small?)",
+    SignalFault.IMPLAUSIBLE: "has values that no road vehicle reaches (did its unit change?)",
 }
 
 
@@ -102,9 +102,9 @@ def health_findings(events: Iterable[FaultEvent]) -> Iterator[Finding]:
         often = f", {len(times)} times" if len(times) > 1 else ""
         what = f"{', '.join(axes)} {_WORDS[fault]}".strip()
         then = (
-            "its corrected frames would say 'not available' then"
+            "the daemon would send 'not available' for that time"
             if axes
-            else "it would not be used then"
+            else "the daemon would not use it for that time"
         )
         text = f"{what} ({fault}, from {times[0]:.1f} s on{often}); {then}"
         yield Finding("warning", configured_name(channel), text)
@@ -115,9 +115,9 @@ def jumping_finding(left_out: Sequence[Mapping[str, Any]], duration: float) -> I
     for one in left_out:
         if one["cause"] == SignalFault.SPEED_JUMP and one["seconds"] > MOST_SHARE * duration:
             text = (
-                f"jumps as no vehicle does in {one['seconds']:.0f} of {duration:.0f} s: nothing is "
-                "judged by it; do several units send it ('source_address:', 'channel:'), or is it "
-                "another signal?"
+                f"jumps more than a vehicle can, in {one['seconds']:.0f} of {duration:.0f} s, "
+                "so no other signal is checked against it. Do several units send it "
+                "('source_address:', 'channel:')? Is it the right signal?"
             )
             yield Finding("error", configured_name(one["signal"]), text)
 
@@ -125,4 +125,6 @@ def jumping_finding(left_out: Sequence[Mapping[str, Any]], duration: float) -> I
 def left_out_finding(left_out: Sequence[Mapping[str, Any]], duration: float) -> Iterator[Finding]:
     """What the calibration learns nothing from in a log of so many seconds."""
     if words := left_out_words({"not_learnt_from": left_out}):
-        yield Finding("note", "log", f"of {duration:.0f} s nothing is learnt from: {words}")
+        yield Finding(
+            "note", "log", f"the log has {duration:.0f} s; the calibration does not use: {words}"
+        )

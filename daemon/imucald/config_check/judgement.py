@@ -66,9 +66,12 @@ _WHEELS = ("wheel_speeds",)
 
 NOT_STATED = OrientationSettings()
 WITHOUT_GRAVITY = (
-    "gravity is taken out of it (a 'linear' or 'user' acceleration); give the sensor's own readings"
+    "gravity is removed from it (a 'linear' or 'user' acceleration); give the readings "
+    "of the sensor itself"
 )
-UP_REMEDY = "set 'sign: -1' on all axes (or remove it where it is set), or correct that line"
+UP_REMEDY = (
+    "correct that line, or turn the signs of all axes ('sign: -1', or remove it if it is set)"
+)
 FORWARD_REMEDY = "correct that line"
 
 
@@ -139,8 +142,15 @@ def _magnitudes(rates: Mapping[str, Array], never_negative: Mapping[str, str]) -
         turning = np.nan_to_num(np.abs(rate)) > TURNING
         turns = np.count_nonzero(np.diff(turning.astype(np.int8)) > 0)
         if turns >= ONE_SIDED_TURNS:
-            where = f"in {bits}" if bits else "in another signal, or is the signal signed"
-            text = f"never negative in {turns} turns: is its sign {where}? ('sign_signal:')"
+            where = (
+                f"in {bits}"
+                if bits
+                else "in another signal? Or does the database miss that the signal is signed"
+            )
+            text = (
+                f"it is never negative in {turns} turns. Is its sign {where}? If so, name "
+                "that signal with 'sign_signal:'"
+            )
             yield Finding("warning", name, text)
 
 
@@ -153,19 +163,22 @@ def _mirrored(of_turns: Sequence[Finding], turned: Mapping[str, bool]) -> Iterat
     if agree is None:
         return
     shown = {name: turned[name] for name in (agree.quantity, *agree.beside) if name in turned}
-    right = "where it does, say 'calibration: {orientation: {up: AXIS}}'"
+    right = "if it does, write 'calibration: {orientation: {up: AXIS}}'"
     if not shown:
         return
     if not turned.get("accelerometer", True):
         if probability(shown) >= DOUBTED:
             names = names_of(shown)
-            text = f"'sign: -1' of {names} does not confirm it: {REMEDY}; {right}"
+            text = f"its signs are not certain, since {names} has 'sign: -1' too: {REMEDY}; {right}"
             yield Finding("warning", "accelerometer", text)
         return
     # as it would be without its signs
     shown = {name: is_turned == (name == "gyroscope") for name, is_turned in shown.items()}
     if 1.0 - probability(shown) >= DOUBTED:
-        text = f"only {names_of(shown)} speak for the signs of its axes: {AT_REST}; {right}"
+        text = (
+            f"the signs of its axes follow from {names_of(shown)} only. Check them: "
+            f"{AT_REST}; {right}"
+        )
         yield Finding("warning", "accelerometer", text)
 
 
@@ -202,12 +215,18 @@ def _constant_speed(motion: Motion) -> Iterator[Finding]:
     known = motion.grid["speed"][np.isfinite(motion.grid["speed"])]
     if np.ptp(known) > 0.0:
         return
-    text = f"is {known[0]:.2f} m/s from beginning to end"
+    text = f"is {known[0]:.2f} m/s in the whole log"
     if _is_driven_both_ways(motion):
-        text += ", while the accelerometer shows changes: stuck, or another signal than the speed"
+        text += (
+            ", but the accelerometer shows changes of speed: the signal is stuck, or it is "
+            "not the speed"
+        )
         yield Finding("error", "speed", text)
     else:
-        text += ": stuck, or a cruise; a log with a launch or a braking shows which"
+        text += (
+            ": the signal is stuck, or the vehicle drove at constant speed. Record a start "
+            "or a braking to see which"
+        )
         yield Finding("warning", "speed", text)
 
 
@@ -238,12 +257,12 @@ def _speed_against_wheels(motion: Motion, unit_advice: str | None) -> Iterator[F
         return
     ratio = float(np.median(speed[fast] / wheels[fast]))
     if is_beyond(ratio, WRONG_UNIT):
-        text = f"against the wheels' speeds {gain_guess(ratio, unit_advice)}"
+        text = f"compared with the wheel speeds {gain_guess(ratio, unit_advice)}"
         yield Finding("error", "speed", text, _WHEELS)
     elif abs(ratio - 1.0) > WHEELS_DIFFER:
-        yield Finding("warning", "speed", f"is {ratio:.2f} times the wheels' speeds", _WHEELS)
+        yield Finding("warning", "speed", f"is {ratio:.2f} times the wheel speeds", _WHEELS)
     else:
-        yield Finding("ok", "speed", f"is that of the wheels ({ratio:.2f} times)", _WHEELS)
+        yield Finding("ok", "speed", f"agrees with the wheel speeds ({ratio:.2f} times)", _WHEELS)
 
 
 def _not_checked(
@@ -253,17 +272,20 @@ def _not_checked(
     left: list[str] = []
     turning = [name for name, rate in rates.items() if spread(rate) > MIN_TURNING]
     if not turning:
-        left.append("signs and units of what shows turns (no bends, or no such signal)")
+        left.append(
+            "signs and units of the gyroscope, yaw rate or steering angle (no bends, or no "
+            "such signal)"
+        )
     elif len(turning) == 1:
         left.append(f"the sign of {turning[0]} in turns (no other signal to compare it with)")
     if turning == ["gyroscope"] and stated == NOT_STATED and "heading" not in motion.grid:
-        left.append(f"{NOT_CHECKED}; the mount stays usable and is never fine")
+        left.append(f"{NOT_CHECKED}; the mount becomes usable, but never fine")
     if motion.speed is None:
-        left.append("all that needs the speed")
+        left.append("everything that needs the speed")
     elif motion.change is not None and spread(motion.change) < MIN_BRAKING:
-        left.append("the accelerometer against changes of speed (too few)")
+        left.append("the accelerometer against the changes of speed (too few changes)")
     if "gyro" not in motion.grid and not motion.planar:
-        left.append("the accelerometer's axes against a gyroscope's (there is none)")
+        left.append("the axes of the accelerometer against those of a gyroscope (no gyroscope)")
     for text in left:
         yield Finding("note", "check", f"not checked: {text}")
 
@@ -276,7 +298,10 @@ def _at_rest(motion: Motion, unit_advice: str | None) -> Iterator[Finding]:
     if motion.planar:
         level = float(np.hypot(gravity[0], gravity[1]))
         if motion.standing is not None and level > PLANAR_REST:
-            text = f"shows {level:.2f} m/s² {when}; without z it must be level: wrong axes or unit?"
+            text = (
+                f"shows {level:.2f} m/s² {when}, but a sensor without z must be level. Are "
+                "axes or unit wrong?"
+            )
             yield Finding("warning", "accelerometer", text)
         return
     size = float(np.linalg.norm(gravity))
@@ -287,7 +312,9 @@ def _at_rest(motion: Motion, unit_advice: str | None) -> Iterator[Finding]:
     elif abs(ratio - 1.0) > REST_WRONG:
         yield Finding("error", "accelerometer", f"{text}: {gain_guess(ratio, unit_advice)}")
     elif abs(ratio - 1.0) > REST_ODD:
-        yield Finding("warning", "accelerometer", f"{text}: scale or a large bias?")
+        yield Finding(
+            "warning", "accelerometer", f"{text}: is its scale wrong, or its zero error large?"
+        )
     else:
         yield Finding("ok", "accelerometer", text)
     gyro = motion.grid.get("gyro")
@@ -297,7 +324,10 @@ def _at_rest(motion: Motion, unit_advice: str | None) -> Iterator[Finding]:
         resting = resting[np.isfinite(resting).all(axis=1)]
         offset = float(np.linalg.norm(resting.mean(axis=0))) if len(resting) else 0.0
         if offset > GYRO_REST:
-            text = f"turns at {math.degrees(offset):.1f} deg/s at rest: wrong unit or offset?"
+            text = (
+                f"shows {math.degrees(offset):.1f} deg/s at rest. Is its unit wrong, or its "
+                "zero error large?"
+            )
             yield Finding("warning", "gyroscope", text)
 
 
@@ -331,14 +361,17 @@ def _along(motion: Motion, unit_advice: Mapping[str, str]) -> Iterator[Finding]:
             continue
         gain = found.sign * found.gain
         if gain < 0.0 and name == "accelerometer.x":
-            text = "is negative when the vehicle accelerates: backwards mounted, or 'sign: -1'"
+            text = (
+                "is negative when the vehicle accelerates: the sensor is mounted backwards, "
+                "or 'sign: -1' is needed"
+            )
             yield Finding("warning", name, text)
         elif gain < 0.0:
             text = f"is negative when the vehicle accelerates; {TURN_SIGN}"
             yield Finding("warning", name, text)
         elif is_beyond(gain, WRONG_UNIT):
             guess = gain_guess(gain, unit_advice.get(name))
-            yield Finding("warning", name, f"against the change of speed {guess}")
+            yield Finding("warning", name, f"compared with the change of speed {guess}")
         else:
             yield Finding("ok", name, f"follows the change of speed (gain {gain:.2f})")
 
@@ -351,7 +384,7 @@ def _reverse(motion: Motion) -> Iterator[Finding]:
     share = float(np.mean(reverse > 0.5)) if len(reverse) >= MIN_TICKS else 0.0
     fastest = f"{3.6 * REVERSE_SPEED:.0f} km/h"
     if share > REVERSE_SHARE:
-        text = f"is on {100 * share:.0f} % of the time above {fastest}: see 'equals:' and 'above:'"
+        text = f"is on for {100 * share:.0f} % of the time above {fastest}: check 'equals:' and 'above:'"
         yield Finding("error" if share > 0.5 else "warning", "reverse", text)
     elif len(reverse) >= MIN_TICKS and np.nanmax(motion.grid["reverse"]) > 0.5:
         yield Finding("ok", "reverse", f"is off above {fastest}")  # and on at times
@@ -365,7 +398,7 @@ def _brake(motion: Motion) -> Iterator[Finding]:
     if not found.is_believed_of(1):
         return
     if found.sign > 0:
-        text = "is on when the vehicle accelerates: see 'equals:' and 'above:'"
+        text = "is on when the vehicle accelerates: check 'equals:' and 'above:'"
         yield Finding("warning", "brake", text)
     else:
         yield Finding("ok", "brake", "is on when the vehicle slows down")

@@ -50,8 +50,8 @@ def turning_axis_findings(motion: Motion) -> Iterator[Finding]:
     independent = INDEPENDENT * len(table) / BLOCK_TICKS
     if 0.5 * independent * 2.0 * math.log(left[0] / best) > TO_ACCUSE:
         text = (
-            "the force in bends follows its rate about another axis than gravity's: two axes, of "
-            "it or of the accelerometer, are exchanged"
+            "the force in bends follows its rate about an axis that is not vertical: two "
+            "axes of the gyroscope or of the accelerometer are exchanged"
         )
         yield Finding("error", "gyroscope", text)
 

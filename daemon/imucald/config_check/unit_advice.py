@@ -21,7 +21,10 @@ def unit_advice(sources: Iterable[QuantitySource]) -> dict[str, str]:
         advice = f"'unit: {unit}' is set: correct it"
         if source.signal is not None and source.signal.unit not in ("", unit):
             database = source.signal.unit
-            advice = f"'unit: {unit}' is set: remove it (the database has {database}) or correct it"
+            advice = (
+                f"'unit: {unit}' is set: remove it (the unit in the database is {database}) "
+                "or correct it"
+            )
         parts = source.quantity.split(".")
         for i in range(len(parts)):
             made.setdefault(".".join(parts[: i + 1]), advice)

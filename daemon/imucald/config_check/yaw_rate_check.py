@@ -55,7 +55,7 @@ def _gains(gains: Mapping[str, float], unit_advice: Mapping[str, str]) -> Iterat
         if is_beyond(size / middle, OTHER_RATIO if name == _STEERING else WRONG_UNIT):
             others = tuple(other for other in sizes if other != name)
             guess = gain_guess(size / middle, unit_advice.get(name))
-            text = f"against {', '.join(others)} in turns {guess}"
+            text = f"compared with {', '.join(others)} in turns {guess}"
             yield Finding("error", name, text, others)
 
 
@@ -69,7 +69,7 @@ def _signs(gains: Mapping[str, float], turned: Mapping[str, bool]) -> Iterator[F
         text = f"turns the same way as {', '.join(names)}"
         yield Finding("ok", left[0], text, tuple(left[1:]))
     elif len(left) == len(right):
-        text = f"has the opposite sign of {', '.join(right)} in turns; positive must be to the left"
+        text = f"has the opposite sign of {', '.join(right)} in turns; left turns must be positive"
         yield Finding("error", left[0], text, tuple(gains))
     else:
         few, many = (left, right) if len(left) < len(right) else (right, left)
@@ -81,7 +81,10 @@ def _signs(gains: Mapping[str, float], turned: Mapping[str, bool]) -> Iterator[F
 
 def _sign_hint(name: str) -> str:
     if name == "wheel_speeds":
-        return ": are left and right exchanged?"
+        return ": left and right may be exchanged"
     if name == "gyroscope":
-        return ": all three axes need 'sign: -1', or the accelerometer's do"
-    return f": positive is to the left; {TURN_SIGN}"
+        return (
+            ": set 'sign: -1' on all three of its axes, or on those of the accelerometer (or "
+            "remove it if it is set)"
+        )
+    return f": left turns must be positive; {TURN_SIGN}"

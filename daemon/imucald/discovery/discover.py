@@ -133,7 +133,8 @@ def doubt_sender(choice: Choice, messages: Mapping[str, MessageTraffic]) -> None
             first, *others = (f"0x{address:02X}" for address in senders)
             choice.doubt = (
                 f"{name} comes from {len(senders)} source addresses, {first} and "
-                f"{', '.join(others)}: {first} is taken; 'source_address:' chooses"
+                f"{', '.join(others)}: {first} is used; write another one under "
+                "'source_address:' if it is wrong"
             )
 
 
@@ -147,14 +148,14 @@ def _notes(
     names = {c.message.name for c in candidates}
     known = sum(bool(m.signals) for d in databases.values() for m in d.messages.values())
     yield (
-        f"Looked at: {recording.frames} frames in {recording.seconds:.0f} s, {len(names)} of "
-        f"{known} messages of the database, "
+        f"The recording has {recording.frames} frames in {recording.seconds:.0f} s. It "
+        f"contains {len(names)} of the {known} messages in the database, with "
         f"{len({c.path for c in candidates})} signals."
     )
     if recording.is_full:
-        yield "The recording is longer; its beginning was looked at."
+        yield "The recording is longer than that: only its beginning was used."
     if not names and databases:
-        yield "None of the database's messages is on this bus: is it this vehicle's database?"
+        yield "No message of the database is on this bus. Is it the database of this vehicle?"
 
 
 def free_output_ids(taken: Set[int]) -> dict[str, int]:

@@ -49,8 +49,8 @@ def find_reverse(reference: KnownMotion, candidates: Sequence[SeenSignal]) -> Ch
         if not named and named_ones:
             best = named_ones[0]
         text = (
-            f"at {best.level:g} the accelerometer and the change of speed are opposite "
-            f"(correlation {best.correlation:+.2f}), and never above "
+            f"when it is {best.level:g}, accelerometer and change of speed have opposite "
+            f"signs (correlation {best.correlation:+.2f}); it never is above "
             f"{REVERSE_SPEED:g} m/s"
         )
         others = [
@@ -122,7 +122,9 @@ def _reverse_by_name(candidates: Sequence[SeenSignal]) -> Choice | None:
     for c in candidates:
         value = _names_reverse(c.signal)
         if value is not None:
-            options.append((0, c, source_of(c, equals=(value,)), "its value table names reverse"))
+            options.append(
+                (0, c, source_of(c, equals=(value,)), "its value table contains 'reverse'")
+            )
         elif (
             hint("reverse", c) in ("reverse", "ruecklicht", "rueckwaerts") and c.signal.length <= 2
         ):
@@ -146,7 +148,8 @@ def unseen_reverse(candidates: Sequence[SeenSignal]) -> Iterator[str]:
     if levers:
         yield (
             f"reverse: not seen in the recording. If {' or '.join(levers[:MAX_ALTERNATIVES])} "
-            f"has it, add 'reverse: {{signal: {levers[0]}, equals: VALUE}}' under 'signals'."
+            f"shows the reverse gear, add 'reverse: {{signal: {levers[0]}, equals: VALUE}}' "
+            "under 'signals'."
         )
 
 
@@ -177,7 +180,7 @@ def find_brake(reference: KnownMotion, candidates: Sequence[SeenSignal]) -> Choi
     text = f"on when slowing down by more than {BRAKING:g} m/s2 (correlation {score:.2f})"
     doubt = ""
     if not named and (score < 0.8 or (len(found) > 1 and found[1][0] > score - 0.05)):
-        doubt = "its name does not say brake, and other signals go with braking too"
+        doubt = "its name does not contain 'brake', and other signals change with braking too"
     others = [
         Alternative({"": source_of(c, **s)}, f"correlation {one:.2f}")
         for one, c, s in found[1:]
@@ -242,9 +245,9 @@ def find_temperature(reference: KnownMotion, candidates: Sequence[SeenSignal]) -
     )
     best = usable[0]
     near = best.message.name in triad.messages or same_family(best.message.name, own)
-    doubt = "" if near else "a temperature, perhaps not the sensor's"
+    doubt = "" if near else "a temperature, perhaps of another part than the sensor"
     text = f"a temperature of {best.least:g} to {best.largest:g} {best.unit}"
     if near:
-        text += f", and {best.message.name} is named like {own}"
+        text += f", and the name of its message {best.message.name} is like {own}"
     others = [Alternative({"": source_of(c)}, "another temperature") for c in usable[1:]]
     return Choice("temperature", {"": source_of(best)}, text, doubt, others[:MAX_ALTERNATIVES])

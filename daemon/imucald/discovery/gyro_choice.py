@@ -10,7 +10,10 @@ from imucald.discovery.triads import Triad
 from imucald.inputs.units import is_unit
 
 MAX_ALTERNATIVES = 3
-RAW_COUNTS = "raw counts: the database states no scale, by the data it is 'unit: {}'"
+RAW_COUNTS = (
+    "the signal is in raw counts, since the database states no scale; the recording "
+    "shows 'unit: {}'"
+)
 
 
 def axes_of(triad: Triad, unit: str, sign: int = 1) -> dict[str, Proposed]:
@@ -53,15 +56,15 @@ def _unit(triad: Triad, fit: GyroFit) -> tuple[UnitChoice, str]:
         if fitting is None and first.signal.scale == 1.0 and not is_unit(first.unit):
             counts = in_counts("angular_rate", low, high)
             return counts, RAW_COUNTS.format(" or ".join((counts.name, *counts.others)))
-        return (unit, "its size fits no unit") if fitting is None else (fitting, "")
+        return (unit, "its size does not fit any unit") if fitting is None else (fitting, "")
     if unit.is_stated:
-        return unit, "no turn shows its unit and sign"
+        return unit, "the recording has no turn, so unit and sign are unknown"
     return unit, "the database states no unit"
 
 
 def _contradiction(fit: GyroFit) -> str:
     if fit.is_contradicted:
-        return "turns and the way in which gravity moves show different signs or axes"
+        return "turns show other signs or axes than slopes do"
     return ""
 
 
@@ -69,7 +72,7 @@ def _open_question(triad: Triad, fit: GyroFit) -> str:
     """What the likelihoods leave open; empty where nothing."""
     orders, signs = right_handed_orders(), fit.order[1]
     if not fit.is_believed:
-        return "neither turns nor slopes confirm it"
+        return "the recording has no turns or slopes that confirm it"
     if signs[0] < 0 and not is_decided(fit, [o for o in orders if o[1] != signs]):
         return "the sign is not certain"
     if not triad.names_axes and not is_decided(fit, orders):
@@ -81,12 +84,19 @@ def _evidence(triad: Triad, fit: GyroFit) -> str:
     words = []
     if fit.turning.is_believed:
         words.append(
-            "speed times the rate about up is the acceleration to the left "
+            "in turns, speed times its upward rate follows the acceleration to the left "
             f"(correlation {fit.turning.correlation:.2f})"
         )
     if fit.carried.is_believed:
-        words.append(f"gravity moves as it turns (correlation {fit.carried.correlation:.2f})")
+        words.append(
+            "gravity turns in the accelerometer as its rates say (correlation "
+            f"{fit.carried.correlation:.2f})"
+        )
     if fit.order[1][0] < 0:
-        words.append("it turns the other way than the accelerometer's axes")
-    words.append("axes as named" if triad.names_axes else "axes as turns and gravity show them")
+        words.append("its signs are opposite to those of the accelerometer axes")
+    words.append(
+        "axes as named"
+        if triad.names_axes
+        else "which axis is which follows from turns and gravity"
+    )
     return "; ".join(words)

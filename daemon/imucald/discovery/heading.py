@@ -28,22 +28,22 @@ GAIN = 1.5
 """Half way, as a ratio, between the right unit and half or twice of it."""
 
 REVERSED = (
-    "minus the specific force: the course, which is clockwise, turns the other way than this"
-    " sensor would if the axis that points up read plus 1 g at rest; if it does, remove the signs"
+    "this sensor seems to show minus the specific force, so 'sign: -1' is set: without it, "
+    "the sensor turns against the course. Check it at rest: if the axis that points up shows "
+    "+1 g without 'sign: -1', remove 'sign: -1'"
 )
 PERHAPS_REVERSED = (
-    "compared with it {heading} turns counter-clockwise: if that is a compass course, this sensor "
-    "shows"
-    " minus the specific force, and all three axes get 'sign: -1'"
+    "{heading} turns counter-clockwise compared with this sensor. If {heading} is a compass "
+    "course, the sensor shows minus the specific force: set 'sign: -1' on all three axes"
 )
 ONLY_AS_TURNED = (
-    "{heading} is clockwise only with the gyroscope turned, which is unsure: with the gyroscope as"
-    " it is, this sensor shows minus the specific force, and all three axes get 'sign: -1'"
+    "{heading} is clockwise only with 'sign: -1' on the gyroscope, which is unsure. If the "
+    "gyroscope needs no 'sign: -1', this sensor shows minus the specific force: set 'sign: "
+    "-1' on all three axes"
 )
 TURNED_TO_FIT = (
-    "it is turned to fit the accelerometer, and {heading} turns counter-clockwise compared with "
-    "both: an"
-    " axis of the accelerometer may have the wrong sign instead"
+    "its signs are set to fit the accelerometer, but {heading} turns counter-clockwise "
+    "compared with both: perhaps an axis of the accelerometer has the wrong sign"
 )
 
 
@@ -103,12 +103,21 @@ def heading_choice(
             unit = stated_unit(c, "angle") if not c.is_constant else None
             if unit is not None and (c.largest - c.least) * unit.factor > np.pi:
                 wide.append(c)
-        why = "" if reference.turn is None else "its changes do not follow the turns here"
+        why = (
+            "" if reference.turn is None else "its changes do not follow the turns in the recording"
+        )
         return by_unit_and_name("heading", "angle", wide, why)
     is_clockwise = fit.relation.sign > 0
-    doubt = "" if is_clockwise else "a compass turns clockwise; see the accelerometer"
+    doubt = (
+        ""
+        if is_clockwise
+        else (
+            "a compass counts clockwise, but this signal does not; see "
+            "the finding on the accelerometer"
+        )
+    )
     if fit.is_reversed and not fit.is_named:
-        doubt = "its name does not say that it is a compass's; see the accelerometer"
+        doubt = "the name does not show that it is a compass; see the finding on the accelerometer"
     late = f", {0.1 * fit.delay:.1f} s late" if fit.delay > 0 else ""
     sense = "clockwise" if is_clockwise else "counter-clockwise"
     return Choice(

@@ -12,7 +12,7 @@ from imucald.discovery.sensors import BY_PLACES
 from imucald.discovery.wheels import BY_TURNS, EXCHANGED, IN_ORDER
 from imucald.mount.mirror import DOUBTED, REMEDY, SIDED, names_of, probability
 
-WITH_IT = "its sign goes with those of the accelerometer, which are unsure"
+WITH_IT = "its sign depends on the signs of the accelerometer, which are unsure"
 
 
 def hold_against_usual_signs(choices: Sequence[Choice], heading: HeadingFit | None) -> None:
@@ -37,19 +37,20 @@ def hold_against_usual_signs(choices: Sequence[Choice], heading: HeadingFit | No
             by_name[name].doubt = WITH_IT
     # a database whose names do not say which axis is which says nothing of usual signs either
     if likely <= 0.5 or by_places or not any(turned.get(name) for name in SIDED):
-        accelerometer.doubt = f"as it is, {names} would need 'sign: -1': {REMEDY}"
+        accelerometer.doubt = f"with the signs as they are, {names} would need 'sign: -1': {REMEDY}"
         return
     accelerometer.doubt = (
-        f"turned: as it is, {names} would need 'sign: -1'; it shows minus "
-        f"the specific force, or its axes are a left-handed set (likely by {100 * likely:.0f} %); "
-        "at rest the axis that points up must read plus 1 g, else remove the signs here"
+        f"'sign: -1' is set on all axes, since {names} would need it otherwise: the sensor "
+        "shows minus the specific force, or its axes are left-handed (probability "
+        f"{100 * likely:.0f} %). Check it at rest: if the axis that points up does not show "
+        "+1 g, remove 'sign: -1' here"
     )
     accelerometer.sources = {k: _other(s) for k, s in accelerometer.sources.items()}
     for name in SIDED:
         if name in turned:
             choice = by_name[name]
             choice.sources = {k: _other(s) for k, s in choice.sources.items()}
-            choice.evidence += "; sign with the accelerometer turned"
+            choice.evidence += "; its sign fits the accelerometer with 'sign: -1'"
     _exchange_wheels(by_name.get("wheel_speeds"))
 
 

@@ -62,7 +62,10 @@ def _why(
     if path in seen:
         if seen[path].is_constant:
             return f"{path} never changes"
-        return f"{path} does not follow the motion, or its unit '{seen[path].unit}' does not fit"
+        return (
+            f"{path} does not follow the motion, or its unit '{seen[path].unit}' is not one "
+            "of this quantity"
+        )
     try:
         compile_decode(message, [name])
         id_match(message)
@@ -76,7 +79,7 @@ def _why(
     longest = int(traffic.length.max())
     if longest < message.length:
         return (
-            f"the frames of {message.name} have {longest} bytes, the database describes "
+            f"the frames of {message.name} have {longest} bytes, but the database says "
             f"{message.length}"
         )
-    return f"{path} has no value that can be used"
+    return f"{path} has no usable value"

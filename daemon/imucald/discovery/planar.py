@@ -79,11 +79,12 @@ def find_planar(
         "y": source_of(across.second, across.unit.name, sign * across.relation.sign),
     }
     evidence = (
-        "no three signals are 1 g: two axes of the vehicle, already level; x follows the change of "
-        f"speed (correlation {best.relation.correlation:+.2f}), y speed times {across.first.path} "
-        f"({across.relation.correlation:+.2f})"
+        "no three signals have a size of 1 g together, so these are two level axes. x "
+        f"follows the change of speed (correlation {best.relation.correlation:+.2f}). y "
+        f"follows speed times {across.first.path} (correlation "
+        f"{across.relation.correlation:+.2f})"
     )
-    doubt = "" if why else "nothing separates left from right: the sign of y may be the other one"
+    doubt = "" if why else "no signal shows which side is left: the sign of y may be wrong"
     used = {best.second.path, across.second.path}
     speed = None
     if best.first.path not in taken:
@@ -93,7 +94,7 @@ def find_planar(
 
 
 def _speed_choice(best: _Pair, others: list[_Pair]) -> Choice:
-    text = f"its changes are those of {best.second.path} (correlation "
+    text = f"its changes follow {best.second.path} (correlation "
     rest = [
         Alternative({"": source_of(p.first)}, f"{text}{p.relation.correlation:+.2f})")
         for p in others
@@ -150,7 +151,7 @@ def _sides(
             fl, fr, rl, rr = (wheels[named.index(w)].smooth for w in WHEELS)
             found = relation(yaw.smooth / v, (fr - fl + rr - rl) / v)
             if found.is_believed_of(1):
-                return found.sign, "the wheels' names: the right ones are faster in left turns"
+                return found.sign, "the names of the wheels: right wheels are faster in left turns"
     if _LEFT.search(yaw.signal.comment):
         return 1, f"the database's comment on {yaw.path}"
     for c in candidates:

@@ -170,7 +170,7 @@ def _profile_1(size: int, offset: int, data: Columns) -> Found:
     without = e2e_profile_1(size, 0, "low", *places)
     added = _added(without, data)
     ids = {_difference(e2e_profile_1(size, i, "low", *places), without): i for i in range(256)}
-    words = "; other ids and modes give the same checksum: the maker's data sheet names the id"
+    words = "; other ids and modes give the same checksum, so check the id in the data sheet"
     common = _common(added)
     if common in ids:
         return (

@@ -52,7 +52,9 @@ def _offer(quantity: str, offers: list[tuple[Proposed, str]], why: str) -> Choic
     if not offers:
         return None
     others = [Alternative({"": source}, text) for source, text in offers[:MAX_OFFERS]]
-    return Choice(quantity, {}, "no database describes it: bytes that move like it", why, others)
+    return Choice(
+        quantity, {}, "no database describes it; these bytes change as it does", why, others
+    )
 
 
 def _speed(fields: Sequence[SeenSignal], reference: KnownMotion) -> Choice | None:
@@ -71,7 +73,7 @@ def _speed(fields: Sequence[SeenSignal], reference: KnownMotion) -> Choice | Non
                  f"its changes show in the accelerometer (correlation {r.correlation:.2f})")
                 for r, c in fits
             ],
-            "bytes by their motion alone",
+            "these bytes are chosen by their changes alone",
         )  # fmt: skip
     groups = speed_groups(fields)
     if not groups:
@@ -82,7 +84,7 @@ def _speed(fields: Sequence[SeenSignal], reference: KnownMotion) -> Choice | Non
         [
             (
                 _scaled(c, "km/h", _plausible_scale(c)),
-                f"{len(best)} fields are the same but for a factor",
+                f"{len(best)} fields are equal except for a factor",
             )
             for c in best
         ],
@@ -147,7 +149,7 @@ def _steering(fields: Sequence[SeenSignal], reference: KnownMotion) -> Choice | 
     used: set[str] = set()
     if curvature is None:
         curvature, used = _curvature_of_wheels(fields)
-        what = "the difference of two wheels over their speed"
+        what = "the difference of two wheel speeds, divided by the speed"
     if curvature is None:
         return None
     fits: list[tuple[Relation, SeenSignal]] = []
@@ -166,10 +168,10 @@ def _steering(fields: Sequence[SeenSignal], reference: KnownMotion) -> Choice | 
         source = _scaled(c, "deg", scale, -round(scale * straight, 1))
         if found.sign < 0:
             source = replace(source, sign=-1)
-        offers.append((source, f"goes with {what} (correlation {found.correlation:+.2f})"))
+        offers.append((source, f"follows {what} (correlation {found.correlation:+.2f})"))
     return _offer(
         "steering_wheel_angle", offers,
-        "scale and zero are guesses for a passenger car; to the left it must grow",
+        "scale and zero are guesses for a passenger car; the value must grow to the left",
     )  # fmt: skip
 
 

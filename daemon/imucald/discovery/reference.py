@@ -91,7 +91,7 @@ class KnownMotion:
             return
         self.along = self.accelerometer.smooth @ self.forward
         self.lateral = self.accelerometer.smooth @ np.cross(self.up, self.forward)
-        self.sides_from = "the accelerometer's axes, taken as right-handed"
+        self.sides_from = "the axes of the accelerometer, if they are right-handed"
 
     @property
     def curvature(self) -> Array | None:

@@ -127,7 +127,10 @@ def _ranked(matches: list[Match], quantity: ScalarQuantity) -> list[Match]:
 
 def _doubt(best: Match, others: list[Match], quantity: ScalarQuantity, sides: str) -> str:
     if best.unit is None:
-        return "its size fits no unit: scale or meaning are not what the database says"
+        return (
+            "its size does not fit any unit: the scale in the database is wrong, or the "
+            "signal is something else"
+        )
     if not best.unit.is_sure:
         return f"the database states no unit; {', '.join(best.unit.others)} would fit too"
     if not best.candidate.states(quantity.dimension):
@@ -135,11 +138,11 @@ def _doubt(best: Match, others: list[Match], quantity: ScalarQuantity, sides: st
             m for m in others if m.unit is not None and not is_better(best.relation, m.relation)
         ]
         if rivals:
-            return f"{rivals[0].candidate.path} follows as well, and no unit is stated"
+            return f"{rivals[0].candidate.path} fits equally well, and no unit is stated"
         if best.relation.explained < 0.8:
-            return "the database states no unit, and much of it is not explained"
+            return "the database states no unit, and the signal has large changes that do not fit"
     if not sides:
-        return "nothing on this bus separates left from right: its sign may be the other one"
+        return "no signal on this bus shows which side is left: its sign may be wrong"
     return ""
 
 
@@ -169,6 +172,6 @@ def _gain_words(quantity: ScalarQuantity, match: Match) -> str:
         return ""
     size = match.relation.gain * match.unit.factor
     if quantity is STEERING:
-        return f", {size:.0f} m of wheelbase times ratio"
+        return f", wheelbase times steering ratio is {size:.0f} m"
     stated = "stated" if match.unit.is_stated else "found"
     return f", gain {size:.2f} in {match.unit.name} ({stated})"

@@ -50,10 +50,10 @@ MAX_TRIADS = 6
 """Triads that are held against every speed, where no unit shows which is the accelerometer."""
 MAX_ALTERNATIVES = 3
 RAW_COUNTS = (
-    "an accelerometer in raw counts: {size:.0f} of them at any mount are 1 g, and the database "
-    "states no scale: 'unit: g/{one:.6g}'"
+    "the accelerometer is in raw counts, since the database states no scale; 1 g is "
+    "{size:.0f} counts: 'unit: g/{one:.6g}'"
 )
-BY_PLACES = "axes in the order of their bits"
+BY_PLACES = "the axes are in the order of their bits"
 
 
 class Sensors:
@@ -111,7 +111,10 @@ class Sensors:
             one = GRAVITY / best.unit.factor
             accelerometer.doubt = RAW_COUNTS.format(size=one * best.size / GRAVITY, one=one)
         elif not best.unit.is_stated and not (reference.speed and reference.speed.is_believed):
-            accelerometer.doubt = "three signals of 1 g, but no unit is stated and no motion shows"
+            accelerometer.doubt = (
+                "the three signals have a size of 1 g together, but no unit "
+                "is stated and no motion confirms them"
+            )
         self._found += [gyro, self._magnetometer(), speed]
 
     def _speed_for(self, triad: Triad) -> float:
@@ -145,7 +148,7 @@ class Sensors:
         words, doubt = _speed_words(best), speed_doubt(own, mean)
         apart = None if mean is None else apart_from(best, mean)
         if apart is not None and apart < NEAR_WHEELS:
-            words += f"; that of the wheels within {100 * apart:.1f} %"
+            words += f"; it agrees with the wheel speeds within {100 * apart:.1f} %"
         chosen = {"": _speed_source(best)}
         return Choice("speed", chosen, words, doubt, others[:MAX_ALTERNATIVES])
 
@@ -197,7 +200,7 @@ class Sensors:
                 rate = rate - np.nanmean(rate[standing])
             reference.turn = rate
             if not reference.sides_from:
-                reference.sides_from = "the gyroscope, taken as right-handed"
+                reference.sides_from = "the gyroscope, if it is right-handed"
         return choice
 
     def _magnetometer(self) -> Choice | None:
@@ -211,9 +214,9 @@ class Sensors:
         best = found[0]
         self.taken |= {m.path for m in best.members}
         text = f"{1e6 * best.size:.0f} uT"
-        doubt = "" if best.names_axes else "which axis is which is taken from their order"
+        doubt = "" if best.names_axes else "which axis is which is guessed from their order"
         if not EARTH_FIELD[0] / 2.0 < best.size < EARTH_FIELD[1] * 2.0:
-            doubt = "the earth's field has 22 to 67 uT"
+            doubt = "the magnetic field of the earth has 22 to 67 uT"
         return Choice("magnetometer", axes_of(best, best.unit.name), text, doubt)
 
 
@@ -243,12 +246,12 @@ def _standing(reference: KnownMotion) -> NDArray[np.bool_] | None:
 
 
 def _accelerometer_choice(best: Triad, others: list[Triad]) -> Choice:
-    text = f"together {best.size:.2f} m/s2 +- {100 * best.spread:.1f} % at any mount: 1 g"
+    text = f"their size together is {best.size:.2f} m/s2 +- {100 * best.spread:.1f} %, which is 1 g"
     if not best.unit.is_stated:
         stated = best.members[0].unit
         text += f" in {best.unit.name} (the database says {stated or 'no unit'})"
     text += "; axes as named" if best.names_axes else f"; {BY_PLACES}"
-    doubt = "" if best.unit.is_sure else f"{', '.join(best.unit.others)} would fit as well"
+    doubt = "" if best.unit.is_sure else f"the unit {', '.join(best.unit.others)} would fit as well"
     alternatives = [
         Alternative(axes_of(t, t.unit.name), f"{t.size:.2f} m/s2 +- {100 * t.spread:.1f} %")
         for t in others

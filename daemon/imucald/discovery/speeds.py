@@ -88,13 +88,13 @@ def speed_doubt(fits: list[SpeedFit], mean: Array | None) -> str:
     if mean is not None:
         apart = apart_from(best, mean)
         if apart > ONE_UNIT:
-            return "the wheels say another speed"
+            return "the wheel speeds differ from it"
         return "" if best.unit.is_stated or apart < NEAR_WHEELS else "no unit is stated"
     if not best.unit.is_stated and best.relation.explained < 0.5:
-        return "the database states no unit, and half of the accelerations are not explained"
+        return "the database states no unit, and half of the accelerations do not fit"
     own = np.abs(best.candidate.smooth * best.unit.factor)
     for other in fits[1:]:
         apart = apart_from(other, own)
         if NEAR_WHEELS < apart < 2.0 * ONE_UNIT and not is_better(best.relation, other.relation):
-            return f"{other.candidate.path} is {100 * apart:.0f} % off it and fits as well"
+            return f"{other.candidate.path} differs from it by {100 * apart:.0f} % and fits as well"
     return ""

@@ -74,7 +74,7 @@ class Turning:
             if found.is_believed and found.low > 0.0:
                 fitting = choose_unit(wheels[0].unit, "speed", 0.87 / found.high, 1.15 / found.low)
                 if fitting is None:
-                    doubt = f"they are not {speed.candidate.path} in any unit"
+                    doubt = f"they do not fit {speed.candidate.path} in any unit"
                 unit = fitting or unit
         if unit is None:
             return None
@@ -82,7 +82,13 @@ class Turning:
             doubt = f"the database states no unit; {', '.join(unit.others)} would fit too"
         choice, track = find_wheels(wheels, unit, doubt, reference)
         if track is not None:
-            self.vehicle.append(("track", f"{track:.2f}", "right less left wheels over yaw rate"))
+            self.vehicle.append(
+                (
+                    "track",
+                    f"{track:.2f}",
+                    "speed of the right wheels minus the left wheels, divided by the yaw rate",
+                )
+            )
         return choice
 
     def _note_steering(self, choice: Choice, free: Sequence[SeenSignal]) -> None:
@@ -96,7 +102,8 @@ class Turning:
         metres = _turning_metres(candidate.smooth * factor * source.sign, curvature, speed.speed)
         if metres is not None:
             text = (
-                f"wheelbase times ratio is {metres:.1f} m by the data; this is it for {WHEELBASE} m"
+                f"the recording shows wheelbase times ratio, {metres:.1f} m; this ratio "
+                f"is for a wheelbase of {WHEELBASE} m"
             )
             self.vehicle.append(("steering_ratio", f"{metres / WHEELBASE:.1f}", text))
 

@@ -26,8 +26,8 @@ MANY = 24
 """Signals of one kind beyond which only messages with four of them are looked at."""
 
 IN_ORDER = "right wheels are faster in left turns"
-BY_TURNS = "left and right by the yaw rate"
-EXCHANGED = "by the data left and right are exchanged"
+BY_TURNS = "left and right follow from the yaw rate"
+EXCHANGED = "the recording shows that left and right are exchanged"
 
 _Ends = Callable[[int, int], Relation]
 
@@ -125,18 +125,22 @@ def _by_turns(
     right = [i for i in range(4) if sides[i].sign > 0]
     left = [i for i in range(4) if i not in right]
     if len(right) != 2 or not all(s.is_believed for s in sides):
-        return [0, 1, 2, 3], "in the order of their places", "which is which wheel is not known"
+        return (
+            [0, 1, 2, 3],
+            "the wheels are in the order of their bits",
+            "which is which wheel is not known",
+        )
     front_left, rear_left, sure_left = _front_first(left, further)
     front_right, rear_right, sure_right = _front_first(right, further)
     same_rows = (front_left < rear_left) == (front_right < rear_right)
     text = BY_TURNS
     order = [front_left, front_right, rear_left, rear_right]
     if sure_left and sure_right and same_rows:
-        return order, f"{text}, front and rear by their distances in bends", ""
+        return order, f"{text}, front and rear from the distances that they roll in bends", ""
     left.sort()
     right.sort()
     order = [left[0], right[0], left[1], right[1]]
-    return order, text, "which are the front ones is taken from their order"
+    return order, text, "which wheels are the front ones is guessed from their order"
 
 
 def _front_first(pair: list[int], further: _Ends) -> tuple[int, int, bool]:

@@ -25,7 +25,10 @@ def as_yaml(proposal: Proposal, databases: Sequence[str]) -> str:
 
 def _lines(proposal: Proposal, databases: Sequence[str]) -> Iterator[str]:
     yield "# Proposed by 'imucald init'. Please check it: the evidence is above each entry."
-    yield "# 'unsure' marks what the recording leaves open. All keys: docs/configuration.md"
+    yield (
+        "# 'unsure' marks entries that the recording does not confirm. All keys: "
+        "docs/configuration.md"
+    )
     for note in proposal.notes:
         yield from _comment(note, "")
     yield ""
@@ -33,7 +36,7 @@ def _lines(proposal: Proposal, databases: Sequence[str]) -> Iterator[str]:
     yield ""
     yield "vehicle:"
     yield "  id: my-car"
-    unknown = " # state left or right: the slope of a road to its side reads as mount roll"
+    unknown = " # state left or right: roads slope to the side, which looks like mount roll"
     side = proposal.driving_side
     yield f"  driving_side: {side}{unknown if side == 'unknown' else ''}"
     for key, value, evidence in proposal.vehicle:
@@ -61,7 +64,7 @@ def _lines(proposal: Proposal, databases: Sequence[str]) -> Iterator[str]:
     if proposal.output_ids:
         yield ""
         yield "output:"
-        yield "  ids: # the usual ones are on this bus, or in its database"
+        yield "  ids: # the default ids are used on this bus already, or in its database"
         for name, can_id in proposal.output_ids.items():
             yield f"    {name}: 0x{can_id:03X}"
 
@@ -74,7 +77,7 @@ def _databases(proposal: Proposal, databases: Sequence[str]) -> Iterator[str]:
     if entries:
         yield f"database: {_flow(entries[0] if len(entries) == 1 else entries)}"
     else:
-        yield "# database: car.dbc # required; an empty .dbc does where every source is raw"
+        yield "# database: car.dbc # required; an empty .dbc is enough if every source is 'raw'"
 
 
 def _choice(choice: Choice) -> Iterator[str]:

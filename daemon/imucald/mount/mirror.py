@@ -30,10 +30,11 @@ DOUBTED = 1.0 / 3.0
 """Probability from which the accelerometer is unsure."""
 
 SIDED = ("yaw_rate", "steering_wheel_angle", "lateral_acceleration")
-AT_REST = "at rest the axis that points up must read plus 1 g"
+AT_REST = "at rest, the axis that points up must show +1 g"
 REMEDY = (
-    "if it shows minus the specific force, or its axes are a left-handed set, give all three "
-    f"'sign: -1' and those none; {AT_REST}"
+    "if the accelerometer shows minus the specific force, or its axes are left-handed, set "
+    "'sign: -1' on all three accelerometer axes and remove it from the other signals; "
+    f"{AT_REST}"
 )
 
 
