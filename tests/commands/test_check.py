@@ -250,7 +250,8 @@ def test_a_speed_too_late_for_the_calibration_is_named(frames: Frames, late: flo
         shifted.append(replace(chunk.take(order), t=t[order]))
     warned = findings(checked(shifted), "warning")
     assert (
-        f"behind the accelerometer, and only {MAX_SPEED_DELAY} s can be corrected" in warned["speed"]
+        f"behind the accelerometer, and only {MAX_SPEED_DELAY} s can be corrected"
+        in warned["speed"]
     )
 
 
@@ -280,7 +281,9 @@ def test_what_nothing_is_learnt_from_is_named_with_signal_cause_and_time(frames:
         t = chunk.t - began
         silent.append(chunk.take(~((chunk.can_id == 0x1A0) & (t > 100.0) & (t < 130.0))))
     said = findings(checked(silent), "note")["log"]
-    seconds = re.search(r"the log has 240 s; the calibration does not use: speed no valid samples (\d+) s", said)
+    seconds = re.search(
+        r"the log has 240 s; the calibration does not use: speed no valid samples (\d+) s", said
+    )
     assert seconds is not None, said
     assert 25 <= int(seconds[1]) <= 35
 

@@ -106,7 +106,9 @@ def test_examples_are_valid(path):
 
 def test_two_axes_of_a_sensor_are_two_signals():
     text = "database: a.dbc\nsignals:\n  accelerometer: {x: A.X, y: A.Y, z: A.X}\n"
-    assert mistakes(text) == ["dir/car.yaml:3: signals.accelerometer: x and z name the same signal, A.X"]
+    assert mistakes(text) == [
+        "dir/car.yaml:3: signals.accelerometer: x and z name the same signal, A.X"
+    ]
 
 
 def test_a_wheelbase_in_centimetres_is_refused():

@@ -89,7 +89,9 @@ def test_every_key_is_read_by_the_estimator_or_reported(
         assert text
     elif part in READ_BY_METHOD_A:
         assert bool(text) == (estimator == "full"), text
-        assert not text or f"calibration.{part}: has no effect without 'estimator: published'" in text
+        assert (
+            not text or f"calibration.{part}: has no effect without 'estimator: published'" in text
+        )
     elif path.startswith(("calibration.cross_axis", "calibration.orientation")):
         assert bool(text) == (estimator == "published")
     elif path.startswith("travel_direction.choice.") and not path.endswith(".turn_deg"):
@@ -129,7 +131,9 @@ def test_the_place_and_the_reason_are_reported() -> None:
         "calibration:\n  straight: {steering_limit_deg: 0.001}\n"
     )
     (line,) = parse_config(text).idle_keys()
-    assert line.startswith("<config>:4: calibration.straight: has no effect without 'estimator: pub")
+    assert line.startswith(
+        "<config>:4: calibration.straight: has no effect without 'estimator: pub"
+    )
 
 
 @pytest.mark.parametrize(
