@@ -384,7 +384,10 @@ def _reverse(motion: Motion) -> Iterator[Finding]:
     share = float(np.mean(reverse > 0.5)) if len(reverse) >= MIN_TICKS else 0.0
     fastest = f"{3.6 * REVERSE_SPEED:.0f} km/h"
     if share > REVERSE_SHARE:
-        text = f"is on for {100 * share:.0f} % of the time above {fastest}: check 'equals:' and 'above:'"
+        text = (
+            f"is on for {100 * share:.0f} % of the time above {fastest}: check 'equals:' and "
+            "'above:'"
+        )
         yield Finding("error" if share > 0.5 else "warning", "reverse", text)
     elif len(reverse) >= MIN_TICKS and np.nanmax(motion.grid["reverse"]) > 0.5:
         yield Finding("ok", "reverse", f"is off above {fastest}")  # and on at times
