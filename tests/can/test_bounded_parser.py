@@ -162,7 +162,7 @@ def test_a_small_text_that_needs_all_memory_is_refused(monkeypatch):
         raise MemoryError
 
     monkeypatch.setattr(bounded_parser, "parse", parse)
-    with pytest.raises(DatabaseError, match="x: needs more memory than there is"):
+    with pytest.raises(DatabaseError, match="x: reading it needs more memory"):
         bounded_parser.parse_bounded("BO_", "dbc", "x")
 
 

@@ -195,11 +195,14 @@ def one_signal(line: str, size: int = 8, more: str = "") -> Message:
     [
         ('S : 60|8@1+ (1,0) [0|0] ""', "outside its message of 8 bytes"),
         ('S : 56|16@0+ (1,0) [0|0] ""', "outside its message of 8 bytes"),
-        ('S : 0|65@1+ (1,0) [0|0] ""', "65 bits are no number"),
-        ('S : 0|8@1+ (0,0) [0|0] ""', "no physical value"),
-        ('S : 0|8@1+ (1e400,0) [0|0] ""', "no physical value"),
-        ('S : 0|8@1+ (1,-1e305) [0|0] ""', "no physical value"),
-        ('S : 0|8@1+ (1e300,0) [0|0] ""', r"factor 1e\+300 and offset 0 make no physical value"),
+        ('S : 0|65@1+ (1,0) [0|0] ""', "a signal of 65 bits is not possible"),
+        ('S : 0|8@1+ (0,0) [0|0] ""', "do not give a physical value"),
+        ('S : 0|8@1+ (1e400,0) [0|0] ""', "do not give a physical value"),
+        ('S : 0|8@1+ (1,-1e305) [0|0] ""', "do not give a physical value"),
+        (
+            'S : 0|8@1+ (1e300,0) [0|0] ""',
+            r"factor 1e\+300 and offset 0 do not give a physical value",
+        ),
     ],
 )
 def test_a_signal_that_makes_no_sense_is_refused_by_name(line: str, reason: str) -> None:
@@ -231,7 +234,7 @@ def test_a_multiplexed_signal_without_multiplexer_is_refused() -> None:
 
 
 def test_a_message_longer_than_a_frame_is_refused() -> None:
-    with pytest.raises(DatabaseError, match="100 bytes is no CAN frame"):
+    with pytest.raises(DatabaseError, match="100 bytes does not fit a CAN frame"):
         compile_decode(one_signal('S : 0|8@1+ (1,0) [0|0] ""', 100), ["S"])
 
 

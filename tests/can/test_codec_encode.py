@@ -170,7 +170,7 @@ def test_a_raw_float_that_overflows_is_not_available(bits: int) -> None:
 def test_a_not_available_value_must_fit_its_bits(imu: Message) -> None:
     assert compile_encode(imu, ["AX"], {"AX": 0x8000}).encode([None])[:2] == b"\x00\x80"
     for raw in (0x10000, -0x8001, 0.5, math.nan):
-        with pytest.raises(DatabaseError, match="does not fit its bits"):
+        with pytest.raises(DatabaseError, match="needs more bits than the signal has"):
             compile_encode(imu, ["AX"], {"AX": raw})
 
 

@@ -194,7 +194,7 @@ def test_a_signal_in_two_groups_of_a_multiplexer_comes_with_both():
         (
             'BO_ 16 M: 8 CAR\n SG_ P M : 0|8@1+ (1,0) [0|0] "" CAR\n'
             ' SG_ Q M : 8|8@1+ (1,0) [0|0] "" CAR\n SG_ S m0 : 16|8@1+ (1,0) [0|0] "" CAR\n',
-            "several and no SG_MUL_VAL_ for it",
+            "several and no SG_MUL_VAL_ for this signal",
         ),
     ],
 )
@@ -220,7 +220,7 @@ KCD = """<NetworkDefinition xmlns="http://kayak.2codeornot2code.org/1.0">
     ("bad", "words"),
     [
         ('<Message id="0xFF9B42" name="M" length="9">\n<Signal name="ü" offset="0"/></Message>',
-         'lacks the mark of 29; add format="extended" to it'),
+         'not marked as 29 bits; add format="extended" to it'),
         ('<Message id="0xFF9B42" name="M"/>', 'add format="extended"'),
         ('<Message id="0x40000000" name="M" format="extended"/>', "more than 29 bits"),
         ('<Message id="0x11" name="M"><Signal name="S" offset="one"/></Message>', "'one'"),

@@ -153,7 +153,7 @@ def test_a_clock_that_begins_again_is_counted_on(tmp_path: Path, loop: float) ->
     found, problems = times_of(log(tmp_path / "loop.log", t % loop, ids.tolist()))
     assert found == pytest.approx(t, abs=2e-6)
     (note,) = problems
-    assert f"begin again every {loop:g} s" in note
+    assert f"start from zero again every {loop:g} s" in note
 
 
 def test_recordings_of_other_lengths_behind_one_another_are_no_loop(tmp_path: Path) -> None:

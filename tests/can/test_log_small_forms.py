@@ -92,7 +92,7 @@ def test_a_known_program_is_named(tmp_path: Path, name: str, text: str, said: st
 
 def test_a_line_that_python_can_cannot_read_is_named_by_its_place(tmp_path: Path) -> None:
     text = ";$FILEVERSION=1.1\n;$STARTTIME=43000.5\n  1) TEXT Rx 0300 1 00\n"
-    with pytest.raises(LogError, match=r"line 3 is none of TRC: '1\) TEXT Rx"):
+    with pytest.raises(LogError, match=r"line 3 is not a line of TRC: '1\) TEXT Rx"):
         read(tmp_path / "a.trc", text)
 
 

@@ -39,6 +39,6 @@ def announced_messages(
 def in_transport(size: int) -> str:
     """What to say of a message that comes so, and its remedy. size: its length [bytes]."""
     return (
-        f"its PGN comes by the transport protocol of J1939 ({size} bytes, announced by TP.CM, "
-        "0xEC..): imucald does not read that; let the sensor send messages of 8 bytes"
+        f"its PGN comes in several frames ({size} bytes, transport protocol of J1939), which "
+        "imucald does not read; set the sensor to messages of 8 bytes"
     )

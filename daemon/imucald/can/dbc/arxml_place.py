@@ -10,12 +10,12 @@ import re
 from collections.abc import Iterator
 from typing import Any
 
-REMEDY = "correct it, leave it out, or export the bus as DBC"
+REMEDY = "correct the file, remove this element, or export the bus as DBC"
 NO_PACKAGES = (
-    "it has no packages (AR-PACKAGES) of the kind that describe a bus; export the system "
-    "description of the bus, or the bus as DBC"
+    "the file has no packages (AR-PACKAGES) that describe a bus; export the system "
+    "description of the bus, or export the bus as DBC"
 )
-MISSING = "an element that the standard asks for is missing in it"
+MISSING = "an element that the standard requires is missing"
 PYTHONS_OWN = (AttributeError, TypeError, KeyError, IndexError)
 """What a missing element leads to; its words name no element."""
 

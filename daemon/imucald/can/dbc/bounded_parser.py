@@ -45,7 +45,9 @@ def parse_bounded(text: str, database_format: str, source: str) -> list[Message]
         try:
             return parse(text, database_format, source)
         except MemoryError:
-            raise DatabaseError(f"{source}: needs more memory than there is") from None
+            raise DatabaseError(
+                f"{source}: reading it needs more memory than the machine has"
+            ) from None
     import subprocess  # noqa: PLC0415 - large databases only
 
     memory = int(allowed_memory() * PARSER_SHARE)
@@ -95,8 +97,9 @@ def _why(done: subprocess.CompletedProcess[bytes], memory: int, seconds: int) ->
     if done.returncode in (0, 1) and messages:
         return messages[-1]
     return (
-        f"cannot be read with {memory // 2**20} MiB of memory and {seconds} s of processor time; "
-        "leave in it the messages that are used, or allow more memory (MemoryMax= of the unit)"
+        f"cannot be read with {memory // 2**20} MiB of memory and {seconds} s of processor "
+        "time; remove the messages that are not used, or allow more memory (MemoryMax= of "
+        "the unit)"
     )
 
 

@@ -30,8 +30,8 @@ _TEXT = re.compile(r'"(?:\\.|[^"\\])*+("?)')
 _MESSAGE = re.compile(r"BO_\s+(\S+)\s+([^\s:]*)\s*:\s*(\d*)")
 _SIGNAL = re.compile(r"SG_\s+([^\s:]+)(?:[ \t]+(M|m\d+M?)\b)?")
 _REFERENCE = re.compile(r"(?:VAL_|SIG_VALTYPE_)\s+(\d+)\s+([^\s:]+)")
-_UNREADABLE = "it cannot be read as DBC; write it as the lines around it are"
-_NO_MULTIPLEXER = "is left out: the line of its multiplexer cannot be read; correct that line"
+_UNREADABLE = "this line cannot be read as DBC; write it like the lines around it"
+_NO_MULTIPLEXER = "is not used, since the line of its multiplexer cannot be read; correct that line"
 _ONE_LINE = frozenset({"BO_", "SG_"})
 _DECISIVE = frozenset({"SIG_VALTYPE_", "SG_MUL_VAL_"})
 """Without these a signal would be read, and be another one: the database is refused."""
@@ -255,8 +255,9 @@ def lost_multiplexers(text: str, messages: Iterable[Message]) -> Iterator[LeftOu
         message = found.group(1) or message
         if found.group(2) in always.get(message, ()):
             why = (
-                "is multiplexed, and its message has no multiplexer, or several and no SG_MUL_VAL_ "
-                "for it: it is taken from every frame; mark one with M"
+                "is multiplexed, but its message has no multiplexer, or it has several and "
+                "no SG_MUL_VAL_ for this signal. The signal is read from every frame; mark "
+                "one signal as multiplexer with M"
             )
             yield LeftOut(message, found.group(2), 0, 0, line, why)
 
@@ -281,16 +282,22 @@ def _id_reason(number: int) -> str:
         return ""
     if number <= CAN_EFF_MASK:
         return (
-            f"identifier {number} (0x{number:X}) has more than 11 bits and lacks the mark of 29; "
-            f"add {CAN_EFF_FLAG} to it: {number + CAN_EFF_FLAG}"
+            f"identifier {number} (0x{number:X}) has more than 11 bits, but is not marked as "
+            f"a 29-bit identifier; add {CAN_EFF_FLAG} to it: {number + CAN_EFF_FLAG}"
         )
     if bits == 0x4000_0000:  # VECTOR__INDEPENDENT_SIG_MSG
         return ""
-    return f"identifier {number} (0x{number:X}) has more than 29 bits; write the one that is sent"
+    return (
+        f"identifier {number} (0x{number:X}) has more than 29 bits; write the identifier that "
+        "is sent"
+    )
 
 
 def _name_reason(name: str) -> str:
     """Why it is no name, and the remedy."""
     if _NAME.fullmatch(name):
         return ""
-    return f"{name!r} is no name: one begins with a letter and has letters, digits and _; rename it"
+    return (
+        f"{name!r} is not a valid name: a name begins with a letter and contains letters, "
+        "digits and _; rename it"
+    )

@@ -90,7 +90,9 @@ def id_match(
         return IdMatch(can_id, mask, channel)
     if source_address is not None:
         why = (
-            "'j1939: true' at its database says so" if is_extended else "its identifier has 11 bits"
+            "its database has 'j1939: true' in the configuration"
+            if is_extended
+            else "its identifier has 11 bits"
         )
         raise DatabaseError(
             f"{message.source}: message {message.name} is no message of J1939, whose identifier "

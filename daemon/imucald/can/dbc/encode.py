@@ -171,7 +171,9 @@ def _not_available_bits(signal: Signal, raw: int | float, place: str) -> int:
             return found
     elif float(raw).is_integer() and -(1 << signal.length - 1) <= raw < 1 << signal.length:
         return int(raw) & ((1 << signal.length) - 1)
-    raise DatabaseError(f"{place}: not-available raw value {raw} does not fit its bits")
+    raise DatabaseError(
+        f"{place}: the raw value {raw} for 'not available' needs more bits than the signal has"
+    )
 
 
 class EncodePlan:

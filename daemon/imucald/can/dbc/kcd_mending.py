@@ -87,7 +87,7 @@ def _left_out(one: _Element, reason: str) -> LeftOut:
     is_extended = one.attributes.get("format") == "extended"
     if CAN_SFF_MASK < number <= CAN_EFF_MASK and not is_extended:
         reason = (
-            f"identifier 0x{number:X} has more than 11 bits and lacks the mark of 29; "
+            f"identifier 0x{number:X} is longer than 11 bits, but not marked as 29 bits; "
             'add format="extended" to it'
         )
         is_extended = True

@@ -177,8 +177,8 @@ def _join_doubles(
             signals[name] = replace(last, selectors=((last.selectors[0][0], ids),))
             continue
         choices[name] = (
-            f"{source}: message {found.name} has {len(alike)} signals named {name}; the one at bit "
-            f"{last.start} is taken; rename the others"
+            f"{source}: message {found.name} has {len(alike)} signals named {name}; the one "
+            f"at bit {last.start} is used; rename the others"
         )
 
 

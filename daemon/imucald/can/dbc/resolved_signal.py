@@ -146,7 +146,9 @@ def resolve(message: Message, name: str) -> ResolvedSignal:
     scaling = scaling_of(signal, place)
     field = field_of(signal)
     if not 0 < message.length <= MAX_FRAME_BYTES:
-        raise DatabaseError(f"{place}: a message of {message.length} bytes is no CAN frame")
+        raise DatabaseError(
+            f"{place}: a message of {message.length} bytes does not fit a CAN frame"
+        )
     if field.first_bit < 0 or field.end_byte > message.length:
         raise DatabaseError(f"{place}: lies outside its message of {message.length} bytes")
     seen = {name}
@@ -173,9 +175,11 @@ def _short(number: float) -> str:
 
 def _check(signal: Signal, place: str) -> None:
     if not 0 < signal.length <= MAX_SIGNAL_BITS:
-        raise DatabaseError(f"{place}: {signal.length} bits are no number (1 to {MAX_SIGNAL_BITS})")
+        raise DatabaseError(
+            f"{place}: a signal of {signal.length} bits is not possible (1 to {MAX_SIGNAL_BITS})"
+        )
     if signal.is_float and signal.length not in FLOAT_CODES:
-        raise DatabaseError(f"{place}: no float has {signal.length} bits")
+        raise DatabaseError(f"{place}: a float cannot have {signal.length} bits")
     try:
         scale, offset = float(signal.scale), float(signal.offset)
         reach = abs(scale) * 2.0**MAX_SIGNAL_BITS + abs(offset)
@@ -183,6 +187,6 @@ def _check(signal: Signal, place: str) -> None:
         reach = math.inf
     if not reach < MAX_PHYSICAL or scale == 0.0:
         raise DatabaseError(
-            f"{place}: factor {_short(signal.scale)} and offset {_short(signal.offset)} "
-            "make no physical value"
+            f"{place}: factor {_short(signal.scale)} and offset {_short(signal.offset)} do "
+            "not give a physical value"
         )

@@ -43,15 +43,20 @@ class ChecksumSpec(Struct, frozen=True):
     def __post_init__(self) -> None:
         if self.width not in (1, 2) or not 0 <= self.position <= self.size - self.width:
             raise ConfigError(
-                f"checksum at byte {self.position} is not within a message of {self.size} bytes"
+                f"the checksum at byte {self.position} is outside a message of {self.size} bytes"
             )
         for field in (self.counter, self.fixed[0] if self.fixed else None):
             if field is not None and field.end_byte > self.size:
-                raise ConfigError(f"counter or data id is beyond a message of {self.size} bytes")
+                raise ConfigError(
+                    f"the counter or the data id is outside a message of {self.size} bytes"
+                )
         needed = 1 if self.counter is None else 1 << self.counter.length
         for table in (self.prefixes, self.suffixes):
             if len(table) not in (1, needed):
-                raise ConfigError(f"{len(table)} data ids for {needed} counter values")
+                raise ConfigError(
+                    f"{len(table)} data ids are given, but the counter has {needed} "
+                    "values: give one for each"
+                )
 
     def bytes_at(self) -> list[tuple[int, int]]:
         """By how many bits each byte of the checksum is shifted, and where it stands."""

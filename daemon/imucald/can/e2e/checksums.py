@@ -133,7 +133,7 @@ def e2e_profile_1(
     elif mode == "alternating":
         prefixes = tuple(bytes([high if c % 2 else low]) for c in range(E2E_COUNTER_VALUES))
     else:
-        raise ConfigError(f"{mode!r} is no data id mode of E2E profile 1")
+        raise ConfigError(f"{mode!r} is not a data id mode of E2E profile 1")
     return ChecksumSpec(
         size,
         _byte_of(crc_bit),
@@ -148,9 +148,11 @@ def e2e_profile_1(
 def e2e_profile_2(size: int, data_ids: Sequence[int], crc_bit: int = 0) -> ChecksumSpec:
     """E2E profile 2: CRC-8H2F, then the data id that the counter (next byte's low nibble) picks."""
     if len(data_ids) != E2E_COUNTER_VALUES:
-        raise ConfigError(f"E2E profile 2 has {E2E_COUNTER_VALUES} data ids, not {len(data_ids)}")
+        raise ConfigError(
+            f"E2E profile 2 needs {E2E_COUNTER_VALUES} data ids; {len(data_ids)} are given"
+        )
     if not all(0 <= i <= 0xFF for i in data_ids):
-        raise ConfigError("a data id of E2E profile 2 is one byte")
+        raise ConfigError("a data id of E2E profile 2 must be one byte")
     return ChecksumSpec(
         size,
         _byte_of(crc_bit),
@@ -179,7 +181,7 @@ def e2e_profile_11(
 ) -> ChecksumSpec:
     """E2E profile 11 (variant 11A: mode both; 11C: nibble): profile 1's, two modes only."""
     if mode not in ("both", "nibble"):
-        raise ConfigError(f"{mode!r} is no data id mode of E2E profile 11")
+        raise ConfigError(f"{mode!r} is not a data id mode of E2E profile 11")
     return e2e_profile_1(size, data_id, mode, crc_bit, counter_bit, nibble_bit)
 
 
@@ -188,7 +190,7 @@ def in_signal(function: SignalChecksum) -> ChecksumKind:
 
     def made(message: Message, options: ChecksumOptions) -> ChecksumSpec:
         if options.signal is None:
-            raise ConfigError("needs 'signal:', the signal it stands in")
+            raise ConfigError("needs 'signal:', the signal that holds the checksum")
         field = field_of(message.signal(options.signal))
         identifier = (message.can_id & CAN_EFF_MASK).to_bytes(4, "big")
         position = field.first_bit // 8
@@ -261,18 +263,21 @@ def _one_id(options: ChecksumOptions) -> int:
 
 def _id_bytes(data_id: int) -> tuple[int, int]:
     if not 0 <= data_id <= 0xFFFF:
-        raise ConfigError(f"data id {data_id} is not within 0..65535")
+        raise ConfigError(f"data id {data_id} is not between 0 and 65535")
     return data_id & 0xFF, data_id >> 8
 
 
 def _byte_of(bit: int) -> int:
     if bit < 0 or bit % 8:
-        raise ConfigError(f"a checksum starts at a byte, not at bit {bit}")
+        raise ConfigError(f"a checksum must start at a byte, not at bit {bit}")
     return bit // 8
 
 
 def _nibble(bit: int) -> Field:
     """Four bits at an AUTOSAR bit offset: a multiple of 4, low nibble first."""
     if bit < 0 or bit % 4:
-        raise ConfigError(f"counter and data id nibble start at a multiple of 4, not at bit {bit}")
+        raise ConfigError(
+            "the counter and the data id nibble must start at a multiple of 4 "
+            f"bits, not at bit {bit}"
+        )
     return Field(bit, 4, "little_endian")

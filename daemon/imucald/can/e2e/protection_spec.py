@@ -34,12 +34,16 @@ class CounterSpec(Struct, frozen=True):
 
     def __post_init__(self) -> None:
         if self.field.length > COUNTER_BITS:
-            text = f"a counter has {COUNTER_BITS} bits at most (here: {self.field.length})"
+            text = f"a counter may have {COUNTER_BITS} bits at most, not {self.field.length}"
             raise ConfigError(text)
         if not 2 <= self.modulus <= 1 << self.field.length:
-            raise ConfigError(f"{self.field.length} bits do not count {self.modulus} values")
+            raise ConfigError(
+                f"a counter of {self.field.length} bits does not have {self.modulus} values"
+            )
         if self.max_jump is not None and not 1 <= self.max_jump < self.modulus:
-            raise ConfigError(f"largest counter step {self.max_jump} of {self.modulus} values")
+            raise ConfigError(
+                f"max_step {self.max_jump} is not possible with a counter of {self.modulus} values"
+            )
 
 
 class ProtectionSpec(Struct, frozen=True):
@@ -59,11 +63,11 @@ class ProtectionSpec(Struct, frozen=True):
 
     def __post_init__(self) -> None:
         if not 0 <= self.size <= MAX_FRAME_BYTES:
-            raise ConfigError(f"a message of {self.size} bytes is no CAN frame")
+            raise ConfigError(f"a message of {self.size} bytes does not fit a CAN frame")
         if self.counter is not None and self.counter.field.end_byte > self.size:
-            raise ConfigError(f"the counter is beyond a message of {self.size} bytes")
+            raise ConfigError(f"the counter is outside a message of {self.size} bytes")
         if self.checksum is not None and self.checksum.size > self.size:
-            raise ConfigError(f"the checksum is beyond a message of {self.size} bytes")
+            raise ConfigError(f"the checksum is outside a message of {self.size} bytes")
         if self.recovery < 0:
             raise ConfigError("recovery frames cannot be negative")
         if self.cycle_time is not None and not self.cycle_time * self.timeout_cycles > 0.0:

@@ -287,7 +287,7 @@ def _frame(message: can.Message) -> Frame:
     if not 0 <= can_id <= (CAN_EFF_MASK if is_long else CAN_SFF_MASK):
         raise ValueError(f"its id is {can_id!r:.40}")
     if not isinstance(data, bytes | bytearray | memoryview):
-        raise TypeError("its data are no bytes")
+        raise TypeError("its data are not bytes")
     payload = bytes(data)
     if len(payload) > FD_BYTES:
         raise ValueError(f"it has {len(payload)} bytes")

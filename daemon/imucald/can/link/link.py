@@ -129,27 +129,27 @@ class Announcer:
 def absent_text(interface: str, channel: str, error: OSError) -> str:
     """Return the text for an interface that cannot be opened now."""
     if interface != "socketcan":
-        return f"{error}: is it plugged in, and is the channel's name right?"
+        return f"{error}. Is the adapter plugged in? Is the name of the channel right?"
     return (
-        f"no CAN interface {channel} here ({error.strerror or error}). Remedy: name one of those "
-        f"that `ip link show type can` lists, or for a trial: "
-        f"ip link add dev {channel} type vcan && ip link set up {channel}"
+        f"no CAN interface {channel} here ({error.strerror or error}). Name one of the "
+        "interfaces that `ip link show type can` lists, or for a trial run: ip link add dev "
+        f"{channel} type vcan && ip link set up {channel}"
     )
 
 
 def down_text(channel: str) -> str:
     """Return the text for an interface that exists and is set down."""
     return (
-        f"{channel} is set down. Remedy: ip link set up {channel} "
-        "(a real interface needs its bit rate first: type can bitrate ...)"
+        f"{channel} is set down. Run: ip link set up {channel} (a real interface needs its "
+        f"bit rate first: ip link set {channel} type can bitrate 500000)"
     )
 
 
 def bus_off_text(channel: str) -> str:
     """Return the text for a controller that has left the bus."""
     return (
-        f"the controller of {channel} is bus-off (wrong bit rate, wiring, or no other node); "
-        f"to restart by itself: ip link set {channel} type can restart-ms 100"
+        f"the controller of {channel} is bus-off (wrong bit rate, wiring, or no other node). "
+        f"To let it restart by itself, run: ip link set {channel} type can restart-ms 100"
     )
 
 
@@ -164,14 +164,16 @@ def conflict_text(channel: str, can_id: int) -> str:
 
 def rejected_text(channel: str, reason: str) -> str:
     """Return the text for frames of an adapter that make no sense."""
-    return f"a frame of {channel} was rejected: it cannot be understood ({reason[:MAX_REASON]})"
+    return (
+        f"a frame on {channel} was rejected, since it cannot be understood ({reason[:MAX_REASON]})"
+    )
 
 
 def queue_full_text(channel: str) -> str:
     """Return the text for frames dropped because the interface does not take them."""
     return (
-        f"the send queue of {channel} is full and frames are dropped: no node acknowledges them, "
-        f"or it is too short (ip link set {channel} txqueuelen 100)"
+        f"the send queue of {channel} is full and frames are dropped: no other node "
+        f"acknowledges them, or the queue is too short (ip link set {channel} txqueuelen 100)"
     )
 
 
@@ -455,7 +457,9 @@ class Link:
         for _ in range(self._outbox.clear()):
             self.counters.not_sent("absent")
         self._next_try = self._clock()
-        self._enter(LinkState.ABSENT, f"{self.channel} has gone ({reason}); waiting for it")
+        self._enter(
+            LinkState.ABSENT, f"{self.channel} has disappeared ({reason}); waiting until it is back"
+        )
 
     def _went_down(self) -> None:
         if self.state is not LinkState.DOWN:

@@ -40,7 +40,10 @@ def blf_bomb(path: Path) -> str | None:
             left = length - _OBJECT.size - _CONTAINER_HEAD.size
             deflated = len(head) == _CONTAINER_HEAD.size and head[0] == _DEFLATED
             if deflated and unpacks_to_too_much(file, left):
-                return f"the container at byte {at} unpacks to more than {FREE_BYTES >> 20} MiB"
+                return (
+                    f"the unpacked container at byte {at} would be larger than "
+                    f"{FREE_BYTES >> 20} MiB"
+                )
             at += length + length % 4
     return None
 
@@ -56,7 +59,7 @@ def blf_end(path: Path) -> str | None:
         if at > size:
             return "the file is cut within its header"
         if stated > size:
-            return f"the file is cut: {size} of {stated} bytes are there"
+            return f"the file is cut: it has {size} of {stated} bytes"
         while at < size:
             file.seek(at)
             begin = file.read(_OBJECT.size)

@@ -56,7 +56,7 @@ def _as_printed(match: re.Match[bytes]) -> ScreenFrame | LineFault | str:
     data = _data(rest, length)
     fd = len(length_text) == 2
     if data is None or length > (FD_BYTES if fd else CLASSIC_BYTES):
-        return LineFault("bad_hex", f"these are not {length} bytes")
+        return LineFault("bad_hex", f"the line does not have {length} data bytes")
     if not is_extended and can_id > CAN_SFF_MASK:
         return LineFault("bad_id", "the id is not 3 digits up to 7FF")
     can_id |= CAN_EFF_FLAG if is_extended else 0

@@ -87,12 +87,12 @@ class CandumpScreenReader:
     ) -> LineFault | None:
         """Take one line; why it cannot be used, if so."""
         match, t = PRINTED.fullmatch(line), None
-        words = "the time stamp is missing, or none of candump's"
+        words = "the time stamp is missing, or is not one of candump"
         if isinstance(time, StampedTimes) and match is not None and match["stamp"] is not None:
             if time.fits(match["stamp"]):
                 t = time.time(match["stamp"])
             else:
-                words = "the time stamp has another form than those before"
+                words = "the time stamp has another form than in the lines before"
                 time.other(name, number)
         frame = frame_of_line(line, match)
         if isinstance(frame, LineFault):
@@ -135,12 +135,13 @@ class CandumpScreenReader:
             if match.matches(frame.can_id, frame.channel)
         ]
         if not known:
-            text = "its frames have no time stamps, and none is of a message with a stated cycle"
+            text = "its frames have no time stamps, and no message in it has a stated cycle"
             raise LogError(f"{name}: {text}; {REMEDY}")
         cycle, can_id, channel = min(known)
         self._statistics.note(
-            f"{name}: no time stamps: time is counted from id 0x{can_id & CAN_EFF_MASK:X}, stated "
-            f"every {1e3 * cycle:g} ms, and is only as exact as that; {REMEDY}"
+            f"{name}: the log has no time stamps. The time is counted by id "
+            f"0x{can_id & CAN_EFF_MASK:X}, which should come every {1e3 * cycle:g} ms, and is "
+            f"only roughly right; {REMEDY}"
         )
         return CountedTimes(can_id, channel, cycle)
 

@@ -49,8 +49,9 @@ class StampedTimes:
             kinds = "seconds since 1970 or a date", "since the start or differences"
             before, after = kinds if self._are_absolute else kinds[::-1]
             raise LogError(
-                f"{name}:{line - OTHER_LINES + 1}: from here on the time stamps have another form "
-                f"({before} before, {after} now): give each recording in a file of its own"
+                f"{name}:{line - OTHER_LINES + 1}: from here on the time stamps have another "
+                f"form ({before} before, {after} now): put each recording into a file of its "
+                "own"
             )
 
     def time(self, stamp: bytes) -> float | None:

@@ -152,7 +152,7 @@ def _open(name: str) -> BufferedIOBase:
     if name == "-":
         stdout = getattr(sys.stdout, "buffer", None)  # a notebook's takes text alone
         if stdout is None:
-            raise LogError("standard output takes no bytes here: name a file")
+            raise LogError("standard output cannot take bytes here: name a file")
         return cast("BufferedIOBase", stdout)
     if name.endswith(".gz"):
         import gzip  # noqa: PLC0415 - replay writes most often nothing

@@ -80,12 +80,13 @@ class FirstFrames:
         factor = _by_date(median(frames.t)) or self._by_cycles(frames)
         if factor is not None and factor < 1.0:
             raise LogError(
-                f"{path}: its time stamps are {1.0 / factor:.0f} times too small for the stated "
-                f"cycles ({UNITS[factor]}, it seems): multiply them by {1.0 / factor:.0f}"
+                f"{path}: its time stamps are {1.0 / factor:.0f} times too small for the "
+                f"stated cycles (they seem to be {UNITS[factor]}): multiply them by "
+                f"{1.0 / factor:.0f}"
             )
         if factor is not None:
             raise LogError(
-                f"{path}: its time stamps are {UNITS[factor]}, it seems, such as "
+                f"{path}: its time stamps seem to be {UNITS[factor]}, for example "
                 f"{frames.t[0]:.15g}; they must be seconds: divide them by {factor:.0f}"
             )
         first = frames.take(slice(0, MIN_FRAMES))

@@ -114,7 +114,7 @@ class ReadStatistics:
         """Report something that limits what a log is worth. Raises LogError where strict, which
         says that this, and no bad line, is the reason."""
         if self.strict:
-            raise LogError(f"{text} (a strict reading ends here: it takes no such log)")
+            raise LogError(f"{text} (with --strict, such a log is refused)")
         self.problems.append(text)
 
     def stamp(self, t: float) -> None:

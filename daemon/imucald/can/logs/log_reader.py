@@ -188,7 +188,8 @@ def _reader_for(readers: Iterable[LogFormat], head: bytes, path: Path | str | Op
     if ending == CSV_ENDING and head:
         first = shown(head.split(b"\n")[0].strip())
         raise LogError(
-            f"{path}: its first line is '{first}'; known are the CSV of SavvyCAN (Time Stamp,ID,"
+            f"{path}: its first line is '{first}'; imucald knows the CSV of SavvyCAN "
+            "(Time Stamp,ID,"
             "Extended,Dir,Bus,LEN,D1,...,D8) and of python-can (timestamp,arbitration_id,extended,"
             "remote,error,dlc,data), with these headings and with commas between the columns; "
             "columns of signals are not read: encode them with your database (cantools) and save "
@@ -197,15 +198,15 @@ def _reader_for(readers: Iterable[LogFormat], head: bytes, path: Path | str | Op
     for program, begins in OTHER_PROGRAMS.items():
         if begins.match(head):
             raise LogError(
-                f"{path}: a log of {program}, which is not read here; export it as ASC or BLF, or "
-                "record with: candump -l can0"
+                f"{path}: this is a log of {program}, which imucald cannot read; export it as "
+                "ASC or BLF, or record with: candump -l can0"
             )
     by_name = next((r for r in readers if ending in r.endings), None)
     candump = next(r for r in readers if CANDUMP_ENDING in r.endings)
     if by_name in (None, candump) and head.strip() and not _MAY_BE_CANDUMP.search(head):
         raise LogError(
-            f"{path}: not a log that is known here; it begins with '{shown(head.lstrip())}'; "
-            "record with: candump -l can0"
+            f"{path}: the format of this log is not known; it begins with "
+            f"'{shown(head.lstrip())}'; record with: candump -l can0"
         )
     return by_name or candump
 

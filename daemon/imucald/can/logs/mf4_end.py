@@ -98,7 +98,7 @@ def mf4_end(path: Path) -> str | None:
                     return f"the file is damaged at byte {at}"
                 continue
             if at + length > size and is_finished:
-                return f"the file is cut: {size} of at least {at + length} bytes are there"
+                return f"the file is cut: it has {size} of at least {at + length} bytes"
             named = file.read(8 * min(count, size // 8))
             links = struct.unpack(f"<{len(named) // 8}Q", named[: len(named) // 8 * 8])
             head = file.read(max(_DEFLATED.size, _GROUP.size))
@@ -108,9 +108,12 @@ def mf4_end(path: Path) -> str | None:
                 file.seek(at + _BLOCK.size + 8 * count + _DEFLATED.size)
                 unpacked += stated
                 if stated > FREE_BYTES or unpacks_to_too_much(file, min(packed, size)):
-                    return f"the block at byte {at} unpacks to more than {FREE_BYTES >> 20} MiB"
+                    return (
+                        f"the unpacked block at byte {at} would be larger than "
+                        f"{FREE_BYTES >> 20} MiB"
+                    )
                 if unpacked > FREE_BYTES + MOST_TIMES * size:
-                    return f"its blocks unpack to more than {MOST_TIMES} times its size"
+                    return f"its unpacked blocks would be larger than {MOST_TIMES} times the file"
             waiting += [link for link in links if link not in seen]
             seen.update(links)
     return structure.damage()

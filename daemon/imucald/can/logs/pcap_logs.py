@@ -93,7 +93,7 @@ class PcapReader:
             order = _order_of_ids([packet for _, packet in first], reader.datalink())
             if order == "<":
                 self._statistics.note(
-                    f"{name}: its ids are little-endian: their bytes were swapped"
+                    f"{name}: its ids were stored in little-endian byte order; this was corrected"
                 )
             for number, (t, packet) in enumerate(itertools.chain(first, packets), 1):
                 reason = self._packet(float(t), packet, reader.datalink(), order)
@@ -182,7 +182,8 @@ def _opened(file: BinaryIO, name: str) -> Any:
             else f"link type {link}"
         )
         raise LogError(
-            f"{name}: a capture of {kind}, not of a CAN interface; capture with: dumpcap -i can0"
+            f"{name}: this is a capture of {kind}, not of a CAN interface; capture with: "
+            "dumpcap -i can0"
         )
     return reader
 

@@ -250,7 +250,7 @@ def _opened_blf(can: Any, path: Path) -> Any:
         def _parse_container(self, data: bytes) -> Iterator[Any]:
             yield from super()._parse_container(data)
             if len(self._tail) > FREE_BYTES:
-                raise ValueError(f"an object in it is longer than {FREE_BYTES >> 20} MiB")
+                raise ValueError(f"an object in the file is longer than {FREE_BYTES >> 20} MiB")
 
     return Bounded(InPieces(path.open("rb")))
 
@@ -283,7 +283,7 @@ class _AnyText:
         if len(self._line) > MAX_LINE_BYTES:
             return f"line {self._number} is longer than {MAX_LINE_BYTES} bytes"
         line = shown(self._line.strip().encode("utf-8", "replace"))
-        return f"line {self._number} is none of {self._kind[1:].upper()}: '{line}'"
+        return f"line {self._number} is not a line of {self._kind[1:].upper()}: '{line}'"
 
     def __iter__(self) -> Iterator[str]:
         return self
@@ -306,8 +306,8 @@ class _AnyText:
             line = f"{self._now:.9f}{line[stamp.end() :]}"
         if name := _NAME.match(line):
             raise LogError(
-                f"{self._named}:{self._number}: '{name[1][:60]}' is a name and no id: export "
-                "with numeric ids"
+                f"{self._named}:{self._number}: '{name[1][:60]}' is a name, but an id is "
+                "needed: export the log with numeric ids"
             )
         return line
 

@@ -73,8 +73,8 @@ def by_the_clock(
             loop = _Loop(_loop_length(chunk.t))
             if loop.length:
                 statistics.note(
-                    f"{log}: its time stamps begin again every {loop.length:g} s: they were "
-                    "counted on; record with: candump -l can0"
+                    f"{log}: its time stamps start from zero again every {loop.length:g} s; "
+                    "this was corrected. Better record with: candump -l can0"
                 )
         frames = chunk.at(loop.times(chunk.t)) if loop.length else chunk
         bus.take(frames)
@@ -82,9 +82,9 @@ def by_the_clock(
             bursts = _Bursts(_burst_step(frames))
             if bursts.step:
                 statistics.note(
-                    f"{log}: its time stamps come in steps of {bursts.step:.3g} s: the frames "
-                    "between were spread evenly, good to some milliseconds; record with: candump "
-                    "-l can0"
+                    f"{log}: its time stamps come in steps of {bursts.step:.3g} s: frames "
+                    "with the same stamp were spread evenly, which is right to some "
+                    "milliseconds. Better record with: candump -l can0"
                 )
         if not bursts.step or len(frames := bursts.take(frames)):
             yield frames
@@ -168,15 +168,15 @@ class _BusTime:
         needed, passed = float(on_bus.max()), self._end - self._first
         if needed > passed and self._back > DELTA_SHARE * self._frames > DELTA_SHARE * MIN_FRAMES:
             raise LogError(
-                f"{self._log}: its time stamps count from the line before, it seems: "
+                f"{self._log}: its time stamps seem to count from the line before: "
                 f"{self._frames} frames lie within {passed:.3g} s, and {self._back} stamps go "
                 "back; record with: candump -l can0"
             )
         if needed > passed + BACKLOG_S:
             raise LogError(
                 f"{self._log}: {self._frames} frames lie within {passed:.3g} s by their time "
-                f"stamps; a bus of 1 Mbit/s needs at least {needed:.1f} s for them: the stamps "
-                "are in another unit, or count from the frame before; export them in "
+                f"stamps; a bus of 1 Mbit/s needs at least {needed:.1f} s for them: the "
+                "stamps have another unit, or count from the frame before. Export them in "
                 "seconds from the start, or record with: candump -l can0"
             )
 

@@ -27,9 +27,9 @@ def why_not_stored(path: Path) -> str | None:
                 return None
             is_virtual = any(str(sql).upper().startswith("CREATE VIRTUAL") for _, sql in found)
             if kinds != ["table"] or is_virtual:
-                return f"'{_TABLE}' is no plain table"
+                return f"'{_TABLE}' is not a plain table"
             columns = db.execute(f"PRAGMA table_xinfo({_TABLE})").fetchall()
         except sqlite3.Error as error:
             return str(error)
     computed = [str(name) for _, name, *_, hidden in columns if hidden]
-    return f"'{_TABLE}' has columns that are worked out" if computed else None
+    return f"'{_TABLE}' has generated columns" if computed else None

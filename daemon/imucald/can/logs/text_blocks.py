@@ -46,7 +46,7 @@ class OpenLog(Struct, frozen=True):
 
 def folder_error(path: object) -> LogError:
     """What to say of a folder where one log is wanted."""
-    return LogError(f"{path}: is a folder; name one of its logs")
+    return LogError(f"{path}: this is a folder; name one of its logs")
 
 
 def open_source(path: Path | str | OpenLog) -> AbstractContextManager[ByteSource]:

@@ -256,7 +256,8 @@ class Unpacked:
                 self._plain_bytes += len(text)
                 if self._plain_bytes > FREE_BYTES + MOST_TIMES * self.bytes_read:
                     raise ValueError(
-                        f"it unpacks to more than {MOST_TIMES} times its size, as no recording does"
+                        f"its unpacked size would be more than {MOST_TIMES} times its "
+                        "own, which no recording has"
                     )
                 return len(text)
 
