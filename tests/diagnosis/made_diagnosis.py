@@ -33,7 +33,7 @@ ROLL = FoundCause(
     signals=("accel_y", "gyro_x"),
     evidence={"held_out_nats": 812.4, "sigma": 29.4, "quantile": 3.9},
     text="Body roll in bends differs from the model file's.",
-    against=("in 40 % of the segments it predicts worse",),
+    against=("it predicts worse in 40 % of the segments",),
 )
 BIAS = FoundCause(
     name="accel_bias",

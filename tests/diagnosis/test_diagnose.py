@@ -159,7 +159,7 @@ def test_without_a_gyroscope_no_scale_and_no_bias_is_named():
     samples = {k: v for k, v in made.samples.items() if k not in {"gyro", "yaw_rate"}}
     d = diagnose([samples], model_from_mapping(dict(made.model), "b"))
     assert not {"accel_scale", "wheel_speed_scale", "accel_bias"} & names(d)
-    assert any("No gyroscope" in note for note in d.notes)
+    assert any("There is no gyroscope" in note for note in d.notes)
 
 
 def test_several_drives_are_one_vehicle():

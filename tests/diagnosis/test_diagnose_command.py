@@ -79,7 +79,7 @@ def test_the_summary_says_what_was_found_in_words(asked, diagnosed, log):
     assert "4.50 deg/g" in out, "what the file said"
     assert "673 nats likelier" in out
     assert "use it" in out
-    assert "against it: in 40 % of the segments it predicts worse" in out
+    assert "against it: it predicts worse in 40 % of the segments" in out
     assert re.search("not named.*\n *accelerometer scale +not decidable here", out)
     assert "note: no temperature signal" in out
 
@@ -264,7 +264,7 @@ def test_nor_the_model_that_was_read_nor_one_output_by_another(asked, diagnosed,
     options = ("--json", same, "--report", same)
     assert "would overwrite" in refused(diagnosed, asked, log, *options)
     options = ("--json", "-", "--write-model", "-")
-    assert "once only" in refused(diagnosed, asked, log, *options)
+    assert "is given twice" in refused(diagnosed, asked, log, *options)
     assert not same.exists()
 
 

@@ -78,10 +78,10 @@ def test_other_roads_and_other_drivers_are_nothing(file):
 
 
 @pytest.mark.parametrize(("change", "words"), [
-    (in_gaps, "repeats the sample before more often"),
-    (lambda x: np.repeat(x[::2], 2)[: len(x)], "repeats the sample before more often"),
-    (by_lines, "takes back less of each change"),
-    (lambda x: median_filter(x, 5), "has changes with heavier tails"),
+    (in_gaps, "repeats the previous sample more often"),
+    (lambda x: np.repeat(x[::2], 2)[: len(x)], "repeats the previous sample more often"),
+    (by_lines, "reverses a smaller part of each change"),
+    (lambda x: median_filter(x, 5), "has more very large changes"),
 ])  # fmt: skip
 def test_what_comes_between_sensor_and_log_is_seen_on_all_axes_alike(file, change, words):
     """No equation shows it, and no axis differs from the others."""
@@ -105,7 +105,7 @@ def test_a_speed_that_is_held_repeats_itself(file):
     held = np.repeat(made["speed"].values[::4], 4)[: len(made["speed"].t)]
     left = found(file, made | {"speed": Series(made["speed"].t, held)})
     assert [s.signal for s in left] == ["speed"]
-    assert "repeats the sample before more often" in left[0].text
+    assert "repeats the previous sample more often" in left[0].text
 
 
 def test_a_sensor_that_was_turned_has_other_levels_and_is_not_asked_for_repeats(file):

@@ -152,7 +152,7 @@ def test_a_log_of_another_vehicle_is_an_error_that_says_what_to_do(tmp_path):
 def test_a_log_without_frames_is_an_error(tmp_path):
     log = tmp_path / "empty.log"
     log.write_text("nothing that is a frame\n")
-    with pytest.raises(LogError, match="not a log that is known here"):
+    with pytest.raises(LogError, match="the format of this log is not known"):
         read_samples(loaded(), [log])
     with pytest.raises(LogError, match=r"empty\.log: not a log"):
         read_samples(loaded(), [log], strict=True)

@@ -64,7 +64,7 @@ def test_causes_come_with_values_intervals_and_evidence(found):
     assert "4.50 deg/g" in text, "what the file said"
     assert "25.2 ± 2.2 mg" in text
     assert "29 σ from the model file" in text
-    assert "What speaks against it in 40 % of the segments it predicts worse" in text
+    assert "What speaks against it it predicts worse in 40 % of the segments" in text
     assert "a.log, b.log (30 min)" in text
     assert "no temperature signal" in text
 
@@ -373,7 +373,7 @@ def test_a_sure_cause_beside_an_ambiguous_one_is_reported():
     found = made.found(verdict="ambiguous", look_alikes=(("accel_bias", "accel_cross_axis"),))
     both = words.verdict(found)
     assert both.headline == "Ambiguous: accelerometer bias or accelerometer cross-axis"
-    assert "Certain, whichever of these it is: body roll" in both.explanation
+    assert "Certain in any case: body roll" in both.explanation
     text = page(found).text
     assert text.index("Certain body roll") < text.index("What it may be accelerometer bias")
 
@@ -386,7 +386,10 @@ def test_what_explains_the_numbers_and_cannot_be_has_its_signs_as_printed():
 
 def test_structure_beside_what_was_found_is_reported():
     said = words.verdict(made.found(structure=made.unknown().structure)).explanation
-    assert "No known cause explains what is left in accelerometer left and vehicle yaw rate" in said
+    assert (
+        "No known cause explains the remaining differences in accelerometer left and "
+        "vehicle yaw rate" in said
+    )
 
 
 def test_a_wrong_sign_is_the_headline():

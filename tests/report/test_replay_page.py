@@ -165,7 +165,7 @@ def test_changes_of_state_and_what_is_reported_come_in_order():
     texts = [e.text for e in events]
     assert texts[1] == "the speed's unit is wrong"
     assert texts[2] == "gyro stuck (y), for 2 s"
-    assert texts[3] == "the sensor was found moved: it shows as -3.2 deg about the left axis"
+    assert texts[3] == "the sensor was found moved: the drive shows -3.2 deg about the left axis"
     assert texts[-1].endswith("waiting for yaw: more driving")
 
 

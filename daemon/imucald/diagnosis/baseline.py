@@ -99,8 +99,8 @@ def _mount(loaded: LoadedConfig, drives: Sequence[Samples]) -> dict[str, float]:
     if best is None or best.angles is None:
         why = reasons_line(final.waiting_for)
         raise EstimateError(
-            "the drives do not say how the sensor sits, so there is no model to compare with; "
-            f"give one with --model ({why or 'see imucald replay'})"
+            "the drives do not show the mount, so there is no model to compare with; give "
+            f"one with --model ({why or 'see imucald replay'})"
         )
     roll, pitch, yaw = (math.degrees(angle) for angle in best.angles)
     return {"mount.roll_deg": roll, "mount.pitch_deg": pitch, "mount.yaw_deg": yaw}

@@ -135,7 +135,7 @@ def diagnose(
         steps[0] = min(steps[0] + 0.12, 0.75)
         report(steps[0], text)
 
-    tick("which causes pay on data that their fit did not see")
+    tick("testing causes on data that their fit did not see")
     wrong = goes_against(forwards_before)
     if wrong:
         state.leave_out(unexplained(wrong), ())
@@ -146,7 +146,7 @@ def diagnose(
     doubt(state, left, faults)
     problem = state.evaluated()
     causes = _certain_causes(state, rest if _shows_zero(left) else None, faults, model)
-    report(0.88, "what the written file brings")
+    report(0.88, "testing the written model file")
     written = _written(state, problem)
     changes = written != state.stated or state.stated != model
     problem = state.evaluated()
@@ -383,9 +383,9 @@ def _refuse_short(table: Table, faults: Sequence[Sequence[Fault]]) -> None:
     if table.blocks >= LEAST_BLOCKS:
         return
     taken = [fault.text for part in faults for fault in part if fault.spans]
-    remedy = f"repair what took the others, or give longer drives. {' '.join(taken)}"
+    remedy = f"correct the reasons why segments were lost, or give longer drives. {' '.join(taken)}"
     raise EstimateError(
-        f"only {counted(table.blocks, 'segment')} of driving with all that is needed: "
+        f"only {counted(table.blocks, 'segment')} of driving can be used: "
         f"{remedy if taken else 'give longer drives'}"
     )
 
@@ -452,24 +452,27 @@ def _notes(parts: Sequence[DriveSignals], table: Table, late: _Late) -> list[str
     notes = []
     if not parts[0].has("gyro"):
         notes.append(
-            "No gyroscope: the road's slope stays in what is compared. Only faults, delays and the "
-            "vehicle's own signals were examined; no scale and no bias is named."
+            "There is no gyroscope, so slopes of the road cannot be removed. Only faults, "
+            "delays and the signals of the vehicle were examined. No scale and no bias is "
+            "named."
         )
     if not (parts[0].has("steering") and (parts[0].has("yaw_rate") or parts[0].has("gyro"))):
-        notes.append("Steering angle and yaw rate are not both there: handling was not examined.")
+        notes.append("Steering angle or yaw rate is missing: handling was not examined.")
     if not parts[0].has("temperature"):
-        notes.append("No temperature: drift with it was not examined.")
+        notes.append("There is no temperature signal: drift with temperature was not examined.")
     if parts[0].has("gyro") and not any(p.stops for p in parts):
-        notes.append("No stop that speed and gyroscope agree on: the gyroscope's zero comes from "
-                     "driving alone, ten times less sharp.")  # fmt: skip
+        notes.append("Speed and gyroscope show no common stop. The zero of the gyroscope comes "
+                     "from driving alone, which is ten times less exact.")  # fmt: skip
     minutes = float(table.moving.sum()) * (table.seconds / 60.0)
     if minutes < LITTLE_MIN:
-        notes.append(f"Only {minutes:.1f} min of driving: small errors do not show in that.")
+        notes.append(
+            f"There are only {minutes:.1f} min of driving, which do not show small errors."
+        )
     top = ", ".join(f"{name} {hz:.2g}" for name, hz in table.top_hz.items() if name in table.plain)
     notes.append(f"Compared up to [Hz]: {top}.")
     if late.was:
         notes.append(
-            "The time limit ended the search: there may be more than is reported here. "
-            "A larger --time-limit lets it end by itself."
+            "The time limit ended the search: there may be more causes. Give a larger "
+            "--time-limit to complete the search."
         )
     return notes

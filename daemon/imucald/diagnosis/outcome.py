@@ -143,7 +143,7 @@ def _against(state: State, trial: Trial) -> list[str]:
     e, gain = trial.estimate, trial.gain
     worse = float((gain < 0.0).mean())
     if worse > 1.0 / 3.0:
-        texts.append(f"in {100 * worse:.0f} % of the segments it predicts worse")
+        texts.append(f"it predicts worse in {100 * worse:.0f} % of the segments")
     for key, wander, spread in zip(trial.hypothesis.keys, e.wander, e.se, strict=True):
         if wander > spread:
             texts.append(
@@ -198,7 +198,7 @@ def cause_of_rest(rest: Rest, model: VehicleModel) -> FoundCause:
     return FoundCause(
         "gyro_bias", parameters, ("gyro_x", "gyro_y", "gyro_z"),
         {"held_out_nats": min(0.5 * sigma**2, 1e6), "sigma": sigma, "quantile": rest.quantile},
-        f"The gyroscope's zero is off: read at {counted(rest.stops, 'stop')}.", "certain", few,
+        f"The zero of the gyroscope is off, as {counted(rest.stops, 'stop')} show.", "certain", few,
     )  # fmt: skip
 
 
@@ -215,13 +215,14 @@ def cause_of_shift(shift: FittedShift, table: Table) -> FoundCause:
     text = (
         f"The sensor is turned between {shift.low_s:.0f} and {shift.high_s:.0f} s."
         if shift.kind == "step"
-        else "The sensor turns slowly all along the drive."
+        else "The sensor turns slowly during the whole drive."
     )
     sigma = float(np.max(np.abs(shift.turn) / shift.se))
     return FoundCause(
         name, parameters, signals_of(table, KEYS),
         {"held_out_nats": shift.shown, "sigma": sigma, "quantile": shift.quantile}, text,
-        "certain", ("before and after it count as two drives: nothing else was examined",),
+        "certain", ("the parts before and after the turn would be two drives, so nothing else was "
+                    "examined",),
     )  # fmt: skip
 
 
@@ -248,7 +249,7 @@ def other_candidates(state: State) -> tuple[Candidate, ...]:
         else:
             outcome = "not decidable here"
         size = _with_unit(f"{_n(x)} +- {_n(SD_95 * se)}", key)
-        text = f"{key} off by {size}; threshold {_n(tau + q * se)}"
+        text = f"{key} is off by {size}; threshold {_n(tau + q * se)}"
         if outcome == "not ruled out" and abs(x) > tau + q * se:
             text += OTHERWISE
         of_key = key, x, se, tau + q * se, PARAMETERS[key].unit

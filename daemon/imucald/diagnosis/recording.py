@@ -154,13 +154,13 @@ def _first_sensors(loaded: LoadedConfig) -> Router:
 def _refuse_empty(paths: Sequence[Path | str], reader: LogReader, router: Router) -> None:
     names = ", ".join(map(str, paths))
     if reader.frames_read == 0:
-        raise LogError(f"{names}: holds no CAN frame")
+        raise LogError(f"{names}: the log holds no CAN frame")
     if router.used == 0:
         why = ", ".join(f"{reason} {n}" for reason, n in router.rejected.items())
         rejected = f" (rejected: {why})" if why else ""
         raise LogError(
-            f"{names}: has no usable frame of this configuration{rejected}; "
-            "'imucald check' shows more"
+            f"{names}: the log has no usable frame of this configuration{rejected}; 'imucald "
+            "check' shows more"
         )
 
 

@@ -73,7 +73,9 @@ class FoundCause:
 VEHICLE_AXES = {"x": "forward", "y": "left", "z": "up"}
 
 
-OTHERWISE = "; not certain: other causes fit as well, or data not fitted do not show it"
+OTHERWISE = (
+    "; not certain: other causes fit as well, or data that were not fitted do not confirm it"
+)
 """Why a cause that is large enough is not named."""
 
 

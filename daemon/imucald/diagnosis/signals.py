@@ -190,7 +190,7 @@ def require(samples: Samples) -> None:
     """Raise EstimateError where a signal is missing that everything needs."""
     for name in NEEDED:
         if name not in samples or len(samples[name].t) < 20:
-            raise EstimateError(f"diagnosis needs the signal {name!r}, and minutes of it")
+            raise EstimateError(f"the diagnosis needs some minutes of the signal {name!r}")
 
 
 def drive_of(samples: Samples, bad: Mapping[str, Spans] | None = None) -> DriveSignals:
@@ -209,7 +209,7 @@ def drive_of(samples: Samples, bad: Mapping[str, Spans] | None = None) -> DriveS
     stop = min(channels[name].t[-1] for name in NEEDED)
     if stop - start < LEAST_S:
         raise EstimateError(
-            f"diagnosis needs at least {LEAST_S:.0f} s in which accelerometer and speed are there"
+            f"the diagnosis needs at least {LEAST_S:.0f} s with both accelerometer and speed"
         )
     t = np.asarray(start + STEP_S * np.arange(int((stop - start) / STEP_S)))
     knots = _knots(channels, t)

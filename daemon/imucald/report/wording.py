@@ -145,9 +145,9 @@ def verdict(diagnosis: Diagnosis) -> Words:
         groups = [few_of(of_group, "or") for of_group in look_alike_groups(diagnosis)]
         confused = {name for group in diagnosis.look_alikes for name in group}
         sure = [cause_title(c.name) for c in diagnosis.causes if c.name not in confused]
-        text = "Something is wrong; these drives do not show which of these causes it is."
+        text = "Something is wrong, but these drives do not show which of these causes it is."
         if sure:
-            text += f" Certain, whichever of these it is: {in_series(sure)}."
+            text += f" Certain in any case: {in_series(sure)}."
         return Words(f"Ambiguous: {'; '.join(groups)}", text + _left(diagnosis) + tail)
     if diagnosis.verdict == "unknown":
         return _unknown(diagnosis, titles, tail)
@@ -157,7 +157,10 @@ def verdict(diagnosis: Diagnosis) -> Words:
     )
     undecided = sum(c.outcome == "not decidable here" for c in diagnosis.candidates)
     if undecided:
-        text += f" Not decidable here: {undecided} of the causes; longer drives may show them."
+        text += (
+            f" {undecided} of the causes cannot be decided with these drives; longer drives "
+            "may show them."
+        )
     return Words(f"Nothing found in {diagnosis.duration_s / 60.0:.3g} min of driving", text + tail)
 
 
@@ -177,7 +180,7 @@ def _unknown(diagnosis: Diagnosis, titles: Sequence[str], tail: str) -> Words:
     headline = f"Unknown: the model does not explain {where}" if where else "Unknown"
     if titles:
         headline = f"Found: {in_series(titles)}. {headline}"
-        text += f" Certain all the same: {in_series(titles)}."
+        text += f" These causes are certain nevertheless: {in_series(titles)}."
     return Words(headline, text + tail)
 
 
@@ -187,8 +190,8 @@ def _advice(diagnosis: Diagnosis) -> str:
         return ""
     if diagnosis.recommended and not diagnosis.gain.was_fitted:
         return (
-            " The extended model file adds what was read directly from samples and stops; its "
-            "predictions do not change."
+            " The extended model file adds values that were read directly from samples and "
+            "stops. They do not change its predictions."
         )
     if diagnosis.recommended and (why := for_prediction_only(diagnosis)):
         return f" The extended model file is for prediction only: it holds {why}."
@@ -204,7 +207,10 @@ def _advice(diagnosis: Diagnosis) -> str:
         return f" The extended model file is not recommended: it predicts {names} worse."
     if not diagnosis.gain.was_fitted:
         return " The model file does not change."
-    return " The extended model file is not recommended: on data not fitted it predicts no better."
+    return (
+        " The extended model file is not recommended: it does not predict data better that "
+        "were not fitted."
+    )
 
 
 def advice_in_short(diagnosis: Diagnosis) -> tuple[str, str]:
@@ -214,7 +220,7 @@ def advice_in_short(diagnosis: Diagnosis) -> tuple[str, str]:
     if not diagnosis.recommended:
         return "not recommended", "judged by its gain on data not fitted"
     if not diagnosis.gain.was_fitted:
-        return "states what was found", "read directly: no prediction changes"
+        return "states what was found", "the values were read directly and change no prediction"
     if why := for_prediction_only(diagnosis):
         return "for prediction only", why
     return "use it", "judged by its gain on data not fitted"
@@ -228,7 +234,9 @@ def _likely(diagnosis: Diagnosis) -> str:
 
 
 def _incomplete(diagnosis: Diagnosis) -> str:
-    return "" if diagnosis.complete else " The time limit ended the search: there may be more."
+    return (
+        "" if diagnosis.complete else " The time limit ended the search: there may be more causes."
+    )
 
 
 def _where(diagnosis: Diagnosis) -> str:
@@ -238,7 +246,7 @@ def _where(diagnosis: Diagnosis) -> str:
 
 def _left(diagnosis: Diagnosis) -> str:
     where = _where(diagnosis)
-    return f" No known cause explains what is left in {where}." if where else ""
+    return f" No known cause explains the remaining differences in {where}." if where else ""
 
 
 def evidence(cause: FoundCause) -> str:
@@ -286,9 +294,9 @@ def _sizes(c: Candidate) -> tuple[str, str]:
 def gain(found: Gain) -> str:
     """Return the gain on held-out data in one line."""
     if not math.isfinite(found.held_out_log_likelihood):
-        return "not known: the drives are too short to keep any data for the test"
+        return "not known: the drives are too short to keep data back for the test"
     if not found.was_fitted:
-        return "does not apply: what was found was read directly and not fitted"
+        return "does not apply: the values were read directly and not fitted"
     low, high = found.interval
     return (
         f"{number(found.held_out_log_likelihood)} nats likelier "

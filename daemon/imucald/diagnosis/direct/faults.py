@@ -122,7 +122,8 @@ def _piled(name: str, series: Series, model: VehicleModel) -> Iterator[Fault]:
     unit = QUANTITIES[name].unit
     yield Fault(
         "saturation", name, {f"{name}.full_scale": (size, 0.0, unit)} if size else {},
-        f"Values pile up at {shown} {unit}: {100 * share:.2g} % of the samples.",
+        f"{100 * share:.2g} % of the samples have the value {shown} {unit}, far more than "
+        "its neighbours.",
         {f"{name}.full_scale": size} if size and name in ("accel", "gyro") else {},
         spans_of(series.t, hit), 0.5 * float(hit.sum()), _runs_of(series.t, hit),
     )  # fmt: skip
@@ -250,9 +251,9 @@ def _timed(name: str, series: Series, model: VehicleModel) -> Iterator[Fault]:
         has_holes = lost > LOST_TOLERANCE * sent
         yield Fault(
             "clock_drift", name, {key: (ppm, se, "ppm")},
-            f"The cycle is {cycle}, {off:+.0f} ppm off what the model file states.",
+            f"The cycle is {cycle}, which differs by {off:+.0f} ppm from the model file.",
             {} if has_holes else {key: ppm}, (), abs(off) / CLOCK_PPM * 10.0,
-            against=("frames are missing: their numbers are counted from the stamps",) * has_holes,
+            against=("frames are missing, so they were counted by their time stamps",) * has_holes,
         )  # fmt: skip
 
 

@@ -57,9 +57,9 @@ def _of_sensor(name: str, drive: DriveSignals, drives: int) -> Iterator[Structur
         value, share, times = held
         unit = QUANTITIES[name].unit
         text = (
-            f"it shows {value:.3g} {unit} in {100.0 * share:.2g} % of its samples while driving, "
-            f"{times:.0f} times as often as any neighbouring value: it does not follow the "
-            "motion there"
+            f"it shows {value:.3g} {unit} in {100.0 * share:.2g} % of its samples while "
+            f"driving, {times:.0f} times as often as any neighbouring value: at this value, "
+            "it does not follow the motion"
         )
         yield Structure(f"{name}_{'xyz'[axis]}", VALUE_HELD, times, text)
 

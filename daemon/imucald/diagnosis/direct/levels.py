@@ -153,9 +153,9 @@ def _in_steps(signal: Numbers, lsb: float, known_to: float) -> Iterator[Question
     fewer = int((gaps < (1.0 - OFF_STEP) * step).sum())
     p = float(binom.cdf(fewer, len(gaps), narrow))
     text = (
-        f"its values come in steps of {step:.3g} {signal.unit}, {ratio:.2g} times those of the "
-        f"drives that the model file was made of ({lsb:.3g}): a rounding error of "
-        f"{step / 12**0.5:.2g} {signal.unit} that the file does not know"
+        f"its values come in steps of {step:.3g} {signal.unit}, {ratio:.2g} times as large as "
+        f"in the drives of the model file ({lsb:.3g}). The model file does not contain the "
+        f"rounding error of {step / 12**0.5:.2g} {signal.unit}"
     )
     yield Question(p, True, Structure(signal.name, COARSER, ratio, text))
 
@@ -172,8 +172,8 @@ def _from_zero(signal: Numbers, dead: float) -> Iterator[Question]:
     least = float(x[x > 0.0].min())
     many = int((beside < 2.0 * least - dead).sum())
     text = (
-        f"it says 0 up to {least:.2g} m/s, where the drives that the model file was made of show "
-        f"{dead:.2g} m/s: {len(beside)} times it leaves or reaches 0, and never by less"
+        f"it shows 0 up to {least:.2g} m/s; in the drives of the model file it shows 0 up to "
+        f"{dead:.2g} m/s. It left or reached 0 {len(beside)} times, and never at a lower speed"
     )
     is_large = least > 2.0 * dead and least - dead > OBD_STEP
     structure = Structure(signal.name, VALUES_MISSING, least / max(dead, 1e-3), text)
@@ -220,8 +220,8 @@ def _hole(signal: Numbers) -> Iterator[Question]:
     if not jumps:
         return
     text = (
-        f"it jumps {jumps} times over the range from {best[0]:.3g} to {best[1]:.3g} {signal.unit} "
-        "and never shows a value in it"
+        f"it jumps {jumps} times across the range from {best[0]:.3g} to {best[1]:.3g} "
+        f"{signal.unit}, and never shows a value inside it"
     )
     p = min(1.0, len(wide) * 0.5**jumps)
     yield Question(p, True, Structure(signal.name, VALUES_MISSING, float(jumps), text))

@@ -54,8 +54,8 @@ def as_structure(name: str, lost: Lost) -> Structure:
     unit = QUANTITIES[name].unit
     value = " ".join(f"{x + 0.0:.3g}" for x in lost.value)
     text = (
-        f"it jumps to {value} {unit} and back {lost.visits} times, whatever it showed before: "
-        "readings are lost then (a loose contact, or a default value)"
+        f"it jumps to {value} {unit} and back {lost.visits} times, from very different "
+        "values: readings are lost (a loose contact, or a default value)"
     )
     signal = f"{name}_x" if len(lost.value) > 1 else name
     return Structure(signal, READINGS_LOST, float(lost.visits), text)

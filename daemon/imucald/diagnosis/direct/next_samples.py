@@ -54,20 +54,24 @@ class Trait:
     """Whether it is asked of a speed as well, whose changes are the driver's."""
 
 
-OF_SHARE = "in the arcsine of the root of the share"
+OF_SHARE = "(arcsine of the root of the share)"
 TRAITS = (
-    Trait("repeats the sample before more often", "repeats the sample before more seldom",
+    Trait("repeats the previous sample more often", "repeats the previous sample less often",
           SHARE, OF_SHARE, of_speed=True),
-    Trait("goes on along a straight line more often", "goes on along a straight line more seldom",
+    Trait("continues along a straight line more often",
+          "continues along a straight line less often",
           SHARE, OF_SHARE),
     # rms over mean size: 1.25 of a normal law, 1.41 of a double exponential one.
-    Trait("has changes with heavier tails", "has changes with lighter tails", 0.12),
-    Trait("has second differences with heavier tails", "has second differences with lighter tails",
+    Trait("has more very large changes", "has fewer very large changes", 0.12),
+    Trait("has more very large second differences",
+          "has fewer very large second differences",
           0.12),
     # Of white noise the second difference is 1.73 of the first, of a random walk 1.41.
-    Trait("takes back more of each change", "takes back less of each change", 0.2),
+    Trait("reverses a larger part of each change",
+          "reverses a smaller part of each change", 0.2),
     # Over four samples white noise changes by 1 of a change, a random walk by 2.
-    Trait("goes on further the way it changes", "goes on less far the way it changes", 0.7),
+    Trait("continues further in the direction of a change",
+          "continues less far in the direction of a change", 0.7),
 )  # fmt: skip
 """In the order of the numbers."""
 
@@ -170,9 +174,9 @@ def _row(signal: str, trait: Trait, on_grid: Collection[str]) -> Row | None:
     return Row(
         trait.limit,
         lambda _, more: (
-            f"it {trait.more if more > 0.0 else trait.less} than in the drives that the model "
-            f"file was made of, by {abs(more):.2g} {trait.unit}, where roads and driving make "
-            f"{trait.limit:g} at most: something between the sensor and the log is not as it was"
+            f"it {trait.more if more > 0.0 else trait.less} than in the drives of the model "
+            f"file: by {abs(more):.2g} {trait.unit}, and roads and driving make at most "
+            f"{trait.limit:g}. Something between the sensor and the log has changed"
         ),
         either_way=True,
         in_times=False,

@@ -175,9 +175,9 @@ def _missing(signal: Numbers) -> Iterator[Question]:
     k = int(np.argmin(chance))
     many, size = int(all_[k]), float(half[k] * step)
     text = (
-        f"of {many} changes by up to {2.0 * size:.2g} {signal.unit} from one sample to the next "
-        f"{100.0 * below[k] / max(many, 1):.2g} % are below {size:.2g}, where any motion has a "
-        "third or more: it stays until it is off by so much"
+        f"of {many} changes by up to {2.0 * size:.2g} {signal.unit} from one sample to the "
+        f"next {100.0 * below[k] / max(many, 1):.2g} % are below {size:.2g}; of any motion it "
+        "would be a third or more. The signal keeps a value until it is wrong by that much"
     )
     p = min(1.0, float(chance[k]) * len(half))
     # Below its noise a coarse converter's own steps show.
@@ -205,10 +205,11 @@ def _alone(signal: Numbers) -> Iterator[Question]:
     ]
     chance, i, j = min(asked, default=(1.0, 0, 1))
     text = (
-        f"{counts[j]} times it jumps by more than {LEVELS[j]:g} times what it changes by just "
-        f"before and after, where {counts[i]} jumps by more than {LEVELS[i]:g} times make "
-        f"{counts[i] * PASSES_HALF ** (j - i):.0f} such at most in any motion and noise: single "
-        "values are wrong, or it goes from one source to another"
+        f"it jumps {counts[j]} times by more than {LEVELS[j]:g} times its changes just before "
+        f"and after. It jumps {counts[i]} times by more than {LEVELS[i]:g} times; with motion "
+        f"and noise alone, at most {counts[i] * PASSES_HALF ** (j - i):.0f} of these jumps "
+        "would be so large. Single values are wrong, or the signal switches between two "
+        "sources"
     )
     p = min(1.0, chance * comb(len(LEVELS), 2))
     yield Question(p, bool(asked), Structure(signal.name, JUMPS_ALONE, float(counts[j]), text))

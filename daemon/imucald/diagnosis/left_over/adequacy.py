@@ -84,7 +84,7 @@ def goes_against(forwards: Sequence[Forward]) -> list[Structure]:
             continue
         r = float(np.corrcoef(y, p)[0, 1])
         if r < OPPOSITE:
-            text = f"measured and predicted go against each other (correlation {r:.2f})"
+            text = f"measured and predicted values have opposite signs (correlation {r:.2f})"
             found.append(Structure(name, GOES_AGAINST, abs(r), text))
     return found
 
@@ -105,10 +105,10 @@ def too_much(problem: Problem, state: State) -> list[Structure]:
     if left <= limit:
         return []
     text = (
-        f"{left:.2g} m/s^2 and more is left of the sideways force in one of fifteen segments, "
-        f"whatever is fitted, where gusty air and "
-        f"the accelerometer's noise leave {limit:.2g}: the sensor is not fixed to the vehicle, or "
-        "something acts on it that neither speed nor turning shows"
+        f"in one of fifteen segments, at least {left:.2g} m/s^2 of the sideways force is left "
+        f"after every fit; gusts and the noise of the accelerometer leave {limit:.2g}. The "
+        "sensor is not fixed to the vehicle, or something acts on it that speed and turning "
+        "do not show"
     )
     return [Structure(name, TOO_MUCH, left / limit, text)]
 
@@ -205,10 +205,10 @@ def _shared(spectra: Mapping[str, Spectra], forwards: Sequence[Forward]) -> list
         if total > calm:
             share = max(share for share, _ in sure)
             text = (
-                f"between {BANDS_HZ[0][0]} and {BANDS_HZ[-1][1]} Hz it shares up to "
-                f"{100 * share:.0f} % ({total:.2g} m/s^2) with what is left of "
-                f"{second.replace('_', ' ')}, which has no sensor in common with it: something "
-                "moves the vehicle that neither speed nor steering shows"
+                f"between {BANDS_HZ[0][0]} and {BANDS_HZ[-1][1]} Hz, up to {100 * share:.0f} "
+                f"% of the residual ({total:.2g} m/s^2) is also in the residual of "
+                f"{second.replace('_', ' ')}, although they have no sensor in common: "
+                "something moves the vehicle that speed and steering do not show"
             )
             found.append(Structure(first, "shared motion", share, text))
     return found

@@ -76,8 +76,8 @@ def _questions(
         if len(x) >= LEAST_BLOCKS:
             size, p = _scatter(x, variance, EVENLY * may)
             text = (
-                f"{key} changes from segment to segment by {amount(key, size)}, its own errors "
-                f"aside (limit {amount(key, EVENLY * may)})"
+                f"{key} changes from segment to segment by {amount(key, size)}, not counting "
+                f"its own errors (limit {amount(key, EVENLY * may)})"
             )
             signal = first_signal(table, [key])
             size /= EVENLY * may

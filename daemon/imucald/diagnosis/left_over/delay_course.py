@@ -232,9 +232,9 @@ def _by_stamps(drives: Sequence[Pieces], may: float) -> list[Question]:
         if found is None:
             continue
         text = (
-            f"its time stamps deviate{how} from an even cycle, by {amount(DELAY, spread)} between "
-            "the 5th and the 95th percentile, and its delay against the accelerometer follows: "
-            f"{found.value:.2g} s per second, {found.sigma:.1f} σ"
+            f"its time stamps deviate{how} from an even cycle by {amount(DELAY, spread)} (5th "
+            "to 95th percentile), and its delay compared with the accelerometer follows "
+            f"them: {found.value:.2g} s per second, {found.sigma:.1f} σ"
         )
         made.append(_question(found, abs(found.value) * spread / may, text))
     return made

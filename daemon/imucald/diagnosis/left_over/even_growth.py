@@ -55,8 +55,8 @@ def _as_steps(problem: Problem, state: State, trial: Trial) -> Iterator[Structur
     if behind > sure * se:
         return
     text = (
-        f"{keys[0].rpartition('.')[0] if len(keys) > 1 else keys[0]} may be another from "
-        f"{moment(table, k)} on instead of growing evenly: that explains unseen segments as well"
+        f"{keys[0].rpartition('.')[0] if len(keys) > 1 else keys[0]} may have changed once at "
+        f"{moment(table, k)} instead of growing evenly: this explains unseen segments as well"
     )
     signal = first_signal(table, keys)
     size = float(sure * se / max(behind, 1e-9)) if behind > 0.0 else float(table.blocks)

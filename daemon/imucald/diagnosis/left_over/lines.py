@@ -99,8 +99,8 @@ def _question(name: str, z: Spectra, hz: Array, asked: NDArrayInt, tau: float) -
     rest = loud[own].sum() - 3.0 * _beside(loud, i)
     size = float(np.sqrt(2.0 * max(rest, 0.0)))
     text = (
-        f"a line at {hz[i]:.2f} Hz, {ratio[best]:.0f} times its surroundings: it swings by "
-        f"{size:.2g} {UNITS[name]} to either side"
+        f"a line at {hz[i]:.2f} Hz, {ratio[best]:.0f} times as strong as its surroundings, "
+        f"with an amplitude of {size:.2g} {UNITS[name]}"
     )
     return Question(p, bool(ratio[best] > PEAK and size > tau),
                     Structure(name, "peak", float(ratio[best]), text))  # fmt: skip

@@ -90,9 +90,9 @@ def _question(some: Sequence[Stretch], turns: Array, harmonic: int) -> Question:
     p = min(len(turns) * float(gamma.sf(total[best] / usual, kept)), 1.0)
     size = float(np.sqrt(max(powers[:, best].sum(), 0.0) / energies[:, best].sum()))
     text = (
-        f"what is left swings {ONCE[harmonic]} in {harmonic / turns[best]:.2f} m of the way, by "
-        f"{100.0 * size:.2g} % of the speed to either side: it goes round with a wheel, where a "
-        f"sound one makes {100.0 * RUN_OUT:.2g} %"
+        f"the residual oscillates {ONCE[harmonic]} in {harmonic / turns[best]:.2f} m of the "
+        f"way, with an amplitude of {100.0 * size:.2g} % of the speed. It turns with a wheel; "
+        f"a sound wheel makes {100.0 * RUN_OUT:.2g} %"
     )
     return Question(p, size > RUN_OUT, Structure("accel_x", TURNS_WITH_WHEEL, size / RUN_OUT, text))
 

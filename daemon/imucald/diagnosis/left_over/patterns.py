@@ -71,8 +71,11 @@ SHAPES = {
     "by direction": "depends on whether the value rises or falls",
     LATE: "has more delay on one side than on the other",
     **{f"memory {x:g}": "keeps the sign of the last large value" for x in LARGE},
-    **{f"shaken {x:g}": f"goes with how much the sensor is shaken in {x:g} s" for x in SHAKEN_S},
-    TURNING: "goes with how much the vehicle turns, to whichever side",
+    **{
+        f"shaken {x:g}": f"follows how much the sensor was shaken in the last {x:g} s"
+        for x in SHAKEN_S
+    },
+    TURNING: "follows how much the vehicle turns, to either side",
 }
 SPEED_S = "accel_x"
 """The equation of the speed's slope, which knows the yaw rate from another sensor."""

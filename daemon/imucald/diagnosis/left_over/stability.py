@@ -168,7 +168,7 @@ def _swinging(problem: Problem, fit: Fit, asked: list[int]) -> Iterator[Question
         own = power((s @ image)[None])[0]
         size = float(np.sqrt(2.0 * own.max() / np.sum((h @ apart) ** 2)))
         period = f"{1.0 / hz[own.argmax()]:.0f} s"
-        how = f"comes and goes by {{}} every {period}, or faster than segments show"
+        how = f"changes back and forth by {{}} every {period}, or faster than segments can show"
         # A wave's power by chance is exponential about the sum of squares.
         limit = (EVENLY * _may_be(problem, j)) ** 2 * np.sum((h @ apart) ** 2) / 2.0
         rare = min(1.0, len(hz) * float(np.exp(-limit / max(float(s @ s), 1e-300))))
@@ -251,7 +251,7 @@ def _jumping(problem: Problem, fit: Fit, asked: list[int]) -> Iterator[Question]
         key = problem.table.keys[j]
         size = abs(test.value) / (EITHER_SIDE * _may_be(problem, j))
         since = moment(problem.table, int(test.name))
-        text = f"{key} is another by {amount(key, test.value)} from {since} on"
+        text = f"{key} differs by {amount(key, test.value)} from {since} on"
         p = min(test.p * len(moments), 1.0)
         yield _question(problem, key, WANDERS, p, size, text, min(rare[j], 1.0))
 

@@ -73,8 +73,8 @@ def uneven(problem: Problem, drift: Hypothesis | None) -> list[Structure]:
         size = float(over[n - few - 1])
         if size > 1.0:
             text = (
-                f"one segment in fifteen leaves {np.sqrt(size):.2g} times what a correct file "
-                "leaves, its noise aside: something acts only there"
+                f"one segment in fifteen leaves {np.sqrt(size):.2g} times the residual of a "
+                "correct file, not counting noise: something acts only in these segments"
             )
             found.append(Structure(name, UNEVEN, float(np.sqrt(size)), text))
     return found
@@ -115,10 +115,11 @@ def _of_equation(name: str, rms: Array, file: Leaves) -> Iterator[Question]:
         # What as many of the file's own segments leave.
         own = max(float(spread[i] * stdtrit(known[i], 1.0 - k / (n + 1.0))), 0.0)
         text = (
-            f"between {low:g} and {high:g} Hz {counted[k]} at least {np.exp(x):.2g} times what "
-            "half of the segments of the model file's own drives leave, where as many of those "
-            f"leave {np.exp(own):.2g} times as much, and a road of the next class {ROAD_CLASS:g} "
-            "times: something acts there that the file does not know"
+            f"between {low:g} and {high:g} Hz {counted[k]} at least {np.exp(x):.2g} times the "
+            "median residual of the drives of the model file. In those drives, as many "
+            f"segments leave {np.exp(own):.2g} times the median, and a road of the next class "
+            f"makes {ROAD_CLASS:g} times as much. Something acts there that the model file "
+            "does not contain"
         )
         structure = Structure(name, LOUDER, float(np.exp(x - own)) / ROAD_CLASS, text)
         is_large = bool(x - own - lasting[i] > np.log(ROAD_CLASS))
