@@ -74,7 +74,7 @@ def test_a_check_of_another_bus_finds_errors(tmp_path):
     found = imucald.check(config(), other)
     assert not found.usable
     assert found.findings[0]["level"] == "error"
-    assert "is it the right bus" in found.findings[0]["text"]
+    assert "Is this the right bus" in found.findings[0]["text"]
     assert "<td>error</td>" in found._repr_html_()
 
 

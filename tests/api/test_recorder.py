@@ -60,7 +60,7 @@ def test_events_beyond_the_most_are_counted_shifts_among_them(monkeypatch: pytes
     found = [shift(float(k)) for k in range(1, 6)]
     made, events = recorded(found[:1], found[:4], found)
     assert [text for _, text, _ in shifts_of(events)] == [
-        "it shows as +1.0 deg about the forward axis",
-        "it shows as +2.0 deg about the forward axis",
+        "the drive shows +1.0 deg about the forward axis",
+        "the drive shows +2.0 deg about the forward axis",
     ]
     assert made.events_left_out == 3

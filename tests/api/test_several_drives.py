@@ -90,7 +90,7 @@ def test_files_of_several_drives_are_called_after_their_logs(logs, names):
 def test_a_folder_is_no_log_and_an_empty_one_holds_none(tmp_path):
     with pytest.raises(imucald.LogError, match="is a folder"):
         imucald.replay(config(), tmp_path)
-    with pytest.raises(imucald.LogError, match="no log is there"):
+    with pytest.raises(imucald.LogError, match="there is no log at"):
         imucald.find_logs(tmp_path)
     with pytest.raises(imucald.LogError, match="no log to replay"):
         imucald.replay(config(), [])

@@ -284,7 +284,7 @@ def test_a_run_that_lost_its_lease_writes_no_more(tmp_path: Path, fleet: Fleet) 
     with Lease(store) as lease:
         (tmp_path / "out" / NAME).write_text("{}")
         lease._owner = __import__("msgspec").structs.replace(lease._owner, beat=0.0)
-        with pytest.raises(ImucaldError, match="taken this folder over"):
+        with pytest.raises(ImucaldError, match="taken over this folder"):
             lease.beat()
 
 

@@ -105,7 +105,7 @@ def test_status_and_why_tell_what_the_tables_hold(
     assert main(["fleet", "why", "--out", str(done), key]) == 0
     assert key in capsys.readouterr().out
     assert main(["fleet", "why", "--out", str(done), "car"]) == 1
-    assert "7 logs have that" in capsys.readouterr().err
+    assert "7 logs match" in capsys.readouterr().err
 
 
 def test_a_fleet_is_read_from_python_as_the_files_have_it(done: Path) -> None:
@@ -177,7 +177,7 @@ def test_a_folder_without_a_run_or_analysis_says_what_to_do(
     [
         ("config: car.yaml\n", "logs"),
         ("logs: x\nconfig: nothing.yaml\n", "nothing.yaml"),
-        (f"logs: x\nconfig: {CONFIG}\n", "no log is at x"),
+        (f"logs: x\nconfig: {CONFIG}\n", "there is no log at x"),
         (
             f"logs: x\nconfig: {CONFIG}\npath: '(x'\n",
             "fleet.yaml:3: path: is no",
@@ -185,7 +185,7 @@ def test_a_folder_without_a_run_or_analysis_says_what_to_do(
         (f"logs: x\nconfig: {CONFIG}\npath: x\n", "(?P<vehicle>"),
         (f"logs: x\nconfig: {CONFIG}\nvehicles: no.csv\n", "fleet.yaml:3: vehicles"),
         (f"logs: x\nconfig: {CONFIG}\nfrobnicate: 1\n", "frobnicate"),
-        (f"logs: memory://x/*\nconfig: {CONFIG}\n", "memory lives in one process"),
+        (f"logs: memory://x/*\nconfig: {CONFIG}\n", "logs cannot be read from memory"),
     ],
 )
 def test_a_wrong_fleet_file_is_reported_before_any_work(

@@ -62,7 +62,7 @@ def test_a_row_that_fits_no_table_is_a_failure_of_its_log(tmp_path: Path, fleet:
         return outcome
 
     go(fleet, tmp_path / "out", judge)
-    assert "fits no table" in messages(tmp_path / "out")["001.log"]
+    assert "does not fit the table" in messages(tmp_path / "out")["001.log"]
     assert pq.read_table(tmp_path / "out" / "drives").num_rows == 2
 
 
@@ -115,7 +115,7 @@ def test_run_says_what_is_damaged(tmp_path: Path, capsys: pytest.CaptureFixture[
     assert "'imucald fleet run' sets it aside" in capsys.readouterr().err
     main(command)
     said = capsys.readouterr().err
-    assert "failures.parquet: is no Parquet file or a damaged one" in said
+    assert "failures.parquet: this is not a Parquet file, or it is damaged" in said
     assert "0 known, 1 to evaluate" in said
     assert main(["fleet", "status", "--out", out]) == 0
 
@@ -130,7 +130,7 @@ def test_a_link_out_of_the_listed_folder_is_refused_without_its_content(tmp_path
     out = tmp_path / "out"
     main(["fleet", "run", "--fleet", str(fleet_file(tmp_path)), "--out", str(out), "--quiet"])
     found = messages(out)
-    assert "is a link that leads out of" in found["shadow.log"]
+    assert "this link points outside" in found["shadow.log"]
     assert SECRET not in found["shadow.log"]
     assert "words of the log" in found["inner.log"]
 
@@ -159,7 +159,7 @@ def test_a_log_stays_the_one_that_was_judged_when_a_link_takes_its_name(tmp_path
 @pytest.mark.parametrize(
     ("content", "why"),
     [
-        ("list.csv\n", "names itself"),
+        ("list.csv\n", "contains itself"),
         ('"' + "x" * 200_000, "cannot be read"),
         ("ftp://a/b.log\n", "ftp://a/b.log"),
         ("filecache::file:///1.log\n", "filecache"),

@@ -54,7 +54,7 @@ def _is_same(one: DriveResult, other: DriveResult) -> bool:
 def _without_time(drives: Sequence[DriveResult], timed: Sequence[DriveResult]) -> Iterator[str]:
     lacking = [_name(drive) for drive in drives if drive not in timed]
     if lacking:
-        yield f"no time of day, so that overlaps cannot be seen: {', '.join(lacking)}"
+        yield (f"these logs have no time of day, so overlaps cannot be found: {', '.join(lacking)}")
 
 
 def _shifts(drives: Sequence[DriveResult]) -> Iterator[str]:

@@ -192,5 +192,7 @@ def _reading_notes(recording: Recording) -> list[str]:
     if recording.gaps:
         times = ", ".join(f"{t:.0f}" for t in recording.gaps[:5])
         more = ", ..." if len(recording.gaps) > 5 else ""
-        notes.append(f"{recording.name}: holes or steps of the clock before {times}{more} s")
+        notes.append(
+            f"{recording.name}: frames are missing or the clock jumps before {times}{more} s"
+        )
     return notes

@@ -25,7 +25,7 @@ def opened(source: LogSource) -> Path | str | OpenLog:
         return source if isinstance(source, str) else Path(source)
     if not hasattr(source, "readinto") or hasattr(source, "encoding"):
         kind = type(source).__name__
-        raise LogError(f"{kind} is no log: give a name, or a file opened for reading bytes")
+        raise LogError(f"a {kind} is not a log: give a name, or a file opened for reading bytes")
     name = getattr(source, "name", None)
     return OpenLog(source, name if isinstance(name, str) else "<open file>")
 
@@ -65,5 +65,5 @@ def found_names(where: Sequence[str]) -> list[str]:
 def _some(where: str, names: Iterable[str]) -> list[str]:
     found = list(names)
     if not found:
-        raise LogError(f"{where}: no log is there")
+        raise LogError(f"there is no log at {where}")
     return found

@@ -49,7 +49,7 @@ def resampled(tables: Mapping[str, Columns], rate_hz: float) -> Columns:
 def _numbers(name: str, table: Columns) -> list[TableColumn]:
     found = [c for c in table.columns if c.kind == "float" and c.name not in SKIPPED]
     if not found or any(c.kind == "text" for c in table.columns):
-        raise ImucaldError(f"{name} is no table of samples: it cannot be resampled")
+        raise ImucaldError(f"{name} is not a table of samples, so it cannot be resampled")
     return found
 
 

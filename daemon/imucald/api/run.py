@@ -159,7 +159,7 @@ class ReplayRun:
             self._watcher.begins(lead)
         left_out = self._recorder.events_left_out
         notes = [] if engine.preprocessing is None else list(engine.preprocessing.notes)
-        notes = [f"not used of the model: {note}" for note in notes]
+        notes = [f"part of the model that is not used: {note}" for note in notes]
         notes += reader.overlaps
         notes += [UNUSED] if engine.router.used == 0 else []
         notes += (

@@ -25,8 +25,8 @@ _OF_ANGLES = (
 )
 _CI95_OF_ANGLES = floats(*_OF_ANGLES, *(f"ci95_{name}" for name in _ANGLES))
 _TEST = (
-    *floats("", "chance of so much without a cause", "p"),
-    *floats("", "share of false ones among all with a q so small", "q"),
+    *floats("", "probability of such a difference by chance", "p"),
+    *floats("", "share of false findings among all with this q or a smaller one", "q"),
 )
 
 ANALYSIS: Final[dict[str, tuple[Column, ...]]] = {
@@ -41,7 +41,9 @@ ANALYSIS: Final[dict[str, tuple[Column, ...]]] = {
         *_xyz("deg", "spread from drive to drive (D)", "drive_{}_deg"),
         *_xyz("deg", "lower end of its 95 % interval", "drive_low_{}_deg"),
         *_xyz("deg", "upper end", "drive_high_{}_deg"),
-        *floats("deg", "of the road crown, common to all, in the roll intervals", "crown_std_deg"),
+        *floats(
+            "deg", "part of the road crown in the roll intervals, common to all", "crown_std_deg"
+        ),
         *_CI95_OF_ANGLES,
     ),
     "analysis/vehicles": (
@@ -53,16 +55,16 @@ ANALYSIS: Final[dict[str, tuple[Column, ...]]] = {
             firmware="as in drives",
         ),
         Column("drives", "integer", "", "with a known mount"),
-        Column("drives_unknown", "integer", "", "whose mount is not known"),
+        Column("drives_unknown", "integer", "", "vehicles whose mount is not known"),
         Column("segments", "integer", "", "between remounts"),
         *_MOUNT,
         *floats("", "the same shrunk to the type", *(f"shrunk_{name}" for name in _QUATERNION)),
         *floats("deg", "the same shrunk to the type", *(f"shrunk_{name}" for name in _ANGLES)),
         *_xyz("deg", "half of its 95 % interval, crown included", "shrunk_ci95_{}_deg"),
-        *_xyz("", "of the vehicle's own data; 1: not shrunk", "weight_{}"),
+        *_xyz("", "weight of the vehicle's own data; 1: not shrunk", "weight_{}"),
         *_xyz("deg", "first segment compared with its type, found batches taken out", "d_{}_deg"),
         *_TEST,
-        Column("outlier", "flag", "", "stands out from its type"),
+        Column("outlier", "flag", "", "differs clearly from its type"),
         *_CI95_OF_ANGLES,
         *floats(*_OF_ANGLES, *(f"shrunk_ci95_{name}" for name in _ANGLES)),
         Column(
@@ -106,7 +108,7 @@ ANALYSIS: Final[dict[str, tuple[Column, ...]]] = {
     "analysis/groups": (
         *texts(column="column of drives", name="the batch"),
         Column("vehicles", "integer", "", "of the batch"),
-        Column("types", "integer", "", "that have other batches too"),
+        Column("types", "integer", "", "vehicles that have other batches too"),
         *_xyz("deg", "compared with other vehicles of its types", "d_{}_deg"),
         *_xyz("deg", "half of its 95 % interval; the crown cancels", "ci95_{}_deg"),
         *_TEST,
@@ -127,7 +129,9 @@ ANALYSIS: Final[dict[str, tuple[Column, ...]]] = {
         *texts(verdict="design or single vehicles"),
     ),
     "analysis/never_usable": (
-        *texts(vehicle_type="model of the vehicle", reason="what the first open angle waits for"),
+        *texts(
+            vehicle_type="model of the vehicle", reason="reason why the first angle is not known"
+        ),
         Column("drives", "integer", "", "that never became usable"),
         Column("vehicles", "integer", "", "that have such drives"),
         *floats("", "of the type's drives", "share"),

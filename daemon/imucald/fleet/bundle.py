@@ -107,7 +107,7 @@ def load_bundle(name: str) -> Configuration:
     """The configuration of a bundle that was unpacked. Raises ConfigError where there is none."""
     folder = Path(os.environ.get(FOLDER_VARIABLE, "/nowhere")) / name
     if not folder.is_dir():
-        raise ConfigError(f"this worker has no configuration {name}: it joined another run")
+        raise ConfigError(f"this worker has no configuration {name}, since it joined another run")
     keep_databases({"CACHE_DIRECTORY": str(folder.parent / "parsed")})  # by the first child
     databases = sorted(folder.glob("database-*"), key=lambda p: int(p.name.rpartition("-")[2]))
     found = [next(place.iterdir()) for place in databases]

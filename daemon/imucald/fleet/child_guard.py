@@ -71,7 +71,9 @@ def _guarded(task: Task, asked: socket.socket) -> Outcome:
     os.killpg(child, signal.SIGKILL)
     usage = _reaped(child)
     if usage is None:
-        text = f"still not dead {DYING_S:g} s after its time was up: its storage does not answer"
+        text = (
+            f"it did not end within {DYING_S:g} s after its time limit: its storage does not answer"
+        )
         return Outcome("timeout", text)
     status, cpu_s, peak = usage
     cost = Cost(time.monotonic() - began, cpu_s, peak)
@@ -124,7 +126,7 @@ def _verdict(answered: bytes, ended: bool, status: int, task: Task, words: str) 
     if not ended:
         return Outcome("timeout", f"took longer than {task.limits.time_s:g} s")
     if code == -signal.SIGKILL:
-        text = "was killed from outside (SIGKILL): as a rule the machine's memory was exhausted"
+        text = "was killed from outside (SIGKILL): the memory of the machine was probably exhausted"
         return Outcome("memory", text, exit_code=code)
     name = signal.Signals(-code).name if code < 0 else f"exit status {code}"
     return Outcome("crashed", f"its process died: {name}", None, code, _stack(words))
@@ -164,7 +166,9 @@ def _evaluated(task: Task) -> Outcome:
     except MemoryError:
         gc.collect()
         mebibytes = task.limits.memory_bytes / 2**20
-        return Outcome("memory", f"wanted more than {mebibytes:g} MiB on top of the program itself")
+        return Outcome(
+            "memory", f"needed more than {mebibytes:g} MiB in addition to the program itself"
+        )
     except Exception as error:
         text = f"{type(error).__name__}: {error}"
         return Outcome("bug", text, traceback=traceback.format_exc(limit=-12))

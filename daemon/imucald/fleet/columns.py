@@ -37,8 +37,8 @@ PAIRS: Final = ("xx", "xy", "xz", "yy", "yz", "zz")
 """Of a symmetric matrix."""
 
 _VEHICLE = texts(
-    vehicle="from the rules of fleet.yaml",
-    vehicle_type="model of the vehicle: sensors of a type are meant to sit the same way",
+    vehicle="as the rules of fleet.yaml say",
+    vehicle_type="model of the vehicle; all sensors of a type should have the same mount",
     sensor_serial="serial number",
     sensor_batch="batch of production",
     firmware="of the sensor",
@@ -61,13 +61,13 @@ TABLES: Final[dict[str, tuple[Column, ...]]] = {
         ),
         *_VEHICLE,
         *texts(
-            sources="addresses of the log, a JSON list", date="day: of the log, or by the rules"
+            sources="addresses of the log, a JSON list", date="day of the log, or as the rules say"
         ),
         Column("start", "time", "", "first frame, UTC; null where the log has no absolute time"),
         Column("end", "time", "", "last frame of ours, UTC"),
         *floats("s", "from the first frame of ours to the last", "duration_s"),
         *floats("m", "by the speed", "distance_m"),
-        *texts(state="of the calibration at the end"),
+        *texts(state="state of the calibration at the end"),
         *floats("s", "from the log's first frame", "first_usable_s", "first_fine_s"),
         *_MOUNT,
         *_COVARIANCE,
@@ -76,7 +76,7 @@ TABLES: Final[dict[str, tuple[Column, ...]]] = {
         ),
         *texts(
             driving_side="left, right or unknown",
-            waiting_roll="what is still missing, in words",
+            waiting_roll="reason why an angle is not known, in words",
             waiting_pitch="the same",
             waiting_yaw="the same",
             causes="faults that were seen in the drive, a JSON list of names",
@@ -88,7 +88,7 @@ TABLES: Final[dict[str, tuple[Column, ...]]] = {
         Column("schema_version", "short", "", "version of this table"),
         *texts(
             diagnosed="certain causes that `imucald diagnose` finds in this drive, a JSON list; "
-            "null where it was not asked for or cannot be said"
+            "null where it did not run or gave no verdict"
         ),
     ),
     "events": (
@@ -107,9 +107,9 @@ TABLES: Final[dict[str, tuple[Column, ...]]] = {
             run_key="as in drives",
             kind="unreadable, no_frames, config, storage, timeout, memory, crashed, bug",
             message="for people",
-            traceback="of Python, where there is one",
+            traceback="traceback of Python, where there is one",
         ),
-        Column("exit_code", "integer", "", "of the child; -N: killed by signal N"),
+        Column("exit_code", "integer", "", "exit status of the child; -N: killed by signal N"),
         Column("attempts", "integer", "", "how often it was tried"),
         Column("schema_version", "short", "", "version of this table"),
     ),
@@ -117,7 +117,7 @@ TABLES: Final[dict[str, tuple[Column, ...]]] = {
         *texts(
             source="address of the log",
             fingerprint="etag, or size and time of change",
-            log_key="of its content; null where that was not read",
+            log_key="hash of its content; null where it was not read",
             run_key="as in drives",
             vehicle="as in drives",
             outcome="ok, or the kind of failure",

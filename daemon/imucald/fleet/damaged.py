@@ -22,7 +22,7 @@ def set_damaged_aside(store: Store) -> list[str]:
             try:
                 read_file(store, name, TABLES[table])
             except DamagedTableError as error:
-                said.append(f"{error.reason}; set aside as {_set_aside(store, name)}")
+                said.append(f"{error.reason}; the file is renamed to {_set_aside(store, name)}")
                 if table == "events":
                     for _, other in (p for p in parts(store, "drives") if p[0] == number):
                         _set_aside(store, other)

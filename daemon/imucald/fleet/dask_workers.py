@@ -29,7 +29,9 @@ TRIES, AGAIN_S = 5, 1.0
 """To prepare the workers of a cluster that changes."""
 GONE = ("closed", "closing", "failed", "connecting")
 """States of a client that had a scheduler. It would wait for another one, which knows nothing."""
-SCHEDULER_GONE = "the Dask scheduler is gone; start it again, the run goes on with the same command"
+SCHEDULER_GONE = (
+    "the Dask scheduler has ended; start it again, then run the same command to continue"
+)
 CLOSING_S = 5.0
 PLUGIN = "imucald-fleet"
 
@@ -111,7 +113,7 @@ class DaskWorkers:
                 self._prepare(address, bundles)
             except OSError as error:  # Dask's CommClosedError is one
                 if left == 0:
-                    text = f"{address}: workers come and go, none can be prepared: {error}"
+                    text = f"{address}: no worker stays long enough to be prepared: {error}"
                     raise ImucaldError(text) from None
                 time.sleep(AGAIN_S)
             else:
@@ -129,15 +131,16 @@ class DaskWorkers:
             raise
         except Exception as error:
             raise ImucaldError(
-                f"{address}: its workers lack this imucald ({type(error).__name__}: {error}); "
-                "install the same version there"
+                f"{address}: its workers do not have this version of imucald "
+                f"({type(error).__name__}: {error}); install it there"
             ) from None
         for worker, theirs in sorted(answers.items()):
             for what, version in mine.items():
                 if theirs.get(what) != version:
                     raise ImucaldError(
-                        f"{address}: {worker} has {what} {theirs.get(what)}, here it is {version}; "
-                        "rows would depend on the worker: install the same everywhere"
+                        f"{address}: {worker} has {what} {theirs.get(what)}, but this machine "
+                        f"has {version}, so results would depend on the worker; install the "
+                        "same version everywhere"
                     )
         self._client.register_plugin(BundlePlugin(bundles))
 

@@ -126,8 +126,9 @@ class FleetRun:
     def _take(self, task: Task, outcome: Outcome) -> None:
         if outcome.kind == OTHER_CODE:
             raise ImucaldError(
-                f"{outcome.cost.worker}: joined with another imucald than the driver's; install "
-                "the same there, the run goes on with the same command"
+                f"{outcome.cost.worker}: this worker has another version of imucald than this "
+                "machine; install the same version there, then run the same command to "
+                "continue"
             )
         outcome = self._that_fits(task, outcome)
         self._attempts[task.source] += 1
@@ -162,7 +163,7 @@ class FleetRun:
             table_of("drives", [row_of("drives", values)])
             table_of("events", [row_of("events", event) for event in outcome.events])
         except Exception as error:  # whatever a log made of its row
-            text = f"{task.source}: its row fits no table: {type(error).__name__}: {error}"
+            text = f"{task.source}: its row does not fit the table: {type(error).__name__}: {error}"
             return Outcome("bug", text, outcome.log_key, cost=outcome.cost)
         return outcome
 
@@ -190,7 +191,7 @@ class FleetRun:
             self.stop()
             raise AllFailedError(
                 f"the first {ALL_ALIKE} logs all failed: {outcome.kind}. The last of them: "
-                f"{outcome.message}. Put that right; the run goes on with the same command"
+                f"{outcome.message}. Correct this, then run the same command to continue"
             )
 
     def _add(self, table: str, task: Task, **values: object) -> None:

@@ -82,14 +82,16 @@ def _opened(path: Path, within: str | None) -> IO[bytes]:
     """Open a local log; whoever delivers logs has no say over other files."""
     try:
         if not stat.S_ISREG(path.stat().st_mode):
-            raise NoRegularFileError(f"{path}: is a pipe, a device or a folder, no regular file")
+            raise NoRegularFileError(
+                f"{path}: this is a pipe, a device or a folder, not a regular file"
+            )
         file = os.fdopen(os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC), "rb")
     except OSError as error:
         raise StorageError(f"{path}: cannot be read: {error.strerror or error}") from None
     found = Path(os.path.realpath(_held(file)))
     if within is not None and not found.is_relative_to(os.path.realpath(within)):
         file.close()
-        text = f"{path}: is a link that leads out of {within}; put the log there, or list its path"
+        text = f"{path}: this link points outside {within}; put the log there, or list its path"
         raise NoRegularFileError(text)
     return file
 

@@ -64,7 +64,7 @@ class Fleet:
         try:
             self._rule = re.compile(settings.path)
         except re.error as error:
-            raise self._error("path", f"is no regular expression: {error}") from None
+            raise self._error("path", f"is not a valid regular expression: {error}") from None
         if "vehicle" not in self._rule.groupindex:
             raise self._error("path", "needs a group (?P<vehicle>...)")
         self._facts = self._read_vehicles()

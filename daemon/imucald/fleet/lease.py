@@ -54,7 +54,10 @@ class Lease:
                 )
             self._store.remove(NAME)
         else:
-            raise ImucaldError(f"{self._store.url}: another run was faster to take the lease")
+            raise ImucaldError(
+                f"{self._store.url}: another run has started in this folder at the "
+                "same time; wait for it, or give this one another --out"
+            )
         self._check()
         return self
 
@@ -70,7 +73,9 @@ class Lease:
     def _check(self) -> None:
         holder = holder_of(self._store)
         if holder is None or holder.token != self._owner.token:
-            raise ImucaldError(f"{self._store.url}: another run has taken this folder over")
+            raise ImucaldError(
+                f"{self._store.url}: another run has taken over this folder, so this run ends"
+            )
 
     def __exit__(self, *_: object) -> None:
         """Give it back, where it is still ours."""

@@ -37,7 +37,7 @@ def list_logs(fleet: Fleet) -> list[Log]:
     found = {log.source: log for pattern in patterns(fleet.settings) for log in _of(fleet, pattern)}
     if not found:
         text = ", ".join(patterns(fleet.settings))
-        raise ImucaldError(f"no log is at {text}")
+        raise ImucaldError(f"there is no log at {text}")
     return [found[source] for source in sorted(found)]
 
 
@@ -46,12 +46,15 @@ def _of(fleet: Fleet, pattern: str, lists: tuple[str, ...] = ()) -> Iterator[Log
     storage = fleet.settings.storage
     url = pattern
     if protocol_of(pattern) == "memory":
-        raise ImucaldError(f"{pattern}: memory lives in one process, logs are read by others")
+        raise ImucaldError(
+            f"{pattern}: logs cannot be read from memory, since other processes "
+            "read them; give files"
+        )
     if protocol_of(pattern) in LOCAL:
         url = str(fleet.folder / bare_path(pattern))
     if url.lower().endswith(LISTS) and not any(c in url for c in "*?["):
         if url in lists:
-            raise ImucaldError(f"{url}: is a list that names itself")
+            raise ImucaldError(f"{url}: this list contains itself")
         for address in _listed(url, storage):
             yield from _of(fleet, address, (*lists, url))
         return

@@ -55,7 +55,9 @@ class FleetTables:
             return self._read[name]
         if name in ANALYSIS:
             return self._analysis[name]
-        raise ImucaldError(f"{name}: is none of {', '.join((*TABLES, *ANALYSIS))}")
+        raise ImucaldError(
+            f"there is no table {name}; there are: {', '.join((*TABLES, *ANALYSIS))}"
+        )
 
     @property
     def drives(self) -> pa.Table:

@@ -60,7 +60,7 @@ def fleet_page(store: Store) -> str:
                 f"{len(found) or ('not known' if unknown else 0)}",
                 "at most 5 % of those between drives false",
             ),
-            ("Stand out from their type", f"{len(analysis['outliers'])}", "vehicles"),
+            ("Differ clearly from their type", f"{len(analysis['outliers'])}", "vehicles"),
             ("Bad batches", f"{len(bad)}", f"of {len(analysis['groups'])}"),
             ("Failed logs", f"{len(failures)}", f"of {tables['sources'].num_rows}"),
         ],

@@ -34,7 +34,7 @@ def analyse_fleet(store: Store, groups: Sequence[str] = GROUPS) -> dict[str, pa.
     """Write all tables of the analysis again; return them. Raises ImucaldError."""
     wrong = [g for g in groups if g not in {c.name for c in TABLES["drives"] if c.kind == "text"}]
     if wrong:
-        raise ImucaldError(f"--group {wrong[0]}: drives has no such column of texts")
+        raise ImucaldError(f"--group {wrong[0]}: the drives table has no text column of this name")
     tables_read = read_tables(store, ("drives", "events"))
     drives, events = tables_read["drives"], tables_read["events"]
     moved = plain_columns(events.filter(pc.equal(events.column("kind"), SHIFT)), OF_SHIFT)
@@ -60,7 +60,9 @@ def plain_columns(table: pa.Table, names: Sequence[str]) -> dict[str, list[Any]]
 def read_analysis(store: Store) -> dict[str, pa.Table]:
     """The tables of the last analysis. Raises ImucaldError where there is none."""
     if not store.exists(main_file("analysis/vehicles")):
-        raise ImucaldError(f"{store.url}: is not analysed yet ('imucald fleet analyse')")
+        raise ImucaldError(
+            f"{store.url}: there is no analysis yet; run 'imucald fleet analyse' first"
+        )
     return {name: read_file(store, main_file(name), ANALYSIS[name]) for name in ANALYSIS}
 
 

@@ -45,7 +45,7 @@ DTYPES: Mapping[str, str] = {
 MORE = (
     Column("source", "text", "", "address of the log"),
     Column("outcome", "text", "", "ok, or the kind of failure"),
-    Column("message", "text", "", "of a failure, for people"),
+    Column("message", "text", "", "message of a failure, for people"),
 )
 """Besides those of `drives`: every log has a row."""
 COLUMNS = (*TABLES["drives"], *MORE)

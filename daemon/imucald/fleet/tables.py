@@ -39,7 +39,7 @@ WRITING: Final[dict[str, Any]] = {
     "write_page_checksum": True,
 }
 PART = "part-"
-REMEDY = "run' sets it aside and evaluates its logs again"
+REMEDY = "run' renames it and evaluates its logs again"
 
 
 class DamagedTableError(ImucaldError):
@@ -141,7 +141,7 @@ def read_file(store: Store, name: str, columns: Sequence[Column]) -> pa.Table:
     except (pa.ArrowException, OSError, ValueError) as error:
         remedy = "analyse' writes it again" if name.startswith("analysis/") else REMEDY
         reason = str(error).splitlines()[0]
-        text = f"{store.url}/{name}: is no Parquet file or a damaged one: {reason}"
+        text = f"{store.url}/{name}: this is not a Parquet file, or it is damaged: {reason}"
         raise DamagedTableError(text, remedy) from None
     return pa.Table.from_arrays(arrays, schema=schema)
 

@@ -50,7 +50,7 @@ class Template:
         try:
             return msgspec.json.decode(answer, type=Outcome)
         except msgspec.DecodeError:
-            text = "the process that watches over it was killed from outside"
+            text = "the process that supervises it was killed from outside"
             return Outcome("crashed", text)
 
     def _send(self, theirs: socket.socket) -> None:

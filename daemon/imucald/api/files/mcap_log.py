@@ -245,7 +245,9 @@ def read_tables(path: Path, about: Mapping[str, Any], tables: Tables) -> dict[st
         reader = library("mcap.reader", "mcap").make_reader(file)
         for schema, channel, message in reader.iter_messages(topics=list(names)):
             if channel.message_encoding != "cdr":
-                raise ImucaldError("its messages are JSON, of an earlier imucald; replay the log")
+                raise ImucaldError(
+                    "an earlier version of imucald wrote its messages as JSON; replay the log again"
+                )
             if schema.name not in known:
                 store.define(schema.name, schema.data.decode())
                 known.add(schema.name)

@@ -100,7 +100,7 @@ def opened(path: Path) -> Iterator[Any]:
     asammdf = library(*Mf4Tables.needs)
     with path.open("rb") as file:
         if file.read(len(SIGNATURE)) != SIGNATURE:
-            raise ImucaldError(f"{path}: is no MF4 file")
+            raise ImucaldError(f"{path}: this is not an MF4 file")
         if why := mf4_end(path):
             raise ImucaldError(f"{path}: cannot be read: {why}")
         file.seek(0)
