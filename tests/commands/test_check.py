@@ -126,7 +126,7 @@ def test_a_speed_that_comes_seldom_is_named_with_what_it_costs(frames, seconds, 
 SIGNAL = "{{signal: {0}, {1}}}"
 MISTAKES = {
     "yaw rate the other way round": (
-        ("ESC_Dynamics.YawRate", "sign: -1"), "yaw_rate", "or remove it where it is set"),
+        ("ESC_Dynamics.YawRate", "sign: -1"), "yaw_rate", "or remove 'sign: -1' if it is set"),
     "yaw rate in another unit": (
         ("ESC_Dynamics.YawRate", "unit: rad/s"), "yaw_rate", "deg against rad"),
     "steering the other way round": (

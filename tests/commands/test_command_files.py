@@ -125,7 +125,7 @@ def test_what_is_no_log_is_one_error_with_the_remedy(run_main, tmp_path, content
     log.write_bytes(content)
     status, text = run_main(*replay(log))
     assert status == 1
-    assert f"{log}: not a log that is known here" in text
+    assert f"{log}: the format of this log is not known" in text
     assert text.count("\n") == 1
 
 
@@ -287,8 +287,8 @@ def test_a_folder_in_place_of_a_log_is_reported_as_one(run_main, tmp_path, comma
     status, text = run_main(*given, tmp_path)
     assert status == 1
     assert text in (
-        f"imucald: {tmp_path}: is a folder; name one of its logs\n",
-        f"imucald: {tmp_path}: no log is there\n",
+        f"imucald: {tmp_path}: this is a folder; name one of its logs\n",
+        f"imucald: there is no log at {tmp_path}\n",
     )
 
 

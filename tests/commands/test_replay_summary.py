@@ -89,7 +89,7 @@ def test_a_stated_mount_that_is_wrong_is_reported_also_after_the_new_one_took_ov
     example = EXAMPLE.read_text().replace("../../dbc", str(ROOT / "dbc"))
     car.write_text(f"{example}calibration: {{mount: {{{stated}}}}}\n")
     assert cli.main(["replay", "--config", str(car), str(log)]) == 0
-    said = "the stated mount is not how the sensor sits in this drive: it is off by"
+    said = "the stated mount does not fit this drive: it is off by"
     text = " ".join(line.strip() for line in capsys.readouterr().out.splitlines())
     assert text.count(said) == 1
     assert cli.main(["replay", "--config", str(car), str(log), "--json", str(out), "--quiet"]) == 0

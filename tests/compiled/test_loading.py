@@ -131,7 +131,7 @@ def test_that_it_is_slow_without_it_is_said_once(tmp_path: Path, command: str) -
     for switch, times in (("0", 1), ("1", int(compiled.kernels is None))):
         variables = os.environ | {SWITCH: switch, "XDG_RUNTIME_DIR": str(tmp_path)}
         done = subprocess.run(arguments, env=variables, check=True, capture_output=True, text=True)
-        assert (done.stdout + done.stderr).count("slow, as there is no compiled part") == times
+        assert (done.stdout + done.stderr).count("slow: the compiled part is missing") == times
 
 
 @needs_kernels

@@ -73,7 +73,7 @@ EXCHANGED = {
 def test_the_vertical_axis_exchanged_in_one_of_both_is_an_error(channel, axes):
     found = list(turning_axis_findings(motion(**{channel: EXCHANGED[axes]})))
     assert [f.level for f in found] == ["error"]
-    assert "another axis than gravity's" in found[0].text
+    assert "an axis that is not vertical" in found[0].text
 
 
 @pytest.mark.slow

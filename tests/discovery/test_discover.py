@@ -288,7 +288,7 @@ def test_the_command_listens_on_a_bus_and_never_sends(tmp_path, drive):
     finally:
         stop.set()
         thread.join()
-    assert "messages of the database" in out.read_text()
+    assert "messages in the database" in out.read_text()
     assert heard == []
 
 

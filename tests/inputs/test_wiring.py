@@ -74,7 +74,7 @@ MISTAKES = {
     ),
     "on at what never is": (
         "  reverse: {signal: GEAR.G, equals: 16}  # here",
-        ["reverse.equals", "G is never 16", "nearest it can be is 15"],
+        ["reverse.equals", "G is never 16", "its nearest possible value is 15"],
     ),
     "on at what is infinite": (
         "  reverse: {signal: GEAR.G, equals: .inf}  # here",
@@ -102,7 +102,7 @@ MISTAKES = {
     ),
     "protection of an unused message": (
         "messages:\n  ACC: {}\n  WHL: {cycle_time: 0.1}  # here",
-        ["messages.WHL", "no signal is taken from this message", "ACC"],
+        ["messages.WHL", "takes no signal from this message", "ACC"],
     ),
     "counter signal": (
         "messages:\n  ACC: {counter: {signal: CNT}}  # here",
@@ -110,7 +110,7 @@ MISTAKES = {
     ),
     "counter modulus": (
         "messages:\n  ACC: {counter: {signal: ACNT, modulus: 17}}  # here",
-        ["messages.ACC", "4 bits do not count 17 values"],
+        ["messages.ACC", "a counter of 4 bits does not have 17 values"],
     ),
     "checksum of no known kind": (
         "messages:\n  ACC: {checksum: {kind: crc9}}  # here",
@@ -185,7 +185,7 @@ def test_a_parallel_sensor_of_two_axes_beside_a_leaning_one_is_refused(tmp_path)
     sensor = "  parallel: [{name: b, kind: angular_rate, x: GYR.GX, y: GYR.GY, id: 0x700}]\n"
     found = mistake(f"{HEAD}{sensor}", tmp_path)
     assert "signals.parallel[0]" in found
-    assert "cannot be levelled" in found
+    assert "must be mounted level" in found
     level = "calibration: {estimator: published, method_a: {level: false}}\n"
     compile_router(load(f"{HEAD}{sensor}{level}", tmp_path))
     compile_router(load(f"{LEVEL}{sensor}", tmp_path))

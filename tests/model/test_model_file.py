@@ -35,7 +35,7 @@ def test_a_model_file_needs_only_what_differs(tmp_path):
         ("chassis:\n\n  mass_kg: -3\n", ":3: chassis.mass_kg", "greater than 0"),
         ("accel:\n  bias: [1, 2]\n", ":2: accel.bias", ""),
         ("accel:\n  bias:\n    - 0\n    - .nan\n    - 0\n", ":4: accel.bias[1]", "finite"),
-        ("route:\n  launch_mps2: [3, 1]\n", ":1: route", "lower bound comes first"),
+        ("route:\n  launch_mps2: [3, 1]\n", ":1: route", "write the lower bound first"),
         ("chassis:\n  cg_to_front_m: 9\n", ":1: chassis", "shorter than wheelbase"),
         ("chassis:\n  understeer_gradient: -1\n", ":1: chassis", "understeer_gradient"),
         ("mount:\n  shifts:\n  - {t_s: 9}\n  - {t_s: 3}\n", ":1: mount", "order of time"),
@@ -82,7 +82,7 @@ def test_a_parameter_that_is_not_there_has_its_likes_and_the_place_of_the_list_n
     with pytest.raises(ConfigError) as found:
         VehicleModel().with_changes({"road.crown_men": 1})
     assert "did you mean road.crown_mean" in str(found.value)
-    with pytest.raises(ConfigError, match="'simulate --write-model FILE' lists all"):
+    with pytest.raises(ConfigError, match="'imucald simulate --write-model FILE' lists all"):
         VehicleModel().with_changes({"vehicle.x": 1})
 
 

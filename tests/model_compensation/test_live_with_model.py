@@ -229,10 +229,10 @@ def test_commands_tell_of_the_model(bench, capsys):
     log, config = str(bench.folder / "shuttle.log"), str(bench.config)
     result = bench.folder / "result.json"
     assert cli.main(["replay", log, "--config", config, "--json", str(result)]) == 0
-    assert "not used of the model: wind" in capsys.readouterr().err
+    assert "part of the model that is not used: wind" in capsys.readouterr().err
     found = json.loads(result.read_text())["model"]
     assert found["taken_out"] == ["accel.bias"]
-    assert found["not_used"] == ["wind: is not known to this version, ignored"]
+    assert found["not_used"] == ["wind: this version does not know it; it is ignored"]
     cli.main(["check", log, "--config", config, "--json"])
     findings = json.loads(capsys.readouterr().out)["findings"]
     assert {"level": "note", "quantity": "model", "text": found["not_used"][0]} in findings

@@ -59,7 +59,11 @@ def test_switches_are_obeyed(tmp_path):
         ("accel:\n  bias: [1, 2]\n", ":2: accel.bias", "list of length 3"),
         ("accel:\n  bias: [1, 2, x]\n", ":2: accel.bias[2]", "must be a number"),
         ("accel:\n  bias: [1, 2, true]\n", ":2: accel.bias[2]", "must be a number"),
-        ("accel:\n\n  scale: [0, -0.9, 0]\n", ":3: accel.scale", "gain that can be undone"),
+        (
+            "accel:\n\n  scale: [0, -0.9, 0]\n",
+            ":3: accel.scale",
+            "is a gain that cannot be corrected",
+        ),
         ("gyro: 3\n", ":1: gyro", "mapping"),
         ("- 1\n", ":1:", "mapping"),
         ("speed: {scale: .nan}\n", ":1: speed.scale", "finite"),
@@ -102,7 +106,7 @@ def test_what_cannot_be_used_is_reported():
         "accel.bias_temperature: needs signals.temperature",
         "accel.lowpass_hz",
         "accel.delay_s",
-        "mount: the model's angles are not used",
+        "mount: the angles in the model are not used",
         "mount.shifts",
         "mount.lever_arm_m: needs signals.gyroscope",
         "yaw_rate.stuck",
@@ -110,7 +114,7 @@ def test_what_cannot_be_used_is_reported():
         "heading",
         "aerodynamics: is not known",
         "suspension.anti_roll: is not known",
-        "suspension: left in",
+        "suspension: not corrected",
     ):
         assert part in told, part
     with_all = " ".join(compensation_from_model(model).notes_for(ALL))

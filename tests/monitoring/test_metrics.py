@@ -151,7 +151,7 @@ def test_the_text_file_takes_the_place_of_no_pipe_link_folder_or_socket(tmp_path
         was = place.lstat()
         asked = ["metrics", "--socket", str(tmp_path / "none.sock"), "--textfile", str(place)]
         assert cli.main(asked) == 1
-    assert f"{place}: is no regular file" in capsys.readouterr().err
+    assert f"{place}: this is not a regular file" in capsys.readouterr().err
     assert (place.lstat().st_ino, place.lstat().st_mode) == (was.st_ino, was.st_mode)
     assert target.read_text() == "old\n"
     assert {p.name for p in tmp_path.iterdir()} == {"target.txt", "x.prom"}

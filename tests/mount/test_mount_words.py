@@ -131,7 +131,7 @@ def test_the_line_for_systemd_has_now_target_and_words():
 @pytest.mark.parametrize(
     ("turn", "words"),
     [
-        (None, "it shows as +3.6 deg about the forward axis"),
+        (None, "the drive shows +3.6 deg about the forward axis"),
         ([0.4, 9.9, -0.8], "by +9.9 deg about the left axis"),
         ([0.02, 0.0, -0.03], "by less than 0.1 deg"),
         ([6.0, -8.0, 0.0], "by 10.0 deg (+6.0, -8.0, +0.0 about x, y, z)"),
@@ -144,6 +144,6 @@ def test_a_moved_sensor_is_said_by_the_mounts_before_and_after_where_both_are_kn
 
 def test_a_change_within_its_interval_is_worded_as_evidence_and_not_as_a_move():
     borne = {"t": 5.0, "angle": "yaw", "size_deg": 0.3, "turn_deg": None, "within_deg": 1.0}
-    expected = "the evidence of yaw changed by +0.3 deg, within ±1.0 deg: the interval is wider"
+    expected = "the evidence of yaw changed by +0.3 deg, within ±1.0 deg: the interval was widened"
     assert change_words(borne) == expected
     assert change_words(borne | {"within_deg": None}).startswith("the sensor was found moved: ")

@@ -233,7 +233,7 @@ def test_a_statement_is_not_called_wrong_where_the_drive_agrees_with_it_and_doub
     inner.say(MountState.USABLE, STORED, 1.0)
     run(estimator, 30.0)
     inner.say(MountState.SUSPECT, STORED, 1.0)
-    own = dict.fromkeys(ANGLES, "the mount moves by 2.0 deg within the drive")
+    own = dict.fromkeys(ANGLES, "the mount has moved by 2.0 deg in this drive")
     inner.answer = replace(inner.answer, waiting_for=own)
     run(estimator, 30.0)
     estimate = estimator.estimate()

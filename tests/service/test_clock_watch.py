@@ -77,4 +77,4 @@ def test_the_service_says_that_the_clock_was_set_and_counts_it(tmp_path, capfd, 
     status = service.status()
     service.close()
     assert status["process"]["clock_set"] == 1
-    assert "the system's clock was set by -7200.0 s" in capfd.readouterr().err
+    assert "the clock of the system was set by -7200.0 s" in capfd.readouterr().err

@@ -24,7 +24,10 @@ sys.exit(cli.main(sys.argv[2:]))
 
 @pytest.mark.parametrize(
     ("name", "done"),
-    [("SIGHUP", "was read again"), ("SIGUSR1", "there is no sensor check without attitude")],
+    [
+        ("SIGHUP", "was read again"),
+        ("SIGUSR1", "there is no sensor check, since 'attitude' is not enabled"),
+    ],
 )
 def test_a_signal_while_it_starts_ends_nothing_and_is_obeyed(name, done, tmp_path):
     config = str(shuttle.write(tmp_path, cycles=1))

@@ -88,13 +88,13 @@ def listening(path: Path, backlog: int = 8) -> Iterator[socket.socket]:
 
 def test_a_daemon_that_does_not_answer_is_busy_and_not_absent(tmp_path, capsys):
     path = tmp_path / "status.sock"
-    with listening(path), pytest.raises(BusyError, match="daemon runs there and gave no answer"):
+    with listening(path), pytest.raises(BusyError, match="daemon runs but did not answer"):
         ask(path, "status", 0.1)
-    with pytest.raises(LinkError, match="is the daemon running there") as found:
+    with pytest.raises(LinkError, match="Is the daemon running") as found:
         ask(path, "status", 0.1)
     assert not isinstance(found.value, BusyError)
     assert main(["status", "--socket", str(path)]) == 3
-    assert "is the daemon running there" in capsys.readouterr().err
+    assert "Is the daemon running" in capsys.readouterr().err
 
 
 def test_a_full_queue_is_busy_too(tmp_path):
@@ -138,7 +138,7 @@ def test_an_order_is_given_once_and_busy_has_an_exit_status_of_its_own(tmp_path,
         assert main(order) == 8
         assert asked == []
         assert main(order) == 0
-    assert "a daemon runs there" in capsys.readouterr().err
+    assert "the daemon runs but did not answer" in capsys.readouterr().err
 
 
 def test_status_of_a_daemon_that_does_not_answer_has_an_exit_status_of_its_own(tmp_path, capsys):

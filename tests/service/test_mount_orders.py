@@ -238,7 +238,11 @@ def test_a_configured_mount_that_is_too_vague_is_refused_with_its_line(bench, ca
 
 @pytest.mark.parametrize(
     ("roll", "yaw", "words"),
-    [(180, 0, "puts z down, and 'orientation' says up: z"), (0, 180, "puts x back"), (30, 40, "")],
+    [
+        (180, 0, "turns z down, but 'orientation' says up: z"),
+        (0, 180, "turns x back"),
+        (30, 40, ""),
+    ],
 )
 def test_a_stated_mount_that_contradicts_the_orientation_is_refused(
     bench, capsys, roll, yaw, words
@@ -323,7 +327,7 @@ def test_a_control_socket_that_others_cannot_open_names_sudo(bench, capsys, monk
 @pytest.mark.parametrize("std", [1e-300, 1e-6, 0.0099])
 def test_a_mount_that_is_stated_finer_than_any_is_known_is_refused(tmp_path, std):
     service = Bench(tmp_path).service()
-    with pytest.raises(OrderError, match=r"finer than any mount is known: it must be 0.01 deg"):
+    with pytest.raises(OrderError, match=r"no mount is known so well: it must be 0.01 deg"):
         service.orders.set_mount(KnownMount(0.0, 0.0, 40.0, std), "root (pid 7)")
     assert "±0.02" in service.orders.set_mount(KnownMount(0.0, 0.0, 40.0, 0.01), "root (pid 7)")
     service.close()

@@ -223,8 +223,8 @@ def test_a_reload_that_waits_for_one_that_hangs_is_reported_once_and_done_in_the
     made.reloading.ask()
     for _ in range(5):
         made.reloading.poll()
-    assert made.log.getvalue().count("a reload waits") == 1
-    assert "still being read, since 7 s" in made.log.getvalue()
+    assert made.log.getvalue().count("the reload must wait") == 1
+    assert "still being read after 7 s" in made.log.getvalue()
     made.go_on.set()
     made.wait_for(2)
     assert "not reloaded" not in made.log.getvalue()
@@ -240,6 +240,6 @@ def test_a_reload_that_hangs_is_reported_though_nobody_asks_for_another():
     made.now = LONG_S + 1.0
     for _ in range(5):
         made.reloading.poll()
-    assert made.log.getvalue().count("does a file (network, disk) not answer?") == 1
+    assert made.log.getvalue().count("perhaps a disk or network drive does not answer") == 1
     made.go_on.set()
     made.wait_for(1)

@@ -408,7 +408,7 @@ def test_the_command_answers_status_reloads_and_stops_within_a_second(bench):
         assert time.monotonic() - began < 1.0
         assert daemon.stderr is not None
         assert "was read again" in daemon.stderr.read()
-        assert "is the daemon running" in output_of(*command, "status", *asked, status=(3,))
+        assert "Is the daemon running" in output_of(*command, "status", *asked, status=(3,))
     finally:
         daemon.kill()
 

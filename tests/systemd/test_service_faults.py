@@ -186,7 +186,7 @@ def test_root_gives_orders_to_the_sandboxed_daemon_and_nobody_else_does(outcome)
     found = scene(outcome, "ordered")
     assert found["mode"] == "0o600"
     assert found["others"][0] == 1
-    assert "only root may give orders" in found["others"][1]
+    assert "run it as root: sudo" in found["others"][1]
     assert found["state"] in {"usable", "fine"}
     assert found["hold"][0] == 0, found["hold"]
     assert (found["held"], found["held_after"]) == (True, True), "a hold outlasts a restart"

@@ -305,7 +305,7 @@ class Decoding:
         """What is missing, and what that costs."""
         config = self.loaded.config
         if not self._has("accel"):
-            text = "no sample of it came: nothing can be calibrated"
+            text = "no sample came, and nothing can be calibrated without it"
             yield Finding("error", "accelerometer", text)
         if not self._has("speed"):
             yield Finding("warning", "speed", _NO_SPEED + self._direction_without_speed())

@@ -40,7 +40,7 @@ def median(values: Iterable[float]) -> float:
     """Return the median; of an even number the mean of the middle two. ValueError: no value."""
     ordered = values if isinstance(values, np.ndarray) else sorted(values)
     if not len(ordered):
-        raise ValueError("no value has no median")
+        raise ValueError("an empty array has no median")
     middle = len(ordered) // 2
     if isinstance(ordered, np.ndarray):  # as far as it matters
         ordered = np.partition(ordered, (max(middle - 1, 0), middle))

@@ -89,8 +89,9 @@ def slow_words() -> str:
     if kernels is not None:
         return ""
     return (
-        f"slow, as there is no compiled part ({state}): results are the same, a replay takes some "
-        "15 times as long; with gcc and python3-dev at installation it is built"
+        f"slow: the compiled part is missing ({state}). Results are the same, but a replay "
+        "takes about 15 times as long. Install gcc and python3-dev, then install imucald "
+        "again"
     )
 
 

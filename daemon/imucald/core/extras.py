@@ -12,5 +12,5 @@ def how_to_install(extra: str) -> str:
     if __file__.startswith(PACKAGED):
         if extra in IN_WORKBENCH:
             return "install the Debian package imucald-workbench"
-        return f"no Debian package has it; in an environment: pip install '.[{extra}]'"
+        return f"no Debian package contains it; in a Python environment: pip install '.[{extra}]'"
     return f"pip install '.[{extra}]' in imucald's checkout"

@@ -137,7 +137,9 @@ def _refuse_other(path: Path, found: os.stat_result) -> None:
     if stat.S_ISDIR(found.st_mode):
         raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR), str(path))
     if not stat.S_ISREG(found.st_mode):
-        raise OSError(errno.EINVAL, "is a pipe, a device or a socket, no regular file", str(path))
+        raise OSError(
+            errno.EINVAL, "is a pipe, a device or a socket, not a regular file", str(path)
+        )
 
 
 try:

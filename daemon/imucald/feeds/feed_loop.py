@@ -111,4 +111,4 @@ class Feed:
         self._next_try = self._clock() + many * self._pause
         if text != self._last_error:
             self._last_error = text
-            self._say(f"{text}; trying again, at last every {LONGEST_PAUSE_S:g} s")
+            self._say(f"{text}; trying again, with pauses of up to {LONGEST_PAUSE_S:g} s")

@@ -69,7 +69,7 @@ class KuksaReceiver:
         except self._library.VSSClientError as error:
             raise self._unreached(error) from None
         except Exception as error:
-            text = f"{self._broker}: no use can be made of its answer: {type(error).__name__}"
+            text = f"{self._broker}: its answer cannot be understood: {type(error).__name__}"
             raise ReceiverError(f"{text}: {' '.join(str(error).split())[:200]}") from None
 
     def connect(self) -> None:
@@ -91,7 +91,7 @@ class KuksaReceiver:
         self._client.connect()
         self._types = {path: kind for path in PATHS if (kind := self._type_of(path)) is not None}
         if not self._types:
-            raise ReceiverError(f"{self._broker} knows none of {', '.join(PATHS)}")
+            raise ReceiverError(f"{self._broker} does not know any of {', '.join(PATHS)}")
         self._say(f"{self._broker} takes {len(self._types)} signals")
 
     def _type_of(self, path: str) -> Any:
@@ -103,8 +103,8 @@ class KuksaReceiver:
                 raise
         if path not in self._reported:
             self._reported.add(path)
-            hint = "; load config/imucald-vss.json for it" if path.startswith(OWN) else ""
-            self._say(f"{self._broker} does not know {path}: not handed on{hint}")
+            hint = "; load config/imucald-vss.json into the broker" if path.startswith(OWN) else ""
+            self._say(f"{self._broker} does not know {path}, so it is not sent{hint}")
         return None
 
     def publish(self, reading: Reading) -> None:
@@ -142,7 +142,7 @@ class KuksaReceiver:
             try:
                 self._set(dict.fromkeys(self._types))
             except ReceiverError as error:
-                self._say(f"{error}; its last values stand")
+                self._say(f"{error}; the broker keeps the last values")
             self.disconnect()
 
     @property

@@ -77,7 +77,9 @@ class MqttReceiver:
             try:
                 client.tls_set(str(settings.ca))
             except (OSError, ValueError) as error:
-                raise ConfigError(f"{settings.ca}: no certificates to trust: {error}") from None
+                raise ConfigError(
+                    f"{settings.ca}: the certificates cannot be used: {error}"
+                ) from None
         client.on_connect = self._connected
         client.on_connect_fail = lambda *_: self._report("cannot be reached")
         client.on_disconnect = self._disconnected

@@ -45,7 +45,7 @@ class Expression:
         try:
             tree = ast.parse(text.strip(), mode="eval")
         except (SyntaxError, ValueError, RecursionError, MemoryError) as error:
-            raise ConfigError(f"cannot read the expression {text!r}: {error}") from None
+            raise ConfigError(f"the expression {text!r} cannot be read: {error}") from None
         self.needs = 0
         self._check(tree.body)
         scalar = ast.Expression(_Scalar().visit(tree.body))
@@ -57,7 +57,9 @@ class Expression:
         """Refuse what is not in the language; return a bound on the magnitude of the value."""
         bound = self._bound(node)
         if bound > MAX_MAGNITUDE:
-            raise ConfigError(f"{ast.unparse(node)!r} can exceed 2^53: columns would not be exact")
+            raise ConfigError(
+                f"{ast.unparse(node)!r} can exceed 2^53, where numbers are no longer exact"
+            )
         return bound
 
     def _bound(self, node: ast.expr) -> float:
@@ -110,9 +112,7 @@ class Expression:
         for part in ast.walk(node):
             fraction = isinstance(part, ast.Constant) and not isinstance(part.value, int)
             if fraction or isinstance(part, ast.Div | ast.Compare | ast.BoolOp | ast.Not):
-                raise ConfigError(
-                    f"bit operations in {self.text!r} need whole numbers on both sides"
-                )
+                raise ConfigError(f"bit operations in {self.text!r} need an integer on both sides")
 
     def _check_shift(self, right: ast.expr) -> None:
         if not (

@@ -60,7 +60,9 @@ def as_decoded(signal: Signal, value: float) -> float:
     except (OverflowError, ValueError):  # infinite, no number, or beyond all that a bus carries
         raise ConfigError(f"{signal.name} is never {value:g}") from None
     if abs(found - value) > 1e-6 * abs(scale):
-        raise ConfigError(f"{signal.name} is never {value:g}; the nearest it can be is {found:g}")
+        raise ConfigError(
+            f"{signal.name} is never {value:g}; its nearest possible value is {found:g}"
+        )
     return found
 
 
@@ -74,7 +76,7 @@ def check_raw(signal: Signal, raw: int) -> int:
     text = f"{signal.name} is never {raw}: its raw numbers are {low} to {high}"
     size = 1 << signal.length
     if signal.is_signed and high < raw < size:
-        text += f"; the same bits as a signed number are {raw - size}"
+        text += f"; as a signed number, these bits are {raw - size}"
     raise ConfigError(text)
 
 

@@ -267,7 +267,7 @@ def _step(signal: Signal | None, unit: Unit) -> float:
 def _unit(text: str | None, dimension: str) -> Unit:
     if not text and dimension != "flag":
         names = ", ".join(unit_names(dimension))
-        raise ConfigError(f"no unit is stated (one of {names})")
+        raise ConfigError(f"no unit is stated; use one of: {names}")
     return find_unit(text or "", dimension)
 
 
@@ -300,7 +300,7 @@ def _raw_route(
         raise loaded.error((*wanted.place, "raw"), str(error)) from None
     if wanted.source.unit is None and wanted.dimension != "flag":
         names = ", ".join(unit_names(wanted.dimension))
-        raise loaded.error(wanted.place, f"a raw source needs 'unit:' (one of {names})")
+        raise loaded.error(wanted.place, f"a raw source needs 'unit:'; use one of: {names}")
     match = IdMatch(
         raw.id | (CAN_EFF_FLAG if raw.is_extended else 0),
         CAN_EFF_MASK if raw.is_extended else CAN_SFF_MASK,
@@ -386,7 +386,9 @@ def _refuse_unknown_messages(loaded: LoadedConfig, used: Collection[str]) -> Non
         if name not in used:
             known = ", ".join(sorted(used))
             raise loaded.error(
-                ("messages", name), f"no signal is taken from this message (from: {known})"
+                ("messages", name),
+                "the configuration takes no signal from this message; it "
+                f"takes signals from: {known}",
             )
 
 
@@ -401,7 +403,7 @@ def _refuse_unknown_checksums(loaded: LoadedConfig) -> None:
     for place, kind, kinds in asked:
         known = (NO_CHECKSUM, *kinds)
         if kind not in known:
-            text = f"{kind!r} is no kind of checksum (known: {', '.join(known)})"
+            text = f"{kind!r} is not a known kind of checksum (known: {', '.join(known)})"
             raise loaded.error(place, text)
 
 

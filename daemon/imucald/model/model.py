@@ -74,7 +74,9 @@ class VehicleModel(Section, frozen=True):
     def __post_init__(self) -> None:
         fastest = max(self.accel.rate_hz, self.gyro.rate_hz)
         if self.grid_hz < fastest:
-            raise ValueError(f"grid_hz must be at least the inertial sensor's rate, {fastest:g}")
+            raise ValueError(
+                f"grid_hz must be at least the rate of the inertial sensor, {fastest:g}"
+            )
 
     def dump(self) -> dict[str, Any]:
         """Return every key and its value as plain data (mappings, lists, numbers, texts)."""
@@ -110,7 +112,7 @@ def _near(key: str, data: Mapping[str, Any]) -> str:
 
     near = difflib.get_close_matches(key, list(_dotted(data)), n=3)
     hint = f"; did you mean {' or '.join(near)}?" if near else ";"
-    return f"{hint} 'simulate --write-model FILE' lists all"
+    return f"{hint} 'imucald simulate --write-model FILE' lists all parameters"
 
 
 def _dotted(data: Mapping[str, Any], above: str = "") -> Iterator[str]:

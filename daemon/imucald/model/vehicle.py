@@ -74,7 +74,8 @@ class Chassis(Section, frozen=True):
         limit = -self.wheelbase_m / MAX_SPEED_MPS**2
         if self.understeer_gradient < limit:
             raise ValueError(
-                f"understeer_gradient below {limit:.4f} makes a vehicle that spins at speed"
+                f"understeer_gradient must not be below {limit:.4f}: the vehicle would "
+                "spin at high speed"
             )
 
 
@@ -161,7 +162,7 @@ class DriveRoute(Section, frozen=True):
         for name in ("launch_mps2", "braking_mps2", "lateral_mps2"):
             low, high = getattr(self, name)
             if low > high:
-                raise ValueError(f"{name}: the lower bound comes first")
+                raise ValueError(f"{name}: write the lower bound first")
 
 
 class ScheduledShift(Section, frozen=True):
@@ -187,4 +188,4 @@ class Mount(Section, frozen=True):
     def __post_init__(self) -> None:
         times = [shift.t_s for shift in self.shifts]
         if times != sorted(times):
-            raise ValueError("shifts must be in order of time")
+            raise ValueError("shifts must be in the order of their times")

@@ -55,13 +55,16 @@ class ModelCompensation:
         for channel, triad in (("accel", terms.accel), ("gyro", terms.gyro)):
             if any(triad.bias_temperature) and "temperature" not in channels:
                 found.append(
-                    f"{channel}.bias_temperature: needs signals.temperature; the bias is that at "
-                    "25 degC"
+                    f"{channel}.bias_temperature: needs signals.temperature; without it, the "
+                    "bias at 25 degC is used"
                 )
         if any(terms.lever_arm) and "gyro" not in channels:
-            found.append("mount.lever_arm_m: needs signals.gyroscope, left in")
+            found.append(
+                "mount.lever_arm_m: needs signals.gyroscope; without it, its effect is "
+                "not corrected"
+            )
         if not terms.suspension.neutral and not self.suspension:
-            found.append("suspension: left in, as compensate_suspension is off")
+            found.append("suspension: not corrected, since compensate_suspension is off")
         return found
 
     def compensated(self, channels: Collection[str]) -> list[str]:

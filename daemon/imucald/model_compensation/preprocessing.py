@@ -45,7 +45,7 @@ class PreprocessingChain:
 
     def words(self) -> str:
         """One line: which model, and what of it is taken out."""
-        return f"model {self.name}: takes out {', '.join(self.used) or 'nothing'}"
+        return f"model {self.name}: corrects {', '.join(self.used) or 'nothing'}"
 
     def summary(self) -> dict[str, Any]:
         """The same as JSON has it."""

@@ -81,7 +81,7 @@ class _Reader:
     def terms(self) -> Terms:
         wheels = self._value("wheel_speeds", "scale", (0.0,) * 4)
         if min(wheels) <= SCALE_RANGE[0]:
-            self._file.refuse("wheel_speeds", "scale", "is no error of a wheel speed")
+            self._file.refuse("wheel_speeds", "scale", "is not an error of a wheel speed")
         scalars = {name: self._scalar(name) for name in SCALARS}
         found = Terms(
             accel=self._triad("accel"),
@@ -109,23 +109,27 @@ class _Reader:
     def notes(self) -> list[str]:
         """What of the model is not used, a line each."""
         file = self._file
-        found = [f"{key}: is not known to this version, ignored" for key in file.unknown]
+        found = [f"{key}: this version does not know it; it is ignored" for key in file.unknown]
         if any(file.is_set("mount", f"{a}_deg") for a in ("roll", "pitch", "yaw")):
-            found.append("mount: the model's angles are not used, the daemon finds its own")
+            found.append(
+                "mount: the angles in the model are not used; the daemon finds them itself"
+            )
         if file.is_set("mount", "shifts"):
-            found.append("mount.shifts: those of the model are not used, the daemon finds its own")
+            found.append(
+                "mount.shifts: the shifts in the model are not used; the daemon finds them itself"
+            )
         for section in FILTERED:
             corner = self._value(section, "lowpass_hz")
             if corner is not None and corner < NARROW_HZ:
                 found.append(
-                    f"{section}.lowpass_hz: what a filter of {corner:g} Hz took away does not "
-                    "come back; only its delay is known"
+                    f"{section}.lowpass_hz: only the delay of the filter ({corner:g} Hz) is "
+                    "corrected; what it removed cannot be restored"
                 )
         for section in ("accel", "gyro"):
             if self._value(section, "delay_s", 0.0) > 0.0:
                 found.append(
-                    f"{section}.delay_s: is used to find the mount; the corrected signal stays "
-                    "as late as the sensor's"
+                    f"{section}.delay_s: used to find the mount; the corrected signal is as "
+                    "late as that of the sensor"
                 )
         for section in file.sections:
             for key in ("dropouts", "stuck", "clock_drift_ppm", "slip_events"):
@@ -141,7 +145,7 @@ class _Reader:
         scale = self._value(section, "scale", ZERO)
         inverse = inverse_gain(scale, self._value(section, "cross_axis", (*ZERO, *ZERO)))
         if inverse is None:
-            self._file.refuse(section, "scale", "is no gain that can be undone")
+            self._file.refuse(section, "scale", "is a gain that cannot be corrected")
             return TriadTerms()
         return TriadTerms(
             inverse,

@@ -59,7 +59,8 @@ class SpeedIntervalMaker:
     def __init__(self, block_s: float, delay: float, timeout: float) -> None:
         if not MIN_SPEED_DELAY <= delay <= MAX_SPEED_DELAY:
             raise EstimateError(
-                f"speed delay of {delay} s: from {MIN_SPEED_DELAY} to {MAX_SPEED_DELAY} s"
+                f"a speed delay of {delay} s is not possible: it must be "
+                f"{MIN_SPEED_DELAY} to {MAX_SPEED_DELAY} s"
             )
         self._block_s = block_s
         self._delay = delay

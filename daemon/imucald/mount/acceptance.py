@@ -30,13 +30,14 @@ TURNED_SIDES = (
 )
 """The same where such a signal is there, and turned."""
 WHY_GRAVITY_MOVED = (
-    "more bends: gravity has moved in the sensor, and bends show whether the sensor was turned or "
-    "its accelerometer's zero has changed"
+    "more bends: gravity has another direction in the sensor. Bends show whether the sensor "
+    "was turned or the zero of its accelerometer has changed"
 )
 SIGNS = "check of the signs"
 WATCH = "moved-sensor watch"
 LATE_SPEED = (
-    f"a speed with less delay: it seems more than {MAX_SPEED_DELAY:g} s behind the accelerometer"
+    f"a speed with less delay: it seems to be more than {MAX_SPEED_DELAY:g} s behind the "
+    "accelerometer"
 )
 
 
@@ -82,11 +83,11 @@ class Acceptance(Struct, frozen=True):
         """What an estimate whose deviations are small enough lacks to be *fine*, in words."""
         if self.changes.is_loose:
             times = counted(len(self.changes.history), "time")
-            return f"a sensor that stays in its place: it moved {times} in this drive"
+            return f"a sensor that is fixed firmly: it moved {times} in this drive"
         if self.has_no_sides:
             return TURNED_SIDES if NOT_CONFIRMED in self.checks.not_checked else NO_SIDES
         if not self.is_armed:
-            return "more driving, until a small move of the sensor would be noticed"
+            return "more driving, so that a small move of the sensor would be noticed"
         return "more turns and changes of speed, to check that the signals agree"
 
     @property

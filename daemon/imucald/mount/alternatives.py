@@ -221,11 +221,14 @@ class Alternatives:
         ):
             return "some bends, to check that no sign is wrong"
         if self._gyro.blocks and not self._gyro.is_seen(least):
-            return "some slopes, to check the gyroscope's axes against the accelerometer's"
+            return (
+                "some slopes, to check the axes of the gyroscope against those of the accelerometer"
+            )
         if not self._knows_forward:
             if "reverse" in self._signals:
                 return (
-                    "driving with 'reverse' off: 100 m and two thirds of the way, or above 40 km/h"
+                    "driving forward ('reverse' off): at least 100 m and two thirds of "
+                    "the way, or faster than 40 km/h"
                 )
             return "a speed above 40 km/h: below it, forwards and backwards look the same"
         return None

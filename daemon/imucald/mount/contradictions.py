@@ -94,20 +94,23 @@ WORDS = {
     StandingFault.GYRO_GAIN: "the gyroscope's unit is wrong",
     StandingFault.SPEED_GAIN: "the speed's unit is wrong",
     StandingFault.GYRO_AXES: "the gyroscope's axes do not fit the accelerometer's: one of them "
-    "has a wrong sign or two exchanged axes, or the sensor sways in its holder",
+    "has a wrong sign or two exchanged axes, or the sensor moves in its "
+    "holder",
     StandingFault.ORIENTATION: "the axis that 'orientation: {up: ...}' names points down: that "
-    "line is wrong, or all signs of the accelerometer are ('sign: -1')",
+    "line is wrong, or all signs of the accelerometer are wrong "
+    "('sign: -1')",
     StandingFault.FORWARD: "the axis that 'orientation: {forward: ...}' names points backward: "
-    "that line is wrong, or the reverse signal is",
+    "that line or the reverse signal is wrong",
     StandingFault.ACCEL_LEVEL: "the accelerometer's zero or gain has changed during the drive: "
     "gravity is larger or smaller than before",
-    StandingFault.ACCEL_ZERO: "the accelerometer's zero has changed during the drive: gravity "
-    "has moved in the sensor, and the gyroscope's axis of turning has not",
-    StandingFault.ACCEL_DRIFT: "the accelerometer's zero drifts: its error stays the same in "
+    StandingFault.ACCEL_ZERO: "the accelerometer's zero has changed during the drive: the "
+    "direction of gravity in the sensor has changed, but the axis "
+    "about which the gyroscope turns has not",
+    StandingFault.ACCEL_DRIFT: "the accelerometer's zero drifts: its error does not depend on "
     "bends, and grows",
     StandingFault.REVERSE: "the vehicle is in reverse at more than 40 km/h: 'reverse' "
-    "('equals:', 'above:') is wrong, or the sign of the speed is",
-    StandingFault.NUMERICS: "numbers out of range: a unit is wrong",
+    "('equals:', 'above:') or the sign of the speed is wrong",
+    StandingFault.NUMERICS: "some numbers are out of range: a unit is wrong",
 }
 
 

@@ -93,7 +93,7 @@ def mount_troubles(
         if size:
             moved[angle] = math.degrees(size)
     return {
-        angle: f"the mount moves by {abs(degrees):.1f} deg within the drive"
+        angle: f"the mount has moved by {abs(degrees):.1f} deg in this drive"
         for angle, degrees in moved.items()
     }
 

@@ -37,11 +37,12 @@ LEAST_LEFT_OUT_S = 1.0
 LEAST_SHOWN_DEG = 0.1
 """A smaller turn is not shown as a number: it would be rounded to zero."""
 UPSIDE_DOWN = (
-    "upside down and backwards: if the sensor sits so, state it: 'calibration: {orientation: {up: "
-    "AXIS}}'; if not, its accelerometer has inverted signs: give its axes 'sign: -1'"
+    "the sensor seems to be upside down and backwards. If it is, write 'calibration: "
+    "{orientation: {up: AXIS}}'. If not, its accelerometer has inverted signs: set 'sign: "
+    "-1' on its axes"
 )
-STATED_WRONG = "the stated mount is not how the sensor sits in this drive"
-SAVED_WRONG = "the mount of an earlier drive is not how the sensor sits in this drive"
+STATED_WRONG = "the stated mount does not fit this drive"
+SAVED_WRONG = "the mount of an earlier drive does not fit this drive"
 """What is reported of a mount that the drive contradicts."""
 UNKNOWN_STD_DEG = math.degrees(1.0)
 """An angle with a larger standard deviation is as good as unknown [deg]."""
@@ -216,7 +217,7 @@ def contradicted_words(turned_deg: float | None, is_given: bool = True) -> str:
     """
     text = STATED_WRONG if is_given else SAVED_WRONG
     if turned_deg is None:
-        return f"{text}: with it, gravity is farther off the vertical than on any road"
+        return f"{text}: it would tilt gravity more than any road does"
     return f"{text}: it is off by {turned_deg:.0f} deg"
 
 
@@ -261,10 +262,10 @@ def moved_words(shift: Mapping[str, Any]) -> str:
         if turn is not None:
             return f"the mount was determined again and is the same, {within}"
         change = f"the evidence of {shift['angle']} changed by {shift['size_deg']:+.1f} deg"
-        return f"{change}, {within}: the interval is wider"
+        return f"{change}, {within}: the interval was widened"
     if turn is None:
         axis = dict(zip(ANGLES, VEHICLE_AXES, strict=True))[shift["angle"]]
-        return f"it shows as {shift['size_deg']:+.1f} deg about the {axis}"
+        return f"the drive shows {shift['size_deg']:+.1f} deg about the {axis}"
     largest = max(range(3), key=lambda axis: abs(turn[axis]))
     angle = math.hypot(*turn)
     if angle < LEAST_SHOWN_DEG:

@@ -74,7 +74,7 @@ class GravityMoved(enum.Enum):
     NOTHING = "nothing that is asked about"
     UNKNOWN = "not known yet"
     TURNED = "the sensor was turned"
-    STEPPED = "a zero of the accelerometer stepped"
+    STEPPED = "a zero of the accelerometer has jumped"
 
 
 class SeenOver(Struct, frozen=True):

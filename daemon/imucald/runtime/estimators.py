@@ -91,14 +91,16 @@ def known_mount(mount: KnownMount, targets: Targets | None) -> StoredMount:
 
     std, state = np.array(mount.std), MountState.USABLE
     if (finest := std.min()) < FINEST_STATED:
-        text = f"{math.degrees(finest):.3g} deg is finer than any mount is known: it must be "
+        text = (
+            f"{math.degrees(finest):.3g} deg is too small, no mount is known so well: it must be "
+        )
         raise EstimateError(f"{text}{math.degrees(FINEST_STATED):g} deg or more")
     if targets is not None:
         for s, limit, axis in zip(std, targets.usable, "xyz", strict=True):
             if s >= limit:
                 text = f"{math.degrees(s):.3g} deg about {axis} is too vague for a usable mount"
                 better = f"it must be below {math.degrees(limit):.3g} deg"
-                raise EstimateError(f"{text}: {better}, or the mount must be learnt")
+                raise EstimateError(f"{text}: {better}, or let the daemon find the mount")
         if (np.hypot(std, BETWEEN_DRIVES_STD) < targets.fine).all():
             state = MountState.FINE
     R = rotation_from_angles(mount.roll, mount.pitch, mount.yaw)
@@ -115,7 +117,7 @@ def against_orientation(mount: KnownMount | None, calibration: CalibrationSettin
         return None
     axis = calibration.orientation.up if key == "up" else calibration.orientation.forward
     other = "down" if key == "up" else "back"
-    return f"puts {axis} {other}, and 'orientation' says {key}: {axis}; one of them is wrong"
+    return f"turns {axis} {other}, but 'orientation' says {key}: {axis}; correct one of them"
 
 
 def published_settings(config: Config) -> PublishedSettings:

@@ -103,7 +103,10 @@ def flow(status: Mapping[str, Any]) -> Flow:
         text = "ACCELEROMETER FAULTY: corrected frames say 'not available'"
         return Flow(FlowKind.FAULTY, f"{text} (mount: {state})")
     if quality == SUSPECT:
-        return Flow(FlowKind.SUSPECT, f"SUSPECT: corrected frames flow and say so (mount: {state})")
+        return Flow(
+            FlowKind.SUSPECT,
+            f"SUSPECT: corrected frames are sent and marked suspect (mount: {state})",
+        )
     if quality in GOOD:
         return Flow(FlowKind.GOOD, f"corrected frames flow, marked {GOOD[quality]}")
     text = f"not yet: corrected frames say 'not available' (mount: {state})"

@@ -33,7 +33,8 @@ def open_config(path: Path, databases: Sequence[Path] = ()) -> LoadedConfig:
         return loaded
     if len(databases) != len(loaded.config.database):
         raise ConfigError(
-            f"{path} names {len(loaded.config.database)} database(s), {len(databases)} given"
+            f"{path} names {len(loaded.config.database)} database(s), but "
+            f"{len(databases)} are given with --database"
         )
     entries = tuple(
         replace(entry, path=str(database.resolve()))
@@ -110,7 +111,7 @@ def _refuse_shared_ids(loaded: LoadedConfig, output: OutputFrames, router: Route
     taken = dict.fromkeys(astuple(loaded.config.output.ids), "an output frame")
     for index, sensor in enumerate(loaded.config.signals.parallel):
         if sensor.id in taken:
-            text = f"0x{sensor.id:X} is already the id of {taken[sensor.id]}; choose another"
+            text = f"0x{sensor.id:X} is already the id of {taken[sensor.id]}; choose another id"
             raise loaded.error(("signals", "parallel", index, "id"), text)
         taken[sensor.id] = f"parallel sensor {sensor.name}"
     ids = asdict(loaded.config.output.ids)

@@ -48,7 +48,7 @@ class Announcements:
         if preprocessing is not None:
             self._journal.say(preprocessing.words())
             for note in preprocessing.notes:
-                self._journal.say(f"not used of the model: {note}", NOTICE)
+                self._journal.say(f"part of the model that is not used: {note}", NOTICE)
 
     def link_event(self, event: LinkEvent) -> None:
         """What happened to the bus link."""

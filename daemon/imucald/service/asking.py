@@ -60,7 +60,7 @@ def ask(path: Path, request: str, timeout: float = 3.0, is_repeatable: bool = Tr
             reason = error.strerror or str(error)
             if isinstance(error, BlockingIOError):
                 raise _busy(path) from None
-            raise LinkError(f"{path}: {reason}; is the daemon running there?") from None
+            raise LinkError(f"{path}: {reason}. Is the daemon running?") from None
         if answer:
             return answer.decode("utf-8", "replace")
         if not is_repeatable or time.monotonic() > end:
@@ -70,8 +70,8 @@ def ask(path: Path, request: str, timeout: float = 3.0, is_repeatable: bool = Tr
 
 def _busy(path: Path) -> BusyError:
     return BusyError(
-        f"{path}: a daemon runs there and gave no answer: too many ask at a time, or its loop is "
-        "held up; ask again"
+        f"{path}: the daemon runs but did not answer. It is busy, or too many programs ask it "
+        "at the same time; try again"
     )
 
 

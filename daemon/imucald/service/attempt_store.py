@@ -55,7 +55,8 @@ def _read(path: Path, say: Say) -> int:
         return 0
     except OSError as error:
         say(
-            f"wrong keys: {path} cannot be read: {error.strerror}; one wrong key is assumed",
+            f"the count of wrong keys in {path} cannot be read: {error.strerror}; one "
+            "wrong key is assumed",
             WARNING,
         )
         return 1
@@ -68,7 +69,8 @@ def _read(path: Path, say: Say) -> int:
     with contextlib.suppress(OSError):
         path.rename(aside)
     say(
-        f"wrong keys: {path} is damaged, set aside as {aside.name}; one wrong key is assumed",
+        f"the count of wrong keys in {path} is damaged. The file is renamed to "
+        f"{aside.name}; one wrong key is assumed",
         WARNING,
     )
     return 1

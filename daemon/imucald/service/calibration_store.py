@@ -42,7 +42,9 @@ SHIFTS_KEPT = 32
 STOP_WAIT_S = 0.6
 """How long a stop waits for the disk [s]; it has a second in all."""
 
-BACK_AFTER_START = "tried again until it works; a restart before then brings the old state back"
+BACK_AFTER_START = (
+    "this is tried again until it works; a restart before then would bring the old state back"
+)
 """What is said of a reset that the disk does not take."""
 
 _OFFSETS = ("accel_bias", "gyro_bias", "yaw_rate_offset", "steering_offset", "speed_delay")
@@ -117,7 +119,7 @@ class CalibrationStore:
         """
         is_held = isinstance(estimator, RestoredEstimator) and estimator.is_held
         if is_held:
-            self._say("the mount is the configuration's, and held", NOTICE)
+            self._say("the mount comes from the configuration and is held", NOTICE)
         loaded = self.store.load()
         self.problems = loaded.problems
         for problem in loaded.problems:
@@ -128,7 +130,9 @@ class CalibrationStore:
                 self._last, self._known, self._driven_before = saved, True, saved.driven_s
             return estimator
         if saved is None:
-            self._say(f"no saved state in {self.store.folder}; starting from nothing", INFO)
+            self._say(
+                f"no saved state in {self.store.folder}; the calibration starts from nothing", INFO
+            )
             return estimator
         try:
             stored = stored_mount(saved, self._evidence(saved), self._sensor(saved))
@@ -141,7 +145,7 @@ class CalibrationStore:
         self._last, self._known, self.restored = saved, True, True
         self._driven_before = saved.driven_s
         text = f"mount restored from generation {loaded.generation}"
-        text += ", suspect when it was saved" if saved.doubted else ""
+        text += ", which was suspect when it was saved" if saved.doubted else ""
         text += f" ({saved.doubt})" if saved.doubted and saved.doubt else ""
         self._say(text + (", held: nothing is learnt" if saved.held else ""), NOTICE)
         return restored
@@ -189,7 +193,7 @@ class CalibrationStore:
         self.writer.report()
         if self._is_forgetting and self.store.is_forgotten:
             self._is_forgetting = False
-            self._say("the saved state is set aside now: the reset is final", NOTICE)
+            self._say("the saved state is removed now: the reset is final", NOTICE)
 
     def _wanted(self, state: MountState, changed: bool) -> bool:
         is_due = changed or self._clock() - self._last_put >= self._period
@@ -261,9 +265,7 @@ class CalibrationStore:
             self.store.forget()
         except OSError as error:
             reason = error.strerror or str(error)
-            self._say(
-                f"the saved state could not be set aside: {error}; {BACK_AFTER_START}", WARNING
-            )
+            self._say(f"the saved state could not be removed: {error}; {BACK_AFTER_START}", WARNING)
         self._is_forgetting = bool(reason)
         self.writer.put((self.store.era, None))
         return reason
@@ -309,7 +311,7 @@ class CalibrationStore:
     def _report_not_forgotten(self) -> None:
         """Say at the end that a reset did not reach the disk."""
         if not self.store.is_forgotten:
-            text = f"what was reset could not be set aside in {self.store.folder}"
+            text = f"the state that was reset could not be removed from {self.store.folder}"
             self._say(f"{text}: the next start brings it back; reset again then", WARNING)
 
     def status(self) -> dict[str, Any]:

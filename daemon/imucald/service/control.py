@@ -77,7 +77,9 @@ class ControlServer(LineServer):
 
     def _answer(self, line: bytes, peer: Peer) -> bytes:
         if peer.uid not in self._owners:
-            return self._refused(f"user {peer.uid} may give no orders; only root may", peer)
+            return self._refused(
+                f"user {peer.uid} may not give orders; run the command as root (sudo)", peer
+            )
         if not self._has_token():
             return _line(error=f"too many orders; try again in {PERIOD_S:g} s")
         try:

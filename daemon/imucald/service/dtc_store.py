@@ -87,7 +87,7 @@ class DtcStore:
             aside = free_name(path, "corrupt")
             with contextlib.suppress(OSError):
                 path.rename(aside)
-            self._say(f"DTCs: {path} is damaged; set aside as {aside.name}", WARNING)
+            self._say(f"DTCs: {path} is damaged; the file is renamed to {aside.name}", WARNING)
         return found or {}
 
 

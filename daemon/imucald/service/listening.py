@@ -20,16 +20,16 @@ def listening_at(address: str) -> socket.socket:
     """Listen at "127.0.0.1:8131" or "[::1]:8131". Raises LinkError with the remedy."""
     host, colon, port = address.rpartition(":")
     if not colon or not host or not port.isdecimal() or not 0 <= int(port) <= 0xFFFF:
-        raise LinkError(f"{address!r} is no address: write HOST:PORT, such as 127.0.0.1:8131")
+        raise LinkError(f"{address!r} is not an address: write HOST:PORT, such as 127.0.0.1:8131")
     host = host.strip("[]")
     family = socket.AF_INET6 if ":" in host else socket.AF_INET
     try:
         return socket.create_server((host, int(port)), family=family, backlog=BACKLOG)
     except OSError as error:
         reason = error.strerror or str(error)
-        hint = "; another address or port?"
+        hint = "; give another address or port"
         if isinstance(error, PermissionError) or "not supported" in reason:
-            hint = "; under the systemd unit see docs/service.md, Metrics"
+            hint = "; docs/service.md, Metrics, says how to allow it under systemd"
         raise LinkError(f"metrics cannot be served at {address}: {reason}{hint}") from None
 
 

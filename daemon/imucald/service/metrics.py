@@ -14,14 +14,14 @@ _Sample = tuple[Mapping[str, str], float | int | None]
 _LINK_COUNTERS = {
     "received": "Frames received.",
     "lost": "Frames that the kernel dropped before they were read.",
-    "late": "Frames that had waited too long to be corrected.",
-    "sent": "Frames that the interface took.",
+    "late": "Frames that came too late to be corrected.",
+    "sent": "Frames that the interface accepted.",
     "conflicts": "Frames of other nodes under our identifiers.",
     "error_frames": "Error frames.",
     "bus_off": "Times the controller left the bus.",
     "went_down": "Times the interface was set down.",
     "reopened": "Times the interface was opened again.",
-    "rejected": "Frames of the interface's driver that could not be understood.",
+    "rejected": "Frames from the driver of the interface that could not be understood.",
 }
 
 
@@ -54,7 +54,12 @@ def _families(status: Mapping[str, Any]) -> Iterator[tuple[str, str, str, list[_
     angles = [({"angle": a}, mount[f"{a}_deg"]) for a in ("roll", "pitch", "yaw")]
     yield "mount_angle_degrees", "gauge", "Mount angles.", list(angles)
     std = [({"axis": a}, mount["std_deg"][a]) for a in "xyz"]
-    yield "mount_deviation_degrees", "gauge", "Standard deviation about vehicle axes.", list(std)
+    yield (
+        "mount_deviation_degrees",
+        "gauge",
+        "Standard deviation of the mount about the vehicle axes.",
+        list(std),
+    )
     samples = [({"channel": c}, row["samples"]) for c, row in status["signals"].items()]
     yield "samples_total", "counter", "Accepted samples.", list(samples)
     rejected = [({"reason": r}, n) for r, n in status["frames"]["rejected"].items()]
@@ -66,7 +71,7 @@ def _families(status: Mapping[str, Any]) -> Iterator[tuple[str, str, str, list[_
     yield "link_up", "gauge", "1 while the interface is up.", [(none, int(link["state"] == "up"))]
     yield "state_saves_total", "counter", "Times the state was saved.", [(none, saved["saves"])]
     moved = [(none, saved["remounts"])]
-    yield "remounts", "gauge", "Times the sensor was found moved, as saved.", moved
+    yield "remounts", "gauge", "Times that the sensor was found moved, from the saved state.", moved
     failures = [(none, saved["failures"])]
     yield "state_save_failures_total", "counter", "Times the state could not be saved.", failures
     sent = [(none, status["frames_given_out"])]

@@ -66,15 +66,15 @@ class Reloading(Generic[Read]):
 
     def _report_hanging(self, seconds: float) -> None:
         """Say, once each, that a reload waits for the one before it, and that one takes long."""
-        reading = f"the configuration is still being read, since {seconds:.0f} s"
+        reading = f"the configuration is still being read after {seconds:.0f} s"
         if self._is_requested and not self._is_waiting_reported:
             self._is_waiting_reported = True
-            self._journal.say(f"a reload waits: {reading}; it begins after that", WARNING)
+            self._journal.say(f"the reload must wait: {reading}", WARNING)
         if seconds > LONG_S and not self._is_long_reported:
             self._is_long_reported = True
             text = (
-                f"{reading}: does a file (network, disk) not answer? The daemon continues with the "
-                "old configuration; a restart reads it from the beginning"
+                f"{reading}: perhaps a disk or network drive does not answer. The daemon "
+                "continues with the old configuration. Restart it to read the new one"
             )
             self._journal.say(text, WARNING)
 

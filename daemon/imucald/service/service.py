@@ -120,7 +120,10 @@ class Service:
         try:
             lock = FolderLock(folder)
         except OSError as error:
-            text = f"{folder} cannot be locked: {error.strerror or error}; tried again every second"
+            text = (
+                f"the folder {folder} cannot be locked: {error.strerror or error}; this is "
+                "tried again every second"
+            )
             if not self._says_unlocked:
                 self.journal.say(text, WARNING)
             self._says_unlocked = True
@@ -140,7 +143,10 @@ class Service:
             if self._lock is None:
                 self._lock = self._locked_folder()
             elif self._lock.renew():
-                text = f"{self.options.state_folder} was deleted: it is made and locked again"
+                text = (
+                    f"the folder {self.options.state_folder} was deleted; it is created and "
+                    "locked again"
+                )
                 self.journal.say(text, WARNING)
         except FolderInUseError:
             self._is_displaced = True
@@ -252,7 +258,11 @@ class Service:
         if self._check_wanted:
             self._check_wanted = False
             if not self.check_sensors():
-                self.journal.say("there is no sensor check without attitude", WARNING)
+                self.journal.say(
+                    "there is no sensor check, since 'attitude' is not enabled in the "
+                    "configuration",
+                    WARNING,
+                )
         self.sockets.poll()
         if now >= self._next_second:
             self._next_second = now + SECOND_S
@@ -277,7 +287,7 @@ class Service:
             self._next_row = now + PERIOD_S
             self._history.end_row(engine, self._flow().kind)
         if (step := self.clock_watch.look()) is not None:
-            text = f"the system's clock was set by {step:+.1f} s: times in this log jump"
+            text = f"the clock of the system was set by {step:+.1f} s: times in this log jump"
             self.journal.seldom("clock", text, NOTICE)
 
     # what diagnostics and orders ask for ----------------------------------------------------

@@ -148,7 +148,10 @@ class StateStore:
             except FileNotFoundError:
                 continue
             except OSError as error:
-                problems.append(f"{self.path(slot)}: cannot be read: {error.strerror}; left there")
+                problems.append(
+                    f"{self.path(slot)}: cannot be read: {error.strerror}; the file "
+                    "stays where it is"
+                )
                 continue
             except _NotBelievedError as reason:
                 problems.append(self._set_aside(self.path(slot), reason))
@@ -243,8 +246,11 @@ class StateStore:
         try:
             path.rename(target)
         except OSError as error:
-            return f"{path}: {reason}; not used (it could not be renamed: {error.strerror})"
-        return f"{path}: {reason}; set aside as {target.name}"
+            return (
+                f"{path}: {reason}; the file is not used (it could not be renamed: "
+                f"{error.strerror})"
+            )
+        return f"{path}: {reason}; the file is renamed to {target.name}"
 
 
 def clear_unfinished(folder: Path) -> None:
@@ -281,12 +287,12 @@ def decoded(data: bytes) -> tuple[int, StateKey, SavedState]:
     title, body, is_right = split_checksum(data)
     words = title.split(b" ")
     if words[0] != MAGIC.encode() or len(words) != 3 or len(data) > MAX_BYTES:
-        raise _NotBelievedError("corrupt", "this is no state file")
+        raise _NotBelievedError("corrupt", "this is not a state file")
     if words[1] not in [str(version).encode() for version in READABLE]:
         version = words[1][:12].decode("ascii", "replace")
         raise _NotBelievedError("other-version", f"its version is {version}, not {VERSION}")
     if words[2] != str(len(body)).encode():
-        raise _NotBelievedError("corrupt", "it is cut off, or longer than it says")
+        raise _NotBelievedError("corrupt", "the file is cut, or longer than it says")
     if not is_right:
         raise _NotBelievedError("corrupt", "its checksum is wrong")
     try:
@@ -434,7 +440,8 @@ class FolderLock:
             with os.fdopen(os.open(self._path / LOCK_FILE, flags), "rb") as file:
                 holder = (file.read(20) or b"").decode("ascii", "replace").strip()
         return FolderInUseError(
-            f"{self._path} is in use by process {holder or '?'}; see --state-dir"
+            f"{self._path} is in use by process {holder or '?'}; name another folder with "
+            "--state-dir"
         )
 
     def renew(self) -> bool:

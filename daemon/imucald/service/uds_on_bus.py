@@ -140,7 +140,7 @@ class BusUds:
     def _tell_refused_keys(self) -> None:
         if self.server.security.refused != self._keys_refused:
             self._keys_refused = self.server.security.refused
-            self._service.log_tester(f"keys of a tester refused so far: {self._keys_refused}")
+            self._service.log_tester(f"so far {self._keys_refused} keys of testers were refused")
 
     @staticmethod
     def check_identifiers(loaded: LoadedConfig, engine: Engine) -> None:
@@ -209,7 +209,7 @@ def _check_identifiers(loaded: LoadedConfig, engine: Engine) -> None:
 
 def _shared(loaded: LoadedConfig, key: str, what: str) -> ConfigError:
     can_id = getattr(loaded.config.diagnostics, key)
-    return loaded.error(("diagnostics", key), f"0x{can_id:X} is {what} too; choose another")
+    return loaded.error(("diagnostics", key), f"0x{can_id:X} is also {what}; choose another id")
 
 
 def _load_key_function(loaded: LoadedConfig, name: str) -> KeyFunction:

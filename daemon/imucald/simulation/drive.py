@@ -127,7 +127,10 @@ def simulate(model: VehicleModel, seed: int, minutes: float) -> Drive:
     """
     duration_s = 60.0 * minutes
     if not MIN_DURATION_S <= duration_s < math.inf:
-        raise ConfigError(f"a drive of {minutes:g} min: at least a second, and an end, are needed")
+        raise ConfigError(
+            f"a drive of {minutes:g} min is not possible: it must last at least a "
+            "second and be finite"
+        )
     rate = model.grid_hz
     driving = drive_route(model.route, seed, duration_s, rate, model.chassis.friction)
     banked = driving.speed * driving.speed * driving.banked_curvature

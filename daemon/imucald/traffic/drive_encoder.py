@@ -50,7 +50,10 @@ class BusEncoder:
         self.left_out = [route.name for route in routes if not isinstance(route, MessageRoute)]
         """Routes that cannot be written."""
         if not self._routes:
-            raise ConfigError("the configuration takes nothing from database messages to write")
+            raise ConfigError(
+                "the configuration takes no signal from a message of a database, "
+                "so there is nothing to write"
+            )
 
     @property
     def ids(self) -> frozenset[int]:

@@ -30,9 +30,9 @@ class Dtc:
 
 
 FAULTS: Final = {
-    "saturated": (0x22, "its values pile up at the end of its range"),
-    "stuck": (0x2A, "it, or one of its axes, repeats one value"),
-    "implausible": (0x64, "its values are impossible for a road vehicle, or in another unit"),
+    "saturated": (0x22, "many of its values are at the end of its range"),
+    "stuck": (0x2A, "it, or one of its axes, repeats the same value"),
+    "implausible": (0x64, "its values are impossible for a road vehicle, or its unit is wrong"),
 }
 """Faults of sensors: kind of failure (signal amplitude above its maximum, signal stuck in range,
 signal plausibility failure), and what is meant."""
@@ -45,8 +45,8 @@ FAULTY: Final = {
 } | {
     signal: {"stuck": Dtc(code << 8 | FAULTS["stuck"][0], f"{signal}_stuck", meaning)}
     for signal, code, meaning in (
-        ("speed", 0x5A14, "it repeats one value while the vehicle's motion changes"),
-        ("yaw_rate", 0x5A17, "it repeats one value while the vehicle turns"),
+        ("speed", 0x5A14, "it repeats the same value while the motion of the vehicle changes"),
+        ("yaw_rate", 0x5A17, "it repeats the same value while the vehicle turns"),
     )
 }
 """By sensor or signal, and fault."""
@@ -64,7 +64,7 @@ COUNTER_FAILING = Dtc(
     "three frames with a repeated, reversed, jumping or invalid counter within ten seconds",
 )
 DUPLICATE_SENDER = Dtc(
-    0xDA1281, "duplicate_sender", "an input comes more often than one sender sends it"
+    0xDA1281, "duplicate_sender", "an input comes more often than one sender can send it"
 )
 ID_CONFLICT = Dtc(0xDA1181, "id_conflict", "another node sends our identifiers")
 STATE_CORRUPT = Dtc(0x5A1546, "state_corrupt", "the saved state could not be used")

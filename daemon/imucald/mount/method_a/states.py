@@ -59,7 +59,7 @@ def waiting_for(known: TiltAndAngle, s: PublishedSettings) -> dict[str, tuple[st
         )
         reasons["roll"] = reasons["pitch"] = reason
     elif known.tilt.std > s.limits.fine_tilt and not s.is_level:
-        text = f"stops in other places: slopes average out ({known.stops} seen)"
+        text = f"stops in other places, so that slopes average out ({known.stops} seen)"
         reasons["roll"] = reasons["pitch"] = text, Missing.STANDSTILL
     yaw = _waiting_for_yaw(known, s)
     if yaw is not None:
