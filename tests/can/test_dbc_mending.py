@@ -28,7 +28,7 @@ def signal(name: str) -> str:
     [
         ("BO_ 316495015 M: 8 CAR\n" + signal("S"), "M", "add 2147483648 to it: 2463978663"),
         ("BO_ 4294967295 M: 8 CAR\n" + signal("S"), "M", "more than 29 bits"),
-        ("BO_ 17 2017_5: 8 CAR\n" + signal("S"), "2017_5", "is no name"),
+        ("BO_ 17 2017_5: 8 CAR\n" + signal("S"), "2017_5", "is not a valid name"),
         ("BO_ 17 M: CAR\n" + signal("S"), "M", "cannot be read"),
         ("BO 17 M: 8 CAR\n" + signal("S"), "(line 8)", "cannot be read"),
     ],
@@ -188,7 +188,7 @@ def test_a_signal_in_two_groups_of_a_multiplexer_comes_with_both():
 @pytest.mark.parametrize(
     ("text", "words"),
     [
-        (MULTIPLEXED.format("16|8@1+"), "2 signals named S; the one at bit 16 is taken"),
+        (MULTIPLEXED.format("16|8@1+"), "2 signals named S; the one at bit 16 is used"),
         (GOOD + ' SG_ A : 32|8@1+ (1,0) [0|0] "" CAR\n', "2 signals named A"),
         ('BO_ 16 M: 8 CAR\n SG_ S m0 : 8|8@1+ (1,0) [0|0] "" CAR\n', "has no multiplexer"),
         (

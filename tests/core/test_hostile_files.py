@@ -57,7 +57,7 @@ def test_a_pipe_that_nobody_writes_to_is_not_waited_for(tmp_path, log):
     os.mkfifo(path)
     status, message = message_of(path)
     assert (status, message.count("\n")) == (1, 1)
-    assert "no regular file" in message
+    assert "not a regular file" in message
 
 
 def test_a_device_without_end_is_refused(tmp_path, log):
@@ -65,7 +65,7 @@ def test_a_device_without_end_is_refused(tmp_path, log):
     path.symlink_to("/dev/zero")
     status, message = message_of(path)
     assert (status, message.count("\n")) == (1, 1)
-    assert "no regular file" in message
+    assert "not a regular file" in message
 
 
 def test_no_more_is_read_than_is_asked_for(tmp_path):
@@ -75,7 +75,7 @@ def test_no_more_is_read_than_is_asked_for(tmp_path):
     assert len(read_regular(path, 1000)) == 1001
     with pytest.raises(IsADirectoryError):
         read_regular(tmp_path, 1000)
-    with pytest.raises(OSError, match="no regular file") as error:
+    with pytest.raises(OSError, match="not a regular file") as error:
         read_regular(Path("/dev/null"), 1000)
     assert error.value.errno == errno.EINVAL
 

@@ -32,7 +32,7 @@ def test_a_swing_at_one_frequency_is_a_line_there():
     (one,) = found(amplitude=0.15)
     assert one.signal == "accel_y"
     assert "at 2.30 Hz" in one.text
-    size = float(one.text.split("swings by ")[1].split()[0])
+    size = float(one.text.split("amplitude of ")[1].split()[0])
     assert size == pytest.approx(0.15, rel=0.15)
 
 

@@ -104,7 +104,7 @@ def test_a_pipe_is_not_waited_for(tmp_path: Path, bundle: str) -> None:
     os.mkfifo(path)
     outcome = run(path, bundle, LogLimits(time_s=30.0))
     assert outcome.kind == "unreadable"
-    assert "no regular file" in outcome.message
+    assert "not a regular file" in outcome.message
 
 
 def test_a_cut_mf4_is_unreadable(tmp_path: Path, bundle: str) -> None:

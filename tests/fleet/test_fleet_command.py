@@ -121,7 +121,7 @@ def test_a_fleet_is_read_from_python_as_the_files_have_it(done: Path) -> None:
     assert repr(fleet) == f"Fleet at {done}: 6 drives, 1 failed"
     with pytest.raises(imucald.ImucaldError, match="none of drives"):
         fleet.table("motors")
-    with pytest.raises(imucald.ImucaldError, match="no run has written"):
+    with pytest.raises(imucald.ImucaldError, match="no results here yet"):
         imucald.Fleet.open(str(done / "nowhere"))
 
 

@@ -70,7 +70,7 @@ MISTAKES = {
     ),
     "not available as if unsigned": (
         "  speed: {signal: SPD.V, not_available: [65535]}  # here",
-        ["V is never 65535", "same bits as a signed number are -1"],
+        ["V is never 65535", "as a signed number, these bits are -1"],
     ),
     "on at what never is": (
         "  reverse: {signal: GEAR.G, equals: 16}  # here",
@@ -114,7 +114,11 @@ MISTAKES = {
     ),
     "checksum of no known kind": (
         "messages:\n  ACC: {checksum: {kind: crc9}}  # here",
-        ["messages.ACC.checksum.kind", "'crc9' is no kind", "none, xor, crc8_j1850, crc16_ccitt"],
+        [
+            "messages.ACC.checksum.kind",
+            "'crc9' is not a known kind",
+            "none, xor, crc8_j1850, crc16_ccitt",
+        ],
     ),
     "checksum without signal": (
         "messages:\n  ACC: {checksum: {kind: xor}}  # here",

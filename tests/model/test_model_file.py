@@ -38,7 +38,7 @@ def test_a_model_file_needs_only_what_differs(tmp_path):
         ("route:\n  launch_mps2: [3, 1]\n", ":1: route", "write the lower bound first"),
         ("chassis:\n  cg_to_front_m: 9\n", ":1: chassis", "shorter than wheelbase"),
         ("chassis:\n  understeer_gradient: -1\n", ":1: chassis", "understeer_gradient"),
-        ("mount:\n  shifts:\n  - {t_s: 9}\n  - {t_s: 3}\n", ":1: mount", "order of time"),
+        ("mount:\n  shifts:\n  - {t_s: 9}\n  - {t_s: 3}\n", ":1: mount", "order of their times"),
         ("speed:\n  rate_hz: 0\n", ":2: speed.rate_hz", ""),
         ("- 1\n", "", ""),
         ("road: [\n", ":2", "YAML"),

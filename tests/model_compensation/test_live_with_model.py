@@ -221,7 +221,7 @@ def test_the_start_says_what_is_used_and_what_is_not(bench):
     log = bench.log.getvalue()
     assert "takes out accel.bias" in log
     assert "gyro.bias_temperature: needs signals.temperature" in log
-    assert "wind: is not known" in log
+    assert "wind: this version does not know it" in log
 
 
 def test_commands_tell_of_the_model(bench, capsys):

@@ -71,7 +71,7 @@ def test_switches_are_obeyed(tmp_path):
         ("suspension: {body_roll: 1}\n", ":1: suspension.body_roll", "true or false"),
         ("accel: {delay_s: -1}\n", ":1: accel.delay_s", "at least 0"),
         ("gyro: {bias: [0, 99, 0]}\n", ":1: gyro.bias", "between -20 and 20"),
-        ("wheel_speeds: {scale: [0, 0, 0, -1]}\n", ":1: wheel_speeds.scale", "no error"),
+        ("wheel_speeds: {scale: [0, 0, 0, -1]}\n", ":1: wheel_speeds.scale", "not an error"),
         ("accel: {bias: [1, 2\n", ":2", "YAML"),
     ],
 )
@@ -112,8 +112,8 @@ def test_what_cannot_be_used_is_reported():
         "yaw_rate.stuck",
         "yaw_rate.clock_drift_ppm",
         "heading",
-        "aerodynamics: is not known",
-        "suspension.anti_roll: is not known",
+        "aerodynamics: this version does not know it",
+        "suspension.anti_roll: this version does not know it",
         "suspension: not corrected",
     ):
         assert part in told, part

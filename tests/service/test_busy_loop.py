@@ -115,7 +115,7 @@ def test_a_queue_that_stays_full_is_reported_in_the_end(tmp_path: Path):
         waiting.append(client)
         with contextlib.suppress(BlockingIOError):
             client.connect(str(server.path))
-    with pytest.raises(LinkError, match="gave no answer"):
+    with pytest.raises(LinkError, match="did not answer"):
         ask(server.path, "status", timeout=0.2)
     for client in waiting:
         client.close()

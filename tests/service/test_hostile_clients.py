@@ -144,4 +144,4 @@ def test_an_order_is_given_once_and_busy_has_an_exit_status_of_its_own(tmp_path,
 def test_status_of_a_daemon_that_does_not_answer_has_an_exit_status_of_its_own(tmp_path, capsys):
     with listening(tmp_path / "s"):
         assert main(["status", "--socket", str(tmp_path / "s")]) == 8
-    assert "gave no answer" in capsys.readouterr().err
+    assert "did not answer" in capsys.readouterr().err

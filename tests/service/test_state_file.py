@@ -157,7 +157,7 @@ def test_a_bad_newest_is_set_aside_and_the_one_before_is_used(tmp_path, damage, 
     loaded = load(tmp_path)
     assert loaded.state == state(1.0)
     assert len(loaded.problems) == 1
-    assert "set aside" in loaded.problems[0]
+    assert "renamed to" in loaded.problems[0]
     aside = newest.with_name(f"{newest.name}.{word}.1")
     assert aside.read_bytes() == bad
     assert load(tmp_path).problems == ()  # told once
