@@ -119,10 +119,6 @@ MISTAKES = {
             "'crc9' is not a known kind",
             "none, xor, crc8_j1850, crc16_ccitt",
         ],
-            "messages.ACC.checksum.kind",
-            "'crc9' is not a known kind",
-            "none, xor, crc8_j1850, crc16_ccitt",
-        ],
     ),
     "checksum without signal": (
         "messages:\n  ACC: {checksum: {kind: xor}}  # here",
