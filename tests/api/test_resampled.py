@@ -39,7 +39,7 @@ def test_a_rate_that_is_none_is_refused(wrong):
 
 
 def test_events_cannot_be_resampled():
-    with pytest.raises(imucald.ImucaldError, match="events is no table of samples"):
+    with pytest.raises(imucald.ImucaldError, match="events is not a table of samples"):
         drive().resample(1.0, ("events",))
 
 

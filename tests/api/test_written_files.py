@@ -197,7 +197,10 @@ def test_mcap_of_json_of_an_earlier_version_is_reported(tmp_path):
     text = json.dumps({**about, "topics": {"accel": "/imu/accel"}})
     writer.add_metadata("imucald", {"imucald": text})
     writer.finish()
-    with pytest.raises(imucald.ImucaldError, match=r"old\.mcap: its messages are JSON"):
+    with pytest.raises(
+        imucald.ImucaldError,
+        match=r"old\.mcap: an earlier version of imucald wrote its messages as JSON",
+    ):
         imucald.open_result(tmp_path / "old.mcap")
 
 

@@ -187,7 +187,7 @@ def test_more_frames_than_a_bus_carries_are_refused_with_a_remedy(
     path = log(tmp_path / "fast.log", stamps(t), ids.tolist())
     stated = [(IdMatch(i, 0x7FF), c) for i, c in CYCLES.items()] if cycles else []
     with pytest.raises(
-        LogError, match=r"multiply them by 1000|export them in seconds|count from the line"
+        LogError, match=r"multiply them by 1000|[Ee]xport them in seconds|count from the line"
     ):
         list(LogReader([path], cycles=stated))
 

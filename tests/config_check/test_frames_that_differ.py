@@ -50,7 +50,7 @@ def test_a_message_that_is_announced_in_several_frames_is_named(tmp_path, kind, 
     announced = bytes([kind, 12, 0, 2, 0xFF, 0x05, 0xFF, 0x00])
     rows = (0x1CEC00E2 | address << 8, announced), (SPEED, bytes(8))
     text = texts(found(tmp_path, *rows), "ACC")
-    assert "transport protocol of J1939 (12 bytes" in text
+    assert "12 bytes, transport protocol of J1939" in text
 
 
 def test_neither_an_answer_nor_another_message_announces_it(tmp_path):

@@ -130,7 +130,7 @@ def test_what_comes_by_the_transport_protocol_is_named(recorded):
     )
     whole = concatenate([recorded.take(~accel), announcements])
     proposal = proposed(as_j1939(), whole.take(np.argsort(whole.t, kind="stable")))
-    assert "transport protocol of J1939 (12 bytes" in proposal.missing["accelerometer"]
+    assert "12 bytes, transport protocol of J1939" in proposal.missing["accelerometer"]
 
 
 def test_frames_of_a_used_message_that_are_short_are_named(recorded):

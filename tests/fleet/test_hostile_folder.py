@@ -79,7 +79,7 @@ def test_a_damaged_table_is_set_aside_and_its_logs_are_evaluated_again(
     if damage == "flipped":
         data[40] ^= 1  # of a page's content: no reader without checksums sees it
     path.write_bytes(data[:-100] if damage == "cut" else data)
-    with pytest.raises(ImucaldError, match=r"fleet run' sets it aside"):
+    with pytest.raises(ImucaldError, match=r"fleet run' renames it"):
         read_tables(Store(str(out)))
     said = set_damaged_aside(Store(str(out)))
     assert f"{table}.parquet" in said[0]
@@ -112,7 +112,7 @@ def test_run_says_what_is_damaged(tmp_path: Path, capsys: pytest.CaptureFixture[
     table = tmp_path / "out" / "failures" / "failures.parquet"
     table.write_bytes(table.read_bytes()[:-100])
     main(["fleet", "status", "--out", out])
-    assert "'imucald fleet run' sets it aside" in capsys.readouterr().err
+    assert "'imucald fleet run' renames it" in capsys.readouterr().err
     main(command)
     said = capsys.readouterr().err
     assert "failures.parquet: this is not a Parquet file, or it is damaged" in said

@@ -92,7 +92,7 @@ def test_tables_of_an_older_version_have_nulls_for_newer_columns(tmp_path: Path)
 def test_a_file_that_is_no_parquet_is_reported(tmp_path: Path) -> None:
     (tmp_path / "sources").mkdir()
     (tmp_path / "sources" / "sources.parquet").write_text("no")
-    with pytest.raises(ImucaldError, match=r"sources\.parquet: is no Parquet file"):
+    with pytest.raises(ImucaldError, match=r"sources\.parquet: this is not a Parquet file"):
         read_tables(Store(str(tmp_path)))
 
 

@@ -90,7 +90,7 @@ def test_only_a_mount_upside_down_and_backwards_that_nothing_confirmed_has_a_not
         note = mirror_note(estimate(angles, details=unconfirmed))
         assert note is not None, angles
         assert "sign: -1" in note
-        assert "if the sensor sits so, state it: 'calibration: {orientation: {up: -z}}'" in note
+        assert "If it is, write 'calibration: {orientation: {up: -z}}'" in note
         assert mirror_note(estimate(angles, details={"not_checked": []})) is None
     for angles in ((0, 0, 0), (180, 0, 0), (0, 0, 180), (10, 40, 90)):
         assert mirror_note(estimate(angles, details=unconfirmed)) is None, angles

@@ -165,7 +165,7 @@ def test_a_statement_that_the_drive_contradicts_is_called_so_with_the_angle(is_g
     estimate = estimator.estimate()
     assert estimate.state is MountState.SUSPECT
     assert estimate.details["restored"]["turned_deg"] == pytest.approx(degrees)
-    says_so = f"stated mount is not how the sensor sits in this drive: it is off by {degrees:g} "
+    says_so = f"stated mount does not fit this drive: it is off by {degrees:g} "
     assert all((says_so in text) is is_given for text in estimate.waiting_for.values())
     assert bool(estimate.waiting_for) or not is_given
     inner.say(MountState.LEVELLED, turned(0.1), 1.0)
@@ -188,7 +188,7 @@ def test_a_mount_that_was_contradicted_is_reported_also_once_the_new_one_serves(
     assert details["restored"]["contradicted"]["turned_deg"] == pytest.approx(8.0)
     (event,) = reported_events({"details": details})
     whose = "stated mount" if is_given else "mount of an earlier drive"
-    wrong = "is not how the sensor sits in this drive: it is off by 8 deg"
+    wrong = "does not fit this drive: it is off by 8 deg"
     assert event.text == f"the {whose} {wrong}"
 
 
