@@ -147,7 +147,7 @@ def test_a_refused_frame_is_counted_and_the_adapter_kept(plug: Plug, error: Exce
 
 def test_not_plugged_in_at_the_start(plug: Plug) -> None:
     plug.there = False
-    with pytest.raises(LinkError, match="no device. Is the adapter plugged in"):
+    with pytest.raises(LinkError, match=r"no device\. Is the adapter plugged in"):
         Link("kvaser", "0", receive=MATCHES)
     link = Link("kvaser", "0", receive=MATCHES, wait=True)
     assert link.state is LinkState.ABSENT
