@@ -83,7 +83,7 @@ class Acceptance(Struct, frozen=True):
         """What an estimate whose deviations are small enough lacks to be *fine*, in words."""
         if self.changes.is_loose:
             times = counted(len(self.changes.history), "time")
-            return f"a sensor that is fixed firmly: it moved {times} in this drive"
+            return f"a firmly fixed sensor (it moved {times} in this drive)"
         if self.has_no_sides:
             return TURNED_SIDES if NOT_CONFIRMED in self.checks.not_checked else NO_SIDES
         if not self.is_armed:

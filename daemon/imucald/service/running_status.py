@@ -117,7 +117,7 @@ def _to_be_fine(estimate: MountEstimate) -> str:
         for axis, s, fine in zip(VEHICLE_AXES, std, targets.fine, strict=True)
         if not s < fine
     ]
-    return f"to be fine: turn about {', about '.join(missing)}" if missing else ""
+    return f"still needed for fine: error about {', about '.join(missing)}" if missing else ""
 
 
 def process_figures() -> dict[str, Any]:
