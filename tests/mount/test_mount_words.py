@@ -118,8 +118,8 @@ def test_the_line_for_systemd_has_now_target_and_words():
     )
     assert line.startswith("usable; roll +5.00 ±0.99°; ")
     assert (
-        "yaw -10.60 ±0.70°; ± 95 %; to be fine: turn about the up axis below ±0.60° (now ±0.70°);"
-        in line
+        "yaw -10.60 ±0.70°; ± 95 %; still needed for fine: error about the up axis below "
+        "±0.60° (now ±0.70°);" in line
     )
     assert "pitch -0.00 ±0.81°;" in line or "pitch +0.00 ±0.81°;" in line
     assert "± 95 %" in line
