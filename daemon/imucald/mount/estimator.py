@@ -200,10 +200,15 @@ class FullEstimator:
         if not solvers.has_looked_again:
             solvers.look_again(signals.offsets)
             return
-        thoroughly = is_turn and not self._checks.is_motion_accused
-        change = changes.small(solvers.now, thoroughly, self._is_rotation_good)
+        change: MountChange | None = solvers.now.step(self._is_rotation_good)
+        if change is None and not self._checks.is_motion_accused:
+            change = self._small_change(is_turn)
         if change is not None:
             self._take_change(change)
+
+    def _small_change(self, is_turn: bool) -> MountChange | None:
+        """A small move of the sensor in the last minutes; is_turn: the rotation was fitted now."""
+        return self._changes.small(self._solvers.now) if is_turn else None
 
     @property
     def _is_rotation_good(self) -> bool:

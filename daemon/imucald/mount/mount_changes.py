@@ -2,6 +2,7 @@
 
 `large_change` sees a turn by several degrees in single blocks, `gravity_step` a step that the
 gyroscope did not see, `shift` a small change once enough road has been driven, `creep` a slow one.
+Where the joint solution is served, `joint.moves` takes the place of `shift`.
 """
 
 from __future__ import annotations
@@ -19,13 +20,14 @@ from imucald.mount.block_sums import block_sums, driven
 from imucald.mount.estimator_settings import EstimatorSettings
 from imucald.mount.evidence_response import GROUP
 from imucald.mount.gravity_step import GravityStep
+from imucald.mount.joint.moves import Move
 from imucald.mount.large_change import LargeChange, LargeChangeDetector
 from imucald.mount.shift import Shift
 from imucald.mount.signal_blocks import SignalBlock, SignalBlockMaker
 from imucald.mount.solver import MountSolver
 from imucald.mount.zero_step import LEAST_TILT, ZeroStep
 
-MountChange = Shift | GravityStep | LargeChange
+MountChange = Shift | GravityStep | LargeChange | Move
 
 NEAR_SHIFT = 0.7
 """While a change comes to so much of the threshold, every block is followed by a fit again. As its
@@ -132,16 +134,8 @@ class MountChanges:
         """A turn by several degrees within the last blocks."""
         return self._large.found(with_yaw=solver.own_gyro)
 
-    def small(
-        self, solver: MountSolver, thoroughly: bool, is_good: bool
-    ) -> Shift | GravityStep | None:
-        """A step in gravity now; thoroughly: a small change in the last minutes too.
-
-        is_good: the rotation is served as good.
-        """
-        step = solver.step(is_good)
-        if step is not None or not thoroughly:
-            return step
+    def small(self, solver: MountSolver) -> Shift | None:
+        """A small change in the last minutes."""
         found = solver.largest_change()
         self._doubted[:] = 0.0
         self.is_near = found is not None and found.excess > NEAR_SHIFT
@@ -170,7 +164,7 @@ class MountChanges:
 
     @staticmethod
     def _may_be_stepped_zero(found: MountChange, solver: MountSolver) -> bool:
-        is_sudden_tilt = found.axis < 2 and not isinstance(found, Shift)
+        is_sudden_tilt = found.axis < 2 and not isinstance(found, Shift | Move)
         return is_sudden_tilt and abs(found.size) > LEAST_TILT and solver.own_gyro
 
     def bear(self, found: MountChange, block: int, std: float, good: GoodMount | None) -> bool:
@@ -285,6 +279,8 @@ def blocks_since(change: MountChange, kept: Sequence[SignalBlock]) -> list[Signa
     """Those of the kept blocks that came after a change."""
     if isinstance(change, Shift):
         after = change.segments * GROUP
+    elif isinstance(change, Move):
+        after = change.blocks
     elif isinstance(change, LargeChange):
         after = change.blocks - 1  # the oldest holds the change itself
     else:

@@ -1,9 +1,9 @@
 """The joint estimator: what both sensors answer to the vehicle's motion, with a matrix each.
 
 It takes the same blocks of even signals as the full estimator, and its detectors of faults and of
-a moved sensor. What is applied, what is stated and when it is good come from the joint solution
-(`evidence`), by the vehicle's yaw rate or steering angle where there is no gyroscope. Without a
-speed there is none, and the full estimator's own is served.
+large moves; smaller moves it finds itself (`moves`). What is applied, what is stated and when it
+is good come from the joint solution (`evidence`), by the vehicle's yaw rate or steering angle where
+there is no gyroscope. Without a speed there is none, and the full estimator's own is served.
 """
 
 from __future__ import annotations
@@ -41,6 +41,8 @@ LEVEL = (0.2, 0.1)
 """Level zero below which an estimate is usable, and fine [m/s^2]."""
 STEERING_ZERO = math.radians(2.0)
 """Zero error of an angle of the steering wheel that nothing has measured (assumption)."""
+ASKED = 2
+"""Blocks after which it is asked whether the sensor was moved (13 s)."""
 REMEMBERED = 240
 """Blocks (26 min) of which it is known what was known of a drift."""
 
@@ -95,7 +97,7 @@ class JointEstimator(FullEstimator):
         self._lately_known: deque[tuple[float, Solution]] = deque(maxlen=SOLUTIONS_KEPT)
         self._joint = self._new_evidence()
         self._next: Evidence | None = None
-        self._widened = 0.0
+        self._widened = self._doubt = 0.0
         self._taken_until = self._now = -math.inf
         self._corrected: tuple[Solution, Correction] | None = None  # of the last solution
         self._drift, self._has_drifted = NO_DRIFT, False
@@ -221,7 +223,7 @@ class JointEstimator(FullEstimator):
 
     def _begin_again(self, blocks: list[SignalBlock]) -> None:
         self._joint, self._next, self._widened = self._filled(blocks), None, 0.0
-        self._drift = NO_DRIFT
+        self._drift, self._doubt = NO_DRIFT, 0.0
 
     def _filled(self, blocks: list[SignalBlock]) -> Evidence:
         began = float(blocks[0].t[0]) if blocks else self._now
@@ -249,6 +251,16 @@ class JointEstimator(FullEstimator):
             self._widened = max(self._widened, abs(float(found.size)))
             self._next = self._filled(after)
 
+    def _small_change(self, is_turn: bool) -> MountChange | None:
+        """As the joint solution sees it, where that is served and has a gyroscope."""
+        if self._signals.without_speed or not self._joint.signals.gyro:
+            return super()._small_change(is_turn)
+        if self._signals.blocks % ASKED:
+            return None
+        found = (self._next or self._joint).move()
+        self._doubt = 0.0 if found is None else found.doubt
+        return found if found is not None and found.is_certain else None
+
     # judging -----------------------------------------------------------------------------------
 
     def _judge(self, p: SignalBlock) -> None:
@@ -260,7 +272,12 @@ class JointEstimator(FullEstimator):
         super()._judge(p)
 
     def _sent(self, solution: Solution) -> SentDeviations:
-        return solution.sent(self._widened, self._drift.variance())
+        return solution.sent(self._wide, self._drift.variance())
+
+    @property
+    def _wide(self) -> float:
+        """Deviation of a turn that is borne or not certain [rad]."""
+        return math.hypot(self._widened, self._doubt)
 
     def _is_usable(self, solution: Solution | None) -> bool:
         if solution is None:
@@ -291,7 +308,7 @@ class JointEstimator(FullEstimator):
             straight=max(known.straight, NEEDED),
             cross_axis=0.0,
             cross_talk=(sent.xy, sent.yx),
-            std_without_drift=_as_angles(solution.sent(self._widened)),
+            std_without_drift=_as_angles(solution.sent(self._wide)),
             has_past=self._joint.signals.gyro or known.has_past,
         )
 
@@ -334,7 +351,7 @@ class JointEstimator(FullEstimator):
         """Of the housing's rotation. Too small where the cross-axis errors are antisymmetric: those
         look like a turn, and their size is judged by the symmetric ones."""
         own = solution.covariance[PHI, PHI]
-        return np.asarray(own + self._widened**2 * np.eye(3))
+        return np.asarray(own + self._wide**2 * np.eye(3))
 
 
 def _as_angles(sent: SentDeviations) -> tuple[float, float, float]:

@@ -35,7 +35,8 @@ from imucald.mount.joint.drift import NONE as NO_DRIFT
 from imucald.mount.joint.drift import Drift, Drifts, ZeroDrift
 from imucald.mount.joint.fusion import LinearMeasurement, any_sensor, fuse
 from imucald.mount.joint.known import AS_BEFORE, PROBABLY_OTHER, KnownSensor
-from imucald.mount.joint.response import PRIOR_SEGMENTS
+from imucald.mount.joint.moves import ROAD_TAIL, SPANS, EntryChange, Move, likeliest_move
+from imucald.mount.joint.response import PRIOR_SEGMENTS, SEGMENTS
 from imucald.mount.joint.state import (
     CROSS,
     CROWN,
@@ -126,6 +127,8 @@ SLOPE_NOISE: Final = np.array(
 )
 """Noise that slopes add where no gyroscope carries the vertical. Medians of simulated seeds 970000
 to 970011, which judge nothing."""
+LEAST_BEFORE = 24
+"""Windows that a move is held against: six road segments."""
 ALL_BANDS: Final = np.ones(wd.BANDS, dtype=bool)
 
 
@@ -565,12 +568,9 @@ class Evidence:
         answers = self._sums.force.respond(self._bands)
         h = answers.value
         gain = np.maximum(np.diag(h[:2]), 0.3)
-        leak = self._sums.leak
         measured = []
-        for i in range(3):
-            places = [j for j in range(2) if j != i]
+        for i, (places, rows) in enumerate(self._answer_rows()):
             C = answers.covariance[i][np.ix_(places, places)]
-            rows = np.array([entry(i, j) for j in places])
             value = h[i, places]
             for m, j in enumerate(places):
                 C[m, m] += priors.floor**2
@@ -580,11 +580,7 @@ class Evidence:
                     C[m, m] += priors.pitching**2
                     if not has_gyro:  # nor has the pitching itself been taken off (assumption)
                         C[m, m] += priors.pitching**2
-            if i < 2:
-                rows[0, [PHI.start + 2, EPS.start + 2]] -= leak[i, 1 - i]
-            elif has_gyro:  # -v q of a rate that is itself tilted has been taken off
-                rows[1] += rate_entry(1, 2)
-            else:  # -v q of bends that lean is in it
+            if i == 2 and not has_gyro:  # -v q of bends that lean is in it
                 rows[1, CROWN] = -1.0
                 value[1] += priors.crown[0] * gain[1]
                 C[1, 1] += priors.turning[1] ** 2 + priors.slope**2 / answers.segments[2, 1]
@@ -597,6 +593,55 @@ class Evidence:
         theta, covariance, shares = fuse(self._hypotheses(), measured, self._taken)
         same = float(shares[AS_BEFORE]) if self.compares_with_before else 0.0
         return self._applied(theta, covariance, same)
+
+    def _answer_rows(self) -> Iterator[tuple[list[int], Array]]:
+        """Of each axis of the force to which of dv/dt and v r it should not answer, and what each
+        answer is in the unknowns (places, UNKNOWNS)."""
+        leak = self._sums.leak
+        for i in range(3):
+            places = [j for j in range(2) if j != i]
+            rows = np.array([entry(i, j) for j in places])
+            if i < 2:
+                rows[0, [PHI.start + 2, EPS.start + 2]] -= leak[i, 1 - i]
+            elif self.signals.gyro:  # -v q of a rate that is itself tilted has been taken off
+                rows[1] += rate_entry(1, 2)
+            yield places, rows
+
+    def move(self) -> Move | None:
+        """The most likely turn of the sensor in the last minutes; None where too little is known,
+        or no gyroscope carries the vertical."""
+        spans = SPANS[len(self._sums) - LEAST_BEFORE >= SPANS]
+        if self.solution is None or not self._sums.has_fitted or not len(spans):
+            return None
+        self._extend()
+        began = self._sums.began(spans)
+        entries = [*self._answers_changed(spans), *self._levels_changed(began)]
+        return likeliest_move(entries, [len(self._blocks) - first for first in began.tolist()])
+
+    def _answers_changed(self, spans: NDArray[np.int_]) -> Iterator[EntryChange]:
+        """How the answers to motion have changed with the last so many windows."""
+        priors = self._priors
+        more = {(0, 1): priors.sideslip**2, (2, 0): priors.pitching**2}
+        size, variance = self._sums.force.changes(spans)
+        for i, (places, rows) in enumerate(self._answer_rows()):
+            for j, row in zip(places, rows, strict=True):
+                floor = priors.floor**2 + more.get((i, j), 0.0)
+                yield EntryChange(row[PHI], size[i, :, j], variance[i, :, j] + floor)
+        size, variance = self._sums.turning.changes(spans)
+        for i in range(2):
+            roads = priors.turning[i] ** 2 + priors.slope**2 * SEGMENTS[0] / spans
+            own = variance[i, :, 0] + roads
+            yield EntryChange(rate_entry(i, 2)[PHI], size[i, :, 0], own, ROAD_TAIL)
+
+    def _levels_changed(self, began: NDArray[np.int_]) -> Iterator[EntryChange]:
+        """How the level force has changed with each of these blocks."""
+        levels = self._levels[:, :4] / [GRAVITY, GRAVITY, 1.0, 1.0]
+        before, of_before = mean_slope(levels[: began[-1]], self._priors.slope)
+        after = [mean_slope(levels[first:], self._priors.slope) for first in began]
+        for i in range(2):
+            size = np.array([mean[i] - before[i] for mean, _ in after])
+            variance = np.array([own[i] + of_before[i] for _, own in after])
+            yield EntryChange(level_row(i)[PHI], size, variance, ROAD_TAIL)
 
     def _level_measured(self) -> list[LinearMeasurement]:
         priors = self._priors

@@ -11,9 +11,12 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from imucald.core.arrays import Array
+from imucald.core.arrays import Array, inverse
 from imucald.drive import windows as wd
+from imucald.drive.windows import OVERLAP
 from imucald.mount.joint.response import (
+    PRIOR_RATIO,
+    PRIOR_SEGMENTS,
     SEGMENTS,
     Packing,
     Responses,
@@ -28,6 +31,8 @@ RECENT = 64
 """So many windows are kept one by one: 7 minutes of driving."""
 ROUND = SEGMENTS[-1]
 """Windows that are put together at a time: whole road segments of either length."""
+NOTHING = 1e-9
+"""Information that is rounding: what is not moved by a turn is not driven."""
 MAIN: Final = slice(wd.FIRST_X, wd.FIRST_X + len(wd.MAIN))
 TURNED: Final = slice(len(wd.NAMES) - len(wd.TURNED), len(wd.NAMES))
 
@@ -55,12 +60,12 @@ class FitSums:
         self._counts = np.zeros((len(fits.columns), 0))
         self._old = 0
         self._last: Responses | None = None
-        self._has_fitted = False  # these windows, or most of them
+        self.has_fitted = False  # these windows, or most of them
 
     def restart(self) -> None:
         """Forget all windows, but not how loud they are."""
         self._rows, self._counts, self._old = self._rows[:, :0], self._counts[:, :0], 0
-        self._has_fitted = False
+        self.has_fitted = False
 
     @property
     def noise(self) -> Array:
@@ -98,12 +103,68 @@ class FitSums:
         self._rows, self._counts = self._rows[:, rows:].copy(), self._counts[:, rows:]
         self._old -= segments
 
+    def changes(self, spans: NDArray[np.int_]) -> tuple[Array, Array]:
+        """How the coefficients have changed with the last so many windows (S,), each fitted beside
+        all coefficients that stay: changes (F, S, keep), and variances.
+
+        It takes noise and weights of the last fit; windows that came since are in it too.
+        """
+        last, keep, pack = self._last, self._fits.keep, self._packing
+        assert last is not None
+        recent = self._rows[:, self._old :]
+        trust = np.ones(self._rows.shape[:2])
+        trust[:, self._old :] = trust_in(left_of(recent, last.vector, pack), last.noise)
+        weight = (2.0 / OVERLAP) * trust[:, :, None] / last.noise[:, None]
+        G = pack.matrices((weight[:, :, None] @ self._rows)[:, :, 0])
+        total = G.sum(axis=1)
+        p = total.shape[-1] - 1
+        C = inverse(total[:, 1:, 1:] + np.eye(p) / np.square(self._fits.spread)[:, None])
+        beta = C @ total[:, 1:, :1]
+        vector = np.concatenate([np.ones((len(G), 1, 1)), -beta], axis=1)
+        after = G[:, ::-1][:, : spans[-1]].cumsum(axis=1)[:, spans - 1]
+        w = after[:, :, 1:, 1 : 1 + keep]
+        moved = C[:, None] @ w
+        known = w[:, :, :keep] - w.swapaxes(2, 3) @ moved
+        covariance = inverse(known + NOTHING * (1.0 + total[:, None, 1:2, 1:2]) * np.eye(keep))
+        size = covariance @ (after[:, :, 1 : 1 + keep] @ vector[:, None])
+        off = beta[:, None] - moved @ size  # of all that came before
+        grow = self._grown_before(G, C[:, :keep], off[..., 0], spans)
+        return size[..., 0], np.abs(np.diagonal(covariance, axis1=2, axis2=3)) * grow
+
+    def _grown_before(self, G: Array, C: Array, off: Array, spans: NDArray[np.int_]) -> Array:
+        """By how much the spread from road segment to road segment is larger than expected, of
+        windows (F, n, columns, columns) before each span: (F, S, keep).
+
+        C: (F, keep, p) rows of the covariance. off: (F, S, p) the coefficients then.
+        """
+        n = G.shape[1]
+        seen = C[:, None] @ G[:, :, 1:]
+        scores = seen[..., :1] - seen[..., 1:] @ off[:, None].swapaxes(2, 3)  # (F, n, keep, S)
+        expected = (seen[..., 1:] * C[:, None]).sum(axis=3)
+        segment = np.concatenate(
+            [np.arange(self._old), self._old + np.arange(n - self._old) // SEGMENTS[0]]
+        )
+        grow = np.ones((len(G), len(spans), C.shape[1]))
+        for length in SEGMENTS:
+            place = segment * SEGMENTS[0] // length
+            starts = np.flatnonzero(np.diff(place, prepend=-1))
+            square = np.square(np.add.reduceat(scores, starts, axis=1)).cumsum(axis=1)
+            usual = np.add.reduceat(expected, starts, axis=1).cumsum(axis=1)
+            for k, span in enumerate(spans.tolist()):
+                whole = int(np.searchsorted(starts, n - span, side="right")) - 1
+                if whole < 1:
+                    continue
+                ratio = square[:, whole - 1, :, k] / np.maximum(usual[:, whole - 1], NOTHING)
+                part = (PRIOR_SEGMENTS * PRIOR_RATIO + whole * ratio) / (PRIOR_SEGMENTS + whole)
+                grow[:, k] = np.maximum(grow[:, k], part)
+        return grow
+
     def respond(self, bands: NDArray[np.bool_]) -> Responses:
         """The fits on all windows; bands: which count."""
         _, usual, spread, keep = self._fits
-        last = self._last if self._has_fitted else None
+        last = self._last if self.has_fitted else None
         args = self._rows, self._counts, self._old, self._packing, usual, spread, keep, bands
-        self._last, self._has_fitted = respond(*args, last), True
+        self._last, self.has_fitted = respond(*args, last), True
         return self._last
 
 
@@ -116,6 +177,11 @@ class WindowSums:
 
     def __len__(self) -> int:
         return len(self._power)
+
+    @property
+    def has_fitted(self) -> bool:
+        """Whether there was a fit on these windows, or most of them."""
+        return all(fit.has_fitted for fit in self._fits)
 
     def restart(self) -> None:
         """Forget all windows."""
@@ -147,6 +213,10 @@ class WindowSums:
         self._blocks = self._blocks[gone:] - blocks
         self._cross, self._power = self._cross[gone:], self._power[gone:]
         self._shared = self._shared[gone:]
+
+    def began(self, spans: NDArray[np.int_]) -> NDArray[np.int_]:
+        """First block (S,) of the last so many windows."""
+        return np.asarray(self._blocks[len(self._blocks) - spans] - (wd.WINDOW // wd.BLOCK - 1))
 
     @property
     def followed(self) -> tuple[Complex, Array]:

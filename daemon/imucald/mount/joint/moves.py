@@ -1,0 +1,93 @@
+"""Was the sensor moved? What came after each time against what was before.
+
+A move turns both sensors by one angle about an axis of the vehicle. What the force answers to
+motion, the axis of turning and the level force change by what that turn makes of them, while the
+sensor's own terms stay. Of each beginning of the last minutes the change of every entry is fitted
+beside all that does not change (`FitSums.changes`). The likelihoods of all sizes of a turn about
+an axis, each entry with heavy tails, come to one ratio against no turn. The sum of these over the
+beginnings is the statistic of Shiryaev and Roberts, as in `drift`.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Final, NamedTuple
+
+import numpy as np
+from msgspec import Struct
+
+from imucald.core.arrays import Array
+from imucald.motion.ticks import TICK_S
+from imucald.mount.even_signals import BLOCK_TICKS
+from imucald.mount.joint.drift import FALSE_ALARM_H
+
+SPANS: Final = np.array((4, 8, 12, 16, 20, 24, 32, 40, 52, 64))
+"""Windows since a move (26 s to 7 min of driving), all of which `sums` keeps one by one."""
+_HALF: Final = np.radians(np.geomspace(1.0, 30.0, 18))
+SIZES: Final = np.concatenate([-_HALF[::-1], _HALF])
+"""Turns that are asked, as probable each [rad]: one by less than 1 deg misleads nobody."""
+ANSWER_TAIL, ROAD_TAIL = 8.0, 30.0
+"""Degrees of freedom of what answers to motion and what roads show may be off by: wind comes in
+stretches; how long those of roads are is in the variance."""
+_LOG_BEGINNINGS: Final = math.log(FALSE_ALARM_H * 3600.0 / (SPANS[0] * BLOCK_TICKS * TICK_S))
+
+
+class EntryChange(NamedTuple):
+    """Changes (S,) of an entry over the last spans, and their variances (S,).
+
+    turn: (3,) what a turn by one about each axis makes of the entry. tail: degrees of freedom.
+    """
+
+    turn: Array
+    size: Array
+    variance: Array
+    tail: float = ANSWER_TAIL
+
+    def log(self, turns: Array) -> Array:
+        """Log of the likelihood of turns (n,) about an axis that makes so much of it (S, n)."""
+        off = self.size[:, None] + turns
+        ratio = off * off / (self.tail * self.variance[:, None])
+        return np.asarray(-0.5 * (self.tail + 1.0) * np.log1p(ratio))
+
+
+class Move(Struct, frozen=True):
+    """The turn that is most likely: axis (0 roll, 1 pitch, 2 yaw), size [rad], and how many blocks
+    came since.
+
+    deviations: the root of twice the log of the ratio of likelihoods, signed. log_odds: log of the
+    statistic over its threshold; above zero the sensor was moved, one in `FALSE_ALARM_H` by chance.
+    """
+
+    axis: int
+    size: float
+    deviations: float
+    blocks: int
+    log_odds: float
+
+    @property
+    def is_certain(self) -> bool:
+        """Whether the sensor was moved."""
+        return self.log_odds > 0.0
+
+    @property
+    def doubt(self) -> float:
+        """Deviation that it adds while it is not certain, as probable as it is [rad]."""
+        return abs(self.size) / math.sqrt(1.0 + math.exp(min(-self.log_odds, 700.0)))
+
+
+def likeliest_move(entries: Sequence[EntryChange], blocks: Sequence[int]) -> Move:
+    """The move that the changes of all entries speak for; blocks: since the begin of each span."""
+    log = np.zeros((3, len(blocks), len(SIZES)))
+    for entry in entries:
+        none = entry.log(np.zeros(1))
+        for axis in np.flatnonzero(entry.turn).tolist():
+            log[axis] += entry.log(entry.turn[axis] * SIZES) - none
+    most = float(log.max())
+    share = np.exp(log - most)
+    log_odds = most + math.log(share.sum() / (3 * len(SIZES))) - _LOG_BEGINNINGS
+    axis, span = divmod(int(share.sum(axis=2).argmax()), len(blocks))
+    part = share[axis, span]
+    size = float(part @ SIZES / part.sum())
+    deviations = math.copysign(math.sqrt(2.0 * max(most, 0.0)), size)
+    return Move(axis, size, deviations, blocks[span], log_odds)
