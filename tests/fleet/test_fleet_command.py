@@ -151,10 +151,11 @@ def test_the_report_is_one_page_that_loads_nothing(done: Path, tmp_path: Path) -
     assert "holds no CAN frame" in text
     counts = pq.read_table(done / "analysis" / "vehicles").column("drives").to_pylist()
     assert sum(counts) - len(counts) < 3, "the drives of these seconds are too few"
-    assert "Not known: too few drives" in text
+    assert "Between drives: not known, too few drives" in text
     head = text.partition(">Vehicles and their mounts</h2>")[2].partition("<h2")[0]
     segments = pq.read_table(done / "analysis" / "segments").to_pylist()
-    assert re.findall(r"<tr><td>([^<]+)</td>", head) == sorted({s["vehicle"] for s in segments})
+    rows = re.findall(r'<tr(?: class="marked")?><td>([^<]+)</td>', head)
+    assert rows == sorted({s["vehicle"] for s in segments})
 
 
 def test_a_folder_without_a_run_or_analysis_says_what_to_do(
