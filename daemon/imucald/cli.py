@@ -50,6 +50,9 @@ TOO_MANY_FILES = (errno.EMFILE, errno.ENFILE)
 NO_ROOM = "failed to map segment"
 """What the loader says of a library that finds no room in the address space."""
 
+NO_REASON = "without exception set"
+"""What the interpreter says of a library whose memory could not be had while it was imported."""
+
 DEFAULT_COLUMNS = 80
 """Width of help texts where there is no terminal."""
 
@@ -213,7 +216,7 @@ def main(argv: Sequence[str] | None = None) -> int:
                 taken.append((number, handler, signal.signal(number, handler)))
     try:
         return _done(argv)
-    except (MemoryError, ImportError, OSError) as error:
+    except (MemoryError, ImportError, OSError, SystemError) as error:
         if (text := _limit_words(error)) is None:
             raise
         print(f"imucald: {text}", file=sys.stderr)
@@ -236,6 +239,7 @@ def _limit_words(error: Exception) -> str | None:
     if number in TOO_MANY_FILES:
         return "too many open files: raise the limit of this process (ulimit -n)"
     no_room = isinstance(error, ImportError) and NO_ROOM in str(error)
+    no_room |= isinstance(error, SystemError) and NO_REASON in str(error)
     if isinstance(error, MemoryError) or number == errno.ENOMEM or no_room:
         return (
             "the memory that this process may use is full: raise its limit, or give it fewer "

@@ -163,6 +163,7 @@ def test_a_limit_of_memory_is_one_line(tmp_path: Path) -> None:
         OSError(12, "Cannot allocate memory"),
         OSError(24, "Too many open files", "x.py"),
         ImportError("libx.so: failed to map segment from shared object"),
+        SystemError("error return without exception set"),
     ],
 )
 def test_a_limit_that_is_reached_anywhere_is_one_line(

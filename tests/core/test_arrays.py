@@ -17,7 +17,7 @@ def test_the_median_is_numpys_to_the_last_bit(values):
 
 
 def test_no_value_has_no_median():
-    with pytest.raises(ValueError, match="no value"):
+    with pytest.raises(ValueError, match="no median"):
         median([])
 
 

@@ -124,7 +124,7 @@ def test_each_number_of_a_sensor_is_asked():
 def test_a_speed_that_says_0_up_to_walking_pace_is_reported():
     (one,) = found(file_of(), samples(2, from_mps=1.0))
     assert (one.signal, one.kind) == ("speed", VALUES_MISSING)
-    assert "says 0 up to 1" in one.text
+    assert "shows 0 up to 1" in one.text
 
 
 def test_so_is_none_whose_file_says_the_same():

@@ -43,7 +43,7 @@ def test_a_cause_that_is_large_enough_and_not_named_says_why(size, is_large):
     (found,) = other_candidates(state(doubtful=[of(size)]))
     assert found.outcome == "not ruled out"
     end = OTHERWISE if is_large else ""
-    assert found.text == f"accel.scale.0 off by {size} +- 0.2; threshold {NAMED_FROM}{end}"
+    assert found.text == f"accel.scale.0 is off by {size} +- 0.2; threshold {NAMED_FROM}{end}"
 
 
 def test_a_number_with_a_unit_has_it_and_a_pure_number_has_none():

@@ -177,7 +177,7 @@ def test_a_changed_model_is_taken_on_reload_and_the_mount_goes_on_as_restored(be
     assert isinstance(engine.pipeline.estimator, RestoredEstimator)
     assert engine.pipeline.quality == 1
     assert service.status()["mount"]["yaw_deg"] == pytest.approx(yaw, abs=1e-3)
-    assert "takes out accel.bias, speed.scale" in bench.log.getvalue()
+    assert "corrects accel.bias, speed.scale" in bench.log.getvalue()
     bench.model(MODEL)
     service.reload()  # back to the model whose state was saved when it went
     assert service.engine.pipeline.quality == 1
@@ -219,7 +219,7 @@ def test_the_start_says_what_is_used_and_what_is_not(bench):
     service.run(0.05)
     service.close()
     log = bench.log.getvalue()
-    assert "takes out accel.bias" in log
+    assert "corrects accel.bias" in log
     assert "gyro.bias_temperature: needs signals.temperature" in log
     assert "wind: this version does not know it" in log
 

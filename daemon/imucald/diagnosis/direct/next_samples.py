@@ -27,7 +27,7 @@ from imucald.diagnosis.direct.levels import (
     signals_of,
     step_of,
 )
-from imucald.diagnosis.fit.beside_file import Family, Left, Row, joined
+from imucald.diagnosis.fit.beside_file import Family, FamilyRow, Left, joined
 from imucald.diagnosis.result import FOLLOWS_OTHERWISE
 from imucald.diagnosis.signals import STANDING_MPS, DriveSignals, Mask
 from imucald.model.model import VehicleModel
@@ -167,11 +167,11 @@ def _on_the_files_grid(drives: Sequence[DriveSignals], stated: VehicleModel) -> 
     return same
 
 
-def _row(signal: str, trait: Trait, on_grid: Collection[str]) -> Row | None:
+def _row(signal: str, trait: Trait, on_grid: Collection[str]) -> FamilyRow | None:
     is_inertial = signal.partition("_")[0] in INERTIAL
     if not (is_inertial or trait.of_speed) or (trait.limit == SHARE and signal not in on_grid):
         return None
-    return Row(
+    return FamilyRow(
         trait.limit,
         lambda _, more: (
             f"it {trait.more if more > 0.0 else trait.less} than in the drives of the model "

@@ -30,7 +30,7 @@ from imucald.diagnosis.direct.levels import (
     step_of,
 )
 from imucald.diagnosis.direct.lost_readings import PASSES_HALF
-from imucald.diagnosis.fit.beside_file import ROAD_CLASS, Family, Left, Row, joined
+from imucald.diagnosis.fit.beside_file import ROAD_CLASS, Family, FamilyRow, Left, joined
 from imucald.diagnosis.fit.chance import Question, beyond_chance
 from imucald.diagnosis.result import (
     CHANGES_MISSING,
@@ -120,12 +120,12 @@ def _sizes(t: Array, table: Array, good: Mask, period: float) -> Array:
     return made
 
 
-def _row(name: str, i: int) -> Row:
+def _row(name: str, i: int) -> FamilyRow:
     """Either way, beyond what a road makes of one axis."""
     _, _, _, _, rate, _ = name.split()
     lag = counted(LAGS[i], "sample")
     rougher = float(np.log(ROUGHER))
-    return Row(
+    return FamilyRow(
         rougher,
         lambda middle, more: (
             f"in half of the segments its changes over {lag} at {rate} Hz are {middle:.2g} times "

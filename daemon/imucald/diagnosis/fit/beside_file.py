@@ -34,7 +34,7 @@ Left = dict[str, tuple[Array, Array]]
 
 
 @dataclass(frozen=True)
-class Row:
+class FamilyRow:
     """One number of a family, next to the file's."""
 
     limit: float
@@ -55,7 +55,7 @@ class Family:
     """Numbers of segments that a model file states of its own drives."""
 
     kind: str
-    row: Callable[[str, int], Row | None]
+    row: Callable[[str, int], FamilyRow | None]
     """By name of an entry and number; None: not asked."""
     least: int = LEAST_SEGMENTS
     """Segments of an entry, and of a drive that is held against it."""

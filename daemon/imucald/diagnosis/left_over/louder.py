@@ -13,7 +13,7 @@ from scipy.fft import dct
 
 from imucald.core.arrays import Array
 from imucald.diagnosis.equations.forward import UNITS
-from imucald.diagnosis.fit.beside_file import ROAD_CLASS, Family, Left, Row, joined
+from imucald.diagnosis.fit.beside_file import ROAD_CLASS, Family, FamilyRow, Left, joined
 from imucald.diagnosis.fit.blocks import LEAST_SHARE, MOVING_SHARE
 from imucald.diagnosis.fit.score import Problem
 from imucald.diagnosis.result import LOUDER
@@ -55,12 +55,12 @@ def _by_band(y: Array, mask: Mask) -> Array:
     return np.asarray(np.sqrt(sums / np.maximum(mask.sum(axis=1), 1)[:, None]))
 
 
-def _row(name: str, band: int) -> Row:
+def _row(name: str, band: int) -> FamilyRow:
     """Where roads shake, chance starts from a class of road."""
     low, high = BANDS_HZ[band : band + 2]
     road = float(np.log(ROAD_CLASS))
     is_shaken = low >= SHAKEN_FROM_HZ.get(name, np.inf)
-    return Row(
+    return FamilyRow(
         road,
         lambda middle, more: (
             f"between {low:g} and {high:g} Hz half of the segments leave {middle:.2g} "
