@@ -412,6 +412,14 @@ def test_a_service_whose_program_systemd_hides_is_refused_before_anything_is_wri
     assert (tmp_path / "image").exists()
 
 
+@pytest.mark.parametrize("command", [" ", "a 'b"])
+def test_a_service_whose_command_is_none_is_refused(
+    command: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert cli.main(["install-service", "--exec", command]) == 1
+    assert "--exec" in capsys.readouterr().err
+
+
 @pytest.mark.parametrize("command", ["check", "replay", "diagnose", "walk", "status", "wait"])
 def test_quiet_has_the_same_two_names_in_every_command(
     command: str, capsys: pytest.CaptureFixture[str]

@@ -11,6 +11,7 @@ import sys
 import zipfile
 from pathlib import Path
 
+import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 from fleet_files import (
@@ -25,6 +26,7 @@ from fleet_files import (
 
 import imucald
 from imucald.cli import main
+from imucald.fleet import page
 
 
 @pytest.fixture(scope="module")
@@ -282,3 +284,10 @@ def test_a_run_that_is_stopped_while_it_starts_ends_without_a_traceback(
     )  # fmt: skip
     text = "" if name == "SIGKILL" else "imucald: interrupted. Run the same command to continue\n"
     assert (run.returncode, run.stderr) == (status, text)
+
+
+def test_the_page_draws_nothing_of_a_vehicle_whose_only_drive_moved_and_ended_suspect() -> None:
+    types = pa.schema([("vehicle", pa.string()), ("state", pa.string()), ("q_w", pa.float64())])
+    drives = pa.Table.from_pylist([{"vehicle": "a", "state": "suspect", "q_w": 1.0}], types)
+    moved = {"vehicle": "a", "size_deg": None, "after_log_key": "a/1.log"}
+    assert page._histories([moved], drives) == []

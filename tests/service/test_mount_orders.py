@@ -208,6 +208,24 @@ def test_the_configured_mount_serves_from_the_first_frame_and_holds(bench):
     service.close()
 
 
+def test_a_hold_by_the_configuration_ends_with_it(bench):
+    """One by an order outlives a reload."""
+    mount = "{roll_deg: 0, pitch_deg: 0, yaw_deg: 24, std_deg: 0.5, hold: true}"
+    bench.edit("accelerometer_bias: 0.02", f"accelerometer_bias: 0.02\n  mount: {mount}")
+    service = bench.service()
+    assert service.status()["held"]
+    bench.edit(", hold: true", "")
+    service.reload()
+    assert not service.status()["held"]
+    service.orders.hold(ME)
+    bench.edit("accelerometer_bias: 0.02", "accelerometer_bias: 0.03")
+    service.reload()
+    assert service.status()["held"]
+    waiting = service.engine.pipeline.estimator.estimate().waiting_for.values()
+    assert not any("configuration" in text for text in waiting)
+    service.close()
+
+
 def test_a_configured_mount_that_is_not_held_gives_way_to_what_was_learnt_from_it(bench):
     mount = "{roll_deg: 0, pitch_deg: 0, yaw_deg: 24, std_deg: 2}"
     bench.edit("accelerometer_bias: 0.02", f"accelerometer_bias: 0.02\n  mount: {mount}")
