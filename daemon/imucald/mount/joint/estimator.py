@@ -27,9 +27,10 @@ from imucald.mount.joint.drift import NONE as NO_DRIFT
 from imucald.mount.joint.drift import Drift
 from imucald.mount.joint.evidence import MIDDLES, Block, Evidence, Solution
 from imucald.mount.joint.known import CHANCE_AS_BEFORE, KnownSensor
+from imucald.mount.joint.moves import Move
 from imucald.mount.joint.state import PHI, OtherSignals, Priors
 from imucald.mount.mount_changes import MountChange, blocks_since
-from imucald.mount.signal_blocks import SignalBlock
+from imucald.mount.signal_blocks import BLOCK_S, SignalBlock
 from imucald.mount.states import NEEDED, MountKnowledge
 
 SOLUTIONS_KEPT = 32
@@ -221,12 +222,15 @@ class JointEstimator(FullEstimator):
         if solution is not None and (not lately or lately[-1][1] is not solution):
             lately.append((t, solution))
 
-    def _begin_again(self, blocks: list[SignalBlock]) -> None:
-        self._joint, self._next, self._widened = self._filled(blocks), None, 0.0
+    def _begin_again(self, blocks: list[SignalBlock], since: int = 0) -> None:
+        self._joint, self._next, self._widened = self._filled(blocks, since), None, 0.0
         self._drift, self._doubt = NO_DRIFT, 0.0
 
-    def _filled(self, blocks: list[SignalBlock]) -> Evidence:
+    def _filled(self, blocks: list[SignalBlock], since: int = 0) -> Evidence:
+        """Evidence of what came after a move. since: blocks after it, where fewer are kept."""
         began = float(blocks[0].t[0]) if blocks else self._now
+        if since > len(blocks):
+            began = min(began, self._now - since * BLOCK_S)
         self._known_before = self._known_until(began)
         self._lately_known.clear()
         drifts = [drift for end, drift in self._drifts if end < began]  # later blocks count again
@@ -244,12 +248,13 @@ class JointEstimator(FullEstimator):
 
     def _take_change(self, found: MountChange) -> None:
         after = blocks_since(found, self._solvers.kept)
+        since = found.blocks if isinstance(found, Move) else 0
         super()._take_change(found)
         if self._served.has_moved:
-            self._begin_again(after)
+            self._begin_again(after, since)
         else:
             self._widened = max(self._widened, abs(float(found.size)))
-            self._next, self._doubt = self._filled(after), 0.0  # it is no doubt any more
+            self._next, self._doubt = self._filled(after, since), 0.0  # it is no doubt any more
 
     def _small_change(self, is_turn: bool) -> MountChange | None:
         """As the joint solution sees it, where that is served and has a gyroscope."""
