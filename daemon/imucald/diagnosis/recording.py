@@ -26,8 +26,8 @@ TRIADS = ("accelerometer", "gyroscope", "magnetometer")
 """Keys of the configuration that may name several sensors, each in axes of its own."""
 
 SAME_CHANGES = 64
-"""The noise of a sensor, so often new, never comes twice: as for frames in `can.logs.first_frames`.
-A sensor that shows one value all the time it stands says nothing."""
+"""A sequence of this many new values of sensor noise never occurs twice; `can.logs.first_frames`
+uses the same for frames. A sensor that shows one constant value at standstill proves nothing."""
 
 
 @dataclass(frozen=True)
@@ -60,13 +60,13 @@ def read_samples(
     progress: Progress | None = None,
     strict: bool = False,
 ) -> Recording:
-    """Read one recording: guards, checksums, units and signs are those of the configuration.
+    """Read one recording with the guards, checksums, units and signs of the configuration.
 
-    paths: one log, or the pieces of one recording in their order. progress: called with bytes
-    done and in all. Of several accelerometers, gyroscopes or magnetometers only the first is read:
-    the others have axes of their own. Frames are read in chunks, only samples are kept.
-    Raises ConfigError, and LogError for logs without a usable frame (or, with `strict`, at the
-    first bad line).
+    paths: one log, or the pieces of one recording in their order. progress: called with bytes done
+    and in all. Of several accelerometers, gyroscopes or magnetometers only the first is read: the
+    others have axes of their own. Frames are read in chunks, only samples are kept. Raises
+    ConfigError, and LogError for logs without a usable frame (or, with `strict`, at the first bad
+    line).
     """
     router = _first_sensors(loaded)
     reader = LogReader(paths, router.matches, strict, progress)
@@ -96,7 +96,7 @@ def read_samples(
 def is_same_recording(one: Recording, other: Recording) -> bool:
     """Whether two recordings begin with the same samples of the accelerometer.
 
-    Names, interfaces, time stamps and formats of the logs do not count, nor where one of them ends.
+    Names, interfaces, time stamps, formats and ends of the logs do not count.
     """
     if "accel" not in one.samples or "accel" not in other.samples:
         return False
@@ -109,7 +109,7 @@ def is_same_recording(one: Recording, other: Recording) -> bool:
 
 
 class _Kept:
-    """What chunks came to, until the log ends."""
+    """Collects the samples of all chunks until the log ends."""
 
     def __init__(self) -> None:
         self.gaps: list[float] = []
