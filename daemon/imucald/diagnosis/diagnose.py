@@ -119,8 +119,8 @@ def diagnose(
 
     drives: SI samples, sensor axes (see `imucald.core.samples`); at least `accel` and `speed`, and
     minutes of them. limit_s: processor time after which the search stops and its result so far is
-    reported; None: `LIMIT_S_PER_H`, and not less than `LEAST_LIMIT_S`. Raises EstimateError where
-    nothing can be diagnosed.
+    reported; None: `LIMIT_S_PER_H`, and not less than `LEAST_LIMIT_S`.
+    Raises EstimateError if nothing can be diagnosed.
     """
     report = progress or _silent
     began = time.process_time()

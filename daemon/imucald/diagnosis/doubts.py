@@ -39,7 +39,8 @@ USES = {
     "accel_y": (*TAKES["accel_y"], "speed"),
     "yaw_rate": (*TAKES["yaw_rate"], "speed"),
 }
-"""Signals of each equation, without those by which speed limits the band."""
+"""Signals that each equation uses: those of `TAKES`, which limit its frequency band, and the speed
+where an equation uses it without such a limit."""
 
 
 def doubt(state: State, left: Sequence[Structure], faults: Sequence[Sequence[Fault]]) -> None:
