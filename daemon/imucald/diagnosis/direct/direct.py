@@ -50,7 +50,8 @@ class Rest:
         )
 
     def bounds(self, model: VehicleModel) -> dict[str, tuple[float, float]]:
-        """Bounds for the fit: for the zero at the temperature where the file states it."""
+        """Bounds of the zero for the fit: its interval at stops, widened by the tolerance of its
+        temperature slope times the temperature difference."""
         half = self.quantile * self.se
         half = half + np.array(
             [tolerance(model, f"gyro.bias_temperature.{axis}") for axis in "xyz"]

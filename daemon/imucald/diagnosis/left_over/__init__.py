@@ -1,4 +1,4 @@
-"""What the equations leave over when the search has ended, tested without a cause in mind.
+"""Test the residuals of the equations after the search, without a known cause.
 
 Each module asks one kind of question of the residual: size (`adequacy`, `louder`), frequency
 (`lines`, `orders`), other signals (`pairs`, `patterns`), or change from segment to segment
