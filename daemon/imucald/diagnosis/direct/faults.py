@@ -216,7 +216,7 @@ def _timed(name: str, series: Series, model: VehicleModel) -> Iterator[Fault]:
     """Lost frames, doubled frames, and a cycle that is not the stated one."""
     message = getattr(model, name)
     period = float(np.median(np.diff(series.t)))
-    again = duplicates(series, period)  # not what shares a stamp, and says something else
+    again = duplicates(series, period)  # not frames with a shared stamp but other values
     doubled = int(again.sum())
     if doubled >= DOUBLED_FEWEST and doubled > DOUBLED_TOLERANCE * len(again):
         share = doubled / len(again)

@@ -163,7 +163,8 @@ class MadeLater(Mapping[str, Array]):
 class Rows:
     """One equation of one drive, transformed: y (B, K), X (B, K, P), tilt (B, K, 2) or None.
 
-    good: (B,) blocks in which enough of it is there."""
+    good: (B,) blocks in which enough rows are present.
+    """
 
     y: Array
     X: Array

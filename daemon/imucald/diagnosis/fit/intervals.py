@@ -51,9 +51,11 @@ def quantile(blocks: int, questions: int) -> float:
 def estimate(
     problem: Problem, h: Hypothesis, questions: int, null: Problem | None = None
 ) -> Estimate:
-    """Value and deviation of a hypothesis' parameters, the others free within their box.
+    """Value and standard deviation of a hypothesis' parameters, with the others free within their
+    box.
 
-    null: the same with the box of correct files, where the model has moved out of it already.
+    null: the same problem with the box of correct files, needed if the model has already left that
+    box.
     """
     gram, low, high = problem.widened(h)
     own = problem.own(h)

@@ -214,7 +214,7 @@ def delay_course(problem: Problem, state: State) -> list[Question]:
     by more than a delay's tolerance need an explanation in any case.
     """
     if not all(f.has_gravity for f in state.forwards) or DELAY not in problem.table.keys:
-        return []  # the road's slope is left, and is summed up
+        return []  # the road's slope stays in the force and would be integrated
     changes = problem.fitted_changes()
     drives = [pieces_of(f, changes) for f in state.forwards]
     j = problem.table.keys.index(DELAY)

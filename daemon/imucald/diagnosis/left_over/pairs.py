@@ -121,7 +121,7 @@ def asked_of(
     """Questions for drives with a model file and its table. x: (all blocks, P) departures that fit
     their segments."""
     if not all(f.has_gravity for f in forwards):
-        return []  # the road's slope is left, and goes with anything
+        return []  # the road's slope is not removed and correlates with anything
     some = [conditions(f) for f in forwards]
     asked = [
         (error, name)

@@ -309,6 +309,6 @@ def _solved(gram: Array) -> Array:
 
 
 def _losses(gram: Array, x: Array) -> Array:
-    """(B,) half the squares that x (B, P) leaves of blocks (B, 1 + P, 1 + P)."""
+    """(B,) half the sum of squares that x (B, P) leaves in blocks (B, 1 + P, 1 + P)."""
     z = np.concatenate([np.ones((len(x), 1)), -x], axis=1)[:, :, None]
     return np.asarray(0.5 * (np.swapaxes(z, 1, 2) @ gram @ z)[:, 0, 0])

@@ -102,7 +102,7 @@ def _filters(state: State, problem: Problem, late: Mapping[str, float]) -> list[
     parts = rows_with(state.forwards, state.model, table, lambda f: _filtered(f, late))
     if "speed" in late:
         for _, columns in parts.get("speed", ()):
-            columns[:] = 0.0  # wheels and speed come of one unit, and are filtered together
+            columns[:] = 0.0  # wheel speeds and speed come from one unit
     rows = [a for n, a in whitened(parts, x).items() if n in table.by_equation]
     gram = np.asarray(sum(np.swapaxes(a, 1, 2) @ a for a in rows))[table.number]
     own = list(range(1 + len(table.keys)))

@@ -58,7 +58,7 @@ class FittedShift:
 def find_shift(problem: Problem, levels: Array) -> FittedShift | None:
     """The best step or creep of one drive. levels: (B, 2) mean tilt forward and left of each block.
 
-    None where the data cannot show one.
+    None if the data cannot show one.
     """
     table = problem.table
     if not set(KEYS) <= set(table.keys) or len(set(table.drive.tolist())) != 1:

@@ -157,7 +157,7 @@ def set_aside(state: State, trial: Trial) -> None:
     """Reduce a named cause to one that is not ruled out."""
     if trial.hypothesis.pattern is None:
         _drop(state, without(state, trial), trial)
-    else:  # it has no place in the model file: nothing moves
+    else:  # it has no place in the model file, so the model stays
         state.named.remove(trial)
         state.doubtful.append(trial)
 
