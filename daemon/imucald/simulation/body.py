@@ -42,7 +42,7 @@ class BodyMotion:
     reference_force: tuple[Array, Array, Array]
     """Specific force at the body's centre of rotation [m/s^2]."""
     heading_rate: Array
-    """Turn of the road frame about the vertical [rad/s]."""
+    """Angular rate of the road frame about the vertical [rad/s]."""
 
 
 def road_force(
@@ -78,7 +78,8 @@ def suspension_attitude(
     roughness: Roughness | None,
     rate: float,
 ) -> BodyAttitude:
-    """Suspension's answer to the specific force in road axes and to the road's waves."""
+    """Response of the suspension to the specific force in road axes and to the road's
+    unevenness."""
     n = len(force_x)
     pitch, roll = np.zeros(n), np.zeros(n)
     if suspension.squat_dive:
@@ -110,7 +111,7 @@ def body_motion(
     lever_arm: Vector3,
     rate: float,
 ) -> BodyMotion:
-    """Turn road-axes force into body axes and carry it to the sensor's place.
+    """Rotate the road-axes force into body axes and transfer it to the sensor's place.
 
     R_road_from_body = R_y(pitch) R_x(roll); f_sensor = f + w' x l + w x (w x l).
     """
