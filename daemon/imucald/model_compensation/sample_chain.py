@@ -1,11 +1,11 @@
-"""A chain is a list of small callables: each takes a sample and changes it, or refuses it."""
+"""A chain is a list of callables. Each takes a sample and changes or refuses it."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
 
 Stage = Callable[[float, Sequence[float]], Sequence[float] | None]
-"""Time [s] and raw values of one sample -> its values; None where it is refused."""
+"""Stage: takes time [s] and raw values of one sample, returns its values; None if it is refused."""
 
 
 def through(stages: Iterable[Stage], t: float, values: Sequence[float]) -> Sequence[float] | None:
