@@ -1,7 +1,7 @@
 """The columns of every table, once: name, type, unit and meaning.
 
-Columns are only appended, never renamed or given another meaning; a file always has all columns of
-its version, and what is not known is null of the column's type.
+Columns are only appended; they are never renamed and never change their meaning. A file always has
+all columns of its version; unknown values are null of the column's type.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ class Column(NamedTuple):
 
 
 def floats(unit: str, meaning: str, *names: str) -> tuple[Column, ...]:
-    """Columns of numbers in one unit."""
+    """Columns of numbers with one common unit."""
     return tuple(Column(name, "float", unit, meaning) for name in names)
 
 
@@ -34,7 +34,7 @@ def texts(**meanings: str) -> tuple[Column, ...]:
 
 AXES: Final = ("x", "y", "z")
 PAIRS: Final = ("xx", "xy", "xz", "yy", "yz", "zz")
-"""Of a symmetric matrix."""
+"""Suffixes of the six elements of a symmetric matrix."""
 
 _VEHICLE = texts(
     vehicle="as the rules of fleet.yaml say",
@@ -150,7 +150,7 @@ ORDER: Final = {
 
 
 def row_of(table: str, values: dict[str, object]) -> dict[str, object]:
-    """A row with every column of its table: null where there is no value."""
+    """A row with every column of its table; missing values are null."""
     found = {column.name: values.get(column.name) for column in TABLES[table]}
     found["schema_version"] = VERSION
     return found

@@ -1,6 +1,8 @@
-"""`fleet run --diagnose`: one log to one row, with what the drive alone shows for certain.
+"""`fleet run --diagnose`: evaluate one log to one row, with the causes that are certain from this
+drive alone.
 
-A module of its own, since a template process that does not diagnose starts in a third of the time.
+This is a separate module because a template process without diagnosis starts in a third of the
+time.
 """
 
 from __future__ import annotations
@@ -22,7 +24,7 @@ def evaluate_and_diagnose(task: Task) -> Outcome:
 
 
 def _diagnosed(config: Configuration, path: Path) -> dict[str, Any]:
-    """The certain causes as a JSON list; None where the drive cannot be diagnosed."""
+    """The certain causes as a JSON list; None if the drive cannot be diagnosed."""
     try:
         found = diagnose(config, path)
     except EstimateError:
