@@ -1,7 +1,8 @@
 """Remove the known errors of vehicle and sensors, from a model file, from their signals while
 driving.
 
-Loaded only if a configuration names a model. `trial` runs a drive with and without a model.
+Loaded only if a configuration names a model. `benchmarks/model_compensation.py` runs drives with
+and without a model.
 """
 
 from imucald.model_compensation.compensation import ModelCompensation, compensation_from_model
