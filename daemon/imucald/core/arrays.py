@@ -27,8 +27,7 @@ def inverse(matrix: Array) -> Array:
 def summed_in_order(terms: Array) -> Array:
     """Sums from left to right over the last dimension of terms (..., n), n > 0.
 
-    numpy sums longer ones in pairs, a library's products in any order. The compiled part sums in
-    this order, and so gives the same bits.
+    numpy sums longer ones in pairs, a library's products in any order, which differs by processor.
     """
     total: Array = terms[..., 0].copy()
     for k in range(1, terms.shape[-1]):

@@ -2,7 +2,7 @@
 
 `large_change` sees a turn by several degrees in single blocks, `gravity_step` a step that the
 gyroscope did not see, `shift` a small change once enough road has been driven, `creep` a slow one.
-Where the joint solution is served, `joint.moves` takes the place of `shift`.
+Where the joint solution is served and has a gyroscope, `joint.moves` takes the place of `shift`.
 """
 
 from __future__ import annotations

@@ -78,10 +78,6 @@ class FlowKind(StrEnum):
     NONE = "none"
 
 
-TROUBLE = frozenset({FlowKind.SUSPECT, FlowKind.FAULTY, FlowKind.CONFLICT, FlowKind.NONE})
-"""Somebody has to do something."""
-
-
 class Flow(Struct, frozen=True):
     """kind: what a receiver gets now; text: the same in a sentence, with the cause."""
 

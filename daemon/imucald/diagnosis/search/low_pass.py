@@ -7,7 +7,9 @@ by (w T)^3/6. So a found delay is compared with filters of about the same delay.
 delay gets a further column: the difference between filter and delay, with a factor of 0 (delay) or
 about 1 (filter). All delays are free in both cases, so only the shape counts. One alternative is
 ruled out if it is worse by two standard errors and by the nats that name a cause, and if the
-difference in shape exceeds the error of the equations. Otherwise both remain possible.
+difference in shape exceeds the error of the equations. Otherwise both remain possible. A delay of
+the speed is never ruled out: its unit counts, averages and holds, which has the shape of a filter
+(`css_canmod_164`, delayed artificially by 0.2 s, was called a low-pass).
 """
 
 from __future__ import annotations
@@ -88,7 +90,7 @@ def _compare(state: State, trial: Trial, name: str, late: Mapping[str, float]) -
         shown=without_best(trial.gain + more),
     )  # fmt: skip
     delay = trial.hypothesis.name
-    if ahead > least and best.is_apart:
+    if ahead > least and best.is_apart and "speed" not in late:
         state.named[[t is trial for t in state.named].index(True)] = other
         state.rivals[name] = state.rivals.pop(delay, [])
     else:

@@ -36,7 +36,8 @@ _LOG_BEGINNINGS: Final = math.log(FALSE_ALARM_H * 3600.0 / (SPANS[0] * BLOCK_TIC
 class EntryChange(NamedTuple):
     """Changes (S,) of an entry over the last spans, and their variances (S,).
 
-    turn: (3,) what a turn by one about each axis makes of the entry. tail: degrees of freedom.
+    turn: (3,) by how much the entry falls with a turn by one about each axis. tail: degrees of
+    freedom.
     """
 
     turn: Array
