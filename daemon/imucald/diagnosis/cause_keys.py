@@ -74,7 +74,7 @@ def along_vehicle(changes: Changes, key: str) -> Array:
 
 
 def mounts(model: VehicleModel) -> list[tuple[float, Matrix3]]:
-    """From time [s] on, R_vehicle_from_sensor."""
+    """Pairs of a start time [s] and R_vehicle_from_sensor from then on."""
     m = model.mount
     R = rotation_from_angles(*(math.radians(x) for x in (m.roll_deg, m.pitch_deg, m.yaw_deg)))
     found = [(-math.inf, R)]

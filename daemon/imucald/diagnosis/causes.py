@@ -29,7 +29,7 @@ class Parameter:
     unit: str
     tolerance: float
     source: str
-    """Where the tolerance comes from."""
+    """Source of the tolerance."""
     plausible: tuple[float, float]
     """Range of the departure from the model file."""
     needs: tuple[str, ...] = ()

@@ -105,8 +105,8 @@ MOVES = (WANDERS, DIFFERS, GOES_WITH_ANOTHER)
 BETWEEN = (FOLLOWS_OTHERWISE, VALUES_MISSING, CHANGES_MISSING, JUMPS_ALONE)
 """Structure of raw values that arises between sensor and log."""
 HALF = 0.5
-"""A file's numbers are never tested against less than this share of a tolerance: all parts of one
-drive share temperature, load and weather."""
+"""The written half width of a number (`known_to`) is at least this share of its tolerance, because
+all parts of one drive share temperature, load and weather."""
 
 
 def diagnose(
@@ -275,7 +275,7 @@ def _is_recommended(
     causes: Sequence[FoundCause], gain: Gain, left: Sequence[Structure], changes: bool
 ) -> bool:
     """Whether the written file predicts data outside its fit better, or states directly read facts.
-    In both cases the prediction must also be trustworthy."""
+    In both cases the fit must also be trustworthy."""
     if not (causes and changes) or any(s.kind in UNBELIEVED for s in left):
         return False
     return not gain.worse and (gain.held_out_log_likelihood > 0.0 or not gain.was_fitted)

@@ -1,4 +1,4 @@
-"""The gain of the written model file by itself: nothing is fitted here beside it.
+"""The gain of the written model file by itself: nothing else is fitted here.
 
 *After* is the residual of these drives with the written file; anyone who compares them again finds
 the same. The value of the file is measured on data outside the fit (cross-validation): the found

@@ -85,7 +85,7 @@ def _as_low_pass(model: VehicleModel, key: str, late: Estimated) -> tuple[str, E
     """Convert a delay to the file's low-pass, if it has one. The cut-off's relative accuracy is
     that of the delay."""
     filtered = low_pass(model, key, late.value - late.stated)
-    if filtered is None or late.value <= late.stated:  # nothing is filtered by less than nothing
+    if filtered is None or late.value <= late.stated:  # a filter cannot have a negative delay
         return key, late
     (name, x), stated = filtered, low_pass(model, key, 0.0)
     unit = "Hz" if name.endswith("hz") else "s"

@@ -43,7 +43,7 @@ def pictures_of(before: Sequence[Forward], after: Sequence[Forward]) -> tuple[Si
 
 
 def _one(before: Forward, after: Forward) -> Mapping[str, tuple[Array, Array, Array]]:
-    """By equation: measured, residual before and after, (N,), NaN where it was not there."""
+    """By equation: measured signal, residual before and after, (N,) each; NaN if not present."""
     masks = before.usable()
     measured = before.measured()
     old, new = (f.level(f.residuals({}), f.usable()) for f in (before, after))

@@ -47,7 +47,8 @@ class Recording:
     gaps: tuple[float, ...] = ()
     """Stream times at which a new segment begins after a hole or a step of the clock [s]."""
     cycle_s: Mapping[str, float] = field(default_factory=dict)
-    """By channel, the message's cycle time as the database states it [s]; absent if it does not."""
+    """By channel, the message's cycle time as the database states it [s]; absent if the database
+    does not state it."""
     planar: bool = False
     """The accelerometer has no z axis: the third of its values is one g by declaration."""
     problems: tuple[str, ...] = ()
@@ -137,7 +138,7 @@ class _Kept:
 
 def _first_sensors(loaded: LoadedConfig) -> Router:
     """The configuration's router, without second choices and parallel sensors."""
-    router = compile_router(loaded)  # reports what is wrong in the whole of it
+    router = compile_router(loaded)  # reports all mistakes of the configuration
     signals = loaded.config.signals
     first = {key: triads[:1] for key in TRIADS if len(triads := getattr(signals, key) or ()) > 1}
     if not first and not signals.parallel:

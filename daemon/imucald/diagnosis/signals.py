@@ -35,7 +35,7 @@ CHANCE = 0.01
 duplicates."""
 STANDING_MPS = 0.05
 FASTEST_REST_RADPS = np.radians(0.3)
-"""rms by which a gyroscope may move about its mean at rest: an idling engine stays below."""
+"""Largest rms of a gyroscope about its mean at rest; an idling engine causes less."""
 TRIM_S = 1.5
 """The speed signal is late and says 0 before the vehicle stands (dead band), so the ends of stops
 are cut."""
@@ -90,8 +90,8 @@ class Channel:
         return np.asarray(rows[0] if self.values.ndim == 1 else np.column_stack(rows))
 
     def _at(self, t: Array, integral: Array, ends: Array) -> Array:
-        """Integral up to t, the end values held outside. Linear between samples, not quadratic:
-        the difference is a shift of the mean by less than a sample."""
+        """Integral up to t, the end values held outside. It is linear between samples, not
+        quadratic; this shifts the mean by less than one sample."""
         inside = np.interp(t, self.t, integral)
         before, after = np.minimum(t - self.t[0], 0.0), np.maximum(t - self.t[-1], 0.0)
         return np.asarray(inside + before * ends[0] + after * ends[-1])

@@ -110,7 +110,7 @@ def load_bundle(name: str) -> Configuration:
     folder = Path(os.environ.get(FOLDER_VARIABLE, "/nowhere")) / name
     if not folder.is_dir():
         raise ConfigError(f"this worker has no configuration {name}, since it joined another run")
-    keep_databases({"CACHE_DIRECTORY": str(folder.parent / "parsed")})  # by the first child
+    keep_databases({"CACHE_DIRECTORY": str(folder.parent / "parsed")})  # the first child does it
     databases = sorted(folder.glob("database-*"), key=lambda p: int(p.name.rpartition("-")[2]))
     found = [next(place.iterdir()) for place in databases]
     config = Configuration.load(folder / "config.yaml", found)

@@ -82,7 +82,7 @@ def _guarded(task: Task, asked: socket.socket) -> Outcome:
 
 
 def _watch(child: int, answers: int, asked: socket.socket, until: float) -> tuple[bytes, bool]:
-    """Return what the child answered, and whether it ended by itself before its time was up."""
+    """Return the child's answer, and whether it ended by itself within its time limit."""
     poll = select.poll()
     poll.register(answers, select.POLLIN)
     poll.register(asked, select.POLLHUP | select.POLLERR)

@@ -14,7 +14,7 @@ Kind = Literal["text", "time", "float", "integer", "short", "flag", "float32", "
 
 
 class Column(NamedTuple):
-    """One column; unit is empty where there is none."""
+    """One column; unit is empty if there is none."""
 
     name: str
     kind: Kind

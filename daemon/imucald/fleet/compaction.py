@@ -99,7 +99,7 @@ def _drives(
     chosen: dict[str, int] = {}
     for index in _last(known, numbers):
         key = keys[index]
-        # a drive with two addresses gets the first address of the sorted list
+        # of several rows for one drive, the one with the first address in sorted order counts
         if key in addresses and (key not in chosen or firsts[index] < firsts[chosen[key]]):
             chosen[key] = index
     lists = [json.dumps(sorted(addresses[key]), ensure_ascii=False) for key in chosen]

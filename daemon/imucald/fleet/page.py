@@ -154,7 +154,7 @@ def _histories(found: Sequence[dict[str, Any]], drives: Any) -> Rows:
     for vehicle, keys in list(cuts.items())[:MAX_HISTORIES]:
         mine = drives.filter(pc.equal(drives.column("vehicle"), vehicle)).to_pylist()
         mine = [d for d in mine if d["state"] in ("usable", "fine") and d["q_w"] is not None]
-        if mine:  # none where its only drive moved, and ended without a good mount
+        if mine:  # none if its only drive had a move and ended without a good mount
             picture = address_of(_drawing().history_picture(mine, keys))
             rows.append({"vehicle": vehicle, "picture": picture})
     return rows

@@ -14,7 +14,7 @@ FOR_CHILDREN = {
     "OMP_NUM_THREADS": "1",  # logs run in parallel, not their arithmetic
     "OPENBLAS_NUM_THREADS": "1",
     "MKL_NUM_THREADS": "1",
-    "ARROW_DEFAULT_MEMORY_POOL": "system",  # the others map a GiB at once, which the limit counts
+    "ARROW_DEFAULT_MEMORY_POOL": "system",  # other pools map 1 GiB at once
 }
 """Environment variables for children."""
 

@@ -62,7 +62,7 @@ class Workers(Protocol):
 
 
 class AnyFuture(Protocol):
-    """What futures of the standard library and of Dask have in common."""
+    """Common interface of the futures of the standard library and of Dask."""
 
     def add_done_callback(self, fn: Callable[[Any], object], /) -> object:
         """Call `fn` with the future when it ends."""

@@ -122,7 +122,7 @@ class Speed(Transmission, frozen=True):
     """Relative error (tyre radius)."""
     lsb: NonNegative = 0.01 / 3.6
     dead_band_mps: NonNegative = 0.3
-    """Below this the signal says 0."""
+    """Below this speed the signal shows 0."""
     noise_mps: NonNegative = 0.01
     time_constant_s: NonNegative = 0.0
     """First-order filter in the sending unit."""

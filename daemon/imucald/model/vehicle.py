@@ -131,7 +131,7 @@ class Road(Section, frozen=True):
 
 
 class DriveRoute(Section, frozen=True):
-    """Where the drive goes and how the driver drives."""
+    """Route of the drive and style of the driver."""
 
     kind: RouteKind = "mixed"
     driving_side: DrivingSide = "right"

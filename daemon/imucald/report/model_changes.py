@@ -1,4 +1,4 @@
-"""What an extended model changes: keys, before and after."""
+"""Changes of an extended model: keys with values before and after."""
 
 from __future__ import annotations
 

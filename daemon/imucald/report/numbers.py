@@ -82,7 +82,7 @@ def in_file(p: Estimated) -> str:
 
 
 def unit_text(unit: str) -> str:
-    """Return a unit as it is printed: `m/s²` for `m/s^2`, nothing for the plain number."""
+    """Return a unit in printed form: `m/s²` for `m/s^2`, nothing for the plain number."""
     if unit == "1":
         return ""
     return unit.replace("^2", "²").replace("^3", "³").replace("*", "·")

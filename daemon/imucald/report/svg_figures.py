@@ -59,7 +59,8 @@ def drawn(
     size: tuple[float, float],
     style: Mapping[str, Any] | None = None,
 ) -> str:
-    """Return what `draw` puts on a figure of that size [in] as SVG text."""
+    """Draw on a figure of the given size [in] and return it as SVG text. draw: draws on the
+    figure."""
     with mpl.rc_context(STYLE | dict(style or {})), warnings.catch_warnings():
         # The layout font lacks letters of other scripts; the reader's font has them.
         warnings.filterwarnings("ignore", message="Glyph .* missing")

@@ -54,7 +54,7 @@ class CandidateRow(NamedTuple):
 
 @dataclass(frozen=True)
 class Words:
-    """The verdict in words."""
+    """Texts of the verdict."""
 
     headline: str
     explanation: str

@@ -36,14 +36,14 @@ MOVING_MPS = 1.0
 
 @dataclass(frozen=True)
 class Truth:
-    """What is true in a simulated drive; arrays (N,) on the regular times `t`, SI, radians.
+    """True motion of a simulated drive; arrays (N,) on the regular times `t`, SI, radians.
 
-    Angles are ISO 8855 (pitch positive nose down, roll positive left side up): `road_*` of the
-    road plane against the horizontal, `body_*` of the body against the road plane.
+    Angles are ISO 8855 (pitch positive nose down, roll positive left side up): `road_*` of the road
+    plane against the horizontal, `body_*` of the body against the road plane.
     """
 
     mounts: tuple[tuple[float, Matrix3], ...]
-    """From time [s] on, R_vehicle_from_sensor."""
+    """Pairs of a start time [s] and R_vehicle_from_sensor from then on."""
     lever_arm_m: tuple[float, float, float]
     t: Array
     speed: Array

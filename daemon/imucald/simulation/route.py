@@ -37,7 +37,7 @@ class Path:
     launch_mps2: Array
     braking_mps2: Array
     stop_s: Array
-    """Time to stand at the node; 0 where there is no stop."""
+    """Standing time at the node; 0 without a stop."""
     direction: Array
     """+1 forward, -1 in reverse."""
     banked: Array

@@ -32,7 +32,7 @@ SIGNALS = (
 )  # fmt: skip
 """Signals that are tested."""
 OF_WHEELS = ("speed", "wheel_speeds")
-"""Signals that say 0 below some speed."""
+"""Signals that show 0 below some speed."""
 NEAR_STEPS, OFF_STEP, ON_STEPS = 5.5, 0.1, 0.9
 """Levels belong to a converter if, among gaps of up to NEAR_STEPS steps, the share ON_STEPS are
 whole numbers of steps within OFF_STEP. Of gaps with random widths only a fifth are."""
@@ -44,7 +44,8 @@ GAIN = 1.0 + max(row.plausible[1] for key, row in PARAMETERS.items() if ".scale"
 OBD_STEP = 1.0 / 3.6
 """One bit of a vehicle's speed [m/s] (SAE J1979, PID 0x0D)."""
 FEW_CHANGES = 0.25
-"""Share of a signal's changes that its own noise may cause, including jumps over holes."""
+"""A hole must be wider than this quantile of the signal's changes, because noise alone may cause
+such changes."""
 LEAST_CODES = 2
 """Fewest codes in a hole: any converter may miss single codes."""
 

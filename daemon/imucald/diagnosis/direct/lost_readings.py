@@ -45,7 +45,7 @@ class Lost:
 
 
 def all_lost(samples: Samples) -> dict[str, Lost]:
-    """Lost readings by signal, where there are any."""
+    """Lost readings by signal, for signals that have any."""
     asked = [name for name in INERTIAL if name in samples and len(samples[name].t) >= LEAST_ROWS]
     found = {name: lost_readings(samples[name], len(asked)) for name in asked}
     return {name: lost for name, lost in found.items() if lost is not None}

@@ -47,7 +47,7 @@ class Fault:
     spans: Spans = ()
     """Intervals of time [s] that must not be used."""
     score: float = 50.0
-    """Evidence in nats, as far as it is known."""
+    """Evidence [nats], if it is known."""
     held: Spans = ()
     """At a rail, the samples on the rail only, without the margin about them."""
     against: tuple[str, ...] = ()

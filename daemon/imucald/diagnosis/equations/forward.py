@@ -1,6 +1,6 @@
 """Residuals of a drive against a model file, block by block: physics without statistics.
 
-Each equation (see `motion`) is a residual, measured less predicted, on the grid. A column of a fit
+Each equation (see `motion`) is a residual, measured minus predicted, on the grid. A column of a fit
 is the change of the residual with a parameter, found by another evaluation. For columns, the slope
 of the speed is the best mean of speed and accelerometer, and the sideways force is the predicted
 one. So no column correlates with the noise in its own equation.

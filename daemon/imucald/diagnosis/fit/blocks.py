@@ -346,7 +346,7 @@ def noise_weights(left: Array, good: Mask) -> Array:
     if not good.any():
         return np.zeros_like(left)
     power = np.median(left[good] ** 2, axis=0) / 0.455
-    # The median of a squared normal number is 0.455 of its mean.
+    # The median of a squared normal variable is 0.455 of its mean.
     pad = np.pad(power, SMOOTH // 2, mode="edge") if len(power) > SMOOTH else power
     smooth = np.convolve(pad, np.ones(SMOOTH) / SMOOTH, "valid") if len(power) > SMOOTH else power
     smooth = np.maximum(smooth, 1e-12 + 1e-6 * smooth.max())

@@ -1,4 +1,4 @@
-"""Many questions about what is left, and one false-discovery rate over all of them."""
+"""Many questions about residuals, with one false-discovery rate for all of them."""
 
 from __future__ import annotations
 

@@ -18,10 +18,10 @@ from scipy.special import digamma, polygamma
 from imucald.core.arrays import Array
 
 FEW = 10
-"""With at most this many questions, no common distribution is estimated."""
+"""With fewer questions than this, no common distribution is estimated."""
 LEAST, MOST = 1e-2, 1e4
-"""Limits of the degrees of freedom of the common distribution: below the first it counts for
-nothing, above the second it counts for all."""
+"""Range of the common distribution's degrees of freedom: below the first it is ignored; the second
+is the largest value."""
 
 
 def moderated(over: Array, free: Array, most: float) -> tuple[Array, Array]:

@@ -1,4 +1,5 @@
-"""Segments whose own best values differ by more than their errors say (random effects).
+"""Find gains whose best values in single segments differ by more than their errors (random
+effects).
 
 A gain should be one number. If its best values in the segments differ by more than their errors and
 a correct file's tolerances allow, one number does not describe the drive: something changes the

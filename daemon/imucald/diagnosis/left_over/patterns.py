@@ -221,7 +221,7 @@ def _asked(name: str, gram: Grams) -> Iterator[Question]:
     for k, shape in enumerate(SHAPES):
         at = 1 + LINEAR + k
         if not squares[:, at].any():
-            continue  # not asked of this equation
+            continue  # not tested for this equation
         index = [*range(1 + LINEAR), at]
         value, sigma, p, gain, free = _fit(gram.parts[:, :, index][:, :, :, index])
         rms = float(np.sqrt(squares[:, at].mean()))
@@ -232,7 +232,7 @@ def _asked(name: str, gram: Grams) -> Iterator[Question]:
         elif shape == TURNING:
             limit, unit = BESIDE_M, 1.0
         elif shape.startswith("memory"):
-            # A zero error of one sign or the other.
+            # The effect is a zero error with either sign.
             unit = 1.0
         elif shape.startswith("shaken"):
             # The effect is compared with the whole tolerance range of a zero.
@@ -280,7 +280,7 @@ def _fit(parts: Array) -> tuple[float, float, float, float, float]:
         for way in scatters(some[:, 1:, 0] - some[:, 1:, 1:] @ value, len(value))
     )
     rows = float(variances(inverse, whole)[-1])
-    if min(blocks, rows) <= 0.0:  # rounding: nothing is known
+    if min(blocks, rows) <= 0.0:  # no information is left (rounding)
         return float(value[-1]), 0.0, 1.0, 0.0, 1.0
     by_blocks, by_rows = abs(value[-1]) / np.sqrt(blocks), abs(value[-1]) / np.sqrt(rows)
     freedom = _effective(fine[:, 1:, 1:], inverse[-1]) - 1.0

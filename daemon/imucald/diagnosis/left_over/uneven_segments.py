@@ -55,7 +55,7 @@ def uneven(problem: Problem, drift: Hypothesis | None) -> list[Structure]:
     table, z = problem.table, what_leaves(problem, drift)
     found: list[Structure] = []
     if CARRIED_BY not in table.plain:
-        return found  # each segment leaves its own road's slope
+        return found  # the residuals contain each segment's road slope
     for name in EVEN:
         there = table.by_equation[name][:, 0, 0] > 0.0 if name in table.plain else np.zeros(0, bool)
         if there.sum() < LEAST_BLOCKS:
@@ -96,8 +96,9 @@ def _of_equation(name: str, rms: Array, file: Leaves) -> Iterator[Question]:
     """One question for each share of the segments, over all bands but the last. rms: (B, bands) of
     each segment.
 
-    Where the road shakes, a segment may exceed the file in all bands by as much as in the last: a
-    rougher road is rougher in every band (ISO 8608: classes have one slope).
+    In equations with road unevenness, a segment may exceed the file in all bands by as much as in
+    the last band: a rougher road is rougher in every band (ISO 8608: all classes have the same
+    slope).
     """
     if name not in FLAT:
         rms = rms / np.maximum(rms[:, -1:] / max(file.rms[-1], LEAST_RMS), 1.0)

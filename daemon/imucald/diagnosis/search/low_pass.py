@@ -98,7 +98,7 @@ def _compare(state: State, trial: Trial, name: str, late: Mapping[str, float]) -
 
 
 def _filters(state: State, problem: Problem, late: Mapping[str, float]) -> list[_Filter]:
-    """Each of the filters next to the delay."""
+    """Compare each of the filters with the delay."""
     table = problem.table
     x = np.tile(problem.fit(), (sum(f.blocks for f in state.forwards), 1))
     parts = rows_with(state.forwards, state.model, table, lambda f: _filtered(f, late))

@@ -1,10 +1,10 @@
 """From a table of blocks to named causes: candidates compete on data outside their fit.
 
-A cause is named when its held-out gain, without the best block in fifteen, exceeds what chance
-gives in all questions together, when it leaves the box of correct files, and when its value is
-plausible. Rivals within two standard errors of the paired difference, or behind by fewer nats than
-a cause needs to be named, are reported with it. Then the cause is freed, and the search starts
-again.
+A cause is named when its held-out gain, without the best block in fifteen, exceeds chance,
+corrected for the number of all questions; when it leaves the box of correct files; and when its
+value is plausible. Rivals within two standard errors of the paired difference, or behind by fewer
+nats than a cause needs to be named, are reported with it. Then the cause is freed, and the search
+starts again.
 """
 
 from __future__ import annotations

@@ -85,7 +85,7 @@ def simplify(state: State, trial: Trial) -> None:
     refit(state)
     rivals = state.rivals.pop(h.name, [])
     if not any(key in state.changes for key in rest):
-        state.doubtful.append(trial)  # the model has moved by nothing that it is without the growth
+        state.doubtful.append(trial)  # without growth, nothing moved the model
         return
     n = h.lead
     simple = replace(trial, hypothesis=Hypothesis(name, rest), tolerance=trial.tolerance[n:],

@@ -70,7 +70,7 @@ class State:
         return [key for key in self.changes if key not in self.held]
 
     def evaluated(self) -> Problem:
-        """Compare the drives with the model as it is now."""
+        """Compare the drives with the present model."""
         if self.table is None or self._evaluated != self.model:
             self.whole, self.forwards = self.tables.of(self.drives, self.model)
             self.table = self.whole.without(self.left_out)

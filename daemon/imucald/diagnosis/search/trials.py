@@ -173,7 +173,7 @@ def on_table(h: Hypothesis, table: Table) -> Hypothesis:
 
 
 def _ramp(table: Table) -> Array:
-    """From 0 to 1 over each drive's time."""
+    """Pattern that grows linearly from 0 to 1 over each drive."""
     made = np.zeros(table.blocks)
     for i in set(table.drive.tolist()):
         own = table.drive == i
