@@ -56,7 +56,7 @@ def baseline_model(loaded: LoadedConfig, recordings: Sequence[Recording]) -> Veh
 
 
 def _rates(recordings: Sequence[Recording]) -> Mapping[str, float]:
-    """Nominal rates [Hz]: the database's cycle times, else those of the stamps."""
+    """Nominal rates [Hz] from the database's cycle times, or else from the stamps."""
     rates: dict[str, float] = {}
     for recording in recordings:
         for name in RATES:
@@ -111,5 +111,5 @@ def _is_known(estimate: MountEstimate) -> bool:
 
 
 def _uncertainty(estimate: MountEstimate) -> float:
-    """The largest deviation of an angle [deg]."""
+    """The largest standard deviation of the mount's angles [deg]."""
     return math.inf if estimate.std is None else math.degrees(max(estimate.std))

@@ -46,7 +46,7 @@ class Cause:
     variants: tuple[tuple[str, ...], ...]
     sentence: str
     separate: str
-    """The manoeuvre that separates it from its look-alikes."""
+    """The manoeuvre that separates the cause from similar ones."""
     generic: bool = False
     """True: a gain, an offset or a delay of a signal without a physical reason."""
     together: tuple[str, ...] = ()
@@ -56,8 +56,8 @@ class Cause:
     drift: bool = False
     """True: tried as a linear growth over the drive."""
     lead: int = 0
-    """The name holds only if this many of the first parameters are wrong; 0: any parameter is
-    enough."""
+    """The name holds only if at least one of this many first parameters is wrong; 0: any parameter
+    is enough."""
     joins: bool = False
     """True: variants are also tried together, as long as each one improves the prediction."""
     form_of: str = ""

@@ -119,7 +119,7 @@ def diagnose(
 
     drives: SI samples, sensor axes (see `imucald.core.samples`); at least `accel` and `speed`, and
     minutes of them. limit_s: processor time after which the search stops and its result so far is
-    reported; None: `LIMIT_S_PER_H`, and not less than `LEAST_LIMIT_S`.
+    reported; None: by `LIMIT_S_PER_H`, but at least `LEAST_LIMIT_S`.
     Raises EstimateError if nothing can be diagnosed.
     """
     report = progress or _silent

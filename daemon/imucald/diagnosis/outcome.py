@@ -126,7 +126,7 @@ def _as_stated(model: VehicleModel, key: str) -> Estimated:
 
 
 def signals_of(table: Table | None, keys: Sequence[str]) -> tuple[str, ...]:
-    """Equations in which the parameters show, by their share of the information."""
+    """Equations that show the parameters, chosen by their share of the information."""
     if table is None:
         return ()
     index = [i + 1 for i in table.index([k for k in keys if k in table.keys])]
@@ -192,7 +192,7 @@ def _stated(model: VehicleModel, key: str) -> float:
 
 
 def cause_of_rest(rest: Rest, model: VehicleModel) -> FoundCause:
-    """A zero error of the gyroscope, read at stops."""
+    """Return the cause for a zero error of the gyroscope at stops."""
     parameters = {
         f"gyro.bias.{axis}": Estimated(
             value(model, f"gyro.bias.{axis}") + float(x), float(se), "rad/s",
@@ -210,7 +210,7 @@ def cause_of_rest(rest: Rest, model: VehicleModel) -> FoundCause:
 
 
 def cause_of_shift(shift: FittedShift, table: Table) -> FoundCause:
-    """A turn of the sensor in mid-drive."""
+    """Return the cause for a turn of the sensor in mid-drive."""
     parameters = {
         f"mount.shifts.{angle}_deg": Estimated(float(x) * DEG, float(se) * DEG, "deg", 0.0, 0.3)
         for angle, x, se in zip(("roll", "pitch", "yaw"), shift.turn, shift.se, strict=True)
@@ -288,7 +288,7 @@ def _freed(state: State, name: str) -> dict[str, Estimated]:
 
 
 def _with_unit(text: str, key: str) -> str:
-    """A number of a parameter; a pure number has no unit."""
+    """Text of a parameter's number with its unit; a pure number has no unit."""
     unit = PARAMETERS[key].unit
     return text if unit in ("", "1") else f"{text} {unit}"
 

@@ -1,4 +1,4 @@
-"""Recorded logs -> the samples of one drive, read as the daemon would read them."""
+"""Read recorded logs as the daemon does, and return the samples of one drive."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ class Recording:
     """One drive as a log holds it. Times are stream time: seconds from the first frame of ours."""
 
     name: str
-    """The log's file name (the first one's, where several make the recording)."""
+    """The log's file name; if the recording has several logs, the name of the first one."""
     samples: Samples
     """By channel (see `imucald.core.samples`), SI; a channel that never came is absent."""
     duration_s: float
@@ -45,12 +45,12 @@ class Recording:
     rejected: Mapping[str, int]
     """Bad lines, frames and samples by reason."""
     gaps: tuple[float, ...] = ()
-    """Stream times at which a new segment begins after a hole or a step of the clock [s]."""
+    """Stream times at which a new segment begins, after a gap or a step of the clock [s]."""
     cycle_s: Mapping[str, float] = field(default_factory=dict)
     """By channel, the message's cycle time as the database states it [s]; absent if the database
     does not state it."""
     planar: bool = False
-    """The accelerometer has no z axis: the third of its values is one g by declaration."""
+    """True: the accelerometer has no z axis, and its third value is declared as one g."""
     problems: tuple[str, ...] = ()
     """The first bad lines, as texts with file and line."""
 
@@ -65,7 +65,7 @@ def read_samples(
 
     paths: one log, or the pieces of one recording in their order. progress: called with bytes done
     and in all. Of several accelerometers, gyroscopes or magnetometers only the first is read: the
-    others have axes of their own. Frames are read in chunks, only samples are kept. Raises
+    others have axes of their own. Frames are read in chunks, and only samples are kept. Raises
     ConfigError, and LogError for logs without a usable frame (or, with `strict`, at the first bad
     line).
     """
@@ -126,7 +126,7 @@ class _Kept:
             self._values.setdefault(channel, []).append(series.values)
 
     def samples(self) -> Samples:
-        """All of them, in the channels' documented order."""
+        """All samples, in the documented order of the channels."""
         return {
             channel: Series(
                 np.concatenate(self._t.pop(channel)), np.concatenate(self._values.pop(channel))

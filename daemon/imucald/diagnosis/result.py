@@ -37,7 +37,7 @@ class FoundCause:
     name: str
     parameters: Mapping[str, Estimated]
     signals: tuple[str, ...]
-    """The signals that it touches, as in `Diagnosis.signals`."""
+    """The signals that it affects, as in `Diagnosis.signals`."""
     evidence: Mapping[str, float]
     """`held_out_nats`: increase of the log-likelihood of data outside the fit, without the best
     segments. `sigma`: departure in standard deviations. `quantile`: half width of the interval in
@@ -92,7 +92,7 @@ class Candidate:
     parameters: Mapping[str, Estimated] = field(default_factory=dict)
     """Value of each of its parameters if this cause alone is fitted in addition."""
     key: str = ""
-    """The parameter that is furthest off."""
+    """The parameter with the largest departure, relative to its tolerance."""
     off: float = math.nan
     """Its departure, in `unit`; the next two have the same unit."""
     std: float = math.nan
@@ -179,11 +179,11 @@ missing."""
 
 @dataclass(frozen=True)
 class Structure:
-    """Something left in a residual that no candidate explains."""
+    """Structure in a residual that no candidate explains."""
 
     signal: str
     kind: str
-    """Such as "peak", "shared motion", "not plausible"."""
+    """Kind such as "peak", "shared motion", "not plausible"."""
     size: float
     """In standard deviations of chance, or as a ratio to the expected or allowed size."""
     text: str
@@ -198,7 +198,7 @@ class SignalPicture:
     signal: str
     unit: str
     t: Array
-    """[s] from the first drive's start; drives follow each other."""
+    """Time [s] from the start of the first drive; drives follow each other."""
     measured: Array
     predicted_before: Array
     predicted_after: Array
@@ -208,7 +208,8 @@ class SignalPicture:
     frequency: Array
     """(F,) [Hz]"""
     spectrum_before: Array
-    """(F,) one-sided residual density, unit^2/Hz; likewise the two below."""
+    """(F,) one-sided spectral density of the residual [unit^2/Hz]; the two arrays below have the
+    same form."""
     spectrum_after: Array
     spectrum_floor: Array
 
@@ -225,7 +226,7 @@ class Diagnosis:
     gain: Gain
     duration_s: float
     likely: tuple[FoundCause, ...] = ()
-    """Causes that are likely, and not written into the model file."""
+    """Likely causes, which are not written into the model file."""
     candidates: tuple[Candidate, ...] = ()
     structure: tuple[Structure, ...] = ()
     notes: tuple[str, ...] = ()

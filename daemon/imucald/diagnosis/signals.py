@@ -27,7 +27,7 @@ STEP_S = 0.1
 GAP_PERIODS = 3.5
 SHORTEST_GAP_S = 0.35
 DUPLICATE_SHARE = 0.3
-"""The same value within this share of the period is the same frame sent twice."""
+"""If the same value comes again within this share of the period, the frame was sent twice."""
 BESIDE = 10
 """Number of samples before and after one from which the local share of repeated values is found."""
 CHANCE = 0.01
@@ -46,7 +46,7 @@ NEEDED = ("accel", "speed")
 
 @dataclass(frozen=True)
 class Stop:
-    """A standstill that speed and inertial sensor agree on, with the ends cut."""
+    """A standstill that both speed and inertial sensor show, with its ends cut off."""
 
     start_s: float
     stop_s: float
@@ -90,8 +90,8 @@ class Channel:
         return np.asarray(rows[0] if self.values.ndim == 1 else np.column_stack(rows))
 
     def _at(self, t: Array, integral: Array, ends: Array) -> Array:
-        """Integral up to t, the end values held outside. It is linear between samples, not
-        quadratic; this shifts the mean by less than one sample."""
+        """Integral up to t; outside the data the end values are held. It is linear between samples,
+        not quadratic; this shifts the mean by less than one sample."""
         inside = np.interp(t, self.t, integral)
         before, after = np.minimum(t - self.t[0], 0.0), np.maximum(t - self.t[-1], 0.0)
         return np.asarray(inside + before * ends[0] + after * ends[-1])
@@ -117,10 +117,10 @@ class DriveSignals:
     t: Array
     channels: Mapping[str, Channel]
     knots: Channel
-    """Speed, signed; at most one knot a step of the grid."""
+    """Signed speed; at most one knot per step of the grid."""
     stops: tuple[Stop, ...]
     planar: bool
-    """The accelerometer has no vertical axis."""
+    """True: the accelerometer has no vertical axis."""
 
     @property
     def duration_s(self) -> float:

@@ -1,4 +1,4 @@
-"""The columns of the tables that `fleet analyse` writes."""
+"""Columns of the tables written by `fleet analyse`."""
 
 from __future__ import annotations
 

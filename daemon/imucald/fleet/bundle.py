@@ -122,7 +122,7 @@ def load_bundle(name: str) -> Configuration:
 
 @cache
 def code_hash() -> str:
-    """Hash of this package's own source: a worker with other code gives other rows."""
+    """Hash of this package's source code: a worker with different code may give different rows."""
     package = Path(__file__).parents[1]
     digest = hashlib.sha256()
     for path in sorted(package.rglob("*.py")):

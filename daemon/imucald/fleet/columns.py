@@ -1,4 +1,4 @@
-"""The columns of every table, once: name, type, unit and meaning.
+"""Definition of the columns of every table: name, type, unit and meaning.
 
 Columns are only appended; they are never renamed and never change their meaning. A file always has
 all columns of its version; unknown values are null of the column's type.
@@ -137,7 +137,8 @@ TABLES: Final[dict[str, tuple[Column, ...]]] = {
         Column("schema_version", "short", "", "version of this table"),
     ),
 }
-"""Tables that `fleet run` writes. Those of `fleet analyse` stand in `analysis_columns`."""
+"""Tables that `fleet run` writes. The tables of `fleet analyse` are defined in
+`analysis_columns`."""
 
 ORDER: Final = {
     "drives": ("vehicle", "start", "date", "sources", "log_key"),
@@ -146,7 +147,7 @@ ORDER: Final = {
     "sources": ("source",),
     "costs": ("finished", "source", "attempt"),
 }
-"""How the rows of a finished table are sorted."""
+"""Columns by which the rows of a finished table are sorted."""
 
 
 def row_of(table: str, values: dict[str, object]) -> dict[str, object]:

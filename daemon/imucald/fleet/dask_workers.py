@@ -68,7 +68,7 @@ class BundlePlugin(WorkerPlugin):
         self._bundles = dict(bundles)
 
     def setup(self, worker: Worker) -> None:
-        """Unpack them where children of this worker find them."""
+        """Unpack the bundles in the folder where children of this worker look for them."""
         unpack(self._bundles)
         close_templates()  # a template that runs already does not know the folder
 

@@ -19,7 +19,7 @@ from imucald.fleet.task import Outcome, Task
 
 
 def evaluate_and_diagnose(task: Task) -> Outcome:
-    """As `evaluate`, and the column `diagnosed`."""
+    """As `evaluate`, with the additional column `diagnosed`."""
     return evaluate(task, _diagnosed)
 
 

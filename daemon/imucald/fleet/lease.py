@@ -31,7 +31,7 @@ class Owner(msgspec.Struct, frozen=True):
 
 
 class Lease:
-    """The right to write; taken by `with`."""
+    """The right to write; use it in a `with` statement."""
 
     def __init__(self, store: Store) -> None:
         self._store = store

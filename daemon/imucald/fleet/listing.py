@@ -87,7 +87,8 @@ def _listed(url: str, storage: Mapping[str, Mapping[str, Any]]) -> list[str]:
 
 
 def _root(url: str) -> str | None:
-    """The folder of a local pattern's files: up to its first wildcard; None without one."""
+    """The folder of a local pattern's files: its path up to the first wildcard; None without
+    one."""
     fixed = re.split(r"[*?\[]", url, maxsplit=1)[0]
     if fixed == url or protocol_of(url) not in LOCAL:
         return None

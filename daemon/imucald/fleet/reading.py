@@ -47,7 +47,7 @@ def analyse_fleet(store: Store, groups: Sequence[str] = GROUPS) -> dict[str, pa.
 
 
 def plain_columns(table: pa.Table, names: Sequence[str]) -> dict[str, list[Any]]:
-    """Columns as lists; times as UNIX time [s]."""
+    """Convert columns to lists, with times as UNIX time [s]."""
     found = {}
     for name in names:
         column = table.column(name)

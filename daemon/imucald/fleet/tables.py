@@ -52,7 +52,7 @@ class DamagedTableError(ImucaldError):
 
 
 def schema_of(table: str, columns: Sequence[Column]) -> pa.Schema:
-    """Arrow schema: units in the fields' metadata, and once more in the file's keys."""
+    """Arrow schema, with units in the fields' metadata and again in the file's metadata."""
     fields = [
         pa.field(
             c.name,

@@ -48,7 +48,7 @@ class Workers(Protocol):
     def finished(self, timeout: float) -> list[tuple[Task, Outcome | None]]:
         """Outcomes since the last call, waiting for the first at most `timeout` seconds.
 
-        None: the task was called back before it began.
+        None: the task was cancelled before it began.
         """
         ...
 

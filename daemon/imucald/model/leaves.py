@@ -26,11 +26,11 @@ Bands = tuple[NonNegative, NonNegative, NonNegative, NonNegative, NonNegative, N
 class Leaves(Section, frozen=True):
     """Numbers of the segments of those drives, in motion; bands as in `BANDS_HZ`.
 
-    `changes of AXIS at RATE Hz`: lags as in `LAGS` in place of bands, and the ratio to the other
-    axes in place of the rms. `samples of NUMBER at RATE Hz`: exponentials of six numbers without a
+    `changes of AXIS at RATE Hz`: the bands are replaced by the lags in `LAGS`, and the rms by the
+    ratio to the other axes. `samples of NUMBER at RATE Hz`: exponentials of six numbers without a
     unit (see `diagnosis.direct.next_samples`). `levels of SIGNAL`: `segments` gaps between levels
-    in a drive of `segment_s`; `rms` their quantiles (`GAP_QUANTILES`), each known to `spread`; the
-    least value above 0 and the largest as `speeds_mps`, in the signal's unit.
+    in a drive of `segment_s`; `rms` has their quantiles (`GAP_QUANTILES`), each known within
+    `spread`; `speeds_mps` has the least value above 0 and the largest value, in the signal's unit.
     """
 
     segments: Annotated[int, Meta(ge=1)]

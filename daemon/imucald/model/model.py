@@ -1,7 +1,7 @@
 """The model file: every parameter of a simulated drive; each effect can be on or off.
 
-It is read, validated, changed and written here only. `written` reads the same file for use while
-driving, without defaults for missing keys.
+Only this module reads, validates, changes and writes it. `written` reads the same file for use
+while driving, without defaults for missing keys.
 """
 
 from __future__ import annotations

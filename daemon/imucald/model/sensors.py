@@ -41,9 +41,10 @@ class Transmission(Section, frozen=True):
     delay_s: DelayS = 0.0
     """Age of the value when its frame is sent, in addition to the low-pass's delay."""
     jitter_s: NonNegative = 0.0005
-    """Mean delay of a frame on the bus (exponential): arbitration and task scheduling."""
+    """Mean delay of a frame on the bus (exponentially distributed), from arbitration and task
+    scheduling."""
     clock_drift_ppm: float = 0.0
-    """Error of the sending unit's clock."""
+    """Rate error of the sending unit's clock."""
     loss: Fraction = 0.0
     """Probability that a frame is lost."""
     dropouts: tuple[Gap, ...] = ()
@@ -131,7 +132,7 @@ class Speed(Transmission, frozen=True):
 
 
 class WheelSpeeds(Transmission, frozen=True):
-    """Four wheel speeds, with curve differences and drive or brake slip."""
+    """Four wheel speeds, with their differences in curves and with drive or brake slip."""
 
     scale: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)
     lsb: NonNegative = 0.01 / 3.6
@@ -166,7 +167,7 @@ class Steering(Scalar, frozen=True):
 
 
 class YawRate(Scalar, frozen=True):
-    """Vehicle yaw rate of the stability control [rad/s]: about the body's vertical axis."""
+    """Yaw rate signal of the stability control [rad/s], about the body's vertical axis."""
 
     noise: NonNegative = 0.001
     lsb: NonNegative = 0.000174533

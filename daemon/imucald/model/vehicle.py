@@ -27,7 +27,7 @@ RoadLength = Annotated[float, Meta(ge=15.0)]
 
 
 MAX_SPEED_MPS = 36.0
-"""Drivers do not go faster than this, whatever the route."""
+"""Highest speed of drivers on any route."""
 
 
 STEERING_GEAR_S = 0.03

@@ -163,7 +163,7 @@ class ModelCompensation:
         )
 
     def shifts(self) -> dict[str, float]:
-        """How long each channel is held back from the estimator [s]; empty: none is."""
+        """Time by which each channel is held back from the estimator [s]; empty if none is."""
         return alignment_shifts(self.terms.latency)
 
     # settings of the estimators ---------------------------------------------------------------

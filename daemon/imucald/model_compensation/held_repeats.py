@@ -1,9 +1,8 @@
 """Keep repeated samples of a stuck sensor equal after compensation, so that it is still recognised
 as stuck.
 
-Terms that change from sample to sample (the bias with the temperature, the force that a gyroscope
-feels) would make a stuck sensor move. So a sample that repeats the one before it gets the same
-result.
+Terms that change from sample to sample (bias by temperature, effect of force on a gyroscope) would
+make a stuck sensor seem to change. So a sample that repeats the one before it gets the same result.
 """
 
 from __future__ import annotations

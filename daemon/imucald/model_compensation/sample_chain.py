@@ -9,7 +9,7 @@ Stage = Callable[[float, Sequence[float]], Sequence[float] | None]
 
 
 def through(stages: Iterable[Stage], t: float, values: Sequence[float]) -> Sequence[float] | None:
-    """Return a sample after all stages; None as soon as one refuses it."""
+    """Pass a sample through all stages and return the result; None as soon as one refuses it."""
     for stage in stages:
         found = stage(t, values)
         if found is None:

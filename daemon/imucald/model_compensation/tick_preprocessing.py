@@ -65,7 +65,7 @@ class TickPreprocessing:
     def _upright(
         self, suspension: SuspensionFilter, row: Sequence[float], correction: Correction | None
     ) -> Sequence[float]:
-        """Force and rate of a tick as if the body were stiff.
+        """Force and rate of a tick as they would be with a stiff suspension.
 
         The change of the lean since its last removal is subtracted from the rate. So force and rate
         stay consistent also over a gap in the force, in which the gyroscope measures the leaning

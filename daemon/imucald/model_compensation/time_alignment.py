@@ -22,7 +22,7 @@ MIN_SHIFT_S = 0.001
 
 @dataclass(frozen=True)
 class _Group:
-    """Columns of one channel: all of them, its age (sensors), its mean and count (scalars)."""
+    """Columns of one channel in a row: all columns, the age (sensors), mean and count (scalars)."""
 
     columns: tuple[int, ...]
     age: int | None = None

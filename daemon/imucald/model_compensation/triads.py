@@ -16,8 +16,8 @@ from imucald.model_compensation.terms import IDENTITY, NO_RAIL, REFERENCE_DEGC, 
 class TriadCompensator:
     """Removes bias, scale and cross-axis errors; refuses clipped and implausible samples.
 
-    Single samples and columns give the same bits: the operations stand in the same order. limit:
-    largest plausible size of a component, in SI.
+    Single samples and columns give the same bits, because the operations have the same order.
+    limit: largest plausible size of a component, in SI.
     """
 
     def __init__(self, terms: TriadTerms, limit: float) -> None:

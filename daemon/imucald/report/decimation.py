@@ -92,7 +92,8 @@ def log_bins(frequency: Array, density: Array, bins: int) -> tuple[Array, Array]
 
 
 def clearest_segment(t: Array, before: Array, after: Array, seconds: float) -> slice:
-    """Return the rows of the segment in which the residual falls most (or is largest)."""
+    """Return the rows of the segment with the largest reduction of the residual (or the largest
+    residual)."""
     squares = np.nan_to_num(before) ** 2
     fall = squares - np.nan_to_num(after) ** 2
     worth = fall if fall.sum() > 0.0 else squares

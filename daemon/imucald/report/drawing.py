@@ -112,7 +112,7 @@ def drawing(R_vehicle_from_sensor: Matrix3, words: str) -> str:
 
 
 def view_drawings(R_vehicle_from_sensor: Matrix3 | None) -> list[str]:
-    """Return each view as an SVG of its own, for pages that set them side by side or in a column.
+    """Return each view as a separate SVG, for pages that put them side by side or in a column.
 
     The page contains `STYLE`; within HTML the SVG has no name space.
     """
@@ -223,7 +223,7 @@ def _is_end_on(view: View, v: Array) -> bool:
 
 
 def _axis(view: View, v: Array, name: str) -> str:
-    """An arrow, or a ring where the axis points at the reader (dot) or away (cross)."""
+    """An arrow, or a ring if the axis points at the reader (dot) or away (cross)."""
     colour = f"var(--si-{name})"
     if _is_end_on(view, v):
         return _end_on(float(v @ view.towards) > 0.0, colour, name)

@@ -1,4 +1,4 @@
-"""Pictures of one signal as SVG: residual against time, its driver, and frequency."""
+"""Pictures of one signal as SVG: residual over time, over its main input, and over frequency."""
 
 from __future__ import annotations
 
@@ -38,7 +38,8 @@ FEW_DECADES = 60.0
 """An axis with a smaller range also has ticks at 2 and 5."""
 RAISED = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 EXTREME = 99.7
-"""Percentile of the residual's size that sets the axis: single spikes may leave the picture."""
+"""Percentile of the residual's size that sets the axis; single spikes may lie outside the
+picture."""
 
 
 def time_picture(p: SignalPicture) -> str:

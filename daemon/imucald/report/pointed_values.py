@@ -30,13 +30,13 @@ FIELD_PT = 7.0
 """Width of a field with one title: about the accuracy of pointing by hand."""
 LABEL = re.compile(r"\s*(?P<name>.*?)\s*(?:\[(?P<unit>[^\]]*)\])?\s*", re.S)
 CLOCK = "min:s"
-"""The unit of an axis whose formatter writes the values."""
+"""Unit of an axis whose values are written by its own formatter."""
 
 
 def pointed_values(figure: Figure) -> str:
     """Return SVG groups of invisible fields, each with a title, over the parts of a drawn figure.
 
-    A field over curves or dots covers the height of its axes; units are as drawn.
+    A field over curves or dots covers the height of its axes; units are those of the drawing.
     """
     return "".join(_curves(axes) + _dots(axes) + _maps(axes) for axes in figure.axes)
 

@@ -46,7 +46,7 @@ def replay_page(
 ) -> str:
     """Return the page as HTML text; result: as in docs/json.md, problems: bad lines of the log.
 
-    Raises ImucaldError where a library is missing.
+    Raises ImucaldError if a library is missing.
     """
     require_libraries()
     from imucald.report import motion_plots as beside  # noqa: PLC0415 - loads matplotlib

@@ -137,7 +137,7 @@ def _draw_angle(
 
 
 def _angle(moment: Moment, angle: int) -> tuple[float, float]:
-    """An angle of the mount, and half of its 95 % interval [deg]."""
+    """An angle of the mount, and the half width of its 95 % interval [deg]."""
     angles, std = moment.estimate.angles, moment.estimate.angle_std
     if angles is None or std is None:
         return np.nan, np.inf

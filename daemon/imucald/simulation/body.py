@@ -1,8 +1,8 @@
-"""The sprung body on the road: its attitude, its angular rate, and the force a sensor feels.
+"""The sprung body on the road: its attitude, its angular rate, and the specific force at a sensor.
 
-Frames: earth (z up) -> road (yaw, slope, cross fall) -> body (suspension pitch and roll).
-Vehicle axes are the body's axes: at rest on level road they are ISO 8855 axes, and the sensor is
-fixed in them, so the mount is a rotation of the sensor against the *body*.
+Frames: earth (z up) -> road (yaw, slope, cross fall) -> body (suspension pitch and roll). Vehicle
+axes are the body's axes: at rest on a level road they are the ISO 8855 axes. The sensor is fixed to
+the body, so the mount is a rotation of the sensor against the *body*.
 """
 
 from __future__ import annotations

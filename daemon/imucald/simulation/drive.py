@@ -31,7 +31,7 @@ from imucald.simulation.vehicle_signals import VehicleSignals
 
 MIN_DURATION_S = 1.0
 MOVING_MPS = 1.0
-"""Means 'while driving' are taken above this speed."""
+"""Means 'while driving' use only times above this speed."""
 
 
 @dataclass(frozen=True)
@@ -47,16 +47,16 @@ class Truth:
     lever_arm_m: tuple[float, float, float]
     t: Array
     speed: Array
-    """Signed, along the vehicle [m/s]."""
+    """Signed speed along the vehicle [m/s]."""
     acceleration: Array
     """Time derivative of `speed` [m/s^2]."""
     lateral_velocity: Array
     yaw_rate: Array
-    """About the road's normal."""
+    """Yaw rate about the road's normal."""
     steer: Array
     """Road-wheel angle."""
     heading: Array
-    """Clockwise from north, not wrapped."""
+    """Heading clockwise from north, not wrapped."""
     road_pitch: Array
     road_roll: Array
     body_pitch: Array

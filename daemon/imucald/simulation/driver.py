@@ -1,4 +1,4 @@
-"""How the path is driven: speed, distance and intended curvature against time."""
+"""Drive along a path: speed, distance and intended curvature over time."""
 
 from __future__ import annotations
 

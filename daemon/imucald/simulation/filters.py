@@ -1,4 +1,4 @@
-"""Linear recursive filters and seeded noise, without the import time of scipy.signal.
+"""Linear recursive filters and seeded noise. scipy.signal is not used, because its import is slow.
 
 A recursive filter ``a * y = b * x`` is a banded triangular system, which BLAS solves in place.
 """

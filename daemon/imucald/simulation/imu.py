@@ -1,8 +1,8 @@
 """Samples of the inertial sensor, with vibration, bandwidth, mount, errors and sampling.
 
-Chain of one axis triple: motion in body axes + vibration -> low-pass -> sampled (with delay) ->
-turned into sensor axes -> scale and cross-axis -> bias (temperature, walk), noise -> clipped ->
-quantised.
+Processing chain of a three-axis sensor: motion in body axes + vibration -> low-pass -> sampled
+(with delay) -> turned into sensor axes -> scale and cross-axis -> bias (temperature, walk), noise
+-> clipped -> quantised.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from imucald.simulation.timing import Timing, at_times, frame_timing, quantised
 REFERENCE_DEGC = 25.0
 REFERENCE_SPEED_MPS = 20.0
 VIBRATION_CORNER_HZ = 2.0
-"""Body vibration is white above this frequency and falls off below it."""
+"""Body vibration is white above this frequency [Hz] and decreases below it."""
 IDLE_HZ = 26.0
 """Frequency [Hz] of the second engine order of a four-cylinder engine idling at 780 1/min."""
 GEAR_UPPER_MPS = (4.5, 8.5, 13.5, 19.0)

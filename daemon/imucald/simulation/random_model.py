@@ -24,7 +24,7 @@ MAX_DELAY_S = 0.3
 MAX_TILT_DEG = 30.0
 UPSIDE_DOWN_SHARE = 0.1
 STYLE = (0.65, 1.05)
-"""Drivers from gentle to lively: factor on all their accelerations."""
+"""Range of the factor on all accelerations, from gentle to lively drivers."""
 
 
 def random_model(

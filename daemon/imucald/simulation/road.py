@@ -1,4 +1,4 @@
-"""The road under the vehicle: slope, cross fall, and roughness that shakes the body."""
+"""The road under the vehicle: slope, cross fall, and roughness, which excites the body."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ MIN_SLOPE_M = 7.0
 MAX_ROUGHNESS_M = 100.0
 """Waves longer than this belong to slope and cross fall."""
 MAX_TILT_WAVE_M = 20.0
-"""Longer waves lift both tracks equally."""
+"""Longer waves than this lift both tracks equally."""
 SMOOTHER_FROM_MPS = 15.0
 """Faster roads are smoother: the spectral density of roughness is divided by 1 + (v / this)^2, and
 the lengths of slopes are multiplied by the square root of that."""

@@ -1,7 +1,7 @@
 """The route of a drive: a path with curvature, target speed and stops, drawn from a seed.
 
-The path is a list of nodes along the distance. Lengths, radii and speeds are those of European
-streets: city blocks of 130-540 m at 30 and 50 km/h, country roads at 70-100 km/h, motorways.
+The path is a list of nodes along the distance. Lengths, radii and speeds are typical of European
+roads: city blocks of 130-540 m at 30 and 50 km/h, country roads at 70-100 km/h, motorways.
 """
 
 from __future__ import annotations
@@ -56,7 +56,7 @@ class RouteBuilder:
 
     @property
     def is_empty(self) -> bool:
-        """Whether there is no road yet."""
+        """Whether the route is still empty."""
         return not self._columns[0]
 
     def uniform(self, low: float, high: float) -> float:

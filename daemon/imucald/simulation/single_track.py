@@ -1,4 +1,4 @@
-"""Single-track vehicle with saturating tyres: steering to yaw rate and sideslip.
+"""Single-track vehicle with saturating tyres: gives yaw rate and sideslip from the steering angle.
 
 States: lateral velocity v_y of the centre of gravity and yaw rate r, in road axes.
 
@@ -43,9 +43,9 @@ class VehicleResponse:
     """Response of the vehicle, (N,) each."""
 
     yaw_rate: Array
-    """[rad/s] about the road's normal."""
+    """Yaw rate about the road's normal [rad/s]."""
     lateral_velocity: Array
-    """[m/s] of the centre of gravity, to the left."""
+    """Lateral velocity of the centre of gravity, positive to the left [m/s]."""
     lateral_velocity_rate: Array
     steer: Array
     """Road-wheel angle [rad], positive to the left."""

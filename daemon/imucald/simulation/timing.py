@@ -17,7 +17,7 @@ SHARED_FRAME = dict.fromkeys(("yaw_rate", "lateral_accel", "longitudinal_accel")
 """The stability control sends all its sensors in one frame, so they share moments, latency and
 losses."""
 GYRO_AFTER_ACCEL_S = 0.00025
-"""The gyroscope's frame follows the accelerometer's: one frame at 500 kbit/s."""
+"""The gyroscope's frame follows the accelerometer's frame by this time: one frame at 500 kbit/s."""
 
 
 @dataclass(frozen=True)
@@ -62,7 +62,8 @@ def frame_timing(message: Transmission, name: str, seed: int, duration_s: float)
 
 
 def at_times(x: Array, rate: float, t: Array) -> Array:
-    """Value of a grid signal x (N,) at times t [s], linear between grid points, held outside."""
+    """Value of a grid signal x (N,) at times t [s]: linear between grid points, constant
+    outside."""
     place = np.clip(t * rate, 0.0, len(x) - 1.0)
     i = np.minimum(place.astype(np.int64), max(len(x) - 2, 0))
     u = place - i

@@ -96,7 +96,7 @@ LEAST_KELVIN = 4.0
 
 
 def _slope(kelvin: Array, table: Array) -> Array | None:
-    """Regression of the stops on the temperature."""
+    """Slope of a regression of the stops' rates on temperature."""
     n = len(kelvin)
     if n < FEW_STOPS + 2 or np.ptp(kelvin) < LEAST_KELVIN:
         return None

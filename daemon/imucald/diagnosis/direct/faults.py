@@ -1,4 +1,5 @@
-"""Faults that show in samples and time stamps alone: pile-up, stuck, lost, doubled, wrong cycle.
+"""Faults that are visible in samples and time stamps alone: values piled up on a rail, stuck
+signals, lost or doubled frames, wrong cycle.
 
 Each is direct evidence. The samples that a fault makes invalid are kept out of the fit.
 `motion.rails` and `motion.sensor_judges` look for the same faults while driving, with the past
@@ -37,7 +38,7 @@ CHANCE = 0.01
 FEW_STAYS = 2
 """Fewest stays on the rail besides the longest one."""
 QUESTIONS = 6 * len(INERTIAL) * (len(PILE_LEVELS) + 1)
-"""Both ends of three axes of each signal."""
+"""Number of tests: both ends of three axes of each signal."""
 INVALID_S = 0.3
 LOST_TOLERANCE, LOST_FEWEST = 0.003, 8
 """Share and number of frames that a bus and a logger may lose without a fault."""
@@ -213,7 +214,7 @@ def spans_of(t: Array, hit: Mask) -> Spans:
 
 
 def _timed(name: str, series: Series, model: VehicleModel) -> Iterator[Fault]:
-    """Lost frames, doubled frames, and a cycle that is not the stated one."""
+    """Find lost frames, doubled frames, and a cycle that differs from the stated one."""
     message = getattr(model, name)
     period = float(np.median(np.diff(series.t)))
     again = duplicates(series, period)  # not frames with a shared stamp but other values

@@ -188,16 +188,16 @@ def _from_zero(signal: Numbers, dead: float) -> Iterator[Question]:
 
 
 def holes(drives: Sequence[DriveSignals]) -> list[Question]:
-    """Ranges that a signal jumps over and never shows."""
+    """Find ranges that a signal jumps over and never shows."""
     return [q for drive in drives for signal in signals_of(drive) for q in _hole(signal)]
 
 
 def _hole(signal: Numbers) -> Iterator[Question]:
-    """The hole that is jumped over most often. A change from sample to sample is rarer the larger
-    it is. So from a place below a hole, at most one hole width away, landing inside the hole is at
-    least as likely as landing above it at most one width away: each such jump has a chance of at
-    most a half. A standing vehicle that sets off is an exception, so speeds are tested from 1 km/h
-    on."""
+    """Find the hole that the signal jumps over most often. A change from sample to sample is rarer
+    the larger it is. So from a place below a hole, at most one hole width away, landing inside the
+    hole is at least as likely as landing above it at most one width away: each such jump has a
+    chance of at most a half. A standing vehicle that sets off is an exception, so speeds are tested
+    from 1 km/h on."""
     levels = levels_of(signal.values)
     step = step_of(levels)
     if step == 0.0 or not is_one_grid(levels, step):

@@ -94,7 +94,7 @@ def traits_of(drives: Sequence[DriveSignals]) -> dict[float, Left]:
 def _of_signal(
     signal: Numbers, drive: DriveSignals, period: float, seconds: float
 ) -> tuple[Array, Array]:
-    """(B,) speeds and (B, 6) numbers of the segments of a signal."""
+    """(B,) speeds and (B, 6) numbers for the segments of a signal."""
     t, x, n = signal.t, signal.values, signal.is_next
     if len(x) < SEGMENT_ROWS:
         return np.zeros(0), np.zeros((0, len(TRAITS)))

@@ -1,4 +1,4 @@
-"""How a signal changes from one sample to the next.
+"""Statistics of a signal's changes from one sample to the next.
 
 A road shakes all axes of a sensor. The size of one axis' changes over 1, 2, 4, ... samples,
 relative to the other axes, depends on vehicle and sensor, which two drives share. A model file
@@ -104,7 +104,7 @@ def _of_triad(
 
 
 def _along_vehicle(t: Array, table: Array, model: VehicleModel) -> Array:
-    """Vectors (N, 3) in the vehicle's axes."""
+    """Rotate vectors (N, 3) into the vehicle's axes."""
     made = table.copy()
     for start, R in mounts(model):
         made[t >= start] = table[t >= start] @ R.T

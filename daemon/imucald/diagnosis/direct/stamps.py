@@ -1,4 +1,4 @@
-"""The cycle in which frames are sent, from their time stamps."""
+"""Estimate the cycle time of frames from their time stamps."""
 
 from __future__ import annotations
 

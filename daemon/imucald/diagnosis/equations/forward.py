@@ -33,7 +33,7 @@ UNITS: Mapping[str, str] = {
 
 @dataclass(frozen=True)
 class Residuals:
-    """One evaluation. Arrays (B, n): blocks and rows in them."""
+    """One evaluation. Arrays (B, n): B blocks with n rows each."""
 
     of: Mapping[str, Array]
     tilt: Mapping[str, tuple[Array, Array]] = field(default_factory=dict)
@@ -69,8 +69,8 @@ class Forward(Reader):
         return x.reshape(self.blocks, self.rows)
 
     def settle(self, tilt: Array, inertial: Array) -> None:
-        """Choose the signals that columns are made of. tilt: (B, 2) z0 of each block. inertial:
-        (B,) share of the accelerometer in the slope of the speed."""
+        """Choose the signals for the columns. tilt: (B, 2) z0 of each block. inertial: (B,) share
+        of the accelerometer in the slope of the speed."""
         self.reference = VehicleMotion(self, {}, False).reference(tilt, inertial)
 
     def inertial_share(
@@ -166,7 +166,7 @@ class Forward(Reader):
         return age(self.model, name) if hasattr(getattr(self.model, name, None), "delay_s") else 0.0
 
     def _knots_inside(self) -> Mask:
-        """Rows between two knots of the speed that lie in the same block."""
+        """Which rows lie between two knots of the speed in the same block."""
         late = age(self.model, "speed") + self.model.speed.delay_rate * self.knots
         knots = self.knots - late
         index = np.searchsorted(knots, self.t)

@@ -26,7 +26,7 @@ TRANSITION /= TRANSITION.sum()
 
 
 def column(x: Array, i: int) -> Array:
-    """One axis (N,) of x (N, 3), in one piece."""
+    """One axis (N,) of x (N, 3), as a contiguous array."""
     return np.ascontiguousarray(x[:, i])
 
 
@@ -85,7 +85,7 @@ def carried(p: Array, q: Array, turned: Complex) -> Complex:
 
 
 def along(force: Array, r: Array, v_y: Array, u: Complex | None) -> Array:
-    """Forward acceleration. force: forward; u: gravity as the gyroscope carries it."""
+    """Forward acceleration from the forward force. u: gravity as carried by the gyroscope."""
     x = force + r * v_y
     return np.asarray(x if u is None else x - GRAVITY * u.real)
 
@@ -129,7 +129,7 @@ def later(x: Array, t: Array, late: float) -> Array:
 
 
 def slow(x: Array) -> Array:
-    """Smoothed over `SMOOTH_STEPS`."""
+    """x smoothed over `SMOOTH_STEPS` steps."""
     return np.asarray(np.convolve(x, SMOOTHER, "same"))
 
 

@@ -141,7 +141,8 @@ class Reader:
         return self._turned(true, [(start, (turn @ R).T) for start, R in mounts(self.model)])
 
     def _turned(self, x: Array, turns: Sequence[tuple[float, Array]]) -> Array:
-        """x (N, 3) times the matrix that holds from a time [s] on, the first from the start."""
+        """Multiply x (N, 3) by the matrix that is valid at each time. turns: pairs of a start time
+        [s] and a matrix; the first is also valid before."""
         made = x @ turns[0][1]
         for start, R in turns[1:]:
             after = self.t >= start

@@ -255,7 +255,7 @@ def cosine(x: Array, mask: Mask, count: int) -> Array:
 
 
 def joined(parts: Sequence[Rows]) -> Rows:
-    """Rows of one drive after another."""
+    """Join the rows of several drives."""
     tilt = None
     if parts[0].tilt is not None:
         tilt = np.concatenate([p.tilt for p in parts if p.tilt is not None])

@@ -34,7 +34,7 @@ class Hypothesis:
     directions: tuple[Mapping[str, float], ...] = ()
     """For each key, the parameters that move with it and their factors; empty: the keys alone."""
     lead: int = 0
-    """How many of the first keys must leave their tolerance; 0: any."""
+    """Number of first keys of which one must leave its tolerance; 0: any key is enough."""
     pattern: Array | None = None
     """(B,) factor on the parameters in each block; None: everywhere."""
     error: float | None = None

@@ -62,7 +62,7 @@ class Pieces:
     stamps: Array
     """(N, 2) delay of the stamps against a constant cycle [s]: in total, and its fast part."""
     edges: Array
-    """(B, n + 1) of the grid's steps."""
+    """(B, n + 1) edges of the grid's steps [s]."""
     sums: Array
     """(3, B, n + 1) integrated forward force: without a tilt, and the effect of each tilt
     component."""
@@ -98,7 +98,7 @@ class Followed:
 def off_cycle(t: Array) -> Array:
     """(N,) delay of stamps against a constant cycle [s]. t: (N,) stamps [s], ascending.
 
-    Steps are whole cycles: a lost frame does not make the next one late.
+    Steps are counted in whole cycles, so a lost frame does not delay the next one.
     """
     steps = np.diff(t)
     if len(steps) < LEAST_SAMPLES:

@@ -213,7 +213,7 @@ def _scores(parts: Mapping[str, AddedRows], x: Array, prior: Array) -> tuple[Arr
 
 
 def _in_time(a: Array) -> Array:
-    """(B, n, E) of coefficients (B, K, E), n a multiple of `PARTS`."""
+    """(B, n, E) time series from coefficients (B, K, E); n is a multiple of `PARTS`."""
     n = -(-a.shape[1] // PARTS) * PARTS
     return np.asarray(idct(a, type=2, axis=1, norm="ortho", n=n))
 

@@ -83,7 +83,7 @@ SHAPES = {
     TURNING: "follows how much the vehicle turns, to either side",
 }
 SPEED_S = "accel_x"
-"""The equation of the speed's slope, which knows the yaw rate from another sensor."""
+"""The equation of the speed's slope; its yaw rate comes from another sensor."""
 
 
 @dataclass(frozen=True)
@@ -105,11 +105,11 @@ class Grams:
     parts: Array
     """(B, C, P, P) of each block's parts, one or more."""
     squares: Array
-    """(B, P) mean squares in their units."""
+    """(B, P) mean squares of the columns, in their units."""
 
     @property
     def blocks(self) -> Array:
-        """(B, P, P)"""
+        """(B, P, P) Gram matrices of whole blocks."""
         return np.asarray(self.parts.sum(axis=1))
 
 

@@ -70,7 +70,7 @@ def _late(state: State, trial: Trial) -> dict[str, float]:
 
 @dataclass(frozen=True)
 class _Filter:
-    """One filter in place of a delay."""
+    """Comparison of one filter with a delay."""
 
     more: Array
     """(B,) nats by which it explains blocks better, with fits that did not use their fold."""

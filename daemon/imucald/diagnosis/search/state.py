@@ -36,7 +36,7 @@ class State:
     model: VehicleModel
     """The same with all found departures."""
     bounds: dict[str, tuple[float, float]]
-    """Boxes from direct evidence, as departures from `model`."""
+    """Bounds from direct evidence, as departures from `model`."""
     at_rest: dict[str, float] = field(default_factory=dict)
     """Departures from `stated` that stops show; every fit keeps within `bounds` of them."""
     changes: dict[str, float] = field(default_factory=dict)

@@ -247,10 +247,10 @@ def likeliest(trials: Sequence[Trial]) -> list[Trial]:
     """Causes that are right in four of five cases, among all questions at once and against all
     rivals.
 
-    A likelihood ratio on unseen data is an e-value, so with the k largest of M above M/(k share) no
-    more than that share of them is false, however they depend on each other (e-BH; Wang and Ramdas
-    2022). In addition, no other cause explains more in that share of resampled drives (pseudo-BMA
-    with the Bayesian bootstrap over blocks; Yao et al. 2018).
+    A likelihood ratio on unseen data is an e-value, so if the k largest of M values exceed M/(k
+    share), at most that share of them is false, for any dependence between them (e-BH; Wang and
+    Ramdas 2022). In addition, no other cause explains more in that share of resampled drives
+    (pseudo-BMA with the Bayesian bootstrap over blocks; Yao et al. 2018).
     """
     best = list(questions(trials).values())
     nats = [t.shown - math.log(len(trials) / (FALSE_SHARE * (k + 1))) for k, t in enumerate(best)]

@@ -26,9 +26,10 @@ def cause_rows(columns: Mapping[str, Sequence[Any]]) -> list[dict[str, Any]]:
     """Return a row for each cause of each type: number of vehicles that have it, the shrunk rate,
     and the verdict.
 
-    A cause is "design" when more vehicles of the type have it than the rate among all other
-    vehicles explains (binomial tail, Benjamini-Hochberg over all), else "single vehicles". The rate
-    is shrunk to that of the fleet by a beta prior fitted to the types (empirical Bayes).
+    A cause is "design" if the number of vehicles of the type that have it is too high for the rate
+    among all other vehicles (binomial tail, Benjamini-Hochberg over all). Otherwise it is "single
+    vehicles". The rate is shrunk to that of the fleet by a beta prior fitted to the types
+    (empirical Bayes).
     """
     kind_of: dict[str, str] = {}
     having: dict[str, set[str]] = defaultdict(set)

@@ -19,7 +19,7 @@ Codes = Mapping[str, tuple[list[str], Index]]
 """By column: the names of its groups, and the group index of each vehicle (-1: not known)."""
 
 LEAST_GROUP = 5
-"""A batch with fewer vehicles is not judged."""
+"""Smallest batch that is tested."""
 
 
 @dataclass(frozen=True)
@@ -40,7 +40,7 @@ class GroupEffect:
 
     @property
     def half_width(self) -> Array:
-        """Half of the 95 % interval (3,) [deg]."""
+        """Half width of the 95 % interval (3,) [deg]."""
         return t_quantile(self.freedom) * np.sqrt(np.diagonal(self.covariance))
 
 

@@ -59,7 +59,7 @@ class KnownDrives:
 
 
 def known_drives(columns: Mapping[str, Sequence[Any]], moved: Collection[str] = ()) -> KnownDrives:
-    """Take the drives out of the table's columns.
+    """Read the drives from the table's columns.
 
     moved: keys of the drives, known or not, in which the sensor was moved.
     """
@@ -98,7 +98,7 @@ def known_drives(columns: Mapping[str, Sequence[Any]], moved: Collection[str] = 
 
 
 def _times(columns: Mapping[str, Sequence[Any]]) -> tuple[Array, Array]:
-    """When drives begin and end, as UNIX time [s].
+    """Start and end times of the drives, as UNIX time [s].
 
     A drive of a logger without a clock covers its whole day, if the path states the day; otherwise
     the times are infinite.
@@ -112,7 +112,7 @@ def _times(columns: Mapping[str, Sequence[Any]]) -> tuple[Array, Array]:
 
 
 def _is_after(begin: Array, end: Array, vehicle: Index) -> NDArray[np.bool_]:
-    """See `KnownDrives`; drives are sorted by vehicle and begin."""
+    """See `KnownDrives`; drives are sorted by vehicle and start time."""
     found = np.ones(len(begin), dtype=np.bool_)
     latest = -np.inf
     for i in range(len(begin)):
@@ -158,5 +158,5 @@ def between(one: Rotation, other: Rotation) -> Array:
 
 
 def turned(R: Rotation, vector_deg: Array) -> Rotation:
-    """Rotations turned by rotation vectors [deg] about the vehicle's axes."""
+    """Rotate `R` by rotation vectors [deg] about the vehicle's axes."""
     return Rotation.from_rotvec(vector_deg, degrees=True) * R

@@ -46,7 +46,7 @@ class Segments:
         return np.flatnonzero(np.diff(self.vehicle, append=-1)).astype(np.int64)
 
     def half_width(self) -> Array:
-        """Half of the 95 % interval (k, 3) [deg], crown included."""
+        """Half width of the 95 % interval (k, 3) [deg], including the crown."""
         return interval(np.diagonal(self.V, axis1=1, axis2=2), self.crown)
 
 

@@ -169,7 +169,8 @@ def _components(
 
 
 def _leave_one_out(units: Units, e: Array, odd: Flags, tau2: Array, freedom: Array) -> Array:
-    """p of each vehicle against the mean of the others of its type that do not stand out."""
+    """p of each vehicle, compared with the mean of the other vehicles of its type that do not stand
+    out."""
     wide = tau2[units.kind] + units.v
     w = np.where(odd[:, None], 0.0, 1.0 / wide)
     total, weighted = (_sum(x, units.kind, units.kinds)[units.kind] for x in (w, w * e))

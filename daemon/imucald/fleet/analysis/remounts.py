@@ -23,7 +23,7 @@ LEAST_PAIRS = 3
 """Fewest pairs of successive drives, see `_pairs`. The first D is their median. With fewer pairs a
 single remount would dominate the median and look like the normal scatter of drives."""
 OWN_FREEDOM = 20
-"""A type with fewer differences between drives has the D of all types together."""
+"""A type with fewer differences between drives uses the D of all types together."""
 FREEDOMS = (5.0, 6.0, 8.0, 10.0, 14.0, 20.0, 30.0)
 """Degrees of freedom of the null distribution that are tried. A few hundred pairs of drives cannot
 separate a t distribution with 30 degrees of freedom from a normal one, but the difference matters

@@ -54,7 +54,7 @@ def candidates(e: Array, W: Array, may: NDArray[np.bool_]) -> list[int]:
 
 @cache
 def _penalty(n: int) -> float:
-    """Chi-square that the best of the n - 1 cuts of a vehicle without a remount seldom reaches."""
+    """Chi-square that the best of n - 1 cuts rarely exceeds in a vehicle without a remount."""
     return float(chi2.isf(CANDIDATE_P / (n - 1), 3))
 
 
@@ -63,7 +63,7 @@ def _from_zero(values: Array) -> Array:
 
 
 def _costs(sums: tuple[Array, Array, Array], end: int) -> Array:
-    """Chi-square about the mean of the drives a ... end - 1, for each a (end,)."""
+    """Chi-square of the drives a ... end - 1 about their mean, for each a (end,)."""
     W, We, eWe = (s[end] - s[:end] for s in sums)
     mean = np.linalg.solve(W, We[:, :, None])[:, :, 0]
     return np.asarray(eWe - np.einsum("ni,ni->n", We, mean))
