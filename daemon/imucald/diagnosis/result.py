@@ -92,7 +92,7 @@ class Candidate:
     parameters: Mapping[str, Estimated] = field(default_factory=dict)
     """Value of each of its parameters if this cause alone is fitted in addition."""
     key: str = ""
-    """The parameter with the largest departure, relative to its tolerance."""
+    """The parameter with the largest departure, relative to its standard deviation."""
     off: float = math.nan
     """Its departure, in `unit`; the next two have the same unit."""
     std: float = math.nan
