@@ -52,9 +52,9 @@ class VehicleFacts(msgspec.Struct, frozen=True):
 
 
 class Fleet:
-    """A fleet file, read and checked.
+    """A fleet file that was read and checked.
 
-    settings: as written. bundles: configurations by name.
+    settings: as in the file. bundles: configurations by name.
     """
 
     def __init__(self, settings: FleetSettings, path: Path, document: Document) -> None:
