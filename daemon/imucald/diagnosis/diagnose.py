@@ -2,7 +2,7 @@
 extend the model file, measure the gain.
 
 samples -> faults (samples and stamps) -> rest (stops) -> search (shift, causes, rivals)
-        -> what is left -> the written file -> what it brings
+        -> left-over structure -> the written file -> its gain
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
 """The equations of one drive, which predict its signals from each other.
 
 Gravity is carried by the gyroscope. In a block, with vehicle axes x forward, y left, z up, rates w
-and heading psi, the horizontal part u = u_x + i u_y of the vertical in the body obeys u' = -w_y + i
-w_x - i w_z u (Wu et al. 2011, to first order in the tilt):
+and heading psi, the horizontal part u = u_x + i u_y of the vertical in the body obeys
+u' = -w_y + i w_x - i w_z u (Wu et al. 2011, to first order in the tilt):
 
     u(t) = e^(-i psi) (z0 + integral of e^(i psi) (-w_y + i w_x) dt)
     f_x = dv/dt - r v_y + g u_x,   f_y = v r + dv_y/dt + g u_y,   v_y = l_r r - kappa v |v| r
