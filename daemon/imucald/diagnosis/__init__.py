@@ -1,7 +1,9 @@
-"""Diagnosis of the simulation: what it gets wrong in measured drives, why, and the gain.
+"""Diagnosis of the simulation: its errors against measured drives, their causes, and the gain of a
+corrected model file.
 
-`diagnose` is the whole path from samples to verdict; `recording` reads the samples, `outcome` words
-the verdict. What all share stands here too: `signals`, the catalogue (`causes`, `cause_keys`) and
-the `result`. The rooms below: `equations` (physics), `fit` (statistics), `search` (names), `direct`
-(evidence without a fit), `left_over` (tests without a cause).
+`diagnose` is the whole path from samples to verdict. `recording` reads the samples; `outcome` puts
+the verdict into words. The modules that all rooms share also stand here: `signals`, the catalogue
+(`causes`, `cause_keys`) and `result`. The rooms below: `equations` (physics), `fit` (statistics),
+`search` (naming of causes), `direct` (evidence without a fit), `left_over` (tests for structure
+without a known cause).
 """

@@ -1,7 +1,7 @@
-"""The model file that a diagnosis starts from where none is given.
+"""The model file that a diagnosis starts from if the user gives none.
 
-A plain car: the simulation's presets, with what the configuration says of the vehicle, the rates
-of the logs, and the mount that the daemon's own estimator gives for them.
+It describes an ordinary car: the defaults of the simulation, the vehicle data of the configuration,
+the rates of the logs, and the mount that the daemon's own estimator finds in them.
 """
 
 from __future__ import annotations
@@ -29,14 +29,14 @@ RATES = (
     "longitudinal_accel", "temperature",
 )  # fmt: skip
 LARGEST_STD_DEG = 4.0
-"""With a mount less certain than this nothing can be compared."""
+"""If the mount is less certain than this, no comparison is possible."""
 SLOWEST_HZ, FASTEST_HZ = 0.2, 1000.0
 
 
 def baseline_model(loaded: LoadedConfig, recordings: Sequence[Recording]) -> VehicleModel:
     """Return a model for a configured vehicle and its drives.
 
-    Raises EstimateError where the drives do not give the mount.
+    Raises EstimateError if the mount cannot be found from the drives.
     """
     vehicle = loaded.config.vehicle
     side = "left" if vehicle.driving_side == "left" else "right"
@@ -56,7 +56,7 @@ def baseline_model(loaded: LoadedConfig, recordings: Sequence[Recording]) -> Veh
 
 
 def _rates(recordings: Sequence[Recording]) -> Mapping[str, float]:
-    """Nominal rates [Hz]: the database's cycle times, else those of the stamps."""
+    """Nominal rates [Hz] from the database's cycle times, or else from the stamps."""
     rates: dict[str, float] = {}
     for recording in recordings:
         for name in RATES:
@@ -73,12 +73,12 @@ def _rates(recordings: Sequence[Recording]) -> Mapping[str, float]:
 
 
 def _mount(loaded: LoadedConfig, drives: Sequence[Samples]) -> dict[str, float]:
-    """Mount angles from the daemon's evidence; the drives are run one after another.
+    """Mount angles [deg] by the daemon's estimator, which takes the drives one after another.
 
-    A model has one rotation, and errors of the axes apart from it, which diagnosis finds itself: so
-    the estimator of one rotation is asked, also where the daemon's finds matrices. Where the end
-    knows none, as after a sensor that swayed and is sought again, the surest estimate on the way
-    counts.
+    A model file has one rotation; errors of the axes stand apart from it, and the diagnosis finds
+    them itself. So the estimator of one rotation is used, even if the configured daemon estimates
+    matrices. If the mount is not known at the end (for example when the sensor swayed and the
+    search started again), the most certain estimate of the drive counts.
     """
     config = loaded.config
     if config.calibration.estimator == "joint":
@@ -111,5 +111,5 @@ def _is_known(estimate: MountEstimate) -> bool:
 
 
 def _uncertainty(estimate: MountEstimate) -> float:
-    """The largest deviation of an angle [deg]."""
+    """The largest standard deviation of the mount's angles [deg]."""
     return math.inf if estimate.std is None else math.degrees(max(estimate.std))

@@ -1,9 +1,9 @@
-"""The causes' keys in the model file: read from it and written to it.
+"""Read and write the keys of the causes in a model.
 
 The file itself is read and written by `imucald.model`.
 
-A change (`Changes`) is a mapping from key to departure from the model file. Vectors are along the
-vehicle's axes; here they are turned into those of the sensor.
+`Changes` maps a key to its departure from the model file. Vectors in it are along the vehicle's
+axes; this module turns them into the sensor's axes.
 """
 
 from __future__ import annotations
@@ -34,7 +34,8 @@ DELAYED = ("speed", "wheel_speeds", "steering", "yaw_rate", "lateral_accel", "lo
            "accel", "gyro")  # fmt: skip
 OFF_DIAGONAL = ((0, 1), (0, 2), (1, 0), (1, 2), (2, 0), (2, 1))
 BUTTERWORTH_S_HZ = math.sqrt(2.0) / (2.0 * math.pi)
-"""Delay of a second-order Butterworth low-pass well below its cut-off, times the cut-off."""
+"""Product of delay and cut-off frequency of a second-order Butterworth low-pass, for signals well
+below the cut-off."""
 
 
 @dataclass(frozen=True)
@@ -49,7 +50,7 @@ class Sensor:
 
 
 def sensor_of(model: VehicleModel, name: str, changes: Changes) -> Sensor:
-    """Return what the model file says of a triad; scale and cross-axis with changes."""
+    """Return the errors of a triad by the model file; `changes` apply to scale and cross-axis."""
     triad = getattr(model, name)
     gain = np.eye(3)
     scale = np.array(triad.scale) + _indexed(changes, f"{name}.scale", 3)
@@ -73,7 +74,7 @@ def along_vehicle(changes: Changes, key: str) -> Array:
 
 
 def mounts(model: VehicleModel) -> list[tuple[float, Matrix3]]:
-    """From time [s] on, R_vehicle_from_sensor."""
+    """Pairs of a start time [s] and R_vehicle_from_sensor from then on."""
     m = model.mount
     R = rotation_from_angles(*(math.radians(x) for x in (m.roll_deg, m.pitch_deg, m.yaw_deg)))
     found = [(-math.inf, R)]
@@ -90,7 +91,7 @@ def mount_of(model: VehicleModel) -> Matrix3:
 
 
 def age(model: VehicleModel, name: str) -> float:
-    """How old a signal is when it comes [s]: its delay, and that of its low-pass."""
+    """Age of a signal when its frame comes [s]: its delay plus the delay of its low-pass."""
     message = getattr(model, name)
     seconds = float(message.delay_s)
     cut_off = getattr(message, "lowpass_hz", None)
@@ -100,7 +101,8 @@ def age(model: VehicleModel, name: str) -> float:
 
 
 def value(model: VehicleModel, key: str) -> float:
-    """A number of the model file; 0 where a key has no place, or is a vector's component."""
+    """A number of the model file. It is 0 if the key has no place in the file or is a component of
+    a vector."""
     place: Any = model
     for part in key.split("."):
         if part.isdigit() and isinstance(place, tuple):
@@ -113,7 +115,7 @@ def value(model: VehicleModel, key: str) -> float:
 
 
 def _vector_value(model: VehicleModel, key: str) -> float:
-    """Component along the vehicle of a vector that the file has in sensor axes."""
+    """Component along a vehicle axis; the file holds the vector in sensor axes."""
     section, _, name = family(key).partition(".")
     stated, axis = getattr(getattr(model, section, None), name, None), key[-1]
     if axis not in "xyz" or not isinstance(stated, tuple):
@@ -122,7 +124,8 @@ def _vector_value(model: VehicleModel, key: str) -> float:
 
 
 def tolerance(model: VehicleModel, key: str) -> float:
-    """By how much the model file may be wrong: what it says itself (`known_to`), or the table."""
+    """Allowed error of the model file: its own statement (`known_to`), or the catalogue's
+    tolerance."""
     row = PARAMETERS[key]
     stated = model.known_to.get(key)
     if stated is not None:
@@ -131,14 +134,14 @@ def tolerance(model: VehicleModel, key: str) -> float:
 
 
 def plausible(model: VehicleModel, key: str) -> tuple[float, float]:
-    """Departures that a vehicle or a sensor can have."""
+    """Range of departures that a real vehicle or sensor can have."""
     row = PARAMETERS[key]
     size = abs(value(model, key)) if row.relative else 1.0
     return row.plausible[0] * size, row.plausible[1] * size
 
 
 def model_error(model: VehicleModel, key: str) -> float:
-    """What the equations themselves err by in a parameter: one deviation."""
+    """Error of the equations themselves in a parameter, as one standard deviation."""
     stated = MODEL_ERROR.get(family(key), 0.0)
     if key.startswith("gyro.scale."):
         upright = float(abs(mount_of(model)[2, int(key[-1])]))
@@ -152,7 +155,8 @@ def model_error(model: VehicleModel, key: str) -> float:
 def extended(
     model: VehicleModel, changes: Changes, known_to: Mapping[str, float] | None = None
 ) -> VehicleModel:
-    """The model file with changes. known_to: half widths within which keys are now known."""
+    """Return the model file with changes applied. known_to: half width by key within which the
+    number is now known."""
     made: dict[str, Any] = {}
     R = mount_of(model)
     for name in TRIADS:
@@ -184,7 +188,7 @@ def extended(
 
 
 def _is_plain(model: VehicleModel, key: str) -> bool:
-    """Whether a key is one number of the file, or the wheels' scale."""
+    """Whether a key stands for a single number of the file, or for the wheels' scale."""
     if key.endswith("delay_s"):
         return False
     section, _, name = key.partition(".")
@@ -198,7 +202,8 @@ def _sum(stated: Sequence[float], change: Array) -> tuple[float, ...]:
 def _write_triad(
     made: dict[str, Any], model: VehicleModel, name: str, changes: Changes, R: Matrix3
 ) -> None:
-    """Changes of a triad; those along the vehicle's axes are turned into the sensor's."""
+    """Write the changes of a triad; vectors along the vehicle's axes are turned into sensor
+    axes."""
     triad = getattr(model, name)
     gain = sensor_of(model, name, changes).gain
     for what in ("bias", "bias_temperature"):
@@ -214,7 +219,8 @@ def _write_triad(
 
 
 def _at_one_g(model: VehicleModel, name: str, changes: Changes, R: Matrix3) -> Array:
-    """Zero error that makes a change of gain turn about one g upright, as changes mean it."""
+    """Zero error that cancels the effect of a gain change on one g upright. `Changes` define a gain
+    so that the reading at one g stays the same."""
     level = R.T @ np.array([0.0, 0.0, GRAVITY])
     if name == "gyro":
         return np.asarray(-_indexed(changes, "gyro.g_sensitivity", 3) * level)
@@ -223,7 +229,8 @@ def _at_one_g(model: VehicleModel, name: str, changes: Changes, R: Matrix3) -> A
 
 
 def level_effect(model: VehicleModel, key: str) -> dict[str, float]:
-    """Zero error along the vehicle that a gain of the accelerometer makes of one g: per unit."""
+    """Zero error along the vehicle that an accelerometer gain makes from one g, per unit of the
+    gain."""
     R = mount_of(model)
     change = sensor_of(model, "accel", {key: 1.0}).gain - sensor_of(model, "accel", {}).gain
     offset = R @ change @ R.T @ np.array([0.0, 0.0, GRAVITY])
@@ -231,9 +238,11 @@ def level_effect(model: VehicleModel, key: str) -> dict[str, float]:
 
 
 def _delays(model: VehicleModel, changes: Changes) -> dict[str, Any]:
-    """Delays, none negative: what is younger than the file says makes all others older.
+    """Return the delays, none of them negative. If one signal would be younger than zero, all
+    others become older instead.
 
-    None is beyond what a file may hold: a fit of what no delay explains runs off.
+    Delays are limited to the range of the file, because a fit of data that no delay explains
+    diverges.
     """
     moved = [key for key in changes if key.endswith("delay_s") and changes[key] != 0.0]
     if not moved:
@@ -250,8 +259,8 @@ def _delays(model: VehicleModel, changes: Changes) -> dict[str, Any]:
 
 
 def low_pass(model: VehicleModel, key: str, x: float) -> tuple[str, float] | None:
-    """Key and value of the filter that makes a signal late by x [s] more than the file says, where
-    the file has a place for it: `key` is that of the delay."""
+    """Key and value of the filter that delays a signal by x [s] more than the file says. None if
+    the file has no place for such a filter. key: that of the delay."""
     name = key.partition(".")[0]
     seconds = age(model, name) - getattr(model, name).delay_s + x
     if seconds <= 0.0 or name == "wheel_speeds":
@@ -262,8 +271,8 @@ def low_pass(model: VehicleModel, key: str, x: float) -> tuple[str, float] | Non
 
 
 def with_low_passes(model: VehicleModel, stated: VehicleModel, late: Changes) -> VehicleModel:
-    """The model file with filters in place of delays. stated: the file before; late: how much of
-    each delay the filter makes [s]."""
+    """Return the model file with filters in place of delays. stated: the file before. late: the
+    part of each delay that the filter makes [s]."""
     made: dict[str, float] = {}
     for key, x in late.items():
         name = key.partition(".")[0]
@@ -274,7 +283,8 @@ def with_low_passes(model: VehicleModel, stated: VehicleModel, late: Changes) ->
 
 
 def rear_slip(model: VehicleModel) -> float:
-    """Sideslip at the rear axle per speed and lateral acceleration: m l_f / (L C_r) [s^2/m]."""
+    """Sideslip speed at the rear axle, divided by speed and lateral acceleration: m l_f / (L C_r)
+    [s^2/m]."""
     c = model.chassis
     return c.mass_kg * c.cg_to_front_m / (c.wheelbase_m * c.rear_cornering_stiffness_npr)
 
@@ -286,7 +296,7 @@ def _stiffness(model: VehicleModel, change: float) -> float:
 
 
 def with_shifts(model: VehicleModel, shifts: Sequence[tuple[float, Array]]) -> VehicleModel:
-    """The model file with turns (3,) [rad] about the vehicle's axes at times [s]."""
+    """Return the model file with turns (3,) [rad] about the vehicle's axes at given times [s]."""
     added = []
     for t, turn in shifts:
         angles = [math.degrees(x) for x in angles_from_rotation(rotation_from_vector(turn))]
@@ -297,7 +307,8 @@ def with_shifts(model: VehicleModel, shifts: Sequence[tuple[float, Array]]) -> V
 
 
 def with_delay_rate(changes: Changes, middle_s: float) -> dict[str, float]:
-    """Changes with the delay as it was at the start: growth is counted from the drive's middle."""
+    """Return changes with the delay at the start of the drive; the fit counts its growth from the
+    middle."""
     rate = changes.get("speed.delay_rate", 0.0)
     made = dict(changes)
     if rate:

@@ -1,12 +1,13 @@
-"""The catalogue: what a model file can be wrong by, as data.
+"""The catalogue of possible errors of a model file, as data.
 
-One row a parameter: unit, by how much a correct model file may be wrong (`tolerance`, a half
-width) with its source, what a vehicle or a sensor can have at all (`plausible`), and which signals
-it takes. One row a cause: its parameters and its words. The fitter reads rows and knows no name.
+Each parameter has one row: its unit; its `tolerance` (half width of the error that a correct model
+file may have) with the source; its `plausible` range for a real vehicle or sensor; and the signals
+that it needs. Each cause has one row: its parameters and its texts. The fitter reads the rows and
+treats no cause specially by name.
 
-Parameters are keys of the model file. Vectors are along the vehicle's axes (`.x .y .z`), where a
-drive separates them; those that belong to a sensor's own axes have an index. A key that begins
-with `_` has no place in the model file.
+Parameters are keys of the model file. Vectors are along the vehicle's axes (`.x .y .z`), because a
+drive separates these. Vectors that belong to the sensor's own axes have an index instead. A key
+that begins with `_` has no place in the model file.
 """
 
 from __future__ import annotations
@@ -28,38 +29,40 @@ class Parameter:
     unit: str
     tolerance: float
     source: str
-    """Where the tolerance comes from."""
+    """Source of the tolerance."""
     plausible: tuple[float, float]
-    """What the number may be, as a departure from the model file's."""
+    """Range of the departure from the model file."""
     needs: tuple[str, ...] = ()
-    """Signals without which it does not show."""
+    """Signals that are needed to see the parameter."""
     relative: bool = False
-    """The numbers above are shares of the model file's value."""
+    """True: the numbers above are shares of the model file's value."""
 
 
 @dataclass(frozen=True)
 class Cause:
-    """A name for parameters that go wrong together; each of `variants` is tried by itself."""
+    """A name for parameters that are wrong together. Each of `variants` is tried separately."""
 
     name: str
     variants: tuple[tuple[str, ...], ...]
     sentence: str
     separate: str
-    """The manoeuvre that separates it from its look-alikes."""
+    """The manoeuvre that separates the cause from similar ones."""
     generic: bool = False
-    """A gain, an offset or a delay of a signal, without a physical reason."""
+    """True: a gain, an offset or a delay of a signal without a physical reason."""
     together: tuple[str, ...] = ()
-    """Parameters that are tried as one number besides."""
+    """Parameters that are also tried with one common value."""
     with_it: tuple[tuple[str, float], ...] = ()
-    """What moves besides in one more form of it: key and factor."""
+    """One more form of the cause: key and factor of parameters that move with it."""
     drift: bool = False
-    """Tried as an even growth over the drive."""
+    """True: tried as a linear growth over the drive."""
     lead: int = 0
-    """How many of the first parameters must be off for the name to hold; 0: any of them."""
+    """The name holds only if at least one of this many first parameters is wrong; 0: any parameter
+    is enough."""
     joins: bool = False
-    """Its variants are also tried together, as far as each pays."""
+    """True: variants are also tried together, as long as each one improves the prediction."""
     form_of: str = ""
-    """The cause whose parameters it has, in another form: what is found as that may be it."""
+    """Another cause with the same parameters. If that cause is found, this one may be the true
+    one."""
 
 
 def _axes(key: str, unit: str, tolerance: float, source: str, plausible: float,
@@ -84,7 +87,8 @@ _ROWS: tuple[Parameter, ...] = (
            f" not square, {MEMS}", 1.0, ("accel",), "xy"),
     *_axes("accel.bias", "m/s^2", 0.09, f"0.4 mg/K over 10 K, and 0.5 % of one g by the gain,"
            f" {MEMS}", 1.0, ("accel",), "z"),
-    # 10 % of sensitivity (ADXL335: 270 to 330 mV/g), and of its supply, which it goes with, 5 %.
+    # Sensitivity varies by 10 % (ADXL335: 270 to 330 mV/g) and is proportional to the supply
+    # voltage, which varies by 5 %.
     *_axes("accel.scale", "1", 0.01, f"sensitivity after calibration, {MEMS}", 0.15, _IMU, "012"),
     *_axes("accel.cross_axis", "1", 0.02, "cross-axis sensitivity 2 % (MPU-6500)", 0.10, _IMU,
            "012345"),
@@ -95,8 +99,7 @@ _ROWS: tuple[Parameter, ...] = (
     *_axes("gyro.scale", "1", 0.01, f"sensitivity over temperature, {MEMS}", 0.18, _IMU, "012"),
     *_axes("gyro.cross_axis", "1", 0.003, "axes of one die are square to 0.2 deg; the package's"
            " turn in a data sheet's 2 % is the mount's", 0.10, _IMU, "012345"),
-    # One g moves the zero by no more than the whole zero-rate offset of a data sheet: 3 deg/s
-    # (BMI160).
+    # One g changes the zero by at most the full zero-rate offset of a data sheet: 3 deg/s (BMI160).
     *_axes("gyro.g_sensitivity", "(rad/s)/(m/s^2)", 0.01 * DEG, f"0.1 (deg/s)/g, {MEMS}",
            0.3 * DEG, _IMU, "012"),
     *_axes("gyro.bias_temperature", "rad/s/K", 0.01 * DEG, f"0.01 (deg/s)/K, {MEMS}", 0.3 * DEG,
@@ -104,12 +107,12 @@ _ROWS: tuple[Parameter, ...] = (
     *_axes("mount.turn", "rad", 4.5 * DEG, _TURN, 20.0 * DEG, _IMU, "xy"),
     *_axes("mount.turn", "rad", 0.5 * DEG, "an INS and one measured drive: 0.3 deg", 20.0 * DEG,
            _IMU, "z"),
-    # Two places in a car are no further apart than it is long.
+    # Two places in a car are at most the length of the car apart.
     _one("mount.lever_arm_m.0", "m", 0.3, _TAPE, -4.5, 4.5, *_IMU),
     _one("mount.lever_arm_m.1", "m", 0.3, _TAPE, -1.3, 1.3, *_IMU),
     _one("mount.lever_arm_m.2", "m", 0.3, _TAPE, -0.8, 2.5, *_IMU),
-    # An axle of another ratio than is coded: one van has 3.31 to 4.10, -19 % (Ford Transit). An
-    # instrument may say a tenth and 4 km/h too much, at 40 km/h +20 % (UN Regulation 39, 5.3).
+    # The axle ratio may differ from the coded one: one van has 3.31 to 4.10, -19 % (Ford Transit).
+    # A speedometer may show 10 % plus 4 km/h too much, +20 % at 40 km/h (UN Regulation 39, 5.3).
     _one("speed.scale", "1", 0.01, _TYRE, -0.20, 0.20, "gyro"),
     _one("speed.delay_s", "s", 0.03, _DELAY, -1.0, 2.0, "accel"),
     _one("speed.delay_rate", "1", 2e-5, "a crystal's +-20 ppm", -2e-3, 2e-3, "accel"),
@@ -159,8 +162,8 @@ PARAMETERS = {row.key: row for row in _ROWS}
 
 
 def family(key: str) -> str:
-    """`accel.bias` of `accel.bias.x`: components of one thing, which mix in other axes. What has no
-    components is its own."""
+    """Return the vector's name, such as `accel.bias` for `accel.bias.x`: its components mix when
+    axes are turned. A key without components is returned unchanged."""
     stem, _, last = key.rpartition(".")
     return stem if last in ("x", "y", "z") or last.isdigit() else key
 
@@ -175,15 +178,16 @@ MODEL_ERROR: dict[str, float] = {
     "mount.lever_arm_m": 0.05, "suspension.roll_gradient": 0.0015,
     "suspension.squat_gradient": 0.0003, "suspension.dive_gradient": 0.0004,
 }  # fmt: skip
-"""What the equations themselves err by, one deviation, by key or its beginning: rms of what a fit
-says where the model file is exactly right (ten drives of the second generator, seeds 1,160,000 to
-1,160,009, which judge nothing; measured while slope and cross fall were noise of a block, and
-without that the same to 7 %). Of a lever arm 0.012 m, not taken: a tenth of a car's rear tyre slip,
-0.0004 s^2/m, at 40 km/h moves the point without sideways speed by 0.05 m. It does not
-shrink with longer drives, so it is in every deviation. By its own GNSS speed a measured log has
-the speed's gain off by as much again."""
+"""Error of the equations themselves, one standard deviation, by key or beginning of a key. It is
+the rms of the fitted value when the model file is exactly right (ten drives of the second
+generator, seeds 1,160,000 to 1,160,009, which are not used for evaluation). It was measured while
+slope and cross fall were modelled as noise of a block; without that model the numbers agree to 7 %.
+The lever arm's 0.012 m is not used: a tenth of a car's rear tyre slip, 0.0004 s^2/m, moves the
+point without sideways speed by 0.05 m at 40 km/h. This error does not shrink in longer drives, so
+every deviation includes it. In a measured log, the comparison with GNSS speed gave the same error
+again for the speed's gain."""
 LEVEL_GYRO_GAIN_ERROR = 0.018
-"""The same of a gain of the gyroscope about a level axis: only slopes show it."""
+"""The same for a gyroscope gain about a horizontal axis: only slopes of the road show it."""
 
 
 def _keys(prefix: str, names: str = "xyz") -> tuple[str, ...]:

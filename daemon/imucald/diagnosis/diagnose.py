@@ -1,7 +1,8 @@
-"""The diagnosis: show, name, extend, measure. The whole path from samples to verdict.
+"""The whole path of a diagnosis, from samples to verdict: find the errors, name their causes,
+extend the model file, measure the gain.
 
 samples -> faults (samples and stamps) -> rest (stops) -> search (shift, causes, rivals)
-        -> what is left -> the written file -> what it brings
+        -> left-over structure -> the written file -> its gain
 """
 
 from __future__ import annotations
@@ -83,29 +84,29 @@ from imucald.model.model import VehicleModel
 
 Progress = Callable[[float, str], None]
 LIMIT_S_PER_H = 40.0
-"""Processor time, by hours of driving, after which the search ends with what it has; what comes
-after it takes up to 15 s an hour."""
+"""Limit of the search's processor time per hour of driving; then the search ends with its present
+result. The steps after the search take up to 15 s more per hour of driving."""
 LEAST_LIMIT_S = 10.0
 GYRO_BIAS = tuple(f"gyro.bias.{axis}" for axis in "xyz")
 LEAST_BLOCKS = 4
 LITTLE_MIN = 10.0
 UNBELIEVED = (GOES_AGAINST, TOO_MUCH)
-"""Structure with which no fit is believed."""
+"""If structure of these kinds is found, no fit is trusted."""
 NOT_AS_STATED = (
     LOUDER, COARSER, VALUES_MISSING, CHANGES_OTHERWISE, JUMPS_ALONE, FOLLOWS_OTHERWISE,
 )  # fmt: skip
-"""Structure with which a file keeps what it says of its own drives."""
+"""If structure of these kinds is found, the file keeps its statements about its own drives."""
 READ_FROM_VALUES = ("saturation", "stuck_signal", "duplicated_frames")
-"""Faults that are read from how a signal's values follow each other."""
+"""Faults that are found from the sequence of a signal's values."""
 ONE_SENSOR = ("accel", "gyro")
 """Signals that come from one sensor, over one wire."""
 MOVES = (WANDERS, DIFFERS, GOES_WITH_ANOTHER)
-"""Structure of a zero that is not the same all along."""
+"""Structure of a zero error that changes during the drive."""
 BETWEEN = (FOLLOWS_OTHERWISE, VALUES_MISSING, CHANGES_MISSING, JUMPS_ALONE)
-"""Structure of raw values that something between sensor and log makes."""
+"""Structure of raw values that arises between sensor and log."""
 HALF = 0.5
-"""A file is not held to less than this share of a tolerance: one drive's pieces share temperature,
-load and weather."""
+"""The written half width of a number (`known_to`) is at least this share of its tolerance, because
+all parts of one drive share temperature, load and weather."""
 
 
 def diagnose(
@@ -114,12 +115,12 @@ def diagnose(
     progress: Progress | None = None,
     limit_s: float | None = None,
 ) -> Diagnosis:
-    """Say what the simulation with this model gets wrong in measured drives of one vehicle.
+    """Find the errors of the simulation with this model in measured drives of one vehicle.
 
     drives: SI samples, sensor axes (see `imucald.core.samples`); at least `accel` and `speed`, and
-    minutes of them. limit_s: processor time after which what was found so far is reported; None:
-    `LIMIT_S_PER_H`, and not less than `LEAST_LIMIT_S`.
-    Raises EstimateError where nothing can be diagnosed.
+    minutes of them. limit_s: processor time after which the search stops and its result so far is
+    reported; None: by `LIMIT_S_PER_H`, but at least `LEAST_LIMIT_S`.
+    Raises EstimateError if nothing can be diagnosed.
     """
     report = progress or _silent
     began = time.process_time()
@@ -193,8 +194,8 @@ def diagnose(
 
 
 def rms_beside(drives: Sequence[Samples], model: VehicleModel) -> dict[str, float]:
-    """By signal: what a model file leaves of it [its unit], as `SignalGain.rms_before` has it;
-    nothing is looked for. Raises as `diagnose` does."""
+    """Return the rms residual of each signal with this model file [the signal's unit], as in
+    `SignalGain.rms_before`. No cause is searched. Raises as `diagnose` does."""
     table = _begun(drives, model, _silent)[-1].evaluated().table
     return {name: rms for name in table.plain if (rms := table.rms(name))}
 
@@ -209,8 +210,9 @@ def _begun(
     Rest | None,
     State,
 ]:
-    """All that comes before the search: lost readings and faults of each drive, what raw values
-    show besides, the drives' signals, what stops show, and the drives against the model file."""
+    """Do all steps before the search. Returns lost readings and faults of each drive, other
+    structure in raw values, the drives' signals, the evidence of stops, and the search state of the
+    drives with the model file."""
     if not drives:
         raise EstimateError("diagnosis needs at least one drive")
     for samples in drives:
@@ -238,15 +240,16 @@ def _signals(
     lost: Sequence[dict[str, Lost]],
     held: bool = False,
 ) -> list[DriveSignals]:
-    """Each drive's signals without what faults and lost readings make invalid; held: of a rail its
-    own samples alone, since how those beside it follow each other is asked."""
+    """Each drive's signals without the samples that faults and lost readings make invalid. held: at
+    a rail, leave out only the samples on the rail, because the sequence of the samples beside it is
+    tested."""
     bad = [invalid_spans(*each, held) for each in zip(faults, drives, lost, strict=True)]
     return [drive_of(s, b) for s, b in zip(drives, bad, strict=True)]
 
 
 def _odd(parts: Sequence[DriveSignals], model: VehicleModel) -> list[Structure]:
-    """What raw values show, faults left out, that no sound signal does. These questions rest on no
-    fit, and share a rate of their own."""
+    """Structure in raw values, without faults, that no healthy signal shows. These questions need
+    no fit and share a false-discovery rate of their own."""
     return beyond_chance(
         [
             *coarser(parts, model),
@@ -259,9 +262,9 @@ def _odd(parts: Sequence[DriveSignals], model: VehicleModel) -> list[Structure]:
 
 
 def _is_owed(fault: Fault, odd: Sequence[Structure]) -> bool:
-    """Whether a fault may be owed to what else its signal shows. Rails, values that stay and
-    frames that repeat are known by how samples follow each other, and say nothing where something
-    between sensor and log has changed that."""
+    """Whether other structure in the same signal may explain a fault. Rails, constant values and
+    repeated frames are found from the sequence of samples. They prove nothing if something between
+    sensor and log has changed that sequence."""
     if fault.cause not in READ_FROM_VALUES:
         return False
     beside = ONE_SENSOR if fault.signal in ONE_SENSOR else (fault.signal,)
@@ -271,15 +274,15 @@ def _is_owed(fault: Fault, odd: Sequence[Structure]) -> bool:
 def _is_recommended(
     causes: Sequence[FoundCause], gain: Gain, left: Sequence[Structure], changes: bool
 ) -> bool:
-    """The written file predicts data that no fit saw better, or states what was read directly; and
-    the prediction is to be believed at all."""
+    """Whether the written file predicts data outside its fit better, or states directly read facts.
+    In both cases the fit must also be trustworthy."""
     if not (causes and changes) or any(s.kind in UNBELIEVED for s in left):
         return False
     return not gain.worse and (gain.held_out_log_likelihood > 0.0 or not gain.was_fitted)
 
 
 def _left(state: State) -> tuple[Structure, ...]:
-    """What no cause explains."""
+    """Structure that no cause explains."""
     problem = state.evaluated()
     drift = drift_of(problem, state)
     spectra = spectra_of(problem, state.forwards)
@@ -308,7 +311,7 @@ def _left(state: State) -> tuple[Structure, ...]:
 
 
 def _beside_stated(problem: Problem, state: State) -> list[Question]:
-    """Next to what the model file states of its own drives."""
+    """Questions that compare these drives with the model file's own drives."""
     stated = state.stated
     if not stated.leaves:
         return []
@@ -321,12 +324,12 @@ def _beside_stated(problem: Problem, state: State) -> list[Question]:
 
 
 def _silent(share: float, text: str) -> None:
-    """Where no one asks for progress."""
+    """Progress function for callers that want no progress."""
 
 
 @dataclass
 class _Late:
-    """Whether the time is over; remembers that it was asked too late."""
+    """Callable that says whether the time is over; it remembers if it was called too late."""
 
     until: float
     was: bool = False
@@ -337,7 +340,7 @@ class _Late:
 
 
 def _with_faults(model: VehicleModel, faults: Sequence[Sequence[Fault]]) -> VehicleModel:
-    """The model file that says so."""
+    """Return the model file with the faults written into it."""
     changes: dict[str, object] = {}
     for part in faults:
         for fault in part:
@@ -346,7 +349,7 @@ def _with_faults(model: VehicleModel, faults: Sequence[Sequence[Fault]]) -> Vehi
 
 
 def _started(parts: Sequence[DriveSignals], model: VehicleModel, rest: Rest | None) -> State:
-    """Stops first: what they say of the gyroscope's zero bounds every fit."""
+    """Return the search state at the start. The gyroscope's zero at stops bounds every fit."""
     state = State(parts, model, model, {})
     if rest is None:
         return state
@@ -365,21 +368,23 @@ def _is_off(rest: Rest, model: VehicleModel) -> bool:
 
 
 def _shows_zero(left: Sequence[Structure]) -> bool:
-    """Whether the gyroscope's mean at stops is its zero all along: not where it may be the value
-    that it shows for small rates, nor where its zero is not the same all along."""
+    """Whether the gyroscope's mean at stops is its zero for the whole drive. It is not if that mean
+    may be a value that the sensor shows for all small rates, or if the zero changes during the
+    drive."""
     gyro = [s for s in left if s.signal.startswith("gyro") or s.parameter.startswith("gyro.bias")]
     return not any(s.kind in (VALUE_HELD, *MOVES) for s in gyro)
 
 
 def _zero_of(rest: Rest, state: State, model: VehicleModel) -> Rest:
-    """What stops say of the zero, less what a found sensitivity to the force makes of one g."""
+    """Return the zero at stops without the part that a found g-sensitivity makes from one g."""
     R = mount_of(model)
     net = R @ (np.array(state.model.gyro.bias) - np.array(state.stated.gyro.bias))
     return replace(rest, rate=net)
 
 
 def _refuse_short(table: Table, faults: Sequence[Sequence[Fault]]) -> None:
-    """Longer drives are no remedy where a fault has taken what there was."""
+    """Raise EstimateError if too little data is left. The text names faults if these removed the
+    data, since longer drives would not help then."""
     if table.blocks >= LEAST_BLOCKS:
         return
     taken = [fault.text for part in faults for fault in part if fault.spans]
@@ -411,7 +416,7 @@ def _fault_causes(
 
 
 def _merged(causes: Sequence[FoundCause]) -> list[FoundCause]:
-    """One entry a cause, also where several signals or variants have it."""
+    """Return one entry for each cause, even if several signals or variants show it."""
     made: dict[str, FoundCause] = {}
     for one in causes:
         known = made.get(one.name)
@@ -429,7 +434,7 @@ def _merged(causes: Sequence[FoundCause]) -> list[FoundCause]:
 
 
 def _written(state: State, problem: Problem) -> VehicleModel:
-    """The extended model file, with how well this drive knows what it found."""
+    """Return the extended model file, with the accuracy (`known_to`) of the numbers found."""
     known: dict[str, float] = {}
     table, q = problem.table, quantile(problem.table.blocks, 1)
     for key in state.free:

@@ -1,4 +1,4 @@
-"""What a fit names and something else that was found may make: it is not ruled out, and no more."""
+"""Withdraw named causes that other findings may explain: they then count only as not ruled out."""
 
 from __future__ import annotations
 
@@ -28,10 +28,10 @@ from imucald.diagnosis.search.state import State
 from imucald.diagnosis.search.trials import Trial
 
 BESIDE = (NOT_PLAUSIBLE, WANDERS, LOUDER, COARSER, CHANGES_OTHERWISE)
-"""Structure that moves no value to one side: what a fit names with it may stand."""
+"""Structure that biases no value: causes that a fit names beside it may stand."""
 NO_STEP = (GOES_WITH_ANOTHER, GOES_WITH_LEVEL, FOLLOWS_OTHERWISE, TOO_MUCH)
-"""Structure that a turned sensor does not leave. A turn by 10 deg leaves zeros and gains that seem
-to wander, since it is followed to first order and to a segment."""
+"""Structure that a turned sensor does not cause. A turn by 10 deg makes zeros and gains seem to
+wander, because the fit follows it only to first order and to the nearest segment."""
 
 
 USES = {
@@ -39,15 +39,17 @@ USES = {
     "accel_y": (*TAKES["accel_y"], "speed"),
     "yaw_rate": (*TAKES["yaw_rate"], "speed"),
 }
-"""Signals of each equation; of these the speed bounds no band."""
+"""Signals that each equation uses: those of `TAKES`, which limit its frequency band, and the speed
+where an equation uses it without such a limit."""
 
 
 def doubt(state: State, left: Sequence[Structure], faults: Sequence[Sequence[Fault]]) -> None:
-    """Take back what may be owed to structure that is left, to a fault, or to a low-pass."""
+    """Withdraw each named cause that left-over structure, a fault or a low-pass may explain."""
     every = [fault for part in faults for fault in part]
     changing = {family(s.parameter) for s in left if s.parameter}
     shifted = {fault.signal for fault in every if fault.cause == "saturation"}
-    # A cause is missing there, and gains and zeros take its place; a delay shows in the timing.
+    # A cause is missing there, and fitted gains and zeros absorb its effect. A delay still shows in
+    # the timing.
     impossible = [s for s in left if s.kind == NOT_PLAUSIBLE]
     shifted |= {name for s in impossible for name in TAKES[s.signal]}
     clocks_differ = any(fault.cause == "clock_drift" for fault in every)
@@ -64,20 +66,21 @@ def doubt(state: State, left: Sequence[Structure], faults: Sequence[Sequence[Fau
             and trial.shown < (missing**0.5 + trial.needed**0.5) ** 2
             and rests_on(trial, impossible)
         ):
-            # Of what cannot be it is known how much it explains: that much may lie along this one,
-            # and what is left must name it. Nats are squares of deviations, which add up.
+            # The implausible structure explains a known number of nats. All of these may belong to
+            # this cause, so the rest must be enough to name it. Nats are squares of deviations, so
+            # they add up.
             return True
         keys = trial.hypothesis.keys
         if changing & {family(key) for key in keys}:
-            # One number is no statement about what is another from piece to piece.
+            # A single number does not describe a value that changes from segment to segment.
             return True
         if trial.hypothesis.pattern is not None:
             return False
         if all("delay" in key for key in keys):
-            # Stamps that run off each other make another delay in each minute.
+            # Clocks that drift apart change the delay from minute to minute.
             return clocks_differ
-        # Where the largest values are lost, what is left of them is no fair sample: a slope that is
-        # fitted to it is off (truncated regression; Hausman and Wise 1977).
+        # If the largest values are lost, the remaining ones are a biased sample, and a slope fitted
+        # to them is wrong (truncated regression; Hausman and Wise 1977).
         sensors = {s for name in signals_of(state.table, keys) for s in TAKES[name]}
         return bool(sensors & shifted) or _may_be_a_low_pass(state.table, trial, delays)
 
@@ -85,20 +88,22 @@ def doubt(state: State, left: Sequence[Structure], faults: Sequence[Sequence[Fau
         state.withdraw_shift()
     likely, state.likely = state.likely, []
     for trial in likely:
-        # Where anything is left a cause is missing, and may be what a weaker statement rests on.
+        # Any left-over structure means that a cause is missing; a weak statement may be due to that
+        # cause.
         weak = rests_on(trial, left) or is_doubtful(trial)
         (state.doubtful if weak else state.likely).append(trial)
     if moving := [s for s in left if s.kind not in BESIDE]:
-        # A cause is missing, and a fit shares out what it makes among those that it knows: only
-        # what other equations show stands.
+        # A cause is missing, and the fit distributes its effect over the known causes. Only causes
+        # shown by other equations stand.
         stands = [t for t in state.named if not rests_on(t, moving)]
         leave_out(state, unexplained(moving), stands)
     unsettle(state, is_doubtful)
 
 
 def unexplained(left: Sequence[Structure]) -> set[str]:
-    """Equations with a signal that may be what is left: all that an equation takes may be, but the
-    speed, which most take, only where it is compared with another speed."""
+    """Equations that use a signal which may cause the left-over structure. Every signal of an
+    affected equation may cause it. The speed is used by most equations, so it counts only in
+    comparisons with another speed."""
     signals: set[str] = set()
     for s in left:
         if s.signal in TAKES:
@@ -106,15 +111,15 @@ def unexplained(left: Sequence[Structure]) -> set[str]:
         else:
             signals |= {x for x in SENSED if s.signal.startswith(x)}
     made = {name for name, uses in USES.items() if signals & set(uses)}
-    # Force forward and sideways share what they say of gravity.
+    # The forward and sideways force equations share the estimate of gravity.
     return made | (set(TILTED) if made & set(TILTED) else set())
 
 
 def _may_be_a_low_pass(table: Table | None, trial: Trial, delays: Mapping[str, float]) -> bool:
-    """Whether a gain is what a low-pass takes away that shows as a found delay x: at w it leaves
-    1/sqrt(1 + (w x)^2), so (w x)^2/2 is missing. w^2 is that of the equations, by the share that
-    the delay's column has of the gain's, with all that moves with it; of those equations only in
-    which the gain shows."""
+    """Whether a found gain may be the amplitude loss of a low-pass that also shows as a found delay
+    x. At frequency w such a filter leaves 1/sqrt(1 + (w x)^2), so about (w x)^2/2 is missing. w^2
+    is the ratio of the delay column's energy to the gain column's energy, both with all parameters
+    that move with them, over the equations in which the gain shows."""
     h = trial.hypothesis
     if table is None or not delays or not all(".scale" in key for key in h.keys):
         return False
@@ -133,7 +138,8 @@ def _may_be_a_low_pass(table: Table | None, trial: Trial, delays: Mapping[str, f
 
 
 def _energy(gram: Array, table: Table, direction: Mapping[str, float]) -> float:
-    """Sum of squares of a column, or of several that move together, in Gram matrices (B, ., .)."""
+    """Sum of squares of a column, or of several columns that move together, from Gram matrices (B,
+    ., .)."""
     index = [1 + i for i in table.index(tuple(direction))]
     x = np.array(list(direction.values()))
     return float(x @ gram.sum(axis=0)[np.ix_(index, index)] @ x)

@@ -1,8 +1,8 @@
-"""What the written model file brings by itself: nothing is fitted with it.
+"""The gain of the written model file by itself: nothing else is fitted here.
 
-*After* is what the file leaves of these drives, as whoever puts it beside them again will find.
-Whether it is worth having is asked of data that no fit saw: folds of the data give the found
-parameters without seeing the rest, and the rest is predicted with these and nothing else.
+*After* is the residual of these drives with the written file; anyone who compares them again finds
+the same. The value of the file is measured on data outside the fit (cross-validation): the found
+parameters are fitted without one fold, and that fold is predicted with these parameters alone.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ LEFT_SE = 3.0
 
 
 def found_by_fold(problem: Problem, free: Sequence[str]) -> Array:
-    """(B, P) departures of the found parameters by a fit that did not see each block's fold."""
+    """(B, P) departures of the found parameters, for each block from a fit without its fold."""
     table = problem.table
     index = table.index([k for k in free if k in table.keys])
     total = table.gram.sum(axis=0)
@@ -46,8 +46,8 @@ def _fold_losses(table: Table, x: Array) -> Array:
 def gain_of(
     before: Table, after: Problem, whole: Table, free: Sequence[str], forwards: Sequence[Forward]
 ) -> tuple[Gain, dict[str, SignalGain]]:
-    """Compare the stated model file with the written one. before, after: tables at these models;
-    whole: the latter with the equations that no fit uses."""
+    """Compare the stated model file with the written one. before, after: tables with these models.
+    whole: `after` with the equations that no fit uses."""
     table = after.table
     x = found_by_fold(after, free)
     signals, worse = {}, []
@@ -71,14 +71,14 @@ def gain_of(
 
 
 def summed(gain: Array, worse: Sequence[str] = ()) -> Gain:
-    """Nats of each block (B,) with the interval that their scatter gives."""
+    """Sum of the nats of all blocks (B,), with the confidence interval from their scatter."""
     total = float(gain.sum())
     spread = Z95 * float(np.sqrt(len(gain)) * np.std(gain, ddof=1)) if len(gain) > 1 else np.inf
     return Gain(total, (total - spread, total + spread), tuple(worse))
 
 
 def _weighted_losses(before: Table, after: Table) -> Array:
-    """Losses of the stated model in the weights of the written one: scaled by equation."""
+    """Losses of the stated model, with the weights of the written one, scaled by equation."""
     made = np.zeros(before.blocks)
     for name, gram in after.by_equation.items():
         power = after.plain[name][:, :, 0, 0].sum(axis=1)
@@ -89,7 +89,8 @@ def _weighted_losses(before: Table, after: Table) -> Array:
 
 
 def _is_worse(before: Table, after: Table, name: str, x: Array) -> bool:
-    """By two standard errors of the difference over blocks, and by more than one in a hundred."""
+    """Whether an equation is worse by two standard errors of the difference over blocks, and by
+    more than 1 %."""
     z = np.concatenate([np.ones((after.blocks, 1)), -x], axis=1)
     new = np.einsum("bi,bkij,bj->b", z, after.plain[name], z)
     old = before.plain[name][:, :, 0, 0].sum(axis=1)
@@ -101,7 +102,7 @@ def _is_worse(before: Table, after: Table, name: str, x: Array) -> bool:
 
 
 def _floor(table: Table, name: str) -> float:
-    """After a fit of everything to this signal's own blocks."""
+    """Rms residual after a fit of all parameters to this signal's own blocks."""
     total = table.gram.sum(axis=0)
     wide = np.abs(table.plausible).max(axis=1)
     x = np.linalg.solve(total[1:, 1:] + np.diag(1.0 / wide**2), total[1:, 0])
@@ -109,7 +110,8 @@ def _floor(table: Table, name: str) -> float:
 
 
 def _left(forwards: Sequence[Forward]) -> Mapping[str, str]:
-    """An offset and a drift that are left of each equation, beyond what blocks scatter."""
+    """By equation, in words: offset and drift in the residual that exceed the scatter of the
+    blocks."""
     texts = {}
     f = max(forwards, key=lambda f: f.blocks)
     masks = f.usable()
@@ -124,7 +126,7 @@ def _left(forwards: Sequence[Forward]) -> Mapping[str, str]:
         scatter = float(np.std(np.diff(means)) / np.sqrt(2.0))
         slope = float(t @ means / (t @ t))
         parts = []
-        # Slow roads and drifts last over neighbours: counted as one in four.
+        # Slow changes of the road last over several blocks, so four blocks count as one.
         if abs(means.mean()) > LEFT_SE * scatter * 2.0 / np.sqrt(len(means)):
             parts.append(f"offset {means.mean():+.2g} {UNITS[name]}")
         if abs(slope) * np.sqrt(t @ t) > LEFT_SE * 2.0 * scatter:

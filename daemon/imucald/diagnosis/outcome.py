@@ -1,4 +1,4 @@
-"""From what the search found to what people and tools get."""
+"""Turn the search result into the output for people and tools."""
 
 from __future__ import annotations
 
@@ -41,10 +41,10 @@ from imucald.model.model import VehicleModel
 from imucald.mount.mount_words import SD_95
 
 MISSING = (NOT_PLAUSIBLE, TOO_MUCH, GOES_AGAINST)
-"""Kinds of structure with which the model does not hold: a cause is missing, whatever is read
-directly."""
+"""Kinds of structure that contradict the model: a cause is missing, regardless of direct
+evidence."""
 SEEN_SHARE = 0.02
-"""A signal shows a cause where it carries this share of what the cause explains."""
+"""A signal shows a cause if it carries this share of the cause's information."""
 DEG = 180.0 / math.pi
 
 
@@ -54,7 +54,7 @@ def cause_of_trial(
     estimates: Mapping[str, tuple[float, float, float]],
     certainty: Certainty = "certain",
 ) -> FoundCause:
-    """A cause that the fit named, or that is likely."""
+    """Return a cause that the fit named, or that is likely."""
     h, parameters = trial.hypothesis, {}
     moved = set(state.changes)
     alike = [(i, k) for i, d in enumerate(h.directions) for k, x in d.items() if x == 1.0]
@@ -82,9 +82,10 @@ def cause_of_trial(
 
 
 def _as_low_pass(model: VehicleModel, key: str, late: Estimated) -> tuple[str, Estimated]:
-    """A delay as the file's filter, where it has one: a cut-off that is known as well as that."""
+    """Convert a delay to the file's low-pass, if it has one. The cut-off's relative accuracy is
+    that of the delay."""
     filtered = low_pass(model, key, late.value - late.stated)
-    if filtered is None or late.value <= late.stated:  # nothing is filtered by less than nothing
+    if filtered is None or late.value <= late.stated:  # a filter cannot have a negative delay
         return key, late
     (name, x), stated = filtered, low_pass(model, key, 0.0)
     unit = "Hz" if name.endswith("hz") else "s"
@@ -95,8 +96,8 @@ def _as_low_pass(model: VehicleModel, key: str, late: Estimated) -> tuple[str, E
 
 
 def with_sensor_axes(cause: FoundCause, stated: VehicleModel, written: VehicleModel) -> FoundCause:
-    """The same with vectors along the sensor's axes, by the file's key: what is written, where it
-    is, else what the fit says."""
+    """Return the cause with vectors also along the sensor's axes, by the file's key. Values are
+    those of the written file, or of the fit if the file was not changed."""
     made: dict[str, Estimated] = {}
     R = mount_of(stated)
     for stem in dict.fromkeys(family(key) for key in cause.parameters):
@@ -104,7 +105,8 @@ def with_sensor_axes(cause: FoundCause, stated: VehicleModel, written: VehicleMo
         if section not in TRIADS or f"{stem}.x" not in PARAMETERS:
             continue
         keys = [f"{stem}.{axis}" for axis in "xyz"]
-        # What was not fitted is as uncertain as an even spread over its tolerance.
+        # A parameter that was not fitted gets the deviation of a uniform distribution over its
+        # tolerance.
         own = [cause.parameters.get(k) or _as_stated(stated, k) for k in keys]
         before, after = (np.array(getattr(getattr(m, section), name)) for m in (stated, written))
         fitted = R.T @ [p.value for p in own]
@@ -124,7 +126,7 @@ def _as_stated(model: VehicleModel, key: str) -> Estimated:
 
 
 def signals_of(table: Table | None, keys: Sequence[str]) -> tuple[str, ...]:
-    """Equations in which the parameters show, by their share of the information."""
+    """Equations that show the parameters, chosen by their share of the information."""
     if table is None:
         return ()
     index = [i + 1 for i in table.index([k for k in keys if k in table.keys])]
@@ -138,12 +140,12 @@ def signals_of(table: Table | None, keys: Sequence[str]) -> tuple[str, ...]:
 
 
 def first_signal(table: Table | None, keys: Sequence[str]) -> str:
-    """The first of these; `accel_x` where they show in none."""
+    """The first signal that shows the parameters; `accel_x` if none does."""
     return (signals_of(table, keys) or ("accel_x",))[0]
 
 
 def _against(state: State, trial: Trial) -> list[str]:
-    """What speaks against a cause: blocks, wander, rivals, a fit that stands at a bound."""
+    """Arguments against a cause: single blocks, a wandering value, rivals, a fit at its bound."""
     texts = []
     e, gain = trial.estimate, trial.gain
     worse = float((gain < 0.0).mean())
@@ -169,12 +171,12 @@ _SENSORS = {"accel": "Accelerometer", "gyro": "Gyroscope"}
 
 
 def cause_of_fault(fault: Fault, model: VehicleModel) -> FoundCause:
-    """A fault that shows in samples and stamps."""
+    """Return the cause for a fault in samples or stamps."""
     parameters = {}
     for key, (x, std, unit) in fault.values.items():
         stated = math.nan if key.startswith("_") else _stated(model, key)
         parameters[key] = Estimated(x, std, unit, stated if math.isfinite(stated) else 0.0)
-    # Several signals may have the fault, and then their texts are one.
+    # If several signals have the fault, they share one text.
     name = _SENSORS.get(fault.signal, fault.signal.replace("_", " ").capitalize())
     text = f"{name}: {fault.text[:1].lower()}{fault.text[1:]}"
     return FoundCause(
@@ -190,7 +192,7 @@ def _stated(model: VehicleModel, key: str) -> float:
 
 
 def cause_of_rest(rest: Rest, model: VehicleModel) -> FoundCause:
-    """A zero error of the gyroscope, read at stops."""
+    """Return the cause for a zero error of the gyroscope at stops."""
     parameters = {
         f"gyro.bias.{axis}": Estimated(
             value(model, f"gyro.bias.{axis}") + float(x), float(se), "rad/s",
@@ -208,7 +210,7 @@ def cause_of_rest(rest: Rest, model: VehicleModel) -> FoundCause:
 
 
 def cause_of_shift(shift: FittedShift, table: Table) -> FoundCause:
-    """A turn of the sensor in mid-drive."""
+    """Return the cause for a turn of the sensor in mid-drive."""
     parameters = {
         f"mount.shifts.{angle}_deg": Estimated(float(x) * DEG, float(se) * DEG, "deg", 0.0, 0.3)
         for angle, x, se in zip(("roll", "pitch", "yaw"), shift.turn, shift.se, strict=True)
@@ -232,7 +234,8 @@ def cause_of_shift(shift: FittedShift, table: Table) -> FoundCause:
 
 
 def other_candidates(state: State) -> tuple[Candidate, ...]:
-    """Every cause that was not named, with the size that these drives could have shown."""
+    """Return every cause that was not named, with the size from which these drives would have shown
+    it."""
     named = {t.hypothesis.name for t in (*state.named, *state.likely)}
     doubtful = {t.hypothesis.name: t for t in state.doubtful}
     made = []
@@ -270,7 +273,8 @@ def other_candidates(state: State) -> tuple[Candidate, ...]:
 
 
 def _freed(state: State, name: str) -> dict[str, Estimated]:
-    """Parameters of all forms of a cause, each form freed by itself with what was found."""
+    """Estimates of the parameters of all forms of a cause. Each form is fitted separately, together
+    with the causes found."""
     made: dict[str, Estimated] = {}
     for t in state.last:
         if t.hypothesis.name != name or t.hypothesis.pattern is not None:
@@ -284,7 +288,7 @@ def _freed(state: State, name: str) -> dict[str, Estimated]:
 
 
 def _with_unit(text: str, key: str) -> str:
-    """A number of a parameter; a pure number has no unit."""
+    """Text of a parameter's number with its unit; a pure number has no unit."""
     unit = PARAMETERS[key].unit
     return text if unit in ("", "1") else f"{text} {unit}"
 
@@ -294,7 +298,7 @@ def _n(x: float) -> str:
 
 
 def implausible(state: State) -> tuple[Structure, ...]:
-    """What explains the numbers and cannot be."""
+    """Explanations that fit the numbers but are physically implausible."""
     made = []
     for t in state.implausible:
         i = int(np.argmax(np.abs(t.estimate.value) / np.abs(t.plausible).max(axis=1)))
@@ -319,7 +323,7 @@ def look_alikes(state: State) -> tuple[tuple[str, ...], ...]:
     for trial in state.named:
         others = [t.hypothesis.name for t in state.rivals.get(trial.hypothesis.name, [])]
         if trial.hypothesis.name == "accel_bias":
-            # At one g another element of a gain that is off is a zero error.
+            # At one g, the effect of another gain element equals a zero error.
             others += [t.hypothesis.name for t in state.named if t.hypothesis.name in LEVELLED]
         others = [n for n in dict.fromkeys(others) if n != trial.hypothesis.name]
         if others:
@@ -328,7 +332,7 @@ def look_alikes(state: State) -> tuple[tuple[str, ...], ...]:
 
 
 def manoeuvres(sets: Sequence[Sequence[str]]) -> str:
-    """Say what would distinguish look-alikes."""
+    """Return the manoeuvres that would distinguish the look-alikes."""
     parts = []
     for names in sets:
         ways = list(dict.fromkeys(BY_NAME[n].separate for n in names if n in BY_NAME))
@@ -342,7 +346,7 @@ def of_signal(
     sets: Sequence[Sequence[str]],
     structure: Sequence[Structure],
 ) -> Verdict:
-    """The verdict of one equation: of what shows in it, and of what is left in it."""
+    """Verdict of one equation, from the causes that show in it and its left-over structure."""
     own = [cause for cause in causes if any(_is_of(signal, name) for signal in cause.signals)]
     names = {cause.name for cause in own}
     return verdict_of(
@@ -353,7 +357,7 @@ def of_signal(
 
 
 def _is_of(signal: str, equation: str) -> bool:
-    """Whether a signal is what an equation predicts: itself, or an axis of it."""
+    """Whether an equation predicts this signal, or one of its axes."""
     measured = TAKES[equation] if equation == "speed" else TAKES[equation][:1]
     return signal == equation or (signal not in TAKES and signal.startswith(measured))
 
@@ -361,7 +365,7 @@ def _is_of(signal: str, equation: str) -> bool:
 def verdict_of(
     causes: Sequence[FoundCause], sets: Sequence[Sequence[str]], structure: Sequence[Structure]
 ) -> Verdict:
-    """The four verdicts."""
+    """The verdict of the whole diagnosis: one of four."""
     if any(s.kind in MISSING for s in structure):
         return "unknown"
     if causes:

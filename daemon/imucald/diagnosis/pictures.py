@@ -1,4 +1,5 @@
-"""Numbers for the page's pictures: residual against time, its driver and frequency."""
+"""Numbers for the page's pictures: residual against time, against the input that it depends on, and
+against frequency."""
 
 from __future__ import annotations
 
@@ -16,7 +17,7 @@ SEGMENT = 256
 
 
 def pictures_of(before: Sequence[Forward], after: Sequence[Forward]) -> tuple[SignalPicture, ...]:
-    """One picture a signal, the drives one after another."""
+    """Return one picture for each signal; the drives follow each other."""
     parts = [_one(a, b) for a, b in zip(before, after, strict=True)]
     starts = np.concatenate([[0.0], np.cumsum([f.t[-1] - f.t[0] + STEP_S for f in before])])
     t = np.concatenate([f.t - f.t[0] + s for f, s in zip(before, starts, strict=False)])
@@ -42,7 +43,7 @@ def pictures_of(before: Sequence[Forward], after: Sequence[Forward]) -> tuple[Si
 
 
 def _one(before: Forward, after: Forward) -> Mapping[str, tuple[Array, Array, Array]]:
-    """By equation: measured, residual before and after, (N,), NaN where it was not there."""
+    """By equation: measured signal, residual before and after, (N,) each; NaN if not present."""
     masks = before.usable()
     measured = before.measured()
     old, new = (f.level(f.residuals({}), f.usable()) for f in (before, after))
@@ -56,7 +57,7 @@ def _one(before: Forward, after: Forward) -> Mapping[str, tuple[Array, Array, Ar
 
 
 def _spectrum(x: Array) -> tuple[Array, Array]:
-    """One-sided density [unit^2/Hz], gaps filled with nothing."""
+    """One-sided spectral density [unit^2/Hz]; gaps are filled with zeros."""
     good = np.isfinite(x)
     if good.sum() < SEGMENT:
         return np.array([0.1, 1.0]), np.full(2, np.nan)
@@ -65,7 +66,7 @@ def _spectrum(x: Array) -> tuple[Array, Array]:
 
 
 def _drivers(forwards: Sequence[Forward], t: Array) -> Mapping[str, Array]:
-    """Inputs that a residual may go with."""
+    """Inputs that a residual may depend on."""
     speed = np.concatenate([np.interp(f.t, f.knots, f.drive.knots.values) for f in forwards])
     made = {"speed [m/s]": speed, "dv/dt [m/s^2]": np.gradient(speed, STEP_S), "time [s]": t}
     if all(f.has_turning for f in forwards):

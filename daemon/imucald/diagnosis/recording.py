@@ -1,4 +1,4 @@
-"""Recorded logs -> the samples of one drive, read as the daemon would read them."""
+"""Read recorded logs as the daemon does, and return the samples of one drive."""
 
 from __future__ import annotations
 
@@ -26,8 +26,8 @@ TRIADS = ("accelerometer", "gyroscope", "magnetometer")
 """Keys of the configuration that may name several sensors, each in axes of its own."""
 
 SAME_CHANGES = 64
-"""The noise of a sensor, so often new, never comes twice: as for frames in `can.logs.first_frames`.
-A sensor that shows one value all the time it stands says nothing."""
+"""A sequence of this many new values of sensor noise never occurs twice; `can.logs.first_frames`
+uses the same for frames. A sensor that shows one constant value at standstill proves nothing."""
 
 
 @dataclass(frozen=True)
@@ -35,7 +35,7 @@ class Recording:
     """One drive as a log holds it. Times are stream time: seconds from the first frame of ours."""
 
     name: str
-    """The log's file name (the first one's, where several make the recording)."""
+    """The log's file name; if the recording has several logs, the name of the first one."""
     samples: Samples
     """By channel (see `imucald.core.samples`), SI; a channel that never came is absent."""
     duration_s: float
@@ -45,11 +45,12 @@ class Recording:
     rejected: Mapping[str, int]
     """Bad lines, frames and samples by reason."""
     gaps: tuple[float, ...] = ()
-    """Stream times at which a new segment begins after a hole or a step of the clock [s]."""
+    """Stream times at which a new segment begins, after a gap or a step of the clock [s]."""
     cycle_s: Mapping[str, float] = field(default_factory=dict)
-    """By channel, the message's cycle time as the database states it [s]; absent if it does not."""
+    """By channel, the message's cycle time as the database states it [s]; absent if the database
+    does not state it."""
     planar: bool = False
-    """The accelerometer has no z axis: the third of its values is one g by declaration."""
+    """True: the accelerometer has no z axis, and its third value is declared as one g."""
     problems: tuple[str, ...] = ()
     """The first bad lines, as texts with file and line."""
 
@@ -60,13 +61,13 @@ def read_samples(
     progress: Progress | None = None,
     strict: bool = False,
 ) -> Recording:
-    """Read one recording: guards, checksums, units and signs are those of the configuration.
+    """Read one recording with the guards, checksums, units and signs of the configuration.
 
-    paths: one log, or the pieces of one recording in their order. progress: called with bytes
-    done and in all. Of several accelerometers, gyroscopes or magnetometers only the first is read:
-    the others have axes of their own. Frames are read in chunks, only samples are kept.
-    Raises ConfigError, and LogError for logs without a usable frame (or, with `strict`, at the
-    first bad line).
+    paths: one log, or the pieces of one recording in their order. progress: called with bytes done
+    and in all. Of several accelerometers, gyroscopes or magnetometers only the first is read: the
+    others have axes of their own. Frames are read in chunks, and only samples are kept. Raises
+    ConfigError, and LogError for logs without a usable frame (or, with `strict`, at the first bad
+    line).
     """
     router = _first_sensors(loaded)
     reader = LogReader(paths, router.matches, strict, progress)
@@ -96,7 +97,7 @@ def read_samples(
 def is_same_recording(one: Recording, other: Recording) -> bool:
     """Whether two recordings begin with the same samples of the accelerometer.
 
-    Names, interfaces, time stamps and formats of the logs do not count, nor where one of them ends.
+    Names, interfaces, time stamps, formats and ends of the logs do not count.
     """
     if "accel" not in one.samples or "accel" not in other.samples:
         return False
@@ -109,7 +110,7 @@ def is_same_recording(one: Recording, other: Recording) -> bool:
 
 
 class _Kept:
-    """What chunks came to, until the log ends."""
+    """Collects the samples of all chunks until the log ends."""
 
     def __init__(self) -> None:
         self.gaps: list[float] = []
@@ -125,7 +126,7 @@ class _Kept:
             self._values.setdefault(channel, []).append(series.values)
 
     def samples(self) -> Samples:
-        """All of them, in the channels' documented order."""
+        """All samples, in the documented order of the channels."""
         return {
             channel: Series(
                 np.concatenate(self._t.pop(channel)), np.concatenate(self._values.pop(channel))
@@ -137,7 +138,7 @@ class _Kept:
 
 def _first_sensors(loaded: LoadedConfig) -> Router:
     """The configuration's router, without second choices and parallel sensors."""
-    router = compile_router(loaded)  # reports what is wrong in the whole of it
+    router = compile_router(loaded)  # reports all mistakes of the configuration
     signals = loaded.config.signals
     first = {key: triads[:1] for key in TRIADS if len(triads := getattr(signals, key) or ()) > 1}
     if not first and not signals.parallel:

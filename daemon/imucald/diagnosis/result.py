@@ -1,4 +1,4 @@
-"""What a diagnosis says: verdict, causes, look-alikes, gain, and the pictures' numbers."""
+"""The result of a diagnosis: verdict, causes, look-alikes, gain, and the pictures' numbers."""
 
 from __future__ import annotations
 
@@ -25,9 +25,9 @@ class Estimated:
     std: float
     unit: str
     stated: float = 0.0
-    """What the model file says."""
+    """Value in the model file."""
     tolerance: float = 0.0
-    """By how much a correct model file may be wrong."""
+    """Error that a correct model file may have (half width)."""
 
 
 @dataclass(frozen=True)
@@ -37,23 +37,23 @@ class FoundCause:
     name: str
     parameters: Mapping[str, Estimated]
     signals: tuple[str, ...]
-    """The signals that it touches, as in `Diagnosis.signals`."""
+    """The signals that it affects, as in `Diagnosis.signals`."""
     evidence: Mapping[str, float]
-    """`held_out_nats`: by how much likelier it makes data that its fit did not see, without the
-    best segments; `sigma`: departure in units of its standard deviation; `quantile`: how many of
-    these the interval has on each side."""
+    """`held_out_nats`: increase of the log-likelihood of data outside the fit, without the best
+    segments. `sigma`: departure in standard deviations. `quantile`: half width of the interval in
+    standard deviations."""
     text: str
     """One sentence for a person."""
     certainty: Certainty = "certain"
     against: tuple[str, ...] = ()
-    """What speaks against it, in sentences."""
+    """Arguments against it, in sentences."""
     along_sensor: Mapping[str, Estimated] = field(default_factory=dict)
     """Vectors of `parameters` along the sensor's axes, as the model file has them: by the file's
     key and the number of the axis."""
 
     @property
     def in_file(self) -> dict[str, Estimated]:
-        """By the file's own key."""
+        """Parameters by the file's own keys."""
         own = {k: p for k, p in self.parameters.items() if not self._is_turned(k)}
         return {**self.along_sensor, **own}
 
@@ -76,7 +76,7 @@ VEHICLE_AXES = {"x": "forward", "y": "left", "z": "up"}
 OTHERWISE = (
     "; not certain: other causes fit as well, or data that were not fitted do not confirm it"
 )
-"""Why a cause that is large enough is not named."""
+"""Reason why a cause that is large enough is not named."""
 
 
 @dataclass(frozen=True)
@@ -86,15 +86,15 @@ class Candidate:
     name: str
     outcome: Outcome
     nats: float
-    """By which it makes data that its fit did not see likelier, without the best segments."""
+    """Increase of the log-likelihood of data outside its fit, without the best segments [nats]."""
     text: str
-    """Its value, and the size that these drives could have shown."""
+    """Its value, and the size from which these drives would have shown it."""
     parameters: Mapping[str, Estimated] = field(default_factory=dict)
-    """What each of its parameters would be, freed by itself."""
+    """Value of each of its parameters if this cause alone is fitted in addition."""
     key: str = ""
-    """The parameter that is furthest off."""
+    """The parameter with the largest departure, relative to its standard deviation."""
     off: float = math.nan
-    """By how much, in `unit`; likewise the next two."""
+    """Its departure, in `unit`; the next two have the same unit."""
     std: float = math.nan
     shows_from: float = math.nan
     """Size from which these drives would have shown it."""
@@ -108,85 +108,87 @@ class SignalGain:
     rms_before: float
     rms_after: float
     noise_floor: float
-    """What a fit of everything that the catalogue has would leave."""
+    """Residual after a fit of all parameters of the catalogue."""
     unit: str
     slow_before: float = math.nan
     """The same below 0.2 Hz."""
     slow_after: float = math.nan
     left: str = ""
-    """What is left, in words: an offset, a drift."""
+    """Remaining offset or drift, in words."""
     rms_unseen: float = math.nan
-    """*After* of each segment by parameters that were found without it."""
+    """As *after*, but each segment is predicted with parameters that were fitted without it."""
     verdict: Verdict = "nothing"
-    """What is said of this signal alone."""
+    """Verdict of this signal alone."""
 
 
 @dataclass(frozen=True)
 class Gain:
-    """What the extended model is worth on data that its fit did not use."""
+    """Gain of the extended model on data that its fit did not use."""
 
     held_out_log_likelihood: float
-    """Nats by which the held-out segments are likelier with the written file alone."""
+    """Increase of the held-out segments' log-likelihood with the written file alone [nats]."""
     interval: tuple[float, float]
     """95 % interval of that, over whole segments."""
     worse: tuple[str, ...] = ()
     """Signals that the extended model predicts worse."""
     was_fitted: bool = True
-    """False where nothing was fitted: what was read directly changes no prediction by itself."""
+    """False if nothing was fitted: directly read facts change no prediction by themselves."""
 
 
 GOES_AGAINST = "goes against the model"
-"""Kind of structure where a signal moves against what is predicted."""
+"""Kind of structure for a signal with the opposite sign of its prediction."""
 TOO_MUCH = "too much is left"
-"""Kind where more is left than any measured car leaves: then no fit is believed."""
+"""Kind for a residual larger than that of any measured car: then no fit is trusted."""
 GOES_WITH_LEVEL = "goes with its own signal"
-"""Kind where what is left depends on a signal's level, direction or past."""
+"""Kind for a residual that depends on a signal's level, direction or past."""
 GOES_WITH_ANOTHER = "goes with another signal"
-"""Kind where what a signal shows too much depends on another."""
+"""Kind for an error of one signal that depends on another signal."""
 TURNS_WITH_WHEEL = "turns with the wheel"
-"""Kind where what is left swings with the way travelled, once or twice a turn of a wheel."""
+"""Kind for a residual that oscillates with distance, once or twice per wheel turn."""
 GOES_WITH_SHAKING = "goes with shaking"
-"""Kind where what is left depends on how much the sensor is shaken."""
+"""Kind for a residual that depends on the vibration of the sensor."""
 VALUE_HELD = "a value is held"
-"""Kind where a sensor shows one value far oftener than those next to it."""
+"""Kind for a sensor that shows one value far more often than the neighbouring values."""
 READINGS_LOST = "readings are lost"
-"""Kind where a sensor jumps to one value and back: those readings are none, and are not used."""
+"""Kind for a sensor that jumps to one value and back: those readings are invalid and not used."""
 WANDERS = "wanders"
-"""Kind where a zero, a gain or a delay is another from piece to piece of a drive."""
+"""Kind for a zero, gain or delay that changes from segment to segment of a drive."""
 DIFFERS = "differs by condition"
-"""Kind where it is another when the vehicle is driven otherwise."""
+"""Kind for a zero, gain or delay that depends on how the vehicle is driven."""
 UNEVEN = "some segments leave more"
-"""Kind where some segments leave what neither their noise nor a correct file leaves."""
+"""Kind for segments whose residual exceeds both their noise and the errors of a correct file."""
 LOUDER = "more is left than the file states"
-"""Kind where more is left than the drives left that the model file was made of."""
+"""Kind for a residual larger than that of the drives that the model file was made from."""
 COARSER = "coarser than the file states"
-"""Kind where a signal's values lie further apart than in the drives that the file was made of."""
+"""Kind for signal values that lie further apart than in the drives that the file was made from."""
 VALUES_MISSING = "values are missing"
-"""Kind where a signal never shows a range that it passes through."""
+"""Kind for a range of values that a signal passes through but never shows."""
 CHANGES_MISSING = "small changes are missing"
-"""Kind where a signal stays, and then changes by much."""
+"""Kind for a signal that stays constant and then changes by a large amount."""
 JUMPS_ALONE = "single values jump"
-"""Kind where a signal jumps again and again, and changes by little before and after."""
+"""Kind for a signal that jumps repeatedly, with small changes before and after each jump."""
 CHANGES_OTHERWISE = "changes by another amount than the file states"
-"""Kind where a sensor changes from sample to sample by more or less than in the file's drives."""
+"""Kind for changes from sample to sample that are larger or smaller than in the file's drives."""
 FOLLOWS_OTHERWISE = "samples follow each other in another way"
-"""Kind where samples repeat, lie on lines or have tails otherwise than in the file's drives."""
+"""Kind for samples that repeat, lie on straight lines or have tails in another way than in the
+file's drives."""
 NOT_PLAUSIBLE = "not plausible"
-"""Kind where a cause explains the numbers, but cannot be: a cause is missing."""
+"""Kind for a cause that explains the numbers but is physically impossible: another cause is
+missing."""
 
 
 @dataclass(frozen=True)
 class Structure:
-    """Something left in a residual that no candidate explains."""
+    """Structure in a residual that no candidate explains."""
 
     signal: str
     kind: str
-    """Such as "peak", "shared motion", "not plausible"."""
+    """Kind such as "peak", "shared motion", "not plausible"."""
     size: float
-    """In standard deviations of chance, or as a ratio to what is expected or may be."""
+    """In standard deviations of chance, or as a ratio to the expected or allowed size."""
     text: str
     parameter: str = ""
-    """The zero or gain that is not the same all along, where it is one."""
+    """The zero or gain that changes during the drive, if it is one."""
 
 
 @dataclass(frozen=True)
@@ -196,17 +198,18 @@ class SignalPicture:
     signal: str
     unit: str
     t: Array
-    """[s] from the first drive's start; drives follow each other."""
+    """Time [s] from the start of the first drive; drives follow each other."""
     measured: Array
     predicted_before: Array
     predicted_after: Array
     driver_name: str
-    """The input that the residual goes with most, such as `dv/dt [m/s^2]`."""
+    """The input that correlates most with the residual, such as `dv/dt [m/s^2]`."""
     driver: Array
     frequency: Array
     """(F,) [Hz]"""
     spectrum_before: Array
-    """(F,) one-sided residual density, unit^2/Hz; likewise the two below."""
+    """(F,) one-sided spectral density of the residual [unit^2/Hz]; the two arrays below have the
+    same form."""
     spectrum_after: Array
     spectrum_floor: Array
 
@@ -223,21 +226,21 @@ class Diagnosis:
     gain: Gain
     duration_s: float
     likely: tuple[FoundCause, ...] = ()
-    """Causes that are likely, and not written into the model file."""
+    """Likely causes, which are not written into the model file."""
     candidates: tuple[Candidate, ...] = ()
     structure: tuple[Structure, ...] = ()
     notes: tuple[str, ...] = ()
-    """What the person should know: signals absent, drives too short, segments left out."""
+    """Notes for the user: signals absent, drives too short, segments left out."""
     pictures: tuple[SignalPicture, ...] = ()
     model_before: VehicleModel = field(default_factory=VehicleModel)
     model_after: VehicleModel = field(default_factory=VehicleModel)
     recommended: bool = False
-    """The extended model predicts held-out data better, and no signal worse."""
+    """True: the extended model predicts held-out data better, and no signal worse."""
     complete: bool = True
     """False where the time limit ended the search."""
 
     def as_json(self) -> dict[str, Any]:
-        """Return what tools rely on: plain numbers, lists and texts; nothing infinite."""
+        """Return the output for tools: plain numbers, lists and texts, without infinite values."""
         return {
             "verdict": self.verdict,
             "complete": self.complete,
@@ -284,7 +287,7 @@ def _cause_json(cause: FoundCause) -> dict[str, Any]:
 
 
 def _fields(of: object, *names: str) -> dict[str, Any]:
-    """Texts as they are, numbers as JSON has them."""
+    """Attributes by name: texts unchanged, numbers as in JSON."""
     found = ((name, getattr(of, name)) for name in names)
     return {name: x if isinstance(x, str) else _plain(x) for name, x in found}
 

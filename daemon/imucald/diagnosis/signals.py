@@ -1,8 +1,9 @@
-"""One drive's signals: without duplicates and bad intervals of time, on a common grid at any delay.
+"""One drive's signals on a common grid, readable at any delay, without duplicates and bad intervals
+of time.
 
-Every signal is read as the mean over the grid's step about a time, which is the same low-pass for
-all of them; a delay moves that time. The speed, which often comes once a second, stays a list of
-knots: nothing is known between them.
+Every signal is read as its mean over one grid step about a time, so all signals have the same
+low-pass. A delay shifts that time. The speed often comes only once a second, so it stays a list of
+knots: between two knots nothing is known.
 """
 
 from __future__ import annotations
@@ -22,20 +23,22 @@ Mask = NDArray[np.bool_]
 Spans = tuple[tuple[float, float], ...]
 
 STEP_S = 0.1
-"""Of the grid. Motion of a vehicle lies below 2 Hz."""
+"""Step of the grid. Motion of a vehicle lies below 2 Hz."""
 GAP_PERIODS = 3.5
 SHORTEST_GAP_S = 0.35
 DUPLICATE_SHARE = 0.3
-"""The same value within this share of the period is the same frame sent twice."""
+"""If the same value comes again within this share of the period, the frame was sent twice."""
 BESIDE = 10
-"""Samples before and after one that say how often values repeat there."""
+"""Number of samples before and after one from which the local share of repeated values is found."""
 CHANCE = 0.01
-"""Of taking for duplicates what a sensor that often repeats a value sends too soon."""
+"""Chance of the error that early frames of a sensor with many repeated values are taken for
+duplicates."""
 STANDING_MPS = 0.05
 FASTEST_REST_RADPS = np.radians(0.3)
-"""rms by which a gyroscope may move about its mean at rest: an idling engine stays below."""
+"""Largest rms of a gyroscope about its mean at rest; an idling engine causes less."""
 TRIM_S = 1.5
-"""The speed says 0 before the vehicle stands (dead band) and is late: ends of stops are cut."""
+"""The speed signal is late and says 0 before the vehicle stands (dead band), so the ends of stops
+are cut."""
 SHORTEST_STOP_S = 2.0
 LEAST_S = 45.0
 NEEDED = ("accel", "speed")
@@ -43,7 +46,7 @@ NEEDED = ("accel", "speed")
 
 @dataclass(frozen=True)
 class Stop:
-    """A standstill that speed and inertial sensor agree on, with the ends cut."""
+    """A standstill that both speed and inertial sensor show, with its ends cut off."""
 
     start_s: float
     stop_s: float
@@ -65,7 +68,7 @@ class Channel:
 
     @staticmethod
     def of(series: Series, bad: Spans = ()) -> Channel:
-        """Drop what is unusable and integrate."""
+        """Drop unusable samples and integrate."""
         t, values = series.t, series.values
         period = float(np.median(np.diff(t))) if len(t) > 2 else np.inf
         kept = ~unusable(series, period)
@@ -87,14 +90,14 @@ class Channel:
         return np.asarray(rows[0] if self.values.ndim == 1 else np.column_stack(rows))
 
     def _at(self, t: Array, integral: Array, ends: Array) -> Array:
-        """Integral up to t, the end values held outside. Linear between samples, not quadratic:
-        the difference is a shift of the mean by less than a sample."""
+        """Integral up to t; outside the data the end values are held. It is linear between samples,
+        not quadratic; this shifts the mean by less than one sample."""
         inside = np.interp(t, self.t, integral)
         before, after = np.minimum(t - self.t[0], 0.0), np.maximum(t - self.t[-1], 0.0)
         return np.asarray(inside + before * ends[0] + after * ends[-1])
 
     def present(self, t: Array) -> Mask:
-        """Where the signal was there and not in a bad interval."""
+        """Whether the signal was present and outside bad intervals."""
         gap = max(GAP_PERIODS * self.period_s, SHORTEST_GAP_S)
         after = np.searchsorted(self.t, t)
         left = self.t[np.clip(after - 1, 0, len(self.t) - 1)]
@@ -103,7 +106,7 @@ class Channel:
         return np.asarray(there & ~inside_of(t, self.bad, STEP_S))
 
     def good(self) -> Mask:
-        """Samples (N,) in no bad interval."""
+        """Samples (N,) outside bad intervals."""
         return ~inside_of(self.t, self.bad)
 
 
@@ -114,10 +117,10 @@ class DriveSignals:
     t: Array
     channels: Mapping[str, Channel]
     knots: Channel
-    """Speed, signed; at most one knot a step of the grid."""
+    """Signed speed; at most one knot per step of the grid."""
     stops: tuple[Stop, ...]
     planar: bool
-    """The accelerometer has no vertical axis."""
+    """True: the accelerometer has no vertical axis."""
 
     @property
     def duration_s(self) -> float:
@@ -130,7 +133,7 @@ class DriveSignals:
 
 
 def inside_of(t: Array, spans: Spans, margin: float = 0.0) -> Mask:
-    """Which times lie in intervals, these made longer by a margin [s] at either end."""
+    """Which times lie in the intervals, extended by a margin [s] at both ends."""
     if not spans:
         return np.zeros(len(t), dtype=bool)
     start, stop = np.sort(np.array(spans), axis=0).T
@@ -140,8 +143,8 @@ def inside_of(t: Array, spans: Spans, margin: float = 0.0) -> Mask:
 
 
 def unusable(series: Series, period: float) -> Mask:
-    """Rows (N,) that are kept out of a fit: those that come twice, and those that share the stamp
-    of the one before them, whatever they say: a coarse clock does not tell when they were."""
+    """Rows (N,) that no fit uses: duplicates, and rows with the same stamp as the row before. With
+    a coarse clock the true time of such a row is not known."""
     again = duplicates(series, period)
     again[1:] |= np.diff(series.t) <= 0.0
     return again
@@ -155,7 +158,7 @@ def duplicates(series: Series, period: float) -> Mask:
         soon = (np.diff(t) < DUPLICATE_SHARE * period) & ~_goes_on_from_second(t, period)
         same = (np.diff(values, axis=0) == 0.0).all(axis=1)
         usual = _usual(same, soon)
-        # So few that all of them may repeat by chance show nothing.
+        # So few samples may all repeat by chance, so they prove nothing.
         is_few = usual ** int(soon.sum()) >= CHANCE
         if is_few or binom.sf((soon & same).sum() - 1, soon.sum(), usual) < CHANCE:
             again[1:] = soon & same
@@ -163,17 +166,18 @@ def duplicates(series: Series, period: float) -> Mask:
 
 
 def _goes_on_from_second(t: Array, period: float) -> Mask:
-    """(N - 1,) steps after which the next frame comes a cycle after the second of two, and not of
-    the first: then the second was early, or the sender's clock was set, and none is too many."""
+    """(N - 1,) steps after which the next frame comes one cycle after the second of two frames, not
+    one cycle after the first. Then the second frame was early or the sender's clock was set, and
+    neither frame is a duplicate."""
     made = np.zeros(len(t) - 1, dtype=bool)
     made[:-1] = np.abs(t[2:] - t[1:-1] - period) < np.abs(t[2:] - t[:-2] - period)
     return made
 
 
 def _usual(same: Mask, soon: Mask) -> float:
-    """How often samples repeat that come in time, about those that come too soon. A sensor with a
-    dead zone repeats itself at any distance, and one that sleeps does so for a while: that is no
-    second frame. same, soon: (N - 1,)."""
+    """Share of repeats among samples with normal spacing, near those that come too soon. A sensor
+    with a dead zone repeats values at any spacing, and a sleeping one does so for a while: such
+    repeats are no duplicate frames. same, soon: (N - 1,)."""
     about, in_time = np.ones(2 * BESIDE + 1), ~soon
     if not in_time.any():
         return 0.0
@@ -182,12 +186,13 @@ def _usual(same: Mask, soon: Mask) -> float:
     known = count > 0.5
     if not known.any():
         return float(same[in_time].mean())
-    # Of chances that differ the sum is spread by less than the binomial law of their mean.
+    # The sum of trials with different chances scatters less than a binomial variable with their
+    # mean chance.
     return float((share[known] / count[known]).mean())
 
 
 def require(samples: Samples) -> None:
-    """Raise EstimateError where a signal is missing that everything needs."""
+    """Raise EstimateError if a signal is missing that every diagnosis needs."""
     for name in NEEDED:
         if name not in samples or len(samples[name].t) < 20:
             raise EstimateError(f"the diagnosis needs some minutes of the signal {name!r}")
@@ -196,7 +201,7 @@ def require(samples: Samples) -> None:
 def drive_of(samples: Samples, bad: Mapping[str, Spans] | None = None) -> DriveSignals:
     """Put a drive on its grid. bad: intervals [s] by channel that must not be used.
 
-    Raises EstimateError where what is needed is not there.
+    Raises EstimateError if a needed signal is missing.
     """
     require(samples)
     known = bad or {}
@@ -222,7 +227,7 @@ def _is_planar(accel: Array) -> bool:
 
 
 def _knots(channels: Mapping[str, Channel], t: Array) -> Channel:
-    """Speed with its sign, at the instants at which it is known."""
+    """Signed speed at the instants of its samples."""
     speed = channels["speed"]
     if speed.period_s < 0.8 * STEP_S:
         at, values = t, speed.means(t)
@@ -236,7 +241,7 @@ def _knots(channels: Mapping[str, Channel], t: Array) -> Channel:
 
 
 def _stops(channels: Mapping[str, Channel], knots: Channel, t: Array) -> tuple[Stop, ...]:
-    """Stretches in which the speed is 0 and the gyroscope moves no more than an engine moves it."""
+    """Standstills: the speed is 0 and the gyroscope moves no more than an idling engine causes."""
     if "gyro" not in channels:
         return ()
     still = np.interp(t, knots.t, np.abs(knots.values)) < STANDING_MPS

@@ -1,1 +1,2 @@
-"""Thousands of logs of hundreds of vehicles: evaluated one by one, then read together."""
+"""Thousands of logs of hundreds of vehicles: each log is evaluated separately, then all results are
+analysed together."""

@@ -1,4 +1,4 @@
-"""The columns of the tables that `fleet analyse` writes."""
+"""Columns of the tables written by `fleet analyse`."""
 
 from __future__ import annotations
 
@@ -137,4 +137,4 @@ ANALYSIS: Final[dict[str, tuple[Column, ...]]] = {
         *floats("", "of the type's drives", "share"),
     ),
 }
-"""Each is written again, as a whole, by every analysis."""
+"""Every analysis writes all these tables again completely."""

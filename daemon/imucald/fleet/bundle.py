@@ -1,7 +1,9 @@
-"""A configuration with all it refers to, as content: what travels to workers, once per run.
+"""A configuration with the content of all files it refers to; it is sent to each worker once per
+run.
 
-Paths mean nothing on another machine. A bundle holds the bytes of the configuration, its databases
-and its model file; its name is their hash, so that it also says what a drive was evaluated with.
+Paths are not valid on another machine. So a bundle holds the bytes of the configuration, its
+databases and its model file. Its name is their hash, which also identifies the configuration that a
+drive was evaluated with.
 """
 
 from __future__ import annotations
@@ -26,7 +28,7 @@ from imucald.core.file_cache import keep_databases
 from imucald.runtime.session import make_engine, open_config
 
 KEY_DIGITS = 16
-"""Hex digits of a key: 64 bits, no two of 10^6 logs are likely to share one (chance 3e-8)."""
+"""Hex digits of a key. With 64 bits, the chance that two of 10^6 logs share a key is 3e-8."""
 
 
 class Bundle(msgspec.Struct, frozen=True):
@@ -47,7 +49,7 @@ class Bundle(msgspec.Struct, frozen=True):
 
 
 def bundle_of(config: Path, databases: Iterable[Path] = ()) -> Bundle:
-    """Read a configuration and what it names. Raises ConfigError where it could not be run."""
+    """Read a configuration and the files it names. Raises ConfigError if it could not be run."""
     loaded = open_config(config, list(databases))
     make_engine(loaded)
     paths = [loaded.database_path(entry) for entry in loaded.config.database]
@@ -64,18 +66,18 @@ def bundle_of(config: Path, databases: Iterable[Path] = ()) -> Bundle:
 
 
 class _Folder:
-    """Where this process has unpacked its bundles."""
+    """The folder in which this process has unpacked its bundles."""
 
     path: Path | None = None
     lock = threading.Lock()
 
 
 FOLDER_VARIABLE = "IMUCALD_FLEET_BUNDLES"
-"""Names to children where their worker has unpacked bundles."""
+"""Environment variable that gives children the folder of their worker's unpacked bundles."""
 
 
 def unpack(bundles: Mapping[str, Bundle]) -> None:
-    """Put bundles where the children of this process find them."""
+    """Write bundles to the folder in which the children of this process look for them."""
     with _Folder.lock:
         if _Folder.path is None:
             _Folder.path = Path(tempfile.mkdtemp(prefix="imucald-fleet-"))
@@ -104,11 +106,11 @@ def _write(bundle: Bundle, folder: Path) -> None:
 
 
 def load_bundle(name: str) -> Configuration:
-    """The configuration of a bundle that was unpacked. Raises ConfigError where there is none."""
+    """The configuration of a bundle that was unpacked. Raises ConfigError if there is none."""
     folder = Path(os.environ.get(FOLDER_VARIABLE, "/nowhere")) / name
     if not folder.is_dir():
         raise ConfigError(f"this worker has no configuration {name}, since it joined another run")
-    keep_databases({"CACHE_DIRECTORY": str(folder.parent / "parsed")})  # by the first child
+    keep_databases({"CACHE_DIRECTORY": str(folder.parent / "parsed")})  # the first child does it
     databases = sorted(folder.glob("database-*"), key=lambda p: int(p.name.rpartition("-")[2]))
     found = [next(place.iterdir()) for place in databases]
     config = Configuration.load(folder / "config.yaml", found)
@@ -120,7 +122,7 @@ def load_bundle(name: str) -> Configuration:
 
 @cache
 def code_hash() -> str:
-    """Hash of this package's own source: a worker with other code gives other rows."""
+    """Hash of this package's source code: a worker with different code may give different rows."""
     package = Path(__file__).parents[1]
     digest = hashlib.sha256()
     for path in sorted(package.rglob("*.py")):

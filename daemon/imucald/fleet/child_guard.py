@@ -1,8 +1,8 @@
-"""Keeps one child process within its limits, and says how it ended.
+"""Keep one child process within its limits and report how it ended.
 
 The template forks a keeper for each task, the keeper forks the child that evaluates the log. A
-child may hang, eat memory or die in C code: the keeper, which does nothing but wait, reports it in
-any case. All of them die with whoever started them.
+child may hang, use too much memory or crash in C code. The keeper only waits, so it can report all
+of these. Each process ends when the process that started it ends.
 """
 
 from __future__ import annotations
@@ -27,16 +27,16 @@ from imucald.fleet.process_limits import die_with, limit_memory
 from imucald.fleet.task import Cost, Outcome, Task, encoded
 
 MAX_ANSWER = 64 * 2**20
-"""Bytes; a day's events are far below."""
+"""Largest answer of a child [bytes]; the events of a day need far less."""
 LAST_WORDS = 4000
-"""Bytes of standard error that are kept."""
+"""Number of bytes of standard error that are kept."""
 DYING_S = 5.0
-"""A process that waits for its storage does not die at once; no longer is waited for it."""
+"""Longest wait for a killed child: a process that waits for storage does not end at once."""
 BLOCK = 2**16
 
 
 def keep(asked: socket.socket, template: int) -> NoReturn:
-    """Run the task that the socket brings, answer through it, and end this process."""
+    """Run the task received from the socket, answer through it, and end this process."""
     status = 1
     try:
         die_with(template)
@@ -66,7 +66,7 @@ def _guarded(task: Task, asked: socket.socket) -> Outcome:
         _become_child(task, keeper, answer, words)
     os.close(answer)
     with contextlib.suppress(OSError):
-        os.setpgid(child, child)  # it does so too; whoever is first
+        os.setpgid(child, child)  # the child does so too; the first call counts
     answered, ended = _watch(child, answers, asked, began + task.limits.time_s)
     os.killpg(child, signal.SIGKILL)
     usage = _reaped(child)
@@ -82,7 +82,7 @@ def _guarded(task: Task, asked: socket.socket) -> Outcome:
 
 
 def _watch(child: int, answers: int, asked: socket.socket, until: float) -> tuple[bytes, bool]:
-    """Return what the child answered, and whether it ended by itself before its time was up."""
+    """Return the child's answer, and whether it ended by itself within its time limit."""
     poll = select.poll()
     poll.register(answers, select.POLLIN)
     poll.register(asked, select.POLLHUP | select.POLLERR)
@@ -101,7 +101,7 @@ def _watch(child: int, answers: int, asked: socket.socket, until: float) -> tupl
 
 
 def _reaped(child: int) -> tuple[int, float, int] | None:
-    """Exit status, processor time [s] and peak memory [bytes]; None where it does not die."""
+    """Exit status, processor time [s] and peak memory [bytes]; None if the child does not end."""
     until = time.monotonic() + DYING_S
     while time.monotonic() < until:
         pid, status, usage = os.wait4(child, os.WNOHANG)
@@ -133,7 +133,8 @@ def _verdict(answered: bytes, ended: bool, status: int, task: Task, words: str) 
 
 
 def _stack(words: str) -> str:
-    """The lines of standard error that are the same each time: without addresses of threads."""
+    """The lines of standard error without thread addresses, so that equal crashes give equal
+    text."""
     kept = [line for line in words.splitlines() if "0x" not in line]
     return "\n".join(kept)
 
@@ -175,7 +176,7 @@ def _evaluated(task: Task) -> Outcome:
 
 
 def function_of(name: str) -> Callable[[Task], Outcome]:
-    """The function that "module:name" means."""
+    """Return the function named by "module:name"."""
     module, _, attribute = name.partition(":")
     found: Callable[[Task], Outcome] = getattr(importlib.import_module(module), attribute)
     return found

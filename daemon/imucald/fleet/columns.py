@@ -1,7 +1,7 @@
-"""The columns of every table, once: name, type, unit and meaning.
+"""Definition of the columns of every table: name, type, unit and meaning.
 
-Columns are only appended, never renamed or given another meaning; a file always has all columns of
-its version, and what is not known is null of the column's type.
+Columns are only appended; they are never renamed and never change their meaning. A file always has
+all columns of its version; unknown values are null of the column's type.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ Kind = Literal["text", "time", "float", "integer", "short", "flag", "float32", "
 
 
 class Column(NamedTuple):
-    """One column; unit is empty where there is none."""
+    """One column; unit is empty if there is none."""
 
     name: str
     kind: Kind
@@ -23,7 +23,7 @@ class Column(NamedTuple):
 
 
 def floats(unit: str, meaning: str, *names: str) -> tuple[Column, ...]:
-    """Columns of numbers in one unit."""
+    """Columns of numbers with one common unit."""
     return tuple(Column(name, "float", unit, meaning) for name in names)
 
 
@@ -34,7 +34,7 @@ def texts(**meanings: str) -> tuple[Column, ...]:
 
 AXES: Final = ("x", "y", "z")
 PAIRS: Final = ("xx", "xy", "xz", "yy", "yz", "zz")
-"""Of a symmetric matrix."""
+"""Suffixes of the six elements of a symmetric matrix."""
 
 _VEHICLE = texts(
     vehicle="as the rules of fleet.yaml say",
@@ -137,7 +137,8 @@ TABLES: Final[dict[str, tuple[Column, ...]]] = {
         Column("schema_version", "short", "", "version of this table"),
     ),
 }
-"""Tables that `fleet run` writes. Those of `fleet analyse` stand in `analysis_columns`."""
+"""Tables that `fleet run` writes. The tables of `fleet analyse` are defined in
+`analysis_columns`."""
 
 ORDER: Final = {
     "drives": ("vehicle", "start", "date", "sources", "log_key"),
@@ -146,11 +147,11 @@ ORDER: Final = {
     "sources": ("source",),
     "costs": ("finished", "source", "attempt"),
 }
-"""How the rows of a finished table are sorted."""
+"""Columns by which the rows of a finished table are sorted."""
 
 
 def row_of(table: str, values: dict[str, object]) -> dict[str, object]:
-    """A row with every column of its table: null where there is no value."""
+    """A row with every column of its table; missing values are null."""
     found = {column.name: values.get(column.name) for column in TABLES[table]}
     found["schema_version"] = VERSION
     return found

@@ -1,4 +1,5 @@
-"""From the parts of a run to the finished tables: the same whatever the order things came in."""
+"""Merge the parts of a run into the finished tables; the result does not depend on the order of
+arrival."""
 
 from __future__ import annotations
 
@@ -14,12 +15,13 @@ from imucald.fleet.task import OK
 
 
 def read_tables(store: Store, names: Sequence[str] = tuple(TABLES)) -> dict[str, pa.Table]:
-    """The tables as they are now, parts of a run that goes on or was broken off included."""
+    """The tables in their present state, including parts of a running or interrupted run."""
     return {name: rows.table() for name, rows in _tables(store, names)}
 
 
 def _tables(store: Store, names: Sequence[str]) -> Iterator[tuple[str, FinishedRows]]:
-    """One table after the other: together they may be larger than what a driver may take."""
+    """Yield one table after the other, because all together may need more memory than a driver may
+    use."""
     sources, numbers = read_with_parts(store, "sources")
     last = _last(sources.column("source").to_pylist(), numbers)
     outcomes = FinishedRows("sources", sources, last)
@@ -51,14 +53,15 @@ def compact(store: Store) -> None:
         store.write(main_file(name), rows.parquet())
         del rows
         pa.default_memory_pool().release_unused()
-    # drives first, sources last: broken off between, what is left still says the same
+    # drives first, sources last: after an interruption the remaining files still give the same
+    # tables
     for name in ("drives", "events", "failures", "costs", "sources"):
         for file in old[name]:
             store.remove(file)
 
 
 def _last(keys: Sequence[object], numbers: Sequence[int]) -> list[int]:
-    """Index of the row that counts for each key: of the highest number, there the last."""
+    """Index of the valid row for each key: the last row with the highest number."""
     best: dict[object, int] = {}
     for index, key in enumerate(keys):
         if key not in best or numbers[index] >= numbers[best[key]]:
@@ -83,7 +86,7 @@ def _failures(store: Store, sources: pa.Table) -> FinishedRows:
 def _drives(
     store: Store, sources: pa.Table
 ) -> tuple[FinishedRows, dict[str, tuple[int, str | None]]]:
-    """The rows of drives; by log_key the flush that the row came with, and its vehicle."""
+    """The rows of drives, and by log_key the number of the row's flush and its vehicle."""
     addresses: dict[str, list[str]] = {}
     columns = (sources.column(name).to_pylist() for name in ("source", "log_key", "outcome"))
     for source, key, outcome in zip(*columns, strict=True):
@@ -96,7 +99,7 @@ def _drives(
     chosen: dict[str, int] = {}
     for index in _last(known, numbers):
         key = keys[index]
-        # a drive that came twice: by the first of its addresses, whichever came first
+        # of several rows for one drive, the one with the first address in sorted order counts
         if key in addresses and (key not in chosen or firsts[index] < firsts[chosen[key]]):
             chosen[key] = index
     lists = [json.dumps(sorted(addresses[key]), ensure_ascii=False) for key in chosen]
@@ -106,7 +109,7 @@ def _drives(
 
 
 def _events(store: Store, of_drive: dict[str, tuple[int, str | None]]) -> FinishedRows:
-    """The events that came with the rows of drives that count."""
+    """The events of the same flush as the valid rows of drives."""
     rows, numbers = read_with_parts(store, "events")
     keys = rows.column("log_key").to_pylist()
     came = {key: number for key, (number, _) in of_drive.items()}

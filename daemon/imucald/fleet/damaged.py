@@ -1,4 +1,4 @@
-"""Damaged tables of a fleet: they are set aside, and what they held is evaluated again."""
+"""Set damaged tables of a fleet aside, so that their logs are evaluated again."""
 
 from __future__ import annotations
 
@@ -7,14 +7,15 @@ from imucald.fleet.store import Store
 from imucald.fleet.tables import DamagedTableError, parts, read_file
 
 ASIDE = "_damaged"
-"""Folder of what is set aside; no reader of tables looks there."""
+"""Folder for files that are set aside; readers of tables ignore it."""
 
 
 def set_damaged_aside(store: Store) -> list[str]:
-    """Set damaged files of the tables aside; a line for each. Only who holds the lease may call it.
+    """Set damaged files of the tables aside. Returns one line of text for each. Only the holder of
+    the lease may call it.
 
-    What a file of `events` held is known by the rows of `drives` that came with it, so these are
-    set aside too: `known_sources` misses them.
+    The rows of `drives` that came with a damaged file of `events` are set aside too. So
+    `known_sources` does not find their logs, and they are evaluated again.
     """
     said = []
     for table in TABLES:

@@ -24,11 +24,12 @@ from imucald.fleet.workers import Futures, outcome_of, run_one_log, unique_keys
 
 CONNECTING_S = 30.0
 WORKERS_S = 60.0
-"""How long is waited for the first worker."""
+"""Longest wait for the first worker."""
 TRIES, AGAIN_S = 5, 1.0
-"""To prepare the workers of a cluster that changes."""
+"""Number of tries, and pause between them, to prepare the workers of a changing cluster."""
 GONE = ("closed", "closing", "failed", "connecting")
-"""States of a client that had a scheduler. It would wait for another one, which knows nothing."""
+"""States of a client that has lost its scheduler. It would wait for a new scheduler, which does not
+know the tasks."""
 SCHEDULER_GONE = (
     "the Dask scheduler has ended; start it again, then run the same command to continue"
 )
@@ -45,7 +46,7 @@ class TlsFiles:
     key: str
 
     def security(self) -> Security:
-        """As Dask wants them; nothing goes unencrypted."""
+        """The same as Dask's object; all connections are encrypted."""
         return Security(  # type: ignore[no-untyped-call]
             tls_ca_file=self.ca,
             tls_client_cert=self.certificate,
@@ -59,7 +60,7 @@ _client: Any = Client
 
 
 class BundlePlugin(WorkerPlugin):
-    """Gives each worker, also one that joins later, the configurations as content."""
+    """Sends the configurations' content to each worker, also to one that joins later."""
 
     name = PLUGIN
 
@@ -67,13 +68,13 @@ class BundlePlugin(WorkerPlugin):
         self._bundles = dict(bundles)
 
     def setup(self, worker: Worker) -> None:
-        """Unpack them where children of this worker find them."""
+        """Unpack the bundles in the folder where children of this worker look for them."""
         unpack(self._bundles)
-        close_templates()  # one that runs already does not know the folder
+        close_templates()  # a template that runs already does not know the folder
 
 
 def about_worker() -> dict[str, str]:
-    """What must be equal on driver and workers for the same rows."""
+    """Versions that must be equal on driver and workers so that the rows are equal."""
     return {
         "imucald": __version__,
         "code of imucald": code_hash(),
@@ -84,7 +85,7 @@ def about_worker() -> dict[str, str]:
 
 
 class DaskWorkers:
-    """The workers of one cluster. Raises ImucaldError where it cannot be used."""
+    """The workers of one cluster. Raises ImucaldError if it cannot be used."""
 
     def __init__(
         self, address: str, bundles: Mapping[str, Bundle], tls: TlsFiles | None = None
@@ -92,7 +93,7 @@ class DaskWorkers:
         if address.startswith("tls://") and tls is None:
             raise ImucaldError(f"{address}: needs --tls-ca, --tls-cert and --tls-key")
         self._futures = Futures()
-        # what matters is in our own errors
+        # our own errors contain the important facts
         for name in ("distributed", "distributed.client", "tornado.application"):
             logging.getLogger(name).setLevel(logging.CRITICAL)
         security = None if tls is None else tls.security()
@@ -107,7 +108,7 @@ class DaskWorkers:
             raise
 
     def _prepared(self, address: str, bundles: Mapping[str, Bundle]) -> None:
-        """Prepare; a worker that goes away in the middle of it is no reason to give up."""
+        """Prepare the workers; if one disappears meanwhile, try again."""
         for left in reversed(range(TRIES)):
             try:
                 self._prepare(address, bundles)
@@ -146,7 +147,7 @@ class DaskWorkers:
 
     @property
     def slots(self) -> int:
-        """Threads of all workers there are now."""
+        """Number of threads of all present workers."""
         with self._scheduler_asked():
             threads: dict[str, int] = self._client.nthreads()
         return max(1, sum(threads.values()))
@@ -160,7 +161,7 @@ class DaskWorkers:
             self._futures.add(future, task)
 
     def finished(self, timeout: float) -> list[tuple[Task, Outcome | None]]:
-        """Outcomes since the last call; what they held on the cluster is let go."""
+        """Outcomes since the last call; their data on the cluster is released."""
         found = []
         with self._scheduler_asked():
             pass
@@ -170,17 +171,17 @@ class DaskWorkers:
         return found
 
     def call_back(self) -> None:
-        """Nothing: Dask does not say which of the few tasks that are with it have begun."""
+        """Does nothing: Dask does not report which of its few waiting tasks have begun."""
 
     def close(self) -> None:
-        """Leave the cluster; one whose scheduler is gone is not waited for."""
+        """Leave the cluster; do not wait if its scheduler is gone."""
         is_gone = self._client.status in GONE
         with contextlib.suppress(OSError, TimeoutError, RuntimeError):
             self._client.close(timeout=0 if is_gone else CLOSING_S)
 
     @contextlib.contextmanager
     def _scheduler_asked(self) -> Iterator[None]:
-        """Raise ImucaldError where the scheduler went away (Dask's CommClosedError: OSError)."""
+        """Raise ImucaldError if the scheduler is gone (Dask's CommClosedError: OSError)."""
         if self._client.status in GONE:
             raise ImucaldError(SCHEDULER_GONE)
         try:

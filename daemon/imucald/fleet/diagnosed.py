@@ -1,6 +1,8 @@
-"""`fleet run --diagnose`: one log to one row, with what the drive alone shows for certain.
+"""`fleet run --diagnose`: evaluate one log to one row, with the causes that are certain from this
+drive alone.
 
-A module of its own, since a template process that does not diagnose starts in a third of the time.
+This is a separate module because a template process without diagnosis starts in a third of the
+time.
 """
 
 from __future__ import annotations
@@ -17,12 +19,12 @@ from imucald.fleet.task import Outcome, Task
 
 
 def evaluate_and_diagnose(task: Task) -> Outcome:
-    """As `evaluate`, and the column `diagnosed`."""
+    """As `evaluate`, with the additional column `diagnosed`."""
     return evaluate(task, _diagnosed)
 
 
 def _diagnosed(config: Configuration, path: Path) -> dict[str, Any]:
-    """The certain causes as a JSON list; None where the drive cannot be diagnosed."""
+    """The certain causes as a JSON list; None if the drive cannot be diagnosed."""
     try:
         found = diagnose(config, path)
     except EstimateError:

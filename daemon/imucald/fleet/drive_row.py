@@ -19,13 +19,13 @@ from imucald.fleet.task import Task
 from imucald.mount.mount_words import is_move
 
 EARLIEST = 946_684_800.0
-"""1 January 2000 as UNIX time [s]: a logger that is before it has no clock."""
+"""1 January 2000 as UNIX time [s]: a logger with earlier times has no clock."""
 LATEST = 4_102_444_800.0
 """1 January 2100."""
 
 
 def drive_row(drive: DriveResult, config: Config) -> dict[str, Any]:
-    """The row of a drive without what names it: times as UNIX time [s]."""
+    """The row of a drive without its names (vehicle, day, source); times as UNIX time [s]."""
     result = drive.to_dict()
     mount = result["mount"]
     start, end = known_times(drive)
@@ -62,7 +62,7 @@ def drive_row(drive: DriveResult, config: Config) -> dict[str, Any]:
 def drive_values(
     fleet: Fleet, task: Task, log_key: str | None, drive: Mapping[str, Any]
 ) -> dict[str, Any]:
-    """The row with what names it: by the rules of the fleet, on the day of the drive."""
+    """The row with its names, by the rules of the fleet on the day of the drive."""
     day = day_of(drive["start"]) or task.date
     facts = fleet.facts(task.vehicle, day)
     return {
@@ -77,7 +77,8 @@ def drive_values(
 
 
 def known_times(drive: DriveResult) -> tuple[float | None, float | None]:
-    """First and last frame in use as UNIX time [s]; None of a logger without a clock."""
+    """Times of the first and last used frame as UNIX time [s]; None for a logger without a
+    clock."""
     if drive.start_us is None or drive.end_us is None:
         return None, None
     start, end = drive.start_us / 1e6, drive.end_us / 1e6
@@ -85,8 +86,8 @@ def known_times(drive: DriveResult) -> tuple[float | None, float | None]:
 
 
 REJECTED_SHARE = 0.001
-"""A share of frames that are rejected for one reason from which it counts as a cause: a sound bus
-has none, and one burst at the start of a log is below."""
+"""A reason for rejected frames counts as a cause from this share of frames. A healthy bus has none,
+and a single burst at the start of a log stays below."""
 
 
 def _causes(result: Mapping[str, Any]) -> Iterator[str]:
@@ -111,7 +112,7 @@ def day_of(start: float | None) -> str | None:
 
 
 def event_rows(events: Columns, has_clock: bool) -> list[dict[str, Any]]:
-    """The rows of `events` of a drive, without what names it; NaN becomes null."""
+    """The rows of `events` of a drive, without its names; NaN becomes null."""
     names = [column.name for column in events.columns]
     rows = []
     for values in zip(*(array.tolist() for array in events.arrays), strict=True):

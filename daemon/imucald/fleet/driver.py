@@ -1,4 +1,5 @@
-"""A run: hands out logs, takes their outcomes, and is the only one that writes tables."""
+"""The driver of a run: it distributes logs, collects their outcomes, and is the only writer of
+tables."""
 
 from __future__ import annotations
 
@@ -23,19 +24,20 @@ from imucald.fleet.task import OK, ONCE_MORE, OTHER_CODE, Outcome, Task
 from imucald.fleet.workers import Workers
 
 AHEAD = 2
-"""Tasks handed out for each that can run: no worker waits, few are waited for at an end."""
+"""Tasks handed out per running task: enough that no worker waits, and few that remain at the
+end."""
 FLUSH_ROWS = 500
 FLUSH_S = 60.0
 LOOK_S = 0.5
 ALL_ALIKE = SAMPLE
-"""When so many logs come first and all fail for one reason, the run is wrong, not the logs."""
+"""If this many first logs all fail for one reason, the run is wrong, not the logs."""
 TRIES = 2
 
 ORDER_OF_WRITING = ("costs", "events", "failures", "drives", "sources")
 
 
 class Counts(msgspec.Struct):
-    """How far a run is."""
+    """Progress of a run."""
 
     logs: int
     bytes: int
@@ -47,7 +49,8 @@ class Counts(msgspec.Struct):
 
     @property
     def left_s(self) -> float | None:
-        """Seconds that the rest will take, by the bytes so far; None before there are any."""
+        """Estimated remaining time [s], from the bytes processed so far; None before the first
+        ones."""
         if self.bytes_done <= 0 or self.done < 1:
             return None
         passed = time.monotonic() - self.began
@@ -55,11 +58,11 @@ class Counts(msgspec.Struct):
 
 
 class AllFailedError(ImucaldError):
-    """The first logs all failed for one reason."""
+    """Raised when the first logs all failed for one reason."""
 
 
 class FleetRun:
-    """One run into one folder; `go` does it. Not used twice."""
+    """One run into one folder. `go` performs it; an object is used only once."""
 
     def __init__(
         self,
@@ -81,18 +84,19 @@ class FleetRun:
         self.counts = Counts(len(plan.tasks), plan.bytes)
 
     def stop(self) -> None:
-        """Begin no further log; what runs is finished (called by a signal handler)."""
+        """Begin no further log; running ones are finished (called by a signal handler)."""
         self.counts.stopping = True
 
     def go(self, lease: Lease) -> bool:
-        """Evaluate all; whether none is left. Raises AllFailedError, ImucaldError of storage."""
+        """Evaluate all logs; returns whether none is left. Raises AllFailedError, and ImucaldError
+        for storage errors."""
         self._store.tidy()
         self._number = max(
             (n for name in self._rows for n, _ in parts(self._store, name)), default=0
         )
         try:
             self._rounds(lease, self._waiting)
-            self._rounds(lease, self._again, alone=True)  # nothing else can be the reason
+            self._rounds(lease, self._again, alone=True)  # alone: no other log is the reason
         finally:
             self._flush()
         compact(self._store)
@@ -155,14 +159,15 @@ class FleetRun:
             self._take_failure(task, outcome, attempt)
 
     def _that_fits(self, task: Task, outcome: Outcome) -> Outcome:
-        """The outcome, or a `bug` where its rows fit no table: those of other logs are kept."""
+        """The outcome, or a `bug` outcome if its rows do not fit a table, so that rows of other
+        logs are kept."""
         if outcome.drive is None:
             return outcome
         try:
             values = drive_values(self._fleet, task, outcome.log_key, outcome.drive)
             table_of("drives", [row_of("drives", values)])
             table_of("events", [row_of("events", event) for event in outcome.events])
-        except Exception as error:  # whatever a log made of its row
+        except Exception as error:  # any error from the values of a log
             text = f"{task.source}: its row does not fit the table: {type(error).__name__}: {error}"
             return Outcome("bug", text, outcome.log_key, cost=outcome.cost)
         return outcome

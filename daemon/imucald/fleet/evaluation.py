@@ -1,4 +1,4 @@
-"""One log to one row: what the child process does."""
+"""The work of the child process: evaluate one log to one row."""
 
 from __future__ import annotations
 
@@ -25,12 +25,12 @@ NOT_OURS = "the log has no usable frame of this configuration; 'imucald check' s
 
 
 def evaluate(task: Task, also: Also | None = None) -> Outcome:
-    """Replay a log by itself, cold, and say what came of it.
+    """Replay a single log without a saved state, and return the outcome.
 
     also: gives more columns of the drive.
 
-    The row depends on the log's content, the configuration and the code alone: not on the vehicle's
-    other drives, the order or the machine.
+    The row depends only on the log's content, the configuration and the code. It does not depend on
+    the vehicle's other drives, the order of the logs or the machine.
     """
     if task.code and task.code != code_hash():
         return Outcome(OTHER_CODE)
@@ -70,8 +70,8 @@ def _replayed(
 
 
 def _named(error: LogError, path: Path, task: Task) -> str:
-    """The error with the log's address in place of that of a copy."""
+    """Text of the error with the log's address instead of its local copy's."""
     return str(error).replace(str(path), task.source)
 
 
-code_hash()  # once in the template: its copies know it
+code_hash()  # once in the template, so that its copies have it

@@ -1,4 +1,4 @@
-"""A log as a file on this machine: as it is where it is one already, else a copy for the time."""
+"""Provide a log as a local file: the file itself if it is local, else a temporary copy."""
 
 from __future__ import annotations
 
@@ -21,22 +21,22 @@ from imucald.fleet.bundle import KEY_DIGITS
 BLOCK = 2**20
 TRIES = 3
 WAIT_S = 0.5
-"""Before the second try; twice as long before each further one."""
+"""Pause before the second try [s]; it doubles before each further try."""
 MAX_BYTES = 64 * 2**30
-"""Of a log that is copied: a wrong address must not fill the disk."""
+"""Largest size of a copied log: a wrong address must not fill the disk."""
 LOCAL = ("file", "local")
 
 
 class StorageError(ImucaldError):
-    """A log could not be fetched; the reason and the address."""
+    """A log could not be fetched; has the reason and the address."""
 
 
 class NoRegularFileError(ImucaldError):
-    """What stands under the log's name is a pipe, a device, a folder."""
+    """The log's name belongs to a pipe, a device or a folder."""
 
 
 def protocol_of(url: str) -> str:
-    """The file system of a URL: "file" where it names none."""
+    """Protocol of a URL; "file" if it has none."""
     return url.partition("://")[0] if "://" in url else "file"
 
 
@@ -46,11 +46,11 @@ def bare_path(url: str) -> str:
 
 
 def file_system(url: str, storage: Mapping[str, Mapping[str, Any]]) -> fsspec.AbstractFileSystem:
-    """The file system of a URL. Raises StorageError where its package is missing."""
+    """The file system of a URL. Raises StorageError if its package is missing."""
     protocol = protocol_of(url)
     try:
         return fsspec.filesystem(protocol, **storage.get(protocol, {}))
-    except Exception as error:  # each storage has errors of its own
+    except Exception as error:  # each storage has its own errors
         raise StorageError(f"{url}: {error}") from None
 
 
@@ -60,8 +60,8 @@ def local_copy(
 ) -> Iterator[tuple[Path, str]]:
     """Yield path and key (hash of the content) of a log.
 
-    within: folder that a local log must lie in, links followed. Raises NoRegularFileError, for a
-    link that leads out of it too, and StorageError.
+    within: folder that must contain a local log after following links. Raises NoRegularFileError,
+    also for a link that leads out of the folder, and StorageError.
     """
     with tempfile.TemporaryDirectory(prefix="imucald-log-") as folder:
         path = Path(folder) / url.rpartition("/")[2]
@@ -74,12 +74,12 @@ def local_copy(
 
 
 def _held(file: IO[bytes]) -> str:
-    """A path that leads to an open file, whatever comes to stand under its name."""
+    """A path to an open file that stays valid even if another file takes its name."""
     return f"/proc/{os.getpid()}/fd/{file.fileno()}"
 
 
 def _opened(path: Path, within: str | None) -> IO[bytes]:
-    """Open a local log; whoever delivers logs has no say over other files."""
+    """Open a local log. A supplier of logs must not get access to other files through links."""
     try:
         if not stat.S_ISREG(path.stat().st_mode):
             raise NoRegularFileError(
@@ -115,7 +115,7 @@ def _downloaded(url: str, storage: Mapping[str, Mapping[str, Any]], path: Path) 
         try:
             with system.open(url, "rb") as source, path.open("wb") as target:
                 return _hash(source, target)
-        except Exception as error:  # each storage has errors of its own
+        except Exception as error:  # each storage has its own errors
             if left == 0 or isinstance(error, FileNotFoundError):
                 text = f"{url}: cannot be fetched: {type(error).__name__}: {error}"
                 raise StorageError(text) from None

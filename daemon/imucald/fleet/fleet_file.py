@@ -1,4 +1,5 @@
-"""fleet.yaml: where the logs are, which vehicle each is of, and what it is evaluated with."""
+"""fleet.yaml: the places of the logs, the vehicle of each log, and the configuration for its
+evaluation."""
 
 from __future__ import annotations
 
@@ -18,23 +19,23 @@ from imucald.fleet.bundle import Bundle, bundle_of
 
 _WHOLE = "fleet file"
 DEFAULT_RULE = r"(?P<vehicle>[^/]+)/[^/]+$"
-"""The folder that the log is in."""
+"""Default rule: the folder of the log is the vehicle."""
 _DATE = re.compile(r"(\d{4})[-_/.]?(\d\d)[-_/.]?(\d\d)")
 COLUMNS = ("type", "sensor_serial", "sensor_batch", "firmware")
 
 
 class FleetSettings(Settings, frozen=True, kw_only=True):
-    """What fleet.yaml holds."""
+    """The content of fleet.yaml."""
 
     logs: str | tuple[str, ...]
     """Addresses with wildcards (`**` for folders of any depth), or lists ending in .csv or .txt."""
     config: str
-    """Configuration of all vehicles whose type has none of its own."""
+    """Configuration for all vehicles whose type has no own configuration."""
     configs: dict[str, str] = msgspec.field(default_factory=dict)
     """Configuration by vehicle type."""
     path: str = DEFAULT_RULE
-    """Regular expression on the address: (?P<vehicle>...), and where there is one (?P<date>...),
-    (?P<type>...)."""
+    """Regular expression for the address, with the group (?P<vehicle>...) and optional groups
+    (?P<date>...) and (?P<type>...)."""
     vehicles: str | None = None
     """CSV with the columns vehicle, type, sensor_serial, sensor_batch, firmware, from, to."""
     storage: dict[str, dict[str, Any]] = msgspec.field(default_factory=dict)
@@ -42,7 +43,7 @@ class FleetSettings(Settings, frozen=True, kw_only=True):
 
 
 class VehicleFacts(msgspec.Struct, frozen=True):
-    """One row of the list of vehicles: what holds from a day to another (ISO dates, or empty)."""
+    """One row of the list of vehicles, valid from one day to another (ISO dates, or empty)."""
 
     vehicle: str
     values: dict[str, str]
@@ -51,13 +52,13 @@ class VehicleFacts(msgspec.Struct, frozen=True):
 
 
 class Fleet:
-    """A fleet file, read and checked.
+    """A fleet file that was read and checked.
 
-    settings: as written. bundles: configurations by name.
+    settings: as in the file. bundles: configurations by name.
     """
 
     def __init__(self, settings: FleetSettings, path: Path, document: Document) -> None:
-        """Raise ConfigError with place and remedy."""
+        """Check the file. Raises ConfigError with place and remedy."""
         self.settings = settings
         self._document = document
         self.folder = path.parent.resolve()
@@ -96,7 +97,8 @@ class Fleet:
         return found
 
     def named(self, source: str) -> tuple[str, str | None, str | None]:
-        """Vehicle, day (ISO) and type that a log's address shows; the address where none fits."""
+        """Vehicle, day (ISO) and type from a log's address. If no rule fits, the vehicle is the
+        address itself."""
         match = self._rule.search(source)
         if match is None:
             return source, None, None
@@ -117,13 +119,13 @@ class Fleet:
 
 
 def iso_day(text: str | None) -> str | None:
-    """A day as YYYY-MM-DD, from any usual way to write it in a path; None where it is none."""
+    """A day as YYYY-MM-DD, from any common notation in a path; None if it is no day."""
     match = _DATE.search(text or "")
     return "-".join(match.groups()) if match else None
 
 
 def load_fleet(path: Path, changes: Mapping[str, Any] | None = None) -> Fleet:
-    """Read a fleet file; changes: keys that the command line gives. Raises ConfigError."""
+    """Read a fleet file. changes: keys given on the command line. Raises ConfigError."""
     settings, document = read_settings(path, changes)
     return Fleet(settings, path, document)
 
@@ -131,7 +133,7 @@ def load_fleet(path: Path, changes: Mapping[str, Any] | None = None) -> Fleet:
 def read_settings(
     path: Path, changes: Mapping[str, Any] | None = None
 ) -> tuple[FleetSettings, Document]:
-    """What the file says, without looking at what it names. Raises ConfigError."""
+    """The settings of the file, without reading the files it names. Raises ConfigError."""
     data, marks = read_yaml_file(path, _WHOLE)
     if not isinstance(data, dict):
         raise ConfigError(f"{path}:1: a fleet file is a mapping with 'logs' and 'config'")

@@ -1,4 +1,4 @@
-"""Who may write into a fleet's folder: one driver at a time."""
+"""Lease for writing into a fleet's folder: one driver at a time."""
 
 from __future__ import annotations
 
@@ -16,11 +16,12 @@ from imucald.fleet.store import Store
 NAME = "_lease.json"
 BEAT_S = 20.0
 STALE_S = 120.0
-"""Without a sign of life for so long, the owner on another machine counts as dead."""
+"""If an owner on another machine gives no sign of life for this time, it counts as dead."""
 
 
 class Owner(msgspec.Struct, frozen=True):
-    """Who holds the lease. started: of the process, in the kernel's ticks: pids come again."""
+    """Who holds the lease. started: start time of the process in the kernel's ticks, since process
+    ids are reused."""
 
     token: str
     host: str
@@ -30,7 +31,7 @@ class Owner(msgspec.Struct, frozen=True):
 
 
 class Lease:
-    """The right to write; taken by `with`."""
+    """The right to write; use it in a `with` statement."""
 
     def __init__(self, store: Store) -> None:
         self._store = store
@@ -39,7 +40,7 @@ class Lease:
         )
 
     def __enter__(self) -> Lease:
-        """Raise ImucaldError where another run holds it and lives."""
+        """Take the lease. Raises ImucaldError if another living run holds it."""
         data = msgspec.json.encode(self._owner)
         for _ in range(2):
             if self._store.create(NAME, data):
@@ -62,7 +63,7 @@ class Lease:
         return self
 
     def beat(self) -> None:
-        """Show a sign of life, where one is due. Raises ImucaldError where another took over."""
+        """Write a sign of life if one is due. Raises ImucaldError if another run took over."""
         now = time.time()
         if now - self._owner.beat < BEAT_S:
             return
@@ -78,14 +79,14 @@ class Lease:
             )
 
     def __exit__(self, *_: object) -> None:
-        """Give it back, where it is still ours."""
+        """Release the lease if it is still ours."""
         holder = holder_of(self._store)
         if holder is not None and holder.token == self._owner.token:
             self._store.remove(NAME)
 
 
 def holder_of(store: Store) -> Owner | None:
-    """Who holds the lease of a folder; None where nobody does, or nobody knows."""
+    """The holder of a folder's lease; None if there is none or it cannot be read."""
     try:
         return msgspec.json.decode(store.read(NAME), type=Owner)
     except (ImucaldError, msgspec.DecodeError):
@@ -99,7 +100,7 @@ def _lives(owner: Owner) -> bool:
 
 
 def _started(pid: int) -> str:
-    """When a process began (field 22 of /proc/PID/stat, proc(5)); empty where there is none."""
+    """Start time of a process (field 22 of /proc/PID/stat, proc(5)); empty if it does not exist."""
     try:
         text = Path(f"/proc/{pid}/stat").read_text(encoding="ascii", errors="replace")
     except OSError:

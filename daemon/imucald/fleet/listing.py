@@ -1,4 +1,4 @@
-"""Which logs there are, and whether one has changed: by its address and fingerprint alone."""
+"""List the logs, and detect changed ones by address and fingerprint alone."""
 
 from __future__ import annotations
 
@@ -20,9 +20,11 @@ LISTS = (".csv", ".txt")
 
 
 class Log(msgspec.Struct, frozen=True):
-    """One log of a listing. fingerprint: changes with the content. changed: UNIX time [s].
+    """One log of a listing. fingerprint: changes with the content. changed: UNIX time of the last
+    change [s].
 
-    within: folder that the log must lie in, links followed; None where it was named itself.
+    within: folder that must contain the log after following links; None if the log itself was
+    named.
     """
 
     source: str
@@ -33,7 +35,7 @@ class Log(msgspec.Struct, frozen=True):
 
 
 def list_logs(fleet: Fleet) -> list[Log]:
-    """All logs of a fleet, each address once, sorted. Raises ImucaldError where there is none."""
+    """All logs of a fleet, each address once, sorted. Raises ImucaldError if there is none."""
     found = {log.source: log for pattern in patterns(fleet.settings) for log in _of(fleet, pattern)}
     if not found:
         text = ", ".join(patterns(fleet.settings))
@@ -42,7 +44,7 @@ def list_logs(fleet: Fleet) -> list[Log]:
 
 
 def _of(fleet: Fleet, pattern: str, lists: tuple[str, ...] = ()) -> Iterator[Log]:
-    """The logs of a pattern that stands in a list, which itself stands in a list, and so on."""
+    """The logs of a pattern. lists: the nested lists in which the pattern stands."""
     storage = fleet.settings.storage
     url = pattern
     if protocol_of(pattern) == "memory":
@@ -61,7 +63,7 @@ def _of(fleet: Fleet, pattern: str, lists: tuple[str, ...] = ()) -> Iterator[Log
     system = file_system(url, storage)
     try:
         entries = system.glob(url, detail=True)
-    except Exception as error:  # each storage has errors of its own
+    except Exception as error:  # each storage has its own errors
         raise ImucaldError(
             f"{pattern}: cannot be listed: {type(error).__name__}: {error}"
         ) from None
@@ -71,7 +73,8 @@ def _of(fleet: Fleet, pattern: str, lists: tuple[str, ...] = ()) -> Iterator[Log
 
 
 def _listed(url: str, storage: Mapping[str, Mapping[str, Any]]) -> list[str]:
-    """Addresses of a list: one a line, or the column `log` (else the first) of a CSV file."""
+    """Addresses of a list: one per line, or the column `log` (else the first column) of a CSV
+    file."""
     try:
         text = file_system(url, storage).cat_file(url).decode("utf-8-sig")
         rows = [row for row in csv.reader(io.StringIO(text)) if row and not row[0].startswith("#")]
@@ -84,7 +87,8 @@ def _listed(url: str, storage: Mapping[str, Mapping[str, Any]]) -> list[str]:
 
 
 def _root(url: str) -> str | None:
-    """The folder of a local pattern's files: up to its first wildcard; None without one."""
+    """The folder of a local pattern's files: its path up to the first wildcard; None without
+    one."""
     fixed = re.split(r"[*?\[]", url, maxsplit=1)[0]
     if fixed == url or protocol_of(url) not in LOCAL:
         return None
@@ -107,7 +111,8 @@ def _unix(value: object) -> float | None:
 
 
 def is_since(log: Log, day: str | None, since: str) -> bool:
-    """Whether a log is of a day (ISO) or later: by its address, else by its last change."""
+    """Whether a log is from day `since` (ISO) or later, by the day in its address, else by its last
+    change."""
     if day is None and log.changed is not None:
         day = datetime.fromtimestamp(log.changed, UTC).date().isoformat()
     return day is None or day >= since

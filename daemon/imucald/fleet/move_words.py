@@ -1,4 +1,4 @@
-"""Moves of sensors in words: when, and which drives could not show one."""
+"""Texts about moves of sensors: when they happened, and which drives could not show one."""
 
 from __future__ import annotations
 
@@ -10,23 +10,23 @@ from imucald.core.text import counted
 from imucald.fleet.analysis.remounts import LEAST_PAIRS
 
 NAMED = 5
-"""Vehicles that a sentence names."""
+"""Largest number of vehicles named in a sentence."""
 Row = Mapping[str, Any]
 
 
 def names_of(rows: Iterable[Row]) -> str:
-    """The vehicles of rows, each once, in their order: "car-1, car-3"."""
+    """The vehicles of rows, each once, in order: "car-1, car-3"."""
     names = list(dict.fromkeys(str(row["vehicle"]) for row in rows))
     return ", ".join(names[:NAMED]) + (f" and {len(names) - NAMED} more" * (len(names) > NAMED))
 
 
 def time_text(time: datetime | None, key: str) -> str:
-    """A time of a table, or the key of the drive where it has none."""
+    """Text of a table's time, or the key of the drive if it has no time."""
     return f"{time:%Y-%m-%d %H:%M}" if time else key
 
 
 def when_moved(row: Row) -> str:
-    """When a sensor was moved; row: of `analysis/remounts`."""
+    """Text of the time when a sensor was moved. row: of `analysis/remounts`."""
     before = time_text(row["before"], row["before_log_key"])
     if row["found_s"] is None:
         return f"between {before} and {time_text(row['after'], row['after_log_key'])}"
@@ -35,7 +35,8 @@ def when_moved(row: Row) -> str:
 
 
 def why_not_known(vehicles: Iterable[Row]) -> str:
-    """Why no move between drives could be found; "": it could. vehicles: of `analysis/vehicles`."""
+    """Reason why no move between drives could be found; "" if it could. vehicles: of
+    `analysis/vehicles`."""
     pairs = sum(max(v["drives"] - 1 - v["drives_unordered"], 0) for v in vehicles)
     if pairs >= LEAST_PAIRS:
         return ""
@@ -46,7 +47,7 @@ def why_not_known(vehicles: Iterable[Row]) -> str:
 
 
 def unordered_words(vehicles: Iterable[Row]) -> str:
-    """How many drives have no order, of which vehicles; "": all have one.
+    """Text about the number and vehicles of drives without an order; "" if all have one.
 
     vehicles: rows of `analysis/vehicles`.
     """

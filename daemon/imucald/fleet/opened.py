@@ -22,9 +22,9 @@ _FOLDER = "analysis/"
 
 
 class FleetTables:
-    """The tables of a fleet's folder, as Arrow tables; each is read when it is first asked for.
+    """The tables of a fleet's folder, as Arrow tables; each is read at its first use.
 
-    What a run writes later is seen by opening the folder again.
+    Open the folder again to see the results of a later run.
     """
 
     def __init__(self, store: Store) -> None:
@@ -35,7 +35,7 @@ class FleetTables:
         """Open the folder that `imucald fleet run --out` wrote.
 
         url: a path or any address that fsspec knows. storage: options by protocol, as in
-        fleet.yaml. Raises ImucaldError where no run has written.
+        fleet.yaml. Raises ImucaldError if no run has written there.
         """
         store = Store(str(url), storage)
         if not parts(store, "sources"):
@@ -49,7 +49,7 @@ class FleetTables:
     def table(self, name: str) -> pa.Table:
         """A table by its name, such as "sources" or "analysis/groups" (see docs/fleet.md).
 
-        Raises ImucaldError for another name, and where the fleet is not analysed yet.
+        Raises ImucaldError for another name, and if the fleet is not analysed yet.
         """
         if name in TABLES:
             return self._read[name]
@@ -66,17 +66,17 @@ class FleetTables:
 
     @property
     def events(self) -> pa.Table:
-        """What happened within drives."""
+        """The events within drives."""
         return self.table("events")
 
     @property
     def failures(self) -> pa.Table:
-        """Logs that failed, and why."""
+        """Failed logs with the reasons."""
         return self.table("failures")
 
     @property
     def vehicles(self) -> pa.Table:
-        """A row for each vehicle. Raises ImucaldError where the fleet is not analysed yet."""
+        """A row for each vehicle. Raises ImucaldError if the fleet is not analysed yet."""
         return self.table(f"{_FOLDER}vehicles")
 
     def analyse(self, groups: Sequence[str] = GROUPS) -> dict[str, pa.Table]:

@@ -26,17 +26,18 @@ from imucald.mount.mount_words import UNKNOWN_HALF_DEG
 from imucald.report.page import address_of, environment, require_libraries
 
 MAX_ROWS = 60
-"""Of a table; the files have all."""
+"""Largest number of rows of a table on the page; the files have all rows."""
 MAX_HISTORIES = 6
-"""Vehicles whose drives are pictured."""
+"""Largest number of vehicles with a picture of their drives."""
 MAX_PICTURED = 4000
-"""Vehicles in one picture: beyond, every so many-th that does not stand out."""
+"""Largest number of vehicles in one picture. If there are more, only a sample is drawn of those
+that do not stand out."""
 PICTURES = ("vehicles", "types", "groups", "never")
 Rows = list[dict[str, Any]]
 
 
 def fleet_page(store: Store) -> str:
-    """The page as text. Raises ImucaldError where there is no analysis, or a library is missing."""
+    """The page as text. Raises ImucaldError if there is no analysis or a library is missing."""
     require_libraries()
     analysis = {
         name.rpartition("/")[2]: table.to_pylist() for name, table in read_analysis(store).items()
@@ -104,9 +105,10 @@ def _headline(found: Rows, outliers: Rows, bad: Rows, design: Rows) -> str:
 
 
 def _mounts(analysis: dict[str, Rows]) -> Rows:
-    """The present mount of each vehicle, those to look at first: moved, then those that stand out.
+    """The present mount of each vehicle, in order of importance: moved ones first, then those that
+    stand out.
 
-    mark: why it is to be looked at; "": it is sound.
+    mark: reason for attention; "" if there is none.
     """
     odd = {row["vehicle"] for row in analysis["outliers"]}
     rows = present_mounts(analysis["vehicles"], analysis["segments"], analysis["remounts"])
@@ -144,7 +146,7 @@ def _pictures(analysis: dict[str, Rows]) -> dict[str, str]:
 
 
 def _histories(found: Sequence[dict[str, Any]], drives: Any) -> Rows:
-    """The drives of the vehicles whose sensors were moved furthest."""
+    """Histories of the vehicles whose sensors were moved by the largest angles."""
     cuts: dict[str, list[str]] = {}
     for row in sorted(found, key=lambda r: -(r["size_deg"] or 0.0)):
         cuts.setdefault(row["vehicle"], []).append(row["after_log_key"])
@@ -152,7 +154,7 @@ def _histories(found: Sequence[dict[str, Any]], drives: Any) -> Rows:
     for vehicle, keys in list(cuts.items())[:MAX_HISTORIES]:
         mine = drives.filter(pc.equal(drives.column("vehicle"), vehicle)).to_pylist()
         mine = [d for d in mine if d["state"] in ("usable", "fine") and d["q_w"] is not None]
-        if mine:  # none where its only drive moved, and ended without a good mount
+        if mine:  # none if its only drive had a move and ended without a good mount
             picture = address_of(_drawing().history_picture(mine, keys))
             rows.append({"vehicle": vehicle, "picture": picture})
     return rows

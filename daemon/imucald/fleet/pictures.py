@@ -18,15 +18,15 @@ if TYPE_CHECKING:
 Row = Mapping[str, Any]
 AXES = dict(zip("xyz", VEHICLE_AXES, strict=True))
 COLOURS = {"x": BEFORE, "y": "#009E73", "z": AFTER}
-"""Told apart with any colour blindness (Okabe and Ito)."""
+"""Colours that are distinguishable with any colour blindness (Okabe and Ito)."""
 MAX_LINES = 20
-"""Batches or types of a picture."""
+"""Largest number of batches or types in a picture."""
 SHOWN = 98.0
-"""Percentile of the size that sets an axis, when what stands out is much larger."""
+"""Percentile of the size that sets an axis if outliers are much larger."""
 
 
 def vehicles_picture(vehicles: Sequence[Row]) -> str:
-    """Each vehicle against its type, axis by axis; what stands out is marked."""
+    """Each vehicle relative to its type, axis by axis; outliers are marked."""
     ordered = sorted(vehicles, key=lambda v: (v["vehicle_type"], v["vehicle"]))
     kinds = [v["vehicle_type"] for v in ordered]
     begins = [i for i, k in enumerate(kinds) if i == 0 or kinds[i - 1] != k]
@@ -54,7 +54,7 @@ def vehicles_picture(vehicles: Sequence[Row]) -> str:
 
 
 def groups_picture(groups: Sequence[Row]) -> str:
-    """Batches against the other vehicles of their types, with 95 % intervals."""
+    """Batches relative to the other vehicles of their types, with 95 % intervals."""
     judged = [g for g in groups if g["p"] is not None]
     judged = sorted(judged, key=lambda g: g["p"])[:MAX_LINES]
     labels = [
@@ -113,8 +113,8 @@ def _labelled(ax: Axes, labels: Sequence[str]) -> None:
 
 
 def history_picture(drives: Sequence[Row], cuts: Sequence[str]) -> str:
-    """One vehicle's drives in turn about its first, with 95 % intervals; cuts: log keys after a
-    remount."""
+    """One vehicle's drives in order, relative to its first, with 95 % intervals. cuts: log keys of
+    the drives after a remount."""
     from scipy.spatial.transform import Rotation  # noqa: PLC0415 - only for these pictures
 
     R = Rotation.from_quat([[d[f"q_{n}"] for n in "xyzw"] for d in drives])
@@ -143,7 +143,7 @@ def history_picture(drives: Sequence[Row], cuts: Sequence[str]) -> str:
 
 
 def reasons_picture(rows: Sequence[Row]) -> str:
-    """Drives that never became usable, by what they waited for."""
+    """Drives that never became usable, by the condition that they waited for."""
     count: dict[str, int] = {}
     for row in rows:
         count[row["reason"]] = count.get(row["reason"], 0) + row["drives"]

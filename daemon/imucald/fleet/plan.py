@@ -1,4 +1,4 @@
-"""Which logs a run has to evaluate: those whose outcome is not known yet."""
+"""Find the logs that a run must evaluate: those without a known outcome."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ from imucald.fleet.tables import read_with_parts
 from imucald.fleet.task import EVALUATE, OK, LogLimits, Task
 
 SAMPLE = 20
-"""Logs from whose ends alone a run that is wrong as a whole is known (`driver.ALL_ALIKE`)."""
+"""Number of first logs whose outcomes show whether the whole run is wrong (`driver.ALL_ALIKE`)."""
 Redo = Literal["nothing", "failed", "config", "all"]
 
 
 class Options(msgspec.Struct, frozen=True, kw_only=True):
-    """How a run is done; the defaults are those of the command line."""
+    """Options of a run; the defaults are those of the command line."""
 
     limits: LogLimits = LogLimits()
     redo: Redo = "nothing"
@@ -33,7 +33,7 @@ class Options(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class Known(msgspec.Struct, frozen=True):
-    """What an earlier run says of an address."""
+    """Result of an earlier run for an address."""
 
     fingerprint: str
     run_key: str
@@ -41,7 +41,7 @@ class Known(msgspec.Struct, frozen=True):
 
 
 class Plan(msgspec.Struct):
-    """What a run is going to do. other_configuration: done before, with another run_key."""
+    """The work of a run. other_configuration: logs done before with another run_key."""
 
     tasks: list[tuple[Task, Log]]
     listed: int
@@ -51,12 +51,13 @@ class Plan(msgspec.Struct):
 
     @property
     def bytes(self) -> int:
-        """Of the logs to evaluate."""
+        """Total size of the logs to evaluate."""
         return sum(log.bytes for _, log in self.tasks)
 
 
 def known_sources(store: Store) -> dict[str, Known]:
-    """What the tables say of each address; nothing of those whose own row was lost (`damaged`)."""
+    """Known results by address, from the tables; addresses whose own row was lost are missing
+    (`damaged`)."""
     table = read_tables(store, ("sources",))["sources"]
     names = ("source", "fingerprint", "run_key", "outcome", "log_key")
     columns = [table.column(n).to_pylist() for n in names]
@@ -73,7 +74,8 @@ def _values(store: Store, table: str, column: str) -> set[str]:
 
 
 def planned(fleet: Fleet, store: Store, logs: Iterable[Log], options: Options) -> Plan:
-    """Compare what there is with what is known; after a sample the largest logs come first."""
+    """Compare the listed logs with the known results. The tasks begin with a sample; then the
+    largest logs come first."""
     known = known_sources(store)
     plan = Plan([], 0)
     for log in logs:
@@ -110,7 +112,7 @@ def task_of(fleet: Fleet, source: str, size: int, options: Options, out: str = "
 
 
 def _sample_first(tasks: list[tuple[Task, Log]]) -> None:
-    """Put some of all sizes before the others: when these all fail, so will the rest."""
+    """Put a sample of logs of all sizes first: if all of these fail, the rest will fail too."""
     step = len(tasks) // SAMPLE
     if step > 1:
         chosen = range(0, step * SAMPLE, step)

@@ -27,7 +27,7 @@ NEEDED = (
 )
 """Columns of `drives` that the analysis reads."""
 OF_SHIFT = ("log_key", "vehicle", "time", "t_s", "d_x_deg", "d_y_deg", "d_z_deg")
-"""Columns of `events` that it reads of a move within a drive."""
+"""Columns of `events` that the analysis reads for moves within a drive."""
 
 
 def analyse_fleet(store: Store, groups: Sequence[str] = GROUPS) -> dict[str, pa.Table]:
@@ -47,7 +47,7 @@ def analyse_fleet(store: Store, groups: Sequence[str] = GROUPS) -> dict[str, pa.
 
 
 def plain_columns(table: pa.Table, names: Sequence[str]) -> dict[str, list[Any]]:
-    """Columns as lists; times as UNIX time [s]."""
+    """Convert columns to lists, with times as UNIX time [s]."""
     found = {}
     for name in names:
         column = table.column(name)
@@ -58,7 +58,7 @@ def plain_columns(table: pa.Table, names: Sequence[str]) -> dict[str, list[Any]]
 
 
 def read_analysis(store: Store) -> dict[str, pa.Table]:
-    """The tables of the last analysis. Raises ImucaldError where there is none."""
+    """The tables of the last analysis. Raises ImucaldError if there is none."""
     if not store.exists(main_file("analysis/vehicles")):
         raise ImucaldError(
             f"{store.url}: there is no analysis yet; run 'imucald fleet analyse' first"
@@ -73,7 +73,7 @@ def present_mounts(
 ) -> list[dict[str, Any]]:
     """The mount of each vehicle since its sensor was last moved: its last row of `segments`.
 
-    vehicle_type, all_drives and moves (that were found) are added; by vehicle.
+    The columns vehicle_type, all_drives and moves (number found) are added. Sorted by vehicle.
     """
     moves = Counter(row["vehicle"] for row in remounts if row["found"])
     last: dict[str, Mapping[str, Any]] = {}

@@ -1,4 +1,5 @@
-"""Corrected signals of one drive, written by whoever evaluated it: a file for each sensor."""
+"""Write the corrected signals of one drive, in the process that evaluated it: one file for each
+sensor."""
 
 from __future__ import annotations
 
@@ -30,7 +31,7 @@ def write_signals(drive: DriveResult, task: Task, key: str, start: float | None)
 
 
 def _single(table: pa.Table, columns: Columns) -> pa.Table:
-    """Measured numbers in single precision: 24 bits are more than any sensor gives."""
+    """Convert measured numbers to single precision: 24 bits exceed the resolution of any sensor."""
     fields = [_narrowed(f, c) for f, c in zip(table.schema, columns.columns, strict=True)]
     return table.cast(pa.schema(fields, metadata=table.schema.metadata))
 

@@ -1,10 +1,10 @@
-"""The rows of `drives` in Spark: for who has a Spark cluster and no Dask.
+"""The rows of `drives` in Spark, for users with a Spark cluster and without Dask.
 
     fleet = imucald.fleet.spark.SparkFleet.load("fleet.yaml")
     rows = paths.repartition(200).mapInPandas(fleet.map_frame, schema=fleet.schema)
 
-The same function in the same kind of child process gives the same rows. Spark writes them as it
-likes: resume, keys and the order of rows are its own matter.
+The same function in the same kind of child process gives the same rows. Spark writes the rows
+itself, so resuming, keys and the order of rows depend on Spark.
 """
 
 from __future__ import annotations
@@ -47,29 +47,30 @@ MORE = (
     Column("outcome", "text", "", "ok, or the kind of failure"),
     Column("message", "text", "", "message of a failure, for people"),
 )
-"""Besides those of `drives`: every log has a row."""
+"""Columns in addition to those of `drives`; every log has a row."""
 COLUMNS = (*TABLES["drives"], *MORE)
 
 
 @dataclass(frozen=True)
 class SparkFleet:
-    """A fleet file, as it travels to Spark's workers."""
+    """A fleet file in the form that is sent to Spark's workers."""
 
     fleet: Fleet
     options: Options
 
     @classmethod
     def load(cls, path: str | os.PathLike[str], limits: LogLimits | None = None) -> SparkFleet:
-        """Read fleet.yaml (its `logs` are not looked at). Raises ConfigError."""
+        """Read fleet.yaml; its `logs` are ignored. Raises ConfigError."""
         return cls(load_fleet(Path(path)), Options(limits=limits or LogLimits()))
 
     @property
     def schema(self) -> str:
-        """What `map_frame` gives, as Spark's DDL."""
+        """Schema of the result of `map_frame`, as Spark's DDL."""
         return ", ".join(f"`{column.name}` {DDL[column.kind]}" for column in COLUMNS)
 
     def map_frame(self, frames: Iterator[pd.DataFrame]) -> Iterator[pd.DataFrame]:
-        """For `mapInPandas`: frames with a column `source`; a row for each log."""
+        """Function for `mapInPandas`: takes frames with a column `source`, yields a row for each
+        log."""
         unpack(self.fleet.bundles)
         for frame in frames:
             yield _frame([self._row(str(source)) for source in frame["source"]])

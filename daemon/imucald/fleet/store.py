@@ -1,4 +1,4 @@
-"""The folder of a fleet, at any fsspec URL: whole files that appear at once or not at all."""
+"""The folder of a fleet, at any fsspec URL: files appear completely or not at all."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ from imucald.core.files import sync_folder
 from imucald.fleet.fetch import LOCAL, bare_path, file_system, protocol_of
 
 WORK = "_work"
-"""Holds what is not finished; no reader of tables looks there."""
+"""Folder for unfinished files; readers of tables ignore it."""
 
 
 class Store:
-    """Files below one URL, by names with slashes."""
+    """Files under one URL, by names with slashes."""
 
     def __init__(self, url: str, storage: Mapping[str, Mapping[str, Any]] | None = None) -> None:
-        """Raise ImucaldError where the URL's file system cannot be had."""
+        """Open the file system. Raises ImucaldError if the URL's file system is not available."""
         self.local = protocol_of(url) in LOCAL
         self.url = str(Path(bare_path(url)).absolute()) if self.local else url.rstrip("/")
         self._system: fsspec.AbstractFileSystem = file_system(self.url, storage or {})
@@ -33,12 +33,12 @@ class Store:
         return f"{self._root}/{name}"
 
     def write(self, name: str, data: bytes) -> None:
-        """Put a file in place of what was there: at every instant it is the old or the new one."""
+        """Replace a file atomically: at every instant it is the old or the new one."""
         try:
             if self.local:
                 self._write_local(Path(self._place(name)), data)
             else:
-                self._system.pipe_file(self._place(name), data)  # one put: whole or not at all
+                self._system.pipe_file(self._place(name), data)  # one put: complete or not at all
         except OSError as error:
             text = f"{self.url}/{name}: cannot be written: {error.strerror or error}"
             raise ImucaldError(text) from None
@@ -59,10 +59,10 @@ class Store:
         sync_folder(path.parent)
 
     def create(self, name: str, data: bytes) -> bool:
-        """Make a file that must not be there yet; False where it is.
+        """Create a file that must not exist yet; returns False if it exists.
 
-        Exclusive where the storage can do that (local, memory, S3); elsewhere two that come within
-        the same instant may both get True.
+        Creation is exclusive if the storage supports that (local, memory, S3). Elsewhere, two
+        callers at the same instant may both get True.
         """
         place = self._place(name)
         if self.local:
@@ -84,7 +84,7 @@ class Store:
         return True
 
     def read(self, name: str) -> bytes:
-        """The content of a file. Raises ImucaldError where it cannot be read."""
+        """The content of a file. Raises ImucaldError if it cannot be read."""
         try:
             self._system.invalidate_cache()
             found: bytes = self._system.cat_file(self._place(name))
@@ -94,12 +94,12 @@ class Store:
         return found
 
     def exists(self, name: str) -> bool:
-        """Whether there is such a file."""
+        """Whether a file exists."""
         self._system.invalidate_cache()
         return bool(self._system.exists(self._place(name)))
 
     def names(self, folder: str, ending: str) -> list[str]:
-        """Names of the files of a folder, sorted; none where there is no folder."""
+        """Sorted names of the files in a folder; empty if there is no folder."""
         self._system.invalidate_cache()
         try:
             found = self._system.ls(self._place(folder), detail=False)
@@ -114,7 +114,7 @@ class Store:
             self._system.rm_file(self._place(name))
 
     def tidy(self) -> None:
-        """Delete what an earlier run left unfinished. Only who holds the lease may call it."""
+        """Delete unfinished files of an earlier run. Only the holder of the lease may call it."""
         if self.local:
             for path in Path(self._place(WORK)).glob("*"):
                 path.unlink(missing_ok=True)

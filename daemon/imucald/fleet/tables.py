@@ -1,8 +1,9 @@
 """Tables as Parquet: written as parts while a run goes on, as one sorted file when it ends.
 
-`drives/drives.parquet` is the finished table, `drives/part-00000007.parquet` what flush 7 of a run
-brought. All tables of a flush have its number; `sources` is written last and says that it is whole.
-Rows are known by their keys and a later one counts, so whatever is written twice does no harm.
+`drives/drives.parquet` is the finished table; `drives/part-00000007.parquet` has the rows of flush
+7 of a run. All tables of a flush have its number; `sources` is written last and marks the flush as
+complete. Rows are identified by their keys and the latest row counts, so rows written twice do no
+harm.
 """
 
 from __future__ import annotations
@@ -32,7 +33,7 @@ TYPES: Mapping[str, pa.DataType] = {
     "flag": pa.bool_(),
 }
 ROW_GROUP = 25_000
-"""Rows that are written at a time; readers skip whole groups."""
+"""Rows in a row group; readers can skip whole groups."""
 WRITING: Final[dict[str, Any]] = {
     "compression": "zstd",
     "compression_level": 3,
@@ -43,7 +44,7 @@ REMEDY = "run' renames it and evaluates its logs again"
 
 
 class DamagedTableError(ImucaldError):
-    """A file of a table cannot be read as one. reason: without the remedy."""
+    """A table's file cannot be read as a table. reason: without the remedy."""
 
     def __init__(self, reason: str, remedy: str) -> None:
         super().__init__(f"{reason}; 'imucald fleet {remedy}")
@@ -51,7 +52,7 @@ class DamagedTableError(ImucaldError):
 
 
 def schema_of(table: str, columns: Sequence[Column]) -> pa.Schema:
-    """Arrow schema: units in the fields' metadata, and once more in the file's keys."""
+    """Arrow schema, with units in the fields' metadata and again in the file's metadata."""
     fields = [
         pa.field(
             c.name,
@@ -71,9 +72,9 @@ def schema_of(table: str, columns: Sequence[Column]) -> pa.Schema:
 def table_of(
     name: str, rows: Sequence[Mapping[str, Any]], columns: Sequence[Column] | None = None
 ) -> pa.Table:
-    """Rows as a table with all its columns; times are UNIX seconds in the rows.
+    """Convert rows to a table with all its columns; times in the rows are UNIX seconds.
 
-    A name that is not UTF-8 is written out, see `encodable`.
+    A name that is not UTF-8 is escaped, see `encodable`.
     """
     columns = TABLES[name] if columns is None else columns
     schema = schema_of(name, columns)
@@ -116,17 +117,17 @@ def parts(store: Store, table: str) -> list[tuple[int, str]]:
 
 
 def write_part(store: Store, table: str, number: int, rows: Sequence[Mapping[str, Any]]) -> None:
-    """Write what a flush brought."""
+    """Write the rows of a flush."""
     if rows:
         data = as_parquet(table_of(table, rows))
         store.write(f"{table}/{PART}{number:08d}.parquet", data)
 
 
 def read_file(store: Store, name: str, columns: Sequence[Column]) -> pa.Table:
-    """One file with all columns of today: those that an older version lacks are null.
+    """Read one file with all present columns; columns missing in an older version are null.
 
-    Raises DamagedTableError where its content is no such table; ImucaldError where it cannot be
-    read at all.
+    Raises DamagedTableError if its content is no such table, and ImucaldError if it cannot be read
+    at all.
     """
     data = store.read(name)
     schema = schema_of(name.partition("/")[0], columns)
@@ -149,7 +150,7 @@ def read_file(store: Store, name: str, columns: Sequence[Column]) -> pa.Table:
 def read_with_parts(
     store: Store, table: str, names: Sequence[str] | None = None
 ) -> tuple[pa.Table, list[int]]:
-    """All files of a table one after the other, and for each row the number of its flush.
+    """Read all files of a table in order; returns also the number of the flush of each row.
 
     names: of the columns; None for all.
     """
@@ -164,11 +165,11 @@ def read_with_parts(
 
 
 class FinishedRows:
-    """Rows of a table as its finished file has them: some of those read, sorted.
+    """Rows of a finished table: the valid ones of the rows read, sorted.
 
-    They are put together a row group at a time, so that the table is in memory once, not thrice.
-    kept: indices of the rows that count; None for all. instead: texts in place of a column's own,
-    for the kept rows.
+    They are assembled one row group at a time, so that the table is in memory once, not three
+    times. kept: indices of the rows that count; None for all. instead: texts in place of a column's
+    own, for the kept rows.
     """
 
     def __init__(
@@ -191,7 +192,7 @@ class FinishedRows:
         self._texts = {name: values.take(order) for name, values in texts.items()}
 
     def table(self) -> pa.Table:
-        """All of them."""
+        """All rows as one table."""
         return self._part(0, len(self._chosen))
 
     def parquet(self) -> bytes:

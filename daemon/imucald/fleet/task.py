@@ -1,4 +1,4 @@
-"""What goes to a worker for one log, and what comes back: plain data, as JSON between processes."""
+"""Task and outcome of one log, exchanged with a worker: plain data, as JSON between processes."""
 
 from __future__ import annotations
 
@@ -11,42 +11,42 @@ FAILURES: Final = (
     "no_frames",  # a log, but without a usable frame of this configuration
     "config",  # the configuration or a database is wrong
     "storage",  # the log could not be fetched
-    "timeout",  # took longer than the time limit
-    "memory",  # wanted more than the memory limit
+    "timeout",  # exceeded the time limit
+    "memory",  # exceeded the memory limit
     "crashed",  # its process died
     "bug",  # an error that imucald does not raise on purpose
 )
 """How the evaluation of a log can fail. Its row in `failures` has one of these as `kind`."""
 
 ONCE_MORE: Final = frozenset({"timeout", "memory", "crashed"})
-"""Tried a second time, alone: a busy machine may have been the reason, not the log."""
+"""Failures that are tried again, one log at a time: the reason may have been a busy machine."""
 
 OK: Final = "ok"
 OTHER_CODE: Final = "other_code"
-"""A worker that joined later has another imucald: the run ends, no log is to blame."""
+"""A worker that joined later has another version of imucald: the run ends without blaming a log."""
 
 
 EVALUATE: Final = "imucald.fleet.evaluation:evaluate"
 DIAGNOSE: Final = "imucald.fleet.diagnosed:evaluate_and_diagnose"
-"""What is called in the child."""
+"""Default function that the child calls."""
 
 
 class LogLimits(msgspec.Struct, frozen=True):
-    """What one log may take."""
+    """Limits for one log."""
 
     memory_bytes: int = 2**30
-    """Besides the program itself."""
+    """In addition to the memory of the program itself."""
     time_s: float = 900.0
-    """By the wall clock."""
+    """Wall-clock time [s]."""
 
 
 class Task(msgspec.Struct, frozen=True):
     """One log to evaluate.
 
-    source: its fsspec URL. bundle: name of the configuration, see `bundle.py`. function: what is
-    called in the child, as "module:name". signals: URL of the folder that corrected signals go to.
-    storage: options of the file systems by protocol; secrets come from the environment.
-    within: see `Log`.
+    source: its fsspec URL. bundle: name of the configuration, see `bundle.py`. function: the
+    function that the child calls, as "module:name". signals: URL of the folder that corrected
+    signals go to. storage: options of the file systems by protocol; secrets come from the
+    environment. within: see `Log`.
     """
 
     source: str
@@ -63,7 +63,7 @@ class Task(msgspec.Struct, frozen=True):
 
 
 class Cost(msgspec.Struct, frozen=True):
-    """What an attempt took; differs from run to run, so it stands in a table of its own."""
+    """Resources used by an attempt; they differ from run to run, so they have a separate table."""
 
     wall_s: float = 0.0
     cpu_s: float = 0.0
@@ -72,10 +72,10 @@ class Cost(msgspec.Struct, frozen=True):
 
 
 class Outcome(msgspec.Struct, frozen=True):
-    """The end of one attempt; kind is "ok" or one of `FAILURES`.
+    """The outcome of one attempt; kind is "ok" or one of `FAILURES`.
 
-    log_key: SHA-256 of the log's content (16 hex digits), where it was read to the end. drive: the
-    row of `drives` without what the driver adds. message, traceback: for people.
+    log_key: SHA-256 of the log's content (16 hex digits), if it was read to the end. drive: the row
+    of `drives` without the columns that the driver adds. message, traceback: for people.
     """
 
     kind: str

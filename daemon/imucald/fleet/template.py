@@ -1,10 +1,10 @@
-"""The process that children are copied from: it has imported everything and does nothing else.
+"""The template process, from which children are forked: it only imports all modules and waits.
 
     python -m imucald.fleet.template DESCRIPTOR FUNCTION
 
-A copy starts in milliseconds where a new interpreter takes a third of a second. It has one thread
-and touches no data, so that a copy begins clean whatever happened to the logs before it. Through
-the socket comes one descriptor per task, on which a keeper answers.
+A forked copy starts in milliseconds; a new interpreter takes a third of a second. The template has
+one thread and touches no data, so each copy starts in a clean state, independent of earlier logs.
+For each task the socket brings one descriptor, on which a keeper answers.
 """
 
 from __future__ import annotations
@@ -18,7 +18,8 @@ import sys
 from imucald.fleet.child_guard import function_of, keep
 
 LOOK_S = 1.0
-"""Each second it looks whether its worker still lives, should the socket be held open elsewhere."""
+"""Interval [s] of the check whether its worker still lives, in case another process holds the
+socket open."""
 
 
 def main(descriptor: int, function: str) -> None:
@@ -27,7 +28,7 @@ def main(descriptor: int, function: str) -> None:
     control = socket.socket(fileno=descriptor)
     function_of(function)
     gc.collect()
-    gc.freeze()  # shared pages stay shared: the collector does not touch what is here
+    gc.freeze()  # shared pages stay shared: the collector leaves them alone
     try:
         control.sendall(b"r")
     except OSError:  # the worker ended meanwhile
@@ -41,10 +42,10 @@ def main(descriptor: int, function: str) -> None:
 
 
 def _serve(control: socket.socket) -> bool:
-    """Fork a keeper for the next task; False where there will be none any more."""
+    """Fork a keeper for the next task; returns False if no more tasks will come."""
     try:
         message, descriptors, _, _ = socket.recv_fds(control, 1, 1)
-    except OSError:  # the worker ended with our word unread
+    except OSError:  # the worker ended without reading our message
         return False
     if not message:
         return False

@@ -1,4 +1,4 @@
-"""A worker's side: hands tasks to its template process and waits for the ends of the children."""
+"""The worker's side of the template process: it sends tasks and waits until the children end."""
 
 from __future__ import annotations
 
@@ -18,7 +18,8 @@ from imucald.fleet.process_limits import FOR_CHILDREN
 from imucald.fleet.task import Outcome, Task, encoded
 
 STARTING_S = 120.0
-"""A template imports for less than a second; a shared folder of packages may be slow."""
+"""Longest wait for a template's start. Its imports take less than a second, but packages in a
+shared folder may be slow."""
 
 
 class Template:
@@ -32,13 +33,13 @@ class Template:
         self._control: socket.socket | None = None
 
     def begin(self) -> None:
-        """Start the template, where that is not done, and do not wait for it."""
+        """Start the template if it does not run yet; do not wait for it."""
         with self._lock:
             if self._process is None:
                 self._starting = self._launched()
 
     def run(self, task: Task) -> Outcome:
-        """Run a task in a child of its own; its end, whatever it was."""
+        """Run a task in its own child; returns the outcome in any case."""
         ours, theirs = socket.socketpair()
         with ours:
             with theirs:
@@ -54,7 +55,7 @@ class Template:
             return Outcome("crashed", text)
 
     def _send(self, theirs: socket.socket) -> None:
-        """Give the template the other end; a template that died is started anew, once."""
+        """Send the template the other end of the socket; a dead template is started again, once."""
         with self._lock:
             for last in (False, True):
                 control = self._control or self._started()
@@ -91,7 +92,7 @@ class Template:
                 ],
                 pass_fds=[theirs.fileno()],
                 stdin=subprocess.DEVNULL,
-                start_new_session=True,  # Ctrl-C is for the driver: what runs is finished
+                start_new_session=True,  # Ctrl-C is for the driver: running logs are finished
                 env={**os.environ, **FOR_CHILDREN},
             )
         return ours
@@ -115,7 +116,7 @@ class Template:
 def _received(ours: socket.socket) -> bytes:
     try:
         return ours.recv(2**16)
-    except OSError:  # the keeper died and left unread what we sent
+    except OSError:  # the keeper died before it read the task
         return b""
 
 

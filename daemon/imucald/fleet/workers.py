@@ -1,7 +1,7 @@
-"""Who evaluates logs: this machine, any `concurrent.futures.Executor`, or a Dask cluster.
+"""Workers that evaluate logs: this machine, any `concurrent.futures.Executor`, or a Dask cluster.
 
-A task never raises, hangs or kills its worker: it runs in a child process of its own and its end is
-an `Outcome`. So all of them behave the same, and blame is exact.
+A task never raises, hangs or kills its worker: it runs in its own child process, and its result is
+an `Outcome`. So all kinds of workers behave the same, and each failure belongs to exactly one log.
 """
 
 from __future__ import annotations
@@ -25,8 +25,8 @@ DEATHS = "its worker ended several times while this log was evaluated or waited"
 
 
 def run_one_log(task: Task) -> Outcome:
-    """Evaluate one log in a child of this process; its end, whatever it was."""
-    if encodable(task.source) != task.source:  # no JSON takes it to the child
+    """Evaluate one log in a child of this process; returns the outcome in any case."""
+    if encodable(task.source) != task.source:  # it cannot be sent to the child as JSON
         return Outcome("unreadable", f"{encodable(task.source)}: {NO_UTF8}")
     outcome = template_for(task.function).run(task)
     cost = msgspec.structs.replace(outcome.cost, worker=socket.gethostname())
@@ -38,7 +38,7 @@ class Workers(Protocol):
 
     @property
     def slots(self) -> int:
-        """Tasks that run at the same time, about: a cluster may grow and shrink."""
+        """Approximate number of tasks that run at the same time; a cluster may grow and shrink."""
         ...
 
     def submit(self, tasks: Sequence[Task]) -> None:
@@ -48,33 +48,33 @@ class Workers(Protocol):
     def finished(self, timeout: float) -> list[tuple[Task, Outcome | None]]:
         """Outcomes since the last call, waiting for the first at most `timeout` seconds.
 
-        None: the task was called back before it began.
+        None: the task was cancelled before it began.
         """
         ...
 
     def call_back(self) -> None:
-        """Begin none of the tasks that wait; what runs is finished."""
+        """Cancel waiting tasks; running ones are finished."""
         ...
 
     def close(self) -> None:
-        """Let go of everything."""
+        """Release all resources."""
         ...
 
 
 class AnyFuture(Protocol):
-    """What futures of the standard library and of Dask have in common."""
+    """Common interface of the futures of the standard library and of Dask."""
 
     def add_done_callback(self, fn: Callable[[Any], object], /) -> object:
         """Call `fn` with the future when it ends."""
         ...
 
     def cancel(self) -> object:
-        """Take it back, where it has not begun."""
+        """Cancel the task if it has not begun."""
         ...
 
 
 class Futures:
-    """Futures on their way, and those that ended."""
+    """Pending futures and finished ones."""
 
     def __init__(self) -> None:
         self._ended: queue.SimpleQueue[Any] = queue.SimpleQueue()
@@ -86,7 +86,7 @@ class Futures:
         future.add_done_callback(self._ended.put)
 
     def ended(self, timeout: float) -> list[tuple[Any, Task]]:
-        """Those that ended since the last call, waiting for the first at most so long [s]."""
+        """Futures that ended since the last call; waits at most `timeout` [s] for the first."""
         found: list[tuple[Any, Task]] = []
         try:
             while True:
@@ -98,7 +98,7 @@ class Futures:
             return found
 
     def cancel(self) -> None:
-        """Take back what has not begun."""
+        """Cancel all tasks that have not begun."""
         for future, _ in list(self._tasks.values()):
             future.cancel()
 
@@ -127,17 +127,18 @@ class ExecutorWorkers:
         return [(task, outcome_of(future)) for future, task in self._futures.ended(timeout)]
 
     def call_back(self) -> None:
-        """Begin none of the tasks that wait."""
+        """Cancel waiting tasks."""
         self._futures.cancel()
 
     def close(self) -> None:
-        """Begin nothing more, end what still runs here: the interpreter waits for its threads."""
+        """Begin no more tasks and end those that still run here, because the interpreter waits for
+        its threads."""
         self._executor.shutdown(wait=False, cancel_futures=True)
         close_templates()
 
 
 def outcome_of(future: Any) -> Outcome | None:
-    """What came of a task; None where it was called back before it had begun."""
+    """Outcome of a task; None if it was cancelled before it began."""
     try:
         found: Outcome = future.result()
     except CancelledError:
@@ -148,5 +149,6 @@ def outcome_of(future: Any) -> Outcome | None:
 
 
 def unique_keys(count: int) -> list[str]:
-    """Keys of Dask tasks: never a path, which would be replaced by an equal key's result."""
+    """Unique keys of Dask tasks. A path is not used as key, because Dask would return the old
+    result for an equal key."""
     return [f"imucald-log-{uuid.uuid4().hex}" for _ in range(count)]

@@ -1,8 +1,8 @@
-"""What the drives that a model file was made of leave of an equation (section of the file).
+"""Residuals of an equation in the drives that a model file was made from (section of the file).
 
-Three more kinds of entries have the same form, so that an older version reads the file and passes
-over them: how signals change from sample to sample, how samples follow each other, and the levels
-in which they come.
+Three more kinds of entries have the same form, so that an older version can read the file and
+ignore them: changes of signals from sample to sample, statistics of successive samples, and the
+levels of the values.
 """
 
 from __future__ import annotations
@@ -16,27 +16,28 @@ from imucald.model.section import NonNegative, Positive, Section
 BANDS_HZ = (0.0, 0.1, 0.2, 0.4, 1.0, 2.5, 5.0)
 """Edges of the bands."""
 LAGS = (1, 2, 4, 8, 16, 32)
-"""Samples over which changes of a signal are taken, in place of the bands."""
+"""Numbers of samples over which changes of a signal are taken, in place of the bands."""
 GAP_QUANTILES = (0.1, 0.25, 0.5, 0.75, 0.9, 1.0)
-"""Of gaps between levels that occur; the first is one step: codes may be missing."""
+"""Quantiles of the gaps between occurring levels. The first is one step, since codes may be
+missing."""
 Bands = tuple[NonNegative, NonNegative, NonNegative, NonNegative, NonNegative, NonNegative]
 
 
 class Leaves(Section, frozen=True):
-    """Of the segments of those drives, in motion; bands as in `BANDS_HZ`.
+    """Numbers of the segments of those drives, in motion; bands as in `BANDS_HZ`.
 
-    `changes of AXIS at RATE Hz`: lags as in `LAGS` in place of bands, and the ratio to the other
-    axes in place of the rms. `samples of NUMBER at RATE Hz`: exponentials of six numbers without a
+    `changes of AXIS at RATE Hz`: the bands are replaced by the lags in `LAGS`, and the rms by the
+    ratio to the other axes. `samples of NUMBER at RATE Hz`: exponentials of six numbers without a
     unit (see `diagnosis.direct.next_samples`). `levels of SIGNAL`: `segments` gaps between levels
-    in a drive of `segment_s`; `rms` their quantiles (`GAP_QUANTILES`), each known to `spread`; the
-    least value above 0 and the largest as `speeds_mps`, in the signal's unit.
+    in a drive of `segment_s`; `rms` has their quantiles (`GAP_QUANTILES`), each known within
+    `spread`; `speeds_mps` has the least value above 0 and the largest value, in the signal's unit.
     """
 
     segments: Annotated[int, Meta(ge=1)]
     segment_s: Positive
     speeds_mps: tuple[NonNegative, NonNegative]
-    """Mean speed of a segment: of 5 % of them it is below, of 5 % above."""
+    """Range of the segments' mean speeds: 5 % of them are below it and 5 % above."""
     rms: Bands
-    """By band: what half of the segments leave at most, in the equation's SI unit."""
+    """Median rms residual of the segments by band, in the equation's SI unit."""
     spread: Bands
-    """By band: deviation of the logarithm of that between segments."""
+    """Standard deviation of the logarithm of the rms between segments, by band."""

@@ -1,7 +1,7 @@
-"""The model file: every parameter of a simulated drive, each effect on or off.
+"""The model file: every parameter of a simulated drive; each effect can be on or off.
 
-It is read, validated, changed and written here only. `written` is the same file as it is served
-while driving: only what stands in it.
+Only this module reads, validates, changes and writes it. `written` reads the same file for use
+while driving, without defaults for missing keys.
 """
 
 from __future__ import annotations
@@ -37,14 +37,14 @@ from imucald.model.sensors import (
 from imucald.model.vehicle import Chassis, DriveRoute, Mount, Road, Suspension
 
 WHOLE = "model file"
-"""What texts call it where no key is to blame."""
+"""Name of the model file in texts without a key."""
 
 
 class VehicleModel(Section, frozen=True):
-    """All parameters of a drive but its seed and length. Immutable: see `with_changes`."""
+    """All parameters of a drive except its seed and length. Immutable: see `with_changes`."""
 
     grid_hz: Annotated[float, Meta(ge=50.0, le=2000.0)] = 200.0
-    """Rate of the physics; must not be below the inertial sensor's."""
+    """Rate of the physics; it must not be below the inertial sensor's rate."""
     route: DriveRoute = DriveRoute()
     chassis: Chassis = Chassis()
     suspension: Suspension = Suspension()
@@ -65,11 +65,11 @@ class VehicleModel(Section, frozen=True):
     temperature: Temperature = Temperature()
     bus: BusLoad = BusLoad()
     known_to: dict[str, NonNegative] = msgspec.field(default_factory=dict)
-    """Half widths within which numbers of this file are true, by the keys of `imucald diagnose`, in
-    their SI units; others are held to what its catalogue takes for a correct file."""
+    """Half widths within which numbers of this file are correct, by the keys of `imucald diagnose`,
+    in their SI units. For other numbers the tolerances of its catalogue apply."""
     leaves: dict[str, Leaves] = msgspec.field(default_factory=dict)
-    """By equation of `imucald diagnose`: what the drives that this file was made of leave of it;
-    and how their signals come (`imucald.model.leaves`)."""
+    """By equation of `imucald diagnose`: residuals of the drives that this file was made from, and
+    statistics of their signals (`imucald.model.leaves`)."""
 
     def __post_init__(self) -> None:
         fastest = max(self.accel.rate_hz, self.gyro.rate_hz)
@@ -107,7 +107,7 @@ class VehicleModel(Section, frozen=True):
 
 
 def _near(key: str, data: Mapping[str, Any]) -> str:
-    """The names that are like an unknown one, and where all of them stand."""
+    """Text with names similar to an unknown one, and the place of the full list."""
     import difflib  # noqa: PLC0415 - only for a mistake
 
     near = difflib.get_close_matches(key, list(_dotted(data)), n=3)
@@ -126,13 +126,13 @@ def _dotted(data: Mapping[str, Any], above: str = "") -> Iterator[str]:
 def model_from_mapping(data: Mapping[str, Any], name: str) -> VehicleModel:
     """Return the model that a mapping (parsed YAML) describes; ConfigError names each mistake.
 
-    name: what the texts call it.
+    name: the name of the model in texts.
     """
     return typed(plain(data), VehicleModel, Document(name, {}, WHOLE))
 
 
 def load_model(path: Path | str) -> VehicleModel:
-    """Read a model file; what it leaves out has its default.
+    """Read a model file; missing keys have their defaults.
 
     Raises ConfigError with one line for each mistake: file, line, key, reason, remedy.
     """

@@ -1,4 +1,4 @@
-"""Numbers and lists of any library as the plain data that a YAML file has."""
+"""Convert numbers and lists of any library to plain data for a YAML file."""
 
 from __future__ import annotations
 
@@ -7,7 +7,8 @@ from typing import Any
 
 
 def plain(data: Any) -> Any:
-    """Return data with mappings as dict, tuples and arrays as list, numpy's numbers as Python's."""
+    """Return data with mappings converted to dict, tuples and arrays to list, and numpy's numbers
+    to Python's."""
     if isinstance(data, Mapping):
         return {key: plain(value) for key, value in data.items()}
     if isinstance(data, list | tuple):

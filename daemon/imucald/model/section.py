@@ -1,4 +1,4 @@
-"""Sections of the model file: nothing changes once it is read, and nothing unknown is accepted."""
+"""Sections of the model file. They are immutable, and unknown keys are errors."""
 
 from __future__ import annotations
 

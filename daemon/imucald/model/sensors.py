@@ -1,7 +1,7 @@
 """Parameters of the sensors and of the CAN bus (sections of the model file).
 
-Every effect is off at its neutral value (0, or `null` where stated), and the switches of a
-section turn whole groups off without losing their values.
+Every effect is off at its neutral value (0, or `null` where stated), and the switches of a section
+turn off whole groups without losing their values.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from imucald.model.section import (
 
 RateHz = Annotated[float, Meta(ge=0.2, le=1000.0)]
 LONGEST_DELAY_S = 2.0
-"""What a model file may hold [s]."""
+"""Delays that a model file may hold [s]."""
 DelayS = Annotated[float, Meta(ge=0.0, le=LONGEST_DELAY_S)]
 
 
@@ -33,17 +33,18 @@ class Gap(Section, frozen=True):
 
 
 class Transmission(Section, frozen=True):
-    """When a signal's frames come: common to all signals."""
+    """Timing of a signal's frames; common to all signals."""
 
     enabled: bool = True
     """False: the vehicle does not have this signal."""
     rate_hz: RateHz = 50.0
     delay_s: DelayS = 0.0
-    """Age of the value when its frame is sent, on top of the low-pass."""
+    """Age of the value when its frame is sent, in addition to the low-pass's delay."""
     jitter_s: NonNegative = 0.0005
-    """Mean delay of a frame on the bus (exponential): arbitration and task scheduling."""
+    """Mean delay of a frame on the bus (exponentially distributed), from arbitration and task
+    scheduling."""
     clock_drift_ppm: float = 0.0
-    """Error of the sending unit's clock."""
+    """Rate error of the sending unit's clock."""
     loss: Fraction = 0.0
     """Probability that a frame is lost."""
     dropouts: tuple[Gap, ...] = ()
@@ -67,11 +68,12 @@ class TriaxialSensor(Transmission, frozen=True):
     scale: Vector3 = ZERO
     """Relative scale error per axis."""
     cross_axis: tuple[float, float, float, float, float, float] = (*ZERO, *ZERO)
-    """Off-diagonal errors xy, xz, yx, yz, zx, zy: part of the second axis seen in the first."""
+    """Off-diagonal errors xy, xz, yx, yz, zx, zy: share of the second axis that appears in the
+    first."""
     lowpass_hz: Positive | None = None
     """Bandwidth of the second-order Butterworth filter in the sensor; null: none."""
     full_scale: Positive | None = None
-    """Values are clipped at this size; null: not."""
+    """Values are clipped at this size; null: no clipping."""
     lsb: NonNegative = 0.0
     """Quantisation step."""
 
@@ -115,22 +117,22 @@ class Temperature(Transmission, frozen=True):
 
 
 class Speed(Transmission, frozen=True):
-    """Vehicle speed as broadcast: from the rear wheels."""
+    """Vehicle speed signal, from the rear wheels."""
 
     scale: float = 0.0
     """Relative error (tyre radius)."""
     lsb: NonNegative = 0.01 / 3.6
     dead_band_mps: NonNegative = 0.3
-    """Below this the signal says 0."""
+    """Below this speed the signal shows 0."""
     noise_mps: NonNegative = 0.01
     time_constant_s: NonNegative = 0.0
     """First-order filter in the sending unit."""
     delay_rate: Annotated[float, Meta(ge=-0.01, le=0.01)] = 0.0
-    """Growth of the delay [s/s]: the speed's stamps and the sensor's come of two clocks."""
+    """Growth of the delay [s/s], because the stamps of speed and sensor come from two clocks."""
 
 
 class WheelSpeeds(Transmission, frozen=True):
-    """Four wheel speeds, with curve differences and drive or brake slip."""
+    """Four wheel speeds, with their differences in curves and with drive or brake slip."""
 
     scale: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)
     lsb: NonNegative = 0.01 / 3.6
@@ -139,8 +141,8 @@ class WheelSpeeds(Transmission, frozen=True):
     slip_per_mps2: NonNegative = 0.003
     """Slip of the driven (front) or braked (all) wheels per longitudinal specific force."""
     slip_events: tuple[Gap, ...] = ()
-    """Segments in which the wheels slip and disagree, as on ice with the brakes' control at work;
-    the speed signal suffers with the rear wheels."""
+    """Segments in which the wheels slip and disagree, as on ice with active brake control. The
+    speed signal has the slip of the rear wheels."""
     slip_event_size: Fraction = 0.4
     """Largest slip in such a segment."""
 
@@ -165,7 +167,7 @@ class Steering(Scalar, frozen=True):
 
 
 class YawRate(Scalar, frozen=True):
-    """Vehicle yaw rate of the stability control [rad/s]: about the body's vertical axis."""
+    """Yaw rate signal of the stability control [rad/s], about the body's vertical axis."""
 
     noise: NonNegative = 0.001
     lsb: NonNegative = 0.000174533
@@ -218,4 +220,4 @@ class BusLoad(Section, frozen=True):
 
     bitrate: Positive = 500_000.0
     background_frames_per_s: NonNegative = 2300.0
-    """Frames of others, when background traffic is asked for."""
+    """Frames per second of other units, if background traffic is requested."""

@@ -1,7 +1,7 @@
 """Parameters of the vehicle, the road and the driver (sections of the model file).
 
-SI units unless the name says otherwise. Defaults are those of a compact passenger car on
-ordinary roads; the sources are named where a figure is not plain.
+SI units unless the name says otherwise. Defaults are those of a compact passenger car on ordinary
+roads; sources are given for figures that are not obvious.
 """
 
 from __future__ import annotations
@@ -23,20 +23,21 @@ from imucald.model.section import (
 RouteKind = Literal["mixed", "city", "motorway", "straight_only", "circles", "parked"]
 DrivingSide = Literal["right", "left"]
 RoadLength = Annotated[float, Meta(ge=15.0)]
-"""Shorter waves are roughness."""
+"""Shorter waves count as roughness."""
 
 
 MAX_SPEED_MPS = 36.0
-"""Drivers do not go faster than this, whatever the route."""
+"""Highest speed of drivers on any route."""
 
 
 STEERING_GEAR_S = 0.03
-"""The road wheels behind the hands: a steering gear of 6 Hz on its torsion bar, well damped. Cars
-differ by 0.02 s."""
+"""Delay of the road wheels behind the steering wheel: a well damped steering gear with 6 Hz on its
+torsion bar. Cars differ by 0.02 s."""
 
 
 class Chassis(Section, frozen=True):
-    """Single-track vehicle. The understeer gradient and the rear stiffness give the front one."""
+    """Single-track vehicle. The front stiffness follows from the understeer gradient and the rear
+    stiffness."""
 
     mass_kg: Positive = 1450.0
     yaw_inertia_kgm2: Positive = 2300.0
@@ -80,10 +81,10 @@ class Chassis(Section, frozen=True):
 
 
 class Suspension(Section, frozen=True):
-    """Sprung body on its springs: roll and pitch as second-order systems, and a quarter car.
+    """Body on its springs: roll and pitch as second-order systems, and a quarter-car model.
 
-    The body turns about a centre that moves with the road frame; the lever arm of the sensor is
-    counted from there.
+    The body turns about a centre that moves with the road frame; the lever arm of the sensor starts
+    at that centre.
     """
 
     squat_dive: bool = True
@@ -114,8 +115,7 @@ class Road(Section, frozen=True):
     grade_mean: float = 0.0
     """Mean slope (tangent), positive uphill."""
     grade_length_m: RoadLength = 110.0
-    """Distance over which the slope forgets itself (second-order Gauss-Markov); longer waves on
-    fast roads."""
+    """Correlation length of the slope (second-order Gauss-Markov); it is longer on fast roads."""
     bank: bool = True
     crown_mean: float = 0.012
     """Mean cross fall towards the kerb (tangent)."""
@@ -123,7 +123,7 @@ class Road(Section, frozen=True):
     """rms of the cross fall about its mean."""
     bank_length_m: RoadLength = 60.0
     superelevation: Fraction = 0.3
-    """Share of the centripetal acceleration that banked curves take off, outside cities."""
+    """Share of the centripetal acceleration that banked curves compensate, outside cities."""
     superelevation_max: NonNegative = 0.05
     roughness: bool = True
     roughness_n0: NonNegative = 48e-6
@@ -131,14 +131,14 @@ class Road(Section, frozen=True):
 
 
 class DriveRoute(Section, frozen=True):
-    """Where the drive goes and how the driver drives."""
+    """Route of the drive and style of the driver."""
 
     kind: RouteKind = "mixed"
     driving_side: DrivingSide = "right"
     standing_first_s: NonNegative = 20.0
-    """Standing before the first motion; 0 begins with the vehicle already moving."""
+    """Standing time before the first motion; with 0 the vehicle already moves at the start."""
     standing_last_s: NonNegative = 10.0
-    """Standing at the end, where the drive's length allows it."""
+    """Standing time at the end, if the drive is long enough."""
     launch_mps2: tuple[Positive, Positive] = (0.8, 2.5)
     """Range of accelerations from rest."""
     braking_mps2: tuple[Positive, Positive] = (0.8, 3.3)
@@ -154,7 +154,7 @@ class DriveRoute(Section, frozen=True):
     """rms lateral acceleration of the driver's small steering corrections."""
     gear_shifts: bool = True
     reversing: bool = True
-    """Now and then a manoeuvre in reverse gear."""
+    """True: sometimes a manoeuvre in reverse gear."""
     circle_radius_m: Positive = 14.0
     """Radius of the `circles` route."""
 
@@ -175,14 +175,15 @@ class ScheduledShift(Section, frozen=True):
 
 
 class Mount(Section, frozen=True):
-    """How the sensor sits: intrinsic Z-Y-X angles of R_vehicle_from_sensor, and where."""
+    """Mount of the sensor: intrinsic Z-Y-X angles of R_vehicle_from_sensor, and its position."""
 
     roll_deg: float = 0.0
     pitch_deg: float = 0.0
     yaw_deg: float = 0.0
     lever_arm: bool = True
     lever_arm_m: Vector3 = ZERO
-    """Sensor from the body's centre of rotation (below the centre of gravity), vehicle axes."""
+    """Vector from the body's centre of rotation (below the centre of gravity) to the sensor,
+    vehicle axes."""
     shifts: tuple[ScheduledShift, ...] = ()
 
     def __post_init__(self) -> None:

@@ -1,8 +1,8 @@
-"""A model file as it was written: only what stands in it counts, key by key.
+"""A model file as it was written: only its own keys count, without defaults.
 
-A simulated drive needs every parameter, and takes the default of what a file leaves out. Who serves
-a vehicle must not: what nobody wrote is not known. So each key is asked for by itself; its type,
-its range and the text of a mistake are those of the schema.
+A simulated drive needs every parameter and uses defaults for missing keys. In a real vehicle this
+is not allowed: a missing number is unknown. So each key is read separately; the schema gives its
+type, its range and the text of a mistake.
 """
 
 from __future__ import annotations
@@ -21,9 +21,9 @@ from imucald.model.section import Section
 
 
 class WrittenModel:
-    """The content of a model file, and the mistakes found in what was asked for.
+    """The content of a model file, and the mistakes in the keys read so far.
 
-    name: of the file, in texts. unknown: keys that the schema does not have (they may be those of
+    name: of the file, for texts. unknown: keys that the schema does not have (they may be those of
     a later version), in the file's order.
     """
 
@@ -55,19 +55,20 @@ class WrittenModel:
         return list(self._data)
 
     def has(self, section: str, *keys: str) -> bool:
-        """Whether the file has a section and, where keys are named, one of them."""
+        """Whether the file has a section and, if keys are given, at least one of them."""
         found = self._data.get(section)
         return found is not None and (not keys or any(key in found for key in keys))
 
     def is_set(self, section: str, key: str) -> bool:
-        """Whether a value stands there that is not zero, empty or off. It is not checked."""
+        """Whether the key has a value that is not zero, empty or off. The value is not
+        validated."""
         return bool(self._data.get(section, {}).get(key))
 
     def value(self, section: str, key: str, absent: Any = None) -> Any:
-        """Return a key's value, of the type that the schema gives it; `absent` if there is none.
+        """Return a key's value with the schema's type; `absent` if there is none.
 
-        A wrong value is a mistake (see `check`), and counts as absent. A key that the section's
-        schema does not have is absent.
+        A wrong value is recorded as a mistake (see `check`) and counts as absent. A key that is not
+        in the section's schema is absent too.
         """
         types = _types(_types(VehicleModel)[section])
         if key not in types or key not in self._data.get(section, {}):
@@ -80,7 +81,7 @@ class WrittenModel:
             return absent
 
     def refuse(self, section: str, key: str | None, reason: str) -> None:
-        """Note a mistake that the schema does not know of."""
+        """Record a mistake that the schema cannot find."""
         place = (section,) if key is None else (section, key)
         self._mistakes[f"{self._document.located(place)}: {reason}"] = None
 
@@ -91,7 +92,8 @@ class WrittenModel:
 
 
 def read_written(model: Path | Mapping[str, Any], name: str) -> WrittenModel:
-    """Read a model file, or a mapping of its content. Raises ConfigError where it is no YAML."""
+    """Read a model file, or a mapping of its content. Raises ConfigError if it is not valid
+    YAML."""
     if isinstance(model, Path):
         return WrittenModel(*read_yaml_file(model, WHOLE), name)
     return WrittenModel(model, {}, name)
@@ -99,5 +101,5 @@ def read_written(model: Path | Mapping[str, Any], name: str) -> WrittenModel:
 
 @cache
 def _types(kind: type[Section]) -> dict[str, Any]:
-    """Type of each key of a section, constraints included."""
+    """Type of each key of a section, including constraints."""
     return get_type_hints(kind, include_extras=True)

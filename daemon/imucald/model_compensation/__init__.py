@@ -1,6 +1,8 @@
-"""What a model file knows of vehicle and sensors, taken out of their signals while driving.
+"""Remove the known errors of vehicle and sensors, from a model file, from their signals while
+driving.
 
-Loaded only where a configuration names a model. `trial` runs a drive with and without one.
+Loaded only if a configuration names a model. `benchmarks/model_compensation.py` runs drives with
+and without a model.
 """
 
 from imucald.model_compensation.compensation import ModelCompensation, compensation_from_model

@@ -1,4 +1,4 @@
-"""What a model file is worth while driving: its terms, ready to be taken out of signals."""
+"""The terms of a model file, ready to be removed from signals while driving."""
 
 from __future__ import annotations
 
@@ -25,19 +25,19 @@ from imucald.mount.estimator_settings import DelayPrior, EstimatorSettings
 from imucald.mount.method_a.settings import PublishedSettings
 
 KNOWN_DELAY_STD = 0.1
-"""How well a model's delays are taken to be known [s]: where nobody looked, a default stands there.
-The estimator then finds the rest; where there is none, so wide a prior costs nothing."""
+"""Assumed standard deviation of a model's delays [s]. A delay may be a default that nobody checked;
+then the estimator finds the remaining delay. If there is none, such a wide prior does no harm."""
 STATED_DELAY_STD = 0.03
-"""The same of a delay that the configuration states."""
+"""Assumed standard deviation of a delay that the configuration states [s]."""
 
 
 @dataclass(frozen=True)
 class ModelCompensation:
-    """The terms of one model file. Immutable; what is made of it carries what changes.
+    """The terms of one model file. Immutable; the objects made from it hold the changing state.
 
-    name: of the file. notes: what of it is not used, a line each. suspension: whether the body's
-    roll and pitch on its springs are taken out of the corrected signals. speed_delay_std: how well
-    the model's latency of speed is known [s].
+    name: of the file. notes: one line for each part of it that is not used. suspension: whether the
+    body's roll and pitch on its springs are removed from the corrected signals. speed_delay_std:
+    standard deviation of the model's speed delay [s].
     """
 
     terms: Terms
@@ -49,7 +49,8 @@ class ModelCompensation:
     # reports ---------------------------------------------------------------------------------
 
     def notes_for(self, channels: Collection[str]) -> list[str]:
-        """`notes`, and what cannot be used for want of a signal; channels: those there are."""
+        """`notes`, and a line for each term that cannot be used without a missing signal. channels:
+        the available ones."""
         found = list(self.notes)
         terms = self.terms
         for channel, triad in (("accel", terms.accel), ("gyro", terms.gyro)):
@@ -68,11 +69,11 @@ class ModelCompensation:
         return found
 
     def compensated(self, channels: Collection[str]) -> list[str]:
-        """Names of the terms that are taken out; channels: those there are."""
+        """Names of the terms that are removed. channels: the available ones."""
         return [name for name, channel in self._active() if channel in channels]
 
     def _active(self) -> Iterator[tuple[str, str]]:
-        """Term and the channel that it is taken out of."""
+        """Each active term, and the channel from which it is removed."""
         terms, neutral = self.terms, TriadTerms()
         for channel, triad in (("accel", terms.accel), ("gyro", terms.gyro), ("mag", terms.mag)):
             if any(triad.bias):
@@ -100,7 +101,8 @@ class ModelCompensation:
     # what is made of it ----------------------------------------------------------------------
 
     def samples(self, samples: Samples) -> Samples:
-        """Columns of samples less the terms that need no mount; refused ones are left out."""
+        """Columns of samples with the terms removed that need no mount; refused samples are left
+        out."""
         order = {channel: series.t for channel, series in samples.items()}
         taken = self.sensor_correction().columns(samples, order)
         out = dict(samples)
@@ -114,7 +116,7 @@ class ModelCompensation:
     ) -> PreprocessingChain:
         """The preprocessing of one engine.
 
-        channels: those that its router can give. parallel_rates: the parallel gyroscopes.
+        channels: those that its router can deliver. parallel_rates: the parallel gyroscopes.
         """
         vehicle = self.vehicle_correction(channels, ("gyro", *parallel_rates))
         return PreprocessingChain(
@@ -128,7 +130,8 @@ class ModelCompensation:
         )
 
     def with_speed_delay(self, delay: float | None) -> ModelCompensation:
-        """The same where the configuration says how late speed is against the accelerometer [s]."""
+        """A copy with the delay of speed against the accelerometer that the configuration states
+        [s]."""
         if delay is None:
             return self
         accel = self.terms.latency.get("accel", 0.0)
@@ -137,18 +140,20 @@ class ModelCompensation:
         return replace(self, terms=terms, speed_delay_std=STATED_DELAY_STD)
 
     def sensor_correction(self, derived_speed: bool = False) -> SensorCorrection:
-        """Takes out the terms that need no mount; derived_speed: the wheels give the speed."""
+        """Correction of the terms that need no mount. derived_speed: the speed comes from the
+        wheels."""
         return SensorCorrection(self.terms, derived_speed)
 
     def vehicle_correction(
         self, channels: Collection[str], rates: Collection[str] = ("gyro",)
     ) -> VehicleCorrection:
-        """Takes out those that need it; rates: the channels that are angular rates."""
+        """Correction of the terms that need the mount. rates: the channels that are angular
+        rates."""
         terms = self.terms if "gyro" in channels else replace(self.terms, lever_arm=ZERO)
         return VehicleCorrection(terms, self.suspension, rates)
 
     def tick_preprocessing(self) -> TickPreprocessing | None:
-        """What is done to ticks before the estimator sees them; None: nothing."""
+        """Preprocessing of the ticks for the estimator; None if there is none."""
         shifts, leans = self.shifts(), not self.terms.suspension.neutral
         if not shifts and not leans:
             return None
@@ -158,7 +163,7 @@ class ModelCompensation:
         )
 
     def shifts(self) -> dict[str, float]:
-        """How long each channel is held back from the estimator [s]; empty: none is."""
+        """Time by which each channel is held back from the estimator [s]; empty if none is."""
         return alignment_shifts(self.terms.latency)
 
     # settings of the estimators ---------------------------------------------------------------
@@ -166,7 +171,7 @@ class ModelCompensation:
     def full_settings(
         self, settings: EstimatorSettings, stated: Collection[str] = ()
     ) -> EstimatorSettings:
-        """Settings with what the model knows; stated: keys of `vehicle` that the user gave."""
+        """Settings with the model's values. stated: keys of `vehicle` that the user gave."""
         terms, chassis = self.terms, self.terms.chassis
         delays = dict(settings.delays)
         for channel, std in (("speed", self.speed_delay_std), ("yaw_rate", KNOWN_DELAY_STD)):
@@ -199,7 +204,7 @@ class ModelCompensation:
         )
 
     def _vehicle(self, vehicle: VehicleSettings, stated: Collection[str]) -> VehicleSettings:
-        """The vehicle with the model's measures where the user gave none."""
+        """Vehicle settings with the model's dimensions if the user gave none."""
         known = {
             key: value
             for key in ("wheelbase", "track", "steering_ratio")
@@ -212,14 +217,16 @@ class ModelCompensation:
 
     @property
     def estimate_key(self) -> str:
-        """Names what an estimate of the mount rests on: equal keys, equal estimates."""
+        """Key for everything that affects an estimate of the mount: equal keys give equal
+        estimates."""
         return hashlib.sha256(saved_text(self.terms).encode()).hexdigest()
 
 
 def compensation_from_model(
     model: Path | str | Mapping[str, Any], compensate_suspension: bool = True
 ) -> ModelCompensation:
-    """Read a model file, or a mapping of its content. Raises ConfigError with the place."""
+    """Read a model file, or a mapping of its content. Raises ConfigError with the place of a
+    mistake."""
     source = model if isinstance(model, Mapping) else Path(model)
     name = "model" if isinstance(model, Mapping) else str(model)
     terms, notes = read_terms(source, name)

@@ -1,7 +1,8 @@
-"""A sensor that says the same again and again is stuck, and must still be seen to be.
+"""Keep repeated samples of a stuck sensor equal after compensation, so that it is still recognised
+as stuck.
 
-Terms that change from sample to sample (the bias with the temperature, the force that a gyroscope
-feels) would make a stuck sensor move. So a sample that repeats the one before it gets its result.
+Terms that change from sample to sample (bias by temperature, effect of force on a gyroscope) would
+make a stuck sensor seem to change. So a sample that repeats the one before it gets the same result.
 """
 
 from __future__ import annotations
@@ -19,9 +20,10 @@ Flags = NDArray[np.bool_]
 
 
 class HeldRepeats:
-    """Remembers the last raw sample of one sensor and what became of it.
+    """Remembers the last raw sample of one sensor and its result.
 
-    Single samples and columns give the same. tolerance: means of equal samples differ by so much.
+    Single samples and columns give the same. tolerance: largest difference between means of equal
+    samples.
     """
 
     def __init__(self, tolerance: float = 0.0) -> None:
@@ -30,7 +32,7 @@ class HeldRepeats:
         self._result: Vector3 | None = None
 
     def restart(self) -> None:
-        """Time jumped: the next sample repeats nothing."""
+        """Restart after a time jump: the next sample repeats nothing."""
         self._raw = None
 
     def known(self, raw: Sequence[float]) -> bool:
@@ -43,7 +45,7 @@ class HeldRepeats:
 
     @property
     def result(self) -> Vector3 | None:
-        """What became of the last sample; None where it was refused."""
+        """Result of the last sample; None if it was refused."""
         return self._result
 
     def keep(self, raw: Sequence[float], result: Vector3 | None) -> Vector3 | None:
@@ -52,14 +54,15 @@ class HeldRepeats:
         return result
 
     def columns(self, raw: Array, values: Array, refused: Flags) -> tuple[Array, Flags]:
-        """Results (N, 3) and refusals (N,) of raw samples (N, 3), those of repeats replaced."""
+        """Results (N, 3) and refusals (N,) of raw samples (N, 3); repeats get the earlier
+        results."""
         n = len(raw)
         if n == 0:
             return values, refused
         new = np.ones(n, dtype=bool)
         new[1:] = (raw[1:] != raw[:-1]).any(axis=1)
         new[0] = not self.known(raw[0].tolist())
-        # Row 0 of what follows is the last result of before.
+        # Row 0 of the arrays below is the last result before this call.
         first = np.maximum.accumulate(np.where(new, np.arange(1, n + 1), 0))
         last = self._result
         held = np.zeros(3) if last is None else np.array(last)
@@ -71,13 +74,15 @@ class HeldRepeats:
 
 
 class HeldStages:
-    """A stage: stages of a three-axis sensor, whose result a repeated sample gets again."""
+    """A stage that runs the stages of a three-axis sensor and gives a repeated sample the same
+    result."""
 
     def __init__(self, repeats: HeldRepeats, stages: Sequence[Stage]) -> None:
         self._repeats, self._stages = repeats, tuple(stages)
 
     def __call__(self, t: float, v: Sequence[float]) -> Sequence[float] | None:
-        """One raw sample at t [s]; None where it, or the one that it repeats, is refused."""
+        """Process one raw sample at t [s]; None if it, or the sample that it repeats, is
+        refused."""
         repeats = self._repeats
         if repeats.known(v):
             return repeats.result

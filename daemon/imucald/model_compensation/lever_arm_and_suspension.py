@@ -1,9 +1,9 @@
-"""The terms that need the mount: corrected samples, in vehicle axes, as they are on the road.
+"""Remove the terms that need the mount from corrected samples, which gives samples in road axes.
 
-Lever arm: the force at the body's centre of rotation is that at the sensor less
-dw/dt x l + w x (w x l), of which dw/dt is taken about the vertical only (see `yaw_acceleration`).
-Suspension: the corrected axes are turned from the body's to the road's, and the body's turning
-against the road is taken off the rates (see `suspension`).
+Lever arm: the force at the body's centre of rotation is that at the sensor minus dw/dt x l + w x (w
+x l). Only the vertical component of dw/dt is used (see `yaw_acceleration`). Suspension: the
+corrected samples are rotated from body axes to road axes, and the body's angular rate against the
+road is subtracted from the rates (see `suspension`).
 """
 
 from __future__ import annotations
@@ -30,9 +30,9 @@ from imucald.model_compensation.yaw_acceleration import YawAcceleration
 Number = TypeVar("Number", float, Array)
 
 STALE_S = 0.25
-"""A turning older than this [s] says nothing about the force now."""
+"""An angular rate older than this [s] is not used for the present force."""
 Turning = tuple[float, Vector3, float]
-"""When [s], angular rate [rad/s], yaw acceleration [rad/s^2]; vehicle axes."""
+"""Time [s], angular rate [rad/s], yaw acceleration [rad/s^2]; vehicle axes."""
 NO_TURNING: Turning = (-math.inf, (0.0, 0.0, 0.0), 0.0)
 
 
@@ -40,7 +40,7 @@ NO_TURNING: Turning = (-math.inf, (0.0, 0.0, 0.0), 0.0)
 class Corrected:
     """Corrected samples of one channel in columns.
 
-    order: (N,) which came first, never decreasing; equal ones came in one frame. t: (N,) [s].
+    order: (N,) order of arrival, never decreasing; equal numbers came in one frame. t: (N,) [s].
     values: (N, 3) vehicle axes; NaN where the mount is not known.
     """
 
@@ -50,10 +50,10 @@ class Corrected:
 
 
 class VehicleCorrection:
-    """Takes lever arm and suspension out of corrected samples.
+    """Removes the effects of lever arm and suspension from corrected samples.
 
-    Of one frame the gyroscope is taken first, the accelerometer last. rates: the channels that are
-    angular rates.
+    In one frame the gyroscope is processed first and the accelerometer last. rates: the channels
+    that are angular rates.
     """
 
     def __init__(
@@ -73,7 +73,7 @@ class VehicleCorrection:
         return not (self._levers or self._leans)
 
     def gap(self) -> None:
-        """Time jumped: the filters start again."""
+        """Restart the filters after a time jump."""
         self._yaw.restart()
         self._turning = NO_TURNING
         self._suspension.restart()
@@ -81,7 +81,7 @@ class VehicleCorrection:
     # one frame -----------------------------------------------------------------------------
 
     def frame(self, t: float, turned: dict[str, Vector3 | None]) -> dict[str, Vector3 | None]:
-        """Corrected samples of one frame at stream time t [s]; None: the mount is not known."""
+        """Correct the samples of one frame at stream time t [s]; None: the mount is not known."""
         out: dict[str, Vector3 | None] = {}
         if "gyro" in turned and self._levers:
             self._turn(t, turned["gyro"])
@@ -125,7 +125,7 @@ class VehicleCorrection:
     # columns -------------------------------------------------------------------------------
 
     def columns(self, turned: Mapping[str, Corrected]) -> dict[str, Array]:
-        """Corrected columns (N, 3), the same bits as of `frame`."""
+        """Correct columns (N, 3), with the same bits as `frame`."""
         accel = turned.get("accel")
         forces = None if accel is None else [accel.values[:, i] for i in range(3)]
         if self._levers:
@@ -159,7 +159,8 @@ class VehicleCorrection:
         return out
 
     def _turnings(self, gyro: Corrected | None) -> tuple[NDArray[np.int64] | Array, Array]:
-        """Order, and (M + 1, 5) time, rates, yaw acceleration: first the one before."""
+        """Order, and (M + 1, 5) time, rates and yaw acceleration; the first row is the last one
+        before."""
         when, rate, change = self._turning
         rows = [(when, *rate, change)]
         if gyro is None:
@@ -187,7 +188,7 @@ class VehicleCorrection:
     def _leans_of(
         self, accel: Corrected | None, forces: list[Array] | None
     ) -> list[SuspensionAttitude]:
-        """Attitude before the first force, and with each."""
+        """Attitude before the first force, and after each force."""
         found = [self._suspension.attitude]
         if accel is not None and forces is not None:
             push = self._suspension.push
@@ -199,7 +200,8 @@ class VehicleCorrection:
 def carried(
     arm: Vector3, p: Number, q: Number, r: Number, change: Number
 ) -> tuple[Number, Number, Number]:
-    """Force at the end of the arm [m] more than at its root [m/s^2]: rates [rad/s], dr/dt."""
+    """Additional force at the end of the arm [m] against its root [m/s^2], from rates [rad/s] and
+    dr/dt."""
     lx, ly, lz = arm
     along = p * lx + q * ly + r * lz
     square = p * p + q * q + r * r
@@ -213,7 +215,7 @@ def carried(
 def on_road(
     lean: tuple[Number, Number, Number, Number], x: Number, y: Number, z: Number
 ) -> tuple[Number, Number, Number]:
-    """Body axes -> road axes: R_y(pitch) R_x(roll); the angles are small."""
+    """Rotate from body axes to road axes: R_y(pitch) R_x(roll), for small angles."""
     roll, pitch = lean[0], lean[1]
     s, c = roll - roll * roll * roll / 6.0, 1.0 - 0.5 * (roll * roll)
     y, z = c * y - s * z, s * y + c * z
@@ -224,6 +226,6 @@ def on_road(
 def less_suspension_rate(
     lean: tuple[Number, Number, Number, Number], x: Number, y: Number, z: Number
 ) -> tuple[Number, Number, Number]:
-    """Rates in body axes less the body's turning against the road."""
+    """Rates in body axes minus the body's angular rate against the road."""
     roll, _, roll_rate, pitch_rate = lean
     return x - roll_rate, y - pitch_rate, z + pitch_rate * roll

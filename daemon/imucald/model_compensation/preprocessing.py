@@ -1,4 +1,5 @@
-"""All that a model file changes in one engine: samples, columns, ticks; and what it counts."""
+"""All changes by a model file in one engine: samples, columns and ticks, with counts of
+refusals."""
 
 from __future__ import annotations
 
@@ -18,16 +19,16 @@ from imucald.model_compensation.sensors import SensorCorrection
 from imucald.model_compensation.tick_preprocessing import TickPreprocessing
 
 REFUSED = "out_of_range"
-"""Reason under which refused samples are counted."""
+"""Reason by which refused samples are counted."""
 
 
 @dataclass
 class PreprocessingChain:
-    """What a model knows, taken out on the way from router to output.
+    """Removes the model's known errors between router and output.
 
-    name: of the model file. estimate_key: names what an estimate of the mount rests on: equal keys,
-    equal estimates. vehicle, ticks: None where there is nothing to do. used: names of the terms
-    that are taken out. notes: what of the model is not used.
+    name: of the model file. estimate_key: equal keys give equal estimates of the mount. vehicle,
+    ticks: None if there is nothing to do. used: names of the terms that are removed. notes: the
+    parts of the model that are not used.
     """
 
     name: str
@@ -39,16 +40,16 @@ class PreprocessingChain:
     notes: tuple[str, ...]
 
     def is_like(self, other: PreprocessingChain) -> bool:
-        """Whether both do the same to the same signals."""
+        """Whether both change the same signals in the same way."""
         mine = self.name, self.estimate_key, self.used, self.notes
         return mine == (other.name, other.estimate_key, other.used, other.notes)
 
     def words(self) -> str:
-        """One line: which model, and what of it is taken out."""
+        """One line of text with the model and the terms that are removed."""
         return f"model {self.name}: corrects {', '.join(self.used) or 'nothing'}"
 
     def summary(self) -> dict[str, Any]:
-        """The same as JSON has it."""
+        """The same as plain data for JSON."""
         return {
             "file": self.name,
             "taken_out": list(self.used),
@@ -56,7 +57,7 @@ class PreprocessingChain:
         }
 
     def gap(self) -> None:
-        """Time jumped (the pipeline restarts the ticks itself)."""
+        """Restart after a time jump (the pipeline restarts the ticks itself)."""
         self.sensors.gap()
         if self.vehicle is not None:
             self.vehicle.gap()
@@ -66,7 +67,8 @@ class PreprocessingChain:
     def frame(
         self, t: float, samples: list[Sample], rejected: Counter[str]
     ) -> tuple[list[Sample], list[str]]:
-        """Samples of one frame less what is known; and the channels of which one was refused."""
+        """Samples of one frame with the known errors removed, and the channels with a refused
+        sample."""
         if not samples:
             return samples, []
         out, refused = self.sensors.frame(t, samples)
@@ -81,7 +83,7 @@ class PreprocessingChain:
     # columns -------------------------------------------------------------------------------
 
     def columns(self, routed: Routed, t: Array, rejected: Counter[str]) -> Routed:
-        """Columns of samples less what is known; t: stream times of all rows [s]."""
+        """Columns of samples with the known errors removed. t: stream times of all rows [s]."""
         order = {channel: series.row for channel, series in routed.samples.items()}
         taken = self.sensors.columns(routed.samples, order)
         if not taken:

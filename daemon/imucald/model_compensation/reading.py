@@ -1,7 +1,7 @@
-"""What each key of a model file is worth while driving: terms, and a line for what is not used.
+"""Read a model file for use while driving: its terms, and a line for each part that is not used.
 
-The schema knows the keys, their types and their ranges (`imucald.model`). Here stands what is done
-with each, and how far a value may go before a sensor or a vehicle is no longer worth correcting.
+The schema knows the keys, their types and their ranges (`imucald.model`). This module defines the
+use of each key, and the largest values that are still worth correcting.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ RANGES: Mapping[str, tuple[float, float]] = {
     "offset": (-20.0, 20.0),
     "time_constant_s": (0.0, 2.0),
     "lowpass_hz": (0.01, math.inf),
-    # a body that leans more than 0.06 rad/(m/s^2) would fall over in a curve
+    # a vehicle whose body leans more than 0.06 rad/(m/s^2) would fall over in a curve
     "squat_gradient": (-0.06, 0.06),
     "dive_gradient": (-0.06, 0.06),
     "roll_gradient": (-0.06, 0.06),
@@ -48,18 +48,19 @@ RANGES: Mapping[str, tuple[float, float]] = {
     "bank_rms": (0.0, 0.5),
     "grade_rms": (0.0, 0.5),
 }
-"""Beyond these, in the unit of the key, there is no sensor, vehicle or road worth correcting for.
-They are tighter than the schema's: a simulated drive may try out anything."""
+"""Allowed ranges, in the unit of the key; no real sensor, vehicle or road that is worth correcting
+lies outside. They are tighter than the schema's ranges, because a simulated drive may use any
+value."""
 SCALE_RANGE = (-0.8, 4.0)
-"""Of a signal that is one number, and of a wheel speed (which has no upper end)."""
+"""Limits for a signal with one component, and for a wheel speed (which has no upper limit)."""
 MAX_LEVER_M = 30.0
 SCALARS = ("speed", "steering", "yaw_rate", "lateral_accel", "longitudinal_accel")
 FILTERED = ("accel", "gyro", "steering", "yaw_rate", "lateral_accel", "longitudinal_accel")
 DELAYED = (*SCALARS, "accel", "gyro", "wheel_speeds", "reverse", "brake")
 RAIL_WIDTH = 0.001
-"""Part of the full scale: other units' rounding must not hide a clipped value."""
+"""Margin as a share of the full scale: rounding in another unit must not hide a clipped value."""
 NARROW_HZ = 8.0
-"""A filter with a lower corner takes away what a vehicle does."""
+"""A filter with a lower corner frequency would remove the vehicle's motion."""
 
 
 def read_terms(
@@ -107,7 +108,7 @@ class _Reader:
         return found
 
     def notes(self) -> list[str]:
-        """What of the model is not used, a line each."""
+        """One line for each part of the model that is not used."""
         file = self._file
         found = [f"{key}: this version does not know it; it is ignored" for key in file.unknown]
         if any(file.is_set("mount", f"{a}_deg") for a in ("roll", "pitch", "yaw")):
@@ -160,7 +161,8 @@ class _Reader:
         return ScalarTerms(scale or 0.0, offset, self._rail(section))
 
     def _rail(self, section: str) -> tuple[float, float]:
-        """Sizes of raw values that were clipped; one beyond shows that there is no rail here."""
+        """Range of sizes of clipped raw values; a larger value shows that there is no clipping
+        limit here."""
         full_scale = self._value(section, "full_scale")
         if full_scale is None:
             return NO_RAIL
@@ -195,7 +197,7 @@ class _Reader:
         )
 
     def _latency(self) -> dict[str, float]:
-        """Age [s] of each channel of which the file says something."""
+        """Age [s] of each channel for which the file states one."""
         found: dict[str, float] = {}
         for name in DELAYED:
             if not self._file.has(name, "delay_s", "time_constant_s", "lowpass_hz"):
@@ -213,7 +215,7 @@ class _Reader:
     # values ----------------------------------------------------------------------------------
 
     def _value(self, section: str, key: str, absent: Any = None) -> Any:
-        """A key's value, within `RANGES`; `absent` where there is none, or a wrong one."""
+        """A key's value within `RANGES`; `absent` if there is none or a wrong one."""
         value = self._file.value(section, key, absent)
         found = self._within(section, key, value, RANGES.get(key))
         return absent if found is None else found

@@ -1,4 +1,4 @@
-"""Signals of one number, and the four wheels: scale and offset taken out."""
+"""Remove scale and offset from signals with one component and from the four wheel speeds."""
 
 from __future__ import annotations
 
@@ -15,7 +15,8 @@ Flags = NDArray[np.bool_]
 
 
 class ScalarCompensator:
-    """Scale and offset of one number; limit: its largest plausible size in SI."""
+    """Removes scale and offset from a signal with one component. limit: its largest plausible size
+    in SI."""
 
     def __init__(self, terms: ScalarTerms, limit: float) -> None:
         self._offset, self._gain = terms.offset, 1.0 + terms.scale
@@ -23,14 +24,14 @@ class ScalarCompensator:
         self._limit = limit
 
     def sample(self, t: float, v: Sequence[float]) -> Sequence[float] | None:
-        """One sample; None where it is refused."""
+        """Correct one sample; None if it is refused."""
         x = (v[0] - self._offset) / self._gain
         if self._low <= abs(v[0]) <= self._high or not -self._limit <= x <= self._limit:
             return None
         return (x,)
 
     def columns(self, v: Array) -> tuple[Array, Flags]:
-        """Samples (N,) as `sample` has them, and which are refused."""
+        """Correct samples (N,) as `sample` does; returns also which are refused."""
         x = (v - self._offset) / self._gain
         size = np.abs(v)
         refused = ((self._low <= size) & (size <= self._high)) | ~(np.abs(x) <= self._limit)
@@ -38,17 +39,17 @@ class ScalarCompensator:
 
 
 class WheelsCompensator:
-    """Scale of four wheel speeds [m/s]."""
+    """Removes the scale errors of four wheel speeds [m/s]."""
 
     def __init__(self, scales: Sequence[float]) -> None:
         self._gains = [1.0 + scale for scale in scales]
 
     def sample(self, t: float, v: Sequence[float]) -> Sequence[float] | None:
-        """One sample (4,); None where one of them cannot be."""
+        """Correct one sample (4,); None if one of its speeds is implausible."""
         found = [x / gain for x, gain in zip(v, self._gains, strict=True)]
         return found if all(abs(x) <= LIMITS["speed"] for x in found) else None
 
     def columns(self, v: Array) -> tuple[Array, Flags]:
-        """Samples (N, 4) as `sample` has them, and which are refused (N,)."""
+        """Correct samples (N, 4) as `sample` does; returns also which are refused (N,)."""
         found = v / np.array(self._gains)
         return found, ~(np.abs(found).max(axis=1, initial=0.0) <= LIMITS["speed"])

@@ -1,8 +1,8 @@
-"""The terms that need no mount: every sample as its sensor should have given it.
+"""Remove the terms that need no mount, so that every sample is as its sensor should have given it.
 
-Samples of one frame are taken temperature first, then the accelerometer, then the gyroscope (whose
-g-sensitivity needs the force); of columns the same by their order. Scalar and column use may be
-mixed, and give the same bits.
+In one frame the temperature is processed first, then the accelerometer, then the gyroscope (whose
+g-sensitivity needs the force). Columns follow the same rule by their order numbers. Single samples
+and columns may be mixed and give the same bits.
 """
 
 from __future__ import annotations
@@ -30,30 +30,31 @@ Flags = NDArray[np.bool_]
 Sample = tuple[str, Sequence[float]]
 
 FELT_HZ = 5.0
-"""The force that the gyroscope feels, for its g-sensitivity: vibration is not to be carried over
-from one sensor to the other, whose samples are of other instants."""
+"""Low-pass of the force for the gyroscope's g-sensitivity. The two sensors sample at different
+times, so the accelerometer's vibration must not enter the gyroscope's samples."""
 MIN_DEGC, MAX_DEGC = -60.0, 150.0
-"""A temperature beyond is none [degC]; the last one stands."""
+"""A temperature outside this range is invalid [degC]; the last valid one stays in use."""
 _FIRST = {"temperature": 0, "accel": 1, "gyro": 2, "wheel_speeds": 3}
 CHANNELS = (
     "temperature", "accel", "gyro", "mag", "wheel_speeds",
     "speed", "steering", "yaw_rate", "lateral_accel", "longitudinal_accel",
 )  # fmt: skip
-"""Those that a term may change."""
+"""Channels that a term may change."""
 
 
 @dataclass(frozen=True, eq=False)
 class Taken:
-    """A channel of columns after compensation: values as in `samples`, and which are refused."""
+    """Columns of one channel after compensation: values as in `samples`, and which are refused."""
 
     values: Array
     refused: Flags
 
 
 class SensorCorrection:
-    """Takes what the model knows of each sensor out of its samples.
+    """Removes each sensor's known errors from its samples.
 
-    derived_speed: speed comes from the wheels and is to be made again of the corrected ones.
+    derived_speed: True if speed comes from the wheels; it is then computed again from the corrected
+    wheel speeds.
     """
 
     def __init__(self, terms: Terms, derived_speed: bool = False) -> None:
@@ -82,7 +83,7 @@ class SensorCorrection:
         self._chains = {channel: chain for channel, chain in stages.items() if chain}
 
     def _stages(self, channel: str) -> list[Stage]:
-        """What is done to each sample of a channel, in order; empty: nothing."""
+        """Stages for each sample of a channel, in order; empty if there are none."""
         stages: list[Stage] = []
         if channel in self._triads:
             stages.append(self._triads[channel].sample)
@@ -101,7 +102,8 @@ class SensorCorrection:
         return stages
 
     def gap(self) -> None:
-        """Time jumped: what is carried from sample to sample is forgotten (not the temperature)."""
+        """Restart after a time jump: state from earlier samples is deleted, except the
+        temperature."""
         self._felt.restart()
         for repeats in self._repeats.values():
             repeats.restart()
@@ -109,7 +111,8 @@ class SensorCorrection:
     # one frame -----------------------------------------------------------------------------
 
     def frame(self, t: float, samples: list[Sample]) -> tuple[list[Sample], list[str]]:
-        """Samples of one frame at stream time t [s]: those compensated, and channels refused."""
+        """Compensate the samples of one frame at stream time t [s]. Returns the samples, and the
+        channels with a refused sample."""
         if len(samples) == 1:
             channel, values = samples[0]
             stages = self._chains.get(channel)
@@ -154,10 +157,10 @@ class SensorCorrection:
     def columns(
         self, samples: Mapping[str, Series], order: Mapping[str, Order]
     ) -> dict[str, Taken]:
-        """Columns of samples; of those channels that are changed.
+        """Compensate columns of samples; returns the channels that are changed.
 
-        order: by channel a number for each sample, never decreasing, that says which came first;
-        equal ones came in one frame.
+        order: by channel, the order of arrival of each sample, never decreasing; equal numbers came
+        in one frame.
         """
         temperatures = self._temperatures(samples, order)
         out: dict[str, Taken] = {}
@@ -192,7 +195,7 @@ class SensorCorrection:
     def _temperatures(
         self, samples: Mapping[str, Series], order: Mapping[str, Order]
     ) -> tuple[Order, Array]:
-        """Order and temperatures [degC] that count."""
+        """Order and values of the valid temperatures [degC]."""
         series = samples.get("temperature")
         if series is None or not self._temperature_dependent:
             return np.zeros(0), np.zeros(0)
@@ -202,7 +205,7 @@ class SensorCorrection:
     def _take_felt(
         self, samples: Mapping[str, Series], order: Mapping[str, Order], out: dict[str, Taken]
     ) -> None:
-        """Force that the gyroscope felt at each of its samples, taken off."""
+        """Remove the effect of the force on the gyroscope at each of its samples."""
         felt: list[Vector3] = [self._felt.value]
         before: Order = np.zeros(0)
         accel = samples.get("accel")
@@ -225,7 +228,8 @@ def _rank(sample: Sample) -> int:
 
 
 def _before(order: Order, others: Order) -> NDArray[np.int64]:
-    """How many of the others had come when each came; those of the same frame had."""
+    """For each sample, the number of other samples that had arrived before it, including those of
+    the same frame."""
     return np.searchsorted(others, order, side="right").astype(np.int64)
 
 

@@ -1,4 +1,4 @@
-"""A first-order low-pass of three axes for samples at any times."""
+"""A first-order low-pass for three axes, with samples at any times."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import math
 from imucald.model.section import ZERO, Vector3
 
 GAP_S = 0.5
-"""After such a hole a filter starts again [s]."""
+"""After a longer gap [s] a filter starts again."""
 
 
 class Smoothed:
@@ -22,7 +22,7 @@ class Smoothed:
         self._t = -math.inf
 
     def restart(self) -> None:
-        """Forget: time jumped."""
+        """Delete the state after a time jump."""
         self.value = ZERO
         self._t = -math.inf
 

@@ -1,12 +1,13 @@
-"""How the body leans against the road on its springs, from the force that it feels.
+"""Attitude of the body on its springs against the road, from the force on the body.
 
-Pitch and roll answer the force along the road as second-order systems with the model's frequency
-and damping (the same equation as the simulation's). The accelerometer leans with the body and feels
-gravity too, f_body = f_road + g * lean, so the loop is closed over it:
+Pitch and roll respond to the force along the road as second-order systems with the model's
+frequency and damping (the same equation as in the simulation). The accelerometer leans with the
+body and also measures gravity, f_body = f_road + g * lean. Inserting this gives:
 
     lean'' + 2 d w lean' + w^2 (1 + g k) lean = w^2 k f_body
 
-Above its frequency of about 2 Hz it follows nothing: vibration makes no lean.
+Far above its natural frequency of about 2 Hz the system does not respond, so vibration causes no
+lean.
 """
 
 from __future__ import annotations
@@ -17,10 +18,10 @@ from imucald.core.samples import GRAVITY
 from imucald.model_compensation.terms import SuspensionTerms
 
 GAP_S = 0.5
-"""A force older than that shows no lean; after such a hole the body is taken to be at rest on its
-springs [s]."""
+"""A force older than this [s] does not give the lean. After such a gap the body is assumed to be at
+rest on its springs."""
 MAX_ANGLE = 0.15
-"""No car leans further [rad]."""
+"""Largest lean of any car [rad]."""
 
 SuspensionAttitude = tuple[float, float, float, float]
 """Roll, pitch [rad] and their rates [rad/s]; ISO 8855: roll positive left side up, pitch nose
@@ -29,7 +30,8 @@ UPRIGHT: SuspensionAttitude = (0.0, 0.0, 0.0, 0.0)
 
 
 class _Axis:
-    """One axis: second order; the gradient where the force is positive and where it is not."""
+    """One axis as a second-order system, with one gradient for positive force and one for
+    negative."""
 
     def __init__(self, positive: float, negative: float, hz: float, damping: float) -> None:
         omega = 2.0 * math.pi * hz
@@ -39,13 +41,14 @@ class _Axis:
         self.angle = self.rate = 0.0
 
     def settle(self, force: float) -> None:
-        """Be at rest under the force [m/s^2]."""
+        """Set the steady state under the force [m/s^2]."""
         gradient = self._gradients[0] if force > 0.0 else self._gradients[1]
         self.angle = gradient * force / (1.0 + GRAVITY * gradient)
         self.rate = 0.0
 
     def push(self, dt: float, force: float) -> None:
-        """Move on by dt [s] under the body's force [m/s^2]; trapezoidal, always stable."""
+        """Advance by dt [s] under the body's force [m/s^2], by the trapezoidal rule, which is
+        always stable."""
         angle, rate = self.angle, self.rate
         gradient = self._gradients[0] if force - GRAVITY * angle > 0.0 else self._gradients[1]
         square = self._square
@@ -58,24 +61,24 @@ class _Axis:
 
 
 class SuspensionFilter:
-    """Takes forces in vehicle (body) axes, shows how the body leans."""
+    """Takes forces in vehicle (body) axes and gives the attitude of the body."""
 
     def __init__(self, terms: SuspensionTerms) -> None:
         self._roll = _Axis(terms.roll, terms.roll, terms.roll_hz, terms.roll_damping)
         # the axis is driven by -f_x, which is positive while braking
         self._pitch = _Axis(terms.dive, terms.squat, terms.pitch_hz, terms.pitch_damping)
         self.attitude: SuspensionAttitude = UPRIGHT
-        """With the newest force."""
+        """Attitude with the newest force."""
         self.t = -math.inf
-        """When that came [s]."""
+        """Time of the newest force [s]."""
 
     def restart(self) -> None:
-        """Forget: time jumped, or the axes did."""
+        """Delete the state after a jump of time or of the axes."""
         self.t = -math.inf
         self.attitude = UPRIGHT
 
     def at(self, t: float) -> SuspensionAttitude:
-        """The lean at t [s]; upright where the newest force is too old to show it."""
+        """The lean at t [s]; upright if the newest force is too old."""
         return self.attitude if t - self.t <= GAP_S else UPRIGHT
 
     def push(self, t: float, x: float, y: float) -> SuspensionAttitude:

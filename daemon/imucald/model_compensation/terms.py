@@ -1,7 +1,8 @@
-"""The terms of a model file that can be taken out of signals while driving.
+"""The terms of a model file that can be removed from signals while driving.
 
-Every term is the simulation's: the model says what a sensor makes of the truth, and here stands
-what the truth was. SI units, ISO 8855 axes; what is neutral changes nothing.
+Every term is the inverse of the same term in the simulation: there the model turns the true value
+into the sensor's reading, here the reading into the true value. SI units, ISO 8855 axes; neutral
+values change nothing.
 """
 
 from __future__ import annotations
@@ -22,14 +23,15 @@ REFERENCE_DEGC = 25.0
 """Temperature at which `bias` is stated."""
 _SPRINGS = Suspension()
 BUTTERWORTH_DELAY = math.sqrt(2.0) / (2.0 * math.pi)
-"""Delay of a second-order Butterworth filter well below its corner, times the corner."""
+"""Product of delay and corner frequency of a second-order Butterworth filter, well below the
+corner."""
 
 
 @dataclass(frozen=True)
 class TriadTerms:
     """Three axes: measured = gain @ true + bias + bias_temperature * (T - 25 degC).
 
-    inverse: of the gain. rail: raw values of a size within these were clipped.
+    inverse: of the gain. rail: raw values whose size lies between these two were clipped.
     """
 
     inverse: Matrix9 = IDENTITY
@@ -45,7 +47,8 @@ class TriadTerms:
 
 @dataclass(frozen=True)
 class ScalarTerms:
-    """One number: measured = (1 + scale) * true + offset. rail: as of `TriadTerms`."""
+    """Signal with one component: measured = (1 + scale) * true + offset. rail: as of
+    `TriadTerms`."""
 
     scale: float = 0.0
     offset: float = 0.0
@@ -54,7 +57,8 @@ class ScalarTerms:
 
 @dataclass(frozen=True)
 class SuspensionTerms:
-    """How the body leans on its springs: angle per specific force [rad/(m/s^2)], and how fast.
+    """Lean of the body on its springs: angle per specific force [rad/(m/s^2)], frequency and
+    damping.
 
     Each axis is a second-order system. squat: nose up per forward force. dive: nose down per
     braking force. roll: out of the turn per lateral force.
@@ -76,7 +80,8 @@ class SuspensionTerms:
 
 @dataclass(frozen=True)
 class ChassisTerms:
-    """What turns the steering angle into a yaw rate; None where the model does not say it."""
+    """Parameters that turn the steering angle into a yaw rate; None if the model does not state
+    them."""
 
     wheelbase: float | None = None
     track: float | None = None
@@ -86,13 +91,13 @@ class ChassisTerms:
 
 @dataclass(frozen=True)
 class Terms:
-    """All that is used of a model file.
+    """All used terms of a model file.
 
-    g_sensitivity: rate per specific force on the same sensor axis [(rad/s)/(m/s^2)].
-    wheel_scales: of four wheels. scalars: by channel. lever_arm: of the sensor from the body's
-    centre of rotation, vehicle axes [m]. latency: by channel, how old a value is when its frame
-    comes [s], filters included. crown_mean: cross fall towards the kerb (tangent), None: not given.
-    bank_rms, grade_rms: of the roads' tangents across and along; 0: not given.
+    g_sensitivity: rate per specific force on the same sensor axis [(rad/s)/(m/s^2)]. wheel_scales:
+    of four wheels. scalars: by channel. lever_arm: of the sensor from the body's centre of
+    rotation, vehicle axes [m]. latency: by channel, the age of a value when its frame comes [s],
+    including filters. crown_mean: cross fall towards the kerb (tangent), None: not given. bank_rms,
+    grade_rms: rms of the road's cross fall and grade (tangents); 0: not given.
     """
 
     accel: TriadTerms = TriadTerms()
@@ -128,11 +133,11 @@ def inverse_gain(scale: Vector3, cross_axis: tuple[float, ...]) -> Matrix9 | Non
 
 
 MIN_GAIN = 0.2
-"""A sensor that says a fifth of the truth is not one to be corrected."""
+"""A sensor that shows less than a fifth of the true value is not worth correcting."""
 
 
 def saved_text(terms: Terms) -> str:
-    """Text of terms by which a saved calibration is found again: its words never change.
+    """Text of terms that identifies a saved calibration; its words never change.
 
     The suspension's terms were called lean, and latency lateness, when the first were saved.
     """

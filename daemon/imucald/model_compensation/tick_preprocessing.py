@@ -1,9 +1,10 @@
-"""The estimator's ticks with what the model knows: signals of one time, on a stiff suspension.
+"""Prepare the estimator's ticks with the model: align signals in time and remove the suspension's
+lean.
 
-A body that rolls more in left turns than in right ones, or squats more than it dives, turns the
-mean of what the mount is found from. The mount in force is good enough to place its lean; before
-there is one, ticks stay as they are. The lever arm is left in: the estimator takes it off by
-itself, with rates from before and after, which here are still to come.
+If a body rolls more in left turns than in right ones, or squats more than it dives, its mean
+attitude biases the mount estimate. The current mount is accurate enough to remove the lean; before
+there is one, ticks stay unchanged. The lever arm is not removed here: the estimator does so itself,
+with rates before and after the tick; the later ones are not known here yet.
 """
 
 from __future__ import annotations
@@ -26,9 +27,9 @@ _SENSORS = ((tk.ACCEL.n, _FORCES), (tk.GYRO.n, _RATES))
 
 
 class TickPreprocessing:
-    """Takes rows of ticks, gives those that the estimator is to see.
+    """Takes rows of ticks and returns the rows for the estimator.
 
-    suspension: of the body, at ten a second; None: it is stiff.
+    suspension: of the body, at ten ticks per second; None: stiff.
     """
 
     def __init__(
@@ -40,7 +41,7 @@ class TickPreprocessing:
         self._repeats = tuple(HeldRepeats(SAME) for _ in _SENSORS)
 
     def gap(self) -> None:
-        """Time jumped: nothing before is joined with what follows."""
+        """Restart after a time jump: earlier and later ticks are not joined."""
         if self._time_alignment is not None:
             self._time_alignment.gap()
         if self._suspension is not None:
@@ -50,10 +51,10 @@ class TickPreprocessing:
             repeats.restart()
 
     def row(self, row: Sequence[float], correction: Correction | None) -> Sequence[float]:
-        """Return the row of a tick as the estimator is to see it.
+        """Return the row of a tick for the estimator.
 
-        correction: in force during the tick. The lean is that of the corrected force; it turns the
-        samples in the axes of the housing, so that their own errors stay what they were.
+        correction: in force during the tick. The lean comes from the corrected force. It rotates
+        the samples in the axes of the housing, so that their own errors stay the same.
         """
         if self._time_alignment is not None:
             row = self._time_alignment.row(row)
@@ -64,10 +65,11 @@ class TickPreprocessing:
     def _upright(
         self, suspension: SuspensionFilter, row: Sequence[float], correction: Correction | None
     ) -> Sequence[float]:
-        """Force and rate of a tick as if the body were stiff.
+        """Force and rate of a tick as they would be with a stiff suspension.
 
-        The rate loses what the lean has changed by since it was last taken off, so that both stay
-        at one also over a hole in the force, in which the gyroscope sees the body lean.
+        The change of the lean since its last removal is subtracted from the rate. So force and rate
+        stay consistent also over a gap in the force, in which the gyroscope measures the leaning
+        body.
         """
         if correction is None:
             suspension.restart()
@@ -90,7 +92,7 @@ class TickPreprocessing:
         return out
 
     def _repeated(self, row: Sequence[float], upright: Sequence[float]) -> Sequence[float]:
-        """A sensor that repeats itself goes on doing so: a stuck one must be seen to be."""
+        """Keep repeated samples equal, so that a stuck sensor is still recognised."""
         out = list(upright)
         for (count, axes), repeats in zip(_SENSORS, self._repeats, strict=True):
             if row[count]:

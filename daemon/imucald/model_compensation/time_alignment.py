@@ -1,8 +1,9 @@
-"""Signals of different age brought together again, tick by tick, before the estimator sees them.
+"""Align signals of different age, tick by tick, before they reach the estimator.
 
-Each channel is held back until the latest one has come: whole ticks by keeping rows, the rest by
-the age that a tick states for its samples. So a known delay need not be learnt, and hurts nothing
-that is given no delays. Only the estimator waits; samples are corrected as they come.
+Each channel is held back until the latest channel has arrived: whole ticks by storing rows, the
+rest by the age that a tick states for its samples. So a known delay need not be estimated, and does
+not disturb parts that know no delays. Only the estimator waits; samples are corrected when they
+arrive.
 """
 
 from __future__ import annotations
@@ -16,12 +17,12 @@ from imucald.motion import ticks as tk
 from imucald.motion.ticks import TICK_RATE, TICK_S, TickAccumulator
 
 MIN_SHIFT_S = 0.001
-"""Smaller differences are left."""
+"""Smaller differences are not corrected."""
 
 
 @dataclass(frozen=True)
 class _Group:
-    """Columns of one channel: all of them, its age (sensors), its mean and count (scalars)."""
+    """Columns of one channel in a row: all columns, the age (sensors), mean and count (scalars)."""
 
     columns: tuple[int, ...]
     age: int | None = None
@@ -50,7 +51,7 @@ class _Shift:
 
 
 class TimeAlignment:
-    """Rows of ticks in, rows in which all channels are of one time out.
+    """Takes rows of ticks and returns rows in which all channels belong to one time.
 
     shifts: by channel how long it is held back [s].
     """
@@ -67,11 +68,11 @@ class TimeAlignment:
         )
 
     def gap(self) -> None:
-        """Time jumped: what is held back is not joined with what follows."""
+        """Restart after a time jump: held rows are not joined with later ones."""
         self._rows.clear()
 
     def row(self, row: Sequence[float]) -> list[float]:
-        """Take the row of a tick; return it with every channel held back as it must be."""
+        """Take the row of a tick; return it with every channel held back by its shift."""
         self._rows.appendleft(row)
         out = list(self._empty)
         out[tk.T] = row[tk.T]
@@ -100,10 +101,10 @@ class TimeAlignment:
 
 
 def alignment_shifts(latency: Mapping[str, float]) -> dict[str, float]:
-    """How long each channel is held back [s], so that all are as late as the latest.
+    """Time by which each channel is held back [s], so that all are as late as the latest one.
 
     latency: by channel [s]; one that is absent is as late as the accelerometer. The accelerometer
-    is held back by whole ticks, so that its ticks stay what they are. Empty: nothing to do.
+    is held back by whole ticks, so that its ticks stay unchanged. Empty: nothing to do.
     """
     accel = latency.get("accel", 0.0)
     most = max((late - accel for late in latency.values()), default=0.0)

@@ -1,4 +1,4 @@
-"""One three-axis sensor: raw numbers -> what was there, in the sensor's own axes."""
+"""Convert raw values of one three-axis sensor to true values, in the sensor's own axes."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ from imucald.model_compensation.terms import IDENTITY, NO_RAIL, REFERENCE_DEGC, 
 
 
 class TriadCompensator:
-    """Takes bias, scale and cross-axis out; refuses what was clipped, or cannot be.
+    """Removes bias, scale and cross-axis errors; refuses clipped and implausible samples.
 
-    Single samples and columns give the same bits: the operations stand in the same order.
+    Single samples and columns give the same bits, because the operations have the same order.
     limit: largest plausible size of a component, in SI.
     """
 
@@ -24,20 +24,20 @@ class TriadCompensator:
         self.terms = terms
         self.follows_temperature = any(terms.bias_temperature)
         self._limit = limit
-        self._bias: Vector3 = terms.bias  # at the temperature known now
+        self._bias: Vector3 = terms.bias  # at the present temperature
         self._mixes = terms.inverse != IDENTITY
         self._low, self._high = terms.rail
         self._rails = terms.rail != NO_RAIL
 
     def set_temperature(self, degc: float) -> None:
-        """The sensor is that warm from now on [degC]."""
+        """Set the sensor's temperature from now on [degC]."""
         warmer = degc - REFERENCE_DEGC
         a, b, c = self.terms.bias
         x, y, z = self.terms.bias_temperature
         self._bias = a + warmer * x, b + warmer * y, c + warmer * z
 
     def sample(self, t: float, v: Sequence[float]) -> Vector3 | None:
-        """One sample at t [s]; None where it is refused."""
+        """Correct one sample at t [s]; None if it is refused."""
         x, y, z = v
         if self._rails:
             low, high = self._low, self._high
@@ -57,9 +57,10 @@ class TriadCompensator:
     def columns(
         self, v: Array, temperatures: tuple[NDArray[np.int64], Array]
     ) -> tuple[Array, NDArray[np.bool_]]:
-        """Samples (N, 3) as `sample` has them, and which are refused (N,).
+        """Correct samples (N, 3) as `sample` does; returns also which are refused (N,).
 
-        temperatures: for each sample how many of the temperatures (M,) [degC] had come before it.
+        temperatures: for each sample, the number of the temperatures (M,) [degC] that had arrived
+        before it.
         """
         bias = np.array([self._bias])
         if self.follows_temperature:

@@ -1,10 +1,10 @@
-"""How fast the turning about the vertical changes: a derivative without the noise of one.
+"""Yaw acceleration by an observer, with less noise than a difference quotient.
 
-Second-order observer of (rate, its derivative) with both poles damped by 0.7. Sought on simulated
-drives: with a corner of 3 to 5 Hz what is left of dr/dt times a lever arm of 1.5 m is least, 0.035
-of 0.11 m/s^2 rms; lower corners lag behind the driver, higher ones pass the gyroscope's noise.
-The body's pitching and rolling on a rough road is faster than any causal filter of such noise can
-follow: taking it out made the force worse at every corner, so its acceleration is left in.
+Second-order observer of (rate, its derivative) with both poles damped by 0.7. The corner was chosen
+on simulated drives: with 3 to 5 Hz the error of dr/dt times a lever arm of 1.5 m is smallest, 0.035
+of 0.11 m/s^2 rms; lower corners lag behind the driver, higher ones pass the gyroscope's noise. The
+body's pitch and roll on a rough road are too fast for any causal filter with such noise. Removing
+their acceleration made the force worse at every corner, so it is not removed.
 """
 
 from __future__ import annotations
@@ -14,11 +14,12 @@ import math
 CORNER_HZ = 4.0
 DAMPING = 0.7
 GAP_S = 0.5
-"""After such a hole it starts again [s]."""
+"""After a longer gap [s] it starts again."""
 
 
 class YawAcceleration:
-    """Takes yaw rates [rad/s], gives their derivative; backward Euler, stable for any time step."""
+    """Takes yaw rates [rad/s] and gives their derivative; backward Euler, stable for any time
+    step."""
 
     def __init__(self) -> None:
         omega = 2.0 * math.pi * CORNER_HZ
@@ -27,7 +28,7 @@ class YawAcceleration:
         self.restart()
 
     def restart(self) -> None:
-        """Forget: time jumped, or the axes did."""
+        """Delete the state after a jump of time or of the axes."""
         self._t = -math.inf
         self._rate = 0.0
         self.value = 0.0

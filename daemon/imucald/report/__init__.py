@@ -1,1 +1,1 @@
-"""Pages and drawings that one can send on; pages need the extra `report`."""
+"""Self-contained pages and drawings; pages need the extra `report`."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 
 PLACE = '<nav class="contents" aria-label="Contents"></nav>'
-"""Where a template wants the list."""
+"""Placeholder of the list in a template."""
 HEADING = re.compile(r"<h2>(.*?)</h2>", re.S)
 
 

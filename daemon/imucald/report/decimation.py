@@ -1,4 +1,4 @@
-"""Long series made short enough to draw, without losing what the eye would see."""
+"""Reduce long series for drawing, without a visible loss."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from imucald.core.arrays import Array
 
 @dataclass(frozen=True)
 class Envelope:
-    """Lowest, highest and mean value in equal segments; (B,), nan where a segment is empty."""
+    """Lowest, highest and mean value in equal segments; (B,), nan for an empty segment."""
 
     t: Array
     low: Array
@@ -20,7 +20,8 @@ class Envelope:
 
 
 def envelope(t: Array, x: Array, bins: int) -> Envelope:
-    """Return the envelope of x (N,) over t (N,, never decreasing); not finite rows are left out."""
+    """Return the envelope of x (N,) over t (N,), which never decreases; rows that are not finite
+    are left out."""
     known = np.isfinite(x) & np.isfinite(t)
     start, stop = _span(t)
     edges = np.linspace(start, stop, bins + 1)
@@ -57,9 +58,9 @@ class Trend:
 
 
 def trend(x: Array, y: Array, bins: int, least: int) -> Trend:
-    """Return how y goes with x: equal bins from the 0.5th to the 99.5th percentile of x.
+    """Return y as a function of x, in equal bins from the 0.5th to the 99.5th percentile of x.
 
-    least: rows that a bin must have.
+    least: fewest rows in a bin.
     """
     known = np.isfinite(x) & np.isfinite(y)
     x, y = x[known], y[known]
@@ -80,7 +81,7 @@ def trend(x: Array, y: Array, bins: int, least: int) -> Trend:
 
 
 def log_bins(frequency: Array, density: Array, bins: int) -> tuple[Array, Array]:
-    """Return a spectrum's means in logarithmic bins; what is not positive is left out."""
+    """Return a spectrum's means in logarithmic bins; values that are not positive are left out."""
     known = (frequency > 0.0) & np.isfinite(density) & (density > 0.0)
     f, s = frequency[known], density[known]
     if len(f) <= bins:
@@ -91,7 +92,8 @@ def log_bins(frequency: Array, density: Array, bins: int) -> tuple[Array, Array]
 
 
 def clearest_segment(t: Array, before: Array, after: Array, seconds: float) -> slice:
-    """Return the rows of the segment in which the residual falls most (or is largest)."""
+    """Return the rows of the segment with the largest reduction of the residual (or the largest
+    residual)."""
     squares = np.nan_to_num(before) ** 2
     fall = squares - np.nan_to_num(after) ** 2
     worth = fall if fall.sum() > 0.0 else squares

@@ -1,8 +1,10 @@
-"""How a sensor sits, drawn: a car from the side, from above and from behind, the axes on it.
+"""Draw the mount of a sensor: a car from the side, from above and from behind, with the sensor's
+axes.
 
-Plain SVG text, made without any library: pages, the README and the live page show the same
-drawing. Orthographic views; forward is to the right from the side and from above. Colours of the
-axes are separated with any colour blindness (Okabe and Ito); light and dark follow the reader.
+The drawing is plain SVG text, made without any library; pages, the README and the live page show
+the same drawing. The views are orthographic; in the views from the side and from above, forward is
+to the right. The axes' colours are distinguishable with any colour blindness (Okabe and Ito). Light
+or dark mode follows the reader's setting.
 """
 
 from __future__ import annotations
@@ -22,12 +24,14 @@ Point = tuple[float, float]
 
 VIEW_WIDTH, VIEW_HEIGHT = 300.0, 200.0
 CENTRE: Point = (150.0, 106.0)
-"""Where the sensor is drawn, in each view."""
+"""Position of the sensor in each view."""
 AXIS_LENGTH = 66.0
 BOX = np.array([22.0, 16.0, 6.0])
-"""Half sizes of the sensor's box along its axes: flat, so that its faces are separated."""
+"""Half sizes of the sensor's box along its axes: it is flat, so that its faces can be
+distinguished."""
 END_ON = 0.2
-"""An axis whose drawn part is shorter than this share points at the reader or away."""
+"""If the drawn part of an axis is shorter than this share, the axis points at the reader or
+away."""
 LABEL_GAP = 11.0
 TURN_RADIUS = 46.0
 
@@ -51,9 +55,9 @@ font:13px "Helvetica Neue",Arial,"Liberation Sans",sans-serif}
 
 @dataclass(frozen=True)
 class View:
-    """One orthographic view: which vehicle direction is to the right, and which is up.
+    """One orthographic view: the vehicle directions that point right and up in the picture.
 
-    behind: names of ways for its edges. car: the drawing of the car around `CENTRE`.
+    behind: names of the directions at its edges. car: the drawing of the car around `CENTRE`.
     """
 
     title: str
@@ -68,7 +72,7 @@ class View:
         return np.cross(np.array(self.right), np.array(self.up))
 
     def place(self, v: Array) -> Point:
-        """Where a vector from the sensor ends in the picture."""
+        """Point in the picture where a vector from the sensor ends."""
         x, y = float(v @ np.array(self.right)), float(v @ np.array(self.up))
         return CENTRE[0] + x, CENTRE[1] - y
 
@@ -101,15 +105,16 @@ VIEWS = (
 
 
 def drawing(R_vehicle_from_sensor: Matrix3, words: str) -> str:
-    """Return the drawing as SVG text; R: (3, 3). words: below it, and for who cannot see it."""
+    """Return the drawing as SVG text; R: (3, 3). words: text below it, also for readers who cannot
+    see it."""
     views = [_view(view, _sensor(view, R_vehicle_from_sensor)) for view in VIEWS]
     return _sheet(views, [words], words)
 
 
 def view_drawings(R_vehicle_from_sensor: Matrix3 | None) -> list[str]:
-    """Return each view as an SVG of its own, for pages that set them side by side or in a column.
+    """Return each view as a separate SVG, for pages that put them side by side or in a column.
 
-    The page brings `STYLE`; within HTML no name space is reported.
+    The page contains `STYLE`; within HTML the SVG has no name space.
     """
     return [
         f'<svg class="sits" role="img" viewBox="0 0 {VIEW_WIDTH:g} {VIEW_HEIGHT:g}">'
@@ -151,7 +156,7 @@ def _sheet(views: Sequence[str], lines: Sequence[str], title: str) -> str:
 
 
 def _wrapped(line: str, columns: int) -> Iterator[str]:
-    """A line broken after its semicolons where it is too long."""
+    """Break a line that is too long after its semicolons."""
     row = ""
     for part in line.split("; "):
         if row and len(row) + len(part) > columns:
@@ -174,7 +179,8 @@ def _view(view: View, inside: str) -> str:
 
 
 def _sensor(view: View, R: Matrix3 | None) -> str:
-    """Arrows that point away, the box, arrows that point at the reader, and rings over all."""
+    """Draw in this order: arrows that point away, the box, arrows that point at the reader, and
+    rings on top."""
     if R is None:
         return ""
     depth = view.towards @ R
@@ -186,7 +192,7 @@ def _sensor(view: View, R: Matrix3 | None) -> str:
 
 
 def _faces(view: View, R: Matrix3) -> Iterator[str]:
-    """The faces of the box that the reader sees, the farthest first."""
+    """The visible faces of the box, the farthest first."""
     seen = []
     for axis in range(3):
         for sign in (1.0, -1.0):
@@ -211,13 +217,13 @@ def _axes(view: View, R: Matrix3) -> list[str]:
 
 
 def _is_end_on(view: View, v: Array) -> bool:
-    """Whether the reader looks along the axis: it is a ring then."""
+    """Whether the reader looks along the axis; then it is drawn as a ring."""
     (x0, y0), (x1, y1) = CENTRE, view.place(AXIS_LENGTH * v)
     return math.hypot(x1 - x0, y1 - y0) < END_ON * AXIS_LENGTH
 
 
 def _axis(view: View, v: Array, name: str) -> str:
-    """An arrow, or a ring where the axis points at the reader (dot) or away (cross)."""
+    """An arrow, or a ring if the axis points at the reader (dot) or away (cross)."""
     colour = f"var(--si-{name})"
     if _is_end_on(view, v):
         return _end_on(float(v @ view.towards) > 0.0, colour, name)
@@ -253,7 +259,7 @@ def _end_on(at_reader: bool, colour: str, name: str) -> str:
 
 
 def _turn(view: View, text: str) -> str:
-    """A round arrow in the positive sense about the axis that points along the view."""
+    """A circular arrow for positive rotation about the axis that points along the view."""
     axis = int(np.argmax(np.abs(view.towards)))
     to_the_left = float(view.towards[axis]) > 0.0  # as seen from the tip of the axis
     start, stop = (114.0, 336.0) if to_the_left else (336.0, 114.0)
@@ -271,6 +277,6 @@ def _turn(view: View, text: str) -> str:
 
 
 def _on_circle(degrees: float, radius: float | None = None) -> Point:
-    """A point about the centre; angles to the left from the right-hand side."""
+    """A point on a circle about the centre; angles are counter-clockwise from the right."""
     r, angle = TURN_RADIUS if radius is None else radius, math.radians(degrees)
     return CENTRE[0] + r * math.cos(angle), CENTRE[1] - r * math.sin(angle)

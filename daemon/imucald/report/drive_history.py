@@ -1,7 +1,7 @@
-"""What a replay leaves behind for its page: samples, corrected frames and snapshots, by time.
+"""Data of a replay for its page: samples, corrected frames and snapshots, by time.
 
-What is called corrected is read back from the frames that were given out:
-it is what a control unit would have got.
+Corrected values are decoded from the frames that were sent, so they are what a control unit would
+have received.
 """
 
 from __future__ import annotations
@@ -26,13 +26,13 @@ CORRECTED = {
     "accel": ("IMUCALD_Acceleration", "AccelX"),
     "gyro": ("IMUCALD_AngularRate", "RateX"),
 }
-"""Message and first signal; all three have the same scale."""
+"""Message and first of its three signals; all three have the same scale."""
 _TO_SI = {"accel": 1.0, "gyro": np.pi / 180.0}
 WINDOW_TICKS = 5
-"""Forces and the change of speed are compared as means over half a second: shorter, the steps of a
-speed signal decide; longer, manoeuvres are lost."""
+"""Forces and the change of speed are compared as means over half a second. In shorter means the
+steps of a speed signal dominate; longer ones lose manoeuvres."""
 HOLE_S = 2.5
-"""Across a longer hole nothing is interpolated: the slowest OBD-II speed comes once a second."""
+"""Longer gaps are not interpolated: the slowest OBD-II speed comes once a second."""
 
 
 @dataclass(frozen=True)
@@ -45,10 +45,10 @@ class Moment:
 
 @dataclass(frozen=True)
 class DriveMotion:
-    """Means over half a second, in vehicle axes where not stated otherwise; (N,) and (N, 3), SI.
+    """Means over half a second, in vehicle axes unless stated otherwise; (N,) and (N, 3), SI.
 
-    raw: the accelerometer in its own axes. corrected: as given out; NaN where not available.
-    dvdt, turn: change of speed, and speed times yaw rate; NaN where not known.
+    raw: the accelerometer in its own axes. corrected: as sent; NaN if not available. dvdt, turn:
+    change of speed, and speed times yaw rate; NaN if not known.
     """
 
     t: Array
@@ -61,17 +61,18 @@ class DriveMotion:
 
 @dataclass
 class DriveHistory:
-    """Takes what passes during a replay (see the verbs), and gives it in order afterwards."""
+    """Collects data during a replay (see its methods) and gives it in order afterwards."""
 
     moments: list[Moment] = field(default_factory=list)
     gaps: list[float] = field(default_factory=list)
-    """Stream times at which time jumped [s]."""
+    """Stream times of time jumps [s]."""
 
     def __post_init__(self) -> None:
         self.duration_s = 0.0
         """Stream time of the last frame of ours [s]."""
         self.lead = 0.0
-        """How long before our first frame, which stream time counts from, the log began [s]."""
+        """Time from the start of the log to our first frame [s]; stream time begins at that
+        frame."""
         self._parts: dict[str, list[Series]] = {}
         self._rejected: dict[str, list[Array]] = {}
         self._corrected: dict[str, list[Series]] = {}
@@ -96,11 +97,11 @@ class DriveHistory:
         self.moments.append(Moment(snapshot.t, snapshot.estimate))
 
     def begins(self, lead: float) -> None:
-        """Take how long before our first frame the log began [s]."""
+        """Take the time from the start of the log to our first frame [s]."""
         self.lead = lead
 
     def sink(self, engine: Engine) -> Callable[[FrameColumns], None]:
-        """Return what takes the frames that the engine gives out."""
+        """Return a function that takes the frames sent by the engine."""
         nothing = np.zeros((0, 3)), np.zeros(0, np.uint8)
         ids = {
             engine.output.corrected_columns(channel, *nothing)[0]: channel
@@ -170,12 +171,12 @@ class DriveHistory:
 
 
 def joined(parts: Sequence[Series]) -> Series:
-    """Pieces of one channel as one series."""
+    """Join pieces of one channel into one series."""
     return Series(np.concatenate([p.t for p in parts]), np.concatenate([p.values for p in parts]))
 
 
 def _decoded(channel: str, data: NDArray[np.uint8]) -> Array:
-    """Corrected values (N, 3) in SI of payloads (N, 8); NaN where not available."""
+    """Corrected values (N, 3) in SI from payloads (N, 8); NaN if not available."""
     raw = np.ascontiguousarray(data[:, :6]).view("<i2").astype(np.float64)
     message, signal = CORRECTED[channel]
     scale = output_database().message(message).signal(signal).scale
@@ -184,7 +185,7 @@ def _decoded(channel: str, data: NDArray[np.uint8]) -> Array:
 
 
 def _tick_means(series: Series, edges: Array) -> Array:
-    """Means of the samples in each tick, (n, width); NaN where there is none."""
+    """Means of the samples in each tick, (n, width); NaN for a tick without samples."""
     values = series.values if series.values.ndim == 2 else series.values[:, None]
     n = len(edges) - 1
     tick = np.clip((series.t * TICK_RATE).astype(np.int64), 0, n - 1)
@@ -195,7 +196,7 @@ def _tick_means(series: Series, edges: Array) -> Array:
 
 
 def _signed_speed(samples: Samples, edges: Array) -> Array:
-    """Speed at the edges of ticks, negative in reverse; NaN where none is near."""
+    """Speed at the edges of ticks, negative in reverse; NaN if no sample is near."""
     series = samples.get("speed")
     if series is None and "wheel_speeds" in samples:
         wheels = samples["wheel_speeds"]
@@ -216,7 +217,7 @@ def _signed_speed(samples: Samples, edges: Array) -> Array:
 
 
 def _window(x: Array) -> Array:
-    """Means over `WINDOW_TICKS` ticks; NaN where one of them is."""
+    """Means over `WINDOW_TICKS` ticks; NaN if one of them is NaN."""
     wide = x if x.ndim == 2 else x[:, None]
     pieces = np.lib.stride_tricks.sliding_window_view(wide, WINDOW_TICKS, axis=0)
     means = np.asarray(pieces.mean(axis=-1))

@@ -1,4 +1,4 @@
-"""What an extended model changes: keys, before and after."""
+"""Changes of an extended model: keys with values before and after."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import Any
 from imucald.model.model import VehicleModel
 
 SHOWN_ITEMS = 8
-"""Of longer lists (drop-outs) only the length is shown: the full text has them."""
+"""For longer lists (drop-outs) only the length is shown; the full text contains them."""
 
 
 @dataclass(frozen=True)
@@ -24,7 +24,7 @@ class Change:
 def model_changes(before: VehicleModel, after: VehicleModel) -> list[Change]:
     """Return every key whose value differs, in the file's order. Lists count as one value.
 
-    What drives leave of the equations (`leaves`) is no parameter, and not listed.
+    Residuals of drives (`leaves`) are no parameters and are not listed.
     """
     old, new = (dict(_flat({**model.dump(), "leaves": {}})) for model in (before, after))
     return [
@@ -43,7 +43,7 @@ def _flat(data: Mapping[str, Any], path: str = "") -> Iterator[tuple[str, Any]]:
 
 
 def value_text(value: Any) -> str:
-    """Return a value as YAML would have it, numbers to six digits, long lists by their length."""
+    """Return a value in YAML form: numbers with six digits, long lists by their length."""
     if value is None:
         return "null"
     if isinstance(value, bool):

@@ -16,18 +16,18 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 DIVERGING = LinearSegmentedColormap.from_list("imucald", ["#2b6cb0", "#f4f4f4", "#c0561a"])
-"""Blue below, vermilion above: separated with any colour blindness."""
+"""Blue for negative, vermilion for positive: distinguishable with any colour blindness."""
 MAP = (4.7, 3.5)
 STRETCH_S = 60.0
 SPEED_BINS, TURN_BINS = 14, 12
 CELL_ROWS = 5
-"""A cell of a map needs so many rows: two and a half seconds."""
+"""Fewest rows in a cell of a map: two and a half seconds."""
 DOTS = 700
-"""In a picture of points: more only make the page heavy."""
+"""Largest number of points in a picture: more would only make the page larger."""
 
 
 def stretch_picture(motion: DriveMotion) -> str:
-    """Corrected against raw, and against what the vehicle's motion says, for one minute."""
+    """Corrected force compared with raw force and with the vehicle's motion, for one minute."""
     rows = telling_rows(motion)
 
     def draw(figure: Figure) -> None:
@@ -48,7 +48,7 @@ def stretch_picture(motion: DriveMotion) -> str:
 
 
 def telling_rows(motion: DriveMotion) -> slice:
-    """The minute with most braking, accelerating and turning in which there is a correction."""
+    """The minute with the most braking, accelerating and turning among those with a correction."""
     known = np.isfinite(motion.corrected[:, 0])
     worth = np.nan_to_num(motion.dvdt) ** 2 + np.nan_to_num(motion.turn) ** 2
     sums = np.concatenate([[0.0], np.cumsum(np.where(known, worth + 1e-9, 0.0))])
@@ -58,7 +58,7 @@ def telling_rows(motion: DriveMotion) -> slice:
 
 
 def scatter_picture(motion: DriveMotion, axis: int) -> str:
-    """Corrected and raw force against what the motion says; axis: 0 forward, 1 left."""
+    """Corrected and raw force against the force from the motion. axis: 0 forward, 1 left."""
     truth, what = ((motion.dvdt, "dv/dt"), (motion.turn, "speed times yaw rate"))[axis]
     known = np.isfinite(truth) & np.isfinite(motion.corrected[:, axis])
     rows = np.flatnonzero(known)[:: max(int(known.sum()) // DOTS, 1)]
@@ -84,7 +84,8 @@ def scatter_picture(motion: DriveMotion, axis: int) -> str:
 
 
 def residual_map(motion: DriveMotion, axis: int) -> str:
-    """Mean of corrected force less motion over speed and lateral acceleration."""
+    """Mean of corrected force minus the force from the motion, over speed and lateral
+    acceleration."""
     truth = (motion.dvdt, motion.turn)[axis]
     left = motion.corrected[:, axis] - truth
     known = np.isfinite(left) & np.isfinite(motion.speed) & np.isfinite(motion.turn)

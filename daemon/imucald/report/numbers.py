@@ -1,4 +1,4 @@
-"""Numbers as people read them: significant digits, spread, units."""
+"""Text of numbers for people: significant digits, spread, units."""
 
 from __future__ import annotations
 
@@ -22,18 +22,18 @@ HUMAN_UNITS: Mapping[str, tuple[float, str]] = {
     "1": (100.0, "%"),
     "": (100.0, "%"),
 }
-"""Units in which people think, for those of the model file."""
+"""Familiar units for the units of the model file."""
 PLAIN_KEYS = ("chassis.steering_ratio",)
-"""Numbers without a unit that are no shares."""
+"""Keys of numbers without a unit that are no percentages."""
 RATES = ("speed.delay_rate",)
 TIMES = ("mount.shifts.t_s",)
-"""Times of a drive, in seconds: no delays."""
+"""Keys of times within a drive, in seconds; they are no delays."""
 LONG_S = 1.0
-"""Nobody counts the milliseconds of what lasts longer: a stuck signal, no delay."""
+"""A longer time is not shown in milliseconds: it belongs to a stuck signal, not to a delay."""
 
 
 def number(x: float, digits: int = 3) -> str:
-    """Return a number with so many significant digits, without powers of ten where it is short."""
+    """Return a number with `digits` significant digits, without powers of ten if it is short."""
     if not math.isfinite(x):
         return "-"
     if x == 0.0:
@@ -58,13 +58,13 @@ def with_spread(value: float, std: float) -> str:
 
 
 def _places(half: float) -> int | None:
-    """Decimals that show two digits of it; None where that takes powers of ten."""
+    """Number of decimals that show two digits of `half`; None if powers of ten are needed."""
     size = math.floor(math.log10(half)) if half > 0.0 else -99
     return max(0, 1 - size) if -7 < size < 6 else None
 
 
 def for_people(key: str, p: Estimated) -> tuple[str, str]:
-    """Return value with spread, and what the file says, in the unit in which people think."""
+    """Return the value with its spread, and the file's value, in a familiar unit."""
     factor, unit = HUMAN_UNITS.get(p.unit, (1.0, unit_text(p.unit)))
     if key in PLAIN_KEYS:
         factor, unit = 1.0, ""
@@ -77,17 +77,17 @@ def for_people(key: str, p: Estimated) -> tuple[str, str]:
 
 
 def in_file(p: Estimated) -> str:
-    """Return value with spread in the model file's own unit."""
+    """Return the value with its spread in the model file's own unit."""
     return f"{with_spread(p.value, p.std)} {unit_text(p.unit)}".strip()
 
 
 def unit_text(unit: str) -> str:
-    """Return a unit as it is printed: `m/s²` for `m/s^2`, nothing for the plain number."""
+    """Return a unit in printed form: `m/s²` for `m/s^2`, nothing for the plain number."""
     if unit == "1":
         return ""
     return unit.replace("^2", "²").replace("^3", "³").replace("*", "·")
 
 
 def typographic(text: str) -> str:
-    """Return a sentence with its signs as they are printed."""
+    """Return a sentence with typographic signs."""
     return text.replace("+-", "±").replace("^2", "²").replace("^3", "³")

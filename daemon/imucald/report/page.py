@@ -25,34 +25,34 @@ if TYPE_CHECKING:
 LIBRARIES = ("jinja2", "matplotlib")
 
 MAX_PICTURED = 14
-"""Signals with pictures: a page must stay small enough for a mail."""
+"""Largest number of signals with pictures: a page must stay small enough for an e-mail."""
 SEPARATORS = (".", "_")
-"""After which a long key may be broken."""
+"""Characters after which a long key may be broken."""
 MAX_ROWS = 200
-"""Of any other table or list."""
+"""Largest number of rows in any other table or list."""
 
 
 @dataclass(frozen=True)
 class About:
-    """What the page says of its own origin."""
+    """Facts about the origin of the page."""
 
     logs: Sequence[str]
     config: str
     model: str
-    """Which model was put to the test: a file's name, or how it came about."""
+    """The tested model: a file's name, or a description of its origin."""
     made: str
-    """When, and by which version."""
+    """Time and version of the program that made the page."""
 
 
 def require_libraries() -> None:
-    """Raise ImucaldError, with the remedy, where a library that pages need is missing."""
+    """Raise ImucaldError, with the remedy, if a library for pages is missing."""
     missing = [name for name in LIBRARIES if importlib.util.find_spec(name) is None]
     if missing:
         raise ImucaldError(f"a report needs {words.in_series(missing)}: {how_to_install('report')}")
 
 
 def report_page(diagnosis: Diagnosis, about: About) -> str:
-    """Return the page as HTML text. Raises ImucaldError where a library is missing."""
+    """Return the page as HTML text. Raises ImucaldError if a library is missing."""
     require_libraries()
     template = environment().get_template("diagnosis.html")
     changes = model_changes(diagnosis.model_before, diagnosis.model_after)
@@ -85,7 +85,7 @@ def report_page(diagnosis: Diagnosis, about: About) -> str:
 
 
 def environment() -> Environment:
-    """Templates of this room, with the filters that they use."""
+    """Environment with the templates of this package and their filters."""
     from jinja2 import Environment, PackageLoader, StrictUndefined  # noqa: PLC0415 - an extra
 
     environment = Environment(
@@ -110,7 +110,7 @@ def environment() -> Environment:
 
 
 def _breakable(key: str) -> str:
-    """A dotted key that may be broken after its dots and underscores."""
+    """Allow line breaks in a dotted key after its dots and underscores."""
     from markupsafe import Markup, escape  # noqa: PLC0415 - an extra
 
     return Markup("").join(
@@ -124,7 +124,7 @@ def _size(x: float) -> float:
 
 
 def _key_figures(diagnosis: Diagnosis) -> list[tuple[str, str, str]]:
-    """Title, figure and what it means, of the few numbers that sum it up."""
+    """Title, value and meaning of the few numbers that summarise the diagnosis."""
     figures = []
     rows = [(name, s) for name, s in diagnosis.signals.items() if s.rms_before > 0.0]
     if rows and diagnosis.causes and diagnosis.gain.was_fitted:
@@ -182,7 +182,7 @@ def _width(share: float) -> str:
 
 
 def _pictures(diagnosis: Diagnosis) -> list[dict[str, Any]]:
-    """Those that show most first: touched by a cause or by what is left, then by size."""
+    """Pictures by importance: signals with a cause or left-over structure first, then by size."""
     from imucald.report import plots as draw  # noqa: PLC0415 - loads matplotlib
 
     touched = {name for cause in diagnosis.causes for name in cause.signals}
@@ -210,5 +210,5 @@ def _pictures(diagnosis: Diagnosis) -> list[dict[str, Any]]:
 
 
 def address_of(svg: str) -> str:
-    """A picture as an address that holds the whole of it."""
+    """A picture as a data URL."""
     return "data:image/svg+xml;base64," + base64.b64encode(svg.encode()).decode()

@@ -1,4 +1,4 @@
-"""Pictures of one signal as SVG: residual against time, its driver, and frequency."""
+"""Pictures of one signal as SVG: residual over time, over its main input, and over frequency."""
 
 from __future__ import annotations
 
@@ -33,26 +33,27 @@ SEGMENT_S = 45.0
 MINUTES_FROM_S = 300.0
 """Longer axes are in minutes."""
 DECADES = 6
-"""Shown of a spectrum, from its highest value down."""
+"""Range of a spectrum that is shown, down from its highest value."""
 FEW_DECADES = 60.0
-"""An axis with a smaller range has ticks at 2 and 5 too."""
+"""An axis with a smaller range also has ticks at 2 and 5."""
 RAISED = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 EXTREME = 99.7
-"""Percentile of the residual's size that sets the axis: single spikes may leave the picture."""
+"""Percentile of the residual's size that sets the axis; single spikes may lie outside the
+picture."""
 
 
 def time_picture(p: SignalPicture) -> str:
-    """Residual before and after, against time: range and mean in short segments."""
+    """Residual before and after over time: range and mean in short segments."""
     return _picture(_draw_time, p, (9.6, 2.5))
 
 
 def segment_picture(p: SignalPicture) -> str:
-    """Measured and predicted, in the segment where the residual falls most."""
+    """Measured and predicted signal in the segment with the largest reduction of the residual."""
     return _picture(_draw_stretch, p, (9.6, 2.5))
 
 
 def driver_picture(p: SignalPicture) -> str:
-    """Residual against the input that it goes with: mean and spread in bins."""
+    """Residual over the input with which it correlates most: mean and spread in bins."""
     return _picture(_draw_driver, p, (4.7, 2.9))
 
 
@@ -69,7 +70,7 @@ def _picture(
 
 @dataclass(frozen=True)
 class _Curve:
-    """One model's prediction, and how it is drawn."""
+    """One model's prediction and its line style."""
 
     name: str
     predicted: Array
@@ -81,7 +82,7 @@ class _Curve:
 
 
 def _curves(p: SignalPicture) -> list[_Curve]:
-    """Before and after; one only where nothing was extended."""
+    """Curves before and after; only one if the model was not extended."""
     before = _Curve("before", p.predicted_before, p.spectrum_before, BEFORE, "s", (0, (5, 2)), 0.28)
     after = _Curve("after", p.predicted_after, p.spectrum_after, AFTER, "o", "solid", 0.4)
     if not is_extended(p):
@@ -90,7 +91,7 @@ def _curves(p: SignalPicture) -> list[_Curve]:
 
 
 def is_extended(p: SignalPicture) -> bool:
-    """Return whether the extended model predicts anything else of this signal."""
+    """Return whether the extended model changes the prediction of this signal."""
     return not np.array_equal(p.predicted_before, p.predicted_after, equal_nan=True)
 
 
@@ -159,7 +160,7 @@ def _draw_spectrum(axes: Axes, p: SignalPicture) -> None:
 
 
 def _time_axis(axes: Axes, t: Array) -> float:
-    """Label the axis; return the factor from seconds."""
+    """Label the time axis; return the factor from seconds to its unit."""
     known = t[np.isfinite(t)]
     long = len(known) > 0 and float(np.ptp(known)) > MINUTES_FROM_S
     axes.set_xlabel("time [min]" if long else "time [s]")
@@ -175,7 +176,8 @@ def _limit(axes: Axes, residuals: list[Array]) -> None:
 
 
 def _trim_depth(axes: Axes) -> None:
-    """Show so many decades from the top: beyond the sensor's band nothing is to be seen."""
+    """Show a fixed number of decades from the top; beyond the sensor's band there is nothing to
+    see."""
     low, high = axes.get_ylim()
     tops = [np.max(line.get_ydata()) for line in axes.lines if len(line.get_ydata())]  # type: ignore[arg-type]
     if tops:
@@ -184,7 +186,8 @@ def _trim_depth(axes: Axes) -> None:
 
 
 def _power_text(x: float, _: object) -> str:
-    """`0.02`, `10`, or a power of ten with raised digits: there is no formula text here."""
+    """`0.02`, `10`, or a power of ten with superscript digits, because formula text is not used
+    here."""
     if x <= 0.0:
         return ""
     power = math.floor(math.log10(x) + 1e-9)
@@ -195,7 +198,7 @@ def _power_text(x: float, _: object) -> str:
 
 
 def _clock_text(seconds: float, _: object) -> str:
-    """`23:06`, with tenths where the segment is short."""
+    """Time such as `23:06`, with tenths of a second if the segment is short."""
     sign, seconds = ("-" if seconds < 0 else ""), abs(round(seconds, 1))
     minutes, rest = divmod(seconds, 60.0)
     return (
@@ -206,7 +209,7 @@ def _clock_text(seconds: float, _: object) -> str:
 
 
 def _legend(axes: Axes) -> None:
-    """Above the axes, in one row; none for a single curve that needs no name."""
+    """Put the legend above the axes, in one row; a single curve without a name has none."""
     lines, _ = axes.get_legend_handles_labels()
     if lines:
         axes.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=len(lines),

@@ -1,6 +1,6 @@
-"""Values of pictures under the mouse: titles of SVG, which browsers show without a script.
+"""Show values of pictures under the mouse by SVG titles, which browsers show without a script.
 
-Of curves the point, of a map its cell, of dots how many there are in a strip and where they lie.
+A curve shows its point, a map its cell, and dots show their number and range in a strip.
 """
 
 from __future__ import annotations
@@ -27,22 +27,22 @@ if TYPE_CHECKING:
 
 POINTS_PER_INCH = 72.0
 FIELD_PT = 7.0
-"""Width of a field that has one title: about what a hand points at."""
+"""Width of a field with one title: about the accuracy of pointing by hand."""
 LABEL = re.compile(r"\s*(?P<name>.*?)\s*(?:\[(?P<unit>[^\]]*)\])?\s*", re.S)
 CLOCK = "min:s"
-"""The unit of an axis whose formatter writes the values."""
+"""Unit of an axis whose values are written by its own formatter."""
 
 
 def pointed_values(figure: Figure) -> str:
-    """Return SVG groups of unseen fields over what a drawn figure shows, each with a title.
+    """Return SVG groups of invisible fields, each with a title, over the parts of a drawn figure.
 
-    A field over curves or dots covers the height of its axes; units are as drawn.
+    A field over curves or dots covers the height of its axes; units are those of the drawing.
     """
     return "".join(_curves(axes) + _dots(axes) + _maps(axes) for axes in figure.axes)
 
 
 def _curves(axes: Axes) -> str:
-    # Rules over the whole width or height have two points.
+    # Straight lines over the whole width or height have only two points.
     curves = [c for c in axes.lines if len(_points(c)) > 2 and c.get_linestyle() != "None"]
     (left, bottom), (right, top) = _place(axes, axes.transAxes.transform([(0, 0), (1, 1)]))
     seen = [_seen(axes, curve, left, right) for curve in curves]
@@ -51,7 +51,7 @@ def _curves(axes: Axes) -> str:
         return ""
     count = min(len(every), int((right - left) / FIELD_PT))
     x = every[np.unique(np.linspace(0, len(every) - 1, count).round().astype(np.int64))]
-    # A hole of a curve has no field.
+    # A gap in a curve has no field.
     reach = 0.75 * float(np.median(np.diff(x)))
     middle = 0.5 * (x[1:] + x[:-1])
     start = np.maximum(np.concatenate([[left], middle]), x - reach)
@@ -64,9 +64,9 @@ def _curves(axes: Axes) -> str:
 
 
 def _dots(axes: Axes) -> str:
-    """Strips of the clouds of dots without a line: single dots are too many, and too small."""
+    """Fields over strips of dots without a line; single dots are too many and too small."""
     lone = [c for c in axes.lines if len(_points(c)) > 2 and c.get_linestyle() == "None"]
-    clouds = list(filter(_label, lone))  # those of error bars are without: each stands in its row
+    clouds = list(filter(_label, lone))  # dots of error bars have no label
     (left, bottom), (right, top) = _place(axes, axes.transAxes.transform([(0, 0), (1, 1)]))
     if not clouds:
         return ""
@@ -91,10 +91,10 @@ def _dots(axes: Axes) -> str:
 
 
 def _maps(axes: Axes) -> str:
-    """The cells of a map that have a value; the map's label has its name and unit."""
+    """Fields over the cells of a map with a value; the map's label has its name and unit."""
     fields = []
     meshes = (c for c in axes.collections if isinstance(c, QuadMesh))
-    for mesh in filter(_label, meshes):  # the scale next to a map is one without a name
+    for mesh in filter(_label, meshes):  # the colour scale next to a map has no label
         corners = np.asarray(mesh.get_coordinates(), float)  # (rows + 1, columns + 1, 2)
         rows, columns = corners.shape[0] - 1, corners.shape[1] - 1
         values: Array = np.ma.filled(np.ma.asarray(mesh.get_array(), float), np.nan)
@@ -130,27 +130,27 @@ def _between(axis: Axis, low: float, high: float) -> str:
 
 
 def _label(drawn: Artist) -> str:
-    """The label that a legend would show, "" for none."""
+    """The label for a legend; "" if there is none."""
     label = str(drawn.get_label())
     return "" if label.startswith("_") else label
 
 
 def _points(curve: Line2D) -> Array:
-    """Places of a curve in the units of its axes; (N, 2)."""
+    """Points of a curve in the units of its axes; (N, 2)."""
     return np.column_stack([
         np.asarray(curve.get_xdata(), float), np.asarray(curve.get_ydata(), float)
     ])  # fmt: skip
 
 
 def _place(axes: Axes, display: Array) -> Array:
-    """Places in the SVG [pt], y down; (N, 2)."""
+    """Positions in the SVG [pt], y downward; (N, 2)."""
     figure, width, height = _sheet(axes)
     share = figure.transFigure.inverted().transform(display)
     return np.column_stack([width * share[:, 0], height * (1.0 - share[:, 1])])
 
 
 def _display(axes: Axes, place: Array) -> Array:
-    """What `_place` was made from; (N, 2)."""
+    """Inverse of `_place`: display coordinates; (N, 2)."""
     figure, width, height = _sheet(axes)
     share = np.column_stack([place[:, 0] / width, 1.0 - place[:, 1] / height])
     display: Array = figure.transFigure.transform(share)
@@ -166,7 +166,7 @@ def _sheet(axes: Axes) -> tuple[Figure, float, float]:
 
 
 def _seen(axes: Axes, curve: Line2D, left: float, right: float) -> tuple[Array, Array]:
-    """Where a curve's points are [pt], and the points, of those that the picture shows."""
+    """Horizontal positions [pt] and values of a curve's visible points."""
     points = _points(curve)
     points = points[np.isfinite(points).all(axis=1)]
     x = _place(axes, axes.transData.transform(points))[:, 0] if len(points) else np.zeros(0)
@@ -189,7 +189,7 @@ def _title(axes: Axes, at: float, curves: list[Line2D], seen: list[tuple[Array, 
 
 
 def _where(axes: Axes, x: float) -> str:
-    """The place along a picture; the lowest of axes that share it has the label."""
+    """Text of the horizontal position; if axes share it, the lowest one has the label."""
     together = axes.get_shared_x_axes().get_siblings(axes)
     axis = next((a.xaxis for a in together if a.get_xlabel()), axes.xaxis)
     name, unit = _named(axis)

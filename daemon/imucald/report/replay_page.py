@@ -38,7 +38,7 @@ from imucald.runtime.drive_events import (
 
 SHOWN_PROBLEMS = 20
 SNAPSHOT_S = 1.0
-"""The history has a moment a second."""
+"""The history has one moment per second."""
 
 
 def replay_page(
@@ -46,7 +46,7 @@ def replay_page(
 ) -> str:
     """Return the page as HTML text; result: as in docs/json.md, problems: bad lines of the log.
 
-    Raises ImucaldError where a library is missing.
+    Raises ImucaldError if a library is missing.
     """
     require_libraries()
     from imucald.report import motion_plots as beside  # noqa: PLC0415 - loads matplotlib
@@ -99,14 +99,15 @@ def replay_page(
 
 
 def drive_events(history: DriveHistory, result: Mapping[str, Any]) -> list[Event]:
-    """What happened, by time."""
+    """Events of the drive, by time."""
     states = ((m.t, m.estimate.state.name.lower(), m.estimate.waiting_for) for m in history.moments)
     changes = [_at_its_time(event, history, result) for event in state_changes(states)]
     return in_order([*changes, *reported_events(result, history.gaps)])
 
 
 def _at_its_time(event: Event, history: DriveHistory, result: Mapping[str, Any]) -> Event:
-    """A first *usable* or *fine* when it came; the history knows it to the second only."""
+    """An event with the exact time of the first *usable* or *fine*; the history has it only to the
+    second."""
     first = result.get(f"first_{event.text.partition(':')[0]}_s")
     came = None if first is None else first - history.lead
     if came is None or not event.t - SNAPSHOT_S <= came <= event.t:
@@ -125,7 +126,7 @@ def _headline(result: Mapping[str, Any], lead: float) -> str:
 
 
 def _rotation(estimate: MountEstimate | None) -> Any:
-    """The mount, where its heading is known: a drawing may not show a heading that is not."""
+    """The mount, or None if its heading is unknown: a drawing must not show an unknown heading."""
     if estimate is None or estimate.std is None:
         return None
     known = half_width(estimate.std[2] * DEG_PER_RAD) is not None
@@ -133,7 +134,7 @@ def _rotation(estimate: MountEstimate | None) -> Any:
 
 
 def _axis_rows(mount: Mapping[str, Any]) -> list[tuple[str, ...]]:
-    """Each axis with the turn that may be left about it (±), and its limits."""
+    """Each axis with the possible remaining rotation about it (±), and its limits."""
     rows: list[tuple[str, ...]] = []
     for axis, turn in zip("xyz", VEHICLE_AXES, strict=True):
         targets = mount.get("target_std_deg")
@@ -151,7 +152,7 @@ def _quaternion(mount: Mapping[str, Any]) -> str:
 
 
 def _fits(motion: DriveMotion) -> list[dict[str, str]]:
-    """How raw and corrected forces go with the motion: slope, and rms of the difference."""
+    """Agreement of raw and corrected forces with the motion: slope, and rms of the difference."""
     found = []
     for axis, (way, what, truth) in enumerate(
         (("forward", "dv/dt", motion.dvdt), ("left", "speed times yaw rate", motion.turn))

@@ -44,21 +44,21 @@ WIDE = (9.6, 5.2)
 TIME_BINS = 240
 LARGEST_DEG = 30.0
 LABEL_SHARE = 0.02
-"""Numbers closer together than this share of the picture would cover one another."""
+"""Numbers closer together than this share of the picture's width would overlap."""
 MAX_MARKS = 12
-"""Numbered events in a picture."""
+"""Largest number of numbered events in a picture."""
 
 
 @dataclass(frozen=True)
 class Numbered:
-    """An event with the number that it has in pictures and table."""
+    """An event with its number in pictures and table."""
 
     number: int
     event: Event
 
 
 def mount_picture(history: DriveHistory, events: Sequence[Numbered]) -> str:
-    """Roll, pitch and yaw of the mount against time with their 95 % intervals."""
+    """Roll, pitch and yaw of the mount over time, with their 95 % intervals."""
     known = [m for m in history.moments if m.estimate.R_vehicle_from_sensor is not None]
 
     def draw(figure: Figure) -> None:
@@ -74,7 +74,7 @@ def mount_picture(history: DriveHistory, events: Sequence[Numbered]) -> str:
 
 
 def _draw_states(axes: Axes, history: DriveHistory, events: Sequence[Numbered]) -> None:
-    """A strip in the colours of the states, the numbers of the events above it."""
+    """Draw a strip in the colours of the states, with the numbers of the events above it."""
     for state, start, stop in _stretches(history):
         axes.axvspan(start, stop, color=STATE_COLOURS[state], lw=0)
         if stop - start > 0.07 * history.duration_s:
@@ -87,7 +87,7 @@ def _draw_states(axes: Axes, history: DriveHistory, events: Sequence[Numbered]) 
 
 
 def _labels(events: Sequence[Numbered], duration: float) -> list[tuple[float, str]]:
-    """Where the numbers of events stand; those of events close together as one, "4-6"."""
+    """Positions and texts of the events' numbers; close events share one text, such as "4-6"."""
     found: list[list[Numbered]] = []
     for mark in events:
         if found and mark.event.t - found[-1][0].event.t < LABEL_SHARE * duration:
@@ -101,7 +101,7 @@ def _labels(events: Sequence[Numbered], duration: float) -> list[tuple[float, st
 
 
 def _stretches(history: DriveHistory) -> list[tuple[MountState, float, float]]:
-    """States with their begin and end [s]."""
+    """States with their start and end [s]."""
     found: list[tuple[MountState, float, float]] = []
     before = 0.0
     for moment in history.moments:
@@ -137,7 +137,7 @@ def _draw_angle(
 
 
 def _angle(moment: Moment, angle: int) -> tuple[float, float]:
-    """An angle of the mount, and half of its 95 % interval [deg]."""
+    """An angle of the mount, and the half width of its 95 % interval [deg]."""
     angles, std = moment.estimate.angles, moment.estimate.angle_std
     if angles is None or std is None:
         return np.nan, np.inf
@@ -145,7 +145,8 @@ def _angle(moment: Moment, angle: int) -> tuple[float, float]:
 
 
 def _size(off: Array, half: Array) -> float:
-    """Half height [deg] of a picture: all of the last three quarters, the first as it fits."""
+    """Half height [deg] of a picture: it shows the last three quarters fully, and the first quarter
+    as far as it fits."""
     late = slice(len(off) // 4, None)
     edge = np.abs(off[late]) + half[late]
     if not np.isfinite(edge).any():
@@ -154,7 +155,7 @@ def _size(off: Array, half: Array) -> float:
 
 
 def arrivals_picture(history: DriveHistory) -> str:
-    """What came when: rate of each signal by time, holes and rejections."""
+    """Rate of each signal over time, with gaps and rejections."""
     samples, rejected = history.all_samples, history.rejected
     channels = sorted(set(samples) | set(rejected))
     duration = max(history.duration_s, 1.0)
@@ -185,7 +186,7 @@ def arrivals_picture(history: DriveHistory) -> str:
 
 
 def evidence_picture(history: DriveHistory, angle: str) -> str | None:
-    """Shares of the kinds of evidence in an angle, by time; None where none are reported."""
+    """Shares of the kinds of evidence in an angle, over time; None if none are reported."""
     rows = []
     for moment in history.moments:
         shares = moment.estimate.details.get("evidence_share")
@@ -213,7 +214,7 @@ def evidence_picture(history: DriveHistory, angle: str) -> str | None:
 
 
 def grouped(shares: Mapping[str, float]) -> dict[str, float]:
-    """Shares by kind of evidence: what the last part of a source's name says."""
+    """Shares by kind of evidence, which is the last part of a source's name."""
     found: dict[str, float] = {}
     for source, share in shares.items():
         kind = EVIDENCE_KINDS.get(source.rpartition("_")[2], source)

@@ -1,4 +1,4 @@
-"""Figures of matplotlib as short SVG text, laid out the same on every machine."""
+"""Figures of matplotlib as short SVG text, with the same layout on every machine."""
 
 from __future__ import annotations
 
@@ -15,7 +15,8 @@ from matplotlib.figure import Figure
 from imucald.report.pointed_values import pointed_values
 
 LAYOUT_FONT = "DejaVu Sans"
-"""Comes with matplotlib, so pictures are laid out the same anywhere; it is wide."""
+"""This font comes with matplotlib, so the layout of pictures is the same everywhere. It is a wide
+font."""
 READERS_FONTS = "'Helvetica Neue', Arial, 'Liberation Sans', 'DejaVu Sans'"
 METADATA = ("Date", "Creator", "Format", "Type")
 PATH = re.compile(r'( d=")([^"]*)"')
@@ -27,7 +28,7 @@ SOME_ID = re.compile(r' id="([^"]*)"')
 BETWEEN_TAGS = re.compile(r"\n\s*<")
 MARKERS = re.compile(r'<use [^>]*(style="[^"]*")/>\n(?:<use [^>]*\1/>\n){2,}')
 LONG_LINE = 40
-"""Commands of a path from which on it is a curve of data, no marker or letter."""
+"""A path with at least this many commands is a curve of data, not a marker or letter."""
 
 STYLE: dict[Any, Any] = {
     "text.parse_math": False,  # names come from databases: a dollar sign is no formula
@@ -58,9 +59,10 @@ def drawn(
     size: tuple[float, float],
     style: Mapping[str, Any] | None = None,
 ) -> str:
-    """Return what `draw` puts on a figure of that size [in] as SVG text."""
+    """Draw on a figure of the given size [in] and return it as SVG text. draw: draws on the
+    figure."""
     with mpl.rc_context(STYLE | dict(style or {})), warnings.catch_warnings():
-        # Letters of other scripts are missing in the font of the layout, not in the reader's.
+        # The layout font lacks letters of other scripts; the reader's font has them.
         warnings.filterwarnings("ignore", message="Glyph .* missing")
         figure = Figure(figsize=size, layout="constrained")
         FigureCanvasSVG(figure)
@@ -72,14 +74,14 @@ def drawn(
 
 
 def _shortened(svg: str) -> str:
-    """Drop what a browser does not need: a third of the size, the same picture.
+    """Remove parts that a browser does not need: the same picture has a third of the size.
 
-    Text takes the reader's fonts.
+    Text uses the reader's fonts.
     """
     svg = svg[svg.index("<svg") :].replace(f"'{LAYOUT_FONT}'", READERS_FONTS)
     svg = PATH.sub(lambda m: f'{m[1]}{short_path(m[2])}"', svg)
     svg = PLACE.sub(lambda m: f'{m[1]}="{_number(m[2], 1)}"', NOT_TURNED.sub("", svg))
-    used = set(USED_ID.findall(svg))  # several pictures of a page would share the others
+    used = set(USED_ID.findall(svg))  # ids of several pictures on one page would collide
     svg = SOME_ID.sub(lambda m: m[0] if m[1] in used else "", svg)
     svg = BETWEEN_TAGS.sub("\n<", svg)
     # Markers in a row that look the same have one style.
@@ -87,15 +89,15 @@ def _shortened(svg: str) -> str:
 
 
 def without_name_space(svg: str) -> str:
-    """SVG text as a part of a page: HTML needs no name space."""
+    """SVG text for use within HTML, which needs no name space."""
     return NAME_SPACE.sub("", svg)
 
 
 def short_path(path: str) -> str:
-    """Path data as matplotlib writes it, a command in a line, with fewer letters.
+    """Shorten matplotlib's path data, which has one command per line.
 
-    Curves of data keep tenths of a point (a seventh of a pixel on a wide page) and no point twice
-    in a row; markers and letters, which are small, keep hundredths.
+    Curves of data are rounded to tenths of a point (a seventh of a pixel on a wide page), and
+    repeated points are removed. Markers and letters are small, so they are rounded to hundredths.
     """
     lines = path.split("\n")
     is_data = len(lines) > LONG_LINE
@@ -113,6 +115,6 @@ def short_path(path: str) -> str:
 
 
 def _number(text: str, digits: int) -> str:
-    """A number with so many digits after its point at most."""
+    """A number with at most `digits` decimals."""
     short = f"{float(text):.{digits}f}".rstrip("0").rstrip(".")
     return "0" if short in {"-0", ""} else short

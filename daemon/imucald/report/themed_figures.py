@@ -1,4 +1,5 @@
-"""Colours of pictures that follow the page's light or dark, and what their axes share."""
+"""Colours of pictures that follow the page's light or dark mode, and common properties of their
+axes."""
 
 from __future__ import annotations
 
@@ -16,7 +17,7 @@ if TYPE_CHECKING:
 
 INK, SOFT, GRID, RAW, OURS, TRUTH, BAD = (f"#0a0b{i:02x}" for i in range(1, 8))
 STATE_COLOURS = {state: f"#0a0c{int(state):02x}" for state in MountState}
-"""Stand in for the page's colours while a figure is drawn; see `themed`."""
+"""Placeholders for the page's colours while a figure is drawn; see `themed`."""
 THEME: Mapping[str, str] = {
     INK: "--ink", SOFT: "--soft", GRID: "--grid", RAW: "--raw", OURS: "--ours",
     TRUTH: "--truth", BAD: "--bad",
@@ -42,7 +43,7 @@ def time_axis(axes: Axes, duration: float) -> None:
 
 
 def clock_text(seconds: float, _: object) -> str:
-    """`4:02`, as matplotlib asks for it."""
+    """Time such as `4:02`, as a matplotlib formatter."""
     return clock(seconds)
 
 
@@ -53,7 +54,7 @@ def legend(axes: Axes) -> None:
 
 
 def themed(svg: str) -> str:
-    """Let the page say the colours, as it knows light from dark."""
+    """Replace placeholder colours by the page's colours, which depend on light or dark mode."""
     svg = without_name_space(svg)
     for colour, name in THEME.items():
         svg = svg.replace(colour, f"var({name})")

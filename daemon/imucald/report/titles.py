@@ -1,4 +1,4 @@
-"""What people call causes, signals and parameters."""
+"""Readable titles of causes, signals and parameters."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ CAUSES: Mapping[str, str] = {
     "dropouts": "drop-outs",
     "duplicated_frames": "doubled frames",
 }
-"""Titles that are more than the name with blanks; a new cause needs none."""
+"""Titles that differ from the name with blanks; a new cause needs no entry."""
 
 SIGNALS: Mapping[str, str] = {
     "accel": "accelerometer",
@@ -56,12 +56,12 @@ QUANTITIES: Mapping[str, str] = {
 
 
 def cause_title(name: str) -> str:
-    """Return what people call a cause."""
+    """Return the title of a cause."""
     return CAUSES.get(name, name.replace("_", " "))
 
 
 def signal_title(name: str) -> str:
-    """Return what people call a signal, as `accelerometer x` for `accel_x`."""
+    """Return the title of a signal, such as `accelerometer x` for `accel_x`."""
     if name in SIGNALS:
         return SIGNALS[name]
     sensor, _, axis = name.rpartition("_")
@@ -70,7 +70,7 @@ def signal_title(name: str) -> str:
 
 
 def key_title(key: str) -> str:
-    """Return what people call a parameter: `lever arm, forward` for `mount.lever_arm_m.0`."""
+    """Return the title of a parameter, such as `lever arm, forward` for `mount.lever_arm_m.0`."""
     part, _, rest = key.removeprefix("_").partition(".")
     if key == "mount.shifts.t_s":
         return "time of the shift"

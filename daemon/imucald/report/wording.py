@@ -1,4 +1,4 @@
-"""A diagnosis in words, for terminal and page."""
+"""Texts of a diagnosis, for terminal and page."""
 
 from __future__ import annotations
 
@@ -26,49 +26,49 @@ from imucald.report.numbers import for_people, in_file, number, typographic
 from imucald.report.titles import cause_title, key_title, signal_title
 
 AS_WELL = " does as well on data that no fit saw"
-"""How the diagnosis ends what it says of rivals."""
+"""End of the diagnosis' sentence about rivals."""
 MANY = 4
-"""Of more names than this a sentence shows the first ones."""
+"""A sentence shows at most this many names, the first ones."""
 
 
 class ParameterRow(NamedTuple):
-    """A number of a cause, as people read it."""
+    """A number of a cause in readable form."""
 
     title: str
     value: str
     stated: str
     key: str
-    """Of the model file; empty: it has no place there."""
+    """Key of the model file; empty: it has no place there."""
     in_file: str
 
 
 class CandidateRow(NamedTuple):
-    """A cause that was not named, as people read it."""
+    """A cause that was not named, in readable form."""
 
     title: str
     outcome: str
     value: str
     shows: str
-    """From which size on."""
+    """Size from which the drives would have shown it."""
 
 
 @dataclass(frozen=True)
 class Words:
-    """The verdict in words."""
+    """Texts of the verdict."""
 
     headline: str
     explanation: str
 
 
 def in_series(names: Sequence[str], last: str = "and") -> str:
-    """Join as in speech: `a, b and c`."""
+    """Join names as in a sentence: `a, b and c`."""
     if len(names) < 2:
         return "".join(names)
     return f"{', '.join(names[:-1])} {last} {names[-1]}"
 
 
 def few_of(names: Sequence[str], last: str) -> str:
-    """The same; of a long list the first three and the number of the others."""
+    """As `in_series`; a long list shows the first three names and the number of the others."""
     if len(names) <= MANY:
         return in_series(names, last)
     shown = MANY - 1
@@ -76,12 +76,12 @@ def few_of(names: Sequence[str], last: str) -> str:
 
 
 def ways_apart(group: Sequence[str]) -> list[str]:
-    """Manoeuvres that would separate causes, which these drives cannot."""
+    """Manoeuvres that would separate causes that these drives cannot separate."""
     return list(dict.fromkeys(BY_NAME[name].separate for name in group if name in BY_NAME))
 
 
 def against(cause: FoundCause, diagnosis: Diagnosis) -> list[str]:
-    """What speaks against a cause, with the names of rivals as people call them."""
+    """Arguments against a cause, with the readable titles of rivals."""
     texts = [_with_rivals(typographic(text)) for text in cause.against]
     if not any(text.endswith(AS_WELL) for text in cause.against):
         groups = [g for g in diagnosis.look_alikes if cause.name in g]
@@ -92,7 +92,7 @@ def against(cause: FoundCause, diagnosis: Diagnosis) -> list[str]:
 
 
 class Suspect(NamedTuple):
-    """A cause that fits like one that was found, and of which the file has nothing."""
+    """A cause that fits as well as a found one, but is not in the extended file."""
 
     name: str
     title: str
@@ -107,7 +107,8 @@ def other_suspects(diagnosis: Diagnosis) -> list[Suspect]:
 
 
 def for_prediction_only(diagnosis: Diagnosis) -> str:
-    """Why an extended file that predicts well may hold the wrong cause; empty: it is certain."""
+    """Reason why an extended file that predicts well may contain the wrong cause; empty if it is
+    certain."""
     sets = diagnosis.look_alikes
     if not sets:
         return ""
@@ -124,18 +125,19 @@ def _with_rivals(text: str) -> str:
 
 
 def how_sure(cause: FoundCause, diagnosis: Diagnosis) -> str:
-    """One word: certain, likely, or ambiguous where these drives show others as well."""
+    """One word: certain, likely, or ambiguous if other causes fit as well."""
     is_confused = any(cause.name in group for group in diagnosis.look_alikes)
     return "ambiguous" if is_confused and cause.certainty == "certain" else cause.certainty
 
 
 def look_alike_groups(diagnosis: Diagnosis) -> dict[tuple[str, ...], tuple[str, ...]]:
-    """The causes that these drives cannot distinguish: by titles, each once, their names."""
+    """The causes that these drives cannot distinguish: a mapping from titles, each once, to
+    names."""
     return {tuple(cause_title(n) for n in names): names for names in diagnosis.look_alikes}
 
 
 def verdict(diagnosis: Diagnosis) -> Words:
-    """Return what the diagnosis says, with how sure it is."""
+    """Return the verdict of the diagnosis and its certainty."""
     titles = [cause_title(cause.name) for cause in diagnosis.causes]
     tail = _advice(diagnosis) + _likely(diagnosis) + _incomplete(diagnosis)
     if diagnosis.verdict == "found":
@@ -185,7 +187,7 @@ def _unknown(diagnosis: Diagnosis, titles: Sequence[str], tail: str) -> Words:
 
 
 def _advice(diagnosis: Diagnosis) -> str:
-    """Whether the extended file is worth using, in so many words."""
+    """A sentence on whether the extended file is worth using."""
     if not diagnosis.causes:
         return ""
     if diagnosis.recommended and not diagnosis.gain.was_fitted:
@@ -214,7 +216,7 @@ def _advice(diagnosis: Diagnosis) -> str:
 
 
 def advice_in_short(diagnosis: Diagnosis) -> tuple[str, str]:
-    """The same as a figure: advice, and what it rests on."""
+    """The same in short form: the advice and its basis."""
     if not model_changes(diagnosis.model_before, diagnosis.model_after):
         return "unchanged", "the model file has no key for what was found"
     if not diagnosis.recommended:
@@ -240,7 +242,7 @@ def _incomplete(diagnosis: Diagnosis) -> str:
 
 
 def _where(diagnosis: Diagnosis) -> str:
-    """The signals that hold structure, in words."""
+    """The signals with left-over structure, in words."""
     return in_series(list(dict.fromkeys(signal_title(s.signal) for s in diagnosis.structure)))
 
 
@@ -262,8 +264,8 @@ def evidence(cause: FoundCause) -> str:
 
 
 def parameter_rows(cause: FoundCause) -> list[ParameterRow]:
-    """What is said of a cause's numbers: by the file's key along the sensor's axes, then along the
-    vehicle's."""
+    """Rows for a cause's numbers: first by the file's keys along the sensor's axes, then along the
+    vehicle's axes."""
     rows = []
     for key, p in (*cause.in_file.items(), *cause.along_vehicle.items()):
         shown, stated = for_people(key, p)
@@ -273,8 +275,8 @@ def parameter_rows(cause: FoundCause) -> list[ParameterRow]:
 
 
 def not_named(diagnosis: Diagnosis) -> list[CandidateRow]:
-    """Causes that were not named, what pays most first, with the size from which these drives would
-    have shown each."""
+    """Causes that were not named, those with the largest gain first, with the size from which these
+    drives would have shown each."""
     ordered = sorted(
         diagnosis.candidates, key=lambda c: -c.nats if math.isfinite(c.nats) else math.inf
     )
@@ -282,7 +284,7 @@ def not_named(diagnosis: Diagnosis) -> list[CandidateRow]:
 
 
 def _sizes(c: Candidate) -> tuple[str, str]:
-    """Of what a cause is off by how much, and from which size on it shows."""
+    """Departure of a cause's parameter, and the size from which it shows."""
     if not math.isfinite(c.shows_from):
         return typographic(c.text), ""
     off = Estimated(c.off, c.std, c.unit, c.shows_from)
@@ -305,7 +307,7 @@ def gain(found: Gain) -> str:
 
 
 def less(signal: SignalGain) -> str:
-    """Return by how much a residual falls, in per cent."""
+    """Return the reduction of a residual in per cent."""
     if not signal.rms_before > 0.0 or not math.isfinite(signal.rms_after):
         return "-"
     share = 100.0 * (signal.rms_after / signal.rms_before - 1.0)
@@ -318,6 +320,6 @@ def _counted(n: int) -> str:
 
 
 def structure_text(structure: Structure) -> str:
-    """What is left, with the name that people have for the parameter."""
+    """Text of left-over structure, with the readable title of the parameter."""
     key, text = structure.parameter, structure.text
     return typographic(key_title(key) + text.removeprefix(key) if key else text)

@@ -1,4 +1,4 @@
-"""Vehicle, road, sensors and CAN traffic from a seed: a drive with its truth."""
+"""Simulate vehicle, road, sensors and CAN timing from a seed: a drive with its true motion."""
 
 from imucald.model.model import VehicleModel, load_model
 from imucald.simulation.drive import Drive, Truth, simulate

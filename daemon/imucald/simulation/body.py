@@ -1,8 +1,8 @@
-"""The sprung body on the road: its attitude, its angular rate, and the force a sensor feels.
+"""The sprung body on the road: its attitude, its angular rate, and the specific force at a sensor.
 
-Frames: earth (z up) -> road (yaw, slope, cross fall) -> body (suspension pitch and roll).
-Vehicle axes are the body's axes: at rest on level road they are ISO 8855 axes, and the sensor is
-fixed in them, so the mount is a rotation of the sensor against the *body*.
+Frames: earth (z up) -> road (yaw, slope, cross fall) -> body (suspension pitch and roll). Vehicle
+axes are the body's axes: at rest on a level road they are the ISO 8855 axes. The sensor is fixed to
+the body, so the mount is a rotation of the sensor against the *body*.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ class BodyMotion:
     reference_force: tuple[Array, Array, Array]
     """Specific force at the body's centre of rotation [m/s^2]."""
     heading_rate: Array
-    """Turn of the road frame about the vertical [rad/s]."""
+    """Angular rate of the road frame about the vertical [rad/s]."""
 
 
 def road_force(
@@ -78,7 +78,8 @@ def suspension_attitude(
     roughness: Roughness | None,
     rate: float,
 ) -> BodyAttitude:
-    """Suspension's answer to the specific force in road axes and to the road's waves."""
+    """Response of the suspension to the specific force in road axes and to the road's
+    unevenness."""
     n = len(force_x)
     pitch, roll = np.zeros(n), np.zeros(n)
     if suspension.squat_dive:
@@ -110,7 +111,7 @@ def body_motion(
     lever_arm: Vector3,
     rate: float,
 ) -> BodyMotion:
-    """Turn road-axes force into body axes and carry it to the sensor's place.
+    """Rotate the road-axes force into body axes and transfer it to the sensor's place.
 
     R_road_from_body = R_y(pitch) R_x(roll); f_sensor = f + w' x l + w x (w x l).
     """

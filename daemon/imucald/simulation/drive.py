@@ -1,4 +1,4 @@
-"""A simulated drive: samples as a car's bus would give them, and the truth behind them."""
+"""A simulated drive: samples as a car's bus would give them, and the true motion."""
 
 from __future__ import annotations
 
@@ -31,32 +31,32 @@ from imucald.simulation.vehicle_signals import VehicleSignals
 
 MIN_DURATION_S = 1.0
 MOVING_MPS = 1.0
-"""Means 'while driving' are taken above this speed."""
+"""Means 'while driving' use only times above this speed."""
 
 
 @dataclass(frozen=True)
 class Truth:
-    """What is true in a simulated drive; arrays (N,) on the regular times `t`, SI, radians.
+    """True motion of a simulated drive; arrays (N,) on the regular times `t`, SI, radians.
 
-    Angles are ISO 8855 (pitch positive nose down, roll positive left side up): `road_*` of the
-    road plane against the horizontal, `body_*` of the body against the road plane.
+    Angles are ISO 8855 (pitch positive nose down, roll positive left side up): `road_*` of the road
+    plane against the horizontal, `body_*` of the body against the road plane.
     """
 
     mounts: tuple[tuple[float, Matrix3], ...]
-    """From time [s] on, R_vehicle_from_sensor."""
+    """Pairs of a start time [s] and R_vehicle_from_sensor from then on."""
     lever_arm_m: tuple[float, float, float]
     t: Array
     speed: Array
-    """Signed, along the vehicle [m/s]."""
+    """Signed speed along the vehicle [m/s]."""
     acceleration: Array
-    """Its time derivative."""
+    """Time derivative of `speed` [m/s^2]."""
     lateral_velocity: Array
     yaw_rate: Array
-    """About the road's normal."""
+    """Yaw rate about the road's normal."""
     steer: Array
     """Road-wheel angle."""
     heading: Array
-    """Clockwise from north, not wrapped."""
+    """Heading clockwise from north, not wrapped."""
     road_pitch: Array
     road_roll: Array
     body_pitch: Array
@@ -64,17 +64,18 @@ class Truth:
     force: NDArray[np.float64]
     """(N, 3) specific force at the sensor's place, vehicle axes, without vibration."""
     reference_force: NDArray[np.float64]
-    """(N, 3) the same at the body's centre of rotation."""
+    """(N, 3) specific force at the body's centre of rotation."""
     rate: NDArray[np.float64]
     """(N, 3) angular rate, vehicle axes."""
 
     def R_vehicle_from_sensor(self, t: float | None = None) -> Matrix3:
-        """Return the mount at a time [s]; at the end of the drive without one."""
+        """Return the mount at a time [s]; without a time, at the end of the drive."""
         reached = [R for start, R in self.mounts if t is None or start <= t]
         return reached[-1] if reached else self.mounts[0][1]
 
     def mean_crown(self, start_s: float = 0.0, stop_s: float = math.inf) -> float:
-        """Mean roll of the road while driving [rad]: what mount roll cannot be separated from."""
+        """Mean roll of the road while driving [rad]; the mount's roll cannot be separated from
+        it."""
         return self._driving_mean(self.road_roll, start_s, stop_s)
 
     def mean_grade(self, start_s: float = 0.0, stop_s: float = math.inf) -> float:
@@ -86,7 +87,7 @@ class Truth:
         return float(np.mean(x[use])) if use.any() else 0.0
 
     def summary(self) -> dict[str, object]:
-        """Return what `truth.json` says: plain numbers and lists."""
+        """Return the content of `truth.json`: plain numbers and lists."""
         return {
             "mount": _mount_summary(self.mounts[0][1]),
             "shifts": [{"t_s": t, "mount": _mount_summary(R)} for t, R in self.mounts[1:]],
@@ -101,7 +102,7 @@ class Truth:
 
 @dataclass(frozen=True)
 class Drive:
-    """Samples of a drive and what made them."""
+    """Samples of a drive, with its model, seed and truth."""
 
     samples: Samples
     truth: Truth
@@ -123,7 +124,7 @@ def simulate(model: VehicleModel, seed: int, minutes: float) -> Drive:
     """Simulate a drive. The same model, seed and length give the same numbers.
 
     Times begin at 0; samples are in sensor axes and SI units (see `imucald.core.samples`).
-    Raises ConfigError for a drive shorter than a second, or endless.
+    Raises ConfigError for a drive shorter than a second or without an end.
     """
     duration_s = 60.0 * minutes
     if not MIN_DURATION_S <= duration_s < math.inf:

@@ -1,4 +1,4 @@
-"""How the path is driven: speed, distance and intended curvature against time."""
+"""Drive along a path: speed, distance and intended curvature over time."""
 
 from __future__ import annotations
 
@@ -13,40 +13,41 @@ from imucald.simulation.filters import gauss_markov, generator, smoothed
 from imucald.simulation.route import Path, build_path
 
 JERK_WINDOW_S = 0.35
-"""Two running means of this width limit the jerk to what drivers do (2-6 m/s^3)."""
+"""Two running means of this width limit the jerk to that of drivers (2-6 m/s^3)."""
 STEERING_WINDOW_S = 0.2
-"""Hands follow the bend as smoothly as two running means of this width."""
+"""The driver's steering follows a bend as smoothly as two running means of this width."""
 BANKING_WINDOW_S = 0.5
-"""Superelevation comes and goes gradually."""
+"""Superelevation changes gradually over this time."""
 SPEED_WANDER_S = 9.0
-"""Time in which the driver's speed forgets itself."""
+"""Correlation time of the driver's speed variation."""
 WANDER_GRID_S = 0.5
 STEERING_WANDER_S = 0.8
 CREEP_MPS = 0.2
-"""Slowest pace between two nodes at rest."""
+"""Lowest mean speed between two nodes at rest."""
 GRIP_SHARE = 0.6
-"""Share of the road's grip that drivers use."""
+"""Share of the road's friction that drivers use."""
 STOP_SEARCHES = 3
-"""Attempts to end the drive standing for as long as asked."""
+"""Number of attempts to end the drive with a stop of the requested length."""
 SHIFT_SPEEDS_MPS = (4.5, 8.5, 13.5, 19.0)
 SHIFT_WIDTH_MPS = 0.12
 SHIFT_MPS2 = 0.17
-"""While shifting the vehicle hardly gains: 0.12 m/s at 0.17 m/s^2 takes 0.7 s."""
+"""During a gear shift the vehicle hardly accelerates: 0.12 m/s at 0.17 m/s^2 takes 0.7 s."""
 FADE_SPEED_MPS = 42.0
-"""Acceleration fades with speed as the engine's power is spent; zero here."""
+"""The engine's power limits the acceleration at high speed; at this speed it is zero."""
 EASE_SPEED_MPS = 4.0
-"""Below this speed drivers ease the brake, down to half at standstill."""
+"""Below this speed drivers release the brake gradually, to half at standstill."""
 STILL_MPS = 1e-6
 DRIFT_GRID_S = 1.0
 MIN_SPEED_FOR_WANDER = 6.0
-"""[m/s] Steering corrections are bounded in curvature below this speed."""
+"""Below this speed [m/s] the curvature of steering corrections is limited."""
 
 
 @dataclass(frozen=True)
 class Driving:
-    """What the driver does, on the physics' grid; all (N,).
+    """The driver's actions on the grid of the physics; all (N,).
 
-    speed is signed (negative in reverse); distance counts the metres driven either way.
+    speed is signed (negative in reverse); distance is the path length driven in both directions
+    [m].
     """
 
     t: Array
@@ -64,7 +65,7 @@ def drive_route(
 ) -> Driving:
     """Drive a route for duration_s [s] on a grid of `rate` [Hz].
 
-    friction: of the road; on a slippery one the driver takes everything gently.
+    friction: of the road; on a slippery road the driver uses smaller accelerations.
     """
     t = np.arange(round(duration_s * rate) + 1) / rate
     path = build_path(route, seed, duration_s)
@@ -92,7 +93,7 @@ def drive_route(
 
 
 def _gentle(path: Path, most: float) -> Path:
-    """The same path with all accelerations at most so large [m/s^2]."""
+    """Return the same path with all accelerations limited to `most` [m/s^2]."""
     return replace(
         path,
         lateral_mps2=np.minimum(path.lateral_mps2, most),
@@ -104,7 +105,7 @@ def _gentle(path: Path, most: float) -> Path:
 def _timed(
     path: Path, route: DriveRoute, seed: int, duration_s: float
 ) -> tuple[Array, Array, Array, Array, Array]:
-    """Return times, signed speeds, distances and curvatures of the nodes, stops doubled."""
+    """Return times, signed speeds, distances and curvatures of the nodes; a stop has two nodes."""
     moving_start = route.standing_first_s <= 0.0
     limit = _limits(path, route, seed)
     v = _profile(path, limit, moving_start, route.gear_shifts)
@@ -115,13 +116,13 @@ def _timed(
         if not 1 < last < len(v):
             break
         if path.stop_s[last - 1] > 0.0:
-            last -= 1  # the wait at a stop is not to be followed by another one metre on
+            last -= 1  # no second stop one metre after a stop
         path = Path(*(getattr(path, name)[: last + 1] for name in Path.__dataclass_fields__))
         limit = limit[: last + 1]
         limit[last] = 0.0
         v = _profile(path, limit, moving_start, route.gear_shifts)
         node_t = _node_times(path, v, route.standing_first_s)
-        # Braking takes its time: stop so much earlier.
+        # Braking takes time, so the driver must stop earlier by this time.
         target -= max(0.0, float(node_t[-1]) - (duration_s - route.standing_last_s))
     s = np.concatenate(([0.0], np.cumsum(path.step)[:-1]))
     signed = v * path.direction
@@ -134,7 +135,8 @@ def _timed(
 
 
 def _limits(path: Path, route: DriveRoute, seed: int) -> Array:
-    """Speed limit at each node [m/s]: target with the driver's wander, bends, stops."""
+    """Speed limit at each node [m/s], from the target with the driver's variation, bends and
+    stops."""
     rng = generator(seed, "speed_wander")
     planned = np.cumsum(path.step / path.target_mps)
     n = int(planned[-1] / WANDER_GRID_S) + 2
@@ -149,7 +151,8 @@ def _limits(path: Path, route: DriveRoute, seed: int) -> Array:
 
 
 def _profile(path: Path, limit: Array, moving_start: bool, gear_shifts: bool) -> Array:
-    """Fastest speed (N,) within the limits, the braking and the acceleration of each node."""
+    """Highest speed (N,) within the limits and the allowed braking and acceleration at each
+    node."""
     v2 = (limit * limit).tolist()
     two_step = (2.0 * path.step).tolist()
     braking = path.braking_mps2.tolist()
@@ -188,7 +191,7 @@ def _node_times(path: Path, v: Array, start_s: float) -> Array:
 
 
 def _distance(t: Array, speed: Array, rate: float, node_t: Array, node_s: Array) -> Array:
-    """Integral of speed, tied to the nodes so that bends stay where stops are."""
+    """Integral of speed, fixed at the nodes so that bends and stops keep their places."""
     step = np.abs(speed) / rate
     driven = np.cumsum(step) - 0.5 * (step + step[0])
     coarse = np.arange(0.0, t[-1] + DRIFT_GRID_S, DRIFT_GRID_S)
@@ -206,6 +209,6 @@ def _steering_wander(route: DriveRoute, seed: int, speed: Array, rate: float) ->
         rng, len(speed), 1.0 / rate, STEERING_WANDER_S
     )
     v = np.abs(speed)
-    # A hand at rest holds the wheel still; the corrections fade out with the speed.
+    # At standstill the driver holds the wheel still, so the corrections fade out with the speed.
     wander: Array = accel / np.maximum(v, MIN_SPEED_FOR_WANDER) ** 2
     return wander * np.minimum(v / MIN_SPEED_FOR_WANDER, 1.0)

@@ -1,4 +1,4 @@
-"""Linear recursive filters and seeded noise, without the import time of scipy.signal.
+"""Linear recursive filters and seeded noise. scipy.signal is not used, because its import is slow.
 
 A recursive filter ``a * y = b * x`` is a banded triangular system, which BLAS solves in place.
 """
@@ -18,7 +18,8 @@ from imucald.core.arrays import Array
 def generator(seed: int, stream: str) -> np.random.Generator:
     """Return the random generator of a named stream.
 
-    One stream per effect, so that turning one effect off leaves the draws of all others.
+    Each effect has its own stream, so that turning off one effect does not change the random
+    numbers of the others.
     """
     return np.random.default_rng([seed & 0xFFFF_FFFF_FFFF_FFFF, zlib.crc32(stream.encode())])
 
@@ -26,7 +27,8 @@ def generator(seed: int, stream: str) -> np.random.Generator:
 def filtered(b: Sequence[float], a: Sequence[float], x: Array, settled: bool = True) -> Array:
     """Filter ``a[0] y[n] = sum b[i] x[n-i] - sum a[i] y[n-i]`` of x (N,).
 
-    settled: the filter has been at rest on x[0] for ever; otherwise it starts from zero.
+    settled: True if the filter is in steady state for x[0] at the start; otherwise it starts from
+    zero.
     """
     start = float(x[0]) if settled and len(x) else 0.0
     deviation = x - start
@@ -50,7 +52,7 @@ def bilinear(
 ) -> tuple[list[float], list[float]]:
     """Discretise N(s)/D(s) (coefficients from the constant upwards) by the bilinear rule.
 
-    Returns b, a for `filtered`. Both polynomials count as being of the denominator's degree.
+    Returns b, a for `filtered`. Both polynomials are treated as having the denominator's degree.
     """
     degree = len(denominator) - 1
     k = 2.0 * rate
@@ -80,7 +82,8 @@ def second_order(
 
 
 def butterworth(x: Array, rate: float, cutoff_hz: float) -> Array:
-    """Second-order Butterworth low-pass; the bilinear rule is warped to hit the cut-off."""
+    """Second-order Butterworth low-pass; the bilinear rule is prewarped so that the cut-off is
+    exact."""
     nyquist_share = min(cutoff_hz / rate, 0.49)
     w = 2.0 * rate * math.tan(math.pi * nyquist_share)
     b, a = bilinear([w * w], [w * w, math.sqrt(2.0) * w, 1.0], rate)
@@ -96,7 +99,7 @@ def first_order(x: Array, rate: float, time_constant_s: float) -> Array:
 def gauss_markov(rng: np.random.Generator, n: int, step: float, length: float) -> Array:
     """Unit-variance second-order Gauss-Markov process (n,), stationary from the first sample.
 
-    Autocorrelation (1 + d/length) exp(-d/length): continuous slope, so its rate is finite.
+    Autocorrelation (1 + d/length) exp(-d/length): its slope is continuous, so its rate is finite.
     """
     if n <= 0:
         return np.zeros(0)
@@ -108,7 +111,8 @@ def gauss_markov(rng: np.random.Generator, n: int, step: float, length: float) -
 
 
 def smoothed(x: Array, rate: float, width_s: float) -> Array:
-    """Two running means of width_s each, zero phase; keeps the integral, limits the jerk."""
+    """Apply two running means of width_s each, with zero phase. They keep the integral and limit
+    the jerk."""
     n = max(1, round(width_s * rate)) | 1
     for _ in range(2):
         half = n // 2

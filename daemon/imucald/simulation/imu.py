@@ -1,8 +1,8 @@
-"""What the inertial sensor reports: vibration, bandwidth, mount, errors, sampling.
+"""Samples of the inertial sensor, with vibration, bandwidth, mount, errors and sampling.
 
-Chain of one axis triple: motion in body axes + vibration -> low-pass -> sampled (with delay) ->
-turned into sensor axes -> scale and cross-axis -> bias (temperature, walk), noise ->
-clipped -> quantised.
+Processing chain of a three-axis sensor: motion in body axes + vibration -> low-pass -> sampled
+(with delay) -> turned into sensor axes -> scale and cross-axis -> bias (temperature, walk), noise
+-> clipped -> quantised.
 """
 
 from __future__ import annotations
@@ -26,18 +26,19 @@ from imucald.simulation.timing import Timing, at_times, frame_timing, quantised
 REFERENCE_DEGC = 25.0
 REFERENCE_SPEED_MPS = 20.0
 VIBRATION_CORNER_HZ = 2.0
-"""Body vibration is white above this frequency and falls off below it."""
+"""Body vibration is white above this frequency [Hz] and decreases below it."""
 IDLE_HZ = 26.0
-"""Second order of a four-cylinder engine idling at 780 1/min."""
+"""Frequency [Hz] of the second engine order of a four-cylinder engine idling at 780 1/min."""
 GEAR_UPPER_MPS = (4.5, 8.5, 13.5, 19.0)
 GEAR_HZ_PER_MPS = (9.0, 5.5, 3.9, 2.9, 2.1)
 
 Mounts = Sequence[tuple[float, Matrix3]]
-"""From time [s] on, R_vehicle_from_sensor; in order of time, the first at 0."""
+"""Pairs of a start time [s] and R_vehicle_from_sensor from then on; in order of time, the first at
+0."""
 
 
 def mounts(mount: Mount) -> list[tuple[float, Matrix3]]:
-    """Return the mount and what each shift makes of it; shifts turn about vehicle axes."""
+    """Return the mount at the start and after each shift; shifts turn about vehicle axes."""
 
     def rotation(part: object) -> Matrix3:
         angles = (float(getattr(part, f"{name}_deg")) for name in ("roll", "pitch", "yaw"))
@@ -80,7 +81,8 @@ def accel_series(
 def gyro_series(
     model: VehicleModel, mount: Mounts, body: BodyMotion, speed: Array, seed: int
 ) -> Series:
-    """Gyroscope samples of a moving body (its force for g-sensitivity); else as `accel_series`."""
+    """Gyroscope samples of a moving body; its force is used for g-sensitivity. Else as
+    `accel_series`."""
     gyro, rate = model.gyro, model.grid_hz
     shaken = list(body.rate)
     if gyro.vibration and gyro.vibration_radps > 0.0:
@@ -106,7 +108,7 @@ def _sampled(
 
 
 def turned(mount: Mounts, t: Array, vectors: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Turn body-axes vectors (N, 3) into the axes that the sensor has at each time."""
+    """Rotate body-axes vectors (N, 3) into the sensor's axes at each time."""
     result = np.empty_like(vectors)
     bounds = [0, *np.searchsorted(t, [start for start, _ in mount[1:]]).tolist(), len(t)]
     for (_, R_vehicle_from_sensor), first, stop in zip(mount, bounds, bounds[1:], strict=False):
@@ -149,13 +151,13 @@ def _finished(
 def _rumble(rng: np.random.Generator, n: int, rate: float) -> Array:
     """Unit-rms noise, high-passed (first order) at the corner of structure-borne vibration."""
     c = math.exp(-2.0 * math.pi * VIBRATION_CORNER_HZ / rate)
-    # First difference over the same pole: variance 2 / (1 + c) of unit white noise.
+    # For unit white noise, a first difference with the same pole has the variance 2 / (1 + c).
     gain = math.sqrt(0.5 * (1.0 + c))
     return filtered([gain, -gain], [1.0, -c], rng.standard_normal(n), settled=False)
 
 
 def _engine(speed: Array, rate: float, phase: float) -> Array:
-    """Sine of the engine's second order: idle at rest, with the gears in motion."""
+    """Sine of the second engine order: idle frequency at rest, by speed and gear in motion."""
     v = np.abs(speed)
     per_mps = np.array(GEAR_HZ_PER_MPS)[np.searchsorted(GEAR_UPPER_MPS, v)]
     frequency = np.maximum(IDLE_HZ, per_mps * v)

@@ -1,4 +1,4 @@
-"""Draws the nuisances of a drive: a different car, sensor, road and mount for every seed."""
+"""Draw the random parameters of a drive: a different car, sensor, road and mount for every seed."""
 
 from __future__ import annotations
 
@@ -18,13 +18,13 @@ ACCEL_BIAS_MPS2 = 10.0 * MILLI_G
 GYRO_BIAS_RADPS = math.radians(0.3)
 SPEED_SCALE = 0.01
 SLOPE_RMS = 0.02
-"""rms of grade and of cross fall, the crown's mean included."""
+"""rms of grade and of cross fall, including the crown's mean."""
 CROWN_MEAN, CROWN_SPREAD = 0.012, 0.006
 MAX_DELAY_S = 0.3
 MAX_TILT_DEG = 30.0
 UPSIDE_DOWN_SHARE = 0.1
 STYLE = (0.65, 1.05)
-"""Drivers from gentle to lively: factor on all their accelerations."""
+"""Range of the factor on all accelerations, from gentle to lively drivers."""
 
 
 def random_model(
@@ -36,10 +36,10 @@ def random_model(
     upside_down: bool | None = None,
     max_tilt_deg: float = MAX_TILT_DEG,
 ) -> VehicleModel:
-    """Return a model with every nuisance drawn from the seed.
+    """Return a model with all random parameters drawn from the seed.
 
-    standing_first, upside_down: forced, or drawn (half, and one in ten). cross_axis: rms of the
-    accelerometer's cross-axis errors, 0.005 for half a percent.
+    standing_first, upside_down: forced by the caller, or None: drawn (in half and in one tenth of
+    the drives). cross_axis: rms of the accelerometer's cross-axis errors, 0.005 for half a percent.
     """
     rng = generator(seed, "random_model")
 
@@ -50,7 +50,7 @@ def random_model(
         return float(rng.uniform(low, high))
 
     crown = float(np.clip(rng.normal(CROWN_MEAN, CROWN_SPREAD), -0.005, 0.03))
-    # What the mean and its spread leave of the rms goes into the wandering part.
+    # The wandering part has the rest of the rms beside the mean and its spread.
     wander = math.sqrt(SLOPE_RMS**2 - CROWN_MEAN**2 - CROWN_SPREAD**2)
     upside = bool(rng.random() < UPSIDE_DOWN_SHARE)
     standing = bool(rng.random() < 0.5)

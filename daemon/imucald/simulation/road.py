@@ -1,4 +1,4 @@
-"""The road under the vehicle: slope, cross fall, and roughness that shakes the body."""
+"""The road under the vehicle: slope, cross fall, and roughness, which excites the body."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ from imucald.simulation.filters import bilinear, filtered, gauss_markov, generat
 REFERENCE_WAVENUMBER = 0.1
 """[cycles/m] of ISO 8608."""
 MIN_SLOPE_M = 7.0
-"""Slope and cross fall are running means (twice) over such a length."""
+"""Slope and cross fall are smoothed by two running means over this length."""
 MAX_ROUGHNESS_M = 100.0
 """Waves longer than this belong to slope and cross fall."""
 MAX_TILT_WAVE_M = 20.0
-"""Longer waves lift both tracks equally."""
+"""Longer waves than this lift both tracks equally."""
 SMOOTHER_FROM_MPS = 15.0
-"""Faster roads are smoother: the density of roughness falls by 1 + (v / this)^2, and the lengths of
-slopes grow by the root of that."""
+"""Faster roads are smoother: the spectral density of roughness is divided by 1 + (v / this)^2, and
+the lengths of slopes are multiplied by the square root of that."""
 
 
 @dataclass(frozen=True)
@@ -37,7 +37,7 @@ class RoadAttitude:
 
 @dataclass(frozen=True)
 class Roughness:
-    """What the road's waves do to the suspension, (N,) each."""
+    """Effect of the road's unevenness on the suspension, (N,) each."""
 
     pitch: Array
     """Angle of the road between the axles [rad], nose down."""
@@ -48,10 +48,11 @@ class Roughness:
 
 
 def slope_distance(speed: Array, rate: float) -> Array:
-    """Distance (N,) by which slopes pass [m]: less than driven where roads are fast.
+    """Distance (N,) along which slopes are drawn [m]; it is shorter than the driven one on fast
+    roads.
 
-    Their waves are longer, so the vertical acceleration (v^2 times the change of slope) stays what
-    roads are built for.
+    Slopes of fast roads are longer, so the vertical acceleration (v^2 times the change of slope)
+    stays within road design limits.
     """
     step = np.abs(speed) / (rate * np.sqrt(1.0 + (speed / SMOOTHER_FROM_MPS) ** 2))
     passed: Array = np.cumsum(step)
@@ -75,10 +76,11 @@ def road_attitude(
     if road.bank:
         waves = _waves(seed, "bank", n, road.bank_length_m)
         fall = road.crown_mean + road.bank_rms * _spline(distance, nodes, waves)
-        # Towards the kerb: right of a vehicle that keeps right, whose left side is then up.
+        # The road falls towards the kerb. That is the right side in right-hand traffic, so the
+        # vehicle's left side is up.
         if route.driving_side == "left":
             fall = -fall
-        # A smooth limit: a kink would be a blow to the body.
+        # The limit is smooth, because a kink would cause a shock to the body.
         most = max(road.superelevation_max, 1e-9)
         fall = fall - most * np.tanh(road.superelevation * curve_accel / (GRAVITY * most))
     pitch, roll = -np.arctan(grade), np.arctan(fall)
@@ -86,13 +88,14 @@ def road_attitude(
 
 
 def _waves(seed: int, name: str, n: int, length: float) -> Array:
-    """Unit waves, one value a metre; what is shorter than a vehicle is roughness, not slope."""
+    """Random waves with rms 1, one value per metre. Waves shorter than a vehicle count as
+    roughness, not as slope."""
     waves = gauss_markov(generator(seed, name), n, 1.0, length)
     return smoothed(waves, 1.0, MIN_SLOPE_M)
 
 
 def _spline(x: Array, nodes: Array, values: Array) -> Array:
-    """Cubic (Catmull-Rom) interpolation on unit nodes: its slope is continuous."""
+    """Cubic (Catmull-Rom) interpolation between nodes at unit distance; its slope is continuous."""
     i = np.clip(x.astype(np.int64), 0, len(nodes) - 2)
     u = x - i
     y0, y1 = values[np.maximum(i - 1, 0)], values[i]
@@ -113,11 +116,11 @@ def road_roughness(
     distance: Array,
     rate: float,
 ) -> Roughness | None:
-    """Shake the wheels over an ISO 8608 profile; None where the road is smooth.
+    """Excite the wheels with an ISO 8608 profile; None if the road is smooth.
 
-    The profile's slope is white in distance, so its vertical velocity has the one-sided density
-    (2 pi n0)^2 G(n0) |v| [(m/s)^2/Hz]. Left and right tracks are independent; the rear wheels
-    follow the front ones after the wheelbase.
+    The profile's slope is white in distance, so its vertical velocity has the one-sided density (2
+    pi n0)^2 G(n0) |v| [(m/s)^2/Hz]. Left and right tracks are independent; the rear wheels follow
+    the front ones at the distance of the wheelbase.
     """
     if not road.roughness or road.roughness_n0 == 0.0 or distance[-1] <= 0.0:
         return None
@@ -142,7 +145,8 @@ def road_roughness(
 
 
 def _height(velocity: Array, rate: float, slowest: float) -> Array:
-    """Height of the road from its vertical velocity, without the waves of the slope."""
+    """Height of the road from its vertical velocity, without the long waves that belong to the
+    slope."""
     b, a = bilinear([0.0, 1.0], [slowest**2, 1.4 * slowest, 1.0], rate)
     return filtered(b, a, velocity, settled=False)
 

@@ -1,7 +1,7 @@
-"""Where a drive goes: a path of curvature, target speed and stops, drawn from a seed.
+"""The route of a drive: a path with curvature, target speed and stops, drawn from a seed.
 
-The path is a list of nodes along the distance. Lengths, radii and speeds are those of European
-streets: city blocks of 130-540 m at 30 and 50 km/h, country roads at 70-100 km/h, motorways.
+The path is a list of nodes along the distance. Lengths, radii and speeds are typical of European
+roads: city blocks of 130-540 m at 30 and 50 km/h, country roads at 70-100 km/h, motorways.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ COARSE_FROM_MPS = 14.0
 """Nodes are 0.5 m apart where targets are below this speed, else 1 m."""
 LANE_WIDTH_M = 3.5
 MIN_STOP_S = 1.5
-"""Shorter stops would not reach zero once the jerk is limited."""
+"""With limited jerk, shorter stops would not reach zero speed."""
 
 
 @dataclass(frozen=True)
@@ -31,21 +31,21 @@ class Path:
 
     step: Array
     curvature: Array
-    """[1/m], positive to the left as seen in driving forward."""
+    """[1/m], positive to the left in the forward direction."""
     target_mps: Array
     lateral_mps2: Array
     launch_mps2: Array
     braking_mps2: Array
     stop_s: Array
-    """Time to stand at the node; 0 where there is no stop."""
+    """Standing time at the node; 0 without a stop."""
     direction: Array
     """+1 forward, -1 in reverse."""
     banked: Array
-    """1 where curves are superelevated (outside cities)."""
+    """1 on superelevated curves (outside cities), else 0."""
 
 
 class RouteBuilder:
-    """Collects pieces of road until they take long enough."""
+    """Collects pieces of road until the drive is long enough."""
 
     def __init__(self, route: DriveRoute, seed: int) -> None:
         self._route = route
@@ -56,19 +56,19 @@ class RouteBuilder:
 
     @property
     def is_empty(self) -> bool:
-        """Whether there is no road yet."""
+        """Whether the route is still empty."""
         return not self._columns[0]
 
     def uniform(self, low: float, high: float) -> float:
-        """Draw a number."""
+        """Draw a uniformly distributed number."""
         return float(self._rng.uniform(low, high))
 
     def effort(self, bounds: tuple[float, float]) -> float:
-        """Draw an acceleration: gentle mostly, hard seldom, as logs of drivers show."""
+        """Draw an acceleration: mostly gentle, rarely hard, as in logs of real drivers."""
         return bounds[0] + (bounds[1] - bounds[0]) * float(self._rng.beta(1.1, 2.5))
 
     def chance(self, probability: float) -> bool:
-        """Draw a decision."""
+        """Draw a decision: True with this probability."""
         return bool(self._rng.random() < probability)
 
     def side(self) -> float:
@@ -112,14 +112,15 @@ class RouteBuilder:
         return Path(*(np.concatenate(column) for column in self._columns))
 
     def stop_time(self) -> float:
-        """Draw the length of a stop: log-normal, as waits at lights are."""
+        """Draw the duration of a stop: log-normal, like waits at traffic lights."""
         mean = self._route.stop_mean_s
         return float(np.clip(self._rng.lognormal(math.log(mean) - 0.32, 0.8), 2.0, 90.0))
 
     def bend(
         self, radius: float, angle: float, speed: float, side: float, banked: bool = False
     ) -> None:
-        """Add a bend of an angle [rad] with eased ends, at most at `speed`."""
+        """Add a bend of an angle [rad] with transition curves at its ends, driven at most at
+        `speed`."""
         ease = min(max(0.5 * radius * angle, 0.5 * speed), radius * angle)
         length = radius * angle + ease
 
@@ -144,7 +145,7 @@ class RouteBuilder:
         self.piece(4.0, speed, stop_s=duration)
 
     def junction_turn(self) -> None:
-        """Add a turn at a junction, perhaps after giving way."""
+        """Add a turn at a junction, sometimes after a stop to give way."""
         left = self.chance(0.5)
         if self.chance(0.35):
             self.stop(self.uniform(MIN_STOP_S, 6.0))
@@ -154,7 +155,8 @@ class RouteBuilder:
         self.bend(radius, angle, 9.0, 1.0 if left else -1.0)
 
     def roundabout(self) -> None:
-        """Add a roundabout: towards the kerb, around the island, towards the kerb again."""
+        """Add a roundabout: steer towards the kerb, around the island, and towards the kerb
+        again."""
         near = self._near_side
         radius = self.uniform(11.0, 20.0)
         if self.chance(0.3):
@@ -165,7 +167,7 @@ class RouteBuilder:
         self.bend(self.uniform(12.0, 20.0), math.radians(self.uniform(30.0, 45.0)), 9.0, near)
 
     def reverse_manoeuvre(self) -> None:
-        """Add backing out in a bend, standing before and after."""
+        """Add a manoeuvre in reverse in a bend, with a stop before and after."""
         self.stop(self.uniform(2.0, 5.0), 5.0)
         side, radius = self.side(), self.uniform(6.0, 12.0)
         length = self.uniform(5.0, 11.0)
@@ -179,7 +181,7 @@ class RouteBuilder:
         self.bend(self.uniform(7.0, 12.0), math.radians(self.uniform(30.0, 80.0)), 5.0, -side)
 
     def city_block(self) -> None:
-        """Add a city block and what waits at its end."""
+        """Add a city block and the event at its end."""
         speed = float(self._rng.choice([8.3, 13.9], p=[0.35, 0.65])) * self.uniform(0.88, 1.1)
         self.straight(self.uniform(70.0, 300.0), speed)
         if self.chance(0.30):

@@ -1,4 +1,4 @@
-"""Single-track vehicle with saturating tyres: steering to yaw rate and sideslip.
+"""Single-track vehicle with saturating tyres: gives yaw rate and sideslip from the steering angle.
 
 States: lateral velocity v_y of the centre of gravity and yaw rate r, in road axes.
 
@@ -7,9 +7,10 @@ States: lateral velocity v_y of the centre of gravity and yaw rate r, in road ax
     F_i = C_i a_i / sqrt(1 + (C_i a_i / D_i)^2),  D_i = friction * axle load
     a_f = (delta v - v_y - l_f r) / |v|,          a_r = (-v_y + l_r r) / |v|
 
-(Rajamani, Vehicle Dynamics and Control, ch. 2; the tyre is a smooth curve with the slope C and
-the limit D.) A minute of driving is solved at once: second-order backward differences, Newton's
-method on the tyre, and one banded system per iteration, so stiff low speeds need no small steps.
+(Rajamani, Vehicle Dynamics and Control, ch. 2; the tyre is a smooth curve with the slope C and the
+limit D.) A minute of driving is solved at once by second-order backward differences, Newton's
+method for the tyre, and one banded system per iteration. So the stiff equations at low speed need
+no small steps.
 """
 
 from __future__ import annotations
@@ -26,13 +27,13 @@ from imucald.core.samples import GRAVITY
 from imucald.model.vehicle import Chassis
 
 LOW_SPEED_MPS = 0.2
-"""|v| in the slip angles is sqrt(v^2 + this^2): the rolling limit without division by zero."""
+"""In the slip angles |v| is replaced by sqrt(v^2 + this^2), which avoids a division by zero."""
 BLOCK_S = 60.0
 LEAD_S = 6.0
-"""The drive is solved in blocks, each with a lead in which the start (a steady turn) is forgotten:
-sideslip decays within tenths of a second. Blocks keep the system small, near the core."""
+"""The drive is solved in blocks. Each block starts earlier, in a steady turn, whose effect decays
+within tenths of a second. Small blocks keep the system in the processor's cache."""
 LOST = 15.0
-"""A vehicle that slides sideways [m/s] or turns [rad/s] faster than this has left the road."""
+"""If a vehicle slides sideways [m/s] or turns [rad/s] faster than this, it has left the road."""
 NEWTON_STEPS = 25
 NEWTON_TOLERANCE = 1e-9
 
@@ -42,17 +43,17 @@ class VehicleResponse:
     """Response of the vehicle, (N,) each."""
 
     yaw_rate: Array
-    """[rad/s] about the road's normal."""
+    """Yaw rate about the road's normal [rad/s]."""
     lateral_velocity: Array
-    """[m/s] of the centre of gravity, to the left."""
+    """Lateral velocity of the centre of gravity, positive to the left [m/s]."""
     lateral_velocity_rate: Array
     steer: Array
     """Road-wheel angle [rad], positive to the left."""
 
 
 def steer_for(chassis: Chassis, speed: Array, curvature: Array, bank: Array) -> Array:
-    """Steering that a driver holds for a curvature: delta = L k + K (v^2 k + g bank)."""
-    # Nobody turns the wheel against a bank at standstill: it counts when rolling.
+    """Steering angle for a steady curvature: delta = L k + K (v^2 k + g bank)."""
+    # Drivers do not steer against a bank at standstill, so it counts only when the vehicle rolls.
     rolling = speed * speed / (speed * speed + 1.0)
     felt = speed * speed * curvature + GRAVITY * np.sin(bank) * rolling
     return chassis.wheelbase_m * curvature + chassis.understeer_gradient * felt
@@ -61,7 +62,8 @@ def steer_for(chassis: Chassis, speed: Array, curvature: Array, bank: Array) -> 
 def handle(
     chassis: Chassis, speed: Array, steer: Array, bank: Array, rate: float
 ) -> VehicleResponse:
-    """Drive (speed, steer, bank), (N,) at `rate` [Hz]; speed is signed [m/s], angles in rad."""
+    """Response of the vehicle to speed, steer and bank, (N,) each at `rate` [Hz]; speed is signed
+    [m/s], angles in rad."""
     if not chassis.single_track:
         curvature = steer / chassis.wheelbase_m
         zero = np.zeros(len(speed))
@@ -106,9 +108,10 @@ def _solved(chassis: Chassis, speed: Array, steer: Array, bank: Array, rate: flo
 
 
 def _stepped(chassis: Chassis, speed: Array, steer: Array, forcing: Array, rate: float) -> Array:
-    """Solve by linearly implicit Euler steps: first order, but a sliding vehicle does not stop it.
+    """Solve by linearly implicit Euler steps. They are of first order, but also work for a sliding
+    vehicle.
 
-    For segments in which Newton's method finds nothing, as on ice.
+    Used for segments in which Newton's method does not converge, as on ice.
     """
     state = np.zeros((len(speed), 2))
     state[0, 1] = float(_steady_yaw_rate(chassis, speed[:1], steer[:1])[0])
@@ -126,7 +129,7 @@ def _steady_yaw_rate(chassis: Chassis, speed: Array, steer: Array) -> Array:
 
 
 def _tyre(stiffness: float, limit: float | None, slip: Array) -> tuple[Array, Array]:
-    """Return force and its slope by slip angle."""
+    """Return force and its derivative by slip angle."""
     if limit is None:
         return stiffness * slip, np.full(len(slip), stiffness)
     root = 1.0 / np.sqrt(1.0 + (stiffness / limit * slip) ** 2)
@@ -160,7 +163,7 @@ def _dynamics(
 
 
 def _newton_step(state: Array, f: Array, jacobian: Array, rate: float) -> Array:
-    """Solve the linearised difference equations; node 0 is held by its steady state."""
+    """Solve the linearised difference equations; node 0 is fixed to its steady state."""
     n = len(state)
     band = np.zeros((6, 2 * n))  # solve_banded with four lower and one upper diagonal
     residual = np.empty((n, 2))
@@ -171,7 +174,7 @@ def _newton_step(state: Array, f: Array, jacobian: Array, rate: float) -> Array:
     residual[2:] = (1.5 * state[2:] - 2.0 * state[1:-1] + 0.5 * state[:-2]) * rate - f[2:]
     for i in range(2):
         band[1, i::2] = diagonal - jacobian[:, i, i]
-        # Column c of row k+1 and k+2: one and two steps back.
+        # Column c of rows k+1 and k+2: values one and two steps earlier.
         band[3, i : 2 * n - 2 : 2] = -2.0 * rate
         band[3, i] = -rate
         band[5, i : 2 * n - 4 : 2] = 0.5 * rate

@@ -1,4 +1,4 @@
-"""When frames come: cycle, clock drift, latency, losses, drop-outs, stuck values."""
+"""Times of frames: cycle, clock drift, latency, losses, drop-outs, stuck values."""
 
 from __future__ import annotations
 
@@ -14,18 +14,19 @@ from imucald.simulation.filters import generator
 SHARED_PHASE = {"accel": "imu", "gyro": "imu"}
 """Accelerometer and gyroscope are sampled by one unit, at the same moments."""
 SHARED_FRAME = dict.fromkeys(("yaw_rate", "lateral_accel", "longitudinal_accel"), "dynamics")
-"""The stability control sends its sensors in one frame: same moments, same latency, same loss."""
+"""The stability control sends all its sensors in one frame, so they share moments, latency and
+losses."""
 GYRO_AFTER_ACCEL_S = 0.00025
-"""The gyroscope's frame follows the accelerometer's: one frame at 500 kbit/s."""
+"""The gyroscope's frame follows the accelerometer's frame by this time: one frame at 500 kbit/s."""
 
 
 @dataclass(frozen=True)
 class Timing:
     """Moments of one message: (N,) each.
 
-    sampled: when the unit makes the frame [s]; stamp: when the frame is on the bus [s].
-    kept: frames that are not lost. source: index of the sample whose value the frame carries,
-    which is an earlier one where the signal is stuck.
+    sampled: when the unit makes the frame [s]; stamp: when the frame is on the bus [s]. kept:
+    frames that are not lost. source: index of the sample whose value the frame carries; it is an
+    earlier sample while the signal is stuck.
     """
 
     sampled: Array
@@ -46,7 +47,7 @@ def frame_timing(message: Transmission, name: str, seed: int, duration_s: float)
     late = message.jitter_s * rng.standard_exponential(n)
     if name == "gyro":
         late += GYRO_AFTER_ACCEL_S
-    # A unit's frames never overtake one another.
+    # Frames of one unit never overtake each other.
     stamp = np.maximum.accumulate(sampled + late)
     kept = rng.random(n) >= message.loss if message.loss > 0.0 else np.ones(n, dtype=bool)
     kept &= stamp <= duration_s
@@ -61,7 +62,8 @@ def frame_timing(message: Transmission, name: str, seed: int, duration_s: float)
 
 
 def at_times(x: Array, rate: float, t: Array) -> Array:
-    """Value of a grid signal x (N,) at times t [s], linear between grid points, held outside."""
+    """Value of a grid signal x (N,) at times t [s]: linear between grid points, constant
+    outside."""
     place = np.clip(t * rate, 0.0, len(x) - 1.0)
     i = np.minimum(place.astype(np.int64), max(len(x) - 2, 0))
     u = place - i
@@ -70,5 +72,5 @@ def at_times(x: Array, rate: float, t: Array) -> Array:
 
 
 def quantised(x: Array, lsb: float) -> Array:
-    """Round to whole steps; lsb 0 leaves x alone."""
+    """Round to whole steps; with lsb 0, x is unchanged."""
     return x if lsb == 0.0 else np.rint(x / lsb) * lsb

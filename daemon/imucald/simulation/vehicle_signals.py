@@ -1,4 +1,4 @@
-"""What the vehicle's own bus says: speed, wheels, steering, stability control, switches."""
+"""Signals of the vehicle's own bus: speed, wheels, steering, stability control, switches."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from imucald.simulation.single_track import VehicleResponse
 from imucald.simulation.timing import at_times, frame_timing, quantised
 
 SLIP_CYCLES_HZ = (5.0, 6.1, 4.3, 7.2)
-"""Control cycles of the brakes of each wheel."""
+"""Frequencies [Hz] of the brake control cycles of each wheel."""
 
 
 class VehicleSignals:
@@ -39,7 +39,7 @@ class VehicleSignals:
         self._duration = float(driving.t[-1])
 
     def all(self) -> dict[str, Series]:
-        """Return every signal that the model has, but for the magnetometer."""
+        """Return every signal of the model except heading and magnetometer."""
         m, body = self._model, self._body
         made: dict[str, Series] = {}
         if m.speed.enabled:
@@ -47,7 +47,7 @@ class VehicleSignals:
         if m.wheel_speeds.enabled:
             made["wheel_speeds"] = self._wheel_speeds()
         t = self._driving.t
-        # The hands are ahead of the road wheels by the gear's lag.
+        # The steering wheel is ahead of the road wheels by the lag of the steering gear.
         ahead = np.interp(t + STEERING_GEAR_S, t, self._handling.steer)
         wheel = ahead * m.chassis.steering_ratio
         scalars: tuple[tuple[str, Scalar, Array], ...] = (
@@ -68,7 +68,8 @@ class VehicleSignals:
         return made
 
     def heading(self, heading: Array) -> Series:
-        """Heading signal from the true one, clockwise from north [rad] and not wrapped."""
+        """Heading signal from the true heading, which is clockwise from north [rad] and not
+        wrapped."""
         series = self._scalar("heading", self._model.heading, heading)
         return Series(series.t, np.mod(series.values, 2.0 * np.pi))
 
@@ -105,7 +106,7 @@ class VehicleSignals:
         )
 
     def _sent(self, name: str, message: Transmission) -> NDArray[np.int64] | slice:
-        """Rows whose values the frames carry: the same one again while the signal is stuck."""
+        """Rows whose values the frames carry; the same row repeats while the signal is stuck."""
         if not message.stuck:
             return slice(None)
         timing = frame_timing(message, name, self._seed, self._duration)
@@ -151,7 +152,7 @@ class VehicleSignals:
         return Series(t, values[self._sent("wheel_speeds", wheels)])
 
     def _grip(self) -> list[Array | float]:
-        """Factor on each wheel's speed: 1, less in the segments where wheels slip."""
+        """Factor on each wheel's speed: 1, smaller in segments with wheel slip."""
         wheels, t = self._model.wheel_speeds, self._driving.t
         if not wheels.slip_events:
             return [1.0] * 4
@@ -187,6 +188,7 @@ class VehicleSignals:
 def _rolling(
     v: Array, scale: float | Array, dead_band: float, lsb: float, noise: Array
 ) -> NDArray[np.float64]:
-    """Speed signal: scale, noise while rolling, dead band, whole steps, never negative."""
+    """Make a speed signal: apply scale, noise while rolling, dead band and rounding; never
+    negative."""
     shown = np.maximum(v * (1.0 + scale) + noise, 0.0)
     return quantised(np.where(v * (1.0 + scale) < max(dead_band, 1e-3), 0.0, shown), lsb)

@@ -1,6 +1,6 @@
-"""Direct evidence, before any fit: what stops say of the gyroscope's zero.
+"""Direct evidence, before any fit: the gyroscope's zero at stops.
 
-A fit that contradicts it is wrong; so it bounds the fit.
+A fit that contradicts this zero is wrong, so the zero at stops bounds the fit.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from imucald.model.model import VehicleModel
 
 FEW_STOPS = 3
 LEAST_SE = 0.04 * DEG
-"""What one or two stops can show: stops of one measured drive differ by 0.03 deg/s."""
+"""Accuracy of the zero from one or two stops: stops of one measured drive differ by 0.03 deg/s."""
 FINEST_SE = 0.004 * DEG
 CHANCE = 0.01
 
@@ -34,13 +34,13 @@ class Rest:
     quantile: float
     stops: int
     kelvin: float = 0.0
-    """Temperature of the stops less that at which the file's zero holds, mean [K]."""
+    """Mean temperature of the stops minus the temperature at which the file's zero holds [K]."""
     per_kelvin: Array | None = None
-    """Slope of the stops over the temperature; None where it hardly changes."""
+    """Slope of the stops' rates over temperature; None if the temperature hardly changes."""
 
     def allowed(self, model: VehicleModel) -> Array:
-        """(3,) how far off a correct file may be at these stops: its zero, and its slope over the
-        temperature times how far these stops are from where the zero holds."""
+        """(3,) error that a correct file may have at these stops: the tolerance of its zero, plus
+        that of its temperature slope times the temperature difference."""
         return np.array(
             [
                 tolerance(model, f"gyro.bias.{axis}")
@@ -50,7 +50,8 @@ class Rest:
         )
 
     def bounds(self, model: VehicleModel) -> dict[str, tuple[float, float]]:
-        """Boxes for the fit: of the zero where it is stated."""
+        """Bounds of the zero for the fit: its interval at stops, widened by the tolerance of its
+        temperature slope times the temperature difference."""
         half = self.quantile * self.se
         half = half + np.array(
             [tolerance(model, f"gyro.bias_temperature.{axis}") for axis in "xyz"]
@@ -62,7 +63,7 @@ class Rest:
 
 
 def rest_of(drives: Sequence[DriveSignals], model: VehicleModel, questions: int) -> Rest | None:
-    """Means over all stops; None without a gyroscope or a stop."""
+    """Zero error by the means over all stops; None without a gyroscope or a stop."""
     rates, kelvins = [], []
     sensor = sensor_of(model, "gyro", {})
     inverse = np.linalg.inv(sensor.gain)
@@ -83,7 +84,7 @@ def rest_of(drives: Sequence[DriveSignals], model: VehicleModel, questions: int)
     mean = table.mean(axis=0)
     scatter = np.std(table, axis=0, ddof=1) / np.sqrt(n) if n > 1 else np.zeros(3)
     if n < FEW_STOPS:
-        # Two stops that differ by more than what one can show have no zero in common.
+        # If two stops differ by more than the accuracy of one stop, they have no common zero.
         return Rest(mean, np.maximum(scatter, LEAST_SE), 3.0, n, float(np.mean(kelvins)))
     se = np.maximum(scatter, FINEST_SE)
     q = float(student.ppf(1.0 - CHANCE / (2.0 * max(questions, 1)), n - 1))
@@ -95,7 +96,7 @@ LEAST_KELVIN = 4.0
 
 
 def _slope(kelvin: Array, table: Array) -> Array | None:
-    """Regression of the stops on the temperature."""
+    """Slope of a regression of the stops' rates on temperature."""
     n = len(kelvin)
     if n < FEW_STOPS + 2 or np.ptp(kelvin) < LEAST_KELVIN:
         return None

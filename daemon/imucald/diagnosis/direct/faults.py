@@ -1,9 +1,11 @@
-"""Faults that show in samples and time stamps alone: pile-up, stuck, lost, doubled, wrong cycle.
+"""Faults that are visible in samples and time stamps alone: values piled up on a rail, stuck
+signals, lost or doubled frames, wrong cycle.
 
-Each is direct evidence. The samples that it makes invalid are kept from the fit. `motion.rails` and
-`motion.sensor_judges` ask while driving, of what came so far; here the whole recording is known.
-A third of it may lie on a rail, an axis may end where it is met most (a vector of one length), and
-a dead zone may repeat itself: those are told apart by all of its values.
+Each is direct evidence. The samples that a fault makes invalid are kept out of the fit.
+`motion.rails` and `motion.sensor_judges` look for the same faults while driving, with the past
+samples only; here the whole recording is known. Three cases must be kept apart with all values of a
+signal: a third of a recording may lie on a rail; an axis of a vector of constant length is most
+often near its largest value; a dead zone may repeat itself.
 """
 
 from __future__ import annotations
@@ -28,32 +30,32 @@ from imucald.motion.rail_evidence import PILE
 LEAST_ROWS = 100
 WATCHED = ("accel", "gyro", "speed", "steering", "yaw_rate", "lateral_accel", "longitudinal_accel")
 PILE_SHARE = 2e-4
-"""A rail is met in so many of the samples."""
+"""A rail has at least this share of the samples."""
 PILE_LEVELS = (3, 10)
-"""Levels below the extreme one that it is held against."""
+"""Numbers of levels below the extreme one with which it is compared."""
 CHANCE = 0.01
-"""Of a drive: that a rail is reported without a reason; shared out over ends and levels."""
+"""Chance of a false rail in one drive, divided among all ends and levels."""
 FEW_STAYS = 2
-"""Besides the longest."""
+"""Fewest stays on the rail besides the longest one."""
 QUESTIONS = 6 * len(INERTIAL) * (len(PILE_LEVELS) + 1)
-"""Both ends of three axes of each signal."""
+"""Number of tests: both ends of three axes of each signal."""
 INVALID_S = 0.3
 LOST_TOLERANCE, LOST_FEWEST = 0.003, 8
-"""Frames that a bus and a logger may lose without a fault."""
+"""Share and number of frames that a bus and a logger may lose without a fault."""
 PAUSE_S = 10.0
-"""A hole that is longer begins a new segment everywhere in this program."""
+"""Everywhere in this program, a longer gap begins a new segment."""
 DOUBLED_TOLERANCE, DOUBLED_FEWEST = 0.001, 5
 CLOCK_PPM, CLOCK_UNKNOWN_PPM = 200.0, 10_000.0
-"""Two crystals of +-100 ppm over temperature and age. Further off than 1 % the model file states
-another rate: that is no fault."""
+"""First: two crystals of +-100 ppm over temperature and age. Second: if the rate differs by more
+than 1 %, the model file states another rate, which is no fault."""
 
 
 def find_faults(
     samples: Samples, model: VehicleModel, lost: Mapping[str, Lost] | None = None
 ) -> list[Fault]:
-    """Everything that is wrong with samples and stamps beyond what the model file says.
+    """Find all faults of samples and stamps that the model file does not state.
 
-    lost: readings by signal that are none (`lost_readings`), on which no range ends.
+    lost: invalid readings by signal (`lost_readings`); these are no end of a range.
     """
     moving, none = _moving(samples), lost or {}
     found: list[Fault] = []
@@ -75,7 +77,8 @@ def find_faults(
 def invalid_spans(
     faults: Sequence[Fault], samples: Samples, lost: Mapping[str, Lost], held: bool = False
 ) -> dict[str, Spans]:
-    """Intervals of time by signal that must not be used. held: of a rail its own samples alone."""
+    """Intervals of time by signal that must not be used. held: at a rail, only the samples on the
+    rail itself."""
     made: dict[str, Spans] = {n: spans_of(samples[n].t, gone.rows) for n, gone in lost.items()}
     for fault in faults:
         own = fault.held if held and fault.held else fault.spans
@@ -84,7 +87,8 @@ def invalid_spans(
 
 
 def _moving(samples: Samples) -> tuple[Array, Array]:
-    """Speed; 0 where it is stuck itself, since nothing says then that the vehicle moves."""
+    """Times and speed; 0 while the speed signal is stuck, because then nothing shows that the
+    vehicle moves."""
     speed = samples["speed"]
     values = np.where(np.isfinite(speed.values), speed.values, 0.0)
     if len(speed.t) >= LEAST_ROWS:
@@ -98,7 +102,8 @@ def _moving(samples: Samples) -> tuple[Array, Array]:
 
 
 def _piled(name: str, series: Series, model: VehicleModel) -> Iterator[Fault]:
-    """A value at the end of a signal's range that is held far oftener than those next to it."""
+    """Find a value at the end of a signal's range that occurs far more often than its
+    neighbours."""
     table = series.values.reshape(len(series.t), -1)
     still = np.zeros(len(table), dtype=bool)
     still[1:] = (np.diff(table, axis=0) == 0.0).all(axis=1)
@@ -116,7 +121,7 @@ def _piled(name: str, series: Series, model: VehicleModel) -> Iterator[Fault]:
     if not rails:
         return
     share = float(hit.mean())
-    # what never goes beyond 0 has no symmetric range that a model file could state
+    # a signal that never crosses 0 has no symmetric range that a model file could state
     size = float(min((abs(r) for r in rails if r != 0.0), default=0.0))
     shown = ", ".join(f"{r:.4g}" for r in rails)
     unit = QUANTITIES[name].unit
@@ -130,7 +135,7 @@ def _piled(name: str, series: Series, model: VehicleModel) -> Iterator[Fault]:
 
 
 def _rail(x: Array, still: Mask) -> float | None:
-    """The largest value, if it is met oftener than those below it, or held for longer."""
+    """The largest value, if it occurs more often than the levels below it or lasts longer."""
     top = float(x.max())
     near = 1e-9 * max(1.0, abs(top))
     at = (x >= top - near) & ~still
@@ -140,9 +145,9 @@ def _rail(x: Array, still: Mask) -> float | None:
 
 
 def _is_thickest_there(x: Array, top: float, near: float) -> bool:
-    """Whether values do not get rarer from the median on towards the largest. A rail cuts a tail;
-    what cannot be larger by its nature, as an axis of a vector of one length, ends where it is met
-    most."""
+    """Whether values do not become rarer from the median to the largest. A rail cuts off a tail. A
+    naturally limited signal, such as an axis of a vector of constant length, is most frequent at
+    its limit."""
     middle = float(np.median(x))
     between = x[(x > middle + near) & (x < top - near)] - 0.5 * (middle + top)
     if middle >= top - near:
@@ -153,8 +158,8 @@ def _is_thickest_there(x: Array, top: float, near: float) -> bool:
 
 
 def _is_crowded(x: Array, top: float, near: float) -> bool:
-    """Whether a value is met oftener than the levels below it: the end of a range is not, where
-    nothing is clipped."""
+    """Whether a value occurs more often than the levels below it. Without clipping, the end of a
+    range is rarer."""
     at = x >= top - near
     below = x[~at]
     values = np.unique(x[x > np.quantile(x, 0.9)])
@@ -170,9 +175,9 @@ def _is_crowded(x: Array, top: float, near: float) -> bool:
 
 
 def _is_held(x: Array, at: Mask) -> bool:
-    """Whether a signal stays at its highest for longer than at its other turning points: of n
-    samples on k such levels n - k are repeats, binomial with the share of repeats elsewhere. The
-    longest stay does not count: one stop must not decide."""
+    """Whether a signal stays longer at its highest values than at its other turning points. Of n
+    samples in k stays there, n - k are repeats; their number is binomial with the share of repeats
+    elsewhere. The longest stay does not count, because a single stop must not decide."""
     first = np.flatnonzero(np.concatenate([[True], np.diff(x) != 0.0]))
     level, length = x[first], np.diff(np.append(first, len(x)))
     turns = np.zeros(len(level), dtype=bool)
@@ -181,7 +186,7 @@ def _is_held(x: Array, at: Mask) -> bool:
     others = np.sort(length[turns & ~at[first]])
     if len(own) < FEW_STAYS or len(others) < 10 * FEW_STAYS:
         return False
-    # A standing vehicle's values stay as well.
+    # Values also stay constant while the vehicle stands.
     others = others[: int(0.99 * len(others)) + 1]
     share = PILE * float(1.0 - len(others) / others.sum()) + 1.0 / float(others.sum())
     repeats = int(own.sum() - len(own))
@@ -189,12 +194,12 @@ def _is_held(x: Array, at: Mask) -> bool:
 
 
 def _runs_of(t: Array, hit: Mask) -> Spans:
-    """Intervals of time that hold the rows, and no other."""
+    """Intervals of time that contain these rows and no others."""
     return tuple((float(t[first]), float(t[after - 1])) for first, after in true_runs(hit))
 
 
 def spans_of(t: Array, hit: Mask) -> Spans:
-    """Intervals of time about rows, those close to each other joined."""
+    """Intervals of time about rows; close intervals are joined."""
     at = t[hit]
     if not len(at):
         return ()
@@ -209,10 +214,10 @@ def spans_of(t: Array, hit: Mask) -> Spans:
 
 
 def _timed(name: str, series: Series, model: VehicleModel) -> Iterator[Fault]:
-    """Lost frames, doubled frames, and a cycle that is not the stated one."""
+    """Find lost frames, doubled frames, and a cycle that differs from the stated one."""
     message = getattr(model, name)
     period = float(np.median(np.diff(series.t)))
-    again = duplicates(series, period)  # not what shares a stamp, and says something else
+    again = duplicates(series, period)  # not frames with a shared stamp but other values
     doubled = int(again.sum())
     if doubled >= DOUBLED_FEWEST and doubled > DOUBLED_TOLERANCE * len(again):
         share = doubled / len(again)
@@ -225,7 +230,7 @@ def _timed(name: str, series: Series, model: VehicleModel) -> Iterator[Fault]:
     clock = clock_of(t)
     if clock is None:
         return
-    # A pause of the sender or the logger is no loss.
+    # A pause of the sender or the logger is no loss of frames.
     steps = np.where(np.diff(t) > PAUSE_S, 1.0, clock.steps)
     sent = int(steps.sum()) + 1
     lost = sent - len(t)
@@ -258,7 +263,7 @@ def _timed(name: str, series: Series, model: VehicleModel) -> Iterator[Fault]:
 
 
 def _has_other_rate(steps: Array) -> bool:
-    """Whether wide steps follow each other: a sender that changes its rate loses nothing. Of losses
-    at random or in bursts most are followed by a step of one cycle. steps: (N,) cycles."""
+    """Whether wide steps follow each other, as when a sender changes its rate without losing
+    frames. After most random or burst losses a step of one cycle follows. steps: (N,) cycles."""
     wide = steps > 1.0
     return bool(wide[:-1].sum() > 0 and wide[1:][wide[:-1]].mean() > 0.5)

@@ -1,9 +1,10 @@
-"""A speed that does not change while the sensors say that it does.
+"""Find a constant speed signal while the inertial sensors show that the speed changes.
 
-What is left of a speed after what the accelerometer and the gyroscope say of its changes is noise
-and the road, and is of one size all along a drive. Where the speed is held instead of measured, it
-is as large as the change that is hidden. Nothing is known of the mount: how the speed goes with the
-three axes, and with the gravity that the gyroscope turns into them, is fitted to the drive itself.
+The speed is predicted from accelerometer and gyroscope. Its residual is noise and the road, and has
+about the same size throughout a drive. If the speed signal is held instead of measured, the
+residual is as large as the hidden change. The mount is not known here, so the relation between the
+speed, the three axes and the gravity that the gyroscope turns into them is fitted to the drive
+itself.
 """
 
 from __future__ import annotations
@@ -18,17 +19,18 @@ from imucald.diagnosis.signals import Spans
 STEP_S = 0.2
 MOVING_MPS = 2.0
 LEAST_WINDOWS = 8
-"""Of the same length, to hold a span against."""
+"""Fewest windows of the same length with which a span is compared."""
 APART = 4
-"""A window that falls into a stop is tried again this share of its length later."""
+"""If a window contains a stop, the next one is tried after 1/APART of its length."""
 
 
 def chances_of_sensors(samples: Samples, spans: Spans) -> Array:
-    """(S,) chance of what the sensors say in each span in which the speed stays, if it does so by
-    itself; none is held against another. NaN where the sensors do not cover it.
+    """(S,) chance of the sensors' signals in each span of constant speed, if the speed is truly
+    constant there. Spans are never compared with each other. NaN if the sensors do not cover a
+    span.
 
-    The logarithm of what is left, against that of windows of the same length in motion: Student's t
-    for one more of a sample.
+    The logarithm of the span's residual is compared with those of windows of the same length in
+    motion (Student's t for one more value of a sample).
     """
     made = np.full(len(spans), np.nan)
     if not spans or "accel" not in samples:
@@ -52,8 +54,8 @@ def chances_of_sensors(samples: Samples, spans: Spans) -> Array:
 
 
 def _signals(samples: Samples) -> tuple[Array, Array]:
-    """Grid (N,), and the speed on it with what it may go with (N, 1 + 3 or 6): integral of the
-    force, and that of the gravity which the gyroscope turns, twice integrated."""
+    """Grid (N,), and on it the speed with its regressors (N, 1 + 3 or 6): the integral of the
+    force, and the twice integrated angular rate for the turning of gravity."""
     speed, accel = samples["speed"], samples["accel"]
     t = np.arange(max(speed.t[0], accel.t[0]), min(speed.t[-1], accel.t[-1]), STEP_S)
     columns = [np.interp(t, speed.t, speed.values)[:, None], _integral(_means(accel, t))]
@@ -63,7 +65,7 @@ def _signals(samples: Samples) -> tuple[Array, Array]:
 
 
 def _means(series: Series, t: Array) -> Array:
-    """(N, width) over the grid's step about each time."""
+    """(N, width) means over one grid step about each time."""
     rows = series.values.reshape(len(series.t), -1)
     steps = 0.5 * (rows[1:] + rows[:-1]) * np.diff(series.t)[:, None]
     area = np.concatenate([np.zeros_like(rows[:1]), np.cumsum(steps, axis=0)])
@@ -77,7 +79,7 @@ def _integral(x: Array) -> Array:
 
 
 def _windows(t: Array, v: Array, n: int, spans: Spans) -> list[int]:
-    """First rows of windows of n rows in motion, one after another, clear of the spans."""
+    """First rows of consecutive windows of n rows in motion that contain no part of a span."""
     good = v > MOVING_MPS
     for low, high in spans:
         good &= (t < low) | (t > high)
@@ -92,13 +94,15 @@ def _windows(t: Array, v: Array, n: int, spans: Spans) -> list[int]:
 
 
 def _detrended(rows: Array) -> Array:
-    """Less mean and slope: where it starts, and what a zero and an even slope of the road add."""
+    """Remove mean and slope: the start value, and the effects of a zero error and a constant road
+    slope."""
     line = np.column_stack([np.ones(len(rows)), np.linspace(-1.0, 1.0, len(rows))])
     return np.asarray(rows - line @ np.linalg.lstsq(line, rows, rcond=None)[0])
 
 
 def _left(windows: Array, own: Array) -> Array:
-    """rms (W + 1,) of the speed less what fits it best in the windows (W, n, P); the span last."""
+    """rms residual (W + 1,) of the speed, with the regression fitted to the windows (W, n, P); the
+    span is last."""
     gram = np.einsum("wni,wnj->ij", windows, windows)
     ridge = 1e-9 * np.diag(np.diag(gram)[1:]) + 1e-30 * np.eye(len(gram) - 1)
     b = np.linalg.solve(gram[1:, 1:] + ridge, gram[1:, 0])

@@ -1,7 +1,7 @@
-"""A value inside a sensor's range that it shows far oftener than those next to it.
+"""Find a value inside a sensor's range that it shows far more often than the neighbouring values.
 
-A dead zone, a default that is sent where nothing was measured, a converter that has lost codes:
-what such a sensor says between is not what it feels, and no parameter describes it.
+Causes are a dead zone, a default sent when nothing was measured, or missing codes of a converter.
+Such a sensor does not show the true motion, and no parameter describes its error.
 """
 
 from __future__ import annotations
@@ -19,17 +19,17 @@ from imucald.diagnosis.signals import DriveSignals
 SENSORS = ("accel", "gyro")
 MOVING_MPS = 2.0
 BESIDE = 3
-"""Levels to each side, at least, of which the fullest is what a value is held against."""
+"""A value is compared with the most frequent of at least this many levels on each side."""
 WINDOW, LEAST_WINDOWS = 100, 10
-"""Samples of which the noise is taken: that is known to a tenth."""
+"""Samples in a window for the noise, which gives the noise to 10 %; fewest windows."""
 QUIETEST = 0.1
-"""Share of the windows that are quieter than the noise that counts."""
+"""Quantile of the windows' noise that is used."""
 CHANCE = 0.01
 LEAST_ROWS = 300
 
 
 def held_values(drives: Sequence[DriveSignals]) -> list[Structure]:
-    """Sensors with a value that is held, of all drives."""
+    """Sensors that hold a value, over all drives."""
     found: dict[str, Structure] = {}
     for drive in drives:
         for name in SENSORS:
@@ -45,7 +45,7 @@ def _of_sensor(name: str, drive: DriveSignals, drives: int) -> Iterator[Structur
     table = channel.values[moving]
     if len(table) < LEAST_ROWS:
         return
-    # A frame that repeats the whole one before it is another fault.
+    # A complete repeat of the frame before is another fault.
     fresh = np.ones(len(table), dtype=bool)
     fresh[1:] = (np.diff(table, axis=0) != 0.0).any(axis=1)
     table = table[fresh]
@@ -65,21 +65,23 @@ def _of_sensor(name: str, drive: DriveSignals, drives: int) -> Iterator[Structur
 
 
 def _held(x: Array, questions: int) -> tuple[float, float, float] | None:
-    """Value, its share of the samples, how many times as often as its neighbours; None without.
+    """Value, its share of the samples, and the ratio of its frequency to its neighbours'; None
+    without one.
 
-    Gaussian noise of deviation s smooths whatever a sensor feels: its density f has
-    f(0) <= exp(d^2/2s^2) (f(-d) + f(d))/2, since cosh is 1 at least. So of samples on one level and
-    on the fullest about it, at d, those on the one are e/(1 + e) at most, e = exp(d^2/2s^2).
+    Gaussian noise of deviation s smooths every distribution, so the density f of the values obeys
+    f(0) <= exp(d^2/2s^2) (f(-d) + f(d))/2, because cosh is at least 1. Of all samples on one level
+    and on the most frequent level at distance d, at most the share e/(1 + e) is on the first, with
+    e = exp(d^2/2s^2).
     """
     levels, counts = np.unique(x, return_counts=True)
     if len(levels) < 4 * BESIDE:
         return None
     at = int(np.argmax(counts))
     value, count = levels[at], int(counts[at])
-    # Codes that are never met leave gaps; no two levels lie closer than one code.
+    # Unused codes leave gaps; no two levels are closer than one code.
     width = float(np.quantile(np.diff(levels), 0.1))
     noise = noise_about(x, float(value))
-    # Readings that were turned after they were rounded lie in heaps, no further than the noise.
+    # Readings that were rotated after rounding lie in clusters narrower than the noise.
     near = np.abs(levels - value) <= max((BESIDE + 0.5) * width, noise)
     near[at] = False
     if noise == 0.0 or not near.any():
@@ -87,7 +89,7 @@ def _held(x: Array, questions: int) -> tuple[float, float, float] | None:
     fullest = int(np.argmax(np.where(near, counts, 0)))
     more = float(np.exp(0.5 * min(abs(levels[fullest] - value) / noise, 30.0) ** 2))
     beside = int(counts[fullest])
-    # Visits: a sensor that hardly moves stays for some samples at any value.
+    # Visits are counted, because a sensor that hardly moves stays at any value for some samples.
     visits = int((np.diff((x == value).astype(int)) == 1).sum())
     chance = CHANCE / (questions * len(levels))
     if binom.sf(visits - 1, visits + beside, more / (1.0 + more)) >= chance:
@@ -96,8 +98,8 @@ def _held(x: Array, questions: int) -> tuple[float, float, float] | None:
 
 
 def noise_about(x: Array, value: float = np.nan) -> float:
-    """Deviation from sample to sample where a sensor is quiet; 0 where too little is away from a
-    value to show. A step has the noise twice."""
+    """Noise of a sensor in its quietest windows, from differences of successive samples; 0 if too
+    few samples differ from `value`. A difference contains the noise twice."""
     steps = np.diff(x) ** 2 / 2.0
     away = (x[1:] != value) & (x[:-1] != value)
     size = len(steps) // WINDOW * WINDOW

@@ -1,9 +1,9 @@
-"""What the values of a signal show by themselves: the levels of its converter.
+"""Evidence from a signal's values alone: the levels of its converter.
 
-A converter, or who sends on what it says, has levels that lie one step apart. Where a later drive
-comes in coarser steps than those that a model file was made of, or says 0 up to a higher value,
-something stands between that was not there; and a range that a signal jumps over again and again,
-and never shows, is missing. A model file that was extended carries the levels of its own drives.
+The levels of a converter, or of a unit that forwards its values, lie one step apart. If a later
+drive has coarser steps than the drives of the model file, or shows 0 up to a higher value,
+something new stands between sensor and log. If a signal jumps over a range of values repeatedly and
+never shows it, that range is missing. An extended model file holds the levels of its own drives.
 """
 
 from __future__ import annotations
@@ -30,49 +30,50 @@ SIGNALS = (
     "accel", "gyro", "speed", "wheel_speeds", "steering", "yaw_rate", "lateral_accel",
     "longitudinal_accel",
 )  # fmt: skip
-"""Signals that are asked."""
+"""Signals that are tested."""
 OF_WHEELS = ("speed", "wheel_speeds")
-"""Signals that say 0 below some speed."""
+"""Signals that show 0 below some speed."""
 NEAR_STEPS, OFF_STEP, ON_STEPS = 5.5, 0.1, 0.9
-"""Levels are those of a converter where of gaps of up to so many steps this share are whole ones
-within a tenth: of gaps of any width a fifth are."""
+"""Levels belong to a converter if, among gaps of up to NEAR_STEPS steps, the share ON_STEPS are
+whole numbers of steps within OFF_STEP. Of gaps with random widths only a fifth are."""
 LEAST_GAPS = 10
 SAME = 1e-9
-"""Of a signal's largest value: levels closer than that are one, rounded twice."""
+"""Share of a signal's largest value: levels closer than that are one level, rounded twice."""
 GAIN = 1.0 + max(row.plausible[1] for key, row in PARAMETERS.items() if ".scale" in key)
-"""What a wrong gain may make of a step: the largest that is plausible."""
+"""Largest factor by which a plausible wrong gain may change a step."""
 OBD_STEP = 1.0 / 3.6
 """One bit of a vehicle's speed [m/s] (SAE J1979, PID 0x0D)."""
 FEW_CHANGES = 0.25
-"""Share of a signal's changes that its own noise makes, whatever holes it jumps over."""
+"""A hole must be wider than this quantile of the signal's changes, because noise alone may cause
+such changes."""
 LEAST_CODES = 2
-"""Codes that a hole has, at least: single ones may be missing of any converter."""
+"""Fewest codes in a hole: any converter may miss single codes."""
 
 
 @dataclass(frozen=True)
 class Numbers:
-    """One number of a signal, without rows that repeat the whole of the one before."""
+    """One component of a signal over time."""
 
     name: str
-    """As in structures: `accel_x`, `speed`."""
+    """Name as in structures: `accel_x`, `speed`."""
     channel: str
     unit: str
     t: Array
     values: Array
     """(N,), in the channel's unit."""
     is_next: Mask
-    """(N - 1,) whether the row after each is the next one that was sent."""
+    """(N - 1,) whether the following row is the next one that was sent."""
 
 
 def signals_of(drive: DriveSignals) -> Iterator[Numbers]:
-    """Each number of each signal of a drive, without what faults make invalid."""
+    """Each component of each signal of a drive, without samples that faults make invalid."""
     for name in SIGNALS:
         if drive.has(name):
             yield from numbers_of(name, drive.channels[name])
 
 
 def numbers_of(name: str, channel: Channel) -> Iterator[Numbers]:
-    """Each number of a signal."""
+    """Each component of a signal."""
     good = channel.good()
     t, table = channel.t[good], channel.values.reshape(len(channel.t), -1)[good]
     if len(t) < 2:
@@ -88,14 +89,14 @@ def numbers_of(name: str, channel: Channel) -> Iterator[Numbers]:
 
 
 def levels_of(x: Array) -> Array:
-    """(L,) levels that occur, rising."""
+    """(L,) occurring levels, ascending."""
     found = np.unique(x)
     apart = np.diff(found) > SAME * max(1.0, float(np.abs(found).max()))
     return np.asarray(found[np.concatenate([[True], apart])])
 
 
 def finest_of(levels: Array) -> float:
-    """Gap between levels that all but a tenth reach; 0 where there are few."""
+    """Gap between levels that nine tenths of the gaps reach; 0 if there are few gaps."""
     gaps = np.diff(levels)
     return (
         float(np.quantile(gaps, GAP_QUANTILES[0], method="lower"))
@@ -105,7 +106,7 @@ def finest_of(levels: Array) -> float:
 
 
 def step_of(levels: Array) -> float:
-    """Step of the converter that these levels come of; 0 where they lie on no common grid."""
+    """Step of the converter that made these levels; 0 if they lie on no common grid."""
     gaps, step = np.diff(levels), finest_of(levels)
     if step == 0.0:
         return 0.0
@@ -115,8 +116,8 @@ def step_of(levels: Array) -> float:
 
 
 def is_one_grid(levels: Array, step: float) -> bool:
-    """Whether all levels lie on one grid, from end to end. Readings that were turned after being
-    rounded lie in heaps: their gaps are equal, and add up to no grid."""
+    """Whether all levels lie on one grid from end to end. Readings that were rotated after rounding
+    lie in clusters: their gaps are equal, but do not add up to a grid."""
     code = np.cumsum(np.round(np.diff(levels, prepend=levels[0]) / step))
     slope, start = np.polyfit(code, levels, 1)
     off = np.abs(levels - start - slope * code)
@@ -127,7 +128,8 @@ def is_one_grid(levels: Array, step: float) -> bool:
 
 
 def coarser(drives: Sequence[DriveSignals], stated: VehicleModel) -> list[Question]:
-    """Whether signals come in coarser steps than the file's drives, or say 0 up to more."""
+    """Whether signals have coarser steps than in the file's drives, or show 0 up to a higher
+    value."""
     asked: list[Question] = []
     for drive in drives:
         for signal in signals_of(drive):
@@ -140,15 +142,17 @@ def coarser(drives: Sequence[DriveSignals], stated: VehicleModel) -> list[Questi
 
 
 def _in_steps(signal: Numbers, lsb: float, known_to: float) -> Iterator[Question]:
-    """Of gaps between levels that occur, at most the finest tenth are narrower than a step. On the
-    file's grid, of which as many levels occur, far more would be."""
+    """Of the gaps between occurring levels, at most the finest tenth are narrower than the new
+    step. With the same number of levels on the file's finer grid, far more gaps would be
+    narrower."""
     levels = levels_of(signal.values)
     step = step_of(levels)
     if lsb == 0.0 or step <= GAIN * (lsb + known_to):
         return
     ratio = step / lsb
     gaps = np.diff(levels)
-    # One in `ratio` of the file's levels occurs: so often another comes before the step is over.
+    # One in `ratio` of the file's levels occurs; this is the chance that another one comes within a
+    # step.
     narrow = 1.0 - (1.0 - 1.0 / ratio) ** (np.ceil(ratio - OFF_STEP) - 1.0)
     fewer = int((gaps < (1.0 - OFF_STEP) * step).sum())
     p = float(binom.cdf(fewer, len(gaps), narrow))
@@ -161,9 +165,9 @@ def _in_steps(signal: Numbers, lsb: float, known_to: float) -> Iterator[Question
 
 
 def _from_zero(signal: Numbers, dead: float) -> Iterator[Question]:
-    """What a signal shows next to 0, each time that it leaves or reaches it. Where values come as
-    often in each range of one width, n of them between the least and twice that have a chance of
-    2^-n, whatever the rate (least of a Poisson process: the integral of e^-u P(N >= n | u))."""
+    """Test the values next to 0, each time that the signal leaves or reaches 0. If values are
+    uniformly distributed, the chance of n values between the smallest one and twice that is 2^-n,
+    at any rate (first event of a Poisson process: the integral of e^-u P(N >= n | u))."""
     x = np.abs(signal.values)
     low, high = np.minimum(x[1:], x[:-1]), np.maximum(x[1:], x[:-1])
     beside = high[(low == 0.0) & (high > 0.0) & signal.is_next]
@@ -184,15 +188,16 @@ def _from_zero(signal: Numbers, dead: float) -> Iterator[Question]:
 
 
 def holes(drives: Sequence[DriveSignals]) -> list[Question]:
-    """Ranges that a signal jumps over and never shows."""
+    """Find ranges that a signal jumps over and never shows."""
     return [q for drive in drives for signal in signals_of(drive) for q in _hole(signal)]
 
 
 def _hole(signal: Numbers) -> Iterator[Question]:
-    """The hole that is jumped over most often. A change from sample to sample is the less likely
-    the larger it is; so from a place below a hole, no further away than it is wide, it is as easy
-    to land in it as above it, no further away: each such jump has a chance of a half. A vehicle
-    that stands and then sets off is no such place: speeds are asked from 1 km/h on."""
+    """Find the hole that the signal jumps over most often. A change from sample to sample is rarer
+    the larger it is. So from a place below a hole, at most one hole width away, landing inside the
+    hole is at least as likely as landing above it at most one width away: each such jump has a
+    chance of at most a half. A standing vehicle that sets off is an exception, so speeds are tested
+    from 1 km/h on."""
     levels = levels_of(signal.values)
     step = step_of(levels)
     if step == 0.0 or not is_one_grid(levels, step):
@@ -203,7 +208,7 @@ def _hole(signal: Numbers) -> Iterator[Question]:
     changes = (high - low)[high - low > 0.5 * step]
     if not len(changes):
         return
-    # Who rounds twice leaves out codes all over.
+    # A signal that is rounded twice misses codes over its whole range.
     twice = (LEAST_CODES + 0.5) * max(step, float(np.median(np.diff(levels))))
     least = max(twice, float(np.quantile(changes, FEW_CHANGES)))
     wide = [
@@ -231,8 +236,8 @@ def _hole(signal: Numbers) -> Iterator[Question]:
 
 
 def with_levels(model: VehicleModel, drives: Sequence[DriveSignals]) -> VehicleModel:
-    """The model file with the levels in which these drives' signals come, of each signal those that
-    lie closest, and the least speed above 0."""
+    """Return the model file with the levels of these drives' signals: for each signal the finest
+    levels of all drives, and the least value above 0."""
     made: dict[str, Leaves] = {}
     for drive in drives:
         for signal in signals_of(drive):
@@ -247,10 +252,10 @@ def _stated(signal: Numbers, duration_s: float) -> Leaves | None:
     gaps = np.diff(levels)
     if len(gaps) < LEAST_GAPS:
         return None
-    # Without a grid, how near levels lie is a matter of how many there are.
+    # Without a grid, the gaps depend on the number of samples.
     sure = OFF_STEP if step_of(levels) else 1.0
     top = float(x.max())
-    # What never stops may say 0 up to any speed.
+    # A drive without a stop does not show up to which speed the signal says 0.
     least = float(x[x > 0.0].min()) if (x == 0.0).any() and top > 0.0 else top
     quantiles = np.quantile(gaps, GAP_QUANTILES, method="lower")
     return Leaves(len(gaps), duration_s, (short(least), short(top)), six(quantiles),
@@ -258,7 +263,7 @@ def _stated(signal: Numbers, duration_s: float) -> Leaves | None:
 
 
 def _closer(a: Leaves, b: Leaves) -> Leaves:
-    """The one of two whose levels lie closer, with the least speed of both."""
+    """The entry with the finer levels, with the smaller least value of both."""
     chosen = a if a.rms[0] <= b.rms[0] else b
     low = min(a.speeds_mps[0], b.speeds_mps[0])
     return msgspec.structs.replace(chosen, speeds_mps=(low, max(low, chosen.speeds_mps[1])))

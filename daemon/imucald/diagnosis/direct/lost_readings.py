@@ -1,7 +1,8 @@
-"""Readings that are none: what a sensor's value falls back to when a connector opens, a default.
+"""Find invalid readings: the value that a sensor falls back to when a connector opens, or a
+default.
 
-What a sensor feels comes to a value from values close by. A reading that is lost jumps to it and
-back, whatever it was before, and nothing is met on the way.
+A true signal reaches a value through neighbouring values. A lost reading jumps to its value and
+back from anywhere, without values in between.
 """
 
 from __future__ import annotations
@@ -19,12 +20,13 @@ from imucald.diagnosis.signals import Mask
 
 LEAST_ROWS = 100
 CHANCE = 0.01
-"""Of a drive; shared out over its signals."""
+"""Chance of a false finding in one drive, divided among its signals."""
 RARE = 0.01
-"""Share of a sensor's own steps that are larger than a jump."""
+"""Share of a sensor's own steps that are as large as a jump."""
 PASSES_HALF = 0.25
-"""Of a signal that comes within half its usual distance of a value at most so many go on to it:
-tails of what has a variance fall faster than 1/x^2 (Chebyshev)."""
+"""When a signal comes within half its usual distance of a value, it reaches the value in at most
+this share of the cases: the tails of a distribution with a variance fall faster than 1/x^2
+(Chebyshev)."""
 
 
 @dataclass(frozen=True)
@@ -34,7 +36,7 @@ class Lost:
     value: Array
     """(W,) in sensor axes."""
     rows: Mask
-    """(N,) which."""
+    """(N,) True for the lost readings."""
     visits: int
 
     def kept(self, series: Series) -> Series:
@@ -43,14 +45,14 @@ class Lost:
 
 
 def all_lost(samples: Samples) -> dict[str, Lost]:
-    """Lost readings by signal, where there are any."""
+    """Lost readings by signal, for signals that have any."""
     asked = [name for name in INERTIAL if name in samples and len(samples[name].t) >= LEAST_ROWS]
     found = {name: lost_readings(samples[name], len(asked)) for name in asked}
     return {name: lost for name, lost in found.items() if lost is not None}
 
 
 def as_structure(name: str, lost: Lost) -> Structure:
-    """The finding, in words and with its number of visits."""
+    """The finding as a `Structure`, with a text and the number of visits."""
     unit = QUANTITIES[name].unit
     value = " ".join(f"{x + 0.0:.3g}" for x in lost.value)
     text = (
@@ -62,7 +64,8 @@ def as_structure(name: str, lost: Lost) -> Structure:
 
 
 def lost_readings(series: Series, signals: int) -> Lost | None:
-    """Find the value that a sensor falls back to; None without. signals: how many are asked."""
+    """Find the value that a sensor falls back to; None without one. signals: number of signals
+    tested."""
     table = series.values.reshape(len(series.t), -1)
     first = np.flatnonzero(np.concatenate([[True], (np.diff(table, axis=0) != 0.0).any(axis=1)]))
     if len(first) < 3:
@@ -81,7 +84,7 @@ def lost_readings(series: Series, signals: int) -> Lost | None:
     value, jumped = values[best], int(counts[best])
     there = (runs == value).all(axis=1)
     visits = int(there.sum())
-    # A step to it and one back, each by more than all but one in a hundred.
+    # A step to the value and one back, each among the largest hundredth of all steps.
     if binom.sf(jumped - 1, visits, RARE) >= CHANCE / signals:
         return None
     away = np.linalg.norm(runs - value, axis=1)
@@ -93,6 +96,6 @@ def lost_readings(series: Series, signals: int) -> Lost | None:
 
 
 def _ends_both_ways(runs: Array, jumps: NDArray[np.intp]) -> bool:
-    """Whether jumps lead to both ends of a range, again and again: blows beyond it, whichever way
-    they go. What a sensor falls back to is one value. runs: (N,) of a signal with one number."""
+    """Whether jumps lead repeatedly to both ends of the range: then they are shocks beyond the
+    range. A sensor falls back to one value only. runs: (N,) of a signal with one component."""
     return all(int((runs[jumps] == end).sum()) > 1 for end in (runs.min(), runs.max()))

@@ -1,11 +1,11 @@
-"""How the samples of a signal follow each other, whatever the road and the driver do.
+"""Statistics of successive samples that do not depend on road and driver.
 
-Numbers without a unit, of segments of a drive: how often a value repeats the one before it and how
-often it goes on along the straight line of the two before it, beyond what a sensor of its step and
-its noise does by chance; how heavy the tails of its changes are; and how much of a change the next
-one takes back. A road of the next class makes all changes larger and leaves these numbers alone. A
-model file carries what half of the segments of its drives show. What comes between sensor and log,
-as a filter, a gap that is filled, a value that is held, shows here and in no equation.
+Each segment of a drive gives six numbers without a unit. They describe how often a value repeats
+the one before, and how often it continues the straight line of the two before, both beyond chance
+for a sensor with this step and noise; the tails of its changes; and how much of a change the next
+change reverses. A road of the next roughness class makes all changes larger and leaves these
+numbers the same. A model file holds the medians over the segments of its drives. A change between
+sensor and log, such as a filter, a filled gap or a held value, shows here and in no equation.
 """
 
 from __future__ import annotations
@@ -33,25 +33,25 @@ from imucald.diagnosis.signals import STANDING_MPS, DriveSignals, Mask
 from imucald.model.model import VehicleModel
 
 SEGMENT_S, SEGMENT_ROWS = 10.0, 15
-"""Length of a segment, and how many samples it has at least."""
+"""Length of a segment, and the fewest samples in it."""
 LEAST_SHARE = 0.6
-"""Of a segment's samples that must be there, and be of driving."""
+"""Share of a segment's samples that must be present and recorded in motion."""
 FEW_SEGMENTS = 4
 SHARE = 0.1
-"""Shares p are compared as arcsin(sqrt(p)), whose scatter does not depend on p: from none to one in
-a hundred is 0.1."""
+"""Shares p are compared as arcsin(sqrt(p)), whose scatter does not depend on p; from p = 0 to p =
+0.01 this changes by 0.1."""
 
 
 @dataclass(frozen=True)
 class Trait:
-    """One of the six numbers. limit: by how much two correct drives may differ."""
+    """One of the six numbers. limit: largest difference between two correct drives."""
 
     more: str
     less: str
     limit: float
     unit: str = "in the logarithm"
     of_speed: bool = False
-    """Whether it is asked of a speed as well, whose changes are the driver's."""
+    """True: also tested for speeds, whose changes depend on the driver."""
 
 
 OF_SHARE = "(arcsine of the root of the share)"
@@ -61,24 +61,25 @@ TRAITS = (
     Trait("continues along a straight line more often",
           "continues along a straight line less often",
           SHARE, OF_SHARE),
-    # rms over mean size: 1.25 of a normal law, 1.41 of a double exponential one.
+    # rms over mean size: 1.25 for a normal distribution, 1.41 for a double exponential one.
     Trait("has more very large changes", "has fewer very large changes", 0.12),
     Trait("has more very large second differences",
           "has fewer very large second differences",
           0.12),
-    # Of white noise the second difference is 1.73 of the first, of a random walk 1.41.
+    # The second difference is 1.73 times the first for white noise, 1.41 times for a random walk.
     Trait("reverses a larger part of each change",
           "reverses a smaller part of each change", 0.2),
-    # Over four samples white noise changes by 1 of a change, a random walk by 2.
+    # The change over four samples is 1 time a single change for white noise, 2 times for a random
+    # walk.
     Trait("continues further in the direction of a change",
           "continues less far in the direction of a change", 0.7),
 )  # fmt: skip
-"""In the order of the numbers."""
+"""The traits in the order of the numbers."""
 
 
 def traits_of(drives: Sequence[DriveSignals]) -> dict[float, Left]:
-    """By length of a segment [s], by name: (B,) mean speed of each, 0 where speed is no matter, and
-    (B, 6) exponentials of the numbers."""
+    """By segment length [s] and name: (B,) mean speed of each segment, 0 if speed does not matter,
+    and (B, 6) exponentials of the numbers."""
     made: dict[float, dict[str, list[tuple[Array, Array]]]] = {}
     for drive in drives:
         for signal in signals_of(drive):
@@ -93,7 +94,7 @@ def traits_of(drives: Sequence[DriveSignals]) -> dict[float, Left]:
 def _of_signal(
     signal: Numbers, drive: DriveSignals, period: float, seconds: float
 ) -> tuple[Array, Array]:
-    """(B,) speeds and (B, 6) numbers of the segments of a signal."""
+    """(B,) speeds and (B, 6) numbers for the segments of a signal."""
     t, x, n = signal.t, signal.values, signal.is_next
     if len(x) < SEGMENT_ROWS:
         return np.zeros(0), np.zeros((0, len(TRAITS)))
@@ -136,7 +137,8 @@ def _of_signal(
 
 
 def _by_chance(step: float, size: Array) -> Array:
-    """(B,) share of normal numbers of a mean size that are below half a step."""
+    """(B,) share of normally distributed values, with a given mean size, that are below half a
+    step."""
     return np.asarray(erf(step / (2.0 * np.sqrt(np.pi) * size)))
 
 
@@ -145,15 +147,16 @@ def _arcsine(share: Array) -> Array:
 
 
 def follows(drives: Sequence[DriveSignals], stated: VehicleModel) -> Family:
-    """Whether samples follow each other otherwise than the model file states of its own drives."""
+    """The tests that compare these statistics with those of the model file's own drives."""
     same = _on_the_files_grid(drives, stated)
     return Family(FOLLOWS_OTHERWISE, lambda name, i: _row(name.split()[2], TRAITS[i], same),
                   FEW_SEGMENTS)  # fmt: skip
 
 
 def _on_the_files_grid(drives: Sequence[DriveSignals], stated: VehicleModel) -> set[str]:
-    """Signals whose levels lie as far apart as in the file's drives, but for a gain, or on no grid
-    in either. A signal of other levels, as one that was turned, repeats itself otherwise."""
+    """Signals whose levels have the same spacing as in the file's drives, up to a gain, or lie on
+    no grid in both. A signal with other levels, for example a rotated one, has another rate of
+    repeats."""
     same: set[str] = set()
     for drive in drives:
         for signal in signals_of(drive):

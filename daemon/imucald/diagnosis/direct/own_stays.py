@@ -1,9 +1,9 @@
-"""Whether a signal stays at one value for longer than it does by itself.
+"""Whether a signal stays at one value longer than it normally does.
 
-At a steady cruise a signal stays for longer than in town, so that its stays have a heavier tail
-than a coin that is thrown at each sample. So each stay has its own probability of going on, drawn
-from a beta law: lengths are then Waring's (beta-geometric; Weinberg and Gladen 1986), with a tail
-n^-b, or as good as geometric where the log shows no more than that.
+At constant speed a signal stays longer than in town, so the lengths of its stays have a heavier
+tail than a geometric distribution. Therefore each stay has its own probability of going on, drawn
+from a beta distribution. The lengths then have the Waring distribution (beta-geometric; Weinberg
+and Gladen 1986) with a tail n^-b. It is nearly geometric if the log shows no heavier tail.
 """
 
 from __future__ import annotations
@@ -17,22 +17,24 @@ from imucald.core.arrays import Array
 
 Steps = NDArray[np.intp]
 FEW_STAYS = 20
-"""Of fewer the longest are no measure of a tail."""
+"""If there are fewer stays, the longest ones are no measure of a tail."""
 LONGEST = 0.1
 """Share of the stays that shows the tail by itself (peaks over a threshold, Pickands 1975)."""
 _GRID = (np.arange(40) + 0.5) / 40.0
 _GOES_ON, _ONE_OVER_B = np.meshgrid(_GRID, _GRID, indexing="ij")
 _B = 1.0 / _ONE_OVER_B
-"""b over 1: a stay has a mean length. Even prior of 1/b and of the mean probability a/(a + b)."""
+"""b is above 1, so that the mean length of a stay is finite. The prior is uniform in 1/b and in the
+mean probability a/(a + b)."""
 _A = _GOES_ON / (1.0 - _GOES_ON) * _B
 
 
 def number_as_long(own: Steps, length: int) -> float:
-    """How many of a drive's stays last so long, on an average: by all of them and by the longest,
-    the larger of both.
+    """Expected number of a drive's stays that last at least this long. It is the larger of two
+    estimates: from all stays, and from the longest ones.
 
-    own: (M,) lengths of the others in steps, 1 or more; length: the same of the one in question. 1
-    against none, since a filter that settles for the first time does so for as long as it may.
+    own: (M,) lengths of the other stays in steps, 1 or more. length: that of the tested stay.
+    Without other stays the result is 1, since a filter that settles for the first time may stay for
+    any time.
     """
     if not len(own):
         return 1.0
@@ -43,7 +45,7 @@ def number_as_long(own: Steps, length: int) -> float:
 
 
 def _beyond(more: Steps, length: int) -> float:
-    """The same of stays less a threshold; by the posterior of a and b.
+    """The same for the part of the stays beyond a threshold, by the posterior of a and b.
 
     P(L >= n) = B(a + n, b)/B(a, b), P(L = n) = B(a + n, b + 1)/B(a, b).
     """
@@ -56,15 +58,18 @@ def _beyond(more: Steps, length: int) -> float:
 
 
 def chance_of_change(own: Array, change: float) -> float:
-    """Of a change as large as that at which a stay ends, by its rank. own: (M,) other changes."""
+    """Chance of a change as large as the one that ends a stay, by its rank. own: (M,) other
+    changes."""
     return float((1 + (own >= change).sum()) / (len(own) + 1))
 
 
 def chance_of_any(product: float, count: int, asked: int) -> float:
-    """That any of so many stays has so small a product: number as long, times other chances.
+    """Chance that any of the tested stays has so small a product of expected number and other
+    chances.
 
-    count: factors, with the first, which is `asked` times the chance of its length among those
-    asked. Of independent chances (Fisher 1925), shared out over the stays asked.
+    count: number of factors. The first factor is `asked` times the chance of the stay's length. The
+    chances are combined as independent ones (Fisher 1925) and corrected for the number of tested
+    stays.
     """
     logs = -2.0 * np.log(max(product / asked, 1e-300))
     return min(1.0, asked * float(chi2.sf(logs, 2 * count)))

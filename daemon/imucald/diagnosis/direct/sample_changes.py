@@ -1,9 +1,9 @@
-"""How a signal changes from one sample to the next.
+"""Statistics of a signal's changes from one sample to the next.
 
-A road shakes all axes of a sensor. By how much one axis changes over 1, 2, 4, ... samples, beside
-the others, is a matter of the vehicle and the sensor, which two drives share: a model file carries
-what half of the segments of its drives show, along the vehicle's axes. And small changes are more
-common than large ones, whatever the signal, also compared with those just before and after.
+A road shakes all axes of a sensor. The size of one axis' changes over 1, 2, 4, ... samples,
+relative to the other axes, depends on vehicle and sensor, which two drives share. A model file
+holds the medians over the segments of its drives, along the vehicle's axes. In every signal small
+changes are more common than large ones, also compared with the changes just before and after.
 """
 
 from __future__ import annotations
@@ -44,31 +44,32 @@ from imucald.model.model import VehicleModel
 
 TRIADS = ("accel", "gyro")
 ROUGHER = ROAD_CLASS**0.5
-"""Half a class of roads, which shakes all axes: by so much one may differ from the others."""
+"""Factor by which one axis may differ from the others: half a road class. A rougher road shakes all
+axes."""
 SEGMENT_S = 10.0
 LEAST_ROWS, MOVING_SHARE = 100, 0.8
-"""A segment has so many rows at least, and drives for this share of them."""
+"""Fewest rows of a segment, and share of them that must be in motion."""
 BELOW_HALF = 1.0 / 3.0
-"""Of a pure vibration's changes a third is below half of the largest (arcsine distribution): of all
-motions it has the fewest."""
+"""Share of a pure vibration's changes that are below half of the largest (arcsine distribution).
+All other motions have more."""
 LEAST_CHANGES, LEAST_CODES, MOST_CODES = 30, 2, 1000
 BESIDE = np.array([1.0] * 6 + [0.0] * 5 + [1.0] * 6)
-"""Changes that one is held against: the third to the eighth before it and after it. The two next to
-it a wrong value makes itself, and what a filter spreads of it."""
+"""Changes with which one change is compared: the third to the eighth before and after it. The two
+nearest on each side are left out, because a wrong value and a filter behind it affect them."""
 LEVELS = (4.0, 8.0, 16.0, 32.0, 64.0, 128.0)
-"""Times the rms of the changes next to it, octaves. Of normal noise with a rms of twelve one in 500
-exceeds the first (Student)."""
+"""Sizes of a change in multiples of the rms of the neighbouring changes, in octaves. In normal
+noise, with the rms of twelve changes, one in 500 exceeds the first level (Student)."""
 ALONE_SHARE = 0.001
-"""Of the changes of a signal that jump. Fewer a blow or a stone makes; of frames so many come twice
-without a fault (`faults`)."""
+"""Share of a signal's changes that must be jumps. Shocks and stones cause fewer; the same share of
+frames may come twice without a fault (`faults`)."""
 
 
 # against the file --------------------------------------------------------------------------------
 
 
 def changes_of(drives: Sequence[DriveSignals], model: VehicleModel) -> dict[float, Left]:
-    """By length of a segment [s], axis and rate: (B,) mean speed of each segment,
-    (B, lags) rms of its changes over the geometric mean of the other axes'."""
+    """By segment length [s], axis and rate: (B,) mean speed of each segment, (B, lags) rms of its
+    changes, divided by the geometric mean of the other axes' rms."""
     parts: dict[str, list[tuple[Array, Array]]] = {}
     for drive in drives:
         for name in TRIADS:
@@ -103,7 +104,7 @@ def _of_triad(
 
 
 def _along_vehicle(t: Array, table: Array, model: VehicleModel) -> Array:
-    """Vectors (N, 3) in the vehicle's axes."""
+    """Rotate vectors (N, 3) into the vehicle's axes."""
     made = table.copy()
     for start, R in mounts(model):
         made[t >= start] = table[t >= start] @ R.T
@@ -111,7 +112,7 @@ def _along_vehicle(t: Array, table: Array, model: VehicleModel) -> Array:
 
 
 def _sizes(t: Array, table: Array, good: Mask, period: float) -> Array:
-    """(W, lags) rms of what a table (N, W) changes by over some samples; 0 where few are left."""
+    """(W, lags) rms change of a table (N, W) over each lag; 0 if few changes are usable."""
     made = np.zeros((table.shape[1], len(LAGS)))
     for k, lag in enumerate(LAGS):
         there = (t[lag:] - t[:-lag] < (lag + 0.5) * period) & good[lag:] & good[:-lag]
@@ -121,7 +122,8 @@ def _sizes(t: Array, table: Array, good: Mask, period: float) -> Array:
 
 
 def _row(name: str, i: int) -> FamilyRow:
-    """Either way, beyond what a road makes of one axis."""
+    """One number of the family: tested in both directions, beyond the effect of a road on one
+    axis."""
     _, _, _, _, rate, _ = name.split()
     lag = counted(LAGS[i], "sample")
     rougher = float(np.log(ROUGHER))
@@ -139,26 +141,26 @@ def _row(name: str, i: int) -> FamilyRow:
 
 
 CHANGES = Family(CHANGES_OTHERWISE, _row)
-"""By how much axes change over some samples (`changes_of`)."""
+"""Size of the axes' changes over several samples (`changes_of`)."""
 
 
 # without a file ----------------------------------------------------------------------------------
 
 
 def changes_missing(drives: Sequence[DriveSignals]) -> list[Question]:
-    """Whether signals stay where they are until they change by much."""
+    """Whether signals stay constant until they change by a large amount."""
     return [q for drive in drives for signal in signals_of(drive) for q in _missing(signal)]
 
 
 def stays_until_off(name: str, channel: Channel) -> bool:
-    """Whether a signal is sent on change: what stays is not stuck then."""
+    """Whether a signal is sent on change: then a constant value is not stuck."""
     asked = [q for signal in numbers_of(name, channel) for q in _missing(signal)]
     return bool(beyond_chance(asked))
 
 
 def _missing(signal: Numbers) -> Iterator[Question]:
-    """Of changes of up to twice some size at least a third is below half of that; asked of all
-    sizes, the chance multiplied by their number."""
+    """Of all changes up to twice a size, at least a third must be below that size. All sizes are
+    tested, and the chance is multiplied by their number."""
     step = step_of(levels_of(signal.values))
     changes = np.abs(np.diff(signal.values)[signal.is_next])
     changes = changes[changes > 0.0]
@@ -166,7 +168,7 @@ def _missing(signal: Numbers) -> Iterator[Question]:
         return
     codes = np.round(changes / step).astype(int)
     counts = np.cumsum(np.bincount(np.minimum(codes, 2 * MOST_CODES)))
-    # Half of 2 k - 1 codes, the middle one in the upper half.
+    # Lower half of 2 k - 1 codes; the middle code belongs to the upper half.
     half = np.arange(LEAST_CODES, min(MOST_CODES, len(counts) // 2))
     if not len(half):
         return
@@ -180,22 +182,23 @@ def _missing(signal: Numbers) -> Iterator[Question]:
         "would be a third or more. The signal keeps a value until it is wrong by that much"
     )
     p = min(1.0, float(chance[k]) * len(half))
-    # Below its noise a coarse converter's own steps show.
+    # Below the noise, the steps of a coarse converter show instead.
     is_large = bool(below[k] < 0.5 * BELOW_HALF * many) and size > noise_about(signal.values)
     yield Question(p, is_large, Structure(signal.name, CHANGES_MISSING, 1.0 / max(p, 1e-12), text))
 
 
 def jumps_alone(drives: Sequence[DriveSignals]) -> list[Question]:
-    """Whether signals jump, again and again, where they change by little before and after."""
+    """Whether signals jump repeatedly, with small changes before and after each jump."""
     return [q for drive in drives for signal in signals_of(drive) for q in _alone(signal)]
 
 
 def _alone(signal: Numbers) -> Iterator[Question]:
-    """Of changes that are larger than those next to them by some factor at most a quarter is so by
-    twice the factor: tails of what has a variance fall faster than 1/x^2. A road's blows shake on,
-    and are beside themselves. Asked of every two factors, the chance multiplied by their number."""
+    """Of the changes that exceed their neighbours by some factor, at most a quarter exceed them by
+    twice the factor, because the tails of a distribution with a variance fall faster than 1/x^2. A
+    shock from the road vibrates on, so its neighbours are large too. Every pair of factors is
+    tested, and the chance is multiplied by their number."""
     changes, times = _beside(signal)
-    # A wrong value jumps there and back: it counts once.
+    # A wrong value causes a jump there and one back: it counts once.
     times = times[times == maximum_filter1d(times, len(BESIDE), mode="constant")]
     counts = [int((times > level).sum()) for level in LEVELS]
     asked = [
@@ -216,9 +219,9 @@ def _alone(signal: Numbers) -> Iterator[Question]:
 
 
 def _beside(signal: Numbers) -> tuple[Array, Array]:
-    """(N,) changes between values that differ, and how many times they are the rms of those next to
-    them. Below its noise, or its step, none is measured, and no speed is below 1 km/h: it leaves
-    zero by a jump (dead band)."""
+    """(N,) changes between different values, and their ratio to the rms of the neighbouring
+    changes. That rms is at least the signal's noise or step. Speeds below 1 km/h are left out,
+    because a speed leaves zero by a jump (dead band)."""
     new = np.flatnonzero(np.concatenate([[True], np.diff(signal.values) != 0.0]))
     gaps = np.concatenate([[0], np.cumsum(~signal.is_next)])[new]
     x = signal.values[new]
@@ -230,7 +233,7 @@ def _beside(signal: Numbers) -> tuple[Array, Array]:
     if len(changes) < len(BESIDE):
         return changes[:0], changes[:0]
     if least == 0.0:
-        # Of few samples on no grid neither is known: half of the changes are no smaller.
+        # With few samples and no grid neither noise nor step is known: the median change is used.
         least = float(np.median(np.abs(changes)))
     power = np.convolve(changes**2, BESIDE, "same")
     count = np.convolve(there.astype(float), BESIDE, "same")

@@ -1,4 +1,4 @@
-"""The cycle in which frames are sent, from their time stamps."""
+"""Estimate the cycle time of frames from their time stamps."""
 
 from __future__ import annotations
 
@@ -9,16 +9,17 @@ import numpy as np
 from imucald.core.arrays import Array
 
 NEAR, NEAR_SHARE, JITTER_SHARE, WANDER_S = 0.85, 0.4, 0.2, 0.01
-"""A cycle is known where most stamps are near it, scatter little, and do not walk away from it: who
-is asked for each value (OBD-II) has none."""
+"""A cycle is known if most stamps are near it, scatter little and do not drift away from it. A unit
+that is asked for each value (OBD-II) has no cycle."""
 ADDED_UP = 0.5
-"""Variance of the sum of many steps over the sum of their variances: 1 where each begins when the
-one before it ends (who is asked again on the answer), near 0 where a clock sends (variance ratio;
-Lo and MacKinlay 1988)."""
+"""Limit of the variance of a sum of many steps over the sum of their variances (variance ratio; Lo
+and MacKinlay 1988). The ratio is 1 if each step begins when the one before ends (a new request
+after each answer), and near 0 if a clock triggers the frames."""
 LOCKS, NEIGHBOURS = 4, 50
-"""Stamps that share a phase: a cycle known to 1 % moves it by half a cycle at most."""
+"""Number of stamps that share a phase: over these, a cycle known to 1 % moves the phase by half a
+cycle at most."""
 PARTS = 8
-"""Of a drive: their slopes tell how well that of the whole is known."""
+"""Number of parts of a drive; the scatter of their slopes gives the accuracy of the whole slope."""
 
 
 @dataclass(frozen=True)
@@ -27,18 +28,18 @@ class Clock:
 
     cycle_s: float
     se: float
-    """Its relative deviation."""
+    """Relative standard deviation of the cycle time."""
     steps: Array
     """(N - 1,) cycles between frames."""
     is_steady: bool
-    """Whether stamps keep to it over the drive; a logger's clock that wanders still shows what is
-    lost."""
+    """Whether stamps follow the cycle over the whole drive. Lost frames show even if the logger's
+    clock wanders."""
 
 
 def clock_of(t: Array) -> Clock | None:
-    """The clock that stamps t (N,) [s] show, by a line through them over the number of each frame;
-    None without a clear cycle. The median of the steps is no cycle where frames are lost: with a
-    share p of them it lies at another quantile of the jitter."""
+    """Estimate the cycle time from stamps t (N,) [s], by a straight line over the frame numbers;
+    None without a clear cycle. The median of the steps is not the cycle if frames are lost: it then
+    lies at another quantile of the jitter."""
     steps = np.diff(t)
     if len(steps) < 50:
         return None
@@ -56,7 +57,7 @@ def clock_of(t: Array) -> Clock | None:
         cycle = slope
     left = at - at.mean() - cycle * centred
     is_steady = bool(np.std(left) <= WANDER_S + 0.3 * cycle) and not _adds_up(steps, cycle)
-    # What wanders from stamp to stamp adds up: slopes of parts are compared, not samples.
+    # Errors that wander from stamp to stamp add up, so slopes of parts are compared, not samples.
     parts = zip(np.array_split(count, PARTS), np.array_split(at, PARTS), strict=True)
     slopes = [np.polyfit(n, t, 1)[0] for n, t in parts]
     se = float(np.std(slopes, ddof=1) / np.sqrt(PARTS))
@@ -64,8 +65,8 @@ def clock_of(t: Array) -> Clock | None:
 
 
 def _adds_up(steps: Array, cycle: float) -> bool:
-    """Whether delay adds up from frame to frame: then nothing sends in a cycle, and the mean of
-    the steps is no clock's. steps: (N,) [s]."""
+    """Whether delays add up from frame to frame: then no clock triggers the frames, and the mean
+    step is no clock's cycle. steps: (N,) [s]."""
     late = steps - cycle * np.maximum(np.round(steps / cycle), 1.0)
     late = late[np.abs(late) < NEAR_SHARE * cycle]
     late = late - late.mean()
@@ -76,10 +77,10 @@ def _adds_up(steps: Array, cycle: float) -> bool:
 
 
 def _counted(at: Array, cycle: float) -> Array:
-    """(N,) whole cycles since the first frame. at: (N,) stamps [s], one comes at 0.
+    """(N,) whole cycles since the first frame. at: (N,) stamps [s], with one at 0.
 
-    Each stamp is counted from the phase of its neighbours (circular mean), which moves slowly.
-    Steps that are rounded one by one lose a cycle for good wherever two late frames lie just so.
+    Each stamp is counted from the phase of its neighbours (circular mean), which moves slowly. If
+    each step were rounded by itself, two late frames could lose a cycle permanently.
     """
     share = at / cycle
     first = np.arange(0, len(at), NEIGHBOURS)

@@ -1,4 +1,4 @@
-"""Frames that come, with a value that does not change."""
+"""Find stuck signals: frames come, but their value does not change."""
 
 from __future__ import annotations
 
@@ -24,13 +24,13 @@ from imucald.diagnosis.signals import Mask, Spans
 Index = NDArray[np.intp]
 MOVING_MPS = 2.0
 STUCK_S, STUCK_SLOW_S, STUCK_RUNS = 0.5, 8.0, 4.0
-"""A quick sensor is stuck from so long on, a slow one; and only if so many times the usual, or if
-chance does not make it (`own_stays`)."""
+"""Shortest time that counts as stuck for a quick and for a slow sensor. It must also be STUCK_RUNS
+times the usual stay, or too long for chance (`own_stays`)."""
 FEW_OTHERS = 3
 CHANCE = 0.01
-"""Of each slow signal of a sound drive."""
+"""Chance of a false finding for each slow signal of a drive without faults."""
 PARTNER_SHARE = 0.5
-"""A slow signal is stuck where others go on moving by this share of their usual spread."""
+"""A slow signal is stuck if other signals go on moving by this share of their usual spread."""
 
 
 @dataclass(frozen=True)
@@ -40,18 +40,18 @@ class Fault:
     cause: str
     signal: str
     values: Mapping[str, tuple[float, float, str]]
-    """Key to value, deviation, unit."""
+    """By key: value, deviation, unit."""
     text: str
     changes: Mapping[str, Any]
-    """What the model file says of it from now on."""
+    """Changes of the model file that state the fault."""
     spans: Spans = ()
     """Intervals of time [s] that must not be used."""
     score: float = 50.0
-    """Evidence in nats, as far as it is known."""
+    """Evidence [nats], if it is known."""
     held: Spans = ()
-    """The samples themselves, of a rail: without what is kept out about them."""
+    """At a rail, the samples on the rail only, without the margin about them."""
     against: tuple[str, ...] = ()
-    """What speaks against it, in sentences: it is likely then, not certain."""
+    """Arguments against the fault, in sentences: with any, it is likely and not certain."""
 
 
 def stuck(
@@ -61,17 +61,17 @@ def stuck(
     moving: tuple[Array, Array],
     piled: Sequence[Fault] = (),
 ) -> Iterator[Fault]:
-    """Frames that come with one value while the vehicle moves; zeros at rest are natural, and so is
-    one value on a rail (of a signal with one number, on either end)."""
+    """Find intervals with one constant value while the vehicle moves. Zeros at rest are normal, and
+    so is a constant value on a rail (for a signal with one component, at either end)."""
     t, table = series.t, series.values.reshape(len(series.t), -1)
     same = (np.diff(table, axis=0) == 0.0).all(axis=1)
     first, last = true_runs(same).T
     if not len(first):
         return
-    # Frames that do not come are another fault.
+    # Missing frames are another fault.
     length = np.minimum(t[last] - t[first], (last - first) * float(np.median(np.diff(t))))
     length[_on_a_rail(name, t, table, first, last, piled)] = 0.0
-    # Only while driving; a long interval may hold stops.
+    # Only time in motion counts; a long interval may contain stops.
     steps = np.diff(t) * (np.interp(0.5 * (t[1:] + t[:-1]), *moving) > MOVING_MPS)
     driven = np.concatenate([[0.0], np.cumsum(steps)])
     length = np.minimum(length, driven[last] - driven[first])
@@ -90,7 +90,7 @@ def stuck(
         if name == "speed":
             felt[asked] = chances_of_sensors(samples, tuple(stays[k] for k in asked))
         sole = _chances(t, table[:, 0], last, length, asked, felt) < CHANCE
-        # A chance that holds what the sensors say needs no other witness.
+        # A chance that includes the inertial sensors needs no other evidence.
         sure, maybe = sole & np.isfinite(felt), sole | (long & (usual > 0.0))
         spans = [
             stays[k]
@@ -113,7 +113,8 @@ def stuck(
 def _on_a_rail(
     name: str, t: Array, table: Array, first: Index, last: Index, piled: Sequence[Fault]
 ) -> Mask:
-    """Which intervals lie on a rail that was found; of a signal with one number, on either end."""
+    """Which intervals lie on a rail that was found; for a signal with one component, at either
+    end."""
     hit = np.zeros(len(first), dtype=bool)
     for fault in piled:
         for low, high in fault.spans:
@@ -125,20 +126,21 @@ def _on_a_rail(
 
 
 def _usual(length: Array) -> float:
-    """How long values stay, but for one in a hundred; of few the longest is no measure of it."""
+    """Length of stay that 99 % of the stays do not exceed. If there are few stays, the longest is
+    no measure of it."""
     length = length[length > 0.0]
     return float(np.quantile(length, 0.99, method="lower")) if len(length) > FEW_STAYS else 0.0
 
 
 def _usual_of(values: Array, length: Array, k: int) -> float:
-    """The same of the value that is held: what a sensor shows again and again, for a while each
-    time (a dead zone, a default), is not what it was stuck at."""
+    """The same for stays at the held value only. A value that a sensor shows repeatedly for some
+    time (a dead zone, a default) is no sign of a stuck sensor."""
     return _usual(length[(values == values[k]).all(axis=1)])
 
 
 def _is_shown_often(t: Array, table: Array, first: Index, span: tuple[float, float]) -> bool:
-    """Whether what a sensor shows in a span is what most of its other stays are at: a dead zone,
-    and no sensor that is stuck. first: rows at which a stay begins."""
+    """Whether most other stays of a sensor have the same value as this span: then it is a dead zone
+    and no stuck sensor. first: rows at which a stay begins."""
     inside = (t >= span[0]) & (t <= span[1])
     value = table[inside][0]
     others = first[~inside[first]]
@@ -148,11 +150,12 @@ def _is_shown_often(t: Array, table: Array, first: Index, span: tuple[float, flo
 
 
 def _chances(t: Array, x: Array, last: Index, length: Array, asked: Index, felt: Array) -> Array:
-    """(S,) chance that any stay of a sound slow signal x (N,) is as much out of the ordinary: as
-    long, ends with as large a change, and the sensors speak as much against it. 1 where not asked.
+    """(S,) chance that any stay of a healthy slow signal x (N,) is as unusual as this one: as long,
+    ending with as large a change, and contradicted as strongly by the inertial sensors. 1 for stays
+    that are not tested.
 
-    last: rows at which stays end; length: of each while driving [s]; felt: chance of what the
-    sensors say, NaN where they say nothing.
+    last: rows at which stays end; length: of each while driving [s]; felt: chance by the inertial
+    sensors, NaN if they show nothing.
     """
     made = np.ones(len(length))
     if not len(asked):
@@ -175,7 +178,7 @@ def _chances(t: Array, x: Array, last: Index, length: Array, asked: Index, felt:
 
 
 def _others_move(name: str, samples: Samples, span: tuple[float, float]) -> bool:
-    """Whether what should move with a signal goes on moving in an interval of time."""
+    """Whether related signals go on moving in an interval of time."""
     if name == "speed":
         partner = samples["accel"]
     else:

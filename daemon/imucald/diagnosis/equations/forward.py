@@ -1,9 +1,9 @@
-"""Residuals of a drive against a model file, block by block: physics, and nothing of statistics.
+"""Residuals of a drive against a model file, block by block: physics without statistics.
 
-Each equation (see `motion`) is a residual, measured less predicted, on the grid. A column of a fit
-is how the residual changes with a parameter, found by evaluating it again: there the slope of the
-speed is the best mean of speed and accelerometer, and the sideways force the predicted one, so that
-no column goes with the noise that stands in its equation.
+Each equation (see `motion`) is a residual, measured minus predicted, on the grid. A column of a fit
+is the change of the residual with a parameter, found by another evaluation. For columns, the slope
+of the speed is the best mean of speed and accelerometer, and the sideways force is the predicted
+one. So no column correlates with the noise in its own equation.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from imucald.diagnosis.equations.single_track import SLOW_MPS
 from imucald.diagnosis.signals import STANDING_MPS, STEP_S, Channel, Mask
 
 STOPPING_MPS2 = 3.4
-"""Most drivers stop no harder (AASHTO, Green Book: stopping sight distance)."""
+"""Most drivers brake no harder than this (AASHTO, Green Book: stopping sight distance)."""
 UNITS: Mapping[str, str] = {
     **{channel: row.unit for channel, row in QUANTITIES.items()},
     **{f"{name}_{axis}": QUANTITIES[name].unit for name in ("accel", "gyro") for axis in "xyz"},
@@ -33,11 +33,11 @@ UNITS: Mapping[str, str] = {
 
 @dataclass(frozen=True)
 class Residuals:
-    """One evaluation. Arrays (B, n): blocks and rows in them."""
+    """One evaluation. Arrays (B, n): B blocks with n rows each."""
 
     of: Mapping[str, Array]
     tilt: Mapping[str, tuple[Array, Array]] = field(default_factory=dict)
-    """Of an equation with gravity in it: how it changes with the two parts of z0."""
+    """For an equation that contains gravity: its change with the two parts of z0."""
 
 
 class Forward(Reader):
@@ -48,10 +48,10 @@ class Forward(Reader):
     def residuals(
         self, changes: Changes, by_inertia: bool = False, added: Mapping[str, Array] = NONE
     ) -> Residuals:
-        """Measured less predicted with a changed model file, of every equation there is.
+        """Measured minus predicted, for every available equation, with a changed model file.
 
-        by_inertia: for columns, with the signals of `settle`. added: by signal, what it shows too
-        much (N,), (N, 3) along the vehicle's axes.
+        by_inertia: for columns, with the signals of `settle`. added: by signal, an error added to
+        it, (N,) or (N, 3) along the vehicle's axes.
         """
         motion = VehicleMotion(self, changes, by_inertia, added)
         found: dict[str, Array] = {}
@@ -69,18 +69,18 @@ class Forward(Reader):
         return x.reshape(self.blocks, self.rows)
 
     def settle(self, tilt: Array, inertial: Array) -> None:
-        """Choose the signals that columns are made of. tilt: (B, 2) z0 of each block. inertial:
-        (B,) share of the accelerometer in the slope of the speed."""
+        """Choose the signals for the columns. tilt: (B, 2) z0 of each block. inertial: (B,) share
+        of the accelerometer in the slope of the speed."""
         self.reference = VehicleMotion(self, {}, False).reference(tilt, inertial)
 
     def inertial_share(
         self, base: Residuals, masks: Mapping[str, Mask], top_hz: float, tilt: Array
     ) -> Array:
-        """(B,) share of the accelerometer in the best slope of the speed: its variance is that of
-        the speed's own noise over that of what both leave of each other up to a frequency.
+        """(B,) share of the accelerometer in the best slope of the speed: the variance of the
+        speed's own noise, divided by the variance of the difference of both, up to a frequency.
 
-        The best mean of two measurements is the one that does not go with their difference, which
-        is what stands in the equation. tilt: (B, 2) of each block, by `tilts`.
+        The best mean of two measurements is uncorrelated with their difference; the equation
+        contains that difference. tilt: (B, 2) of each block, by `tilts`.
         """
         if "accel_x" not in base.of or self.rows < 1:
             return np.ones(self.blocks)
@@ -105,7 +105,7 @@ class Forward(Reader):
         return tilt
 
     def level(self, found: Residuals, masks: Mapping[str, Mask]) -> dict[str, Array]:
-        """Residuals (B, n) with the tilt of each block taken off."""
+        """Residuals (B, n) with the tilt of each block removed."""
         return _without(found, self.tilts(found, masks))
 
     def yaw_rate(self) -> Array:
@@ -113,7 +113,7 @@ class Forward(Reader):
         return np.asarray(VehicleMotion(self, {}, False).r)
 
     def measured(self) -> dict[str, Array]:
-        """What each equation's sensor says, with the model file's errors taken off."""
+        """Measured signal of each equation, with the model file's errors removed."""
         m = VehicleMotion(self, {}, False)
         found = {f"accel_{axis}": x for axis, x in zip("xyz", m.force, strict=True)}
         found["accel_x"] = m.as_speed_sees(m.force[0])
@@ -128,7 +128,8 @@ class Forward(Reader):
         return found
 
     def levels(self) -> Array:
-        """(B, 2) mean of u over each block as the forces show it, without the gyroscope's carry."""
+        """(B, 2) mean of u over each block from the forces, without gravity carried by the
+        gyroscope."""
         motion = VehicleMotion(self, {}, False)
         x = motion.force[0] + motion.r * motion.v_y - motion.held(motion.slopes)
         y = motion.force[1] - motion.v * motion.r - slope(motion.v_y)
@@ -136,7 +137,7 @@ class Forward(Reader):
         return np.column_stack(means)
 
     def usable(self) -> dict[str, Mask]:
-        """(B, n) rows of each equation in which all of its signals were there."""
+        """(B, n) rows of each equation in which all of its signals were present."""
         there = {
             name: channel.present(self.t + self._age_or_0(name))
             for name, channel in self.drive.channels.items()
@@ -165,7 +166,7 @@ class Forward(Reader):
         return age(self.model, name) if hasattr(getattr(self.model, name, None), "delay_s") else 0.0
 
     def _knots_inside(self) -> Mask:
-        """Rows between two knots of the speed that lie in the same block."""
+        """Which rows lie between two knots of the speed in the same block."""
         late = age(self.model, "speed") + self.model.speed.delay_rate * self.knots
         knots = self.knots - late
         index = np.searchsorted(knots, self.t)
@@ -179,8 +180,8 @@ class Forward(Reader):
         return np.asarray(inside & (left >= start - slack) & (right <= stop + slack))
 
     def _starts_or_stops(self) -> Mask:
-        """Rows in which the speed leaves zero or comes to it by a jump. Below some 0.3 m/s it is
-        not measured (dead band), and no car's slope is that."""
+        """Rows in which the speed leaves or reaches zero by a jump. Speeds below about 0.3 m/s are
+        not measured (dead band), and such a jump is no acceleration of the vehicle."""
         speed = self.drive.channels["speed"]
         size = np.abs(speed.values)
         stands, step = size < STANDING_MPS, np.abs(np.diff(size))
@@ -189,7 +190,7 @@ class Forward(Reader):
         late = age(self.model, "speed") + self.model.speed.delay_rate * speed.t
         t = speed.t - late
         hit = np.zeros(len(self.t), dtype=bool)
-        # A knot is a mean over a step, and a row is one between knots.
+        # A knot is a mean over one step, and a row is a mean between knots.
         first = np.searchsorted(self.t, t[k] - 2.0 * STEP_S)
         last = np.searchsorted(self.t, t[k + 1] + 2.0 * STEP_S)
         for a, b in zip(first, last, strict=True):
@@ -205,8 +206,9 @@ def _without(found: Residuals, tilt: Array) -> dict[str, Array]:
 
 
 def _slope_noise(knots: Channel, top_hz: float) -> float:
-    """Mean square of the slope up to a frequency that white noise of the speed makes [m^2/s^4], at
-    most: a second difference has the noise six times, and the vehicle's jerk besides."""
+    """Upper limit of the mean square slope, up to a frequency, that comes from white noise of the
+    speed [m^2/s^4]. A second difference contains the noise variance six times, and also the
+    vehicle's jerk."""
     power = float(np.mean(np.diff(knots.values, 2) ** 2)) / 6.0
     # A spectrum of 2 s^2 T, times (2 pi f)^2, up to top_hz.
     return 2.0 * power * knots.period_s * (2.0 * np.pi) ** 2 * top_hz**3 / 3.0

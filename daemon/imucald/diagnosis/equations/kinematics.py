@@ -1,4 +1,4 @@
-"""The equations' parts as functions of arrays alone: (N,) on the grid, or (N, 3)."""
+"""Parts of the equations as pure functions of arrays: (N,) on the grid, or (N, 3)."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from imucald.model.vehicle import Chassis
 Axes = tuple[Array, Array, Array]
 """(N,) along each of the vehicle's axes."""
 SMOOTH_STEPS = 5
-"""What comes of the speed's slopes, and the road's lean, are smoothed over so many steps."""
+"""Quantities from the speed's slopes, and the road's lean, are smoothed over this many steps."""
 SMOOTHER = np.ones(SMOOTH_STEPS) / SMOOTH_STEPS
 TRANSITION_S = 2.0
 """Superelevation is built up along the transition curve: two seconds of travel (desirable length
@@ -26,23 +26,23 @@ TRANSITION /= TRANSITION.sum()
 
 
 def column(x: Array, i: int) -> Array:
-    """One axis (N,) of x (N, 3), in one piece."""
+    """One axis (N,) of x (N, 3), as a contiguous array."""
     return np.ascontiguousarray(x[:, i])
 
 
 def speed(t: Array, knots: Array, shown: Array, scale: float) -> Array:
-    """Speed on the grid. shown: at its knots, too large by `scale`."""
+    """Speed on the grid. shown: indicated speed at its knots, too large by `scale`."""
     return np.interp(t, knots, shown / (1.0 + scale))
 
 
 def mean_slope(x: Array, t: Array) -> Array:
-    """Between each two knots."""
+    """Mean slope of x between each two knots."""
     return np.asarray(np.diff(x) / np.diff(t))
 
 
 def of_lever(x: Array, y: Array, z: Array, lever: tuple[float, float, float]) -> Axes:
-    """Acceleration of a point at `lever` against the reference, by the rates of turning about x, y
-    and z: w' x l + w x (w x l)."""
+    """Acceleration of a point at `lever` relative to the reference point, from the angular rates
+    about x, y and z: w' x l + w x (w x l)."""
     w = x, y, z
     turning = _cross((slope(x), slope(y), slope(z)), lever)
     round_it = _cross(w, _cross(w, lever))
@@ -67,78 +67,81 @@ def between_knots(x: Array, knots: Array, t: Array) -> Array:
 
 
 def step_of(knots: Array, t: Array) -> NDArray[np.int64]:
-    """(N,) between which two knots each time is."""
+    """(N,) index of the knot interval that contains each time."""
     return np.clip(np.searchsorted(knots, t) - 1, 0, len(knots) - 2)
 
 
 def turned(r: Array, rows: int) -> tuple[Complex, Complex]:
-    """e^(i psi) (B, n) by blocks of so many rows, and e^(-i psi) (N,), by which z0 counts."""
+    """e^(i psi) (B, n) by blocks of `rows` rows, and e^(-i psi) (N,), the factor of z0."""
     made: Complex = np.exp(1j * from_middle(r.reshape(-1, rows)))
     back: Complex = np.divide(1.0, made)
     return made, back.ravel()
 
 
 def carried(p: Array, q: Array, turned: Complex) -> Complex:
-    """(N,) u with z0 = 0."""
+    """(N,) u for z0 = 0, carried by the gyroscope."""
     p, q = p.reshape(turned.shape), q.reshape(turned.shape)
     return np.asarray((from_middle(turned * (-q + 1j * p)) / turned).ravel())
 
 
 def along(force: Array, r: Array, v_y: Array, u: Complex | None) -> Array:
-    """Forward acceleration. force: forward; u: gravity as the gyroscope carries it."""
+    """Forward acceleration from the forward force. u: gravity as carried by the gyroscope."""
     x = force + r * v_y
     return np.asarray(x if u is None else x - GRAVITY * u.real)
 
 
 def across(force: Array, v: Array, r: Array, v_y: Array, u: Complex | None) -> Array:
-    """Sideways force that turning does not explain."""
+    """Sideways force minus the part that turning explains."""
     y = left_of_turn(force, v, r) - slope(v_y)
     return np.asarray(y if u is None else y - GRAVITY * u.imag)
 
 
 def left_of_turn(force: Array, v: Array, r: Array) -> Array:
-    """Sideways force less speed times yaw rate."""
+    """Sideways force minus speed times yaw rate."""
     return np.asarray(force - v * r)
 
 
 def upward(force: Array, v: Array, q: Array) -> Array:
-    """Upward force that one g and a vertical curve do not explain. q: rate nose down."""
+    """Upward force minus one g and the effect of a vertical curve. q: rate nose down."""
     return np.asarray(force - GRAVITY + v * q)
 
 
 def rolling(across: Array, t: Array, roll: float, late: float, superelevation: float) -> Array:
-    """Rate of roll that sideways acceleration brings. roll: gradient [rad/(m/s^2)]."""
+    """Roll rate that sideways acceleration causes. roll: gradient [rad/(m/s^2)]."""
     leaning = roll * later(across, t, late)
     if superelevation:
-        # A curve's road leans inward with its curvature, which a transition curve spreads out.
+        # The road in a curve leans inward with the curvature; a transition curve spreads this over
+        # time.
         leaning -= superelevation * np.convolve(across, TRANSITION, "same")
     return np.asarray(np.gradient(leaning, STEP_S))
 
 
 def pitching(along: Array, t: Array, squat: float, dive: float, late: float) -> Array:
-    """Rate nose up."""
+    """Pitch rate, nose up, that forward acceleration causes."""
     nose_up = squat * np.maximum(along, 0.0) + dive * np.minimum(along, 0.0)
     return np.asarray(np.gradient(later(nose_up, t, late), STEP_S))
 
 
 def later(x: Array, t: Array, late: float) -> Array:
-    """The body follows as a damped spring: late by 2 zeta / omega well below its own motion."""
+    """Delay of the body, which follows like a damped spring: 2 zeta / omega well below its natural
+    frequency."""
     return np.asarray(np.interp(t - late, t, x))
 
 
 def slow(x: Array) -> Array:
-    """Smoothed over `SMOOTH_STEPS`."""
+    """x smoothed over `SMOOTH_STEPS` steps."""
     return np.asarray(np.convolve(x, SMOOTHER, "same"))
 
 
 def beside_wheels(v: Array, shown: Array, own: tuple[float, ...], scale: float) -> Array:
-    """shown: (N, 4). scale: of the rear wheels beyond the file's own."""
+    """Speed minus the mean of the rear wheels. shown: (N, 4). scale: of the rear wheels in addition
+    to the file's own."""
     wheels = shown / (1.0 + np.array(own))
     return np.asarray(np.abs(v) - wheels[:, 2:].mean(axis=1) / scale)
 
 
 def turning_by(rate: Array | None, steered: Array) -> Array:
-    """(N, 3) with another yaw rate."""
+    """(N, 3) angular rate with the yaw rate replaced."""
     level = np.zeros((len(steered), 2)) if rate is None else rate[:, :2]
     return np.column_stack([level, steered])
 
@@ -155,15 +158,15 @@ def single_track(
 
 
 def slope(x: Array) -> Array:
-    """Slope of x (N,) on the grid [1/s], to fourth order: right to 0.5 % up to 1 Hz, where the
-    difference of two neighbours loses 6.5 %."""
+    """Slope of x (N,) on the grid [1/s], to fourth order. It is exact to 0.5 % up to 1 Hz; a simple
+    difference of two neighbours loses 6.5 % there."""
     padded = np.concatenate([x[:1], x[:1], x, x[-1:], x[-1:]])
     near, far = padded[3:-1] - padded[1:-3], padded[4:] - padded[:-4]
     return np.asarray((8.0 * near - far) / (12.0 * STEP_S))
 
 
 def from_middle(x: NDArray[Any]) -> NDArray[Any]:
-    """Integral from the middle of each block; (B, n), trapezoids."""
+    """Integral from the middle of each block, by trapezoids; (B, n)."""
     area = np.cumsum(0.5 * (x[:, 1:] + x[:, :-1]), axis=1) * STEP_S
     area = np.concatenate([np.zeros_like(x[:, :1]), area], axis=1)
     made: NDArray[Any] = area - area[:, x.shape[1] // 2, None]

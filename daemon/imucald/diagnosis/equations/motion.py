@@ -1,4 +1,4 @@
-"""The equations of one drive: what its signals should show of each other.
+"""The equations of one drive, which predict its signals from each other.
 
 Gravity is carried by the gyroscope. In a block, with vehicle axes x forward, y left, z up, rates w
 and heading psi, the horizontal part u = u_x + i u_y of the vertical in the body obeys
@@ -7,7 +7,8 @@ u' = -w_y + i w_x - i w_z u (Wu et al. 2011, to first order in the tilt):
     u(t) = e^(-i psi) (z0 + integral of e^(i psi) (-w_y + i w_x) dt)
     f_x = dv/dt - r v_y + g u_x,   f_y = v r + dv_y/dt + g u_y,   v_y = l_r r - kappa v |v| r
 
-z0, the tilt at the middle of the block, is free; so slope, cross fall and lean need not be known.
+The tilt z0 at the middle of the block is a free parameter, so slope, cross fall and lean need not
+be known.
 """
 
 from __future__ import annotations
@@ -33,8 +34,8 @@ NONE: Mapping[str, Array] = {}
 class VehicleMotion:
     """The signals of one evaluation, along the vehicle's axes.
 
-    added: by signal, what is put on top of what it says, (N,) or (N, 3) along the vehicle's axes.
-    What the changes do not touch is the same array as without any: see `Once`.
+    added: by signal, an error added to the measured values, (N,) or (N, 3) along the vehicle's
+    axes. Signals that the changes do not affect stay the same array objects: see `Once`.
     """
 
     def __init__(
@@ -60,7 +61,7 @@ class VehicleMotion:
             self.rate = _more(self.rate, added["gyro"])
         self.measured = self.rate
         if reference is not None and any(k.startswith("gyro.scale") for k in changes):
-            # The gain of a rate is not shown by that rate itself.
+            # A rate does not show its own gain.
             ungained = {k: x for k, x in changes.items() if not k.startswith("gyro.scale")}
             self.measured = reader.triad("gyro", ungained)
         if self.rate is not None:
@@ -98,11 +99,11 @@ class VehicleMotion:
     # operators -----------------------------------------------------------------------------------
 
     def _mean_slopes(self, x: Array) -> Array:
-        """Mean of x between each two knots of the speed: what these say of an acceleration."""
+        """Mean of x between each two knots of the speed, as the speed shows an acceleration."""
         return self.once(kinematics.between_knots, x, self.knots, self.f.t)
 
     def held(self, slopes: Array) -> Array:
-        """A value between each two knots, on the grid."""
+        """Values between each two knots, held on the grid."""
         return self.once(np.take, slopes, self.once(kinematics.step_of, self.knots, self.f.t))
 
     def as_speed_sees(self, x: Array) -> Array:
@@ -110,7 +111,7 @@ class VehicleMotion:
         return self.held(self._mean_slopes(x))
 
     def _gravity(self) -> tuple[Complex, Complex]:
-        """u with z0 = 0, and e^(-i psi) by which z0 counts; complex (N,), by blocks."""
+        """u for z0 = 0, and e^(-i psi), the factor of z0; complex (N,), by blocks."""
         assert self.rate is not None
         p, q, r = self.rate
         turned, back = self.once(kinematics.turned, r, self.f.rows)
@@ -118,8 +119,8 @@ class VehicleMotion:
 
     def reference(self, tilt: Array, inertial: Array) -> Reference:
         """Signals for columns, with the tilt (B, 2) of each block. inertial: (B,) share of the
-        accelerometer in the slope of the speed; all of it where the vehicle hardly moves, and
-        speeds jump to 0."""
+        accelerometer in the slope of the speed; 1 where the vehicle hardly moves and speeds jump to
+        0."""
         f, force = self.f, np.column_stack(self.force)
         x = force[:, 0]
         if self.f.has_turning:
@@ -144,7 +145,7 @@ class VehicleMotion:
     # equations -----------------------------------------------------------------------------------
 
     def longitudinal(self, found: dict[str, Array], tilt: dict[str, tuple[Array, Array]]) -> None:
-        """Forward force against the speed's slope. Columns have no tilt: it is the base's."""
+        """Residual of forward force against the speed's slope. Columns use the tilt of the base."""
         f, u = self.f, None
         if self.rate is None:
             one = np.ones(len(f.t))
@@ -169,7 +170,7 @@ class VehicleMotion:
         return self.once(np.subtract, first, second)
 
     def lateral(self, found: dict[str, Array], tilt: dict[str, tuple[Array, Array]]) -> None:
-        """Sideways force against speed times yaw rate."""
+        """Residual of sideways force against speed times yaw rate."""
         u = None
         if self.rate is None:
             one = np.ones(len(self.f.t))
@@ -181,16 +182,18 @@ class VehicleMotion:
         found["accel_y"] = self.once(kinematics.across, self.force[1], self.v, self.r, self.v_y, u)
 
     def vertical(self, found: dict[str, Array]) -> None:
-        """Upward force; on a vertical curve the vehicle pitches as it goes."""
+        """Residual of upward force; on a vertical curve the vehicle pitches with the road."""
         assert self.rate is not None
         if not self.f.drive.planar:
             found["accel_z"] = self.once(kinematics.upward, self.force[2], self.v, self.rate[1])
 
     def turning(self, found: dict[str, Array]) -> None:
-        """Rates of roll and pitch: the springs' part is known, the road's is noise."""
+        """Residuals of roll and pitch rate: the part of the springs is known, that of the road is
+        noise."""
         assert self.measured is not None
         s, c, t, once = self.f.model.suspension, self.changes, self.f.t, self.once
-        # Of motion alone: gravity's part of the force turns with the rates themselves.
+        # Only motion is used, because gravity's part of the force changes with the rates
+        # themselves.
         along = once(kinematics.slow, self.held(self.slopes))
         across = once(kinematics.slow, once(np.multiply, self.v, self.r))
         roll = s.roll_gradient * float(s.body_roll) + c.get("suspension.roll_gradient", 0.0)
@@ -208,12 +211,12 @@ class VehicleMotion:
             found["gyro_z"] = self._apart(self._turning(true), self._own_yaw_rate(true))
 
     def vehicle(self, found: dict[str, Array]) -> None:
-        """What the vehicle's own sensors say, compared with each other."""
+        """Residuals of the vehicle's own sensors, compared with each other."""
         f, drive = self.f, self.f.drive
         if drive.has("lateral_accel") and self.f.has_turning:
             found["lateral_accel"] = self._felt("lateral_accel", 1)
         if drive.has("wheel_speeds"):
-            # Wheels and speed come of one unit, and are late together.
+            # Wheel speeds and speed come from one unit and have a common delay.
             late = age(f.model, "wheel_speeds") + self.changes.get("speed.delay_s", 0.0)
             # Tyres that are smaller than stated make wheels and speed too fast by the same factor.
             scale = 1.0 + self.changes.get("wheel_speeds.scale", 0.0)
@@ -227,26 +230,26 @@ class VehicleMotion:
         """The vehicle's own yaw rate, else the gyroscope's [rad/s]."""
         true, s = None, self.settled
         if s is not None and s.steered is not None:
-            # Of two gains of one equation, each made of its own signal, the difference is the
-            # equation itself, with its noise: both are made of the same.
+            # If each gain's column used its own signal, the difference of two columns would be the
+            # residual with its noise. So both columns use the same signal.
             true = self.once(kinematics.turning_by, s.rate, s.steered)
         if self.f.drive.has("yaw_rate"):
             return self._own_yaw_rate(true)
         return self._turning(true)
 
     def _own_yaw_rate(self, true: Array | None) -> Array:
-        """The vehicle's own yaw rate. true: (N, 3) of turning that takes its place."""
+        """The vehicle's own yaw rate. true: (N, 3) angular rate that replaces it."""
         z = None if true is None else self.once(kinematics.column, true, 2)
         return self._scalar("yaw_rate", z)
 
     def _turning(self, true: Array | None) -> Array:
-        """The gyroscope's yaw rate. true: (N, 3) of turning that takes its place."""
+        """The gyroscope's yaw rate. true: (N, 3) angular rate that replaces it."""
         if true is None:
             return np.asarray(self.r)
         return self.f.triad("gyro", self.changes, true)[2]
 
     def _felt(self, name: str, axis: int) -> Array:
-        """An acceleration by the vehicle's own sensor, less the force; for columns, of that of
+        """Acceleration of the vehicle's own sensor minus the force; columns use the force of
         `settle`."""
         force = (
             None if self.settled is None else self.once(kinematics.column, self.settled.force, axis)
@@ -255,8 +258,9 @@ class VehicleMotion:
         return self._apart(own, self.force[axis])
 
     def _by_steering(self) -> Array:
-        """Single track: r = v (delta - K (f_y - v r))/(L + K v^2), where delta is the angle as the
-        vehicle follows it (Rajamani, Vehicle Dynamics and Control, ch. 2, 3)."""
+        """Single track: r = v (delta - K (f_y - v r))/(L + K v^2), where delta is the steering
+        angle that the vehicle has followed so far (Rajamani, Vehicle Dynamics and Control, ch. 2,
+        3)."""
         c, once = self.f.model.chassis, self.once
         ratio = c.steering_ratio + self.changes.get("chassis.steering_ratio", 0.0)
         gradient = c.understeer_gradient + self.changes.get("chassis.understeer_gradient", 0.0)
@@ -272,10 +276,10 @@ class VehicleMotion:
         return followed_angle(steer, speed, chassis, gradient, self.once)
 
     def _leaning(self) -> Array:
-        """Sideways force that the road's lean brings [m/s^2].
+        """Sideways force from the road's lean [m/s^2].
 
-        It acts through the understeer gradient, which nobody knows to a tenth: zeros and the mount
-        move it, but gains are not to be read from it.
+        It acts through the understeer gradient, which is not known to 10 %. So zeros and the mount
+        change it, but gains must not be estimated from it.
         """
         if self.settled is None:
             return self.once(kinematics.left_of_turn, self.force[1], self.v, self.r)
@@ -285,6 +289,6 @@ class VehicleMotion:
 
 
 def _more(axes: Axes, added: Array) -> Axes:
-    """With what is added (N, 3); an axis to which nothing is added stays the same array."""
+    """Axes plus `added` (N, 3); an axis without an addition stays the same array object."""
     x, y, z = (c + a if a.any() else c for c, a in zip(axes, added.T, strict=True))
     return x, y, z

@@ -1,7 +1,6 @@
-"""What is made again and again of the same inputs, made once.
+"""Reuse results of functions that are called repeatedly with the same inputs.
 
-A column of a fit is an evaluation with one number changed, which leaves most of the signals as
-they are.
+A column of a fit is an evaluation with one changed number; most of its signals stay the same.
 """
 
 from __future__ import annotations
@@ -16,11 +15,11 @@ Known = dict[tuple[Any, ...], tuple[tuple[Any, ...], Any]]
 
 
 class Once:
-    """Calls a function, unless what it makes of these inputs is known.
+    """Calls a function, unless its result for these inputs is already known.
 
-    Inputs are the same where an array is the same object, and anything else is equal. So the
-    function must depend on its inputs alone, and no array that is kept may be changed: it is made
-    read-only. keeps: whether what is made now is kept in `known`, or as long as this is.
+    Inputs are the same if arrays are the same objects and all other inputs are equal. So the
+    function must depend on its inputs alone, and kept arrays must not change: they are made
+    read-only. keeps: True keeps new results in `known`, False only as long as this object lives.
     """
 
     def __init__(self, known: Known, keeps: bool) -> None:
@@ -28,14 +27,14 @@ class Once:
         self._new = known if keeps else {}
 
     def __call__(self, make: Callable[..., T], *inputs: Any) -> T:
-        """What `make`, which goes by its name, makes of the inputs."""
+        """Result of `make` for these inputs; functions are identified by their names."""
         key = (make.__name__, *((id(x),) if isinstance(x, np.ndarray) else x for x in inputs))
         found = self._known.get(key) or self._new.get(key)
         if found is not None:
             known: T = found[1]
             return known
         made = make(*inputs)
-        # Inputs are held too: an array's id is its own only while it lives.
+        # Inputs are kept too, because an array's id is unique only while the array lives.
         self._new[key] = inputs, made
         for x in made if isinstance(made, tuple) else (made,):
             if isinstance(x, np.ndarray):

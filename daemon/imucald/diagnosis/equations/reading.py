@@ -1,4 +1,4 @@
-"""One drive read against a model file: each signal at its age, with its known errors taken off."""
+"""Read one drive with a model file: each signal at its age, with its known errors removed."""
 
 from __future__ import annotations
 
@@ -23,22 +23,22 @@ OF_TRIAD = {
     "accel": ("accel.", "mount.turn."),
     "gyro": ("gyro.", "mount.turn.", "accel.delay_s"),
 }
-"""How keys begin that change what a triad says."""
+"""Beginnings of keys that change the values of a triad."""
 
 
 @dataclass(frozen=True)
 class Reference:
-    """Signals for columns, each without the noise of the equation in which it stands."""
+    """Signals for columns, each without the noise of its own equation."""
 
     slopes: Array
-    """Of the speed between its knots, by speed and accelerometer."""
+    """Slopes of the speed between its knots, from speed and accelerometer."""
     force: Array
     """(N, 3) along the vehicle: forward by speed and accelerometer, sideways as predicted, upward
     gravity."""
     leaning: Array
-    """(N,) sideways force less speed times yaw rate, as measured: what leans the vehicle."""
+    """(N,) measured sideways force minus speed times yaw rate: the force that leans the vehicle."""
     rate: Array | None = None
-    """(N, 3) of turning, about the vertical by the vehicle's own yaw rate where there is one."""
+    """(N, 3) angular rate; its vertical component is the vehicle's own yaw rate if there is one."""
     steered: Array | None = None
     """(N,) yaw rate by the steering angle."""
 
@@ -61,44 +61,44 @@ class Reader:
         self.reference: Reference | None = None
 
     def forget(self) -> None:
-        """Let go of what was read: it is read again where it is asked for."""
+        """Delete what was read, to free memory; it is read again when needed."""
         self._read.clear()
         self.known.clear()
         self.reference = None
 
     def amount_of_speed(self) -> Array:
-        """(N,) without its sign, as it is shown [m/s]."""
+        """(N,) indicated speed without its sign [m/s]."""
         return np.interp(self.t, self.knots, np.abs(self.drive.knots.values))
 
     def raw(self, name: str, later: float) -> Array:
-        """Means over the grid's step, read later by so much [s]."""
+        """Means over the grid's step, read `later` seconds later."""
         key = (name, round(later, 6))
         if key not in self._read:
             self._read[key] = self.drive.channels[name].means(self.t + later)
         return self._read[key]
 
     def age(self, name: str, changes: Changes) -> float:
-        """How old a signal is when it comes [s]."""
+        """Age of a signal when its frame comes [s]."""
         return age(self.model, name) + changes.get(f"{name}.delay_s", 0.0)
 
     def knots_at(self, late: float, rate: float) -> Array:
-        """Times of the speed's knots. late: of its delay [s]; rate: by how much that grows."""
+        """Times of the speed's knots. late: its delay [s]. rate: growth of the delay."""
         age = late + self.model.speed.delay_rate * self.knots
         age += rate * (self.knots - self.middle_s)
         return np.asarray(self.knots - age)
 
     def triad(self, name: str, changes: Changes, force: Array | None = None) -> Axes:
-        """(N,) along each of the vehicle's axes, with the model file's errors taken off. An axis
-        that the changes do not touch is the same array as without them.
+        """(N,) along each of the vehicle's axes, with the model file's errors removed. An axis that
+        the changes do not affect stays the same array object.
 
-        force: (N, 3) along the vehicle's axes that takes the place of what was measured, and has
-        none of the file's errors.
+        force: (N, 3) along the vehicle's axes that replaces the measured values; it has none of the
+        file's errors.
         """
         own = _part(changes, OF_TRIAD[name])
         return Once(self.known, not own)(self._triad, name, own, force)
 
     def _triad(self, name: str, own: Part, force: Array | None) -> Axes:
-        """Less what the changes make of its zero, along the vehicle."""
+        """As `_with_its_zero`, minus the zero error of the changes, along the vehicle."""
         zero = (f"{name}.bias.", f"{name}.bias_temperature.")
         others = tuple((key, x) for key, x in own if not key.startswith(zero))
         once = Once(self.known, not others)
@@ -115,7 +115,7 @@ class Reader:
         return made[0], made[1], made[2]
 
     def _with_its_zero(self, name: str, own: Part, force: Array | None) -> Array:
-        """As it is by the model file, with changes of anything but its zero."""
+        """The triad by the model file, with all changes except those of its zero."""
         changes = dict(own)
         sensor = sensor_of(self.model, name, changes)
         if force is None:
@@ -133,14 +133,16 @@ class Reader:
                 raw = raw - (sensor.per_force - stated) * felt
         true = raw @ np.linalg.inv(sensor.gain).T
         if name == "accel" and any(_is_gain(key) for key in changes):
-            # A gain turns about one g upright; what it makes of that is a zero error.
+            # A gain is defined about one g upright; its effect on that one g counts as a zero
+            # error.
             stated = np.linalg.inv(sensor_of(self.model, name, {}).gain)
             true += self._level(name) @ (stated - np.linalg.inv(sensor.gain)).T
         turn = rotation_from_vector(along_vehicle(changes, "mount.turn"))
         return self._turned(true, [(start, (turn @ R).T) for start, R in mounts(self.model)])
 
     def _turned(self, x: Array, turns: Sequence[tuple[float, Array]]) -> Array:
-        """x (N, 3) times the matrix that holds from a time [s] on, the first from the start."""
+        """Multiply x (N, 3) by the matrix that is valid at each time. turns: pairs of a start time
+        [s] and a matrix; the first is also valid before."""
         made = x @ turns[0][1]
         for start, R in turns[1:]:
             after = self.t >= start
@@ -148,7 +150,8 @@ class Reader:
         return np.asarray(made)
 
     def in_sensor(self, force: Array, later: float, name: str) -> Array:
-        """What a triad without a zero error would say of a force (N, 3) at a later time."""
+        """Reading of a triad without a zero error for a force (N, 3), read `later` seconds
+        later."""
         return Once(self.known, not later)(self._in_sensor, force, later, name)
 
     def _in_sensor(self, force: Array, later: float, name: str) -> Array:
@@ -158,7 +161,7 @@ class Reader:
         return np.asarray(turned @ sensor_of(self.model, name, {}).gain.T)
 
     def _level(self, name: str) -> Array:
-        """The same of one g upright."""
+        """The same for one g upright."""
         return Once(self.known, True)(self._level_in_sensor, name)
 
     def _level_in_sensor(self, name: str) -> Array:
@@ -166,13 +169,13 @@ class Reader:
         return self._in_sensor(upright, 0.0, name)
 
     def above_reference(self) -> Array:
-        """Temperature less that at which the file's zero errors hold [K]."""
+        """Temperature minus the temperature at which the file's zero errors hold [K]."""
         return np.asarray(self.raw("temperature", 0.0) - REFERENCE_DEGC)
 
     def scalar(self, name: str, changes: Changes, true: Array | None = None) -> Array:
-        """A signal of the vehicle's bus with offset and scale taken off.
+        """A signal of the vehicle's bus with offset and scale removed.
 
-        true: (N,) what takes the place of the measured one, as it is without any error.
+        true: (N,) error-free signal that replaces the measured one.
         """
         own = _part(changes, (f"{name}.",))
         return Once(self.known, not own)(self._scalar, name, own, true)

@@ -1,6 +1,6 @@
-"""How the yaw rate follows the steering angle: the linear single track with tyres' relaxation.
+"""How the yaw rate follows the steering angle: linear single-track model with tyre relaxation.
 
-With S_k = a^k C_f + (-b)^k C_r and tyres that build up their force by h = 1 + s sigma/v:
+With S_k = a^k C_f + (-b)^k C_r, and tyres whose force builds up with h = 1 + s sigma/v:
 
     m h v_y' = C_f d - S_0 v_y/v - S_1 r/v - m h v r,   I h r' = a C_f d - S_1 v_y/v - S_2 r/v
 
@@ -19,20 +19,20 @@ from imucald.model.vehicle import STEERING_GEAR_S, Chassis
 
 Complex = NDArray[np.complex128]
 SLOW_MPS = 2.5
-"""Below this play and tyres decide on the yaw rate, not the steering angle."""
+"""Below this speed, play and tyres determine the yaw rate, not the steering angle."""
 RELAXATION_M = 0.4
-"""A tyre's side force builds up along so much road: cars 0.2 to 0.6 m."""
+"""Distance over which a tyre's side force builds up: 0.2 to 0.6 m in cars."""
 LEVEL_MPS = 4.0
-"""It is solved at speeds so far apart; between two of them the solutions are interpolated."""
+"""Spacing of the speeds at which the model is solved; solutions are interpolated between them."""
 
 
 def followed_angle(
     steer: Array, speed: Array, chassis: Chassis, gradient: float, once: Once | None = None
 ) -> Array:
-    """Steering angle as the yaw rate follows it, with gain 1 for a steady angle.
+    """Steering angle that the yaw rate has followed, with gain 1 for a steady angle.
 
-    steer (N,) [rad], speed (N,) [m/s], every `STEP_S`; gradient: of understeer [rad/(m/s^2)].
-    once: keeps what does not go with the speed, or with the angle.
+    steer (N,) [rad], speed (N,) [m/s], every `STEP_S`; gradient: of understeer [rad/(m/s^2)]. once:
+    keeps results that do not depend on the speed, or on the angle.
     """
     once = once or Once({}, True)
     spectrum = once(spectrum_of, steer)
@@ -47,24 +47,25 @@ def followed_angle(
 
 
 def frequencies(n: int) -> Complex:
-    """(n + 1,) s = i w of n samples of the grid, mirrored at their end [rad/s]."""
+    """(n + 1,) s = i w for n samples of the grid, mirrored at their end [rad/s]."""
     return np.asarray(2j * np.pi * np.fft.rfftfreq(2 * n, STEP_S))
 
 
 def spectrum_of(steer: Array) -> Complex:
-    """(N + 1,) of an angle behind the steering gear, mirrored at its end, so that a drive's last
-    angle does not run into its first."""
+    """(N + 1,) spectrum of the angle behind the steering gear. The series is mirrored at its end,
+    so that it does not jump from the last angle to the first."""
     gear = np.exp(-STEERING_GEAR_S * frequencies(len(steer)))
     return np.asarray(np.fft.rfft(np.concatenate([steer, steer[::-1]])) * gear)
 
 
 def at_level(spectrum: Complex, response: Complex, n: int) -> Array:
-    """(n,) the angle as it is followed at one speed."""
+    """(n,) followed angle at one speed."""
     return np.asarray(np.fft.irfft(spectrum * response / response[0], 2 * n)[:n])
 
 
 def response_at(n: int, level: int, chassis: Chassis, gradient: float) -> Complex:
-    """(n + 1,) by frequency, of the followed angle to the angle, at a level of the speed."""
+    """(n + 1,) frequency response from the angle to the followed angle, at one level of the
+    speed."""
     c, s = chassis, frequencies(n)
     rear, length, m = c.rear_cornering_stiffness_npr, c.wheelbase_m, c.mass_kg
     a, b, inertia = c.cg_to_front_m, c.cg_to_rear_m, c.yaw_inertia_kgm2
@@ -78,10 +79,11 @@ def response_at(n: int, level: int, chassis: Chassis, gradient: float) -> Comple
 
 
 def slip_delay(speed: Array, slip: Array, chassis: Chassis) -> Array:
-    """(N,) by which the rear tyres' slip is behind speed times yaw rate [s].
+    """(N,) delay of the rear tyres' slip behind speed times yaw rate [s].
 
-    Its force carries m l_f (v r + v_y') - I r', with v_y' = (l_r - slip v) r', and is itself behind
-    the slip by the relaxation length. slip: kappa v, sideslip a sideways acceleration [s].
+    The rear axle's force balances m l_f (v r + v_y') - I r', with v_y' = (l_r - slip v) r', and is
+    itself behind the slip by the relaxation length. slip: kappa v, sideslip a sideways acceleration
+    [s].
     """
     c = chassis
     inertia = c.yaw_inertia_kgm2 / (c.mass_kg * c.cg_to_front_m)

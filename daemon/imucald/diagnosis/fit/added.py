@@ -1,8 +1,8 @@
-"""What is put on top of a signal: rows of the equations with its columns next to the catalogue's.
+"""Columns for errors that are added to a signal, next to the catalogue's columns.
 
-The catalogue's columns are slopes of parameters. A question that no parameter asks, as of a gain
-that goes with the speed or of a low-pass, is an array that is added to a signal, and its column is
-what that adds to each equation.
+The catalogue's columns are derivatives by parameters. Other errors, such as a gain that depends on
+the speed or a low-pass, are arrays that are added to a signal. The column of such an error is the
+resulting change of each equation.
 """
 
 from __future__ import annotations
@@ -26,15 +26,16 @@ from imucald.diagnosis.fit.blocks import (
 from imucald.model.model import VehicleModel
 
 AddedRows = Sequence[tuple[Rows, Array]]
-"""Of an equation, drive by drive: its rows, and columns (B, K, E) of what is added."""
+"""For one equation, drive by drive: its rows, and the columns (B, K, E) of the added errors."""
 Added = Callable[[Forward], Iterable[tuple[Mapping[str, Array], float]]]
-"""Of a drive: what is added by signal, and by what factor it is larger than the column's unit."""
+"""For a drive: the added error by signal, and its factor over the column's unit."""
 
 
 def level_of(f: Forward, signal: str) -> Array:
-    """(N,), or (N, 3) along the vehicle: a signal as columns are made of it (`Forward.settle`)."""
+    """(N,), or (N, 3) along the vehicle: the signal from which columns are made
+    (`Forward.settle`)."""
     if signal == "accel" and f.reference is not None:
-        # One g upright is a zero.
+        # The effect on one g upright counts as a zero error.
         return np.asarray(f.reference.force * np.array([1.0, 1.0, 0.0]))
     if signal == "gyro" and f.reference is not None and f.reference.rate is not None:
         return f.reference.rate
@@ -46,8 +47,8 @@ def level_of(f: Forward, signal: str) -> Array:
 def rows_with(
     forwards: Sequence[Forward], model: VehicleModel, table: Table, added: Added
 ) -> dict[str, list[tuple[Rows, Array]]]:
-    """Rows and added columns by equation. table: of these drives next to this model file. What
-    the drives read is forgotten."""
+    """Rows and added columns by equation. table: of these drives with this model file. What the
+    drives have read is deleted afterwards."""
     parts: dict[str, list[tuple[Rows, Array]]] = {}
     at = 0
     for f in forwards:
@@ -75,9 +76,9 @@ def _columns(
 
 
 def whitened(parts: Mapping[str, AddedRows], x: Array) -> dict[str, Array]:
-    """(B, K, 1 + P + E) by equation, of all blocks: residual, catalogue and what is added, over the
-    noise, and without what the tilt of a block makes. x: (B, P) departures that fit their blocks.
-    """
+    """(B, K, 1 + P + E) by equation, for all blocks: residual, catalogue's columns and added
+    columns. They are divided by the noise, and the effect of each block's tilt is removed. x: (B,
+    P) departures that fit their blocks."""
     rows = {n: joined([r for r, _ in own]) for n, own in parts.items()}
     columns = {n: np.concatenate([c for _, c in own]) for n, own in parts.items()}
     whole = {n: np.concatenate([r.y[:, :, None], r.X, columns[n]], axis=2) for n, r in rows.items()}

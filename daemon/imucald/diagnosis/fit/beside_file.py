@@ -1,8 +1,8 @@
-"""Segments of a drive next to those that a model file was made of.
+"""Compare segments of a drive with those that a model file was made from.
 
-A model file carries what half of the segments of its own drives show, number by number, and how far
-segments differ. Here such an entry is made, written and compared, whatever its numbers are: a
-family of entries is a row for each of its numbers.
+A model file holds, for several kinds of numbers, the median over the segments of its own drives and
+the scatter between segments. This module makes, writes and compares such entries for any kind of
+number. A `Family` has one `FamilyRow` for each of its numbers.
 """
 
 from __future__ import annotations
@@ -22,11 +22,12 @@ from imucald.model.model import VehicleModel
 
 LEAST_SEGMENTS = 10
 ROAD_CLASS = 2.0
-"""rms of a road over that of the next class (ISO 8608: spectral densities are 4 apart)."""
+"""Ratio of rms between neighbouring road classes (ISO 8608: spectral densities differ by a factor
+of 4)."""
 MOST_CORRELATED = 0.6
-"""Correlation of neighbours from which on no more is taken for it: four segments count as one."""
+"""Largest correlation of neighbours that is assumed: then four segments count as one."""
 MEDIAN = float(np.sqrt(0.5 * np.pi))
-"""Deviation of the median over that of the mean, of normal numbers."""
+"""Ratio of the standard deviations of median and mean for normal variables."""
 LEAST_RMS = 1e-9
 INSIDE = (0.05, 0.95)
 Left = dict[str, tuple[Array, Array]]
@@ -35,19 +36,20 @@ Left = dict[str, tuple[Array, Array]]
 
 @dataclass(frozen=True)
 class FamilyRow:
-    """One number of a family, next to the file's."""
+    """How one number of a family is compared with the file's."""
 
     limit: float
-    """By how much the logarithms of two correct drives may differ."""
+    """Largest difference of the logarithms between two correct drives."""
     words: Callable[[float, float], str]
-    """What is reported: of what half of the segments show and more, and of the logarithm of its
-    ratio to the file's."""
+    """Makes the reported text from the value that half of the segments reach, and from the
+    logarithm of its ratio to the file's."""
     start: float = 0.0
-    """Difference from which chance is counted."""
+    """Difference beyond which the chance is computed."""
     either_way: bool = False
-    """Whether less is asked as well."""
+    """True: smaller numbers are tested too."""
     in_times: bool = True
-    """Whether the size is a ratio over that of the limit, or the difference over the limit."""
+    """True: the size is the ratio divided by the limit's ratio. False: the difference divided by
+    the limit."""
 
 
 @dataclass(frozen=True)
@@ -56,12 +58,12 @@ class Family:
 
     kind: str
     row: Callable[[str, int], FamilyRow | None]
-    """By name of an entry and number; None: not asked."""
+    """Row by name of an entry and index of its number; None: not tested."""
     least: int = LEAST_SEGMENTS
-    """Segments of an entry, and of a drive that is held against it."""
+    """Fewest segments of an entry, and of a drive that is compared with it."""
 
     def asked(self, left: Mapping[float, Left], stated: VehicleModel) -> list[Question]:
-        """One question a number. left: by length of a segment [s]."""
+        """One question for each number. left: by segment length [s]."""
         return [
             question
             for seconds, own in left.items()
@@ -70,7 +72,7 @@ class Family:
         ]
 
     def questions(self, name: str, x: Array, file: Leaves) -> list[Question]:
-        """Of one entry. x: (B, 6)."""
+        """Questions for one entry. x: (B, 6)."""
         logs, more, se, free = beside_file(x, file)
         made = []
         for i in range(x.shape[1]):
@@ -83,21 +85,21 @@ class Family:
             size = float(np.exp(far - row.limit)) if row.in_times else far / row.limit
             text = row.words(float(np.exp(np.median(logs[:, i]))), float(more[i]))
             structure = Structure(name.split()[2] if " " in name else name, self.kind, size, text)
-            # Chance that starts from the limit is that of looking large.
+            # A chance computed beyond the limit is already the chance of looking large.
             is_sharp = row.start == 0.0
             rare = chance_of_large(row.limit, float(se[i]), float(free[i])) if is_sharp else 1.0
             made.append(Question(p, bool(far - se[i] > row.limit), structure, rare))
         return made
 
     def written(self, model: VehicleModel, left: Mapping[float, Left]) -> VehicleModel:
-        """The model file with what these segments show, besides entries that it had."""
+        """Return the model file with entries for these segments, next to those that it had."""
         for seconds, own in left.items():
             model = with_entries(model, leaves_of(own, seconds, self.least))
         return model
 
 
 def joined(parts: Mapping[str, list[tuple[Array, Array]]]) -> Left:
-    """Speeds and numbers of drives, one after another."""
+    """Join speeds and numbers of several drives."""
     return {
         name: (np.concatenate([v for v, _ in p]), np.concatenate([x for _, x in p]))
         for name, p in parts.items()
@@ -105,7 +107,7 @@ def joined(parts: Mapping[str, list[tuple[Array, Array]]]) -> Left:
 
 
 def leaves_of(left: Left, segment_s: float, least: int = LEAST_SEGMENTS) -> dict[str, Leaves]:
-    """What a model file carries of segments of a length [s], where there are so many at least."""
+    """Entries of a model file for segments of a length [s]; only those with enough segments."""
     made = {}
     for name, (v, rms) in left.items():
         if len(v) >= least:
@@ -118,18 +120,18 @@ def leaves_of(left: Left, segment_s: float, least: int = LEAST_SEGMENTS) -> dict
 
 
 def six(x: Array) -> Bands:
-    """The numbers (6,) of a section of the file."""
+    """Convert an array (6,) to the numbers of a section of the file."""
     a, b, c, d, e, f = (short(each) for each in x)
     return a, b, c, d, e, f
 
 
 def short(x: float) -> float:
-    """Four digits of a number."""
+    """Round a number to four digits."""
     return float(f"{x:.4g}")
 
 
 def with_entries(model: VehicleModel, made: Mapping[str, Leaves]) -> VehicleModel:
-    """The model file with these entries, besides others that it had."""
+    """Return the model file with these entries, next to others that it had."""
     return model.with_changes({"leaves": msgspec.to_builtins({**model.leaves, **made})})
 
 
@@ -140,8 +142,9 @@ def in_both(
     least: int = LEAST_SEGMENTS,
     known: int = LEAST_SEGMENTS,
 ) -> Iterator[tuple[str, Array, Leaves]]:
-    """Name, numbers (B, 6) and the file's entry, where at least so many segments of the same length
-    were driven at the speeds of the file's, and the file knows so many."""
+    """Name, numbers (B, 6) and the file's entry, for each entry with the same segment length. At
+    least `least` segments must lie within the speeds of the file's entry, and the file's entry must
+    have at least `known` segments."""
     for name, (v, x) in left.items():
         file = stated.get(name)
         if file is None or file.segment_s != segment_s:
@@ -152,10 +155,10 @@ def in_both(
 
 
 def beside_file(rms: Array, file: Leaves) -> tuple[Array, Array, Array, Array]:
-    """Logarithms (B, 6) of what segments leave, by how much their medians (6,) exceed the file's,
-    its deviations, and degrees of freedom (6,).
+    """Logarithms (B, 6) of the segments' residuals; the excess (6,) of their medians over the
+    file's; its standard deviations (6,); and degrees of freedom (6,).
 
-    Roads last over neighbours: segments count for as many as correlated ones do.
+    A road lasts over several segments, so correlated segments count as fewer independent ones.
     """
     logs = np.log(np.maximum(rms, LEAST_RMS))
     one = _count_as_one(logs)
@@ -166,9 +169,9 @@ def beside_file(rms: Array, file: Leaves) -> tuple[Array, Array, Array, Array]:
 
 
 def _count_as_one(x: Array) -> Array:
-    """(6,) how many segments of x (B, 6) count as one, (1 + r)/(1 - r) where neighbours have the
-    correlation r (first-order autoregression; Bayley and Hammersley 1946): the one that they show
-    and a deviation of it, 1/sqrt(B), more."""
+    """(6,) number of segments of x (B, 6) that count as one: (1 + r)/(1 - r), with r the
+    correlation of neighbours (first-order autoregression; Bayley and Hammersley 1946). r is the
+    observed correlation plus one standard deviation of it, 1/sqrt(B)."""
     x = x - x.mean(axis=0)
     r = np.sum(x[1:] * x[:-1], axis=0) / np.maximum(np.sum(x * x, axis=0), 1e-300)
     r = np.clip(r + len(x) ** -0.5, 0.0, MOST_CORRELATED)

@@ -1,8 +1,9 @@
-"""Residuals and columns of all drives as one table of numbers a block (Gram matrices).
+"""Residuals and columns of all drives as one table, with Gram matrices for each block.
 
-Each equation goes through a cosine transform of the block, up to the frequency that its slowest
-signal carries, and is divided by its own noise there; then the tilt z0 is projected out (Frisch and
-Waugh). What is kept of block b is G_b = [y X]'[y X]: every fit, fold and interval is algebra on it.
+Each equation of a block is cosine-transformed, up to the highest frequency of its slowest signal,
+and divided by its own noise at each frequency. Then the tilt z0 is projected out (Frisch and
+Waugh). For block b only G_b = [y X]'[y X] is kept; all fits, folds and intervals are computed from
+it.
 """
 
 from __future__ import annotations
@@ -23,23 +24,25 @@ from imucald.model.model import VehicleModel
 
 BLOCK_S, SHORT_BLOCK_S = 30.0, 20.0
 FEW_S = 600.0
-"""Drives shorter than this in all are cut into short blocks: intervals need blocks."""
+"""If all drives together are shorter than this, they are cut into short blocks, because intervals
+need several blocks."""
 TOP_HZ = 1.0
 SLOW_HZ = 0.1
-"""Of equations whose quick part is the road's: upward force, wheels against speed."""
+"""Limit of the band in equations whose fast part comes from the road: upward force, wheels against
+speed."""
 SLOW = ("accel_z", "speed")
 OF_SPEED = ("accel_x",)
 CARRIED = 0.4
-"""A signal carries motion up to this share of its rate."""
+"""A signal shows motion up to this share of its sample rate."""
 TILTED = ("accel_x", "accel_y")
 """Equations that share the tilt of a block."""
 LEAST_SHARE = 0.6
-"""Of a block's rows that must be there."""
+"""Share of a block's rows that must be present."""
 MOVING_MPS, MOVING_SHARE = 1.5, 0.15
-"""A block in which the vehicle hardly moves says nothing but what stops say."""
+"""A block in which the vehicle hardly moves shows no more than stops do."""
 SLOW_BAND_HZ = 0.2
 SMOOTH = 7
-"""Coefficients of the spectrum that are averaged."""
+"""Number of spectral coefficients that are averaged."""
 PASSES = 3
 TAKES: Mapping[str, tuple[str, ...]] = {
     "accel_x": ("accel", "gyro", "speed"), "accel_y": ("accel", "gyro", "yaw_rate"),
@@ -49,13 +52,13 @@ TAKES: Mapping[str, tuple[str, ...]] = {
     "longitudinal_accel": ("longitudinal_accel", "accel"),
     "speed": ("speed", "wheel_speeds"),
 }  # fmt: skip
-"""Signals whose rate bounds the band of an equation."""
+"""Signals whose sample rate limits the frequency band of an equation."""
 SENSED = tuple(dict.fromkeys(signal for signals in TAKES.values() for signal in signals))
 
 
 def late_signals(key: str, x: float) -> list[str]:
-    """Signals that a found delay x [s] may be a low-pass of. What is younger than stated is late
-    nowhere: the signals next to it are."""
+    """Signals that may be low-passed if a delay x [s] was found. If the signal is younger than
+    stated, it has no low-pass; the signals compared with it may have one."""
     own = key.partition(".")[0]
     return [own] if x > 0.0 else [signal for signal in SENSED if signal != own]
 
@@ -64,15 +67,15 @@ def late_signals(key: str, x: float) -> list[str]:
 class Table:
     """The blocks of all drives against one model file.
 
-    keys: (P,) parameters. gram: (B, P+1, P+1), residual first. by_equation: likewise for each
-    equation alone. Times in stream time of the drive.
+    keys: (P,) parameters. gram: (B, P+1, P+1), residual first. by_equation: the same for each
+    equation alone. Times are stream times of the drive.
     """
 
     keys: tuple[str, ...]
     gram: Array
     by_equation: Mapping[str, Array]
     rows: Array
-    """(B,) whitened rows a block."""
+    """(B,) number of whitened rows in each block."""
     start_s: Array
     drive: NDArrayInt
     moving: Array
@@ -80,23 +83,26 @@ class Table:
     tolerance: Array
     """(P,) half widths."""
     model_error: Array
-    """(P,) deviations of what the equations themselves err by."""
+    """(P,) standard deviations of the equations' own errors."""
     plausible: Array
     """(P, 2)"""
     top_hz: Mapping[str, float]
     seconds: float
     """Length of a block."""
     plain: Mapping[str, Array]
-    """(B, 2, P+1, P+1) by equation: in its own unit, below and above `SLOW_BAND_HZ`."""
+    """(B, 2, P+1, P+1) Gram matrices by equation in its own unit, below and above
+    `SLOW_BAND_HZ`."""
     levels: Array
-    """(B, 2) mean tilt of each block, forward and left: force less what motion explains, over g."""
+    """(B, 2) mean tilt of each block, forward and left: force minus the part that motion explains,
+    over g."""
     number: NDArrayInt
-    """(B,) which of all blocks of the drives each is; those are the same whatever the model."""
+    """(B,) index of each block among all blocks of the drives, which do not depend on the model."""
     columns: Mapping[str, Array] = field(default_factory=dict)
-    """(all blocks, K, P) by equation, transformed: what the Gram matrices are made of."""
+    """(all blocks, K, P) transformed columns by equation, from which the Gram matrices are made."""
 
     def rms(self, equation: str, x: Array | None = None, band: int | None = None) -> float:
-        """Residual of an equation [its unit] with parameters x (P,), or (B, P) a block."""
+        """Rms residual of an equation [its unit] with parameters x: (P,), or (B, P) for each
+        block."""
         gram = self.plain[equation]
         z = np.zeros((len(gram), gram.shape[2]))
         z[:, 0] = 1.0
@@ -108,7 +114,8 @@ class Table:
         return float(np.sqrt(np.maximum(chosen.sum() / max(int(there.sum()), 1), 0.0)))
 
     def without(self, equations: Collection[str]) -> Table:
-        """The same, its fits without some equations; what they leave is still there."""
+        """The same table, with fits that do not use some equations; the residuals of these are
+        still there."""
         if not equations:
             return self
         others = {n: gram for n, gram in self.by_equation.items() if n not in equations}
@@ -117,11 +124,11 @@ class Table:
 
     @property
     def blocks(self) -> int:
-        """How many."""
+        """Number of blocks."""
         return len(self.gram)
 
     def index(self, keys: Sequence[str]) -> list[int]:
-        """Places of keys."""
+        """Indices of keys."""
         return [self.keys.index(key) for key in keys]
 
 
@@ -129,8 +136,8 @@ NDArrayInt = np.ndarray[tuple[int], np.dtype[np.int64]]
 
 
 class MadeLater(Mapping[str, Array]):
-    """Arrays by name, made of the rows when one of them is asked for: most tables of a search are
-    never asked. nbytes: of the rows."""
+    """Arrays by name, made from the rows at the first access, because most tables of a search are
+    never accessed. nbytes: size of the rows."""
 
     def __init__(
         self, names: Sequence[str], make: Callable[[], Mapping[str, Array]], nbytes: int
@@ -156,7 +163,8 @@ class MadeLater(Mapping[str, Array]):
 class Rows:
     """One equation of one drive, transformed: y (B, K), X (B, K, P), tilt (B, K, 2) or None.
 
-    good: (B,) blocks in which enough of it is there."""
+    good: (B,) blocks in which enough rows are present.
+    """
 
     y: Array
     X: Array
@@ -209,8 +217,8 @@ def rows_of(
     f: Forward, model: VehicleModel, keys: Sequence[str], top: Mapping[str, float],
     known: Mapping[str, Array] | None = None,
 ) -> dict[str, Rows]:  # fmt: skip
-    """Residual and columns of each equation, transformed. known: the columns (B, K, P), where they
-    were made before."""
+    """Transformed residual and columns of each equation. known: the columns (B, K, P), if they were
+    made before."""
     base = f.residuals({})
     masks = f.usable()
     block_tilt = f.tilts(base, masks)
@@ -241,13 +249,13 @@ def rows_of(
 
 
 def cosine(x: Array, mask: Mask, count: int) -> Array:
-    """First coefficients of a block's cosine transform, without rows that were not there."""
+    """First coefficients of a block's cosine transform, without missing rows."""
     made: Array = dct(np.where(mask, x, 0.0), type=2, axis=1, norm="ortho")[:, :count]
     return made
 
 
 def joined(parts: Sequence[Rows]) -> Rows:
-    """Rows of one drive after another."""
+    """Join the rows of several drives."""
     tilt = None
     if parts[0].tilt is not None:
         tilt = np.concatenate([p.tilt for p in parts if p.tilt is not None])
@@ -264,7 +272,8 @@ def _weighed(
     parts: Mapping[str, Rows], keys: tuple[str, ...], model: VehicleModel, drive: NDArrayInt,
     start: Array, moving: Array, top: Mapping[str, float], levels: Array,
 ) -> Table:  # fmt: skip
-    """Divide each equation by its noise: found from what is left of a fit of everything."""
+    """Divide each equation by its noise, which is found from the residuals of a fit of all
+    parameters."""
     tolerances = np.array([tolerance(model, key) for key in keys])
     errors = np.array([model_error(model, key) for key in keys])
     bounds = np.array([plausible(model, key) for key in keys]).reshape(-1, 2)
@@ -276,7 +285,7 @@ def _weighed(
         whole = np.asarray(sum(gram.values()))
         if i + 1 < PASSES:
             total = whole.sum(axis=0)
-            # What no sensor and no vehicle can have is no fit, however much noise it takes away.
+            # A fit with implausible values is not accepted, even if it reduces the noise.
             free = box_fit(total[1:, 1:], total[1:, 0], bounds[:, 0], bounds[:, 1])
     count = np.asarray(sum((w > 0.0).sum(axis=1) for w in weights.values()))
     keep, nbytes = count > 0, sum(rows.X.nbytes for rows in parts.values())
@@ -296,7 +305,7 @@ def _weighed(
 
 
 def _without_tilt(parts: Mapping[str, Rows], x: Array) -> dict[str, Array]:
-    """Residual rows (B, K) less X x, the tilt fitted anew."""
+    """Residual rows (B, K) minus X x, with the tilt fitted again."""
     left = {name: (rows.y - rows.X @ x)[:, :, None] for name, rows in parts.items()}
     return {name: y[:, :, 0] for name, y in levelled(left, tilts_of(parts)).items()}
 
@@ -304,7 +313,8 @@ def _without_tilt(parts: Mapping[str, Rows], x: Array) -> dict[str, Array]:
 def tilts_of(
     parts: Mapping[str, Rows], weights: Mapping[str, Array] | None = None
 ) -> dict[str, Array]:
-    """(B, K, Z) of the equations that share the tilt of a block, times weights (B, K)."""
+    """(B, K, Z) tilt columns of the equations that share the tilt of a block, times weights (B,
+    K)."""
     tilts = {n: parts[n].tilt for n in TILTED if n in parts}
     return {
         n: z if weights is None else z * weights[n][:, :, None]
@@ -314,8 +324,8 @@ def tilts_of(
 
 
 def levelled(rows: Mapping[str, Array], tilts: Mapping[str, Array]) -> dict[str, Array]:
-    """Rows (B, K, P) by equation, without what the tilt makes of them; those that have one (B, K,
-    Z) come first."""
+    """Rows (B, K, P) by equation with the tilt projected out; equations with a tilt (B, K, Z) come
+    first."""
     if not tilts:
         return dict(rows)
     A, Z = (np.concatenate([of[n] for n in tilts], axis=1) for of in (rows, tilts))
@@ -325,17 +335,18 @@ def levelled(rows: Mapping[str, Array], tilts: Mapping[str, Array]) -> dict[str,
 
 
 def without_tilt(A: Array, Z: Array) -> Array:
-    """Rows (B, K, P) without what the tilt (B, K, Z) of each block makes of them."""
+    """Rows (B, K, P) with the tilt (B, K, Z) of each block projected out."""
     inner = np.swapaxes(Z, 1, 2) @ Z + 1e-9 * np.eye(Z.shape[2])
     return np.asarray(A - Z @ np.linalg.solve(inner, np.swapaxes(Z, 1, 2) @ A))
 
 
 def noise_weights(left: Array, good: Mask) -> Array:
-    """1 over the noise: spectrum as the median over blocks, loud blocks weighed down."""
+    """1 over the noise. The noise spectrum is the median over blocks, and noisy blocks get less
+    weight."""
     if not good.any():
         return np.zeros_like(left)
     power = np.median(left[good] ** 2, axis=0) / 0.455
-    # The median of a squared normal number is 0.455 of its mean.
+    # The median of a squared normal variable is 0.455 of its mean.
     pad = np.pad(power, SMOOTH // 2, mode="edge") if len(power) > SMOOTH else power
     smooth = np.convolve(pad, np.ones(SMOOTH) / SMOOTH, "valid") if len(power) > SMOOTH else power
     smooth = np.maximum(smooth, 1e-12 + 1e-6 * smooth.max())

@@ -9,16 +9,16 @@ from imucald.diagnosis.signals import Mask
 
 RIDGE, TINY = 1e-9, 1e-9
 STEPS = 20
-"""Changes of the active set, for each parameter."""
+"""Largest number of changes of the active set for each parameter."""
 CLOSE = 1e-9
-"""Of a slope that counts as none."""
+"""Size of a slope that counts as zero."""
 
 
 def box_fit(H: Array, c: Array, low: Array, high: Array, start: Array | None = None) -> Array:
     """Minimise x'Hx/2 - c'x within low <= x <= high: (Q,).
 
-    Primal active set (Nocedal and Wright, ch. 16): to the first bound that a Newton step meets,
-    and one bound let go at a time, the one that pulls most.
+    Primal active-set method (Nocedal and Wright, ch. 16): go along a Newton step to the first
+    bound, and release one bound at a time, the one with the largest multiplier.
     """
     scale = 0.5 * (high - low)
     H = H * np.outer(scale, scale)

@@ -1,4 +1,4 @@
-"""Many questions about what is left, and one false-discovery rate over all of them."""
+"""Many questions about residuals, with one false-discovery rate for all of them."""
 
 from __future__ import annotations
 
@@ -12,42 +12,43 @@ from scipy.stats import t as student
 from imucald.diagnosis.result import Structure
 
 FALSE_SHARE = 0.01
-"""Of what is reported; where nothing is left, the chance that anything is."""
+"""False-discovery rate of the reports. If nothing is wrong, it is the chance of any report."""
 
 
 @dataclass(frozen=True)
 class Question:
-    """Asked of a residual: its chance where nothing is there, and what would be reported."""
+    """A question about a residual: its chance if nothing is wrong, and the report it would give."""
 
     p: float
     is_large: bool
-    """Beyond what a correct model file may leave."""
+    """Whether the effect is larger than a correct model file may leave."""
     structure: Structure
     may_be_large: float = 1.0
-    """Chance that it looks large where nothing is there, or more: a value that is known well never
-    does, whatever its own chance."""
+    """Upper limit of the chance that the effect looks large if nothing is wrong. An accurately
+    known value never looks large, whatever its own chance."""
 
 
 def chance_of_large(limit: float, se: float, free: float, beside: float = 1.0) -> float:
-    """That a value whose error has a deviation `se`, known by so many degrees of freedom, exceeds a
-    limit by so many deviations to either side, where nothing is there."""
+    """Chance that a value exceeds a limit by `beside` standard deviations in either direction, if
+    nothing is wrong. se: its standard deviation. free: degrees of freedom of that."""
     return float(2.0 * student.sf(limit / max(se, 1e-300) + beside, max(free, 1.0)))
 
 
 def chance_of_both(by_parts: float, free: float, by_rows: float) -> float:
-    """Of a value by so many deviations: by how parts scatter (Student), and by the noise of all
-    rows (normal), to either side. Each has its own law."""
+    """Two-sided chance of a value in standard deviations, by two measures: the scatter of parts
+    (Student) and the noise of all rows (normal). Each measure has its own distribution."""
     return 2.0 * max(float(student.sf(by_parts, free)), float(norm.sf(by_rows)))
 
 
 def beyond_chance(asked: Sequence[Question]) -> list[Structure]:
-    """What is reported: large ones whose chance is up to the largest level at which the expected
-    number of false ones is a hundredth of those that reach it; of each signal and kind the largest.
+    """Return the structures to report: large effects whose chance is at most a certain level. It is
+    the largest level at which the expected number of false reports is 1 % of all reports at that
+    level. Of each signal and kind only the largest is reported.
 
-    At a level a the i-th question is reported falsely with a chance of min(a, its chance to look
-    large) at most: the sum of these over the number that is reported is the rate of false ones
-    (Benjamini and Hochberg 1995 as an estimate, Storey, Taylor and Siegmund 2004; what cannot be
-    reported takes no part, Tarone 1990).
+    At a level a, the chance of a false report of the i-th question is at most min(a, its chance to
+    look large). The sum of these chances over the number of reports is the false-discovery rate
+    (Benjamini and Hochberg 1995; as an estimate, Storey, Taylor and Siegmund 2004). Questions that
+    can never be reported take no part (Tarone 1990).
     """
     found: dict[tuple[str, str], Structure] = {}
     large = sorted((q for q in asked if q.is_large), key=lambda q: q.p)

@@ -1,4 +1,4 @@
-"""Values and intervals of freed parameters. Knows no cause by name."""
+"""Values and intervals of freed parameters. Nothing here depends on a cause's name."""
 
 from __future__ import annotations
 
@@ -13,23 +13,24 @@ from imucald.diagnosis.fit.sandwich import QUARTERS, between_quarters, ridge, sc
 from imucald.diagnosis.fit.score import Hypothesis, Problem
 
 ERROR_RATE = 0.01
-"""Of a drive: the chance that anything is named without a reason."""
+"""Chance that any cause of a drive is named falsely."""
 
 
 @dataclass(frozen=True)
 class Estimate:
-    """Freed parameters with what is known of them. Arrays (k,)."""
+    """Estimates of freed parameters. Arrays (k,)."""
 
     value: Array
     se: Array
-    """Largest of sandwich, sandwich with lag one, model-based; with the wander between quarters and
-    what the equations themselves err by."""
+    """Standard deviation: the largest of sandwich, sandwich with lag one, and model-based. The
+    wander between quarters and the error of the equations are added."""
     quantile: float
     pull: float
-    """By how many deviations the box pulls at the parameters: the root of twice the rise of the
-    loss when they are put back into it, over-dispersion and wander taken off."""
+    """Distance of the parameters from the box in standard deviations: the square root of twice the
+    rise of the loss when they are put back into the box, corrected for over-dispersion and
+    wander."""
     wander: Array
-    """Scatter between quarters of the data beyond what chance gives."""
+    """Scatter between quarters of the data beyond chance."""
 
     @property
     def low(self) -> Array:
@@ -43,22 +44,24 @@ class Estimate:
 
 
 def quantile(blocks: int, questions: int) -> float:
-    """Student's t for two sides, shared out over the questions asked (Bonferroni)."""
+    """Two-sided quantile of Student's t, corrected for the number of questions (Bonferroni)."""
     return float(student.ppf(1.0 - ERROR_RATE / (2.0 * max(questions, 1)), max(blocks - 1, 1)))
 
 
 def estimate(
     problem: Problem, h: Hypothesis, questions: int, null: Problem | None = None
 ) -> Estimate:
-    """Value and deviation of a hypothesis' parameters, the others free within their box.
+    """Value and standard deviation of a hypothesis' parameters, with the others free within their
+    box.
 
-    null: the same with the box of correct files, where the model has moved out of it already.
+    null: the same problem with the box of correct files, needed if the model has already left that
+    box.
     """
     gram, low, high = problem.widened(h)
     own = problem.own(h)
     total = gram.sum(axis=0)
     x = problem.fit(h)
-    # What is bounded by a box is as uncertain as an even spread over it.
+    # A parameter bounded by a box gets the variance of a uniform distribution over the box.
     prior = np.zeros(len(low))
     others = np.setdiff1d(np.arange(len(low)), own)
     prior[others] = 3.0 / np.maximum(0.5 * (high - low)[others], 1e-30) ** 2
@@ -80,11 +83,11 @@ def estimate(
 def _pull(
     problem: Problem, h: Hypothesis, x: Array, own: Sequence[int], more: Array, null_of: Problem
 ) -> float:
-    """Profile likelihood with the others in their box, so that none counts beyond its tolerance.
+    """Profile likelihood with the other parameters in their box, so that none goes beyond its
+    tolerance.
 
-    The rise of the loss is divided by how much the blocks scatter more than the weights say
-    (sandwich over model-based variance), and by `more` (k,), the variances of the equations
-    themselves.
+    The rise of the loss is divided by the over-dispersion of the blocks (sandwich over model-based
+    variance); `more` (k,) adds the variances of the equations themselves.
     """
     gram, low, high = problem.widened(h)
     total = gram.sum(axis=0)
@@ -103,5 +106,5 @@ def _pull(
     ways = (*scatters(score, len(own) + 1), between_quarters(score))
     spreads = [variances(inverse, way)[at] for way in ways]
     spread = max(1.0, float(np.max((np.max(spreads, axis=0) + more) / model)))
-    # k parameters at once rise by k more without a reason.
+    # By chance alone, k parameters raise twice the loss by about k.
     return float(np.sqrt(max(2.0 * rise / spread - (len(own) - 1), 0.0)))

@@ -1,4 +1,4 @@
-"""Tables that were made for a model file, kept: a search comes back to most of them."""
+"""Cache of tables by model file: a search returns to most of them."""
 
 from __future__ import annotations
 
@@ -10,11 +10,11 @@ from imucald.diagnosis.signals import DriveSignals
 from imucald.model.model import VehicleModel
 
 MOST_BYTES = 200_000_000
-"""Of rows and matrices that are kept: some twenty tables of half an hour."""
+"""Size limit of the kept rows and matrices: about twenty tables of half an hour."""
 
 
 class KeptTables:
-    """Of the same drives beside one model file after another; those last used are kept."""
+    """Tables of the same drives with changing model files; the last used ones are kept."""
 
     def __init__(self) -> None:
         self._kept: list[tuple[VehicleModel, Table, list[Forward]]] = []
@@ -22,7 +22,8 @@ class KeptTables:
     def of(
         self, drives: Sequence[DriveSignals], model: VehicleModel
     ) -> tuple[Table, list[Forward]]:
-        """The table of a model file, made where it is not kept. drives: always the same."""
+        """The table of a model file; it is made if it is not in the cache. drives: always the
+        same."""
         for i, (known, table, forwards) in enumerate(self._kept):
             if known == model:
                 self._kept.append(self._kept.pop(i))

@@ -1,10 +1,12 @@
-"""Deviations of many questions about one drive, each by few segments: they borrow from each other.
+"""Standard deviations of many questions about one drive, each from few segments: the questions
+share information about their scatter.
 
-How far segments scatter beyond the noise is known of each question by itself from as many segments
-as it rests on, often fewer than ten, so that Student's law asks for six deviations and more. Of a
-hundred questions about the same segments the over-dispersion is drawn from one law, which all of
-them show: each is held against a mean of its own and the common one (moderated t; Smyth, Linear
-models and empirical Bayes methods for assessing differential expression, 2004).
+The scatter of segments beyond the noise (over-dispersion) is known for each question only from its
+own segments, often fewer than ten. With so few, Student's t requires six standard deviations and
+more. But a hundred questions about the same segments have over-dispersions from one common
+distribution, which can be estimated from all of them. So each question uses a mean of its own
+over-dispersion and the common one (moderated t; Smyth, Linear models and empirical Bayes methods
+for assessing differential expression, 2004).
 """
 
 from __future__ import annotations
@@ -16,16 +18,18 @@ from scipy.special import digamma, polygamma
 from imucald.core.arrays import Array
 
 FEW = 10
-"""Questions of which no law is taken."""
+"""With fewer questions than this, no common distribution is estimated."""
 LEAST, MOST = 1e-2, 1e4
-"""Degrees of freedom of the common one that are told from none, and from all."""
+"""Range of the common distribution's degrees of freedom: below the first it is ignored; the second
+is the largest value."""
 
 
 def moderated(over: Array, free: Array, most: float) -> tuple[Array, Array]:
-    """(E,) over-dispersions and their degrees of freedom, each with what all others show.
+    """(E,) moderated over-dispersions and their degrees of freedom.
 
-    over: (E,) scatter over what noise makes; free: (E,) degrees of freedom that each is known by
-    itself; most: no more than so many in all, since the questions share their segments.
+    over: (E,) scatter divided by that of noise alone. free: (E,) degrees of freedom of each by
+    itself. most: upper limit of the total degrees of freedom, since the questions share their
+    segments.
     """
     known = (over > 0.0) & (free > 0.0)
     if known.sum() < FEW:

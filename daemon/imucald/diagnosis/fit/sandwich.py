@@ -1,4 +1,5 @@
-"""Deviations of a fit from how its blocks scatter (sandwich, Huber 1967; White 1980)."""
+"""Standard deviations of a fit from the scatter of its blocks (sandwich, Huber 1967; White
+1980)."""
 
 from __future__ import annotations
 
@@ -11,13 +12,14 @@ QUARTERS = 4
 
 
 def ridge(H: Array) -> Array:
-    """What is added to a Hessian (P, P) so that it can be inverted."""
+    """Ridge that is added to a Hessian (P, P) so that it can be inverted."""
     return RIDGE * np.diag(np.maximum(np.diag(H), 1e-30))
 
 
 def scatters(score: Array, fitted: int) -> tuple[Array, Array]:
-    """Scatter (P, P) of the blocks' scores (B, P): each by itself, and with its neighbour, for what
-    lasts longer than a block. fitted: parameters that the blocks were used up for."""
+    """Two scatter matrices (P, P) of the blocks' scores (B, P): of single blocks, and with the
+    neighbouring block for effects longer than a block. fitted: number of parameters fitted to the
+    blocks."""
     B = len(score)
     alone = score.T @ score * (B / max(B - fitted, 1))
     lag = score[1:].T @ score[:-1]
@@ -27,8 +29,8 @@ def scatters(score: Array, fitted: int) -> tuple[Array, Array]:
 def between_quarters(score: Array) -> Array:
     """Scatter of the quarters' scores about their mean (cluster-robust; Cameron and Miller 2015).
 
-    What drifts from piece to piece counts by as much as it moves the whole. Where a quarter holds
-    little on a parameter, its own value of it may be anything, and the whole hardly moves.
+    A parameter that drifts between quarters counts by its effect on the whole fit. If a quarter has
+    little information on a parameter, its own value may be far off, but it hardly moves the whole.
     """
     if len(score) < 2 * QUARTERS:
         return np.zeros((score.shape[1], score.shape[1]))
@@ -38,5 +40,5 @@ def between_quarters(score: Array) -> Array:
 
 
 def variances(inverse: Array, scatter: Array) -> Array:
-    """(P,) of the parameters, from the inverse Hessian and the scatter of the scores."""
+    """(P,) variances of the parameters, from the inverse Hessian and the scatter of the scores."""
     return np.diag(inverse @ scatter @ inverse)

@@ -1,7 +1,7 @@
-"""Fits and held-out losses on a table of blocks. Knows no cause by name.
+"""Fits and held-out losses on a table of blocks. Nothing here depends on a cause's name.
 
-The null is a box: a correct model file is wrong by |x_j| <= tau_j. A Gaussian prior of that width
-would be overrun by half an hour of data. A hypothesis frees its own parameters from the box.
+The null hypothesis is a box: a correct model file is wrong by |x_j| <= tau_j. Half an hour of data
+would outweigh a Gaussian prior of that width. A hypothesis frees its own parameters from the box.
 """
 
 from __future__ import annotations
@@ -19,34 +19,35 @@ from imucald.diagnosis.fit.box import box_fit
 
 FOLDS = 8
 REACH = 3.0
-"""A freed parameter may go so many times as far as is plausible: then it is reported as such."""
+"""A freed parameter may reach this multiple of the plausible limit; then it is reported as
+implausible."""
 SILENT = 1e-6
 
 
 @dataclass(frozen=True)
 class Hypothesis:
-    """Parameters that go wrong together, all along or by a pattern over the blocks."""
+    """Parameters that are wrong together, in the whole drive or by a pattern over the blocks."""
 
     name: str
     keys: tuple[str, ...]
-    """What is reported; the parameters that are freed."""
+    """The freed parameters, which are reported."""
     directions: tuple[Mapping[str, float], ...] = ()
-    """For each key, what moves with it; empty: the keys by themselves."""
+    """For each key, the parameters that move with it and their factors; empty: the keys alone."""
     lead: int = 0
-    """How many of the first keys must leave their tolerance; 0: any."""
+    """Number of first keys of which one must leave its tolerance; 0: any key is enough."""
     pattern: Array | None = None
     """(B,) factor on the parameters in each block; None: everywhere."""
     error: float | None = None
-    """What the equations err by in it; None: as in the best known of its parameters."""
+    """Error of the equations in this hypothesis; None: that of the best known of its parameters."""
 
     @property
     def moved(self) -> set[str]:
-        """The keys with what moves with them."""
+        """The keys and all parameters that move with them."""
         return {k for d in self.directions for k in d} or set(self.keys)
 
     @property
     def is_plain(self) -> bool:
-        """Whether nothing but the keys is freed, everywhere."""
+        """Whether only the keys are freed, in all blocks."""
         return not self.directions and self.pattern is None
 
 
@@ -60,7 +61,8 @@ class Problem:
 
     @staticmethod
     def of(table: Table, free: Sequence[str], bounds: Mapping[str, tuple[float, float]]) -> Problem:
-        """Box of the tolerances; free keys are bounded by three times what is plausible."""
+        """Problem with the box of tolerances; free keys are bounded by three times the plausible
+        limits."""
         low, high = -table.tolerance.copy(), table.tolerance.copy()
         for key, (a, b) in bounds.items():
             if key in table.keys:
@@ -72,8 +74,8 @@ class Problem:
         return Problem(table, low, high)
 
     def model_error(self, h: Hypothesis) -> Array:
-        """(k,) what the equations err by. What moves together errs as the best known of it; what
-        moves in mid-drive is a difference, in which it drops out."""
+        """(k,) error of the equations. Parameters that move together have the error of the best
+        known one. For a change in mid-drive it is zero, because it cancels in the difference."""
         errors = self.table.model_error
         if h.pattern is not None:
             return np.zeros(len(h.keys))
@@ -91,7 +93,7 @@ class Problem:
         for known, made in self._asked:
             if known is h:
                 return made
-        # The last one alone: it is asked of a few times in a row.
+        # Only the last result is kept: it is asked for a few times in a row.
         self._asked[:] = [(h, self._widened(h))]
         return self._asked[0][1]
 
@@ -109,7 +111,7 @@ class Problem:
         return x
 
     def fitted_changes(self) -> dict[str, float]:
-        """What the fit within all bounds makes of the model file: key to value, without zeros."""
+        """Changes of the model file by the fit within all bounds: key to value, without zeros."""
         return {k: float(v) for k, v in zip(self.table.keys, self.fit(), strict=True) if v}
 
     @cached_property
@@ -138,7 +140,7 @@ class Problem:
             for name, x in (h.directions[k] if h.directions else {key: 1.0}).items():
                 D[self.table.keys.index(name) + 1, k] = x
         if h.directions:
-            # The direction takes the place of its kin in the box.
+            # The direction replaces the related parameters in the box.
             kin = {n for d in h.directions for n in d if family(n) == family(h.keys[0])}
             index = self.table.index(sorted(kin))
             silent = SILENT * (high - low)[index]
@@ -156,7 +158,7 @@ class Problem:
         return gram, np.concatenate([low, wide[:, 0]]), np.concatenate([high, wide[:, 1]])
 
     def own(self, h: Hypothesis) -> list[int]:
-        """Places of a hypothesis' parameters in a widened problem."""
+        """Indices of a hypothesis' parameters in a widened problem."""
         if h.is_plain:
             return self.table.index(h.keys)
         return list(range(len(self.table.keys), len(self.table.keys) + len(h.keys)))
@@ -174,7 +176,7 @@ def losses(gram: Array, x: Array) -> Array:
 
 
 def held_out(problem: Problem, h: Hypothesis | None = None) -> Array:
-    """(B,) loss of each block by a fit that did not see its fold."""
+    """(B,) loss of each block, with a fit that did not use its fold."""
     gram, low, high = problem.widened(h)
     total = gram.sum(axis=0)
     fold = folds(len(gram))
@@ -189,8 +191,9 @@ def held_out(problem: Problem, h: Hypothesis | None = None) -> Array:
 
 
 def what_leaves(problem: Problem, drift: Hypothesis | None) -> Array:
-    """(B, P+1) what makes of each segment's rows what is left of them, everything fitted in its
-    box. drift: of what was named and has no place in the model file; it is fitted beside."""
+    """(B, P+1) coefficients that turn each segment's rows into its residual, after a fit of all
+    parameters in their box. drift: a named drift, which has no place in the model file; it is
+    fitted too."""
     table, x = problem.table, problem.fit(drift)
     own = len(table.keys)
     z = np.tile(np.concatenate([[1.0], -x[:own]]), (table.blocks, 1))
@@ -201,7 +204,7 @@ def what_leaves(problem: Problem, drift: Hypothesis | None) -> Array:
 
 
 def one_in_fifteen(blocks: int) -> int:
-    """So many of these blocks must not decide; of few, one."""
+    """Number of blocks that must not decide a question: one in fifteen, at least one."""
     return max(1, round(blocks / 15))
 
 
@@ -211,11 +214,11 @@ def without_best(gain: Array) -> float:
 
 
 def paired(first: Array, second: Array, own: NDArrayInt, other: NDArrayInt) -> tuple[float, float]:
-    """Difference of two losses (B,), (C,), summed over blocks, and its standard error.
+    """Difference of two losses (B,) and (C,), summed over blocks, and its standard error.
 
-    own, other: their numbers of blocks (`Table.number`). A table has no blocks that say nothing,
-    and another model, as another delay, may leave others, be they as many: those that both have
-    are compared.
+    own, other: indices of their blocks (`Table.number`). A table leaves out blocks without
+    information, and these may differ between models, for example with another delay. So only blocks
+    that both tables have are compared.
     """
     if not np.array_equal(own, other):
         _, one, two = np.intersect1d(own, other, assume_unique=True, return_indices=True)

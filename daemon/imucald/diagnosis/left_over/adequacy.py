@@ -1,8 +1,8 @@
-"""What is left when the search has ended, tested without a cause in mind.
+"""Test the residuals after the search, without a known cause.
 
-Two equations without a sensor in common that leave the same motion; a narrow peak in a residual's
-spectrum; a zero error that goes with the shaking. And, first of all, a signal that moves against
-what is predicted.
+The tests find a common motion in the residuals of two equations without a common sensor, a narrow
+peak in a residual's spectrum, and a zero error that depends on vibration. The first test finds
+signals with the opposite sign of their prediction.
 """
 
 from __future__ import annotations
@@ -31,43 +31,43 @@ from imucald.mount.mount_words import SD_95
 
 Spectra = NDArray[np.complex128]
 OPPOSITE = -0.4
-"""Correlation of a signal with its prediction below which a sign is wrong."""
+"""If a signal's correlation with its prediction is below this, a sign is wrong."""
 LEAST_ROWS = 300
 LEAST_BLOCKS = 10
 CHANCE = 0.01
-"""Shared out over the bands: of a coherence that noise has by itself."""
+"""Chance of such a coherence from noise alone, divided among the bands."""
 HANN_BINS = 1.5
-"""Neighbouring bins that count as one: noise bandwidth of a Hann window (Harris 1978)."""
+"""Number of neighbouring bins that count as one: noise bandwidth of a Hann window (Harris 1978)."""
 BANDS_HZ = ((0.1, 0.3), (0.3, 0.6))
 PAIRS = (("accel_y", "yaw_rate"),)
-"""Equations without a sensor in common, where gyroscope and yaw rate are both there."""
+"""Pairs of equations without a common sensor, if gyroscope and yaw rate are both present."""
 AIR = 0.5 * 1.2 * 2.2 * 2.3 / 1500.0
-"""Sideways push of the air by speed squared and angle of attack [1/m]: half its density, 2.2 m^2,
-2.3 per radian, 1500 kg (a passenger car; Hucho, Aerodynamics of Road Vehicles, ch. 5)."""
+"""Lateral acceleration from the air, per speed squared and angle of attack [1/m]: half the density,
+2.2 m^2, 2.3 per radian, 1500 kg (a passenger car; Hucho, Aerodynamics of Road Vehicles, ch. 5)."""
 CALM, GUSTY = 0.02, 0.10
-"""Turbulence sideways, over the speed, that cars meet on roads: least and most (Wordley and
-Saunders, On-road Turbulence, SAE 2008-01-0475)."""
+"""Lateral turbulence on roads, relative to the speed: least and most (Wordley and Saunders, On-road
+Turbulence, SAE 2008-01-0475)."""
 EDDY_M = 10.0
 """Length scale of that turbulence (the same)."""
 FAST_MPS = 30.0
 MOST_LEFT_MPS2 = GUSTY * AIR * FAST_MPS**2
-"""Sideways, after a fit of everything within its tolerance: what gusty air does to a car on a
-motorway, 0.18 m/s^2. The accelerometer's own noise is added."""
+"""Limit of the lateral residual after a fit of all parameters within their tolerances: the effect
+of gusty air on a car on a motorway, 0.18 m/s^2. The accelerometer's own noise is added."""
 PEAK, PEAK_BINS = 4.0, 3
-"""A peak is so many times the spectrum 0.2 Hz to both sides of it."""
+"""A peak is this many times the spectrum 0.2 Hz to both sides of it."""
 PEAKED = ("accel_y", "yaw_rate")
 FIRST_ORDER_S_HZ = 1.0 / (2.0 * np.pi)
-"""Delay of a first-order low-pass well below its cut-off, times the cut-off."""
+"""Product of delay and cut-off frequency of a first-order low-pass, well below the cut-off."""
 OCTAVE = 2.0
 DRIVEN = ("_winding", "_braking")
-"""Accelerations sideways and forward that the driver makes."""
+"""Names of the lateral and forward accelerations that the driver causes."""
 DRIVING_MPS = 2.0
 QUICK_HZ = 40.0
-"""An accelerometer that is sampled faster sees the shaking."""
+"""An accelerometer with a higher rate than this shows the vibration."""
 
 
 def goes_against(forwards: Sequence[Forward]) -> list[Structure]:
-    """Signals that move against what is predicted: a wrong sign in the configuration."""
+    """Signals with the opposite sign of their prediction: a wrong sign in the configuration."""
     found = []
     f = max(forwards, key=lambda f: f.blocks)
     measured, masks = f.measured(), f.usable()
@@ -90,15 +90,15 @@ def goes_against(forwards: Sequence[Forward]) -> list[Structure]:
 
 
 def too_much(problem: Problem, state: State) -> list[Structure]:
-    """More left of the sideways force than any measured car leaves: a cause is missing, and what a
-    fit says while it is missing is not to be believed."""
+    """Report a residual of the sideways force larger than that of any measured car. Then a cause is
+    missing, and no fit without it can be trusted."""
     name = "accel_y"
     if not {name, "gyro_x"} <= set(problem.table.plain):
         return []
     z = np.concatenate([[1.0], -problem.fit()])
     power = np.sort(np.einsum("i,bkij,j->b", z, problem.table.plain[name], z))
     power = power[power > 0.0]
-    # One block must not decide: the one in which a sensor is knocked belongs to no mount.
+    # Single blocks must not decide: a block in which the sensor is knocked has no fixed mount.
     power = power[: len(power) - one_in_fifteen(len(power))]
     left = float(np.sqrt(power[-1])) if len(power) else 0.0
     limit = float(np.hypot(MOST_LEFT_MPS2, _noise(state, problem.table.top_hz[name])))
@@ -114,30 +114,31 @@ def too_much(problem: Problem, state: State) -> list[Structure]:
 
 
 def _noise(state: State, top_hz: float) -> float:
-    """The accelerometer's own noise sideways up to a frequency [m/s^2], if it is as loud there as
-    from sample to sample."""
+    """The accelerometer's own lateral noise up to a frequency [m/s^2], if its density there is the
+    same as from sample to sample."""
     across = mount_of(state.model)[1]
     found = []
     for drive in state.drives:
         accel = drive.channels["accel"]
         steps = np.diff(accel.values @ across)
-        # The median of a squared normal number is 0.455 of its mean; a step has the noise twice.
+        # The median of a squared normal variable is 0.455 of its mean; a difference contains the
+        # noise twice.
         power = float(np.median(steps**2)) / 0.455 / 2.0
         found.append(np.sqrt(power * min(2.0 * top_hz * accel.period_s, 1.0)))
     return float(max(found))
 
 
 def what_is_left(problem: Problem, state: State, spectra: Mapping[str, Spectra]) -> list[Structure]:
-    """Structure beyond what roads and noise leave. problem: of the model as it was extended."""
+    """Structure in the residuals beyond roads and noise. problem: with the extended model."""
     peaks = _peaks(spectra, cut_offs(state.changes))
     return [*_shared(spectra, state.forwards), *peaks, *_shaken(problem, state)]
 
 
 def spectra_of(problem: Problem, forwards: Sequence[Forward]) -> Mapping[str, Spectra]:
-    """Transforms (B, F) of each equation's residual while driving, in its unit; NaN rows where it
-    was not there. With them `_steering` and `_turning`, which move the vehicle.
+    """Spectra (B, F) of each equation's residual while driving, in its unit; NaN rows if it was not
+    present. The inputs `_steering` and `_turning`, which move the vehicle, are included.
 
-    Everything within its tolerance is fitted.
+    All parameters are fitted within their tolerances.
     """
     changes = problem.fitted_changes()
     parts: dict[str, list[Spectra]] = {}
@@ -145,7 +146,7 @@ def spectra_of(problem: Problem, forwards: Sequence[Forward]) -> Mapping[str, Sp
         masks, found = f.usable(), f.residuals(changes)
         leveled = f.level(found, masks)
         v = f.amount_of_speed().reshape(f.blocks, f.rows)
-        # One product under two masks: a segment may lack one of the two equations.
+        # The product is used under two masks, because a segment may lack one of the two equations.
         sideways = v * f.yaw_rate().reshape(v.shape) if f.has_turning else v
         if "yaw_rate" in leveled:
             leveled["_turning"] = sideways
@@ -155,7 +156,7 @@ def spectra_of(problem: Problem, forwards: Sequence[Forward]) -> Mapping[str, Sp
             leveled["_winding"] = sideways
             leveled["_braking"] = np.asarray(np.gradient(v, STEP_S, axis=1))
             masks |= dict.fromkeys(DRIVEN, masks["accel_x"])
-        # Squares of all bins add up to the mean square of a row.
+        # With this window, the squares of all bins add up to the mean square of a row.
         window = np.hanning(f.rows) * np.sqrt(2.0 / (0.375 * f.rows**2))
         for name, y in leveled.items():
             left = np.where(masks[name], y, 0.0)
@@ -166,18 +167,19 @@ def spectra_of(problem: Problem, forwards: Sequence[Forward]) -> Mapping[str, Sp
 
 
 def as_loud(z: Spectra) -> Spectra:
-    """Each block as loud as the others."""
+    """Scale all blocks to equal power."""
     loud = np.sqrt(np.mean(np.abs(z[:, 2:]) ** 2, axis=1, keepdims=True))
     return np.asarray(z / np.maximum(loud, 1e-30))
 
 
 def _shared(spectra: Mapping[str, Spectra], forwards: Sequence[Forward]) -> list[Structure]:
-    """The same motion in two equations that have no sensor in common.
+    """Find the same motion in two equations without a common sensor.
 
-    Partial coherence: what goes with steering and turning, by whatever dynamics, is taken off both
-    (Bendat and Piersol, Random Data, ch. 7), so that an error of the handling is no motion. What
-    is reported exceeds chance, 1 - p^(1/(n - 1)) for n segments, and what calm air does at this
-    speed: as a push, or as the acceleration v r of the turn that the push brings.
+    Partial coherence is used: everything linear in steering and turning is removed from both, for
+    any dynamics (Bendat and Piersol, Random Data, ch. 7), so that an error of the handling model
+    does not count as a motion. A reported coherence exceeds chance, 1 - p^(1/(n - 1)) for n
+    segments. The motion must also exceed the effect of calm air at this speed, as a lateral push or
+    as the acceleration v r of the resulting turn.
     """
     drive = forwards[0].drive
     if not (drive.has("gyro") and drive.has("yaw_rate")):
@@ -215,7 +217,8 @@ def _shared(spectra: Mapping[str, Spectra], forwards: Sequence[Forward]) -> list
 
 
 def _common(a: Spectra, b: Spectra, known: Spectra, band: Mask) -> tuple[float, float, float]:
-    """Partial coherence in a band, how much of `a` that is [its unit], and what chance gives."""
+    """Partial coherence in a band, the size of that part of `a` [its unit], and the coherence by
+    chance."""
     one = a[:, band]
     size = float(np.sqrt(np.sum(np.abs(one) ** 2, axis=1).mean()))
     u = left_of_known(as_loud(a)[:, band], known[:, band])
@@ -228,17 +231,17 @@ def _common(a: Spectra, b: Spectra, known: Spectra, band: Mask) -> tuple[float, 
 
 
 def _calm(v: Array) -> float:
-    """What calm air does to a car in the bands that are looked at, rms [m/s^2]. v: (N,) speed."""
+    """Rms acceleration of a car by calm air in the tested bands [m/s^2]. v: (N,) speed."""
     v = np.abs(v[np.abs(v) > DRIVING_MPS])
     low, high = BANDS_HZ[0][0], BANDS_HZ[-1][1]
     travel = 2.0 * np.pi * EDDY_M / v
-    # Of a spectrum 1/(1 + (2 pi f L/v)^2) (Dryden).
+    # Share of the band in a spectrum 1/(1 + (2 pi f L/v)^2) (Dryden).
     part = (np.arctan(high * travel) - np.arctan(low * travel)) / (0.5 * np.pi)
     return CALM * AIR * float(np.sqrt(np.mean(part * v**4)))
 
 
 def left_of_known(z: Spectra, known: Spectra) -> Spectra:
-    """(B, F) less what is linear in the inputs (B, F, 2), frequency by frequency."""
+    """(B, F) minus the part that is linear in the inputs (B, F, 2), frequency by frequency."""
     left = z.copy()
     for i in range(z.shape[1]):
         left[:, i] -= known[:, i] @ np.linalg.lstsq(known[:, i], z[:, i], rcond=None)[0]
@@ -246,9 +249,9 @@ def left_of_known(z: Spectra, known: Spectra) -> Spectra:
 
 
 def cut_offs(changes: Mapping[str, float]) -> list[tuple[str, float, float]]:
-    """Signal, and from where to where [Hz] the low-pass that a found delay x may be leaves a peak:
-    within an octave of its cut-off, 1/(2 pi x) of first order, sqrt 2/(2 pi x) of second. Below it
-    a delay does as well, above it no motion is."""
+    """Signals, and frequency ranges [Hz] in which a low-pass may leave a peak if it was fitted as a
+    delay x. The range is one octave about its cut-off: 1/(2 pi x) for first order, sqrt 2/(2 pi x)
+    for second. Below that a delay fits as well; above it there is no motion."""
     made = []
     for key, x in changes.items():
         if key.endswith("delay_s") and abs(x) > PARAMETERS[key].tolerance:
@@ -260,7 +263,7 @@ def cut_offs(changes: Mapping[str, float]) -> list[tuple[str, float, float]]:
 def _peaks(
     spectra: Mapping[str, Spectra], cut_offs: Sequence[tuple[str, float, float]] = ()
 ) -> list[Structure]:
-    """A narrow peak: something that swings, unless a low-pass explains it."""
+    """Find a narrow peak: something oscillates, unless a low-pass explains it."""
     found = []
     for name in PEAKED:
         if name not in spectra:
@@ -289,7 +292,7 @@ def _peaks(
 
 
 def _shaken(problem: Problem, state: State) -> list[Structure]:
-    """A zero error of the accelerometer that goes with how much it is shaken."""
+    """Find a zero error of the accelerometer that depends on its vibration."""
     table = problem.table
     drives = state.drives
     if not set(BIAS) <= set(table.keys) or not all(

@@ -1,8 +1,9 @@
-"""Segments whose own best values differ by more than their errors say (random effects).
+"""Find gains whose best values in single segments differ by more than their errors (random
+effects).
 
-A gain is one number. Where each segment has another, and the segments' own errors and all that a
-correct file may be wrong by do not account for it, that number is no statement about the drive:
-something changes it.
+A gain should be one number. If its best values in the segments differ by more than their errors and
+a correct file's tolerances allow, one number does not describe the drive: something changes the
+gain.
 """
 
 from __future__ import annotations
@@ -27,13 +28,14 @@ from imucald.mount.mount_words import SD_95
 
 LEAST_BLOCKS = 8
 OWN = 3
-"""Numbers that a segment's noise is less by: two tilts, and the value itself."""
+"""Numbers fitted to each segment, which reduce its noise: two tilts and the value itself."""
 
 
 def gains_apart(problem: Problem, state: State, drift: Hypothesis | None) -> list[Question]:
-    """Each gain, named or not. Zeros are not asked: a segment's own takes what its road makes of
-    it; nor delays, lever arm and springs, which take what the equations of the tyres err by. drift:
-    of what was named and has no place in the model file; it is fitted beside."""
+    """Questions for each gain, named or not. Zeros are not tested, because a segment's own zero
+    absorbs the effect of its road. Delays, lever arm and springs are not tested, because they
+    absorb errors of the tyre equations. drift: a named drift, which has no place in the model file;
+    it is fitted too."""
     table = problem.table
     if table.blocks < LEAST_BLOCKS:
         return []
@@ -43,8 +45,8 @@ def gains_apart(problem: Problem, state: State, drift: Hypothesis | None) -> lis
 
 
 def named_apart(problem: Problem, state: State, drift: Hypothesis | None) -> list[Structure]:
-    """Gains that were named and are not one number: 1 % is shared over these. Whoever reads a name
-    takes it for the drive, so it is not held to what all questions share."""
+    """Named gains that are not constant. They share an error rate of 1 % of their own, because
+    readers take a named gain as valid for the whole drive."""
     table = problem.table
     if table.blocks < LEAST_BLOCKS:
         return []
@@ -61,7 +63,7 @@ def _is_gain(h: Hypothesis) -> bool:
 def _questions(
     problem: Problem, h: Hypothesis, keys: Sequence[str], z: Array
 ) -> Iterator[Question]:
-    """keys: those of the hypothesis that are asked of."""
+    """keys: those of the hypothesis that are tested."""
     table = problem.table
     errors = problem.model_error(h)
     for k, key in enumerate(h.keys):
@@ -85,8 +87,8 @@ def _questions(
 
 
 def _own_values(table: Table, d: Array, z: Array) -> tuple[Array, Array]:
-    """Departure of each segment from the fit along a direction d (P+1,), and its variance: by the
-    segment's own noise, that of each equation in which the direction shows."""
+    """Departure of each segment from the fit along a direction d (P+1,), and its variance from the
+    segment's own noise in each equation that shows the direction."""
     energy = {n: np.einsum("i,bij,j->b", d, g, d) for n, g in table.by_equation.items()}
     total = sum(float(e.sum()) for e in energy.values())
     score, information, spread = np.zeros((3, table.blocks))
@@ -106,8 +108,8 @@ def _own_values(table: Table, d: Array, z: Array) -> tuple[Array, Array]:
 
 
 def _scatter(x: Array, variance: Array, may: float) -> tuple[float, float]:
-    """Deviation between segments beyond their errors (DerSimonian and Laird 1986), and the chance
-    of their scatter (Cochran 1954) where the values themselves scatter by `may`. One segment in
+    """Standard deviation between segments beyond their errors (DerSimonian and Laird 1986), and the
+    chance of their scatter (Cochran 1954) if the true values scatter by `may`. One segment in
     fifteen must not decide."""
     far = (x - np.median(x)) ** 2 / (variance + may**2)
     kept = np.argsort(far)[: len(x) - one_in_fifteen(len(x))]

@@ -1,4 +1,4 @@
-"""What a sensor's error may go with: quantities of the drive itself, instant by instant."""
+"""Conditions that a sensor's error may depend on: quantities of the drive at each instant."""
 
 from __future__ import annotations
 
@@ -12,22 +12,23 @@ from imucald.diagnosis.equations.forward import Forward
 from imucald.diagnosis.signals import STANDING_MPS, STEP_S, Channel, Mask
 
 SMOOTH_S = 1.0
-"""What turns and brakes a vehicle lasts longer than this."""
+"""Turning and braking manoeuvres last longer than this."""
 CRAWL_MPS = 3.0
 AFTER_STOP_S = 60.0
 MEMORY_S = 20.0
-"""Of what was a while ago: between a bend's length and that of a segment."""
+"""Time constant of the memory: between the length of a bend and that of a segment."""
 SPEEDS = ("the speed", "crawling", "the time since standing")
 EITHER_WAY = ("accelerating and braking", "the last strong acceleration")
 TO_ONE_SIDE = ("the side it turns to", "the last strong turning")
-"""Conditions that change their sign in a mirror, in which a vehicle is the same."""
+"""Conditions that change sign when left and right are exchanged; a vehicle is symmetric to that."""
 ENDS = (0.05, 0.95)
 BEYOND = 0.5
-"""How far beyond these ends a condition is followed, as a share of what lies between them."""
+"""How far a condition is followed beyond the two percentiles, as a share of their distance."""
 
 
 def conditions(f: Forward) -> dict[str, Array]:
-    """(N,) by name: from -0.5 at the 5th to 0.5 at the 95th of a hundred rows in motion."""
+    """(N,) by name: scaled from -0.5 at the 5th to 0.5 at the 95th percentile of the rows in
+    motion."""
     v = f.amount_of_speed()
     moves = v > STANDING_MPS
     if not moves.any():
@@ -49,7 +50,7 @@ def conditions(f: Forward) -> dict[str, Array]:
 
 
 def _of(x: Array, moves: Mask, what: str, side: str) -> Mapping[str, Array]:
-    """Direction and amount of a quantity (N,), now and before. Its usual size is its rms."""
+    """Direction and amount of a quantity (N,), now and in the recent past. Its scale is its rms."""
     z = x / max(float(np.sqrt(np.mean(x[moves] ** 2))), 1e-12)
     last = np.maximum.accumulate(np.where(np.abs(z) > 1.0, np.arange(len(z)), 0))
     amount = np.abs(z)
@@ -74,22 +75,22 @@ def _smooth(x: Array) -> Array:
 
 
 def _since(stands: Mask) -> Array:
-    """(N,) how long ago [s] the vehicle stood; for ever, where it did not."""
+    """(N,) time since the vehicle last stood [s]; infinite before its first stop."""
     rows = np.arange(len(stands))
     last = np.maximum.accumulate(np.where(stands, rows, -1))
     return np.where(last >= 0, (rows - last) * STEP_S, np.inf)
 
 
 def _remembered(x: Array) -> Array:
-    """(N,) mean of what was, which fades with `MEMORY_S`."""
+    """(N,) mean of the past with exponential weights, time constant `MEMORY_S`."""
     share = 1.0 - np.exp(-STEP_S / MEMORY_S)
     made, _ = lfilter([share], [1.0, share - 1.0], x, zi=[x[0] * (1.0 - share)])
     return np.asarray(made)
 
 
 def shaken(f: Forward, seconds: float) -> Array:
-    """(N,) mean square of the accelerometer's steps about each time, 1 from the smoothest twentieth
-    of the drive to the roughest."""
+    """(N,) mean square of the accelerometer's differences about each time, scaled so that the
+    smoothest and the roughest twentieth of the drive are 1 apart."""
     accel = f.drive.channels["accel"]
     power = np.sum(np.diff(accel.values, axis=0) ** 2, axis=1)
     area = np.concatenate([[0.0], np.cumsum(power)])

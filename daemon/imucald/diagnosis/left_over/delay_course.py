@@ -1,11 +1,10 @@
-"""The course of the speed's delay over a drive: does it follow its own stamps, or step?
+"""Test the speed's delay over a drive: does it follow the stamps, or does it step?
 
-A file states one delay, or one that grows evenly. What sends in a cycle stamps in a cycle; where
-stamps leave it, the sender may have, or the clock that stamps. The forward force separates the
-two: summed up it is a speed that has no such stamps, and beside it a wrong stamp is a delay of as
-much.
-Speeds are compared as speeds, so that the column of a delay, which is the force, has none of the
-noise that stands in the comparison (see `forward`).
+A model file states one delay, or one that grows linearly. A cyclic sender gives cyclic stamps. If
+stamps leave the cycle, either the sender left it or the stamping clock is wrong. The forward force
+separates the two cases: its integral is a speed without these stamps, and compared with it a wrong
+stamp shows as a delay of the same size. Speeds are compared as speeds. So the column of a delay,
+which is the force, contains none of the noise of the comparison (see `forward`).
 """
 
 from __future__ import annotations
@@ -33,17 +32,17 @@ from imucald.mount.mount_words import SD_95
 
 DELAY = "speed.delay_s"
 PAUSE_S = 10.0
-"""After a longer hole a sender begins anew, at any phase of its cycle."""
+"""After a longer gap a sender starts again at any phase of its cycle."""
 QUICK_S = 30.0
-"""Stamps that are asked for one by one walk off slowly: what is quicker than this is asked by
-itself."""
+"""Stamps of requested frames drift away slowly; changes faster than this are tested separately."""
 MEMORY = 0.5
-"""Of one sample's error to the next: between the white noise of steps and that which is summed up;
-deviations are by the scatter between segments, whatever it is."""
+"""Correlation from one sample's error to the next: between white noise of steps and integrated
+noise. Standard deviations come from the scatter between segments and do not depend on it."""
 LEAST_SAMPLES, LEAST_BLOCKS, LEAST_COUNT = 10, 6, 3.0
-"""Of a segment; segments; segments that carry what is known."""
+"""Fewest samples in a segment, fewest segments, and fewest segments that carry the information."""
 FURTHEST_S, EDGE_S = 1.0, 0.5
-"""Delays beyond the model's that are followed; what is left of a segment for the column of one."""
+"""Largest delay beyond the model's that is followed, and the rest of a segment that is left
+then."""
 STEPS = 3
 MANY_S = 1000.0
 ENDS = (0.05, 0.95)
@@ -51,54 +50,55 @@ ENDS = (0.05, 0.95)
 
 @dataclass(frozen=True)
 class Pieces:
-    """One drive and a model file, ready to be compared at any delay."""
+    """One drive with a model file, ready for the comparison at any delay."""
 
     at: Array
-    """(N,) instants of the speed's samples by their stamps and the model."""
+    """(N,) times of the speed's samples by their stamps and the model."""
     shown: Array
     """(N,) [m/s]"""
     usable: Mask
     growth: Array
     """(N,) time from the drive's middle [1000 s]."""
     stamps: Array
-    """(N, 2) by how much stamps are late against an even cycle [s], in all and quickly."""
+    """(N, 2) delay of the stamps against a constant cycle [s]: in total, and its fast part."""
     edges: Array
-    """(B, n + 1) of the grid's steps."""
+    """(B, n + 1) edges of the grid's steps [s]."""
     sums: Array
-    """(3, B, n + 1) forward force summed up: without a tilt, and with each of its parts."""
+    """(3, B, n + 1) integrated forward force: without a tilt, and the effect of each tilt
+    component."""
 
 
 @dataclass(frozen=True)
 class Course:
-    """What segments say of delays about a point, each whitened, and free of what is unknown of it
-    (speed and tilt)."""
+    """Evidence of the segments on delays near a given delay. Each segment is whitened, and its
+    unknown speed and tilt are projected out."""
 
     y: list[Array]
-    """(n,) measured speed less summed-up force, over its own deviation."""
+    """(n,) measured speed minus integrated force, over its own standard deviation."""
     even: list[Array]
-    """(n, 3) how that goes with a delay, with its even growth, and with its part by speed."""
+    """(n, 3) derivatives by a delay, by its linear growth, and by its speed-dependent part."""
     asked: list[Array]
-    """(n,) and with a delay that follows a pattern."""
+    """(n,) derivative by a delay that follows a pattern."""
     start_s: list[float]
     drive: list[int]
 
 
 @dataclass(frozen=True)
 class Followed:
-    """By how much a delay follows a pattern."""
+    """The amount by which a delay follows a pattern."""
 
     value: float
     sigma: float
-    """Its deviations."""
+    """Its size in standard deviations."""
     p: float
     even: Array
-    """(3,) the even parts beside it."""
+    """(3,) the linear parts fitted with it."""
 
 
 def off_cycle(t: Array) -> Array:
-    """(N,) by how much stamps are late [s] against an even cycle. t: (N,) stamps [s], rising.
+    """(N,) delay of stamps against a constant cycle [s]. t: (N,) stamps [s], ascending.
 
-    Steps are whole cycles: a lost frame does not make the next one late.
+    Steps are counted in whole cycles, so a lost frame does not delay the next one.
     """
     steps = np.diff(t)
     if len(steps) < LEAST_SAMPLES:
@@ -116,7 +116,7 @@ def _beside_a_line(x: Array, t: Array) -> Array:
 
 
 def _quick(x: Array, t: Array) -> Array:
-    """x (N,) less its mean over `QUICK_S`."""
+    """x (N,) minus its running mean over `QUICK_S`."""
     n = max(1, round(QUICK_S / float(np.median(np.diff(t)))))
     ones = np.ones(n)
     return np.asarray(x - np.convolve(x, ones, "same") / np.convolve(np.ones(len(x)), ones, "same"))
@@ -126,7 +126,7 @@ def _quick(x: Array, t: Array) -> Array:
 
 
 def pieces_of(f: Forward, changes: Changes) -> Pieces:
-    """A drive and a model file. changes: of the model, at the best fit."""
+    """Prepare a drive with a model file. changes: of the model, at the best fit."""
     m, drive = VehicleMotion(f, changes, False), f.drive
     shown = drive.knots.values / (1.0 + f.model.speed.scale + changes.get("speed.scale", 0.0))
     usable = drive.channels["speed"].present(drive.knots.t) & (np.abs(shown) > SLOW_MPS)
@@ -154,7 +154,8 @@ def _summed(f: Forward, m: VehicleMotion) -> Array:
 def course_of(
     drives: Sequence[Pieces], pattern: Sequence[Array], value: float, even: Array
 ) -> Course:
-    """About delays that are late by `even` (3,) and `value` times a pattern: (N,) [s] a drive."""
+    """Course about the delay given by `even` (3,) plus `value` times a pattern, (N,) [s] for each
+    drive."""
     made = Course([], [], [], [], [])
     for i, (d, x) in enumerate(zip(drives, pattern, strict=True)):
         parts = np.column_stack([np.ones(len(d.at)), d.growth, d.shown])
@@ -178,7 +179,8 @@ def course_of(
 def _of_segment(
     at: Array, shown: Array, parts: Array, x: Array, edges: Array, sums: Array
 ) -> Array | None:
-    """(n - 1, 5) whitened: the comparison; even delays; one by the pattern x."""
+    """(n - 1, 5) whitened columns: the comparison, three linear delays, the delay by the pattern
+    x."""
     read = np.column_stack([np.interp(at, edges, s) for s in sums])
     free = np.column_stack([np.ones(len(at)), read[:, 1:]])
     y = shown - read[:, 0]
@@ -196,8 +198,8 @@ def _of_segment(
 
 
 def _between(at: Array, late: Array, edges: Array, speed: Array) -> Array:
-    """(n,) what a delay `late` [s] about each time makes of a speed: over its whole length, since
-    the force changes meanwhile."""
+    """(n,) effect of a delay `late` [s] about each time on a speed. The force is integrated over
+    the whole delay, since it changes meanwhile."""
     half = 0.5 * np.clip(late, -2.0 * EDGE_S, 2.0 * EDGE_S)
     return np.asarray(np.interp(at - half, edges, speed) - np.interp(at + half, edges, speed))
 
@@ -206,13 +208,13 @@ def _between(at: Array, late: Array, edges: Array, speed: Array) -> Array:
 
 
 def delay_course(problem: Problem, state: State) -> list[Question]:
-    """Whether the delay of the speed follows its stamps, or is another from some moment on.
+    """Test whether the delay of the speed follows its stamps, or changes at some moment.
 
-    Three questions at most, which share a chance of their own: of stamps that leave their cycle
-    by more than a delay may be off, some reason is due whatever else is asked of a drive.
+    At most three questions, which share an error rate of their own: stamps that leave their cycle
+    by more than a delay's tolerance need an explanation in any case.
     """
     if not all(f.has_gravity for f in state.forwards) or DELAY not in problem.table.keys:
-        return []  # the road's slope is left, and is summed up
+        return []  # the road's slope stays in the force and would be integrated
     changes = problem.fitted_changes()
     drives = [pieces_of(f, changes) for f in state.forwards]
     j = problem.table.keys.index(DELAY)
@@ -221,8 +223,8 @@ def delay_course(problem: Problem, state: State) -> list[Question]:
 
 
 def _by_stamps(drives: Sequence[Pieces], may: float) -> list[Question]:
-    """One question in all, one of what is quick; none where stamps stay within what a delay may
-    be off by."""
+    """One question about the total delay and one about its fast part; none if the stamps stay
+    within a delay's tolerance."""
     made = []
     for i, how in enumerate(("", " quickly")):
         pattern = [d.stamps[:, i] for d in drives]
@@ -241,7 +243,8 @@ def _by_stamps(drives: Sequence[Pieces], may: float) -> list[Question]:
 
 
 def stepping(drives: Sequence[Pieces], may: float) -> list[Question]:
-    """The likeliest of all steps (sup-Wald; Andrews 1993), its chance shared out over moments."""
+    """The most likely of all steps (sup-Wald; Andrews 1993), its chance corrected for the number of
+    moments."""
     course = course_of(drives, [np.zeros(len(d.at)) for d in drives], 0.0, np.zeros(3))
     moments = range(LEAST_SIDE, len(course.y) - LEAST_SIDE + 1)
     best: tuple[int, Followed] | None = None
@@ -264,14 +267,15 @@ def stepping(drives: Sequence[Pieces], may: float) -> list[Question]:
 
 
 def _question(found: Followed, size: float, text: str) -> Question:
-    """size: over what may be; an end less its error of one deviation counts."""
+    """size: over the allowed size; the value minus one standard deviation counts."""
     is_large = size * (1.0 - 1.0 / max(found.sigma, 1.0)) > 1.0
     return Question(found.p, is_large, Structure("speed", WANDERS, size, text, DELAY))
 
 
 def settled(drives: Sequence[Pieces], pattern: Sequence[Array]) -> Followed | None:
-    """By how much the delay follows a pattern, asked again from where the answer leads: a column is
-    a slope, and the force is another half a second later. None where too little is known."""
+    """Find how much the delay follows a pattern, with repeated linearisation at the new delay: a
+    column is a derivative, and half a second later the force is different. None if too little is
+    known."""
     found = Followed(0.0, 0.0, 1.0, np.zeros(3))
     for _ in range(STEPS):
         course = course_of(drives, pattern, found.value, found.even)
@@ -285,11 +289,12 @@ def settled(drives: Sequence[Pieces], pattern: Sequence[Array]) -> Followed | No
 
 
 def followed(course: Course, column: list[Array], before: float) -> Followed | None:
-    """Value of a column next to a delay that is even, on top of what it was `before`.
+    """Estimate a column's value together with a linear delay. before: its value so far, which is
+    added.
 
-    Its chance is by the scatter between segments (sandwich, with as many degrees of freedom as
-    segments carry what is known of it; Carter, Schnepel and Steigerwald 2017), and by the noise of
-    all rows.
+    Its chance comes from the scatter between segments (sandwich) and from the noise of all rows.
+    The degrees of freedom are the effective number of segments with information on it (Carter,
+    Schnepel and Steigerwald 2017).
     """
     if not course.y:
         return None

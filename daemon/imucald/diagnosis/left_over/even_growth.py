@@ -1,8 +1,8 @@
-"""Whether what is named as an even growth over the drive grows evenly.
+"""Test whether a cause named as linear growth over the drive really grows linearly.
 
-A zero that drifts and two clocks that run apart are ramps. A restart, a clock that is set or a
-knock makes a step, of which a ramp explains three quarters. A ramp is a statement about the drive
-only where it predicts unseen data better than every step.
+A drifting zero and two clocks that run apart are ramps. A restart, a clock that is set, or a knock
+makes a step; a ramp explains three quarters of a step. A ramp describes the drive only if it
+predicts unseen data better than every step.
 """
 
 from __future__ import annotations
@@ -24,7 +24,8 @@ from imucald.diagnosis.search.trials import SINGLE, Trial, on_table
 
 
 def uneven_growth(problem: Problem, state: State) -> list[Structure]:
-    """Named ramps that a step equals (one question, 5 %, deviation between segments)."""
+    """Named ramps that a step explains as well (one question, 5 %, deviation from the scatter
+    between segments)."""
     return [s for t in state.named for s in _as_steps(problem, state, t)]
 
 

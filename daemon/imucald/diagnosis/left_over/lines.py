@@ -1,10 +1,10 @@
-"""A line in the spectrum of what an equation leaves: something that swings at one frequency.
+"""Find a line in a residual's spectrum: something oscillates at one frequency.
 
-What the driver does periodically, as in a slalom, is taken off: what is linear in the vehicle's
-accelerations, by whatever dynamics (frequency by frequency; Bendat and Piersol, ch. 7). A body on
-its springs swings in a band that is as wide as its damping makes it (0.2 of critical at 1.2 Hz:
-half a hertz), and a road excites all of it. What is narrower is driven: a fan, a pump, a supply
-that is sampled too seldom.
+Periodic driving, as in a slalom, is removed first: everything linear in the vehicle's
+accelerations, for any dynamics (frequency by frequency; Bendat and Piersol, ch. 7). A body on its
+springs oscillates in a band whose width depends on its damping (0.2 of critical at 1.2 Hz: half a
+hertz), and a road excites the whole band. A narrower line has another source: a fan, a pump, or a
+supply ripple that is sampled too slowly.
 """
 
 from __future__ import annotations
@@ -35,23 +35,24 @@ from imucald.diagnosis.search.state import State
 from imucald.diagnosis.signals import STEP_S
 
 BAND_HZ = 0.25, 4.5
-"""From what the tilt of a segment does not take to below half the grid's rate."""
+"""Tested frequencies: from above those that a segment's tilt absorbs to below half the grid's
+rate."""
 BROAD_HZ = 1.2
-"""Up to which `adequacy` looks for broader peaks of `PEAKED`."""
+"""Upper frequency of the search in `adequacy` for broader peaks of `PEAKED`."""
 NEAR, FAR = 3, 9
-"""Bins next to a line, on each side: beyond what a Hann window spreads of it, and as near as to see
-its slope (0.1 to 0.3 Hz in segments of 30 s)."""
+"""Bins on each side of a line with which it is compared: outside the spread of a Hann window, and
+near enough to follow the spectrum's slope (0.1 to 0.3 Hz in segments of 30 s)."""
 ZEROS: Mapping[str, str] = {
     "accel_x": "accel.bias.x", "accel_y": "accel.bias.y", "accel_z": "accel.bias.z",
     "gyro_x": "gyro.bias.x", "gyro_y": "gyro.bias.y", "gyro_z": "gyro.bias.z",
     "yaw_rate": "yaw_rate.offset", "lateral_accel": "lateral_accel.offset",
     "longitudinal_accel": "longitudinal_accel.offset",
 }  # fmt: skip
-"""Zero error that a correct file may have: a smaller swing is not reported."""
+"""Zero error that a correct file may have: a smaller oscillation is not reported."""
 
 
 def lines(state: State, spectra: Mapping[str, Spectra]) -> list[Question]:
-    """One question an equation: of its strongest line."""
+    """One question for each equation, about its strongest line."""
     made = []
     for name, tau in ZEROS.items():
         if name not in spectra or not set(DRIVEN) <= set(spectra):
@@ -77,14 +78,14 @@ def _from_hz(name: str) -> float:
 
 
 def _to_hz(name: str, state: State) -> float:
-    """Between two samples of the speed nothing is known."""
+    """Upper frequency for an equation: between two samples of the speed nothing is known."""
     if name not in OF_SPEED:
         return BAND_HZ[1]
     return min(BAND_HZ[1], *(CARRIED / d.channels["speed"].period_s for d in state.drives))
 
 
 def _question(name: str, z: Spectra, hz: Array, asked: NDArrayInt, tau: float) -> Question:
-    """z: (B, F) of segments; asked: places of frequencies."""
+    """z: (B, F) spectra of segments; asked: indices of frequencies."""
     # One segment in fifteen must not decide.
     kept = len(z) - one_in_fifteen(len(z))
     power, loud = (np.sort(np.abs(x) ** 2, axis=0)[:kept].mean(axis=0) for x in (as_loud(z), z))
@@ -93,7 +94,8 @@ def _question(name: str, z: Spectra, hz: Array, asked: NDArrayInt, tau: float) -
     ratio = power[asked] / beside
     best = int(np.argmax(ratio))
     i = int(asked[best])
-    # Of normal noise a segment's power is exponential, and the mean of B gamma.
+    # For normal noise a segment's power is exponentially distributed, and the mean of B segments
+    # gamma distributed.
     p = min(len(asked) * float(gamma.sf(ratio[best] * count, count)), 1.0)
     own = slice(i - 1, i + 2)
     rest = loud[own].sum() - 3.0 * _beside(loud, i)
@@ -107,6 +109,7 @@ def _question(name: str, z: Spectra, hz: Array, asked: NDArrayInt, tau: float) -
 
 
 def _beside(power: Array, i: int) -> float:
-    """The higher of what lies to both sides: a slope and a broad rise have no line on them."""
+    """The higher of the levels on both sides, so that a slope or a broad rise does not count as a
+    line."""
     sides = power[max(i - FAR, 1) : i - NEAR + 1], power[i + NEAR : i + FAR + 1]
     return max(float(np.median(side)) for side in sides if len(side))

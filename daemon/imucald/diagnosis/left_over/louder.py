@@ -1,9 +1,10 @@
-"""More is left of an equation than the drives left that the model file was made of.
+"""Test whether an equation's residual is larger than in the drives of the model file.
 
-A model file may carry, by equation and band, what half of their segments left, with everything
-fitted in its box, and how far segments differ. Roads differ as well: from one class of ISO 8608 to
-the next the rms is twice as large. A later drive whose middle segment leaves more than that, beyond
-what segments scatter by, has something that the file does not know. No shape is asked for.
+A model file may hold, by equation and band, the median residual of its drives' segments, with all
+parameters fitted in their box, and the scatter between segments. Roads differ too: from one class
+of ISO 8608 to the next the rms doubles. If the median residual of a later drive is larger than all
+this allows, the drive contains an effect that the file does not know. No particular shape of the
+residual is assumed.
 """
 
 from __future__ import annotations
@@ -23,14 +24,15 @@ from imucald.model.leaves import BANDS_HZ
 
 SHAKEN_FROM_HZ = {"accel_y": 0.4, "lateral_accel": 0.4, "accel_z": 0.0, "gyro_x": 0.0,
                   "gyro_y": 0.0}  # fmt: skip
-"""Equations in which the road's unevenness stands, and from where on: chance starts from a road of
-the next class. Well below its resonances (1 Hz and more; Rajamani, ch. 10) the body stands on the
-road as it lies, and its tilt, which is all that the road does sideways, the gyroscope carries."""
+"""Equations that contain the road's unevenness, and the frequency from which they do; there, the
+chance is computed beyond a road of the next class. Well below its resonances (1 Hz and more;
+Rajamani, ch. 10) the body follows the road. Its tilt is then the only lateral effect of the road,
+and the gyroscope carries it."""
 
 
 def left_of(problem: Problem, state: State) -> dict[float, Left]:
-    """By length of a segment [s] and equation: (B,) mean speed of each segment in motion,
-    (B, bands) rms that is left of it in the equation's unit, everything fitted in its box."""
+    """By segment length [s] and equation: (B,) mean speed of each segment in motion, and (B, bands)
+    rms residual in the equation's unit, after a fit of all parameters in their box."""
     changes = problem.fitted_changes()
     parts: dict[str, list[tuple[Array, Array]]] = {}
     for f in state.forwards:
@@ -45,7 +47,7 @@ def left_of(problem: Problem, state: State) -> dict[float, Left]:
 
 
 def _by_band(y: Array, mask: Mask) -> Array:
-    """rms (B, bands) of rows (B, n) that are there."""
+    """Rms (B, bands) of the present rows (B, n)."""
     n = y.shape[1]
     power = dct(np.where(mask, y, 0.0), type=2, axis=1, norm="ortho") ** 2
     hz = np.arange(n) / (2.0 * n * STEP_S)
@@ -56,7 +58,8 @@ def _by_band(y: Array, mask: Mask) -> Array:
 
 
 def _row(name: str, band: int) -> FamilyRow:
-    """Where roads shake, chance starts from a class of road."""
+    """One number of the family: where roads shake the vehicle, the chance is computed beyond one
+    road class."""
     low, high = BANDS_HZ[band : band + 2]
     road = float(np.log(ROAD_CLASS))
     is_shaken = low >= SHAKEN_FROM_HZ.get(name, np.inf)
@@ -73,4 +76,4 @@ def _row(name: str, band: int) -> FamilyRow:
 
 
 LEAVES = Family(LOUDER, _row)
-"""What segments leave of an equation, by band."""
+"""Residuals of segments by equation and band."""

@@ -1,11 +1,11 @@
-"""A speed that swings once or twice a turn of a wheel.
+"""Find a speed signal that oscillates once or twice per wheel turn.
 
-Order analysis: what turns with the wheel is periodic in the way travelled and not in time, however
-seldom the speed is sampled; between two samples a wheel may turn several times, and the swing is
-folded to anywhere (Fyfe and Munck, Analysis of computed order tracking, 1997). So the waves are
-taken at the samples' own places. The way by the speed itself keeps its phase within a segment; from
-segment to segment nothing is asked of the phase. A road is periodic from 4 m on (slabs of
-concrete), where nothing is looked for.
+Order analysis (Fyfe and Munck, Analysis of computed order tracking, 1997): an effect of the wheel
+is periodic in distance, not in time. Between two samples a wheel may turn several times, and
+aliasing moves the oscillation to any frequency. So the waves are evaluated at the samples' own
+positions. The distance from the speed itself keeps its phase within a segment; between segments the
+phase is free. A road may be periodic with 4 m and more (concrete slabs), so such wavelengths are
+not tested.
 """
 
 from __future__ import annotations
@@ -25,44 +25,44 @@ from imucald.diagnosis.result import TURNS_WITH_WHEEL, Structure
 from imucald.diagnosis.search.state import State
 
 ROUND_M = 1.5, 2.3
-"""Once round a tyre of a passenger car or van: 155/65 R13 is 1.60 m, 235/65 R17 is 2.27 m."""
+"""Circumference of a tyre of a passenger car or van: 155/65 R13 is 1.60 m, 235/65 R17 is 2.27 m."""
 ONCE = {1: "once", 2: "twice"}
-"""A turn: how often a wheel that is not centred, and one that is oval, swings."""
+"""Oscillations per turn: of a wheel that is not centred, and of an oval one."""
 RUN_OUT = 1.5 / 300.0
-"""Of the radius: a tyre on its wheel that is less round is to be exchanged (1.5 mm, workshop
-manuals of cars). A ring of teeth or magnets in a bearing is rounder."""
+"""Allowed share of the radius: a less round tyre must be replaced (1.5 mm, workshop manuals of
+cars). A ring of teeth or magnets in a bearing is rounder."""
 DRIVING_MPS = 3.0
 LEAST_KNOTS = 20
 LEAST_SEGMENTS = 6
 SLOW_TERMS = 6
-"""Polynomials that take what drifts within a segment: up to some 0.1 Hz in 30 s."""
+"""Number of polynomials that absorb drifts within a segment: up to about 0.1 Hz in 30 s."""
 FREE = 4.0
-"""Coefficients of the residual, over those that are fitted, that must be left."""
+"""Fewest coefficients of the residual beyond the fitted ones."""
 FINE = 2.0
-"""Waves tried, over those that a segment's length tells apart."""
+"""Number of tested waves, relative to those that a segment's length resolves."""
 
 
 @dataclass(frozen=True)
 class Stretch:
-    """Knots of a speed within a segment, one after another. (n,)"""
+    """Consecutive knots of a speed within a segment, (n,) each."""
 
     way: Array
-    """Travelled [m]."""
+    """Travelled distance [m]."""
     speed: Array
-    """As the accelerometer says it beside the speed's slow parts [m/s]."""
+    """Speed from the accelerometer and the slow parts of the speed signal [m/s]."""
     left: Array
-    """Speed less what the accelerometer says of it [m/s], slow parts taken off."""
+    """Speed minus the accelerometer's speed [m/s], slow parts removed."""
     known: Array
-    """(n, q) orthonormal: what was taken off."""
+    """(n, q) orthonormal columns that were removed."""
 
 
 def orders(problem: Problem, state: State) -> list[Question]:
-    """Whether what is left of the speed goes round with a wheel."""
+    """Test whether the speed's residual is periodic with a wheel turn."""
     return asked_of(state.forwards, problem.fitted_changes())
 
 
 def asked_of(forwards: Sequence[Forward], changes: Mapping[str, float]) -> list[Question]:
-    """Of drives beside their model. changes: what fits them, within its box."""
+    """Questions for drives with their model. changes: the fit within its box."""
     some = [s for f in forwards for s in _stretches(f, changes)]
     if len(some) < LEAST_SEGMENTS:
         return []
@@ -76,15 +76,15 @@ def asked_of(forwards: Sequence[Forward], changes: Mapping[str, float]) -> list[
 
 
 def _question(some: Sequence[Stretch], turns: Array, harmonic: int) -> Question:
-    """turns: (F,) waves a metre."""
+    """turns: (F,) waves per metre."""
     gains, powers, energies = (np.empty((len(some), len(turns))) for _ in range(3))
     for b, s in enumerate(some):
         gains[b], powers[b], energies[b] = _of_stretch(s, turns)
     # One segment in fifteen must not decide.
     kept = len(some) - one_in_fifteen(len(some))
     total = np.sort(gains, axis=0)[:kept].sum(axis=0)
-    # A ratio of likelihoods of two free numbers has the mean 1 (Wilks), if noise is what is taken
-    # for it; other waves show what it has.
+    # The log likelihood ratio of two free numbers has the mean 1 (Wilks) if the noise level is
+    # right; the other waves show its real level.
     usual = max(float(np.median(total)) / float(gamma.median(kept)), 1.0)
     best = int(np.argmax(total))
     p = min(len(turns) * float(gamma.sf(total[best] / usual, kept)), 1.0)
@@ -98,8 +98,8 @@ def _question(some: Sequence[Stretch], turns: Array, harmonic: int) -> Question:
 
 
 def _of_stretch(s: Stretch, turns: Array) -> tuple[Array, Array, Array]:
-    """By wave (F,): log likelihood that a swing of the speed's gain brings, its power beyond noise,
-    and the energy of a swing of one."""
+    """By wave (F,): gain in log likelihood from an oscillating gain of the speed, its power beyond
+    noise, and the energy of an oscillation of 1."""
     phase = 2.0 * np.pi * np.outer(s.way, turns)
     X = np.stack([np.cos(phase), np.sin(phase)]) * s.speed[:, None]
     X -= s.known @ (s.known.T @ X)
@@ -112,12 +112,12 @@ def _of_stretch(s: Stretch, turns: Array) -> tuple[Array, Array, Array]:
     free = len(s.left) - s.known.shape[1] - 2
     share = np.clip(explained / max(whole, 1e-300), 0.0, 1.0 - 1e-9)
     noise = (whole - explained) / free
-    # Of n free numbers, -(n/2) log(1 - R^2) exceeds any x with a chance of exp(-x).
+    # With n free numbers, -(n/2) log(1 - R^2) exceeds any x with a chance of exp(-x).
     return -0.5 * free * np.log(1.0 - share), explained - 2.0 * noise, 0.5 * (cc + ss)
 
 
 def _stretches(f: Forward, changes: Mapping[str, float]) -> Iterator[Stretch]:
-    """The longest part of each segment that has all that is needed."""
+    """The longest part of each segment with all needed data."""
     found, masks = f.residuals(changes), f.usable()
     if "accel_x" not in found.of or not f.has_gravity:
         return
@@ -125,7 +125,7 @@ def _stretches(f: Forward, changes: Mapping[str, float]) -> Iterator[Stretch]:
     tilt = [x.ravel() for x in found.tilt["accel_x"]]
     knots, v = f.knots, np.abs(f.drive.knots.values)
     dt = np.diff(knots)
-    # Between two knots the equation is one number, which lasts.
+    # Between two knots the equation has one constant value.
     row = np.clip(np.searchsorted(f.t, 0.5 * (knots[1:] + knots[:-1])), 0, len(f.t) - 1)
     inside = (knots[:-1] >= f.t[0]) & (knots[1:] <= f.t[-1])
     good = mask[row] & inside & (np.minimum(v[1:], v[:-1]) > DRIVING_MPS)
@@ -145,10 +145,10 @@ def _stretches(f: Forward, changes: Mapping[str, float]) -> Iterator[Stretch]:
         at = np.linspace(-1.0, 1.0, last - first + 1)
         slow = np.polynomial.legendre.legvander(at, SLOW_TERMS - 1)
         known = np.linalg.qr(np.column_stack([slow, *sums[1:]]))[0]
-        # What is left of the force is the speed's slope with the other sign.
+        # The residual of the force is that of the speed's slope with the opposite sign.
         y = -sums[0]
         y -= known @ (known.T @ y)
-        # The way of a speed that swings between its samples is none.
+        # A distance cannot be found from a speed that oscillates between its samples.
         smooth = v[first : last + 1] - y
         way = _summed(0.5 * (smooth[1:] + smooth[:-1]) * dt[part])
         yield Stretch(way, smooth, y, known)

@@ -1,11 +1,11 @@
-"""Errors of one signal that depend on another: products and even parts, of every pair.
+"""Test every pair of signals for an error of one that depends on the other.
 
 A parameter of the model file is one number, and a cause of the catalogue is linear in the signals.
-What a sensor shows too much may as well go with the speed, with the side that the vehicle turns to,
-or with how hard it was driven a while ago: a zero that does is an even or a bent part of the other
-signal, a gain or a delay that does is a product of two (Volterra terms of second order; as a test
-of a linear model: Ramsey 1969; Lee, White and Granger 1993). Every sensor's zero, gain and delay is
-asked beside every condition, by the equations' own physics.
+But a sensor's error may also depend on the speed, on the direction of turning, or on how hard the
+vehicle was driven shortly before. A zero that does so is an even or nonlinear function of the other
+signal. A gain or a delay that does so is a product of two signals (Volterra terms of second order;
+as a test of a linear model: Ramsey 1969; Lee, White and Granger 1993). The zero, gain and delay of
+every sensor are tested with every condition, by the physics of the equations.
 """
 
 from __future__ import annotations
@@ -42,15 +42,16 @@ from imucald.mount.mount_words import SD_95
 
 ZERO, GAIN, LATE = "zero", "gain", "delay"
 PARTS = 4
-"""Of a segment, whose scatter is looked at: a bend or a braking lasts some seconds."""
+"""Parts of a segment whose scatter is used: a bend or a braking lasts some seconds."""
 LEAST_PARTS = 10.0
-"""That carry what is known of an error."""
+"""Fewest parts that carry the information on an error."""
 LEAST_BLOCKS = 6
 OWN_SHARE = 0.1
-"""Of a column's energy that columns of the catalogue do not make up for: beside less, its value is
-that of what the columns err by (a variance inflation factor of ten; Marquardt 1970)."""
+"""Smallest share of a column's energy that the catalogue's columns do not explain. With less, its
+value depends on the errors of those columns (a variance inflation factor of ten; Marquardt
+1970)."""
 HALF_KMH = 0.5 / 3.6
-"""A speed in whole km/h, as SAE J1979 has it, is off by so much [m/s]."""
+"""Error of a speed in whole km/h, as in SAE J1979 [m/s]."""
 DELAY = "speed.delay_s"
 BEND_MPS = 10.0
 OWN: Mapping[str, tuple[tuple[str, str], str, float]] = {
@@ -58,21 +59,22 @@ OWN: Mapping[str, tuple[tuple[str, str], str, float]] = {
     "accel.bias.y": (TO_ONE_SIDE, "accel.scale.1", STOPPING_MPS2),
     "gyro.bias.z": (TO_ONE_SIDE, "gyro.scale.2", STOPPING_MPS2 / BEND_MPS),
 }
-"""Zeros beside which a condition is the sign of the signal itself: a gain that is off makes as much
-of a strong value."""
+"""Zeros whose condition is the sign of the signal itself: a wrong gain has the same effect at
+strong values."""
 PRIOR = 3.0
-"""Over the square of a half width: information of what lies evenly within it."""
+"""Divided by the square of a half width, this is the information of a uniform distribution within
+it."""
 
 
 @dataclass(frozen=True)
 class Error:
-    """Something that a sensor shows too much."""
+    """An error of a sensor's reading."""
 
     text: str
     signal: str
     kind: str
     key: str
-    """Parameter of the catalogue that it is like, with its tolerance; empty: the speed's zero."""
+    """The similar parameter of the catalogue, whose tolerance is used; empty: the speed's zero."""
     axis: int | None = None
 
 
@@ -101,14 +103,14 @@ ERRORS = (
     Error("the steering angle's delay", "steering", LATE, "steering.delay_s"),
 )  # fmt: skip
 Asked = tuple[Error, str]
-"""An error, and a condition that it may go with."""
+"""An error, and a condition that it may depend on."""
 
 
 def pairs(problem: Problem, state: State) -> list[Question]:
-    """One question for each error of a sensor and each condition."""
+    """One question for each error of a sensor with each condition."""
     table = problem.table
     fitted = np.tile(problem.fit(), (sum(f.blocks for f in state.forwards), 1))
-    # What was named and has no place in the model file is another in each segment.
+    # A named drift has no place in the model file and differs in each segment.
     fitted[table.number] = -what_leaves(problem, drift_of(problem, state))[:, 1:]
     return asked_of(state.forwards, state.model, table, fitted)
 
@@ -116,10 +118,10 @@ def pairs(problem: Problem, state: State) -> list[Question]:
 def asked_of(
     forwards: Sequence[Forward], model: VehicleModel, table: Table, x: Array
 ) -> list[Question]:
-    """Of drives beside a model file, whose table this is. x: (all blocks, P) departures that fit
+    """Questions for drives with a model file and its table. x: (all blocks, P) departures that fit
     their segments."""
     if not all(f.has_gravity for f in forwards):
-        return []  # the road's slope is left, and goes with anything
+        return []  # the road's slope is not removed and correlates with anything
     some = [conditions(f) for f in forwards]
     asked = [
         (error, name)
@@ -137,19 +139,19 @@ def asked_of(
 
 
 def _can_be_asked(error: Error, condition: str) -> bool:
-    """A tyre answers after so much of its way, not of time (relaxation length, Pacejka, ch. 5):
-    beside turning, a delay goes with the speed in every vehicle. A zero that goes with its own
-    signal is a gain."""
+    """Whether an error can be tested with a condition. A tyre responds after a distance, not a time
+    (relaxation length, Pacejka, ch. 5), so in every vehicle the delay in turns depends on the
+    speed. A zero that depends on its own signal is a gain."""
     if error.kind == ZERO and error.signal == "speed" and condition == SPEEDS[0]:
         return False
     return error.kind != LATE or error.signal == "speed" or condition not in SPEEDS
 
 
 def may_be(error: Error, condition: str, model: VehicleModel) -> float:
-    """By how much a correct file may be wrong, with what the equations err by: where a vehicle
-    would differ between its sides for it, that is not among it."""
+    """Error that a correct file may have, including that of the equations. The latter is left out
+    for conditions in which only an asymmetric vehicle would cause it."""
     if not error.key:
-        # A late speed is off by so much of the acceleration.
+        # A delayed speed is wrong by the delay times the acceleration.
         late = tolerance(model, DELAY) + SD_95 * model_error(model, DELAY)
         return HALF_KMH + (STOPPING_MPS2 * late if condition in EITHER_WAY else 0.0)
     half = tolerance(model, error.key)
@@ -160,7 +162,7 @@ def may_be(error: Error, condition: str, model: VehicleModel) -> float:
         return half
     half += SD_95 * model_error(model, error.key)
     if error.kind == GAIN and condition in SPEEDS:
-        # So much of a crawl is half a km/h.
+        # At crawling speed, half a km/h is this share.
         half += HALF_KMH / CRAWL_MPS if condition != SPEEDS[0] else 0.0
     return half
 
@@ -171,14 +173,14 @@ def may_be(error: Error, condition: str, model: VehicleModel) -> float:
 def _added(
     f: Forward, model: VehicleModel, asked: Sequence[Asked], some: Mapping[str, Array]
 ) -> Iterator[tuple[dict[str, Array], float]]:
-    """What an error of one from one end of a condition to the other adds, times a step."""
+    """Effect of an error that grows by one over the range of a condition, times a step."""
     for error, name in asked:
         step = may_be(error, name, model)
         yield {error.signal: step * (some[name] * _unit(f, error).T).T}, step
 
 
 def _unit(f: Forward, error: Error) -> Array:
-    """(N,), or (N, 3) along the vehicle: what a zero, a gain or a delay of one adds."""
+    """(N,), or (N, 3) along the vehicle: effect of a zero, a gain or a delay of 1."""
     if error.kind == ZERO:
         if error.axis is None:
             return np.ones(len(f.t))
@@ -191,9 +193,9 @@ def _unit(f: Forward, error: Error) -> Array:
 
 
 def _scores(parts: Mapping[str, AddedRows], x: Array, prior: Array) -> tuple[Array, Array]:
-    """(B, PARTS, E) slope of the loss along each column, and its curvature: beside all columns of
-    the catalogue, which go as far as is plausible (Frisch and Waugh), and the tilt. None of a
-    column that these make up for."""
+    """(B, PARTS, E) slope and curvature of the loss along each column. All columns of the
+    catalogue, within their plausible ranges, and the tilt are projected out (Frisch and Waugh).
+    Both are zero for a column that these explain."""
     rows = list(whitened(parts, x).values())
     P = x.shape[1]
     flat = [a.reshape(-1, a.shape[2])[:, 1:] for a in rows]
@@ -211,13 +213,13 @@ def _scores(parts: Mapping[str, AddedRows], x: Array, prior: Array) -> tuple[Arr
 
 
 def _in_time(a: Array) -> Array:
-    """(B, n, E) of coefficients (B, K, E), n a multiple of `PARTS`."""
+    """(B, n, E) time series from coefficients (B, K, E); n is a multiple of `PARTS`."""
     n = -(-a.shape[1] // PARTS) * PARTS
     return np.asarray(idct(a, type=2, axis=1, norm="ortho", n=n))
 
 
 def _by_part(a: Array, b: Array) -> Array:
-    """(B, PARTS, E) sums of products of two, by time within each block."""
+    """(B, PARTS, E) sums of the products of two arrays, by part of each block."""
     product = a * b
     return np.asarray(product.reshape(len(a), PARTS, a.shape[1] // PARTS, -1).sum(axis=2))
 
@@ -245,7 +247,7 @@ def _questions(
     for (error, condition, test), scatter, count in zip(tests, over, free, strict=True):
         may = EITHER_SIDE * may_be(error, condition, model)
         value, sigma, p = test.value, test.sigma(scatter), test.chance(scatter, count)
-        # An end less its error of one deviation.
+        # The value minus one standard deviation counts.
         is_large = abs(value) * (1.0 - 1.0 / max(sigma, 1.0)) > may and test.gain > SINGLE_NATS
         size = amount(error.key, value) if error.key else f"{value:.2g} m/s"
         text = (
@@ -259,22 +261,22 @@ def _questions(
 
 @dataclass(frozen=True)
 class PairTest:
-    """What is known of one question. over: scatter over what noise makes, known by so many degrees
-    of freedom as `free`; gain: nats on blocks that its fit did not see."""
+    """Result of one question. over: scatter divided by that of noise alone, with `free` degrees of
+    freedom. gain: nats on blocks that its fit did not use."""
 
     value: float
     by_rows: float
-    """Its deviations by the noise of all rows."""
+    """Its size in standard deviations by the noise of all rows."""
     over: float
     free: float
     gain: float
 
     def sigma(self, over: float) -> float:
-        """Its deviations with a scatter, by the noise of all rows at most."""
+        """Its size in standard deviations with a scatter; at most that by the noise of all rows."""
         return self.by_rows / float(np.sqrt(max(over, 1.0)))
 
     def chance(self, over: float, free: float) -> float:
-        """Its chance with a scatter that is known by so many degrees of freedom."""
+        """Its chance with a scatter that has `free` degrees of freedom."""
         by = self.by_rows / float(np.sqrt(max(over, 1e-300)))
         return chance_of_both(by, free, self.by_rows)
 
@@ -282,8 +284,9 @@ class PairTest:
 def _test(u: Array, h: Array) -> PairTest:
     """u, h: (B, PARTS) slope and curvature of the loss.
 
-    Its deviation is by the scatter between parts of segments or between segments, whichever is
-    larger, with as many as what is known of it lies in; and by the noise of all rows.
+    Its standard deviation comes from the scatter between parts of segments or between segments,
+    whichever is larger, with the effective number of these as degrees of freedom. Another one comes
+    from the noise of all rows.
     """
     information = float(h.sum())
     value = float(u.sum()) / information
@@ -297,9 +300,9 @@ def _test(u: Array, h: Array) -> PairTest:
 
 
 def _deviations(u: Array, h: Array, left: Array) -> tuple[float, float]:
-    """Of a sum of slopes u, by how what is left of them scatters, alone and with neighbours; and in
-    how many of them what is known lies, (sum h)^2 / sum h^2 (Carter, Schnepel and Steigerwald
-    2017)."""
+    """Standard deviation of a sum of slopes u, from the scatter of their residuals, single and with
+    neighbours; and the effective number of slopes with information, (sum h)^2 / sum h^2 (Carter,
+    Schnepel and Steigerwald 2017)."""
     scatter = max(float(s[0, 0]) for s in scatters(left.reshape(-1, 1), 1))
     count = max(float(h.sum() ** 2 / (h**2).sum()), 2.0)
     return abs(float(u.sum())) / float(np.sqrt(max(scatter, 1e-300))), count

@@ -1,11 +1,12 @@
-"""What an equation leaves over as a function of its own signal: bent, one-sided, or with memory.
+"""Test a residual for a nonlinear dependence on its own signal: bent, one-sided, or with memory.
 
-A model that is linear in its errors leaves nothing that depends on the level, the direction or the
-last large value of a signal, whatever its parameters. What does is no cause of the catalogue.
+A model that is linear in its errors leaves no residual that depends on the level, the direction or
+the last large value of a signal, with any parameters. So such a residual has no cause in the
+catalogue.
 
-All that is linear in the signal is fitted with a shape (as in the test of Lee, White and Granger
-1993): the last large value foretells the value, so that a gain which is not wholly taken off would
-look like memory.
+Everything linear in the signal is fitted together with a shape (as in the test of Lee, White and
+Granger 1993). Otherwise a gain that is not fully removed would look like memory, because the last
+large value predicts the present value.
 """
 
 from __future__ import annotations
@@ -31,39 +32,43 @@ from imucald.diagnosis.signals import STEP_S
 from imucald.mount.mount_words import SD_95
 
 ASKED = ("accel_x", "accel_y", "gyro_z", "lateral_accel", "longitudinal_accel")
-"""Equations that know their signal from another sensor."""
+"""Equations in which another sensor predicts the signal."""
 ZERO: Mapping[str, str] = {"gyro_z": "gyro.bias.z", "accel_x": "accel.bias.x",
                            "accel_y": "accel.bias.y"}  # fmt: skip
-"""A zero error that a correct file may have: less than that is not reported."""
+"""Zero errors that a correct file may have; smaller effects are not reported."""
 GAIN: Mapping[str, str] = {
     "accel_x": "speed.scale", "accel_y": "gyro.scale.2", "gyro_z": "gyro.scale.2",
     "lateral_accel": "lateral_accel.scale", "longitudinal_accel": "longitudinal_accel.scale",
 }  # fmt: skip
-"""A gain that a correct file may have wrong, with what the equations err by."""
+"""Gains whose tolerance limits the effect, including the error of the equations."""
 GAINS = ("bent", "one-sided", "steeper")
-"""Shapes that are a gain which goes with the value: held against what a gain may be wrong by."""
+"""Shapes that are a value-dependent gain; they are compared with the tolerance of a gain."""
 LINEAR = 3
-"""Columns for what is linear in the signal: value, slope and bend, for a gain, a delay and a filter
-(the first three terms of a transfer function's Taylor series about frequency 0)."""
+"""Number of columns that are linear in the signal: value, first and second derivative, for a gain,
+a delay and a filter (the first three terms of a transfer function's Taylor series about frequency
+0)."""
 LEAST_BLOCKS = 8
 CLUSTER_S = 5.0
-"""Parts of a block whose scatter is taken beside that of blocks: as long as a manoeuvre lasts. What
-is whitened is independent after half the period of the band's end, a second or two."""
+"""Length of the parts of a block whose scatter is used next to that of blocks: as long as a
+manoeuvre. Whitened residuals are independent after half the period of the band's upper end, a
+second or two."""
 LARGE = (0.5, 1.0, 2.0)
-"""Times its rms: from where on a value may leave something behind. Octaves, of which one lies
-within a factor of 1.4 of any such level: the sign is then mostly the same."""
+"""Levels, in multiples of the rms, above which a value may leave an after-effect. They are octaves,
+so one lies within a factor of 1.4 of any true level; the sign of the last large value is then
+mostly the same."""
 SHAKEN_S = (1.0, 3.0, 10.0)
-"""From what the grid resolves to what a block's tilt does not take."""
+"""Time constants from the resolution of the grid up to those that a block's tilt absorbs."""
 LATE = "late"
 TURNING = "turning"
-"""A speed that is off by a length times the amount of the yaw rate (RESET with another input's even
-part; Ramsey 1969). A point next to the middle is off by its signed rate, which is odd."""
+"""Shape of a speed error equal to a length times the absolute yaw rate (RESET with another input's
+even part; Ramsey 1969). A point beside the vehicle's middle has an error by the signed yaw rate,
+which is odd."""
 BESIDE_M = PARAMETERS["mount.lever_arm_m.1"].tolerance
-"""By which the point that the speed is of may be off sideways in a correct file [m]."""
+"""Allowed lateral offset, in a correct file, of the point to which the speed belongs [m]."""
 DELAY_S = dict.fromkeys(ASKED, PARAMETERS["accel.delay_s"].tolerance) | {
     "accel_x": PARAMETERS["speed.delay_s"].tolerance
 }
-"""By which a signal of the equation may be late in a correct file [s]."""
+"""Allowed delay of a signal of the equation in a correct file [s]."""
 SHAPES = {
     "bent": "has a smaller slope for large values than for small ones",
     "one-sided": "differs between positive and negative values",
@@ -78,42 +83,42 @@ SHAPES = {
     TURNING: "follows how much the vehicle turns, to either side",
 }
 SPEED_S = "accel_x"
-"""The equation of the speed's slope, which knows the yaw rate from another sensor."""
+"""The equation of the speed's slope; its yaw rate comes from another sensor."""
 
 
 @dataclass(frozen=True)
 class ShapeRows:
-    """Blocks of one equation, transformed. Residual (B, K), shapes (B, K, LINEAR + k): the value
-    itself, its slope and bend, and k more; next to them the tilt (B, K, Z)."""
+    """Blocks of one equation, transformed. Residual (B, K); shapes (B, K, LINEAR + k): the value,
+    its first and second derivative, and k more; tilt (B, K, Z)."""
 
     y: Array
     X: Array
     tilt: Array
     rows: int
-    """Samples a block."""
+    """Samples in each block."""
 
 
 @dataclass(frozen=True)
 class Grams:
-    """Of one equation, whitened, the tilt projected out; residual first."""
+    """Gram matrices of one equation, whitened, with the tilt projected out; residual first."""
 
     parts: Array
     """(B, C, P, P) of each block's parts, one or more."""
     squares: Array
-    """(B, P) mean squares in their units."""
+    """(B, P) mean squares of the columns, in their units."""
 
     @property
     def blocks(self) -> Array:
-        """(B, P, P)"""
+        """(B, P, P) Gram matrices of whole blocks."""
         return np.asarray(self.parts.sum(axis=1))
 
 
 def patterns(problem: Problem, forwards: Sequence[Forward]) -> list[Question]:
-    """Residuals that depend on their own signal in a way that is not linear.
+    """Test for residuals that depend nonlinearly on their own signal.
 
-    Each shape is fitted with value, slope, bend and the block's tilt. Large is what is larger
-    than the zero error that a correct file may have, or later than its delay, and not owed to one
-    block.
+    Each shape is fitted together with value, first and second derivative, and the block's tilt. An
+    effect is large if it exceeds the zero error or the delay that a correct file may have, and does
+    not come from a single block.
     """
     changes = problem.fitted_changes()
     parts: dict[str, list[ShapeRows]] = {}
@@ -160,7 +165,7 @@ def _gram(parts: Sequence[ShapeRows]) -> Grams:
     Z = np.concatenate([p.tilt for p in parts])
     A = without_tilt(A, Z)
     squares = np.sum(A**2, axis=1) / parts[0].rows
-    # What is left besides the linear columns is the noise.
+    # The residual beside the linear columns counts as noise.
     linear = A[:, :, : 1 + LINEAR]
     line = _solved(np.einsum("bki,bkj->ij", linear, linear))
     left = A[:, :, 0] - linear[:, :, 1:] @ line
@@ -178,9 +183,9 @@ def _in_time(A: Array, seconds: float) -> Array:
 
 
 def _shapes(x: Array, top_hz: float) -> Array:
-    """(N, LINEAR + k): value, slope and bend of the signal (N,) as it is, then what is asked of it
-    without what its noise would make. The usual size is the signal's rms. [unit, unit/s, unit/s^2]
-    """
+    """(N, LINEAR + k): value, first and second derivative of the signal (N,), then the tested
+    shapes, corrected for the effect of noise. Sizes are relative to the signal's rms. [unit,
+    unit/s, unit/s^2]"""
     smooth = _smooth(x, top_hz)
     size = max(float(np.sqrt(np.mean(smooth**2))), 1e-12)
     z = smooth / size
@@ -194,7 +199,7 @@ def _shapes(x: Array, top_hz: float) -> Array:
 
 
 def _bend(x: Array) -> Array:
-    """(N,) second difference, which is there up to half the rate of samples."""
+    """(N,) second difference, which works up to half the sample rate."""
     padded = np.pad(x, 1, mode="edge")
     return np.asarray(np.diff(padded, 2) / STEP_S**2)
 
@@ -205,7 +210,7 @@ def _smooth(x: Array, top_hz: float) -> Array:
 
 
 def _turning(f: Forward, top_hz: Mapping[str, float]) -> Array:
-    """(N,) slope of the yaw rate's amount [rad/s^2]; none where nothing turns."""
+    """(N,) derivative of the absolute yaw rate [rad/s^2]; zero without a yaw rate."""
     if not f.has_turning or SPEED_S not in top_hz:
         return np.zeros(len(f.t))
     return np.asarray(np.gradient(np.abs(_smooth(f.yaw_rate(), top_hz[SPEED_S])), STEP_S))
@@ -216,21 +221,21 @@ def _asked(name: str, gram: Grams) -> Iterator[Question]:
     for k, shape in enumerate(SHAPES):
         at = 1 + LINEAR + k
         if not squares[:, at].any():
-            continue  # not asked of this equation
+            continue  # not tested for this equation
         index = [*range(1 + LINEAR), at]
         value, sigma, p, gain, free = _fit(gram.parts[:, :, index][:, :, :, index])
         rms = float(np.sqrt(squares[:, at].mean()))
         kind, limit, unit = GOES_WITH_LEVEL, _least(name), rms
         if shape == LATE:
-            # One side is late by `value` seconds and the other early.
+            # One side is late by `value` seconds, the other is early by as much.
             limit, unit = DELAY_S[name], 1.0
         elif shape == TURNING:
             limit, unit = BESIDE_M, 1.0
         elif shape.startswith("memory"):
-            # A zero error of one sign or the other.
+            # The effect is a zero error with either sign.
             unit = 1.0
         elif shape.startswith("shaken"):
-            # From one end of what a zero may be to the other.
+            # The effect is compared with the whole tolerance range of a zero.
             kind, limit, unit = GOES_WITH_SHAKING, 2.0 * _least(name), 1.0
         elif shape in GAINS:
             limit = _gain(name) * float(np.sqrt(squares[:, 1].mean()))
@@ -248,21 +253,21 @@ def _least(name: str) -> float:
 
 
 def _gain(name: str) -> float:
-    """Share of the value that a gain may be wrong by."""
+    """Tolerance of the gain, as a share of the value."""
     key = GAIN[name]
     base = next(k for k in MODEL_ERROR if key.startswith(k))
     return PARAMETERS[key].tolerance + SD_95 * MODEL_ERROR[base]
 
 
 def _fit(parts: Array) -> tuple[float, float, float, float, float]:
-    """Of the last column beside the others: value, its deviations, its chance, nats on blocks that
-    its fit did not see, and by how many degrees of freedom its error is known.
+    """Result for the last column, fitted with the others: value, its size in standard deviations,
+    its chance, nats on blocks that its fit did not use, and the degrees of freedom of its error.
 
     parts: (B, C, 1 + P, 1 + P), residual first.
 
-    It must be beyond chance by how the parts scatter (Student, as many as hold something on it) and
-    by the noise of all rows (normal), each with its own law: the larger deviation is not held
-    against the few parts if it is not theirs.
+    It must exceed chance by the scatter of the parts (Student, with their effective number) and by
+    the noise of all rows (normal). Each measure uses its own distribution, so a large deviation
+    from the rows is not judged with the few degrees of freedom of the parts.
     """
     gram = parts.sum(axis=1)
     total = gram.sum(axis=0)
@@ -275,7 +280,7 @@ def _fit(parts: Array) -> tuple[float, float, float, float, float]:
         for way in scatters(some[:, 1:, 0] - some[:, 1:, 1:] @ value, len(value))
     )
     rows = float(variances(inverse, whole)[-1])
-    if min(blocks, rows) <= 0.0:  # rounding: nothing is known
+    if min(blocks, rows) <= 0.0:  # no information is left (rounding)
         return float(value[-1]), 0.0, 1.0, 0.0, 1.0
     by_blocks, by_rows = abs(value[-1]) / np.sqrt(blocks), abs(value[-1]) / np.sqrt(rows)
     freedom = _effective(fine[:, 1:, 1:], inverse[-1]) - 1.0
@@ -286,8 +291,9 @@ def _fit(parts: Array) -> tuple[float, float, float, float, float]:
 
 
 def _effective(inner: Array, row: Array) -> float:
-    """How many parts a value rests on: their number, less where they hold unequal shares of it
-    (effective number of clusters; Carter, Schnepel and Steigerwald 2017); more than one.
+    """Effective number of parts for a value: their number, or fewer if they carry unequal
+    information (effective number of clusters; Carter, Schnepel and Steigerwald 2017); more than
+    one.
 
     inner: (C, P, P) of the columns. row: (P,) of the inverse Hessian.
     """
@@ -303,6 +309,6 @@ def _solved(gram: Array) -> Array:
 
 
 def _losses(gram: Array, x: Array) -> Array:
-    """(B,) half the squares that x (B, P) leaves of blocks (B, 1 + P, 1 + P)."""
+    """(B,) half the sum of squares that x (B, P) leaves in blocks (B, 1 + P, 1 + P)."""
     z = np.concatenate([np.ones((len(x), 1)), -x], axis=1)[:, :, None]
     return np.asarray(0.5 * (np.swapaxes(z, 1, 2) @ gram @ z)[:, 0, 0])

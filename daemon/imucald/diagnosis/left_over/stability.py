@@ -1,8 +1,8 @@
-"""Zeros and gains that are not the same all along: from piece to piece, and by condition.
+"""Find zeros and gains that change during a drive: from segment to segment, or with a condition.
 
-A parameter of the model file is one number. Where the best number of a segment goes with that of
-its neighbours, or with how fast, how shaken or how hard the vehicle is driven, something acts that
-no parameter describes. Every zero and gain is asked, whether it was found to be off or not.
+A parameter of the model file is one number. If a segment's best number correlates with its
+neighbours' numbers, or with speed, vibration or driving style, there is an effect that no parameter
+describes. Every zero and gain is tested, even if it was not found to be wrong.
 """
 
 from __future__ import annotations
@@ -30,28 +30,30 @@ from imucald.diagnosis.signals import STEP_S, DriveSignals, Mask
 from imucald.mount.mount_words import SD_95
 
 ASKED = ("bias", "scale", "offset")
-"""Endings of what every sensor has. Delays, lever arm and springs also take what the equations of
-the tyres err by, which goes with the speed in measured drives without an effect."""
+"""Parts of the tested keys, which every sensor has. Delays, lever arm and springs are not tested:
+they absorb errors of the tyre equations, which depend on the speed also in drives without an
+effect."""
 LAGS = (1, 2, 3)
-"""Neighbouring segments, half a minute to a minute and a half: longer than a manoeuvre. How long
-something lasts is not known: each is asked."""
+"""Numbers of neighbouring segments, half a minute to a minute and a half: longer than a manoeuvre.
+The duration of an effect is not known, so each is tested."""
 LEAST_SIDE = 3
-"""Segments on either side of a moment, at least."""
+"""Fewest segments on either side of a moment."""
 ORDERS, KEPT = 1000, 100
-"""Orders of the segments that are drawn at a level, and those of them that reach the next."""
+"""Permutations of the segments drawn at each level, and how many of them must reach the next
+level."""
 MOST_LEVELS = 8
-"""1e-8 is less than any family of questions asks."""
+"""This reaches a chance of 1e-8, less than any family of questions needs."""
 LEAST_WAVES = 3
-"""What swings less often within a drive wanders."""
+"""Slower oscillations within a drive count as wandering."""
 LEAST_BLOCKS = 8
 EVENLY = 3.0**-0.5
-"""Deviation of what goes anywhere within its tolerance, over the tolerance."""
+"""Standard deviation of a uniform distribution within a tolerance, over the tolerance."""
 EITHER_SIDE = 2.0
-"""Tolerances from one end of what a correct file may be to the other."""
+"""Width of the allowed range of a correct file, in tolerances."""
 PARTS = 4
-"""Of a segment that are independent of each other: a manoeuvre lasts some seconds."""
+"""Independent parts of a segment: a manoeuvre lasts some seconds."""
 EDGE = 1e-6
-"""Of a box's width that counts as its edge."""
+"""Share of a box's width that counts as its edge."""
 
 
 @dataclass(frozen=True)
@@ -66,30 +68,31 @@ class Fit:
 
     @staticmethod
     def of(problem: Problem, drift: Hypothesis | None) -> Fit:
-        """drift: of what was named and has no place in the model file; it is fitted beside."""
+        """drift: a named drift, which has no place in the model file; it is fitted too."""
         gram, low, high = problem.widened(drift)
         total = gram.sum(axis=0)
         return Fit(gram, low, high, box_fit(total[1:, 1:], total[1:, 0], low, high))
 
     @property
     def curvature(self) -> Array:
-        """(B, Q, Q) of each segment's loss."""
+        """(B, Q, Q) second derivatives of each segment's loss."""
         return self.gram[:, 1:, 1:]
 
     @property
     def scores(self) -> Array:
-        """(B, Q) slopes of each segment's loss, downward."""
+        """(B, Q) negative gradients of each segment's loss."""
         return np.asarray(self.gram[:, 1:, 0] - self.curvature @ self.x)
 
     @property
     def is_free(self) -> Mask:
-        """(Q,) what lies inside its box. Only of that the slopes add up to none."""
+        """(Q,) parameters strictly inside their box. Only for these the gradients add up to
+        zero."""
         edge = EDGE * (self.high - self.low)
         return np.asarray((self.x > self.low + edge) & (self.x < self.high - edge))
 
     def beside(self, j: int, by: Array, low: float, high: float) -> float:
-        """By how much parameter j goes with `by` (B,), itself whatever it is and all others
-        anywhere in their box. low, high: bounds of both."""
+        """Slope of parameter j over `by` (B,), with j itself between low and high and all other
+        parameters anywhere in their box. low, high: bounds of both."""
         total, cross = self.gram.sum(axis=0), by @ self.gram[:, j + 1]
         H = np.block([[total[1:, 1:], cross[1:, None]],
                       [cross[None, 1:], by**2 @ self.curvature[:, j, j]]])  # fmt: skip
@@ -100,7 +103,8 @@ class Fit:
 
 
 def unstable(problem: Problem, state: State) -> list[Question]:
-    """Zeros and gains that wander from piece to piece, or differ between conditions."""
+    """Questions about zeros and gains that wander from segment to segment, or differ between
+    conditions."""
     if problem.table.blocks < LEAST_BLOCKS:
         return []
     fit = Fit.of(problem, drift_of(problem, state))
@@ -116,16 +120,17 @@ def unstable(problem: Problem, state: State) -> list[Question]:
 
 
 def drift_of(problem: Problem, state: State) -> Hypothesis | None:
-    """What was named and has no place in the model file."""
+    """The named drift, which has no place in the model file; None without one."""
     drifts = (t.hypothesis for t in state.named if t.hypothesis.pattern is not None)
     return next((on_table(h, problem.table) for h in drifts), None)
 
 
 def _wandering(problem: Problem, fit: Fit, asked: list[int]) -> Iterator[Question]:
-    """Neighbouring segments that agree on a departure which the whole does not show.
+    """Test whether neighbouring segments share a departure that the whole drive does not show.
 
     Of scores s_b with information h_b, s_b s_(b+l) has the expectation h_b h_(b+l) sigma^2, where
-    sigma is by how much the parameter wanders. Chance: the same segments in any order.
+    sigma is the standard deviation of the parameter's wander. The chance comes from permutations of
+    the same segments.
     """
     for j in asked:
         h, s = _departures(fit, j)
@@ -133,7 +138,7 @@ def _wandering(problem: Problem, fit: Fit, asked: list[int]) -> Iterator[Questio
             together = partial(_shared, lag=lag)
             size = np.sqrt(max(float(together(s)), 0.0) / max(float(together(h)), 1e-300))
             p = _share_of_orders(s, np.eye(len(s)), together)
-            # Of orders drawn at random the sum scatters about none by this much.
+            # For random permutations the sum scatters about zero by this much.
             scatter = np.sqrt(lag / len(s)) * float(s @ s)
             limit = (EVENLY * _may_be(problem, j)) ** 2 * float(together(h))
             rare = float(student.sf(limit / max(scatter, 1e-300), len(s) - 1))
@@ -143,10 +148,10 @@ def _wandering(problem: Problem, fit: Fit, asked: list[int]) -> Iterator[Questio
 
 
 def _swinging(problem: Problem, fit: Fit, asked: list[int]) -> Iterator[Question]:
-    """Segments a period apart that agree: of all waves the strongest.
+    """Test whether segments one period apart agree: the strongest of all waves.
 
-    Where a parameter swings by A cos(w t), sum s_b e^(i w t) has the expectation A/2 sum h_b. The
-    phases of several drives are their own. Chance: the same segments in any order.
+    If a parameter oscillates by A cos(w t), sum s_b e^(i w t) has the expectation A/2 sum h_b. Each
+    drive has its own phase. The chance comes from permutations of the same segments.
     """
     table = problem.table
     apart = np.eye(int(table.drive.max()) + 1)[table.drive]
@@ -157,7 +162,7 @@ def _swinging(problem: Problem, fit: Fit, asked: list[int]) -> Iterator[Question
     image = (apart[:, :, None] * waves[:, None, :]).reshape(table.blocks, -1)
 
     def power(z: Array) -> Array:
-        """(N, F) of drives' sums along the waves (N, D F)."""
+        """(N, F) power of the drives' sums along the waves (N, D F)."""
         return np.asarray((np.abs(z.reshape(len(z), -1, len(hz))) ** 2).sum(axis=1))
 
     def strongest(z: Array) -> Array:
@@ -169,46 +174,49 @@ def _swinging(problem: Problem, fit: Fit, asked: list[int]) -> Iterator[Question
         size = float(np.sqrt(2.0 * own.max() / np.sum((h @ apart) ** 2)))
         period = f"{1.0 / hz[own.argmax()]:.0f} s"
         how = f"changes back and forth by {{}} every {period}, or faster than segments can show"
-        # A wave's power by chance is exponential about the sum of squares.
+        # By chance, a wave's power is exponentially distributed with the sum of squares as its
+        # mean.
         limit = (EVENLY * _may_be(problem, j)) ** 2 * np.sum((h @ apart) ** 2) / 2.0
         rare = min(1.0, len(hz) * float(np.exp(-limit / max(float(s @ s), 1e-300))))
         yield _wander(problem, j, _share_of_orders(s, image, strongest), size, how, rare)
 
 
 def _departures(fit: Fit, j: int) -> tuple[Array, Array]:
-    """Information (B,) on a parameter and scores, which add up to none."""
+    """Information (B,) on a parameter, and its scores (B,), which add up to zero."""
     h, s = fit.curvature[:, j, j], fit.scores[:, j]
     return h, s - h * (s.sum() / h.sum())
 
 
 def _wander(problem: Problem, j: int, p: float, size: float, how: str, rare: float) -> Question:
-    """how: with a place for the amount, which is `size`."""
+    """how: text with a placeholder for the amount `size`."""
     key = problem.table.keys[j]
     text = f"{key} {how.format(amount(key, size))}"
     return _question(problem, key, WANDERS, p, size / (EVENLY * _may_be(problem, j)), text, rare)
 
 
 def _frequencies(table: Table) -> Array:
-    """(F,) of waves that come again within a drive, up to one in two segments [Hz]."""
+    """(F,) frequencies of waves that repeat within a drive, up to one wave per two segments
+    [Hz]."""
     last = [float(np.ptp(table.start_s[table.drive == d])) for d in np.unique(table.drive)]
     whole = max(last) + table.seconds
     return np.arange(LEAST_WAVES, int(whole / (2.0 * table.seconds)) + 1) / whole
 
 
 def _shared(s: Array, lag: int) -> Array:
-    """Sum over neighbours up to a lag of their products: (..., B) to (...)."""
+    """Sum of the products of neighbours up to a lag: (..., B) to (...)."""
     return np.asarray(
         sum(np.einsum("...b,...b->...", s[..., n:], s[..., :-n]) for n in range(1, lag + 1))
     )
 
 
 def _share_of_orders(s: Array, image: Array, size_of: Callable[[Array], Array]) -> float:
-    """Share of all orders of s (B,) that have the size of its own, or more. image: (B, F), what a
-    size is made of is linear in s; size_of: (N, F) to (N,).
+    """Share of all permutations of s (B,) with at least the size of the actual order. image: (B,
+    F), linear map of s. size_of: maps its result (N, F) to sizes (N,).
 
-    Subset simulation (Au and Beck 2001): of orders that reach a level a tenth reach the next; they
-    are drawn by exchanging two places, from orders that did, and stay where they would fall below
-    the level. So a share of 1e-6 takes six times as many draws as one of a tenth, not 1e5 times.
+    Subset simulation (Au and Beck 2001): levels are set so that a tenth of the permutations at one
+    level reach the next. New permutations are made from these by exchanging two places; an exchange
+    that would fall below the level is rejected. So a share of 1e-6 takes six times as many draws as
+    a share of a tenth, not 1e5 times.
     """
     rng, rows, share = np.random.default_rng(0), np.arange(ORDERS), 1.0
     x = s[np.argsort(rng.random((ORDERS, len(s))), axis=1)]
@@ -236,7 +244,8 @@ def _share_of_orders(s: Array, image: Array, size_of: Callable[[Array], Array]) 
 
 
 def _jumping(problem: Problem, fit: Fit, asked: list[int]) -> Iterator[Question]:
-    """A zero or gain that is another from some moment on; its chance is shared out over moments."""
+    """Test for a zero or gain that changes at some moment; the chance is corrected for the number
+    of moments."""
     B = problem.table.blocks
     moments: dict[str, Array] = {
         str(k): (np.arange(B) >= k).astype(float) for k in range(LEAST_SIDE, B - LEAST_SIDE + 1)
@@ -257,7 +266,7 @@ def _jumping(problem: Problem, fit: Fit, asked: list[int]) -> Iterator[Question]
 
 
 def moment(table: Table, segment: int) -> str:
-    """When a segment begins; of several drives, in which."""
+    """Start of a segment in words; with several drives, also which drive."""
     at, drive = f"{table.start_s[segment]:.0f} s", int(table.drive[segment])
     return at if not table.drive.any() else f"{at} of drive {drive + 1}"
 
@@ -265,7 +274,7 @@ def moment(table: Table, segment: int) -> str:
 def _conditional(
     problem: Problem, fit: Fit, asked: list[int], some: Mapping[str, Array]
 ) -> Iterator[Question]:
-    """A zero or gain that is another where a condition is high."""
+    """Test for a zero or gain that changes with a condition."""
     shares = {}
     for name, c in some.items():
         low, high = np.quantile(c, [0.05, 0.95])
@@ -280,8 +289,8 @@ def _conditional(
 
 @dataclass(frozen=True)
 class ScoreTest:
-    """name: of the pattern; j: parameter; p: chance; value: by how much it is another; rare: chance
-    that it looks too much where nothing is there."""
+    """Result of a test. name: of the pattern. j: parameter. p: chance. value: size of the change.
+    rare: chance that it looks too large if nothing is wrong."""
 
     name: str
     j: int
@@ -293,11 +302,12 @@ class ScoreTest:
 def _score_tests(
     problem: Problem, fit: Fit, asked: list[int], some: Mapping[str, Array]
 ) -> Iterator[ScoreTest]:
-    """A column times a pattern over the segments, fitted with all others (score test, deviation
-    between segments).
+    """Tests of a column times a pattern over the segments, fitted with all others (score test,
+    deviation from the scatter between segments).
 
-    What is held at the edge of its box cannot take part of the pattern, and its slope, which does
-    not vanish there, is no part of it. By how much: all others anywhere in their box.
+    A parameter at the edge of its box cannot absorb a part of the pattern, and its gradient, which
+    does not vanish there, is left out. The size of the change is found with all others anywhere in
+    their box.
     """
     scores, gram, free = fit.scores, fit.curvature, np.flatnonzero(fit.is_free)
     prior = 3.0 / np.maximum(0.5 * (fit.high - fit.low), 1e-30) ** 2
@@ -332,12 +342,12 @@ def _score_tests(
 
 
 def _may_be(problem: Problem, j: int) -> float:
-    """By how much a correct file may be wrong, with what the equations err by."""
+    """Error that a correct file may have, including that of the equations."""
     return float(problem.table.tolerance[j] + SD_95 * problem.table.model_error[j])
 
 
 def amount(key: str, x: float) -> str:
-    """A number of the model file in the unit in which people think."""
+    """Text of a number of the model file in a familiar unit."""
     unit = PARAMETERS[key].unit
     if unit.startswith("rad"):
         x, unit = float(np.degrees(x)), f"deg{unit.removeprefix('rad')}"
@@ -355,7 +365,7 @@ def _question(
 
 
 def conditions(problem: Problem, state: State) -> dict[str, Array]:
-    """(B,) by name: what segments differ in."""
+    """(B,) by name: conditions in which segments differ."""
     table = problem.table
     rows = [
         _of_segment(state.forwards[i], state.drives[i], float(start), table.seconds)
@@ -368,8 +378,8 @@ def conditions(problem: Problem, state: State) -> dict[str, Array]:
 def _of_segment(
     f: Forward, drive: DriveSignals, start: float, seconds: float
 ) -> tuple[float, float, float, float]:
-    """Mean speed, mean square of the accelerometer's steps, rms of speed times yaw rate, rms of the
-    speed's slope."""
+    """Mean speed, mean square of the accelerometer's differences, rms of speed times yaw rate, rms
+    of the speed's slope."""
     inside = (f.t >= start - 0.5 * STEP_S) & (f.t < start + seconds - 0.5 * STEP_S)
     v = np.interp(f.t[inside], f.knots, np.abs(drive.knots.values))
     accel = drive.channels["accel"]

@@ -1,7 +1,7 @@
-"""Segments that leave more than others: of the drive itself, or of those of the model file.
+"""Find segments with larger residuals than others, of this drive or of the model file's drives.
 
-What half of a drive's segments leave is no noise where most of the drive is bad. A model file may
-state what its own drives left, and how far their segments differ.
+If most of a drive is bad, the median residual of its segments is no measure of noise. So a model
+file may state the residuals of its own drives, and the scatter between their segments.
 """
 
 from __future__ import annotations
@@ -23,39 +23,39 @@ from imucald.model.leaves import BANDS_HZ, Leaves
 from imucald.model.model import VehicleModel
 
 EVEN = ("accel_x", "accel_y", "accel_z")
-"""Equations in which nothing of the road is left, nor of the springs, where a gyroscope carries
+"""Equations whose residuals contain no effect of the road or the springs if a gyroscope carries
 gravity."""
 CARRIED_BY = "gyro_x"
 LEAST_BLOCKS = 4
-"""Of fewer, half and the one that must not decide are not two groups."""
+"""With fewer blocks, the median and the one block that must not decide cannot be separated."""
 CHANCE = 0.01
-"""That noise alone makes more than one segment in fifteen louder than what is taken for noise."""
+"""Chance that by noise alone more than one segment in fifteen exceeds the assumed noise."""
 OF_MEDIAN = 2.0 / np.pi
-"""Variance of the mean over that of the median, of normal numbers."""
+"""Ratio of the variances of mean and median for normal variables."""
 SHARES = {15: "one segment in fifteen leaves", 4: "one segment in four leaves",
           2: "half of the segments leave"}  # fmt: skip
 FLAT = ("accel_x", "longitudinal_accel", "gyro_z", "yaw_rate", "speed")
-"""Equations in which no road's unevenness stands."""
+"""Equations that contain no unevenness of the road."""
 FAR = 6.0
 LASTING = np.linspace(-FAR, FAR, 121)
-"""Deviations by which all segments together may differ from the file's."""
+"""Common differences of all segments from the file's, in standard deviations."""
 WEIGHT = np.exp(-0.5 * LASTING**2) / np.exp(-0.5 * LASTING**2).sum()
 
 
 def uneven(problem: Problem, drift: Hypothesis | None) -> list[Structure]:
-    """Segments that leave more than their noise and than a correct file could: something acts in
-    some of them that no parameter describes.
+    """Find segments whose residual exceeds their noise and the errors of a correct file: some of
+    them contain an effect that no parameter describes.
 
-    Noise is what half of the segments leave, and how one segment scatters about their median
-    (Fisher's F: of few segments the median is not known well), so far that more than one in fifteen
-    are beyond it with a chance of 1 % (binomial). Beyond that a segment may leave what parameters
-    off by their tolerances make in it. One segment in fifteen must not decide. drift: of what was
-    named and has no place in the model file; it is fitted beside.
+    The noise is the median residual of the segments plus the scatter of single segments about it
+    (Fisher's F, because the median of few segments is inaccurate). The limit is such that more than
+    one segment in fifteen exceeds it with a chance of 1 % (binomial). In addition a segment may
+    contain the effect of parameters that are wrong by their tolerances. One segment in fifteen must
+    not decide. drift: a named drift, which has no place in the model file; it is fitted too.
     """
     table, z = problem.table, what_leaves(problem, drift)
     found: list[Structure] = []
     if CARRIED_BY not in table.plain:
-        return found  # each segment leaves its own road's slope
+        return found  # the residuals contain each segment's road slope
     for name in EVEN:
         there = table.by_equation[name][:, 0, 0] > 0.0 if name in table.plain else np.zeros(0, bool)
         if there.sum() < LEAST_BLOCKS:
@@ -66,7 +66,7 @@ def uneven(problem: Problem, drift: Hypothesis | None) -> list[Structure]:
         count = max(1, int(2.0 * table.seconds * table.top_hz[name]))
         middle = float(np.median(power)) * count / chi2.median(count)
         few, n = one_in_fifteen(len(power)), len(power)
-        # So that of n segments more than `few` are beyond it with that chance (Clopper, Pearson).
+        # Level that more than `few` of n segments exceed with that chance (Clopper, Pearson).
         each = beta.ppf(CHANCE, few + 1, n - few)
         noise = middle * fisher.isf(each, count, OF_MEDIAN * count * n)
         over = np.sort((power - noise) / np.maximum(may, 1e-30))
@@ -81,9 +81,9 @@ def uneven(problem: Problem, drift: Hypothesis | None) -> list[Structure]:
 
 
 def more_than_stated(left: Mapping[float, Left], stated: VehicleModel) -> list[Question]:
-    """Whether one segment in fifteen, in four or in two leaves more of an equation in a band than
-    the model file states of its own drives. Of segments at speeds of the file's. left: of
-    `left_of`."""
+    """Test whether one segment in fifteen, in four or in two has a larger residual in an equation
+    and band than the model file states for its own drives. Only segments within the file's speeds
+    are used. left: from `left_of`."""
     return [
         question
         for seconds, own in left.items()
@@ -93,17 +93,19 @@ def more_than_stated(left: Mapping[float, Left], stated: VehicleModel) -> list[Q
 
 
 def _of_equation(name: str, rms: Array, file: Leaves) -> Iterator[Question]:
-    """One question, of all bands but the last. rms: (B, bands) of each segment.
+    """One question for each share of the segments, over all bands but the last. rms: (B, bands) of
+    each segment.
 
-    Where the road shakes, a segment may exceed the file in all bands by as much as in the last: a
-    rougher road is rougher in every band (ISO 8608: classes have one slope).
+    In equations with road unevenness, a segment may exceed the file in all bands by as much as in
+    the last band: a rougher road is rougher in every band (ISO 8608: all classes have the same
+    slope).
     """
     if name not in FLAT:
         rms = rms / np.maximum(rms[:, -1:] / max(file.rms[-1], LEAST_RMS), 1.0)
     logs, _, _, free = beside_file(rms, file)
     logs = logs - np.log(np.maximum(file.rms, LEAST_RMS))
     n, few, spread = len(logs), one_in_fifteen(len(logs)), np.asarray(file.spread)
-    # So many neighbours count as one for a mean; for a spread fewer do (Bartlett 1946).
+    # Number of neighbours that count as one for a mean; for a spread it is smaller (Bartlett 1946).
     one = np.broadcast_to((n + file.segments) / (free + 2.0), spread.shape)
     r2 = ((one - 1.0) / (one + 1.0)) ** 2
     known = np.maximum(file.segments * (1.0 - r2) / (1.0 + r2) - 1.0, 1.0)
@@ -112,7 +114,7 @@ def _of_equation(name: str, rms: Array, file: Leaves) -> Iterator[Question]:
     counted = {max(few + 1, n // share): words for share, words in SHARES.items()}
     for (i, (low, high)), k in product(enumerate(pairwise(BANDS_HZ[:-1])), counted):
         x = float(np.sort(logs[:, i])[-k])
-        # What as many of the file's own segments leave.
+        # Residual that the same share of the file's own segments reaches.
         own = max(float(spread[i] * stdtrit(known[i], 1.0 - k / (n + 1.0))), 0.0)
         text = (
             f"between {low:g} and {high:g} Hz {counted[k]} at least {np.exp(x):.2g} times the "
@@ -130,7 +132,7 @@ def _of_equation(name: str, rms: Array, file: Leaves) -> Iterator[Question]:
 
 
 def _chance(x: float, k: int, n: int, spread: float, lasting: float, known: float) -> float:
-    """That the k-th largest of n is x or more: segments scatter by themselves (Student: their
-    spread is that of the file), and all together by what is not known of either median."""
+    """Chance that the k-th largest of n is x or more. Single segments scatter with the file's
+    spread (Student), and all together by the uncertainty of both medians."""
     each = stdtr(known, (lasting * LASTING - x) / max(spread, 1e-9))
     return float(WEIGHT @ betainc(k, n - k + 1, each) + ndtr(-FAR))

@@ -1,7 +1,8 @@
-"""From a table of blocks to names: which causes pay on data that their fit did not see.
+"""From a table of blocks to named causes: those that improve the prediction of data outside their
+fit.
 
-`trials` holds what freeing each hypothesis comes to; `search` lets them compete; `standing` asks
-each again with the others; `shift` looks for a sensor turned in mid-drive. `state` carries what
-is known so far, and where that moves the model to. Modules here call `fit` and `equations`.
-`left_over` and the room above call them.
+`trials` tests each hypothesis with its parameters freed. `search` lets the hypotheses compete.
+`standing` tests each again with the others. `shift` looks for a sensor turned in mid-drive.
+`low_pass` separates low-passes from delays. `state` holds the results so far and the model moved by
+them. Modules here call `fit` and `equations`. `left_over` and the room above call them.
 """

@@ -1,14 +1,15 @@
-"""A signal that is late: a delay, or a low-pass? Both in one likelihood.
+"""Decide whether a late signal has a delay or a low-pass, by one likelihood of both.
 
 A delay x has the phase w x and the gain 1. A low-pass of first order has the phase atan(w T) and
 the gain 1/sqrt(1 + (w T)^2), a Butterworth filter of second order arctan(w T/(1 - (w T)^2/2)) and
-1/sqrt(1 + (w T)^4/4): all are late by x = T well below the cut-off, and differ by (w T)^2/2, or by
-(w T)^3/6. So a found delay is held against filters of about as much: next to the model with the
-delay stands a column of what the filter adds to that, with a factor of 0, or about 1. All delays
-are free in both, so that only the shape counts. What is behind by two standard errors and by what
-names a cause is ruled out, where the shape is more than what the equations err by; else the answer
-is both. A delay of the speed is never ruled out: its unit counts, averages and holds, which has the
-shape of a filter (`css_canmod_164` made 0.2 s late was called one).
+1/sqrt(1 + (w T)^4/4): all have the delay x = T well below the cut-off, and differ by (w T)^2/2, or
+by (w T)^3/6. So a found delay is compared with filters of about the same delay. The model with the
+delay gets a further column: the difference between filter and delay, with a factor of 0 (delay) or
+about 1 (filter). All delays are free in both cases, so only the shape counts. One alternative is
+ruled out if it is worse by two standard errors and by the nats that name a cause, and if the
+difference in shape exceeds the error of the equations. Otherwise both remain possible. A delay of
+the speed is never ruled out: its unit counts, averages and holds, which has the shape of a filter
+(`css_canmod_164`, delayed artificially by 0.2 s, was called a low-pass).
 """
 
 from __future__ import annotations
@@ -31,15 +32,15 @@ from imucald.mount.mount_words import SD_95
 
 ORDERS = 1, 2
 LONGER = tuple(2.0 ** (k / 3.0) for k in range(-1, 4))
-"""Time constants that are tried, over the delay that was found: a filter is late by less than its
-time constant near its cut-off."""
+"""Tested time constants, over the found delay: near its cut-off a filter's delay is less than its
+time constant."""
 SHARE = 2.0**-0.5, 2.0**0.5
-"""Of what a filter adds: that goes with the cube of its time constant (or the square), so that any
-between two of these is there."""
+"""Range of the factor on a filter's column. The effect grows with the cube (or the square) of the
+time constant, so this range covers all time constants between two tested ones."""
 
 
 def delay_or_low_pass(state: State) -> None:
-    """Put a low-pass next to each delay that was named, or in its place."""
+    """Add a low-pass as an alternative to each named delay, or replace the delay by it."""
     for cause in CAUSES:
         for trial in [t for t in state.named if t.hypothesis.name == cause.form_of]:
             late = _late(state, trial)
@@ -48,7 +49,7 @@ def delay_or_low_pass(state: State) -> None:
 
 
 def low_passes(state: State) -> dict[str, float]:
-    """By key of a delay, how much of it [s] is a low-pass by what was named."""
+    """By key of a delay: the part of it [s] that is a low-pass, by the named causes."""
     keys = [
         k for t in state.named if BY_NAME[t.hypothesis.name].form_of for k in t.hypothesis.moved
     ]
@@ -56,7 +57,7 @@ def low_passes(state: State) -> dict[str, float]:
 
 
 def _late(state: State, trial: Trial) -> dict[str, float]:
-    """By how much signals are late [s] by what a trial found."""
+    """Delays of signals [s] by a trial's result."""
     own = {k: state.changes[k] for k in trial.hypothesis.moved if state.changes.get(k)}
     drive = state.drives[0]
     return {
@@ -69,12 +70,12 @@ def _late(state: State, trial: Trial) -> dict[str, float]:
 
 @dataclass(frozen=True)
 class _Filter:
-    """One filter in place of a delay."""
+    """Comparison of one filter with a delay."""
 
     more: Array
-    """(B,) nats by which it explains blocks better, whose fold no fit saw."""
+    """(B,) nats by which it explains blocks better, with fits that did not use their fold."""
     is_apart: bool
-    """Whether what it adds to a delay is more than what the equations err by in one."""
+    """Whether its difference from a delay exceeds the equations' error in a delay."""
 
 
 def _compare(state: State, trial: Trial, name: str, late: Mapping[str, float]) -> None:
@@ -97,13 +98,13 @@ def _compare(state: State, trial: Trial, name: str, late: Mapping[str, float]) -
 
 
 def _filters(state: State, problem: Problem, late: Mapping[str, float]) -> list[_Filter]:
-    """Each of the filters next to the delay."""
+    """Compare each of the filters with the delay."""
     table = problem.table
     x = np.tile(problem.fit(), (sum(f.blocks for f in state.forwards), 1))
     parts = rows_with(state.forwards, state.model, table, lambda f: _filtered(f, late))
     if "speed" in late:
         for _, columns in parts.get("speed", ()):
-            columns[:] = 0.0  # wheels and speed come of one unit, and are filtered together
+            columns[:] = 0.0  # wheel speeds and speed come from one unit
     rows = [a for n, a in whitened(parts, x).items() if n in table.by_equation]
     gram = np.asarray(sum(np.swapaxes(a, 1, 2) @ a for a in rows))[table.number]
     own = list(range(1 + len(table.keys)))
@@ -113,7 +114,7 @@ def _filters(state: State, problem: Problem, late: Mapping[str, float]) -> list[
     wide = np.append(low, SHARE[0]), np.append(high, SHARE[1])
 
     def loss(some: list[int], low: Array, high: Array) -> Array:
-        """(B,) held out, of these columns."""
+        """(B,) held-out losses of these columns."""
         return held_out(Problem(replace(table, gram=gram[:, some][:, :, some]), low, high))
 
     delayed, total = loss(own, low, high), gram.sum(axis=0)
@@ -130,7 +131,7 @@ def _filters(state: State, problem: Problem, late: Mapping[str, float]) -> list[
 
 
 def _filtered(f: Forward, late: Mapping[str, float]) -> Iterator[tuple[dict[str, Array], float]]:
-    """Of each filter, what it adds to signals that are read with the delay in its place."""
+    """For each filter, its effect on signals that are read with the equal delay instead."""
     level = {signal: level_of(f, signal) for signal in late}
     s = frequencies(len(f.t))
     for order in ORDERS:
@@ -139,8 +140,9 @@ def _filtered(f: Forward, late: Mapping[str, float]) -> Iterator[tuple[dict[str,
 
 
 def _more(y: Array, s: Complex, delay_s: float, seconds: float, order: int) -> Array:
-    """What a filter of so many seconds adds to a signal y, (N,) or (N, 3), read by so much later.
-    It is mirrored at its end, so that the end does not run into the start."""
+    """Difference between a filter with time constant `seconds` and the plain delay `delay_s` for a
+    signal y, (N,) or (N, 3). The signal is mirrored at its end, so that it does not jump from the
+    end to the start."""
     a = s * seconds
     response = np.exp(s * delay_s) / (1.0 + a + (0.5 * a * a if order == 2 else 0.0)) - 1.0
     spectrum = np.fft.rfft(np.concatenate([y, y[::-1]]), axis=0)

@@ -1,9 +1,10 @@
-"""From a table of blocks to names: candidates compete on data that their fit did not see.
+"""From a table of blocks to named causes: candidates compete on data outside their fit.
 
-A cause is named when its held-out gain, without the best block in fifteen, exceeds what chance
-gives in all questions together, when it leaves the box of correct files, and when its value is
-plausible. Rivals within two standard errors of the paired difference, or behind by less than what
-names a cause, are named with it. Then it is freed, and the question is asked anew.
+A cause is named when its held-out gain, without the best block in fifteen, exceeds chance,
+corrected for the number of all questions; when it leaves the box of correct files; and when its
+value is plausible. Rivals within two standard errors of the paired difference, or behind by fewer
+nats than a cause needs to be named, are reported with it. Then the cause is freed, and the search
+starts again.
 """
 
 from __future__ import annotations
@@ -45,8 +46,9 @@ Tick = Callable[[str], None]
 
 
 def search(state: State, tick: Tick, late: Callable[[], bool], skip: Sequence[str] = ()) -> None:
-    """Name what pays, one after another; then refit all, and let go what no longer pays. What falls
-    leaves its place to what explains as much, and is not named again."""
+    """Name the causes that improve the prediction, one after another. Then refit all, and drop
+    those that no longer help. Other causes may take the place of a dropped one, which is not named
+    again."""
     dropped: list[str] = []
     fallen: set[str] = set()
     while True:
@@ -72,7 +74,7 @@ def search(state: State, tick: Tick, late: Callable[[], bool], skip: Sequence[st
 
 
 def _is_ended(state: State) -> bool:
-    """Whether what was found leaves nothing else to be asked."""
+    """Whether the findings so far end the search."""
     drifts = any(t.hypothesis.pattern is not None for t in state.named)
     return drifts or state.shift is not None or bool(state.implausible)
 
@@ -80,8 +82,8 @@ def _is_ended(state: State) -> bool:
 def _grown(
     state: State, tick: Tick, late: Callable[[], bool], skip: Sequence[str], fallen: set[str]
 ) -> list[str]:
-    """Name what pays, one after another; returns parameters of what no longer does. fallen: causes
-    that are not named again."""
+    """Name the causes that improve the prediction, one after another. Returns the parameters of
+    those that no longer do. fallen: causes that are not named again."""
     dropped: list[str] = []
     while len(state.named) < MOST_NAMED and not late():
         problem = state.evaluated()
@@ -90,7 +92,8 @@ def _grown(
         best = _winner(open_to) or _where_it_leads(problem, replace(state, last=open_to))
         shift = None if state.left_out else find_shift(problem, problem.table.levels)
         if shift is not None and shift.named and (best is None or shift.shown > best.shown):
-            # Either side of a shift is another drive: nothing else is asked of this one.
+            # The parts before and after a shift are like two drives, so the search in this one
+            # ends.
             state.shift = shift
             state.model = with_shifts(state.model, shift_steps(shift))
             state.evaluated()
@@ -120,7 +123,7 @@ def _grown(
             # The model file has no place for a drift: like a shift, it ends the search.
             break
         if edge and chosen is best:
-            # It was asked from the edge, and is taken from there.
+            # It was tested at the edge of the plausible range, so the model moves from there.
             state.apply({key: edge[key] for key in beyond(chosen)})
             problem = state.evaluated()
         _take(state, problem, chosen)
@@ -131,9 +134,9 @@ def _grown(
 
 
 def _beside_rivals(state: State, late: Callable[[], bool]) -> None:
-    """Of look-alikes any may be the right one. What else is named does not stand where another of
-    them alone does as well, and leaves nothing of it: it may be what the one that was taken leaves.
-    """
+    """Drop named causes that may only be the residual of a wrong look-alike. Any of several
+    look-alikes may be the true one. If another look-alike alone predicts as well and needs no
+    further cause, the further cause does not stand."""
     for first in list(state.named):
         if first.hypothesis.pattern is not None:
             continue
@@ -172,14 +175,15 @@ def _trials(problem: Problem, state: State, skip: Sequence[str]) -> list[Trial]:
 
 
 def _winner(trials: Sequence[Trial]) -> Trial | None:
-    """The one with most gain of those that pass; of one cause's forms the simplest that does, also
-    of a cause that is part of it: a delay that grows is named where its growth pays by itself."""
+    """The trial with the largest gain of those that pass. Among the forms of one cause, or causes
+    that are part of it, the simplest one that passes is taken: a growing delay is named only if its
+    growth improves the prediction by itself."""
     passing = [t for t in trials if t.named]
     if not passing:
         return None
     best = max(passing, key=lambda t: t.gain.sum())
     if len(best.hypothesis.directions) > 1:
-        # Elements that joined one by one imitate what one other cause does by itself.
+        # Several joined elements can imitate one single other cause.
         fewer = [t for t in passing if len(t.hypothesis.keys) < len(best.hypothesis.keys)]
         best = max((t for t in fewer if _is_near(best, t)), default=best,
                    key=lambda t: t.gain.sum())  # fmt: skip
@@ -189,17 +193,18 @@ def _winner(trials: Sequence[Trial]) -> Trial | None:
 
 
 def _is_form_of(t: Trial, best: Trial) -> bool:
-    """Whether it is the same cause, or frees some of the same parameters and no other."""
+    """Whether it is the same cause, or frees only some of the same parameters."""
     one, all_of = t.hypothesis, best.hypothesis
     is_part = one.is_plain and all_of.is_plain and set(one.keys) < set(all_of.keys)
     return one.name == all_of.name or is_part
 
 
 def _where_it_leads(problem: Problem, state: State) -> Trial | None:
-    """What leaves its tolerance and does not pass by one step from the stated file is asked where
-    that step leads. A column is a slope, and holds for small steps: 0.002 of understeer at 20 m/s
-    changes its own column by a fifth, and a speed that is 0.2 s late is another signal where it
-    changes fast. The likelihood ratio is that of the best value, not of a step towards it."""
+    """Test a cause again at the end of its step, if it leaves its tolerance but does not pass from
+    the stated file. A column is a derivative and holds for small steps only: 0.002 of understeer at
+    20 m/s changes its own column by a fifth, and a speed delayed by 0.2 s differs much where it
+    changes fast. The likelihood ratio must be that of the best value, not that of one linear
+    step."""
     found = []
     for t in state.last:
         if t.is_beyond and t.is_testable and t.is_plausible and t.hypothesis.is_plain:
@@ -211,9 +216,9 @@ def _where_it_leads(problem: Problem, state: State) -> Trial | None:
 
 
 def _from_the_edge(problem: Problem, state: State, best: Trial) -> tuple[Trial, dict[str, float]]:
-    """What leads beyond the plausible is asked again from its edge: a column is a slope, and that
-    of a ratio that is a third lower leads to half of it. Returns the trial, and the step to where
-    it was asked; none where that did not help."""
+    """Test a cause again at the edge of its plausible range, if its step leads beyond. A column is
+    a derivative: for a ratio that is a third lower, a linear step leads to half of it. Returns the
+    trial, and the step to the tested place; no step if this did not help."""
     if best.is_plausible or not best.hypothesis.is_plain:
         return best, {}
     table, step = problem.table, _changes(problem, best.hypothesis)
@@ -232,9 +237,9 @@ def _is_near(best: Trial, other: Trial) -> bool:
 
 
 def _alike(best: Trial, trials: Sequence[Trial]) -> list[Trial]:
-    """Other causes that do as well within two standard errors, or whose likelihood ratio on unseen
-    data is less than what names a cause: what is ruled out is so at the error rate of what is
-    named. One form of each."""
+    """Other causes that are equal within two standard errors, or behind by fewer nats on unseen
+    data than a cause needs to be named. So causes are ruled out with the same error rate as they
+    are named. Only one form of each cause is returned."""
     found: dict[str, Trial] = {}
     for t in sorted(trials, key=lambda t: -t.gain.sum()):
         name = t.hypothesis.name
@@ -247,7 +252,8 @@ def _alike(best: Trial, trials: Sequence[Trial]) -> list[Trial]:
 
 
 def _behind(best: Trial, trials: Sequence[Trial]) -> list[Trial]:
-    """What passes with half the gain of an explanation that cannot be: it is tried first."""
+    """Causes that pass with at least half the gain of an implausible explanation: they are tried
+    instead of it."""
     if best.is_plausible:
         return []
     passing = [t for t in trials if t.named and t.gain.sum() > 0.5 * best.gain.sum()]
@@ -255,7 +261,7 @@ def _behind(best: Trial, trials: Sequence[Trial]) -> list[Trial]:
 
 
 def _take(state: State, problem: Problem, chosen: Trial) -> None:
-    """Move the model by a named hypothesis; a direction is evaluated once more where it led."""
+    """Move the model by a named hypothesis; a direction is evaluated once more at the new place."""
     h = chosen.hypothesis
     if not h.directions:
         state.apply(_changes(problem, h, beyond(chosen)))
@@ -273,7 +279,7 @@ def _take(state: State, problem: Problem, chosen: Trial) -> None:
 
 
 def beyond(trial: Trial) -> tuple[str, ...]:
-    """Of a hypothesis' parameters those that leave their tolerance; the others stay within it."""
+    """The parameters of a hypothesis that leave their tolerance."""
     e, h = trial.estimate, trial.hypothesis
     sure = (np.abs(e.value) - trial.tolerance) / np.maximum(e.se, 1e-30)
     far = sure > min(trial.single, float(sure.max()) * 0.999)
@@ -282,8 +288,8 @@ def beyond(trial: Trial) -> tuple[str, ...]:
 
 
 def _changes(problem: Problem, h: Hypothesis, only: Sequence[str] = ()) -> dict[str, float]:
-    """Departures of a hypothesis' own parameters, with what moves with them. only: these of them;
-    the others are fitted within their tolerance, and not moved."""
+    """Departures of a hypothesis' own parameters and of those that move with them. only: the
+    parameters to move; the others are fitted within their tolerance and not moved."""
     if only:
         h = replace(h, keys=tuple(only))
     x = problem.fit(h)

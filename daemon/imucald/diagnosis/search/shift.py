@@ -1,7 +1,9 @@
-"""A sensor that is turned in mid-drive: step or creep of the mount, by two witnesses.
+"""Find a sensor that is turned in mid-drive: a step or creep of the mount, from two sources of
+evidence.
 
-Kinematics (forces and turning, which know nothing of the road) and the level (mean force less what
-motion explains, over g, which knows the road's slope only by its long-run scatter).
+The first is kinematics (forces and turning), which does not depend on the road. The second is the
+level: mean force minus the part that motion explains, over g. The road's slope enters it only as
+long-term scatter.
 """
 
 from __future__ import annotations
@@ -18,19 +20,19 @@ from imucald.diagnosis.fit.score import Hypothesis, Problem, held_out, without_b
 
 KEYS = ("mount.turn.x", "mount.turn.y", "mount.turn.z")
 LEAST_BLOCKS, LEAST_SHARE = 4, 0.2
-"""On each side of a candidate."""
+"""Fewest blocks on each side of a candidate."""
 LEAST_TURN = 0.3 * DEG
 SEARCH = 1.3
-"""Factor on the quantile for having looked at many times (Andrews 1993, for the middle 60 %)."""
+"""Factor on the quantile because many times are tested (Andrews 1993, for the middle 60 %)."""
 AGREE_SD, SEEN_SD = 3.0, 2.0
 NEIGHBOURS = 3
 LEAST_NATS = 8.0
-"""As for any cause, with some thirty times at which it may have happened: ln(30 / 0.01)."""
+"""Nats needed, as for any cause, with about thirty possible times: ln(30 / 0.01)."""
 
 
 @dataclass(frozen=True)
 class FittedShift:
-    """A turn (3,) [rad] about the vehicle's axes, at once or evenly over the drive."""
+    """A turn (3,) [rad] about the vehicle's axes, at one time or linearly over the drive."""
 
     kind: str
     """`step` or `creep`."""
@@ -44,11 +46,11 @@ class FittedShift:
     pattern: Array
     low_s: float
     high_s: float
-    """The interval of time in which it happened."""
+    """End of the interval of time in which it happened."""
 
     @property
     def named(self) -> bool:
-        """Beyond what chance and a search over times give."""
+        """Whether the shift exceeds chance, including the search over times."""
         beyond = np.abs(self.turn) > LEAST_TURN + SEARCH * self.quantile * self.se
         return bool(np.any(beyond) and self.shown > LEAST_NATS)
 
@@ -56,7 +58,7 @@ class FittedShift:
 def find_shift(problem: Problem, levels: Array) -> FittedShift | None:
     """The best step or creep of one drive. levels: (B, 2) mean tilt forward and left of each block.
 
-    None where the data cannot show one.
+    None if the data cannot show one.
     """
     table = problem.table
     if not set(KEYS) <= set(table.keys) or len(set(table.drive.tolist())) != 1:
@@ -91,7 +93,8 @@ def _in_sample(problem: Problem, pattern: Array) -> float:
 
 
 def _level_step(levels: Array, pattern: Array) -> tuple[Array, Array]:
-    """Regression of the level on a pattern: (2,) step and its deviation, slow roads counted."""
+    """Regression of the level on a pattern: (2,) step and its standard deviation, including slow
+    changes of the road."""
     x = pattern - pattern.mean()
     step = x @ levels / (x @ x)
     left = levels - levels.mean(axis=0) - np.outer(x, step)
@@ -110,13 +113,14 @@ def _level_gain(levels: Array, pattern: Array) -> float:
 def _shift(
     problem: Problem, levels: Array, pattern: Array, kind: str, table: Table, place: int
 ) -> FittedShift:
-    """Both witnesses, weighed by their variances."""
+    """Combine both sources of evidence, weighted by their variances."""
     h = _hypothesis(pattern)
     e = estimate(problem, h, 3)
     gain = held_out(problem) - held_out(problem, h)
     turn, se = e.value.copy(), e.se.copy()
     step, step_se = _level_step(levels, pattern)
-    # A sensor turned by d about y (nose down) feels -g d forward, about x +g d to the left.
+    # A sensor turned by d about y (nose down) measures -g d forward; turned about x it measures +g
+    # d to the left.
     by_level = np.array([step[1], -step[0]])
     level_se = step_se[::-1]
     nats = 0.0
@@ -129,7 +133,7 @@ def _shift(
             se[i] = (w + v) ** -0.5
             nats += 0.5 * (by_level[i] / level_se[i]) ** 2
         elif apart >= AGREE_SD:
-            # Two witnesses that contradict each other show nothing.
+            # If the two sources contradict each other, they prove nothing.
             se[i] = max(se[i], abs(turn[i] - by_level[i]))
     if kind == "creep":
         low, start, high = (float(table.start_s[i]) for i in (0, 0, -1))

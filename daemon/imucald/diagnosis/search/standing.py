@@ -1,4 +1,4 @@
-"""What stands of the causes that were named: each is asked again with the others."""
+"""Test each named cause again together with the others."""
 
 from __future__ import annotations
 
@@ -14,7 +14,8 @@ from imucald.diagnosis.search.trials import SINGLE_NATS, Trial, tried
 
 
 def asked_again(state: State, trial: Trial) -> Trial:
-    """A hypothesis against the box of correct files, from where the model has moved by it."""
+    """Test a hypothesis against the box of correct files, starting from the model that it has
+    moved."""
     problem, h = state.evaluated(), trial.hypothesis
     kept = [k for k in h.keys if k in state.changes]
     index = [h.keys.index(k) for k in kept]
@@ -29,7 +30,7 @@ def asked_again(state: State, trial: Trial) -> Trial:
 
 
 def let_go(state: State) -> list[str]:
-    """Causes that no longer pay with the later ones are put back; returns their parameters."""
+    """Put back causes that no longer help beside later ones; returns their parameters."""
     if len(state.named) < 2:
         return []
     problem = state.evaluated()
@@ -52,7 +53,8 @@ def let_go(state: State) -> list[str]:
 
 
 def put_back(problem: Problem, state: State, keys: Sequence[str]) -> Problem:
-    """The same with parameters in the box about the stated file, from where the model has moved."""
+    """The same problem with these parameters in the box about the stated file; the model has moved
+    from there."""
     low, high = problem.low.copy(), problem.high.copy()
     for key in keys:
         i, x = problem.table.keys.index(key), state.changes.get(key, 0.0)
@@ -62,9 +64,9 @@ def put_back(problem: Problem, state: State, keys: Sequence[str]) -> Problem:
 
 
 def simplify(state: State, trial: Trial) -> None:
-    """A cause that grows stands if its growth pays by itself where the model has moved to; else
-    what it is without is named. Columns are slopes: with a large delay they may need a growth
-    that is not there."""
+    """Keep a growing cause only if its growth improves the prediction by itself at the moved model.
+    Otherwise the same cause without growth is named. Columns are derivatives: with a large delay
+    they may show a growth that does not exist."""
     h = trial.hypothesis
     first, rest = h.keys[: h.lead], h.keys[h.lead :]
     name = next((c.name for c in CAUSES if rest in c.variants), None)
@@ -83,7 +85,7 @@ def simplify(state: State, trial: Trial) -> None:
     refit(state)
     rivals = state.rivals.pop(h.name, [])
     if not any(key in state.changes for key in rest):
-        state.doubtful.append(trial)  # the model has moved by nothing that it is without the growth
+        state.doubtful.append(trial)  # without growth, nothing moved the model
         return
     n = h.lead
     simple = replace(trial, hypothesis=Hypothesis(name, rest), tolerance=trial.tolerance[n:],
@@ -93,8 +95,9 @@ def simplify(state: State, trial: Trial) -> None:
 
 
 def eliminate(state: State, late: Callable[[], bool]) -> None:
-    """Backward elimination: each cause is asked again from where the others alone lead, weakest
-    first. A greedy start may have named a look-alike, or a slope taken at the wrong place."""
+    """Backward elimination: each cause, weakest first, is tested again from the model that the
+    others alone give. A greedy start may have named a look-alike, or used a derivative at the wrong
+    place."""
     asked: set[str] = set()
     while len(state.named) > 1 and not late():
         left = [t for t in state.named if t.hypothesis.name not in asked]
@@ -114,7 +117,7 @@ def eliminate(state: State, late: Callable[[], bool]) -> None:
 
 
 def without(state: State, trial: Trial) -> State:
-    """The others alone, fitted again."""
+    """State with the other causes alone, fitted again."""
     h = trial.hypothesis
     keys = h.moved
     less = replace(
@@ -130,7 +133,7 @@ def without(state: State, trial: Trial) -> State:
 
 
 def _drop(state: State, less: State, trial: Trial) -> None:
-    """A cause does not stand with the others, whose state is `less`."""
+    """Remove a cause that does not stand with the others. less: the state of these."""
     state.named.remove(trial)
     state.doubtful.append(trial)
     state.changes, state.held, state.bounds = less.changes, less.held, less.bounds
@@ -138,8 +141,8 @@ def _drop(state: State, less: State, trial: Trial) -> None:
 
 
 def demote(state: State) -> None:
-    """What would not be named again with all others does not stand, nor what may be beyond the
-    plausible: then something else explains it, and that is said."""
+    """Drop causes that would not be named again beside all others, and causes that may be beyond
+    their plausible range. The latter are reported as implausible: something else explains them."""
     for trial in list(state.named):
         if trial.hypothesis.pattern is None:
             again = asked_again(state, trial)
@@ -151,17 +154,17 @@ def demote(state: State) -> None:
 
 
 def set_aside(state: State, trial: Trial) -> None:
-    """A cause that was named is not ruled out, and no more."""
+    """Reduce a named cause to one that is not ruled out."""
     if trial.hypothesis.pattern is None:
         _drop(state, without(state, trial), trial)
-    else:  # it has no place in the model file: nothing moves
+    else:  # it has no place in the model file, so the model stays
         state.named.remove(trial)
         state.doubtful.append(trial)
 
 
 def leave_out(state: State, equations: Collection[str], stands: Sequence[Trial]) -> None:
-    """Fit to the other equations alone; of what rests on these (`stands`) stays what is named
-    again."""
+    """Fit the other equations alone. Of the causes that rest on them (`stands`), only those stay
+    that would be named again."""
     state.leave_out(equations, stands)
     if stands:
         refit(state)
@@ -171,7 +174,7 @@ def leave_out(state: State, equations: Collection[str], stands: Sequence[Trial])
 
 
 def unsettle(state: State, doubts: Callable[[Trial], bool]) -> None:
-    """Named causes that something else may make are not ruled out, and no more: the fit gives them
-    what the other thing makes."""
+    """Reduce named causes to "not ruled out" if something else may explain them: the fit assigns
+    them the effect of the other thing."""
     for trial in [t for t in state.named if doubts(t)]:
         set_aside(state, trial)

@@ -1,4 +1,4 @@
-"""What a search knows so far, and where that moves the model to."""
+"""The results of a search so far, and the model moved by them."""
 
 from __future__ import annotations
 
@@ -23,54 +23,54 @@ from imucald.model.model import VehicleModel
 REFITS = 3
 CREEP_STEPS = 8
 SMALL_STEP = 0.05
-"""A refit has settled when nothing moves by more than this share of its tolerance."""
+"""A refit has converged when no parameter moves by more than this share of its tolerance."""
 
 
 @dataclass
 class State:
-    """What is known so far."""
+    """The results so far."""
 
     drives: Sequence[DriveSignals]
     stated: VehicleModel
-    """The model file that is put to the test."""
+    """The model file that is tested."""
     model: VehicleModel
-    """The same with what was found."""
+    """The same with all found departures."""
     bounds: dict[str, tuple[float, float]]
-    """Boxes from direct evidence, as departures from `model`."""
+    """Bounds from direct evidence, as departures from `model`."""
     at_rest: dict[str, float] = field(default_factory=dict)
     """Departures from `stated` that stops show; every fit keeps within `bounds` of them."""
     changes: dict[str, float] = field(default_factory=dict)
     """Found departures from `stated`, by key."""
     held: set[str] = field(default_factory=set)
-    """Parameters that moved by a direction: kept within their interval by `bounds`."""
+    """Parameters that moved along a direction; `bounds` keep them within their intervals."""
     named: list[Trial] = field(default_factory=list)
     rivals: dict[str, list[Trial]] = field(default_factory=dict)
     implausible: list[Trial] = field(default_factory=list)
     likely: list[Trial] = field(default_factory=list)
     doubtful: list[Trial] = field(default_factory=list)
-    """What was named for a while, and does not stand."""
+    """Causes that were named for a while and do not stand."""
     last: list[Trial] = field(default_factory=list)
-    """All trials with what was found: what each could have been."""
+    """All trials beside the findings, for the possible size of each cause."""
     shift: FittedShift | None = None
     doubtful_shift: FittedShift | None = None
     """A moved mount that does not stand."""
     left_out: frozenset[str] = frozenset()
-    """Equations that no fit uses: what is left of them is unexplained."""
+    """Equations that no fit uses, because their residuals are unexplained."""
     table: Table | None = None
     whole: Table | None = None
-    """The same with what is left out."""
+    """The table including the equations that are left out."""
     forwards: list[Forward] = field(default_factory=list)
     tables: KeptTables = field(default_factory=KeptTables)
-    """Shared with the states that are made of this one."""
+    """Shared with states derived from this one."""
     _evaluated: VehicleModel | None = None
 
     @property
     def free(self) -> list[str]:
-        """Parameters that were found to be off, and are fitted with all others."""
+        """Parameters that were found to be wrong; they are fitted with all others."""
         return [key for key in self.changes if key not in self.held]
 
     def evaluated(self) -> Problem:
-        """Compare the drives with the model as it is now."""
+        """Compare the drives with the present model."""
         if self.table is None or self._evaluated != self.model:
             self.whole, self.forwards = self.tables.of(self.drives, self.model)
             self.table = self.whole.without(self.left_out)
@@ -78,13 +78,13 @@ class State:
         return Problem.of(self.table, [k for k in self.free if k in self.table.keys], self.bounds)
 
     def withdraw_shift(self) -> None:
-        """A moved mount is not ruled out, and no more."""
+        """Reduce a moved mount to "not ruled out"."""
         self.doubtful_shift, self.shift = self.shift, None
         self.apply({})
 
     def leave_out(self, equations: Collection[str], stands: Sequence[Trial]) -> None:
-        """Fit nothing to some equations. Of what was named `stands`, with its parameters; the rest
-        is not ruled out, and no more."""
+        """Fit nothing to some equations. Of the named causes, `stands` stay with their parameters;
+        the others are reduced to "not ruled out"."""
         keys = {key for t in stands for key in t.hypothesis.moved}
         self.doubtful = [*(t for t in self.named if not any(t is s for s in stands)),
                          *self.doubtful]  # fmt: skip
@@ -110,7 +110,7 @@ class State:
 
 
 def refit(state: State) -> None:
-    """All found parameters together, the model evaluated again where it is now."""
+    """Fit all found parameters together, and evaluate the model again at the result."""
     for _ in range(REFITS):
         problem = state.evaluated()
         x = problem.fit()
@@ -126,7 +126,7 @@ def _size(problem: Problem, key: str) -> float:
 
 
 def shift_steps(shift: FittedShift) -> list[tuple[float, Array]]:
-    """A step, or a creep as a staircase."""
+    """Turns by time: one step, or a creep as a staircase."""
     if shift.kind == "step":
         return [(shift.start_s, shift.turn)]
     times = np.linspace(0.0, 1.0, CREEP_STEPS + 2)[1:-1]
@@ -135,7 +135,8 @@ def shift_steps(shift: FittedShift) -> list[tuple[float, Array]]:
 
 
 def final_estimates(state: State) -> dict[str, tuple[float, float, float]]:
-    """By found parameter: departure from the stated model, deviation, quantile; others fitted."""
+    """By found parameter: departure from the stated model, standard deviation and quantile, with
+    the others fitted."""
     if state.table is None or not state.changes:
         return {}
     problem = state.evaluated()

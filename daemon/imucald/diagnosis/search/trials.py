@@ -1,4 +1,4 @@
-"""Hypotheses of the catalogue, and what freeing each comes to."""
+"""Hypotheses of the catalogue, and the result of freeing each."""
 
 from __future__ import annotations
 
@@ -18,14 +18,14 @@ from imucald.diagnosis.fit.score import Hypothesis, Problem, held_out, paired, w
 from imucald.model.model import VehicleModel
 
 SINGLE = 0.05
-"""Error rate of a single question: what falls short of it is not worth a look."""
+"""Error rate of a single question; weaker hypotheses are ignored."""
 SINGLE_NATS = -math.log(SINGLE)
-"""A likelihood ratio on data that the fit did not see exceeds 1/p with a chance of p at most, where
-nothing is wrong (Markov)."""
+"""If nothing is wrong, a likelihood ratio on data outside the fit exceeds 1/p with a chance of at
+most p (Markov)."""
 ALIKE_SE = 2.0
-"""Standard errors of the difference within which two causes do as well."""
+"""Two causes count as equal within this many standard errors of their difference."""
 FALSE_SHARE = 0.2
-"""Of what is called likely, one in five may be false."""
+"""Of the causes reported as likely, one in five may be false."""
 RESAMPLED = 1000
 LEVELLED = ("accel_scale", "accel_cross_axis")
 BIAS = ("accel.bias.x", "accel.bias.y", "accel.bias.z")
@@ -33,58 +33,59 @@ BIAS = ("accel.bias.x", "accel.bias.y", "accel.bias.z")
 
 @dataclass(frozen=True)
 class Trial:
-    """What freeing a hypothesis' parameters came to."""
+    """Result of freeing a hypothesis' parameters."""
 
     hypothesis: Hypothesis
     estimate: Estimate
     gain: Array
-    """(B,) nats by which each block is likelier, by a fit that did not see it."""
+    """(B,) increase of each block's log-likelihood [nats], by a fit that did not use it."""
     shown: float
-    """Sum of it without the best blocks."""
+    """Sum of `gain` without the best blocks."""
     tolerance: Array
     plausible: Array
     needed: float
-    """Nats that it takes, shared out over the questions asked."""
+    """Nats needed, corrected for the number of questions."""
     single: float
-    """Quantile of one question asked alone."""
+    """Quantile for a single question."""
     reach: Array
-    """(k,) smallest departure that takes anything that moves with it beyond its tolerance."""
+    """(k,) smallest departure at which a parameter that moves with it leaves its tolerance."""
     number: NDArrayInt
-    """(B,) which of all blocks of the drives each of its gains is of."""
+    """(B,) index, among all blocks of the drives, of the block of each gain."""
 
     def ahead_of(self, other: Trial) -> tuple[float, float]:
-        """By how many nats it explains more than another, and the standard error of that."""
+        """Nats by which it explains more than another trial, and their standard error."""
         return paired(self.gain, other.gain, self.number, other.number)
 
     @property
     def outside(self) -> bool:
-        """The box of correct files is left by more than chance."""
+        """Whether it leaves the box of correct files by more than chance."""
         return self.is_beyond and self.estimate.pull > self.estimate.quantile
 
     @property
     def is_beyond(self) -> bool:
-        """A value lies beyond its tolerance, by a deviation at least."""
+        """Whether a value exceeds its tolerance by at least one standard deviation."""
         beyond = np.abs(self.estimate.value) > self.tolerance + self.estimate.se
         return bool(np.any(beyond[: self.hypothesis.lead or len(beyond)]))
 
     @property
     def is_suspect(self) -> bool:
-        """The same at the error rate of a single question."""
+        """As `outside`, at the error rate of a single question."""
         return self.is_beyond and self.estimate.pull > self.single
 
     @property
     def is_plausible(self) -> bool:
-        """What leaves its tolerance stays within what a vehicle or a sensor can have."""
+        """Whether all values beyond their tolerances are plausible for a vehicle or a sensor."""
         v, tau = self.estimate.value, self.tolerance
         low, high = self.plausible.T
         return bool(np.all((np.abs(v) <= tau) | ((v >= low) & (v <= high))))
 
     @property
     def is_surely_plausible(self) -> bool:
-        """The same by a deviation at least, as for the tolerance."""
+        """As `is_plausible`, with a margin of at least one standard deviation."""
         v, half = self.estimate.value, self.estimate.se
         if self.hypothesis.directions:
-            # A zero within its tolerance moves it by as much: that is no sign of another cause.
+            # A zero error within its tolerance moves the value by `reach`, so that much is no sign
+            # of another cause.
             half = np.maximum(half - self.reach, 0.0)
         low, high = self.plausible.T
         within = (v - half >= low) & (v + half <= high)
@@ -92,24 +93,25 @@ class Trial:
 
     @property
     def is_testable(self) -> bool:
-        """The data show its parameters more sharply than plausibility does."""
+        """Whether the data determine its parameters better than the plausible range does."""
         e = self.estimate
         return bool(np.all(e.quantile * e.se < 0.5 * (self.plausible[:, 1] - self.plausible[:, 0])))
 
     @property
     def could_be(self) -> bool:
-        """Pays, with a value beyond its tolerance: a rival need not be sure of itself."""
+        """Whether it may be a rival: it improves the prediction, with a value beyond its tolerance.
+        A rival need not be significant by itself."""
         far = (np.abs(self.estimate.value) > self.reach)[: self.hypothesis.lead or None]
         return self.shown > SINGLE_NATS and bool(np.any(far)) and self.is_testable
 
     @property
     def named(self) -> bool:
-        """Passes all that one hypothesis passes by itself."""
+        """Whether it passes all tests of a single hypothesis."""
         return self.shown > self.needed and self.outside and self.is_testable
 
 
 def hypotheses(table: Table, model: VehicleModel, skip: Sequence[str]) -> list[Hypothesis]:
-    """The catalogue's causes as far as their signals are there."""
+    """Hypotheses for the catalogue's causes whose signals are present."""
     made = []
     for cause in CAUSES:
         if cause.drift and f"{cause.name}!" in skip:
@@ -117,7 +119,8 @@ def hypotheses(table: Table, model: VehicleModel, skip: Sequence[str]) -> list[H
         for whole in (*cause.variants, *([cause.together] if cause.together else [])):
             if not all(key in table.keys for key in whole):
                 continue
-            # What follows its leading parameters may be free already: only these are asked of.
+            # Parameters after the leading ones may be free already, so only the leading ones are
+            # checked.
             keys = whole[: cause.lead] + tuple(
                 k for k in whole[cause.lead :] if not cause.lead or k not in skip
             )
@@ -141,8 +144,8 @@ def _shows(table: Table, key: str) -> bool:
 def _hypothesis(
     cause: Cause, keys: tuple[str, ...], model: VehicleModel, table: Table, level: bool
 ) -> Hypothesis:
-    """level: a gain of the accelerometer moves what it reads of one g with it. Once its zero was
-    found to be off, only motion shows the gain."""
+    """level: True if an accelerometer gain also changes the reading of one g. Once a zero error was
+    found, only motion shows the gain."""
     if cause.drift:
         return Hypothesis(cause.name, keys, pattern=_ramp(table))
     if keys == cause.together:
@@ -150,8 +153,8 @@ def _hypothesis(
         for key in keys if level else ():
             for name, x in level_effect(model, key).items():
                 whole[name] = whole.get(name, 0.0) + x
-        # All axes at once turn with the vehicle whichever way the sensor sits: one gain shows as
-        # well as that of an upright axis.
+        # A common gain of all axes acts along every vehicle axis in any mount, so it shows as well
+        # as the gain of an upright axis.
         of_one = {family(key) for key in keys}
         error = MODEL_ERROR.get(of_one.pop(), 0.0) if len(of_one) == 1 else None
         return Hypothesis(cause.name, keys[:1], (whole,), error=error)
@@ -162,14 +165,15 @@ def _hypothesis(
 
 
 def on_table(h: Hypothesis, table: Table) -> Hypothesis:
-    """A drift goes with the blocks that it was asked of; another model may leave others."""
+    """Adapt a drift's pattern to the blocks of another table, since another model may use other
+    blocks."""
     if h.pattern is None or len(h.pattern) == table.blocks:
         return h
     return replace(h, pattern=_ramp(table))
 
 
 def _ramp(table: Table) -> Array:
-    """From 0 to 1 over each drive's time."""
+    """Pattern that grows linearly from 0 to 1 over each drive."""
     made = np.zeros(table.blocks)
     for i in set(table.drive.tolist()):
         own = table.drive == i
@@ -181,8 +185,8 @@ def _ramp(table: Table) -> Array:
 def tried(
     problem: Problem, h: Hypothesis, base: Array, questions: int, null: Problem | None = None
 ) -> Trial:
-    """Free a hypothesis and score it. base: (B,) held-out losses of the box of correct files; null:
-    that box, where the model has moved out of it already."""
+    """Free a hypothesis and score it. base: (B,) held-out losses of the box of correct files. null:
+    that box, if the model has already left it."""
     gain = base - held_out(problem, h)
     index = problem.table.index(h.keys)
     t = problem.table
@@ -193,8 +197,9 @@ def tried(
 
 
 def joined(problem: Problem, trials: Sequence[Trial], base: Array) -> list[Trial]:
-    """Variants of one cause together: one after another joins that pays on unseen data with those
-    before it. Three elements of a gain are off at once as easily as one. Each asks once more."""
+    """Combine variants of one cause: each one joins if it improves the prediction of unseen data
+    beside those before it. Three elements of a gain are wrong together as easily as one. Each
+    combination counts as one more question."""
     made, asked = [], len(trials)
     for cause in CAUSES:
         own = [t for t in trials if cause.joins and t.hypothesis.name == cause.name]
@@ -217,7 +222,8 @@ def _both(one: Hypothesis, other: Hypothesis) -> Hypothesis:
 
 
 def _reach(table: Table, h: Hypothesis) -> Array:
-    """A gain of 1 % that moves a zero by 1 % of one g is beyond where that zero may be."""
+    """Smallest departures at which a coupled parameter leaves its tolerance. A gain of 1 % that
+    moves a zero by 1 % of one g takes that zero beyond its tolerance."""
     own = table.tolerance[table.index(h.keys)]
     if not h.directions:
         return np.asarray(own)
@@ -238,12 +244,13 @@ def questions(trials: Sequence[Trial]) -> dict[str, Trial]:
 
 
 def likeliest(trials: Sequence[Trial]) -> list[Trial]:
-    """What is right in four of five: of all questions at once, and against all rivals.
+    """Causes that are right in four of five cases, among all questions at once and against all
+    rivals.
 
-    A likelihood ratio on unseen data is an e-value, so with the k largest of M above M/(k share)
-    no more than that share of them is false, however they depend on each other (e-BH; Wang and
-    Ramdas 2022). And in that share of resampled drives no other cause explains more (pseudo-BMA
-    with the Bayesian bootstrap over blocks; Yao et al. 2018).
+    A likelihood ratio on unseen data is an e-value, so if the k largest of M values exceed M/(k
+    share), at most that share of them is false, for any dependence between them (e-BH; Wang and
+    Ramdas 2022). In addition, no other cause explains more in that share of resampled drives
+    (pseudo-BMA with the Bayesian bootstrap over blocks; Yao et al. 2018).
     """
     best = list(questions(trials).values())
     nats = [t.shown - math.log(len(trials) / (FALSE_SHARE * (k + 1))) for k, t in enumerate(best)]

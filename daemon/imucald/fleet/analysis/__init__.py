@@ -1,1 +1,2 @@
-"""The vehicles' story, from the estimates and covariances of all drives: statistics without I/O."""
+"""The history of the vehicles' mounts, from the estimates and covariances of all drives: statistics
+without I/O."""

@@ -1,4 +1,4 @@
-"""All drives read together: the rows of the tables under `analysis/`."""
+"""Analyse all drives together: the rows of the tables under `analysis/`."""
 
 from __future__ import annotations
 
@@ -33,17 +33,17 @@ Columns = Mapping[str, Sequence[Any]]
 Rows = list[dict[str, Any]]
 
 GROUPS = ("sensor_batch", "firmware")
-"""What vehicles of a type are compared by."""
+"""Columns by which vehicles of a type are compared."""
 OF_VEHICLE = ("vehicle_type", "sensor_serial", "sensor_batch", "firmware")
 
 
 def analysed(
     columns: Columns, groups: Sequence[str] = GROUPS, shifts: Sequence[Mapping[str, Any]] = ()
 ) -> dict[str, Rows]:
-    """Read all drives together; columns: those of `drives`, sorted by vehicle and time.
+    """Analyse all drives together. columns: those of `drives`, sorted by vehicle and time.
 
-    shifts: rows of `events` of the kind "shift", the moves that a drive found itself.
-    Returns the rows of each table of `analysis_columns`. Times are as they are in the columns.
+    shifts: rows of `events` of the kind "shift": moves of the sensor found within a drive. Returns
+    the rows of each table of `analysis_columns`. Times have the same form as in the columns.
     """
     found: dict[str, Rows] = {
         "analysis/causes": cause_rows(columns),
@@ -101,7 +101,8 @@ def _mounts(rotation: Rotation, half_width: Array, prefix: str = "") -> Rows:
 
 
 def _of_angles(form: str, R_vehicle_from_sensor: Array, half_width: Array) -> dict[str, Any]:
-    """Half of the 95 % intervals of roll, pitch and yaw [deg] from those about x, y, z (3,)."""
+    """Half widths of the 95 % intervals of roll, pitch and yaw [deg], from those about x, y, z
+    (3,)."""
     if not np.isfinite(half_width).all():
         return dict.fromkeys(map(form.format, ANGLES))
     covariance = np.diag((half_width * RAD_PER_DEG / SD_95) ** 2).tolist()
@@ -214,7 +215,8 @@ def _remount_rows(columns: Columns, drives: KnownDrives, remounts: Remounts) -> 
 
 
 def _within_rows(columns: Columns, shifts: Sequence[Mapping[str, Any]]) -> Rows:
-    """Moves that drives found themselves: after the drive's start and before they were found."""
+    """Rows of moves found within drives: each lies between the drive's start and the time of its
+    detection."""
     row_of = {key: i for i, key in enumerate(columns["log_key"])}
     rows = []
     for shift in shifts:

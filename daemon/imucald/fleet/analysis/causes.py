@@ -1,4 +1,4 @@
-"""Faults over many vehicles, and drives that never became usable: counted by type."""
+"""Count faults, and drives that never became usable, by vehicle type."""
 
 from __future__ import annotations
 
@@ -14,20 +14,22 @@ from scipy.stats import betabinom, binom, false_discovery_control
 from imucald.fleet.analysis.units import MAX_Q
 
 FEW_VEHICLES = 3
-"""A cause in fewer vehicles is not called a matter of design, however small their type is."""
+"""A cause in fewer vehicles is not called a design cause, even if their type is small."""
 IN_BRACKETS = re.compile(r"\s*\([^)]*\)")
 FIGURES = re.compile(r"\d+(\.\d+)?")
 UNKNOWN = "unknown"
 DIAGNOSED = "diagnosed: "
-"""Begins the causes that `fleet run --diagnose` found."""
+"""Prefix of the causes that `fleet run --diagnose` found."""
 
 
 def cause_rows(columns: Mapping[str, Sequence[Any]]) -> list[dict[str, Any]]:
-    """Each cause of each type: how many vehicles have it, the shrunk rate, and the verdict.
+    """Return a row for each cause of each type: number of vehicles that have it, the shrunk rate,
+    and the verdict.
 
-    A cause is "design" when more vehicles of the type have it than the rate among all other
-    vehicles explains (binomial tail, Benjamini-Hochberg over all), else "single vehicles". The
-    rate is shrunk to that of the fleet by a beta prior fitted to the types (empirical Bayes).
+    A cause is "design" if the number of vehicles of the type that have it is too high for the rate
+    among all other vehicles (binomial tail, Benjamini-Hochberg over all). Otherwise it is "single
+    vehicles". The rate is shrunk to that of the fleet by a beta prior fitted to the types
+    (empirical Bayes).
     """
     kind_of: dict[str, str] = {}
     having: dict[str, set[str]] = defaultdict(set)
@@ -64,7 +66,7 @@ def _counted(
 ) -> dict[str, Any]:
     others = len(kind_of) - size[kind]
     elsewhere = len(vehicles) - n
-    # half a vehicle more than was seen: a rate of nothing would make any single fault a design
+    # half a vehicle is added: with a rate of zero any single fault would be a design cause
     background = (elsewhere + 0.5) / (others + 1.0)
     by_kind = Counter(kind_of[v] for v in vehicles)
     a, b = _beta_prior([by_kind[k] for k in sorted(size)], [size[k] for k in sorted(size)])
@@ -81,7 +83,7 @@ def _counted(
 
 
 def _beta_prior(counts: Sequence[int], sizes: Sequence[int]) -> tuple[float, float]:
-    """Beta prior with the mean rate of all types, and the strength that makes them most likely."""
+    """Beta prior with the mean rate of all types, and the strength of maximum likelihood."""
     rate = (sum(counts) + 0.5) / (sum(sizes) + 1.0)
     strengths = np.geomspace(1.0, 1000.0, 40)
     likely = [betabinom.logpmf(counts, sizes, s * rate, s * (1.0 - rate)).sum() for s in strengths]
@@ -90,7 +92,8 @@ def _beta_prior(counts: Sequence[int], sizes: Sequence[int]) -> tuple[float, flo
 
 
 def never_usable_rows(columns: Mapping[str, Sequence[Any]]) -> list[dict[str, Any]]:
-    """Drives that never became usable, by type and by what the first open angle waited for."""
+    """Count drives that never became usable, by type and by the condition that the first open angle
+    waited for."""
     drives: Counter[tuple[str, str]] = Counter()
     vehicles: dict[tuple[str, str], set[str]] = defaultdict(set)
     total: Counter[str] = Counter()

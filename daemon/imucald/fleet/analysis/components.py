@@ -1,8 +1,9 @@
 """Variance components of one axis, by restricted maximum likelihood, with their intervals.
 
 REML (Patterson and Thompson, Biometrika 58, 1971) with known, unequal variances of the single
-values. Each component is found alone, so one number is sought at a time: D from what drives of a
-segment differ by (the segments' means are free), T from what vehicles of a type differ by.
+values. Each component is estimated separately, one number at a time: D from the differences of the
+drives in a segment (the segments' means are free), T from the differences of the vehicles of a
+type.
 """
 
 from __future__ import annotations
@@ -22,11 +23,11 @@ Index = NDArray[np.int64]
 MEDIAN_CHI2 = float(chi2.median(1))
 WITHIN_95 = float(chi2.ppf(0.95, 1))
 LARGEST = 180.0**2
-"""No variance of a mount is larger [deg^2]."""
+"""Upper limit of a mount's variance [deg^2]."""
 
 
 class VarianceComponent(NamedTuple):
-    """A variance [deg^2] with its 95 % interval (profile likelihood), and its freedoms."""
+    """A variance [deg^2] with its 95 % interval (profile likelihood) and its degrees of freedom."""
 
     value: float
     low: float
@@ -35,7 +36,8 @@ class VarianceComponent(NamedTuple):
 
 
 def between_drives(y: Array, P: Array, segment: Index) -> VarianceComponent:
-    """D of one axis: y (n,) [deg], P (n,) variances, segment (n,) ascending index."""
+    """Variance D between drives for one axis. y: (n,) [deg]. P: (n,) variances. segment: (n,)
+    ascending index."""
     starts = np.flatnonzero(np.diff(segment, prepend=-1))
     freedom = len(y) - len(starts)
     if freedom < 1:
@@ -52,7 +54,8 @@ def between_drives(y: Array, P: Array, segment: Index) -> VarianceComponent:
 
 
 def between_vehicles(m: Array, V: Array) -> VarianceComponent:
-    """T of one axis: m (n,) [deg] of vehicles of a type, V (n,) their variances."""
+    """Variance T between vehicles for one axis. m: (n,) [deg] of the vehicles of a type. V: (n,)
+    their variances."""
     if len(m) < 2:
         return VarianceComponent(0.0, 0.0, LARGEST, 0)
 
@@ -65,12 +68,13 @@ def between_vehicles(m: Array, V: Array) -> VarianceComponent:
 
 
 def _found(deviance: Callable[[float], float], freedom: int) -> VarianceComponent:
-    """The value of least deviance, and where the deviance is 3.84 above it."""
+    """The value with the smallest deviance, and the interval ends at which the deviance is 3.84
+    larger."""
 
     def of_root(x: float) -> float:
         return deviance(x * x)
 
-    # bounded: from nothing to three times where a grid has its least value
+    # the search is bounded: from zero to three times the best value on a grid
     grid = np.concatenate([[0.0], np.geomspace(1e-3, LARGEST**0.5, 60)])
     values = [of_root(float(x)) for x in grid]
     k = int(np.argmin(values))
@@ -90,10 +94,12 @@ def _found(deviance: Callable[[float], float], freedom: int) -> VarianceComponen
 
 
 def robust_variance(squares: Array, known: Array) -> float:
-    """The variance D with which half of all squares / (D * share + known) are below their median.
+    """The variance D for which half of the values squares / (D * share + known) are below their
+    median.
 
-    squares: (n,) [deg^2], each of a normal variable of variance D + known. A tenth of gross errors
-    moves it by a tenth or so; it starts iterations and judges nothing.
+    squares: (n,) [deg^2], each the square of a normal variable with variance D + known. If a tenth
+    of the values are gross errors, the result changes by about a tenth. It is used only as a start
+    value.
     """
     if not len(squares):
         return 0.0

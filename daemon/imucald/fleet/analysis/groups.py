@@ -1,4 +1,4 @@
-"""Batches and firmware: vehicles of a group against the other vehicles of their types."""
+"""Batches and firmware: compare the vehicles of a group with the other vehicles of their types."""
 
 from __future__ import annotations
 
@@ -16,15 +16,16 @@ from imucald.fleet.analysis.units import MAX_Q, Units, t_quantile, t_weights
 Index = NDArray[np.int64]
 Flags = NDArray[np.bool_]
 Codes = Mapping[str, tuple[list[str], Index]]
-"""By column the names of its groups, and the index of each vehicle's (-1: not known)."""
+"""By column: the names of its groups, and the group index of each vehicle (-1: not known)."""
 
 LEAST_GROUP = 5
-"""A batch with fewer vehicles is not judged."""
+"""Smallest batch that is tested."""
 
 
 @dataclass(frozen=True)
 class GroupEffect:
-    """How vehicles of a batch differ from others of their types. p, q are NaN with too few."""
+    """Difference of the vehicles of a batch from others of their types. p and q are NaN if there
+    are too few vehicles."""
 
     column: str
     name: str
@@ -39,19 +40,19 @@ class GroupEffect:
 
     @property
     def half_width(self) -> Array:
-        """Half of the 95 % interval (3,) [deg]."""
+        """Half width of the 95 % interval (3,) [deg]."""
         return t_quantile(self.freedom) * np.sqrt(np.diagonal(self.covariance))
 
 
 def group_codes(values: Sequence[str | None]) -> tuple[list[str], Index]:
-    """Names of the groups, and the index of each vehicle's (-1: not known)."""
+    """Names of the groups, and the group index of each vehicle (-1: not known)."""
     names = sorted({v for v in values if v is not None})
     index = {name: i for i, name in enumerate(names)}
     return names, np.array([-1 if v is None else index[v] for v in values], dtype=np.int64)
 
 
 def group_effects(units: Units, e: Array, T: Array, codes: Codes) -> list[GroupEffect]:
-    """Effects of all groups; those found are left out of what the others are compared with."""
+    """Effects of all groups; vehicles of found groups are not used as reference for the others."""
     wide = T[units.kind] + units.v
     w = t_weights(e, wide)[:, None] / wide
     left_out = np.zeros(len(units), dtype=bool)
@@ -76,9 +77,10 @@ def group_effects(units: Units, e: Array, T: Array, codes: Codes) -> list[GroupE
 def _effects(
     units: Units, sums: Array, used: Flags, column: str, names: Sequence[str], index: Index
 ) -> list[GroupEffect]:
-    """Each group against the other vehicles of its types: contrasts by type, put together.
+    """Compare each group with the other vehicles of its types: contrasts by type, combined.
 
-    sums: (n, 10), by vehicle its weights, weights times e, the variance of that, and one.
+    sums: (n, 10), for each vehicle its weights, weights times e, the variance of that product, and
+    1.
     """
     vehicles = np.bincount(index[index >= 0], minlength=len(names))
     mine = used & (index >= 0)
@@ -86,7 +88,7 @@ def _effects(
     inside = _summed(sums[mine], pair, len(pairs))
     group, kind = np.divmod(pairs, units.kinds)
     outside = _summed(sums[used], units.kind[used], units.kinds)[kind] - inside
-    # a type that is of this batch as a whole: the two cannot be separated
+    # if a whole type belongs to this batch, the two cannot be separated
     beside = outside[:, 9] > 0.5
     inside, outside, group = inside[beside], outside[beside], group[beside]
     (mean, variance), (of_others, their_variance) = _mean(inside), _mean(outside)
@@ -122,7 +124,8 @@ def _mean(sums: Array) -> tuple[Array, Array]:
 
 
 def _p_of(square: float | Array, freedom: float) -> float:
-    """Chance of so large a square of three normal variables whose scale was learnt from data."""
+    """Chance of a sum of squares this large, for three normal variables whose scale was estimated
+    from data."""
     return float(f_distribution.sf(square / 3.0, 3, max(freedom, 1)))
 
 
@@ -139,7 +142,7 @@ def _judged(g: GroupEffect, q: float) -> GroupEffect:
 
 
 def group_offsets(units: Units, effects: Sequence[GroupEffect], codes: Codes) -> Array:
-    """What found groups turn each of their vehicles by (n, 3) [deg]."""
+    """Turns of each vehicle by the found groups (n, 3) [deg]."""
     offset = np.zeros((len(units), 3))
     for g in effects:
         if g.found:

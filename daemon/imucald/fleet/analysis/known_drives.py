@@ -1,4 +1,4 @@
-"""The drives that can be read together, as arrays."""
+"""The drives that can be analysed together, as arrays."""
 
 from __future__ import annotations
 
@@ -16,9 +16,10 @@ from imucald.core.arrays import Array
 Index = NDArray[np.int64]
 
 KNOWN = ("usable", "fine")
-"""States of drives whose mount counts: the others say that it is not known, or moving."""
+"""States of drives whose mount is used; in other states the mount is not known or is moving."""
 FLOOR_DEG2 = 1e-4
-"""Least variance of a drive [deg^2], 0.01 deg: no estimate is better, whatever it says."""
+"""Smallest variance of a drive [deg^2], from 0.01 deg: no estimate is more accurate, even if it
+claims so."""
 DAY_S = 86_400.0
 
 
@@ -30,9 +31,9 @@ class KnownDrives:
     vehicle's axes [deg^2] without the road crown's part. crown: (n,) standard deviation of that
     part [deg], a roll, common to a driving side. row: index into the table. vehicle: index into
     `vehicles`, ascending. kind: index into `kinds` (vehicle types), by vehicle. side: driving side.
-    is_after: (n,) whether it began when all earlier ones of its vehicle had ended; False: drives
-    that share some time, or have none, have no order. is_moved: (n,) whether a drive found
-    itself that the sensor was moved in it, or in one since the known drive before.
+    is_after: (n,) whether it began after the end of all earlier drives of its vehicle; False:
+    drives that overlap or have no time have no order. is_moved: (n,) whether a move of the sensor
+    was found in this drive, or in a drive between it and the known drive before.
     """
 
     rotation: Rotation
@@ -58,7 +59,7 @@ class KnownDrives:
 
 
 def known_drives(columns: Mapping[str, Sequence[Any]], moved: Collection[str] = ()) -> KnownDrives:
-    """Take the drives out of the table's columns.
+    """Read the drives from the table's columns.
 
     moved: keys of the drives, known or not, in which the sensor was moved.
     """
@@ -79,7 +80,7 @@ def known_drives(columns: Mapping[str, Sequence[Any]], moved: Collection[str] = 
     types = np.array([str(t or "unknown") for t in columns["vehicle_type"]], dtype=object)[row]
     kinds, kind_of_drive = np.unique(types, return_inverse=True)
     kind = np.zeros(len(vehicles), dtype=np.int64)
-    kind[vehicle] = kind_of_drive  # the last drive's, should it change
+    kind[vehicle] = kind_of_drive  # the last drive's type, if it changes
     crown = numbers[:, 10]
     return KnownDrives(
         Rotation.from_quat(numbers[:, :4]) if len(row) else Rotation.identity(0),
@@ -97,10 +98,10 @@ def known_drives(columns: Mapping[str, Sequence[Any]], moved: Collection[str] = 
 
 
 def _times(columns: Mapping[str, Sequence[Any]]) -> tuple[Array, Array]:
-    """When drives begin and end, as UNIX time [s].
+    """Start and end times of the drives, as UNIX time [s].
 
-    One of a logger without a clock has its whole day, where the path says it; without a day too,
-    infinity.
+    A drive of a logger without a clock covers its whole day, if the path states the day; otherwise
+    the times are infinite.
     """
     begin, end = (np.array(columns[name], dtype=float) for name in ("start", "end"))
     for i in np.flatnonzero(np.isnan(begin)).tolist():
@@ -111,7 +112,7 @@ def _times(columns: Mapping[str, Sequence[Any]]) -> tuple[Array, Array]:
 
 
 def _is_after(begin: Array, end: Array, vehicle: Index) -> NDArray[np.bool_]:
-    """See `KnownDrives`; drives are sorted by vehicle and begin."""
+    """See `KnownDrives`; drives are sorted by vehicle and start time."""
     found = np.ones(len(begin), dtype=np.bool_)
     latest = -np.inf
     for i in range(len(begin)):
@@ -124,9 +125,9 @@ def _is_after(begin: Array, end: Array, vehicle: Index) -> NDArray[np.bool_]:
 
 
 def _is_moved(shifts: Index, is_after: NDArray[np.bool_], vehicle: Index) -> NDArray[np.bool_]:
-    """See `KnownDrives`; shifts: (n,) how many were found until each drive's end.
+    """See `KnownDrives`. shifts: (n,) number of moves found until each drive's end.
 
-    What was found in one of several drives without an order shows after the last of them.
+    A move found in one of several drives without an order counts after the last of them.
     """
     found = np.zeros(len(shifts), dtype=np.bool_)
     before = 0
@@ -141,10 +142,11 @@ _COVARIANCE = tuple(f"cov_{pair}_deg2" for pair in ("xx", "xy", "xz", "yy", "yz"
 
 
 def _without_crown(pairs: Array, crown: Array) -> Array:
-    """Covariances (n, 3, 3) from their six numbers, less the crown's; never below the floor."""
+    """Covariances (n, 3, 3) from their six numbers, minus the crown's part, and never below the
+    floor."""
     P = pairs[:, [0, 1, 2, 1, 3, 4, 2, 4, 5]].reshape(-1, 3, 3).copy()
     P[:, 0, 0] -= crown**2
-    P[:, 0, 2] = P[:, 2, 0] = 0.0  # it alone makes roll and yaw go together
+    P[:, 0, 2] = P[:, 2, 0] = 0.0  # only the crown correlates roll and yaw
     values, vectors = np.linalg.eigh(P)
     values = np.maximum(values, FLOOR_DEG2)
     return np.asarray((vectors * values[:, None, :]) @ vectors.transpose(0, 2, 1))
@@ -156,5 +158,5 @@ def between(one: Rotation, other: Rotation) -> Array:
 
 
 def turned(R: Rotation, vector_deg: Array) -> Rotation:
-    """Rotations turned by rotation vectors [deg] about the vehicle's axes."""
+    """Rotate `R` by rotation vectors [deg] about the vehicle's axes."""
     return Rotation.from_rotvec(vector_deg, degrees=True) * R

@@ -1,8 +1,8 @@
-"""Variances of several types, each moderated by what the types have in common.
+"""Variances of several types, each moderated by the common distribution of all types.
 
-Empirical Bayes as in Smyth (Stat. Appl. Genet. Mol. Biol. 3, 2004): log variances of d freedoms
-scatter by trigamma(d / 2) by chance; what they scatter beyond that says how many freedoms the
-common variance is worth, relative to a type's own.
+Empirical Bayes as in Smyth (Stat. Appl. Genet. Mol. Biol. 3, 2004): log variances with d degrees of
+freedom scatter by trigamma(d / 2) by chance. Their additional scatter gives the number of degrees
+of freedom of the common variance, relative to a type's own.
 """
 
 from __future__ import annotations
@@ -17,12 +17,12 @@ from imucald.core.arrays import Array
 from imucald.fleet.analysis.components import VarianceComponent
 
 LEAST = 1e-6
-"""Of a variance whose logarithm is taken [deg^2]."""
+"""Smallest variance whose logarithm is taken [deg^2]."""
 MOST_FREEDOM = 1e6
 
 
 def moderated(T: Sequence[Sequence[VarianceComponent]], V: Array) -> tuple[Array, Array]:
-    """T (kinds, 3) [deg^2] as used for tests and shrinkage, and freedoms (kinds,) of T + V.
+    """T (kinds, 3) [deg^2] for tests and shrinkage, and degrees of freedom (kinds,) of T + V.
 
     V: (kinds, 3) usual variance of a vehicle's mean. A type with one vehicle has the common T.
     """
@@ -39,7 +39,8 @@ def moderated(T: Sequence[Sequence[VarianceComponent]], V: Array) -> tuple[Array
     spread = ((e - common) ** 2).sum() / (3.0 * (len(e) - 1))
     beyond = float(spread - polygamma(1, d / 2.0).mean())
     worth = min(_freedom(beyond), float(freedom.sum()))
-    # of an endless prior the mean of logarithms is that of the variance itself
+    # with an infinitely strong prior the mean of the logarithms is the logarithm of the variance
+    # itself
     s0 = (
         np.exp(common + digamma(worth / 2.0) - np.log(worth / 2.0))
         if beyond > 0
@@ -51,7 +52,8 @@ def moderated(T: Sequence[Sequence[VarianceComponent]], V: Array) -> tuple[Array
 
 
 def _freedom(beyond: float) -> float:
-    """Freedoms d of which trigamma(d / 2) is so much; very many where all is chance."""
+    """Degrees of freedom d for which trigamma(d / 2) has this value; very many if all scatter is
+    chance."""
     if beyond <= float(polygamma(1, MOST_FREEDOM / 2.0)):
         return MOST_FREEDOM
     return 2.0 * float(brentq(lambda x: float(polygamma(1, x)) - beyond, 1e-3, MOST_FREEDOM))

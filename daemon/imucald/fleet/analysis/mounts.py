@@ -1,4 +1,5 @@
-"""Mounts of segments and vehicles with their intervals, as measured and shrunk to the type."""
+"""Mounts of segments and vehicles with their intervals: as measured, and shrunk towards the
+type."""
 
 from __future__ import annotations
 
@@ -45,19 +46,21 @@ class Segments:
         return np.flatnonzero(np.diff(self.vehicle, append=-1)).astype(np.int64)
 
     def half_width(self) -> Array:
-        """Half of the 95 % interval (k, 3) [deg], crown included."""
+        """Half width of the 95 % interval (k, 3) [deg], including the crown."""
         return interval(np.diagonal(self.V, axis1=1, axis2=2), self.crown)
 
 
 def interval(variance: Array, crown: Array, quantile: float = NORMAL_95) -> Array:
-    """Half of a 95 % interval (n, 3) [deg]: the crown is a roll, normal whatever the rest is."""
+    """Half width of a 95 % interval (n, 3) [deg]. The crown adds a normally distributed roll,
+    whatever the distribution of the rest."""
     wide = quantile**2 * variance
     wide = wide + np.stack([(NORMAL_95 * crown) ** 2, 0.0 * crown, 0.0 * crown], axis=1)
     return np.sqrt(wide)
 
 
 def segment_mounts(drives: KnownDrives, remounts: Remounts) -> Segments:
-    """The mount of each segment: mean of its drives about the first of them."""
+    """The mount of each segment: the mean of its drives' rotation vectors relative to the first
+    drive."""
     segment = remounts.segment
     first = np.flatnonzero(np.diff(segment, prepend=-1))
     e = between(drives.rotation, drives.rotation[first[segment]])
@@ -70,14 +73,14 @@ def segment_mounts(drives: KnownDrives, remounts: Remounts) -> Segments:
 
 
 def first_units(drives: KnownDrives, segments: Segments) -> Units:
-    """Vehicles as they were delivered."""
+    """The first segment of each vehicle: its mount at delivery."""
     s = segments.starts
     return Units(segments.rotation[s], segments.V[s], drives.kind, len(drives.kinds))
 
 
 @dataclass(frozen=True)
 class Shrunk:
-    """Mounts of vehicles now. weight: (n, 3) of the vehicle's own data, 1 where it is not shrunk.
+    """Present mounts of vehicles. weight: (n, 3) of the vehicle's own data; 1 if it is not shrunk.
     half_width: (n, 3) of the 95 % interval [deg]."""
 
     rotation: Rotation
@@ -86,15 +89,16 @@ class Shrunk:
 
 
 def shrink(drives: KnownDrives, segments: Segments, found: Population) -> Shrunk:
-    """The best estimate of each vehicle: its own mean and its type, weighed by their variances.
+    """The best estimate of each vehicle: the mean of its own value and its type's, weighted by
+    their variances.
 
-    A sensor that was moved, or that stands out, is no sample of its type any more: it is left as
-    measured. Its own mean and its type's are off by the same crown, so that counts once.
+    A sensor that was moved or stands out no longer represents its type, so its measured value is
+    kept. The same crown affects its own mean and its type's mean, so it counts once.
     """
     s, kind = segments.ends, drives.kind
     V, T = segments.V[s], found.tau2[kind]
     plain = (segments.starts == s) & ~found.outlier
-    prior = found.offset  # of a found batch: how its vehicles differ from the type
+    prior = found.offset  # offset of the vehicles of a found batch
     e = between(segments.rotation[s], found.centre[kind]) - prior
     wide = V + T[:, :, None] * np.eye(3)
     B = np.where(plain[:, None, None], V @ np.linalg.inv(wide), 0.0)
@@ -109,7 +113,7 @@ def shrink(drives: KnownDrives, segments: Segments, found: Population) -> Shrunk
 
 
 def type_half_width(found: Population, crown: Array) -> Array:
-    """Half of the 95 % interval of each type's mount (kinds, 3) [deg]; crown: (kinds,)."""
+    """Half width of the 95 % interval of each type's mount (kinds, 3) [deg]; crown: (kinds,)."""
     rows = []
     for k, freedom in enumerate(found.freedom):
         variance = np.diagonal(found.mean_covariance[k])[None]

@@ -1,8 +1,10 @@
-"""Types of vehicles: their mount, how far vehicles differ, which vehicle or batch stands out.
+"""Types of vehicles: their mount, the scatter between vehicles, and vehicles or batches that stand
+out.
 
-Rotation vectors about the type's mount, in the vehicle's axes [deg]. One vehicle counts once, by
-its first segment: as it was delivered. The road crown is the same in every vehicle; it cancels in
-all differences and enters the intervals of mounts once, not divided by the number of vehicles.
+Rotation vectors are relative to the type's mount, in the vehicle's axes [deg]. Each vehicle counts
+once, with its first segment, as delivered. The road crown is the same in every vehicle; it cancels
+in all differences. It enters the intervals of mounts once and is not divided by the number of
+vehicles.
 """
 
 from __future__ import annotations
@@ -36,15 +38,17 @@ RESTARTS = 4
 CENTRES = 400
 """Vehicles from which the first centre is chosen."""
 LEAST_PLAIN = 5
-"""A type with fewer vehicles besides those of found batches has these in its mean too."""
+"""If a type has fewer vehicles outside found batches, vehicles of these batches enter its mean
+too."""
 
 
 @dataclass
 class Population:
-    """What was found. centre: mounts of the types; e: (n, 3) vehicles about them, offsets of found
-    batches taken out; offset: (n, 3) these. mean_covariance: (kinds, 3, 3) of the centres without
-    the crown. T: components by type and axis; tau2: (kinds, 3) [deg^2] T moderated by the other
-    types. freedom: (kinds,) of it. p, q: (n,) of each vehicle being an outlier."""
+    """Result of the analysis. centre: mounts of the types. e: (n, 3) vehicles relative to them,
+    without the offsets of found batches. offset: (n, 3) these offsets. mean_covariance: (kinds, 3,
+    3) of the centres without the crown. T: components by type and axis. tau2: (kinds, 3) [deg^2] T
+    moderated by the other types. freedom: (kinds,) its degrees of freedom. p, q: (n,) of each
+    vehicle as an outlier."""
 
     centre: Rotation
     e: Array
@@ -60,7 +64,7 @@ class Population:
 
 
 def population(units: Units, columns: Mapping[str, Sequence[str | None]]) -> Population:
-    """Find types, batches and outliers. columns: what each vehicle is grouped by, by name."""
+    """Find types, batches and outliers. columns: by name, the group of each vehicle."""
     codes = {name: group_codes(values) for name, values in columns.items()}
     found: list[GroupEffect] = []
     offset = np.zeros((len(units), 3))
@@ -77,7 +81,8 @@ def population(units: Units, columns: Mapping[str, Sequence[str | None]]) -> Pop
 
 
 def _robust(units: Units, offset: Array) -> tuple[Rotation, Array, Array]:
-    """Centres, vehicles about them less the offsets (n, 3), and T (kinds, 3), all robust."""
+    """Robust estimates: centres, vehicles relative to them without the offsets (n, 3), and T
+    (kinds, 3)."""
     rotation = turned(units.rotation, -offset) if len(units) else units.rotation
     centre = _first_centres(rotation, units)
     T = np.zeros((units.kinds, 3))
@@ -100,7 +105,7 @@ def _sum(values: Array, kind: Index, kinds: int) -> Array:
 
 
 def _first_centres(rotation: Rotation, units: Units) -> Rotation:
-    """The vehicle of each type with the least median distance to the others."""
+    """For each type, the mount of the vehicle with the smallest median distance to the others."""
     chosen = []
     for k in range(units.kinds):
         mine = np.flatnonzero(units.kind == k)
@@ -114,7 +119,8 @@ def _first_centres(rotation: Rotation, units: Units) -> Rotation:
 def _without_outliers(
     units: Units, centre: Rotation, e: Array, offset: Array, T: Array, groups: list[GroupEffect]
 ) -> Population:
-    """REML of T and the means without outliers; each vehicle judged by the others of its type."""
+    """REML of T, and the means, without outliers; each vehicle is compared with the others of its
+    type."""
     odd = t_weights(e, T[units.kind] + units.v) < _SUSPECT_WEIGHT
     rotation = turned(units.rotation, -offset) if len(units) else units.rotation
     for _ in range(RESTARTS):
@@ -136,11 +142,13 @@ def _without_outliers(
 
 
 _SUSPECT_WEIGHT = (T_FREEDOM + 3.0) / (T_FREEDOM + 16.27)
-"""Of a vehicle whose square is above the 99.9th percentile of chi-square with 3 freedoms."""
+"""A vehicle stands out if its square exceeds the 99.9th percentile of chi-square with 3 degrees of
+freedom."""
 
 
 def _has_others(units: Units, offset: Array, odd: Flags) -> Flags:
-    """Whether a vehicle's type has others that neither stand out nor are of a found batch."""
+    """Whether a vehicle's type has other vehicles that neither stand out nor belong to a found
+    batch."""
     plain = ~odd & (offset == 0.0).all(axis=1)
     count = _sum(plain[:, None].astype(float), units.kind, units.kinds)[:, 0]
     return np.asarray(count[units.kind] >= LEAST_PLAIN)
@@ -149,7 +157,8 @@ def _has_others(units: Units, offset: Array, odd: Flags) -> Flags:
 def _components(
     units: Units, e: Array, odd: Flags
 ) -> tuple[list[list[VarianceComponent]], Array, Array]:
-    """T by type and axis as each type shows it, then moderated (kinds, 3), with its freedoms."""
+    """T by type and axis from each type alone, then moderated (kinds, 3), and its degrees of
+    freedom."""
     found, usual = [], np.zeros((units.kinds, 3))
     for k in range(units.kinds):
         mine = (units.kind == k) & ~odd
@@ -160,7 +169,8 @@ def _components(
 
 
 def _leave_one_out(units: Units, e: Array, odd: Flags, tau2: Array, freedom: Array) -> Array:
-    """p of each vehicle against the mean of the others of its type that do not stand out."""
+    """p of each vehicle, compared with the mean of the other vehicles of its type that do not stand
+    out."""
     wide = tau2[units.kind] + units.v
     w = np.where(odd[:, None], 0.0, 1.0 / wide)
     total, weighted = (_sum(x, units.kind, units.kinds)[units.kind] for x in (w, w * e))

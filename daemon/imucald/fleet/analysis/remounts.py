@@ -1,4 +1,4 @@
-"""Remounts between drives, over all vehicles, with the false-discovery rate held."""
+"""Find remounts between drives, over all vehicles, with a controlled false-discovery rate."""
 
 from __future__ import annotations
 
@@ -20,24 +20,25 @@ Index = NDArray[np.int64]
 
 ROUNDS = 3
 LEAST_PAIRS = 3
-"""Pairs of drives in turn, see `_pairs`. D begins as their median: of fewer, one remount is the
-median or half of it, and so looks like what drives differ by."""
+"""Fewest pairs of successive drives, see `_pairs`. The first D is their median. With fewer pairs a
+single remount would dominate the median and look like the normal scatter of drives."""
 OWN_FREEDOM = 20
-"""A type with fewer differences between drives has the D of all types together."""
+"""A type with fewer differences between drives uses the D of all types together."""
 FREEDOMS = (5.0, 6.0, 8.0, 10.0, 14.0, 20.0, 30.0)
-"""Tails of the null distribution that are tried. A few hundred pairs of drives cannot separate a t
-distribution of 30 freedoms from a normal one, but thresholds of p = 0.002 feel the difference: so
-normal tails are never taken for granted. Chosen on simulated fleets (seeds from 1000) by
-`python -m benchmarks.fleet --only statistics`."""
+"""Degrees of freedom of the null distribution that are tried. A few hundred pairs of drives cannot
+separate a t distribution with 30 degrees of freedom from a normal one, but the difference matters
+at thresholds of p = 0.002. So normal tails are never assumed. Chosen on simulated fleets (seeds
+from 1000) by `python -m benchmarks.fleet --only statistics`."""
 
 
 @dataclass(frozen=True)
 class Remounts:
-    """Candidates: index of the first drive after, turn (k, 3) [deg], covariance, p, q; and found.
+    """Candidates for remounts: index of the first drive after each, turn (k, 3) [deg], covariance,
+    p, q, and whether it was found.
 
-    D: (kinds, 3) variance between drives [deg^2], components by type and axis. scale: by how much
-    variances are larger than stated (1: as stated). segment: (n,) of each drive,
-    ascending over all vehicles. Cuts where a drive itself found a move are no candidates.
+    D: (kinds, 3) variance between drives [deg^2], components by type and axis. scale: ratio of true
+    to stated variances (1: as stated). segment: (n,) of each drive, ascending over all vehicles.
+    Cuts at a move found within a drive are no candidates.
     """
 
     drive: Index
@@ -57,7 +58,7 @@ class Remounts:
 
 
 def find_remounts(drives: KnownDrives) -> Remounts:
-    """Look for remounts in all vehicles; D is learnt on the way from what is none."""
+    """Find remounts in all vehicles; D is estimated from the differences that are no remounts."""
     e = between(drives.rotation, drives.rotation[drives.first[drives.vehicle]])
     D = np.tile(_first_D(e, drives), (len(drives.kinds), 1))
     components: list[list[VarianceComponent]] = []
@@ -72,13 +73,14 @@ def find_remounts(drives: KnownDrives) -> Remounts:
 
 
 def _pairs(drives: KnownDrives) -> Index:
-    """Index of each drive that follows another of its vehicle, without a move that it found."""
+    """Index of each drive that follows another of its vehicle, without a move found in between."""
     same = np.diff(drives.vehicle, prepend=-1) == 0
     return np.flatnonzero(same & drives.is_after & ~drives.is_moved).astype(np.int64)
 
 
 def _first_D(e: Array, drives: KnownDrives) -> Array:
-    """D by the median of what drives in turn differ by, which remounts do not move much."""
+    """D from the median of the differences of successive drives; remounts hardly change a
+    median."""
     after = _pairs(drives)
     squares = (e[after] - e[after - 1]) ** 2
     P = np.diagonal(drives.P, axis1=1, axis2=2)
@@ -87,17 +89,18 @@ def _first_D(e: Array, drives: KnownDrives) -> Array:
 
 
 def weights(drives: KnownDrives, D: Array, scale: float = 1.0) -> Array:
-    """Inverse covariances (n, 3, 3) of single drives about their vehicle's mount [1/deg^2]."""
+    """Inverse covariances (n, 3, 3) of single drives relative to their vehicle's mount
+    [1/deg^2]."""
     V = drives.P + D[drives.kind[drives.vehicle]][:, :, None] * np.eye(3)
     return np.asarray(np.linalg.inv(scale * V))
 
 
 @dataclass(frozen=True)
 class Null:
-    """What squares of differences of two single drives are without a remount: an empirical null.
+    """Empirical null distribution: squared differences of two single drives without a remount.
 
-    square / (3 * scale) is of an F distribution with 3 and `freedom` freedoms: claimed deviations
-    hold on the whole and have heavier tails than normal.
+    square / (3 * scale) has an F distribution with 3 and `freedom` degrees of freedom: stated
+    deviations are right on average, but the tails are heavier than normal.
     """
 
     scale: float = 1.0
@@ -105,13 +108,14 @@ class Null:
 
     @property
     def widening(self) -> float:
-        """By how much variances are larger than stated; never below 1."""
+        """Ratio of true to stated variances; never below 1."""
         return max(1.0, self.scale * self.freedom / (self.freedom - 2.0))
 
     def p(self, squares: Array, before: Index, after: Index) -> Array:
-        """p of squares of differences of means of so many drives.
+        """p of squared differences between the means of `before` and `after` drives.
 
-        A mean is nearer to normal than one drive: its fourth cumulant goes with 1 / n^3.
+        A mean is closer to normal than a single drive: its fourth cumulant is proportional to 1 /
+        n^3.
         """
         a, b = 1.0 / before, 1.0 / after
         share = (a**3 + b**3) / (a + b) ** 2 / 0.5
@@ -120,7 +124,7 @@ class Null:
 
 
 def _null(e: Array, drives: KnownDrives, D: Array, cuts: Index) -> Null:
-    """The null that makes differences of drives in turn most likely, found remounts left out."""
+    """Maximum-likelihood null for the differences of successive drives, without found remounts."""
     after = np.setdiff1d(_pairs(drives), cuts)
     if len(after) < OWN_FREEDOM:
         return Null()
@@ -158,7 +162,7 @@ def _cuts(e: Array, drives: KnownDrives, D: Array, null: Null) -> Remounts:
     squares = np.einsum("ki,ki->k", turn, np.linalg.solve(spread, turn[:, :, None])[..., 0])
     count = np.bincount(segment)
     p = null.p(squares, count[after - 1], count[after])
-    # each pair of drives in turn is a hypothesis: those that are no candidates have p = 1
+    # each pair of successive drives is a hypothesis; pairs that are no candidates have p = 1
     padded = np.ones(max(len(_pairs(drives)), len(p)))
     padded[: len(p)] = p
     q = false_discovery_control(padded)[: len(p)] if len(padded) else p
@@ -167,7 +171,7 @@ def _cuts(e: Array, drives: KnownDrives, D: Array, null: Null) -> Remounts:
 
 
 def _segments(drives: KnownDrives, cuts: Index) -> Index:
-    """Segment of each drive, ascending: a new one at each vehicle and each cut."""
+    """Segment index of each drive, ascending; a new segment starts at each vehicle and each cut."""
     begins = np.zeros(len(drives), dtype=np.int64)
     begins[drives.first] = 1
     begins[cuts] = 1
@@ -175,9 +179,9 @@ def _segments(drives: KnownDrives, cuts: Index) -> Index:
 
 
 def _components(e: Array, drives: KnownDrives, segment: Index) -> list[list[VarianceComponent]]:
-    """D by type and axis; of all types together where a type shows too little.
+    """D by type and axis; from all types together if a type has too little data.
 
-    Segments with drives that have no order may hold a move, and are left out.
+    Segments with drives without an order may contain a move, so they are left out.
     """
     use = ~np.isin(segment, segment[~drives.is_after])
     e, segment, kind = e[use], segment[use], drives.kind[drives.vehicle][use]

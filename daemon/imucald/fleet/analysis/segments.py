@@ -1,8 +1,8 @@
-"""A vehicle's drives in segments between which its sensor was moved.
+"""Divide a vehicle's drives into segments between which its sensor may have been moved.
 
-Optimal partitioning (Jackson et al., IEEE Signal Processing Letters 12, 2005): the partition whose
-chi-square plus a penalty for each cut is least. Cuts are candidates only; which of them are
-remounts is decided over all vehicles together (`remounts`).
+Optimal partitioning (Jackson et al., IEEE Signal Processing Letters 12, 2005): the partition with
+the smallest sum of chi-square and a penalty for each cut. Cuts are only candidates; all vehicles
+together decide which of them are remounts (`remounts`).
 """
 
 from __future__ import annotations
@@ -18,14 +18,14 @@ from imucald.core.arrays import Array
 Index = NDArray[np.int64]
 
 CANDIDATE_P = 0.05
-"""A vehicle without a remount gets a candidate so often."""
+"""Chance that a vehicle without a remount gets a candidate."""
 
 
 def candidates(e: Array, W: Array, may: NDArray[np.bool_]) -> list[int]:
     """Cuts (index of the first drive after each) of one vehicle.
 
     e: (n, 3) rotation vectors [deg]. W: (n, 3, 3) inverse covariances of single drives [1/deg^2].
-    may: (n,) before which drives a cut may be.
+    may: (n,) whether a cut may lie before each drive.
     """
     n = len(e)
     if n < 2:
@@ -54,7 +54,7 @@ def candidates(e: Array, W: Array, may: NDArray[np.bool_]) -> list[int]:
 
 @cache
 def _penalty(n: int) -> float:
-    """Chi-square that the best of the n - 1 cuts of a vehicle without a remount seldom reaches."""
+    """Chi-square that the best of n - 1 cuts rarely exceeds in a vehicle without a remount."""
     return float(chi2.isf(CANDIDATE_P / (n - 1), 3))
 
 
@@ -63,7 +63,7 @@ def _from_zero(values: Array) -> Array:
 
 
 def _costs(sums: tuple[Array, Array, Array], end: int) -> Array:
-    """Chi-square about the mean of the drives a ... end - 1, for each a (end,)."""
+    """Chi-square of the drives a ... end - 1 about their mean, for each a (end,)."""
     W, We, eWe = (s[end] - s[:end] for s in sums)
     mean = np.linalg.solve(W, We[:, :, None])[:, :, 0]
     return np.asarray(eWe - np.einsum("ni,ni->n", We, mean))
@@ -72,8 +72,8 @@ def _costs(sums: tuple[Array, Array, Array], end: int) -> Array:
 def means(e: Array, W: Array, segment: Index, is_after: NDArray[np.bool_]) -> tuple[Array, Array]:
     """Weighted means (k, 3) and their covariances (k, 3, 3) of segments 0 ... k - 1, ascending.
 
-    Drives of a segment that have no order (`KnownDrives.is_after`) may hold a move: what they
-    differ by beyond what they state is added to the covariance.
+    Drives of a segment without an order (`KnownDrives.is_after`) may contain a move, so their
+    scatter beyond the stated covariance is added to it.
     """
     starts = np.flatnonzero(np.diff(segment, prepend=-1))
     We = np.einsum("nij,nj->ni", W, e)

@@ -1,4 +1,4 @@
-"""Vehicles as the units of a population, and the weights that make means of them robust."""
+"""Vehicles as the units of a population, and the weights for robust means."""
 
 from __future__ import annotations
 
@@ -14,16 +14,16 @@ from imucald.core.arrays import Array
 Index = NDArray[np.int64]
 
 MAX_Q = 0.05
-"""Of what is reported as found this share is false in expectation (Benjamini, Hochberg 1995)."""
+"""Expected share of false findings among those reported (Benjamini, Hochberg 1995)."""
 T_FREEDOM = 4.0
-"""Of the t distribution whose weights make the centre robust (Lange et al., J. Am. Stat. Assoc. 84,
-1989: 4 serves most data)."""
+"""Degrees of freedom of the t distribution whose weights make the centre robust (Lange et al., J.
+Am. Stat. Assoc. 84, 1989: 4 serves most data)."""
 
 
 @dataclass(frozen=True)
 class Units:
     """One row for each vehicle. rotation: its first segment's mount. V: (n, 3, 3) its covariance
-    without the crown's part [deg^2]. kind: (n,) index of its type, of `kinds` types."""
+    without the crown's part [deg^2]. kind: (n,) index of its type; there are `kinds` types."""
 
     rotation: Rotation
     V: Array
