@@ -26,17 +26,21 @@ SPANS: Final = np.array((4, 8, 12, 16, 20, 24, 32, 40, 52, 64))
 """Windows since a move (26 s to 7 min of driving), all of which `sums` keeps one by one."""
 _HALF: Final = np.radians(np.geomspace(1.0, 30.0, 18))
 SIZES: Final = np.concatenate([-_HALF[::-1], _HALF])
-"""Turns that are asked, as probable each [rad]: one by less than 1 deg misleads nobody."""
+"""Rotations that are tested, with equal probabilities [rad]: a rotation of less than 1 deg misleads
+no consumer.
+"""
 ANSWER_TAIL, ROAD_TAIL = 8.0, 30.0
-"""Degrees of freedom of what answers to motion and what roads show may be off by: wind comes in
-stretches; how long those of roads are is in the variance."""
+"""Degrees of freedom of the errors in responses to motion, and in what roads show.
+
+Wind comes in stretches; the variance already contains the length of stretches of road.
+"""
 _LOG_BEGINNINGS: Final = math.log(FALSE_ALARM_H * 3600.0 / (SPANS[0] * BLOCK_TICKS * TICK_S))
 
 
 class EntryChange(NamedTuple):
     """Changes (S,) of an entry over the last spans, and their variances (S,).
 
-    turn: (3,) what a turn by one about each axis makes of the entry. tail: degrees of freedom.
+    turn: (3,) effect of a unit rotation about each axis on the entry. tail: degrees of freedom.
     """
 
     turn: Array
@@ -45,18 +49,21 @@ class EntryChange(NamedTuple):
     tail: float = ANSWER_TAIL
 
     def log(self, turns: Array) -> Array:
-        """Log of the likelihood of turns (n,) about an axis that makes so much of it (S, n)."""
+        """Return the log likelihood (S, n) of n rotations about an axis.
+
+        turns: (n,) effect of each rotation on the entry.
+        """
         off = self.size[:, None] + turns
         ratio = off * off / (self.tail * self.variance[:, None])
         return np.asarray(-0.5 * (self.tail + 1.0) * np.log1p(ratio))
 
 
 class Move(Struct, frozen=True):
-    """The turn that is most likely: axis (0 roll, 1 pitch, 2 yaw), size [rad], and how many blocks
-    came since.
+    """Most likely rotation: axis (0 roll, 1 pitch, 2 yaw), size [rad], and blocks since then.
 
     deviations: the root of twice the log of the ratio of likelihoods, signed. log_odds: log of the
-    statistic over its threshold; above zero the sensor was moved, one in `FALSE_ALARM_H` by chance.
+    statistic over its threshold. Above zero the sensor was moved; a false alarm comes once in
+    `FALSE_ALARM_H`.
     """
 
     axis: int
@@ -72,12 +79,15 @@ class Move(Struct, frozen=True):
 
     @property
     def doubt(self) -> float:
-        """Deviation that it adds while it is not certain, as probable as it is [rad]."""
+        """Additional deviation while the move is not certain, weighted by its probability [rad]."""
         return abs(self.size) / math.sqrt(1.0 + math.exp(min(-self.log_odds, 700.0)))
 
 
 def likeliest_move(entries: Sequence[EntryChange], blocks: Sequence[int]) -> Move:
-    """The move that the changes of all entries speak for; blocks: since the begin of each span."""
+    """Return the move that fits the changes of all entries best.
+
+    blocks: blocks since the beginning of each span.
+    """
     log = np.zeros((3, len(blocks), len(SIZES)))
     for entry in entries:
         none = entry.log(np.zeros(1))
