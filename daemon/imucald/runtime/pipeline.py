@@ -86,7 +86,7 @@ class TickCorrections(Struct, frozen=True, dict=True):
 
     @cached_property
     def _spells(self) -> tuple[list[Correction | None], NDArray[np.int64]]:
-        """Return the successive corrections, and the first tick of each (m,)."""
+        """The successive corrections, and the first tick of each (m,)."""
         which = np.fromiter(map(id, self.corrections), np.uint64, len(self.corrections))
         first = np.append(0, np.flatnonzero(which[1:] != which[:-1]) + 1)
         return [self.corrections[i] for i in first.tolist()], first

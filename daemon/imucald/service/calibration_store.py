@@ -178,7 +178,7 @@ class CalibrationStore:
 
     @property
     def saved_check(self) -> object:
-        """Return the sensor check of the restored state, as saved; None: there is none."""
+        """The sensor check of the restored state, as saved; None: there is none."""
         return self._last.offsets.get(SENSOR_CHECK) if self._known else None
 
     @property

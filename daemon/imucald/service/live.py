@@ -100,7 +100,7 @@ class Extra(Protocol):
 
     @property
     def wait(self) -> float:
-        """Return the time until the next `poll` must come [s]."""
+        """The time until the next `poll` must come [s]."""
         ...
 
     def frame(self, can_id: int, data: bytes) -> list[OutFrame]:

@@ -72,7 +72,7 @@ class StateKey:
 
     @property
     def file_name(self) -> str:
-        """Return a file name that is safe for any identity, and distinct for distinct keys."""
+        """A file name that is safe for any identity, and distinct for distinct keys."""
         readable = re.sub(r"[^A-Za-z0-9_-]+", "_", self.vehicle)[:24]
         digest = sha256(f"{self.vehicle}\0{self.sensor}".encode()).hexdigest()[:16]
         return f"{readable}-{digest}.state"

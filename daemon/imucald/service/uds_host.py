@@ -106,7 +106,7 @@ class LiveHost:
 
     @property
     def standing(self) -> bool | None:
-        """Return whether the vehicle stands, by a speed at most two seconds old."""
+        """Whether the vehicle stands, by a speed at most two seconds old."""
         pipeline = self._service.engine.pipeline
         if pipeline.speed is None:
             return None
@@ -203,7 +203,7 @@ class LiveHost:
 
     @property
     def is_forgotten(self) -> bool:
-        """Return whether no forgotten state would return at another start."""
+        """Whether no forgotten state would return at another start."""
         return self._service.state_forgotten
 
 

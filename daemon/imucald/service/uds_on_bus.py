@@ -91,19 +91,19 @@ class BusUds:
 
     @property
     def matches(self) -> list[IdMatch]:
-        """Return the same ids in the form for the bus link."""
+        """The same ids in the form for the bus link."""
         return [
             IdMatch(i, CAN_EFF_MASK if i & CAN_EFF_FLAG else CAN_SFF_MASK) for i in sorted(self.ids)
         ]
 
     @property
     def own_ids(self) -> frozenset[int]:
-        """Return the ids that no other node may send."""
+        """The ids that no other node may send."""
         return frozenset({self.channel.response_id})
 
     @property
     def wait(self) -> float:
-        """Return the time until the next `poll` must come [s]."""
+        """The time until the next `poll` must come [s]."""
         return min(self.channel.wait, JUDGE_S)
 
     def frame(self, can_id: int, data: bytes) -> list[OutFrame]:

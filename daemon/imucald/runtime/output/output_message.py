@@ -112,7 +112,7 @@ class OutputMessage:
 
     @cached_property
     def _nothing(self) -> bytes:
-        """Return the payload without values, before protection, with state or quality 0."""
+        """The payload without values, before protection, with state or quality 0."""
         return self._plan.encode([*(None for _ in self._signals[1:]), 0])
 
     def not_available(self) -> OutFrame:
