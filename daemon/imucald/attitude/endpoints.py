@@ -63,7 +63,7 @@ class EndpointMaker:
     def complete(self) -> Iterator[tuple[Endpoint | None, Endpoint]]:
         """Return beginning and end of the intervals that are complete.
 
-        Without a beginning, an interval begins there.
+        The first endpoint after a restart has no beginning: an interval begins there.
         """
         newest = self._propagator.newest
         if newest is None:

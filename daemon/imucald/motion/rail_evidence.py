@@ -58,22 +58,22 @@ class AxisHops(Struct, frozen=True, dict=True):
 
     @property
     def levels(self) -> Array:
-        """(H,)"""
+        """Level of each hop (H,)."""
         return self.rows.level[:, self.axis]
 
     @property
     def steps(self) -> Array:
-        """(H,)"""
+        """Step of each hop (H,)."""
         return self.rows.step[:, self.axis]
 
     @property
     def top_values(self) -> Array:
-        """(2, H)"""
+        """Tops of each side (2, H)."""
         return self.rows.top[:, :, self.axis].T
 
     @property
     def top_counts(self) -> NDArray[np.int64]:
-        """(2, H)"""
+        """Samples on the tops of each side (2, H)."""
         return self.rows.on_top[:, :, self.axis].T
 
     @cached_property

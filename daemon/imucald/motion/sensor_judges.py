@@ -29,8 +29,8 @@ MIN_RUNS = 50
 LEAST_TIMES = 3.0
 """A stuck run is at least this many times longer than the longest run before, however many there
 were. If the step of an axis is coarser than its noise, its runs last as long as its motion is
-small. On a straight road they are longer than in town. The factor allows the scale to grow to three
-times.
+small. On a straight road the runs are longer than in town. The factor allows the scale to grow to
+three times.
 """
 FINE_STEP = 0.6
 """At rest an axis is judged only if its step is at most this share of the noise: it leaves room for

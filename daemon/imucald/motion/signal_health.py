@@ -46,7 +46,7 @@ Flags = NDArray[np.bool_]
 SPREAD_FLOOR, SPREAD_SLOPE = 0.6, 0.03
 """Wheel speeds may differ by this [m/s] and this share of the speed, beyond the curve."""
 CURVE_SHARE = 1.5
-"""In a curve they may differ by this factor times track times yaw rate."""
+"""In a curve, wheel speeds may differ by this factor times track times yaw rate."""
 
 
 class SignalFault(enum.StrEnum):

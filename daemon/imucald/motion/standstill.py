@@ -28,8 +28,9 @@ ZERO_SPEED = 0.05
 It is finer than the step of any bus, so only zero and its rounding pass.
 """
 ZERO_SPEED_SMOOTHED = 0.1
-"""The same limit [m/s] for a speed that was averaged over its neighbours: noise about zero passes,
-and a step of a coarse signal in one neighbour does not.
+"""The limit [m/s] for a speed that was averaged over its neighbours.
+
+Noise about zero is below it; a step of a coarse signal in one neighbour is above it.
 """
 ROLLING_SPEED = 0.5
 """A vehicle faster than this [m/s] rolls, so a sensor cannot repeat the same value all the time."""

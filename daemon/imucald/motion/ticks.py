@@ -24,7 +24,7 @@ IMU.
 TICK_S = 1.0 / TICK_RATE
 
 TickRow = Sequence[float]
-"""One row; the columns below index it."""
+"""One row; the columns below are its indices."""
 
 
 class SignalColumns(NamedTuple):

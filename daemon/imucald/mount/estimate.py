@@ -154,7 +154,7 @@ class Correction(Struct, frozen=True):
 
     def applied(self, channel: str, values: Sequence[float]) -> Vector:
         """Return a sample (3,) of a channel in vehicle axes."""
-        # Each sample on a bus comes through here: `of` and `times` would double what it takes.
+        # Each sample on a bus passes through here: `of` and `times` would double the time.
         if channel == "accel":
             matrix, offset = self.force, self.force_offset
         elif channel == "gyro":

@@ -230,8 +230,8 @@ _PLACE = {int(k): i for i, k in enumerate(_NEEDED)}
 _Parts = tuple[tuple[Index, Index, Index, Index], ...]
 """Products of signals that make up each product in vehicle axes (2 % of all).
 
-For each place of a part within its pair: pairs that have so many parts, columns of the products,
-and the two places in `_turning` whose product is the factor.
+The parts are listed by their place within a pair. For each place: the pairs with so many parts, the
+columns of the products, and the two places in `_turning` whose product is the factor.
 """
 
 

@@ -165,7 +165,7 @@ def change_details(one: TakenChange, turn: tuple[Array, Array] | None) -> dict[s
     """Return the details of a change of the mount, with its present size (`TakenChange.turn`).
 
     within_deg: half of the 95 % interval [deg] of the change, if the interval includes no change;
-    None where the sensor was moved. With a value of within_deg the mount stays in use, and its
+    None where the sensor was moved. If within_deg is not None, the mount stays in use and its
     interval covers the change.
     """
     half, is_within = max(SD_95 * one.std, abs(one.change.size)), one.is_borne

@@ -151,7 +151,9 @@ class GravityObserver:
         return found.lone
 
     def _note_holes(self, ok_rate: Flags) -> None:
-        """Note holes of the rate. After a long one the vertical is off and needs time to settle."""
+        """Note holes of the rate. After a long hole the vertical is wrong and needs time to
+        settle.
+        """
         self._settling = max(self._settling - 1, 0)
         at = self.use.nonzero()[0]
         alone = self._alone + (int(at[0]) if len(at) else len(self.use))

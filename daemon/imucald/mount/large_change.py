@@ -128,7 +128,10 @@ class TurnedAlone:
 REMEMBERED = 50
 """Blocks that are remembered (320 s)."""
 LEAST_BEFORE = (5, 5, 3)
-"""Smallest number of blocks before a change. In yaw a few show a change of this size."""
+"""Smallest number of blocks before a change.
+
+In yaw, few blocks are enough to show a change of this size.
+"""
 MOST_AFTER = 12
 """Blocks since the change that are tried (77 s)."""
 LEAST_TICKS = 32
@@ -156,8 +159,9 @@ AGREEING = 0.4
 does not count.
 """
 CLEAR, CLEAR_BLOCKS = 3.0, 2
-"""In yaw, a block is clear if the change is at least so many of its own deviations; at least so
-many blocks must be clear.
+"""A block is clear in yaw if the change is at least the first number of its own deviations.
+
+The second number is how many blocks must be clear.
 """
 STANDING_TURN = math.radians(3.0)
 """Angle [rad] by which a standing vehicle cannot turn or tilt; people getting in make half a

@@ -1,11 +1,12 @@
-"""Was the sensor moved? What came after each time against what was before.
+"""Detect a move of the sensor.
 
-A move turns both sensors by one angle about an axis of the vehicle. What the force answers to
-motion, the axis of turning and the level force change by what that turn makes of them, while the
-sensor's own terms stay. Of each beginning of the last minutes the change of every entry is fitted
-beside all that does not change (`FitSums.changes`). The likelihoods of all sizes of a turn about
-an axis, each entry with heavy tails, come to one ratio against no turn. The sum of these over the
-beginnings is the statistic of Shiryaev and Roberts, as in `drift`.
+The data after each possible time of a move are compared with the data before it. A move turns both
+sensors by one angle about an axis of the vehicle. The rotation changes the responses of the force
+to motion, the axis of turning and the level force. The terms of the sensor itself stay the same.
+For each possible beginning in the last minutes, the change of every entry is fitted together with
+all that does not change (`FitSums.changes`). The likelihoods of all sizes of a rotation about an
+axis, each entry with heavy tails, give one ratio against no rotation. The sum of these ratios over
+the beginnings is the statistic of Shiryaev and Roberts, as in `drift`.
 """
 
 from __future__ import annotations
@@ -23,7 +24,7 @@ from imucald.mount.even_signals import BLOCK_TICKS
 from imucald.mount.joint.drift import FALSE_ALARM_H
 
 SPANS: Final = np.array((4, 8, 12, 16, 20, 24, 32, 40, 52, 64))
-"""Windows since a move (26 s to 7 min of driving), all of which `sums` keeps one by one."""
+"""Windows since a move (26 s to 7 min of driving); `sums` stores all of them one by one."""
 _HALF: Final = np.radians(np.geomspace(1.0, 30.0, 18))
 SIZES: Final = np.concatenate([-_HALF[::-1], _HALF])
 """Rotations that are tested, with equal probabilities [rad]: a rotation of less than 1 deg misleads

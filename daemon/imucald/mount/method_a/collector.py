@@ -67,7 +67,9 @@ class ManoeuvreCollector:
     def take_unsigned(
         self, interval: SpeedInterval, f: Vector, R_level_from_sensor: Matrix3
     ) -> bool:
-        """Take an interval without speed: the size of the level force shows what is a manoeuvre."""
+        """Take an interval without speed: a manoeuvre is recognised by the size of the level
+        force.
+        """
         x, y, _ = (R_level_from_sensor @ np.array(f)).tolist()
         size = math.hypot(x, y)
         if size < self._settings.calibration.straight.min_speed_change:

@@ -1,4 +1,6 @@
-"""Which intervals of motion the published solver may learn from (method A, step 4, and beyond)."""
+"""Decide which intervals of motion the published solver may learn from (method A, step 4, and
+beyond).
+"""
 
 from __future__ import annotations
 
