@@ -2,8 +2,8 @@
 
 There are three kinds of limits. A number that no sensor of the kind can have measured is
 *impossible*: it is dropped before any use. A motion that no road vehicle makes is *implausible*: a
-fall, a turntable, a wrong unit. A value at the end of the sensor's range is *saturated*: the truth
-is beyond. (`inputs.quantities` judges the range that a signal's database states.)
+fall, a turntable, a wrong unit. A value at the end of the sensor's range is *saturated*: the true
+value lies beyond it. (`inputs.quantities` judges the range that a signal's database states.)
 """
 
 from __future__ import annotations
@@ -65,8 +65,8 @@ with at most 1 g of tyre grip across (a size of 1.41 g) and some of the road's w
 ROAD_FORCE_WIDE = (0.3 * GRAVITY, 3.0 * GRAVITY)
 """The same sizes for method A.
 
-Method A keeps its intervals apart and reduces the weight of outliers by itself, so potholes and
-kerbs are allowed and only what is no drive is refused.
+Method A keeps its intervals apart and reduces the weight of outliers by itself. Potholes and kerbs
+are therefore allowed, and only forces that no drive makes are refused.
 """
 MAX_ROAD_RATE = 4.0
 """No road vehicle turns faster [rad/s]: a rollover is quicker, a spin on ice is not."""

@@ -4,8 +4,8 @@ A configured cross-axis error is one of the errors that sources share. Otherwise
 estimated. Let E be the six terms in sensor axes and C = R E R^T the terms in the vehicle's axes.
 The force is then (1 + C) f, and each source shows one entry of C in addition to its angle:
 
-    yaw from dv/dt -C_yx, yaw from turns +C_xy, pitch from dv/dt +C_zx, roll from turns -C_zy, level
-    parts of gravity C_xz, C_yz (they look mostly like a bias and are subtracted with it),
+    yaw from dv/dt -C_yx, yaw from turns +C_xy, pitch from dv/dt +C_zx, roll from turns -C_zy,
+    level parts of gravity C_xz, C_yz (they look mostly like a bias and are subtracted with it).
 
 C_xx and C_yy change the response to dv/dt and to turns, and C_zz changes the size of gravity. The
 terms are independent and share one unknown rms. Three of the six combinations are symmetric and

@@ -84,7 +84,9 @@ class GravityObserver:
         """Part of each term of the motion that the vertical has followed."""
         self.use: Flags = np.zeros(BLOCK_TICKS, dtype=bool)
         self.pull = _PULL[False]
-        """Ticks of the last block in which the vertical followed the force (N,), and how fast."""
+        """Ticks of the last block in which the vertical followed the force (N,), and the gain of
+        the pull.
+        """
         self._alone = self._settling = self._seeking = 0
         self._closed_information = np.zeros((0, 3, 3))
         self._closed_score = np.zeros((0, 3))

@@ -42,7 +42,7 @@ from imucald.mount.signal_blocks import SignalBlock
 Flags = NDArray[np.bool_]
 
 APART = 20
-"""Ticks between the two times (2 s): a knock is shorter, a hand takes a second."""
+"""Ticks between the two times (2 s): a knock is shorter, and a move by hand takes a second."""
 STILL_RATE = 0.05
 """Rate below which both count as hardly turning [rad/s]: with 0.2 s between them that is 0.6
 deg.

@@ -132,8 +132,8 @@ class KnowsSensor(Protocol):
 class Contradicted(Struct, frozen=True):
     """Time at which the drive first showed that the stored mount is wrong.
 
-    t: number of ticks so far, in seconds. turned: rotation of the drive's own mount against it
-    [rad]. None: the drive has no mount yet, and gravity is far off the vertical.
+    t: number of ticks so far, in seconds. turned: rotation of the drive's own mount against the
+    stored one [rad]. None: the drive has no mount yet, and gravity is far off the vertical.
     """
 
     t: float

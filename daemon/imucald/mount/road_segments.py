@@ -101,7 +101,7 @@ MIN_INFORMATION = 50.0
 
 
 class AngleEvidence(Struct):
-    """What one source says about one angle: value [rad], variance, road segments in it.
+    """Evidence of one source about one angle: value [rad], variance, number of road segments.
 
     road: part of the variance from the mean slope or lean of the road driven.
     """

@@ -36,9 +36,9 @@ class CorrectedSamples(Struct, frozen=True, eq=False):
 class SegmentSamples(Struct, frozen=True, eq=False):
     """The samples of a segment of a chunk of frames.
 
-    stamps: (N,) recorded times of the segment's frames [s]; rows of samples count in them.
-    as_sensed: for each channel, samples as the sensors gave them, SI (see `core.samples`), in
-    sensor axes. rejected: for each channel, the rows whose sample was refused, before a model
+    stamps: (N,) recorded times of the segment's frames [s]; rows of samples are indices of these
+    frames. as_sensed: for each channel, samples as the sensors gave them, SI (see `core.samples`),
+    in sensor axes. rejected: for each channel, the rows whose sample was refused, before a model
     changes any. corrected: returns samples for each channel of a corrected frame; they are computed
     at the first call.
     """

@@ -121,7 +121,7 @@ class BusUds:
         return self.channel.poll()
 
     def status(self) -> dict[str, Any]:
-        """Return the part of `imucald status` about it."""
+        """Return the part of `imucald status` about diagnostics."""
         server, counters = self.server, self.server.counters
         return {
             "session": server.session.name.lower(),

@@ -319,8 +319,8 @@ class ZeroDrift:
     def _take(self, path: _Path, means: Array, held: NDArray[np.int_], passed: float) -> None:
         """Update the state with the means (n, 8) of the force in the steps `held`.
 
-        Then update the vertical at the end of the last step with the slopes of roads over so many
-        metres, and carry the state over the steps.
+        Then update the vertical at the end of the last step with the slopes of roads over the
+        distance passed, and carry the state over the steps.
         """
         n, end = 3 * len(held), path.slopes[-1]
         rows = n + 2 if passed > 0.0 else n

@@ -69,7 +69,7 @@ class PublishedSettings(MountSettings, frozen=True):
 
     # Step 4: straight variable-speed motion.
     settle: float = 1.5
-    """Straight motion [s] after a turn before anything is learnt: body roll swings out."""
+    """Straight motion [s] after a turn before anything is learnt: the body roll must die out."""
     min_manoeuvre: float = 1.0
     """A shorter manoeuvre is a bump [s]."""
 

@@ -29,7 +29,7 @@ def judged(known: TiltAndAngle, before: MountState, s: PublishedSettings) -> Mou
 
     A state that was reached is left only beyond its limit times the hysteresis.
 
-    A calibration that was usable and no longer is becomes suspect: it is still applied.
+    A calibration that was usable and is no longer usable becomes suspect. It is still applied.
     """
     state = _good(known, before, s)
     if state is not None:
