@@ -145,7 +145,7 @@ def test_a_sensor_without_z_is_reported(tmp_path):
 def test_a_log_of_another_vehicle_is_an_error_that_says_what_to_do(tmp_path):
     log = tmp_path / "other.log"
     log.write_text("(1600000000.000000) can0 7FF#0011\n" * 5)
-    with pytest.raises(LogError, match=r"other\.log: has no usable frame.*imucald check"):
+    with pytest.raises(LogError, match=r"other\.log: the log has no usable frame.*imucald check"):
         read_samples(loaded(), [log])
 
 
@@ -154,7 +154,7 @@ def test_a_log_without_frames_is_an_error(tmp_path):
     log.write_text("nothing that is a frame\n")
     with pytest.raises(LogError, match="the format of this log is not known"):
         read_samples(loaded(), [log])
-    with pytest.raises(LogError, match=r"empty\.log: not a log"):
+    with pytest.raises(LogError, match=r"empty\.log: the format of this log is not known"):
         read_samples(loaded(), [log], strict=True)
 
 

@@ -69,7 +69,7 @@ def run(options: argparse.Namespace) -> int:
     data = resources.files("imucald") / "data"
     if options.root == Path("/"):
         package = [] if options.exec else [str(Path(__file__).parents[1])]
-        _refuse_hidden([shlex.split(command)[0], *package])
+        _refuse_hidden([*_words(command)[:1], *package])
     base = options.root / options.prefix.relative_to(options.prefix.anchor)
     for name, place in FILES.items():
         text = (data / name).read_text("utf-8")
@@ -80,6 +80,16 @@ def run(options: argparse.Namespace) -> int:
     print("next: put a configuration in /etc/imucald/can0.yaml, then")
     print("  systemctl daemon-reload && systemctl enable --now imucald@can0")
     return 0
+
+
+def _words(command: str) -> list[str]:
+    try:
+        found = shlex.split(command)
+    except ValueError as error:
+        raise ConfigError(f"--exec {command!r}: {error}") from None
+    if not found:
+        raise ConfigError("--exec names no program")
+    return found
 
 
 def _write(path: Path, text: str) -> None:

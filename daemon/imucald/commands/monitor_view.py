@@ -84,7 +84,7 @@ def _fitting(
 ) -> list[LiveEvent]:
     """The newest events whose table has at most so many rows."""
     options = console.options.update(width=width)
-    shown = list(events)[-rows:]
+    shown = list(events)[-rows:] if rows > 0 else []
     while shown and len(console.render_lines(events_table(shown), options)) > rows:
         del shown[0]
     return shown

@@ -117,11 +117,11 @@ def is_stale(status: Mapping[str, Any], trouble: str = "") -> bool:
 
 def no_answer(error: Exception, last: float | None) -> str:
     """Why a daemon does not answer, in words; last: time of day of its last answer [s]."""
+    if last is None:
+        return str(error)
     words = "the daemon has ended"
     if isinstance(error, BusyError) or not isinstance(error, LinkError):
         words = "the daemon does not answer"
-    if last is None:
-        return f"{words}: {error}"
     return f"{words}; its last answer was at {time.strftime('%H:%M:%S', time.localtime(last))}"
 
 

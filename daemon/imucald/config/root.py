@@ -104,7 +104,7 @@ class LoadedConfig:
     def with_model(self, path: Path) -> LoadedConfig:
         """The same configuration with its model file at another place."""
         if self.config.model is None:
-            raise self.error(("model",), "the file has no database, so its place cannot be changed")
+            raise self.error(("model",), "the file names no model, so its place cannot be changed")
         model = msgspec.structs.replace(self.config.model, path=str(path.resolve()))
         config = msgspec.structs.replace(self.config, model=model)
         return LoadedConfig(config, self.path, self._marks)

@@ -169,7 +169,9 @@ def _mirrored(of_turns: Sequence[Finding], turned: Mapping[str, bool]) -> Iterat
     if not turned.get("accelerometer", True):
         if probability(shown) >= DOUBTED:
             names = names_of(shown)
-            text = f"its signs are not certain, since {names} has 'sign: -1' too: {REMEDY}; {right}"
+            text = (
+                f"its signs are not certain, since 'sign: -1' is set for {names}: {REMEDY}; {right}"
+            )
             yield Finding("warning", "accelerometer", text)
         return
     # as it would be without its signs

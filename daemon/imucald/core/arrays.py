@@ -29,8 +29,8 @@ def inverse(matrix: Array) -> Array:
 def summed_in_order(terms: Array) -> Array:
     """Return the sums from left to right over the last dimension of terms (..., n), n > 0.
 
-    numpy sums longer arrays in pairs, and a library's products use any order. The compiled part
-    sums in this order too and so gives the same bits.
+    numpy sums longer arrays in pairs. A library's products use any order, which differs between
+    processors.
     """
     total: Array = terms[..., 0].copy()
     for k in range(1, terms.shape[-1]):

@@ -9,7 +9,14 @@ from dataclasses import replace
 import numpy as np
 
 from imucald.core.text import counted
-from imucald.diagnosis.cause_keys import TRIADS, low_pass, mount_of, tolerance, value
+from imucald.diagnosis.cause_keys import (
+    BUTTERWORTH_S_HZ,
+    TRIADS,
+    low_pass,
+    mount_of,
+    tolerance,
+    value,
+)
 from imucald.diagnosis.causes import BY_NAME, PARAMETERS, family
 from imucald.diagnosis.direct.direct import Rest
 from imucald.diagnosis.direct.stuck import Fault
@@ -77,13 +84,11 @@ def cause_of_trial(
 def _as_low_pass(model: VehicleModel, key: str, late: Estimated) -> tuple[str, Estimated]:
     """A delay as the file's filter, where it has one: a cut-off that is known as well as that."""
     filtered = low_pass(model, key, late.value - late.stated)
-    if filtered is None:
+    if filtered is None or late.value <= late.stated:  # nothing is filtered by less than nothing
         return key, late
     (name, x), stated = filtered, low_pass(model, key, 0.0)
-    share = x / (late.value - late.stated)
     unit = "Hz" if name.endswith("hz") else "s"
-    if unit == "s":
-        share = 1.0
+    share = x * x / BUTTERWORTH_S_HZ if unit == "Hz" else 1.0  # |d cut-off / d seconds|
     return name, Estimated(
         x, share * late.std, unit, stated[1] if stated else math.nan, share * late.tolerance
     )

@@ -55,7 +55,7 @@ ANALYSIS: Final[dict[str, tuple[Column, ...]]] = {
             firmware="as in drives",
         ),
         Column("drives", "integer", "", "with a known mount"),
-        Column("drives_unknown", "integer", "", "vehicles whose mount is not known"),
+        Column("drives_unknown", "integer", "", "with a mount that is not known"),
         Column("segments", "integer", "", "between remounts"),
         *_MOUNT,
         *floats("", "the same shrunk to the type", *(f"shrunk_{name}" for name in _QUATERNION)),

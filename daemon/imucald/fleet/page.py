@@ -152,7 +152,7 @@ def _histories(found: Sequence[dict[str, Any]], drives: Any) -> Rows:
     for vehicle, keys in list(cuts.items())[:MAX_HISTORIES]:
         mine = drives.filter(pc.equal(drives.column("vehicle"), vehicle)).to_pylist()
         mine = [d for d in mine if d["state"] in ("usable", "fine") and d["q_w"] is not None]
-        rows.append(
-            {"vehicle": vehicle, "picture": address_of(_drawing().history_picture(mine, keys))}
-        )
+        if mine:  # none where its only drive moved, and ended without a good mount
+            picture = address_of(_drawing().history_picture(mine, keys))
+            rows.append({"vehicle": vehicle, "picture": picture})
     return rows

@@ -2,7 +2,8 @@
 
 `large_change` sees a rotation by several degrees in single blocks. `gravity_step` sees a step that
 the gyroscope did not see. `shift` sees a small change once enough road has been driven. `creep`
-sees a slow one. Where the joint solution is served, `joint.moves` takes the place of `shift`.
+sees a slow one. Where the joint solution is served and has a gyroscope, `joint.moves` takes the
+place of `shift`.
 """
 
 from __future__ import annotations

@@ -42,12 +42,14 @@ def estimator_for(
     if (mount := config.calibration.mount) is None:
         return learning
     from imucald.mount.restored import (  # noqa: PLC0415 - few state one
+        HELD,
         HELD_BY_CONFIGURATION,
         RestoredEstimator,
     )
 
     stored = known_mount(mount, learning.estimate().targets)
-    return RestoredEstimator(learning, stored, is_held=mount.hold, held_until=HELD_BY_CONFIGURATION)
+    until = HELD_BY_CONFIGURATION if mount.hold else HELD
+    return RestoredEstimator(learning, stored, is_held=mount.hold, held_until=until)
 
 
 def learning_estimator(

@@ -81,10 +81,6 @@ class FlowKind(StrEnum):
     NONE = "none"
 
 
-TROUBLE = frozenset({FlowKind.SUSPECT, FlowKind.FAULTY, FlowKind.CONFLICT, FlowKind.NONE})
-"""Kinds that need action by a person."""
-
-
 class Flow(Struct, frozen=True):
     """kind: what a receiver gets now; text: the same in a sentence, with the cause."""
 

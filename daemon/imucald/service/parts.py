@@ -21,7 +21,7 @@ from imucald.config import LoadedConfig
 from imucald.mount.estimate import MountEstimator
 from imucald.mount.estimator import FullEstimator
 from imucald.mount.mount_in_force import mount_in_force, without_stored
-from imucald.mount.restored import HELD, RestoredEstimator
+from imucald.mount.restored import HELD, HELD_BY_CONFIGURATION, RestoredEstimator
 from imucald.runtime.consumer import ChecksSensors
 from imucald.runtime.engine import Engine
 from imucald.runtime.input_health import LinkHealth
@@ -325,14 +325,18 @@ def take_usual_signals(old: Engine, estimator: MountEstimator, new: Engine) -> N
 
 
 def behind_the_known(old: MountEstimator, new: MountEstimator) -> MountEstimator:
-    """Return the new estimator with the mount of the old one in front of it as restored; a hold
-    continues.
+    """Return the new estimator with the mount of the old one in front of it as restored.
+
+    A hold by an order continues. A hold by the configuration follows the new configuration.
     """
     stored = mount_in_force(old)
     if stored is None:
         return new
-    is_held = isinstance(old, RestoredEstimator) and old.is_held
-    until = new.held_until if isinstance(new, RestoredEstimator) else HELD
+    front = old if isinstance(old, RestoredEstimator) and old.is_held else None
+    by_order = front is not None and front.held_until != HELD_BY_CONFIGURATION
+    by_configuration = isinstance(new, RestoredEstimator) and new.is_held
+    until = HELD_BY_CONFIGURATION if by_configuration else HELD
+    is_held = by_order or by_configuration
     return RestoredEstimator(without_stored(new), stored, is_held, held_until=until)
 
 

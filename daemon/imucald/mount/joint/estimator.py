@@ -217,7 +217,7 @@ class JointEstimator(FullEstimator):
         if target is self._joint:
             self._remember(float(p.t[-1]))
         if self._next is not None and self._is_usable(self._next.solution):
-            self._joint, self._next, self._widened = self._next, None, 0.0
+            self._joint, self._next, self._widened, self._doubt = self._next, None, 0.0, 0.0
 
     def _follow_signals(self) -> None:
         """Use the last blocks again with the signals that are available by now."""
@@ -225,7 +225,7 @@ class JointEstimator(FullEstimator):
         made = self._new_evidence(former.known, former.is_moved)
         for p in kept[max(len(kept) - former.blocks, 0) :]:
             made.add(_block(p, made.signals))
-        self._joint, self._next, self._widened = made, None, 0.0
+        self._joint, self._next, self._widened, self._doubt = made, None, 0.0, 0.0
         self._lately_known.clear()
 
     def _remember(self, t: float) -> None:
@@ -261,15 +261,19 @@ class JointEstimator(FullEstimator):
             self._begin_again(after)
         else:
             self._widened = max(self._widened, abs(float(found.size)))
-            self._next = self._filled(after)
+            self._next, self._doubt = self._filled(after), 0.0  # it is no doubt any more
 
     def _small_change(self, is_turn: bool) -> MountChange | None:
         """Look for a small change with the joint solution, if it is served and has a gyroscope."""
         if self._signals.without_speed or not self._joint.signals.gyro:
             return super()._small_change(is_turn)
+        self._changes.is_near = False  # of the solver's rotation, which decides nothing here
         if self._signals.blocks % ASKED:
             return None
-        found = (self._next or self._joint).move()
+        try:
+            found = (self._next or self._joint).move()
+        except np.linalg.LinAlgError:  # windows that say nothing yet of one of the answers
+            found = None
         self._doubt = 0.0 if found is None else found.doubt
         return found if found is not None and found.is_certain else None
 

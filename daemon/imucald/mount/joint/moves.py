@@ -41,7 +41,7 @@ _LOG_BEGINNINGS: Final = math.log(FALSE_ALARM_H * 3600.0 / (SPANS[0] * BLOCK_TIC
 class EntryChange(NamedTuple):
     """Changes (S,) of an entry over the last spans, and their variances (S,).
 
-    turn: (3,) effect of a unit rotation about each axis on the entry. tail: degrees of freedom.
+    turn: (3,) decrease of the entry for a unit rotation about each axis. tail: degrees of freedom.
     """
 
     turn: Array
@@ -52,7 +52,7 @@ class EntryChange(NamedTuple):
     def log(self, turns: Array) -> Array:
         """Return the log likelihood (S, n) of n rotations about an axis.
 
-        turns: (n,) effect of each rotation on the entry.
+        turns: (n,) decrease of the entry for each rotation.
         """
         off = self.size[:, None] + turns
         ratio = off * off / (self.tail * self.variance[:, None])
