@@ -63,8 +63,8 @@ FAILED_BLOCKS = 14
 """Numbers out of range stay reported as a fault for this many blocks after the last of them (90 s).
 """
 MINUTE_BLOCKS = 10
-"""What an estimate waits for is judged by the last minute: a condition that a single block lacks
-usually returns.
+"""The last minute decides what an estimate waits for: a condition that a single block lacks usually
+returns.
 """
 TURNING = frozenset({"yaw_rate", "steering"})
 FROZEN_TICKS = 40

@@ -78,7 +78,7 @@ class MountSettings(Struct, frozen=True, dict=True):
 
     @cached_property
     def limits(self) -> Limits:
-        """Limits of the states: the configured ones, else the estimator's own."""
+        """Limits of the states: the configured ones, otherwise those of the estimator itself."""
         given, own = self.calibration.states, self.OWN_LIMITS
         return Limits(
             given.usable_yaw or own.usable_yaw,

@@ -2,7 +2,7 @@
 
 `is_off_vertical` checks blocks while the estimator learns. `PlumbLine` checks tick by tick for a
 mount that is only served. A few seconds are enough while the vehicle stands. While it drives, or
-where that is unknown, the check takes half a minute: no vehicle keeps up for so long the 0.5 g that
+where that is unknown, the check takes half a minute. No vehicle keeps up 0.5 g for so long, which
 would look the same.
 """
 

@@ -69,9 +69,9 @@ BLOCKS_AT_ONCE = 16
 faster.
 """
 MADE_AT_ONCE = 64
-"""Of long evidence, this many windows are made again with each new block (0.04 s on a busy core of
-2026). The loop that corrects frames waits meanwhile, and frames that wait for 0.1 s are not
-corrected.
+"""If long evidence must be made again, this many windows are made with each new block (0.04 s on a
+busy core of 2026). The loop that corrects frames waits meanwhile, and frames that wait for 0.1 s
+are not corrected.
 """
 MOST_BLOCKS, KEPT_BLOCKS = 640, 480
 """Of a long drive, the last 50 to 70 minutes count: more data do not reduce any deviation."""
