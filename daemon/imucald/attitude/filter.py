@@ -531,7 +531,7 @@ class AttitudeFilter:
         bias, extra = rest_errors(found.rate, mean, s.check_level)
         old = self.constant_accel_error
         result = CheckResult(bias, (old[0] + extra[0], old[1] + extra[1], old[2] + extra[2]))
-        if not result.is_believable:  # no sensor that works: the next rest is judged again
+        if not result.is_believable:  # the sensor is broken: the next rest is judged again
             self._rest = None
             return
         self.constant_bias, self.constant_accel_error = result

@@ -121,7 +121,7 @@ class NineStateFilter:
             + [c**2 * (1.0 - keep_d * keep_d) for c in self.accel_random]
         )
         P[np.diag_indices(STATES)] += grown
-        if least < max(g):  # what the axes have beyond the quietest one turns with the body
+        if least < max(g):  # noise beyond that of the quietest axis turns with the body
             C = np.array(C_nav_from_body).reshape(3, 3)
             P[0:3, 0:3] += C @ np.diag([(c * c - least * least) * dt for c in g]) @ C.T
         self.P = 0.5 * (P + P.T)

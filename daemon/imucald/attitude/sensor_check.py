@@ -84,7 +84,7 @@ def rest_errors(mean_rate: Vector, mean_force: Vector, is_level: bool) -> CheckR
     if is_level:
         return CheckResult(mean_rate, (x, y, z - GRAVITY))
     size = math.sqrt(x * x + y * y + z * z)
-    if size == 0.0:  # not even a vertical to take gravity off along
+    if size == 0.0:  # without a vertical, gravity cannot be subtracted
         return CheckResult(mean_rate, (0.0, 0.0, -GRAVITY))
     k = (size - GRAVITY) / size
     return CheckResult(mean_rate, (x * k, y * k, z * k))

@@ -80,7 +80,7 @@ def keep(text: str, source: str, messages: list[Message], kind: type[Message]) -
             return
         content = msgspec.json.encode((_stamp(), source, text, messages))
         if _decoded(content, kind)[-1] != messages:
-            return  # numbers that JSON does not know
+            return  # numbers that JSON cannot hold
         _drop_unfinished(_Cache.folder)
         _write(_place(_Cache.folder, source), _check(content) + content)
         _drop_oldest(_Cache.folder)

@@ -52,7 +52,7 @@ def put_in_place(unfinished: Path, path: Path) -> None:
     try:
         try:
             unfinished.replace(path)
-        except IsADirectoryError:  # it would be in the way for ever
+        except IsADirectoryError:  # a folder would block the name for ever
             path.rename(free_name(path, FOLDER))
             unfinished.replace(path)
     except OSError:
@@ -132,7 +132,7 @@ def read_regular(path: Path, max_bytes: int) -> bytes:
     _refuse_other(path, path.stat())
     descriptor = os.open(path, os.O_RDONLY | _FLAGS)
     with os.fdopen(descriptor, "rb") as file:
-        _refuse_other(path, os.fstat(descriptor))  # what was opened, whoever renames meanwhile
+        _refuse_other(path, os.fstat(descriptor))  # check the opened file: it may have been renamed
         return file.read(max_bytes + 1)
 
 

@@ -211,7 +211,7 @@ def orthonormalised(R: ArrayLike) -> Matrix3:
     R = np.asarray(R, dtype=float)
     left = R.T @ R - _EYE
     if np.abs(left).max() < NEARLY and _turns_right(R):
-        nearest: Matrix3 = R - 0.5 * (R @ left)  # a step of Newton's: off by the square of what was
+        nearest: Matrix3 = R - 0.5 * (R @ left)  # one Newton step: the error is squared
         return nearest
     U, _, Vt = np.linalg.svd(R)
     result: Matrix3 = U @ Vt

@@ -35,9 +35,9 @@ class LostTime:
     def __init__(self) -> None:
         self._cycle = 0.0
         self._samples = 0
-        self._together = 0  # samples since time stands
+        self._together = 0  # samples since time stood still
         self._passed = 0.0  # what passed over them
-        self._ahead = 0.0  # time less that of the samples, as far as it is not made up for
+        self._ahead = 0.0  # time in excess of the samples, not made up for
         self.skipped = 0.0
         """Time of the last step in excess of the samples that came in it [s], 0.0 or more."""
 

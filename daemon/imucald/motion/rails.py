@@ -361,7 +361,7 @@ class Rail:
         self.found, self._rail = True, self.value if value is None else value
         self._pauses, self._touches = 0.0, 0
         pile = self._tops.piles.get(self._rail)
-        if pile is None or pile.arrivals < 2:  # nothing is known of its pauses yet
+        if pile is None or pile.arrivals < 2:  # its pauses are not known yet
             self._touch(UNTOUCHED[1])
         else:
             self._touch(pile.last - pile.first, pile.arrivals - 1)

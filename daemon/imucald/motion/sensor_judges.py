@@ -154,7 +154,7 @@ class StuckAxis:
         self._rest_hops += not (moving or self.stuck)  # noise is counted in the others only
         open_before, self._run = self._run, run
         if ended:
-            if not self.stuck and not jumped:  # else the longest is the one that was stuck
+            if not self.stuck and not jumped:  # else the longest is the stuck run
                 is_old = longest > count and self._rested
                 pool = self.moving if moving and not is_old else self._resting
                 pool.add(ended, longest, open_before + count - run)

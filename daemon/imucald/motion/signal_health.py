@@ -52,7 +52,7 @@ CURVE_SHARE = 1.5
 class SignalFault(enum.StrEnum):
     """Reason why a tick of a signal is not trusted."""
 
-    IMPOSSIBLE = "impossible"  # a number that cannot be, or none
+    IMPOSSIBLE = "impossible"  # an impossible number, or NaN
     STUCK = "stuck"
     IMPLAUSIBLE = "implausible"  # no road vehicle moves like this
     SATURATED = "saturated"

@@ -300,7 +300,7 @@ class Alternatives:
         sided = [self._heading]
         if not self._settings.are_sides_turned:
             sided += [self._yaw_rate, self._steering, self._lateral]
-            if not self._gyro.blocks:  # turning is the vehicle's own yaw rate
+            if not self._gyro.blocks:  # in this case turning is the vehicle's own yaw rate
                 sided.append(self._turns)
         return min(max(0.0, *(pair.sum / TO_BE_FINE for pair in sided)), 1.0)
 

@@ -37,7 +37,7 @@ def angle_deviations(
     (xx, xy, xz), (_, yy, yz), (_, _, zz) = covariance
     _, pitch, yaw = angles_from_rotation(R_vehicle_from_sensor)
     knows_yaw = zz < UNKNOWN_VARIANCE
-    if not knows_yaw:  # nor which way the better known of x and y lies
+    if not knows_yaw:  # then the better known direction of x and y is unknown too
         xx = yy = max(xx, yy)
         xy = 0.0
     c, s = math.cos(yaw), math.sin(yaw)

@@ -307,7 +307,7 @@ class Contradictions:
     @property
     def faults(self) -> tuple[StandingFault, ...]:
         """Faults that stand now."""
-        if self.reverse.accused:  # what else contradicts then follows from it
+        if self.reverse.accused:  # other contradictions follow from it
             return (StandingFault.REVERSE,)
         found = []
         if self.yaw_rate.accused:

@@ -180,7 +180,7 @@ class FullEstimator:
                 self._learn_from(p)
         except (np.linalg.LinAlgError, ArithmeticError):
             self._failed_for = FAILED_BLOCKS
-            self._begin_without_rotation()  # numbers that cannot be are in what was learnt
+            self._begin_without_rotation()  # impossible numbers are in the evidence
         self._judge(p)
 
     def _learn_from(self, p: SignalBlock) -> None:
@@ -192,14 +192,14 @@ class FullEstimator:
         if (solvers.can_compare and vertical.is_held) or p.rest.all():  # it is free of the motion
             self._level.add(p, vertical.up)
         turned = changes.at_once(p, solvers.now, signals) if solvers.can_compare else None
-        if turned is not None:  # by hand: that contradicts no sign and no unit
+        if turned is not None:  # moved by hand: no sign and no unit is contradicted
             self._checks.forget_forces()
         elif self._checks.add(p, solvers.now, signals, solvers.kept):
             self._begin_without_rotation([p])
         is_refitting = solvers.is_refitting
         is_turn = changes.is_near or solvers.is_turn(signals.blocks, self.state is MountState.FINE)
         if (is_turn or solvers.is_young) and solvers.fit():
-            self._checks.forget_forces()  # the forces spoke of another rotation
+            self._checks.forget_forces()  # the forces showed another rotation
         self._take_beside()
         solvers.follow_creep(has_shifted=bool(changes.history))
         if self._look_for_large_change(p, turned) or is_refitting:
@@ -264,7 +264,7 @@ class FullEstimator:
             self._begin_without_rotation([p])
             return True
         changes.add(p, solver, self._signals)
-        if self.state not in GOOD:  # nothing is served as good, and the fit is young
+        if self.state not in GOOD:  # nothing is served as good; the fit is young
             if turned is not None:
                 self._begin_without_rotation()
                 self._served.has_moved = self.correction is not None
@@ -307,7 +307,7 @@ class FullEstimator:
         the mount.
         """
         if not self._solvers.has_beside and self._served.has_arrived:
-            self._changes.borne[:] = 0.0  # what is applied is the mount of now
+            self._changes.borne[:] = 0.0  # the applied mount is now the present one
         if self._solvers.take_beside(self._settings.limits):
             self._changes.know_borne()
 

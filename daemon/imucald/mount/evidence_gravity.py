@@ -53,7 +53,7 @@ class GravityEvidence:
         self._rows = np.zeros((16, 7))  # of segments, see `_row`; the open one behind the others
         self._closed = 0
         self._rows_of: tuple[object, ...] = ()  # roads that the closed ones are for
-        self._each: list[list[float]] = []  # what closed ones came to, as `_end` has it
+        self._each: list[list[float]] = []  # sums of closed segments, in the form of `_end`
         self._made: tuple[tuple[object, ...], list[ScoreSeries]] | None = None
 
     def _sofar(self) -> list[float]:
@@ -83,7 +83,7 @@ class GravityEvidence:
         std: rms tangent of the roads across and along; length: correlation length of the slope [m].
         """
         key = R, bias, gains, std, length
-        if self._made is not None:  # it is asked for twice a road segment
+        if self._made is not None:  # it is called twice per road segment
             known, found = self._made
             if all(map(operator.is_, key[:2], known[:2])) and key[2:] == known[2:]:
                 return found

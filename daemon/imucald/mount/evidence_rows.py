@@ -35,8 +35,8 @@ class Row(Struct, frozen=True):
     prior_std: tuple[float, ...]  # of the nuisance coefficients
     share: float
     few: float
-    bands: int = BANDS  # only so many: above, the suspension's resonance answers
-    first: int = 0  # not the bands below: there the tracked vertical takes part of f_z
+    bands: int = BANDS  # number of bands: above them the suspension resonates
+    first: int = 0  # first band: below it the tracked vertical follows part of f_z
 
 
 _T = Term

@@ -218,7 +218,7 @@ def fuse(
     mean, around, carried = _means(known, of, squares, values, at, probability)
     error[at.angles], variance[at.angles] = mean, around
     shares = {
-        AXES[k]: dict(zip(own, part, strict=False))  # behind its names a row has unused places
+        AXES[k]: dict(zip(own, part, strict=False))  # a row has unused places behind its names
         for k, own, part in zip(at.angles.tolist(), at.names, carried.tolist(), strict=True)
     }
     return Fused(error, variance, shares)

@@ -108,12 +108,12 @@ class MountChanges:
         self._large = LargeChangeDetector(settings)
         self.zero = ZeroStep(settings)
         self.history: list[TakenChange] = []
-        self._open: TakenChange | None = None  # the mount after it may still become better known
+        self._open: TakenChange | None = None  # the mount after it may still become more certain
         self.is_near = False
         self.borne = np.zeros(3)
         self._doubted = np.zeros(3)
         self._probability = np.zeros(3)
-        self._found: tuple[object, object] | None = None  # what the last variance was made of
+        self._found: tuple[object, object] | None = None  # inputs of the last variance
         self._with: tuple[object, ...] = ()
         self._last_variance = np.zeros(3)
 
@@ -257,7 +257,7 @@ class MountChanges:
         found, sizes = (solver.fused, solver.creep), (*doubted, self.borne)
         others = solver.blocks, blocks, len(self.history), *(x.tobytes() for x in sizes)
         is_made = self._found is not None and all(map(operator.is_, self._found, found))
-        if not is_made or others != self._with:  # it is asked for three times a block
+        if not is_made or others != self._with:  # it is called three times per block
             self._found, self._with = found, others
             self._last_variance = self._variance(solver, blocks, doubted, self._of_borne())
         return self._last_variance
@@ -305,5 +305,5 @@ def blocks_since(change: MountChange, kept: Sequence[SignalBlock]) -> list[Signa
     elif isinstance(change, LargeChange):
         after = change.blocks - 1  # the oldest holds the change itself
     else:
-        after = change.blocks - 2  # and its time is known to a block either way
+        after = change.blocks - 2  # and its time is uncertain by one block
     return list(kept)[max(len(kept) - after, 0) :]

@@ -192,7 +192,7 @@ def mirror_note(estimate: MountEstimate) -> str | None:
     R, std = estimate.R_vehicle_from_sensor, estimate.std
     if R is None or std is None or not estimate.details.get("not_checked"):
         return None
-    if half_width(std[2] * DEG_PER_RAD) is None:  # which way is forward is not known yet
+    if half_width(std[2] * DEG_PER_RAD) is None:  # the forward direction is not known yet
         return None
     if not (R[0, 0] < 0.0 and R[2, 2] < 0.0):
         return None

@@ -193,7 +193,7 @@ class RestartableSolver:
     def gap(self) -> None:
         """Note a jump of time."""
         if self._refit is not None and self._follows_change:
-            self.now = self._refit.fresh  # what came before the change must not return
+            self.now = self._refit.fresh  # data from before the change must not return
         self.now.gap()
         self._refit = self._beside = None
         self.kept.clear()

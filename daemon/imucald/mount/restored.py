@@ -143,7 +143,7 @@ class Contradicted(Struct, frozen=True):
 class Phase(enum.StrEnum):
     """Which mount is served, and why."""
 
-    RESTORED = "restored"  # the stored mount; nothing known against or for it
+    RESTORED = "restored"  # the stored mount; no evidence against or for it
     CONFIRMED = "confirmed"  # the stored mount; new evidence agrees
     DOUBTED = "doubted"  # the stored mount; new evidence contradicts
     HANDING_OVER = "handing_over"  # on the way to the new estimate
@@ -376,7 +376,7 @@ class RestoredEstimator:
         apart.
         """
         found = self.inner.contradiction if isinstance(self.inner, SavesInformation) else None
-        if found is None:  # it has left the stored evidence by itself: the sensor was moved
+        if found is None:  # the inner estimator dropped the stored evidence: the sensor was moved
             self.joined, self._has_left = False, True
         return found
 
@@ -417,7 +417,7 @@ class RestoredEstimator:
     def _follow(self) -> None:
         """Turn towards the new estimate until it is reached."""
         target = self.inner.correction
-        if target is None:  # it was not to be relied upon after all
+        if target is None:  # the new estimate is not reliable after all
             self.phase = Phase.DOUBTED
             return
         self._served.aim(target)

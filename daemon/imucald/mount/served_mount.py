@@ -43,7 +43,7 @@ class ServedMount:
         self._slewed = SlewedCorrection(SLEW_RATE)
         self.state = MountState.WAITING
         self.has_moved = False
-        self.step = self._slewed.step  # every tick: a method of its own would cost a tenth of it
+        self.step = self._slewed.step  # runs every tick: an own method would cost a tenth more
 
     @property
     def correction(self) -> Correction | None:

@@ -150,7 +150,7 @@ def judged(known: MountKnowledge, before: MountState, s: EstimatorSettings) -> M
     enough = known.straight >= NEEDED or before in GOOD
     slack = SLACK if known.has_past else YOUNG_SLACK
     usable_yaw = limits.usable_yaw
-    if _is_rest_hidden(known, before, s):  # ends at 1.4 times where it began, as all do
+    if _is_rest_hidden(known, before, s):  # it ends at 1.4 times its limit, as all states do
         usable_yaw = targets_in_force(known, before, s).usable[2]
         usable_yaw *= SLACK / slack if before in GOOD else 1.0
     levels = (

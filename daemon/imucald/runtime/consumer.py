@@ -195,7 +195,7 @@ class ConsumerGroup:
             return consumer.tick(k)
         except FAILURES as error:
             self._failed(consumer, error)
-            return consumer.tick(k)  # that nothing is available
+            return consumer.tick(k)  # says that nothing is available
 
     def _failed(self, consumer: Consumer, error: Exception) -> None:
         place = extract_tb(error.__traceback__)[-1]

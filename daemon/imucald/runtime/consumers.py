@@ -49,7 +49,7 @@ def consumers_for(
             raise loaded.error(place, "needs signals.gyroscope")
         is_filter = (
             config.attitude.method == "filter"
-        )  # else heading is not read, and `check` says so
+        )  # else heading is not read; `check` reports it
         source = config.attitude.filter.heading if is_filter else "free"
         if source == "signal" and signals.heading is None:
             raise loaded.error(("attitude", "filter", "heading"), "needs signals.heading")

@@ -39,7 +39,7 @@ class InputWatch:
         there = frozenset(channels)
         self.last = {c: 0 for c in _SENSORS if c in there}
         self.rejected = 0
-        self._rejections: deque[int] = deque()  # ticks of the last second's
+        self._rejections: deque[int] = deque()  # ticks of the last second's rejections
 
     def go_on_from(self, former: InputWatch, same: Collection[str], k: int) -> None:
         """Continue from another watch at tick k. same: channels from the same sources.

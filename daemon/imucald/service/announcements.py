@@ -89,14 +89,14 @@ class Announcements:
         if late > self._late:
             text = f"frames too late to be corrected so far: {late} (the processor was busy)"
             self._journal.seldom("late", text, WARNING)
-        self._late = late  # those of another link begin at zero
+        self._late = late  # counters of another link begin at zero
         group = engine.consumer_group
         for name, n in group.failures.items():
             if n > self._failures.get(name, 0):
                 times = f"failed and was restarted, {counted(n, 'time')} so far"
                 text = f"{name} {times}: {group.last_failures[name]}"
                 self._journal.seldom(f"{name} failed", text, WARNING)
-        self._failures = dict(group.failures)  # those of another group begin at zero
+        self._failures = dict(group.failures)  # counters of another group begin at zero
 
 
 START_S = 2.0

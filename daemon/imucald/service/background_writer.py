@@ -43,7 +43,7 @@ class StateWriter(Generic[Content]):
         self._next: Content | None = None
         self._not_before = 0.0  # monotonic; a failed content waits until then
         self._busy = False
-        self._discarded = False  # while busy: what is being written is not wanted any more
+        self._discarded = False  # while busy: the content being written is no longer wanted
         self._ended = False
         self._changed = threading.Condition()
         self._thread: threading.Thread | None = None

@@ -106,7 +106,7 @@ class CalibrationStore:
         try:
             self.store.set_aside_forgotten()
         except OSError as error:
-            failure = error  # a newer state takes its place all the same
+            failure = error  # a newer state still replaces it
         if state is None:
             self.store.sync()
         else:
@@ -128,7 +128,7 @@ class CalibrationStore:
             self._say(f"saved state: {problem}", WARNING)
         saved = loaded.state
         if is_held:
-            if saved is not None:  # its sensor check serves all the same
+            if saved is not None:  # its sensor check is still used
                 self._last, self._known, self._driven_before = saved, True, saved.driven_s
             return estimator
         if saved is None:
@@ -202,9 +202,9 @@ class CalibrationStore:
 
     def _wanted(self, state: MountState, changed: bool) -> bool:
         is_due = changed or self._clock() - self._last_put >= self._period
-        if state in BAD:  # once; what was good before is kept, as doubted
+        if state in BAD:  # once; the earlier good mount is kept, as doubted
             return self._known and (changed or (is_due and self._is_check_new))
-        if state is MountState.RESTORED:  # nothing new of the mount
+        if state is MountState.RESTORED:  # nothing new is known of the mount
             return is_due and self._is_check_new
         return is_due and state in GOOD
 

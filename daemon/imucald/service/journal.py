@@ -105,7 +105,7 @@ class Journal:
         """
         due, untold = self._due.get(kind, (-math.inf, 0))
         now = self._clock()
-        due = max(due, now - (burst - 1) * SELDOM_S)  # at which the next would be without bursts
+        due = max(due, now - (burst - 1) * SELDOM_S)  # time of the next line without bursts
         if now < due:
             self._due[kind] = (due, untold + 1)
             return False

@@ -224,7 +224,7 @@ class PartsMaker:
             if store is not None:
                 restore_check(engine, store.saved_check)
             if is_other_key or restored is not new:
-                return restored, store  # another sensor or vehicle: what was found is not of it
+                return restored, store  # another sensor or vehicle: the found mount is not its own
             return behind_the_known(old, new), store
         restore_check(engine, saved_check(running))
         if same_bus and keeps_estimator(parts.loaded, loaded, running, engine):

@@ -232,7 +232,7 @@ class StateStore:
                     if path.exists():
                         path.rename(free_name(path, "forgotten"))
                 except OSError as error:
-                    failure = error  # the other one may be more willing
+                    failure = error  # the other file may still succeed
                 else:
                     self._forgotten.discard(slot)
         if failure is not None:

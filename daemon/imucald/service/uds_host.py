@@ -221,6 +221,6 @@ def configuration_identity(loaded: LoadedConfig) -> bytes:
         digest.update(json.dumps(described).encode())
         try:
             digest.update(hashlib.sha256(read_regular(path, MAX_FILE_BYTES)).digest())
-        except OSError:  # it was there when it was loaded
+        except OSError:  # the file was there at loading
             digest.update(b"unreadable")
     return digest.digest()

@@ -118,7 +118,7 @@ class TerminalAttitude:
         if self._signal_yaw is None:
             self._signal_yaw, self._signal_age = yaw, 0.0
             return
-        if dt <= 0.0:  # of the same snapshot: it weighs nothing
+        if dt <= 0.0:  # from the same snapshot: it has no weight
             return
         self._signal_age += dt
         part = dt / (min(self.settings.compass_time, self._signal_age) + dt)

@@ -210,7 +210,7 @@ class JointEstimator(FullEstimator):
             return
         try:
             target.solve_when_due()
-        except np.linalg.LinAlgError:  # the signals contradict one another: `_checks` says which
+        except np.linalg.LinAlgError:  # the signals contradict one another; `_checks` shows which
             self._lately_known.clear()
             self._begin_again([])
             return

@@ -611,7 +611,7 @@ class Evidence:
                     C[m, m] += priors.sideslip**2
                 if (i, j) == (2, 0):
                     C[m, m] += priors.pitching**2
-                    if not has_gyro:  # nor has the pitching itself been taken off (assumption)
+                    if not has_gyro:  # nor has the pitching itself been subtracted (assumption)
                         C[m, m] += priors.pitching**2
             if i == 2 and not has_gyro:  # -v q of bends that lean is in it
                 rows[1, CROWN] = -1.0
@@ -638,7 +638,7 @@ class Evidence:
             rows = np.array([entry(i, j) for j in places])
             if i < 2:
                 rows[0, [PHI.start + 2, EPS.start + 2]] -= leak[i, 1 - i]
-            elif self.signals.gyro:  # -v q of a rate that is itself tilted has been taken off
+            elif self.signals.gyro:  # -v q of a tilted rate has been subtracted
                 rows[1] += rate_entry(1, 2)
             yield places, rows
 

@@ -38,7 +38,7 @@ def frames_part(out: Sequence[OutFrame], row: int) -> OutPart:
     """Return a part with frames that come before those of a row's samples, in the order given."""
     return OutPart(
         np.full(len(out), row),
-        np.zeros(len(out), np.int64),  # one frame may close many ticks: as they come
+        np.zeros(len(out), np.int64),  # one frame may close many ticks: keep their order
         np.array([can_id for can_id, _ in out], dtype=np.uint32),
         np.frombuffer(b"".join(data for _, data in out), np.uint8).reshape(len(out), -1),
     )
