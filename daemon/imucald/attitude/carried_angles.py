@@ -1,9 +1,10 @@
 """Roll and pitch from both corrected triads (method B, claim 1, last step).
 
-The corrected rate carries the vertical from sample to sample, and the vertical that the corrected
-acceleration shows (claims 2 and 3: less the deflections) draws it towards itself over some time: a
-complementary filter on the vertical, as in Mahony, Hamel and Pflimlin, IEEE Trans. Automatic
-Control 53, 2008. The publication says "attitude solution" and names no filter: *reconstructed*.
+The corrected rate carries the vertical from sample to sample. The vertical that the corrected
+acceleration shows (claims 2 and 3: less the deflections) pulls it to itself with a time constant.
+This is a complementary filter on the vertical, as in Mahony, Hamel and Pflimlin, IEEE Trans.
+Automatic Control 53, 2008. The publication says "attitude solution" and names no filter:
+*reconstructed*.
 """
 
 from __future__ import annotations
@@ -22,7 +23,7 @@ def vertical(pitch: float, roll: float) -> Vector:
 class CarriedAngles:
     """The vertical in body axes (right, forward, up).
 
-    time: time constant of the draw [s]; longest_step: rates further apart are a gap [s].
+    time: time constant of the pull [s]; longest_step: rates further apart are a gap [s].
     """
 
     def __init__(self, time: float, longest_step: float) -> None:
@@ -31,14 +32,16 @@ class CarriedAngles:
         self.restart()
 
     def restart(self) -> None:
-        """Forget everything: time has jumped."""
+        """Forget everything, because time has jumped."""
         self._up: Vector | None = None
         self._rate: Vector = (0.0, 0.0, 0.0)
         self._t = self._t_force = -math.inf
         self._age = 0.0
 
     def turn(self, t: float, rate: Vector) -> None:
-        """Take a corrected rate [rad/s] at t [s]; the mean of two in a row turns the body."""
+        """Take a corrected rate [rad/s] at t [s]; the mean of two successive rates turns the
+        body.
+        """
         dt, last = t - self._t, self._rate
         self._t, self._rate = t, rate
         if self._up is None or not 0.0 < dt < math.inf:
@@ -57,7 +60,7 @@ class CarriedAngles:
         if self._up is None:
             self._up, self._age = seen, 0.0
             return
-        # the first samples are averaged: a single one is worth no more than the next
+        # The first samples are averaged, because one sample is worth no more than the next.
         self._age += max(dt, 0.0)
         part = dt / (min(self._time, self._age) + dt) if dt > 0.0 else 0.0
         x, y, z = (a + part * (b - a) for a, b in zip(self._up, seen, strict=True))

@@ -1,7 +1,7 @@
-"""Method B alone, with the verbs of the filter: corrected samples in, roll and pitch out.
+"""Method B alone, with the interface of the filter: corrected samples in, roll and pitch out.
 
-No memory beyond B's own: what the accelerometer is spared of motion is what the angles say, noise
-and all. For comparison, and for those who filter themselves.
+It has no memory besides that of method B: the angles come directly from the force less motion, with
+its noise. It serves for comparison, and for users who filter themselves.
 """
 
 from __future__ import annotations
@@ -57,18 +57,18 @@ class CompensatedAttitude:
 
     @property
     def running(self) -> bool:
-        """Whether there is an attitude."""
+        """Whether an attitude is available."""
         return self._last is not None
 
     @property
     def check(self) -> CheckResult | None:
-        """The zero error of the last rest, vehicle axes; None before the first."""
+        """Zero error from the last rest, vehicle axes; None before the first."""
         if not self.checked:
             return None
         return CheckResult(vehicle_from_rfu(*self.motion_compensation.zero_error), (0.0, 0.0, 0.0))
 
     def restore_check(self, found: CheckResult) -> None:
-        """Take what an earlier check found, vehicle axes; the next rest renews it."""
+        """Take the result of an earlier check, vehicle axes; the next rest renews it."""
         self.motion_compensation.zero_error = rfu_from_vehicle(*found.rate)
         self.checked = True
 
@@ -77,7 +77,7 @@ class CompensatedAttitude:
         self._rate = rfu_from_vehicle(values[0], values[1], values[2])
         step, self._t_gyro = t - self._t_gyro, t
         if step < math.inf and self._lost_time.take(max(step, 0.0)):
-            self._carried.restart()  # what turned meanwhile was not carried
+            self._carried.restart()  # the turn during the gap was not carried
         stands = self.motion_compensation.is_standing(t)
         zero_error = self._rest.gyro(t, self._rate, stands, is_first=not self.checked)
         if zero_error is not None:
@@ -102,7 +102,7 @@ class CompensatedAttitude:
                 self.motion_compensation.angles = angles
 
     def speed(self, t: float, speed: float) -> None:
-        """Take a speed [m/s], not negative: the direction comes by `reverse`."""
+        """Take a speed [m/s], not negative; `reverse` gives the direction."""
         self.motion_compensation.speed(t, self._sign * speed)
         if speed > 0.0:
             self._rest.begin()
@@ -118,17 +118,19 @@ class CompensatedAttitude:
         """Ignore a magnetic field: B has no heading."""
 
     def turned(self, old: Sequence[float], new: Sequence[float]) -> None:
-        """The mount's rotation is another one: nothing is kept that this would spoil."""
+        """Note that the mount's rotation has changed; no state depends on it."""
 
     def take_zeros_off(self, rate: Vector, force: Vector) -> None:
-        """From here on so much more is taken off the samples, vehicle axes (3,) [rad/s], [m/s^2]:
-        the zero error of the rate, where a rest has shown it, loses it."""
+        """Subtract this much more from the samples from now on, vehicle axes (3,) [rad/s], [m/s^2].
+
+        The zero error of the rate is reduced by it, if a rest has shown a zero error.
+        """
         if self.checked:
             (x, y, z), (p, q, r) = self.motion_compensation.zero_error, rfu_from_vehicle(*rate)
             self.motion_compensation.zero_error = x - p, y - q, z - r
 
     def estimate(self, now: float | None = None) -> AttitudeEstimate:
-        """Return roll and pitch of the newest sample; there are no deviations and no heading."""
+        """Return roll and pitch of the newest sample, without deviations or a heading."""
         last = self._last
         stale = now is not None and now - min(self._t, self._t_gyro) > STALE_S
         b = self.motion_compensation.zero_error

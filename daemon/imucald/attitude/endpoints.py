@@ -1,4 +1,4 @@
-"""Where intervals begin and end: at averaged speeds, or by time where there is no speed."""
+"""Ends of intervals: at averaged speeds, or by time where there is no speed."""
 
 from __future__ import annotations
 
@@ -12,15 +12,17 @@ from imucald.attitude.propagation import IntegralSnapshot, Propagator
 from imucald.config.attitude import MotionCompensationSettings
 
 MAX_ENDPOINTS = 64
-"""Averaged speeds that wait for the accelerometer: a leading speed is ahead by a second."""
+"""Averaged speeds that can wait for the accelerometer: a speed that leads is ahead by a second."""
 RECENT_S = 1.0
-"""A speed goes on as it has changed in so long [s], or since the one before."""
+"""A speed is extrapolated with its change in this time [s], or since the previous one."""
 SLACK_S = 1e-6
-"""Times a second apart differ by this much less in their rounding [s]."""
+"""Rounding difference between times that are a second apart [s]."""
 
 
 class EndpointMaker:
-    """Pairs of endpoints, each an interval between two averaged speeds, from samples."""
+    """Makes pairs of endpoints from samples. Each pair is an interval between two averaged
+    speeds.
+    """
 
     def __init__(self, settings: MotionCompensationSettings, propagator: Propagator) -> None:
         self._settings = settings
@@ -28,7 +30,7 @@ class EndpointMaker:
         self.restart()
 
     def restart(self) -> None:
-        """Forget everything: time has jumped."""
+        """Forget everything, because time has jumped."""
         self._average = SpeedAverager(self._settings)
         self._waiting: deque[AverageSpeed] = deque(maxlen=MAX_ENDPOINTS)
         self._open: Endpoint | None = None
@@ -59,7 +61,10 @@ class EndpointMaker:
         self._sign = -1.0 if is_reverse else 1.0
 
     def complete(self) -> Iterator[tuple[Endpoint | None, Endpoint]]:
-        """Beginning and end of the intervals complete by now; no beginning: it begins there."""
+        """Return beginning and end of the intervals that are complete.
+
+        The first endpoint after a restart has no beginning: an interval begins there.
+        """
         newest = self._propagator.newest
         if newest is None:
             return
@@ -79,10 +84,11 @@ class EndpointMaker:
                 yield self._next(Endpoint(snapshot, average.speed))
 
     def piece(self) -> tuple[Endpoint, Endpoint] | None:
-        """Both ends of a piece of the interval's length up to now; None: none is complete.
+        """Return both ends of a piece of an interval's length up to now; None: no piece is
+        complete.
 
-        Pieces come where two of them and more fit between two speeds. The speed at both ends goes
-        on from the latest one as it changed in the second before, and has an age.
+        Pieces are made if at least two fit between two speeds. The speed at both ends is the latest
+        one, extrapolated with its change in the second before, and has an age.
         """
         newest, recent = self._propagator.newest, self._recent
         if newest is None or newest.t - self._heard > self._settings.timeout:

@@ -1,4 +1,4 @@
-"""What methods B and C say: the attitude, its uncertainty, its state."""
+"""Result of methods B and C: the attitude, its uncertainty, its state."""
 
 from __future__ import annotations
 
@@ -9,11 +9,11 @@ from dataclasses import dataclass
 from imucald.core.rotations import Vector
 
 SETTLED_STD = math.radians(1.5)
-"""Tilt is published as settled below this [rad]."""
+"""Deviation of the tilt below which it is published as settled [rad]."""
 STALE_S = 1.0
-"""Without gyroscope or accelerometer for so long the attitude is not available [s]."""
+"""Without gyroscope or accelerometer for this long, the attitude is not available [s]."""
 UNKNOWN: Vector = (math.nan, math.nan, math.nan)
-"""A vector of which nothing is known."""
+"""An unknown vector."""
 
 
 class AttitudeState(enum.IntEnum):
@@ -32,10 +32,10 @@ class AttitudeEstimate:
     """The attitude at the newest gyroscope sample; vehicle axes, radians; NaN where not known.
 
     roll (left side up), pitch (nose down), heading (clockwise from north, or from the start where
-    `state` says so); std of the three; rate: (x, y, z) free of bias [rad/s], rate_std likewise;
-    grade: slope of the road, tangent, positive uphill; bias: found so far [rad/s];
-    free_acceleration: specific force less that of motion, gravity and error (method B) [m/s^2],
-    where it is asked for.
+    `state` says so), and std of the three. rate: (x, y, z) without bias [rad/s], with rate_std.
+    grade: slope of the road, tangent, positive uphill. bias: found so far [rad/s].
+    free_acceleration: specific force less that of motion, gravity and error (method B) [m/s^2], if
+    requested.
     """
 
     state: AttitudeState

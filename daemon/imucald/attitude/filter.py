@@ -1,8 +1,9 @@
 """Methods B and C together: corrected samples in, attitude with its uncertainty out.
 
-Order of one run: start (5 s of rest, or of motion where the vehicle does not stand), attitude by
-gyroscope at every sample, and at the end of every interval between two average speeds the
-filter; after 30 s of rest, once, the sensor check. Pure: no I/O, no clock; samples one by one.
+Order of one run: the start (5 s of rest, or of motion if the vehicle does not stand), then the
+attitude by gyroscope at every sample. The filter runs at the end of every interval between two
+average speeds. After 30 s of rest, the sensor check runs once. Pure: no I/O, no clock; samples one
+by one.
 """
 
 from __future__ import annotations
@@ -55,34 +56,55 @@ from imucald.motion.lost_time import LostTime
 
 START_REST_STD = math.radians(10.0)
 START_MOVING_STD = math.radians(15.0)
-"""Tilt error taken for granted at the start: so large that what the first interval finds is tilt,
-and nothing of it an accelerometer error that would be forgotten slowly."""
+"""Tilt error that is assumed at the start.
+
+It is so large that the first interval counts its result as tilt, and not as an accelerometer error
+that would be forgotten slowly.
+"""
 UNSEEN_YAW_RATE = 0.8
-"""Standard deviation of a yaw rate that nothing measures [rad/s]. Tyres hold 1 g and cars turn
-within circles of 10 m, so it is sqrt(g / 5 m) = 1.4 rad/s at most, any of it as likely."""
+"""Standard deviation of a yaw rate without measurement [rad/s].
+
+Tyres hold 1 g and cars turn within circles of 10 m. The rate is therefore at most sqrt(g / 5 m) =
+1.4 rad/s, uniformly distributed.
+"""
 UNSEEN_CHANGE = 0.7
-"""How the rate walks between two samples [rad/s per root of a second]: by 0.5 rad/s in half a
-second, as in a double lane change (ISO 3888-1)."""
+"""Random walk of the rate between two samples [rad/s per root of a second]: 0.5 rad/s in half a
+second, as in a double lane change (ISO 3888-1).
+"""
 BRIDGED_S = 0.1
-"""Up to so long without a sample the line between two of them is off by 0.4 deg at most [s]."""
+"""Longest time without a sample for which the line between two samples is off by at most 0.4 deg
+[s].
+"""
 UNSEEN_TILT_STD = START_MOVING_STD
-"""Of roll and pitch after less than `STALE_S` without a gyroscope [rad]. Ramps, kerbs and swerves
-turn a body by less than 20 deg/s about level axes, and the first interval is again to find tilt."""
+"""Deviation of roll and pitch after less than `STALE_S` without a gyroscope [rad].
+
+Ramps, kerbs and swerves turn a body by less than 20 deg/s about level axes. The first interval
+afterwards must also count its result as tilt.
+"""
 SCATTER_S = 1.0
-"""The scatter of the samples is looked at over so long, where intervals are shorter [s]."""
+"""The scatter of the samples is computed over at least this time, where intervals are shorter
+[s].
+"""
 HEADING_KNOWN_STD = math.radians(20.0)
-"""A heading less sure than this is not called a heading [rad]."""
+"""A heading with a larger deviation is not called a heading [rad]."""
 HEADING_FOUND_STD = 1.0
-"""A heading less sure than this is taken as it comes: any source knows better [rad]."""
+"""A heading with a larger deviation is replaced by the source's, because any source knows better
+[rad].
+"""
 ROLLS_ON_S = 2.0
-"""A speed may say zero below walking pace, 1 m/s, which gentle brakes end in so long [s]."""
+"""Time in which gentle brakes end a speed below walking pace, 1 m/s, that the signal may show as
+zero [s].
+"""
 HEADING_LATE_S = 1.0
-"""A heading may be that old: of satellites it is, by half a second and more [s]."""
+"""Largest age of a heading [s]: those of satellites are half a second old and more."""
 HEADING_SPACING_S = 0.5
-"""Headings are taken so far apart [s]."""
+"""Shortest time between headings that are used [s]."""
 HEADING_ERRORS_S = 60.0
-"""An error of a source lasts so long, and all headings within it count as one [s]: a fused heading
-drifts, steel next to the road goes on. So rests count for more in the gyroscope's zero error."""
+"""Duration of an error of a source; all headings within it count as one [s].
+
+A fused heading drifts, and steel beside the road persists. Rests therefore have more weight in the
+gyroscope's zero error.
+"""
 
 
 class AttitudeFilter:
@@ -118,12 +140,12 @@ class AttitudeFilter:
     # verbs -----------------------------------------------------------------------------------
 
     def reset(self) -> None:
-        """Forget the attitude: the mount is not known any more."""
+        """Forget the attitude, because the mount is not known any more."""
         self._forget_attitude()
         self.gap()
 
     def gap(self) -> None:
-        """Time jumped: nothing before this may be differenced with what follows."""
+        """Note a jump of time: no value from before may be differenced with a later one."""
         self._restart()
         self._endpoints.restart()
         self._sign = 1.0
@@ -136,10 +158,12 @@ class AttitudeFilter:
         self._propagator.q = IDENTITY
         self._source.restart()
         self._net_turn = self._heading_before = 0.0
-        """Turned to the right in all since heading began [rad], and the heading up to which."""
+        """Total turn to the right since the heading began [rad], and the heading up to which it
+        counts.
+        """
 
     def _restart(self) -> None:
-        """What was measured before goes with nothing that follows; speeds do."""
+        """Restart: earlier measurements are not joined with later ones, except speeds."""
         self._propagator.restart()
         self._start: Endpoint | None = None
         self._rest: Endpoint | None = None
@@ -168,10 +192,11 @@ class AttitudeFilter:
             self._update(shared(self._interval(*piece)), None)
 
     def _turned_unseen(self, seconds: float) -> None:
-        """Nothing measured what the vehicle turned by in so long [s]; the attitude is older.
+        """Note that the vehicle turned unmeasured for this time [s]; the attitude is older.
 
-        Where it was not available meanwhile it begins anew, and so does a heading that counts from
-        the start. Sooner it goes on: what may have turned is in its deviation.
+        If the attitude was not available meanwhile, it begins anew. A heading that counts from the
+        start also begins anew. After a shorter time the attitude continues, and its deviation
+        contains the possible turn.
         """
         if self.running and seconds <= max(STALE_S, self.settings.filter.longest_step):
             self._propagator.restart()
@@ -183,9 +208,10 @@ class AttitudeFilter:
             self._restart()
 
     def _bridged(self, seconds: float) -> None:
-        """A line between two samples so far apart [s] stands for what the rate was.
+        """Add the error of the line between two samples so far apart [s].
 
-        The integral of a rate that walks by q per second differs from it by q T^3 / 12 (variance).
+        The integral of a rate that walks by q per second differs from the line's by q T^3 / 12
+        (variance).
         """
         std = UNSEEN_CHANGE * math.sqrt(seconds**3 / 12.0)
         self.kalman.turned_unseen(std, std)
@@ -202,7 +228,7 @@ class AttitudeFilter:
             self._free = vehicle_from_rfu(*found.force) if found.known else UNKNOWN
 
     def speed(self, t: float, speed: float) -> None:
-        """Take a speed [m/s], not negative: the direction comes by `reverse`."""
+        """Take a speed [m/s], not negative; `reverse` gives the direction."""
         self._endpoints.speed(t, speed)
         if self._motion is not None:
             self._motion.speed(t, self._sign * speed)
@@ -224,15 +250,15 @@ class AttitudeFilter:
         m = rfu_from_vehicle(values[0], values[1], values[2])
         east, north, _ = times(self._C(), m)
         if math.hypot(east, north) > 0.0:
-            # the field seems turned by as much as the estimate is turned the other way
+            # The field seems turned by the same angle as the estimate, in the opposite direction.
             estimated = vehicle_angles(self._C())[2]
             measured = estimated - math.atan2(east, north) + self.settings.filter.declination
             self._take_heading(t, measured)
 
     def turned(self, old: Sequence[float], new: Sequence[float]) -> None:
-        """The mount's rotation (9 numbers, row by row) is another one from here on.
+        """Note that the mount's rotation (9 numbers, row by row) changes from here on.
 
-        The sensor has not moved: the vehicle's axes are known better now, and turn in it.
+        The sensor has not moved. The vehicle's axes are known better now, and turn in the sensor.
         """
         before, after = np.array(old).reshape(3, 3), np.array(new).reshape(3, 3)
         A = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])  # text from vehicle
@@ -243,10 +269,10 @@ class AttitudeFilter:
         self.constant_accel_error = matrix_times(D_new_from_old, self.constant_accel_error)
 
     def take_zeros_off(self, rate: Vector, force: Vector) -> None:
-        """From here on so much more is taken off the samples, vehicle axes (3,) [rad/s], [m/s^2].
+        """Subtract this much more from the samples from now on, vehicle axes (3,) [rad/s], [m/s^2].
 
-        The zero error of the rate is followed, and loses it. That of the force is known only by a
-        check; without one, what is taken off makes the force better.
+        The zero error of the rate is tracked and is reduced by it. The zero error of the force is
+        known only from a check. Without a check, the subtraction improves the force.
         """
         p, q, r = rfu_from_vehicle(*rate)
         x, y, z = self.constant_bias
@@ -263,12 +289,14 @@ class AttitudeFilter:
 
     @property
     def heading_is_doubted(self) -> bool:
-        """Whether the source of heading contradicts the gyroscope, or has and is not back."""
+        """Whether the source of heading contradicts the gyroscope, or did so and is not accepted
+        again.
+        """
         return self._source.doubt > 0.0
 
     @property
     def check(self) -> CheckResult | None:
-        """What the sensor check found, vehicle axes; None before it."""
+        """Result of the sensor check, vehicle axes; None before it."""
         if not self.checked:
             return None
         return CheckResult(
@@ -276,7 +304,7 @@ class AttitudeFilter:
         )
 
     def restore_check(self, found: CheckResult) -> None:
-        """Take what an earlier check found, vehicle axes, in the place of a check of one's own."""
+        """Take the result of an earlier check, vehicle axes, in place of an own check."""
         self.constant_bias = rfu_from_vehicle(*found.rate)
         self.constant_accel_error = rfu_from_vehicle(*found.force)
         self.checked = self._check_is_restored = True
@@ -301,7 +329,9 @@ class AttitudeFilter:
         return AttitudeState.RELATIVE_HEADING
 
     def estimate(self, now: float | None = None) -> AttitudeEstimate:
-        """Return the attitude at the newest gyroscope sample; state and deviations are of `now`."""
+        """Return the attitude at the newest gyroscope sample; state and deviations are for
+        `now`.
+        """
         C = self._C()
         kalman = self.kalman
         roll, pitch, heading = vehicle_angles(C)
@@ -334,23 +364,29 @@ class AttitudeFilter:
         )
 
     def _unseen(self, now: float | None) -> float:
-        """How long nothing has measured a turn [s]; 0 within the gyroscope's longest step."""
+        """Return the time without any measurement of a turn [s]; 0 within the gyroscope's longest
+        step.
+        """
         silent = 0.0 if now is None else now - self._propagator.t
         if self.settings.filter.longest_step < silent < math.inf:
             return silent
         return self._lost_time.standing
 
     def _heading_std(self) -> float:
-        """Of the gyroscope's heading: its gain is wrong by the same part in all turns [rad]."""
+        """Return the deviation of the gyroscope's heading [rad]: its gain has the same relative
+        error in all turns.
+        """
         of_gain = self.settings.filter.gyro_gain * self._net_turn
         return math.hypot(math.sqrt(max(float(self.kalman.P[2, 2]), 0.0)), of_gain)
 
     def _stated_heading_std(self) -> float:
-        """The same with the source's own error, which no number of headings makes smaller."""
+        """Return the deviation of the heading with the source's own error, which more headings do
+        not reduce.
+        """
         return math.hypot(self._heading_std(), self._heading_noise, self._source.doubt)
 
     def _C(self) -> Rows:
-        """C_nav_from_body: the correction after the gyroscope's matrix."""
+        """Return C_nav_from_body: the correction after the gyroscope's matrix."""
         return rows_from_quaternion(quaternion_product(self._correction, self._propagator.q))
 
     # intervals -------------------------------------------------------------------------------
@@ -373,7 +409,10 @@ class AttitudeFilter:
             self._check(self._rest, endpoint)
 
     def _surely_still(self, found: Interval) -> Interval | None:
-        """The interval before, where it was one of rest: what is begun may end in driving off."""
+        """Return the previous interval if it was one of rest.
+
+        An interval that has just begun may end with driving off.
+        """
         rest, still = self._rest, self._still
         is_over = rest is not None and found.t0 - rest.snapshot.t > ROLLS_ON_S - 1e-6
         self._still = found if is_over else None
@@ -419,7 +458,9 @@ class AttitudeFilter:
         self._filter(found, None)
 
     def _filter(self, found: Interval, still: Interval | None) -> None:
-        """Take an interval between two speeds, and the road's slope at its end; see `_update`."""
+        """Filter an interval between two speeds, and update the road's slope at its end; see
+        `_update`.
+        """
         if self._endpoints.has_pieces:
             self._endpoints.has_pieces = False
             found = shared(found)
@@ -427,7 +468,10 @@ class AttitudeFilter:
         self._grade.take(found, -vehicle_angles(self._C())[1])
 
     def _update(self, found: Interval, still: Interval | None) -> None:
-        """Time update to the end of the interval, then what it measured; still: one of rest."""
+        """Predict to the end of the interval, then use its measurements.
+
+        still: an interval of rest.
+        """
         dt = max(found.t1 - self._predicted, 0.0)
         self._predicted = max(found.t1, self._predicted)  # a speed comes after pieces that it is of
         C = self._C()
@@ -487,7 +531,7 @@ class AttitudeFilter:
         bias, extra = rest_errors(found.rate, mean, s.check_level)
         old = self.constant_accel_error
         result = CheckResult(bias, (old[0] + extra[0], old[1] + extra[1], old[2] + extra[2]))
-        if not result.is_believable:  # no sensor that works: the next rest is judged again
+        if not result.is_believable:  # the sensor is broken: the next rest is judged again
             self._rest = None
             return
         self.constant_bias, self.constant_accel_error = result

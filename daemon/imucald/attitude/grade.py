@@ -1,4 +1,4 @@
-"""The slope of the road from the body's pitch: less what the suspension adds, and smoothed."""
+"""Slope of the road from the body's pitch, without the effect of the suspension, and smoothed."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import math
 from imucald.attitude.interval import Interval
 
 SUSPENSION_STD = math.radians(0.5)
-"""What the springs add to the pitch of the body, where nothing is known of them [rad]."""
+"""Deviation of the pitch from the springs, where nothing is known of them [rad]."""
 
 
 class GradeFilter:
@@ -25,7 +25,7 @@ class GradeFilter:
         """Begin again."""
         self.grade = math.nan
         self.spread = SUSPENSION_STD
-        """Standard deviation beyond that of the pitch."""
+        """Standard deviation in addition to that of the pitch."""
         self._angle = math.nan
 
     def take(self, interval: Interval, nose_up: float) -> None:

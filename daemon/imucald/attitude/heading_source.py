@@ -1,12 +1,13 @@
-"""Whether a source of heading may be followed: the gyroscope is held against it.
+"""Decide whether a source of heading may be followed: it is compared with the gyroscope.
 
-A difference beyond the gate is not followed: the gyroscope's heading is not wrong by so much.
-Which of the two is wrong is not known, so from `LOST_AFTER` on the source counts as lost, and
-the heading is doubted by as much as the two have differed since. A source has proved itself when,
-but for a constant, it has agreed with the gyroscope for a minute and over a turn that it could
-not have followed frozen, mirrored or at another scale. Then it is taken up again: where it is back
-at the north from before, or had not proved that one. Of two norths that were both proved one is
-wrong, and nothing shows which: the doubt stays. Pure.
+A difference beyond the gate is not followed, because the gyroscope's heading cannot be that wrong.
+It is not known which of the two is wrong. From `LOST_AFTER` on, the source counts as lost, and the
+heading gets a doubt equal to the largest difference since. A source proves itself if it agrees with
+the gyroscope, up to a constant, for a minute and over a turn. The turn must be one that a frozen,
+mirrored or wrongly scaled source could not have followed. A proved source is followed again if it
+shows the same north as before, or if it had not proved the earlier north. If two different norths
+were both proved, one of them is wrong and nothing shows which, so the doubt stays. No I/O, no
+clock.
 """
 
 from __future__ import annotations
@@ -17,22 +18,27 @@ import math
 from imucald.attitude.right_forward_up import wrapped
 
 LOST_AFTER = 5.0
-"""Outliers last less than this [s]: a reflected satellite signal, a steel bridge."""
+"""Outliers are shorter than this [s]: a reflected satellite signal, a steel bridge."""
 AGREES_FOR = 60.0
-"""A source proves itself in no less than this [s] ..."""
+"""Shortest time in which a source proves itself [s] ..."""
 TURNED = math.pi / 2.0
-"""... and over a turn of at least this, and of twice what the two may differ by meanwhile [rad]."""
+"""... and smallest turn over which it does [rad].
+
+The turn must also be twice the possible difference of the two.
+"""
 LONGEST_STEP = 10.0
 """After a longer silence the source has to begin its proof again [s]."""
 
 
 class Verdict(enum.Enum):
-    """What is to be done with a heading."""
+    """Use of a heading."""
 
     FOLLOWED = enum.auto()
     REFUSED = enum.auto()
     BEGUN_AGAIN = enum.auto()
-    """It has proved itself, and what was followed before had not: heading begins from it."""
+    """The source has proved itself, and the one followed before had not: the heading begins from
+    it.
+    """
 
 
 class HeadingSource:
@@ -42,11 +48,15 @@ class HeadingSource:
         self._gate = gate
         self._proved = self._is_undecided = False
         self.doubt = 0.0
-        """Largest difference since the source was lost [rad]; 0 while it may be followed."""
+        """Largest difference since the source was lost [rad]; 0 while the source may be
+        followed.
+        """
         self.restart()
 
     def restart(self) -> None:
-        """The gyroscope's heading begins again: nothing is proved, and what is doubted stays so."""
+        """Restart, because the gyroscope's heading begins again: nothing is proved, and a doubt
+        stays.
+        """
         self._is_undecided |= self.doubt > 0.0 and self._proved
         self._proved = False
         self._beyond_since: float | None = None
@@ -65,10 +75,10 @@ class HeadingSource:
     ) -> Verdict:
         """Judge a heading of stream time t [s].
 
-        difference: of the source from the gyroscope [rad]; variance: of the gyroscope's heading;
-        noise: of the source [rad^2]; heading: the gyroscope's [rad]. is_bend: the vehicle turns so
-        fast that a late heading is off by more than the source's own noise. It can contradict
-        there; it proves nothing, and is not followed.
+        difference: source minus gyroscope [rad]; variance: of the gyroscope's heading; noise: of
+        the source [rad^2]; heading: that of the gyroscope [rad]. is_bend: the vehicle turns so fast
+        that the delay of a heading exceeds the source's own noise. In a bend a heading can
+        contradict, but it proves nothing and is not followed.
         """
         if t - self._t > LONGEST_STEP:
             self._beyond_since = None
@@ -98,7 +108,7 @@ class HeadingSource:
     def _proves(
         self, t: float, difference: float, variance: float, noise: float, heading: float
     ) -> bool:
-        """Whether the source has turned as the gyroscope did, long and far enough."""
+        """Return whether the source has turned as the gyroscope did, for long and far enough."""
         grown = max(variance - self._anchor_variance, 0.0)
         limit = self._gate * math.sqrt(2.0 * noise + grown)
         is_near = abs(wrapped(difference - self._anchor)) < limit

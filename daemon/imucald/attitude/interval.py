@@ -1,11 +1,11 @@
-"""Method B over an interval between two average speeds, as the filter takes it.
+"""Method B over an interval between two average speeds, in the form that the filter uses.
 
-The mean over [t0, t1] of the specific force less a_fwd and omega x v is, all carried into the
-frame P by the gyroscope, the mean force less the change of the velocity *vector*:
+The gyroscope carries everything into the frame P. The mean over [t0, t1] of the specific force less
+a_fwd and omega x v is the mean force less the change of the velocity *vector*:
     mean(C (f - a_fwd y - omega x v y)) = mean(C f) - (C_1 y v_1 - C_0 y v_0) / (t1 - t0),
-since d(C y v)/dt = C (y dv/dt + omega x y v), y being the direction of motion. Nothing is
-differenced but the speed, a slow or late speed meets the force of its own time, and a lever arm l
-adds C (omega x l) to the velocity. What is left is gravity in P, plus error.
+This holds because d(C y v)/dt = C (y dv/dt + omega x y v), with y the direction of motion. Only the
+speed is differenced. A slow or late speed is paired with the force of its own time. A lever arm l
+adds C (omega x l) to the velocity. The rest is gravity in P, plus error.
 """
 
 from __future__ import annotations
@@ -18,13 +18,13 @@ from imucald.config.attitude import MotionCompensationSettings
 from imucald.core.rotations import Vector
 
 SLOW_ERROR_S = 1.0
-"""An error of a mean specific force lasts so long [s]."""
+"""Duration of an error of a mean specific force [s]."""
 MIN_LEVEL = 0.5
-"""Cosine of the steepest slope that a horizontal speed is turned to."""
+"""Cosine of the steepest slope along which a horizontal speed is turned."""
 
 
 class Interval(NamedTuple):
-    """Gravity in P over an interval, and what its uncertainty depends on.
+    """Gravity in P over an interval, and the quantities that set its uncertainty.
 
     up: mean specific force less motion, frame P [m/s^2]. t0, t1 [s]. speed: mean [m/s] or NaN.
     forward_acceleration: of the vehicle [m/s^2]. force_variance: of one sample about the mean
@@ -55,7 +55,7 @@ class Interval(NamedTuple):
 class Endpoint(NamedTuple):
     """An end of an interval: the integrals there and the speed [m/s], NaN where unknown.
 
-    age: of the speed, where it is not of that instant but an older one [s].
+    age: age of the speed, if it is older than this instant [s].
     """
 
     snapshot: IntegralSnapshot
@@ -64,7 +64,10 @@ class Endpoint(NamedTuple):
 
 
 def along_body(endpoint: Endpoint, up: Vector) -> Endpoint:
-    """A endpoint whose speed is horizontal, with the speed along the body; up: unit vector in P."""
+    """Return an endpoint with its horizontal speed turned to the speed along the body.
+
+    up: unit vector in P.
+    """
     rise = sum(a * b for a, b in zip(endpoint.snapshot.forward, up, strict=True))
     level = math.sqrt(max(1.0 - rise * rise, MIN_LEVEL**2))
     return endpoint._replace(speed=endpoint.speed / level)
@@ -80,9 +83,10 @@ def interval(
 ) -> Interval:
     """Make the interval between two endpoints of one segment.
 
-    noise: of a mean specific force over a second or more along forward, left, up; unknown: of an
-    acceleration without speed [m/s^2]. scatter_since: from when on the scatter of the samples is
-    looked at; few samples do not show theirs. Default: the beginning.
+    noise: deviation of a mean specific force over a second or more along forward, left, up;
+    unknown: deviation of an acceleration without speed [m/s^2]. scatter_since: time from which the
+    scatter of the samples is computed, because few samples do not show theirs. Default: the
+    beginning of the interval.
     """
     a, b = first.snapshot, last.snapshot
     T = b.t - a.t
@@ -105,7 +109,7 @@ def interval(
     lateral = sum(c * 0.5 * (p + q) for c, p, q in zip(change, a.right, b.right, strict=True))
     forward = (v1 - v0) / T if known else 0.0
     of_mean = force_variance / n
-    # what lasts for a second is the same error in each shorter interval within it
+    # An error that lasts for a second is the same in all shorter intervals within it.
     share = max(SLOW_ERROR_S / T, 1.0)
     nx, ny = noise[0] * noise[0] * share, noise[1] * noise[1] * share
     sigmas = (unknown, unknown)
@@ -128,9 +132,10 @@ def interval(
 
 
 def shared(found: Interval) -> Interval:
-    """The same where its samples are taken twice: in pieces, and from one speed to the next.
+    """Return the same interval if its samples are used twice: in pieces, and from one speed to the
+    next.
 
-    Along the direction of motion the pieces say next to nothing.
+    Along the direction of motion, pieces give almost no information.
     """
     return found._replace(sigma_lateral=math.sqrt(2.0) * found.sigma_lateral)
 
@@ -143,14 +148,14 @@ def _known_sigma(
     lateral: float,
     unknown: float,
 ) -> tuple[float, float]:
-    """How unsure the correction is, along and across the direction of motion [m/s^2].
+    """Return the deviation of the correction, along and across the direction of motion [m/s^2].
 
-    Along: the speed's noise (more where it creeps and its signal may still say zero) and scale,
-    and the centripetal acceleration of a lever arm that is not known. Across: scale, and the
-    change of the side-slip, which is that lever arm too.
+    Along: noise and scale of the speed, and the centripetal acceleration of an unknown lever arm.
+    The noise is larger while the vehicle creeps and its signal may still say zero. Across: the
+    scale, and the change of the side-slip, which acts like that lever arm.
 
-    Since a speed of some age the acceleration has changed by as much as one that is not known. That
-    is one error in all intervals that rest on that speed: each counts for its share of the age.
+    Since an old speed, the acceleration has changed as much as an unknown one. This is one error in
+    all intervals that use that speed, so each interval counts for its share of the age.
     """
     T = last.snapshot.t - first.snapshot.t
     age = max(first.age, last.age)
@@ -161,7 +166,7 @@ def _known_sigma(
         noise += 0.3 * settings.creep_speed
     r0, r1 = first.snapshot.up_rate, last.snapshot.up_rate
     arm = settings.lever_uncertainty
-    # of one speed at both ends the noise is no acceleration, and what has changed since is
+    # If one speed is used at both ends, its noise is no acceleration; the change since then is.
     of_speed = unknown * unknown * max(age / T, 1.0) if age else (noise / T) ** 2
     along = of_speed + (settings.speed_scale * forward) ** 2
     along += (arm * 0.5 * (r0 * r0 + r1 * r1)) ** 2 + (settings.speed_scale * lateral) ** 2
@@ -172,7 +177,7 @@ def _known_sigma(
 
 
 def _spread(n: float, low: Vector, high: Vector, square: float) -> float:
-    """Variance of one sample, from count and differences of running sums."""
+    """Return the variance of one sample, from count and differences of running sums."""
     n = max(n, 1.0)
     mean_square = sum((y - x) * (y - x) for x, y in zip(low, high, strict=True)) / n
     return max((square - mean_square) / n, 0.0)

@@ -6,10 +6,10 @@ C_true = exp(skew(e)) C), random error of the gyroscope [rad/s] and of the accel
 axis is one of pitch, about the forward axis one of roll.
 
 Model: x_{k+1} = F x_k + w, e' = -C b, b' = w_b, d' = -d / T_a + w_d. The accelerometer's random
-error is a Gauss-Markov process. The gyroscope's is its short-time form, a random walk: with a pull
-to zero, an error that nothing shows (about the vertical, between two stops) would be forgotten.
-Every estimate is fed back at once, so the state itself is zero between updates and only its
-covariance is carried.
+error is a Gauss-Markov process. The gyroscope's is a random walk, the short-time form of such a
+process. With a pull to zero, an error that nothing shows (about the vertical, between two stops)
+would be forgotten. Every estimate is fed back at once, so the state is zero between updates and
+only its covariance is carried.
 """
 
 from __future__ import annotations
@@ -26,26 +26,30 @@ from imucald.core.arrays import Array
 from imucald.core.rotations import Rows, Vector, matrix_times
 
 Measurement = tuple[Array, float, float, bool]
-"""z = h . x + noise: h (9,), z, variance of the noise, whether an unlikely z is widened."""
+"""z = h . x + noise: h (9,), z, variance of the noise, and whether the variance of an unlikely z is
+increased.
+"""
 
 STATES = 9
 YAW_STD_MAX = math.pi
-"""A free heading is unknown; its variance stops growing here [rad], long before it could spoil
-the numbers."""
+"""Largest deviation of an unknown heading [rad]: its variance stops growing here, long before it
+could spoil the numbers.
+"""
 ROUNDED_S = 10.0
-"""A rate that nothing shakes stays within one step of its signal for so long [s]: creeping, or
-straight on a smooth road."""
+"""Time for which a rate without vibration stays within one step of its signal [s]: creeping, or
+straight on a smooth road.
+"""
 _EYE = np.eye(STATES)
 
 
 def of_axes(per_vehicle_axis: Vector) -> Vector:
-    """Sizes along forward, left, up -> along right, forward, up."""
+    """Reorder sizes along forward, left, up to sizes along right, forward, up."""
     x, y, z = per_vehicle_axis
     return y, x, z
 
 
 class NineStateFilter:
-    """Covariance (9, 9) and the fed-back random errors.
+    """Covariance (9, 9) and the random errors that were fed back.
 
     bias: gyroscope [rad/s]; accel_error [m/s^2]; both in body axes, right-forward-up.
     """
@@ -56,17 +60,17 @@ class NineStateFilter:
         self._gyro_random = of_axes(settings.gyro_random)
         random = settings.accel_random or CalibrationSettings().accelerometer_bias
         self.accel_random = of_axes(per_axis(random))
-        """Right, forward, up [m/s^2], as all inside."""
+        """Deviations along right, forward, up [m/s^2], the axes used inside."""
         self.bias: Vector = (0.0, 0.0, 0.0)
         self.accel_error: Vector = (0.0, 0.0, 0.0)
         self.P: Array = np.zeros((STATES, STATES))
         self.widened = 0
-        """Measurements whose noise had to be widened by the gate."""
+        """Number of measurements whose noise the gate had to increase."""
 
     def start(self, tilt_std: float, heading_std: float, gyro_std: PerAxis) -> None:
         """Begin again; standard deviations in rad and rad/s.
 
-        The gyroscope's error stays, and so does what it may have walked by since it was found.
+        The gyroscope's error is kept, and so is its possible random walk since it was found.
         """
         gyro = [max(c**2, float(self.P[3 + i, 3 + i]))
                 for i, c in enumerate(of_axes(per_axis(gyro_std)))]  # fmt: skip
@@ -74,16 +78,17 @@ class NineStateFilter:
         self.P = np.diag(tilt + gyro + [c**2 for c in self.accel_random])
 
     def turned_unseen(self, tilt_std: float, heading_std: float) -> None:
-        """The body may have turned by so much unmeasured; standard deviations [rad]."""
+        """Add an unmeasured turn of the body; standard deviations [rad]."""
         self.P[0, 0] += tilt_std**2
         self.P[1, 1] += tilt_std**2
         self.P[2, 2] += heading_std**2
         self._hold_yaw()
 
     def turn_north(self, angle: float) -> None:
-        """All attitude is turned about up by so much [rad], as where a first heading is taken.
+        """Turn all attitude about up by this angle [rad], for example when the first heading is
+        taken.
 
-        Its errors about level axes turn along: C_true = R exp(e) C = exp(R e) R C.
+        Its errors about level axes turn with it: C_true = R exp(e) C = exp(R e) R C.
         """
         T = np.eye(STATES)
         s, c = math.sin(angle), math.cos(angle)
@@ -92,14 +97,14 @@ class NineStateFilter:
         self.P = 0.5 * (P + P.T)
 
     def forget_heading(self) -> None:
-        """The heading is unknown, and goes with nothing else that is known."""
+        """Forget the heading and its correlation with the other states."""
         self.P[2, :] = self.P[:, 2] = 0.0
         self.P[2, 2] = YAW_STD_MAX**2
 
     def predict(
         self, C_nav_from_body: Rows, dt: float, turned: float, rounding: float = 0.0
     ) -> None:
-        """Time update over dt [s], in which the body turned by so much [rad].
+        """Predict over dt [s], in which the body turned by this vector [rad].
 
         rounding: variance of a mean of the rate, from the steps of its signal [(rad/s)^2].
         """
@@ -116,7 +121,7 @@ class NineStateFilter:
             + [c**2 * (1.0 - keep_d * keep_d) for c in self.accel_random]
         )
         P[np.diag_indices(STATES)] += grown
-        if least < max(g):  # what the axes have beyond the quietest one turns with the body
+        if least < max(g):  # noise beyond that of the quietest axis turns with the body
             C = np.array(C_nav_from_body).reshape(3, 3)
             P[0:3, 0:3] += C @ np.diag([(c * c - least * least) * dt for c in g]) @ C.T
         self.P = 0.5 * (P + P.T)
@@ -127,8 +132,9 @@ class NineStateFilter:
     def update(self, measurements: Sequence[Measurement]) -> Vector:
         """Measurement update; return the attitude error to correct [rad], about east, north, up.
 
-        All are of one instant; numbers with independent noise are taken one after another, which
-        is the same as at once and needs no inverse. Joseph's form keeps P a covariance.
+        All measurements are of one instant. Those with independent noise are applied one after
+        another, which gives the same result as together and needs no inverse. Joseph's form keeps P
+        a valid covariance.
         """
         x = np.zeros(STATES)
         for h, z, variance, gated in measurements:
@@ -140,10 +146,10 @@ class NineStateFilter:
         return float(x[0]), float(x[1]), float(x[2])
 
     def _take(self, x: Array, h: Array, z: float, variance: float, gated: bool) -> None:
-        """Add to x what z = h . x + noise shows.
+        """Add to x what the measurement z = h . x + noise shows.
 
-        A z far out of its expected spread widens its own variance until it is inside: it is
-        then a step of bounded size, and the covariance does not shrink by it as if it fitted.
+        If z is far outside its expected spread, its variance is increased until it is inside. The
+        step is then bounded, and the covariance does not shrink as it would for a z that fits.
         """
         P = self.P
         Ph = P @ h
@@ -160,7 +166,7 @@ class NineStateFilter:
         x += K * innovation
 
     def turn_body(self, D_new_from_old: Array) -> None:
-        """The body's axes are defined again: v_new = D v_old, (3, 3)."""
+        """Apply a new definition of the body's axes: v_new = D v_old, (3, 3)."""
         D = D_new_from_old
         T = np.eye(STATES)
         T[3:6, 3:6] = T[6:9, 6:9] = D
@@ -170,14 +176,18 @@ class NineStateFilter:
         self.accel_error = matrix_times(D, self.accel_error)
 
     def forget_bias(self, rounding: float) -> None:
-        """The constant part has been measured again, to a variance: the random part is small."""
+        """Reset the random part to a small value, because the constant part was measured again to
+        this variance.
+        """
         self.bias = (0.0, 0.0, 0.0)
         self.P[3:6, :] = 0.0
         self.P[:, 3:6] = 0.0
         self.P[3:6, 3:6] = np.diag([max(c * c, rounding) for c in self._gyro_random])
 
     def std_along(self, x: float, y: float, z: float) -> float:
-        """Standard deviation of the attitude error about a unit direction in east, north, up."""
+        """Return the standard deviation of the attitude error about a unit direction in east,
+        north, up.
+        """
         u = np.array([x, y, z])
         return math.sqrt(max(float(u @ self.P[0:3, 0:3] @ u), 0.0))
 

@@ -1,7 +1,7 @@
-"""The measurements z of method C and how the nine states show in them.
+"""Measurements z of method C and their dependence on the nine states.
 
-z is the attitude of the propagated matrix less that of the accelerometer (pitch, roll) and of the
-heading input; a gyroscope at rest is a further one, beyond the publication.
+z is the attitude of the propagated matrix minus that of the accelerometer (pitch, roll) and of the
+heading input. A gyroscope at rest is a further measurement, beyond the publication.
 """
 
 from __future__ import annotations
@@ -17,21 +17,22 @@ from imucald.core.rotations import Rows, Vector, times, transposed_times
 from imucald.core.samples import GRAVITY
 
 MIN_UP = 0.3 * GRAVITY
-"""Less than this is not gravity: falling, or a broken sensor [m/s^2]."""
+"""A smaller force is not gravity, but a fall or a broken sensor [m/s^2]."""
 REST_RATE_STD = math.radians(0.003)
-"""What a standing vehicle still turns, people getting in [rad/s]."""
+"""Rate of a standing vehicle while people get in [rad/s]."""
 
 
 def tilt(
     interval: Interval, gravity: Vector, C: Rows, accel_error: Vector, lag: float
 ) -> list[Measurement]:
-    """Pitch and roll of the propagated matrix less those of the accelerometer; noise by `interval`.
+    """Return pitch and roll of the propagated matrix minus those of the accelerometer; noise from
+    `interval`.
 
-    gravity: what the interval left of the specific force, by the propagated matrix in east, north,
-    up [m/s^2]; were the matrix right, it would point up. The differences are written about the
-    level axes right and forward of the vehicle, where they have no singular place; for small
-    errors they are the differences of the angles. C: C_nav_from_body now; accel_error: in body
-    axes; lag: age of the interval's middle [s], in which the gyroscope's error turned on.
+    gravity: specific force without motion over the interval, turned by the propagated matrix to
+    east, north, up [m/s^2]. With a correct matrix it points up. The differences are taken about the
+    level axes right and forward of the vehicle, where they have no singularity. For small errors
+    they equal the differences of the angles. C: C_nav_from_body now. accel_error: in body axes.
+    lag: age of the interval's middle [s]; the gyroscope's error has turned the matrix since.
     """
     d = times(C, accel_error)
     east, north, up = gravity[0] - d[0], gravity[1] - d[1], gravity[2] - d[2]
@@ -46,7 +47,7 @@ def tilt(
         h[0:3] = [-a for a in axis]
         h[3:6] = [-lag * a for a in transposed_times(C, axis)]
         h[6:9] = [sign * a / GRAVITY for a in transposed_times(C, other)]
-    # a false turn rate takes off a centripetal acceleration that is not there: of v b to the right
+    # A wrong turn rate subtracts a centripetal acceleration that does not exist: v b to the right.
     h_roll[3:6] += [speed * a / GRAVITY for a in transposed_times(C, (0.0, 0.0, 1.0))]
     z_pitch = -math.atan2(forward[0] * east + forward[1] * north, up)
     z_roll = math.atan2(right[0] * east + right[1] * north, up)
@@ -59,10 +60,12 @@ def tilt(
 def rest_rates(
     interval: Interval, bias: Vector, noise: Vector, known: Vector, resolution: float = 0.0
 ) -> list[Measurement]:
-    """At rest the gyroscope reads its own error; bias: known part [rad/s]; noise: its density.
+    """Return the rest measurement: at rest the gyroscope reads its own error.
 
-    known: variance to which each axis' error is known already; resolution: step of the signal.
-    The rounding is the same in every rest, so no number of them shows an error better than that.
+    bias: known part [rad/s]; noise: noise density.
+
+    known: variance of each axis' error so far; resolution: step of the signal. The rounding is the
+    same in every rest, so more rests do not reduce the error below it.
     """
     of_mean = sum(interval.rate_variance) / (3.0 * interval.n)
     rounded = rounding(interval.rate_variance, resolution)
@@ -73,21 +76,22 @@ def rest_rates(
         h = np.zeros(STATES)
         h[3 + i] = 1.0
         variance = noise[i] * noise[i] / interval.duration + of_mean + REST_RATE_STD**2
-        # with this alone 1 / known + 1 / variance would be 1 / rounded
+        # With rounding alone, 1 / known + 1 / variance would be 1 / rounded.
         variance += rounded * known[i] / (known[i] - rounded)
         measurements.append((h, interval.rate[i] - bias[i], variance, True))
     return measurements
 
 
 def rounding(spread: Vector, resolution: float) -> float:
-    """Variance of a mean of rounded numbers about the mean of the true ones.
+    """Return the variance of a mean of rounded numbers about the mean of the true ones.
 
-    spread: variance of a rounded number, for each axis; the quietest counts. What shakes them takes
-    the rounding away (dither), from the step^2 / 12 of a signal that is still: noise of size s
-    with exp(-2 (pi s / step)^2), a tone of amplitude A, as of an engine that idles, with
-    J0(2 pi A / step), whose size is below sqrt(step / A) / pi (Widrow and Kollar, Quantization
-    Noise, 2008: the first term of the sum). It is not known which of the two it is, so the larger
-    counts. The rounding itself adds step^2 / 12 to the spread (Sheppard).
+    spread: variance of a rounded number, for each axis; the quietest axis counts. Vibration reduces
+    the rounding error (dither) from the step^2 / 12 of a signal that is still. Noise of size s
+    reduces it by exp(-2 (pi s / step)^2). A tone of amplitude A, as of an engine that idles,
+    reduces it by J0(2 pi A / step), whose size is below sqrt(step / A) / pi (Widrow and Kollar,
+    Quantization Noise, 2008: the first term of the sum). It is not known which of the two is
+    present, so the larger factor counts. The rounding itself adds step^2 / 12 to the spread
+    (Sheppard).
     """
     if resolution == 0.0:
         return 0.0
@@ -101,9 +105,10 @@ def rounding(spread: Vector, resolution: float) -> float:
 
 
 def heading_difference(heading: float, C: Rows, noise: float) -> Measurement:
-    """A heading input [rad] against the propagated matrix; `HeadingSource` gates it.
+    """Return a heading input [rad] against the propagated matrix; `HeadingSource` gates it.
 
-    The publication's angle is counter-clockwise, a heading clockwise: hence the order.
+    The publication's angle is counter-clockwise and a heading is clockwise, so the operands are
+    exchanged.
     """
     h = np.zeros(STATES)
     h[2] = -1.0

@@ -1,26 +1,26 @@
-"""Method B: what motion adds to the accelerometer, taken out (CN109506674B).
+"""Method B: the effect of motion on the accelerometer is removed (CN109506674B).
 
-Each instant: a_fwd = d(v_avg)/dt along the direction of motion, a_c = omega x v with the newest
-speed (an average would be late in a braking turn), and what is left of the measured specific force
-is gravity plus error; the gyroscope less its zero error; pitch and roll from the rest; each
-corrected by the deflection found from the previous angle.
+At each instant, a_fwd = d(v_avg)/dt acts along the direction of motion. a_c = omega x v uses the
+newest speed, because an average would be late in a braking turn. The measured specific force less
+both is gravity plus error. The zero error is subtracted from the gyroscope. Pitch and roll follow
+from the remaining force. Each is corrected by the deflection found from the previous angle.
 
 Deflection (*reconstructed*; the publication prints no formula). An acceleration a is known along
-the direction of motion, but a number s is subtracted along the accelerometer's own axis, and that
-is deflected from it by the body's pitch or roll. Let the axis be deflected by delta (positive: it
-points up). The accelerometer feels
+the direction of motion, but a number s is subtracted along the accelerometer's own axis. The body's
+pitch or roll deflects this axis from the direction of motion. Let the axis be deflected by delta
+(positive: it points up). The accelerometer feels
     f_x = a cos(delta) + g sin(delta),    f_z = g cos(delta) - a sin(delta),
-and f_x - s leaves an angle atan2(f_x - s, f_z) = delta + S with, exactly,
+The difference f_x - s leaves an angle atan2(f_x - s, f_z) = delta + S with, exactly,
     S(delta; a, s) = atan2(a - s cos(delta), g - s sin(delta)).
-delta is not known yet, the previous angle is: J_n = phi_n - S(phi_{n-1}), K_n likewise.
-- Pitch: s = a = a_fwd. A speed counted by wheels is along the road: only the body's pitch against
-  the road deflects, and the road's part (the slow mean of the angle) does not. A speed over the map
-  is horizontal: the whole angle deflects.
+delta is not known yet, so the previous angle is used: J_n = phi_n - S(phi_{n-1}), K_n likewise.
+- Pitch: s = a = a_fwd. A speed counted by wheels is along the road. Only the body's pitch against
+  the road then deflects; the road's part (the slow mean of the angle) does not. A speed over the
+  map is horizontal, so the whole angle deflects.
 - Roll: s = omega_up v, measured in the body, and a = s / cos(delta). With the full omega x v both
   components of a are already those along the deflected axes, and S is zero.
 
-Everything is in right-forward-up axes: x right, y forward, z up. Pitch is positive nose up, roll is
-positive right side down.
+All quantities are in right-forward-up axes: x right, y forward, z up. Pitch is positive nose up,
+roll is positive right side down.
 """
 
 from __future__ import annotations
@@ -35,16 +35,18 @@ from imucald.core.rotations import Vector, cross
 from imucald.core.samples import GRAVITY
 
 ROAD_TIME = 3.0
-"""Time constant of the road's part of an angle [s]: longer than the body swings on its springs."""
+"""Time constant of the road's part of an angle [s]: longer than the swing of the body on its
+springs.
+"""
 MAX_SPEEDS = 4096
-"""Speed samples that are kept at most: a second of any bus."""
+"""Largest number of speed samples that are stored: a second of any bus."""
 
 
 def deflection(angle: float, acceleration: float, subtracted: float) -> float:
-    """S [rad]: error of an angle found from f - s, the axis being deflected by `angle` [rad].
+    """Return S [rad]: error of an angle found from f - s, with the axis deflected by `angle` [rad].
 
-    acceleration: along the direction of motion [m/s^2], positive the way the axis points;
-    subtracted: what was taken off the axis for it [m/s^2].
+    acceleration: along the direction of motion [m/s^2], positive in the axis' direction;
+    subtracted: number subtracted along the axis for it [m/s^2].
     """
     return math.atan2(
         acceleration - subtracted * math.cos(angle), GRAVITY - subtracted * math.sin(angle)
@@ -52,21 +54,21 @@ def deflection(angle: float, acceleration: float, subtracted: float) -> float:
 
 
 class AverageSpeed(NamedTuple):
-    """Mean speed [m/s] over the last samples and the time that it is of [s]."""
+    """Mean speed [m/s] over the last samples, and its time [s]."""
 
     t: float
     speed: float
 
 
 class SpeedAverager:
-    """v_avg: mean of the speed samples of the last `average` seconds, less their delay."""
+    """v_avg: mean of the speed samples of the last `average` seconds, corrected for their delay."""
 
     def __init__(self, settings: MotionCompensationSettings) -> None:
         self._settings = settings
         self._samples: deque[tuple[float, float]] = deque(maxlen=MAX_SPEEDS)
 
     def restart(self) -> None:
-        """Forget everything: time has jumped."""
+        """Forget everything, because time has jumped."""
         self._samples.clear()
 
     def add(self, t: float, speed: float) -> AverageSpeed:
@@ -81,10 +83,11 @@ class SpeedAverager:
 
 
 class Compensated(NamedTuple):
-    """What method B makes of one instant; right-forward-up axes.
+    """Result of method B for one instant; right-forward-up axes.
 
-    force: specific force less motion [m/s^2]; rate: less zero error [rad/s]; pitch, roll: from
-    the force, less the deflection; raw_pitch, raw_roll: before that [rad]; known: speed was.
+    force: specific force less motion [m/s^2]. rate: less zero error [rad/s]. pitch, roll: from the
+    force, less the deflection. raw_pitch, raw_roll: the same with the deflection [rad]. known:
+    whether the speed was known.
     """
 
     force: Vector
@@ -97,7 +100,7 @@ class Compensated(NamedTuple):
 
 
 class MotionCompensation:
-    """Method B, instant by instant, from what is known by then.
+    """Method B, instant by instant, with the data received so far.
 
     zero_error: of the gyroscope [rad/s], right-forward-up axes.
     """
@@ -112,7 +115,7 @@ class MotionCompensation:
         self.restart()
 
     def restart(self) -> None:
-        """Forget everything: time has jumped."""
+        """Forget everything, because time has jumped."""
         self._average.restart()
         self._endpoints: deque[AverageSpeed] = deque(maxlen=MAX_SPEEDS)
         self._heard = -math.inf
@@ -120,7 +123,7 @@ class MotionCompensation:
         self._a_fwd = 0.0
         self._last: tuple[float, Vector] | None = None
         self.angles = (0.0, 0.0)
-        """Pitch and roll of the instant before [rad]: who knows them better says so."""
+        """Pitch and roll of the previous instant [rad]; a caller with better angles sets them."""
         self._road = (0.0, 0.0)
 
     def speed(self, t: float, speed: float) -> None:
@@ -140,7 +143,9 @@ class MotionCompensation:
             self._a_fwd = (last.speed - first.speed) / (last.t - first.t)
 
     def is_standing(self, t: float) -> bool | None:
-        """Whether speed is zero at t [s] and has been since the last averages; None: not known."""
+        """Return whether speed is zero at t [s] and has been zero since the last averages; None:
+        not known.
+        """
         if t - self._heard > self.settings.timeout or len(self._endpoints) < 2:
             return None
         return all(endpoint.speed == 0.0 for endpoint in self._endpoints)
@@ -167,7 +172,7 @@ class MotionCompensation:
     def _deflected(
         self, t: float, raw_pitch: float, raw_roll: float, a_fwd: float, a_right: float
     ) -> tuple[float, float]:
-        """J and K of the publication: the angles less S of the previous ones."""
+        """Return J and K of the publication: the angles less S of the previous ones."""
         pitch, roll = self.angles
         if self._last is None:
             self._road = (raw_pitch, raw_roll)
@@ -181,12 +186,14 @@ class MotionCompensation:
             pitch, roll = pitch - self._road[0], roll - self._road[1]
         raw_pitch -= deflection(pitch, a_fwd, a_fwd)
         if self.settings.centripetal == "plane":
-            # a positive roll points the right axis down, and a force to the right is a negative one
+            # A positive roll points the right axis down, so a force to the right is a negative one.
             raw_roll += deflection(-roll, a_right / math.cos(roll), a_right)
         return raw_pitch, raw_roll
 
     def _lever_acceleration(self, t: float, rate: Vector) -> Vector:
-        """omega' x l + omega x (omega x l) at the sensor, omega' from successive samples."""
+        """Return omega' x l + omega x (omega x l) at the sensor, with omega' from successive
+        samples.
+        """
         if not any(self._lever):
             return 0.0, 0.0, 0.0
         along = cross(rate, cross(rate, self._lever))

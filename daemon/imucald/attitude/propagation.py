@@ -1,8 +1,8 @@
-"""The attitude matrix carried along by the gyroscope, and running integrals in its frame.
+"""The attitude matrix from the gyroscope, and running integrals in its frame.
 
-The frame P is that of the start, kept by the gyroscope alone: corrections of the filter are a
-rotation next to it, so nothing in the history jumps. Integrals of specific force are kept for some
-seconds, so that an interval between two speed samples can be looked at when a late speed comes.
+The frame P is that of the start, kept by the gyroscope alone. The filter's corrections are a
+separate rotation, so the history never jumps. Integrals of specific force are stored for some
+seconds. An interval between two speed samples can then be evaluated when a late speed comes.
 """
 
 from __future__ import annotations
@@ -25,19 +25,20 @@ from imucald.core.rotations import (
 )
 
 HISTORY_S = 8.0
-"""How far back intervals can be looked at [s]: an interval, its delay, and a slow speed."""
+"""Length of the history [s]: an interval, its delay, and a slow speed."""
 MAX_HISTORY = 16_384
 MAX_PENDING = 64
-"""Accelerometer samples that wait for a gyroscope sample to place them."""
+"""Accelerometer samples that can wait for a gyroscope sample to place them."""
 
 
 class IntegralSnapshot(NamedTuple):
-    """Running integrals up to time t [s], and the body's direction then; frame P.
+    """Running integrals up to time t [s], and the body's direction at that time; frame P.
 
-    force: integral of specific force [m/s]. forward, right: unit axes of the body. arm: velocity
-    of the sensor by its lever arm [m/s]. up_rate: about the body's up axis [rad/s]. n, body,
+    force: integral of specific force [m/s]. forward, right: unit axes of the body. arm: velocity of
+    the sensor from its lever arm [m/s]. up_rate: rate about the body's up axis [rad/s]. n, body,
     square: count, sum and sum of squares of the specific force in body axes. turns, rate,
-    rate_square: the same of the raw gyroscope, squares for each axis. angle: turned in all [rad].
+    rate_square: the same for the raw gyroscope, with squares for each axis. angle: total turn
+    [rad].
     """
 
     t: float
@@ -56,7 +57,9 @@ class IntegralSnapshot(NamedTuple):
 
 
 class Propagator:
-    """Attitude by gyroscope samples; history by accelerometer samples. Right-forward-up axes.
+    """Carries the attitude by gyroscope samples, and keeps the history by accelerometer samples.
+
+    Right-forward-up axes.
 
     longest_step: samples further apart than this [s] begin a new segment.
     lever: from the point whose velocity is the speed to the sensor [m].
@@ -70,16 +73,16 @@ class Propagator:
         self.restart()
 
     def restart(self) -> None:
-        """Forget everything but the attitude: time has jumped."""
+        """Forget everything but the attitude, because time has jumped."""
         self.segment_start = math.inf
-        """Time of the first snapshot of history that belongs together [s]."""
+        """Time of the first snapshot of continuous history [s]."""
         self.t = -math.inf
         """Time of the newest gyroscope sample [s]."""
         self.C: Rows = rows_from_quaternion(self.q)
         self._C_before = self.C
         self._t_before = -math.inf
         self.rate: Vector = (0.0, 0.0, 0.0)
-        """Newest angular rate, free of bias [rad/s]."""
+        """Newest angular rate, without bias [rad/s]."""
         self._pending: deque[tuple[float, Vector]] = deque(maxlen=MAX_PENDING)
         self._history: deque[IntegralSnapshot] = deque(maxlen=MAX_HISTORY)
         self._force: Vector = (0.0, 0.0, 0.0)  # newest, in P
@@ -93,12 +96,14 @@ class Propagator:
         return self._history[-1] if self._history else None
 
     def turn_body(self, q_old_from_new: Quaternion) -> None:
-        """The body's axes are defined again; the sensor has not moved."""
+        """Apply a new definition of the body's axes; the sensor has not moved."""
         self.q = quaternion_product(self.q, q_old_from_new)
         self.C = rows_from_quaternion(self.q)
 
     def gyro(self, t: float, raw: Vector, bias: Vector) -> None:
-        """Take an angular rate [rad/s] and its bias; place the accelerometer samples up to t."""
+        """Take an angular rate [rad/s] and its bias; place the waiting accelerometer samples up to
+        t.
+        """
         rate = (raw[0] - bias[0], raw[1] - bias[1], raw[2] - bias[2])
         dt = t - self.t
         if dt > self._longest_step:
@@ -130,7 +135,7 @@ class Propagator:
             self._place(t, force)
 
     def _place(self, t: float, force: Vector) -> None:
-        """Carry a sample into P by the attitude at its time; C is taken as linear in between."""
+        """Turn a sample into P by the attitude at its time; C is interpolated linearly."""
         span = self.t - self._t_before
         part = (t - self._t_before) / span if 0.0 < span < math.inf else 1.0
         if part < 0.0:  # older than the last two gyroscope samples: too late to be placed
@@ -171,7 +176,7 @@ class Propagator:
             history.popleft()
 
     def at(self, t: float) -> IntegralSnapshot | None:
-        """Return the integrals at time t [s], interpolated; None where history does not reach."""
+        """Return the integrals at time t [s], interpolated; None outside the history."""
         history = self._history
         if not history or t < history[0].t or t > history[-1].t:
             return None

@@ -10,15 +10,15 @@ from imucald.core.rotations import Vector
 from imucald.motion.standstill import feels_parked
 
 BLOCK_S = 1.0
-"""A rest is looked at in pieces of this length [s]: one that is not quiet ends it."""
+"""A rest is examined in pieces of this length [s]; a piece that is not quiet ends it."""
 MAX_ZERO_ERROR = 6.0
-"""In standard deviations: what turns faster than any zero error is not at rest."""
+"""Largest rate at rest in standard deviations of the zero error."""
 
 
 def is_rest(
     first: Endpoint, last: Endpoint, found: Interval, zero_error: Vector, settings: FilterSettings
 ) -> bool:
-    """Whether the vehicle is at rest from one endpoint to the next.
+    """Return whether the vehicle is at rest from one endpoint to the next.
 
     zero_error: of the gyroscope, as far as it is known [rad/s].
     """
@@ -28,7 +28,7 @@ def is_rest(
         and math.dist(found.rate, zero_error) < MAX_ZERO_ERROR * max(settings.gyro_start)
     )
     if math.isnan(found.speed):
-        # without a speed only what is as still as a parked vehicle is taken for rest
+        # Without a speed, only a vehicle as still as a parked one counts as at rest.
         size = math.sqrt(sum(c * c for c in found.up))
         return quiet and feels_parked(found.force_variance, size)
     return quiet and first.speed == 0.0 and last.speed == 0.0
@@ -61,17 +61,18 @@ class _TriadSums:
 
     @property
     def variance(self) -> float:
-        """Of one sample, all axes together."""
+        """Variance of one sample, sum over all axes."""
         x, y, z = self.mean
         return max(self.square / self.n - (x * x + y * y + z * z), 0.0)
 
 
 class RestingGyro:
-    """Takes samples of both sensors in any one axes; gives the zero error once a rest has shown it.
+    """Takes samples of both sensors in any common axes; returns the zero error once a rest has
+    shown it.
 
-    The first rest must last `check` (the sensor check of method C); from then on `start` is enough
-    where a speed says that the vehicle stands. Without a speed only what is as still as a parked
-    vehicle is a rest, and it lasts `check`.
+    The first rest must last `check` (the sensor check of method C). Later, `start` is enough if a
+    speed says that the vehicle stands. Without a speed, only a vehicle as still as a parked one
+    rests, and the rest must last `check`.
     """
 
     def __init__(self, settings: FilterSettings) -> None:
@@ -79,7 +80,7 @@ class RestingGyro:
         self.begin()
 
     def begin(self) -> None:
-        """The rest, if it was one, is over."""
+        """End the rest, if there was one."""
         self._total = _TriadSums()
         self._since = math.nan
         self._begin_block()
@@ -93,9 +94,10 @@ class RestingGyro:
         self._forces.add(force)
 
     def gyro(self, t: float, rate: Vector, stands: bool | None, is_first: bool) -> Vector | None:
-        """Take a rate [rad/s] at t [s]; return the zero error where this ends a long enough rest.
+        """Take a rate [rad/s] at t [s]; return the zero error if this ends a long enough rest.
 
-        stands: what the speed says; None: it says nothing. is_first: none has been given before.
+        stands: whether the speed is zero; None: not known. is_first: no zero error has been
+        returned before.
         """
         if stands is False:
             self.begin()

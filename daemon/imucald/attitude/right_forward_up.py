@@ -1,9 +1,10 @@
 """The right-forward-up axes of method C's publication.
 
-There x is to the right, y forward, z up, and the navigation axes are east, north, up. Everything
-inside this package is in those axes; `rfu_from_vehicle`, `vehicle_from_rfu` and `vehicle_angles`
-are the edge where vehicle axes (ISO 8855: x forward, y left, z up) are converted, once each way.
-Per sample everything is plain floats: an array of three costs more than its arithmetic.
+In these axes x is to the right, y forward, z up, and the navigation axes are east, north, up.
+Everything inside this package uses these axes. `rfu_from_vehicle`, `vehicle_from_rfu` and
+`vehicle_angles` convert from and to vehicle axes (ISO 8855: x forward, y left, z up), once each
+way. Computations per sample use plain floats, because an array of three costs more than its
+arithmetic.
 """
 
 from __future__ import annotations
@@ -28,10 +29,10 @@ def vehicle_from_rfu(x: float, y: float, z: float) -> Vector:
 def vehicle_angles(C_nav_from_body: Rows) -> Vector:
     """Roll, pitch (ISO 8855: left side up, nose down) and heading clockwise from north [rad].
 
-    C_nav_from_body is in right-forward-up axes. Roll and pitch are those of the Z-Y-X angles of
+    C_nav_from_body is in right-forward-up axes. Roll and pitch are the Z-Y-X angles of
     R_earth_from_vehicle.
     """
-    # columns of C are the body's right, forward and up axes in east, north, up
+    # Columns of C are the body's right, forward and up axes in east, north, up.
     pitch = -math.atan2(C_nav_from_body[7], math.hypot(C_nav_from_body[6], C_nav_from_body[8]))
     roll = math.atan2(-C_nav_from_body[6], C_nav_from_body[8])
     heading = math.atan2(C_nav_from_body[1], C_nav_from_body[4])
@@ -39,5 +40,5 @@ def vehicle_angles(C_nav_from_body: Rows) -> Vector:
 
 
 def wrapped(angle: float) -> float:
-    """The same angle in [-pi, pi] [rad]."""
+    """Return the same angle in [-pi, pi] [rad]."""
     return math.remainder(angle, TWO_PI)

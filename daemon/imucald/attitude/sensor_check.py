@@ -1,7 +1,7 @@
-"""The sensor check of method C: what a rest says about constant errors.
+"""The sensor check of method C: constant errors that a rest shows.
 
-One position shows the gyroscope's zero error, and of the accelerometer's the part along gravity
-(all of it only where the sensor is known to be level).
+One position shows the gyroscope's zero error. It shows the accelerometer's error along gravity, and
+all of it only if the sensor is known to be level.
 """
 
 from __future__ import annotations
@@ -14,22 +14,22 @@ from imucald.core.rotations import Matrix3, Vector, matrix_times
 from imucald.core.samples import GRAVITY
 
 LARGEST_RATE = math.radians(6.0)
-"""A constant error of a gyroscope beyond this is a broken one [rad/s]."""
+"""A gyroscope with a larger constant error is broken [rad/s]."""
 LARGEST_FORCE = 3.0
-"""The same of an accelerometer [m/s^2]."""
+"""An accelerometer with a larger constant error is broken [m/s^2]."""
 DIGITS = 10
 """Decimal places of a saved check: finer than any sensor."""
 
 
 class CheckResult(NamedTuple):
-    """What a sensor check found, in any one axes: constant errors [rad/s], [m/s^2]."""
+    """Result of a sensor check, in any common axes: constant errors [rad/s], [m/s^2]."""
 
     rate: Vector
     force: Vector
 
     @property
     def is_believable(self) -> bool:
-        """Whether these are errors of sensors that work; more, or no number, is a broken one."""
+        """Whether these are errors of working sensors; larger errors, or NaN, mean a broken one."""
         return all(
             abs(c) <= limit
             for values, limit in ((self.rate, LARGEST_RATE), (self.force, LARGEST_FORCE))
@@ -37,26 +37,28 @@ class CheckResult(NamedTuple):
         )
 
     def turned(self, R_new_from_old: Matrix3) -> CheckResult:
-        """The same in other axes."""
+        """Return the same in other axes."""
         return CheckResult(
             matrix_times(R_new_from_old, self.rate), matrix_times(R_new_from_old, self.force)
         )
 
     def less(self, rate: Vector, force: Vector) -> CheckResult:
-        """The same where so much more is taken off the samples."""
+        """Return the errors that remain when this much more is subtracted from the samples."""
         (p, q, r), (a, b, c) = self
         return CheckResult(
             (p - rate[0], q - rate[1], r - rate[2]), (a - force[0], b - force[1], c - force[2])
         )
 
     def as_saved(self) -> dict[str, list[float]]:
-        """As it stands in a saved state; a turn to other axes and back leaves the same numbers."""
+        """Return the form for a saved state; a turn to other axes and back gives the same
+        numbers.
+        """
         rate, force = ([round(c, DIGITS) for c in values] for values in self)
         return {"rate": rate, "force": force}
 
     @classmethod
     def from_saved(cls, data: object) -> CheckResult | None:
-        """What a saved state holds; None where it is not a check of a sensor that works."""
+        """Return the check in a saved state; None where it is not a check of a working sensor."""
         if not isinstance(data, Mapping):
             return None
         rate, force = data.get("rate"), data.get("force")
@@ -72,17 +74,17 @@ class CheckResult(NamedTuple):
 
 
 def rest_errors(mean_rate: Vector, mean_force: Vector, is_level: bool) -> CheckResult:
-    """bs and ds of the publication from the means of a rest [rad/s, m/s^2], vertical axis z.
+    """Return bs and ds of the publication from the means of a rest [rad/s, m/s^2], vertical axis z.
 
-    Level: ds is the mean less gravity on z. Otherwise only its part along the measured vertical is
-    taken: the rest of a mean that leans is slope as well as error. Whatever the bus says comes in
-    here: see whether the result `is_believable`.
+    Level: ds is the mean minus gravity on z. Otherwise only the part of ds along the measured
+    vertical is used: the rest of a mean that leans is slope as well as error. The input is any
+    value from the bus, so check whether the result `is_believable`.
     """
     x, y, z = mean_force
     if is_level:
         return CheckResult(mean_rate, (x, y, z - GRAVITY))
     size = math.sqrt(x * x + y * y + z * z)
-    if size == 0.0:  # not even a vertical to take gravity off along
+    if size == 0.0:  # without a vertical, gravity cannot be subtracted
         return CheckResult(mean_rate, (0.0, 0.0, -GRAVITY))
     k = (size - GRAVITY) / size
     return CheckResult(mean_rate, (x * k, y * k, z * k))

@@ -1,1 +1,1 @@
-"""Ground of the house: rotations, samples, errors, files. Imports no other room."""
+"""Foundation of the package: rotations, samples, errors, files. It imports no other room."""

@@ -1,4 +1,4 @@
-"""Degrees and radians: the factor, once. Inside the package angles are radians.
+"""Factors between degrees and radians, defined once. All angles inside the package are in radians.
 
 `math.degrees`, `math.radians`, `np.rad2deg` and `np.deg2rad` multiply by the same doubles.
 """

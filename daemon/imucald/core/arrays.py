@@ -1,6 +1,6 @@
-"""Arrays of floats: the type, solutions of linear systems, sums in order, the median.
+"""Arrays of floats: the type, solutions of linear systems, ordered sums, the median.
 
-numpy's median imports its masked arrays, which takes 20 ms of every start.
+numpy's own median imports its masked arrays, which takes 20 ms of every start.
 """
 
 from __future__ import annotations
@@ -11,23 +11,26 @@ import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
-"""An array of floats; its shape stands where it is used."""
+"""An array of floats; each use states its shape."""
 
 
 def solved(matrix: Array, right: Array) -> Array:
-    """Return x (..., n, k) or (n,) with matrix x = right. Raises LinAlgError for a singular one."""
+    """Return x (..., n, k) or (n,) with matrix x = right. Raises LinAlgError for a singular
+    matrix.
+    """
     return np.asarray(np.linalg.solve(matrix, right), dtype=float)
 
 
 def inverse(matrix: Array) -> Array:
-    """Return the inverse (..., n, n). Raises LinAlgError where the matrix is singular."""
+    """Return the inverse (..., n, n). Raises LinAlgError for a singular matrix."""
     return np.asarray(np.linalg.inv(matrix), dtype=float)
 
 
 def summed_in_order(terms: Array) -> Array:
-    """Sums from left to right over the last dimension of terms (..., n), n > 0.
+    """Return the sums from left to right over the last dimension of terms (..., n), n > 0.
 
-    numpy sums longer ones in pairs, a library's products in any order, which differs by processor.
+    numpy sums longer arrays in pairs. A library's products use any order, which differs between
+    processors.
     """
     total: Array = terms[..., 0].copy()
     for k in range(1, terms.shape[-1]):
@@ -36,7 +39,10 @@ def summed_in_order(terms: Array) -> Array:
 
 
 def median(values: Iterable[float]) -> float:
-    """Return the median; of an even number the mean of the middle two. ValueError: no value."""
+    """Return the median; for an even number of values, the mean of the middle two.
+
+    Raises ValueError without any value.
+    """
     ordered = values if isinstance(values, np.ndarray) else sorted(values)
     if not len(ordered):
         raise ValueError("an empty array has no median")
@@ -49,7 +55,9 @@ def median(values: Iterable[float]) -> float:
 
 
 def true_runs(flags: NDArray[np.bool_]) -> NDArray[np.intp]:
-    """Runs of true flags (N,): of each its first place and the one after its last (R, 2)."""
+    """Return the runs of true flags (N,): for each, its first place and the place after its last
+    (R, 2).
+    """
     padded = np.zeros(len(flags) + 2, np.int8)
     padded[1:-1] = flags
     return np.flatnonzero(np.diff(padded)).reshape(-1, 2)

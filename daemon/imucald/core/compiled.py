@@ -1,20 +1,20 @@
-"""The compiled part: loops in C, where a C compiler was there when the package was installed.
+"""The compiled part: loops in C, present if a C compiler was there when the package was installed.
 
-Everything works without it, to the last bit the same, but slowly: frames and samples are then taken
-one by one in Python, which is also what the kernels are held against. `setup.py` builds it from
-`core/kernels`; it is loaded here and nowhere else. Each kernel has its Python version next to the
-place that calls it::
+Everything works without it, with the same bits, but slowly. Frames and samples are then taken one
+by one in Python. Tests compare the kernels with this Python version. `setup.py` builds the library
+from `core/kernels`, and only this module loads it. Each kernel has its Python version beside the
+call::
 
     kernels = compiled.kernels
     if kernels is not None:
         kernels.candump(...)
         return ...
 
-`kernels` is None where the library is not there, cannot be loaded, or was built from other sources
-than those that lie next to it; and with IMUCALD_COMPILED=0 in the environment.
+`kernels` is None in four cases: the library is missing, it cannot be loaded, it was built from
+other sources than those beside it, or the environment has IMUCALD_COMPILED=0.
 
-A kernel takes numpy arrays as they are and checks their types and shapes itself; it raises
-ValueError where one does not fit. It keeps none of them.
+A kernel takes numpy arrays directly and checks their types and shapes itself. It raises ValueError
+where one does not fit. It keeps no array after the call.
 """
 
 from __future__ import annotations
@@ -29,10 +29,10 @@ from pathlib import Path
 from typing import Final
 
 SWITCH: Final = "IMUCALD_COMPILED"
-"""Set to 0 it leaves the compiled part out: it is not loaded, and not built."""
+"""With the value 0, the compiled part is neither loaded nor built."""
 NAME: Final = "_kernels"
 SOURCES: Final = Path(__file__).with_name("kernels")
-"""Of a checkout; an installed package is without them."""
+"""Sources in a checkout; an installed package has none."""
 
 Kernel = Callable[..., int]
 
@@ -42,8 +42,8 @@ _TYPES: Final = {"o": ctypes.py_object, "i": ctypes.c_long, "d": ctypes.c_double
 class Kernels:
     """The functions of the library.
 
-    Each has its arguments below, as letters: o an array, i a whole number, d a float. What they
-    mean stands next to the function in `core/kernels`.
+    The letters below are the arguments of each function: o an array, i a whole number, d a float.
+    `core/kernels` documents their meaning beside each function.
     """
 
     candump: Kernel
@@ -81,11 +81,13 @@ class Kernels:
 kernels: Kernels | None = None
 """The compiled part, or None."""
 state = ""
-"""Whether it is used, in words: "in use", or why not."""
+"""Whether the compiled part is used, in words: "in use", or the reason why not."""
 
 
 def slow_words() -> str:
-    """That results take long without the compiled part, and why it is not used; "" where it is."""
+    """Return a note that results take long without the compiled part, and why; "" if the part is
+    used.
+    """
     if kernels is not None:
         return ""
     return (
@@ -96,7 +98,7 @@ def slow_words() -> str:
 
 
 def load(folder: Path, sources: Path = SOURCES) -> tuple[Kernels | None, str]:
-    """The library of a folder, and what is to be said of it."""
+    """Return the library of a folder, and its state in words."""
     if os.environ.get(SWITCH) == "0":
         return None, f"switched off by {SWITCH}=0"
     names = (folder / (NAME + suffix) for suffix in EXTENSION_SUFFIXES)
@@ -115,7 +117,10 @@ def load(folder: Path, sources: Path = SOURCES) -> tuple[Kernels | None, str]:
 
 
 def stamp(sources: Path) -> int:
-    """A number that changes with the sources; the library says that of those it was built from."""
+    """Return a number that changes with the sources.
+
+    The library contains the number of its own sources.
+    """
     found = 0
     for file in sorted(sources.iterdir()):
         if file.suffix in (".c", ".h"):
@@ -125,7 +130,7 @@ def stamp(sources: Path) -> int:
 
 @contextmanager
 def left_out() -> Iterator[None]:
-    """Do without the compiled part for a while; for tests, in one thread."""
+    """Disable the compiled part for a while; for tests, in one thread."""
     global kernels  # noqa: PLW0603
     kept, kernels = kernels, None
     try:

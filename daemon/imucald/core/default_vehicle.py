@@ -1,7 +1,7 @@
-"""The compact passenger car that is assumed where nothing is known about the vehicle.
+"""The compact passenger car that is assumed for an unknown vehicle.
 
-Assumptions of the size of cars of the C segment (wheelbase 2.6 to 2.7 m, track about 1.5 m,
-steering ratio 14 to 17). The defaults of `vehicle:` and those of the model file are these.
+The values are assumptions about cars of the C segment (wheelbase 2.6 to 2.7 m, track about 1.5 m,
+steering ratio 14 to 17). They are also the defaults of `vehicle:` and of the model file.
 """
 
 WHEELBASE = 2.68

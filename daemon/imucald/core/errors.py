@@ -1,7 +1,7 @@
-"""Every error imucald raises on purpose, in one family. The file reads as a table of contents.
+"""All errors that imucald raises on purpose. Each class states when it is raised.
 
-Anything else that escapes is a defect. `ImucaldError` texts are made for people: they name the
-place (file, line, key, message) and the remedy, and the command line prints them without a trace.
+Any other exception that escapes is a defect. Texts of `ImucaldError` are made for people. They name
+the place (file, line, key, message) and the remedy. The command line prints them without a trace.
 """
 
 from __future__ import annotations
@@ -12,11 +12,13 @@ class ImucaldError(Exception):
 
 
 class ConfigError(ImucaldError):
-    """The configuration (YAML, or what it refers to) is wrong: place, reason and remedy."""
+    """The configuration (YAML, or a file it names) is wrong; the text gives place, reason and
+    remedy.
+    """
 
 
 class DatabaseError(ImucaldError):
-    """A CAN database cannot be loaded, or lacks a message or signal that is asked for."""
+    """A CAN database cannot be loaded, or lacks a requested message or signal."""
 
 
 class DecodeError(ImucaldError):
@@ -35,16 +37,18 @@ class EncodeError(ImucaldError):
 
 
 class LogError(ImucaldError):
-    """A recorded log cannot be opened or read, or has a bad line and strict reading was asked."""
+    """A recorded log cannot be opened or read, or has a bad line and strict reading was
+    requested.
+    """
 
 
 class NoFramesError(LogError):
-    """A log that can be read, but holds no CAN frame."""
+    """A readable log contains no CAN frame."""
 
 
 class LinkError(ImucaldError):
-    """A CAN interface cannot be opened or has gone in a way that cannot be healed."""
+    """A CAN interface cannot be opened, or is lost and cannot recover."""
 
 
 class EstimateError(ImucaldError):
-    """Numbers handed to an estimator break its contract (shape, order, not finite)."""
+    """Numbers passed to an estimator break its contract (shape, order, not finite)."""

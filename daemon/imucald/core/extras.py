@@ -1,14 +1,14 @@
-"""How an optional part is installed, in the one form that holds before there is a release."""
+"""Installation of an optional part, in the one form that works before there is a release."""
 
 from __future__ import annotations
 
 PACKAGED = "/usr/lib/imucald/"
-"""Where the Debian packages are."""
+"""Folder of the Debian packages."""
 IN_WORKBENCH = ("live", "report")
 
 
 def how_to_install(extra: str) -> str:
-    """Words for a message: the command that brings an extra of pyproject.toml."""
+    """Return the command that installs an extra of pyproject.toml, as words for a message."""
     if __file__.startswith(PACKAGED):
         if extra in IN_WORKBENCH:
             return "install the Debian package imucald-workbench"

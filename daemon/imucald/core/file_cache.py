@@ -1,9 +1,10 @@
-"""Databases and configurations as they were read before: parsing takes milliseconds to seconds.
+"""Cache of databases and configurations that were parsed before: parsing takes milliseconds to
+seconds.
 
-A file holds the own text of what was read, which must be the same to the last character, and what
-it says, as JSON: reading JSON can make nothing but such descriptions. A file that is damaged or
-made by other versions counts for nothing, and nothing here ever fails: without a folder that can
-be written, and belongs to this user alone, databases are parsed each time.
+A cache file holds the original text, which must match to the last character, and the parsed content
+as JSON. Reading JSON can create nothing but such content. A damaged file, or one made by other
+versions, is ignored. Nothing here ever fails. Without a writable folder that belongs to this user
+alone, databases are parsed each time.
 """
 
 from __future__ import annotations
@@ -21,30 +22,32 @@ from typing import Final, TypeVar
 import msgspec
 
 MAX_TEXT: Final = 32 * 2**20
-"""Characters of the largest database that is kept."""
+"""Characters of the largest database that is cached."""
 MAX_FILES: Final = 64
-"""Databases kept; there is one file for each place that a database was read from."""
+"""Most databases in the cache; there is one file for each place from which a database was read."""
 STALE_S: Final = 600.0
-"""An unfinished file of that age [s] is nobody's: writing one takes less than a second."""
+"""An unfinished file of this age [s] has no writer any more: writing one takes less than a
+second.
+"""
 _SUFFIX: Final = ".json"
 _UNFINISHED: Final = re.compile(r"[0-9a-f]{8}\.[0-9]+")
-"""Name of a file that is being written: its final name, and the process."""
+"""Name of a file that is being written: its final name, and the process number."""
 _CHECK_BYTES: Final = 9
-"""CRC-32 as text, and a newline; then come, as JSON: stamp, source, text, messages."""
+"""CRC-32 as text, and a newline. JSON follows: stamp, source, text, messages."""
 
 Message = TypeVar("Message")
 
 
 class _Cache:
-    """Where databases are kept; nowhere until a command says so."""
+    """Folder of the cache; none until a command sets it."""
 
     folder: Path | None = None
 
 
 def keep_databases(environment: Mapping[str, str]) -> None:
-    """Let this process use the cache: in systemd's cache directory, else in the user's.
+    """Let this process use the cache in systemd's cache directory, otherwise in the user's.
 
-    Called by the commands that people wait for; tests and libraries do without.
+    Only commands that people wait for call this; tests and libraries do not.
     """
     given = environment.get("CACHE_DIRECTORY", "").partition(":")[0]
     home = environment.get("HOME", "")
@@ -54,7 +57,7 @@ def keep_databases(environment: Mapping[str, str]) -> None:
 
 
 def find(text: str, source: str, kind: type[Message]) -> list[Message] | None:
-    """Return the messages (of a kind) of a text that was read before from the same source."""
+    """Return the messages (of a kind) of a text that was parsed before from the same source."""
     if _Cache.folder is None or not _is_ours(_Cache.folder):
         return None
     try:
@@ -68,7 +71,7 @@ def find(text: str, source: str, kind: type[Message]) -> list[Message] | None:
 
 
 def keep(text: str, source: str, messages: list[Message], kind: type[Message]) -> None:
-    """Keep what was read from a text, where that can be done."""
+    """Cache what was parsed from a text, if possible."""
     if _Cache.folder is None or len(text) > MAX_TEXT:
         return
     try:
@@ -77,7 +80,7 @@ def keep(text: str, source: str, messages: list[Message], kind: type[Message]) -
             return
         content = msgspec.json.encode((_stamp(), source, text, messages))
         if _decoded(content, kind)[-1] != messages:
-            return  # numbers that JSON does not know
+            return  # numbers that JSON cannot hold
         _drop_unfinished(_Cache.folder)
         _write(_place(_Cache.folder, source), _check(content) + content)
         _drop_oldest(_Cache.folder)
@@ -92,7 +95,7 @@ def _decoded(content: bytes, kind: type[Message]) -> tuple[str, str, str, list[M
 
 
 def _write(place: Path, data: bytes) -> None:
-    """Make a file, whole or not at all: on a full disk nothing of it stays. Raises OSError."""
+    """Write a file completely or not at all: on a full disk no part of it stays. Raises OSError."""
     making = place.with_name(f"{place.stem}.{os.getpid()}")
     try:
         making.write_bytes(data)
@@ -104,7 +107,7 @@ def _write(place: Path, data: bytes) -> None:
 
 
 def _drop_unfinished(folder: Path) -> None:
-    """Remove what processes that were killed left half written."""
+    """Remove files that killed processes left unfinished."""
     now = time.time()
     for path in folder.iterdir():
         if _UNFINISHED.fullmatch(path.name):
@@ -128,7 +131,7 @@ def _check(content: bytes) -> bytes:
 
 
 def _is_ours(folder: Path) -> bool:
-    """Whether nobody else can put files there."""
+    """Return whether no other user can put files there."""
     try:
         found = folder.stat()
     except OSError:
@@ -139,7 +142,9 @@ def _is_ours(folder: Path) -> bool:
 
 
 def _stamp() -> str:
-    """What reads databases and YAML: our modules and their libraries, by size and time."""
+    """Return a stamp of the code that reads databases and YAML: our modules and their libraries, by
+    size and time.
+    """
     package = Path(__file__).parents[1]
     ours = ("can/dbc/message.py", "can/dbc/parser.py", "core/yaml_parser.py")
     found = [os.stat(f) for f in (*(f"{package}/{name}" for name in ours), *_libraries())]  # noqa: PTH116

@@ -1,9 +1,10 @@
-"""Small files: written whole or not at all, read with a checksum; files of strangers read whole.
+"""Small files: written completely or not at all, read with a checksum; files of other users read
+safely.
 
-An atomic file is one line of text (what it is, then the SHA-256 of the rest) and a body of bytes;
-a power cut cannot damage it. Of a stranger's, a pipe or a device is no file, and no more is read
-than is asked. SHA-256 is the interpreter's own module: `hashlib` would load OpenSSL, 3.6 MiB of the
-50 MiB that a daemon may take, and 3 ms.
+An atomic file is one line of text (its kind, then the SHA-256 of the rest) and a body of bytes. A
+power cut cannot damage it. When a file of another user is read, pipes and devices are refused, and
+no more bytes are read than requested. SHA-256 comes from the interpreter's own module: `hashlib`
+would load OpenSSL, which costs 3 ms and 3.6 MiB of the 50 MiB that a daemon may use.
 """
 
 from __future__ import annotations
@@ -17,18 +18,20 @@ from pathlib import Path
 UNFINISHED = ".tmp"
 """Ending of a file that is being written."""
 FOLDER = "folder"
-"""In the name of a folder that was in the place of a file, and was set aside."""
+"""Part of the name of a folder that was in the place of a file and was set aside."""
 MAX_ASIDE = 8
-"""Files set aside under one name and word; the next takes the place of the oldest."""
+"""Largest number of files set aside under one name and word; the next replaces the oldest."""
 
 
 def write_file(path: Path, data: bytes, mode: int | None = None) -> None:
-    """Replace a file by one that is on the disk; OSError where that fails (nothing is lost then).
+    """Replace a file by one that is safely on the disk.
 
-    mode: its permissions, where not those that new files get.
+    Raises OSError where that fails; nothing is lost then.
 
-    Written next to it, forced to the disk, renamed, the folder forced too: at every instant the
-    file is the old one or the new one.
+    mode: its permissions, if they differ from those of new files.
+
+    The new file is written beside the old one, forced to the disk, and renamed. The folder is
+    forced to the disk too. At every instant the file is the old one or the new one.
     """
     unfinished = write_beside(path, data)
     if mode is not None:
@@ -42,14 +45,14 @@ def write_file(path: Path, data: bytes, mode: int | None = None) -> None:
 
 
 def put_in_place(unfinished: Path, path: Path) -> None:
-    """Give a file that is written its name; a folder of that name is set aside.
+    """Give a finished file its final name; a folder of that name is set aside.
 
-    OSError where that fails; the unfinished file is removed then.
+    Raises OSError where that fails; the unfinished file is then removed.
     """
     try:
         try:
             unfinished.replace(path)
-        except IsADirectoryError:  # it would be in the way for ever
+        except IsADirectoryError:  # a folder would block the name for ever
             path.rename(free_name(path, FOLDER))
             unfinished.replace(path)
     except OSError:
@@ -58,7 +61,7 @@ def put_in_place(unfinished: Path, path: Path) -> None:
 
 
 def write_beside(path: Path, data: bytes) -> Path:
-    """Write what is to take the place of a file, and force it to the disk; return where it is."""
+    """Write the replacement of a file and force it to the disk; return its path."""
     unfinished = path.with_name(path.name + UNFINISHED)
     path.parent.mkdir(parents=True, exist_ok=True)
     _remove(unfinished)  # a left-over, or a link that somebody put there
@@ -87,14 +90,14 @@ def with_checksum(title: str, body: bytes) -> bytes:
 
 
 def split_checksum(data: bytes) -> tuple[bytes, bytes, bool]:
-    """Return title, body, and whether the checksum is that of the body."""
+    """Return title, body, and whether the checksum matches the body."""
     head, _, body = data.partition(b"\n")
     title, _, checksum = head.rpartition(b" ")
     return title, body, checksum == sha256(body).hexdigest().encode()
 
 
 def free_name(path: Path, word: str) -> Path:
-    """Return a name next to the file for what is set aside: a free one, or that of the oldest."""
+    """Return a name beside the file for something set aside: a free name, or that of the oldest."""
     names = [path.with_name(f"{path.name}.{word}.{n}") for n in range(1, MAX_ASIDE + 1)]
     ages = {}
     for name in names:
@@ -106,7 +109,7 @@ def free_name(path: Path, word: str) -> Path:
 
 
 def sync_folder(folder: Path) -> None:
-    """Force a rename to the disk, where the file system knows how."""
+    """Force a rename to the disk, if the file system supports it."""
     with contextlib.suppress(OSError):
         descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
         try:
@@ -116,20 +119,20 @@ def sync_folder(folder: Path) -> None:
 
 
 _FLAGS = sum(getattr(os, name, 0) for name in ("O_NONBLOCK", "O_CLOEXEC", "O_BINARY"))
-"""Each is of some systems: the last of Windows."""
+"""Flags that exist only on some systems: the last one on Windows."""
 
 
 def read_regular(path: Path, max_bytes: int) -> bytes:
-    """Return a file's bytes, one more than `max_bytes` at most: then it is too long.
+    """Return a file's bytes, at most one more than `max_bytes`: then the file is too long.
 
-    OSError where it cannot be read or is no regular file; a pipe without a writer is not waited
-    for, and `/dev/zero` has an end.
+    Raises OSError if it cannot be read or is no regular file. The function does not wait for the
+    writer of a pipe, and stops reading `/dev/zero`.
     """
-    # looked at before it is opened: opening a device may do things
+    # The check comes before opening, because opening a device may have effects.
     _refuse_other(path, path.stat())
     descriptor = os.open(path, os.O_RDONLY | _FLAGS)
     with os.fdopen(descriptor, "rb") as file:
-        _refuse_other(path, os.fstat(descriptor))  # what was opened, whoever renames meanwhile
+        _refuse_other(path, os.fstat(descriptor))  # check the opened file: it may have been renamed
         return file.read(max_bytes + 1)
 
 

@@ -1,4 +1,4 @@
-"""Libraries of others: how an optional one is installed, and imports without what it would load."""
+"""External libraries: installation of an optional one, and imports without unneeded parts."""
 
 from __future__ import annotations
 
@@ -9,15 +9,16 @@ from types import ModuleType
 
 
 def how_to_install(extra: str) -> str:
-    """Words for a message: the command that brings an extra of pyproject.toml."""
+    """Return the command that installs an extra of pyproject.toml, as words for a message."""
     return f"pip install '.[{extra}]' in imucald's checkout"
 
 
 @contextmanager
 def standing_in(name: str, module: ModuleType | None) -> Iterator[None]:
-    """Let another module stand for one while the body imports; None: as if it were not installed.
+    """Replace a module by another one during the imports in the body; None: as if it were not
+    installed.
 
-    Whoever imports it later gets it whole. One that is loaded already stays as it is.
+    A later import gets the real module. A module that is already loaded stays as it is.
     """
     if name in sys.modules:
         yield

@@ -1,4 +1,6 @@
-"""How much memory this process may take: of the machine, its control group, its own limits."""
+"""Memory that this process may use: limits of the machine, its control group, and its own
+limits.
+"""
 
 from __future__ import annotations
 
@@ -13,12 +15,17 @@ except ImportError:  # Windows
 
 _GROUPS = Path("/sys/fs/cgroup")
 _UNSTATED = 4 * 2**30
-"""Memory of a machine that does not state it (Windows): the least that a desktop has today."""
+"""Memory that is assumed for a machine that does not state it (Windows): the least that a desktop
+has today.
+"""
 
 
 def allowed_memory(own_group: Path = Path("/proc/self/cgroup"), groups: Path = _GROUPS) -> int:
-    """Return bytes: the least of physical memory, the process's limits of address space and data
-    (`ulimit`), and MemoryMax of the groups around (cgroup v2)."""
+    """Return the allowed memory [bytes].
+
+    It is the smallest of physical memory, the process's limits of address space and data
+    (`ulimit`), and MemoryMax of the surrounding groups (cgroup v2).
+    """
     if resource is None:
         return _UNSTATED
     limits = [os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")]
@@ -36,7 +43,7 @@ def allowed_memory(own_group: Path = Path("/proc/self/cgroup"), groups: Path = _
 
 
 def limit_own(memory: int, seconds: int) -> None:
-    """Limit this process's data [bytes] and processor time [s], where the system can."""
+    """Limit this process's data [bytes] and processor time [s], if the system supports it."""
     if resource is None:
         return
     for kind, value in ((resource.RLIMIT_DATA, memory), (resource.RLIMIT_CPU, seconds)):
@@ -45,7 +52,7 @@ def limit_own(memory: int, seconds: int) -> None:
 
 
 def _unified(own_group: Path) -> str:
-    """The path of this process's group in the one hierarchy of cgroup v2."""
+    """Return the path of this process's group in the single hierarchy of cgroup v2."""
     try:
         lines = own_group.read_text().splitlines()
     except OSError:

@@ -1,7 +1,7 @@
-"""How a sensor sits, in words: where each of its axes points in the vehicle.
+"""Words for how a sensor sits: where each of its axes points in the vehicle.
 
-Words stay true where angles do not: near 90 deg of pitch roll and yaw are one angle, but
-"x points up, 5 deg back" holds at every mount.
+Words stay correct where angles do not. Near 90 deg of pitch, roll and yaw are one angle, but "x
+points up, 5 deg back" is valid for every mount.
 """
 
 from __future__ import annotations
@@ -14,18 +14,22 @@ from imucald.core.rotations import Matrix3
 
 AXES = ("x", "y", "z")
 WAYS = (("forward", "back"), ("left", "right"), ("up", "down"))
-"""What people call a vehicle axis, and the way against it."""
+"""Names of the two directions of each vehicle axis."""
 UP = 2
 STEEP = math.radians(70.0)
-"""Beyond this pitch roll and yaw lose their meaning: at 90 deg they are one angle, and here an
-error of one degree about the vehicle's axes is already three degrees of yaw (1 / cos 70 deg)."""
+"""Pitch beyond which roll and yaw lose their meaning.
+
+At 90 deg they are one angle; here an error of one degree about the vehicle's axes is already three
+degrees of yaw (1 / cos 70 deg).
+"""
 
 
 def axis_words(R_vehicle_from_sensor: Matrix3, axis: int) -> str:
-    """Where one sensor axis points, as "up, 5 deg back"; R: (3, 3).
+    """Return where one sensor axis points, as "up, 5 deg back"; R: (3, 3).
 
-    Named by the nearest of the six ways of the vehicle and by how far it leans to others: for a way
-    in the horizontal plane by heading and height, for up and down by the lean to each side.
+    The text names the nearest of the vehicle's six directions and the lean to others. For a
+    horizontal direction it gives heading and height; for up and down it gives the lean to each
+    side.
     """
     v = [float(c) for c in R_vehicle_from_sensor[:, axis]]
     main = max(range(3), key=lambda i: abs(v[i]))
@@ -43,14 +47,18 @@ def axis_words(R_vehicle_from_sensor: Matrix3, axis: int) -> str:
 
 
 def sits_words(R_vehicle_from_sensor: Matrix3) -> str:
-    """The whole mount in one line: "x points up, 5 deg back; y points left; z points forward"."""
+    """Return the whole mount in one line: "x points up, 5 deg back; y points left; z points
+    forward".
+    """
     return "; ".join(
         f"{name} points {axis_words(R_vehicle_from_sensor, i)}" for i, name in enumerate(AXES)
     )
 
 
 def leaning_words(R_vehicle_from_sensor: Matrix3) -> str:
-    """What is known before the direction of travel: how each axis lies against the horizontal."""
+    """Return what is known before the direction of travel: how each axis lies against the
+    horizontal.
+    """
     parts = []
     for i, name in enumerate(AXES):
         height = math.asin(max(-1.0, min(1.0, float(R_vehicle_from_sensor[UP, i]))))
@@ -62,7 +70,7 @@ def leaning_words(R_vehicle_from_sensor: Matrix3) -> str:
 
 
 def steep_words(pitch: float, quaternion: Sequence[float]) -> str | None:
-    """What to say besides roll, pitch and yaw of a steep mount; None where these speak alone.
+    """Return a note to roll, pitch and yaw of a steep mount; None if the angles need no note.
 
     pitch: [rad]. quaternion: w, x, y, z.
     """

@@ -1,11 +1,10 @@
-"""ISO 8855 axes and rotations: the only place that knows angle conventions.
+"""ISO 8855 axes and rotations: the only module with angle conventions.
 
-Vehicle axes: x forward, y left, z up. A rotation is named by both frames,
-`R_vehicle_from_sensor @ v_sensor = v_vehicle`. Mount angles are the intrinsic Z-Y-X
-(yaw, pitch, roll) angles of that rotation, as
-``scipy.spatial.transform.Rotation.from_euler("ZYX", [yaw, pitch, roll])`` has them:
-positive yaw turns the sensor to the left, positive pitch its nose down, positive roll
-its left side up.
+Vehicle axes: x forward, y left, z up. The name of a rotation has both frames:
+`R_vehicle_from_sensor @ v_sensor = v_vehicle`. Mount angles are the intrinsic Z-Y-X (yaw, pitch,
+roll) angles of that rotation, as in ``scipy.spatial.transform.Rotation.from_euler("ZYX", [yaw,
+pitch, roll])``. Positive yaw turns the sensor to the left, positive pitch turns its nose down, and
+positive roll turns its left side up.
 """
 
 from __future__ import annotations
@@ -20,10 +19,13 @@ from numpy.typing import ArrayLike, NDArray
 Matrix3 = NDArray[np.float64]
 """(3, 3) float64."""
 UPSIDE_DOWN = -0.5
-"""Cosine of the lean beyond which levelling counts from the other side."""
+"""Cosine of the lean beyond which levelling starts from the upside-down position."""
 Vector = tuple[float, float, float]
 Rows = tuple[float, float, float, float, float, float, float, float, float]
-"""A 3 x 3 matrix as plain numbers, row by row: per sample an array costs more than its sums."""
+"""A 3 x 3 matrix as plain numbers, row by row.
+
+For a single sample, an array costs more than its arithmetic.
+"""
 Quaternion = tuple[float, float, float, float]
 """w, x, y, z of a unit quaternion."""
 IDENTITY: Quaternion = (1.0, 0.0, 0.0, 0.0)
@@ -31,23 +33,23 @@ Number = TypeVar("Number", float, NDArray[np.float64])
 
 
 def times(m: Rows, v: Sequence[float]) -> Vector:
-    """Matrix times vector (3,)."""
+    """Return matrix times vector (3,)."""
     a, b, c, d, e, f, g, h, i = m
     x, y, z = v
     return a * x + b * y + c * z, d * x + e * y + f * z, g * x + h * y + i * z
 
 
 def transposed_times(m: Rows, v: Sequence[float]) -> Vector:
-    """Transposed matrix times vector (3,): a rotation the other way."""
+    """Return the transposed matrix times a vector (3,): the inverse rotation."""
     a, b, c, d, e, f, g, h, i = m
     x, y, z = v
     return a * x + d * y + g * z, b * x + e * y + h * z, c * x + f * y + i * z
 
 
 def times_columns(rows: NDArray[np.float64], v: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Matrices times vectors (N, 3); the same bits as `times` row by row.
+    """Return matrices times vectors (N, 3), with the same bits as `times` row by row.
 
-    rows: (N, 9) or (1, 9); more columns are not looked at.
+    rows: (N, 9) or (1, 9); further columns are ignored.
     """
     x, y, z = v[:, 0], v[:, 1], v[:, 2]
     r = rows.T
@@ -56,9 +58,10 @@ def times_columns(rows: NDArray[np.float64], v: NDArray[np.float64]) -> NDArray[
 
 
 def times_level(m: Rows, v: Sequence[float]) -> Vector:
-    """x and y of a level sensor of two axes, turned about the vertical as m turns its x axis.
+    """Return x and y of a level sensor with two axes, turned about the vertical as m turns its x
+    axis.
 
-    m: R_vehicle_from_sensor, whose z axes are the same up to the crown of a road. z stays unknown
+    m: R_vehicle_from_sensor, with both z axes equal up to the crown of a road. z stays unknown
     (NaN). Claim 5 of method A (application CN 201610826380).
     """
     c, s = m[0], m[3]
@@ -68,7 +71,7 @@ def times_level(m: Rows, v: Sequence[float]) -> Vector:
 
 
 def times_level_columns(rows: NDArray[np.float64], v: NDArray[np.float64]) -> NDArray[np.float64]:
-    """The same for (N, 9) or (1, 9) and (N, 3), to the same bits."""
+    """Return the same for (N, 9) or (1, 9) and (N, 3), with the same bits."""
     c, s, x, y = rows[:, 0], rows[:, 3], v[:, 0], v[:, 1]
     size = np.sqrt(c * c + s * s)
     out = (c * x - s * y) / size, (s * x + c * y) / size, np.full(len(v), np.nan)
@@ -76,9 +79,9 @@ def times_level_columns(rows: NDArray[np.float64], v: NDArray[np.float64]) -> ND
 
 
 def applied(matrices: NDArray[np.float64], columns: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Matrices (..., r, 3) times (..., 3, k), their sums taken from left to right.
+    """Return matrices (..., r, 3) times (..., 3, k), with sums from left to right.
 
-    A library's matrix product takes another order on each processor.
+    A library's matrix product uses a different order on each processor.
     """
     first = matrices[..., :, 0, None] * columns[..., None, 0, :]
     first += matrices[..., :, 1, None] * columns[..., None, 1, :]
@@ -87,13 +90,13 @@ def applied(matrices: NDArray[np.float64], columns: NDArray[np.float64]) -> NDAr
 
 
 def matrix_times(R: Matrix3, v: Vector) -> Vector:
-    """Matrix (3, 3) times vector, as plain numbers."""
+    """Return matrix (3, 3) times vector, as plain numbers."""
     x, y, z = (float(c) for c in R @ np.array(v))
     return x, y, z
 
 
 def rotation_from_angles(roll: float, pitch: float, yaw: float) -> Matrix3:
-    """Rotation sensor -> vehicle from intrinsic Z-Y-X mount angles [rad]; (3, 3)."""
+    """Return the rotation sensor -> vehicle from intrinsic Z-Y-X mount angles [rad]; (3, 3)."""
     cr, sr = math.cos(roll), math.sin(roll)
     cp, sp = math.cos(pitch), math.sin(pitch)
     cy, sy = math.cos(yaw), math.sin(yaw)
@@ -124,7 +127,7 @@ def skew(v: ArrayLike) -> NDArray[np.float64]:
 
 _EYE = np.eye(3)
 NEARLY = 1e-9
-"""A matrix whose rows are orthonormal but for less is a rotation but for rounding."""
+"""A matrix whose rows are orthonormal within this is a rotation up to rounding."""
 
 
 def rotation_from_vector(v: ArrayLike) -> Matrix3:
@@ -156,7 +159,7 @@ def vector_from_rotation(R: ArrayLike) -> NDArray[np.float64]:
 
 def quaternion_from_rotation(R: ArrayLike) -> Quaternion:
     """Return unit quaternion (w, x, y, z) with w >= 0 of a rotation (3, 3) (Shepperd's method)."""
-    # plain numbers: a third of the time that elements of an array take
+    # Plain numbers take a third of the time of array elements.
     (xx, xy, xz), (yx, yy, yz), (zx, zy, zz) = np.asarray(R, dtype=float).tolist()
     candidates = [
         1.0 + xx + yy + zz,
@@ -181,11 +184,11 @@ def quaternion_from_rotation(R: ArrayLike) -> Quaternion:
 
 
 def levelling_rotation(gravity_sensor: ArrayLike) -> Matrix3:
-    """Shortest rotation that takes the specific force at rest (3,) to (0, 0, |J|).
+    """Return the shortest rotation that turns the specific force at rest (3,) to (0, 0, |J|).
 
-    The tilt of method A, step 3: after it the sensor's x and y lie in the horizontal plane.
-    About the horizontal axis by atan2(hypot(Jx, Jy), Jz). For a sensor exactly upside down that
-    axis is open; the turn is then made about x.
+    It is the tilt of method A, step 3: afterwards the sensor's x and y lie in the horizontal plane.
+    The rotation is about the horizontal axis by atan2(hypot(Jx, Jy), Jz). For a sensor exactly
+    upside down that axis is undefined; x is used.
     """
     up = np.asarray(gravity_sensor, dtype=float)
     ux, uy, uz = up / np.sqrt(up @ up)
@@ -202,11 +205,13 @@ def levelling_rotation(gravity_sensor: ArrayLike) -> Matrix3:
 
 
 def orthonormalised(R: ArrayLike) -> Matrix3:
-    """The nearest rotation to a (3, 3) matrix, in the least-squares sense (polar decomposition)."""
+    """Return the nearest rotation to a (3, 3) matrix, in the least-squares sense (polar
+    decomposition).
+    """
     R = np.asarray(R, dtype=float)
     left = R.T @ R - _EYE
     if np.abs(left).max() < NEARLY and _turns_right(R):
-        nearest: Matrix3 = R - 0.5 * (R @ left)  # a step of Newton's: off by the square of what was
+        nearest: Matrix3 = R - 0.5 * (R @ left)  # one Newton step: the error is squared
         return nearest
     U, _, Vt = np.linalg.svd(R)
     result: Matrix3 = U @ Vt
@@ -221,8 +226,10 @@ def _turns_right(R: Matrix3) -> bool:
 
 
 def inverse_of_symmetric(A: ArrayLike) -> Matrix3:
-    """Of a symmetric, positive definite matrix (3, 3), by elimination: in plain numbers, which for
-    so few takes a third of the time."""
+    """Return the inverse of a symmetric, positive definite matrix (3, 3), by elimination.
+
+    Plain numbers take a third of the time for such a small matrix.
+    """
     (xx, xy, xz), (_, yy, yz), (_, _, zz) = np.asarray(A, dtype=float).tolist()
     a, b = xy / xx, xz / xx
     second, below = yy - a * xy, yz - a * xz
@@ -238,7 +245,7 @@ def inverse_of_symmetric(A: ArrayLike) -> Matrix3:
 
 
 def quaternion_from_vector(x: float, y: float, z: float) -> Quaternion:
-    """Unit quaternion of a rotation vector [rad]."""
+    """Return the unit quaternion of a rotation vector [rad]."""
     square = x * x + y * y + z * z
     if square < 1e-8:  # sin and cos to double precision: the next terms are below 1e-17
         k = 0.5 - square / 48.0
@@ -249,7 +256,7 @@ def quaternion_from_vector(x: float, y: float, z: float) -> Quaternion:
 
 
 def quaternion_product(p: Quaternion, q: Quaternion) -> Quaternion:
-    """Product p q, normalised: rotation q first, then p."""
+    """Return the product p q, normalised: rotation q first, then p."""
     pw, px, py, pz = p
     qw, qx, qy, qz = q
     w = pw * qw - px * qx - py * qy - pz * qz
@@ -261,14 +268,16 @@ def quaternion_product(p: Quaternion, q: Quaternion) -> Quaternion:
 
 
 def quaternion_turned(q: Quaternion, x: float, y: float, z: float) -> Quaternion:
-    """q followed, in body axes, by a rotation vector [rad]; stays of unit length."""
+    """Return q followed, in body axes, by a rotation vector [rad]; the result has unit length."""
     return quaternion_product(q, quaternion_from_vector(x, y, z))
 
 
 def rows_from_quaternion(
     q: tuple[Number, Number, Number, Number],
 ) -> tuple[Number, Number, Number, Number, Number, Number, Number, Number, Number]:
-    """The rotation matrix of a unit quaternion, row by row; of numbers or of columns (N,)."""
+    """Return the rotation matrix of a unit quaternion, row by row; of numbers or of columns
+    (N,).
+    """
     w, x, y, z = q
     xx, yy, zz = x * x, y * y, z * z
     xy, xz, yz = x * y, x * z, y * z
@@ -281,5 +290,5 @@ def rows_from_quaternion(
 
 
 def cross(a: Vector, b: Vector) -> Vector:
-    """Cross product."""
+    """Return the cross product."""
     return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]

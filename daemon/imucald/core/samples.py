@@ -1,4 +1,4 @@
-"""Time-stamped physical samples: what every part inside the edges speaks."""
+"""Time-stamped physical samples: the common data format inside the package."""
 
 from __future__ import annotations
 
@@ -25,7 +25,10 @@ SI_UNITS: Mapping[str, str] = {
 
 
 class Quantity(NamedTuple):
-    """What a sample of a channel is. key: in the configuration's `signals`. width: its numbers."""
+    """Meaning of a channel's samples. key: its key in the configuration's `signals`.
+
+    width: numbers per sample.
+    """
 
     channel: str
     key: str
@@ -41,14 +44,14 @@ class Quantity(NamedTuple):
 QUANTITIES: Mapping[str, Quantity] = {
     row.channel: row
     for row in (
-        # specific force in sensor axes (+9.81 on an axis up at rest); angular rate, right-handed
+        # Specific force in sensor axes (+9.81 on an axis up at rest); angular rate, right-handed.
         Quantity("accel", "accelerometer", "acceleration", 3),
         Quantity("gyro", "gyroscope", "angular_rate", 3),
         Quantity("mag", "magnetometer", "magnetic_field", 3),
         Quantity("speed", "speed", "speed"),  # not negative; direction comes from `reverse`
-        # front left, front right, rear left, rear right
+        # Front left, front right, rear left, rear right.
         Quantity("wheel_speeds", "wheel_speeds", "speed", 4),
-        # of the vehicle (ISO 8855): positive to the left, and forward
+        # Signals of the vehicle (ISO 8855): positive to the left, and forward.
         Quantity("steering", "steering_wheel_angle", "angle"),
         Quantity("yaw_rate", "yaw_rate", "angular_rate"),
         Quantity("lateral_accel", "lateral_acceleration", "acceleration"),
@@ -59,18 +62,22 @@ QUANTITIES: Mapping[str, Quantity] = {
         Quantity("heading", "heading", "angle"),  # clockwise from north
     )
 }
-"""Every quantity, by channel, in the order in which people read them. A sample of one is a number
-or `width` of them in `unit`: arrays (N,) or (N, width). A setting of its `key` in
-`config/signals.py`, and it is read from the bus."""
+"""Every quantity, by channel, in the order for people.
+
+A sample is one number or `width` numbers in `unit`: arrays (N,) or (N, width). Each quantity with a
+setting of its `key` in `config/signals.py` is read from the bus.
+"""
 
 INERTIAL = tuple(
     row.channel for row in QUANTITIES.values() if row.dimension in ("acceleration", "angular_rate")
 )
-"""Channels of accelerations and rates: a sensor's noise moves them from sample to sample."""
+"""Channels of accelerations and rates: the noise of the sensor changes their values from sample to
+sample.
+"""
 
 
 def width_of(channel: str) -> int:
-    """How many numbers a sample has; a channel of a parallel sensor has three."""
+    """Return the number of values in a sample; a channel of a parallel sensor has three."""
     return QUANTITIES[channel].width if channel in QUANTITIES else 3
 
 

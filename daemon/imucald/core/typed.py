@@ -1,7 +1,8 @@
-"""Data of a YAML file -> a typed structure. Every mistake is one line: file, line, key, remedy.
+"""Convert data of a YAML file to a typed structure.
 
-msgspec stops at the first mistake. Here the data are gone through field by field, each checked by
-msgspec alone, so that all mistakes are reported at once, each at its place.
+Every mistake is reported in one line: file, line, key, remedy. msgspec stops at the first mistake.
+Here msgspec checks the data field by field, so that all mistakes are reported together, each at its
+place.
 """
 
 from __future__ import annotations
@@ -42,9 +43,8 @@ def typed(
 ) -> T:
     """Return data as a value of a kind (a msgspec structure, or any type of a field).
 
-    full: the data with all short forms spelled out, where they have any. at: the key that the
-    data stand at.
-    Raises ConfigError with one line for each mistake.
+    full: the data with all short forms expanded, if they have any. at: the key of the data. Raises
+    ConfigError with one line for each mistake.
     """
     infinite = [
         f"{document.located((*at, *place))}: must be a finite number, below {LARGEST:g}"
@@ -62,14 +62,16 @@ def typed(
 
 
 LARGEST: Final = 1e30
-"""Squares and products of such numbers are finite."""
+"""Largest number allowed: squares and products of such numbers are finite."""
 Place = tuple[str | int, ...]
 Marks = dict[Place, int]
 """Line (from 1) of every key and item."""
 
 
 def infinite_places(data: Any, place: Place = ()) -> Iterator[Place]:
-    """Where numbers are infinite, none at all, or so large that what is made of them is."""
+    """Return the places of numbers that are infinite, NaN, or so large that results become
+    infinite.
+    """
     if isinstance(data, float) and not abs(data) < LARGEST:
         yield place
     elif isinstance(data, dict | list):
@@ -78,14 +80,14 @@ def infinite_places(data: Any, place: Place = ()) -> Iterator[Place]:
 
 
 def line_of(marks: Marks, place: Place) -> int:
-    """Line of a key, or of the nearest one around it."""
+    """Return the line of a key, or of the nearest key around it."""
     while place and place not in marks:
         place = place[:-1]
     return marks.get(place, 1)
 
 
 def dotted(place: Place) -> str:
-    """Name of a key with all that it stands in; empty for the whole file."""
+    """Return the name of a key with all parent keys; empty for the whole file."""
     text = ""
     for part in place:
         text += f"[{part}]" if isinstance(part, int) else f".{part}" if text else str(part)
@@ -93,10 +95,10 @@ def dotted(place: Place) -> str:
 
 
 class Document(NamedTuple):
-    """What data were read from: the file's name, and the lines that its keys stand in.
+    """Source of the data: the file's name, and the lines of its keys.
 
-    marks: empty where the data come from no text; then there is no line. whole: what the file is
-    called where no key is to blame.
+    marks: empty if the data come from no text; then there is no line. whole: name of the file for
+    mistakes without a key.
     """
 
     name: str
@@ -104,7 +106,7 @@ class Document(NamedTuple):
     whole: str = "configuration"
 
     def located(self, place: Place) -> str:
-        """File, line and key, as every mistake in a YAML file begins."""
+        """Return file, line and key, the beginning of every reported mistake in a YAML file."""
         where = f"{self.name}:{line_of(self.marks, place)}" if self.marks else self.name
         return f"{where}: {dotted(place) or self.whole}"
 
@@ -128,15 +130,18 @@ Mistake = tuple[Place, str]
 
 @cache
 def _fields(model: type[Struct]) -> tuple[msgspec.structs.FieldInfo, ...]:
-    """The fields of a struct; to find them, msgspec compiles each annotation again."""
+    """Return the fields of a struct.
+
+    The result is cached because msgspec compiles each annotation again.
+    """
     return msgspec.structs.fields(model)
 
 
 def explain(data: Any, full: Any, kind: Any, document: Document, at: Place = ()) -> Iterator[str]:
-    """One line for each mistake: file, line, key, reason, remedy.
+    """Return one line for each mistake: file, line, key, reason, remedy.
 
-    full: the data as checked, with all short forms spelled out; data: as they were written.
-    kind: the type that they shall have. at: the key that they stand at.
+    full: the data as checked, with all short forms expanded; data: as written. kind: the required
+    type. at: the key of the data.
     """
     reported: set[Mistake] = set()
     for long_place, reason in _mistakes(full, kind, ()):
@@ -147,7 +152,7 @@ def explain(data: Any, full: Any, kind: Any, document: Document, at: Place = ())
 
 
 def _real_place(long_place: Place, data: Any) -> Place:
-    """Drop what spelling out added to the path (the index of a single source, its key)."""
+    """Remove what the expansion added to the path (the index of a single source, its key)."""
     place: list[str | int] = []
     here = data
     last = len(long_place) - 1
@@ -162,7 +167,7 @@ def _real_place(long_place: Place, data: Any) -> Place:
 
 
 def _mistakes(value: Any, kind: Any, place: Place) -> Iterator[Mistake]:
-    """Mistakes of a value that shall be of a kind (a type, with constraints)."""
+    """Return the mistakes of a value that must have a kind (a type, with constraints)."""
     bare = _bare(kind)
     if value is None and NoneType in get_args(bare):
         return
@@ -177,7 +182,7 @@ def _mistakes(value: Any, kind: Any, place: Place) -> Iterator[Mistake]:
 
 
 def _inner_mistakes(value: Any, kind: Any, place: Place) -> Iterator[Mistake]:
-    """Mistakes of what a mapping or list holds."""
+    """Return the mistakes in the items of a mapping or list."""
     for part in map(_bare, get_args(kind) if _is_union(kind) else (kind,)):
         arguments = get_args(part)
         if isinstance(part, type) and issubclass(part, Struct) and isinstance(value, dict):
@@ -225,7 +230,7 @@ def _reason(value: Any, kind: Any, text: str) -> str:
 
 
 def _is_number(value: str, text: str) -> bool:
-    """Whether a number that is wanted stands in quotes; text: of msgspec."""
+    """Return whether a required number is in quotes. text: message of msgspec."""
     if "`float`" not in text and "`int" not in text:
         return False
     try:
@@ -236,7 +241,7 @@ def _is_number(value: str, text: str) -> bool:
 
 
 def _keys(value: Any, kind: Any) -> str:
-    """Which keys a mapping would have, where something else stands in its place."""
+    """Return the keys that a mapping would have, if another value is in its place."""
     if isinstance(value, dict) or not (isinstance(kind, type) and issubclass(kind, Struct)):
         return ""
     names = [field.name for field in _fields(kind)]
@@ -245,7 +250,7 @@ def _keys(value: Any, kind: Any) -> str:
 
 
 def _plain(text: str) -> str:
-    """A message of msgspec, such as "Expected `float` > 0.0", in the words of YAML."""
+    """Return a message of msgspec, such as "Expected `float` > 0.0", in the words of YAML."""
 
     def named(match: re.Match[str]) -> str:
         return " or ".join(_NAMES.get(name, name) for name in match[1].split(" | "))
@@ -264,7 +269,7 @@ def _is_union(kind: Any) -> bool:
 
 
 def _choices(kind: Any) -> tuple[Any, ...]:
-    """What a literal, or a union with one, allows."""
+    """Return the values that a literal, or a union with one, allows."""
     if get_origin(kind) is Literal:
         return get_args(kind)
     parts = get_args(kind) if _is_union(kind) else ()
@@ -273,5 +278,5 @@ def _choices(kind: Any) -> tuple[Any, ...]:
 
 @cache
 def _hints(model: type[Struct]) -> dict[str, Any]:
-    """Type of each key, constraints included."""
+    """Return the type of each key, including constraints."""
     return get_type_hints(model, include_extras=True)

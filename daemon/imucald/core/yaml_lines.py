@@ -1,4 +1,6 @@
-"""YAML to plain data that knows its lines: parsed, or as the same text was parsed before."""
+"""Convert YAML to plain data with line numbers: parsed now, or taken from the cache of the same
+text.
+"""
 
 from __future__ import annotations
 
@@ -17,7 +19,7 @@ MAX_FILE_BYTES = 1_000_000
 
 
 class Parsed(Struct):
-    """What a text says, and the lines of its keys, as it is kept between runs."""
+    """Content of a text, and the lines of its keys, as cached between runs."""
 
     data: Any
     marks: list[tuple[Place, int]]
@@ -26,9 +28,9 @@ class Parsed(Struct):
 def read_yaml(text: str, name: str) -> tuple[Any, Marks]:
     """Parse YAML to plain data and the line of every key.
 
-    Aliases, repeated keys and deep nesting are refused: no configuration needs them, and they are
-    how a file becomes a bomb. Raises ConfigError with the line. What was parsed is kept where
-    databases are: importing a parser of YAML is a tenth of a restart.
+    Aliases, repeated keys and deep nesting are refused: no configuration needs them, and they let a
+    small file expand without limit. Raises ConfigError with the line. The result is cached with the
+    databases, because importing a YAML parser takes a tenth of a restart.
     """
     source = f"yaml {name}"
     kept = file_cache.find(text, source, Parsed)
@@ -42,9 +44,9 @@ def read_yaml(text: str, name: str) -> tuple[Any, Marks]:
 
 
 def read_yaml_file(path: Path, whole: str) -> tuple[Any, Marks]:
-    """The same of a file; whole: what the file is, as "configuration".
+    """Parse a file. whole: name of the kind of file, as "configuration".
 
-    Raises ConfigError also where the file is too long, is no text or cannot be read.
+    Raises ConfigError also if the file is too long, is not text or cannot be read.
     """
     try:
         data = read_regular(path, MAX_FILE_BYTES)

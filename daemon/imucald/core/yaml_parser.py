@@ -1,4 +1,4 @@
-"""YAML text to plain data with the line of every key. The text is untrusted."""
+"""Convert YAML text to plain data with the line of every key. The text is untrusted."""
 
 from __future__ import annotations
 
@@ -14,23 +14,28 @@ from imucald.core.typed import Marks, Place
 MAX_DEPTH = 30
 """Deepest accepted nesting."""
 MAX_EVENTS = 20_000
-"""Most keys, values, brackets and ends of them: thirty times those of a whole model file."""
+"""Largest number of keys, values, brackets and their ends: thirty times those of a whole model
+file.
+"""
 MAX_NUMBER = 64
-"""Longest number [characters]; those in base 60 (1:30:00) take the square of their length."""
+"""Longest number [characters].
+
+The time for numbers in base 60 (1:30:00) grows with the square of their length.
+"""
 
 _NESTED = "nested too deeply"
 _TOO_DEEP = "exceeded maximum nesting depth"
-"""libyaml's own word for it (met first with PyYAML 6.0.4): it looks ahead of the events."""
+"""Message of libyaml itself (first seen with PyYAML 6.0.4): it looks ahead of the events."""
 _NUMBER_TAGS = ("tag:yaml.org,2002:int", "tag:yaml.org,2002:float")
 _EXPONENT = re.compile(r"[-+]?[0-9]+(\.[0-9]*)?[eE][-+]?[0-9]+")
-"""Numbers that YAML 1.1, unlike 1.2, takes for text: 1e-3."""
+"""Numbers that YAML 1.1, unlike 1.2, reads as text: 1e-3."""
 
 
 def parse_yaml(text: str, name: str) -> tuple[Any, Marks]:
     """Parse YAML to plain data and the line of every key.
 
-    Aliases, repeated keys and deep nesting are refused: no configuration needs them, and they are
-    how a file becomes a bomb. Raises ConfigError with the line.
+    Aliases, repeated keys and deep nesting are refused: no configuration needs them, and they let a
+    small file expand without limit. Raises ConfigError with the line.
     """
     try:
         loader = getattr(yaml, "CSafeLoader", yaml.SafeLoader)(text)
@@ -56,14 +61,18 @@ def parse_yaml(text: str, name: str) -> tuple[Any, Marks]:
 
 
 def _refuse_heavy(text: str, loader: type, name: str) -> None:
-    """Look at the text's events, one by one: composing them recurses, in C without any limit."""
+    """Refuse a too heavy text by looking at its events, one by one.
+
+    Composing them recurses, in C without any limit.
+    """
     depth = 0
     for count, event in enumerate(yaml.parse(text, Loader=loader)):
         line = event.start_mark.line + 1 if event.start_mark else 1
         if isinstance(event, yaml.AliasEvent):
             raise ConfigError(f"{name}:{line}: YAML aliases (*name) are not accepted")
         if isinstance(event, yaml.ScalarEvent) and encodable(event.value) != event.value:
-            # libyaml refuses it by itself, the parser of a PyYAML without libyaml does not
+            # libyaml itself refuses such a character; the parser of a PyYAML without libyaml does
+            # not.
             raise ConfigError(f"{name}:{line}: a character that UTF-8 cannot hold")
         depth += isinstance(event, yaml.CollectionStartEvent)
         depth -= isinstance(event, yaml.CollectionEndEvent)

@@ -1,10 +1,10 @@
-"""Between two times at which a speed is known, only its mean slope is.
+"""Replace signals by their means between the times at which the speed is known.
 
-A speed that comes seldom, in coarse steps, or not at all below some km/h is known at some times,
-its knots: at its samples, as it passes the middle between two steps, at rest. What it did between
-them no interpolation tells. So all signals of the drive are replaced by their means between the
-knots: of dv/dt that mean is known exactly, and the equations between the signals, which are
-linear, hold between the means as they do between the signals.
+Some speed signals come seldom, in coarse steps, or not at all below some km/h. Such a speed is
+known only at some times, called knots: at its samples, when it passes the middle between two steps,
+and at rest. No interpolation tells the speed between two knots. All signals of the drive are
+therefore replaced by their means between the knots. The mean of dv/dt between two knots is known
+exactly. The equations between the signals are linear, so they also hold between the means.
 """
 
 from __future__ import annotations
@@ -19,18 +19,24 @@ from imucald.motion.ticks import TICK_S
 Flags = NDArray[np.bool_]
 
 GENTLE = 0.5
-"""A vehicle that stops or starts passes the speeds that its sender does not show with so much
-[m/s^2] or more: half of what is comfortable (ISO 15622 allows a speed control 2 m/s^2)."""
+"""Acceleration [m/s^2] with which a stopping or starting vehicle at least passes the speeds that
+its sender does not show. It is a quarter of the 2 m/s^2 that ISO 15622 allows a speed control.
+"""
 SURE = 0.99
-"""A speed below that part of the least that is shown is the mean over a tick with standstill."""
+"""A speed below this fraction of the smallest shown speed is the mean of a tick that is partly
+standstill.
+"""
 DENSE = 1.5
-"""Knots that are no more than so many ticks apart are in every tick."""
+"""Knots that are at most this many ticks apart count as knots in every tick."""
 
 
 def known_times(knots: Array, speed: Array, least: float) -> Array:
-    """Of knots (K,) [ticks] those at which a speed (N,) is known that shows none below `least`.
+    """Return the knots, out of knots (K,) [ticks], at which the speed is really known.
 
-    Such a sender says zero while the vehicle still rolls, and again before it is seen to start.
+    speed: (N,). least: smallest speed that the sender shows.
+
+    Such a sender says zero while the vehicle still rolls, and zero again after the vehicle has
+    started.
     """
     margin = least / GENTLE / TICK_S
     silent = np.abs(speed) < max(ZERO_SPEED, SURE * least)
@@ -48,8 +54,8 @@ def known_times(knots: Array, speed: Array, least: float) -> Array:
 def means_between(x: Array, knots: Array, use: Flags) -> Array:
     """Replace columns x (N, w) of ticks by their means between knots (K,) [ticks].
 
-    Ticks that are not to be used (N,) end a mean on both sides. Where a tick lies between knots
-    that are less than two ticks apart, it stays as it is.
+    Ticks (N,) that are not to be used end a mean on both sides. A tick between knots that are less
+    than two ticks apart stays unchanged.
     """
     n = len(x)
     breaks = np.flatnonzero(use[1:] != use[:-1]) + 1.0

@@ -1,9 +1,10 @@
-"""The vertical in body axes, carried by the gyroscope and drawn to the accelerometer.
+"""The vertical in body axes: carried by the gyroscope and pulled slowly to the accelerometer.
 
     du/dt = -w x u + (p - u) / T      p: (force less motion) over g
 
-In axes that do not turn with the body this is a first-order low pass. So a block is done at once:
-the turns by a prefix product, the low pass by a cumulative sum.
+In axes that do not turn with the body, this equation is a first-order low-pass filter. A whole
+block is therefore computed at once: a prefix product gives the turns, a cumulative sum gives the
+low-pass.
 """
 
 from __future__ import annotations
@@ -20,15 +21,18 @@ Flags = NDArray[np.bool_]
 PULL_S = 30.0
 """Time constant of the pull to the accelerometer [s]."""
 FIRST_PULL_S = 3.0
-"""The same at the start; it grows with the time that the vertical has been carried."""
+"""Time constant of the pull at the start [s].
+
+It grows with the time for which the vertical has been carried.
+"""
 FIRST_TICKS = 64
-"""The mean of the pull in so many ticks is the first vertical."""
+"""The first vertical is the mean of the pull over this many ticks."""
 
 
 class CarriedVertical:
     """Carries the vertical from block to block.
 
-    State: `up` (3,), the tilt that a gyroscope's cross-talk makes of it (3, 3), time carried.
+    State: `up` (3,), its sensitivity to cross-talk of the gyroscope (3, 3), and the time carried.
     """
 
     def __init__(self) -> None:
@@ -37,7 +41,7 @@ class CarriedVertical:
         self._ticks = 0
 
     def restart(self) -> None:
-        """Forget the vertical: time jumped, or the turning was not known."""
+        """Forget the vertical, because time jumped or the rotation was not known."""
         self._up = None
         self._tilts = np.zeros((3, 3))
         self._ticks = 0
@@ -45,9 +49,10 @@ class CarriedVertical:
     def block(self, rate: Array, pull: Array, use: Flags) -> tuple[Array, Array]:
         """Return the vertical (N, 3) and its sensitivities (N, 3, 3) over one block.
 
-        rate: (N, 3) [rad/s], pull: (N, 3) force less motion over g, both in body axes. use: (N,)
-        ticks whose pull counts. The sensitivities are d u / d (e_xz, e_yz, g_z): cross-talk of the
-        rate from z to x and y, and a turn of the gyroscope about z against the accelerometer [rad].
+        rate: (N, 3) [rad/s]. pull: (N, 3) force less motion, over g. Both are in body axes. use:
+        (N,) ticks whose pull counts. The sensitivities are d u / d (e_xz, e_yz, g_z). e_xz and e_yz
+        are the cross-talk of the rate from z to x and to y. g_z is a rotation of the gyroscope
+        about z against the accelerometer [rad].
         """
         n = len(rate)
         if self._up is None:
@@ -72,8 +77,10 @@ class CarriedVertical:
 
 
 def _wrong_turns(rate: Array, up: Array) -> Array:
-    """(N, 3 sensitivities, 3 axes) errors of the rate, (r, 0, 0), (0, r, 0) and (-q, p, 0), times
-    the vertical."""
+    """Return the vertical turned by three errors of the rate (N, 3 sensitivities, 3 axes).
+
+    The errors are (r, 0, 0), (0, r, 0) and (-q, p, 0).
+    """
     (p, q, r), (x, y, z) = rate.T, up.T
     zero = np.zeros(len(rate))
     made = np.stack(

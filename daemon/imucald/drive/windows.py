@@ -1,9 +1,10 @@
 """Windows of driving as Gram matrices by frequency band.
 
-A window is four blocks of even signals. Its columns are the force less gravity and what the
-equations of the drive predict it from, in body axes. Each goes through the same taper and the same
-removal of mean and slope, then through a Fourier transform; of each band the products of all
-columns are kept. Every fit is algebra on them.
+A window consists of four blocks of even signals. Its columns are the force less gravity, and the
+quantities from which the equations of the drive predict that force. All columns are in body axes.
+Each column goes through the same taper, the same removal of mean and slope, and a Fourier
+transform. The products of all columns are kept for each frequency band. Every fit works on these
+products alone.
 
     y     = f - g u + (0, 0, v q)           u: the carried vertical
     y_i   = h_i1 dv/dt + h_i2 v r + nuisances
@@ -26,9 +27,9 @@ Flags = NDArray[np.bool_]
 Complex = NDArray[np.complex128]
 
 WINDOW = 256
-"""Ticks a window: 25.6 s."""
+"""Ticks of a window: 25.6 s."""
 BLOCK = 64
-"""One begins every so many ticks, so a band counts each tick so often:"""
+"""A window begins every 64 ticks, so each tick counts several times in a band:"""
 OVERLAP = 1.925
 EDGES: Final = (1, 2, 3, 4, 6, 9, 13, 19, 26)
 """Bands in bins of 0.039 Hz: 0.04 to 1 Hz."""
@@ -55,7 +56,7 @@ _TAPER = np.hanning(WINDOW + 1)[:WINDOW]
 _RAMP = np.linspace(-1.0, 1.0, WINDOW)
 _PHASE = np.outer(BINS, np.arange(WINDOW)) * (2.0 * np.pi / WINDOW)
 _SUMS = np.concatenate([np.ones((1, WINDOW)), _RAMP[None], np.cos(_PHASE), -np.sin(_PHASE)])
-"""Sum, sum times the ramp, and the bins that count of the Fourier transform."""
+"""Linear map of a window: its sum, its sum times the ramp, and the Fourier bins that are used."""
 
 
 def columns(
@@ -63,8 +64,8 @@ def columns(
 ) -> Array:
     """Return the columns (N, len(NAMES)) of the ticks of whole blocks, in body axes.
 
-    force: (N, 3) [m/s^2]. rate: (N, 3) [rad/s]. speed, accel: (N,) [m/s], [m/s^2]. up, tilts: of
-    `CarriedVertical.block`.
+    force: (N, 3) [m/s^2]. rate: (N, 3) [rad/s]. speed, accel: (N,) [m/s], [m/s^2]. up, tilts: as
+    `CarriedVertical.block` returns them.
     """
     p, q, r = rate.T
     lateral = speed * r
@@ -82,7 +83,7 @@ def columns(
 
 
 def _slope(x: Array) -> Array:
-    """Slopes within each block."""
+    """Return the slope of each column within each block."""
     x = x.reshape(-1, BLOCK)
     made = np.empty_like(x)
     made[:, 1:-1] = (x[:, 2:] - x[:, :-2]) * (0.5 / TICK_S)
@@ -94,8 +95,8 @@ def _slope(x: Array) -> Array:
 def spectra(window: Array, use: Flags) -> Complex:
     """Return the spectra (..., bins, columns) of windows (..., WINDOW, columns).
 
-    Ticks that are not to be used weigh nothing. All columns go through one linear map, so the
-    equations between them hold in the result.
+    Ticks that are not to be used have weight zero. All columns go through the same linear map, so
+    the equations between them also hold between the spectra.
     """
     weight = _TAPER * use
     ramp = np.broadcast_to(_RAMP[:, None], (*use.shape, 1))
@@ -113,7 +114,7 @@ def spectra(window: Array, use: Flags) -> Complex:
 
 
 def products(spectrum: Complex) -> Array:
-    """Return the products of all columns by band (..., BANDS, columns, columns)."""
+    """Return the products of all columns for each band (..., BANDS, columns, columns)."""
     *before, _, columns = spectrum.shape
     made = np.empty((*before, BANDS, columns, columns))
     for band, (first, stop) in enumerate(pairwise(EDGES)):

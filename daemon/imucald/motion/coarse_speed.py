@@ -1,10 +1,10 @@
-"""A speed in coarse steps, as what it says: when it passed the middle between two of them.
+"""Convert a speed in coarse steps to the times at which it passed the middle between two steps.
 
-A signal that is rounded to steps s keeps a value while the true speed is within s / 2 of it, and
-goes on to the next when it passes the middle. Taken as they are, the values make dv/dt zero for
-most of the time and a spike now and then, which no force follows; straight lines between the
-passages are off by s / 2 at most, and are right where they are crossed. Noise takes the signal to
-and fro around a passage: it is where most of the samples of a tick have passed.
+A signal that is rounded to steps s keeps a value while the true speed is within s / 2 of it. It
+changes to the next value when the true speed passes the middle. Used directly, the values make
+dv/dt zero for most of the time with a spike now and then, which no force follows. Straight lines
+between the passages are wrong by at most s / 2, and exact at the passages. Noise makes the signal
+alternate around a passage. The passage is where most samples of a tick have passed.
 """
 
 from __future__ import annotations
@@ -18,31 +18,39 @@ from imucald.motion.ticks import TICK_S
 Flags = NDArray[np.bool_]
 
 SAME_SPEED = 1e-6
-"""Means over different numbers of equal speeds differ by rounding [m/s]."""
+"""Difference by rounding between means over different numbers of equal speeds [m/s]."""
 COARSE = 0.02
-"""Finer steps [m/s] make less noise of dv/dt, within two ticks, than a road makes of the force."""
+"""Smallest step that counts as coarse [m/s].
+
+Within two ticks, finer steps make less noise of dv/dt than a road makes of the force.
+"""
 SMALL = 0.15
-"""A change of less than so much of the step is none of a speed in steps, but for the first or last
-of ten samples of a tick."""
+"""A change of less than this share of the step is not a step, except for the first or last of ten
+samples of a tick.
+"""
 ON_STEP, MOST_OFF = 1e-3, 0.1
-"""A mean is on a step, but for rounding, within that part of it; fewer ticks than that share may
-hold a sample of another sender or a wrong value."""
+"""A mean within this share of a step counts as on the step, up to rounding.
+
+At most this share of ticks may hold a sample of another sender or a wrong value.
+"""
 ONE_STEP = 1.5
-"""So many steps apart, at most, are neighbours."""
+"""Values at most this many steps apart are neighbours."""
 
 
 def stays(values: Array) -> Flags:
-    """Whether any of speeds (B, M) stays from a tick to the next, but at standstill (B,)."""
+    """Return whether any of speeds (B, M) stays from one tick to the next, not counting standstill
+    (B,).
+    """
     same = np.abs(values[:, 1:] - values[:, :-1]) <= SAME_SPEED
     return np.asarray((same & (np.abs(values[:, 1:]) > SAME_SPEED)).any(axis=1))
 
 
 def step_of(values: Array) -> float:
-    """The step of speeds (N,) [m/s]: the smallest change from one that stays to another; 0: none
-    shows.
+    """Return the step of speeds (N,) [m/s]: the smallest change between two speeds that stay; 0: no
+    step is visible.
 
-    The mean over a tick in which a coarse speed changes lies between its steps, and does not stay.
-    Of a fine one, which stays while its vehicle does not change its speed, most changes are small.
+    If a coarse speed changes within a tick, the mean lies between its steps and does not stay. A
+    fine speed stays while the vehicle keeps its speed, but most of its changes are small.
     """
     change = np.abs(values[1:] - values[:-1])
     moves = change > SAME_SPEED
@@ -62,9 +70,10 @@ def step_of(values: Array) -> float:
 
 
 def comes_in(step: float, values: Array, counts: Array) -> bool:
-    """Whether mean speeds (N,) of so many samples (N,) each are of a signal in such steps [m/s].
+    """Return whether mean speeds (N,) of so many samples (N,) each come from a signal with this
+    step [m/s].
 
-    The sum of a tick's samples is a whole number of them.
+    The sum of a tick's samples is then a whole number of steps.
     """
     whole = values * counts / step
     off = np.abs(whole - np.rint(whole)) > ON_STEP * counts
@@ -72,10 +81,10 @@ def comes_in(step: float, values: Array, counts: Array) -> bool:
 
 
 def passages(times: Array, values: Array, step: float) -> tuple[Array, Array]:
-    """Times (M,) and speeds (M,) that straight lines go through, of ticks' mean speeds (N,) in
-    steps [m/s].
+    """Return times (M,) and speeds (M,) of the points that straight lines connect, from ticks' mean
+    speeds (N,) in steps [m/s].
 
-    Standstill stays as it is, and so does what changes by more than a step from tick to tick.
+    Standstill is kept, and so are changes by more than a step from tick to tick.
     """
     if step < COARSE:
         return times, values
@@ -87,12 +96,12 @@ def passages(times: Array, values: Array, step: float) -> tuple[Array, Array]:
     over = np.diff(nearest)
     is_next = (np.abs(np.diff(steps)) <= ONE_STEP) & (np.abs(over) <= 1.0)
     at = np.flatnonzero(is_next & (over != 0.0))
-    # Of a tick with samples of both steps the mean says for how much of it which one was sent.
+    # If a tick has samples of both steps, its mean shows for which part of the tick each was sent.
     before = np.clip((steps[at] - nearest[at]) * over[at], 0.0, 0.5)
     after = np.clip((nearest[at + 1] - steps[at + 1]) * over[at], 0.0, 0.5)
     when = 0.5 * (times[at] + times[at + 1]) + (after - before) * TICK_S
     middle = level + step * 0.5 * (nearest[at] + nearest[at + 1])
-    # values that are no passage
+    # Values that are not passages.
     kept = np.abs(values) <= SAME_SPEED
     kept[0] = kept[-1] = True
     kept[1:] |= ~is_next

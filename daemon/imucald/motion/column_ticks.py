@@ -1,4 +1,4 @@
-"""Ticks of whole columns of samples: the replay's half of `ticks`, to the last bit."""
+"""Ticks from whole columns of samples: the replay version of `ticks`, with the same bits."""
 
 from __future__ import annotations
 
@@ -33,9 +33,9 @@ def ticks_from_samples(
 ) -> NDArray[np.float64]:
     """Return ticks first .. stop-1 as (stop - first, COLUMNS), from whole columns of samples.
 
-    Samples outside those ticks are ignored. rejected: channel to times [s] of samples rejected for
-    their values.
-    The result equals `TickAccumulator` on the same samples to the last bit.
+    Samples outside those ticks are ignored. rejected: for each channel, times [s] of samples that
+    were rejected for their values. The result equals `TickAccumulator` on the same samples to the
+    last bit.
     """
     n = stop - first
     if n <= 0:
@@ -62,7 +62,8 @@ _PLACES: Mapping[str, NDArray[np.int64]] = {
         **{name: (-1, -1, -1, -1, -1, -1, column) for name, column in LASTS.items()},
     }.items()
 }
-"""By channel the columns of count, first mean, mean square, least, largest, age and last; -1: none.
+"""For each channel, the columns of count, first mean, mean square, least, largest, age and last;
+-1: none.
 """
 
 
@@ -73,7 +74,7 @@ def _rows(first: int, n: int) -> NDArray[np.float64]:
 
 
 def _by_kernel(samples: Samples, first: int, n: int) -> NDArray[np.float64] | None:
-    """Rows by the compiled part; None where there is none, or where times decrease."""
+    """Return rows from the compiled part; None if it is missing or times decrease."""
     if compiled.kernels is None:
         return None
     out = _rows(first, n)

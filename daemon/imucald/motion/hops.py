@@ -1,8 +1,8 @@
-"""Hops: what half a second of one sensor's samples comes to, axis by axis; for its health.
+"""Hops: figures of one sensor's samples over half a second, axis by axis, for its health.
 
-Everything here is counted or compared, sample by sample, and nothing is smoothed: a run of equal
-values, the largest value and how often it came. Live a hop is worked out when it is over, in
-replay many at once; both go through `hop_rows`, so they give the same bits. The compiled part and
+Figures are counts and comparisons of single samples, without smoothing: runs of equal values, the
+largest value, and how often it came. Live, a hop is computed when it is over; in replay, many hops
+are computed together. Both use `hop_rows`, so they give the same bits. The compiled part and
 `_count_axis` do the same.
 """
 
@@ -27,14 +27,14 @@ HOP_TICKS = 5
 HOP_S = HOP_TICKS * TICK_S
 
 SIDES = 2
-"""Of each axis the upper and the lower extreme are watched."""
+"""Both the upper and the lower extreme of each axis are watched."""
 
 
 class Carry(Struct):
-    """What the next hop has to know of those before; arrays by axis.
+    """State that one hop passes to the next; arrays by axis.
 
-    last: the last sample, NaN before the first. run: how many samples in a row have been equal to
-    it. step: the smallest change so far.
+    last: the last sample, NaN before the first. run: how many last samples were equal to it. step:
+    the smallest change so far.
     """
 
     last: Array
@@ -43,7 +43,7 @@ class Carry(Struct):
 
     @classmethod
     def none(cls, axes: int) -> Carry:
-        """Before the first sample."""
+        """Return the state before the first sample."""
         return cls(
             np.full(axes, math.nan),
             np.zeros(axes, np.int64),
@@ -51,7 +51,7 @@ class Carry(Struct):
         )
 
     def restart(self) -> None:
-        """Time jumped: no run goes across."""
+        """Restart after a jump of time: no run continues across it."""
         self.last[:] = math.nan
         self.run[:] = 0
 
@@ -59,11 +59,12 @@ class Carry(Struct):
 class HopRows(Struct, frozen=True):
     """Figures of H hops: count (H,), the others (H, axes), of extremes (H, 2, axes).
 
-    mean: of the samples. level: mean size of the change from sample to sample. step: smallest
-    change so far. ended: runs of equal values that ended. longest: of those the longest. run:
-    samples up to the hop's end that are equal. top: the hop's largest value, and the largest of
-    the negated ones; on_top: samples on it. samples: (axes, N), the samples themselves, those of
-    hop h from edges[h] to edges[h + 1]; before: (axes,), the one before the first, NaN if none.
+    mean: mean of the samples. level: mean size of the change from sample to sample. step: smallest
+    change so far. ended: number of runs of equal values that ended. longest: length of the longest
+    of those runs. run: number of equal samples up to the hop's end. top: the hop's largest value,
+    and the largest of the negated values; on_top: number of samples on it. samples: (axes, N), the
+    samples themselves; those of hop h are edges[h] to edges[h + 1]. before: (axes,), the sample
+    before the first, NaN if none.
     """
 
     count: Index
@@ -80,13 +81,13 @@ class HopRows(Struct, frozen=True):
     before: Array
 
     def previous(self, k: int) -> Array:
-        """(axes,) the sample before sample k, NaN if none."""
+        """Return the sample before sample k (axes,), NaN if there is none."""
         return self.samples[:, k - 1] if k else self.before
 
     def entries(self) -> Array:
-        """Size of the change with which the run at each hop's end began (H, axes).
+        """Return the size of the change with which the run at each hop's end began (H, axes).
 
-        Of runs that began in their hop; of others it is no number to use.
+        The value is valid only for runs that began in their hop.
         """
         axes = np.arange(len(self.before))
         at = np.minimum(np.maximum(self.edges[1:, None] - self.run, 0), self.samples.shape[1] - 1)
@@ -95,9 +96,9 @@ class HopRows(Struct, frozen=True):
 
 
 def hop_rows(values: Array, hop: Index, hops: int, carry: Carry) -> HopRows:
-    """Return the figures of hops 0 .. hops-1, and bring `carry` up to their end.
+    """Return the figures of hops 0 .. hops-1, and update `carry` to their end.
 
-    values: (N, axes) samples. hop: (N,) the hop of each, never decreasing.
+    values: (N, axes) samples. hop: (N,) hop number of each sample, never decreasing.
     """
     edges = np.searchsorted(hop, np.arange(hops + 1))
     v = np.ascontiguousarray(values.T)

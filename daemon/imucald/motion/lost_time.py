@@ -1,9 +1,9 @@
-"""Time that a stream lost: its samples went on coming while its clock stood still.
+"""Lost time of a stream: its samples continued while its clock stood still.
 
-Stream time never goes back. Where the clock of the stamps is set back a little, time stands until
-the stamps have caught up, and who integrates a rate over it misses what turned meanwhile. Samples
-that come in batches or late stand still as well, but for them time goes on further before or
-after: only what is not made up for is lost.
+Stream time never goes back. If the clock of the stamps is set back a little, stream time stands
+until the stamps have caught up. An integral of a rate over stream time misses the rotation
+meanwhile. Time also stands for samples that come late or in batches, but then it makes a longer
+step before or after. Only time that no longer step makes up for is lost.
 """
 
 from __future__ import annotations
@@ -11,18 +11,22 @@ from __future__ import annotations
 import math
 
 STANDS = 0.25
-"""A step shorter than this part of the sensor's cycle is none: time stands."""
+"""A step shorter than this share of the sensor's cycle means that time stands."""
 TOLERATED_S = 0.05
-"""Less than this [s] and `TOLERATED_CYCLES` is not called lost: stamps may be late by a cycle."""
+"""A loss of less than this [s] and less than `TOLERATED_CYCLES` is not reported: stamps may be late
+by a cycle.
+"""
 TOLERATED_CYCLES = 1.5
 MADE_UP_S = 1.0
-"""A long step makes up for samples that come together within about this time [s]: late ones."""
+"""A long step makes up for samples that come together within about this time [s], such as late
+ones.
+"""
 USUAL_SAMPLES = 200
-"""The cycle is the mean step of about so many samples ..."""
+"""The cycle is the mean step over about this many samples ..."""
 MIN_SAMPLES = 100
-"""... and known from so many on."""
+"""... and known after this many."""
 LONGEST_CYCLES = 4.0
-"""A longer step counts as so many cycles: a silence is no cycle."""
+"""A longer step counts as this many cycles: a silence is not a cycle."""
 
 
 class LostTime:
@@ -31,16 +35,17 @@ class LostTime:
     def __init__(self) -> None:
         self._cycle = 0.0
         self._samples = 0
-        self._together = 0  # samples since time stands
+        self._together = 0  # samples since time stood still
         self._passed = 0.0  # what passed over them
-        self._ahead = 0.0  # time less that of the samples, as far as it is not made up for
+        self._ahead = 0.0  # time in excess of the samples, not made up for
         self.skipped = 0.0
-        """Time that the last step passed beyond the samples that came in it [s], 0.0 or more."""
+        """Time of the last step in excess of the samples that came in it [s], 0.0 or more."""
 
     def take(self, step: float) -> float:
-        """Take the step of time to a sample [s], not negative; return how much was lost before it.
+        """Take the step of time to a sample [s], not negative; return the time lost before it.
 
-        0.0 nearly always. It is known as soon as time moves on; until then see `standing`.
+        The result is 0.0 nearly always. The loss is known as soon as time moves on; until then see
+        `standing`.
         """
         self.skipped = 0.0
         if step < STANDS * self._cycle:
@@ -65,7 +70,7 @@ class LostTime:
 
     @property
     def standing(self) -> float:
-        """How much will have been lost [s] if time moves on now."""
+        """Time that will have been lost [s] if time moves on now."""
         samples = self._together * self._cycle
         return self._beyond_tolerance(samples - self._passed - self._ahead) if samples else 0.0
 

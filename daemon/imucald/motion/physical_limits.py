@@ -1,9 +1,9 @@
-"""What sensors and road vehicles can show: limits of mount, attitude and motion, side by side.
+"""Physical limits of sensors and road vehicles: those of mount, attitude and motion side by side.
 
-Three kinds. A number that no sensor of the kind can have measured is *impossible*: it is dropped
-before anything is made of it. A motion that no road vehicle makes is *implausible*: a fall, a
-turntable, a wrong unit. A value at the end of the sensor's range is *saturated*: the truth is
-beyond. (What a signal's database states about its own range is judged in `inputs.quantities`.)
+There are three kinds of limits. A number that no sensor of the kind can have measured is
+*impossible*: it is dropped before any use. A motion that no road vehicle makes is *implausible*: a
+fall, a turntable, a wrong unit. A value at the end of the sensor's range is *saturated*: the true
+value lies beyond it. (`inputs.quantities` judges the range that a signal's database states.)
 """
 
 from __future__ import annotations
@@ -30,8 +30,9 @@ MAX_SAMPLE: Mapping[str, float] = {
     "heading": 100.0,
     "reverse": 1.0,
 }
-"""Of single samples by channel, SI, also of a terminal that a person carries and drops: 5,700
-deg/s, 100 g, a hundred times the earth's field."""
+"""Largest values of single samples by channel, SI: 5,700 deg/s, 100 g, a hundred times the earth's
+field. They also hold for a terminal that a person carries and drops.
+"""
 MAX_TICK: tuple[tuple[int, slice, float], ...] = (
     (ACCEL.n, slice(ACCEL.x, ACCEL.z + 1), 400.0),
     (ACCEL.n, slice(ACCEL.age, ACCEL.age + 1), 1.01 * TICK_S),
@@ -42,12 +43,15 @@ MAX_TICK: tuple[tuple[int, slice, float], ...] = (
     (STEERING.n, slice(STEERING.mean, STEERING.mean + 1), 100.0),
     (YAW_RATE.n, slice(YAW_RATE.mean, YAW_RATE.mean + 1), 20.0),
 )
-"""Of means over a tick in a vehicle, lower as a mean evens out shocks: column of the count,
-columns, largest size in SI (40 g, 3,400 deg/s, 540 km/h, 16 turns of the steering wheel)."""
+"""Largest means over a tick in a vehicle. They are lower because a mean evens out shocks.
+
+Each entry has the column of the count, the columns, and the largest size in SI (40 g, 3,400 deg/s,
+540 km/h, 16 turns of the steering wheel).
+"""
 
 
 def is_plausible(channel: str, values: Sequence[float]) -> bool:
-    """Whether every number of a sample is finite and of a size that can be."""
+    """Return whether every number of a sample is finite and of a possible size."""
     limit = MAX_SAMPLE[channel]
     return all(-limit <= value <= limit for value in values)
 
@@ -55,11 +59,15 @@ def is_plausible(channel: str, values: Sequence[float]) -> bool:
 # implausible on a road ---------------------------------------------------------------------
 
 ROAD_FORCE = (0.5 * GRAVITY, 1.7 * GRAVITY)
-"""Size of the mean specific force of a tick [m/s^2] from which the full estimator learns: gravity,
-with 1 g of tyre grip across at most (a size of 1.41 g) and some of the road's waves."""
+"""Sizes of the mean specific force of a tick [m/s^2] from which the full estimator learns: gravity,
+with at most 1 g of tyre grip across (a size of 1.41 g) and some of the road's waves.
+"""
 ROAD_FORCE_WIDE = (0.3 * GRAVITY, 3.0 * GRAVITY)
-"""The same for method A, which keeps its intervals apart and weighs outliers down by itself: only
-what is no drive at all is refused, potholes and kerbs are not."""
+"""The same sizes for method A.
+
+Method A keeps its intervals apart and reduces the weight of outliers by itself. Potholes and kerbs
+are therefore allowed, and only forces that no drive makes are refused.
+"""
 MAX_ROAD_RATE = 4.0
 """No road vehicle turns faster [rad/s]: a rollover is quicker, a spin on ice is not."""
 MAX_ROAD_DVDT = 12.0
@@ -68,12 +76,17 @@ MAX_ROAD_DVDT = 12.0
 # saturated ---------------------------------------------------------------------------------
 
 NEAR_FULL_SCALE = 0.98
-"""Share of the full scale from which a value counts as clipped: gain errors of sensors are within
-1 % to 2 % (data sheets of automotive accelerometers), so the stop may stand that much lower."""
+"""Share of the full scale from which a value counts as clipped.
+
+Gain errors of sensors are within 1 % to 2 % (data sheets of automotive accelerometers), so the end
+of the range may be that much lower.
+"""
 
 
 def is_saturated(tick: TickRow, full_scale: float) -> bool:
-    """Whether any axis of the accelerometer came close to its full scale [m/s^2] in a tick."""
+    """Return whether any axis of the accelerometer came close to its full scale [m/s^2] in a
+    tick.
+    """
     limit = NEAR_FULL_SCALE * full_scale
     if limit == math.inf:
         return False
@@ -83,7 +96,9 @@ def is_saturated(tick: TickRow, full_scale: float) -> bool:
 
 
 def saturated_axes(rows: Array, full_scale: float) -> Flags:
-    """The same of ticks (..., COLUMNS), axis by axis (..., 3); a rejected sample counts for all."""
+    """Return the same for ticks (..., COLUMNS), axis by axis (..., 3); a rejected sample counts for
+    all axes.
+    """
     high = rows[..., ACCEL.max_x : ACCEL.max_z + 1]
     low = rows[..., ACCEL.min_x : ACCEL.min_z + 1]
     clipped: Flags = np.maximum(high, -low) > NEAR_FULL_SCALE * full_scale

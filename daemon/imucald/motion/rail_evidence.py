@@ -1,9 +1,10 @@
-"""A value that an axis stays on exactly: the end of its range, or where a loose contact jumps to.
+"""Evidence for a value on which an axis stays exactly: the end of its range, or the value to which
+a loose contact jumps.
 
-A loose contact jumps to a value, stays on exactly that one, and jumps back. It is shorter than what
-counts as stuck. A run of equal values that noise never makes may also come from a sender that
-repeats a value because the next one is late; that value is one of the road's, so that nothing
-jumps to it and away from it.
+A loose contact jumps to a value, stays exactly on it, and jumps back. Its stays are shorter than
+those that count as stuck. A run of equal values that noise never makes may also come from a sender
+that repeats a value because the next one is late. Such a value is a usual one of the drive, so the
+axis does not jump to it and away from it.
 """
 
 from __future__ import annotations
@@ -22,20 +23,22 @@ from imucald.motion.sensor_judges import Runs, rate_of
 
 LEAST_AT_EXTREME = 5
 PILE = 1.3
-"""An extreme is a rail where more samples are on it than on the steps below, so many times: codes
-of a converter differ in width by some 30 % (differential nonlinearity of 0.3 LSB)."""
+"""An extreme is a rail if it has this many times more samples than the steps below.
+
+Codes of a converter differ in width by some 30 % (differential nonlinearity of 0.3 LSB).
+"""
 STAYS_COUNT = 0.5
-"""Neighbouring samples are not independent: each counts for so much."""
+"""Weight of each sample in the count, because neighbouring samples are not independent."""
 MOST_SAMPLES = 512
 
 
 class AxisHops(Struct, frozen=True, dict=True):
     """Hops of one axis, as many as the rows have.
 
-    runs: of equal values of the axis, of each hop how many had ended before it and how long the
-    longest was. levels, steps: of each hop (H,), as `HopRows` has level and step;
-    entries: of the rows. top_values, top_counts: (2, H), the same of top and on_top, first of the
-    upper, then of the lower side. Their lists are made when they are first asked for.
+    runs: runs of equal values of the axis. For each hop, how many runs ended before it and the
+    length of the longest. levels, steps: level and step of each hop (H,), as in `HopRows`; entries:
+    of the rows. top_values, top_counts: (2, H), top and on_top as in `HopRows`, first of the upper,
+    then of the lower side. Their lists are made on first use.
     """
 
     axis: int
@@ -44,7 +47,7 @@ class AxisHops(Struct, frozen=True, dict=True):
     runs: list[tuple[int, int]]
 
     def rate(self, h: int) -> float:
-        """See `Pile`, as known at hop h."""
+        """Return the rate of `Pile` as known at hop h."""
         return rate_of(*self.runs[h])
 
     @cached_property
@@ -55,22 +58,22 @@ class AxisHops(Struct, frozen=True, dict=True):
 
     @property
     def levels(self) -> Array:
-        """(H,)"""
+        """Level of each hop (H,)."""
         return self.rows.level[:, self.axis]
 
     @property
     def steps(self) -> Array:
-        """(H,)"""
+        """Step of each hop (H,)."""
         return self.rows.step[:, self.axis]
 
     @property
     def top_values(self) -> Array:
-        """(2, H)"""
+        """Tops of each side (2, H)."""
         return self.rows.top[:, :, self.axis].T
 
     @property
     def top_counts(self) -> NDArray[np.int64]:
-        """(2, H)"""
+        """Samples on the tops of each side (2, H)."""
         return self.rows.on_top[:, :, self.axis].T
 
     @cached_property
@@ -80,17 +83,17 @@ class AxisHops(Struct, frozen=True, dict=True):
 
     @cached_property
     def entry(self) -> list[float]:
-        """Of each hop, see `HopRows.entries`."""
+        """For each hop, see `HopRows.entries`."""
         return _listed(self.entries[:, self.axis])
 
     @cached_property
     def step(self) -> list[float]:
-        """Smallest change so far, of each hop."""
+        """Smallest change so far, for each hop."""
         return _listed(self.steps)
 
     @cached_property
     def tops(self) -> list[list[float]]:
-        """By side and hop."""
+        """Tops by side and hop."""
         found: list[list[float]] = self.top_values.tolist()
         return found
 
@@ -101,13 +104,14 @@ def _listed(figures: Array) -> list[float]:
 
 
 class Pile(Struct):
-    """What speaks for a value as a rail.
+    """Evidence that a value is a rail.
 
-    rate: -log of the chance that a sample equals the one before, as it was known before [nats].
-    at_it: samples on the value; stays: of them, those that equal the one before. met: -log of the
-    chance that its arrivals meet in one step [nats]. first, last: hops of driving at which it was
-    reached. seen: samples, each with the one before it, so
-    that what comes again to the last bit counts once. before: at_it and stays at the last arrival.
+    rate: -log of the chance that a sample equals the one before [nats], as known before these
+    samples. at_it: samples on the value; stays: how many of them equal the sample before. met: -log
+    of the chance that the arrivals at the value meet in one step [nats]. first, last: first and
+    last hop of driving in which the value was reached. seen: samples, each with the one before it,
+    so that samples that repeat to the last bit count once. before: at_it and stays at the last
+    arrival.
     """
 
     rate: float
@@ -121,18 +125,21 @@ class Pile(Struct):
     before: tuple[int, int] = (0, 0)
 
     def is_higher(self, one_below: int, two_below: int) -> bool:
-        """Whether more samples are on it than a tail has there, with so many on the steps below."""
+        """Return whether the value has more samples than a tail would have there, given the samples
+        on the two steps below.
+        """
         return self.at_it >= LEAST_AT_EXTREME and self.at_it > PILE * max(one_below, two_below)
 
     @property
     def surprise(self) -> float:
-        """-log of the chance of all that was seen [nats]."""
+        """-log of the chance of all observations [nats]."""
         return self.met + STAYS_COUNT * _more_often(self.stays, self.at_it, self.rate)
 
     def count(self, at: AxisHops, h: int, axis: int, side: int, value: float) -> bool:
-        """Count the samples of hop h on the value that are new; whether there are any.
+        """Count the new samples of hop h on the value; return whether there are any.
 
-        What was sent twice is not new. side: 0 for the largest value, 1 for the smallest, negated.
+        A sample that was sent twice is not new. side: 0 for the largest value, 1 for the smallest,
+        negated.
         """
         samples, first, stop = at.rows.samples, at.rows.edges[h], at.rows.edges[h + 1]
         sample = value if side == 0 else -value
@@ -152,7 +159,7 @@ class Pile(Struct):
         return self.at_it > at_it
 
     def count_stay_once(self) -> None:
-        """Of all samples since the last arrival let one count."""
+        """Count all samples since the last arrival as one."""
         at_it, self.stays = self.before
         self.at_it = min(self.at_it, at_it + 1)
         while len(self.seen) > self.at_it:
@@ -160,9 +167,10 @@ class Pile(Struct):
 
 
 def _more_often(stays: int, of: int, rate: float) -> float:
-    """-log of the chance that so many of so many samples stay, where exp(-rate) do [nats].
+    """Return -log of the chance that so many of so many samples stay, where a share exp(-rate) does
+    [nats].
 
-    Chernoff's bound of the binomial's tail; 0 where they do not stay more often than that.
+    It is Chernoff's bound of the binomial's tail; 0 if they do not stay more often than that.
     """
     chance = math.exp(-rate)
     share = stays / of if of else 0.0
@@ -173,11 +181,12 @@ def _more_often(stays: int, of: int, rate: float) -> float:
 
 
 JUMP = 5.0
-"""A jump is so many times the axis's mean change, where it changes at all (an axis that is coarser
-than its noise seldom does, by its step): four deviations of normal changes. At both ends of the
-same repeated value that is a chance of 4e-9, of some 1e5 late values in 100 h."""
+"""A jump is at least this many times the mean of the axis's non-zero changes: four deviations of
+normal changes. (An axis that is coarser than its noise changes seldom, and then by its step.) For
+both ends of the same repeated value this is a chance of 4e-9, with some 1e5 late values in 100 h.
+"""
 MIN_RUN = 3
-"""Shorter runs are not looked at: noise makes them."""
+"""Shorter runs are ignored, because noise makes them."""
 
 
 class LostContact:
@@ -190,7 +199,7 @@ class LostContact:
         self._changes = 0
 
     def restart(self) -> None:
-        """Time jumped."""
+        """Restart after a jump of time."""
         self._open, self._entry = 0, 0.0
 
     def step(
@@ -198,9 +207,9 @@ class LostContact:
     ) -> tuple[bool, bool]:
         """Take hop h of an axis.
 
-        counts: its count, ended, longest and run, as `HopRows` has them. usual: the runs of equal
-        values of this axis so far. Returns whether a value between two jumps that lasted longer
-        than those ended in it, and whether its longest run is none to learn from.
+        counts: count, ended, longest and run of the axis, as in `HopRows`. usual: the runs of equal
+        values of this axis so far. Returns whether a value between two jumps ended in the hop after
+        longer than those runs, and whether the hop's longest run must not be learnt from.
         """
         count, ended, longest, run = counts
         found = jumped = False
@@ -217,7 +226,7 @@ class LostContact:
         return found, jumped
 
     def _between_jumps(self, rows: HopRows, h: int, axis: int) -> int:
-        """The longest run between two jumps that ended in the hop [samples]."""
+        """Return the longest run between two jumps that ended in the hop [samples]."""
         first, last = int(rows.edges[h]), int(rows.edges[h + 1])
         values = rows.samples[axis, first:last]
         change = np.abs(np.diff(values, prepend=rows.previous(first)[axis]))

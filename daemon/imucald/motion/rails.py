@@ -1,13 +1,13 @@
-"""Rails: an axis that cannot go beyond some value, at either end.
+"""Rails: values beyond which an axis cannot go, at either end.
 
-A value that a live axis happens to reach as its largest comes once; on a rail it comes again and
-again, and stays. What is played twice to the last bit, such as a recording in a loop, comes once.
+A live axis reaches a largest value by chance once. A rail is reached again and again, and the axis
+stays there. Data that repeat to the last bit, such as a recording in a loop, count once.
 
-Kept are the values that nothing has gone beyond since they came, of one side of an axis, from high
-to low. Samples on a value, and one and two steps below it, show whether it is the end of a range.
-What a whole recording shows of a rail is more than what came so far: `diagnosis.direct.faults`.
-The compiled part takes all hops in a row that need no more (`core/kernels/rails.c`), as `rail_hops`
-does.
+For each side of an axis, the values that nothing has exceeded since are stored, from high to low.
+The samples on a value, and one and two steps below it, show whether it is the end of a range. A
+whole recording shows more of a rail than the samples so far: see `diagnosis.direct.faults`. The
+compiled part takes all hops in a row that need no more (`core/kernels/rails.c`); `rail_hops` does
+the same.
 """
 
 from __future__ import annotations
@@ -30,18 +30,18 @@ Flags = NDArray[np.bool_]
 Index = NDArray[np.int64]
 
 LONG_STAY = 4
-"""Fewer samples on a value that is reached for the first time say nothing."""
+"""Smallest number of samples on a value that is reached for the first time; fewer are ignored."""
 TAIL_HOPS = 120
-"""The tail of an axis is that of the largest values of so many hops of driving (a minute)."""
+"""Hops of driving (a minute) whose largest values form the tail of an axis."""
 REMEMBERED = 64
-"""Values that nothing has gone beyond since; they fall, so there are few of them."""
+"""Values stored that nothing has exceeded since; they decrease, so there are few of them."""
 
 
 class Top(Struct):
-    """A value that nothing has gone beyond since hop `born`.
+    """A value that nothing has exceeded since hop `born`.
 
-    on: samples on it, one_below, two_below: as many steps below, as far as they are tops of their
-    hops.
+    on: samples on it. one_below, two_below: samples one and two steps below, if they are tops of
+    their hops.
     """
 
     value: float
@@ -52,10 +52,10 @@ class Top(Struct):
 
 
 class TopRows:
-    """The tops of a side: rows of an array (`REMEMBERED` + 1, 6), of which depth (1,) are used.
+    """The tops of one side: rows of an array (`REMEMBERED` + 1, 6), of which depth (1,) are used.
 
     The sixth column says whether samples on it are counted (`piles`, by value). recent:
-    (`TAIL_HOPS`,) tops of the last of so many hops (1,) of driving, in turn.
+    (`TAIL_HOPS`,) ring buffer with the tops of the last hops (1,) of driving.
     """
 
     def __init__(self, rows: Array, depth: Index, recent: Array, hops: Index) -> None:
@@ -82,27 +82,27 @@ class TopRows:
 
     @property
     def last(self) -> Top | None:
-        """The lowest; None before any."""
+        """The lowest top; None before any."""
         depth = int(self._depth[0])
         return self._top(depth - 1) if depth else None
 
     def drop_below(self, value: float) -> None:
-        """Let go what lies below a value that was reached."""
+        """Drop the tops below a value that was reached."""
         _drop_below(self._rows, self._depth, value)
         self.forget_below(value)
 
     def forget_below(self, value: float) -> None:
-        """Count no longer what a value has gone beyond."""
+        """Stop counting values that a value has exceeded."""
         for one in [one for one in self.piles if one < value]:
             del self.piles[one]
 
     def below(self, value: float) -> tuple[int, int]:
-        """Samples one and two steps below a top."""
+        """Return the samples one and two steps below a top."""
         top = self._top(int(np.argmax(self._rows[: self._depth[0], 0] == value)))
         return top.one_below, top.two_below
 
     def add_pile(self, top: Top, pile: Pile) -> None:
-        """Begin to count the samples of the lowest."""
+        """Begin to count the samples of the lowest top."""
         self.piles[top.value] = pile
         self._rows[self._depth[0] - 1, 5] = 1.0
 
@@ -128,16 +128,16 @@ class AxisTops:
 
     @property
     def hops(self) -> int:
-        """Hops of driving."""
+        """Number of hops of driving."""
         return self._hops.item(0)
 
     def take(
         self, at: AxisHops, hops: Index, begin: int, moving: Flags
     ) -> tuple[int, list[Top | None]]:
-        """Take hops from place `begin` on, up to one whose tops have to be weighed.
+        """Take hops from place `begin` on, up to the first whose tops must be weighed.
 
-        moving: of all hops. Returns its place and, by side, which; or the place of the first hop
-        that was not taken.
+        moving: flags of all hops. Returns the place of that hop and, by side, which tops; or the
+        place of the first hop that was not taken.
         """
         kernel: Kernel = rail_hops if compiled.kernels is None else compiled.kernels.rail_hops
         stopped: int = kernel(
@@ -171,7 +171,7 @@ def rail_hops(
     recent: Array,
     found: Array,
 ) -> int:
-    """As `core/kernels/rails.c` does, where it says what the arguments are."""
+    """Do the same as `core/kernels/rails.c`, which documents the arguments."""
     found[:] = (0.0,) * SIDES + (-math.inf,) * SIDES + (math.nan,) * SIDES
     weighed, largest, dropped = found.reshape(3, SIDES)
     for k in range(begin, len(hops)):
@@ -206,10 +206,11 @@ def _drop_below(rows: Array, depth: Index, value: float) -> None:
 def _reach(
     rows: Array, depth: Index, value: float, on: float, step: float, hop: int
 ) -> tuple[bool, float]:
-    """Take a value as the latest top of a side; those that it goes beyond are no longer watched.
+    """Take a value as the latest top of a side; tops that it exceeds are no longer watched.
 
-    on: samples of the hop on it. Returns whether its samples have to be weighed, as they stay long,
-    or it was reached before; and the value whose pile was let go for want of room, NaN if none.
+    on: samples of the hop on it. Returns whether its samples must be weighed, because they stay
+    long or the value was reached before. Also returns the value whose pile was dropped for lack of
+    room, NaN if none.
     """
     n, one_below, two_below, lower = int(depth[0]), 0.0, 0.0, -math.inf
     while n:
@@ -241,36 +242,41 @@ def _reach(
 
 
 LEAST_TAIL_HOPS = 30
-"""The tail of an axis is known from so many hops of driving (15 s)."""
+"""Hops of driving after which the tail of an axis is known (15 s)."""
 LEAST_STEPS = 8
-"""A signal of fewer steps from end to end has no tail."""
+"""A signal with fewer steps from end to end has no tail."""
 SURPRISE = 18.5
-"""A rail is believed from this -log of the chance of it without one [nats]: 1e-8, where both ends
-of six axes have some 1e7 hops of driving in 100 h."""
+"""A rail is accepted from this -log of the chance of the data without a rail [nats]: 1e-8, with
+some 1e7 hops of driving in 100 h at both ends of six axes.
+"""
 BOTH_ENDS = SURPRISE + 4.0
-"""A range that ends at both ends: for the sum of two surprises, as x + log(1 + x) has it."""
+"""Limit for a range that ends at both ends, on the sum of two surprises, as x + log(1 + x) gives
+it.
+"""
 BROAD = 3
-"""The tail is measured from where it holds so many times the arrivals at the extreme."""
+"""The tail is measured from where it holds this many times the arrivals at the extreme."""
 UNTOUCHED = TAIL_HOPS, 5 * TAIL_HOPS
-"""A rail that is not reached while driving goes on for `SURPRISE` of its usual pauses is none: the
-chance of that on a rail is the one at which it was believed. No less than a minute, which the tail
-is known from, no more than five."""
+"""A rail that driving does not reach for `SURPRISE` of its usual pauses is dropped: the chance of
+this on a rail is the same as for its acceptance. The time is at least a minute, from which the tail
+is known, and at most five.
+"""
 USUAL_CHANGE = 4.0
-"""A rail is left as the axis goes, by so many times its mean change from sample to sample at most
-(three deviations of noise); a contact that closes again jumps."""
+"""An axis leaves a rail by at most this many times its mean change from sample to sample (three
+deviations of noise); a contact that closes again jumps.
+"""
 
 
 class Rail:
-    """Whether the largest value of an axis, of one side, is the end of its range.
+    """Decides whether the largest value of one side of an axis is the end of its range.
 
     Peaks that meet in one step of a tail, and samples that stay there while other axes move, are
-    improbable; on a rail they are the rule. Watched is every value that nothing has gone beyond
-    since it came, so what was reached before the rail was there does not hide it. Only driving
-    counts. It is no rail when a value lies beyond, or when driving does not reach it any more.
+    improbable without a rail and usual on a rail. Every value that nothing has exceeded since is
+    watched, so that a value reached before the rail existed does not hide it. Only driving counts.
+    The rail is dropped when a value lies beyond it, or when driving no longer reaches it.
 
-    surprise: -log of the chance of what is seen if there is none [nats], as far as it has been
-    left again: an axis that sticks is none, and has arrived once when that has ended. value: for
-    which it is.
+    surprise: -log of the chance of the data without a rail [nats]. Only stays that have ended
+    count: an axis that sticks is not a rail, and counts as one arrival when the sticking ends.
+    value: value for which the surprise holds.
     """
 
     def __init__(self, side: int, axis: int, tops: TopRows) -> None:
@@ -282,7 +288,7 @@ class Rail:
         self.surprise, self.value = 0.0, math.inf
 
     def go_on(self, at: AxisHops, h: int, moving: bool) -> None:
-        """See what hop h makes of the rail: none, where a value lies beyond."""
+        """Update the rail with hop h: it is dropped if a value lies beyond it."""
         value = at.tops[self._side][h]
         if self.found:
             half = 0.5 * at.step[h]
@@ -298,7 +304,7 @@ class Rail:
             self.surprise, self.value = 0.0, math.inf
 
     def stand(self, at: AxisHops, h: int) -> None:
-        """Take hop h, in which the vehicle stands, or the axis is stuck."""
+        """Take hop h, in which the vehicle stands or the axis is stuck."""
         self._tops.drop_below(at.tops[self._side][h])
 
     @property
@@ -308,34 +314,36 @@ class Rail:
 
     @property
     def changed(self) -> bool:
-        """Whether the surprise has to be weighed again."""
+        """Whether the surprise must be computed again."""
         return self._changed
 
     @property
     def is_clear(self) -> bool:
-        """Whether nothing speaks for a rail: then a hop's value is but to be `reached`."""
+        """Whether there is no evidence of a rail, so that a hop's value only needs `reached`."""
         return not (self._changed or self.found) and self.value == math.inf
 
     def stick(self, value: float) -> None:
-        """The axis is stuck at a value: what stays there is the axis, and no rail holds it."""
+        """Note that the axis is stuck at a value: the axis itself stays there, not because of a
+        rail.
+        """
         top = self._tops.last
         if top is not None and top.value == value and value in self._tops.piles:
             self._tops.piles[value].count_stay_once()
 
     def is_held(self, value: float, left_by: float) -> bool:
-        """Whether an axis that was stuck at a value is held there by a rail.
+        """Return whether a rail holds an axis that was stuck at a value.
 
-        What sticks does so anywhere; the end of a range is the largest value of a minute's drive.
-        left_by: how far the axis is from it now, and less than it goes beyond.
+        An axis can stick at any value; the end of a range is the largest value of a minute's drive.
+        left_by: present distance of the axis from the value, negative beyond it.
         """
         recent = self.recent
         return len(recent) >= LEAST_TAIL_HOPS and left_by > 0.0 and value >= max(recent)
 
     def weigh(self, at: AxisHops, h: int) -> None:
-        """Of the values that may be a rail the one for which most speaks, after hop h."""
+        """Choose the most likely rail among the watched values, after hop h."""
         last = float(at.rows.samples[self._axis, at.rows.edges[h + 1] - 1])
         now = last if self._side == 0 else -last
-        # once it is left, nothing changes before the next arrival
+        # Once the value is left, nothing changes before the next arrival.
         top = self._tops.last
         self._changed = top is not None and now == top.value
         piles = [
@@ -349,17 +357,19 @@ class Rail:
         self.surprise, self.value = max(piles, default=(0.0, math.inf))
 
     def on_rail(self, value: float | None = None) -> None:
-        """A value is a rail; None: the one for which most speaks."""
+        """Set the value of the rail; None: the most likely one."""
         self.found, self._rail = True, self.value if value is None else value
         self._pauses, self._touches = 0.0, 0
         pile = self._tops.piles.get(self._rail)
-        if pile is None or pile.arrivals < 2:  # nothing is known of its pauses yet
+        if pile is None or pile.arrivals < 2:  # its pauses are not known yet
             self._touch(UNTOUCHED[1])
         else:
             self._touch(pile.last - pile.first, pile.arrivals - 1)
 
     def _touch(self, pause: int, touches: int = 1) -> None:
-        """It is reached again, after so many hops of driving in which it was so many times."""
+        """Note that the value is reached again, after so many hops of driving with so many
+        arrivals.
+        """
         self._pauses += pause
         self._touches += touches
         self._untouched = 0
@@ -370,16 +380,16 @@ class Rail:
         return self._untouched > min(max(allowed, least), most)
 
     def _forget(self) -> None:
-        """What made it a rail is gone by: all of it counts no longer."""
+        """Forget all evidence for the rail."""
         self.found = self._changed = False
         self.surprise, self.value = 0.0, math.inf
         self._tops.piles.clear()
 
     def _is_apart(self, value: float) -> bool:
-        """Whether a value lies further beyond all other peaks than they lie apart.
+        """Return whether a value lies further beyond all other peaks than they lie apart.
 
-        The end of a range cuts a tail off, so that other peaks are close by; a contact that opens
-        jumps, to zero for example, over values that never come.
+        The end of a range cuts a tail off, so other peaks are close to it. A contact that opens
+        jumps, for example to zero, over values that never come.
         """
         below = np.sort([peak for peak in self.recent if peak < value])
         n = len(below)
@@ -406,7 +416,7 @@ class Rail:
                 pile.met += self._coincidence(top, at.step[h], hop)
 
     def _coincidence(self, top: Top, step: float, hop: int) -> float:
-        """-log of the chance that one more peak of the tail meets the same step [nats]."""
+        """Return -log of the chance that one more peak of the tail meets the same step [nats]."""
         n = min(hop - top.born + 1, TAIL_HOPS)
         if n < LEAST_TAIL_HOPS:
             return 0.0
@@ -431,7 +441,7 @@ class AxisRails:
     def step(self, at: AxisHops, h: int, moving: bool, stuck: bool) -> bool:
         """Take hop h, which has samples; return whether the axis is on a rail.
 
-        stuck: whether it was stuck when the hop began; such a hop says nothing of rails.
+        stuck: whether the axis was stuck when the hop began; such a hop says nothing about rails.
         """
         high, low = self._high, self._low
         if stuck:
@@ -450,9 +460,9 @@ class AxisRails:
         return self._weigh(at, h, high.changed, low.changed)
 
     def step_through(self, at: AxisHops, hops: Sequence[int], moving: Flags) -> list[bool]:
-        """As `step`, for hops that have samples, in none of which the axis is stuck.
+        """Do the same as `step` for hops that have samples and in none of which the axis is stuck.
 
-        moving: (H,) of all hops of the rows. Most hops only lie below values that were reached
+        moving: (H,) flags of all hops of the rows. Most hops lie below values that were reached
         before.
         """
         high, low = self._high, self._low
@@ -476,13 +486,16 @@ class AxisRails:
         return found
 
     def _pile_up(self, at: AxisHops, h: int, tops: Sequence[Top | None]) -> None:
-        """Count the samples of hop h, of driving, that are on its tops."""
+        """Count the samples of hop h, a hop of driving, that are on its tops."""
         for rail, top in zip((self._high, self._low), tops, strict=True):
             if top is not None:
                 rail.pile_up(top, at, h, self._tops.hops - 1)
 
     def _weigh(self, at: AxisHops, h: int, is_high: bool, is_low: bool) -> bool:
-        """Whether the axis is on a rail after hop h; which of them have to be weighed again."""
+        """Return whether the axis is on a rail after hop h.
+
+        is_high, is_low: the sides that must be weighed again.
+        """
         high, low = self._high, self._low
         if (is_high or is_low) and self._has_tail(at.step[h]):
             if is_high:
@@ -507,7 +520,7 @@ class AxisRails:
         return max(high.recent) + max(low.recent) >= least
 
     def _look_at_end(self, at: AxisHops, h: int) -> None:
-        """The axis was stuck: has that ended, and was it a rail that held it?"""
+        """Check whether an axis that was stuck is free again, and whether a rail held it."""
         rows, first = at.rows, at.rows.edges[h]
         own = rows.samples[self._axis, first : rows.edges[h + 1]]
         value = float(rows.previous(first)[self._axis])

@@ -1,7 +1,7 @@
-"""Which sensors are fit to be used, from every sample: for what is sent and what is learnt.
+"""Decide from every sample which sensors are fit to be used, for sending and for learning.
 
-`SampleHealth` looks at hops of half a second (`hops`), live and by columns, equal to the last bit.
-A fault counts from the end of the hop that shows it until the sensor has been sound for a while
+`SampleHealth` uses hops of half a second (`hops`), live and by columns, with equal bits. A fault
+counts from the end of the hop that shows it until the sensor has had no fault for a while
 (`signal_health`).
 """
 
@@ -36,12 +36,16 @@ from imucald.motion.standstill import ROLLING_SPEED
 from imucald.motion.ticks import TICK_RATE
 
 SPEED_HOPS = 6
-"""A speed is known for so many hops (3 s): sources of one a second, with two lost."""
+"""Hops for which a received speed counts as known (3 s): for sources of one sample per second, with
+two lost.
+"""
 BRAKING = 4.0
-"""A vehicle whose speed was heard some time ago may have braked since by so much [m/s^2]."""
+"""A vehicle may have braked with up to this [m/s^2] since its speed was last received."""
 NOISE: Mapping[str, float] = {"accel": 0.0018, "gyro": 0.00012, "mag": 8e-8}
 """Noise densities of consumer sensors per root of hertz: 180 ug, 0.007 deg/s (BMI160 data sheet),
-0.6 uT rms at 20 Hz and more (BMM150 data sheet, regular preset: 0.08 uT by that is less)."""
+and 0.6 uT rms at 20 Hz and more (BMM150 data sheet, regular preset). The field's value of 0.08 uT
+is less than that data sheet gives.
+"""
 WATCHED = ("accel", "gyro", "mag")
 AXES = "xyz"
 _UNITS = {"gyro": DEG_PER_RAD}
@@ -52,7 +56,7 @@ _More = tuple[Array, NDArray[np.int64]]
 
 
 class _Sensor(FaultsInForce):
-    """One sensor: its samples of the open hop, its judges, and what they found."""
+    """One sensor: its samples of the open hop, its judges, and the faults that they found."""
 
     def __init__(self, channel: str, axes: int, events: deque[FaultEvent]) -> None:
         super().__init__(channel, events)
@@ -75,7 +79,9 @@ class _Sensor(FaultsInForce):
             self._unit.restart()
 
     def rows(self, hops: int, more: _More | None) -> HopRows | None:
-        """The figures of so many hops from what is pending, which are in the first, and more."""
+        """Return the figures of so many hops, from pending samples, which are in the first hop, and
+        new ones.
+        """
         pending, self.pending = self.pending, []
         values, hop = more if more is not None else (np.zeros((0, 3)), np.zeros(0, np.int64))
         if pending:
@@ -88,7 +94,7 @@ class _Sensor(FaultsInForce):
     def judge(
         self, rows: HopRows, moving: Flags, other: Array
     ) -> list[dict[SignalFault, str] | None]:
-        """Faults that each hop shows; None for a hop without samples."""
+        """Return the faults that each hop shows; None for a hop without samples."""
         wild = np.zeros(len(moving), dtype=bool)
         some = rows.count > 0
         if self.axes == 3 and self.channel == "accel":
@@ -115,7 +121,9 @@ class _Sensor(FaultsInForce):
     def _judge_axis(
         self, axis: int, rows: HopRows, entries: Array, moving: Flags
     ) -> tuple[list[bool], list[bool]]:
-        """At the end of which hops an axis is stuck, and on a rail; False without samples."""
+        """Return at the end of which hops an axis is stuck, and at the end of which it is on a
+        rail; False without samples.
+        """
         judge, rails, contact = self.stuck[axis], self.rails[axis], self.contacts[axis]
         counts = rows.count, rows.ended[:, axis], rows.longest[:, axis], rows.run[:, axis]
         moves = moving.tolist()
@@ -154,20 +162,21 @@ class SampleHealth:
         self._moved = False
         self._heard: float | None = None
         self.faults: Mapping[str, Faults] = {}
-        """By channel, of sensors that are not fit to be used now."""
+        """For each channel, the faults of sensors that are not fit to be used now."""
         self.signals: Mapping[str, Faults] = {}
-        """The same of the vehicle's signals, which the estimator judges block by block."""
+        """The same for the vehicle's signals, which the estimator judges block by block."""
         self._signals: dict[str, FaultsInForce] = {}
         self._signals_at = 0.0
 
     def go_on_from(
         self, former: SampleHealth, same: Collection[str], now: float, with_signals: bool = True
     ) -> None:
-        """Go on where another one stands: faults in force, and what is usual for a sensor.
+        """Continue from another object: take over its faults in force and the usual behaviour of
+        each sensor.
 
-        same: channels that come from the same sources; of the others nothing is known, and their
-        faults end. now: stream time [s]. with_signals: without it those of the vehicle's signals
-        end too, as nobody judges them any more.
+        same: channels that come from the same sources. The other channels start without knowledge,
+        and their faults end. now: stream time [s]. with_signals: if False, the faults of the
+        vehicle's signals end too, because nothing judges them any more.
         """
         self.events = former.events
         for channel, sensor in self._sensors.items():
@@ -199,18 +208,18 @@ class SampleHealth:
             self._heard = values[0]
 
     def close(self, k: int) -> None:
-        """Tick k is over."""
+        """Note that tick k is over."""
         if (k + 1) % HOP_TICKS == 0:
             self._take([self._heard], (k + 1) // HOP_TICKS - 1, {})
             self._heard = None
 
     def forget_rails(self) -> None:
-        """Nothing of before makes a value the end of an axis's range."""
+        """Forget all evidence so far for the ends of the axes' ranges."""
         for sensor in self._sensors.values():
             sensor.rails = [AxisRails(axis) for axis in range(sensor.axes)]
 
     def gap(self) -> None:
-        """Time jumped: nothing before is joined with what follows."""
+        """Note a jump of time: earlier samples are not joined with later ones."""
         for sensor in self._sensors.values():
             sensor.restart()
         self._speed_age, self._moved, self._heard = SPEED_HOPS, False, None
@@ -218,9 +227,9 @@ class SampleHealth:
     # columns -------------------------------------------------------------------------------
 
     def columns(self, samples: Samples, first: int, last: int) -> list[Mapping[str, Faults]]:
-        """Take all samples of ticks `first` to `last`, which stays open.
+        """Take all samples of ticks `first` to `last`; the last tick stays open.
 
-        Returns the faults in force after each hop that ended in between.
+        Returns the faults in force after each hop that ended.
         """
         begin = first // HOP_TICKS
         hops = last // HOP_TICKS - begin
@@ -251,9 +260,11 @@ class SampleHealth:
     def _take(
         self, speeds: Sequence[float | None], first: int, more: Mapping[str, _More]
     ) -> list[Mapping[str, Faults]]:
-        """Judge hops `first`, `first` + 1, ..., one for each of the speeds last heard in them.
+        """Judge hops `first`, `first` + 1, ..., one for each of the speeds that were last received
+        in them.
 
-        more: samples of channels with their hops, counted from `first`, after those pending.
+        more: samples of channels with their hops, counted from `first`, to use after the pending
+        ones.
         """
         moves = [self._is_moving(speed) for speed in speeds]
         moving = np.array(moves)
@@ -276,7 +287,7 @@ class SampleHealth:
         return out
 
     def _is_moving(self, speed: float | None) -> bool:
-        """Whether the vehicle moved in all of a hop, as far as speeds say."""
+        """Return whether the vehicle moved during the whole hop, as far as speeds show."""
         self._speed_age += 1
         if speed is not None:
             self._speed, self._speed_age = speed, 0
@@ -287,11 +298,13 @@ class SampleHealth:
 
     @property
     def unfit(self) -> Mapping[str, Faults]:
-        """By channel, of all sensors and signals that are not fit to be used now."""
+        """For each channel, the faults of all sensors and signals that are not fit to be used
+        now.
+        """
         return {**self.faults, **self.signals} if self.signals else self.faults
 
     def take_signals(self, stuck: Mapping[str, bool], now: float) -> None:
-        """Take whether signals of the vehicle were stuck in the block that ends now [s]."""
+        """Take, for each vehicle signal, whether it was stuck in the block that ends now [s]."""
         passed, self._signals_at = now - self._signals_at, now
         for channel, is_stuck in stuck.items():
             signal = self._signals.setdefault(channel, FaultsInForce(channel, self.events))
@@ -300,7 +313,9 @@ class SampleHealth:
         self.signals = {c: s.faults for c, s in self._signals.items() if s.faults}
 
     def summary(self) -> dict[str, Any]:
-        """Faults now of each sensor and signal that is watched, and those reported; for JSON."""
+        """Return, for JSON, the present faults of each watched sensor and signal, and the reported
+        faults.
+        """
         unfit = self.unfit
         return {
             "sensors": {
@@ -311,18 +326,20 @@ class SampleHealth:
         }
 
     def _keep(self, sensor: _Sensor, found: Mapping[SignalFault, str], now: float) -> None:
-        """Go on with a sensor's faults after a hop."""
+        """Update a sensor's faults after a hop."""
         sensor.go_on(found, now, HOP_S)
         others = {c: f for c, f in self.faults.items() if c != sensor.channel}
         self.faults = {**others, sensor.channel: sensor.faults} if sensor.faults else others
 
 
 def _change_of_all(rows: HopRows) -> Array:
-    """Mean change of the vector from sample to sample, and changes of the busiest axis (H, 2)."""
+    """Return the mean change of the vector from sample to sample, and the number of changes of the
+    busiest axis (H, 2).
+    """
     level = np.sqrt((rows.level * rows.level).sum(axis=1))
     return np.column_stack([level, rows.ended.max(axis=1)])
 
 
 def _hop_of(series: Series, first: int) -> NDArray[np.int64]:
-    """The hop of each sample, counted from `first`."""
+    """Return the hop of each sample, counted from `first`."""
     return np.floor(series.t * TICK_RATE).astype(np.int64) // HOP_TICKS - first

@@ -1,7 +1,7 @@
-"""What makes a sensor's samples unfit to be used: one judge a kind of fault, hop by hop.
+"""Judges of a sensor's samples: one judge for each kind of fault, hop by hop.
 
-Each learns from the sensor itself what is usual for it. A judge says whether the fault is there
-now; how long it is believed to last is the business of `sample_health`.
+Each judge learns the usual behaviour from the sensor itself. A judge says whether the fault is
+there now; `sample_health` decides how long the fault lasts.
 """
 
 from __future__ import annotations
@@ -19,40 +19,60 @@ Flags = NDArray[np.bool_]
 Counts = NDArray[np.int64]
 
 SURPRISE = 25.0
-"""A fault is believed from this -log of the chance of it without one on [nats]: 1e-11, of some 1e8
-runs that six axes have in 100 h."""
+"""A fault is accepted from this -log of the chance of the data without a fault [nats]: 1e-11, with
+some 1e8 runs of six axes in 100 h.
+"""
 SHORTEST_HOPS = 2
-"""No run shorter than two whole hops is stuck (1 s): senders repeat a value that is late."""
+"""Shortest stuck run in whole hops (1 s), because senders repeat a value that is late."""
 MIN_RUNS = 50
-"""Runs from which their lengths are known."""
+"""Number of runs after which their lengths are known."""
 LEAST_TIMES = 3.0
-"""No run shorter than so many times the longest before is stuck, however many there were. Runs of
-an axis whose step is coarser than its noise last as long as its motion is small: on a straight
-road they are of another scale than in town. The scale may change by as much again as it has."""
+"""A stuck run is at least this many times longer than the longest run before, however many there
+were. If the step of an axis is coarser than its noise, its runs last as long as its motion is
+small. On a straight road the runs are longer than in town. The factor allows the scale to grow to
+three times.
+"""
 FINE_STEP = 0.6
-"""At rest a step of at most so much of the noise is needed: room for a sensor 1.7 times quieter."""
+"""At rest an axis is judged only if its step is at most this share of the noise: it leaves room for
+a sensor 1.7 times quieter.
+"""
 DEAD_HOPS = 40
-"""An axis that never changed is dead after so many hops of driving (20 s): no road is that smooth,
-whatever the sensor's step."""
+"""An axis that never changed is dead after this many hops of driving (20 s): no road is so smooth,
+whatever the step of the sensor.
+"""
 FORCE_HOPS = 2
-"""Hops of a mean force unlike gravity (1 s)."""
+"""Hops in which the mean force must differ from gravity (1 s)."""
 MAX_RATE = math.radians(150.0)
 RATE_HOPS = 3
-"""No road vehicle turns at that rate [rad/s] for so many hops (1.5 s): that is over half a turn."""
+"""Hops in which the rate must be impossible for a road vehicle (1.5 s): that is over half a
+turn.
+"""
 UNIT_HOPS = 5
-"""Two hops are held against two before, with one between in which the unit may have changed."""
+"""Two hops are compared with two earlier ones. The unit may have changed in the one between."""
 UNIT_LEEWAY = 2.2
-"""Factor by which the noise of a second may be off: 1.3 with 10 samples, and what the road adds."""
+"""Factor by which the noise of a second may be off: 1.3 with 10 samples, and the effect of the
+road.
+"""
 UNIT_CHANGES = 8
-"""A second's noise is known from so many changes of the axis, to a factor of 1.4: one that is
-coarser than its noise, or that comes seldom, has a few, and how many is chance."""
+"""Number of changes of the axis after which a second's noise is known, to a factor of 1.4.
+
+An axis that is coarser than its noise, or that comes seldom, has few changes, and their number is
+random.
+"""
 OTHER_CHANGE = 4.0
-"""A road that became rough is felt by the other sensor too: then it is no unit."""
+"""If the other sensor changes by this factor too, the road became rough and the unit is the
+same.
+"""
 SOME_CHANGES = 3
-"""Of a quieter axis fewer are left: one alone is that of a sender that had stopped."""
+"""Number of changes that an axis which became quieter must still have: a single change is that of a
+sender that had stopped.
+"""
 USUAL_HOPS = 20
-"""Hops of driving (10 s) whose mean noise is that of a unit: a road is up to four times as rough as
-another, and half way to the nearest unit, as a ratio, is 7.6 times."""
+"""Hops of driving (10 s) whose mean noise identifies a unit.
+
+One road is up to four times as rough as another, and half way to the nearest unit is a ratio of
+7.6.
+"""
 
 
 class Runs:
@@ -62,9 +82,9 @@ class Runs:
         self.count = self.longest = self._samples = 0
 
     def add(self, count: int, longest: int, samples: int) -> None:
-        """Take so many runs that ended, the longest of them, and all samples in them.
+        """Take a number of runs that ended, the longest of them, and all samples in them.
 
-        A sensor's first sample ends a run of none: that is no run.
+        A sensor's first sample ends a run of none, which does not count.
         """
         if not samples:
             return
@@ -74,35 +94,37 @@ class Runs:
         self._samples += samples
 
     def rate(self) -> float:
-        """-log of the chance that a run goes on, for one more sample [nats]; 0: not known."""
+        """Return -log of the chance that a run continues for one more sample [nats]; 0: not
+        known.
+        """
         return rate_of(self.count, self.longest)
 
     def limit(self) -> float:
-        """A run of more samples is stuck."""
+        """Return the length [samples] above which a run is stuck."""
         rate = self.rate()
         if rate == 0.0:
             return math.inf
-        # of runs that noise makes, the mean times log N is no shorter than the longest
+        # For runs that noise makes, the mean times log N is at least the longest.
         wandered = self.longest * self.count / (self._samples * math.log(self.count))
         return max(SURPRISE / rate, max(LEAST_TIMES, wandered) * self.longest)
 
 
 def rate_of(count: int, longest: int) -> float:
-    """The rate of `Runs` from how many ended, and the longest.
+    """Return the rate of `Runs` from the number of ended runs and the longest.
 
-    The longest of N lengths, spread exponentially as those of noise are, is near log N times their
-    scale.
+    The lengths of noise runs are distributed exponentially. The longest of N is near log N times
+    their scale.
     """
     return 0.0 if count < MIN_RUNS else math.log(count) / max(longest, 1)
 
 
 class StuckAxis:
-    """Whether an axis says the same again and again.
+    """Judges whether an axis repeats the same value.
 
-    A run of equal values is weighed by the runs before it, at rest and in motion apart. At rest
-    only the sensor's noise moves a value, and an engine that stops takes the rest away: there only
-    an axis is judged whose step is finer than that noise. noise: of a usual sensor of the kind, in
-    SI units per root of hertz.
+    A run of equal values is compared with earlier runs, at rest and in motion separately. At rest
+    only the sensor's noise changes a value, because an engine that stops removes the rest. Only an
+    axis whose step is finer than that noise is judged there. noise: that of a usual sensor of the
+    kind, in SI units per root of hertz.
     """
 
     def __init__(self, noise: float) -> None:
@@ -114,25 +136,25 @@ class StuckAxis:
         self.stuck = False
 
     def restart(self) -> None:
-        """Time jumped."""
+        """Restart after a jump of time."""
         self._moved_run = self._moved_hops = self._hops = self._run = 0
         self._rested = False
 
     def usual(self, moving: bool) -> Runs:
-        """The runs that ended so far, in motion or at rest."""
+        """Return the runs that have ended so far, in motion or at rest."""
         return self.moving if moving else self._resting
 
     def step(self, moving: bool, runs: tuple[int, int, int, int], q: float, jumped: bool) -> bool:
-        """Take a hop; whether the axis is stuck at its end.
+        """Take a hop; return whether the axis is stuck at its end.
 
-        runs, q: of the axis count, ended, longest, run and step, as `HopRows` has them.
-        jumped: the longest lies between jumps, and is no usual run.
+        runs, q: count, ended, longest, run and step of the axis, as in `HopRows`. jumped: the
+        longest run lies between jumps and is not usual.
         """
         count, ended, longest, run = runs
         self._rest_hops += not (moving or self.stuck)  # noise is counted in the others only
         open_before, self._run = self._run, run
         if ended:
-            if not self.stuck and not jumped:  # else the longest is the one that was stuck
+            if not self.stuck and not jumped:  # else the longest is the stuck run
                 is_old = longest > count and self._rested
                 pool = self.moving if moving and not is_old else self._resting
                 pool.add(ended, longest, open_before + count - run)
@@ -158,7 +180,7 @@ class StuckAxis:
                 return True
         if self._hops < SHORTEST_HOPS or not self._rest_hops:
             return False
-        # noise changes twice in its bandwidth, which a filter in the sensor makes less
+        # Noise changes twice in its bandwidth. A filter in the sensor reduces the bandwidth.
         bandwidth = 0.5 * self._resting.count / (self._rest_hops * HOP_S)
         if q > FINE_STEP * self._noise * math.sqrt(bandwidth):
             return False
@@ -166,13 +188,13 @@ class StuckAxis:
 
 
 class Lasting:
-    """Whether something has been so for a number of hops in a row."""
+    """Whether a condition has lasted for a number of hops in a row."""
 
     def __init__(self, hops: int) -> None:
         self._hops, self._run = hops, 0
 
     def step(self, flags: Flags) -> Flags:
-        """Take hops (H,); where it has lasted long enough."""
+        """Take hops (H,); return where the condition has lasted long enough."""
         if not flags.any():
             self._run = 0
             return flags
@@ -184,24 +206,25 @@ class Lasting:
 
 
 def unlike_gravity(mean: Array) -> Flags:
-    """Whether mean forces (H, 3) are of a size that no drive has for long (H,)."""
+    """Return whether mean forces (H, 3) have a size that no drive has for long (H,)."""
     low, high = ROAD_FORCE
     size2 = mean[:, 0] * mean[:, 0] + mean[:, 1] * mean[:, 1] + mean[:, 2] * mean[:, 2]
     return np.asarray((size2 < low * low) | (size2 > high * high))
 
 
 def turning_wildly(mean: Array) -> Flags:
-    """Whether mean rates (H, 3) are of a size that no vehicle has for long (H,)."""
+    """Return whether mean rates (H, 3) have a size that no vehicle has for long (H,)."""
     size2 = mean[:, 0] * mean[:, 0] + mean[:, 1] * mean[:, 1] + mean[:, 2] * mean[:, 2]
     return np.asarray(size2 > MAX_RATE * MAX_RATE)
 
 
 class UnitChange:
-    """Whether all axes have become noisier, or quieter, by the factor between two units.
+    """Detects that all axes have become noisier, or quieter, by the factor between two units.
 
-    factor: that one, such as 57.3 of deg/s for rad/s. What moves the vehicle is felt by the other
-    sensor too, a unit is not. It lasts until the opposite is seen, or until the noise of driving is
-    what it was before: a sensor that was taken in hand has the unit it had.
+    factor: that factor, such as 57.3 of deg/s for rad/s. The other sensor also feels a motion of
+    the vehicle, but not a change of unit. The fault lasts until the opposite change is seen, or
+    until the noise of driving is as before: a sensor that somebody only took in hand still has its
+    unit.
     """
 
     def __init__(self, factor: float, axes: int) -> None:
@@ -214,14 +237,14 @@ class UnitChange:
         self.restart()
 
     def restart(self) -> None:
-        """Time jumped: nothing is compared across it."""
+        """Restart after a jump of time: nothing is compared across it."""
         self._before = tuple(np.zeros((UNIT_HOPS - 1, n)) for n in (self._axes, self._axes, 2, 1))
 
     def step(self, level: Array, changes: Counts, other: Array, moving: Flags) -> Flags:
-        """Take the mean changes from sample to sample of hops (H, axes), and how many there were.
+        """Take the mean changes from sample to sample of hops (H, axes), and the number of changes.
 
-        other: (H, 2) both of the other sensor, 0 where there is none; moving: (H,) whether the
-        vehicle moved in all of a hop. Returns whether the unit is another one than at first.
+        other: (H, 2) both figures of the other sensor, 0 where there is none. moving: (H,) whether
+        the vehicle moved during the whole hop. Returns whether the unit differs from the first one.
         """
         sizes = [
             sum(row) if moves else 0.0
@@ -244,15 +267,15 @@ class UnitChange:
                 self._usual.add(size)
             return out
         same = np.abs(np.log(np.maximum(_ratio(other)[:, 0], 1e-9))) < math.log(OTHER_CHANGE)
-        # a sensor that cannot say whether a vehicle moves off does not say that it does not
+        # A sensor that cannot show whether a vehicle moves off does not show that it stands.
         felt = np.where(np.logical_and(*_enough(other[:, 1:])), ~same, lowest != highest)
-        # At rest a hand lets go, or the body ceases to rock: the noise of driving is made less by a
-        # unit alone.
+        # At rest the noise may fall because a hand lets go or the body stops rocking. The noise of
+        # driving falls only by a unit.
         drives = (lowest > 0.0).tolist()
         for h, found in enumerate((sign * ~felt).tolist()):
             is_change = found > 0 or (found < 0 and (drives[h] or self._changed > 0))
             if is_change and not self._wait:
-                # Not more than one step away from the unit of the first samples.
+                # The unit is at most one step away from that of the first samples.
                 self._changed = max(-1, min(1, self._changed + found))
                 self._wait = UNIT_HOPS
             self._wait = max(0, self._wait - 1)
@@ -261,7 +284,9 @@ class UnitChange:
         return out
 
     def _hold_against_usual(self, size: float) -> None:
-        """Take the noise of a hop of driving, or 0: does it look like another unit's?"""
+        """Take the noise of a hop of driving, or 0; return whether it looks like that of another
+        unit.
+        """
         if not self._changed:
             self._usual.add(size)
             self._now = _MeanLog()
@@ -281,26 +306,32 @@ class _MeanLog:
         self.count, self.mean = 0, 0.0
 
     def add(self, size: float) -> None:
-        """Take a size; 0 is none."""
+        """Take a size; 0 is ignored."""
         if size > 0.0:
             self.count += 1
             self.mean += (math.log(size) - self.mean) / self.count
 
 
 def _enough(count: Array, least: int = UNIT_CHANGES) -> tuple[Flags, Flags]:
-    """Whether every axis changed often enough in two hops, and in two later, one left out."""
+    """Return whether every axis changed often enough in two hops and in two later ones, with one
+    hop between.
+    """
     early, late = count[:-4] + count[1:-3], count[3:-1] + count[4:]
     return np.all(early >= least, axis=1), np.all(late >= least, axis=1)
 
 
 def _within_five(moved: Array) -> tuple[Array, Array]:
-    """Smallest and largest of every five hops: both 1 where the vehicle moved in all of them."""
+    """Return the smallest and largest flag of every five hops: both are 1 if the vehicle moved in
+    all of them.
+    """
     five = np.lib.stride_tricks.sliding_window_view(moved, UNIT_HOPS)
     return five.min(axis=1), five.max(axis=1)
 
 
 def _ratio(level: Array) -> Array:
-    """Two hops against two before, one between left out; 0 where there is nothing."""
+    """Return the ratio of two hops to two earlier ones, with one hop between; 0 where there is no
+    level.
+    """
     early = level[:-4] + level[1:-3]
     late = level[3:-1] + level[4:]
     return np.asarray(np.where(early > 0.0, late / np.where(early > 0.0, early, 1.0), 0.0))

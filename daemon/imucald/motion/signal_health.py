@@ -1,11 +1,10 @@
-"""Signal health, once for everybody: which ticks of which signal are not to be trusted, and why.
+"""Signal health for all users: which ticks of which signal are not trusted, and why.
 
 `SignalHealth` takes block after block of ticks, online and pure. Every fault is found by signal
-and, where an axis can fail alone, by axis; who learns takes the ticks of all of them together, and
-who reports reads `found`. What each fault means stands where its
-limits are: `physical_limits`, `stuck`.
-Every reason is counted. A tick that is flagged is left out; what is known stays.
-`FaultsInForce` says how long a fault that was seen is believed.
+and, where an axis can fail alone, by axis. Estimators leave out the ticks of all faults together;
+reports read `found`. `physical_limits` and `stuck` define each fault beside its limits. The ticks
+of every fault are counted. A flagged tick is left out; knowledge from earlier ticks stays.
+`FaultsInForce` decides how long a fault that was seen lasts.
 """
 
 from __future__ import annotations
@@ -47,13 +46,13 @@ Flags = NDArray[np.bool_]
 SPREAD_FLOOR, SPREAD_SLOPE = 0.6, 0.03
 """Wheel speeds may differ by this [m/s] and this share of the speed, beyond the curve."""
 CURVE_SHARE = 1.5
-"""In a curve they may differ by this times track times yaw rate."""
+"""In a curve, wheel speeds may differ by this factor times track times yaw rate."""
 
 
 class SignalFault(enum.StrEnum):
-    """Why a tick of a signal is not to be trusted."""
+    """Reason why a tick of a signal is not trusted."""
 
-    IMPOSSIBLE = "impossible"  # a number that cannot be, or none
+    IMPOSSIBLE = "impossible"  # an impossible number, or NaN
     STUCK = "stuck"
     IMPLAUSIBLE = "implausible"  # no road vehicle moves like this
     SATURATED = "saturated"
@@ -67,23 +66,25 @@ HOLD_TICKS: Mapping[SignalFault, int] = {
     SignalFault.WHEEL_SLIP: 10,
     SignalFault.SPEED_JUMP: 10,
 }
-"""Ticks around a fault that are not learnt from either; in the order in which they are counted."""
+"""Ticks around a fault that are not learnt from either, in the order in which faults are
+counted.
+"""
 
 _LIMITED = [
     (i, most, count) for count, part, most in MAX_TICK for i in range(part.start, part.stop)
 ]
 _COLUMNS, _MOST, _COUNTS = (np.array(one) for one in zip(*_LIMITED, strict=True))
-"""Columns of a tick that have a largest size, those sizes, and the columns of their counts."""
+"""Columns of a tick with a largest allowed size, those sizes, and the columns of their counts."""
 
 _SIGNALS = {
     ACCEL.n: "accel", GYRO.n: "gyro", SPEED.n: "speed", STEERING.n: "steering",
     YAW_RATE.n: "yaw_rate",
 }  # fmt: skip
-"""By the column of a tick's count."""
+"""Signal names by the column of a tick's count."""
 
 
 def spread_out(flags: Flags, ticks: int) -> Flags:
-    """Flags widened by that many ticks to both sides."""
+    """Return the flags widened by that many ticks to both sides."""
     out = flags.copy()
     for i in np.flatnonzero(flags):
         out[max(0, i - ticks) : i + ticks + 1] = True
@@ -91,7 +92,9 @@ def spread_out(flags: Flags, ticks: int) -> Flags:
 
 
 def slope(values: Array) -> Array:
-    """As numpy.gradient of ticks (..., N), which takes six times as long [1/s]."""
+    """Return the slope of ticks (..., N) as numpy.gradient does, which takes six times as long
+    [1/s].
+    """
     out = np.empty_like(values)
     out[..., 1:-1] = (values[..., 2:] - values[..., :-2]) / (2.0 * TICK_S)
     out[..., 0] = (values[..., 1] - values[..., 0]) / TICK_S
@@ -103,9 +106,8 @@ class SignalHealth:
     """Watches the signals of one vehicle and one sensor.
 
     full_scale: full scale of the accelerometer [m/s^2]; track: between left and right wheels [m].
-    new: which of the rows of a call no call before had among these; they are counted.
-    found: of the last block, by signal and fault, the ticks (N,), or (N, axes), that have it;
-    absent where none has.
+    new: rows of a call that no earlier call had; these are counted. found: for the last block, by
+    signal and fault, the ticks (N,), or (N, axes), with the fault; absent where there are none.
     """
 
     def __init__(self, new: slice, full_scale: float = math.inf, track: float = 1.55) -> None:
@@ -123,16 +125,18 @@ class SignalHealth:
         """Ticks with a fault, by signal and fault."""
         self.found: dict[tuple[str, SignalFault], Flags] = {}
         self.stuck_now: dict[str, bool] = {}
-        """Of the vehicle's signals that are judged: whether any new tick of the last call was."""
+        """For each judged vehicle signal, whether any new tick of the last call was stuck."""
 
     def take_usual(self, former: SignalHealth, channels: Collection[str]) -> None:
-        """Take what another one has learnt of these channels: how long they keep a value."""
+        """Take over what another object has learnt about these channels: how long they keep a
+        value.
+        """
         for channel, signal in self._signals.items():
             if channel in channels:
                 signal.take_usual(former._signals[channel])
 
     def restart(self) -> None:
-        """Time jumped: what comes next is compared with nothing before."""
+        """Restart after a jump of time: later ticks are not compared with earlier ones."""
         for sensor in self._sensors.values():
             sensor.restart()
         for signal in self._signals.values():
@@ -141,12 +145,14 @@ class SignalHealth:
 
     @staticmethod
     def is_possible(rows: Array) -> bool:
-        """Whether ticks (N, COLUMNS) hold no number that cannot be, as they nearly always do."""
+        """Return whether ticks (N, COLUMNS) hold no impossible number, as is nearly always the
+        case.
+        """
         sizes, counts = np.abs(rows[:, _COLUMNS]), rows[:, _COUNTS]
         return bool(((sizes <= _MOST) | (counts == 0)).all())
 
     def drop_impossible(self, rows: Array) -> None:
-        """Empty, in place, the sensors of new ticks that hold a number that cannot be, or none."""
+        """Empty, in place, the sensors of new ticks that hold an impossible number or NaN."""
         if self.is_possible(rows):
             return
         for count, columns, largest in MAX_TICK:
@@ -157,25 +163,25 @@ class SignalHealth:
                 self._count(_SIGNALS[count], SignalFault.IMPOSSIBLE, bad)
 
     def stuck(self, signal: str, rows: Array) -> Flags:
-        """Ticks (N,) at which "accel" or "gyro" is stuck; rows: (N, COLUMNS)."""
+        """Return the ticks (N,) at which "accel" or "gyro" is stuck. rows: (N, COLUMNS)."""
         return self._note_stuck(signal, self._sensors[signal].flags(rows))
 
     def stuck_speed(self, rows: Array, seen: SeenForward | None) -> Flags:
-        """Ticks (N,) at which the speed is stuck; seen: None where no mount is known."""
+        """Return the ticks (N,) at which the speed is stuck. seen: None where no mount is known."""
         leaving = self._new.stop - self._new.start
         witness = None if seen is None else by_force(seen, rows, leaving)
         driving = latest_speed(rows) > DRIVING_SPEED
         flags = self._signals["speed"].flags(rows, driving, leaving, witness)
         contradicted = zero_while_wheels_turn(rows)
-        # A sensor that was moved looks like a speed that stays: wheels alone accuse it.
+        # A moved sensor looks like a speed that stays, so only the wheels may accuse the speed.
         self.stuck_now["speed"] = bool(contradicted[self._new].any())
         return self._note_stuck("speed", flags | contradicted)
 
     def stuck_yaw_rate(self, rows: Array, turning: Array, driving: Flags) -> Flags:
-        """Ticks (N,) at which the yaw rate is stuck.
+        """Return the ticks (N,) at which the yaw rate is stuck.
 
-        turning: (N,) yaw rate by another signal [rad/s]. driving: (N,) where that is known, and the
-        vehicle drives.
+        turning: (N,) yaw rate from another signal [rad/s]. driving: (N,) ticks where that rate is
+        known and the vehicle drives.
         """
         leaving, witness = self._new.stop - self._new.start, by_turning(turning, driving)
         flags = self._signals["yaw_rate"].flags(rows, driving, leaving, witness)
@@ -183,12 +189,15 @@ class SignalHealth:
         return self._note_stuck("yaw_rate", flags)
 
     def sensor_moves(self, signal: str) -> None:
-        """Take new ticks in which "accel" or "gyro" never repeats its mean: it is not stuck."""
+        """Take new ticks in which "accel" or "gyro" never repeats its mean and is therefore not
+        stuck.
+        """
         self._sensors[signal].restart()
         self.found.pop((signal, SignalFault.STUCK), None)
 
     def signal_moves(self, signal: str, first: float, driven: Array, change: Array) -> bool:
-        """Take new ticks in which "speed" or "yaw_rate" is not stuck; False: it has to be asked.
+        """Take new ticks in which "speed" or "yaw_rate" is not stuck; return False if it must be
+        judged.
 
         For the arguments see `StuckSignal.take_short_runs`. No speed may be zero.
         """
@@ -212,10 +221,10 @@ class SignalHealth:
         ok_speed: Flags,
         turning: Array,
     ) -> Flags:
-        """Ticks (N,) that nothing may be learnt from.
+        """Return the ticks (N,) that must not be learnt from.
 
-        rows: (N, COLUMNS). force: (N, 3) [m/s^2]; speed: (N,) [m/s], where they are known.
-        turning: (N,) size of the yaw rate [rad/s].
+        rows: (N, COLUMNS). force: (N, 3) [m/s^2] and speed: (N,) [m/s], with flags where they are
+        known. turning: (N,) size of the yaw rate [rad/s].
         """
         self.found |= self._faults(rows, force, ok_force, speed, ok_speed, turning)
         out = np.zeros(len(rows), dtype=bool)
@@ -236,9 +245,9 @@ class SignalHealth:
         ok_speed: Flags,
         turning: Array,
     ) -> list[bool]:
-        """Of blocks (B, N, COLUMNS) and so on, whether `untrusted` finds nothing in each.
+        """Return for blocks (B, N, COLUMNS) whether `untrusted` finds nothing in each.
 
-        Nor does it where the vehicle turns faster, up to MAX_ROAD_RATE.
+        The result also holds if the vehicle turns faster, up to MAX_ROAD_RATE.
         """
         any_fault = np.zeros(len(rows), dtype=bool)
         for flags in self._faults(rows, force, ok_force, speed, ok_speed, turning).values():
@@ -246,7 +255,7 @@ class SignalHealth:
         return [not one for one in any_fault.tolist()]
 
     def are_trusted(self) -> None:
-        """Take new ticks in which `untrusted` finds nothing."""
+        """Take new ticks in which `untrusted` finds no fault."""
         for key in [key for key in self.found if key[1] is not SignalFault.STUCK]:
             del self.found[key]
 
@@ -259,7 +268,9 @@ class SignalHealth:
         ok_speed: Flags,
         turning: Array,
     ) -> dict[tuple[str, SignalFault], Flags]:
-        """As `untrusted` takes them, or those of several blocks (B, N)."""
+        """Return the faults. The arguments are those of `untrusted`, or of several blocks (B,
+        N).
+        """
         low, high = ROAD_FORCE
         size2 = (force * force).sum(axis=-1)
         wild = np.abs(slope(speed)) > MAX_ROAD_DVDT
@@ -280,17 +291,19 @@ class SignalHealth:
         return known & (rows[..., WHEEL_SPREAD.mean] > allowed)  # False for NaN
 
     def _count(self, signal: str, fault: SignalFault, flags: Flags) -> None:
-        """Add the flagged ticks to a signal's and fault's number."""
+        """Add the flagged ticks to the count of a signal and fault."""
         n = int(np.count_nonzero(flags))
         if n:
             self.counts[signal, fault] += n
 
 
 SOUND_S = 10.0
-"""A sensor is used again when it has been sound for so long [s]: longer than a loose contact's
-pauses, of which each costs two seconds at most."""
+"""A sensor is used again after this time without a fault [s].
+
+It is longer than the pauses of a loose contact, each of which costs two seconds at most.
+"""
 EVENTS = 50
-"""So many faults are remembered for the report."""
+"""Number of faults that are remembered for the report."""
 
 Faults = Mapping[SignalFault, str]
 """Faults and the axes that have them, such as {stuck: "y"}."""
@@ -309,7 +322,7 @@ class FaultEvent(Struct):
     until: float | None = None
 
     def as_dict(self) -> dict[str, Any]:
-        """Plain, for JSON."""
+        """Return plain values for JSON."""
         until = None if self.until is None else round(self.until, 1)
         return {
             "sensor": self.channel,
@@ -321,9 +334,9 @@ class FaultEvent(Struct):
 
 
 class FaultsInForce:
-    """A channel's faults now, and for how long each has not been seen [s].
+    """A channel's present faults, and the time since each was last seen [s].
 
-    events: those of all channels; what begins is appended, what ends is ended there.
+    events: those of all channels. A fault that begins is appended, and its end is set there.
     """
 
     def __init__(self, channel: str, events: deque[FaultEvent]) -> None:
@@ -333,9 +346,9 @@ class FaultsInForce:
         self._events = events
 
     def go_on(self, found: Faults, now: float, passed: float) -> None:
-        """Go on with the faults found and those that have not been gone for long enough.
+        """Update with the faults found and with those whose absence has not lasted long enough.
 
-        now: stream time [s]; passed: since the last call [s].
+        now: stream time [s]; passed: time since the last call [s].
         """
         faults = dict(self.faults)
         for fault in list(faults):
@@ -354,7 +367,9 @@ class FaultsInForce:
         self.faults = faults
 
     def end(self, now: float) -> None:
-        """Nobody watches the channel any more from stream time now [s] on."""
+        """End all faults, because nothing watches the channel any more from stream time now
+        [s] on.
+        """
         for fault in self.faults:
             self._ended(fault, now)
         self.faults = {}

@@ -1,9 +1,9 @@
-"""dv/dt from a speed signal that may be slow, coarse and late, matched with the accelerometer.
+"""dv/dt from a speed signal that may be slow, coarse and late, paired with the accelerometer.
 
-Between two speed samples (v1 - v0) / (t1 - t0) is exactly the mean of dv/dt over that interval,
-whatever the rates. So nothing is smoothed: the accelerometer is averaged over the same interval,
-moved by the speed's delay, and the pair is one `SpeedInterval`. Coarseness of the speed then only
-adds noise to dv/dt that the accelerometer does not share.
+Between two speed samples, (v1 - v0) / (t1 - t0) is exactly the mean of dv/dt over that interval,
+whatever the rates. No smoothing is therefore needed. The accelerometer is averaged over the same
+interval, shifted by the speed's delay. The pair is one `SpeedInterval`. Coarse steps of the speed
+then only add noise to dv/dt, which the accelerometer does not share.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ HISTORY_TICKS = 64
 
 
 class SpeedInterval(NamedTuple):
-    """Motion over an interval; means over it, NaN where unknown.
+    """Motion over an interval: means over it, NaN where unknown.
 
     t0, t1: accelerometer time [s]; fx, fy, fz: specific force, sensor axes [m/s^2];
     speed [m/s], negative in reverse; dvdt [m/s^2]; yaw_rate [rad/s]; clean: no rejected sample.
@@ -68,7 +68,7 @@ class SpeedIntervalMaker:
         self.restart()
 
     def restart(self) -> None:
-        """Forget everything: time has jumped."""
+        """Forget everything, because time has jumped."""
         self._rows: deque[_Sums] = deque(maxlen=HISTORY_TICKS)
         self._last = _Sums(-math.inf, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
         self._pending: deque[tuple[float, float]] = deque(maxlen=HISTORY_TICKS)
@@ -84,7 +84,7 @@ class SpeedIntervalMaker:
     def step(
         self, t: float, fx: float, fy: float, fz: float, yaw_rate: float, clean: bool
     ) -> SpeedInterval | None:
-        """Take the tick that ends at t [s]; return the interval that is complete by now, if any."""
+        """Take the tick that ends at t [s]; return an interval that is now complete, if any."""
         _, x, y, z, yaw, bad, unknown = self._last
         known = not math.isnan(yaw_rate)
         last = self._last = _Sums(

@@ -1,8 +1,9 @@
-"""Who decides "at rest": all thresholds side by side with their reasons, and what applies them.
+"""Definitions of "at rest": all thresholds side by side with their reasons, and the functions that
+apply them.
 
-They differ because what is asked differs: whether the *signal* says zero, whether the *sensor*
-feels nothing but an engine at idle, whether a mean rate at rest is the gyroscope's error or a turn.
-How long it must last is with those who ask. The static test of method A is the published one
+The thresholds differ because the questions differ: whether the *signal* says zero, whether the
+*sensor* feels only an engine at idle, and whether a mean rate at rest is the gyroscope's error or a
+turn. The callers decide how long rest must last. The static test of method A is the published one
 (`mount.method_a.static_test`); its limits are settings (`config.calibration`).
 """
 
@@ -22,54 +23,76 @@ Flags = NDArray[np.bool_]
 # What a speed signal says ------------------------------------------------------------------
 
 ZERO_SPEED = 0.05
-"""A speed below is standstill [m/s] where speeds are interpolated: finer than any bus's step, so
-only zero itself passes, and rounding."""
+"""A speed below this is standstill [m/s] where speeds are interpolated.
+
+It is finer than the step of any bus, so only zero and its rounding pass.
+"""
 ZERO_SPEED_SMOOTHED = 0.1
-"""The same [m/s] of a speed that was averaged over its neighbours: a step of a coarse signal in
-one of them is not zero, noise about zero is."""
+"""The limit [m/s] for a speed that was averaged over its neighbours.
+
+Noise about zero is below it; a step of a coarse signal in one neighbour is above it.
+"""
 ROLLING_SPEED = 0.5
-"""Faster than this [m/s] a vehicle rolls, so that a sensor cannot say the same all the time."""
+"""A vehicle faster than this [m/s] rolls, so a sensor cannot repeat the same value all the time."""
 DRIVING_SPEED = 1.0
-"""Slower than this [m/s] wheels may well not be seen to turn: inductive wheel sensors fall silent
-at 2-4 km/h."""
+"""Below this speed [m/s] wheels may turn unseen: inductive wheel sensors fall silent at 2-4
+km/h.
+"""
 
 # What a sensor feels -----------------------------------------------------------------------
 
 PARKED_FORCE_CHANGE = 0.12
 PARKED_FORCE_STD = 0.06
 PARKED_RATE_STD = 0.01
-"""Without speed only what is as still as a parked vehicle is rest: change of the mean force from
-tick to tick [m/s^2], standard deviation over some seconds of force [m/s^2] and rate [rad/s]. A
-smooth road at steady speed shakes a tick's mean by more, an engine at idle by less."""
+"""Without speed, only a vehicle as still as a parked one is at rest.
+
+Limits: change of the mean force from tick to tick [m/s^2], and standard deviation over some seconds
+of force [m/s^2] and rate [rad/s]. A smooth road at steady speed changes a tick's mean by more, an
+engine at idle by less.
+"""
 STEADY_TICKS = 32
-"""... over such parts of a block."""
+"""... over parts of a block of this many ticks."""
 PARKED_SAMPLE_STD = 0.05
 PARKED_GRAVITY = 0.1
-"""The same for the attitude, which sees samples over a second: standard deviation of the
-force, all axes together, and how far the size of its mean may be from gravity [m/s^2]."""
+"""The same for the attitude, which uses samples over a second.
+
+Limits: standard deviation of the force, all axes together, and difference of the size of its mean
+from gravity [m/s^2].
+"""
 IDLE_FORCE = 0.25
 IDLE_RATE = 0.05
-"""With a speed of zero, how far means of ticks stay from their mean, force [m/s^2] and rate
-[rad/s]: an engine runs and people get in."""
+"""Largest distance of means of ticks from their mean at a speed of zero, force [m/s^2] and rate
+[rad/s]: an engine runs and people get in.
+"""
 TIMES_NOISE = 4.0
-"""... or within so many times a force's noise from tick to tick: a noisy sensor rests as well
-(4 standard deviations: 1 of 16,000 normal samples)."""
+"""... or within this many times a force's noise from tick to tick, so that a noisy sensor can rest
+as well (4 standard deviations: 1 of 16,000 normal samples).
+"""
 
 # Whether a mean rate at rest is an error of the gyroscope ------------------------------------
 
 MAX_GYRO_BIAS = 0.1
-"""Full estimator: 5.7 deg/s. Beyond [rad/s] the floor turns: a speed stuck at zero is no rest.
-Zero-rate offsets of consumer gyroscopes are some deg/s (BMI160: 3 deg/s)."""
+"""Limit of the full estimator: 5.7 deg/s.
+
+Beyond it [rad/s] the vehicle itself turns: a speed stuck at zero is no rest. Zero-rate offsets of
+consumer gyroscopes are some deg/s (BMI160: 3 deg/s).
+"""
 MAX_ZERO_OFFSET = math.radians(5.0)
-"""Method A, where the mean is taken tick by tick [rad/s]: a turntable or a ferry, not an offset."""
+"""Limit of method A, where the mean is taken tick by tick [rad/s]: a larger mean is a turntable or
+a ferry and not an offset.
+"""
 MAX_TERMINAL_BIAS = math.radians(1.5)
-"""A carried terminal has no speed to say that it rests: a larger mean is a slow turn [rad/s]."""
+"""Limit for a carried terminal [rad/s].
+
+No speed shows that it rests, so a larger mean is a slow turn.
+"""
 TERMINAL_RATE_RANGE = math.radians(2.0)
-"""At rest no axis of a terminal's gyroscope moves by more within a second [rad/s]."""
+"""Largest range of any axis of a terminal's gyroscope within a second at rest [rad/s]."""
 
 
 def is_parked(force: Array, rate: Array | None) -> Flags:
-    """Without speed: where ticks (N, 3) of force [m/s^2] and rate [rad/s] are a parked vehicle's.
+    """Return where ticks (N, 3) of force [m/s^2] and rate [rad/s] are those of a parked vehicle,
+    without speed.
 
     N: a multiple of `STEADY_TICKS`.
     """
@@ -82,26 +105,31 @@ def is_parked(force: Array, rate: Array | None) -> Flags:
 
 
 def feels_parked(variance: float, size: float) -> bool:
-    """Whether a second's force is a parked vehicle's, by its variance and the size of its mean.
+    """Return whether a second's force is that of a parked vehicle, by its variance and the size of
+    its mean.
 
-    variance: of all axes together [(m/s^2)^2]; size [m/s^2].
+    variance: sum over all axes [(m/s^2)^2]; size [m/s^2].
     """
     return variance < PARKED_SAMPLE_STD**2 and abs(size - GRAVITY) < PARKED_GRAVITY
 
 
 def is_terminal_at_rest(spread: float, mean: Vector) -> bool:
-    """Whether a second's rates are a terminal's at rest, by the largest range and their mean."""
+    """Return whether a second's rates are those of a terminal at rest, by the largest range and
+    their mean.
+    """
     return spread < TERMINAL_RATE_RANGE and max(map(abs, mean)) < MAX_TERMINAL_BIAS
 
 
 def keeps_steady(x: Array, limit: float, ticks: int) -> Flags:
-    """Where signals (N, axes) keep within a standard deviation, part by part of so many ticks."""
+    """Return where signals (N, axes) stay within a standard deviation, for parts of so many
+    ticks.
+    """
     spread = x.reshape(-1, ticks, x.shape[1]).std(axis=1).max(axis=1)
     return np.repeat(spread < limit, ticks)
 
 
 def is_idle(rate: Array, force: Array) -> bool:
-    """Whether rates and forces (N, 3) at a speed of zero are those of a vehicle at rest."""
+    """Return whether rates and forces (N, 3) at a speed of zero are those of a vehicle at rest."""
     change = np.diff(force, axis=0)
     noise = np.sqrt(0.5 * (change * change).mean(axis=0))
     allowed = np.maximum(IDLE_FORCE, TIMES_NOISE * noise)

@@ -1,8 +1,8 @@
-"""Straight-line motion: the recognisers of method A (step 4), and where the yaw rate comes from.
+"""Straight-line motion: the recognisers of method A (step 4), and the source of the yaw rate.
 
-Each recogniser is usable alone. A limit on the yaw rate in rad/s is the wrong unit at speed (at
-2 deg/s and 20 m/s the centripetal acceleration is 0.7 m/s^2), so next to the published ones stands
-a gate on the lateral acceleration v*r.
+Each recogniser can be used alone. A limit on the yaw rate in rad/s is not suitable at speed: at 2
+deg/s and 20 m/s the centripetal acceleration is 0.7 m/s^2. A gate on the lateral acceleration v*r
+is therefore added to the published recognisers.
 """
 
 from __future__ import annotations
@@ -17,13 +17,13 @@ from imucald.motion.ticks import GYRO, STEERING, YAW_RATE, TickRow
 
 NAN = math.nan
 OFFSET_MEMORY = 600
-"""Ticks at rest after which an offset forgets: it drifts with temperature."""
+"""Ticks at rest after which an offset is forgotten, because it drifts with temperature."""
 MAX_HOLD_TICKS = 10
-"""Ticks for which a slow signal's last value stands for the present one."""
+"""Ticks for which a slow signal's last value is used as the present one."""
 
 
 def angles_agree(angles: ArrayLike, spread: float) -> bool:
-    """Whether angles (N,) [rad] lie in an arc of `spread` [rad], wherever on the circle it is."""
+    """Return whether angles (N,) [rad] lie in an arc of `spread` [rad], anywhere on the circle."""
     a = np.sort(np.mod(np.asarray(angles, dtype=float), 2.0 * math.pi))
     if len(a) < 2:
         return len(a) == 1
@@ -34,7 +34,7 @@ def angles_agree(angles: ArrayLike, spread: float) -> bool:
 def yaw_rate_from_steering(
     speed: float, steering: float, steering_ratio: float, wheelbase: float
 ) -> float:
-    """Yaw rate [rad/s] of a vehicle that rolls without slip: r = v tan(delta / n) / L.
+    """Return the yaw rate [rad/s] of a vehicle that rolls without slip: r = v tan(delta / n) / L.
 
     speed [m/s], steering-wheel angle delta [rad], steering ratio n, wheelbase L [m].
     """
@@ -48,7 +48,7 @@ def yaw_rate_with_understeer(
     wheelbase: float,
     understeer: float,
 ) -> NDArray[np.float64]:
-    """The same of columns (N,), tyres that slip in a bend included, for small angles.
+    """Return the yaw rate of columns (N,), with tyre slip in bends, for small angles.
 
     r = v delta / (n L (1 + K v^2 / L)); understeer: K [rad/(m/s^2)] (Gillespie, Fundamentals of
     Vehicle Dynamics, ch. 6).
@@ -59,7 +59,7 @@ def yaw_rate_with_understeer(
 
 
 class ZeroOffset:
-    """Mean of a signal at rest, slowly forgetting."""
+    """Mean of a signal at rest that forgets slowly."""
 
     def __init__(self) -> None:
         self.value = 0.0
@@ -72,15 +72,15 @@ class ZeroOffset:
 
     @property
     def known(self) -> bool:
-        """Whether enough was seen at rest (a second)."""
+        """Whether the signal was seen at rest for long enough (a second)."""
         return self._n >= 10
 
 
 class YawRateSource:
     """The vehicle's yaw rate [rad/s, positive to the left] from the best signal a tick has.
 
-    In order: the vehicle's own yaw rate; the sensor's gyro along the vertical; the steering angle
-    with the speed. The first two lose the offset that they show at rest.
+    Order of preference: the vehicle's own yaw rate; the sensor's gyroscope about the vertical; the
+    steering angle with the speed. The offset at rest is subtracted from the first two.
     """
 
     def __init__(self, steering_ratio: float, wheelbase: float, use_steering: bool = True) -> None:
@@ -92,7 +92,7 @@ class YawRateSource:
         self.restart()
 
     def restart(self) -> None:
-        """Forget held values, keep the offsets."""
+        """Forget held values; keep the offsets."""
         self._rate = NAN
         self._rate_age = MAX_HOLD_TICKS + 1
         self._gyro: tuple[float, float, float] | None = None

@@ -1,12 +1,13 @@
-"""Signals that are stuck: a sensor or a sender that repeats one value.
+"""Stuck signals: a sensor or a sender that repeats one value.
 
-The value is wrong by as much as the truth has changed, and at the end it jumps. Two kinds
-of signal, two tests: a sensor's noise always moves (`StuckSensor`, over blocks of ticks;
-`HeldForce`, tick by tick), a speed or a yaw rate that is rounded does not, and is held against
-another signal (`StuckSignal`).
-`model_compensation.held_repeats` finds nothing: it keeps a stuck sensor recognisable.
+The error of a stuck value is the change of the true value, and the signal jumps at the end. Two
+kinds of signal have two tests. The noise of a sensor always changes its values (`StuckSensor`, over
+blocks of ticks; `HeldForce`, tick by tick). A speed or a yaw rate that is rounded may stay, so it
+is compared with another signal (`StuckSignal`). `model_compensation.held_repeats` finds nothing of
+this kind: it keeps a stuck sensor recognisable.
 
-Runs of equal values of one signal: where they are, and how long they usually last.
+`EqualRuns` and `UsualRuns` describe runs of equal values of one signal: where they are, and how
+long they usually last.
 """
 
 from __future__ import annotations
@@ -29,17 +30,20 @@ from imucald.motion.ticks import ACCEL, TICK_S, TickRow
 Places = NDArray[np.int64]
 
 MIN_STUCK_S = 1.2
-"""Nothing shorter is called stuck."""
+"""Shortest run that is called stuck."""
 TIMES_USUAL = 4.0
-"""And so many times the usual run."""
+"""A stuck run also lasts at least this many times the usual run."""
 RUNS_REMEMBERED = 200
 MIN_RUNS = 50
-"""Before so many nothing is called stuck."""
+"""Number of runs before which nothing is called stuck."""
 
 
 class EqualRuns(NamedTuple):
-    """Runs of equal values: places (M,) of the first and last of each; `change`: (N - 1,), the
-    size of the change after each value."""
+    """Runs of equal values.
+
+    Places (M,) of the first and last value of each run; `change`: (N - 1,), the size of the change
+    after each value.
+    """
 
     first: Places
     last: Places
@@ -47,7 +51,7 @@ class EqualRuns(NamedTuple):
 
 
 def runs_of(values: Array, same: float) -> EqualRuns:
-    """The runs in values (N,), N > 0, that differ by no more than `same` from one to the next."""
+    """Return the runs in values (N,), N > 0, whose neighbours differ by at most `same`."""
     change = np.abs(values[1:] - values[:-1])
     ended = np.flatnonzero(change > same)
     first, last = np.zeros((2, len(ended) + 1), np.int64)
@@ -56,17 +60,17 @@ def runs_of(values: Array, same: float) -> EqualRuns:
 
 
 SHORT_TICKS = 11
-"""No run of so many ticks lasts longer than MIN_STUCK_S."""
+"""Longest run in ticks that never lasts longer than MIN_STUCK_S."""
 
 
 def short_runs(
     values: Array, same: float, leaving: int
 ) -> tuple[NDArray[np.bool_], Places, Places, Places, Array]:
-    """Runs in each row of values (B, N) that end among its first `leaving`.
+    """Return the runs in each row of values (B, N) that end among its first `leaving`.
 
-    Returns whether all of a row's runs are short and none goes on from the first `leaving` to the
-    others (B,); and of each run (M,) its row, the places of its first and last value, and the size
-    of the change after it.
+    The first result (B,) is whether all of a row's runs are short and none continues beyond the
+    first `leaving`. For each run (M,), the others are its row, the places of its first and last
+    value, and the size of the change after it.
     """
     change = np.abs(values[:, 1:] - values[:, :-1])
     is_over = change > same
@@ -82,14 +86,14 @@ def short_runs(
 
 
 class UsualRuns:
-    """The last RUNS_REMEMBERED runs that ended: how long each lasted, and the change after it."""
+    """The last RUNS_REMEMBERED runs that ended: duration of each, and the change after it."""
 
     def __init__(self) -> None:
         self._runs = np.zeros((RUNS_REMEMBERED, 2))
         self._ended = 0
 
     def add(self, lasted: Array, change: Array) -> None:
-        """Remember runs that ended: (M,) how long, (M,) the change after."""
+        """Remember runs that ended: (M,) durations, (M,) changes after them."""
         if not len(lasted):
             return
         place = (self._ended + np.arange(len(lasted))) % RUNS_REMEMBERED
@@ -98,14 +102,15 @@ class UsualRuns:
 
     @property
     def known(self) -> bool:
-        """Whether enough have ended to say what is usual."""
+        """Whether enough runs have ended to know the usual length."""
         return self._ended >= MIN_RUNS
 
     def repeated(self, share: float, times: float) -> float:
-        """How long a run of a sender lasts that repeats its values, long ones weigh more; 0: none.
+        """Return the duration of a run of a sender that repeats its values, with more weight on
+        long ones; 0: it does not repeat.
 
-        Most of its changes are then larger than so many times its step, the change that a share of
-        all changes does not exceed.
+        A sender repeats if most of its changes are larger than so many times its step. The step is
+        the change that a share of all changes does not exceed.
         """
         lasted, change = self._runs[: self._ended].T
         is_jump = change > times * self.change(share)
@@ -114,12 +119,14 @@ class UsualRuns:
         return float(lasted[is_jump] @ lasted[is_jump] / lasted[is_jump].sum())
 
     def change(self, share: float) -> float:
-        """The change that this share of all changes does not exceed."""
+        """Return the change that this share of all changes does not exceed."""
         return quantile(self._runs[: self._ended, 1], share)
 
 
 def quantile(values: Array, share: float) -> float:
-    """As numpy.quantile, which loads its masked arrays for it (7 ms, 1.2 MiB)."""
+    """Return the quantile as numpy.quantile does, which loads its masked arrays for it (7 ms, 1.2
+    MiB).
+    """
     ordered = np.sort(values)
     place = share * (len(ordered) - 1)
     low = int(place)
@@ -130,48 +137,59 @@ def quantile(values: Array, share: float) -> float:
 Flags = NDArray[np.bool_]
 
 STUCK_TICKS = 12
-"""Identical means of a sensor for that long are a stuck signal: noise always moves."""
+"""Number of identical means of a sensor that make a stuck signal: noise always changes values."""
 BEFORE_RUN = 12
-"""Ticks before a run whose speeds say what it begins from."""
+"""Ticks before a run whose speeds show from which value it begins."""
 STUCK_MOVING_TICKS = 5
-"""So many of them while the vehicle rolls."""
+"""Number of identical means that is enough while the vehicle rolls."""
 HELD_TICKS = 10
-"""Ticks of one force that never moved within a tick either: then a second is enough."""
+"""Ticks of one force that also never changed within a tick: then a second is enough."""
 STUCK_HOLE = 4
-"""Ticks from one sample to the next, at most: 2.5 Hz."""
+"""Largest distance in ticks from one sample to the next: 2.5 Hz."""
 SAME = 1e-9
-"""Means over nine and ten equal samples differ by rounding [m/s^2, rad/s]."""
+"""Difference by rounding between means over nine and ten equal samples [m/s^2, rad/s]."""
 TURNED, STEPS = 0.008, 3.0
-"""A yaw rate is stuck where the other one moves by so much [rad/s]: that comes to 3 deg in the
-6.4 s of a block, which would be taken for a sensor that was turned. And by so many of its own
-steps: rounding holds a value back by one, a sender's dead band by two."""
-SMOOTH = np.full(10, 0.1)
-"""The other yaw rate is taken as means over a second: vibration is no turn."""
-SPLIT, JUMPS = 0.1, 1.5
-"""So many of the changes are finer than the signal's step: means over ticks split steps. A sender
-that repeats its values jumps by more than so many steps most of the time."""
-LARGE = 0.9
-"""A signal may be off by as much as so many of its changes come to: means over ticks split steps.
+"""A yaw rate is stuck if the other one changes by this much [rad/s].
+
+This is 3 deg in the 6.4 s of a block, which would look like a rotation of the sensor. The change
+must also be this many of its own steps: rounding holds a value back by one step, a sender's dead
+band by two.
 """
+SMOOTH = np.full(10, 0.1)
+"""The other yaw rate is used as means over a second, because vibration is not a turn."""
+SPLIT, JUMPS = 0.1, 1.5
+"""Share of the changes that are finer than the signal's step: means over ticks split steps.
+
+Most changes of a sender that repeats its values are larger than this many steps.
+"""
+LARGE = 0.9
+"""Quantile of the changes by which a signal may be off: means over ticks split steps."""
 GAINED = 1.5
-"""... and by so much more [m/s]: the answer of the body and of the vertical to hard braking."""
+"""... and by this much more [m/s]: the response of the body and of the vertical to hard braking."""
 HARD, DEVIATIONS = 2.0, 3.0
-"""While the delay of the speed is not known, braking [m/s^2] may come that much earlier."""
+"""While the delay of the speed is not known, braking with this deceleration [m/s^2] may come
+earlier by this many deviations of the delay.
+"""
 TURNING_WHEELS = 15
-"""Ticks in which wheels turn and the speed is zero that make it stuck: a speed that begins at
-4 km/h (inductive wheel sensors) is zero for a second of a launch at 1 m/s^2."""
+"""Number of ticks with turning wheels and zero speed that make the speed stuck.
+
+A speed that begins at 4 km/h (inductive wheel sensors) is zero for a second of a launch at 1 m/s^2.
+"""
 WHEELS_WITHIN = np.ones(41)
-"""They are counted within 2 s to both sides: of coarse wheel speeds not every tick's change."""
+"""These ticks are counted within 2 s to both sides, because coarse wheel speeds do not change in
+every tick.
+"""
 
 
 class StuckSensor:
     """Flags ticks of a sensor that repeats one value for STUCK_TICKS or longer, also in motion.
 
-    At rest a coarse sensor may well be still; one that got stuck before the vehicle stopped is
-    stuck there. The tick after it is flagged as well: its mean may be half of stuck samples.
+    At rest a coarse sensor may be still; a sensor that got stuck before the vehicle stopped is also
+    flagged there. The tick after a stuck run is flagged as well, because its mean may contain stuck
+    samples.
 
-    count, first: columns of its samples' number and of its first axis. moving: whether the vehicle
-    is taken to move where no speed was received.
+    count, first: columns of the number of its samples and of its first axis. moving: whether the
+    vehicle counts as moving where no speed was received.
     """
 
     def __init__(self, count: int, first: int, moving: bool) -> None:
@@ -179,11 +197,11 @@ class StuckSensor:
         self._held: Array | None = None  # (3,) values at which it is stuck
 
     def restart(self) -> None:
-        """Time jumped: its next value is new."""
+        """Restart after a jump of time: the next value is new."""
         self._held = None
 
     def flags(self, rows: Array) -> Flags:
-        """Ticks (N,) at which it is stuck; rows: (N, COLUMNS)."""
+        """Return the ticks (N,) at which it is stuck. rows: (N, COLUMNS)."""
         flags = np.zeros(len(rows), dtype=bool)
         at = np.flatnonzero(rows[:, self._count] > 0)
         values = rows[at, self._axes]
@@ -211,20 +229,22 @@ class StuckSensor:
 
 
 def latest_speed(rows: Array) -> Array:
-    """Size of the speed last received in ticks (N, COLUMNS) up to each; NaN before the first."""
+    """Return the size of the last received speed up to each of ticks (N, COLUMNS); NaN before the
+    first.
+    """
     received = rows[:, tk.SPEED.n] > 0
     latest = np.maximum.accumulate(np.where(received, np.arange(len(rows)), 0))
     return np.asarray(np.where(received[latest], np.abs(rows[latest, tk.SPEED.mean]), math.nan))
 
 
 class HeldForce:
-    """Counts ticks in which the force was the same, and did not move within the tick either."""
+    """Counts ticks with the same force that also did not change within the tick."""
 
     def __init__(self) -> None:
         self.restart()
 
     def restart(self) -> None:
-        """Time jumped."""
+        """Restart after a jump of time."""
         self._force: Vector | None = None
         self._ticks = 0
 
@@ -237,18 +257,18 @@ class HeldForce:
 
 
 def one_more(flags: Flags) -> Flags:
-    """Flags with the tick after each flagged one."""
+    """Return the flags plus the tick after each flagged one."""
     out = flags.copy()
     out[1:] |= flags[:-1]
     return out
 
 
 class SeenForward(Struct, frozen=True):
-    """What the accelerometer says of the speed, of the ticks (N,) that are looked at.
+    """Evidence of the accelerometer about the speed, for the ticks (N,) in use.
 
-    accel: forward force without gravity [m/s^2]. late: the speed, behind it [s], and how well that
-    is known. drift: by so much the force may be off for long [m/s^2]. hidden: up to so much the
-    vehicle may creep while its speed is zero [m/s].
+    accel: forward force without gravity [m/s^2]. late: delay of the speed against the force [s],
+    and its deviation. drift: lasting error of the force [m/s^2]. hidden: speed up to which the
+    vehicle may creep while its signal is zero [m/s].
     """
 
     accel: Array
@@ -259,12 +279,12 @@ class SeenForward(Struct, frozen=True):
 
 
 class OtherSignal(Struct, frozen=True):
-    """What another signal says of one that may be stuck, of the ticks (N,) that are looked at.
+    """Evidence of another signal about one that may be stuck, for the ticks (N,) in use.
 
-    said: (2, N) by how much the signal has risen up to each tick, and fallen, in its unit, beyond
-    what it shows; NaN where the other one says nothing. least: a stuck signal has changed by so
-    much and by `steps` of its own changes. origin: (2,) from where the next call counts what is
-    said. since: ticks before a run that say what it begins from.
+    said: (2, N) how far the signal should have risen, and fallen, up to each tick, in its unit,
+    beyond its own change; NaN where the other signal says nothing. least: change from which the
+    signal is stuck; it must also exceed `steps` of its own changes. origin: (2,) value from which
+    the next call counts. since: number of ticks before a run that show from which value it begins.
     """
 
     said: Array
@@ -275,8 +295,11 @@ class OtherSignal(Struct, frozen=True):
 
 
 def by_force(seen: SeenForward, rows: Array, leaving: int) -> OtherSignal:
-    """The force as witness of the speed [m/s] of ticks (N, COLUMNS): what it adds up to, less what
-    it may be off, and less what the speed shows."""
+    """Return the force as evidence about the speed [m/s] of ticks (N, COLUMNS).
+
+    It is the integral of the force, less its possible error and less the change of the speed
+    signal.
+    """
     n = len(seen.accel)
     gained = np.concatenate([[0.0], np.cumsum(seen.accel) * TICK_S])
     gained = np.interp(np.arange(1, n + 1) - seen.late / TICK_S, np.arange(n + 1), gained)
@@ -291,16 +314,19 @@ def by_force(seen: SeenForward, rows: Array, leaving: int) -> OtherSignal:
 
 
 def by_turning(turning: Array, driving: Flags) -> OtherSignal:
-    """Another yaw rate (N,) [rad/s] as witness of the yaw rate, where that is driving."""
+    """Return another yaw rate (N,) [rad/s] as evidence about the yaw rate, where `driving` is
+    set.
+    """
     turned = np.where(driving, np.convolve(turning, SMOOTH, mode="same"), math.nan)
     return OtherSignal(np.stack([turned, -turned]), TURNED, STEPS, np.zeros(2))
 
 
 class _OpenRun(Struct, frozen=True):
-    """A run that goes on with the next call.
+    """A run that continues in the next call.
 
-    lasted: (2,) ticks that were driven in it, and in which the witness spoke. low: (2,) least of
-    what was said, from the next call's origin. gained: largest change that was said.
+    lasted: (2,) ticks that were driven in it, and ticks with evidence from the other signal. low:
+    (2,) smallest evidence, from the next call's origin. gained: largest change according to the
+    other signal.
     """
 
     value: float
@@ -314,38 +340,41 @@ _NO_RUN = _OpenRun(math.nan, np.zeros(2), np.full(2, math.nan), 0.0, False)
 
 
 class StuckSignal:
-    """Flags ticks at which a signal of the vehicle stays while another says that it has changed.
+    """Flags ticks at which a vehicle signal stays constant while another signal shows a change.
 
-    A coarse signal keeps a value while its vehicle keeps its speed, or its direction, for minutes;
-    a sender that repeats each value some times has long runs all the time. So a run, of zeros as
-    well, is held against another signal within it, and a speed as it begins; a sender that repeats
-    is given four of its usual runs. Where there is no witness nothing is called stuck: then nothing
-    rests on the signal either.
+    A coarse signal keeps a value for minutes while the vehicle keeps its speed or direction. A
+    sender that repeats each value several times has long runs all the time. A run, also of zeros,
+    is therefore compared with another signal within it, and a speed also as the run begins. A
+    sender that repeats is allowed four of its usual runs. Without another signal nothing is called
+    stuck; then no result depends on the signal either.
 
-    count, mean: columns of its samples' number and of their mean. same: values that differ by no
-    more than that are equal.
+    count, mean: columns of the number of its samples and of their mean. same: values that differ by
+    at most this are equal.
     """
 
     def __init__(self, count: int, mean: int, same: float) -> None:
         self._count, self._mean, self._same = count, mean, same
         self._ended = UsualRuns()
-        """How long was driven in them [ticks], the change after."""
+        """Ended runs: driven ticks in each, and the change after it."""
         self.restart()
 
     def take_usual(self, former: StuckSignal) -> None:
-        """Take the runs that another one has seen end."""
+        """Take over the ended runs of another object."""
         self._ended = former._ended
 
     def restart(self) -> None:
-        """Time jumped: the run before is over."""
+        """Restart after a jump of time: the open run ends."""
         self._open = _NO_RUN
 
     def flags(
         self, rows: Array, driving: Flags, leaving: int, witness: OtherSignal | None
     ) -> Flags:
-        """Ticks (N,) at which the signal is stuck; rows: (N, COLUMNS), `leaving` leave next.
+        """Return the ticks (N,) at which the signal is stuck.
 
-        driving: (N,) where the vehicle drives: other ticks do not count as usual.
+        rows: (N, COLUMNS); the first `leaving` leave next.
+
+        driving: (N,) ticks in which the vehicle drives; other ticks do not count for the usual
+        length.
         """
         out = np.zeros(len(rows), dtype=bool)
         at = np.flatnonzero(rows[:, self._count] > 0)
@@ -396,10 +425,11 @@ class StuckSignal:
         return one_more(out)
 
     def take_short_runs(self, first: float, driven: Array, change: Array) -> bool:
-        """Take ticks all of which have a signal that keeps no value for long, see `short_runs`.
+        """Take ticks in which the signal keeps no value for long, see `short_runs`.
 
-        first: their first value. driven: (M,) of the runs while driving [ticks]; change: (M,) of
-        the value. False: the first of them goes on from before, and `flags` has to look.
+        first: their first value. driven: (M,) ticks of driving in each run; change: (M,) change of
+        the value after it. Returns False if the first run continues an earlier one, so that `flags`
+        is needed.
         """
         if abs(first - self._open.value) <= self._same:
             return False
@@ -408,7 +438,9 @@ class StuckSignal:
         return True
 
     def _limit(self) -> float:
-        """A run of more ticks may be stuck; none, until the signal is known."""
+        """Return the length [ticks] above which a run may be stuck; infinite until the signal is
+        known.
+        """
         if not self._ended.known:
             return math.inf
         return max(MIN_STUCK_S / TICK_S, TIMES_USUAL * self._ended.repeated(SPLIT, JUMPS))
@@ -421,25 +453,30 @@ class StuckSignal:
 
 
 def _changes(witness: OtherSignal, part: slice, run: _OpenRun) -> tuple[Array, float]:
-    """Lowest of what was said (2,) and largest change, of a run's ticks and those before."""
+    """Return the smallest evidence (2,) and the largest change, over a run's ticks and earlier
+    ones.
+    """
     said = witness.said[:, part]
     lowest = np.fmin(np.fmin.accumulate(said, axis=1), run.low[:, None])
     return lowest[:, -1], float(np.fmax.reduce(said - lowest, axis=None, initial=run.gained))
 
 
 def _begins_from(witness: OtherSignal, at: Places, stuck: Flags) -> Array:
-    """What a run begins from (2,), of the ticks before it that have a sample (M,): the highest, so
-    that no single value makes the next ones wrong; NaN: nothing."""
+    """Return the value (2,) from which a run begins.
+
+    It is the highest evidence of the ticks before it that have a sample (M,), so that no single
+    value disturbs the next ones; NaN: no evidence.
+    """
     near = at[at >= at[-1] - witness.since] if len(at) and witness.since else at[:0]
     near = near[~stuck[near]]
     return np.asarray(witness.said[:, near].max(axis=1)) if len(near) else np.full(2, math.nan)
 
 
 def zero_while_wheels_turn(rows: Array) -> Flags:
-    """Ticks (N,) with a speed of zero around which the wheels turn; rows: (N, COLUMNS).
+    """Return the ticks (N,) with a speed of zero around which the wheels turn. rows: (N, COLUMNS).
 
-    Wheels that stand give one speed each, whatever their offsets; so a spread of their speeds that
-    changes from tick to tick is that of wheels that turn.
+    Wheels that stand give one constant speed each, whatever their offsets. A spread of their speeds
+    that changes from tick to tick therefore shows turning wheels.
     """
     out = np.zeros(len(rows), dtype=bool)
     zero = (rows[:, tk.SPEED.n] > 0) & (np.abs(rows[:, tk.SPEED.mean]) <= SAME_SPEED)

@@ -1,11 +1,11 @@
-"""Ticks: what one tenth of a second of samples comes to, as one row of numbers.
+"""Ticks: one row of numbers for the samples of a tenth of a second.
 
-Estimators run ten times a second on ticks; a tick holds sums over the samples that fell into it,
-so a row costs a few additions per sample live (`TickAccumulator`) and a few `bincount` calls in
-replay (`column_ticks`). Both add in the same order, so they give the same bits.
+Estimators run ten times a second on ticks. A tick holds sums over its samples, so a row costs a few
+additions per sample live (`TickAccumulator`) and a few `bincount` calls in replay (`column_ticks`).
+Both add in the same order, so they give the same bits.
 
 A tick covers [k / 10, (k + 1) / 10) seconds of stream time. Every tick of a segment is emitted,
-also an empty one: rows are a uniform 10 Hz grid. NaN marks what was not there.
+even an empty one: rows are a uniform 10 Hz grid. NaN marks missing values.
 """
 
 from __future__ import annotations
@@ -18,22 +18,26 @@ import numpy as np
 from numpy.typing import NDArray
 
 TICK_RATE = 10.0
-"""Ticks per second [1/s]: ten times the bandwidth of vehicle motion, a tenth of an IMU's rate."""
+"""Ticks per second [1/s]: ten times the bandwidth of vehicle motion, a tenth of the rate of an
+IMU.
+"""
 TICK_S = 1.0 / TICK_RATE
 
 TickRow = Sequence[float]
-"""One row; the columns below index it."""
+"""One row; the columns below are its indices."""
 
 
 class SignalColumns(NamedTuple):
-    """Columns of a signal: how many samples the tick has (0: none), and their mean."""
+    """Columns of a signal: number of samples in the tick (0: none), and their mean."""
 
     n: int
     mean: int
 
 
 class SpeedColumns(NamedTuple):
-    """The same of the speed; mean age at the end of the tick [s]; rejected samples."""
+    """Columns of the speed: number of samples, their mean, mean age at the end of the tick [s],
+    rejected samples.
+    """
 
     n: int
     mean: int
@@ -42,7 +46,9 @@ class SpeedColumns(NamedTuple):
 
 
 class GyroColumns(NamedTuple):
-    """Samples, their mean angular rate [rad/s] in sensor axes, mean age [s], rejected samples."""
+    """Number of samples, mean angular rate [rad/s] in sensor axes, mean age [s], rejected
+    samples.
+    """
 
     n: int
     x: int
@@ -53,9 +59,10 @@ class GyroColumns(NamedTuple):
 
 
 class AccelColumns(NamedTuple):
-    """Samples, their mean specific force [m/s^2] in sensor axes, and mean squares [(m/s^2)^2].
+    """Number of samples, mean specific force [m/s^2] in sensor axes, and mean squares [(m/s^2)^2].
 
-    Then least and largest [m/s^2], mean age at the end of the tick [s], rejected samples.
+    Further columns: smallest and largest force [m/s^2], mean age at the end of the tick [s],
+    rejected samples.
     """
 
     n: int
@@ -103,17 +110,19 @@ MEANS: Mapping[str, SignalColumns] = {
     "lateral_accel": LATERAL_ACCEL,
     "longitudinal_accel": LONGITUDINAL_ACCEL,
 }
-"""Signals of which a tick has the mean, ..."""
+"""Signals whose mean a tick holds, ..."""
 LASTS: Mapping[str, int] = {
     "reverse": REVERSE,
     "brake": BRAKE,
     "heading": HEADING,
     "temperature": TEMPERATURE,
 }
-"""... and those of which it has the last value."""
+"""... and signals whose last value a tick holds."""
 BAD: Mapping[str, int] = {"accel": ACCEL.bad, "gyro": GYRO.bad, "speed": SPEED.bad}
-"""Where samples that were rejected for their values are counted: a frame that is rejected whole is
-a hole like a lost one."""
+"""Columns that count samples rejected for their values.
+
+A frame that is rejected whole is a hole like a lost one.
+"""
 _NEVER_NAN = (
     ACCEL.n, GYRO.n, SPEED.n, STEERING.n, YAW_RATE.n, LATERAL_ACCEL.n, LONGITUDINAL_ACCEL.n,
     WHEEL_SPREAD.n, ACCEL.bad, GYRO.bad, SPEED.bad,
@@ -130,7 +139,9 @@ _SENSORS = {"accel": slice(ACCEL.n, ACCEL.bad + 1), "gyro": slice(GYRO.n, GYRO.b
 
 
 def emptied(row: TickRow, channels: Iterable[str]) -> TickRow:
-    """The row without the values of accelerometer or gyroscope, for those among the channels."""
+    """Return the row without the values of accelerometer or gyroscope, for those among the
+    channels.
+    """
     out = list(row)
     for channel in channels:
         if channel in _SENSORS:
@@ -144,9 +155,10 @@ def tick_index(t: float) -> int:
 
 
 class TickAccumulator:
-    """Builds one tick from single samples; the live path.
+    """Builds one tick from single samples, live.
 
-    The caller adds samples of one tick (see `tick_index`), closes it, and goes on with the next.
+    The caller adds the samples of one tick (see `tick_index`), closes it, and continues with the
+    next.
     """
 
     def __init__(self) -> None:
@@ -192,7 +204,9 @@ class TickAccumulator:
         g[3] += t
 
     def add(self, channel: str, t: float, values: Sequence[float]) -> None:
-        """Add a sample of any channel (see `samples`); those a tick does not hold are ignored."""
+        """Add a sample of any channel (see `samples`); channels that a tick does not hold are
+        ignored.
+        """
         if channel == "accel":
             self.add_accel(t, values[0], values[1], values[2])
         elif channel == "gyro":

@@ -1,1 +1,1 @@
-"""How the sensor sits: tilt from gravity, yaw from motion, states, correction."""
+"""Mount of the sensor: tilt from gravity, yaw from motion, states, correction."""

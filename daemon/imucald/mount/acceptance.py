@@ -1,8 +1,8 @@
-"""What an estimate must pass besides small deviations before it is good, and before it is *fine*.
+"""Conditions that an estimate must meet, besides small deviations, to become good and then *fine*.
 
-Deviations say how well the evidence knows the mount if its signals are what the configuration says
-and the mount stays. Whether that is so is asked here: of `signal_checks`, of the tests for a moved
-sensor, and of the speed's delay.
+The deviations hold under two assumptions: the signals are what the configuration says, and the
+mount does not move. This module checks these assumptions with `signal_checks`, the tests for a
+moved sensor, and the delay of the speed.
 """
 
 from __future__ import annotations
@@ -22,13 +22,15 @@ NO_SIDES = (
     "{up: z}}' with the axis that points up: without one of them an upside-down sensor looks like "
     "one with inverted signs"
 )
-"""What keeps an estimate that is certain enough from being *fine* where no signal has sides."""
+"""Text: what keeps a sufficiently certain estimate from being *fine* when no signal tells left from
+right.
+"""
 TURNED_SIDES = (
     "'calibration: {orientation: {up: z}}' with the axis that points up: the yaw rate, steering "
     "angle or lateral acceleration has 'sign: -1', so it cannot show that the accelerometer's "
     "signs are right"
 )
-"""The same where such a signal is there, and turned."""
+"""Text for the case that such a signal exists but the configuration turns its sign."""
 WHY_GRAVITY_MOVED = (
     "more bends: gravity has another direction in the sensor. Bends show whether the sensor "
     "was turned or the zero of its accelerometer has changed"
@@ -42,7 +44,7 @@ LATE_SPEED = (
 
 
 class Acceptance(Struct, frozen=True):
-    """The questions to an estimate, of what is known now."""
+    """Checks of an estimate, with what is known now."""
 
     solver: MountSolver
     checks: SignalChecks
@@ -50,7 +52,7 @@ class Acceptance(Struct, frozen=True):
     has_speed: bool
 
     def missing_to_be_good(self) -> str | None:
-        """What an estimate whose deviations are small enough lacks to be good, in words."""
+        """Say in words what an estimate with small enough deviations still lacks to be good."""
         if not self.has_speed:
             return None
         if self.solver.delay_speed.is_beyond:
@@ -63,7 +65,10 @@ class Acceptance(Struct, frozen=True):
         return self.checks.missing_to_be_good()
 
     def shares(self, is_fine: bool) -> dict[str, float]:
-        """How much of what is asked for is there (0 to 1), by name; is_fine: for *fine*."""
+        """Return the share of each condition that is met (0 to 1), by name.
+
+        is_fine: the conditions for *fine*.
+        """
         found = {}
         if self.has_speed and (is_fine or self._missing_of_signals() is not None):
             found[SIGNS] = self.checks.share(is_fine)
@@ -72,7 +77,10 @@ class Acceptance(Struct, frozen=True):
         return found
 
     def may_be_fine(self) -> bool:
-        """Whether every test is armed, the signals were seen to agree, and little has happened."""
+        """Whether every test is active, the signals were seen to agree, and few changes were found.
+
+        All three are needed for *fine*.
+        """
         if self.changes.is_loose or not self.is_armed:
             return False
         if not self.checks.is_mirror_excluded:
@@ -80,7 +88,7 @@ class Acceptance(Struct, frozen=True):
         return not self.has_speed or self.checks.have_agreed
 
     def missing_to_be_fine(self) -> str:
-        """What an estimate whose deviations are small enough lacks to be *fine*, in words."""
+        """Say in words what an estimate with small enough deviations still lacks to be *fine*."""
         if self.changes.is_loose:
             times = counted(len(self.changes.history), "time")
             return f"a firmly fixed sensor (it moved {times} in this drive)"
@@ -92,12 +100,12 @@ class Acceptance(Struct, frozen=True):
 
     @property
     def can_become_fine(self) -> bool:
-        """Whether driving leads there, whatever the deviations are."""
+        """Whether more driving can make the estimate *fine*, whatever its deviations are now."""
         return not (self.changes.is_loose or self.has_no_sides)
 
     @property
     def is_armed(self) -> bool:
-        """Whether a sensor that is moved by little would be noticed."""
+        """Whether the tests would notice a sensor that was moved by a small angle."""
         return self.solver.armed
 
     @property

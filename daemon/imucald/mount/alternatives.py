@@ -1,17 +1,18 @@
-"""As configured, or with a sign turned or axes exchanged? Asked before anything is good.
+"""Check the signals for wrong signs and exchanged axes.
 
-A wrong sign leaves a mount that fits well enough to be believed for a while. So nothing is good
-until the data have spoken against every such alternative. Each is held against "as configured" in
-blocks of 6.4 s (`log_ratios`): pairs of signals that show the same motion, and the gyroscope's axes
-against the accelerometer's (`gyro_alternatives`).
+The check comes before any mount is called good. A wrong sign leads to a mount that fits well enough
+to be believed for a while. A mount is therefore not good until the data have ruled out every such
+alternative. Each alternative is compared with the configuration in blocks of 6.4 s (`log_ratios`).
+One kind of alternative concerns pairs of signals that show the same motion. The other kind concerns
+the axes of the gyroscope against those of the accelerometer (`gyro_alternatives`).
 
-What the latter cannot see is a turn of all the accelerometer's signs: force and rate then are those
-of the mirror image of the drive, and physics are the same there. Nor can it see a vehicle that goes
-backwards all the time. Only a signal that separates left from right shows these: the vehicle's yaw
-rate, steering, lateral acceleration, for the first a heading; or a person who says which axis of
-the sensor points up, or forward. So does speed for the second: no road vehicle goes backwards as
-fast as `MAX_REVERSE`, nor most of its way. While nothing has ruled the mirror image out, nothing is
-*fine*.
+The second kind cannot see that all signs of the accelerometer are turned: force and rate are then
+those of the mirror image of the drive, which obeys the same physics. It also cannot see a vehicle
+that always drives backwards. Only a signal that tells left from right shows these two cases: the
+yaw rate of the vehicle, the steering angle, or the lateral acceleration. A heading also shows the
+first case. A person can also state which axis of the sensor points up or forward. The speed also
+shows the second case: no road vehicle drives backwards as fast as `MAX_REVERSE`, or for most of its
+way. The estimate does not become *fine* before something has ruled out the mirror image.
 """
 
 from __future__ import annotations
@@ -35,24 +36,37 @@ from imucald.mount.stated_orientation import Stated, StatedOrientation
 Flags = NDArray[np.bool_]
 
 RATE_FLOOR, FORCE_FLOOR = 0.01, 0.3
-"""Least noise of a signal [rad/s], [m/s^2]: smaller values count as noise."""
+"""Smallest noise that is assumed for a signal [rad/s], [m/s^2]: smaller values count as noise."""
 YOUNG = 24
-"""Up to so many blocks (150 s) all are weighed afresh, as the rotation still moves much."""
+"""Up to this many blocks (150 s), all blocks are weighed again, because the rotation still changes
+much.
+"""
 RARELY = 4
-"""Once all is seen every fourth block is looked at."""
+"""Once all alternatives are ruled out, only every fourth block is examined."""
 MAX_REVERSE = 11.0
-"""Speed [m/s] that is not driven in reverse: its ratio is about first gear's, 13 overall with the
-axle's, which makes 11 m/s at 4,400 revolutions a minute with wheels of 2 m around."""
+"""Speed [m/s] that no vehicle reaches in reverse.
+
+The ratio of reverse is about that of first gear: 13 overall with the axle, which gives 11 m/s at
+4,400 revolutions per minute with a wheel circumference of 2 m.
+"""
 WAY_AHEAD = 100.0
-"""Way [m] on which a reverse signal shows what is ahead: longer than one backs out of a yard."""
+"""Distance [m] after which a reverse signal shows which direction is ahead.
+
+It is longer than the way out of a yard in reverse.
+"""
 MOSTLY_AHEAD = 2.0
-"""So many times the way in reverse: a signal that is turned round shows the drive backwards."""
+"""The way ahead must be this many times the way in reverse.
+
+A reverse signal with the wrong sign shows the drive backwards.
+"""
 SLOW = 3.0
-"""Below this speed [m/s] a course is noise and a lateral acceleration small."""
+"""Below this speed [m/s] a course is mostly noise and a lateral acceleration is small."""
 HEADING_FLOOR = 0.05
-"""Least noise of a heading [rad]: a course at 5 m/s from a receiver's speed to 0.25 m/s."""
+"""Smallest noise that is assumed for a heading [rad]: that of a course at 5 m/s from a receiver
+with a speed error of 0.25 m/s.
+"""
 TURNS_IN_A_BLOCK = 1.0
-"""Independent values of a heading in a block: it holds one turn at most."""
+"""Independent heading values per block: a block holds one turn at most."""
 NOT_CHECKED = (
     "whether all signs of the accelerometer are inverted: this needs a yaw rate, steering angle, "
     "lateral acceleration or heading, or 'calibration: {orientation: {up: ...}}'"
@@ -64,7 +78,7 @@ NOT_CONFIRMED = (
 )
 
 NO_TURNS = "a gyroscope, a yaw rate or a steering angle: no other signal shows turns"
-"""Without turns nothing separates a right-handed sensor from a left-handed one."""
+"""Text: without turns, no signal separates a right-handed sensor from a left-handed one."""
 
 
 class Alternatives:
@@ -88,18 +102,18 @@ class Alternatives:
         self._fastest = self._ahead = self._back = 0.0  # ahead [m/s]; ways [m]
 
     def restart(self) -> None:
-        """The mount is sought again; all that is known of the sensors' own axes is kept."""
+        """Search the mount again. Everything that is known about the sensors' own axes is kept."""
         self._turns.forget()
         self._taken = 0
         self._is_up_stated = self._is_forward_stated = False
         self._forget_ways()
 
     def take_mount(self, R: Matrix3) -> None:
-        """A person states the mount."""
+        """Take the mount that a person states."""
         self._stated.take_mount(R)
 
     def contradicted_orientation(self, R: Matrix3, yaw_known: bool) -> Stated | None:
-        """Which of the stated axes points the other way; None: none."""
+        """Return which of the stated axes points the other way, or None."""
         return self._stated.contradicted(R, yaw_known)
 
     def add(
@@ -111,7 +125,10 @@ class Alternatives:
         seen: set[str],
         steering_offset: float,
     ) -> None:
-        """Take the last of the blocks kept; R, bias, gains: as known now. seen: signals so far."""
+        """Take the last of the kept blocks. R, bias, gains: as known now.
+
+        seen: the signals received so far.
+        """
         p = kept[-1]
         speed = p.speed[p.ok_speed]
         self._fastest = max(self._fastest, float(speed.max(initial=0.0)))
@@ -142,9 +159,10 @@ class Alternatives:
     def _look_for_late_change(
         self, p: SignalBlock, R: Matrix3, bias: Array, gains: tuple[float, float]
     ) -> Array | None:
-        """A sign of the gyroscope that turns in mid-drive, or axes that are exchanged.
+        """Look for a gyroscope sign that changes, or axes that are exchanged, in the middle of a
+        drive.
 
-        Returns the log ratios of the gyroscope's axes, where they were worked out.
+        Returns the log ratios of the gyroscope's axes where they were computed.
         """
         use = p.learn & p.ok_speed & p.ok_rate
         turned = TICK_S * np.abs(p.rate.sum(axis=0)).max()
@@ -155,7 +173,9 @@ class Alternatives:
         return ratios
 
     def add_without_speed(self, p: SignalBlock, R: Matrix3 | None, seen: set[str]) -> None:
-        """The same of a vehicle whose speed nobody knows: which way it turns, and no more."""
+        """Take a block of a vehicle without a known speed: only its direction of turning is
+        checked.
+        """
         self._signals = frozenset(seen)
         if R is None:
             return
@@ -184,7 +204,7 @@ class Alternatives:
         steering_offset: float,
         ratios: Array | None,
     ) -> None:
-        """Take a block; ratios: of the gyroscope's axes, None where not worked out yet."""
+        """Take a block. ratios: those of the gyroscope's axes, None if not computed yet."""
         self._taken += 1
         use = p.learn & p.ok_speed
         force = (p.force - bias) @ R.T
@@ -208,11 +228,15 @@ class Alternatives:
             self._gyro.add(_gyro_ratios(p, R, force, gains) if ratios is None else ratios)
 
     def are_seen(self, least: float) -> bool:
-        """Whether every alternative that can be seen is ruled out by a log ratio of `least`."""
+        """Whether every alternative that the signals can show is ruled out by a log ratio of
+        `least`.
+        """
         return not self.missing(least)
 
     def missing(self, least: float) -> str | None:
-        """What is still to be driven, in words, before all is seen to agree; None: nothing."""
+        """Say in words which driving is still needed before all signals are seen to agree; None:
+        none.
+        """
         beside = (self._lateral, self._heading)
         if self._taken > YOUNG and not (self._turns.blocks or self._gyro.blocks):
             return NO_TURNS
@@ -234,7 +258,7 @@ class Alternatives:
         return None
 
     def share(self, least: float) -> float:
-        """How much of what `missing` asks for has been seen, 0 to 1."""
+        """Share (0 to 1) of the driving that `missing` asks for that has been seen."""
         shares = [pair.share(least) for pair in self._asked]
         shares += [self._gyro.share(least)] if self._gyro.blocks else []
         shares += [] if self._knows_forward else [self._fastest / MAX_REVERSE]
@@ -265,24 +289,24 @@ class Alternatives:
 
     @property
     def is_mirror_excluded(self) -> bool:
-        """Whether anything has shown that this is the drive and not its mirror image."""
+        """Whether any evidence has ruled out the mirror image of this drive."""
         return self.mirror_share >= 1.0
 
     @property
     def mirror_share(self) -> float:
-        """How much of what shows that is there, 0 to 1."""
+        """Share (0 to 1) of the needed evidence against the mirror image that was seen."""
         if self._is_up_stated or self._is_forward_stated:
             return 1.0
         sided = [self._heading]
         if not self._settings.are_sides_turned:
             sided += [self._yaw_rate, self._steering, self._lateral]
-            if not self._gyro.blocks:  # turning is the vehicle's own yaw rate
+            if not self._gyro.blocks:  # in this case turning is the vehicle's own yaw rate
                 sided.append(self._turns)
         return min(max(0.0, *(pair.sum / TO_BE_FINE for pair in sided)), 1.0)
 
     @property
     def not_checked(self) -> tuple[str, ...]:
-        """What no signal of this vehicle can show, and nobody has stated, in words."""
+        """Say in words what no signal of this vehicle can show and no person has stated."""
         if self._settings.are_sides_turned:
             has_heading = "heading" in self._signals
             return () if has_heading or self.is_mirror_excluded else (NOT_CONFIRMED,)
@@ -291,11 +315,13 @@ class Alternatives:
 
     @property
     def gyro_accused(self) -> bool:
-        """Whether an alternative for gyroscope and accelerometer is much the better one."""
+        """Whether an alternative for gyroscope and accelerometer fits much better than the
+        configuration.
+        """
         return self._gyro.is_accused
 
 
 def _gyro_ratios(p: SignalBlock, R: Matrix3, force: Array, gains: tuple[float, float]) -> Array:
-    """Of a block; force: (N, 3) in axes of R, without bias."""
+    """Return the log ratios of a block. force: (N, 3) in axes of R, without bias."""
     ahead = (force[:, 0] - gains[0] * p.accel) / GRAVITY
     return gyro_ratios(ahead, force[:, 1] / GRAVITY, p.rate, p.speed, R, gains[1])

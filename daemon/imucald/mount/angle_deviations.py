@@ -1,8 +1,9 @@
-"""How far roll, pitch and yaw may be off, each for itself.
+"""Standard deviations of roll, pitch and yaw, each as a single angle.
 
-The covariance of a mount is that of a turn about the vehicle's axes. Each angle turns about an axis
-of its own: yaw about the vehicle's z, pitch about the y axis that yaw has turned, roll about the x
-axis that both have turned. So at a yaw of 90 deg the pitch is off by what is unknown about x.
+The covariance of a mount describes a rotation about the vehicle's axes. Each angle is a rotation
+about its own axis: yaw about the vehicle's z, pitch about the y axis after the yaw rotation, roll
+about the x axis after both. At a yaw of 90 deg, for example, the uncertainty about x is an
+uncertainty of the pitch.
 """
 
 from __future__ import annotations
@@ -13,11 +14,14 @@ from collections.abc import Sequence
 from imucald.core.rotations import Matrix3, Vector, angles_from_rotation
 
 UNKNOWN_VARIANCE = 1.0
-"""Of the turn about z [rad^2]: beyond, nobody knows which way is forward."""
+"""Variance of the rotation about z [rad^2] above which the forward direction counts as unknown."""
 LARGEST_CURVATURE = 0.1
-"""Deviation of the tilt [rad] times tan(pitch): the part by which 1 / cos(pitch) changes within a
-standard deviation. Beyond a tenth the first order says too little (sampled rotations: 95 % become
-91 %), and roll and yaw are as good as one angle."""
+"""Largest value of the deviation of the tilt [rad] times tan(pitch).
+
+This product is the relative change of 1 / cos(pitch) within one standard deviation. Beyond a tenth,
+the first order is too inaccurate (with sampled rotations, 95 % intervals hold 91 %). Roll and yaw
+then act as one angle.
+"""
 
 
 def angle_deviations(
@@ -26,14 +30,14 @@ def angle_deviations(
     """Standard deviations [rad] of roll, pitch and yaw; inf where an angle is not known.
 
     R_vehicle_from_sensor: (3, 3). covariance: (3, 3) of the rotation vector about the vehicle's
-    axes [rad^2]. First order, by the kinematics of intrinsic Z-Y-X angles: with c, s of yaw a turn
-    w changes roll by (c wx + s wy) / cos(pitch), pitch by c wy - s wx, and yaw by
-    wz + tan(pitch) (c wx + s wy).
+    axes [rad^2]. First order, by the kinematics of intrinsic Z-Y-X angles. With c and s the cosine
+    and sine of yaw, a rotation w changes roll by (c wx + s wy) / cos(pitch), pitch by c wy - s wx,
+    and yaw by wz + tan(pitch) (c wx + s wy).
     """
     (xx, xy, xz), (_, yy, yz), (_, _, zz) = covariance
     _, pitch, yaw = angles_from_rotation(R_vehicle_from_sensor)
     knows_yaw = zz < UNKNOWN_VARIANCE
-    if not knows_yaw:  # nor which way the better known of x and y lies
+    if not knows_yaw:  # then the better known direction of x and y is unknown too
         xx = yy = max(xx, yy)
         xy = 0.0
     c, s = math.cos(yaw), math.sin(yaw)

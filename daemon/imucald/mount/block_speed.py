@@ -1,4 +1,4 @@
-"""The speed of blocks of ticks, on their even grid: its sign, and where the vehicle is at rest."""
+"""Speed of blocks of ticks on an even time grid: its sign, and where the vehicle is at rest."""
 
 from __future__ import annotations
 
@@ -32,14 +32,15 @@ from imucald.mount.even_signals import (
 Flags = NDArray[np.bool_]
 
 REST_TICKS = 12
-"""Speed must have been zero that long before it counts as rest: braking jerk dies out."""
+"""The speed must have been zero for this many ticks to count as rest: the jerk of braking dies out.
+"""
 
 
 class BlockSpeed:
     """Follows the speed from block to block, N = BLOCK_TICKS.
 
-    seen: the names "speed" and "reverse" are added to it when such a signal has come. least: speed
-    up to which the vehicle may creep while its signal says zero [m/s].
+    seen: set to which the names "speed" and "reverse" are added when such a signal has come. least:
+    speed up to which the vehicle may creep while its signal says zero [m/s].
     """
 
     def __init__(self, health: SignalHealth, seen: set[str]) -> None:
@@ -48,9 +49,9 @@ class BlockSpeed:
         self._rest_run = 0
         self.least = DRIVING_SPEED
         self.knots = IN_EACH_TICK
-        """When the speed of the last block is known."""
+        """Times at which the speed of the last block is known."""
         self._step = 0.0
-        """Of the speed, as soon as it showed [m/s]: while noise takes it to and fro it does not."""
+        """Step of the speed [m/s], as soon as it was seen. A noisy signal hides its step."""
         self._is_rolling = False  # when the speed was last known, or while it is stuck
 
     def restart(self) -> None:
@@ -66,10 +67,11 @@ class BlockSpeed:
         even: EvenBlock | None,
         forward: Callable[[], SeenForward | None],
     ) -> tuple[Array, Flags, bool]:
-        """Speed (N + 2,) of a block, where it is known, and whether it is as in `even`.
+        """Return the speed (N + 2,) of a block, where it is known, and whether it equals the one in
+        `even`.
 
         rows: (ROWS, COLUMNS) with their ends t; at: (N + 2,) times of the speed [s]. forward: what
-        the accelerometer says of the speed of all ticks, where it is asked.
+        the accelerometer says about the speed of all ticks, computed on demand.
         """
         driven = None if even is None else even.driven
         runs = None if driven is None else driven.runs
@@ -114,16 +116,17 @@ class BlockSpeed:
         return speed, ok, is_even
 
     def _hides_step(self, rows: Array, driven: Driven | None) -> bool:
-        """Whether a block does not show the step that its speed is known to come in."""
+        """Whether the speed of a block does not show the step that the signal is known to have."""
         if driven is None or driven.knots.step >= self._step:
             return False
         return comes_in(self._step, rows[:, tk.SPEED.mean], rows[:, tk.SPEED.n])
 
     def silence_parked(self, speed: Array, ok: Flags, force: Array, rate: Array | None) -> bool:
-        """Where a speed is noise and the sensor as still as a parked vehicle's: zero.
+        """Set the speed to zero where it is noise and the sensor is as still as in a parked
+        vehicle.
 
-        Returns whether it changed the speed. Wheels that turn so slowly may be silent
-        (`DRIVING_SPEED`): who creeps rests by them too.
+        Returns whether it changed the speed. Wheel sensors may be silent when wheels turn this
+        slowly (`DRIVING_SPEED`), so a creeping vehicle counts as resting.
         """
         sizes = np.abs(speed)
         if self._reverse or not ok.all() or sizes.min() > ROLLING_SPEED:
@@ -140,14 +143,20 @@ class BlockSpeed:
         return is_silenced
 
     def _follow_least_speed(self, sizes: Array) -> None:
-        """The least that the speed showed between two other speeds; a tick may be half zero."""
+        """Update the smallest speed that was seen between two other speeds.
+
+        A tick may be half zero.
+        """
         moves = sizes > ZERO_SPEED
         between = moves[1:-1] & moves[:-2] & moves[2:]
         if np.count_nonzero(between):
             self.least = min(self.least, float(sizes[1:-1][between].min()))
 
     def _held(self, known: Array) -> Array:
-        """Reverse gear, the last known value held; remembers the one at the block's start."""
+        """Return the reverse gear, with the last known value held.
+
+        The value at the block's start is kept.
+        """
         out = np.empty(len(known))
         value = self._reverse
         for i, k in enumerate(known.tolist()):
@@ -159,13 +168,16 @@ class BlockSpeed:
         return out
 
     def no_rest(self) -> Flags:
-        """Take a block (N,) that is nowhere at rest."""
+        """Take a block (N,) without any rest."""
         self._rest_run = 0
         return np.zeros(BLOCK_TICKS, dtype=bool)
 
     def rest(self, speed: Array, ok: Flags, force: Array, rate: Array, ok_rate: Flags) -> Flags:
-        """At rest: speed zero, or the force still where nobody knows the speed; not where that is
-        lost in the drive, as a smooth cruise is as still."""
+        """Return the ticks at rest: speed zero, or a still force where the speed is unknown.
+
+        A speed that is lost while driving does not count as rest, because a smooth cruise feels as
+        still.
+        """
         rest = np.zeros(len(speed), dtype=bool)
         if np.count_nonzero(ok):
             still = ok & (np.abs(speed) < ZERO_SPEED)

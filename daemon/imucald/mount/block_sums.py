@@ -1,10 +1,11 @@
-"""Sums over the ticks of a block, in one order of summation.
+"""Sums over the ticks of a block, in one order of summation, and the yaw that one block shows.
 
-By how much the force of one block answers turned from dv/dt and v r, and how sure that is.
+`block_yaw` returns the angle by which the force of one block is turned against dv/dt and v r, and
+its information.
 
-Gravity is taken off as the gyroscope carries it (`gravity_observer`), so slopes are not in it, and
-the speed's delay is taken out. What a lever arm may turn, or a slip of the tyres that acts like
-one, is in the variance, and so is what the block leaves over of its own force: a gust, a bad road.
+Gravity is subtracted as the gyroscope carries it (`gravity_observer`), so the force contains no
+slopes. The delay of the speed is corrected. The variance includes a lever arm, a tyre slip that
+acts like one, and the residual force of the block itself, for example from a gust or a bad road.
 """
 
 from __future__ import annotations
@@ -26,9 +27,9 @@ Flags = NDArray[np.bool_]
 
 
 class BlockSums(NamedTuple):
-    """Over n ticks: force (3,) in sensor axes, dv/dt, v r [m/s^2], the speed's size [m/s].
+    """Sums over n ticks: force (3,) in sensor axes, dv/dt, v r [m/s^2], size of the speed [m/s].
 
-    fastest: the largest of the latter.
+    fastest: the largest size of the speed.
     """
 
     n: int
@@ -40,12 +41,12 @@ class BlockSums(NamedTuple):
 
 
 def driven(p: SignalBlock) -> Flags:
-    """Ticks (N,) that may be learnt from, and of which it is known how fast the vehicle drives."""
+    """Return the ticks (N,) that may be learnt from and have a known driving speed."""
     return p.learn & (p.ok_speed | p.rest)
 
 
 def block_sums(p: SignalBlock, turn_rate: Array, use: Flags) -> BlockSums:
-    """Of the ticks (N,) in use; turn_rate: (N,) r [rad/s]."""
+    """Return the sums over the ticks (N,) in use. turn_rate: (N,) r [rad/s]."""
     out = np.empty(8)
     size = np.abs(p.speed) * use
     out[0] = np.count_nonzero(use)
@@ -60,9 +61,9 @@ def block_sums(p: SignalBlock, turn_rate: Array, use: Flags) -> BlockSums:
 def pair_sums(
     x: Array, y: Array, use: Flags, centred: bool = False
 ) -> tuple[int, float, float, float]:
-    """How many ticks (N,) are in use, and of those the sums of x x, x y, y y.
+    """Return the number of ticks (N,) in use and their sums of x x, x y, y y.
 
-    centred: about the means.
+    centred: take the products about the means.
     """
     count = int(np.count_nonzero(use))
     if not count:
@@ -76,7 +77,7 @@ def pair_sums(
 
 
 def masked_sums(values: Array, use: Flags) -> tuple[int, float, float, float]:
-    """How many ticks (N,) are in use, and the sums of their vectors (N, 3)."""
+    """Return the number of ticks (N,) in use and the sums of their vectors (N, 3)."""
     out = np.empty(4)
     out[0] = np.count_nonzero(use)
     (values * use[:, None]).sum(axis=0, out=out[1:])
@@ -85,25 +86,31 @@ def masked_sums(values: Array, use: Flags) -> tuple[int, float, float, float]:
 
 
 PRIOR_TICKS = 16.0
-"""The noise of a block is taken as `FORCE_NOISE` with the weight of so many ticks."""
+"""Weight of the prior `FORCE_NOISE` in the noise of a block, as a number of ticks."""
 TOGETHER = 3.0
-"""Ticks over which the noise hangs together: the body pitches and rolls at 1 to 2 Hz."""
+"""Correlation length of the noise in ticks: the body pitches and rolls at 1 to 2 Hz."""
 ARM = 1.5
-"""The sensor is so far from the point that rolls without slip, about the rear axle [m]."""
+"""Assumed distance of the sensor from the point that rolls without slip, near the rear axle [m]."""
 FLOOR = math.radians(0.5)
-"""No block is surer [rad]: gains, squat."""
+"""Smallest deviation of the yaw of one block [rad], because of gains and squat."""
 DELAY_STD = 0.02
-"""The speed's delay is never known better [s]; it differs by so much with the engine's load."""
+"""Smallest deviation of the speed's delay [s]: the delay varies by this much with the engine's
+load.
+"""
 LEAST_MOTION = 1.0
-"""A block with less squared motion says nothing [(m/s^2)^2 ticks]; its deviation is 6 deg there."""
+"""Smallest squared motion of a usable block [(m/s^2)^2 ticks].
+
+The deviation of the yaw is 6 deg there.
+"""
 
 FOLLOWED = 0.5
-"""A force that answers by less than so much of the motion says nothing of its direction: the
-gyroscope was turned by itself, or the speed was not the vehicle's."""
+"""A force that answers by less than this share of the motion says nothing about direction: only the
+gyroscope was turned, or the speed was not that of the vehicle.
+"""
 
 
 class BlockMotion(Struct, frozen=True):
-    """What a block's force is held against.
+    """The force of a block and the motion with which it is compared.
 
     force: (N, 3) without gravity, in vehicle axes. accel, turn: (N,) dv/dt and v r, with their
     gains. turn_rate: (N,) r [rad/s]. delay, delay_std: of the speed against the force [s].
@@ -118,7 +125,9 @@ class BlockMotion(Struct, frozen=True):
 
 
 def block_yaw(m: BlockMotion, use: Flags) -> tuple[float, float]:
-    """Angle about z by which the sensor is turned from R [rad], and its information [1/rad^2]."""
+    """Return the angle about z by which the sensor is turned from R [rad] and its information
+    [1/rad^2].
+    """
     n, s00, s11, s20, s21, s22, s24, s25, s30, s31, s33, s34, s35, s36 = _sums(m, use)
     power = s22 + s33
     if power < LEAST_MOTION:
@@ -141,11 +150,13 @@ _PAIRS = np.array(
         (3, 5), (3, 6),
     ]
 )  # fmt: skip
-"""Products of force ahead and across, dv/dt, v r, r^2, and the slopes of r and of dv/dt."""
+"""Pairs for the products of force ahead and across, dv/dt, v r, r^2, and the slopes of r and of
+dv/dt.
+"""
 
 
 def _sums(m: BlockMotion, use: Flags) -> list[float]:
-    """How many ticks are in use, and sums of products about their means, see `_PAIRS`."""
+    """Return the number of ticks in use and sums of products about the means, see `_PAIRS`."""
     late = m.delay / TICK_S
     n = len(use)
     at = np.minimum(np.maximum(np.arange(n) + late, 0.0), n - 1.0)

@@ -1,4 +1,4 @@
-"""Errors that several sources of evidence share, and that no data show."""
+"""Errors that several sources of evidence share and that the data cannot show."""
 
 from __future__ import annotations
 
@@ -10,11 +10,12 @@ from imucald.mount.priors import BIAS_FLOOR_STD, PITCHING_STD, SIDESLIP_STD, YAW
 
 
 def common_errors(settings: EstimatorSettings) -> tuple[CommonError, ...]:
-    """Errors of the sensor itself that the spread of the data cannot show.
+    """Return the errors of the sensor itself that the spread of the data cannot show.
 
-    Scale errors s of a sensor turned against the vehicle are a symmetric cross-axis error of
-    s / sqrt(5) there (mean over all mounts): e_z from dv/dt and from v r get it with opposite
-    signs, as e_y from dv/dt does against gravity, which counts it as bias.
+    Scale errors s of a sensor that is turned against the vehicle act as a symmetric cross-axis
+    error of s / sqrt(5) (mean over all mounts). This error has opposite signs in e_z from dv/dt and
+    in e_z from v r. It also has opposite signs in e_y from dv/dt and in gravity, which counts it as
+    bias.
     """
     scale = settings.accel_scale_std / math.sqrt(5.0)
     cross = settings.calibration.cross_axis
@@ -39,12 +40,15 @@ def common_errors(settings: EstimatorSettings) -> tuple[CommonError, ...]:
 
 
 GRAVITY_SHARE = 0.2
-"""Of a cross-axis error gravity shows so much in the long run: there it is a bias, which turns
-separate from tilt (`gravity_observer`). In simulated drives of 6 to 20 min with 4 %: 0.1 to 0.2."""
+"""Share of a cross-axis error that gravity shows in the long run.
+
+For gravity the error is a bias, which turns separate from tilt (`gravity_observer`). Simulated
+drives of 6 to 20 min with 4 % gave 0.1 to 0.2.
+"""
 
 
 def cross_axis_errors() -> tuple[CommonError, ...]:
-    """What cross-axis errors of an rms of one (part) make of each source."""
+    """Return the effect on each source of cross-axis errors with an rms of one (part)."""
     whole = ("yaw_dvdt", "yaw_turn", "pitch_dvdt", "roll_turn")
     gravity = ("pitch_gravity", "roll_gravity")
     return (

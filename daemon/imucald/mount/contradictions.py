@@ -1,14 +1,15 @@
 """Signals that contradict one another: signs, exchanged axes, handedness, units.
 
-The estimator finds the rotation under which the sensor's signals fit the vehicle's best; where a
-sign or a unit is wrong the best is still wrong. So pairs of signals that must show the same motion
-are held against one another all the time: turning by the gyroscope and by the vehicle's own
+The estimator finds the rotation under which the sensor's signals fit the vehicle's signals best.
+With a wrong sign or unit, the best rotation is still wrong. Pairs of signals that must show the
+same motion are therefore compared all the time: turning by the gyroscope and by the vehicle's own
 signals, v r and the force to the left, dv/dt and the force ahead.
 
-A pair is judged in pieces that hold a bend or a braking each, by correlation and gain of the piece.
-Sound pairs correlate by 0.8 to 1 there. Two signals that have nothing to do with one another come
-out below `UNLIKE` in nine pieces of ten, and sound ones do so in fewer than one of a hundred, so
-`TO_ACCUSE` of the last `REMEMBERED` by chance are fewer than one in a million pieces.
+Each pair is judged in pieces that contain a bend or a braking. The correlation and the gain of the
+piece are judged. Correct pairs have a correlation of 0.8 to 1 in such a piece. Two unrelated
+signals fall below `UNLIKE` in nine pieces of ten, correct pairs in fewer than one of a hundred.
+`TO_ACCUSE` unlike pieces among the last `REMEMBERED` therefore occur by chance in fewer than one of
+a million pieces.
 """
 
 from __future__ import annotations
@@ -33,39 +34,59 @@ from imucald.mount.signal_blocks import SignalBlock
 Flags = NDArray[np.bool_]
 
 UNLIKE = 0.3
-"""Correlation of a piece below which its signals do not show the same motion."""
+"""Correlation of a piece below which its signals count as showing different motions."""
 OPPOSITE = -0.3
-"""The same where slope and a speed of few samples are in the signals: the wrong sign only."""
+"""Correlation limit for signals that contain slope or come from a speed with few samples: only a
+wrong sign is detected.
+"""
 NOTHING = (0.0, 0.0, 0.0)
 LIKE = 0.6
-"""From here on they do (`check` asks for as much)."""
+"""Correlation from which the signals count as showing the same motion (`check` asks for as much).
+"""
 TO_ACCUSE, TO_ACQUIT = 2, 2
-"""Unlike pieces, of those remembered, that make a fault; like ones in a row that end it."""
+"""Number of unlike pieces, among those remembered, that makes a fault; number of like pieces in a
+row that ends it.
+"""
 REMEMBERED = 5
 WRONG_UNIT = 1.9
-"""A gain beyond, or below its inverse: half way, as a ratio, from right to 3.6 times, the smallest
-factor between units that are mixed up. Body roll, superelevation and squat make 0.7 to 1.3."""
+"""A gain above this, or below its inverse, counts as a wrong unit.
+
+The limit is the geometric middle between 1 and 3.6, the smallest factor between units that are
+mixed up. Body roll, superelevation and squat make 0.7 to 1.3.
+"""
 MIN_TURNING = 0.25
-"""Energy of turning in a piece [(rad/s)^2 ticks]: a right-angled bend has ten times as much."""
+"""Smallest energy of turning in a piece [(rad/s)^2 ticks]: a right-angled bend has ten times as
+much.
+"""
 MIN_FORCE = 30.0
-"""The same of v r and dv/dt [(m/s^2)^2 ticks]: 3 s at 1 m/s^2."""
+"""Smallest energy of v r and dv/dt in a piece [(m/s^2)^2 ticks]: 3 s at 1 m/s^2."""
 MAX_BLOCKS = 40
-"""A piece that does not fill within so many blocks (4 min) begins anew: noise adds up as well."""
+"""A piece that is not full within this many blocks (4 min) starts again, because noise adds up as
+well.
+"""
 TURNS, HARD_TURNS = 1.2, 2.0
-"""Sizes of v r [m/s^2] from which the force in turns is asked for its sign, and for its gain: a
-bend banked by 8 % takes 0.8 m/s^2 of it away (AASHTO, superelevation)."""
+"""Sizes of v r [m/s^2] from which the force in turns is checked for its sign, and for its gain.
+
+A bend banked by 8 % takes 0.8 m/s^2 away (AASHTO, superelevation).
+"""
 LONG_REVERSE = 20
-"""Ticks of a block, 2 s, that are no slip of the lever."""
+"""Ticks of reverse in a block (2 s) that cannot be a slip of the gear lever."""
 NOISE = 3.0
-"""A block in which the turn rate's own noise makes v r of a third of those sizes is not asked: what
-goes beyond them there is noise that was picked out, and no bend. Of a gyroscope that sends seldom
-a straight line between two samples hides the noise, and how its angle walks shows it."""
+"""Blocks are skipped if the noise of the turn rate makes v r of a third of those sizes.
+
+In such a block, values beyond these sizes are selected noise and not a bend. With a gyroscope that
+sends seldom, the straight line between two samples hides the noise. The random walk of its angle
+shows the noise then.
+"""
 MOVING = 2.0
-"""Below this speed [m/s] steering and turning say little of one another."""
+"""Below this speed [m/s], steering and turning are hardly related."""
 
 
 class StandingFault(enum.StrEnum):
-    """What contradicts what; names for machines, words in `WORDS`."""
+    """A contradiction between signals.
+
+    The values are names for machines; the words are in `WORDS`.
+    """
 
     TURN_YAW_RATE = "gyroscope_against_yaw_rate"
     TURN_STEERING = "turning_against_steering"
@@ -115,14 +136,14 @@ WORDS = {
 
 
 _YAW_RATE, _STEERING, _FORCES = 1, 2, 4
-"""Pairs that are asked of a block, as bits."""
+"""Pairs that are checked in a block, as bits."""
 
 _Sums = Sequence[float]
-"""Ticks of a block, and over them x x, x y, y y of a pair."""
+"""Number of ticks of a block, and the sums of x x, x y, y y of a pair over them."""
 
 
 class PairWatch:
-    """Pieces of two signals that must show the same motion, and what they came to."""
+    """Pieces of two signals that must show the same motion, and the result of each."""
 
     def __init__(self, least: float, unlike: float = UNLIKE, unit_known: bool = True) -> None:
         self._least, self._unlike, self._unit_known = least, unlike, unit_known
@@ -133,23 +154,23 @@ class PairWatch:
         self.odd_gain = False
 
     def forget(self) -> None:
-        """Remember no piece; what stands stands until new ones acquit."""
+        """Forget all pieces. A fault that stands remains until new pieces acquit the pair."""
         self._sums, self._blocks = NOTHING, 0
         self._pieces.clear()
 
     @property
     def pieces(self) -> int:
-        """Pieces remembered."""
+        """Number of pieces remembered."""
         return len(self._pieces)
 
     @property
     def last_unlike(self) -> bool:
-        """Whether the last piece speaks against the pair."""
+        """Whether the last piece contradicts the pair."""
         return bool(self._pieces) and self._is_wrong(*self._pieces[-1])
 
     @property
     def agreed(self) -> bool:
-        """Whether it has been seen to show the same motion, and nothing since says otherwise."""
+        """Whether the pair was seen to show the same motion and no later piece contradicts it."""
         if self.accused or self.odd_gain or not self._pieces:
             return False
         correlation, gain = self._pieces[-1]
@@ -157,7 +178,7 @@ class PairWatch:
 
     @property
     def share(self) -> float:
-        """How much of the next piece is there, 0 to 1; 1 once it has agreed."""
+        """Share (0 to 1) of the next piece that has come; 1 once the pair has agreed."""
         return 1.0 if self.agreed else min(self._sums[0] / self._least, 1.0)
 
     @property
@@ -166,11 +187,11 @@ class PairWatch:
         return median([g for _, g in self._pieces]) if self._pieces else 1.0
 
     def add(self, x: Array, y: Array, use: Flags) -> None:
-        """Take a block; x: (N,) what is sure, y: (N,) what must follow it."""
+        """Take a block. x: (N,) the reliable signal, y: (N,) the signal that must follow it."""
         self.take(pair_sums(x, y, use))
 
     def take(self, sums: _Sums) -> None:
-        """Take what a block comes to."""
+        """Take the sums of a block."""
         n, *more = sums
         if not n:
             return
@@ -204,7 +225,7 @@ class PairWatch:
 
 
 class ReverseWatch:
-    """Whether reverse is on, or the speed negative, where no vehicle goes backwards so fast."""
+    """Watches for reverse gear or a negative speed at a speed that no vehicle reaches backwards."""
 
     def __init__(self) -> None:
         self.accused = False
@@ -233,7 +254,10 @@ class Contradictions:
         self.reverse = ReverseWatch()
 
     def forget_forces(self) -> None:
-        """A new rotation is looked for. Contradictions of the old one count until signals agree."""
+        """Start again for a new rotation.
+
+        Contradictions with the old rotation count until the signals agree.
+        """
         for pair in (self.turns, self.hard_turns, self.speed):
             pair.forget()
 
@@ -247,9 +271,10 @@ class Contradictions:
         measured_yaw_rate: bool,
         late: float | None = 0.0,
     ) -> None:
-        """Take a block; turn_rate: (N,) what the estimator takes for the yaw rate [rad/s].
+        """Take a block. turn_rate: (N,) the yaw rate that the estimator uses [rad/s].
 
-        late: the speed, behind the force [s]; None: not known, and the force is not asked.
+        late: lateness of the speed against the force [s]. None: unknown, so the force is not
+        checked.
         """
         self.reverse.add(p.speed, p.ok_speed)
         walk = 0.0
@@ -281,8 +306,8 @@ class Contradictions:
 
     @property
     def faults(self) -> tuple[StandingFault, ...]:
-        """What stands."""
-        if self.reverse.accused:  # what else contradicts then follows from it
+        """Faults that stand now."""
+        if self.reverse.accused:  # other contradictions follow from it
             return (StandingFault.REVERSE,)
         found = []
         if self.yaw_rate.accused:
@@ -309,20 +334,24 @@ class Contradictions:
 
     @property
     def doubtful(self) -> bool:
-        """Whether any pair's last piece speaks against it: no time to begin to be good."""
+        """Whether the last piece of any pair contradicts it.
+
+        The mount does not become good at such a time.
+        """
         return any(pair.last_unlike for pair in self._pairs)
 
     @property
     def agreed(self) -> bool:
-        """Whether every pair that has had its occasion was seen to agree, that of turns at least.
+        """Whether every pair that could be checked was seen to agree, at least the pair of turns.
 
-        Slope and a speed of few samples may hide what dv/dt says: there no contradiction is enough.
+        Slope and a speed with few samples may hide dv/dt. The absence of a contradiction is enough
+        in that case.
         """
         return all(pair.agreed for pair in self._asked)
 
     @property
     def share(self) -> float:
-        """How much of what `agreed` asks for has come, 0 to 1."""
+        """Share (0 to 1) of the evidence for `agreed` that has come."""
         return min(pair.share for pair in self._asked)
 
     @property
@@ -344,10 +373,12 @@ def _sums_of_pairs(
     walk: float,
     late: int,
 ) -> Sequence[_Sums]:
-    """What a block comes to for yaw rate, steering, turns, hard turns, speed: where it is asked.
+    """Return the sums of a block for yaw rate, steering, turns, hard turns and speed, as far as
+    each is checked.
 
     vehicle: steering ratio, wheelbase and understeer. R: the mount. walk: noise of the turn rate
-    [rad/s] that does not show in it. late: the speed, behind the force [ticks].
+    [rad/s] that the rate itself does not show. late: lateness of the speed against the force
+    [ticks].
     """
     found: list[_Sums] = [_NOTHING_SEEN] * 5
     moving = p.ok_speed & (np.abs(p.speed) > MOVING)
@@ -376,7 +407,10 @@ def _sums_of_pairs(
 
 
 def _own_noise(signal: Array) -> float:
-    """Deviation of what is white in an even signal (N,): from the middle between its neighbours a
-    value differs by 1 + 1/4 + 1/4 times its variance. A vehicle turns for seconds."""
+    """Return the standard deviation of the white part of an even signal (N,).
+
+    A value differs from the middle between its neighbours by 1 + 1/4 + 1/4 times the white
+    variance. Turns of a vehicle last for seconds, so they hardly count.
+    """
     left = signal[1:-1] - 0.5 * (signal[:-2] + signal[2:])
     return math.sqrt(float((left * left).sum()) / (1.5 * len(left)))

@@ -1,16 +1,17 @@
-"""Does the mount creep? Walks and steady creep against a constant, with the evidence as weights.
+"""Detect whether the mount creeps.
 
-A soft holder, or tape in the sun, lets the mount turn slowly all the time. A constant that is
-fitted to it is a mean over the drive, and its deviation shrinks although the mount has moved. So
-the residuals of the road segments from the constant are also fitted by random walks of several
-sizes, and by a level that goes on at a rate, as materials do under a steady load (secondary creep;
-Ashby and Jones, Engineering Materials 1, ch. 20); local level and local linear trend, Kalman
-filter (Durbin and Koopman, Time Series Analysis by State Space Methods, 2012, ch. 2 and 3). Each
-has the probability that its likelihood and its prior give it; the constant keeps `P_CONSTANT`
-beforehand, so a drive without creep has to speak twenty times as well for the others before they
-are believed (in sound drives less than one in twenty does so; Markov's inequality on the
-likelihood ratio). What is served is the mean of all as probable as they are, and so is the
-interval.
+Random walks and steady creep are compared with a constant, weighted by the evidence. A soft holder,
+or tape in the sun, lets the mount turn slowly all the time. A constant that is fitted to such a
+mount is a mean over the drive. Its deviation shrinks although the mount has moved. The residuals of
+the road segments from the constant are therefore also fitted by random walks of several sizes. They
+are also fitted by a level that changes at a steady rate, as materials do under a steady load
+(secondary creep; Ashby and Jones, Engineering Materials 1, ch. 20). The models are local level and
+local linear trend with a Kalman filter (Durbin and Koopman, Time Series Analysis by State Space
+Methods, 2012, ch. 2 and 3). Each model has the probability that its likelihood and its prior give.
+The constant has the prior `P_CONSTANT`. The others are believed only if the data of a drive favour
+them twenty times, which happens in fewer than one of twenty drives without creep (Markov's
+inequality on the likelihood ratio). The served angle and its interval are means over all models,
+weighted by their probabilities.
 """
 
 from __future__ import annotations
@@ -33,43 +34,55 @@ rate: 4, 10, 20, 40 and 80 deg/h."""
 WALKS: Array = np.concatenate([[0.0], SIZES, 0.2 * SIZES])
 WALK_VARIANCES: Array = WALKS**2
 RATES: Array = np.concatenate([[0.0], 0.0 * SIZES, SIZES])
-"""Of each hypothesis: the constant, walks, and creep, whose rate wanders by a fifth a segment."""
+"""Rate of each hypothesis: zero for the constant and the walks, then creep, whose rate wanders by a
+fifth per segment.
+"""
 P_CONSTANT = 0.5
-"""Prior probability that the mount is tight; the others share the rest."""
+"""Prior probability that the mount does not move; the other models share the rest."""
 P_CONSTANT_AGAIN = 0.2
-"""The same once a shift was found in the drive."""
+"""The same prior once a shift was found in the drive."""
 BELIEVED = 0.995
 """Probability from which creep is reported."""
 MOST = 20
-"""Road segments are joined to so many at most."""
+"""Road segments are joined until at most this many remain."""
 FEWEST = 3
 LATE = 0.5
-"""What is reported of a segment is a window's length in the middle, half a segment old, and is
-served until the next one ends."""
+"""Age of a reported segment, in segments.
+
+Its value holds for the middle of a window, half a segment ago, and is served until the next segment
+ends.
+"""
 PRIOR_SEGMENTS = 6.0
-"""The spread from segment to segment is taken as the source's own with that weight."""
+"""Weight, in segments, of the source's own value as the prior for the spread between segments."""
 HIDDEN = 0.4
-"""Share of a drift that segments may not show: an angle that is far from the mean looks like noise,
-so that its windows count less, and most of all where it shows most. Seen in simulated drives with
-72 deg/h (seeds 500,000 to 500,011): 0.6 of the level is found once it is weighed about the drift
-(`evidence_response`), 0.5 before."""
+"""Share of a drift that the segments may not show.
+
+An angle far from the mean looks like noise, so its windows count less, most of all where the drift
+shows most. In simulated drives with 72 deg/h (seeds 500,000 to 500,011), 0.6 of the level is found
+after weighing about the drift (`evidence_response`), and 0.5 before.
+"""
 EVEN = frozenset({"yaw_dvdt", "yaw_turn", "pitch_dvdt"})
-"""What these say hardly depends on the road (`UNEVEN_STD` in `shift`), so that a spread about the
-mean that is larger than from segment to segment is a drift. The lean of roads goes on."""
+"""Sources that hardly depend on the road (`UNEVEN_STD` in `shift`).
+
+If their spread about the mean is larger than the spread between segments, the mount drifts. The
+lean of roads, in contrast, persists over segments.
+"""
 LEANING = "roll_gravity"
-"""How the lean of roads goes on from segment to segment differs from road to road: the segments
-themselves say it."""
+"""The persistence of the lean of roads differs from road to road, so it is estimated from the
+segments themselves.
+"""
 SILENT = frozenset({"pitch_gravity", "pitch_axis"})
-"""What these say of town and of motorway differs too much to separate creep from it (`UNEVEN_STD`
-in `shift`)."""
+"""Sources that differ too much between town and motorway to separate creep from the road
+(`UNEVEN_STD` in `shift`).
+"""
 
 
 class Creep(Struct, frozen=True):
-    """Roll, pitch, yaw (3,). level: of now, beyond the constant [rad].
+    """Result for roll, pitch, yaw (3,). level: present level beyond the constant [rad].
 
-    variance: what creep adds [rad^2]. probability: that the mount creeps. rate: [rad/segment].
-    moved: between the first and the last third of the drive [rad]. since_middle: segments since
-    the angle was what the constant says.
+    variance: variance that creep adds [rad^2]. probability: probability that the mount creeps.
+    rate: [rad/segment]. moved: change between the first and the last third of the drive [rad].
+    since_middle: segments since the angle equalled the constant.
     """
 
     level: Array
@@ -83,9 +96,9 @@ class Creep(Struct, frozen=True):
 def creep(
     series: list[ScoreSeries], sources: Mapping[str, AngleEvidence], p_constant: float = P_CONSTANT
 ) -> Creep | None:
-    """Fit walks and rates to what series leave over from constants; None: there is too little.
+    """Fit walks and rates to the residuals of the series from constants; None: too little data.
 
-    sources: the same evidence, whose variances show by how much informations are too large.
+    sources: the same evidence. Its variances show by which factor the informations are too large.
     """
     n = max((len(one.score) for one in series), default=0)
     if n < FEWEST:
@@ -120,10 +133,11 @@ def creep(
 
 
 def _scatter(left: Array, known: Array) -> float:
-    """By how much informations are too large, from segments that lie two apart.
+    """Return the factor by which informations are too large, from segments two apart.
 
-    Windows reach over into the next segment; over two a drift hardly shows, while it widens the
-    spread about the mean, which is what a source's variance was made of.
+    Windows reach into the next segment, so segments two apart are compared. A drift hardly shows
+    over two segments, but it widens the spread about the mean, from which the variance of a source
+    was computed.
     """
     near, far = known[2:], known[:-2]
     both = (near > 0.0) & (far > 0.0)
@@ -135,12 +149,14 @@ def _scatter(left: Array, known: Array) -> float:
 
 
 def _lean(left: Array, known: Array, expected: float) -> float:
-    """By how much informations are too large for what goes on over segments, as a drift does.
+    """Return the factor by which informations are too large for errors that persist over segments,
+    as a drift does.
 
-    It may be less than one, without a floor: the segments themselves say it here.
-    expected: before any data, with the weight of `PRIOR_SEGMENTS`. What lies about a straight line,
-    neighbours' covariance included (Newey and West, Econometrica 55, 1987, with their weights and
-    as many lags as 4 (n / 100)^(2/9); no less than without neighbours).
+    The factor may be less than one, without a floor: it is estimated from the segments themselves.
+    expected: the factor before any data, with the weight of `PRIOR_SEGMENTS`. The residuals about a
+    straight line are used, with the covariance of neighbours (Newey and West, Econometrica 55,
+    1987, with their weights and 4 (n / 100)^(2/9) lags). The result is not smaller than without
+    neighbours.
     """
     use = known > 0.0
     w, score = known[use], left[use]
@@ -164,7 +180,7 @@ def _lean(left: Array, known: Array, expected: float) -> float:
 
 
 def _filtered(left: Array, known: Array, each: Array) -> tuple[Array, Array, Array]:
-    """Log likelihoods, levels at the end and their variances beyond the constant's (3, K)."""
+    """Return log likelihoods, final levels and their variances, beyond the constant's (3, K)."""
     total = np.maximum(known.sum(axis=1), 1e-12)[:, None]
     shape = len(known), len(WALKS)
     # of all segments at once (n, 3, 1)
@@ -200,10 +216,10 @@ def _run(
     state: Array,
     P: Array,
 ) -> None:
-    """The filters over all segments (n, 3, 1), in place.
+    """Run the filters over all segments (n, 3, 1), in place.
 
-    off, spread: (n, 3, K) by how much each finds a value off, and the variance of that. state, P:
-    (2, 3, K), (3, 3, K) of the level and the rate, to the end.
+    off, spread: (n, 3, K) the innovation of each filter and its variance. state, P: (2, 3, K), (3,
+    3, K) of level and rate, up to the end.
     """
     each_goes_on: list[bool] = np.all(goes_on, axis=(1, 2)).tolist()
     any_begins: list[bool] = np.any(begins, axis=(1, 2)).tolist()
@@ -223,14 +239,14 @@ def _run(
 
 
 def _gaps(each: Array) -> Array:
-    """Segments from the middle of the one before (n,)."""
+    """Return the distance from the middle of the previous segment, in segments (n,)."""
     gaps = np.zeros(len(each))
     gaps[1:] = 0.5 * (each[:-1] + each[1:])
     return gaps
 
 
 def _go_on(state: Array, P: Array, step: Array) -> None:
-    """Level and covariance so many segments on, in place; the rate stays."""
+    """Move level and covariance on by this many segments, in place; the rate stays."""
     state[0] += step * state[1]
     after = P[1] + step * P[2]
     P[0] += step * (P[1] + after + WALK_VARIANCES)
@@ -238,8 +254,9 @@ def _go_on(state: Array, P: Array, step: Array) -> None:
 
 
 def _trend(left: Array, known: Array, each: Array) -> tuple[Array, Array, Array]:
-    """Slope of the straight line through the segments [rad/segment], the way that it makes, and
-    the segments since it was zero."""
+    """Return the slope of the straight line through the segments [rad/segment], its total change,
+    and the number of segments since it was zero.
+    """
     at = np.cumsum(each) - 0.5 * each
     w = np.maximum(known, 0.0)
     total = np.maximum(w.sum(axis=1), 1e-12)

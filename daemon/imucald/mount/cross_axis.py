@@ -1,19 +1,20 @@
-"""Fusing sources whose accelerometer has a cross-axis error: configured, or found while driving.
+"""Fuse sources when the accelerometer has a cross-axis error, configured or found while driving.
 
-A configured one is among the errors that sources share. Else it is estimated. With E the six terms
-in sensor axes and C = R E R^T in the vehicle's, the force is (1 + C) f, and each source shows one
-entry of C next to its angle:
+A configured cross-axis error is one of the errors that sources share. Otherwise the error is
+estimated. Let E be the six terms in sensor axes and C = R E R^T the terms in the vehicle's axes.
+The force is then (1 + C) f, and each source shows one entry of C in addition to its angle:
 
     yaw from dv/dt -C_yx, yaw from turns +C_xy, pitch from dv/dt +C_zx, roll from turns -C_zy,
-    level parts of gravity C_xz, C_yz (most of them taken for a bias, and taken off with it),
+    level parts of gravity C_xz, C_yz (they look mostly like a bias and are subtracted with it).
 
-while C_xx and C_yy change the response to dv/dt and to turns, and C_zz the size of gravity. The
-terms are independent, of one unknown rms. Three of their six combinations are symmetric and show
-in contradictions alone, two turn the force against the gyroscope's axis of turning; the sixth
-turns all forces about the vertical, is taken for yaw, and shows in nothing. How large it may be
-follows from the rms that the other five have: few values, so an rms of the data's order of size
-is as probable as one of half or twice that (a prior that is even in its logarithm, for which the
-interval is Student's; Box and Tiao, Bayesian Inference in Statistical Analysis, 1973, ch. 2).
+C_xx and C_yy change the response to dv/dt and to turns, and C_zz changes the size of gravity. The
+terms are independent and share one unknown rms. Three of the six combinations are symmetric and
+show only as contradictions. Two combinations turn the force against the gyroscope's axis of
+turning. The sixth turns all forces about the vertical: it looks like yaw and shows in no
+contradiction. The rms of the other five limits the size of the sixth. Five values are few, so the
+prior on the rms is even in its logarithm: half or twice the rms of the data is about as probable.
+With this prior the interval is Student's (Box and Tiao, Bayesian Inference in Statistical Analysis,
+1973, ch. 2).
 """
 
 from __future__ import annotations
@@ -47,7 +48,7 @@ from imucald.mount.priors import (
 from imucald.mount.road_segments import AngleEvidence
 
 SEEN_SHARE = 1.0
-"""From as much information as the prior's on what the data say of a bias is looked at."""
+"""The data on a bias are used once their information reaches this share of the prior's."""
 SHOWN = {
     "yaw_dvdt": (-1.0, 1, 0),
     "yaw_turn": (1.0, 0, 1),
@@ -56,17 +57,21 @@ SHOWN = {
     "roll_gravity": (1.0, 1, 2),
     "pitch_gravity": (-1.0, 0, 2),
 }
-"""Of each source the entry of C that it shows, and its sign; axes of rotation show none."""
+"""For each source, the entry of C that it shows and the sign.
+
+Sources from axes of rotation show no entry.
+"""
 _OFF_ROW, _OFF_COLUMN = np.nonzero(~np.eye(3, dtype=bool))
 
 
 class ForceSeen(Struct, frozen=True):
-    """What the force has shown besides the sources of angles; sensor axes, SI.
+    """Results from the force besides the sources of angles; sensor axes, SI.
 
-    mean: (3,) of the drive. bias: (3,) of the accelerometer, bias_cov: (3, 3). gains: of the
-    response to dv/dt and to turns, None where no gyroscope takes the body's leaning out of them.
-    responses: the responses' sources as they are, before any is widened. turning: how far roll from
-    turns lies from roll from their axis; both see the same pitch rate of the road.
+    mean: (3,) mean force of the drive. bias: (3,) of the accelerometer, bias_cov: (3, 3). gains:
+    gains of the response to dv/dt and to turns; None without a gyroscope, because the leaning of
+    the body is then not removed. responses: sources from the responses before any of them is
+    widened. turning: difference between roll from turns and roll from the axis of turns. Both
+    contain the same pitch rate of the road.
     """
 
     mean: Array
@@ -78,12 +83,12 @@ class ForceSeen(Struct, frozen=True):
 
 
 class CrossAxisFusion:
-    """Fuses, and keeps what it found of the cross-axis error.
+    """Fuses the sources, and keeps the cross-axis error that it found.
 
     bias_spread: standard deviation of the accelerometer's bias before any data [m/s^2]. scales:
-    cross-axis errors that are not among the shared ones (part), with their probabilities; probable:
-    their rms.
-    answers: of the sources that were fused last (6,) to the six terms.
+    sizes of cross-axis errors (part) that are not among the shared errors, with their
+    probabilities. probable: their rms. answers: responses (6,) of the sources that were fused last
+    to the six terms.
     """
 
     def __init__(self, settings: EstimatorSettings) -> None:
@@ -105,7 +110,7 @@ class CrossAxisFusion:
 
     @property
     def std(self) -> float:
-        """Cross-axis error that is reckoned with (part): configured, or probable."""
+        """Cross-axis error that is assumed (part): the configured or the probable one."""
         return math.hypot(self._configured, self.probable)
 
     def fused(self, sources: Mapping[str, AngleEvidence], R: Matrix3, force: ForceSeen) -> Fused:
@@ -121,7 +126,9 @@ class CrossAxisFusion:
         return fuse(sources, self._sharing, self.scales, self.answers)
 
     def _seen(self, entries: Array, bias: Array, bias_cov: Array, force: ForceSeen) -> Seen:
-        """Gravity's size, level bias, gains of motion, and turns against their own axis."""
+        """Return size of gravity, level bias, gains of motion, and the difference of turns from
+        their own axis.
+        """
         spread, known = self.bias_spread / GRAVITY, force.responses
         scale2 = self._scale_std * self._scale_std
         rows = [(math.sqrt(float(force.mean @ force.mean)) / GRAVITY - 1.0, spread**2 + scale2)]
@@ -154,7 +161,10 @@ class CrossAxisFusion:
 def _answers(
     sources: Mapping[str, AngleEvidence], entries: Array, left: list[float]
 ) -> dict[str, Array]:
-    """Of each source (6,) to the six terms; left: what the bias leaves of gravity's level parts."""
+    """Return the response of each source (6,) to the six terms.
+
+    left: what the bias leaves of the level parts of gravity.
+    """
     found = {}
     for name in sources:
         if name in SHOWN:

@@ -1,11 +1,12 @@
-"""How late a vehicle signal is against the accelerometer, from the phase of their spectra.
+"""Delay of a vehicle signal against the accelerometer, from the phase of their spectra.
 
-A signal x that is late by tau has the spectrum X(w) exp(-i w tau); the response of the force to
-it is real, so the tau is right at which the real parts of the cross-spectrum, summed along the
-direction of response, are largest (generalised cross-correlation; Knapp and Carter, IEEE Trans.
-ASSP 24, 1976), each bin weighed by the inverse of the force's power.
+A signal x that is late by tau has the spectrum X(w) exp(-i w tau). The response of the force to x
+is real. The right tau therefore maximises the real parts of the cross-spectrum, summed along the
+direction of response (generalised cross-correlation; Knapp and Carter, IEEE Trans. ASSP 24, 1976).
+Each bin is weighted by the inverse of the force's power.
 
-The force that a sensor feels by where it sits: away from the point whose motion is reckoned.
+`LeverArm` is the force that a sensor feels because it sits away from the point whose motion is
+computed.
 """
 
 from __future__ import annotations
@@ -26,19 +27,23 @@ from imucald.mount.signal_blocks import BLOCK_TICKS, SignalBlock
 STEP = 0.025
 """Grid of candidates [s]."""
 MIN_POWER = 2e-2
-"""A window with less shows nothing [(m/s^2)^2]."""
+"""Smallest power of a window that is used [(m/s^2)^2]."""
 MIN_WINDOWS = 3
 KNOWN_STD = 0.2
-"""Below it a delay counts as known [s]: dv/dt of a manoeuvre of some seconds then correlates."""
+"""Deviation below which a delay counts as known [s]: dv/dt of a manoeuvre of some seconds then
+correlates.
+"""
 SEARCHED_STD = 0.1
-"""A prior no wider than this [s] states the delay: nothing is sought beyond four of it."""
+"""A prior with at most this deviation [s] states the delay: the search is limited to four
+deviations.
+"""
 
 
 class DelaySearch:
-    """Sums of cross-spectra of one signal with the force; the delay in them.
+    """Sums of cross-spectra of one signal with the force, and the search for the delay in them.
 
-    A solver that begins from another one goes on with the same search: the delay is the signal's,
-    whatever the mount. Blocks that it goes through again are in the sums already.
+    A solver that begins from another one continues the same search, because the delay belongs to
+    the signal and not to the mount. Blocks that such a solver reads again are already in the sums.
     """
 
     def __init__(self, prior: DelayPrior) -> None:
@@ -58,12 +63,12 @@ class DelaySearch:
 
     @property
     def is_known(self) -> bool:
-        """Whether signals that are shifted by it can be held against the force."""
+        """Whether the delay is known well enough to compare the shifted signal with the force."""
         return self.std < KNOWN_STD and not self.is_beyond
 
     @property
     def is_beyond(self) -> bool:
-        """Whether the best delay is the largest that is sought: the signal may well be later."""
+        """Whether the best delay is the largest one searched: the signal may well be later."""
         is_sought = self._prior.std > SEARCHED_STD and self.std < self._prior.std
         return is_sought and self._best >= float(self._taus[-1]) - STEP
 
@@ -132,9 +137,10 @@ class LeverArm:
         self._last_rate = None
 
     def force(self, p: SignalBlock, R: Matrix3) -> Array:
-        """Specific force at its end more than at its root, sensor axes (N, 3) [m/s^2].
+        """Return the additional specific force at the sensor, sensor axes (N, 3) [m/s^2].
 
-        dw/dt x l + w x (w x l); the derivative is a central difference, which is not late.
+        The force is dw/dt x l + w x (w x l). The derivative is a central difference, which has no
+        delay.
         """
         rate = p.rate @ R.T
         before = rate[:1] if self._last_rate is None else self._last_rate

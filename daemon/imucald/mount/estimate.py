@@ -1,4 +1,4 @@
-"""What an estimator of the mount says: rotation, uncertainty, state, and what it waits for."""
+"""Output of a mount estimator: rotation, uncertainty, state, and what it waits for."""
 
 from __future__ import annotations
 
@@ -25,8 +25,10 @@ from imucald.mount.angle_deviations import angle_deviations
 
 ANGLES = ("roll", "pitch", "yaw")
 BETWEEN_DRIVES_STD = (math.radians(0.3), math.radians(0.3), math.radians(0.15))
-"""Roll, pitch, yaw [rad] by which a vehicle's body turns from drive to drive: load and springs do
-not touch yaw much, tyres and axles do a little."""
+"""Standard deviation of the change of a vehicle body's roll, pitch and yaw between drives [rad].
+
+Load and springs hardly change the yaw; tyres and axles change it a little.
+"""
 
 
 class MountState(enum.IntEnum):
@@ -42,7 +44,7 @@ class MountState(enum.IntEnum):
 
 
 class Missing(enum.IntEnum):
-    """What an angle is waiting for; the numbers are those on the bus."""
+    """Reason why an angle is not known yet; the numbers are those on the bus."""
 
     NOTHING = 0
     STANDSTILL = 1
@@ -62,7 +64,8 @@ class Missing(enum.IntEnum):
 class Targets(Struct, frozen=True):
     """Standard deviations [rad] about the vehicle's x, y, z below which a state is reached.
 
-    They hold for `MountEstimate.judged_std`: that about x contains the road's crown.
+    They are compared with `MountEstimate.judged_std`, whose value about x contains the road's
+    crown.
     """
 
     usable: tuple[float, float, float]
@@ -70,10 +73,10 @@ class Targets(Struct, frozen=True):
 
 
 class Gate(Struct, frozen=True):
-    """One thing that an estimate waits for.
+    """One condition that an estimate waits for.
 
-    share: how much of it is there (0 to 1). left: driving that the rest takes, as the last minutes
-    were [s]; None: not known.
+    share: fraction that is met (0 to 1). left: time of driving until it is met [s], at the pace of
+    the last minutes; None: not known.
     """
 
     name: str
@@ -82,7 +85,7 @@ class Gate(Struct, frozen=True):
 
 
 class Progress(Struct, frozen=True):
-    """How far an estimate is on its way to the state `goal`."""
+    """Progress of an estimate towards the state `goal`."""
 
     goal: MountState
     gates: tuple[Gate, ...]
@@ -94,17 +97,17 @@ def _rows(matrix: Matrix3) -> Rows:
 
 
 HOUSING = ""
-"""In the place of a channel: the rotation alone, see `Correction.of`."""
+"""Stands in place of a channel for the rotation alone, see `Correction.of`."""
 NO_OFFSET: Vector = (0.0, 0.0, 0.0)
 
 
 class Correction(Struct, frozen=True):
-    """What is applied to the samples of the next tick; matrices row by row.
+    """Correction of the samples of the next tick; matrices row by row.
 
-    rotation: R_vehicle_from_sensor, of the housing: for what else sits in it, a magnetometer or
-    another sensor with parallel axes, whose own errors nobody knows.
-    force, force_offset: W and o [m/s^2, vehicle axes]; the accelerometer's W f_sensor - o is sent.
-    rate, rate_offset: the same for the gyroscope [rad/s].
+    rotation: R_vehicle_from_sensor of the housing. It applies to other sensors in the housing with
+    parallel axes, such as a magnetometer, whose own errors are unknown. force, force_offset: W and
+    o [m/s^2, vehicle axes]. The accelerometer's W f_sensor - o is sent. rate, rate_offset: the same
+    for the gyroscope [rad/s].
     """
 
     rotation: Rows
@@ -115,7 +118,7 @@ class Correction(Struct, frozen=True):
 
     @classmethod
     def turning(cls, R_vehicle_from_sensor: Matrix3) -> Correction:
-        """That of sensors without an error of their own: a rotation (3, 3) alone."""
+        """Return the correction for sensors without own errors: a rotation (3, 3) alone."""
         rows = _rows(R_vehicle_from_sensor)
         return cls(rows, rows, rows)
 
@@ -128,7 +131,7 @@ class Correction(Struct, frozen=True):
         force_offset: ArrayLike = NO_OFFSET,
         rate_offset: ArrayLike = NO_OFFSET,
     ) -> Correction:
-        """The same from matrices (3, 3) and offsets (3,)."""
+        """Return the correction from matrices (3, 3) and offsets (3,)."""
         a, b, c = np.asarray(force_offset, dtype=float).tolist()
         p, q, r = np.asarray(rate_offset, dtype=float).tolist()
         return cls(_rows(R_vehicle_from_sensor), _rows(force), _rows(rate), (a, b, c), (p, q, r))
@@ -140,7 +143,9 @@ class Correction(Struct, frozen=True):
         return is_one and self.force_offset == NO_OFFSET and self.rate_offset == NO_OFFSET
 
     def of(self, channel: str) -> tuple[Rows, Vector]:
-        """Matrix and offset for the samples of a channel; the rotation for all but two."""
+        """Return matrix and offset for the samples of a channel; the rotation alone except for two
+        channels.
+        """
         if channel == "accel":
             return self.force, self.force_offset
         if channel == "gyro":
@@ -148,8 +153,8 @@ class Correction(Struct, frozen=True):
         return self.rotation, NO_OFFSET
 
     def applied(self, channel: str, values: Sequence[float]) -> Vector:
-        """A sample (3,) of a channel in vehicle axes."""
-        # Each sample on a bus comes through here: `of` and `times` would double what it takes.
+        """Return a sample (3,) of a channel in vehicle axes."""
+        # Each sample on a bus passes through here: `of` and `times` would double the time.
         if channel == "accel":
             matrix, offset = self.force, self.force_offset
         elif channel == "gyro":
@@ -171,12 +176,11 @@ class Correction(Struct, frozen=True):
 
 
 class SentDeviations(Struct, frozen=True):
-    """Standard deviations of what is left in corrected samples of the true force and rate.
+    """Standard deviations of the errors that remain in corrected samples of force and rate.
 
-    With E = (applied matrix)(response of the sensor) - 1: xy, yx, zx, zy are the force's
-    cross-talk E_xy, ..., of which E_xy is the part of a lateral force that the forward axis shows
-    [rad]; zero_x, zero_y the force that it shows on level ground [m/s^2]; rate_xz, rate_yz the
-    rate's E_xz and E_yz [rad].
+    E = (applied matrix)(response of the sensor) - 1. xy, yx, zx, zy: cross-talk E_xy, ... of the
+    force; E_xy is the part of a lateral force that the forward axis shows [rad]. zero_x, zero_y:
+    force that is shown on level ground [m/s^2]. rate_xz, rate_yz: E_xz and E_yz of the rate [rad].
     """
 
     xy: float
@@ -192,38 +196,37 @@ class SentDeviations(Struct, frozen=True):
     def of_rotation(
         cls, x: float, y: float, z: float, zero: tuple[float, float] = (0.0, 0.0)
     ) -> SentDeviations:
-        """Where a rotation alone is applied: from its deviations about the vehicle's axes [rad].
+        """Return the deviations if a rotation alone is applied, from its own about the vehicle's
+        axes [rad].
 
-        They speak of the angle of the housing. A rotation that is off by e leaves E = -skew(e), so
-        that one angle is in several entries, which are not independent. Cross-axis errors of the
-        sensors themselves are in them only as far as the covariance was widened for them; the
-        deviation about x contains the crown of roads, and so zy and zero_y do.
+        They describe the angle of the housing. A rotation with the error e leaves E = -skew(e). One
+        angle is then in several entries, which are not independent. Cross-axis errors of the
+        sensors are included only as far as the covariance was widened for them. The deviation about
+        x contains the crown of roads, so zy and zero_y contain it too.
 
         zero: the estimated zero of the accelerometer, level part in vehicle axes [m/s^2]. The
-        rotation does not take it off, so it stays in the force on level ground. An error of that
-        estimate leaves nothing there: the rotation is found from gravity less the estimate, and is
-        wrong by as much in the other direction.
+        rotation does not remove this zero, so it stays in the force on level ground. An error of
+        that estimate leaves nothing there: the rotation is found from gravity minus the estimate,
+        so its error has the same size and the opposite sign.
         """
         level = math.hypot(GRAVITY * y, zero[0]), math.hypot(GRAVITY * x, zero[1])
         return cls(z, z, y, x, *level, y, x)
 
 
 class MountEstimate(Struct, frozen=True, dict=True):
-    """One state of knowledge about the mount.
+    """Knowledge about the mount at one time.
 
-    R_vehicle_from_sensor: (3, 3), or None before there is any estimate.
-    covariance: (3, 3) of the rotation-vector error about the vehicle's axes [rad^2]:
-    R_true = exp(skew(e)) @ R_vehicle_from_sensor with e ~ (0, covariance).
-    waiting_for: per angle, what is still missing, in words; no entry where nothing is.
-    missing: the same as a code, for the bus.
-    faults: contradictions between signals that stand, by the names of
-    `contradictions.StandingFault`; while there is any, nothing is sent as good.
-    targets: what `judged_std` must fall below; None where the estimator states none.
-    progress: how far it is on the way to the next state; None where driving does not lead there.
-    judged_as: (3,) deviations that are judged instead of those of the housing's rotation [rad];
-    None: `std` itself is judged.
-    matrices: what will be applied when it is reached, where that is more than the rotation.
-    deviations: of what that leaves in the samples; None: `sent` follows from the covariance.
+    R_vehicle_from_sensor: (3, 3), or None before there is any estimate. covariance: (3, 3) of the
+    rotation-vector error about the vehicle's axes [rad^2]: R_true = exp(skew(e)) @
+    R_vehicle_from_sensor with e ~ (0, covariance). waiting_for: for each angle, the missing
+    evidence in words; no entry where nothing is missing. missing: the same as codes for the bus.
+    faults: contradictions between signals that stand now, by the names of
+    `contradictions.StandingFault`. While there is any, no data are sent as good. targets: limits
+    for `judged_std`; None where the estimator states none. progress: progress to the next state;
+    None where driving does not lead there. judged_as: (3,) deviations that are judged instead of
+    those of the housing's rotation [rad]; None: `std` itself is judged. matrices: correction that
+    will be applied once the transition is over, where it is more than the rotation. deviations:
+    deviations that this correction leaves in the samples; None: `sent` follows from the covariance.
     """
 
     state: MountState
@@ -241,19 +244,19 @@ class MountEstimate(Struct, frozen=True, dict=True):
 
     @property
     def judged_std(self) -> tuple[float, float, float] | None:
-        """What states are judged by: deviations about the vehicle's x, y, z [rad], or None."""
+        """Deviations about the vehicle's x, y, z [rad] by which states are judged, or None."""
         return self.std if self.judged_as is None else self.judged_as
 
     @cached_property
     def correction(self) -> Correction | None:
-        """What will be applied when it is reached, or None."""
+        """Correction that will be applied once the transition is over, or None."""
         if self.matrices is not None or self.R_vehicle_from_sensor is None:
             return self.matrices
         return Correction.turning(self.R_vehicle_from_sensor)
 
     @cached_property
     def sent(self) -> SentDeviations | None:
-        """Deviations of what a consumer gets, or None."""
+        """Deviations of the data that a consumer gets, or None."""
         if self.deviations is not None or self.std is None:
             return self.deviations
         return SentDeviations.of_rotation(*self.std)
@@ -289,21 +292,22 @@ class MountEstimate(Struct, frozen=True, dict=True):
 
 
 class MountEstimator(Protocol):
-    """What every mount estimator can do. Pure: no I/O, no clock.
+    """Interface of every mount estimator. Pure: no I/O, no clock.
 
     The pipeline calls `step` once per closed tick (10 Hz, see `motion.ticks`), in time order,
-    without holes; `gap` when time was discontinuous before the next tick. `correction` is read
-    after each step and applied to all samples of the next tick; None means not usable.
+    without holes. It calls `gap` when time jumps before the next tick. The pipeline reads
+    `correction` after each step and applies it to all samples of the next tick; None means not
+    usable.
     """
 
     @property
     def correction(self) -> Correction | None:
-        """What to apply now (smooth from tick to tick), or None: not usable yet."""
+        """Correction to apply now (smooth from tick to tick), or None: not usable yet."""
         ...
 
     @property
     def state(self) -> MountState:
-        """The present state; cheap, read after each step."""
+        """The present state. Reading it is cheap; it is read after each step."""
         ...
 
     def step(self, tick: TickRow) -> None:
@@ -311,7 +315,7 @@ class MountEstimator(Protocol):
         ...
 
     def gap(self) -> None:
-        """Time jumped: nothing before this may be differenced with what follows."""
+        """Note a jump of time: no value from before may be differenced with a later one."""
         ...
 
     def estimate(self) -> MountEstimate:
@@ -321,30 +325,33 @@ class MountEstimator(Protocol):
 
 @runtime_checkable
 class JudgesSignals(Protocol):
-    """An estimator that finds out which of the vehicle's signals are stuck, and leaves them out."""
+    """Interface of an estimator that finds stuck vehicle signals and leaves them out."""
 
     @property
     def stuck_signals(self) -> Mapping[str, bool]:
-        """By channel, whether it was stuck in the last block; a new mapping for every block."""
+        """For each channel, whether it was stuck in the last block.
+
+        The mapping is new for every block.
+        """
         ...
 
 
 @runtime_checkable
 class KeepsTicks(Protocol):
-    """An estimator that for most ticks does nothing but keep them; replay hands those over at once.
+    """Interface of an estimator that only stores most ticks; replay hands over such ticks together.
 
-    What comes of it equals `step` tick by tick, to the last bit.
+    The result equals that of `step` tick by tick, to the last bit.
     """
 
     def expect(self, ticks: NDArray[np.float64]) -> None:
-        """Look at the ticks (n, COLUMNS) that come next: some of the work is less in one go.
+        """Prepare the next ticks (n, COLUMNS) together, which makes some of the work faster.
 
-        They are still to be taken, by `step` or `keep_quiet`, unless time jumps before.
+        `step` or `keep_quiet` must still take these ticks, unless time jumps before.
         """
         ...
 
     def quiet_ticks(self) -> int:
-        """Of the next ticks so many change neither correction, state nor estimate."""
+        """Number of next ticks that change neither correction, state nor estimate."""
         ...
 
     def keep_quiet(self, ticks: NDArray[np.float64]) -> None:

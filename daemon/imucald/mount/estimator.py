@@ -1,22 +1,22 @@
 """The full mount estimator: roll, pitch and yaw of the sensor with a covariance that holds.
 
-What happens, in order:
+Order of the steps:
 
 1. Every tick goes to `SignalBlockMaker`; every 6.4 s it gives a block of even signals, each tick
    flagged by whether it may be learnt from (`motion.signal_health`).
-2. `MountSolver.add` takes the block: the gyroscope carries the vertical through it, what is left
-   of the force goes to windows in the frequency domain and to the mean of gravity.
-3. `SignalChecks` holds the signals against one another: a contradiction that begins or ends makes
-   the solver begin anew. `ForceLevel` holds the size of gravity against its own past.
+2. `MountSolver.add` takes the block. The gyroscope carries the vertical through it. The force minus
+   this vertical goes to windows in the frequency domain and to the mean of gravity.
+3. `SignalChecks` compares the signals with one another: a contradiction that begins or ends makes
+   the solver begin anew. `ForceLevel` compares the size of gravity with its own past.
 4. `MountSolver.fit` turns all evidence so far into one rotation with variances, as soon as enough
    has come since the last one (`RestartableSolver.is_turn`).
 5. Once gyro bias and rotation are known, `RestartableSolver` goes through the first minutes again.
-6. After that `MountChanges` holds every block against what was known before it. A sensor that was
-   moved makes the mount suspect; the solver starts again from what came after the change. Where the
-   change misleads nobody, it is reported and the interval covers it until a second solver knows the
-   new mount.
+6. After that `MountChanges` compares every block with what was known before it. If the sensor was
+   moved, the mount becomes suspect and the solver starts again with the data after the change. If
+   the change misleads no consumer, it is reported, and the interval covers it until a second solver
+   knows the new mount.
 7. `ServedMount` gives the state, with hysteresis, and follows a good rotation without a jump.
-   `MountEstimate` says all of it, and what each angle waits for.
+   `MountEstimate` reports all of it, and what each angle waits for.
 """
 
 from __future__ import annotations
@@ -60,20 +60,23 @@ from imucald.mount.steering import SteeringOffsetEstimator
 from imucald.mount.zero_step import GravityMoved
 
 FAILED_BLOCKS = 14
-"""Numbers out of range stand as a fault for so long after the last of them (90 s)."""
+"""Numbers out of range stay reported as a fault for this many blocks after the last of them (90 s).
+"""
 MINUTE_BLOCKS = 10
-"""What an estimate waits for is judged by the last minute: what a single block lacks comes back."""
+"""The last minute decides what an estimate waits for: a condition that a single block lacks usually
+returns.
+"""
 TURNING = frozenset({"yaw_rate", "steering"})
 FROZEN_TICKS = 40
-"""Learning counts as frozen when so many of a block's ticks were not to be trusted."""
+"""Learning counts as frozen when at least this many ticks of a block are not trusted."""
 
 
 class FullEstimator:
-    """Estimate from all evidence; see the steps above.
+    """Estimate the mount from all evidence; see the steps in the module docstring.
 
     State: `_signals` (ticks, offsets, signal health), `_solvers` (the evidence and its rotation),
-    `_checks` and `_changes` (what speaks against that rotation), `_known` (what the state is
-    judged by), `_served` (the state, and what is applied).
+    `_checks` and `_changes` (evidence against that rotation), `_known` (knowledge by which the
+    state is judged), `_served` (the state and the applied correction).
     """
 
     def __init__(self, settings: EstimatorSettings | None = None) -> None:
@@ -111,13 +114,14 @@ class FullEstimator:
 
     @property
     def stuck_signals(self) -> Mapping[str, bool]:
-        """Of the vehicle's signals, see `mount.estimate.JudgesSignals`."""
+        """For each vehicle signal, whether it is stuck, see `mount.estimate.JudgesSignals`."""
         return self._signals.stuck
 
     def take_usual_signals(self, former: FullEstimator, channels: Collection[str]) -> None:
-        """Take how long the vehicle's signals usually keep a value from another estimator.
+        """Take over, from another estimator, how long the vehicle's signals usually keep a value.
 
-        channels: those that come from the same sources. A signal that is stuck says nothing of it.
+        channels: those that come from the same sources in both. Nothing is taken from a signal that
+        is stuck.
         """
         self._signals.health.take_usual(former._signals.health, channels)
 
@@ -141,21 +145,21 @@ class FullEstimator:
             self._estimate = None
 
     def expect(self, ticks: Array) -> None:
-        """Look at the ticks (n, COLUMNS) that come next, see `mount.estimate.KeepsTicks`."""
+        """Prepare the next ticks (n, COLUMNS), see `mount.estimate.KeepsTicks`."""
         self._signals.expect(ticks)
 
     def quiet_ticks(self) -> int:
-        """How many of the next ticks are only kept, see `mount.estimate.KeepsTicks`."""
+        """Number of next ticks that are only stored, see `mount.estimate.KeepsTicks`."""
         if self._is_catching_up or self._served.is_turning:
             return 0
         return self._signals.until_block - 1
 
     def keep_quiet(self, ticks: Array) -> None:
-        """Take ticks (n, COLUMNS), no more than `quiet_ticks`."""
+        """Take ticks (n, COLUMNS), at most `quiet_ticks`."""
         self._signals.push_all(ticks)
 
     def gap(self) -> None:
-        """Time jumped: signals before it are not joined with those after it."""
+        """Note a jump of time: signals before it are not joined with those after it."""
         self._signals.restart()
         self._solvers.gap()
         self._is_catching_up = self._solvers.is_catching_up
@@ -166,14 +170,17 @@ class FullEstimator:
     # block by block -------------------------------------------------------------------------
 
     def _take_block(self, p: SignalBlock) -> None:
-        """Learn from a block; numbers that no arithmetic bears freeze learning and are reported."""
+        """Learn from a block.
+
+        Numbers beyond the range of the arithmetic freeze learning and are reported.
+        """
         self._failed_for = max(self._failed_for - 1, 0)
         try:
             with np.errstate(over="raise", invalid="raise", divide="raise"):
                 self._learn_from(p)
         except (np.linalg.LinAlgError, ArithmeticError):
             self._failed_for = FAILED_BLOCKS
-            self._begin_without_rotation()  # numbers that cannot be are in what was learnt
+            self._begin_without_rotation()  # impossible numbers are in the evidence
         self._judge(p)
 
     def _learn_from(self, p: SignalBlock) -> None:
@@ -185,14 +192,14 @@ class FullEstimator:
         if (solvers.can_compare and vertical.is_held) or p.rest.all():  # it is free of the motion
             self._level.add(p, vertical.up)
         turned = changes.at_once(p, solvers.now, signals) if solvers.can_compare else None
-        if turned is not None:  # by hand: that contradicts no sign and no unit
+        if turned is not None:  # moved by hand: no sign and no unit is contradicted
             self._checks.forget_forces()
         elif self._checks.add(p, solvers.now, signals, solvers.kept):
             self._begin_without_rotation([p])
         is_refitting = solvers.is_refitting
         is_turn = changes.is_near or solvers.is_turn(signals.blocks, self.state is MountState.FINE)
         if (is_turn or solvers.is_young) and solvers.fit():
-            self._checks.forget_forces()  # the forces spoke of another rotation
+            self._checks.forget_forces()  # the forces showed another rotation
         self._take_beside()
         solvers.follow_creep(has_shifted=bool(changes.history))
         if self._look_for_large_change(p, turned) or is_refitting:
@@ -207,16 +214,19 @@ class FullEstimator:
             self._take_change(change)
 
     def _small_change(self, is_turn: bool) -> MountChange | None:
-        """A small move of the sensor in the last minutes; is_turn: the rotation was fitted now."""
+        """Look for a small move of the sensor in the last minutes.
+
+        is_turn: the rotation was fitted now.
+        """
         return self._changes.small(self._solvers.now) if is_turn else None
 
     @property
     def _is_rotation_good(self) -> bool:
-        """Whether the solver's rotation is good enough to hold gravity against it."""
+        """Whether the solver's rotation is good enough to compare gravity with it."""
         return self.state in GOOD
 
     def _known_mount(self) -> MountSoFar | None:
-        """What a speed that stays is held against."""
+        """Return the mount that is used to check a speed that stays constant."""
         solver = self._solver
         up = solver.vertical.up
         if solver.R is None or up is None or not self._solvers.can_compare or not solver.sure():
@@ -225,7 +235,7 @@ class FullEstimator:
         return MountSoFar(solver.R[0], up, delay.value, delay.std)
 
     def _follow_steering(self, p: SignalBlock) -> None:
-        """Steering offset against the measured yaw rate; steering alone knows no offset."""
+        """Find the steering offset from the measured yaw rate; steering alone shows no offset."""
         measured = self._solver.own_gyro or "yaw_rate" in self._signals.seen
         if not measured or not np.count_nonzero(p.ok_steering) or self._signals.without_speed:
             return
@@ -240,9 +250,10 @@ class FullEstimator:
         return self._steering.fitted(s.crown, 1.5 * s.vehicle.crown_std)
 
     def _look_for_large_change(self, p: SignalBlock, turned: LargeChange | None) -> bool:
-        """Look for a turn by several degrees, and for gravity far from the vertical.
+        """Look for a rotation by several degrees, and for gravity far from the vertical.
 
-        turned: what the block has shown by itself. True: there was one, and it was dealt with.
+        turned: result of the block alone. Returns True if there was a change, which is then
+        handled.
         """
         solver, changes = self._solver, self._changes
         if solver.R is None or not self._solvers.can_compare:
@@ -253,7 +264,7 @@ class FullEstimator:
             self._begin_without_rotation([p])
             return True
         changes.add(p, solver, self._signals)
-        if self.state not in GOOD:  # nothing is served as good, and the fit is young
+        if self.state not in GOOD:  # nothing is served as good; the fit is young
             if turned is not None:
                 self._begin_without_rotation()
                 self._served.has_moved = self.correction is not None
@@ -264,7 +275,7 @@ class FullEstimator:
         return found is not None
 
     def _take_change(self, found: MountChange) -> None:
-        """The sensor was moved: what came in the blocks after is all that counts."""
+        """Handle a moved sensor: only the blocks after the move count."""
         after = blocks_since(found, self._solvers.kept)
         changes, block, good = self._changes, self._signals.blocks, self._good_mount()
         std = changes.stated(self._solver, block)[found.axis]
@@ -284,26 +295,30 @@ class FullEstimator:
         changes.take(found, block, std, good)
 
     def _ask_for_zero(self, found: MountChange, after: list[SignalBlock]) -> None:
-        """A zero of the accelerometer that steps looks like a tilt; the gyroscope knows which."""
+        """Check for a step of the accelerometer's zero, which looks like a tilt; the gyroscope
+        tells them apart.
+        """
         if found.axis < 2 and self._solver.own_gyro:
             end = float(self._solvers.kept[-1].t[0]) + BLOCK_S
             self._changes.zero.ask(float(after[0].t[0]) if after else end)
 
     def _take_beside(self) -> None:
-        """Go on with what came after a change that misled nobody, once it knows the mount."""
+        """Switch to the second solver, which uses the data after a harmless change, once it knows
+        the mount.
+        """
         if not self._solvers.has_beside and self._served.has_arrived:
-            self._changes.borne[:] = 0.0  # what is applied is the mount of now
+            self._changes.borne[:] = 0.0  # the applied mount is now the present one
         if self._solvers.take_beside(self._settings.limits):
             self._changes.know_borne()
 
     def _begin_without_rotation(self, blocks: Iterable[SignalBlock] = ()) -> None:
-        """Begin again from these blocks: not even the rotation so far is a hint."""
+        """Begin again from these blocks, without the rotation so far even as a hint."""
         self._changes.end_of_mounting(self._good_mount())
         self._changes.zero.restart()
         self._begin_afresh(blocks)
 
     def _begin_afresh(self, blocks: Iterable[SignalBlock]) -> None:
-        """Begin again from these blocks, and go on to ask what moved gravity."""
+        """Begin again from these blocks, and continue to check what moved gravity."""
         self._served.has_moved = True
         self._changes.restart()
         self._checks.restart()
@@ -333,7 +348,7 @@ class FullEstimator:
         self._progress.take(t, self._known, self.state, self._settings, self._acceptance())
 
     def _found_correction(self) -> Correction:
-        """What is to be applied, by the evidence so far."""
+        """Return the correction that the evidence so far asks for."""
         found = self._rotation.of(self._solver, self._moving(), self._is_yaw_known)
         return Correction.turning(found[0])
 
@@ -342,7 +357,7 @@ class FullEstimator:
         return self._solver.yaw_known and not self._checks.is_motion_accused
 
     def _knowledge(self, p: SignalBlock) -> MountKnowledge:
-        """What is known after a block."""
+        """Return the knowledge after a block."""
         solver, driven, fused = self._solver, self._solvers.driven, self._solver.fused
         frozen = ~p.learn & p.ok_force
         self._lately.append(tuple(map(np.count_nonzero, (p.ok_force, p.ok_speed, frozen))))
@@ -372,7 +387,7 @@ class FullEstimator:
         )
 
     def _good_mount(self, R: Matrix3 | None = None) -> GoodMount | None:
-        """The mount that is good now; R: what is known of it, where that is not applied yet."""
+        """Return the mount that is good now. R: known rotation where it is not applied yet."""
         good = self._served.good
         if good is None:
             return None
@@ -388,7 +403,9 @@ class FullEstimator:
         return Acceptance(self._solver, self._checks, self._changes, has_speed)
 
     def estimate(self) -> MountEstimate:
-        """Return the present state of knowledge; the same one until something has been learnt."""
+        """Return the present state of knowledge; the object stays the same until something was
+        learnt.
+        """
         if self._estimate is None:
             self._estimate = self._new_estimate()
         return self._estimate
@@ -437,24 +454,29 @@ class FullEstimator:
     # what a person says, and what outlives the process; see `mount.restored` ------------------
 
     def take_stated_mount(self, R: Matrix3) -> None:
-        """A person states the mount: it rules out what no signal may, where it is the one found."""
+        """Take the mount that a person states.
+
+        If it is the mount that is found, it excludes alternatives that no signal can exclude.
+        """
         self._checks.take_mount(R)
 
     @property
     def contradiction(self) -> float | None:
-        """Chi-square (3) of past drives' evidence against this one's; None without any."""
+        """Chi-square (3) of this drive's evidence against that of past drives; None without past
+        drives.
+        """
         return self._solvers.contradiction
 
     def saved_information(self) -> SavedInformation | None:
-        """What all evidence comes to, for the next start; None where there is too little."""
+        """Information of all evidence, for the next start; None where there is too little."""
         return self._solvers.saved_information()
 
     def join_information(self, kept: SavedInformation) -> None:
-        """Go on with what past drives found as well."""
+        """Add the information that past drives found."""
         self._solvers.join(kept)
         self._estimate = None
 
     def drop_information(self) -> None:
-        """Go on with this drive's evidence alone."""
+        """Continue with the evidence of this drive alone."""
         self._solvers.drop_past_drives()
         self._estimate = None

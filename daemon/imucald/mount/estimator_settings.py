@@ -1,7 +1,7 @@
-"""What the full estimator is given about sensor, vehicle and road: priors, limits, delays.
+"""Settings of the full estimator about sensor, vehicle and road: priors, limits, delays.
 
-Every figure is a prior or a promise that the intervals rest on; `priors` says where each comes
-from.
+The intervals rely on every figure here, as a prior or as a promise. `priors` gives the source of
+each.
 """
 
 from __future__ import annotations
@@ -26,10 +26,10 @@ from imucald.mount.priors import (
 
 
 class DelayPrior(Struct, frozen=True):
-    """Lateness of a vehicle signal against the accelerometer, before data speak [s].
+    """Lateness of a vehicle signal against the accelerometer before any data [s].
 
-    Positive: the signal arrives late. It is sought within what can be configured; where the delay
-    is stated (`delay.SEARCHED_STD`), within mean +- 4 std too.
+    Positive: the signal arrives late. The delay is searched within the configurable range. A stated
+    delay (`delay.SEARCHED_STD`) is also searched only within mean +- 4 std.
     """
 
     mean: float = 0.1
@@ -45,7 +45,10 @@ class Limits(NamedTuple):
     fine_tilt: float
 
     def about_axes(self, crown: float = 0.0) -> Targets:
-        """The same about each axis of the vehicle; crown: what is in the roll besides [rad]."""
+        """Return the limits about each axis of the vehicle.
+
+        crown: additional deviation of the roll [rad].
+        """
         usable, fine = self.usable_tilt, self.fine_tilt
         return Targets(
             (math.hypot(usable, crown), usable, self.usable_yaw),
@@ -54,13 +57,14 @@ class Limits(NamedTuple):
 
 
 class MountSettings(Struct, frozen=True, dict=True):
-    """What both estimators take from the configuration, and what a model file knows better.
+    """Settings that both estimators take from the configuration or, where it knows better, from a
+    model file.
 
-    crown_mean: mean lean of the roads towards the kerb (tangent); None: the configuration's.
+    crown_mean: mean lean of the roads towards the kerb (tangent); None: that of the configuration.
     """
 
     OWN_LIMITS: ClassVar[Limits]
-    """The estimator's, where the configuration gives none."""
+    """Limits of the estimator itself, used where the configuration gives none."""
 
     calibration: CalibrationSettings = field(default_factory=CalibrationSettings)
     vehicle: VehicleSettings = field(default_factory=VehicleSettings)
@@ -74,7 +78,7 @@ class MountSettings(Struct, frozen=True, dict=True):
 
     @cached_property
     def limits(self) -> Limits:
-        """Limits of the states: the configured ones, else the estimator's own."""
+        """Limits of the states: the configured ones, otherwise those of the estimator itself."""
         given, own = self.calibration.states, self.OWN_LIMITS
         return Limits(
             given.usable_yaw or own.usable_yaw,
@@ -85,12 +89,14 @@ class MountSettings(Struct, frozen=True, dict=True):
 
     @cached_property
     def targets(self) -> Targets:
-        """The same about each axis of the vehicle, with the crown that roll cannot be rid of."""
+        """Limits about each axis of the vehicle, including the crown, which the roll always
+        contains.
+        """
         return self.limits.about_axes(self.vehicle.crown_std)
 
 
 class EstimatorSettings(MountSettings, frozen=True):
-    """What the user sets, what a model file says, and priors that nobody sets. SI units, rad."""
+    """Settings by the user, settings by a model file, and fixed priors. SI units, rad."""
 
     OWN_LIMITS = Limits(
         usable_yaw=math.radians(1.0),
@@ -102,24 +108,31 @@ class EstimatorSettings(MountSettings, frozen=True):
     slope_std: float = SLOPE_STD
     """Road slope along and (about its mean) across the vehicle, rms tangent."""
     slope_length: float = SLOPE_LENGTH
-    """Distance over which the slope forgets itself [m]."""
+    """Correlation length of the slope along the road [m]."""
     unevenness: tuple[float, float] = (1.0, 1.0)
-    """How many times `slope_std` the roads' tangents across and along are, where a model says that
-    they are more uneven; what is taken for a moved sensor bears it in mind."""
+    """Factors on `slope_std` for the tangents across and along the road, where a model says that
+    roads are more uneven. The tests for a moved sensor use them.
+    """
     accel_scale_std: float = ACCEL_SCALE_STD
-    """Scale error per axis of the accelerometer (part): in a tilted sensor a cross-axis error."""
+    """Scale error of each axis of the accelerometer (part).
+
+    In a tilted sensor it acts as a cross-axis error.
+    """
     gyro_misalignment_std: float = GYRO_MISALIGNMENT_STD
-    """Turn of the gyroscope's triad against the accelerometer's [rad]."""
+    """Rotation of the gyroscope's triad against the accelerometer's [rad]."""
     delays: Mapping[str, DelayPrior] = field(
         default_factory=lambda: {"speed": DelayPrior(0.1, 0.3), "yaw_rate": DelayPrior(0.05, 0.1)}
     )
     lever_arm: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    """Of the sensor from the body's centre of rotation, vehicle axes [m], where a model knows it;
-    what it is beyond that is found as nuisance."""
+    """Lever arm of the sensor from the body's centre of rotation, vehicle axes [m], where a model
+    knows it. The rest is estimated as a nuisance.
+    """
     understeer: float = UNDERSTEER
     """K in r = v * delta / (n * L * (1 + K v^2 / L)) [rad/(m/s^2)]."""
     uses_steering: bool = False
     """Whether the angle of the steering wheel may stand for the yaw rate."""
     are_sides_turned: bool = False
-    """Whether the configuration turns signals that know left from right, so that as likely as not
-    the accelerometer is mirrored instead (`mirror`): what they say of it is no confirmation."""
+    """Whether the configuration turns signals that tell left from right.
+
+    The accelerometer may just as well be mirrored (`mirror`), so these signals do not confirm it.
+    """

@@ -1,8 +1,9 @@
-"""What blocks of ticks come to where their signals have no holes: of many blocks at once.
+"""Even signals of blocks of ticks without holes, for many blocks at once.
 
-Live each block is worked out when it is complete, in replay all blocks of a chunk together; both go
-through `even_signals`, so they give the same bits. What has a hole or may be stuck is marked, and
-left to `signal_blocks`, which looks at such blocks one by one.
+Live, each block is computed when it is complete; in replay, all blocks of a chunk are computed
+together. Both use `even_blocks`, so they give the same bits. Both use `even_signals`, so they give
+the same bits. A block that has a hole or may be stuck is marked. `signal_blocks` treats such blocks
+one by one.
 """
 
 from __future__ import annotations
@@ -31,27 +32,27 @@ from imucald.mount.gyro_walk import SELDOM
 Flags = NDArray[np.bool_]
 
 BLOCK_TICKS = 64
-"""Ticks per block: 6.4 s between two looks at the data, whose cost is per look."""
+"""Ticks of a block: 6.4 s. Data are examined once per block, so the length sets the cost."""
 LAG = 16
-"""Ticks the work runs behind: a speed of 1 Hz with jitter must have come."""
+"""Ticks by which the work runs behind the data: a speed of 1 Hz with jitter must have come."""
 BEFORE = 24
 """Ticks of context in front of a block."""
 KEEP = BEFORE + LAG
 ROWS = KEEP + BLOCK_TICKS
-"""Ticks that a block is made of."""
+"""Ticks from which a block is made."""
 ACCEL_GAP = 0.35
-"""Longest hole bridged in accelerometer or gyroscope [s]; 5 Hz with one loss."""
+"""Longest hole in accelerometer or gyroscope that is bridged [s]; 5 Hz with one loss."""
 SPEED_GAP = 2.3
-"""Longest hole bridged in speed [s]; 1 Hz with one loss."""
+"""Longest hole in the speed that is bridged [s]; 1 Hz with one loss."""
 PART = slice(BEFORE - 1, BEFORE + BLOCK_TICKS + 1)
-"""Of those ticks the block's own, with one more at both ends, for dv/dt."""
+"""The block's own ticks among them, with one more at both ends for dv/dt."""
 MID = slice(1, BLOCK_TICKS + 1)
-"""Of `PART` the block's own."""
+"""The block's own ticks within `PART`."""
 _BACK = (np.arange(ROWS) - (ROWS - 1)) * TICK_S
 
 
 class BlockRuns(Struct, frozen=True):
-    """Runs of equal values of a block, all of them short and none across its end.
+    """Runs of equal values of a block. All runs are short, and none crosses the block's end.
 
     first: the first value. driven: (M,) ticks of driving in each, where there are any; change: (M,)
     after each.
@@ -63,7 +64,10 @@ class BlockRuns(Struct, frozen=True):
 
 
 class Knots(Struct, frozen=True):
-    """When a speed is known (K,) [s], None: in each tick; and its step, where that shows [m/s]."""
+    """Times at which a speed is known (K,) [s], None: in each tick.
+
+    Also the step of the speed [m/s], where it shows.
+    """
 
     times: Array | None = None
     step: float = 0.0
@@ -73,12 +77,12 @@ IN_EACH_TICK = Knots()
 
 
 class Driven(Struct, frozen=True):
-    """Speed of a block whose ticks all have one.
+    """Speed of a block in which every tick has a speed.
 
     speed: (N + 2,) [m/s], ok: (N + 2,), see `PART`; accel: (N,) dv/dt [m/s^2]. least: the least
-    speed between two other speeds [m/s]. rolls: all speeds say so. moves: none says zero. runs:
-    None where a speed may be stuck. calm: no tick's force, rate, speed or wheels are implausible.
-    knots: when the speed is known.
+    speed between two other speeds [m/s]. rolls: all speeds show a rolling vehicle. moves: no speed
+    is zero. runs: None where a speed may be stuck. calm: no tick's force, rate, speed or wheels are
+    implausible. knots: when the speed is known.
     """
 
     speed: Array
@@ -93,13 +97,13 @@ class Driven(Struct, frozen=True):
 
 
 class EvenBlock(Struct, frozen=True):
-    """A block whose ticks all have a force and a rate, N = BLOCK_TICKS.
+    """Block in which every tick has a force and a rate, N = BLOCK_TICKS.
 
     force, rate: (N + 2, 3), ok_force, ok_rate: (N + 2,). repeats: two ticks in a row have the same
-    mean, as those of a stuck sensor. rate_seldom: some tick may have no sample of its own.
-    steering, yaw_rate, lateral: (N + 2,), where all ticks have them. yaw_runs: None where the yaw
-    rate may be stuck. has_heading, has_reverse: whether any tick has one; is_reverse: whether any
-    is in reverse.
+    mean, as with a stuck sensor. rate_seldom: some ticks may have no gyroscope sample of their own.
+    steering, yaw_rate, lateral: (N + 2,), present if all ticks have them. yaw_runs: None where the
+    yaw rate may be stuck. has_heading, has_reverse: whether any tick has one; is_reverse: whether
+    any is in reverse.
     """
 
     force: Array
@@ -154,7 +158,10 @@ def bridged(at: Array, times: Array, values: Array, longest: float) -> tuple[Arr
 
 
 def speed_blocks(at: Array, times: Array, values: Array) -> tuple[Array, Flags, list[Knots]]:
-    """As `bridged_blocks` of speeds (B, M), which may be coarse; and when each is known."""
+    """Like `bridged_blocks` for speeds (B, M), which may be coarse.
+
+    Also returns when each is known.
+    """
     out, ok = bridged_blocks(at, times, values, SPEED_GAP)
     knots = [IN_EACH_TICK] * len(at)
     for b in np.flatnonzero(stays(values)).tolist():
@@ -170,9 +177,9 @@ def speed_blocks(at: Array, times: Array, values: Array) -> tuple[Array, Flags, 
 def bridged_speed(
     at: Array, times: Array, values: Array, step: float = 0.0
 ) -> tuple[Array, Flags, Knots]:
-    """As `bridged` of speeds (M,), which may be coarse; and when they are known.
+    """Like `bridged` for speeds (M,), which may be coarse. Also returns when they are known.
 
-    step: that of the speeds, where it is known to be coarse [m/s].
+    step: step of the speeds if they are known to be coarse [m/s].
     """
     if len(times) < 1:
         return *bridged(at, times, values, SPEED_GAP), IN_EACH_TICK
@@ -185,14 +192,17 @@ def bridged_speed(
 
 
 def times_of(end: Array) -> Array:
-    """Ends of the ticks (..., ROWS) of blocks whose last tick ends at `end` (..., 1) [s]."""
+    """Return the ends of the ticks (..., ROWS) of blocks whose last tick ends at `end` (..., 1)
+    [s].
+    """
     return np.asarray(end + _BACK)
 
 
 def even_blocks(rows: Array, health: SignalHealth) -> list[EvenBlock | None]:
-    """The blocks of ticks (KEEP + B * BLOCK_TICKS, COLUMNS); None where force or rate has a hole.
+    """Return the blocks of ticks (KEEP + B * BLOCK_TICKS, COLUMNS); None where force or rate has a
+    hole.
 
-    No number may be impossible, see `SignalHealth.drop_impossible`.
+    Impossible numbers must have been removed, see `SignalHealth.drop_impossible`.
     """
     windows = np.lib.stride_tricks.sliding_window_view(rows, ROWS, axis=0)[::BLOCK_TICKS]
     windows = windows.transpose(0, 2, 1)
@@ -235,14 +245,16 @@ def even_blocks(rows: Array, health: SignalHealth) -> list[EvenBlock | None]:
 
 
 def _whole(windows: Array, count: int) -> Flags:
-    """Blocks (B,) all of whose ticks have samples."""
+    """Return the blocks (B,) in which all ticks have samples."""
     return np.asarray((windows[:, :, count] > 0).all(axis=1))
 
 
 def _sensed(
     windows: Array, t: Array, at: Array, columns: tk.AccelColumns | tk.GyroColumns
 ) -> tuple[Array, Flags, list[bool], list[bool]]:
-    """Values (B, N + 2, 3), where they are known, and of each block `repeats` and `seldom`."""
+    """Return values (B, N + 2, 3) and where they are known, and `repeats` and `seldom` per
+    block.
+    """
     times = t - windows[:, :, columns.age]
     mean = windows[:, :, columns.x : columns.z + 1]
     same = np.all(np.abs(mean[:, 1:] - mean[:, :-1]) < SAME, axis=2)
@@ -253,7 +265,7 @@ def _sensed(
 
 
 def _means(windows: Array, columns: tk.SignalColumns) -> list[Array | None]:
-    """Means over the ticks, which are taken for their middles: nothing to interpolate."""
+    """Return means over the ticks as values at their middles, without interpolation."""
     whole, values = _whole(windows, columns.n).tolist(), windows[:, PART, columns.mean]
     return [values[b].copy() if has else None for b, has in enumerate(whole)]
 
@@ -265,7 +277,7 @@ def _driven(
     sensed: tuple[Array, Flags, Array, Flags],
     health: SignalHealth,
 ) -> list[Driven | None]:
-    """sensed: force and rate, each with where it is known."""
+    """Return the speed of the blocks. sensed: force and rate, each with where it is known."""
     whole = _whole(windows, tk.SPEED.n)
     found: list[Driven | None] = [None] * len(windows)
     if not whole.any():
@@ -297,7 +309,10 @@ def _driven(
 
 
 def _speed_runs(mean: Array, size: Array) -> list[BlockRuns | None]:
-    """Of speeds (B, ROWS) and their sizes; also None where one is zero: wheels may turn then."""
+    """Return the runs of speeds (B, ROWS), given their sizes.
+
+    None also where a speed is zero: wheels may turn then.
+    """
     simple: Flags = size.min(axis=1) > SAME_SPEED
     return _runs(mean, SAME_SPEED, simple, size > DRIVING_SPEED)
 
@@ -312,7 +327,7 @@ def _yaw_runs(windows: Array) -> list[BlockRuns | None]:
 
 
 def _runs(values: Array, same: float, use: Flags, drives: Flags) -> list[BlockRuns | None]:
-    """Of values (B, ROWS) of a signal, in the blocks (B,) that are to be used."""
+    """Return the runs of a signal's values (B, ROWS) in the blocks (B,) that are to be used."""
     driven: Array = np.zeros((len(values), ROWS + 1))
     np.cumsum(drives, axis=1, out=driven[:, 1:])
     simple, block, first, last, change = short_runs(values, same, BLOCK_TICKS)

@@ -1,13 +1,13 @@
-"""Gravity: where the specific force points when the motion is taken out, mean over the road.
+"""Gravity: direction of the specific force without the motion, averaged over the road.
 
-At rest it is the levelling of method A, steps 1-2. One stop holds the slope of its place; on the
-way the slope changes, so the mean over D metres of road has the variance of a mean of a
-Gauss-Markov process of length L,
+At rest, this is the levelling of method A, steps 1-2. A stop shows the slope of one place. While
+driving the slope changes, so the mean over D metres of road has the variance of a mean of a
+Gauss-Markov process with the correlation length L:
 
     s^2 * 2 (L / D) (1 - (L / D) (1 - exp(-D / L))),
 
-which is s^2 for one place and falls as 2 L / D: places are counted, not samples. The bias of
-the accelerometer stays whatever the road, and the mean lean of roads stays as well.
+This variance is s^2 for one place and falls as 2 L / D. Places count, not samples. The bias of the
+accelerometer does not average out, and neither does the mean lean of roads.
 """
 
 from __future__ import annotations
@@ -26,20 +26,20 @@ from imucald.mount.road_segments import ScoreSeries
 from imucald.mount.signal_blocks import SignalBlock
 
 STOP_METRES = 12.0
-"""A stop counts as much as that much road at most: no motion, but one place."""
+"""A stop counts as at most this many metres of road: it has no motion, but it is one place."""
 REST_METRES_PER_TICK = 0.5
 MIN_WEIGHT = 20.0
-"""A road segment shorter than this [m] says nothing of gravity."""
+"""A road segment shorter than this [m] gives no gravity evidence."""
 ROAD_SHARE = {"roll_gravity": 1.7, "pitch_gravity": 1.5}
-"""Superelevation, squat and leaning of the body widen the spread of slopes."""
+"""Factors by which superelevation, squat and leaning of the body widen the spread of slopes."""
 SHARE = 0.1
-"""Share of the motion that may be missed; weighs ticks of hard driving down."""
+"""Share of the motion that may be missed. It reduces the weight of ticks of hard driving."""
 STILL = 0.15
-"""Motion force that does not matter [m/s^2]."""
+"""Motion force that is small enough to ignore [m/s^2]."""
 
 
 class GravityEvidence:
-    """Sums over the road of force and motion; R and gains may still change."""
+    """Sums of force and motion over the road; R and gains may still change."""
 
     def __init__(self) -> None:
         self._weight = 0.0
@@ -53,14 +53,14 @@ class GravityEvidence:
         self._rows = np.zeros((16, 7))  # of segments, see `_row`; the open one behind the others
         self._closed = 0
         self._rows_of: tuple[object, ...] = ()  # roads that the closed ones are for
-        self._each: list[list[float]] = []  # what closed ones came to, as `_end` has it
+        self._each: list[list[float]] = []  # sums of closed segments, in the form of `_end`
         self._made: tuple[tuple[object, ...], list[ScoreSeries]] | None = None
 
     def _sofar(self) -> list[float]:
         return [self._weight, *self._force.tolist(), *self._motion.tolist(), self.metres]
 
     def _open(self) -> list[float]:
-        """What the open segment comes to."""
+        """Return the sums of the open segment."""
         return [now - end for now, end in zip(self._sofar(), self._end, strict=True)]
 
     def close_segment(self) -> None:
@@ -77,12 +77,13 @@ class GravityEvidence:
         std: tuple[float, float],
         length: float,
     ) -> list[ScoreSeries]:
-        """Small turns e_x and e_y about R from gravity, one of each road segment, the open one too.
+        """Return small rotations e_x and e_y about R from gravity, one per road segment including
+        the open one.
 
-        std: rms tangent of the roads across and along; length: over which it forgets itself [m].
+        std: rms tangent of the roads across and along; length: correlation length of the slope [m].
         """
         key = R, bias, gains, std, length
-        if self._made is not None:  # it is asked for twice a road segment
+        if self._made is not None:  # it is called twice per road segment
             known, found = self._made
             if all(map(operator.is_, key[:2], known[:2])) and key[2:] == known[2:]:
                 return found
@@ -130,16 +131,16 @@ class GravityEvidence:
 
     @property
     def known(self) -> bool:
-        """True when there is a direction of gravity at all."""
+        """Whether there is any direction of gravity."""
         return self._weight > 0.0
 
     def mean_force(self) -> Array:
-        """Mean specific force in sensor axes, motion still in it (3,)."""
+        """Mean specific force in sensor axes, with the motion (3,)."""
         mean: Array = self._force / max(self._weight, 1e-9)
         return mean
 
     def tilt(self, R: Matrix3, bias: Array, gains: tuple[float, float]) -> tuple[float, float]:
-        """e_x and e_y [rad] about R that gravity asks for, with the lean of roads still in."""
+        """Return e_x and e_y [rad] about R from gravity, with the lean of roads included."""
         w = max(self._weight, 1e-9)
         F = R @ (self._force / w - bias)
         x = F[0] - gains[0] * self._motion[0] / w
@@ -160,7 +161,8 @@ class GravityEvidence:
 
 
 def _row(each: list[float], std: tuple[float, float], length: float) -> list[float]:
-    """A segment's mean force (3,) and motion (2,), and informations of the tilts that they show.
+    """Return a segment's mean force (3,) and motion (2,), and the informations of the tilts that
+    they show.
 
     each: see `GravityEvidence`; std, length: see `GravityEvidence.series`.
     """
@@ -175,10 +177,12 @@ def _row(each: list[float], std: tuple[float, float], length: float) -> list[flo
 
 
 def _sums(p: SignalBlock, turn: Array, stop_used: float) -> list[float]:
-    """Over a block: the weight, and weighed with it force (3,), dv/dt, v r; metres; how many ticks
-    are in use, at rest, and move; metres that each tick at rest counts for.
+    """Return the sums of a block: the weight, and the weighted force (3,), dv/dt and v r.
 
-    turn: (N,) v r [m/s^2]; stop_used: metres that the stop so far has counted for.
+    Also the metres, the numbers of ticks in use, at rest and moving, and the metres for which each
+    tick at rest counts.
+
+    turn: (N,) v r [m/s^2]. stop_used: metres for which the stop so far has counted.
     """
     use = driven(p)
     sizes = np.abs(p.speed)

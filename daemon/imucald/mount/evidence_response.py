@@ -1,21 +1,22 @@
 """Response of the specific force to dv/dt and to v r, and of the rate to turning.
 
-With e the rotation-vector error of R (R_true = exp([e]) R), A = dv/dt, V = v r, F = R f_s and
-(p, q, r) = R w_s, to first order
+Let e be the rotation-vector error of R (R_true = exp([e]) R), A = dv/dt, V = v r, F = R f_s and (p,
+q, r) = R w_s. To first order:
 
     F_x = gx A + e_z gy V      F_y = gy V - e_z gx A      F_z = e_y gx A - e_x gy V - v q
     p = p_road - e_y r         q = q_road + e_x r,
 
-so noise in A itself costs gain but turns nothing. Small terms go along as nuisance with priors:
-lever arm (r^2; heave of a pitching body, w^2 A), squat and body roll to second order (A^2, V^2,
-A r, V r), sideslip (r^2, V^2, A V). That gives six sources: e_z and e_y from A, e_z and e_x from V,
-e_x and e_y from the axis of rotation in turns.
+Noise in A itself therefore reduces the gain but turns no angle. Small terms are fitted as nuisances
+with priors: lever arm (r^2; heave of a pitching body, w^2 A), squat and body roll to second order
+(A^2, V^2, A r, V r), sideslip (r^2, V^2, A V). The fit gives six sources: e_z and e_y from A, e_z
+and e_x from V, e_x and e_y from the axis of rotation in turns.
 
-Noise has another colour on each axis: slopes are red, rough roads and the rounding of a speed are
-blue. Each band and axis has its own noise level, learnt from what the fit leaves over, and a
-window that is worse than usual counts for less (Student's t weights; Lange, Little and Taylor,
-J. Am. Stat. Assoc. 84, 1989). The variance comes from the spread of the scores from road
-segment to road segment (sandwich; White, Econometrica 48, 1980), because noise is correlated.
+The noise has a different spectrum on each axis: slopes have low frequencies, rough roads and the
+rounding of a speed have high frequencies. Each band and axis has its own noise level, learnt from
+the residuals of the fit. A window that is worse than usual gets less weight (Student's t weights;
+Lange, Little and Taylor, J. Am. Stat. Assoc. 84, 1989). The variance comes from the spread of the
+scores between road segments (sandwich; White, Econometrica 48, 1980), because the noise is
+correlated.
 """
 
 from __future__ import annotations
@@ -52,38 +53,48 @@ from imucald.mount.road_segments import AngleEvidence, ScoreSeries, apart, fit_r
 from imucald.mount.signal_blocks import BLOCK_TICKS
 
 KEPT = 64
-"""Windows kept whole (7 min): those can be weighed afresh; older ones are only summed."""
+"""Number of windows stored completely (7 min).
+
+These can be weighed again; older windows exist only as sums.
+"""
 FOLD = 16
-"""So many windows, or a few more to whole groups, are summed up when the store is full."""
+"""Number of windows, rounded up to whole groups, that are summed when the store is full."""
 MAX_GROUPS = 2000
-"""Groups kept apart (14 h); then neighbours are joined."""
+"""Number of groups stored separately (14 h); beyond it, neighbours are joined."""
 GROUP = WINDOW // BLOCK_TICKS
 """Hops per segment of the sandwich: 25.6 s, one window's length."""
 AFRESH = 8
-"""All kept windows are weighed afresh every so many blocks."""
+"""All stored windows are weighed again once in this many blocks."""
 YOUNG = 20
-"""Up to so many windows each fit weighs all of them afresh."""
+"""Up to this many windows, each fit weighs all of them again."""
 TRUST = 4.0
-"""Windows after which learnt noise levels count as much as their priors, roughly."""
+"""Number of windows after which learnt noise levels count roughly as much as their priors."""
 LONE = 12.0
-"""A level that rests on fewer windows than this is mostly that of all windows together."""
+"""A noise level from fewer windows than this comes mostly from all windows together."""
 NU_MIN, NU_MAX = 1.5, 40.0
-"""Degrees of freedom of a window's noise level; how even roads are is learnt per axis."""
+"""Degrees of freedom of a window's noise level.
+
+They describe how even roads are and are learnt per axis.
+"""
 UNEVEN, UNEVEN_WINDOWS = 2.0, 16.0
-"""Kurtosis over that of even noise until windows speak, and its weight in windows."""
+"""Prior of the kurtosis relative to that of even noise, and its weight in windows."""
 PER_TICK = 0.5 * WINDOW / BLOCK_TICKS
-"""From the power per bin of a window to that per tick."""
+"""Factor from the power per bin of a window to the power per tick."""
 FORCE_FLOOR, RATE_FLOOR = 0.01**2, 0.001**2
-"""No band is trusted beyond this noise per tick [(m/s^2)^2], [(rad/s)^2]."""
+"""Smallest noise per tick that is assumed in any band [(m/s^2)^2], [(rad/s)^2]."""
 FORCE_PRIOR, RATE_PRIOR = 0.2**2, 0.02**2
-"""Noise per tick until the first windows speak."""
+"""Noise per tick before the first windows."""
 MEAN_SHARE = 1.0
-"""The mean of a window counts as no less noisy than that share of the band above: what is not
-known of the bias is the same in all windows, so that what they leave over does not show it."""
+"""Smallest noise of a window's mean, as a share of the noise of the band above.
+
+The unknown part of the bias is the same in all windows, so their residuals do not show it.
+"""
 LEAST_DRIFT = 0.005
-"""A drift that comes to less [rad], 0.3 deg, over the windows kept does not change weights."""
+"""A drift of less than this [rad], 0.3 deg, over the stored windows does not change the weights."""
 SLOW = slice(2, 4)
-"""Bands above the slopes, and below where a speed that comes once a second has lost its changes."""
+"""Bands above the slopes and below the frequencies that a speed of one sample per second cannot
+show.
+"""
 _AXES = [row.axis for row in ROWS]
 _PRIOR = np.array([[FORCE_PRIOR]] * 4 + [[RATE_PRIOR]] * 2)
 _FLOOR = np.array([[FORCE_FLOOR]] * 4 + [[RATE_FLOOR]] * 2)
@@ -92,18 +103,18 @@ _MOTION = PAIR[Term.DVDT, Term.DVDT], PAIR[Term.LATERAL, Term.LATERAL]
 _POWERS = np.array(
     [_MOTION] * ROLL_ROW + [(_MOTION[1], -1)] + [(PAIR[Term.YAW_RATE, Term.YAW_RATE], -1)] * 2
 )
-"""Of each row, the products whose sum is a window's power; -1: none."""
+"""For each row, the products whose sum is a window's power; -1: none."""
 
 
 def _first_of_each(group: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Places at which another group begins, in (n,) that never decrease."""
+    """Return the places at which a new group begins, in (n,) numbers that never decrease."""
     begins = np.ones(len(group), dtype=bool)
     np.not_equal(group[1:], group[:-1], out=begins[1:])
     return begins.nonzero()[0]
 
 
 class ResponseEvidence:
-    """Windows of products, their fit for a given R, and the sums of those gone by."""
+    """Windows of products, their fit for a given R, and the sums of older windows."""
 
     def __init__(self) -> None:
         self._products = np.zeros((PRODUCTS, KEPT, BANDS))
@@ -129,21 +140,21 @@ class ResponseEvidence:
 
     @property
     def segment(self) -> int:
-        """Number of the road segment (sandwich group) that is being driven."""
+        """Number of the current road segment (sandwich group)."""
         return self.blocks // GROUP
 
     @property
     def windows(self) -> int:
-        """Windows kept whole."""
+        """Number of windows stored completely."""
         return self._n
 
     def slow_gains(self) -> tuple[float, float]:
-        """Of dv/dt and v r where neither slopes nor a slow source of the speed change them."""
+        """Gains of dv/dt and v r in bands that neither slopes nor a slow speed source disturb."""
         x, y = self.gains[:2, SLOW].sum(axis=1).tolist()
         return x / 2.0, y / 2.0
 
     def start_from(self, other: ResponseEvidence) -> None:
-        """Begin with another's gains, noise levels and delays."""
+        """Begin with the gains, noise levels and delays of another object."""
         self.gains, self.noise = other.gains.copy(), other.noise.copy()
         self.nu = other.nu
         self.delays = other.delays
@@ -160,9 +171,9 @@ class ResponseEvidence:
         self._n += 1
 
     def follow_drift(self, rate: Array, since_middle: Array) -> None:
-        """Weigh windows about an angle that drifts; so far they counted as outliers for it.
+        """Weigh windows about a drifting angle; so far they counted as outliers for that angle.
 
-        rate: (3,) [rad/segment]; since_middle: (3,) segments from where the angle is its mean.
+        rate: (3,) [rad/segment]; since_middle: (3,) segments since the angle equalled its mean.
         """
         was = self._drift
         self._drift, self._drift_middle = rate, self.segment - since_middle
@@ -170,18 +181,18 @@ class ResponseEvidence:
             self._scored = 0
 
     def set_delays(self, speed: float, turn: float) -> None:
-        """Form the kept windows' products afresh with other delays [s]."""
+        """Compute the products of the stored windows again with other delays [s]."""
         self.delays = (speed, turn)
         for i in range(self._n):
             sp.put_products(self._products, i, self._spectra[i], speed, turn)
         self._scored = 0
 
     def forget_sums(self) -> None:
-        """Leave the windows gone by: their delay was another, and they cannot be formed afresh."""
+        """Drop the sums of older windows: they used another delay and cannot be computed again."""
         self._old_score, self._old_normal = self._old_score[:, :0], self._old_normal[:, :0]
 
     def direction_sums(self) -> tuple[Array, Array, float, float]:
-        """Sums over windows and bands: response to A (3,), to V (3,), power of A, of V."""
+        """Return sums over windows and bands: response to A (3,), to V (3,), power of A, of V."""
         p = self._products[:, : self._n].sum(axis=(1, 2))
         to_a = np.array([p[sp.place(i, Measured.DVDT)] for i in range(3)])
         to_v = np.array([p[sp.place(i, Measured.LATERAL)] for i in range(3)])
@@ -193,10 +204,12 @@ class ResponseEvidence:
         )
 
     def principal_direction(self, level: Matrix3) -> tuple[float, float]:
-        """Direction of forward in level axes [rad], without speed, and how sure its sign is.
+        """Return the direction of forward in level axes [rad], found without speed, and the
+        certainty of its sign.
 
-        The principal axis of the level force, what turning explains taken off; forward is where
-        the force to the left goes with turning to the left. The sign's sureness is a correlation.
+        The direction is the principal axis of the level force after subtracting what turning
+        explains. Forward is the sign for which the force to the left goes with turning to the left.
+        The certainty of the sign is a correlation.
         """
         p = self._products[:, : self._n].sum(axis=(1, 2))
         C = np.array([[p[sp.place(i, j)] for j in range(3)] for i in range(3)])
@@ -232,19 +245,21 @@ class ResponseEvidence:
         return self._sources()
 
     def apart(self, one: str, other: str) -> AngleEvidence | None:
-        """How far two sources of an angle lie apart; None where one is missing or knows little."""
+        """Return the difference between two sources of an angle; None where one is missing or
+        uncertain.
+        """
         found = {series.kind: series for series in self.series}
         return apart(found[one], found[other]) if {one, other} <= found.keys() else None
 
     def _turn_scores(self, turned: Array) -> None:
-        """Scores about another R: to first order the angle's coefficient moves."""
+        """Move the scores to another R: to first order only the angle's coefficient changes."""
         k = self._scored
         e = turned[_AXES][:, None, None]
         self._old_score -= self._old_normal[:, :, :, 0] * e
         self._score[:, :k] -= self._normal[:, :k, :, 0] * e
 
     def _fold(self) -> None:
-        """Sum the oldest windows up, in whole groups, and let them go."""
+        """Sum the oldest windows in whole groups and delete them."""
         if self._fitted and self._scored < self._n:
             self._weigh(self._R)
         group = self._block_number[: self._n] // GROUP
@@ -269,7 +284,10 @@ class ResponseEvidence:
         self._scored = max(self._scored - cut, 0)
 
     def _weigh(self, R: Matrix3) -> None:
-        """Score the windows that are not scored yet; all of them also renew levels and gains."""
+        """Score the windows without a score.
+
+        When all windows are scored, levels and gains are renewed too.
+        """
         first = self._scored
         P = sp.in_vehicle_axes(self._products, R, self.without_speed, first, self._n)
         weight = self._weights(self._left_over(P))
@@ -283,7 +301,9 @@ class ResponseEvidence:
         self._scored = self._n
 
     def _left_over(self, P: Array) -> Array:
-        """Power that the last windows leave over, less what a drift of the angles makes of it."""
+        """Return the residual power of the last windows, minus the part that a drift of the angles
+        causes.
+        """
         left = left_over(P, self.gains)
         segment = self._block_number[self._n - P.shape[1] : self._n] / GROUP
         angle = self._drift * (segment[:, None] - self._drift_middle)
@@ -297,15 +317,17 @@ class ResponseEvidence:
         return out
 
     def _renew_levels(self, P: Array, weight: Array, left: Array) -> None:
-        """Noise per tick, band and axis, and degrees of freedom, of windows and their weights."""
+        """Renew noise per tick, band and axis, and degrees of freedom, from windows and their
+        weights.
+        """
         self.nu, self.noise = self._evenness(left), self._levels(P, weight, left)
 
     @staticmethod
     def _evenness(left: Array) -> Array:
-        """Degrees of freedom from the kurtosis of what is left: few where roads are uneven.
+        """Return degrees of freedom from the kurtosis of the residuals: few where roads are uneven.
 
-        For Student's t it is (nu - 2) / (nu - 4) times that of chi^2, which gives 4 + 2 / excess;
-        lower by `NU_MIN` instead of 4 is what served best in simulated drives.
+        For Student's t the kurtosis is (nu - 2) / (nu - 4) times that of chi^2, which gives 4 + 2 /
+        excess. `NU_MIN` in place of the 4 worked best in simulated drives.
         """
         n = left.shape[1]
         size = left / np.maximum(left.sum(axis=1) / n, LEAST_POWER)[:, None, :]
@@ -316,7 +338,7 @@ class ResponseEvidence:
         return np.asarray(np.minimum(nu, NU_MAX)[:, None, None])
 
     def _levels(self, P: Array, weight: Array, left: Array) -> Array:
-        """Noise per tick, band and axis, of windows weighted by what they show."""
+        """Return noise per tick, band and axis, from windows weighted by their information."""
         n = left.shape[1]
         power = P[_POWERS[:, 0]]
         power[:ROLL_ROW] += P[_POWERS[:ROLL_ROW, 1]]

@@ -1,9 +1,9 @@
 """The regressions that the response evidence is made of; see `evidence_response`.
 
-Weighted sums that the regressions of `evidence_rows` need, all rows and windows at once.
+The tables give the weighted sums that the regressions need, for all rows and windows at once.
 
-Which products of signals, with which gains, go into which sum is written down once in tables;
-a fit then is a few large sums instead of some hundred small ones.
+They state once which products of signals, with which gains, go into which sum. A fit then needs a
+few large sums instead of some hundred small ones.
 """
 
 from __future__ import annotations
@@ -21,11 +21,11 @@ X_ROW, Y_ROW, PITCH_ROW, ROLL_ROW, P_ROW, Q_ROW = range(6)
 
 
 class Row(Struct, frozen=True):
-    """One regression: which row answers to what; the first regressor carries the angle.
+    """One regression: the answering row and its regressors; the first regressor carries the angle.
 
-    share, few: the variance is taken that much larger, and by `few` over the number of road
-    segments, as few of them hide their own spread. Both were chosen on simulated drives, so that
-    errors are as large as stated from the second minute to the fortieth (`python -m
+    share, few: the variance is increased by this share, and by `few` divided by the number of road
+    segments, because a few segments hide their own spread. Both were tuned on simulated drives so
+    that errors are as large as stated from the second to the fortieth minute (`python -m
     benchmarks.mount_accuracy --only accuracy`; seeds of tuning: records/mount-accuracy.md).
     """
 
@@ -35,8 +35,8 @@ class Row(Struct, frozen=True):
     prior_std: tuple[float, ...]  # of the nuisance coefficients
     share: float
     few: float
-    bands: int = BANDS  # only so many: above, the suspension's resonance answers
-    first: int = 0  # not the bands below: there the tracked vertical takes part of f_z
+    bands: int = BANDS  # number of bands: above them the suspension resonates
+    first: int = 0  # first band: below it the tracked vertical follows part of f_z
 
 
 _T = Term
@@ -66,11 +66,14 @@ ROWS = (
     Row("pitch_axis", 1, (_T.YAW_RATE, _T.DVDT_YAW, _T.LATERAL), (0.015, 0.0015), 2.2, 8.0, 7),
     Row("roll_axis", 0, (_T.YAW_RATE, _T.LATERAL_YAW), (0.01,), 1.6, 12.0, 7),
 )
-"""In the order of X_ROW .. Q_ROW."""
+"""Rows in the order of X_ROW .. Q_ROW."""
 SAME_NOISE = ("roll_turn", "roll_axis")
-"""Both see the pitch rate of the road, such as its lean in bends makes: only the better speaks."""
+"""Sources that both contain the pitch rate of the road, for example from its lean in bends.
+
+Only the better source counts.
+"""
 WITHOUT_SPEED = (Y_ROW, P_ROW, Q_ROW)
-"""What can be found without speed: the principal axis, and the axis of rotation."""
+"""Rows that can be fitted without speed: the principal axis, and the axis of rotation."""
 TARGETS = (Term.FORCE_X, Term.FORCE_Y, Term.FORCE_Z, Term.FORCE_Z, Term.ROLL_RATE, Term.PITCH_RATE)
 GX, GY, GQ, GX_QUARTER, GY_QUARTER, GP_QUARTER, GQ_QUARTER = range(7)
 GAINS = (
@@ -82,7 +85,7 @@ GAINS = (
     (P_ROW, Term.ROLL_RATE, Term.LATERAL_QUARTER, 0.0, -0.2, 0.2),
     (Q_ROW, Term.PITCH_RATE, Term.DVDT_QUARTER, 0.0, -0.2, 0.2),
 )
-"""Gains per band: row, target, signal, expected, least, most."""
+"""Gains per band: row, target, signal, expected value, smallest, largest."""
 MAX_REGRESSORS = 4
 
 
@@ -96,7 +99,7 @@ KNOWN = (
     ((Term.LATERAL_QUARTER, GP_QUARTER),),
     ((Term.DVDT_QUARTER, GQ_QUARTER),),
 )
-"""Per row: signals and gains that its target is freed from."""
+"""For each row, the signals and gains whose response is subtracted from its target."""
 
 _LEFT = [
     (row, PAIR[target, target], -1, -1) for row, target in enumerate(TARGETS)
@@ -120,7 +123,9 @@ _SCORE_ROW, _SCORE_A = np.array(_PLACES).T
 
 
 def _terms(places: Sequence[tuple[int, int]], rank: int) -> tuple[Index, Index]:
-    """Of each place that has so many terms and one more: that one's pair, and where its sign is."""
+    """Return, for each place with more than `rank` terms, the pair of that term and the place of
+    its sign.
+    """
     signals = [((TARGETS[row], -1), *KNOWN[row]) for row, _ in places]
     found = [
         (PAIR[terms[rank][0], ROWS[row].regressors[a]], 1 + terms[rank][1])
@@ -146,7 +151,8 @@ for _i, _row in enumerate(ROWS):
 
 
 def left_over(P: Array, gains: Array) -> Array:
-    """Power per window and band that each row's known response leaves (6, n, BANDS).
+    """Return the power per window and band after subtracting each row's known response (6, n,
+    BANDS).
 
     P: products in vehicle axes (pairs, n, BANDS); gains: (gains, BANDS).
     """
@@ -170,7 +176,9 @@ _ANGLE_AXIS = np.array([spec.axis for spec in ROWS])
 
 
 def less_angle(left: Array, P: Array, gains: Array, angle: Array) -> Array:
-    """What is left over (6, n, BANDS) once each window's own angle (n, 3) [rad] is taken off."""
+    """Return the residual power (6, n, BANDS) after subtracting each window's own angle (n, 3)
+    [rad].
+    """
     factor = factors(gains)[:, 0]
     sign = np.concatenate([_ONE, -gains])[_ANGLE_SIGN]
     target = np.add.reduceat(P[_ANGLE_PAIR] * sign[:, None, :], _ANGLE_START, axis=0)
@@ -187,7 +195,10 @@ _SCALE = np.where(_GAIN_ROW < P_ROW, 4.0, 400.0)[:, None]
 
 
 def renewed_gains(P: Array, weight: Array) -> Array:
-    """Gains per band (gains, BANDS): free, as squat, body roll and noise in dv/dt change them."""
+    """Return gains per band (gains, BANDS).
+
+    They are free, because squat, body roll and noise in dv/dt change them.
+    """
     w = weight[_GAIN_ROW]
     power = (w * P[_GAIN_POWER]).sum(axis=1) + _SCALE
     cross = (w * P[_GAIN_CROSS]).sum(axis=1) + _SCALE * _EXPECTED
@@ -196,7 +207,7 @@ def renewed_gains(P: Array, weight: Array) -> Array:
 
 
 def factors(gains: Array) -> Array:
-    """What the regressors of each row are multiplied with, band by band (rows, most, BANDS)."""
+    """Return the factors of each row's regressors, band by band (rows, most, BANDS)."""
     gx, gy = gains[GX], gains[GY]
     out = np.ones((len(ROWS), MAX_REGRESSORS, BANDS))
     out[0, 0] = gy
@@ -210,8 +221,9 @@ def factors(gains: Array) -> Array:
 def put_scores(
     P: Array, weight: Array, gains: Array, score: Array, normal: Array, first: int
 ) -> None:
-    """Put the scores of windows into (rows, N, most) from place `first` on, and their normal
-    matrices into (rows, N, most, most).
+    """Write the scores of windows into (rows, N, most) from place `first` on.
+
+    Their normal matrices go into (rows, N, most, most).
 
     P: (pairs, n, BANDS) in vehicle axes; weight: (rows, n, BANDS).
     """

@@ -1,9 +1,9 @@
 """Windows of even signals in the frequency domain, and their products band by band.
 
-Windows of 25.6 s with a Hann taper, a quarter apart, go to the frequency domain. Kept of each are
-the real cross products of all signals per band, after the signals' delays were taken out as
-phases: what a least-squares fit of the force on dv/dt, v r and the small terms needs, whatever
-the rotation, the gains and the noise of each band turn out to be.
+Windows of 25.6 s with a Hann taper, a quarter apart, go to the frequency domain. For each window,
+the real cross products of all signals per band are kept, after the delays of the signals were
+removed as phases. A least-squares fit of the force on dv/dt, v r and the small terms needs only
+these products, for any rotation, gains and noise of the bands.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ WINDOW = 256
 """Ticks per window; with BLOCK_TICKS = 64 a quarter of it."""
 FIRST_BIN = 0
 BAND_EDGES = (0, 1, 2, 3, 4, 6, 9, 13, 19, 28, 52)
-"""Bins of 0.039 Hz; the last ends at 2 Hz, above which dv/dt says nothing."""
+"""Band limits in bins of 0.039 Hz. The last band ends at 2 Hz; above it dv/dt says nothing."""
 BINS = BAND_EDGES[-1] - FIRST_BIN
 BANDS = len(BAND_EDGES) - 1
 
@@ -63,7 +63,9 @@ class Measured(enum.IntEnum):
 
 
 MEASURED = 20
-"""Columns that come from time; the two more are their quarter turns in frequency."""
+"""Number of columns computed in time; the two others are their quarter-period shifts in
+frequency.
+"""
 SIGNALS = len(Measured)
 SPEED_RATE = slice(Measured.SPEED_RATE_X, Measured.SPEED_RATE_Z + 1)
 RATE = slice(Measured.RATE_X, Measured.RATE_Z + 1)
@@ -71,7 +73,7 @@ _LATE = (
     Measured.DVDT, Measured.DVDT_2, Measured.DVDT_YAW, Measured.DVDT_ABS, Measured.DVDT_LATERAL,
     Measured.DVDT_REMAINING,
 )  # fmt: skip
-"""Columns that come with the speed's delay."""
+"""Columns that have the speed's delay."""
 _LATE_COLUMNS, _LATERAL_COLUMN = np.array(_LATE), np.array([Measured.LATERAL])
 _QUARTERS = (
     (Measured.DVDT_QUARTER, Measured.DVDT),
@@ -80,7 +82,7 @@ _QUARTERS = (
 
 
 class Term(enum.IntEnum):
-    """Signals in vehicle axes, of which the regressions are made; names as in `Measured`."""
+    """Signals in vehicle axes for the regressions; names as in `Measured`."""
 
     FORCE_X = 0
     FORCE_Y = 1
@@ -120,10 +122,10 @@ BAND_OMEGA2 = np.add.reduceat(OMEGA**2, _STARTS) / BAND_WIDTH
 
 
 def spectra(signals: Array, mask: NDArray[np.bool_], keep_mean: bool = False) -> Spectra:
-    """Spectra (BINS, k) of signals (WINDOW, k), masked ticks taken out.
+    """Return spectra (BINS, k) of signals (WINDOW, k) without the masked ticks.
 
-    Scaled so that overlapping windows add up: the sum over windows and bins of |x|^2 is the sum
-    over ticks of x^2 (in band). keep_mean: the mean is a signal as well; else it is taken off.
+    The scale makes overlapping windows add up: the sum over windows and bins of |x|^2 is the sum
+    over ticks of x^2 (in band). keep_mean: the mean counts as signal; otherwise it is subtracted.
     """
     x = np.empty_like(signals)
     np.multiply(signals, mask[:, None], out=x)
@@ -137,14 +139,14 @@ def spectra(signals: Array, mask: NDArray[np.bool_], keep_mean: bool = False) ->
 
 
 _ALONE = tuple((term, Measured[term.name]) for term in Term if term >= Term.DVDT_2)
-"""Terms that are signals as they come."""
+"""Terms that are measured signals themselves."""
 
 
 def _turning(R_vehicle_from_sensor: Matrix3, without_speed: bool) -> Array:
-    """Matrix (len(Term), SIGNALS) that takes the signals to vehicle axes.
+    """Return the matrix (len(Term), SIGNALS) that takes the signals to vehicle axes.
 
-    Without speed the force along the vehicle stands in for dv/dt: least squares on it turns the
-    x axis into the principal axis of the horizontal force.
+    Without speed, the force along the vehicle replaces dv/dt: least squares on it turns the x axis
+    into the principal axis of the horizontal force.
     """
     R_vs = R_vehicle_from_sensor
     turn = np.zeros((len(Term), SIGNALS))
@@ -209,7 +211,9 @@ _LEFT_OF, _RIGHT_OF = np.array(PAIRS).T
 
 
 def _needed() -> NDArray[np.int64]:
-    """Products of signals (as row * SIGNALS + column) from which those in vehicle axes follow."""
+    """Return the products of signals (as row * SIGNALS + column) that the products in vehicle axes
+    need.
+    """
     used = np.zeros((SIGNALS, SIGNALS), dtype=bool)
     for without_speed in (False, True):
         turn = _turning(np.ones((3, 3)), without_speed) != 0.0
@@ -224,9 +228,11 @@ _PLACE = {int(k): i for i, k in enumerate(_NEEDED)}
 
 
 _Parts = tuple[tuple[Index, Index, Index, Index], ...]
-"""Of which products of signals each product in vehicle axes is made (2 % of all), by the part's
-place within its pair: pairs that have so many, columns of the products, and the two places in
-`_turning` whose product is the factor."""
+"""Products of signals that make up each product in vehicle axes (2 % of all).
+
+The parts are listed by their place within a pair. For each place: the pairs with so many parts, the
+columns of the products, and the two places in `_turning` whose product is the factor.
+"""
 
 
 @cache
@@ -250,12 +256,14 @@ def place(i: int, j: int) -> int:
 
 @lru_cache(maxsize=8)
 def _phases(tau_speed: float, tau_turn: float) -> Spectra:
-    """What delays [s] take from the spectra of signals (2, BINS); they change seldom."""
+    """Return the phases that remove delays [s] from the spectra of signals (2, BINS); they change
+    seldom.
+    """
     return np.asarray(np.exp(1j * np.outer([tau_speed, tau_turn], OMEGA)))
 
 
 def band_products(s: Spectra, tau_speed: float, tau_turn: float) -> Array:
-    """Products (PRODUCTS, BANDS) of spectra (BINS, MEASURED), those that are needed.
+    """Return the needed products (PRODUCTS, BANDS) of spectra (BINS, MEASURED).
 
     tau: delay of the speed and of the yaw rate against the force [s].
     """
@@ -265,7 +273,7 @@ def band_products(s: Spectra, tau_speed: float, tau_turn: float) -> Array:
 
 
 def put_products(products: Array, k: int, s: Spectra, tau_speed: float, tau_turn: float) -> None:
-    """Put the products of a window's spectra in place k of products (PRODUCTS, n, BANDS)."""
+    """Write the products of a window's spectra to place k of products (PRODUCTS, n, BANDS)."""
     phases = _phases(tau_speed, tau_turn)
     both = np.empty((BINS, 2, SIGNALS))  # real and imaginary parts
     both[:, 0, :MEASURED], both[:, 1, :MEASURED] = s.real, s.imag

@@ -1,9 +1,9 @@
-"""What explains an estimate: what each angle still waits for, how far it is, and the details.
+"""Explanation of an estimate: what each angle still waits for, its progress, and the details.
 
-Troubles go first, then tests, then more driving. The information about an angle, 1 / variance,
-grows about evenly with driving. So the share of it that a limit asks for, (limit / deviation)^2,
-is a percentage that moves evenly, and what it has grown by lately says how long the rest takes. The
-log ratios of signs grow so as well.
+Troubles come first, then tests, then more driving. The information about an angle, 1 / variance,
+grows about evenly with driving. A limit asks for a certain information. The share of it that has
+come, (limit / deviation)^2, is therefore a percentage that grows evenly. Its recent growth shows
+how long the rest takes. The log ratios of signs grow evenly too.
 """
 
 from __future__ import annotations
@@ -41,8 +41,9 @@ def waiting_reasons(
 ) -> tuple[dict[str, str], dict[str, Missing]]:
     """Return one reason per angle in words, and as a code; no entry where nothing is missing.
 
-    known, state: what the evidence comes to, and the state that is reported for it. troubles:
-    what more driving does not mend, see `mount_troubles`; it goes before any other reason.
+    known, state: the knowledge from the evidence, and the state that is reported for it. troubles:
+    problems that more driving does not solve, see `mount_troubles`. They come before any other
+    reason.
     """
     if state is MountState.FINE:
         return {}, {}
@@ -69,11 +70,11 @@ def mount_troubles(
     shifted: Sequence[float],
     level: LevelChange | None = None,
 ) -> dict[str, str]:
-    """What more driving does not mend, per angle: contradictions, and a mount that moves.
+    """Return, per angle, the problems that more driving does not solve: contradictions, and a mount
+    that moves.
 
-    creeping: see `creep_details`. shifted: how far roll, pitch, yaw have moved
-    [rad] where they were found to have shifted again, else 0. level: how the size of gravity has
-    changed, where that is a fault.
+    creeping: see `creep_details`. shifted: change of roll, pitch, yaw [rad] where they were found
+    to have shifted again, else 0. level: change in the size of gravity, where that is a fault.
     """
     if state is MountState.FINE:
         return {}
@@ -113,8 +114,8 @@ def estimate_details(
 ) -> dict[str, object]:
     """Return the details of an estimate.
 
-    steering: zero offset of the steering-wheel angle and its deviation [rad], where it is known.
-    good: the mount that is good now.
+    steering: zero offset of the steering-wheel angle and its deviation [rad], if known. good: the
+    mount that is good now.
     """
     fused, bias, counts = solver.fused, solver.bias, signals.health.counts
     return {
@@ -153,7 +154,7 @@ def estimate_details(
 
 
 def left_out_details(signals: SignalBlockMaker) -> list[dict[str, object]]:
-    """What nothing was learnt from, by signal, cause and time, the longest first."""
+    """Return the data that were not learnt from, by signal, cause and time, the longest first."""
     return [
         {"signal": signal, "cause": cause, "seconds": ticks * TICK_S}
         for (signal, cause), ticks in signals.left_out.most_common()
@@ -161,10 +162,10 @@ def left_out_details(signals: SignalBlockMaker) -> list[dict[str, object]]:
 
 
 def change_details(one: TakenChange, turn: tuple[Array, Array] | None) -> dict[str, object]:
-    """A change of the mount, and by how far it is turned since (`TakenChange.turn`).
+    """Return the details of a change of the mount, with its present size (`TakenChange.turn`).
 
-    within_deg: half of the 95 % interval [deg] in which the change lies, so that nothing shows that
-    the sensor was moved; None where it is a move. The mount stays in use then, and its
+    within_deg: half of the 95 % interval [deg] of the change, if the interval includes no change;
+    None where the sensor was moved. If within_deg is not None, the mount stays in use and its
     interval covers the change.
     """
     half, is_within = max(SD_95 * one.std, abs(one.change.size)), one.is_borne
@@ -184,12 +185,14 @@ def change_details(one: TakenChange, turn: tuple[Array, Array] | None) -> dict[s
 
 
 def level_details(change: LevelChange | None) -> dict[str, float] | None:
-    """Size of gravity [m/s^2] before and after the accelerometer's zero or gain changed."""
+    """Return the size of gravity [m/s^2] before and after the accelerometer's zero or gain
+    changed.
+    """
     return None if change is None else {"before": change.before, "after": change.after}
 
 
 def creep_details(creep: Creep | None) -> dict[str, dict[str, float]]:
-    """Angles that creep: how fast by the time of driving, how far so far, how sure that is."""
+    """Return the angles that creep: rate by driving time, change so far, and probability."""
     if creep is None:
         return {}
     return {
@@ -206,14 +209,14 @@ def creep_details(creep: Creep | None) -> dict[str, dict[str, float]]:
 Shares = Mapping[str, float]
 
 REMEMBERED = 29
-"""Blocks whose growth says how fast it goes: 3 min, with roads and stops of all kinds."""
+"""Blocks whose growth shows the pace: 3 min, with roads and stops of all kinds."""
 LONGEST_S = 3600.0
-"""A longer time is no estimate [s]: the evidence has all but stopped to come."""
+"""A longer time is not reported [s]: the evidence has almost stopped growing."""
 GOALS = (MountState.USABLE, MountState.FINE)
 
 
 class ProgressWatch:
-    """Remembers the shares of the last minutes. Times count blocks, so driving only."""
+    """Remembers the shares of the last minutes. Times count blocks, so only driving counts."""
 
     def __init__(self) -> None:
         self._lately: deque[tuple[float, dict[MountState, Shares]]] = deque(maxlen=REMEMBERED)
@@ -226,7 +229,9 @@ class ProgressWatch:
         settings: EstimatorSettings,
         acceptance: Acceptance,
     ) -> None:
-        """Take what is known after a block that ended at t [s]; state: what is reported for it."""
+        """Take the knowledge after a block that ended at t [s]. state: the state reported for
+        it.
+        """
         shares: dict[MountState, Shares] = {
             goal: {
                 **_of_angles(known, state, settings, goal),
@@ -237,7 +242,7 @@ class ProgressWatch:
         self._lately.append((t, shares))
 
     def after(self, state: MountState, known: MountKnowledge, can_be_fine: bool) -> Progress | None:
-        """Return the gates of the state after this one; None where driving leads to none."""
+        """Return the gates of the next state; None where driving does not lead to another state."""
         goal = MountState.FINE if state is MountState.USABLE else MountState.USABLE
         if not self._lately or state is MountState.FINE:
             return None
@@ -252,7 +257,9 @@ class ProgressWatch:
         return Progress(goal, tuple(gates))
 
     def _left(self, goal: MountState, name: str, now: float, share: float) -> float | None:
-        """Driving that a gate still takes [s]; None where nothing says so."""
+        """Return the driving time that a gate still takes [s]; None where it cannot be
+        predicted.
+        """
         if share >= 1.0:
             return 0.0
         began, before = next(

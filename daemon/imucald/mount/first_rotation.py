@@ -1,4 +1,6 @@
-"""A first rotation out of nothing: level by gravity, yaw from the direction of the responses."""
+"""A first rotation without prior knowledge: level from gravity, yaw from the direction of the
+responses.
+"""
 
 from __future__ import annotations
 
@@ -9,10 +11,10 @@ from imucald.mount.evidence_gravity import GravityEvidence
 from imucald.mount.evidence_response import ResponseEvidence
 
 SIGN_SURE = 0.3
-"""Correlation of lateral force and turning from which forward is distinguished from backward."""
+"""Correlation of lateral force and turning above which forward and backward can be told apart."""
 MIN_WINDOWS, MIN_WINDOWS_WITHOUT_SPEED = 2, 6
 MIN_POWER = 20.0
-"""Motion [(m/s^2)^2] summed over the windows that a direction needs."""
+"""Motion [(m/s^2)^2], summed over the windows, that a direction needs."""
 
 
 def first_rotation(gravity: GravityEvidence, response: ResponseEvidence) -> tuple[Matrix3, bool]:

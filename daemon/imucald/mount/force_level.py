@@ -1,19 +1,22 @@
-"""Did the accelerometer's zero or gain change in mid-drive? Gravity's size against its own past.
+"""Detect a change of the accelerometer's zero or gain during a drive.
 
-The mean force of a block along the vertical is g, whatever the road and the driving: what is
-horizontal does not show in it, and a vehicle has the same height on average. So its level moves by
-the sensor's own errors only. Temperature moves a zero by 1 mg/K and a gain by 0.03 %/K (BMI160
-data sheet): slowly. A change from one minute to the next is a fault of the sensor.
+The size of gravity is compared with its own past.
 
-That holds while the force holds the vertical. Where no speed says how much of the force is motion,
-the gyroscope carries it alone: one that is off by 0.4 deg/s tilts it by 18 deg in 45 s, along which
-g is 9.3. Such blocks are left out (`GravityObserver.is_held`).
+The mean force of a block along the vertical is g on any road and in any driving: horizontal forces
+do not show in it, and a vehicle keeps its height on average. Only errors of the sensor itself
+change this level. Temperature moves a zero by 1 mg/K and a gain by 0.03 %/K (BMI160 data sheet):
+slowly. A change within a minute is therefore a fault of the sensor.
 
-For each of the last blocks as the time of a change the mean before is held against the mean after,
-as in `large_change`. A sensor that is turned shows another mixture of the zeros of its axes, so a
-change has to be larger than what that can make of it.
+This argument needs a vertical that the force holds. Where no speed shows which part of the force is
+motion, only the gyroscope carries the vertical. A gyroscope that is off by 0.4 deg/s tilts the
+vertical by 18 deg in 45 s; the force along it is then 9.3. Such blocks are skipped
+(`GravityObserver.is_held`).
 
-What lies across the vertical shows as a tilt and not here.
+Each of the last blocks is tried as the time of a change: the mean before is compared with the mean
+after, as in `large_change`. A rotated sensor shows another mixture of the zeros of its axes, so a
+change must exceed the effect of such a rotation.
+
+A change across the vertical shows as a tilt, and not here.
 """
 
 from __future__ import annotations
@@ -29,28 +32,36 @@ from imucald.mount.large_change import LEAST_TICKS
 from imucald.mount.signal_blocks import BLOCK_S, SignalBlock
 
 REMEMBERED = 60
-"""Blocks (384 s): the last 4 to 9 are those since the change, the 51 to 56 others what was before.
-Older ones are not held against it, whether or not there were samples since."""
+"""Blocks that are remembered (384 s): the last 4 to 9 are those since the change, the other 51 to
+56 are those before. Older blocks are not compared, whether or not samples came since.
+"""
 LEAST_BEFORE = 10
-"""Blocks that a change is held against (64 s)."""
+"""Smallest number of blocks before a change (64 s)."""
 AFTER = range(4, 10)
-"""Blocks since the change that are tried (26 to 58 s)."""
+"""Numbers of blocks since the change that are tried (26 to 58 s)."""
 LEAST = 0.3
-"""A change is at least that large [m/s^2], 30 mg: 1 mg/K over 30 K, within five minutes."""
+"""Smallest change [m/s^2], 30 mg: 1 mg/K over 30 K, within five minutes."""
 ZEROS = 0.5
-"""Zeros of two axes differ by up to so much [m/s^2]: 50 mg (BMI160: 40 mg once soldered)."""
+"""Largest difference between the zeros of two axes [m/s^2]: 50 mg (BMI160: 40 mg once soldered)."""
 NOISE, NOISE_BLOCKS = 0.05, 10.0
-"""Level of a block and the drive's own spread [m/s^2], and its weight: 0.3 m/s of height that is
-gained or lost from its beginning to its end, as over the crest of a hill."""
+"""Prior noise of a block's level [m/s^2], and its weight in blocks.
+
+It stands for 0.3 m/s of vertical speed gained or lost over a block, as over the crest of a hill.
+"""
 DEVIATIONS = 6.0
-"""The spread comes from 20 blocks at least, `NOISE_BLOCKS` among them: 1e-5 by Student's t, and
-more as blocks next to one another are not independent."""
+"""Limit of a change in deviations.
+
+The spread comes from at least 20 blocks including `NOISE_BLOCKS`: 1e-5 by Student's t, and more
+because neighbouring blocks are not independent.
+"""
 AGREEING = 0.5
-"""Every block since a change shows at least that share of it; the level is back where it was once
-no block of the last ones does."""
+"""Every block since a change must show at least this share of it.
+
+The change ends once none of the last blocks shows this share.
+"""
 
 NO_ROWS: Array = np.zeros((0, 5))
-"""Of each block: level, mean force (3,) in sensor axes [m/s^2], time [s]."""
+"""Columns of each block: level, mean force (3,) in sensor axes [m/s^2], time [s]."""
 
 
 class LevelChange(Struct, frozen=True):
@@ -64,7 +75,7 @@ class LevelChange(Struct, frozen=True):
 class ForceLevel:
     """The level of the force along the vertical, block by block.
 
-    change: what stands, until the level is back; None while it is what it was.
+    change: the change that stands, until the level is back; None without a change.
     """
 
     def __init__(self) -> None:
@@ -72,9 +83,10 @@ class ForceLevel:
         self.change: LevelChange | None = None
 
     def gap(self) -> None:
-        """Time jumped by an unknown step: blocks before it are not compared with those after it.
+        """Note a jump of time by an unknown step: blocks before it are not compared with those
+        after it.
 
-        A change that was found before stays, as a gap does not end it.
+        A change that was found before stays, because a gap does not end it.
         """
         self._rows = NO_ROWS
 
@@ -125,7 +137,7 @@ class ForceLevel:
         return best
 
     def _turned(self, k: int) -> float:
-        """The chord by which the mean force's direction differs from row k on."""
+        """Return the chord by which the mean force's direction differs from row k on."""
         sums = self._rows[:k, 1:4].sum(axis=0), self._rows[k:, 1:4].sum(axis=0)
         before, after = (x / max(math.sqrt(float(x @ x)), 1e-9) for x in sums)
         return math.sqrt(float((after - before) @ (after - before)))

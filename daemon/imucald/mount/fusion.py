@@ -16,14 +16,21 @@ Index = NDArray[np.int64]
 Flags = NDArray[np.bool_]
 
 MAX_WIDENED = 25.0
-"""Sources of equal weight that disagree widen the variance by chi^2 per degree of freedom (Birge),
-at most this; where one carries nearly all, another's dissent says more of that other."""
+"""Largest factor on the variance.
+
+Sources of equal weight that disagree widen the variance by chi^2 per degree of freedom (Birge).
+Where one source carries nearly all the weight, the disagreement of another says more about that
+other source.
+"""
 AXES = ("roll", "pitch", "yaw")
 SAME_ROAD = ("_gravity", "_axis")
-"""Of an angle and a drive, by how their names end. A vehicle that turns on a slope turns about the
-vertical, and so its axis of turning leans as gravity does. Of the mean slope of a road and any
-other mean of it, as that over turns, the covariance is the former's variance, as long as the latter
-is no better (Gauss and Markov)."""
+"""Endings of the names of two sources that share the road of a drive.
+
+A vehicle that turns on a slope turns about the vertical. In the vehicle's axes, its axis of turning
+therefore leans as gravity does. One source contains the mean slope of the road, the other one
+another mean of it, over turns. Their covariance is the variance of the former, as long as the
+latter is not better (Gauss and Markov).
+"""
 
 
 class CommonError(Struct, frozen=True):
@@ -34,7 +41,7 @@ class CommonError(Struct, frozen=True):
 
 
 class Fused(Struct, frozen=True):
-    """e (3,) [rad], its variances (3,), and which share of each angle each source carried."""
+    """Result: e (3,) [rad], its variances (3,), and the weight of each source in each angle."""
 
     error: Array
     variance: Array
@@ -42,11 +49,11 @@ class Fused(Struct, frozen=True):
 
 
 CERTAIN: Sequence[tuple[float, float]] = ((0.0, 1.0),)
-"""Scales and their probabilities where no error is as large as a scale says."""
+"""Scales and their probabilities if there are no scaled errors."""
 
 
 class CommonCovariance:
-    """Covariance that sources have with one another (and with themselves) from shared errors."""
+    """Covariance between sources (and of each with itself) from shared errors."""
 
     def __init__(self, shared: Sequence[CommonError]) -> None:
         self._pairs = _pairs(shared)
@@ -63,7 +70,7 @@ class CommonCovariance:
         return found
 
     def covariance(self, sources: Mapping[str, AngleEvidence], names: Sequence[str]) -> Array:
-        """Covariance of the sources of those names, their own variances included."""
+        """Return the covariance of the named sources, including their own variances."""
         known = self.errors(names).copy()
         known.flat[:: len(names) + 1] += [sources[name].variance for name in names]
         for i, j in _same_road(tuple(names)):
@@ -84,9 +91,11 @@ def _pairs(shared: Sequence[CommonError]) -> dict[tuple[str, str], float]:
 
 
 class Seen(Struct, frozen=True):
-    """What shows scaled errors without any angle in it: values (k,), and what else is in them.
+    """Measurements that show scaled errors and do not depend on any angle: values (k,), and the
+    covariance of their other errors.
 
-    covariance: (k, k) without the scaled errors. answers: (k, m) to the scaled errors at scale 1.
+    covariance: (k, k) without the scaled errors. answers: (k, m) responses to the scaled errors at
+    scale 1.
     """
 
     values: Array
@@ -95,12 +104,12 @@ class Seen(Struct, frozen=True):
 
 
 class _Places(Struct, frozen=True):
-    """Which sources speak of which angle.
+    """Places of the sources that belong to each angle.
 
-    angles (A,): those that any speaks of; shown (N, A): 1 where a source speaks of one. names: of
-    each angle's sources. of_angle (A, n): their places among all sources, in rows as long as the
-    longest. used (A, n): which places of a row are in use; both (A, n, n): pairs of them; alone
-    (n, n): the identity. count (A,): of an angle's sources.
+    angles (A,): angles with any source. shown (N, A): 1 where a source belongs to an angle. names:
+    names of each angle's sources. of_angle (A, n): their places among all sources, in rows as long
+    as the longest. used (A, n): places of a row that are in use. both (A, n, n): pairs of used
+    places. alone (n, n): the identity. count (A,): number of an angle's sources.
     """
 
     angles: Index
@@ -115,7 +124,7 @@ class _Places(Struct, frozen=True):
 
 @cache
 def _same_road(names: tuple[str, ...]) -> list[tuple[int, int]]:
-    """Places of gravity and of the axis of the same angle (`SAME_ROAD`)."""
+    """Return the places of gravity and of the axis of the same angle (`SAME_ROAD`)."""
     axes = [(i, name.replace(*SAME_ROAD)) for i, name in enumerate(names)]
     return [(i, names.index(axis)) for i, axis in axes if axis != names[i] and axis in names]
 
@@ -140,9 +149,10 @@ def _places(names: tuple[str, ...]) -> _Places:
 
 
 def _covariances(known: Array, answers: Array, squares: Array) -> Array:
-    """Of sources (n,) for each square of a scale (S,): known (n, n), and what is scaled besides.
+    """Return the covariances of sources (n,) for each square of a scale (S,): the known part (n, n)
+    plus the scaled part.
 
-    answers: of the sources (n, m) to the scaled errors at scale 1.
+    answers: responses of the sources (n, m) to the scaled errors at scale 1.
     """
     scaled = summed_in_order(answers[:, None] * answers[None])
     return np.asarray(known + squares[:, None, None] * scaled)
@@ -155,10 +165,11 @@ def weighed_scales(
     answers: Mapping[str, Array],
     seen: Seen,
 ) -> list[tuple[float, float]]:
-    """Scales of the scaled errors with their probabilities, from how far sources contradict.
+    """Return scales of the scaled errors with their probabilities, judged by how far sources
+    contradict.
 
-    candidates: scales and their prior probabilities. Each is weighed by the likelihood of all
-    sources and of what is seen besides, of which the three angles are free (restricted maximum
+    candidates: scales and their prior probabilities. Each scale is weighed by the likelihood of all
+    sources and of the other measurements, with the three angles free (restricted maximum
     likelihood, Patterson and Thompson, Biometrika 58, 1971).
     """
     names = tuple(sources)
@@ -185,14 +196,15 @@ def fuse(
     scales: Sequence[tuple[float, float]] = CERTAIN,
     answers: Mapping[str, Array] | None = None,
 ) -> Fused:
-    """Best linear unbiased mean per angle; a source's name begins with its angle.
+    """Return the best linear unbiased mean per angle. The name of a source begins with its angle.
 
-    The weights are V^-1 1 / (1' V^-1 1), V being the sources' variances plus what they share; a
-    negative weight is not taken. scales: of the scaled errors, with probabilities; the means of
-    all are averaged, and how far they lie apart is in the variance (Bayesian model averaging;
-    Hoeting, Madigan, Raftery and Volinsky, Statistical Science 14, 1999). So is how far that moves
-    the mean from that of the first scale, the smallest: sources may contradict for other reasons.
-    answers: of each source (m,) to independent scaled errors at scale 1.
+    The weights are V^-1 1 / (1' V^-1 1). V is the variances of the sources plus their shared
+    errors; a negative weight is not used. scales: scales of the scaled errors, with probabilities.
+    The means of all scales are averaged, and the variance contains their spread (Bayesian model
+    averaging; Hoeting, Madigan, Raftery and Volinsky, Statistical Science 14, 1999). The variance
+    also contains the distance of the result from the mean of the first, smallest scale, because
+    sources may contradict for other reasons. answers: responses of each source (m,) to independent
+    scaled errors at scale 1.
     """
     error, variance = np.zeros(3), np.full(3, np.inf)
     if not sources:
@@ -206,16 +218,16 @@ def fuse(
     mean, around, carried = _means(known, of, squares, values, at, probability)
     error[at.angles], variance[at.angles] = mean, around
     shares = {
-        AXES[k]: dict(zip(own, part, strict=False))  # behind its names a row has unused places
+        AXES[k]: dict(zip(own, part, strict=False))  # a row has unused places behind its names
         for k, own, part in zip(at.angles.tolist(), at.names, carried.tolist(), strict=True)
     }
     return Fused(error, variance, shares)
 
 
 def _eliminated(V: Array, columns: Array) -> Array:
-    """Covariances (..., n, n), and columns (..., n, k) behind them, eliminated below the diagonal.
+    """Eliminate covariances (..., n, n), with columns (..., n, k) behind them, below the diagonal.
 
-    Without a search for pivots, which symmetric positive definite matrices do not need.
+    There is no search for pivots, because symmetric positive definite matrices do not need one.
     """
     both = np.concatenate([V, columns], axis=-1)
     for k in range(V.shape[-1] - 1):
@@ -225,7 +237,7 @@ def _eliminated(V: Array, columns: Array) -> Array:
 
 
 def _substituted(eliminated: Array) -> Array:
-    """The solution (..., n) of what was eliminated with one column (..., n, n + 1)."""
+    """Return the solution (..., n) of an eliminated system with one column (..., n, n + 1)."""
     n = eliminated.shape[-2]
     out = np.empty(eliminated.shape[:-1])
     for i in range(n - 1, -1, -1):
@@ -239,9 +251,9 @@ def _substituted(eliminated: Array) -> Array:
 def _free_of_angles(
     known: Array, answers: Array, scales2: Array, X: Array, y: Array
 ) -> tuple[Array, Array, Array]:
-    """Of covariances V (S, n, n): left' V^-1 left (S,) of values y (n,) of which angles X (n, A)
-    are free; the pivots (S, n), whose product is the determinant; and those of the angles'
-    information. known, answers, scales2: see `_covariances`.
+    """Return left' V^-1 left (S,) of values y (n,) with covariances V (S, n, n), after fitting
+    angles X (n, A) freely. Also return the pivots (S, n), whose product is the determinant, and the
+    pivots of the angles' information. known, answers, scales2: see `_covariances`.
     """
     scales, n, angles = len(scales2), len(y), X.shape[1]
     V = _covariances(known, answers, scales2)
@@ -262,9 +274,10 @@ def _free_of_angles(
 def _means(
     known: Array, answers: Array, scales2: Array, values: Array, at: _Places, probability: Array
 ) -> tuple[Array, Array, Array]:
-    """Best means of angles (A,), their variances, and which share each source carries (A, n).
+    """Return the best means of angles (A,), their variances, and the weight of each source (A, n).
 
-    known, answers, scales2: see `_covariances`; values: of the sources; probability: of the scales.
+    known, answers, scales2: see `_covariances`. values: values of the sources. probability:
+    probabilities of the scales.
     """
     used = at.used
     V = _covariances(known, answers, scales2)

@@ -1,18 +1,19 @@
-"""Which way is up, in sensor axes: carried by the gyroscope, drawn to the accelerometer.
+"""The vertical in sensor axes: carried by the gyroscope, pulled slowly to the accelerometer.
 
-The specific force is f_s = R^T m + g u + b with u the vertical in sensor axes and m the motion
-(dv/dt, v r, -v q). u follows du/dt = -omega x u exactly, whatever the slope; so with a gyroscope
-the slope's changes are known and leave f_s. The pull to the accelerometer (time constant
-`PULL_S`) holds u against the gyroscope's errors. What is left, the innovation
+The specific force is f_s = R^T m + g u + b, with u the vertical in sensor axes and m the motion
+(dv/dt, v r, -v q). The vertical follows du/dt = -omega x u exactly, on any slope. A gyroscope
+therefore makes the changes of slope known, and they can be removed from f_s. The pull to the
+accelerometer (time constant `PULL_S`) limits the effect of the gyroscope's errors on u. The
+innovation is the rest of the force:
 
     e = f_s - g u - R^T m,
 
-answers to an accelerometer bias b by (I - B) b, where B follows the same equation as u: in a
-turn the true vertical turns against the sensor and a bias does not, which separates them
-(the alignment of inertial navigation; Groves, Principles of GNSS, Inertial and Multisensor
-Integrated Navigation Systems, ch. 14).
+It responds to an accelerometer bias b by (I - B) b, where B follows the same equation as u. In a
+turn, the true vertical rotates against the sensor and a bias does not, which separates the two (the
+alignment of inertial navigation; Groves, Principles of GNSS, Inertial and Multisensor Integrated
+Navigation Systems, ch. 14).
 
-The last ticks of force and motion, as one window for the frequency domain.
+`MotionWindow` holds the last ticks of force and motion as one window for the frequency domain.
 
 Each block pushes the oldest one out, so windows overlap (Welch, IEEE Trans. Audio Electroacoust.
 15, 1967). Ticks that may not be learnt from are masked.
@@ -46,20 +47,26 @@ _EYE = np.eye(3)
 PULL_S = 16.0
 """Time constant of the pull to the accelerometer [s]."""
 PULL_NO_GYRO_S = 12.0
-"""The same where no gyroscope carries the vertical."""
+"""Time constant where no gyroscope carries the vertical [s]."""
 COLOUR, COLOUR_SEGMENTS = 25.0, 4.0
-"""The innovation is not white: the bias's variance is so much larger until segments show it."""
+"""Factor on the bias's variance until segments show it, and its weight in segments: the innovation
+is not white.
+"""
 MAX_ALONE, MAX_BLIND = 120, 10
-"""After so many ticks that the gyroscope carried the vertical alone, or that nothing did in a
-block, no step is looked for ..."""
+"""Numbers of ticks after which no step is searched: the gyroscope alone carried the vertical, or
+nothing carried it in a block ...
+"""
 SETTLING_BLOCKS = 8
-"""... for three time constants of the pull."""
+"""... for this many blocks, three time constants of the pull."""
 SEEKING_BLOCKS = 3
-"""After nothing carried the vertical it is found anew, and for so long nothing rests on it."""
+"""Blocks in which the vertical is found again after nothing carried it.
+
+Nothing relies on it meanwhile.
+"""
 DRIFT_S = 150.0
 """Time constant with which a drifting gyro bias is followed while driving [s]."""
 TAKEN = 7
-"""Terms of the motion that the vertical takes up in part."""
+"""Terms of the motion that the vertical follows in part."""
 _PULL = {True: TICK_S / PULL_S, False: TICK_S / PULL_NO_GYRO_S}
 
 
@@ -74,10 +81,12 @@ class GravityObserver:
         self._open_ticks = 0
         self.drift = np.zeros(3)
         self.taken: Array = np.zeros(TAKEN)
-        """Of each term of the motion, what the vertical has taken up."""
+        """Part of each term of the motion that the vertical has followed."""
         self.use: Flags = np.zeros(BLOCK_TICKS, dtype=bool)
         self.pull = _PULL[False]
-        """In the last block: where the vertical followed the force (N,), and how fast."""
+        """Ticks of the last block in which the vertical followed the force (N,), and the gain of
+        the pull.
+        """
         self._alone = self._settling = self._seeking = 0
         self._closed_information = np.zeros((0, 3, 3))
         self._closed_score = np.zeros((0, 3))
@@ -85,38 +94,42 @@ class GravityObserver:
         self.steps = GravityStepDetector()
 
     def restart(self) -> None:
-        """Forget the vertical (time jumped), keep what is known of the bias."""
+        """Forget the vertical because time jumped; keep what is known of the bias."""
         self._state = None
         self._n = 0
         self.steps.restart()
 
     @property
     def up(self) -> Array | None:
-        """The vertical in sensor axes, about unit length; (3,) or None."""
+        """Vertical in sensor axes, about unit length; (3,) or None."""
         return None if self._state is None else self._state[:, 0]
 
     @property
     def seeking(self) -> bool:
-        """Whether the vertical was lost and is being found anew."""
+        """Whether the vertical was lost and is being found again."""
         return self._seeking > 0
 
     @property
     def is_held(self) -> bool:
-        """Whether the force has held it lately; a coarse gyroscope tilts it by 0.5 deg/s alone."""
+        """Whether the force has held the vertical lately.
+
+        A coarse gyroscope alone tilts it by 0.5 deg/s.
+        """
         return self._state is not None and self._settling == 0
 
     def advance(
         self, p: SignalBlock, motion: Array | None, bias: Array | None, sure: bool
     ) -> Array:
-        """Carry the vertical through a block; return f_s - g u (N, 3), motion still in it.
+        """Carry the vertical through a block; return f_s - g u (N, 3), which still contains the
+        motion.
 
-        motion: (N, 3) expected motion force in sensor axes, or None while R is not known.
-        sure: R is known well enough to learn the bias from what it leaves over.
-        bias: what is known of the accelerometer's bias (3,) [m/s^2]; its answer is taken off.
+        motion: (N, 3) expected motion force in sensor axes, or None while R is not known. sure: R
+        is known well enough to learn the bias from the innovation. bias: known bias of the
+        accelerometer (3,) [m/s^2]; its effect is subtracted.
         """
         with_gyro = bool(np.count_nonzero(p.ok_rate))
         self.pull = pull = _PULL[with_gyro]
-        # without its speed nobody knows how much of the force is the vehicle's motion
+        # Without a speed, the part of the vehicle's motion in the force is unknown.
         self.use = p.learn if motion is None else p.learn & (p.ok_speed | p.rest)
         self._note_holes(p.ok_rate)
         before = np.zeros((3, 3)) if self._state is None else self._state[:, 1:]
@@ -140,7 +153,9 @@ class GravityObserver:
         return found.lone
 
     def _note_holes(self, ok_rate: Flags) -> None:
-        """Note holes of the rate. After a long one the vertical is off and needs time to settle."""
+        """Note holes of the rate. After a long hole the vertical is wrong and needs time to
+        settle.
+        """
         self._settling = max(self._settling - 1, 0)
         at = self.use.nonzero()[0]
         alone = self._alone + (int(at[0]) if len(at) else len(self.use))
@@ -152,11 +167,12 @@ class GravityObserver:
         self._alone = len(self.use) - 1 - int(at[-1]) if len(at) else alone
 
     def remaining(self, motion: Array) -> Array:
-        """What a wrong R leaves of motion (N, TAKEN) in the force, once the vertical took its part.
+        """Return the motion (N, TAKEN) that a wrong R leaves in the force, minus the part that the
+        vertical followed.
 
-        The vertical follows the force less the expected motion, so an error e of R shows as
-        e x (m - G), with G the motion as the vertical follows it (turning while it does so left
-        out).
+        The vertical follows the force minus the expected motion. An error e of R therefore shows as
+        e x (m - G), with G the motion as the vertical follows it. Turning during this time is
+        neglected.
         """
         gain = np.where(self.use, self.pull, 0.0)
         decay = 1.0 - gain
@@ -174,9 +190,10 @@ class GravityObserver:
         return out
 
     def _follow_drift(self, p: SignalBlock, found: Carried, pull: float) -> None:
-        """Gyro bias about the level axes, from the innovation that it keeps up (Mahony's integral).
+        """Estimate the gyro bias about the level axes from the innovation that it causes (Mahony's
+        integral).
 
-        Held against the pull k, a rate error d leaves the innovation e / g with k u x e / g = d.
+        A rate error d against the pull k leaves the innovation e / g with k u x e / g = d.
         """
         if np.count_nonzero(p.rest):
             self.drift *= 0.5  # at rest it is measured
@@ -193,7 +210,7 @@ class GravityObserver:
         self.drift += across * (pull / TICK_S * n * TICK_S / DRIFT_S)
 
     def _learn_bias(self, found: Carried, ticks: int) -> None:
-        """Take what a block says of the bias, unless it hardly answers to one."""
+        """Use a block to learn the bias, unless the block hardly responds to a bias."""
         if self._n < 100 or found.answer < 0.02:
             return
         self._open_information += found.of_bias[:3]
@@ -209,10 +226,12 @@ class GravityObserver:
             self._open_ticks = 0
 
     def bias(self, prior_std: float) -> tuple[Array, Array]:
-        """Accelerometer bias [m/s^2] (3,) and covariance (3, 3), sandwich over 40 s segments."""
+        """Return the accelerometer bias [m/s^2] (3,) and its covariance (3, 3), a sandwich over 40
+        s segments.
+        """
         prior = _EYE / (prior_std * prior_std)
         if self._state is not None:
-            # along the vertical it tilts nothing, and squat would pass for it
+            # A bias along the vertical causes no tilt, and squat would look like such a bias.
             up = self._state[:, 0]
             prior += np.outer(up, up) * 1e6
         a, b = self._closed_information, self._closed_score
@@ -236,9 +255,9 @@ class GravityObserver:
 
 
 MIN_POWER = 1e-3
-"""A window with less squared motion per tick [(m/s^2)^2] shows nothing."""
+"""A window with less squared motion per tick [(m/s^2)^2] is not used."""
 LEAST_TICKS = BLOCK_TICKS
-"""Nor does one with fewer ticks to learn from."""
+"""A window with fewer ticks to learn from is not used either."""
 _TAKEN = [
     Measured.DVDT_2,
     Measured.LATERAL_2,
@@ -248,11 +267,11 @@ _TAKEN = [
     Measured.DVDT_REMAINING,
     Measured.LATERAL_REMAINING,
 ]
-"""Terms that are not taken off the force before the vertical follows it."""
+"""Terms that are not subtracted from the force before the vertical follows it."""
 
 
 class MotionWindow:
-    """Columns of `Measured` for the last `WINDOW` ticks."""
+    """Columns of `Measured` over the last `WINDOW` ticks."""
 
     def __init__(self) -> None:
         self._values = np.zeros((WINDOW, MEASURED))
@@ -268,8 +287,8 @@ class MotionWindow:
     ) -> None:
         """Take a block.
 
-        lone: (N, 3) its force without gravity [m/s^2], sensor axes; turn: (N,) v r [m/s^2];
-        yaw_rate: (N,) r [rad/s]; vertical: it has carried the vertical through the block.
+        lone: (N, 3) force without gravity [m/s^2], sensor axes. turn: (N,) v r [m/s^2]. yaw_rate:
+        (N,) r [rad/s]. vertical: the observer that has carried the vertical through the block.
         """
         w, m, new = self._values, self._mask, slice(-BLOCK_TICKS, None)
         learn = p.learn & p.ok_speed & (not vertical.seeking)
@@ -290,10 +309,10 @@ class MotionWindow:
         m[new] = learn
 
     def spectra(self, keep_mean: bool, needs_motion: bool) -> Spectra | None:
-        """Spectra (BINS, MEASURED) of the window; None where it shows nothing.
+        """Return the spectra (BINS, MEASURED) of the window; None where it cannot be used.
 
-        keep_mean: the means of the columns count as well. needs_motion: without motion by the
-        speed it shows nothing.
+        keep_mean: the means of the columns count as well. needs_motion: a window without motion by
+        the speed is not used.
         """
         if np.count_nonzero(self._mask) < LEAST_TICKS:
             return None

@@ -1,17 +1,19 @@
-"""A step in gravity that the gyroscope did not see: the sensor was moved against the vehicle.
+"""Detect a step in gravity that the gyroscope did not see: the sensor was moved against the
+vehicle.
 
-The vertical that the gyroscope carries (`gravity_observer`) goes along with every slope and every
-lean of the body. If the sensor is moved between two samples, gravity points elsewhere from then
-on in sensor axes, as if a bias d had come at that time; the innovation answers to it by
-C(t) d = (I - B(t)) d, where B follows the equation of the vertical from zero at that time. So d
-is fitted by least squares for each of the last blocks' beginnings as the time of the step (a
-generalised likelihood ratio test, Willsky and Jones, IEEE Trans. Autom. Control 21, 1976). How
-large d is without any step is learnt from the drive itself, for every age and axis.
+The vertical that the gyroscope carries (`gravity_observer`) follows every slope and every lean of
+the body. If the sensor is moved between two samples, gravity points elsewhere in sensor axes from
+then on, as if a bias d had begun. The innovation responds by C(t) d = (I - B(t)) d, where B starts
+at zero at that time and follows the equation of the vertical. For each beginning of the last blocks
+as the time of the step, d is fitted by least squares (a generalised likelihood ratio test, Willsky
+and Jones, IEEE Trans. Autom. Control 21, 1976). The size of d without any step is learnt from the
+drive itself, for every age and axis.
 
-A gyroscope that sends seldom lets the vertical walk by itself (`gyro_walk`), and d with it. Walking
-by q a second and pulled back with the time constant T, the vertical is off with a covariance of
-q T / 2 exp(-|t - s| / T); a fit of d exp(-t / T) to that has the variance q T, once it is longer
-than T, and less before. So g^2 q T is in the spread of d, besides what the drive has shown.
+With a gyroscope that sends seldom, the vertical walks at random (`gyro_walk`), and d walks with it.
+The vertical walks by q per second and is pulled back with the time constant T, so its error has the
+covariance q T / 2 exp(-|t - s| / T). A fit of d exp(-t / T) to this error has the variance q T if
+it is longer than T, and less if it is shorter. The spread of d therefore includes g^2 q T besides
+what the drive has shown.
 """
 
 from __future__ import annotations
@@ -24,32 +26,40 @@ from imucald.core.rotations import Matrix3, applied
 from imucald.core.samples import GRAVITY
 
 AGES = 10
-"""Hops since the step that are tried (64 s): the pull forgets a step in 16 s."""
+"""Hops since the step that are tried (64 s). The pull makes a step disappear in 16 s."""
 FIRST_AGE = 4
-"""Younger candidates take a gust or a bad road for a step."""
+"""Smallest age of a candidate: in younger ones, a gust or a bad road looks like a step."""
 SPREAD_PRIOR, SPREAD_WEIGHT = 0.05, 20.0
-"""Size of d without a step [m/s^2], and its weight in blocks until the drive has shown it."""
+"""Size of d without a step [m/s^2] before the drive has shown it, and the weight of this prior in
+blocks.
+"""
 SPREAD_MEMORY = 600.0
 """Hops over which the spread is learnt (an hour)."""
 SETTLED = 45
-"""Hops from which the drive has shown its own spread; until then a step is found while the
-rotation is good, and is large, ..."""
+"""Hops after which the drive has shown its own spread.
+
+Until then, a step is found only while the rotation is good, and must be large:
+"""
 YOUNG_SIZE = 8.0 * SPREAD_PRIOR
-"""... at least that [m/s^2], and stands out beyond `LIMIT` of the prior's spread, which serves."""
+"""at least this size [m/s^2], and beyond `LIMIT` of the prior's spread."""
 LIMIT = 7.5
-"""A step by itself is as many spreads; smaller ones count with other evidence (`shift`)."""
+"""A single step must exceed this many spreads; smaller steps count together with other evidence
+(`shift`).
+"""
 OTHER_AXIS = 0.25
-"""Share of the other axis in the spread squared: what is rough along is rough across."""
+"""Share of the other axis in the squared spread: a road that is rough along is also rough
+across.
+"""
 HISTORY_BLOCKS = 96
-"""Hops that are remembered (10 min): road segments may have pauses between them."""
+"""Hops that are remembered (10 min), because road segments may have pauses between them."""
 AROUND = 6
-"""A road segment begins with a window of the three blocks before, and may hold a change late."""
+"""A road segment begins with a window of the three blocks before it and may show a change late."""
 MIN_SIZE = 0.15
-"""A step is at least that large [m/s^2]: 0.9 deg."""
+"""Smallest step [m/s^2]: 0.9 deg."""
 
 
 class GravityStep(Struct, frozen=True):
-    """A step found: axis (0 roll, 1 pitch), size [rad], in spreads, blocks ago."""
+    """A step that was found: axis (0 roll, 1 pitch), size [rad], size in spreads, age in blocks."""
 
     axis: int
     size: float
@@ -62,25 +72,29 @@ _PRIOR = 1.0 / (4.0 * SPREAD_PRIOR) ** 2
 
 
 class GravityStepHistory:
-    """How far a step stood out at each of the last blocks, in roll and in pitch, both ways."""
+    """Size of a step in spreads at each of the last blocks, in roll and in pitch, in both
+    directions.
+    """
 
     def __init__(self) -> None:
         self.both = np.zeros((HISTORY_BLOCKS, 2, 2))
-        """By age; roll, pitch; the largest, the least."""
+        """Axes: age; roll, pitch; largest, smallest."""
 
     def go_on(self) -> None:
-        """A block has gone by."""
+        """Move on by one block."""
         self.both[1:] = self.both[:-1].copy()
         self.both[0] = 0.0
 
     def add(self, spreads: Array) -> None:
-        """Take how far steps stand out now, from `FIRST_AGE` blocks ago on (ages, 2)."""
+        """Take the present sizes of steps in spreads, from `FIRST_AGE` blocks ago on (ages, 2)."""
         part = self.both[FIRST_AGE - 1 : FIRST_AGE - 1 + len(spreads)]
         np.maximum(part[:, :, 0], spreads, out=part[:, :, 0])
         np.minimum(part[:, :, 1], spreads, out=part[:, :, 1])
 
     def near(self, ages: list[int]) -> Array:
-        """The largest and the least (n, roll and pitch, 2) about so many blocks ago each."""
+        """Return the largest and the smallest (n, roll and pitch, 2) around each of these ages in
+        blocks.
+        """
         newest = np.maximum(np.array(ages, dtype=np.int64) - 1 - AROUND, 0)
         oldest = np.minimum(np.array(ages, dtype=np.int64) - 2 + AROUND, HISTORY_BLOCKS - 1)
         places = newest[:, None] + np.arange(2 * AROUND)
@@ -91,7 +105,7 @@ class GravityStepHistory:
 
 
 class GravityStepDetector:
-    """Fits of d for the last blocks' beginnings, renewed block by block."""
+    """Fits of d for the beginnings of the last blocks, renewed block by block."""
 
     def __init__(self) -> None:
         self._start = np.zeros((AGES, 3, 3))  # B at the candidate's time, carried on
@@ -104,26 +118,30 @@ class GravityStepDetector:
         self.history = GravityStepHistory()
 
     def start_from(self, other: GravityStepDetector) -> None:
-        """Begin with another's experience of what is usual, but without its candidates."""
+        """Begin with the usual spread that another detector has learnt, but without its
+        candidates.
+        """
         self._square, self._seen = other._square.copy(), other._seen
         self._walked = other._walked.copy()
 
     def restart(self) -> None:
-        """The vertical starts anew: no candidate reaches back beyond."""
+        """Restart because the vertical starts again: no candidate may be older."""
         self._blocks = 0
         self.history = GravityStepHistory()
 
     def follow_walk(self, walked: Array) -> None:
-        """Take how far the vertical walks by itself in a block until it is pulled back (3, 3)
-        [rad^2], sensor axes: the mean of the blocks that a step may have been in."""
+        """Take the random walk of the vertical until it is pulled back (3, 3) [rad^2], sensor axes.
+
+        It is the mean over the blocks that a step may have been in.
+        """
         self._walked += (walked - self._walked) / AGES
 
     def add(self, before: Array, sums: Array, end: Array) -> None:
         """Take a block.
 
-        before: B at its beginning (3, 3). sums: (7, 6) information and, below it, score of (I - B,
-        what is left of the state at the beginning), see `vertical_block`. end: the latter at its
-        end (3, 3).
+        before: B at its beginning (3, 3). sums: (7, 6) information and, below it, score of I - B
+        and of the remaining initial state, see `vertical_block`. end: the remaining initial state
+        at the block's end (3, 3).
         """
         self._blocks += 1
         for kept in (self._start, self._score, self._information):
@@ -139,10 +157,10 @@ class GravityStepDetector:
         self._start = applied(end, start)
 
     def found(self, R_vehicle_from_sensor: Matrix3, is_good: bool = False) -> GravityStep | None:
-        """The step that stands out most, if any does; learns the usual spread as well.
+        """Return the most significant step, if any; learn the usual spread as well.
 
-        is_good: the rotation is served as good. Else one that is young and still wrong leaves
-        motion in the force, which only the drive's own spread distinguishes from steps.
+        is_good: the rotation is served as good. A young rotation that is still wrong leaves motion
+        in the force. Only the drive's own spread then tells such motion from a step.
         """
         self.history.go_on()
         ages = min(self._blocks, AGES)
@@ -161,9 +179,9 @@ class GravityStepDetector:
     def _largest(
         self, R: Matrix3, ages: int, part: float, least: float, is_kept: bool
     ) -> tuple[int, int, float, float] | None:
-        """Age, axis, size [m/s^2] and deviations of the step that stands out most of all that are
-        larger than `least`; None: none is. part: of what is usual that is learnt now; is_kept: all
-        go to the history.
+        """Return age, axis, size [m/s^2] and deviations of the most significant step among those
+        larger than `least`, or None. part: share of the usual spread that is learnt now. is_kept:
+        all steps go to the history.
         """
         walked = np.zeros(2)
         if self._walked.any():  # a turn about y moves gravity ahead, one about x aside
@@ -180,7 +198,8 @@ class GravityStepDetector:
         now += part * (np.minimum(size * size, 9.0 * now) - now)
         if ages < FIRST_AGE:
             return None
-        # gravity seen to the left: the sensor rolled to the right about x; ahead: about -y
+        # Gravity seen to the left means that the sensor rolled to the right about x; gravity ahead
+        # means a rotation about -y.
         turned, spreads = size[:, ::-1] * _SIGNS, deviations[:, ::-1] * _SIGNS
         if is_kept:
             self.history.add(spreads[FIRST_AGE - 1 :])

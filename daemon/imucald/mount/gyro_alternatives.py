@@ -1,9 +1,9 @@
-"""The gyroscope's axes and signs against the accelerometer's.
+"""Compare the axes and signs of the gyroscope with those of the accelerometer.
 
-With the mount R known the vertical's level parts t = f / g, motion taken off, follow from the
-rates, dt_x = -q + r t_y and dt_y = p - r t_x; the motion holds r too. If a sign or two axes of
-either sensor are wrong the rates that fit are S w, with S a signed permutation: so the slopes of
-any road show it within a minute or two.
+With the mount R known, the rates predict the level parts t = f / g of the vertical, without the
+motion: dt_x = -q + r t_y and dt_y = p - r t_x. The motion contains r too. If a sign is wrong, or
+two axes of either sensor are exchanged, the rates that fit are S w, with S a signed permutation.
+The slopes of any road show this within a minute or two.
 """
 
 from __future__ import annotations
@@ -25,15 +25,17 @@ from imucald.mount.log_ratios import (
 from imucald.mount.signal_blocks import BLOCK_TICKS
 
 TILT_FLOOR = 0.003
-"""Least noise of the level parts [rad]: smaller values count as noise."""
+"""Smallest noise of the level parts [rad]: smaller values count as noise."""
 LEAST_ENERGY = BLOCK_TICKS * TILT_FLOOR**2
 AROUND = 5
-"""Means are over so many ticks to both sides: a second."""
+"""Means cover this many ticks on both sides: a second."""
 WEIGHT = 1.0 / (2 * AROUND + 1)
 
 
 def _signed_permutations() -> Array:
-    """The identity, then all ways to exchange two axes, to turn one sign, or all (14, 3, 3)."""
+    """Return the identity, then all ways to exchange two axes, to turn one sign, or to turn all
+    signs (14, 3, 3).
+    """
     eye = np.eye(3)
     some = [eye[[1, 0, 2]], eye[[0, 2, 1]], eye[[2, 1, 0]]]
     some += [eye - 2.0 * np.outer(axis, axis) for axis in eye]
@@ -42,21 +44,26 @@ def _signed_permutations() -> Array:
 
 TRIED = _signed_permutations()
 HALF = len(TRIED) // 2
-"""The second half are the first with all signs turned: the identity's is the last."""
+"""The second half of `TRIED` is the first half with all signs turned: the last one belongs to the
+identity.
+"""
 
 MOST_OF_LATE = TO_ACCUSE / 3.0
-"""No block counts for more of what begins in mid-drive: four have to say so, as three come
-to the limit and not beyond it."""
+"""Largest evidence of one block for a fault that begins in mid-drive.
+
+Four blocks are needed, because three reach the limit but do not exceed it.
+"""
 LEAST_TURN = 0.02
-"""A block in which no axis has turned by so much [rad] says nothing of signs."""
+"""A block in which no axis has turned by this angle [rad] is not used for signs."""
 
 
 class GyroAlternatives:
     """The evidence against each signed permutation of the gyroscope's axes, summed over blocks.
 
-    What begins in mid-drive has all evidence before it against it. So a second sum begins again
-    wherever it speaks for the axes as they are (Page's test; Basseville and Nikiforov, Detection of
-    Abrupt Changes, 1993, ch. 2.2: e^h blocks to a false alarm, if blocks are independent).
+    A fault that begins in mid-drive has all earlier evidence against it. A second sum therefore
+    restarts wherever it favours the axes as they are (Page's test; Basseville and Nikiforov,
+    Detection of Abrupt Changes, 1993, ch. 2.2: e^h blocks to a false alarm, if blocks are
+    independent).
     """
 
     def __init__(self) -> None:
@@ -80,16 +87,18 @@ class GyroAlternatives:
         self._late = _held(self._late + held, -HELD, 0.0)
 
     def is_seen(self, least: float) -> bool:
-        """Whether all are ruled out so far, or were looked for long enough in vain."""
+        """Whether all alternatives are ruled out so far, or were searched long enough without
+        result.
+        """
         return is_seen(float(self._sums.min()), self.blocks, least)
 
     def share(self, least: float) -> float:
-        """How much of what `is_seen` asks for is there, 0 to 1."""
+        """Return the share (0 to 1) of the evidence for `is_seen` that has come."""
         return share_seen(float(self._sums.min()), self.blocks, least)
 
     @property
     def is_accused(self) -> bool:
-        """Whether one of them is much the better one."""
+        """Whether one of the alternatives fits much better."""
         return float(np.minimum(self._sums, self._late).min()) < -TO_ACCUSE
 
 
@@ -98,14 +107,14 @@ def gyro_ratios(
 ) -> Array:
     """Log likelihood ratios (13,) of a block against each alternative.
 
-    ahead, across: level parts of the force over g (N,), dv/dt taken off, v r still in it; rate:
-    (N, 3) [rad/s] sensor axes; speed: (N,) [m/s]; gain: of v r.
+    ahead, across: level parts of the force over g (N,), without dv/dt but with v r. rate: (N, 3)
+    [rad/s] sensor axes. speed: (N,) [m/s]. gain: gain of v r.
     """
     return ratios_of(gyro_energies(ahead, across, rate, speed, R, gain))
 
 
 def ratios_of(left: Array) -> Array:
-    """Log likelihood ratios (13,) from the energies (14, 2) that are left over."""
+    """Return log likelihood ratios (13,) from the residual energies (14, 2)."""
     ratios: Array = (0.5 * INDEPENDENT * np.log(left[1:] / left[0])).sum(axis=1)
     return ratios
 
@@ -113,9 +122,11 @@ def ratios_of(left: Array) -> Array:
 def gyro_energies(
     ahead: Array, across: Array, rate: Array, speed: Array, R: Matrix3, gain: float = 1.0
 ) -> Array:
-    """Energies (14, 2) that each alternative leaves of the level parts of the vertical [rad^2].
+    """Return the residual energies (14, 2) of the vertical's level parts for each alternative
+    [rad^2].
 
-    Rates with all signs turned make the opposite changes, so those of one half are enough.
+    Rates with all signs turned give the opposite changes, so one half of the alternatives is
+    enough.
     """
     turned = np.matmul(R, TRIED[:HALF])  # exact: each is a permutation
     x, y, z = rate.T
@@ -144,7 +155,7 @@ def gyro_energies(
 
 
 def _smoothed(x: Array) -> Array:
-    """Means over a second of (k, N), the ends carried on."""
+    """Return means over a second of (k, N), with the end values extended."""
     longer = np.concatenate([x[:, :1]] * AROUND + [x] + [x[:, -1:]] * AROUND, axis=1)
     n = x.shape[1]
     out = longer[:, :n].copy()
@@ -155,6 +166,6 @@ def _smoothed(x: Array) -> Array:
 
 
 def _held(x: Array, low: float, high: float) -> Array:
-    """As numpy.clip, which takes three times as long for so few."""
+    """Limit values as numpy.clip does, which takes three times as long for so few."""
     out: Array = np.minimum(np.maximum(x, low), high)
     return out

@@ -1,12 +1,12 @@
-"""How the angle walks that is summed from a gyroscope which sends seldom.
+"""Random walk of an angle that is summed from a gyroscope with few samples.
 
-Such a sensor measures the rate at an instant, and not its mean since the sample before. A
-vibration faster than half of the sample rate is then taken for slow turning (aliasing). The errors
-add up: the angle walks by the sum of h_i e_i. Here e_i is the part of a sample that has nothing to
-do with its neighbours, and h_i the time that the sample stands for. The samples themselves show
-the size of e: a sample differs from the line between its neighbours by r_i = e_i - a e_(i-1) - b
-e_(i+1), a + b = 1, so that E[r r'] = (1 + a^2 + b^2) E[e e']. Quick turning that is really there
-counts as well: the walk is rather too large than too small.
+Such a sensor measures the rate at an instant, and not its mean since the previous sample. A
+vibration faster than half of the sample rate then looks like slow turning (aliasing). The errors
+add up: the angle walks by the sum of h_i e_i. Here e_i is the part of a sample that is independent
+of its neighbours, and h_i is the time for which the sample stands. The samples themselves show the
+size of e. A sample differs from the line between its neighbours by r_i = e_i - a e_(i-1) - b
+e_(i+1), a + b = 1, so that E[r r'] = (1 + a^2 + b^2) E[e e']. Real quick turning counts as well, so
+the walk is rather too large than too small.
 """
 
 from __future__ import annotations
@@ -17,13 +17,14 @@ from imucald.core.arrays import Array
 from imucald.motion.ticks import TICK_S
 
 SELDOM = 1.5 * TICK_S
-"""From so much on, between samples, some tick has none of its own [s]."""
+"""Time between samples from which some ticks have no sample of their own [s]."""
 
 
 def sampling_walk(times: Array, rates: Array, longest: float) -> Array:
-    """What samples (M, 3) [rad/s] at times (M,) add to the angle's variance (3, 3) [rad^2/s].
+    """Return the growth of the angle's variance (3, 3) [rad^2/s] from samples (M, 3) [rad/s] at
+    times (M,).
 
-    Zero where samples come at least once a tick. longest: holes beyond are not bridged [s].
+    Zero where samples come at least once a tick. longest: longer holes are not bridged [s].
     """
     if len(times) < 3:
         return np.zeros((3, 3))

@@ -1,4 +1,4 @@
-"""States with hysteresis: one that was reached is left only beyond its limits times a slack."""
+"""States with hysteresis: a reached state is left only beyond its limits times a slack."""
 
 from __future__ import annotations
 
@@ -10,14 +10,14 @@ from imucald.mount.estimate import MountState
 GOOD = frozenset({MountState.USABLE, MountState.FINE})
 """States in which a mount is served without reserve."""
 BAD = frozenset({MountState.SUSPECT, MountState.RECALIBRATING})
-"""States in which a mount is served with doubts."""
+"""States in which a mount is served but doubted."""
 
 
 class Level(NamedTuple):
-    """A good state, and what it takes.
+    """A good state and its conditions.
 
-    yaw_std, tilt_std: largest standard deviations [rad]. enough: whether enough was driven for it.
-    slack: once reached it is left only beyond its limits times this.
+    yaw_std, tilt_std: largest standard deviations [rad]. enough: whether the drive was long enough
+    for it. slack: once reached, the state is left only beyond its limits times this.
     """
 
     state: MountState
@@ -32,8 +32,8 @@ def best_level(
 ) -> MountState | None:
     """Return the first state whose limits hold, None where none does.
 
-    levels: the best first. before: the state so far; its own limits, and those of lesser levels,
-    are taken times their slack.
+    levels: the best state first. before: the state so far. The limits of this state, and of lesser
+    states, are multiplied by their slack.
     """
     for level in levels:
         times = level.slack if before in GOOD and before >= level.state else 1.0

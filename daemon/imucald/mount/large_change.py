@@ -1,22 +1,24 @@
-"""Has the sensor been turned by much? Asked of every block, from the first minutes on.
+"""Detect a large rotation of the sensor. The test runs in every block, from the first minutes on.
 
-`shift` finds small changes, once enough road has been driven to know what is usual. A sensor that
-is turned by several degrees shows in single blocks: in the direction of gravity with the motion
-taken out, in the direction in which the force answers to dv/dt and v r, and while the vehicle
-stands in any turn at all. For every block of the last minutes as the time of a change the mean
-before is held against the mean after (a generalised likelihood ratio test; Basseville and
-Nikiforov, Detection of Abrupt Changes, 1993, ch. 2.4). The road's slope is a Gauss-Markov process
-over the distance driven, as in `evidence_gravity`; what a block says of yaw: `block_sums`. The
-spread of both begins at a prior and is learnt.
+`shift` finds small changes, once enough road has been driven to know what is usual. A rotation by
+several degrees shows in single blocks. It shows in the direction of gravity without the motion, in
+the direction in which the force responds to dv/dt and v r, and in any rotation while the vehicle
+stands. Each block of the last minutes is tried as the time of a change: the mean before is compared
+with the mean after (a generalised likelihood ratio test; Basseville and Nikiforov, Detection of
+Abrupt Changes, 1993, ch. 2.4). The road's slope is a Gauss-Markov process over the distance driven,
+as in `evidence_gravity`. `block_sums` gives the yaw that a block shows. The spread of both starts
+at a prior and is learnt.
 
-Does the sensor turn about the vertical while the vehicle does not?
+`TurnedAlone` detects a sensor that turns about the vertical while the vehicle does not.
 
-Between two times at which both hardly turn, gyroscope and vehicle have turned by the same angle,
-however late one of them is. Where the gyroscope turned further, the sensor was taken or knocked.
-The vehicle's turning is shown by its yaw rate, or at speed by the force to the left (v r).
+Between two times at which both hardly turn, gyroscope and vehicle must have turned by the same
+angle, whatever the delay of either. If the gyroscope turned further, the sensor was taken or
+knocked. The yaw rate of the vehicle shows its turning; at speed, the force to the left (v r) shows
+it too.
 
-A gyroscope that sends seldom walks by itself (`gyro_walk`): a phone that shakes in its holder was
-seen to turn by 29 deg within 2 s at five samples a second, and had not.
+The angle of a gyroscope that sends seldom walks at random (`gyro_walk`). For example, a phone that
+shook in its holder, at five samples a second, seemed to turn by 29 deg within 2 s and had not
+turned.
 """
 
 from __future__ import annotations
@@ -40,52 +42,57 @@ from imucald.mount.signal_blocks import SignalBlock
 Flags = NDArray[np.bool_]
 
 APART = 20
-"""Ticks between the two times (2 s): a knock is shorter, a hand takes a second."""
+"""Ticks between the two times (2 s): a knock is shorter, and a move by hand takes a second."""
 STILL_RATE = 0.05
-"""Below this both hardly turn [rad/s]: with 0.2 s between them that is 0.6 deg."""
+"""Rate below which both count as hardly turning [rad/s]: with 0.2 s between them that is 0.6
+deg.
+"""
 MIN_SPEED = 10.0
-"""From this speed on the force shows a turn [m/s]: one by 6 deg in 2 s takes 0.5 m/s^2 there."""
+"""Speed from which the force shows a turn [m/s]: a turn by 6 deg in 2 s takes 0.5 m/s^2 there."""
 
 
 class Witness(Struct, frozen=True):
-    """What says how the vehicle turns.
+    """Signal that shows how the vehicle turns.
 
-    least: a turn that the gyroscope makes alone is one from so much on [rad]. gain_share: both
-    differ by so much of what was turned in between.
+    least: smallest rotation of the gyroscope alone that counts [rad]. gain_share: tolerated
+    difference of both, as a share of the turning in between.
     """
 
     least: float
     gain_share: float
 
     def beside(self, walk: float) -> Witness:
-        """The same with a gyroscope whose angle walks by so much variance a second [rad^2/s].
+        """Return the same witness for a gyroscope whose angle walks by this variance per second
+        [rad^2/s].
 
-        least: of `DEVIATIONS` that it may differ by, of which walking makes more.
+        least: `DEVIATIONS` standard deviations, which the walk makes larger.
         """
         own = DEVIATIONS * math.sqrt(walk * APART * TICK_S)
         return Witness(math.hypot(self.least, own), self.gain_share)
 
 
 DEVIATIONS = 6.0
-"""A turn is one from so many standard deviations on: of a normal variable 2e-9, two-sided."""
+"""Standard deviations from which a rotation counts: 2e-9 of a normal variable, two-sided."""
 YAW_RATE = Witness(math.radians(3.0), 0.1)
-"""Offsets of 0.3 deg/s of both make 1.2 deg in that time."""
+"""Offsets of 0.3 deg/s in both signals make 1.2 deg in that time."""
 FORCE = Witness(math.radians(6.0), 0.3)
 """A gust of 0.3 m/s^2 for that long makes 3.4 deg; the body leans."""
 
 
 class TurnedAlone:
-    """Holds the gyroscope's turning against the vehicle's, across the ends of blocks."""
+    """Compares the turning of the gyroscope with that of the vehicle, across the ends of blocks."""
 
     def __init__(self) -> None:
         self._before: Array = np.zeros((2, 0))
 
     def restart(self) -> None:
-        """Nothing is held against what comes before."""
+        """Restart: nothing is compared with earlier data."""
         self._before = np.zeros((2, 0))
 
     def add(self, turn_rate: Array, vehicle: Array, ok: Flags, by: Witness = YAW_RATE) -> float:
-        """Take a block (N,) [rad/s]; return by how much the sensor turned alone [rad], or 0."""
+        """Take a block (N,) [rad/s]; return the angle by which the sensor turned alone [rad],
+        or 0.
+        """
         found = self._alone(turn_rate, vehicle, ok, by)
         if found:
             self.restart()
@@ -119,57 +126,84 @@ class TurnedAlone:
 
 
 REMEMBERED = 50
-"""Blocks (320 s)."""
+"""Blocks that are remembered (320 s)."""
 LEAST_BEFORE = (5, 5, 3)
-"""Blocks that a change is held against; a change as large shows in yaw in a few."""
+"""Smallest number of blocks before a change.
+
+In yaw, few blocks are enough to show a change of this size.
+"""
 MOST_AFTER = 12
 """Blocks since the change that are tried (77 s)."""
 LEAST_TICKS = 32
-"""Half a block must be good to say anything."""
+"""Smallest number of good ticks in a usable block: half of them."""
 TILT_NOISE = math.radians(0.5)
-"""A block's tilt besides the road's slope: squat, gains, what is missed of the motion [rad]."""
+"""Deviation of a block's tilt besides the road's slope: squat, gains, unknown motion [rad]."""
 PRIOR_BLOCKS = 10.0
-"""The spread is taken as the prior's with that weight."""
+"""Weight of the prior for the spread, in blocks."""
 CLIP = 4.5
-"""No single block widens it by more standard deviations in yaw, where one bend may be odd."""
+"""Largest deviation with which one block widens the spread in yaw, where one bend may be odd."""
 LIMITS = (6.0, 6.0, 6.0)
-"""Roll, pitch, yaw: standard deviations from which a change is one. Of a normal variable 6 are
-2e-9, two-sided: one in 3,000 h, with 560 blocks an hour and a dozen tries each of which two or
-three are independent."""
+"""Standard deviations from which a change in roll, pitch, yaw counts.
+
+For a normal variable 6 are 2e-9, two-sided. This is one false alarm in 3,000 h, with 560 blocks an
+hour and a dozen tries each, of which two or three are independent.
+"""
 MIN_SIZE = (math.radians(6.0), math.radians(6.0), math.radians(2.5))
-"""Smaller changes are left to `shift` [rad]: no mean slope of half a minute differs so much from
-that of the minutes before but on mountain roads (10 %)."""
+"""Smaller changes are left to `shift` [rad].
+
+Only on mountain roads (10 %) does the mean slope of half a minute differ this much from that of the
+minutes before.
+"""
 AGREEING = 0.4
-"""Every block since a change shows at least that share of it: one gust, one bad road is none."""
+"""Every block since a change must show at least this share of it, so that one gust or one bad road
+does not count.
+"""
 CLEAR, CLEAR_BLOCKS = 3.0, 2
-"""In yaw, blocks to which a change would be so many of their own deviations; so many must be."""
+"""A block is clear in yaw if the change is at least the first number of its own deviations.
+
+The second number is how many blocks must be clear.
+"""
 STANDING_TURN = math.radians(3.0)
-"""A vehicle that stands does not turn or tilt by so much [rad]; people getting in make a half."""
+"""Angle [rad] by which a standing vehicle cannot turn or tilt; people getting in make half a
+degree.
+"""
 BACKWARDS = math.radians(150.0)
-"""A yaw that is turned by more is that of a vehicle in reverse, where no signal says whether it is
-and its speed is one of reverse gear: sensors are seldom turned by just half a turn."""
+"""A yaw change larger than this [rad] is a vehicle in reverse, if no signal shows reverse and the
+speed is one of reverse gear. Sensors are seldom turned by just half a turn.
+"""
 LEAST_RADIUS = 4.0
-"""Of the circle that the middle of a car's rear axle goes round [m]; turning circles are 10 to 11 m
-wide. A speed that begins at 3 km/h says zero while a vehicle creeps round it at 12 deg/s."""
+"""Smallest radius of the circle of a car's rear axle middle [m]; turning circles are 10 to 11 m
+wide. A speed signal that begins at 3 km/h says zero while a vehicle creeps on this circle at 12
+deg/s.
+"""
 STANDING_TICKS = 12
-"""Ticks of standing that its tilt is known from."""
+"""Ticks of standing from which the tilt of a vehicle is known."""
 REST_WINDOW = 32
-"""Its tilt now is the mean of up to so many: what a speed that is silent hides adds up to less."""
+"""Most ticks for the mean of the present tilt: the motion that a silent speed hides then adds up to
+less.
+"""
 LATE_TICKS = 28
-"""A vehicle that moves off is felt before its speed says so: for the longest delay of a speed
-(`MAX_SPEED_DELAY`, 1.8 s) and for as long as wheel sensors are silent (up to 1 m/s, `standstill`,
-at 1 m/s^2). So the last ticks of standing are looked at only once more of them have come."""
+"""A vehicle that moves off is felt before its speed shows it.
+
+The wait covers the longest delay of a speed (`MAX_SPEED_DELAY`, 1.8 s) and the time for which wheel
+sensors are silent (up to 1 m/s, `standstill`, at 1 m/s^2). The last ticks of standing are therefore
+used only once this many more ticks of standing have come.
+"""
 
 
 TILTS = (0, 1)
 YAW, METRES, TILT_WEIGHT, YAW_WEIGHT = 2, 3, 4, 5
 NO_ROWS: Array = np.zeros((0, 6))
-"""Of each block: roll, pitch and yaw about R [rad], road [m], the weights of its tilt (metres and a
-little) and of its yaw (information [1/rad^2])."""
+"""Columns of each block: roll, pitch and yaw about R [rad], road [m], the weight of its tilt
+(metres and a little), and the weight of its yaw (information [1/rad^2]).
+"""
 
 
 class LargeChange(Struct, frozen=True):
-    """axis: 0 roll, 1 pitch, 2 yaw. size [rad], in standard deviations, blocks since."""
+    """axis: 0 roll, 1 pitch, 2 yaw.
+
+    Also the size [rad], the size in standard deviations, and the blocks since.
+    """
 
     axis: int
     size: float
@@ -178,7 +212,7 @@ class LargeChange(Struct, frozen=True):
 
 
 class LargeChangeDetector:
-    """Blocks' tilt and yaw about the rotation so far."""
+    """Tests the tilt and yaw of blocks about the rotation so far."""
 
     def __init__(self, settings: EstimatorSettings) -> None:
         across, along = settings.unevenness
@@ -188,14 +222,14 @@ class LargeChangeDetector:
         self.restart()
 
     def restart(self) -> None:
-        """What comes next is compared with nothing before."""
+        """Restart: later data are not compared with earlier data."""
         self._alone.restart()
         self._rows = NO_ROWS
         self._R: Matrix3 | None = None
         self._forget_standing()
 
     def _forget_standing(self) -> None:
-        """The vehicle has moved, or nobody knows whether it has."""
+        """Forget the stop, because the vehicle has moved or may have moved."""
         self._stopped_at: tuple[Array, Array] | None = None  # mean force (3,), its variance (3, 3)
         self._turned = np.zeros(3)
         self._standing = np.zeros((0, 6))  # force and rate of ticks not looked at yet
@@ -212,8 +246,8 @@ class LargeChangeDetector:
     ) -> None:
         """Take a block and its motion.
 
-        use: (N,) ticks that speak, sums: of those. R: the rotation so far, gains: of dv/dt and v r.
-        has_reverse: as a signal.
+        use: (N,) ticks that count. sums: sums over these ticks. R: the rotation so far. gains:
+        gains of dv/dt and v r. has_reverse: whether there is a reverse signal.
         """
         if self._R is not None and R is not self._R:
             moved = vector_from_rotation(R @ self._R.T)
@@ -238,7 +272,10 @@ class LargeChangeDetector:
         self._rows = np.concatenate([self._rows[1 - REMEMBERED :], [row]])
 
     def found(self, with_yaw: bool) -> LargeChange | None:
-        """The change that stands out most, where it is one; with_yaw: yaw is asked too."""
+        """Return the most significant change, if it is beyond the limits.
+
+        with_yaw: yaw is tested too.
+        """
         rows = self._rows
         changes = [self._best(TILTS, rows[:, :YAW], rows[:, TILT_WEIGHT], range(len(rows)))]
         if with_yaw:
@@ -260,7 +297,10 @@ class LargeChangeDetector:
     def _best(
         self, axes: tuple[int, ...], e: Array, w: Array, at: Sequence[int] | NDArray[np.int64]
     ) -> LargeChange | None:
-        """Of axes with as many rows: e (n, axes), their weights (n,), and where they are (n,)."""
+        """Return the best change of axes that have rows in common.
+
+        The rows are e (n, axes), their weights (n,), and their positions (n,).
+        """
         n = len(e)
         best: LargeChange | None = None
         most = min(MOST_AFTER, n - LEAST_BEFORE[axes[0]])  # blocks after the change, from two on
@@ -302,7 +342,7 @@ class LargeChangeDetector:
     def while_driving(
         self, p: SignalBlock, R: Matrix3, motion: BlockMotion, has_yaw_rate: bool
     ) -> LargeChange | None:
-        """A turn of a sensor that the vehicle did not make with it."""
+        """Return a rotation of the sensor that the vehicle did not make with it."""
         if has_yaw_rate:
             ok, vehicle, by = p.ok_yaw, p.yaw_rate, YAW_RATE
         else:
@@ -315,7 +355,7 @@ class LargeChangeDetector:
         return LargeChange(2, turned, turned / (by.least / DEVIATIONS), 1)
 
     def while_standing(self, p: SignalBlock, R: Matrix3) -> LargeChange | None:
-        """A turn, or a tilt, of a sensor whose vehicle stands."""
+        """Return a rotation or a tilt of the sensor while the vehicle stands."""
         rest = p.rest & p.ok_force
         first = 0
         if not rest.all():  # it has moved within the block: another stop, if any
@@ -356,20 +396,27 @@ class LargeChangeDetector:
 
 
 def _tilt(before: Array, now: Array, R: Matrix3) -> Array:
-    """By how much a sensor is tilted by two mean forces at rest: rotation vector (3,), vehicle."""
+    """Return the tilt of a sensor between two mean forces at rest: rotation vector (3,), vehicle
+    axes.
+    """
     size2 = float(np.linalg.norm(now) * np.linalg.norm(before))
     return np.asarray(R @ np.cross(now, before) / max(size2, 1e-9))
 
 
 def _hidden_force(least: float, ticks: int) -> Array:
-    """Force across and along (2,) [m/s^2] by which the means of the first and of the last ticks of
-    a stop may differ, where the vehicle creeps and its speed stays zero up to `least` [m/s]."""
+    """Return the hidden force across and along (2,) [m/s^2].
+
+    The means of the first and last ticks of a stop may differ by this force if the vehicle creeps
+    while its speed stays zero, up to `least` [m/s].
+    """
     along = 1.0 / STANDING_TICKS + 1.0 / ticks
     return np.array([2.0 * least * least / LEAST_RADIUS, least * along / TICK_S])
 
 
 def _mean_force(force: Array) -> tuple[Array, Array]:
-    """Mean of forces (n, 3), and its variance (3, 3) by how they differ from tick to tick, which a
-    sensor that is tilted in between hardly adds to."""
+    """Return the mean of forces (n, 3) and its variance (3, 3).
+
+    The variance comes from the differences between ticks. A tilt in between hardly adds to it.
+    """
     steps = np.diff(force, axis=0)
     return force.mean(axis=0), 0.5 * (steps.T @ steps) / (len(steps) * len(force))

@@ -1,11 +1,12 @@
-"""Whether the accelerometer is mirrored, or the other signals are, by what is usual.
+"""Decide whether the accelerometer is mirrored or the other signals are, by how often each occurs.
 
-With an accelerometer that shows minus the specific force everything that says where left is needs
-the other sign: yaw rate, steering angle, lateral acceleration, the wheels. A gyroscope does not: it
-fits such a sensor as one that sits upside down and backwards. With one whose axes are a left-
-handed set the gyroscope does too. But those signals may have the other sign themselves, each for a
-reason of its own, or all of a vehicle that counts to the right. The drive is the same; how often
-each of these happens is not.
+If an accelerometer shows minus the specific force, all signals that tell left from right need the
+other sign: yaw rate, steering angle, lateral acceleration, the wheels. A gyroscope does not need
+it: it fits such a sensor as one that sits upside down and backwards. If the axes of the
+accelerometer are a left-handed set, the gyroscope needs the other sign too. The other signals may
+also have the other sign themselves, each for its own reason, or all together in a vehicle that
+counts to the right. The drive is the same in all these cases, but some of them are much more
+frequent.
 """
 
 from __future__ import annotations
@@ -13,21 +14,30 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 MINUS = 0.1
-"""Part of the accelerometers that show minus the specific force: 6 of some 25 senders of public
-logs, half of them telephones."""
+"""Fraction of the accelerometers that show minus the specific force: 6 of some 25 senders of public
+logs, half of them telephones.
+"""
 LEFT_HANDED, LEFT_HANDED_BY_PLACES = 0.01, 0.05
-"""Part of the sensors whose axes are a left-handed set: in the order of names, and of places."""
+"""Fraction of the sensors whose axes are a left-handed set: where names give the order, and where
+places give it.
+"""
 GYRO_TURNED = 0.05
-"""Part of the gyroscopes that have all signs turned while the accelerometer is sound; estimated."""
+"""Fraction of the gyroscopes that have all signs turned while the accelerometer is correct;
+estimated.
+"""
 ONE_TURNED = {"yaw_rate": 0.07, "steering_wheel_angle": 0.33, "lateral_acceleration": 0.2}
-"""Part of the signals that count to the right: opendbc's databases turn 1 of 27 yaw rates and 15 of
-46 steering angles (of few makers) by a negative factor; of lateral acceleration an estimate."""
+"""Fraction of the signals that count to the right. opendbc's databases turn 1 of 27 yaw rates and
+15 of 46 steering angles (of few makers) by a negative factor; the value of lateral acceleration is
+an estimate.
+"""
 ALL_TURNED = 0.05
-"""Part of the vehicles in which all of them do (axes of SAE J670, z down); an estimate."""
+"""Fraction of the vehicles in which all of them count to the right (axes of SAE J670, z down); an
+estimate.
+"""
 PLACED_WRONG = 0.02
-"""Part of the databases that exchange the wheels of left and right; an estimate."""
+"""Fraction of the databases that exchange the wheels of left and right; an estimate."""
 DOUBTED = 1.0 / 3.0
-"""Probability from which the accelerometer is unsure."""
+"""Probability of a mirrored accelerometer from which its sign counts as uncertain."""
 
 SIDED = ("yaw_rate", "steering_wheel_angle", "lateral_acceleration")
 AT_REST = "at rest, the axis that points up must show +1 g"
@@ -39,11 +49,12 @@ REMEDY = (
 
 
 def probability(turned: Mapping[str, bool], by_places: bool = False) -> float:
-    """Probability that the accelerometer is mirrored.
+    """Return the probability that the accelerometer is mirrored.
 
-    turned: by quantity ("gyroscope", SIDED, "wheel_speeds") whether it needs the other sign with
-    the accelerometer as it is; without those whose sign is a bit of its own, which means left in
-    one vehicle and right in the next. by_places: whether no names say which axis is which.
+    turned: for each quantity ("gyroscope", SIDED, "wheel_speeds"), whether it needs the other sign
+    with the accelerometer as it is. Quantities with a separate sign bit are left out, because the
+    bit means left in one vehicle and right in the next. by_places: whether no names say which axis
+    is which.
     """
     gyro = turned.get("gyroscope")
     own = 1.0 if gyro is None else GYRO_TURNED if gyro else 1.0 - GYRO_TURNED
@@ -55,7 +66,7 @@ def probability(turned: Mapping[str, bool], by_places: bool = False) -> float:
 
 
 def _likelihood(turned: Mapping[str, bool]) -> float:
-    """Probability that these signals have these signs while the accelerometer is sound."""
+    """Return the probability of these signs while the accelerometer is correct."""
     placed = turned.get("wheel_speeds")
     wheels = 1.0 if placed is None else PLACED_WRONG if placed else 1.0 - PLACED_WRONG
     of_one = of_all = 1.0
@@ -67,6 +78,8 @@ def _likelihood(turned: Mapping[str, bool]) -> float:
 
 
 def names_of(turned: Mapping[str, bool]) -> str:
-    """The quantities that need the other sign, in words: "yaw_rate and lateral_acceleration"."""
+    """Return the quantities that need the other sign, in words: "yaw_rate and
+    lateral_acceleration".
+    """
     names = [name for name, is_turned in turned.items() if is_turned]
     return " and ".join(filter(None, (", ".join(names[:-1]), names[-1] if names else "")))

@@ -1,8 +1,9 @@
-"""Was the sensor moved? Every test for that in one place, and what was found in this drive.
+"""Detection of a moved sensor. All tests for a move and the changes found in this drive are here.
 
-`large_change` sees a turn by several degrees in single blocks, `gravity_step` a step that the
-gyroscope did not see, `shift` a small change once enough road has been driven, `creep` a slow one.
-Where the joint solution is served and has a gyroscope, `joint.moves` takes the place of `shift`.
+`large_change` sees a rotation by several degrees in single blocks. `gravity_step` sees a step that
+the gyroscope did not see. `shift` sees a small change once enough road has been driven. `creep`
+sees a slow one. Where the joint solution is served and has a gyroscope, `joint.moves` takes the
+place of `shift`.
 """
 
 from __future__ import annotations
@@ -30,22 +31,30 @@ from imucald.mount.zero_step import LEAST_TILT, ZeroStep
 MountChange = Shift | GravityStep | LargeChange | Move
 
 NEAR_SHIFT = 0.7
-"""While a change comes to so much of the threshold, every block is followed by a fit again. As its
-deviations grow as the root of the road segments that show it, one that comes to less does not reach
-the threshold within the next segment: from one to two, by sqrt(2)."""
+"""While a change reaches this share of the threshold, every block is followed by a fit.
+
+Its deviations grow as the root of the number of road segments that show it. A smaller change
+therefore does not reach the threshold within the next segment: from one to two, it grows by
+sqrt(2).
+"""
 SHIFTS_ALLOWED = 1
-"""After more of them in one drive the mount is loose."""
+"""Number of shifts in one drive above which the mount is called loose."""
 ALERT_LIMIT = math.radians(1.0)
-"""An angle that is off by less misleads nobody [rad], ..."""
+"""An angle with a smaller error misleads no consumer [rad], ..."""
 ALERT_DEVIATIONS = 4.0
-"""... nor one that is off by less than so many stated deviations (records/integrity.md)."""
+"""... nor does an angle whose error is less than so many stated deviations
+(records/integrity.md).
+"""
 COVERING = 0.5
-"""Share of a change that the deviation is, while the rotation of before is applied: the interval of
-95 % then reaches from there to the new one."""
+"""Deviation as a share of a change while the earlier rotation is applied: the 95 % interval then
+reaches from the earlier to the new angle.
+"""
 NORMAL_LEVEL = 4.4
-"""What the thresholds of `shift` are worth, as so many deviations of a normal variable: one false
-alarm in 300 h and angle, with 140 road segments an hour and two independent spans each, is a chance
-of 1.2e-5, two-sided."""
+"""Equivalent of the thresholds of `shift` in deviations of a normal variable.
+
+One false alarm in 300 h and angle, with 140 road segments an hour and two independent spans each,
+is a chance of 1.2e-5, two-sided.
+"""
 
 
 class GoodMount(Struct, frozen=True):
@@ -58,10 +67,10 @@ class GoodMount(Struct, frozen=True):
 class TakenChange(Struct):
     """A change that was found.
 
-    block: its number in the drive. change: what the test saw of it, of one angle. std: stated
-    deviation of that angle then [rad]. before, after: the good mount until then, and the one that
-    was good when the next change came; None where none was. is_borne: it misleads nobody, and the
-    rotation went on.
+    block: its number in the drive. change: result of the test, for one angle. std: stated deviation
+    of that angle at that time [rad]. before, after: the good mount before the change, and the good
+    mount when the next change came; None where there was none. is_borne: the change misleads no
+    consumer, and the rotation stayed in use.
     """
 
     block: int
@@ -72,10 +81,12 @@ class TakenChange(Struct):
     is_borne: bool = False
 
     def turn(self, now: GoodMount | None) -> tuple[Array, Array] | None:
-        """By how far the mount is turned since: a rotation vector (3,) about the vehicle's axes,
-        and the larger deviation (3,) [rad] of both mounts; None where one of them is not known.
+        """Return the rotation of the mount since the change, or None.
 
-        now: the mount that is good now, where no other change has come.
+        The result is a rotation vector (3,) about the vehicle's axes and the larger deviation (3,)
+        [rad] of both mounts; None where one mount is not known.
+
+        now: the mount that is good now, if no other change has come.
         """
         after = self.after if now is None else now
         if self.before is None or after is None:
@@ -86,32 +97,32 @@ class TakenChange(Struct):
 
 
 class MountChanges:
-    """Tests of a drive for a moved sensor.
+    """Tests for a moved sensor in one drive.
 
-    history: each change that was found. is_near: whether a change
-    that is none yet comes near the threshold. borne: by how much each angle has moved (3,) [rad]
-    since what is applied was found, where that misleads nobody.
+    history: each change that was found. is_near: whether an unconfirmed change is near the
+    threshold. borne: movement of each angle (3,) [rad] since the applied rotation was found, if it
+    misleads no consumer.
     """
 
     def __init__(self, settings: EstimatorSettings) -> None:
         self._large = LargeChangeDetector(settings)
         self.zero = ZeroStep(settings)
         self.history: list[TakenChange] = []
-        self._open: TakenChange | None = None  # the mount after it may still become better known
+        self._open: TakenChange | None = None  # the mount after it may still become more certain
         self.is_near = False
         self.borne = np.zeros(3)
         self._doubted = np.zeros(3)
         self._probability = np.zeros(3)
-        self._found: tuple[object, object] | None = None  # what the last variance was made of
+        self._found: tuple[object, object] | None = None  # inputs of the last variance
         self._with: tuple[object, ...] = ()
         self._last_variance = np.zeros(3)
 
     def at_once(
         self, p: SignalBlock, solver: MountSolver, signals: SignalBlockMaker
     ) -> LargeChange | None:
-        """A turn that this block alone shows: while standing, or by the gyroscope alone.
+        """Return a rotation that this block alone shows: while standing, or by the gyroscope alone.
 
-        solver: it has a rotation, and has taken the block already.
+        solver: has a rotation, and has already taken the block.
         """
         assert solver.R is not None
         change = self._large.while_standing(p, solver.R)
@@ -121,7 +132,7 @@ class MountChanges:
         return change
 
     def add(self, p: SignalBlock, solver: MountSolver, signals: SignalBlockMaker) -> None:
-        """Take a block, which is compared with those before and after it."""
+        """Take a block, which is compared with earlier and later blocks."""
         assert solver.R is not None
         has = not signals.without_speed, "reverse" in signals.seen
         use = driven(p)
@@ -131,11 +142,11 @@ class MountChanges:
         self.zero.add(p, sums, solver)
 
     def large(self, solver: MountSolver) -> LargeChange | None:
-        """A turn by several degrees within the last blocks."""
+        """Return a rotation by several degrees within the last blocks."""
         return self._large.found(with_yaw=solver.own_gyro)
 
     def small(self, solver: MountSolver) -> Shift | None:
-        """A small change in the last minutes."""
+        """Return a small change in the last minutes."""
         found = solver.largest_change()
         self._doubted[:] = 0.0
         self.is_near = found is not None and found.excess > NEAR_SHIFT
@@ -145,10 +156,11 @@ class MountChanges:
         return None if found is None or found.excess < 1.0 else found
 
     def is_bearable(self, found: MountChange, solver: MountSolver, blocks: int) -> bool:
-        """Whether what is applied misleads nobody after a change, with the deviation stated now.
+        """Whether the applied correction misleads no consumer after a change, with the deviation
+        stated now.
 
-        What the same change added to the deviation while it was in doubt does not count. A sudden
-        tilt may be a stepped zero, which no deviation of the mount covers (`zero_step`).
+        The deviation that the same change added while it was in doubt does not count. A sudden tilt
+        may be a step of the zero, which no deviation of the mount covers (`zero_step`).
         """
         if solver.fused is None or self._may_be_stepped_zero(found, solver):
             return False
@@ -156,7 +168,7 @@ class MountChanges:
         return abs(found.size) <= max(ALERT_LIMIT, stated)
 
     def stated(self, solver: MountSolver, blocks: int) -> tuple[float, ...]:
-        """Deviations (3,) [rad] as stated, without what a change in doubt adds to them."""
+        """Return the stated deviations (3,) [rad] without the part that a change in doubt adds."""
         if solver.fused is None:
             return (math.inf, math.inf, math.inf)
         variance = solver.fused.variance + self._variance(solver, blocks, self._of_borne())
@@ -168,9 +180,9 @@ class MountChanges:
         return is_sudden_tilt and abs(found.size) > LEAST_TILT and solver.own_gyro
 
     def bear(self, found: MountChange, block: int, std: float, good: GoodMount | None) -> bool:
-        """Take a change that misleads nobody; return whether it was not known yet.
+        """Take a change that misleads no consumer; return whether it is new.
 
-        std: stated deviation of its angle [rad]; good: the mount until then.
+        std: stated deviation of its angle [rad]; good: the mount before it.
         """
         borne = float(self.borne[found.axis])
         is_new = borne == 0.0 or borne * found.size < 0.0
@@ -181,12 +193,15 @@ class MountChanges:
         return is_new
 
     def take(self, found: MountChange, block: int, std: float, good: GoodMount | None) -> None:
-        """Take a change after which the mount is found again; good: the mount until then."""
+        """Take a change after which the mount is searched again. good: the mount before it."""
         self.history.append(TakenChange(block, found, std, before=good))
         self._open = self.history[-1]
 
     def end_of_mounting(self, good: GoodMount | None) -> None:
-        """Another change comes, or everything begins again; good: the mount until now."""
+        """End the present mounting, because of another change or a restart.
+
+        good: the mount until now.
+        """
         if self._open is not None:
             self._open.after = good
         self._open = None
@@ -196,50 +211,53 @@ class MountChanges:
         self._large.restart()
 
     def restart(self) -> None:
-        """What comes next is another mounting, compared with nothing before."""
+        """Begin another mounting, which is not compared with earlier data."""
         self._follow()
         self.borne[:] = 0.0
 
     def know_borne(self) -> None:
-        """Another solver knows the mounting since a change that is still borne."""
+        """Note that another solver now knows the mounting since a change that is still
+        tolerated.
+        """
         self._open = next((one for one in reversed(self.history) if one.is_borne), None)
         self._follow()
 
     def _follow(self) -> None:
-        """Another solver goes on."""
+        """Note that another solver takes over."""
         self._large.restart()
         self.is_near = False
         self._doubted[:] = 0.0
 
     @property
     def is_loose(self) -> bool:
-        """Whether the mount moved more often than one that is fixed does."""
+        """Whether the mount moved more often than a fixed mount does."""
         return len(self.history) > SHIFTS_ALLOWED
 
     def shifted_again(self) -> list[float]:
-        """How far each angle has moved [rad] where it was found to have shifted again; else 0."""
+        """Movement of each angle [rad] where it was found to have shifted again; else 0."""
         every = [one.change for one in self.history]
         by_axis = [[change.size for change in every if change.axis == axis] for axis in range(3)]
         return [math.fsum(x) if len(x) > SHIFTS_ALLOWED else 0.0 for x in by_axis]
 
     def turns(self, now: GoodMount | None) -> list[tuple[Array, Array] | None]:
-        """Of each change, see `TakenChange.turn`; now: the mount that is good now."""
+        """Return `TakenChange.turn` of each change. now: the mount that is good now."""
         return [one.turn(now if one is self._open else None) for one in self.history]
 
     def variance(self, solver: MountSolver, blocks: int) -> Array:
-        """Variance (3,) [rad^2] from a mount that moves: as it creeps, or as it has moved so far.
+        """Return the variance (3,) [rad^2] from a moving mount: from its creep, or from its shifts
+        so far.
 
-        A change that is borne is in it, and one that is none yet, as probable as it is, where the
-        deviation is not that large already: evidence that is spread by a change widens it too.
-        Each shift starts the evidence anew, so that creep hardly shows in what is left. A mount
-        that was found turned the same way again and again goes on at that rate. blocks: of the
-        whole drive.
+        The variance contains a tolerated change. It also contains an unconfirmed change, weighted
+        by its probability, unless the deviation is already that large: a change also widens the
+        deviation by spreading the evidence. Each shift restarts the evidence, so creep hardly shows
+        in the rest. A mount that was found turned the same way again and again is assumed to
+        continue at that rate. blocks: those of the whole drive.
         """
         doubted = self._doubted, self._probability
         found, sizes = (solver.fused, solver.creep), (*doubted, self.borne)
         others = solver.blocks, blocks, len(self.history), *(x.tobytes() for x in sizes)
         is_made = self._found is not None and all(map(operator.is_, self._found, found))
-        if not is_made or others != self._with:  # it is asked for three times a block
+        if not is_made or others != self._with:  # it is called three times per block
             self._found, self._with = found, others
             self._last_variance = self._variance(solver, blocks, doubted, self._of_borne())
         return self._last_variance
@@ -248,7 +266,10 @@ class MountChanges:
         return self.borne, np.ones(3)
 
     def _variance(self, solver: MountSolver, blocks: int, *changes: tuple[Array, Array]) -> Array:
-        """As `variance`; changes: sizes (3,) [rad] and probabilities (3,) of those to cover."""
+        """Compute `variance`.
+
+        changes: sizes (3,) [rad] and probabilities (3,) of the changes to cover.
+        """
         nothing = [0.0, 0.0, 0.0]
         creeping = nothing if solver.creep is None else solver.creep.variance.tolist()
         found = nothing if solver.fused is None else solver.fused.variance.tolist()
@@ -268,15 +289,15 @@ class MountChanges:
 
 
 def probability(excess: float) -> float:
-    """How probable a change is that comes to that share of its threshold.
+    """Return the probability of a change that reaches this share of its threshold.
 
-    At the threshold as probable as not; below it the odds are those of a normal variable.
+    At the threshold the probability is one half; below it the odds are those of a normal variable.
     """
     return 1.0 / (1.0 + math.exp(0.5 * NORMAL_LEVEL**2 * (1.0 - min(excess, 1.0) ** 2)))
 
 
 def blocks_since(change: MountChange, kept: Sequence[SignalBlock]) -> list[SignalBlock]:
-    """Those of the kept blocks that came after a change."""
+    """Return those of the kept blocks that came after a change."""
     if isinstance(change, Shift):
         after = change.segments * GROUP
     elif isinstance(change, Move):
@@ -284,5 +305,5 @@ def blocks_since(change: MountChange, kept: Sequence[SignalBlock]) -> list[Signa
     elif isinstance(change, LargeChange):
         after = change.blocks - 1  # the oldest holds the change itself
     else:
-        after = change.blocks - 2  # and its time is known to a block either way
+        after = change.blocks - 2  # and its time is uncertain by one block
     return list(kept)[max(len(kept) - after, 0) :]

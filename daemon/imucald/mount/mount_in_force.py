@@ -1,4 +1,4 @@
-"""The mount that an estimator serves, taken over by another: held, released, or saved."""
+"""Take over the mount that an estimator serves: hold it, release it, or save it."""
 
 from __future__ import annotations
 
@@ -14,7 +14,9 @@ from imucald.mount.saved_information import SavedInformation, SavesInformation
 
 
 def mount_in_force(estimator: MountEstimator) -> StoredMount | None:
-    """The mount that an estimator serves now, as another can go on from it; None: there is none."""
+    """Return the mount that an estimator serves now, in a form that another can continue from;
+    None: no mount.
+    """
     correction = estimator.correction
     if correction is None:
         return None
@@ -42,7 +44,9 @@ def mount_in_force(estimator: MountEstimator) -> StoredMount | None:
 
 
 def doubt_of(estimator: MountEstimator) -> str:
-    """Why the mount that an estimator serves is suspect, in words; "" where nobody knows."""
+    """Return why the mount that an estimator serves is suspect, in words; "" where the reason is
+    unknown.
+    """
     if estimator.state not in BAD:
         return ""
     found = doubt_words(estimator.estimate().waiting_for)
@@ -52,23 +56,24 @@ def doubt_of(estimator: MountEstimator) -> str:
 
 
 def saved_information(estimator: MountEstimator) -> SavedInformation | None:
-    """What an estimator can go on with later, where it keeps that."""
+    """Return the information from which an estimator can continue later, if it keeps any."""
     if isinstance(estimator, RestoredEstimator | SavesInformation):
         return estimator.saved_information()
     return None
 
 
 def known_sensor(estimator: MountEstimator) -> KnownSensor | None:
-    """What an estimator knows of the sensor by itself, where it finds that."""
+    """Return what an estimator knows about the sensor itself, if it finds that."""
     if isinstance(estimator, RestoredEstimator | KnowsSensor):
         return estimator.known_sensor()
     return None
 
 
 def held(estimator: MountEstimator) -> RestoredEstimator | None:
-    """The mount that an estimator serves, held; None: it serves none.
+    """Return the mount that an estimator serves, held; None: it serves none.
 
-    What found it goes on next to it, as the one that knows best when the drive contradicts it.
+    The estimator that found the mount continues beside it, because it knows best when the drive
+    contradicts the mount.
     """
     stored = mount_in_force(estimator)
     if stored is None:
@@ -79,9 +84,9 @@ def held(estimator: MountEstimator) -> RestoredEstimator | None:
 
 
 def released(estimator: RestoredEstimator, inner: MountEstimator) -> RestoredEstimator:
-    """The same mount, from which `inner` takes over when it is as certain.
+    """Return the same mount, from which `inner` takes over when it is as certain.
 
-    inner: a new one; what came during the hold is not used.
+    inner: a new estimator; the data received during the hold are not used.
     """
     is_doubted = estimator.phase is Phase.DOUBTED
     stored = replace(estimator.stored, doubted=is_doubted, doubt=doubt_of(estimator))
@@ -90,5 +95,5 @@ def released(estimator: RestoredEstimator, inner: MountEstimator) -> RestoredEst
 
 
 def without_stored(estimator: MountEstimator) -> MountEstimator:
-    """What finds the mount, without a stored one that stands in front of it."""
+    """Return the estimator that finds the mount, without a stored mount in front of it."""
     return estimator.inner if isinstance(estimator, RestoredEstimator) else estimator

@@ -1,4 +1,6 @@
-"""What an estimate says to people: one convention for "±", how the sensor sits, what is missing."""
+"""Texts about an estimate for people: one convention for "±", how the sensor sits, what is
+missing.
+"""
 
 from __future__ import annotations
 
@@ -17,12 +19,15 @@ CONVENTION = "± is 95 % (two standard deviations)"
 ABOUT = (
     f"{CONVENTION}; states are judged by what is left in corrected samples, as turns about an axis"
 )
-"""Stands once on each screen that shows a mount."""
+"""Text that stands once on each screen that shows a mount."""
 VEHICLE_AXES = ("forward axis", "left axis", "up axis")
-"""What the axes are called about which turns are stated. Roll, pitch and yaw name the angles only:
-at a yaw of 90 deg the roll angle is the turn about the left axis."""
+"""Names of the axes about which rotations are stated.
+
+Roll, pitch and yaw are names of angles only: at a yaw of 90 deg the roll angle is a rotation about
+the left axis.
+"""
 MOST_OF_A_TURN = math.cos(math.radians(30.0))
-"""A turn whose axis lies within 30 deg of a vehicle's axis is one about that axis in words."""
+"""A rotation is described as one about a vehicle axis if its axis lies within 30 deg of it."""
 EVIDENCE_KINDS = {
     "turn": "turns",
     "dvdt": "acceleration",
@@ -30,12 +35,12 @@ EVIDENCE_KINDS = {
     "gravity": "gravity",
     "before": "earlier drives",
 }
-"""What the last part of an evidence's name means."""
+"""Meaning of the last part of an evidence's name."""
 SENSOR_NAMES = {"accel": "accelerometer", "gyro": "gyroscope"}
-"""Channels that people call otherwise."""
+"""Channels for which people use another name."""
 LEAST_LEFT_OUT_S = 1.0
 LEAST_SHOWN_DEG = 0.1
-"""A smaller turn is not shown as a number: it would be rounded to zero."""
+"""A smaller rotation is not shown as a number, because it would be rounded to zero."""
 UPSIDE_DOWN = (
     "the sensor seems to be upside down and backwards. If it is, write 'calibration: "
     "{orientation: {up: AXIS}}'. If not, its accelerometer has inverted signs: set 'sign: "
@@ -43,30 +48,30 @@ UPSIDE_DOWN = (
 )
 STATED_WRONG = "the stated mount does not fit this drive"
 SAVED_WRONG = "the mount of an earlier drive does not fit this drive"
-"""What is reported of a mount that the drive contradicts."""
+"""Text for a mount that the drive contradicts."""
 UNKNOWN_STD_DEG = math.degrees(1.0)
 """An angle with a larger standard deviation is as good as unknown [deg]."""
 UNKNOWN_HALF_DEG = SD_95 * UNKNOWN_STD_DEG
-"""The same of half of a 95 % interval [deg]."""
+"""Half of a 95 % interval above which an angle is as good as unknown [deg]."""
 
 
 def half_width(std_deg: float | None) -> float | None:
-    """Half of the 95 % interval [deg] of a standard deviation [deg]; None: not known."""
+    """Return half of the 95 % interval [deg] of a standard deviation [deg]; None: not known."""
     if std_deg is None or not std_deg < UNKNOWN_STD_DEG:
         return None
     return SD_95 * std_deg
 
 
 def plus_minus(std_deg: float | None, digits: int = 2, unit: str = "°") -> str:
-    """A standard deviation [deg] as people read it, "±0.71°"; "-" where nothing is known."""
+    """Format a standard deviation [deg] as people read it, "±0.71°"; "-" where it is not known."""
     half = half_width(std_deg)
     return "-" if half is None else f"±{half:.{digits}f}{unit}"
 
 
 def sent_words(correction: Mapping[str, Any] | None) -> str:
-    """What is left in corrected samples, ± in one line; "" where nothing is known.
+    """Return the errors left in corrected samples, ± in one line; "" where they are not known.
 
-    correction: as in docs/json.md; of an older daemon there is none.
+    correction: as in docs/json.md; an older daemon gives none.
     """
     if correction is None:
         return ""
@@ -80,28 +85,31 @@ def sent_words(correction: Mapping[str, Any] | None) -> str:
 
 
 def angle_text(value: float | None, std_deg: float | None) -> str:
-    """An angle and its standard deviation [deg] as people read them, "+14.23° ±0.71°"."""
+    """Format an angle and its standard deviation [deg] as people read them, "+14.23° ±0.71°"."""
     known = value is not None and half_width(std_deg) is not None
     return f"{value:+.2f}° {plus_minus(std_deg)}" if known else "-"
 
 
 def angle_cells(mount: Mapping[str, Any], angle: str) -> tuple[str, str]:
-    """The same in two cells; mount: as in docs/json.md (of an older daemon too: without ±)."""
+    """Return angle and deviation in two cells.
+
+    mount: as in docs/json.md (an older daemon gives no ±).
+    """
     text = angle_text(mount[f"{angle}_deg"], _angle_std(mount, angle))
     value, _, spread = text.partition(" ")
     return value, spread or "-"
 
 
 def _angle_std(mount: Mapping[str, Any], angle: str) -> float | None:
-    """Deviation [deg] of an angle; an older daemon does not say it."""
+    """Return the deviation [deg] of an angle; an older daemon does not give it."""
     std: float | None = mount.get("angle_std_deg", {}).get(angle)
     return std
 
 
 def judged_std(mount: Mapping[str, Any], axis: str) -> float | None:
-    """Deviation [deg] about an axis of the vehicle that a state is judged by.
+    """Return the deviation [deg] about a vehicle axis by which a state is judged.
 
-    mount: as in docs/json.md; an older daemon judged that of the rotation.
+    mount: as in docs/json.md; an older daemon judged by the deviation of the rotation.
     """
     found: float | None = mount.get("judged_std_deg", mount["std_deg"])[axis]
     return found
@@ -110,10 +118,10 @@ def judged_std(mount: Mapping[str, Any], axis: str) -> float | None:
 def target(
     mount: Mapping[str, Any], axis: str, progress: Mapping[str, Any] | None
 ) -> tuple[str, float | None]:
-    """The next state and the deviation [deg] about an axis from which it is reached.
+    """Return the next state and the deviation [deg] about an axis from which it is reached.
 
-    mount, progress: as in docs/json.md; without progress the next state is that which the
-    deviation has not reached yet.
+    mount, progress: as in docs/json.md. Without progress, the next state is the first whose limit
+    the deviation has not reached.
     """
     targets = mount.get("target_std_deg")
     if targets is None:
@@ -126,19 +134,21 @@ def target(
 
 
 def percent(share: float) -> str:
-    """A share (0 to 1) as people read it; 100 % only once it is all."""
+    """Format a share (0 to 1) as people read it; 100 % only once it is complete."""
     return f"{math.floor(100.0 * share)} %"
 
 
 def driving_left(seconds: float | None) -> str:
-    """How much driving a gate still takes; "" where it takes none, or nobody knows."""
+    """Return how much driving a gate still takes; "" where it takes none or the time is unknown."""
     if not seconds:
         return ""
     return f"about {max(round(seconds / 60.0), 1)} min of driving"
 
 
 def progress_words(progress: Mapping[str, Any] | None) -> str:
-    """The gate that takes longest: "to fine: up axis 34 %, about 2 min of driving"; or ""."""
+    """Return the gate that takes longest: "to fine: up axis 34 %, about 2 min of driving"; or
+    "".
+    """
     waiting = [gate for gate in (progress or {}).get("gates", ()) if gate["share"] < 1.0]
     if progress is None or not waiting:
         return ""
@@ -149,7 +159,7 @@ def progress_words(progress: Mapping[str, Any] | None) -> str:
 
 
 def angles_line(mount: Mapping[str, Any]) -> str:
-    """`roll +14.40° ±1.10°, pitch ..., yaw ...`: what was asked for; "" before it is known."""
+    """Return `roll +14.40° ±1.10°, pitch ..., yaw ...`; "" before the angles are known."""
     if mount["quaternion_wxyz"] is None:
         return ""
     texts = ((name, angle_text(mount[f"{name}_deg"], _angle_std(mount, name))) for name in ANGLES)
@@ -157,7 +167,7 @@ def angles_line(mount: Mapping[str, Any]) -> str:
 
 
 def how_it_sits(estimate: MountEstimate) -> str | None:
-    """Where the sensor's axes point, in words; None before there is any estimate."""
+    """Return where the sensor's axes point, in words; None before there is any estimate."""
     R, std = estimate.R_vehicle_from_sensor, estimate.std
     if R is None or std is None:
         return None
@@ -174,15 +184,15 @@ def steep_note(estimate: MountEstimate) -> str | None:
 
 
 def mirror_note(estimate: MountEstimate) -> str | None:
-    """Return the note that an unconfirmed mount upside down and backwards needs.
+    """Return the note for an unconfirmed mount that is upside down and backwards.
 
-    An accelerometer that shows minus the specific force on a sensor that sits the right way round
-    gives just that mount. None where the mount is another, or where signals have confirmed it.
+    An accelerometer that shows minus the specific force, on a sensor that sits the right way round,
+    gives the same mount. Returns None if the mount is another one, or if signals have confirmed it.
     """
     R, std = estimate.R_vehicle_from_sensor, estimate.std
     if R is None or std is None or not estimate.details.get("not_checked"):
         return None
-    if half_width(std[2] * DEG_PER_RAD) is None:  # which way is forward is not known yet
+    if half_width(std[2] * DEG_PER_RAD) is None:  # the forward direction is not known yet
         return None
     if not (R[0, 0] < 0.0 and R[2, 2] < 0.0):
         return None
@@ -191,18 +201,22 @@ def mirror_note(estimate: MountEstimate) -> str | None:
 
 
 def reasons(waiting_for: Mapping[str, str]) -> Iterator[tuple[str, str]]:
-    """Names and reason, angles with the same reason together: ("roll, pitch", "a standstill")."""
+    """Return names and reason, angles with the same reason together: ("roll, pitch", "a
+    standstill").
+    """
     for text in dict.fromkeys(waiting_for.values()):
         yield ", ".join(name for name, one in waiting_for.items() if one == text), text
 
 
 def is_trouble(text: str) -> bool:
-    """Whether a reason is one that more driving does not mend."""
+    """Whether a reason is one that more driving does not solve."""
     return text.startswith("the mount ") or any(words in text for words in WORDS.values())
 
 
 def reasons_line(waiting_for: Mapping[str, str]) -> str:
-    """The same in one line: "waiting for roll, pitch: a standstill; yaw: more driving"."""
+    """Return the reasons in one line: "waiting for roll, pitch: a standstill; yaw: more
+    driving".
+    """
     found = list(reasons(waiting_for))
     waits = [f"{names}: {text}" for names, text in found if not is_trouble(text)]
     troubles = [text for _, text in found if is_trouble(text)]
@@ -211,9 +225,9 @@ def reasons_line(waiting_for: Mapping[str, str]) -> str:
 
 
 def contradicted_words(turned_deg: float | None, is_given: bool = True) -> str:
-    """Why a mount that was stated, or saved, is wrong.
+    """Return why a stated or saved mount is wrong.
 
-    turned_deg: by how much the drive's own mount is turned against it [deg], where it has one.
+    turned_deg: rotation of the drive's own mount against it [deg], if the drive has one.
     """
     text = STATED_WRONG if is_given else SAVED_WRONG
     if turned_deg is None:
@@ -222,12 +236,14 @@ def contradicted_words(turned_deg: float | None, is_given: bool = True) -> str:
 
 
 def doubt_words(waiting_for: Mapping[str, str]) -> str:
-    """What is wrong, of all that an estimate waits for; "" where nothing says so."""
+    """Return what is wrong, out of all that an estimate waits for; "" where nothing is."""
     return "; ".join(text for _, text in reasons(waiting_for) if is_trouble(text))
 
 
 def left_out_words(details: Mapping[str, Any]) -> str:
-    """What nothing was learnt from, by signal, cause and time; "" where that is under a second."""
+    """Return the data that were not learnt from, by signal, cause and time; "" where they are under
+    a second.
+    """
     parts = []
     for one in details.get("not_learnt_from", ()):
         if one["seconds"] >= LEAST_LEFT_OUT_S:
@@ -239,22 +255,26 @@ def left_out_words(details: Mapping[str, Any]) -> str:
 
 
 def is_move(shift: Mapping[str, Any]) -> bool:
-    """Whether an item of `details.shifts` is a moved sensor, and no change within its interval."""
+    """Whether an item of `details.shifts` is a moved sensor and not a change within its
+    interval.
+    """
     return shift.get("within_deg") is None
 
 
 def change_words(shift: Mapping[str, Any]) -> str:
-    """An item of `details.shifts` as a sentence; its time is that at which it was found."""
+    """Return an item of `details.shifts` as a sentence; its time is the time at which it was
+    found.
+    """
     prefix = "the sensor was found moved: " if is_move(shift) else ""
     return prefix + moved_words(shift)
 
 
 def moved_words(shift: Mapping[str, Any]) -> str:
-    """What is known of a moved sensor; shift: an item of `details.shifts`.
+    """Return what is known of a moved sensor. shift: an item of `details.shifts`.
 
     A change that lies within the stated interval is no move: it widens the interval. The test that
-    finds it looks at one angle, and may see the turn about another one there: by how
-    much the sensor was turned is said by the mount that is found after it.
+    finds a change looks at one angle, and may see the rotation about another axis there. The mount
+    that is found afterwards shows the real rotation.
     """
     turn = shift.get("turn_deg")
     if not is_move(shift):

@@ -1,9 +1,9 @@
-"""The 25 degree limit: gravity, through the mount, points further off the vertical than any road.
+"""The 25 degree limit: gravity through the mount points further off the vertical than any road.
 
-Looked at in blocks while learning (`is_off_vertical`), and tick by tick for a mount that is only
-served (`PlumbLine`). There a few seconds do while the vehicle stands; while it drives, or where
-nobody knows, it takes half a minute, over which no vehicle keeps up the 0.5 g that would look the
-same.
+`is_off_vertical` checks blocks while the estimator learns. `PlumbLine` checks tick by tick for a
+mount that is only served. A few seconds are enough while the vehicle stands. While it drives, or
+where that is unknown, the check takes half a minute. No vehicle keeps up 0.5 g for so long, which
+would look the same.
 """
 
 from __future__ import annotations
@@ -21,8 +21,10 @@ from imucald.mount.large_change import LEAST_TICKS
 from imucald.mount.signal_blocks import SignalBlock
 
 MAX_OFF_VERTICAL = math.radians(25.0)
-"""The steepest street has 35 % (19.3 deg, Baldwin Street); the rest is what a mount, levelled on
-one slope, may still be off."""
+"""The steepest street has 35 % (19.3 deg, Baldwin Street).
+
+The rest is the possible error of a mount that was levelled on one slope.
+"""
 
 STANDING_TICKS = 32
 DRIVING_TICKS = 256
@@ -32,9 +34,10 @@ _COS = math.cos(MAX_OFF_VERTICAL)
 def is_off_vertical(p: SignalBlock, R: Matrix3, turn: Array) -> bool:
     """Whether gravity, through R, points further from the vertical than any road does.
 
-    Both ways, as it comes and with the motion taken out, so that neither hard driving nor a wrong
-    speed or turn rate is taken for it. While it drives and nothing shows turns, a bend may be as
-    sharp as any, and a block says nothing; `large_change` has more of them.
+    Gravity must be off the vertical both as measured and with the motion removed, so that neither
+    hard driving nor a wrong speed or turn rate triggers the limit. While the vehicle drives and no
+    signal shows turns, a bend may be arbitrarily sharp, so a block is not judged; `large_change`
+    uses more blocks.
     """
     use = p.ok_force & (p.ok_rate | p.ok_yaw | p.rest)
     n, *sums = masked_sums(p.force, use)
@@ -57,13 +60,13 @@ class PlumbLine:
         self._standing = False
         self._clear()
         self.is_off = False
-        """Whether gravity stood off the vertical when it was last known."""
+        """Whether gravity was off the vertical when its direction was last known."""
 
     def _clear(self) -> None:
         self._n, self._x, self._y, self._z = 0, 0.0, 0.0, 0.0
 
     def step(self, tick: TickRow, correction: Correction | None) -> None:
-        """Take a tick and what is applied to it."""
+        """Take a tick and the correction that is applied to it."""
         if tick[SPEED.n]:
             standing = abs(tick[SPEED.mean]) < ZERO_SPEED
             if standing is not self._standing:

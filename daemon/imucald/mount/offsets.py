@@ -1,4 +1,4 @@
-"""Zero offsets of the gyroscope and of the vehicle's yaw rate: at rest both should say zero."""
+"""Zero offsets of the gyroscope and of the vehicle's yaw rate: both should read zero at rest."""
 
 from __future__ import annotations
 
@@ -13,19 +13,19 @@ from imucald.motion.standstill import IDLE_RATE, MAX_GYRO_BIAS, is_idle
 Flags = NDArray[np.bool_]
 
 MIN_TICKS = 8
-"""A block with less rest says nothing."""
+"""Smallest number of ticks at rest in a usable block."""
 REST_MEMORY = 250.0
-"""Ticks at rest after which an offset is forgotten: it wanders with temperature."""
+"""Ticks at rest after which an offset is forgotten, because it wanders with temperature."""
 MAX_STEP = 0.02
-"""Nor does a known bias jump by more [rad/s]."""
+"""Largest step of a known bias [rad/s]."""
 GUESS_TICKS = 250
 """Ticks of driving from which a gyro bias can be guessed without a rest."""
 MAX_TURNS = 250
-"""Hops that such a guess rests on: half an hour."""
+"""Hops behind such a guess at most: half an hour."""
 
 
 class Offsets:
-    """Gyro bias (3,) and yaw-rate offset [rad/s], with the ticks at rest behind them."""
+    """Gyro bias (3,) and yaw-rate offset [rad/s], with the number of ticks at rest behind each."""
 
     def __init__(self) -> None:
         self.gyro_bias: Array = np.zeros(3)
@@ -42,8 +42,11 @@ class Offsets:
         self._turns: deque[float] = deque(maxlen=MAX_TURNS)
 
     def doubt_gyro(self) -> None:
-        """The sensor was moved or exchanged: its bias is found again, and the old one serves until
-        then. Held on to, one that is 0.4 deg/s off would keep the vertical off by 6 deg."""
+        """Search the bias again because the sensor was moved or exchanged.
+
+        The old bias is used until then. Keeping a bias that is 0.4 deg/s off would hold the
+        vertical off by 6 deg.
+        """
         self._is_old = self._is_old or self.gyro_ticks > 0.0 or self._moving >= GUESS_TICKS
         self.gyro_ticks = 0.0
         self._begin_to_guess()
@@ -73,9 +76,11 @@ class Offsets:
         self.yaw_rate += (mean - self.yaw_rate) * (n / self._yaw_ticks)
 
     def guess_gyro(self, rate: Array, force: Array) -> bool:
-        """Before the first rest: about the level axes the mean rate, about the vertical the median.
+        """Guess the bias before the first rest.
 
-        A road vehicle neither pitches nor rolls on and on, and drives straight most of the time.
+        The guess is the mean rate about the level axes and the median about the vertical.
+
+        A road vehicle does not pitch or roll continuously, and drives straight most of the time.
         rate, force: raw, (n, 3). Returns whether there has been enough driving to use the guess.
         """
         if len(rate):
@@ -91,6 +96,8 @@ class Offsets:
 
 
 def _middle(x: Array) -> float:
-    """Median of (n,), n > 0; numpy's own imports its masked arrays first, a tenth of the start."""
+    """Return the median of (n,), n > 0. numpy's own median first imports its masked arrays, a tenth
+    of the start time.
+    """
     ordered = np.sort(x)
     return 0.5 * float(ordered[(len(x) - 1) // 2] + ordered[len(x) // 2])

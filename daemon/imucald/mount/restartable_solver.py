@@ -1,15 +1,15 @@
-"""The solver whose rotation counts, and how another takes its place.
+"""The solver in use, and how another solver replaces it.
 
-A solver begins anew in five ways: without any hint (`begin_without_rotation`), as the speed came or
-went, to go through the first minutes a second time (`look_again`), with what came after a change of
-the mount (`begin_after_change`), and with the same next to the old one, which counts until the new
-one knows enough (`begin_beside`). The last three go through kept blocks, a little per tick, while
-the old one still counts.
+A solver begins anew in five ways. `begin_without_rotation` uses no hint. A change between known and
+unknown speed begins a new solver. `look_again` reads the first minutes a second time.
+`begin_after_change` uses the data after a change of the mount. `begin_beside` does the same next to
+the old solver, which stays in use until the new one knows enough. The last three read stored
+blocks, a few per tick, while the old solver stays in use.
 
-Going through kept blocks again into a new solver, a little per tick.
+`Refit` feeds stored blocks into a new solver, a few per tick.
 
-Two uses: once gyro bias and rotation are known, the first minutes are worth a second look; and
-after a shift the last minutes are all that counts.
+It has two uses. Once gyro bias and rotation are known, the first minutes are read again. After a
+shift, only the last minutes count.
 """
 
 from __future__ import annotations
@@ -30,11 +30,11 @@ from imucald.mount.solver import MountSolver
 from imucald.mount.states import Manoeuvres
 
 KEPT_BLOCKS = 55
-"""Hops that are kept: 350 s."""
+"""Hops that are stored: 350 s."""
 
 
 class Refit:
-    """Feeds kept blocks to a new solver; new blocks queue up behind them."""
+    """Feeds stored blocks to a new solver; new blocks queue up behind them."""
 
     def __init__(self, fresh: MountSolver, blocks: Iterable[SignalBlock], gyro_bias: Array) -> None:
         self.fresh = fresh
@@ -62,27 +62,31 @@ class Refit:
 KNOWN_REST_TICKS = 25.0
 """Ticks at rest from which the gyro bias counts as known."""
 FIRST_LOOK_BLOCKS = 14
-"""The second look takes at least that many blocks (90 s)."""
+"""Smallest number of blocks for the second look (90 s)."""
 LAST_LOOK_BLOCKS = 28
-"""Without a rest to know the gyro bias from, it waits no longer than that (3 min)."""
+"""Largest number of blocks before the second look, if there was no rest to measure the gyro bias (3
+min).
+"""
 EAGER_BLOCKS = 20
-"""Up to so many blocks (128 s) each is followed by a fit: it is 5 % of the evidence or more."""
+"""Up to this many blocks (128 s), each block is followed by a fit, because it is 5 % of the
+evidence or more.
+"""
 LAZY_BLOCKS = 2
-"""Later every second (13 s), ..."""
+"""Later, every second block (13 s) is followed by a fit, ..."""
 SEGMENT_BLOCKS = EAGER_BLOCKS * GROUP
-"""... and from so many (9 min) on, while the mount is *fine*, each time that a road segment has
-ended: only then a whole one is no more than 5 %. Of evidence that has grown by a share g since the
-fit, all would move an angle by sqrt(g / (1 + g)) of its deviation and make that smaller by
-1 - 1 / sqrt(1 + g): with 5 % by 0.22 and 0.024 at most. Creep is tested once a road segment anyway;
-where a small change is near, every block is followed by a fit again (`mount_changes`)."""
+"""... and from this many blocks (9 min) on, while the mount is *fine*, each end of a road segment:
+only then is a whole segment no more than 5 %. If evidence has grown by a share g since the fit, a
+new fit would move an angle by sqrt(g / (1 + g)) of its deviation and reduce the deviation by 1 - 1
+/ sqrt(1 + g). With 5 % these are 0.22 and 0.024 at most. Creep is tested once a road segment
+anyway. While a small change is near, every block is followed by a fit again (`mount_changes`).
+"""
 
 
 class RestartableSolver:
-    """A `MountSolver` with what it takes to begin anew.
+    """A `MountSolver` that can begin anew.
 
-    now: the solver that counts. kept: the last blocks (350 s). driven: manoeuvres that its
-    rotation is found from. has_looked_again: it has gone through its first minutes twice, or
-    need not.
+    now: the solver in use. kept: the last blocks (350 s). driven: manoeuvres from which its
+    rotation is found. has_looked_again: it has read its first minutes twice, or need not.
     """
 
     def __init__(self, settings: EstimatorSettings) -> None:
@@ -98,28 +102,28 @@ class RestartableSolver:
 
     @property
     def is_refitting(self) -> bool:
-        """Whether another solver goes through kept blocks and is to take over."""
+        """Whether another solver reads stored blocks and will replace this one."""
         return self._refit is not None
 
     @property
     def is_catching_up(self) -> bool:
-        """Whether another solver has kept blocks to go through at the next tick."""
+        """Whether another solver still has stored blocks to read at the next tick."""
         return self._refit is not None or (self._beside is not None and self._beside.is_behind)
 
     @property
     def has_beside(self) -> bool:
-        """Whether a change is borne: another solver learns from what came after it."""
+        """Whether a change is tolerated while another solver learns from the data after it."""
         return self._beside is not None
 
     @property
     def beside(self) -> MountSolver | None:
-        """The solver that knows only what came after a change, while the old one counts."""
+        """Solver that knows only the data after a change, while the old one stays in use."""
         beside = self._beside
         return None if beside is None or beside.is_behind else beside.fresh
 
     @property
     def is_outdated(self) -> bool:
-        """Whether the solver that counts still is one of the mount before a change."""
+        """Whether the solver in use still describes the mount before a change."""
         return self._refit is not None and self._follows_change
 
     @property
@@ -128,7 +132,7 @@ class RestartableSolver:
         return self.now.R is not None and self.now.yaw_known and not self.is_outdated
 
     def take(self, p: SignalBlock, without_speed: bool) -> None:
-        """Take a block; without_speed: nobody knows the vehicle's speed."""
+        """Take a block. without_speed: the vehicle's speed is unknown."""
         self.kept.append(p)
         if without_speed != self.now.response.without_speed:  # evidence of another kind
             self.now, self._beside = self._new(without_speed), None
@@ -142,7 +146,7 @@ class RestartableSolver:
                 self._beside.step()
 
     def step(self) -> None:
-        """Go on by one tick with the solver that is to take over."""
+        """Continue the replacing solver by one tick."""
         if self._refit is None:
             if self._beside is not None and self._beside.is_behind:
                 self._beside.step()
@@ -155,13 +159,13 @@ class RestartableSolver:
 
     @property
     def is_young(self) -> bool:
-        """Whether each block is much of the evidence so far."""
+        """Whether each block is a large part of the evidence so far."""
         return self.now.blocks <= EAGER_BLOCKS
 
     def is_turn(self, block: int, is_fine: bool) -> bool:
-        """Whether enough has come since the last fit for another.
+        """Whether enough evidence has come since the last fit for a new fit.
 
-        block: its number in the drive. is_fine: nothing better is waited for.
+        block: its number in the drive. is_fine: no better state is possible.
         """
         now = self.now
         if is_fine and now.blocks > SEGMENT_BLOCKS and self._beside is None:
@@ -169,7 +173,7 @@ class RestartableSolver:
         return block % LAZY_BLOCKS == 0
 
     def fit(self) -> bool:
-        """Fit the rotation to all evidence so far; return whether it is a first one."""
+        """Fit the rotation to all evidence so far; return whether it is the first fit."""
         starts = self.now.starts
         self.now.fit()
         if self.beside is not None:
@@ -177,22 +181,25 @@ class RestartableSolver:
         return self.now.starts > starts
 
     def follow_creep(self, has_shifted: bool) -> None:
-        """See once a road segment whether the mount creeps; has_shifted: it did in this drive."""
+        """Test once a road segment whether the mount creeps.
+
+        has_shifted: the mount has shifted in this drive.
+        """
         if self.now.response.segment != self._segment:
             self._segment = self.now.response.segment
             self.now.p_constant = P_CONSTANT_AGAIN if has_shifted else P_CONSTANT
             self.now.follow_creep()
 
     def gap(self) -> None:
-        """Time jumped."""
+        """Note a jump of time."""
         if self._refit is not None and self._follows_change:
-            self.now = self._refit.fresh  # what came before the change must not return
+            self.now = self._refit.fresh  # data from before the change must not return
         self.now.gap()
         self._refit = self._beside = None
         self.kept.clear()
 
     def begin_without_rotation(self, blocks: Iterable[SignalBlock] = ()) -> None:
-        """Begin anew from these blocks: not even the rotation so far is a hint."""
+        """Begin anew from these blocks, without the rotation so far even as a hint."""
         self.now = self._new(self.now.response.without_speed)
         self._refit = self._beside = None
         self.has_looked_again = True
@@ -208,14 +215,14 @@ class RestartableSolver:
         self._begin_refit(blocks, offsets, follows_change=True)
 
     def begin_beside(self, blocks: Iterable[SignalBlock], offsets: Offsets) -> None:
-        """Let another solver learn from the blocks after a change, while this one counts."""
+        """Let another solver learn from the blocks after a change, while this one stays in use."""
         fresh = MountSolver(self._settings)
         fresh.start_from(self.now)
         fresh.past_drives = None  # it is about the mount before
         self._beside = Refit(fresh, blocks, offsets.gyro_bias.copy())
 
     def take_beside(self, limits: Limits) -> bool:
-        """Let the second solver count from now on, where it is usable; return whether it does."""
+        """Switch to the second solver if it is usable; return whether it was switched."""
         beside = self.beside
         if beside is None or beside.fused is None or not beside.yaw_known:
             return False
@@ -226,7 +233,7 @@ class RestartableSolver:
         return True
 
     def look_again(self, offsets: Offsets) -> None:
-        """Once gyro bias and rotation are known, go through the first minutes again."""
+        """Once gyro bias and rotation are known, read the first minutes again."""
         is_bias_known = offsets.gyro_ticks >= KNOWN_REST_TICKS
         is_long_enough = len(self.kept) >= FIRST_LOOK_BLOCKS
         is_late = len(self.kept) >= LAST_LOOK_BLOCKS
@@ -251,22 +258,24 @@ class RestartableSolver:
 
     @property
     def contradiction(self) -> float | None:
-        """Chi-square (3) of past drives' evidence against this one's; None without any."""
+        """Chi-square (3) of this drive's evidence against that of past drives; None without past
+        drives.
+        """
         past = self.now.past_drives
         return None if past is None else past.contradiction
 
     def saved_information(self) -> SavedInformation | None:
-        """What all evidence comes to, for the next start; None where there is too little."""
+        """Information of all evidence, for the next start; None where there is too little."""
         return None if self.is_outdated or self.has_beside else self.now.kept()
 
     def join(self, kept: SavedInformation) -> None:
-        """Go on with what past drives found as well."""
+        """Add the information that past drives found."""
         for solver in self._solvers():
             solver.join(kept)
         self.now.fit()
 
     def drop_past_drives(self) -> None:
-        """Go on with this drive's evidence alone."""
+        """Continue with the evidence of this drive alone."""
         for solver in self._solvers():
             solver.past_drives = None
         self.now.fit()

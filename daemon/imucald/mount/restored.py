@@ -1,16 +1,16 @@
 """Warm start: the mount of an earlier drive serves until this drive's own estimate takes over.
 
 It wraps any estimator. The stored rotation is usable at once, as *restored*. The estimator inside
-begins anew, so that what it says is new evidence: where that agrees, the stored one is confirmed
-and goes on until the new one is as certain. Where it contradicts, the stored one is *suspect*
-until the new one can be used, and then gives way to it, slowly.
+begins anew, so its results are new evidence. If it agrees, the stored rotation is confirmed and
+stays in use until the new one is as certain. If it contradicts, the stored rotation becomes
+*suspect* until the new one can be used, and then changes slowly to the new one.
 
-The evidence that was stored with it joins the new only when the new agrees by itself; then it is
-as certain as before at once. Both are held against one another for as long as this goes on: a
-sensor moved by so little that the first agreement could not show it is found out when the new
-evidence is certain enough, and the stored evidence is left again.
+The stored evidence is joined with the new evidence only when the new evidence agrees by itself. The
+result is then at once as certain as before. Both are compared all the time. A sensor may have been
+moved by too little for the first agreement to show it. The comparison finds the move once the new
+evidence is certain enough, and the stored evidence is then dropped again.
 
-A mount that is *held* never gives way: the drive may confirm or doubt it, and changes nothing.
+A *held* mount never gives way: the drive may confirm or doubt it, and changes nothing.
 """
 
 from __future__ import annotations
@@ -46,37 +46,39 @@ from imucald.mount.saved_information import SavedInformation, SavesInformation
 from imucald.mount.slewing import SlewedCorrection
 
 COMPARE_TICKS = 10
-"""The two are compared so often: once a second."""
+"""Ticks between comparisons of the two: once a second."""
 AGREEMENT = 11.3
 """Chi-square with 3 degrees of freedom, 99 %: less is agreement."""
 CONTRADICTION = 16.3
 """The same for 99.9 %: more is contradiction."""
 DOUBTS = 8
-"""So many contradictions in a row, 8 s and thus of two fits, make the stored mount suspect ..."""
+"""Number of contradictions in a row (8 s, so from two fits) that makes the stored mount
+suspect ...
+"""
 CONTRADICTIONS = 15
-"""... and so many end it: one bad road is no remount."""
+"""... and number that ends it: one bad road is no remount."""
 HAND_OVER_RATE = math.radians(1.0)
-"""What is applied goes to the new estimate at this rate [rad/s]."""
+"""Rate at which the applied correction moves to the new estimate [rad/s]."""
 CLEAR_STD = math.radians(20.0)
-"""An angle that is known worse says nothing of how far a stated mount is off [rad]."""
+"""An angle with a larger deviation does not show how far a stated mount is off [rad]."""
 HELD = "the end of the hold (imucald release)"
 HELD_BY_CONFIGURATION = (
     "the end of the hold by the configuration ('calibration: mount: hold: true')"
 )
-"""What a held mount waits for."""
+"""Text: what a held mount waits for."""
 
 NONE_JUDGED: Mapping[str, bool] = {}
 
 
 class StoredMount(Struct, frozen=True):
-    """What an earlier drive found.
+    """Result of an earlier drive.
 
-    R_vehicle_from_sensor: (3, 3). covariance: (3, 3) [rad^2], as in `MountEstimate`.
-    state: the state it had, USABLE or FINE. doubted: it was suspect when it was stored.
-    evidence: what it rests on, where the estimator keeps that. is_given: a person stated it.
-    doubt: why it was suspect, in words, where that is known. applied: what was applied with it,
-    where that is more than the rotation; sent: deviations of what that left in the samples.
-    sensor: what is known of the sensor by itself, where the estimator finds that.
+    R_vehicle_from_sensor: (3, 3). covariance: (3, 3) [rad^2], as in `MountEstimate`. state: the
+    state it had, USABLE or FINE. doubted: it was suspect when it was stored. evidence: the evidence
+    behind it, where the estimator keeps it. is_given: a person stated it. doubt: why it was
+    suspect, in words, where that is known. applied: correction that was applied with it, where it
+    is more than the rotation. sent: deviations that this correction left in the samples. sensor:
+    knowledge about the sensor itself, where the estimator finds it.
     """
 
     R_vehicle_from_sensor: Matrix3
@@ -92,41 +94,46 @@ class StoredMount(Struct, frozen=True):
 
     @property
     def correction(self) -> Correction:
-        """What is to be applied."""
+        """Correction to apply."""
         return self.applied or Correction.turning(self.R_vehicle_from_sensor)
 
 
 @runtime_checkable
 class TakesStatedMount(Protocol):
-    """An estimator to which it matters what a person says of the mount."""
+    """Interface of an estimator that uses what a person states about the mount."""
 
     def take_stated_mount(self, R: Matrix3) -> None:
-        """A person states R_vehicle_from_sensor."""
+        """Take R_vehicle_from_sensor as a person states it."""
         ...
 
 
 @runtime_checkable
 class KnowsSensor(Protocol):
-    """An estimator that finds errors of the sensor's own."""
+    """Interface of an estimator that finds errors of the sensor itself."""
 
     def known_sensor(self) -> KnownSensor | None:
-        """What is known of the sensor by itself."""
+        """Knowledge about the sensor itself, independent of the mount."""
         ...
 
     def as_before(self) -> float | None:
-        """Probability that sensor and mount are those that it took; None: it took none yet."""
+        """Probability that sensor and mount are those of the earlier drive; None: no earlier drive
+        was taken.
+        """
         ...
 
     def take_known_sensor(self, known: KnownSensor, is_moved: bool) -> None:
-        """Begin with what an earlier drive found of it; is_moved: it was moved since."""
+        """Begin with what an earlier drive found of the sensor.
+
+        is_moved: the sensor was moved since.
+        """
         ...
 
 
 class Contradicted(Struct, frozen=True):
-    """When the drive first showed that the mount in front is wrong.
+    """Time at which the drive first showed that the stored mount is wrong.
 
-    t: ticks so far as seconds. turned: how far its own mount is turned against it [rad]; None: it
-    has none yet, and gravity is far off the vertical.
+    t: number of ticks so far, in seconds. turned: rotation of the drive's own mount against the
+    stored one [rad]. None: the drive has no mount yet, and gravity is far off the vertical.
     """
 
     t: float
@@ -134,9 +141,9 @@ class Contradicted(Struct, frozen=True):
 
 
 class Phase(enum.StrEnum):
-    """Who serves, and why."""
+    """Which mount is served, and why."""
 
-    RESTORED = "restored"  # the stored mount; nothing known against or for it
+    RESTORED = "restored"  # the stored mount; no evidence against or for it
     CONFIRMED = "confirmed"  # the stored mount; new evidence agrees
     DOUBTED = "doubted"  # the stored mount; new evidence contradicts
     HANDING_OVER = "handing_over"  # on the way to the new estimate
@@ -144,10 +151,11 @@ class Phase(enum.StrEnum):
 
 
 class RestoredEstimator:
-    """An estimator with the mount of an earlier drive in front; a `MountEstimator` itself.
+    """An estimator with the mount of an earlier drive in front of it; it is a `MountEstimator`
+    itself.
 
-    is_held: that mount stays, whatever the drive says. phase: how far the drive has confirmed it
-    already, CONFIRMED or RESTORED; without it nothing has. held_until: what ends the hold, in
+    is_held: that mount stays, whatever the drive shows. phase: how far the drive has already
+    confirmed it, CONFIRMED or RESTORED; without it, not at all. held_until: what ends the hold, in
     words.
     """
 
@@ -166,11 +174,11 @@ class RestoredEstimator:
         self.held_until = held_until
         self.phase = Phase.DOUBTED if stored.doubted else phase
         self.distance = math.nan
-        """Of the last comparison, as a chi-square with 3 degrees of freedom."""
+        """Result of the last comparison, as a chi-square with 3 degrees of freedom."""
         self._turned: float | None = None  # of the drive's own mount against it, contradicted [rad]
         self._contradicted: Contradicted | None = None
         self.joined = False
-        """Whether the stored evidence goes along with the new."""
+        """Whether the stored evidence is joined with the new."""
         self._has_left = False
         if stored.is_given and isinstance(inner, TakesStatedMount):
             inner.take_stated_mount(stored.R_vehicle_from_sensor)
@@ -185,17 +193,17 @@ class RestoredEstimator:
 
     @property
     def serves_stored(self) -> bool:
-        """Whether the stored mount is served, and not this drive's own on its way or there."""
+        """Whether the stored mount is served, and not this drive's own or a transition to it."""
         return self.phase not in (Phase.HANDING_OVER, Phase.NEW)
 
     @property
     def correction(self) -> Correction | None:
-        """What to apply now."""
+        """Correction to apply now."""
         return self.inner.correction if self.phase is Phase.NEW else self._served.correction
 
     @property
     def state(self) -> MountState:
-        """RESTORED until the new evidence decides, then the state that it gives."""
+        """RESTORED until the new evidence decides, then the state from that evidence."""
         if self.phase is Phase.NEW:
             return MountState.SUSPECT if self._doubtful() else self.inner.state
         if self.phase is Phase.RESTORED:
@@ -209,7 +217,9 @@ class RestoredEstimator:
 
     @property
     def stuck_signals(self) -> Mapping[str, bool]:
-        """The vehicle's stuck signals by the inner estimator; none where it does not look."""
+        """Stuck signals of the vehicle from the inner estimator; none if it does not look for
+        them.
+        """
         return NONE_JUDGED if self._judges is None else self._judges.stuck_signals
 
     def step(self, tick: TickRow) -> None:
@@ -228,7 +238,7 @@ class RestoredEstimator:
             self._remember_contradiction()
 
     def gap(self) -> None:
-        """Time jumped: nothing before this may be differenced with what follows."""
+        """Note a jump of time: no value from before may be differenced with a later one."""
         self.inner.gap()
 
     def estimate(self) -> MountEstimate:
@@ -262,18 +272,20 @@ class RestoredEstimator:
 
     @property
     def _is_shown_wrong(self) -> bool:
-        """Whether this drive shows it of the mount in front; that it doubts its own mount as well
-        shows nothing."""
+        """Whether this drive shows that the mount in front is wrong.
+
+        Doubt about the drive's own mount does not show it.
+        """
         return self._turned is not None or self._plumb_line.is_off
 
     def _against_statement(self, served: MountEstimate) -> MountEstimate:
-        """What speaks against the mount that a person stated, in words."""
+        """Return what contradicts the mount that a person stated, in words."""
         turned = None if self._turned is None else math.degrees(self._turned)
         words = dict.fromkeys(ANGLES, contradicted_words(turned))
         return replace(served, waiting_for=words, missing=dict.fromkeys(ANGLES, Missing.OTHER))
 
     def saved_information(self) -> SavedInformation | None:
-        """What the estimate that is served rests on."""
+        """Return the information behind the estimate that is served."""
         if self.joined or not self.serves_stored:
             return (
                 self.inner.saved_information() if isinstance(self.inner, SavesInformation) else None
@@ -281,7 +293,7 @@ class RestoredEstimator:
         return self.stored.evidence
 
     def known_sensor(self) -> KnownSensor | None:
-        """What is known of the sensor by itself."""
+        """Knowledge about the sensor itself."""
         if self.is_held or self.phase in (Phase.RESTORED, Phase.DOUBTED):
             return self.stored.sensor
         return self.inner.known_sensor() if isinstance(self.inner, KnowsSensor) else None
@@ -305,7 +317,9 @@ class RestoredEstimator:
         }
 
     def _remember_contradiction(self) -> None:
-        """Keep that the mount in front was wrong, also once this drive's own serves."""
+        """Remember that the mount in front was wrong, even after this drive's own mount is
+        served.
+        """
         if self.phase is Phase.CONFIRMED:
             self._contradicted = None
         if not self._is_shown_wrong or self.phase not in (Phase.DOUBTED, Phase.HANDING_OVER):
@@ -319,7 +333,7 @@ class RestoredEstimator:
         return self.joined and self._contradictions >= DOUBTS
 
     def _compare(self) -> None:
-        """Hold the new evidence against the stored."""
+        """Compare the new evidence with the stored."""
         distance = self._joined_distance() if self.joined else self._distance()
         if distance is None:
             return
@@ -334,7 +348,7 @@ class RestoredEstimator:
             self._judge()
 
     def _distance(self) -> float | None:
-        """Chi-square of the new estimate against the stored one."""
+        """Return the chi-square of the new estimate against the stored one."""
         new = self.inner.estimate()
         if new.R_vehicle_from_sensor is None or new.covariance is None:
             return None
@@ -346,10 +360,10 @@ class RestoredEstimator:
         return distance
 
     def _distance_of_sensor(self) -> float:
-        """What an estimator that knows the sensor makes of all that it took, as a chi-square.
+        """Return the comparison, as a chi-square, by an estimator that knows the sensor.
 
-        Both rotations rest on what is known of the sensor, so that they seem less apart than they
-        are; it knows what they share.
+        Both rotations depend on the same knowledge of the sensor, so they seem closer than they
+        are. The estimator knows their common part.
         """
         before = self.inner.as_before() if isinstance(self.inner, KnowsSensor) else None
         if before is None:
@@ -358,14 +372,16 @@ class RestoredEstimator:
         return max(AGREEMENT + decades * (CONTRADICTION - AGREEMENT), 0.0)
 
     def _joined_distance(self) -> float | None:
-        """The same of the evidence on both sides, which the estimator keeps apart."""
+        """Return the chi-square between the new and the stored evidence, which the estimator keeps
+        apart.
+        """
         found = self.inner.contradiction if isinstance(self.inner, SavesInformation) else None
-        if found is None:  # it has left the stored evidence by itself: the sensor was moved
+        if found is None:  # the inner estimator dropped the stored evidence: the sensor was moved
             self.joined, self._has_left = False, True
         return found
 
     def _judge(self) -> None:
-        """Who serves from now on."""
+        """Decide which mount is served from now on."""
         usable = self.inner.state in GOOD
         if self._plumb_line.is_off and not usable:
             return
@@ -383,14 +399,17 @@ class RestoredEstimator:
             self.phase = Phase.HANDING_OVER
 
     def _join(self) -> None:
-        """The new evidence agrees by itself: go on with both; never with what it has left."""
+        """Join the stored evidence, because the new evidence agrees by itself.
+
+        Evidence that was dropped before is never joined again.
+        """
         kept = None if self._has_left or self.is_held else self.stored.evidence
         if kept is not None and not self.joined and isinstance(self.inner, SavesInformation):
             self.inner.join_information(kept)
             self.joined = self.inner.contradiction is not None
 
     def _leave(self) -> None:
-        """They contradict one another after all: the new evidence stays."""
+        """Drop the stored evidence, because it contradicts the new evidence after all."""
         if isinstance(self.inner, SavesInformation):
             self.inner.drop_information()
         self.joined, self._has_left = False, True
@@ -398,7 +417,7 @@ class RestoredEstimator:
     def _follow(self) -> None:
         """Turn towards the new estimate until it is reached."""
         target = self.inner.correction
-        if target is None:  # it was not to be relied upon after all
+        if target is None:  # the new estimate is not reliable after all
             self.phase = Phase.DOUBTED
             return
         self._served.aim(target)
@@ -408,7 +427,7 @@ class RestoredEstimator:
 
 
 def _waiting_for_release(served: MountEstimate, held_until: str) -> MountEstimate:
-    """What a held mount waits for to be *fine*: nothing but that learning goes on."""
+    """Return what a held mount waits for to be *fine*: only that learning continues."""
     if served.state is MountState.FINE:
         return served
     return replace(

@@ -1,10 +1,10 @@
-"""From scores and informations, road segment by road segment, to values with their variances.
+"""Compute values with variances from scores and informations of road segments.
 
-Per regression a least-squares fit with priors on the nuisance; the variance of the angle is a mix
-of the model's (what the noise levels say) and of the spread of the scores from road segment to
-road segment (sandwich; White, Econometrica 48, 1980), neighbours' covariance included.
+Each regression is a least-squares fit with priors on the nuisance. The variance of the angle is a
+mix of the model's variance, from the noise levels, and of the spread of the scores between road
+segments (sandwich; White, Econometrica 48, 1980), with the covariance of neighbours.
 
-What a source says of an angle, road segment by road segment, and its fit.
+`ScoreSeries` holds the evidence of a source about an angle per road segment, `AngleFit` its fit.
 """
 
 from __future__ import annotations
@@ -28,9 +28,9 @@ def _axis_of(kind: str) -> int:
 class AngleFit(Struct, frozen=True):
     """The fit of an angle together with its source's nuisance, segment by segment.
 
-    left (G,): scores of the angle that the fit leaves over. rows (G, 1 + k): information of the
-    angle, and what it shares with the nuisance. inverse (1 + k, 1 + k): covariance of both, from
-    all segments and priors. value: the angle [rad].
+    left (G,): residual scores of the angle. rows (G, 1 + k): information of the angle, and its
+    cross terms with the nuisance. inverse (1 + k, 1 + k): covariance of both, from all segments and
+    priors. value: the angle [rad].
     """
 
     left: Array
@@ -42,8 +42,8 @@ class AngleFit(Struct, frozen=True):
 class ScoreSeries(Struct, frozen=True, dict=True):
     """Evidence about one angle from one source, segment by segment: scores and informations (G,).
 
-    kind: the source, of those in `shift.UNEVEN_STD`. fit: where the angle was fitted together with
-    nuisance; else each segment speaks of it alone.
+    kind: the source, as named in `shift.UNEVEN_STD`. fit: the fit, if the angle was fitted together
+    with nuisance; otherwise each segment shows the angle alone.
     """
 
     kind: str
@@ -57,7 +57,7 @@ class ScoreSeries(Struct, frozen=True, dict=True):
         return _axis_of(self.kind)
 
     def behind(self, score: Array, information: Array) -> ScoreSeries:
-        """This series behind earlier segments (E,), which speak of the angle alone."""
+        """Return this series behind earlier segments (E,), which show the angle alone."""
         both = np.concatenate([score, self.score]), np.concatenate([information, self.information])
         fit = self.fit
         if fit is None:
@@ -74,7 +74,7 @@ class ScoreSeries(Struct, frozen=True, dict=True):
         return ScoreSeries(self.kind, *both, AngleFit(left, rows, inverse, value))
 
     def fitted(self) -> AngleFit | None:
-        """The fit; without nuisance the mean. None without any information."""
+        """Return the fit; without nuisance, the mean. None without any information."""
         return self._fitted
 
     @cached_property
@@ -89,22 +89,21 @@ class ScoreSeries(Struct, frozen=True, dict=True):
 
 
 MODEL_GROUPS = 6.0
-"""The model's variance counts like that many road segments in the sandwich."""
+"""Weight of the model's variance in the sandwich, in road segments."""
 MODEL_SHARE = np.array([1.5, 1.5, 1.15])
-"""The model's variance is taken that much larger, for roll, pitch and yaw: correlated noise is the
-rule."""
+"""Factor on the model's variance for roll, pitch and yaw, because noise is usually correlated."""
 WITHOUT_SPEED_SHARE = 3.0
-"""Without speed A r is not known: variances of rotation axes are so much larger."""
+"""Factor on the variances of rotation axes without speed, because A r is not known then."""
 FEWEST = 3.0
-"""Of fewer segments alone no spread is known."""
+"""Smallest number of segments from which a spread is known."""
 MIN_INFORMATION = 50.0
-"""Less than this [1/rad^2], 8 deg, is not worth a source."""
+"""Smallest information of a source [1/rad^2]: 8 deg."""
 
 
 class AngleEvidence(Struct):
-    """What one source says about one angle: value [rad], variance, road segments in it.
+    """Evidence of one source about one angle: value [rad], variance, number of road segments.
 
-    road: what the mean slope or lean of the road driven makes of the variance.
+    road: part of the variance from the mean slope or lean of the road driven.
     """
 
     value: float
@@ -114,7 +113,9 @@ class AngleEvidence(Struct):
 
 
 def _priors() -> Array:
-    """Information of the nuisance priors (rows, most, most); unused places are held at zero."""
+    """Return the information of the nuisance priors (rows, most, most); unused places are held at
+    zero.
+    """
     out = np.zeros((len(ROWS), MAX_REGRESSORS, MAX_REGRESSORS))
     for i, row in enumerate(ROWS):
         held = [1.0] * (MAX_REGRESSORS - len(row.regressors))
@@ -165,9 +166,10 @@ def fit_regressions(
 class _Fit(Struct, frozen=True):
     """Fits of U rows over G segments.
 
-    value: (U, regressors). left: (U, G) scores of the angle that are left over; own: what each
-    segment knows of it, nuisance apart; flow: its score. spread, beside: (U,) sums of the squares
-    of the shares in the value, and of each with the next. squares: of what they know.
+    value: (U, regressors). left: (U, G) residual scores of the angle. own: information of each
+    segment about it, without the nuisance. flow: its score. spread, beside: (U,) sums of the
+    squares of the shares in the value, and of the products of neighbouring shares. squares: sums of
+    squared information.
     """
 
     value: Array
@@ -180,7 +182,9 @@ class _Fit(Struct, frozen=True):
 
 
 def _inverses(matrices: Array) -> Array:
-    """Of symmetric positive definite ones (n, k, k), which need no search for pivots."""
+    """Return the inverses of symmetric positive definite matrices (n, k, k), which need no search
+    for pivots.
+    """
     out = matrices.copy()
     k = out.shape[1]
     others = [np.array([j for j in range(k) if j != i]) for i in range(k)]
@@ -196,8 +200,10 @@ def _inverses(matrices: Array) -> Array:
 def _fitted(
     score: Array, normal: Array, use: list[int], total: Array, priors: Array
 ) -> tuple[_Fit, Array]:
-    """The fit, and inverses of the informations. score, normal: of all rows; others of those in
-    use."""
+    """Return the fit, and the inverses of the informations.
+
+    score, normal: of all rows; the other arguments are of the rows in use.
+    """
     rows = len(use)
     inverse = _inverses(total + priors)
     if rows < len(ROWS):
@@ -214,10 +220,12 @@ def _fitted(
 
 
 def apart(one: ScoreSeries, other: ScoreSeries) -> AngleEvidence | None:
-    """How far a source's angle lies from another's of the same segments; None without fits.
+    """Return the difference between the angles of two sources over the same segments; None without
+    fits.
 
-    Noise that both see (the road's) is not in it, so its variance comes from the segments' shares
-    in the difference itself; of n segments it is Student's, n / (n - 2) times theirs.
+    Noise that both see, such as the road's, cancels. The variance therefore comes from the
+    segments' shares in the difference itself. For n segments it is Student's, n / (n - 2) times
+    that.
     """
     if one.fit is None or other.fit is None:
         return None
@@ -232,13 +240,15 @@ def apart(one: ScoreSeries, other: ScoreSeries) -> AngleEvidence | None:
 
 
 def _shares(of: ScoreSeries, fit: AngleFit) -> Array:
-    """What each segment makes of a fitted angle's error (G,) [rad]."""
+    """Return the part of each segment in the error of a fitted angle (G,) [rad]."""
     shares: Array = fit.inverse[0, 0] * (of.score - of.information * fit.value)
     return shares
 
 
 def _variances(spread: Array, beside: Array, model: Array, groups: Array) -> Array:
-    """Variances from the groups' shares in the values, and from the model's; see `_Fit`."""
+    """Return variances from the groups' shares in the values and from the model's variance; see
+    `_Fit`.
+    """
     spread = np.maximum(spread + 2.0 * beside, 0.6 * spread)
     out: Array = (MODEL_GROUPS * model + groups * spread) / (MODEL_GROUPS + groups)
     return out

@@ -1,15 +1,15 @@
-"""What evidence comes to, in few numbers: kept when the daemon stops, for the next start.
+"""Evidence in few numbers: saved when the daemon stops, for the next start.
 
-Per kind of evidence (the rows of `evidence_rows`, and gravity) there are its value about the
-rotation of that time, its variance, and its scores and informations road segment by road
-segment, which the test for shifts needs. Old sources are joined: the size is bounded.
+Each kind of evidence (the rows of `evidence_rows`, and gravity) has a value about the rotation of
+that time and a variance. It also has scores and informations per road segment, which the test for
+shifts needs. Old segments are joined, so the size is bounded.
 
-Past drives' evidence next to this one's: fused with it, never mixed into it.
+The evidence of past drives is fused with that of this drive, but the two are stored separately.
 
-Both stay apart for as long as the daemon runs, so that every fit can say whether they contradict
-one another, and the past ones can be left again. What they have in common is counted once: the
-sensor's own errors, and the accelerometer's bias as far as neither drive showed it. What
-changes between drives (load, springs) is an error that all earlier evidence of an angle shares.
+They stay separate while the daemon runs. Every fit can then tell whether they contradict one
+another, and the past evidence can be dropped again. Common errors are counted once: the sensor's
+own errors, and the accelerometer's bias as far as neither drive showed it. Changes between drives
+(load, springs) are an error that all earlier evidence of an angle shares.
 """
 
 from __future__ import annotations
@@ -35,18 +35,18 @@ from imucald.mount.road_segments import AngleEvidence, ScoreSeries
 GRAVITY_KINDS = ("roll_gravity", "pitch_gravity")
 KINDS = frozenset((*(row.name for row in ROWS), *GRAVITY_KINDS))
 MAX_SEGMENTS = 48
-"""Road segments kept apart; neighbours are joined beyond."""
+"""Largest number of separate road segments; beyond it, neighbours are joined."""
 DIGITS = 6
-"""Significant digits that are written: far more than there is in any evidence."""
+"""Significant digits that are written: far more than any evidence contains."""
 ROTATION_TOLERANCE = 1e-6
 
 
 class SavedSource(Struct, frozen=True):
     """One kind of evidence about one angle.
 
-    value: [rad] about `SavedInformation.R`. variance: of it, without the accelerometer's bias,
-    whose share is in bias (gravity only). score, information: (G,) by road segment, about the same
-    R.
+    value: [rad] about `SavedInformation.R`. variance: variance of the value without the
+    accelerometer's bias. bias: share of that bias (gravity only). score, information: (G,) per road
+    segment, about the same R.
     """
 
     value: float
@@ -57,14 +57,17 @@ class SavedSource(Struct, frozen=True):
 
 
 class SavedInformation(Struct, frozen=True):
-    """All kinds. R: the rotation they are about, crown still in it (see `MountSolver`)."""
+    """All kinds of evidence.
+
+    R: the rotation to which they refer, with the crown still in it (see `MountSolver`).
+    """
 
     R: Matrix3
     without_speed: bool
     sources: Mapping[str, SavedSource]
 
     def about(self, R: Matrix3) -> SavedInformation:
-        """The same about another rotation near by, to first order."""
+        """Return the same evidence about another rotation near by, to first order."""
         e = vector_from_rotation(R @ self.R.T)
         turned = {
             name: SavedSource(
@@ -79,7 +82,7 @@ class SavedInformation(Struct, frozen=True):
         return SavedInformation(R, self.without_speed, turned)
 
     def plain(self) -> dict[str, Any]:
-        """As JSON takes it."""
+        """Return plain values for JSON."""
         return {
             "rotation": self.R.ravel().tolist(),
             "without_speed": self.without_speed,
@@ -98,38 +101,40 @@ class SavedInformation(Struct, frozen=True):
 
 @runtime_checkable
 class SavesInformation(Protocol):
-    """What a `MountEstimator` has besides its verbs if its evidence outlives the process."""
+    """Additional methods of a `MountEstimator` whose evidence survives the process."""
 
     @property
     def contradiction(self) -> float | None:
-        """Chi-square (3) of past drives' evidence against this one's; None without any."""
+        """Chi-square (3) of this drive's evidence against that of past drives; None without past
+        drives.
+        """
         ...
 
     def saved_information(self) -> SavedInformation | None:
-        """What all evidence comes to, for the next start; None where there is too little."""
+        """Information of all evidence, for the next start; None where there is too little."""
         ...
 
     def join_information(self, kept: SavedInformation) -> None:
-        """Go on with what past drives found as well."""
+        """Add the information that past drives found."""
         ...
 
     def drop_information(self) -> None:
-        """Go on with this drive's evidence alone."""
+        """Continue with the evidence of this drive alone."""
         ...
 
 
 def axis_of(name: str) -> int:
-    """Which angle a kind of evidence is about: its name begins with it."""
+    """Return the angle of a kind of evidence: the name begins with the angle."""
     return AXES.index(name.partition("_")[0])
 
 
 def named_series(series: list[ScoreSeries]) -> dict[str, ScoreSeries]:
-    """Flows by the names of their sources."""
+    """Return series by the names of their sources."""
     return {one.kind: one for one in series}
 
 
 def kept_evidence(kept: SavedInformation) -> dict[str, AngleEvidence]:
-    """What was kept, as sources of angles about its rotation."""
+    """Return the saved evidence as sources of angles about its rotation."""
     return {
         name: AngleEvidence(
             one.value,
@@ -147,10 +152,10 @@ def saved_sources(
     error: Array,
     bias: tuple[float, float],
 ) -> dict[str, SavedSource]:
-    """Sources and series of a fit about the rotation that came of it.
+    """Return sources and series of a fit about the rotation that the fit found.
 
-    error: (3,), by which the fit turned the rotation; gravity's series are about the new one as
-    they come. bias: variance of the accelerometer's bias in gravity's sources.
+    error: (3,), by which the fit turned the rotation. Gravity's series are already about the new
+    one. bias: variance of the accelerometer's bias in gravity's sources.
     """
     shares = dict(zip(GRAVITY_KINDS, bias, strict=True))
     found = {}
@@ -164,10 +169,11 @@ def saved_sources(
 
 
 def together(before: SavedInformation | None, now: SavedInformation) -> SavedInformation:
-    """Both as one, about the rotation of now; the prior ones with what changes between drives.
+    """Return both as one, about the present rotation; earlier sources are widened by the changes
+    between drives.
 
-    That change is the same for all kinds of an angle, but is taken as each one's own here. It
-    makes the sum a little too certain, by less than what the next start widens it by again.
+    The change is the same for all kinds of an angle, but here each kind has its own. The sum is
+    therefore slightly too certain, by less than the widening at the next start.
     """
     if before is None or before.without_speed != now.without_speed:
         return _shortened(now)
@@ -201,7 +207,9 @@ def _shortened(kept: SavedInformation) -> SavedInformation:
 
 
 def _fewer(x: Array) -> Array:
-    """The same in at most `MAX_SEGMENTS` rows: neighbours are summed, equally many in each."""
+    """Return the same in at most `MAX_SEGMENTS` rows: neighbours are summed, equally many in each
+    row.
+    """
     if len(x) <= MAX_SEGMENTS:
         return x
     starts = np.arange(MAX_SEGMENTS) * len(x) // MAX_SEGMENTS
@@ -214,7 +222,9 @@ def _rounded(x: Array) -> list[float]:
 
 
 def saved_from(content: object) -> SavedInformation:
-    """What `plain` gave; EstimateError where it makes no sense."""
+    """Return the information from the result of `plain`; raises EstimateError where it makes no
+    sense.
+    """
     try:
         if not isinstance(content, Mapping) or not isinstance(content["without_speed"], bool):
             raise TypeError("not of our making")
@@ -250,14 +260,14 @@ def _numbers(values: object, n: int) -> list[float]:
 
 
 BEFORE = "_before"
-"""Ends the names of past drives' sources."""
+"""Ending of the names of past drives' sources."""
 
 
 class PastDrives:
-    """What was kept, as evidence for a `MountSolver`.
+    """Saved information as evidence for a `MountSolver`.
 
-    shared: errors that kinds share in it. crown_std: the mean lean of roads differs that much
-    from drive to drive [rad].
+    shared: errors that its kinds share. crown_std: change of the mean lean of roads between drives
+    [rad].
     """
 
     def __init__(
@@ -267,7 +277,7 @@ class PastDrives:
         roll, pitch, yaw = BETWEEN_DRIVES_STD
         self._between = (math.hypot(roll, crown_std), pitch, yaw)
         self.contradiction = 0.0
-        """Of past drives and this one at the last fit: chi-square with 3 degrees of freedom."""
+        """Chi-square with 3 degrees of freedom between past drives and this one at the last fit."""
         both = _on_both_sides(shared)
         between = [
             CommonError(std, {name + BEFORE: 1.0 for name in KINDS if axis_of(name) == axis})
@@ -277,7 +287,7 @@ class PastDrives:
 
     @property
     def segments(self) -> int:
-        """Road segments of the best known kind."""
+        """Number of road segments of the best known kind."""
         return max((len(p.score) for p in self.kept.sources.values()), default=0)
 
     def fused(
@@ -287,10 +297,10 @@ class PastDrives:
         bias: tuple[float, float],
         cross_axis: float = 0.0,
     ) -> Fused:
-        """Fuse this drive's sources about R with those of before.
+        """Fuse this drive's sources about R with those of past drives.
 
-        bias: variance of the accelerometer's bias in roll and pitch from gravity, in the sources.
-        cross_axis: error that the sources are probably off by (part).
+        bias: variance of the accelerometer's bias that the sources of roll and pitch from gravity
+        contain. cross_axis: probable cross-axis error of the sources (part).
         """
         turned = self.kept.about(R)
         now, kept, before = dict(sources), turned.sources, kept_evidence(turned)
@@ -307,9 +317,9 @@ class PastDrives:
         return fuse({**now, **named}, sharing)
 
     def series(self, now: Mapping[str, ScoreSeries], R: Matrix3) -> list[ScoreSeries]:
-        """The series of this drive about R, each behind those of before.
+        """Return the series of this drive about R, each behind those of past drives.
 
-        Those count for no more than what changes between drives lets them.
+        The weight of past series is limited by the changes between drives.
         """
         kept = self.kept.about(R).sources
         known = np.zeros(3)
@@ -325,14 +335,14 @@ class PastDrives:
 
 
 def _behind(one: ScoreSeries, kept: SavedSource, part: float) -> ScoreSeries:
-    """A series behind the kept one, which counts in part; its spread stays what it is."""
+    """Return a series behind the saved one, which counts in part; its spread stays the same."""
     mean = kept.information * (kept.score.sum() / max(float(kept.information.sum()), 1e-12))
     score = part * mean + math.sqrt(part) * (kept.score - mean)
     return one.behind(score, part * kept.information)
 
 
 def _on_both_sides(shared: Sequence[CommonError], times: float = 1.0) -> list[CommonError]:
-    """Errors that a drive shares with those before."""
+    """Return the errors that a drive shares with earlier drives."""
     return [
         CommonError(times * s.std, {**s.signs, **{name + BEFORE: x for name, x in s.signs.items()}})
         for s in shared
@@ -346,7 +356,7 @@ def _less(source: AngleEvidence, variance: float) -> AngleEvidence:
 def _contradiction(
     now: Mapping[str, AngleEvidence], before: Mapping[str, AngleEvidence], sharing: CommonCovariance
 ) -> float:
-    """Chi-square of the difference of both means, over all angles that both speak of."""
+    """Return the chi-square of the difference of both means, over all angles that both contain."""
     sources = {**now, **before}
     total = 0.0
     for axis in AXES:
@@ -366,7 +376,9 @@ def _contradiction(
 
 
 def _mean(V: Array, x: Array) -> tuple[Array, float]:
-    """Weights of the best mean, and what disagreement adds to its variance (as in `fuse`)."""
+    """Return the weights of the best mean, and the variance that disagreement adds (as in
+    `fuse`).
+    """
     inverse = np.linalg.inv(V)
     weight = np.maximum(inverse.sum(axis=1), 0.0)
     weight /= weight.sum()

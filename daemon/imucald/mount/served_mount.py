@@ -1,10 +1,11 @@
 """The state that is reported for a mount, and the correction that is applied under it.
 
-The rotation that is reported: the solver's, with the road's crown taken out, and its covariance.
+`ReportedRotation` is the reported rotation: the solver's without the road's crown, and its
+covariance.
 
-The solver's z is the mean vertical of the roads driven, which lean to the side by their crown. How
-much they lean is known to `crown_std` only: that is one more error about x, and as yaw is found on
-leaning roads the same error is part of yaw's.
+The solver's z is the mean vertical of the roads driven. Roads lean to the side by their crown. The
+lean is known only to `crown_std`, which is one more error about x. Yaw is found on leaning roads,
+so the same error is also part of yaw's.
 """
 
 from __future__ import annotations
@@ -33,8 +34,8 @@ SLEW_RATE = math.radians(0.5)
 class ServedMount:
     """Judges the knowledge after each block, and follows a good correction tick by tick.
 
-    state: what is reported. has_moved: the mount has moved, and nothing good was applied since.
-    step: go on by one tick.
+    state: the reported state. has_moved: the mount has moved, and no good correction was applied
+    since. step: moves on by one tick.
     """
 
     def __init__(self, settings: EstimatorSettings) -> None:
@@ -42,26 +43,26 @@ class ServedMount:
         self._slewed = SlewedCorrection(SLEW_RATE)
         self.state = MountState.WAITING
         self.has_moved = False
-        self.step = self._slewed.step  # every tick: a method of its own would cost a tenth of it
+        self.step = self._slewed.step  # runs every tick: an own method would cost a tenth more
 
     @property
     def correction(self) -> Correction | None:
-        """What to apply now, or None."""
+        """Correction to apply now, or None."""
         return self._slewed.correction
 
     @property
     def good(self) -> Correction | None:
-        """What to apply, unless the sensor was moved since it was good."""
+        """Correction to apply, unless the sensor was moved since it was good."""
         return None if self.has_moved else self.correction
 
     @property
     def has_arrived(self) -> bool:
-        """Whether what is applied is what was found last."""
+        """Whether the applied correction equals the one that was found last."""
         return self._slewed.has_arrived
 
     @property
     def is_turning(self) -> bool:
-        """Whether the next tick changes what is applied."""
+        """Whether the next tick changes the applied correction."""
         return self._slewed.is_moving
 
     def judge(
@@ -72,10 +73,12 @@ class ServedMount:
         is_refitting: bool,
         found_correction: Callable[[], Correction],
     ) -> None:
-        """Find the state after a block; where it is good, turn towards what was found.
+        """Find the state after a block.
 
-        has_faults: something contradicts the estimate. is_refitting: it is sought again.
-        found_correction: makes that of the evidence so far.
+        In a good state, turn towards the correction that was found.
+
+        has_faults: a contradiction of the estimate stands. is_refitting: the estimate is being
+        searched again. found_correction: makes the correction from the evidence so far.
         """
         was_good, is_serving = self.state in GOOD, self.correction is not None
         found = self._accepted(judged(known, self.state, self._settings), acceptance)
@@ -89,7 +92,9 @@ class ServedMount:
             self.state = MountState.RECALIBRATING
 
     def _accepted(self, found: MountState, acceptance: Acceptance) -> MountState:
-        """No *fine* before the tests can see, and nothing good in the face of a contradiction."""
+        """Return the accepted state: not *fine* before the tests work, and not good while a
+        contradiction stands.
+        """
         is_serving = self.correction is not None and not self.has_moved
         if found in GOOD and not is_serving and acceptance.missing_to_be_good() is not None:
             return MountState.LEVELLED
@@ -99,13 +104,15 @@ class ServedMount:
 
 
 MOST_OF_LEAN = 0.9
-"""Yaw's deviation is at most in so much that of the road's lean: a covariance stays one."""
+"""Largest share of yaw's deviation that comes from the road's lean, so that the covariance stays
+valid.
+"""
 UNKNOWN_YAW = (math.pi / math.sqrt(3.0)) ** 2
-"""Variance of a direction that may be any [rad^2]."""
+"""Variance of an unknown direction [rad^2]."""
 
 
 class ReportedRotation:
-    """Makes R_vehicle_from_sensor and covariance of what a solver has found; keeps the last."""
+    """Computes R_vehicle_from_sensor and its covariance from a solver's result; keeps the last."""
 
     def __init__(self, settings: EstimatorSettings) -> None:
         self._settings = settings
@@ -114,10 +121,11 @@ class ReportedRotation:
         self._last: tuple[Matrix3, Array] = np.eye(3), np.eye(3)
 
     def of(self, solver: MountSolver, moving: Array, is_yaw_known: bool) -> tuple[Matrix3, Array]:
-        """R_vehicle_from_sensor (3, 3) and its covariance (3, 3) [rad^2], as in `MountEstimate`.
+        """Return R_vehicle_from_sensor (3, 3) and its covariance (3, 3) [rad^2], as in
+        `MountEstimate`.
 
-        solver: it has fitted a rotation. moving: variance (3,) [rad^2] from a mount that moves.
-        is_yaw_known: else its variance is that of any direction.
+        solver: has fitted a rotation. moving: variance (3,) [rad^2] from a mount that moves.
+        is_yaw_known: otherwise the variance of yaw is that of an unknown direction.
         """
         made_of = (solver.R, solver.fused, solver.creep, is_yaw_known)
         is_made = self._made_of is not None and all(map(operator.is_, self._made_of, made_of))

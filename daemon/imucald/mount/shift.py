@@ -1,18 +1,18 @@
-"""Has the sensor moved? New evidence against what was known before it.
+"""Detect whether the sensor has moved. New evidence is compared with earlier evidence.
 
-Evidence comes in road segments of about 26 s of driving. For every source of evidence about an
-angle and for the last 2, 3, ... 12 segments, a change of the angle that begins with them is fitted
-beside the angle and the nuisance of all segments (a generalised likelihood ratio test for a step
-of unknown time and size; Basseville and Nikiforov, Detection of Abrupt Changes, 1993, ch. 2.4).
-The spread from segment to segment before sets the scale, so that rough roads and hills make the
-test dull and not nervous.
+Evidence comes in road segments of about 26 s of driving. Each source of evidence about an angle and
+each number of last segments, 2, 3, ... 12, is tested. A change of the angle that begins with these
+segments is fitted together with the angle and the nuisance of all segments (a generalised
+likelihood ratio test for a step of unknown time and size; Basseville and Nikiforov, Detection of
+Abrupt Changes, 1993, ch. 2.4). The spread between earlier segments sets the scale: on rough roads
+and hills the test becomes less sensitive and does not raise false alarms.
 
-How far the sources of an angle speak for one and the same change is then the ratio of
-likelihoods with and without it. In yaw, wind and rough roads move what dv/dt says alone, and
-lever arm and sideslip what turns say alone, now and then by far: tails are heavy there, so that
-one source must stand out very far while two that agree need not. In roll and pitch, roads that
-lean in a bend show in all sources, but make no step in gravity (`step`): such a step at the time
-of the change is independent evidence, and is added.
+The ratio of the likelihoods with and without the change shows how far the sources of an angle agree
+on one change. In yaw, wind and rough roads disturb only the evidence from dv/dt, while lever arm
+and sideslip disturb only the evidence from turns, both now and then by much. The tails are
+therefore heavy: one source alone must stand out very far, while two sources that agree need not. In
+roll and pitch, roads that lean in a bend show in all sources, but make no step in gravity (`step`).
+Such a step at the time of the change is therefore independent evidence, and is added.
 """
 
 from __future__ import annotations
@@ -30,11 +30,11 @@ from imucald.mount.road_segments import AngleFit, ScoreSeries
 
 FIRST_SPAN = 2
 SPANS = np.arange(FIRST_SPAN, 13)
-"""Road segments that are held against all before."""
+"""Numbers of last road segments that are compared with all earlier ones."""
 MIN_BEFORE = (16, 10, 14)
-"""Segments that must have been before, for roll, pitch and yaw."""
+"""Smallest number of earlier segments for roll, pitch and yaw."""
 CLIP = 4.5
-"""No single segment counts for more standard deviations: one bad road moves no sensor."""
+"""Largest number of standard deviations of one segment: one bad road is no move of the sensor."""
 UNEVEN_STD = {
     "roll_turn": 0.007,
     "roll_axis": 0.007,
@@ -45,17 +45,17 @@ UNEVEN_STD = {
     "yaw_turn": 0.0017,
     "yaw_dvdt": 0.0035,
 }
-"""What a source says differs by that much [rad] between town and motorway, without a shift."""
+"""Difference of a source between town and motorway without a shift [rad]."""
 TAILS = np.array((1e6, 1e6, 8.0))
-"""Degrees of freedom of Student's t, for roll, pitch and yaw; many are as good as normal."""
+"""Degrees of freedom of Student's t, for roll, pitch and yaw; a large number is nearly normal."""
 LEAST_SIZES = np.array((0.026, 0.026, 0.013))
-"""A change that is tested against none is at least that large [rad]: 1.5, 1.5 and 0.75 deg."""
+"""Smallest change that is tested [rad]: 1.5, 1.5 and 0.75 deg."""
 STEP_MIN, STEP_MAX = 2.0, 5.5
-"""A step in gravity counts from so many standard deviations on, and for so many at most, ..."""
+"""Standard deviations from which a step in gravity counts, and largest number that counts, ..."""
 STEP_FROM = 2.5
-"""... and where the road segments alone come to so much."""
+"""... if the road segments alone reach this many."""
 NO_STEP = 1.15
-"""Without a step, thresholds for roll and pitch are so much higher."""
+"""Factor on the thresholds for roll and pitch without a step."""
 WITHOUT_STEP = np.array((NO_STEP, NO_STEP, 1.0))
 THRESHOLD = np.array(
     (
@@ -64,30 +64,32 @@ THRESHOLD = np.array(
         (3.45, 3.38, 3.22, 3.12, 3.0, 2.9, 2.77, 2.72, 2.65, 2.6, 2.56),
     )
 )
-"""For roll, pitch and yaw, and each span, as a root of twice the log of the ratio;
-records/mount-accuracy.md: what they give. Over short spans a windy stretch or a winding one passes
-for a turn."""
+"""Thresholds for roll, pitch and yaw, and each span, as a root of twice the log of the ratio.
+records/mount-accuracy.md gives their results. Over short spans a windy or winding stretch looks
+like a rotation.
+"""
 NEIGHBOURS = 0.9
-"""In yaw two neighbouring spans that come to this share of their thresholds are a shift as well."""
+"""In yaw, two neighbouring spans that reach this share of their thresholds are also a shift."""
 OTHER_ROADS = 1.15
-"""Thresholds are so much higher where it takes segments of earlier drives to test at all."""
+"""Factor on the thresholds where the test needs segments of earlier drives."""
 MIN_KNOWN = 1e-6
-"""New segments that know less of the angle than this share say nothing."""
+"""New segments with less than this share of the information are ignored."""
 PRIOR_SEGMENTS, PRIOR_SPREAD, MIN_SPREAD = 6.0, 1.0, 0.8
-"""The spread before is taken as the model's with that weight, and as no less than that share."""
+"""Prior of the spread: its weight in segments, its value relative to the model, and the smallest
+spread.
+"""
 YAW = 2
 LEAST = 1e-12
-"""No sum that others are divided by is smaller."""
+"""Smallest value of a sum that is used as a divisor."""
 NO_STEPS: Array = np.zeros((len(SPANS), 2, 2))
 """No step in gravity; see `largest_change`."""
 
 
 class Shift(Struct, frozen=True):
-    """The largest change found: axis, size [rad], in standard deviations, segments ago.
+    """The largest change found: axis, size [rad], size in standard deviations, age in segments.
 
-    deviations: the root of twice the log of the ratio of likelihoods, signed; of one normal
-    source it would be the size in standard deviations. excess: over the threshold; a shift from
-    1 on.
+    deviations: the root of twice the log of the ratio of likelihoods, signed. For one normal source
+    it would be the size in standard deviations. excess: ratio to the threshold; a shift from 1 on.
     """
 
     axis: int
@@ -104,12 +106,12 @@ def largest_change(
     unevenness: tuple[float, float] = (1.0, 1.0),
     fresh: int | None = None,
 ) -> Shift | None:
-    """Return the change of an angle that stands out most; None where too little is known.
+    """Return the most significant change of an angle; None where too little is known.
 
-    steps: (S, 2, 2), how far a step in gravity stood out when the segments of each span began, in
-    roll and pitch: the largest and the least, signed, in standard deviations.
-    unevenness: how many times the usual one roads have, across and along.
-    fresh: segments of this drive, where series begin with those of earlier ones; no span is longer.
+    steps: (S, 2, 2) size of a step in gravity at the beginning of each span, in roll and pitch: the
+    largest and the smallest, signed, in standard deviations. unevenness: ratio of the roads'
+    unevenness to the usual one, across and along. fresh: number of segments of this drive, if
+    series begin with those of earlier drives; no span is longer.
     """
     of_axes = [one for one in series if one.axis in axes]
     found = [(axis, *_columns_of(of_axes, axis, fresh)) for axis in axes]
@@ -119,7 +121,7 @@ def largest_change(
     most = max(n for _, _, n in asked)
     spans, steps = SPANS[:most], steps[:most]
     every, variances_of = changes(of_axes, spans)
-    # of all axes at once; what one has fewer sources than another says nothing
+    # All axes are tested together. A missing source has infinite variance.
     shape = len(asked), most, max(len(columns) for _, columns, _ in asked)
     sizes, variances = np.zeros(shape), np.full(shape, np.inf)
     for a, (axis, columns, _) in enumerate(asked):
@@ -156,7 +158,9 @@ def largest_change(
 
 
 def _columns_of(series: list[ScoreSeries], axis: int, fresh: int | None) -> tuple[list[int], int]:
-    """Which series are about an axis, and how many of `SPANS` they are long enough for."""
+    """Return the places of the series about an axis, and the number of `SPANS` for which they are
+    long enough.
+    """
     columns = [k for k, one in enumerate(series) if one.axis == axis]
     longest = max((len(series[k].score) for k in columns), default=0) - MIN_BEFORE[axis]
     if fresh is not None:
@@ -165,7 +169,9 @@ def _columns_of(series: list[ScoreSeries], axis: int, fresh: int | None) -> tupl
 
 
 def _with_neighbours(over: Array) -> Array:
-    """Signed excesses (S,): of each span its own, or its scaled mean with the next if larger."""
+    """Return signed excesses (S,): each span's own, or its scaled mean with the next span's if
+    larger.
+    """
     pairs = 0.5 * (over[:-1] + over[1:]) / NEIGHBOURS
     out = over.copy()
     out[:-1] = np.where(np.abs(pairs) > np.abs(over[:-1]), pairs, over[:-1])
@@ -173,9 +179,10 @@ def _with_neighbours(over: Array) -> Array:
 
 
 def changes(series: list[ScoreSeries], spans: NDArray[np.int64]) -> tuple[Array, Array]:
-    """Changes over the last spans: what each source says (S, sources) [rad], and variances.
+    """Return the changes over the last spans from each source (S, sources) [rad], and their
+    variances.
 
-    To each source are fitted a level before the change, a nuisance and the change.
+    A level before the change, a nuisance and the change are fitted to each source.
     """
     shape = len(spans), len(series)
     sizes, variances = np.zeros(shape), np.full(shape, np.inf)
@@ -195,7 +202,10 @@ def changes(series: list[ScoreSeries], spans: NDArray[np.int64]) -> tuple[Array,
 
 
 def _uneven(series: list[ScoreSeries], variances: Array, times: float) -> Array:
-    """With what roads make sources differ by; of sources that see the same noise the better one."""
+    """Add to the variances what roads make sources differ by.
+
+    Of sources that see the same noise, only the better one counts.
+    """
     variances = variances + np.array([(times * UNEVEN_STD[one.kind]) ** 2 for one in series])
     same_noise = [k for k, one in enumerate(series) if one.kind in SAME_NOISE]
     if len(same_noise) == 2:
@@ -207,7 +217,9 @@ def _uneven(series: list[ScoreSeries], variances: Array, times: float) -> Array:
 def _most_likely_time(
     sizes: Array, variances: Array, spans: NDArray[np.int64], sign: float
 ) -> tuple[int, float]:
-    """Segments since a change that is there, and its size: the largest likelihood of all spans."""
+    """Return the number of segments since a change, and its size: the largest likelihood of all
+    spans.
+    """
     known = np.maximum((1.0 / variances).sum(axis=1), 1e-9)
     mean = (sizes / variances).sum(axis=1) / known
     k = int(np.argmax(np.where(mean * sign > 0.0, mean * mean * known, 0.0)))
@@ -216,17 +228,18 @@ def _most_likely_time(
 
 @cache
 def _subsets(n: int) -> Array:
-    """Which of n sources is in which subset that is not empty (n, 2^n - 1)."""
+    """Return the membership of n sources in each subset that is not empty (n, 2^n - 1)."""
     return ((np.arange(1, 2**n) >> np.arange(n)[:, None]) & 1).astype(np.float64)
 
 
 def likeliest(sizes: Array, variances: Array, tail: Array, least: Array) -> tuple[Array, Array]:
-    """The change that all sources speak for most, of A axes: size (A, S), and the root of twice the
-    log of L(size) / L(0) (A, S).
+    """Return the most likely change of A axes, given all sources.
 
-    sizes, variances: (A, S, sources), of what each source says. tail (A,): degrees of freedom of
-    Student's t. least (A,): changes below are not looked for. The maximum is sought among the
-    weighted means of all subsets of sources, near which it is wherever some sources agree.
+    The result is the size (A, S), and the root of twice the log of L(size) / L(0) (A, S).
+
+    sizes, variances: (A, S, sources), from each source. tail (A,): degrees of freedom of Student's
+    t. least (A,): smallest change that is searched. The maximum is searched among the weighted
+    means of all subsets of sources. It lies near such a mean wherever some sources agree.
     """
     weight, tail = 1.0 / variances, tail[:, None, None]
     subset = _subsets(sizes.shape[2])
@@ -244,19 +257,21 @@ def likeliest(sizes: Array, variances: Array, tail: Array, least: Array) -> tupl
 
 
 def _step_for(ratio: Array, size: Array, steps: Array) -> Array:
-    """What steps in gravity (S, 2) add to changes (S,) of the same sign [standard deviations]."""
+    """Return what steps in gravity (S, 2) add to changes (S,) of the same sign [standard
+    deviations].
+    """
     step = np.where(size > 0.0, steps[:, 0], -steps[:, 1])
     counts = (ratio >= STEP_FROM) & (step >= STEP_MIN)
     return np.where(counts, np.minimum(step, STEP_MAX), 0.0)
 
 
 def _changes_of(fits: list[AngleFit], spans: NDArray[np.int64]) -> tuple[Array, Array]:
-    """Changes of K sources, of as many segments each, over their last spans (S,).
+    """Return the changes of K sources with equally many segments over their last spans (S,).
 
-    Returns sizes [rad] and informations (K, S). With M the information of angle and nuisance from
-    all segments, w what the new segments have of its first row and U their scores left over by the
-    common fit, the change is U / V with V = w_0 - w' M^-1 w (the score test of a linear model;
-    exact). What new segments say of the angle is not used where it cannot be separated from
+    Returns sizes [rad] and informations (K, S). Let M be the information of angle and nuisance from
+    all segments, w the part of the new segments in its first row, and U their residual scores in
+    the common fit. The change is U / V with V = w_0 - w' M^-1 w (the score test of a linear model;
+    exact). Evidence of new segments about the angle is not used where it cannot be separated from
     nuisance that only they show. Where a source has fewer regressors than another, the rest are 0.
     """
     left = np.array([fit.left for fit in fits])  # (K, G)
@@ -293,5 +308,5 @@ def _changes_of(fits: list[AngleFit], spans: NDArray[np.int64]) -> tuple[Array, 
 
 
 def _sums(old: Array, of: Array) -> Array:
-    """Sums (K, S) of figures (K, G) over the old segments of each span (S, G)."""
+    """Return sums (K, S) of figures (K, G) over the old segments of each span (S, G)."""
     return np.asarray((old * of[:, None]).sum(axis=2))

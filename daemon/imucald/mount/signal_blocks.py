@@ -1,7 +1,8 @@
-"""From ticks to even signals: force, rate, speed, dv/dt and yaw rate on one 10 Hz grid.
+"""Convert ticks to even signals: force, rate, speed, dv/dt and yaw rate on one 10 Hz grid.
 
-Works in blocks of `BLOCK_TICKS` ticks, `LAG` ticks late, so that signals slower than the grid can
-be interpolated between samples on both sides. Says for every tick whether it may be learnt from.
+The work is done in blocks of `BLOCK_TICKS` ticks, `LAG` ticks late, so that signals slower than the
+grid can be interpolated between samples on both sides. Every tick is flagged by whether it may be
+learnt from.
 """
 
 from __future__ import annotations
@@ -61,19 +62,20 @@ Flags = NDArray[np.bool_]
 BLOCK_S = BLOCK_TICKS * TICK_S
 MISSING = "no valid samples"
 NEIGHBOUR_TICKS = 2
-"""A tick next to a stuck one has no value or no slope either."""
+"""Ticks around a stuck tick that also have no value or no slope."""
 YAW_GAP = 0.5
 NOMINAL_SPEED = 12.0
-"""Where there is no speed signal, v r is taken with this [m/s]; its gain is free."""
+"""Speed that is used for v r where there is no speed signal [m/s]; the gain of v r is free."""
 DRIFT, DRIFT_NO_GYRO = 0.3, 1.0
-"""By so much [m/s^2] the forward force may be off for long, with a gyroscope to carry the vertical
-and, as roads climb by 10 %, without."""
+"""Lasting error of the forward force [m/s^2]: with a gyroscope that carries the vertical, and
+without one, as roads climb by 10 %.
+"""
 BLOCKS_WITHOUT_SPEED = 4
-"""Hops without any speed after which the estimator does without (26 s)."""
+"""Hops without any speed after which the estimator works without speed (26 s)."""
 
 
 class SignalBlock(Struct):
-    """One block, N = BLOCK_TICKS; where a flag is False, values are finite and mean nothing."""
+    """One block, N = BLOCK_TICKS. Where a flag is False, values are finite but meaningless."""
 
     t: Array
     force: Array  # (N, 3) [m/s^2] sensor axes
@@ -92,21 +94,22 @@ class SignalBlock(Struct):
     had_rate: Flags  # as ok_rate, but also while the bias was not known
     gyro_bias: Array  # (3,) what was taken off the rate
     sided: Mapping[str, tuple[Array, Flags]] = field(default_factory=dict)
-    # What else knows left from right: lateral_accel (N,) [m/s^2], heading (N,) [rad] as it comes,
-    # without jumps at north; each with where it is known.
+    # Other signals that tell left from right: lateral_accel (N,) [m/s^2], and heading (N,) [rad] as
+    # received, without jumps at north. Each has a flag where it is known.
     rate_walk: Array = field(default_factory=lambda: np.zeros((3, 3)))
-    # what samples that come seldom add to the angle, sensor axes [rad^2/s], see `gyro_walk`
+    # Growth of the angle's variance from samples that come seldom, sensor axes [rad^2/s], see
+    # `gyro_walk`.
     least_speed: float = 0.0  # up to so much the vehicle may creep while its speed is zero [m/s]
     speed_knots: Array | None = None  # (K,) when the speed is known [ticks since the block began]
 
     def with_gyro_bias(self, gyro_bias: Array) -> SignalBlock:
-        """The same block as if that gyro bias [rad/s] (3,) had been known."""
+        """Return the same block with another gyro bias [rad/s] (3,)."""
         rate = self.rate + (self.gyro_bias - gyro_bias)
         return replace(self, rate=rate, ok_rate=self.had_rate, gyro_bias=gyro_bias)
 
 
 class MountSoFar(Struct, frozen=True):
-    """Forward and up (3,) in sensor axes; the speed's delay and how well it is known [s]."""
+    """Forward and up (3,) in sensor axes, the speed's delay, and the deviation of the delay [s]."""
 
     forward: Array
     up: Array
@@ -122,7 +125,7 @@ class SignalBlockMaker:
         self._rows = empty_rows(ROWS)
         self._n = KEEP
         self._begins = True
-        """The next block has ticks from before the first one: nothing was lost there."""
+        """Whether the next block includes ticks before the first one; no data were lost there."""
         self._expected: deque[tuple[float, EvenBlock | None]] = deque()  # of the ticks to come
         self.offsets = Offsets()
         self.steering_offset = 0.0
@@ -134,28 +137,28 @@ class SignalBlockMaker:
         self.blocks = 0
         self._mount: MountSoFar | None = None
         self.left_out: Counter[tuple[str, str]] = Counter()
-        """Ticks that nothing was learnt from, by signal and what it had."""
+        """Ticks that were not learnt from, by signal and cause."""
         self.stuck: Mapping[str, bool] = {}
-        """Of the vehicle's signals, whether any tick of the last block was stuck."""
+        """For each vehicle signal, whether any tick of the last block was stuck."""
 
     def take_mount(self, known: MountSoFar | None) -> None:
-        """Take what is known of the mount as the last block ended; None: too little."""
+        """Take the mount as known at the end of the last block; None: too little is known."""
         self._mount = known
 
     @property
     def without_speed(self) -> bool:
-        """Whether there has been no speed signal, for long enough to do without."""
+        """Whether there has been no speed signal for long enough to work without speed."""
         return self.blocks > BLOCKS_WITHOUT_SPEED and "speed" not in self.seen
 
     def push(self, tick: TickRow) -> bool:
-        """Take a tick; True when a block is complete and `block` is to be called."""
+        """Take a tick; return True when a block is complete and `block` must be called."""
         self._rows[self._n] = tick
         self._n += 1
         return self._n == ROWS
 
     @property
     def until_block(self) -> int:
-        """Ticks until a block is complete."""
+        """Number of ticks until a block is complete."""
         return ROWS - self._n
 
     def push_all(self, ticks: Array) -> None:
@@ -164,9 +167,9 @@ class SignalBlockMaker:
         self._n += len(ticks)
 
     def expect(self, ticks: Array) -> None:
-        """Work out what can be of all blocks that are complete with ticks (n, COLUMNS).
+        """Compute in advance all blocks that ticks (n, COLUMNS) complete.
 
-        Those are the next ones, and are still to be pushed, or `restart` is called.
+        These ticks must be the next ones and must still be pushed, unless `restart` is called.
         """
         self._expected.clear()
         rows = np.concatenate([self._rows[: self._n], ticks])
@@ -177,7 +180,7 @@ class SignalBlockMaker:
             self._expected.extend(zip(ends, blocks, strict=True))
 
     def restart(self) -> None:
-        """Forget the kept ticks: time jumped."""
+        """Forget the stored ticks, because time jumped."""
         self._rows[:] = empty_rows(1)
         self._n = KEEP
         self._begins = True
@@ -186,7 +189,7 @@ class SignalBlockMaker:
         self.health.restart()
 
     def _even(self) -> EvenBlock | None:
-        """What was worked out of this block beforehand, or is now."""
+        """Return the precomputed block, or compute it now."""
         rows = self._rows
         while self._expected:
             end, block = self._expected.popleft()
@@ -259,14 +262,16 @@ class SignalBlockMaker:
         return prepared
 
     def _speed_knots(self, first_end: float) -> Array | None:
-        """When the speed is known within a block whose first tick ends at `first_end` [s]."""
+        """Return the times at which the speed is known in a block whose first tick ends at
+        `first_end` [s].
+        """
         if self._speed.knots.times is None:
             return None
         knots = (self._speed.knots.times - first_end) / TICK_S + 1.0
         return knots[(knots >= 0.0) & (knots < BLOCK_TICKS)]
 
     def _note_left_out(self, p: SignalBlock) -> None:
-        """Count the ticks that nothing is learnt from, each by the signal and what it has."""
+        """Count the ticks that are not learnt from, by signal and cause."""
         open_ticks = ~(p.learn & p.ok_force & p.ok_speed)
         if self._begins:
             open_ticks[: KEEP - BEFORE] = False
@@ -288,14 +293,14 @@ class SignalBlockMaker:
             self._leave_out("speed", MISSING, open_ticks, ~p.ok_speed)
 
     def _leave_out(self, signal: str, cause: str, open_ticks: Flags, flags: Flags) -> None:
-        """Count those of the open ticks (N,) that are flagged, and close them."""
+        """Count the flagged ticks among the open ticks (N,), and close them."""
         own = open_ticks & flags
         if count := int(np.count_nonzero(own)):
             self.left_out[signal, cause] += count
             open_ticks &= ~own
 
     def _force(self, t: Array, at: Array, even: EvenBlock | None) -> tuple[Array, Flags, bool]:
-        """Force (N + 2, 3), where it is known, and whether it is as worked out beforehand."""
+        """Return force (N + 2, 3), where it is known, and whether it equals the precomputed one."""
         stuck = self._stuck_sensor("accel", even is None or even.force_repeats)
         if even is not None and stuck is None:
             return even.force, even.ok_force, True
@@ -303,7 +308,7 @@ class SignalBlockMaker:
         return *bridged(at, times, values, ACCEL_GAP), False
 
     def _rate(self, t: Array, at: Array, even: EvenBlock | None) -> tuple[Array, Flags, bool]:
-        """The same of the rate."""
+        """Return the same for the rate."""
         stuck = self._stuck_sensor("gyro", even is None or even.rate_repeats)
         is_even = even is not None and stuck is None
         if is_even and even is not None and not even.rate_seldom:
@@ -314,7 +319,7 @@ class SignalBlockMaker:
         return *bridged(at, times, values, ACCEL_GAP), is_even
 
     def _stuck_sensor(self, signal: str, may_be: bool) -> Flags | None:
-        """Ticks at which a sensor is stuck; None: at none."""
+        """Return the ticks at which a sensor is stuck; None: at none."""
         if not may_be:
             self.health.sensor_moves(signal)
             return None
@@ -324,7 +329,7 @@ class SignalBlockMaker:
     def _known(
         self, t: Array, columns: tk.AccelColumns | tk.GyroColumns, stuck: Flags | None
     ) -> tuple[Array, Array]:
-        """Times (M,) [s] and means (M, 3) of those ticks that have samples."""
+        """Return times (M,) [s] and means (M, 3) of the ticks that have samples."""
         rows = self._rows
         has = rows[:, columns.n] > 0
         if stuck is not None:
@@ -332,7 +337,7 @@ class SignalBlockMaker:
         return t[has] - rows[has, columns.age], rows[has, columns.x : columns.z + 1]
 
     def _seen_forward(self) -> SeenForward | None:
-        """What the accelerometer says of the speed, in all ticks."""
+        """Return what the accelerometer says about the speed, in all ticks."""
         known = self._mount
         if known is None:
             return None
@@ -340,7 +345,7 @@ class SignalBlockMaker:
         turns = rows[:, tk.GYRO.n] > 0
         rate = np.where(turns[:, None], rows[:, tk.GYRO.x : tk.GYRO.z + 1], 0.0)
         rate -= turns[:, None] * self.offsets.gyro_bias
-        # du/dt = u x rate, in small turns from where the block begins
+        # du/dt = u x rate, in small rotations from the block's beginning.
         turned = np.cumsum(rate, axis=0) * TICK_S
         turned -= turned[BEFORE - 1]
         tilted = GRAVITY * (known.up + np.cross(known.up, turned))
@@ -386,10 +391,11 @@ class SignalBlockMaker:
         return yaw_rate_with_understeer(speed, steered, *turning), ok_angle & ok_speed
 
     def _stuck_yaw_rate(self, even: EvenBlock | None) -> Flags | None:
-        """Ticks of the rows at which the yaw rate stands still and steering or gyroscope does not;
-        None: none.
+        """Return the ticks of the rows at which the yaw rate stays constant while steering or
+        gyroscope changes; None: none.
 
-        Where there is steering it alone is asked: a sensor that is turned by hand turns too.
+        If there is a steering angle, only steering is used: a sensor that is turned by hand turns
+        the gyroscope too.
         """
         rows, v = self._rows, self._settings.vehicle
         runs = None if even is None else even.yaw_runs
@@ -415,7 +421,7 @@ class SignalBlockMaker:
         return self.health.stuck_yaw_rate(rows, turns, known & (np.abs(speed) > DRIVING_SPEED))
 
     def _sided(self, t: Array, at: Array, even: EvenBlock | None) -> dict[str, tuple[Array, Flags]]:
-        """Lateral acceleration and heading at times (N,), where the vehicle sends them."""
+        """Return lateral acceleration and heading at times (N,), if the vehicle sends them."""
         rows, found = self._rows, {}
         if even is not None and even.lateral is not None:
             found["lateral_accel"] = even.lateral[MID], np.ones(len(at), dtype=bool)
@@ -431,7 +437,7 @@ class SignalBlockMaker:
         return found
 
     def _take_offsets(self, p: SignalBlock) -> None:
-        """Learn the offsets at rest and take them off."""
+        """Learn the offsets at rest and subtract them."""
         offsets = self.offsets
         use = p.rest & p.ok_rate & p.learn
         if np.count_nonzero(use):

@@ -1,8 +1,9 @@
-"""What the signals say of one another: which contradictions stand, and what is seen to agree.
+"""Checks of the signals against one another: contradictions that stand, and signals that agree.
 
-`contradictions` accuses pairs of signals, `alternatives` rules out signs turned and axes exchanged.
-Here both come together, block by block, with what follows for the rotation: one that was found
-under a contradiction is of no use once the contradiction has ended, or when it is new.
+`contradictions` accuses pairs of signals. `alternatives` rules out wrong signs and exchanged axes.
+This module combines both block by block and decides what follows for the rotation. A rotation that
+was found under a contradiction is useless once the contradiction has ended, or when the
+contradiction is new.
 """
 
 from __future__ import annotations
@@ -19,9 +20,11 @@ from imucald.mount.solver import MountSolver
 from imucald.mount.stated_orientation import Stated
 
 STUCK_BLOCKS = 40
-"""While a contradiction stands the rotation is sought anew every 4 min: the mount may move."""
+"""While a contradiction stands, the rotation is searched again every 4 min, because the mount may
+move.
+"""
 FOUND_ANEW = frozenset({StandingFault.FORCE_TURNS, StandingFault.FORCE_SPEED})
-"""Faults that end by a rotation that was found while they stood: that one stays."""
+"""Faults that end through a rotation that was found while they stood: that rotation stays."""
 
 AGAINST_A_PERSON: dict[Stated, StandingFault] = {
     "up": StandingFault.ORIENTATION,
@@ -37,14 +40,14 @@ OF_NO_PAIR = frozenset(
         StandingFault.ACCEL_DRIFT,
     }
 )
-"""Faults that are not of signals against one another: another rotation ends none of them."""
+"""Faults that are not contradictions between signals: another rotation does not end them."""
 
 
 class SignalChecks:
-    """Holds the signals of a drive against one another.
+    """Compares the signals of a drive with one another.
 
-    standing: contradictions that stand now. history: all that ever began, each with the number of
-    the block in which it did.
+    standing: contradictions that stand now. history: all contradictions that ever began, each with
+    the number of its first block.
     """
 
     def __init__(self, settings: EstimatorSettings) -> None:
@@ -60,9 +63,9 @@ class SignalChecks:
         signals: SignalBlockMaker,
         kept: Sequence[SignalBlock],
     ) -> bool:
-        """Take a block; return whether the rotation is to be sought anew, from this block on.
+        """Take a block; return whether the rotation must be searched again, from this block on.
 
-        solver: it has taken the block already. signals: what made it. kept: the last blocks.
+        solver: has already taken the block. signals: the maker of the block. kept: the last blocks.
         """
         if signals.without_speed:
             self.standing = ()
@@ -91,17 +94,19 @@ class SignalChecks:
 
     @property
     def is_motion_accused(self) -> bool:
-        """Whether the force contradicts dv/dt or v r now: what they say of the mount is no evidence
-        of a direction, nor of a move."""
+        """Whether the force contradicts dv/dt or v r now.
+
+        Such signals are no evidence of a direction of the mount, nor of a move.
+        """
         return not FOUND_ANEW.isdisjoint(self.standing)
 
     def accuse(self, fault: StandingFault) -> None:
-        """Let a fault stand, until the next block is taken."""
+        """Set a fault until the next block is taken."""
         if fault not in self.standing:
             self.standing = (*self.standing, fault)
 
     def hold_against_orientation(self, solver: MountSolver, block: int) -> None:
-        """A fault where the sensor is found to sit the other way round than is stated."""
+        """Set a fault if the sensor is found to sit the other way round than stated."""
         if solver.R is None:
             return
         stated = self._alternatives.contradicted_orientation(solver.R, solver.yaw_known)
@@ -110,41 +115,46 @@ class SignalChecks:
         self.accuse_lasting(AGAINST_A_PERSON[stated], block)
 
     def accuse_lasting(self, fault: StandingFault, block: int) -> None:
-        """The same of a fault that is found outside, block by block; block: its number."""
+        """Set a fault that is found outside this class in each block. block: its number."""
         self.accuse(fault)
         if fault not in {seen for _, seen in self.history}:
             self.history.append((block, fault))
 
     def forget_forces(self) -> None:
-        """What the forces showed was about another rotation."""
+        """Forget what the forces showed, because it was about another rotation."""
         self._contradictions.forget_forces()
 
     def restart(self) -> None:
-        """The rotation is sought anew: nothing that was seen to agree with it counts."""
+        """Restart, because the rotation is searched again: earlier agreement no longer counts."""
         self._contradictions.forget_forces()
         self._alternatives.restart()
 
     def take_mount(self, R: Matrix3) -> None:
-        """A person states R_vehicle_from_sensor (3, 3): that rules out its mirror image."""
+        """Take R_vehicle_from_sensor (3, 3) as a person states it: it rules out its mirror
+        image.
+        """
         self._alternatives.take_mount(R)
 
     def missing_to_be_good(self) -> str | None:
-        """What is to be seen before an estimate may begin to be good, in words; None: nothing."""
+        """Say in words what must be seen before an estimate may become good; None: nothing."""
         return self.doubt or self._alternatives.missing(TO_BE_GOOD)
 
     @property
     def doubt(self) -> str | None:
-        """The same where signs and places of the signals are known already."""
+        """Say the same where signs and places of the signals are already known."""
         is_doubtful = self._contradictions.doubtful
         return "more bends: some signals contradict each other" if is_doubtful else None
 
     @property
     def have_agreed(self) -> bool:
-        """Whether all signals were seen to agree, as surely as *fine* asks for."""
+        """Whether all signals were seen to agree, as certainly as *fine* needs."""
         return self._contradictions.agreed and self._alternatives.are_seen(TO_BE_FINE)
 
     def share(self, is_fine: bool) -> float:
-        """How much of what shows that they agree has been seen, 0 to 1; is_fine: all of it."""
+        """Return the share (0 to 1) of the evidence of agreement that has come.
+
+        is_fine: for *fine*.
+        """
         if not is_fine:
             return self._alternatives.share(TO_BE_GOOD)
         signs = self._alternatives
@@ -152,10 +162,10 @@ class SignalChecks:
 
     @property
     def is_mirror_excluded(self) -> bool:
-        """Whether anything has shown that this is the drive and not its mirror image."""
+        """Whether any evidence has ruled out the mirror image of this drive."""
         return self._alternatives.is_mirror_excluded
 
     @property
     def not_checked(self) -> tuple[str, ...]:
-        """What no signal of this vehicle can show, and nobody has stated, in words."""
+        """Say in words what no signal of this vehicle can show and no person has stated."""
         return self._alternatives.not_checked

@@ -1,4 +1,4 @@
-"""The correction that is applied: follows the estimated one at a limited rate, tick by tick."""
+"""The applied correction: it follows the estimated one at a limited rate, tick by tick."""
 
 from __future__ import annotations
 
@@ -13,17 +13,18 @@ from imucald.motion.ticks import TICK_S
 from imucald.mount.estimate import Correction
 
 ANOTHER_ANSWER = math.radians(30.0)
-"""A target further away [rad] is another answer (the sign was wrong), and everything between the
-two is wrong as well: it is taken at once."""
+"""A target further away than this [rad] is applied at once: the sign was wrong, and so are all
+rotations between the two.
+"""
 NEAR = math.radians(0.2)
-"""Nearer than this [rad] a target is reached: it moves a little from fit to fit."""
+"""A target nearer than this [rad] counts as reached, because it moves a little with each fit."""
 
 
 class SlewedCorrection:
-    """Goes towards a target no faster than `rate` [rad/s]; the first target is taken at once.
+    """Moves towards a target no faster than `rate` [rad/s]; the first target is applied at once.
 
-    Rotation, matrices and offsets arrive together. What a matrix differs from the rotation by
-    counts as an angle, an offset as that by which gravity would have to lean for it; an offset of
+    Rotation, matrices and offsets arrive together. The difference of a matrix from the rotation
+    counts as an angle. An offset counts as the lean of gravity that would cause it. An offset of
     the rate of 1 rad/s counts as 1 rad.
     """
 
@@ -33,7 +34,7 @@ class SlewedCorrection:
         self.correction: Correction | None = None
 
     def aim(self, target: Correction) -> None:
-        """Set the target; the same one again is no new way to go."""
+        """Set the target; setting the same one again changes nothing."""
         if target == self._target:
             return
         self._target = target
@@ -42,7 +43,7 @@ class SlewedCorrection:
 
     @property
     def has_arrived(self) -> bool:
-        """Whether the target is applied, but for `NEAR`."""
+        """Whether the target is applied, up to `NEAR`."""
         target, now = self._target, self.correction
         if target is None or now is None:
             return False
@@ -51,7 +52,7 @@ class SlewedCorrection:
 
     @property
     def is_moving(self) -> bool:
-        """Whether the next tick changes what is applied."""
+        """Whether the next tick changes the applied correction."""
         target, now = self._target, self.correction
         return target is not None and now is not None and target is not now
 
@@ -60,7 +61,7 @@ class SlewedCorrection:
         self._target = self.correction = None
 
     def step(self) -> None:
-        """Go on by one tick."""
+        """Move on by one tick."""
         target, now = self._target, self.correction
         if target is None or now is None or target is now:  # as `is_moving`
             return
@@ -80,21 +81,23 @@ class SlewedCorrection:
 
 
 def _apart(a: Correction, b: Correction) -> float:
-    """How far two corrections are apart [rad] but for their rotations."""
+    """Return the distance of two corrections without their rotations [rad]."""
     if a.is_rotation and b.is_rotation:
         return 0.0
     return float(np.abs(_rest(a) - _rest(b)).max())
 
 
 def _rest(c: Correction) -> NDArray[np.float64]:
-    """(24,): what the matrices differ from the rotation by, and the offsets, as angles [rad]."""
+    """Return (24,) the differences of the matrices from the rotation, and the offsets, as angles
+    [rad].
+    """
     R = np.array(c.rotation)
     offsets = np.array(c.force_offset) / GRAVITY, np.array(c.rate_offset)
     return np.concatenate([c.force - R, c.rate - R, *offsets])
 
 
 def _with_rest(turned: Correction, rest: NDArray[np.float64]) -> Correction:
-    """A rotation, and the rest that `_rest` gives of it."""
+    """Return the correction of a rotation and of the rest that `_rest` gives."""
     R = np.array(turned.rotation)
     return Correction.with_matrices(
         turned.matrix(),

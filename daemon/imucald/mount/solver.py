@@ -1,4 +1,4 @@
-"""All evidence brought together: from blocks of signals to one rotation with its variances."""
+"""Combine all evidence: from blocks of signals to one rotation with its variances."""
 
 from __future__ import annotations
 
@@ -50,21 +50,24 @@ from imucald.mount.signal_blocks import BLOCK_TICKS, SignalBlock
 from imucald.mount.source_variances import widened
 
 SETTLED_BLOCKS = 20
-"""Until then (128 s) each fit goes round twice: the rotation still moves much."""
+"""Up to this many blocks (128 s), each fit iterates twice, because the rotation still changes
+much.
+"""
 DELAY_AFTER, DELAY_AGAIN = (4, 6, 8, 12, 16), 32
-"""Windows after which the delay is sought: first, and then every so many."""
+"""Numbers of windows after which the delay is searched at first, and the interval afterwards."""
 START_AGAIN = 0.3
-"""A delay that is found to differ by more [s], its prior deviation, ends what was begun with the
-old one: the response to dv/dt at that delay may point anywhere, backwards too."""
+"""Largest change of the delay [s], equal to its prior deviation, that keeps the sums made with the
+old delay. At a wrong delay, the response to dv/dt may point anywhere, even backwards.
+"""
 SURE_STD = 0.035
-"""Yaw this well known [rad] leaves little of the motion over."""
+"""Deviation of yaw [rad] below which little of the motion remains in the force."""
 
 
 class MountSolver:
     """Holds the evidence of one mounting and fits R to it.
 
-    R takes the sensor to axes whose z is the mean vertical of the roads driven: the crown is
-    still in it.
+    R turns the sensor to axes whose z is the mean vertical of the roads driven, so it still
+    contains the crown.
     """
 
     def __init__(self, settings: EstimatorSettings) -> None:
@@ -81,9 +84,9 @@ class MountSolver:
         self.R: Matrix3 | None = None
         self.yaw_known = False
         self.starts = 0
-        """How often a first rotation was found."""
+        """Number of times that a first rotation was found."""
         self.fitted_segment = 0
-        """Road segment that was being driven at the last fit."""
+        """Road segment of the last fit."""
         self.fused: Fused | None = None
         self.sources: dict[str, AngleEvidence] = {}
         self.bias: Array | None = None
@@ -102,7 +105,7 @@ class MountSolver:
         self._lever_arm = LeverArm(np.array(settings.lever_arm))
 
     def start_from(self, other: MountSolver) -> None:
-        """Begin with another's rotation, gains and delay, but without its evidence."""
+        """Begin with the rotation, gains and delay of another solver, but without its evidence."""
         self.R, self.yaw_known = other.R, other.yaw_known
         self.response.start_from(other.response)
         self.delay_speed, self.delay_turn = other.delay_speed, other.delay_turn
@@ -111,13 +114,13 @@ class MountSolver:
         self.past_drives = other.past_drives
 
     def gap(self) -> None:
-        """Time jumped."""
+        """Note a jump of time."""
         self.vertical.restart()
         self._window.restart()
         self._lever_arm.restart()
 
     def add(self, p: SignalBlock) -> tuple[Array, Array]:
-        """Take a block; return dv/dt and v r (N,), zero where they are not to be trusted."""
+        """Take a block; return dv/dt and v r (N,), zero where they are not trusted."""
         self.blocks += 1
         R = self.R if self.yaw_known else None
         if R is not None and self._lever_arm:
@@ -148,7 +151,7 @@ class MountSolver:
         return p.accel * use, turn * use
 
     def motion(self, p: SignalBlock, R: Matrix3) -> BlockMotion:
-        """Of the block that was taken last, in axes of R."""
+        """Return the motion of the block that was taken last, in axes of R."""
         gains, delay = self.gains(), self.delay_speed
         made_of = self.lone, R, gains
         if any(map(operator.is_not, made_of, self._motion_of)):  # it is asked for twice a block
@@ -160,9 +163,10 @@ class MountSolver:
         return self._motion
 
     def sure(self) -> bool:
-        """Whether yaw is known well enough for what is left over to speak of the bias.
+        """Whether yaw is known well enough to learn the bias from the rest of the force.
 
-        All but the share that no driving makes less, half of the cross-axis error's square.
+        The part of yaw's variance that no driving reduces does not count: half of the squared
+        cross-axis error.
         """
         if self.fused is None or not self.yaw_known:
             return False
@@ -186,7 +190,10 @@ class MountSolver:
         return self._gains
 
     def _take_window(self, t: float) -> None:
-        """The window to t [s] goes to the responses and to the delays, sought now and then."""
+        """Use the window that ends at t [s] for the responses and the delays.
+
+        The delays are searched now and then.
+        """
         keep_mean = self.own_gyro and self.yaw_known
         s = self._window.spectra(keep_mean, needs_motion=not self.response.without_speed)
         if s is None:
@@ -239,7 +246,7 @@ class MountSolver:
         bias_cov: Array,
         responses: Mapping[str, AngleEvidence],
     ) -> dict[str, AngleEvidence]:
-        """What responses and gravity say of the error of R, each by itself."""
+        """Return what responses and gravity say about the error of R, each separately."""
         s, without_speed = self._settings, self.response.without_speed
         sources: dict[str, AngleEvidence] = {}
         gains, missed = (0.0, 0.0), 1.0
@@ -256,7 +263,9 @@ class MountSolver:
         return sources
 
     def step(self, is_good: bool) -> GravityStep | None:
-        """A step in gravity that the gyroscope did not see, in the last minute; for every block.
+        """Return a step in gravity in the last minute that the gyroscope did not see.
+
+        This is called for every block.
 
         is_good: R is served as good.
         """
@@ -267,17 +276,17 @@ class MountSolver:
 
     @property
     def cross_axis_std(self) -> float:
-        """Cross-axis error that is reckoned with (part): configured, or probable."""
+        """Cross-axis error that is assumed (part): the configured or the probable one."""
         return self._cross_axis.std
 
     @property
     def yaw_seen(self) -> float:
-        """Standard deviation of the best source of yaw alone [rad], without common errors."""
+        """Standard deviation of the best single source of yaw [rad], without common errors."""
         found = [one.variance for name, one in self.sources.items() if name.startswith("yaw_")]
         return math.sqrt(min(found, default=math.inf))
 
     def follow_creep(self) -> None:
-        """See whether the mount creeps; once a road segment."""
+        """Test whether the mount creeps; once a road segment."""
         if self.R is None or self.bias is None or not self.yaw_known:
             return
         series = self.response.series
@@ -294,12 +303,12 @@ class MountSolver:
 
     @property
     def armed(self) -> bool:
-        """Whether a change of each angle would be seen: enough road before, and after."""
+        """Whether a change of each angle would be seen: enough road before it, and after it."""
         return self._armed_share(self.response.segment) >= 1.0
 
     @property
     def armed_share(self) -> float:
-        """How much of that road there is, 0 to 1."""
+        """Share (0 to 1) of the road that `armed` needs."""
         return min(self._armed_share(self.response.blocks / GROUP), 1.0)
 
     def _armed_share(self, segments: float) -> float:
@@ -308,7 +317,7 @@ class MountSolver:
         return float(min(segments / SPANS[0], (segments + before) / needed))
 
     def largest_change(self, axes: tuple[int, ...] = (0, 1, 2)) -> Shift | None:
-        """The change of the mount that the last minutes' evidence speaks for most."""
+        """Return the change of the mount that fits the last minutes' evidence best."""
         if self.R is None or self.bias is None or not self.yaw_known:
             return None
         if self.response.without_speed:
@@ -321,7 +330,7 @@ class MountSolver:
         return largest_change(found, axes, self._steps(), self._settings.unevenness, fresh)
 
     def _steps(self) -> Array:
-        """How far steps in gravity stood out when the last road segments began."""
+        """Return the sizes of steps in gravity at the beginning of the last road segments."""
         steps, began = NO_STEPS.copy(), list(self._began)
         ages = [self.blocks - began[-span] for span in SPANS[: max(len(began) - 1, 0)].tolist()]
         if ages:
@@ -334,13 +343,13 @@ class MountSolver:
         return self.gravity.series(R, bias, self.gains(), (across, along), s.slope_length)
 
     def join(self, kept: SavedInformation) -> None:
-        """Bring in what past drives found; it stays apart and can be left again."""
+        """Add the information of past drives; it stays separate and can be dropped again."""
         if self.yaw_known and kept.without_speed == self.response.without_speed:
             crown_std = self._settings.vehicle.crown_std
             self.past_drives = PastDrives(kept, common_errors(self._settings), crown_std)
 
     def kept(self) -> SavedInformation | None:
-        """What to keep for the next start, past drives' evidence included."""
+        """Return the information for the next start, including that of past drives."""
         if self.R is None or self.fused is None or self.bias is None or not self.yaw_known:
             return None
         gravity = self._gravity_series(self.R, self.bias)

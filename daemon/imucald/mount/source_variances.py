@@ -1,4 +1,6 @@
-"""What is not in the spread of the data: sources of angles whose variances are to be larger."""
+"""Errors that the spread of the data does not show: sources of angles whose variances are
+increased.
+"""
 
 from __future__ import annotations
 
@@ -10,19 +12,19 @@ from imucald.mount.evidence_rows import SAME_NOISE
 from imucald.mount.road_segments import AngleEvidence
 
 NO_GYRO_SHARE = 1.5
-"""Without a gyroscope slopes stay in the force: variances are so much larger."""
+"""Factor on the variances without a gyroscope, because slopes stay in the force."""
 PRINCIPAL_STD = 0.008
-"""What the principal axis may be off [rad]: the force across the vehicle is not only noise."""
+"""Error of the principal axis [rad]: the force across the vehicle is not only noise."""
 SILENT = 1e4
-"""A source whose variance is so many times larger says nothing."""
+"""A source whose variance is this many times larger has no weight."""
 
 
 def widened(
     sources: Mapping[str, AngleEvidence], own_gyro: bool, without_speed: bool
 ) -> dict[str, AngleEvidence]:
-    """Return the responses' sources with the variances they deserve.
+    """Return the sources of the responses with corrected variances.
 
-    own_gyro: the sensor has a gyroscope. without_speed: nobody knows the vehicle's speed.
+    own_gyro: the sensor has a gyroscope. without_speed: the vehicle's speed is unknown.
     """
     found = dict(sources)
     if found.keys() >= set(SAME_NOISE):

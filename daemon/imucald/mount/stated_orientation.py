@@ -1,10 +1,11 @@
-"""How a person says that the sensor sits, roughly, against the rotation that was found.
+"""Compare a person's rough statement of how the sensor sits with the rotation that was found.
 
-The mirror image of a drive (all signs of the accelerometer turned) puts up and forward the other
-way round, a drive that goes backwards puts forward and left: either is 180 deg from the truth. So
-which axis points up, or forward, is enough to rule them out, however roughly it does.
+The mirror image of a drive (all signs of the accelerometer turned) reverses up and forward. A drive
+that goes backwards reverses forward and left. Both are 180 deg from the truth. A rough statement of
+which axis points up, or forward, is therefore enough to rule them out.
 
-An axis within 60 deg of where it is stated to point confirms, one beyond 120 deg contradicts.
+An axis within 60 deg of the stated direction confirms the rotation; one beyond 120 deg contradicts
+it.
 """
 
 from __future__ import annotations
@@ -18,14 +19,17 @@ from imucald.core.arrays import Array
 from imucald.core.rotations import Matrix3
 
 CLEAR = 0.5
-"""Part of an axis along where it is stated to point that confirms, with the other sign contradicts:
-within 60 deg. In between the axis is nearer to level (or across) than up or down."""
+"""Part of an axis along the stated direction from which it confirms, within 60 deg.
+
+With the other sign it contradicts. In between, the axis is nearer to level (or across) than up or
+down.
+"""
 FORWARD, UP = 0, 2
 Stated = Literal["up", "forward"]
 
 
 class StatedOrientation:
-    """Which of the sensor's axes point up and forward, as far as a person has stated it."""
+    """The sensor's axes that point up and forward, as far as a person has stated them."""
 
     def __init__(self, stated: OrientationSettings) -> None:
         given = {UP: stated.up, FORWARD: stated.forward}
@@ -33,11 +37,16 @@ class StatedOrientation:
         self._mount: Matrix3 | None = None
 
     def take_mount(self, R: Matrix3) -> None:
-        """A person states the whole mount; where it is not the one found, it confirms nothing."""
+        """Take the whole mount that a person states.
+
+        If it is not the one found, it confirms nothing.
+        """
         self._mount = R
 
     def contradicted(self, R: Matrix3, yaw_known: bool) -> Stated | None:
-        """The key whose axis points the other way in R_vehicle_from_sensor; up before forward."""
+        """Return the key whose axis points the other way in R_vehicle_from_sensor; up before
+        forward.
+        """
         rows: tuple[tuple[int, Stated], ...] = ((UP, "up"), (FORWARD, "forward"))
         for row, key in rows if yaw_known else rows[:1]:
             if row in self._axes and float(R[row] @ self._axes[row]) < -CLEAR:
@@ -45,11 +54,11 @@ class StatedOrientation:
         return None
 
     def confirms_up(self, R: Matrix3) -> bool:
-        """Whether a person stated the same way up."""
+        """Whether a person stated the same direction up."""
         return self._confirms(R, UP)
 
     def confirms_forward(self, R: Matrix3) -> bool:
-        """Whether a person stated the same way forward."""
+        """Whether a person stated the same direction forward."""
         return self._confirms(R, FORWARD)
 
     def _confirms(self, R: Matrix3, row: int) -> bool:
@@ -59,7 +68,7 @@ class StatedOrientation:
 
 
 def unit_vector(axis: SensorAxis) -> Array:
-    """The vector (3,) of "x", "-z" and so on in sensor axes."""
+    """Return the vector (3,) of "x", "-z" and so on in sensor axes."""
     out = np.zeros(3)
     out["xyz".index(axis[-1])] = -1.0 if axis.startswith("-") else 1.0
     return out

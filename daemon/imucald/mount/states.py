@@ -1,6 +1,6 @@
 """States of the full estimator with their hysteresis, and what each angle still waits for.
 
-What was driven so far: launches, brakings, turns to either side.
+`Manoeuvres` counts what was driven so far: launches, brakings, turns to either side.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ HARD_ACCEL = 1.0
 HARD_TURN = 0.8
 """A turn of that lateral acceleration [m/s^2] counts."""
 HARD_TICKS = 5
-"""It must last that long."""
+"""Shortest duration of a manoeuvre in ticks."""
 
 
 _LEVELS = np.array([HARD_ACCEL, HARD_ACCEL, HARD_TURN, HARD_TURN])
@@ -32,17 +32,20 @@ _COUNT, _RUN, _OVER = range(3)
 
 
 class Manoeuvres:
-    """What was driven: launches, brakings, turns to either side.
+    """Counts of launches, brakings, turns to either side.
 
-    Counted are intervals of time above a level that last; the level must be left in between.
+    A manoeuvre is an interval above a level that lasts long enough; the level must be left in
+    between.
     """
 
     def __init__(self) -> None:
         self._state = np.zeros((4, 3), np.int64)
-        """Of launches, brakings, lefts, rights: how many; ticks of the last; whether it counted."""
+        """Rows for launches, brakings, lefts, rights: number, ticks of the last one, whether it was
+        counted.
+        """
 
     def add(self, accel: Array, turn: Array) -> None:
-        """Take a block of dv/dt and v r, zero where not to be trusted."""
+        """Take a block of dv/dt and v r, zero where they are not trusted."""
         for k, values in enumerate((accel, -accel, turn, -turn)):
             self._feed(self._state[k], values, float(_LEVELS[k]))
 
@@ -63,42 +66,48 @@ class Manoeuvres:
 
     @property
     def straight(self) -> int:
-        """Launches and brakings."""
+        """Number of launches and brakings."""
         return int(self._state[0, _COUNT] + self._state[1, _COUNT])
 
     @property
     def lefts(self) -> int:
-        """Left turns."""
+        """Number of left turns."""
         return int(self._state[2, _COUNT])
 
     @property
     def rights(self) -> int:
-        """Right turns."""
+        """Number of right turns."""
         return int(self._state[3, _COUNT])
 
 
 SLACK, YOUNG_SLACK = 1.4, 2.0
-"""A state that was reached is left only beyond its limit times this; frames go on with the
-deviation that is stated. A young one, *usable* without past drives, rests on half a dozen pieces of
-evidence, which give a deviation to 29 % (1 / sqrt(2 n)): twice the limit lies 3.5 of those above,
-beyond what chance makes of a mount that nothing contradicts (chosen after a look at the drives of
-`benchmarks.integrity` from 700,000 on, judged on those from 720,000). With past drives a
-deviation grows by contradiction alone."""
+"""A reached state is left only beyond its limit times this factor; frames are still sent with the
+stated deviation. A young *usable* state without past drives rests on half a dozen pieces of
+evidence. They give a deviation to 29 % (1 / sqrt(2 n)), so twice the limit lies 3.5 such errors
+above the limit, more than chance makes in a mount that nothing contradicts. The factor was chosen
+after a look at the drives of `benchmarks.integrity` from 700,000 on, and judged on those from
+720,000. With past drives, only a contradiction increases a deviation.
+"""
 HIDDEN_SLACK = 2.8
-"""*Usable* begins at so many times its usual limit where of yaw only the hidden part of a
-cross-axis error is left. That part of 4 %, 1.6 deg, is judged by the size of three to five others
-that show. Where a limit chooses those that seem small, an interval of 95 % holds in 87, 89 and 91 %
-of the mounts below 2 deg (three, four, five that show; Student's distribution, cut off), below
-2.8 deg in 93 to 94 %, without a limit in 95 %."""
+"""Factor on the limit of *usable* where only the hidden part of a cross-axis error is left in yaw.
+
+The hidden part of 4 % is 1.6 deg. Its size is estimated from the three to five other errors that
+show. A limit selects mounts whose errors seem small. Among the mounts below 2 deg, a 95 % interval
+then holds in 87, 89 and 91 % (three, four, five errors that show; Student's distribution, cut off).
+Below 2.8 deg it holds in 93 to 94 %, and without a limit in 95 %.
+"""
 NEEDED = 3
-"""Launches or brakings before yaw can be usable."""
+"""Launches or brakings that are needed before yaw can be usable."""
 NO_SAMPLES = "valid accelerometer samples: none in the last minute (missing, faulty or too slow)"
 LONG_S = 1200.0
-"""An accelerometer is named as the reason once driving had so much time to make it less."""
+"""An accelerometer is named as the reason only after this much driving."""
 
 
 class MountKnowledge(Struct, frozen=True):
-    """What the states are judged by; standard deviations in rad, roll without the crown."""
+    """Knowledge by which the states are judged.
+
+    Standard deviations are in rad, roll without the crown.
+    """
 
     gravity: bool = False
     std: tuple[float, float, float] = (math.inf, math.inf, math.inf)
@@ -111,25 +120,29 @@ class MountKnowledge(Struct, frozen=True):
     speed: bool = True
     frozen: bool = False
     yaw_seen: float = math.inf
-    """What the best source of yaw alone is off by, all common errors of the sensor left out."""
+    """Deviation of the best single source of yaw, without the common errors of the sensor."""
     has_past: bool = False
-    """Evidence of past drives is in it."""
+    """Whether evidence of past drives is included."""
     cross_axis: float = 0.0
-    """Cross-axis error of the accelerometer that is reckoned with (part)."""
+    """Cross-axis error of the accelerometer that is assumed (part)."""
     turning: bool = True
-    """Any signal shows turns."""
+    """Whether any signal shows turns."""
     speed_hz: float = 0.0
-    """Ticks a second, of the last minute, that had a speed."""
+    """Ticks per second with a speed in the last minute."""
     driven_s: float = 0.0
-    """Time of the evidence."""
+    """Duration of the evidence [s]."""
     cross_talk: tuple[float, float] | None = None
-    """Deviations of what is left of xy and yx [rad], where these are judged and no rotation is."""
+    """Deviations of the remaining cross-talk xy and yx [rad], if these are judged instead of a
+    rotation.
+    """
     std_without_drift: tuple[float, float, float] | None = None
-    """What `std` would be if the accelerometer's zero were known not to drift; None: it is."""
+    """Value of `std` if the accelerometer's zero were known not to drift; None: the same as
+    `std`.
+    """
 
 
 def judged(known: MountKnowledge, before: MountState, s: EstimatorSettings) -> MountState:
-    """Return the state that the knowledge gives, with hysteresis against the one before."""
+    """Return the state for this knowledge, with hysteresis against the previous state."""
     if not known.gravity:
         return MountState.WAITING
     roll, pitch, yaw = known.std
@@ -137,7 +150,7 @@ def judged(known: MountKnowledge, before: MountState, s: EstimatorSettings) -> M
     enough = known.straight >= NEEDED or before in GOOD
     slack = SLACK if known.has_past else YOUNG_SLACK
     usable_yaw = limits.usable_yaw
-    if _is_rest_hidden(known, before, s):  # ends at 1.4 times where it began, as all do
+    if _is_rest_hidden(known, before, s):  # it ends at 1.4 times its limit, as all states do
         usable_yaw = targets_in_force(known, before, s).usable[2]
         usable_yaw *= SLACK / slack if before in GOOD else 1.0
     levels = (
@@ -148,7 +161,7 @@ def judged(known: MountKnowledge, before: MountState, s: EstimatorSettings) -> M
 
 
 def targets_in_force(known: MountKnowledge, before: MountState, s: EstimatorSettings) -> Targets:
-    """What deviations must fall below now; before: the state that is reported."""
+    """Return the limits that deviations must fall below now. before: the reported state."""
     targets = s.targets
     if not _is_rest_hidden(known, before, s):
         return targets
@@ -157,14 +170,13 @@ def targets_in_force(known: MountKnowledge, before: MountState, s: EstimatorSett
 
 
 def _is_rest_hidden(known: MountKnowledge, before: MountState, s: EstimatorSettings) -> bool:
-    """Whether of yaw only what cross-axis errors hide is left.
+    """Whether only the part that cross-axis errors hide is left in yaw.
 
-    Below the usual limit are then only mounts whose parts of the error that show are small by
-    chance, and their hidden part knows nothing of that: the limit itself would choose those that
-    are wrong (records/integrity.md). A user's own limit is kept. A cross-axis error of c (part)
-    turns yaw by up to c rad, and so is compared with the limit. While the state is good it may be
-    less by `SLACK`: what is reckoned with becomes less as the drive goes on, and that is no reason
-    to end it.
+    Mounts below the usual limit are then only those whose visible parts of the error are small by
+    chance, while their hidden part is unaffected. The limit would select the mounts that are wrong
+    (records/integrity.md). A user's own limit is kept. A cross-axis error of c (part) turns yaw by
+    up to c rad, so it is compared with the limit. While the state is good, the error may be smaller
+    by `SLACK`: the assumed error decreases during the drive, which is no reason to end the state.
     """
     limits = s.limits
     if s.calibration.states.usable_yaw is not None:
@@ -176,10 +188,11 @@ def _is_rest_hidden(known: MountKnowledge, before: MountState, s: EstimatorSetti
 def reported(
     found: MountState, has_faults: bool, is_serving: bool, has_moved: bool, is_refitting: bool
 ) -> MountState:
-    """Return the state to report for the one that the evidence gives (*usable* or *suspect*, ...).
+    """Return the state to report for the state from the evidence (*usable* or *suspect*, ...).
 
-    has_faults: something contradicts the estimate. is_serving: a rotation is applied already.
-    has_moved: since the mount moved nothing good was found. is_refitting: it is sought again.
+    has_faults: a contradiction of the estimate stands. is_serving: a rotation is already applied.
+    has_moved: the mount moved and no good rotation was found since. is_refitting: the rotation is
+    being searched again.
     """
     is_good = found in GOOD
     if has_faults and (is_good or is_serving):
@@ -195,9 +208,9 @@ def reported(
 def waiting_for(
     known: MountKnowledge, s: EstimatorSettings, before: MountState = MountState.USABLE
 ) -> dict[str, tuple[str, Missing]]:
-    """One reason per angle, in words and as a code; no entry where nothing is missing.
+    """Return one reason per angle, in words and as a code; no entry where nothing is missing.
 
-    before: the state that is reported. Reasons are those of the next one.
+    before: the reported state. The reasons are those for the next state.
     """
     if not known.accelerometer:
         text = (
@@ -225,14 +238,14 @@ def waiting_for(
 
 
 class _Goal(Struct, frozen=True):
-    """The next state, and the deviations that it asks for [rad]."""
+    """The next state, and the deviations that it needs [rad]."""
 
     state: MountState
     tilt: float
     yaw: float
 
     def far(self, axis: int, std: float) -> str:
-        """How far a turn about an axis of the vehicle is from its limit, both as 95 %."""
+        """Return the distance of a rotation about a vehicle axis from its limit, both as 95 %."""
         if not math.degrees(std) < UNKNOWN_STD_DEG:
             return ""
         limit = self.yaw if axis == 2 else self.tilt
@@ -275,7 +288,7 @@ def _yaw_reason(known: MountKnowledge, goal: _Goal, s: EstimatorSettings) -> tup
 
 
 def _mixed_axes(known: MountKnowledge) -> str:
-    """What hides the rest of yaw once driving has not made it less."""
+    """Return what hides the rest of yaw, once more driving has not reduced it."""
     return (
         f"more driving; the accelerometer's axes seem {100.0 * known.cross_axis:.1f} % mixed: if "
         "its data sheet states less, set 'cross_axis' and 'accelerometer_bias'"

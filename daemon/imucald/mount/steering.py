@@ -1,9 +1,9 @@
-"""Zero offset of the steering angle, next to the mount: it gates straight-line detection.
+"""Zero offset of the steering angle, estimated beside the mount. It gates straight-line detection.
 
-Steady cornering: delta = n (L + K v^2) r / v + offset. With delta the steering-wheel angle, r the
-yaw rate and v the speed this is linear in (1, r / v, r v), so three coefficients are fitted by
-least squares with slow forgetting; the steering need not be calibrated for that. On a leaning
-road the driver steers against the lean, by n K g per radian of it.
+Steady cornering: delta = n (L + K v^2) r / v + offset. Let delta be the steering-wheel angle, r the
+yaw rate and v the speed. The equation is linear in (1, r / v, r v), so three coefficients are
+fitted by least squares with slow forgetting. The steering need not be calibrated for that. On a
+leaning road the driver steers against the lean, by n K g per radian of it.
 """
 
 from __future__ import annotations
@@ -17,19 +17,19 @@ from imucald.core.arrays import Array
 from imucald.core.samples import GRAVITY
 
 MIN_SPEED = 4.0
-"""Below, tyres scrub and r / v is noisy [m/s]."""
+"""Smallest speed [m/s]: below it tyres scrub and r / v is noisy."""
 MAX_LATERAL = 3.0
-"""Beyond, tyres are not linear [m/s^2]."""
+"""Largest lateral acceleration [m/s^2]: beyond it tyres are not linear."""
 KEEP = 0.999
-"""Forgetting per block of 6.4 s: half an hour's memory and more."""
+"""Forgetting factor per block of 6.4 s: a memory of half an hour and more."""
 NOISE = 0.03
 """Residual of the steering-wheel angle [rad]: play, transients, camber."""
 CORRELATION_TICKS = 10.0
-"""Neighbouring ticks say the same for a second."""
+"""Correlation time of the residual in ticks: a second."""
 BUMPS = 0.004
-"""Offset that hysteresis and side wind leave [rad]."""
+"""Offset error from hysteresis and side wind [rad]."""
 PRIOR_STD = (0.15, 60.0, 2.0)
-"""Offset [rad], n L [m], n K [rad/(m/s^2)] before data speak."""
+"""Prior deviations of offset [rad], n L [m], n K [rad/(m/s^2)]."""
 _PRIOR = [1.0 / (s * s) for s in PRIOR_STD]
 _WEIGHT = 1.0 / (NOISE * NOISE * CORRELATION_TICKS)
 
@@ -51,7 +51,7 @@ class SteeringOffsetEstimator:
             self._sums = [KEEP * before + _WEIGHT * now for before, now in both]
 
     def fitted(self, crown: float, crown_std: float) -> tuple[float, float] | None:
-        """Offset and its standard deviation [rad], or None without data.
+        """Return the offset and its standard deviation [rad], or None without data.
 
         crown: mean lean of the roads [rad], left side up; the driver steers n K g crown against it.
         """
@@ -65,7 +65,7 @@ class SteeringOffsetEstimator:
         return offset - against * crown, std
 
     def _solved(self) -> tuple[float, float, float]:
-        """Offset, its variance, and angle per lateral force: by elimination, as L D L'."""
+        """Return offset, its variance, and angle per lateral force: by elimination, as L D L'."""
         n, x, y, xx, xy, yy, *right = self._sums
         p, q, r = _PRIOR
         first = n + p
@@ -85,7 +85,9 @@ class SteeringOffsetEstimator:
 
 
 def _sums_of(angle: Array, speed: Array, yaw_rate: Array, use: NDArray[np.bool_]) -> list[float]:
-    """Of a block, see `SteeringOffsetEstimator`: over the ticks from which the offset is known."""
+    """Return the sums of a block, see `SteeringOffsetEstimator`, over the ticks that show the
+    offset.
+    """
     lateral = speed * yaw_rate
     use = use & (speed > MIN_SPEED) & (np.abs(lateral) < MAX_LATERAL)
     y, angle = lateral[use], angle[use]

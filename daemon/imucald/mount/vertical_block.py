@@ -1,8 +1,9 @@
-"""A block of the vertical's filter (`gravity_observer`): carried tick by tick, and what is left.
+"""One block of the vertical's filter (`gravity_observer`): the vertical carried tick by tick, and
+the residuals.
 
-With T the turn and g the gain of a tick, the state y = (u, B) follows y_i = (1 - g_i) T_i y_(i-1) +
-g_i target_i. All sums of products are taken in one order: a library's matrix products take another
-one on each processor.
+With T the rotation and g the gain of a tick, the state y = (u, B) follows y_i = (1 - g_i) T_i
+y_(i-1) + g_i target_i. All sums of products use one order, because the matrix products of a library
+use a different order on each processor.
 """
 
 from __future__ import annotations
@@ -18,22 +19,23 @@ from imucald.motion.ticks import TICK_S
 Flags = NDArray[np.bool_]
 
 SETTLE_TICKS = 25
-"""The first ticks take the mean."""
+"""Number of first ticks that take a running mean."""
 FORCE_NOISE = 0.06
-"""Innovation of a tick while nothing happens [m/s^2], rms."""
+"""Innovation of a tick without disturbance [m/s^2], rms."""
 FORCE_SHARE = 0.12
 """Share of the motion that the model may miss (gains, squat, sideslip)."""
 FORCE_LARGE = 0.25
-"""An innovation beyond counts less [m/s^2] (Huber)."""
+"""Innovations beyond this get less weight [m/s^2] (Huber)."""
 _EYE = np.eye(3)
 
 
 class BlockForces(Struct, frozen=True):
-    """What the vertical is carried through, N ticks.
+    """Signals of N ticks through which the vertical is carried.
 
-    rate: (N, 3) [rad/s], drift: (3,) to be taken off it. force, motion: (N, 3) [m/s^2], the latter
-    expected in the former; None while R is not known. bias: (3,) of the accelerometer. use: (N,)
-    where the vertical is drawn to the force; learn: where its bias may be learnt from.
+    rate: (N, 3) [rad/s]. drift: (3,) drift to subtract from the rate. force, motion: (N, 3)
+    [m/s^2]. The motion is the expected part of the force; None while R is not known. bias: (3,) of
+    the accelerometer. use: (N,) ticks at which the vertical is pulled to the force. learn: ticks at
+    which the bias may be learnt.
     """
 
     rate: Array
@@ -47,13 +49,13 @@ class BlockForces(Struct, frozen=True):
 
 
 class Carried(Struct, frozen=True):
-    """What a block came to.
+    """Result of a block.
 
-    lone: (N, 3) f - g u, less the answer to the bias. up: (3,) at the last tick. state: (3, 4) at
-    the end, None where there is none yet; end: (3, 3) what is then left of the state at the
-    beginning. answer: size of the largest answer to a bias. left: (3,) sum of what is unexplained;
-    of_bias: (4, 3) information of a bias and, below it, the score; of_steps: (7, 6) the same of
-    (I - B, what is left of the state). Those are zero where no motion is known.
+    lone: (N, 3) f - g u, less the effect of the bias. up: (3,) at the last tick. state: (3, 4) at
+    the end, None where there is none yet. end: (3, 3) remaining effect of the initial state at the
+    end. answer: size of the largest response to a bias. left: (3,) sum of the unexplained force.
+    of_bias: (4, 3) information of a bias and, below it, the score. of_steps: (7, 6) the same for (I
+    - B, remaining effect of the initial state). These are zero where no motion is known.
     """
 
     lone: Array
@@ -69,9 +71,8 @@ class Carried(Struct, frozen=True):
 def carried(p: BlockForces, state: Array | None, count: int, pull: float, weighed: bool) -> Carried:
     """Carry the vertical through a block.
 
-    state: (3, 4) at its beginning, None before any force. count: ticks that were drawn to the force
-    so far. pull: gain of a tick. weighed: the residuals are
-    also weighted for bias and steps.
+    state: (3, 4) at its beginning, None before any force. count: ticks that were pulled to the
+    force so far. pull: gain of a tick. weighed: the residuals are also weighted for bias and steps.
     """
     first = 0
     if state is None and p.use.any():
@@ -110,7 +111,7 @@ def carried(p: BlockForces, state: Array | None, count: int, pull: float, weighe
 
 
 def _turned(step: Array) -> Array:
-    """Rotations (3, 3, n) by small rotation vectors (3, n), to second order."""
+    """Return rotations (3, 3, n) by small rotation vectors (3, n), to second order."""
     turn: Array = 0.5 * step[:, None] * step
     x, y, z = step
     rest = 1.0 - (turn[0, 0] + turn[1, 1] + turn[2, 2])
@@ -127,7 +128,7 @@ def _turned(step: Array) -> Array:
 
 
 def _gains(use: Flags, count: int, pull: float) -> Array:
-    """Gain of each tick (N,): that of a running mean at first, then `pull`."""
+    """Return the gain of each tick (N,): that of a running mean at first, then `pull`."""
     counts = count + use.cumsum()
     gain = np.where(counts > SETTLE_TICKS, pull, np.maximum(pull, 1.0 / np.maximum(counts, 1)))
     return np.where(use, gain, 0.0)
@@ -136,10 +137,10 @@ def _gains(use: Flags, count: int, pull: float) -> Array:
 def _states(
     turn: Array, force: Array, gain: Array, state: Array, first: int
 ) -> tuple[Array, Array]:
-    """The state turned tick by tick, as before each draw (3, 7, N), and after the last (3, 7).
+    """Return the state before each pull (3, 7, N), and after the last one (3, 7).
 
-    Columns: u, B, and what is left of the state at the beginning. A tick is an affine map, so
-    each is put together with all before it, twice as many a step, and then applied at once.
+    Columns: u, B, and the remaining effect of the initial state. A tick is an affine map. Each map
+    is combined with all before it, twice as many in each step, and all are then applied at once.
     """
     carry = np.empty((3, 7, len(gain)))  # what turns the state (3, 3), what u and B get (3, 4)
     np.multiply(1.0 - gain, turn, out=carry[:, :3])
@@ -164,7 +165,7 @@ def _states(
 
 
 def _applied(matrices: Array, columns: Array) -> Array:
-    """Matrices (3, 3, n) times (3, k, n), summed from left to right."""
+    """Return matrices (3, 3, n) times (3, k, n), summed from left to right."""
     out: Array = matrices[:, 0, None] * columns[0]
     out += matrices[:, 1, None] * columns[1]
     out += matrices[:, 2, None] * columns[2]
@@ -172,13 +173,16 @@ def _applied(matrices: Array, columns: Array) -> Array:
 
 
 def _squares(vectors: Array) -> Array:
-    """Of vectors (3, N)."""
+    """Return the squares of vectors (3, N)."""
     x, y, z = vectors
     return np.asarray(x * x + y * y + z * z)
 
 
 def _weighed(answer: Array, left: Array, weight: Array) -> Array:
-    """Information (k, k) and score (k,), as (k + 1, k), of what answers (3, k, N); left: (3, N)."""
+    """Return information (k, k) and score (k,), as (k + 1, k), of responses (3, k, N).
+
+    left: residuals (3, N).
+    """
     weighted = answer * weight
     shown = np.concatenate([answer, left[:, None]], axis=1)  # (3, k + 1, N)
     each = weighted[0] * shown[0, :, None]  # (k + 1, k, N)

@@ -1,21 +1,23 @@
-"""Was the sensor turned, or did a zero of its accelerometer step? The axis of turning knows.
+"""Decide whether the sensor was turned or a zero of its accelerometer stepped.
 
-Both change where gravity points. A sensor that is turned turns its gyroscope too: the axis that
-the vehicle turns about in bends goes along in sensor axes. A zero that steps moves gravity alone.
-So after each change of the tilt the axis of before and of after it are held against each other.
-In sensor axes, about the mean gravity u of before, with c the change of gravity's direction
-(tangent plane of u) and x the part of the axis' change that goes along with c,
+The axis of turning decides. Both events change the direction of gravity. A sensor that is turned
+also turns its gyroscope: the axis about which the vehicle turns in bends moves with gravity in
+sensor axes. A step of a zero moves gravity alone. After each change of the tilt, the axes before
+and after it are therefore compared. In sensor axes, about the earlier mean gravity u, let c be the
+change of gravity's direction (tangent plane of u) and x the part of the axis' change along c:
 
     sensor turned: x = |c|,    zero stepped: x = 0,
 
-which is a test of two simple hypotheses (Neyman and Pearson, Phil. Trans. R. Soc. A 231, 1933).
-Neither is believed until its likelihood stands out enough. A turn that the gyroscope felt while
-gravity moved speaks for the first, too; that it felt none says little, as it may have slept.
-A straight grade moves gravity and shows no axis: for a zero, gravity must be off in bends too.
+This is a test of two simple hypotheses (Neyman and Pearson, Phil. Trans. R. Soc. A 231, 1933).
+Neither is accepted until its likelihood is large enough. A rotation that the gyroscope felt while
+gravity moved is evidence for the first hypothesis. No rotation felt is little evidence, because the
+gyroscope may have slept. A straight grade moves gravity and shows no axis. A zero is therefore
+accepted only if gravity is off in bends too.
 
-The axis: in a block the vehicle turns by the vector w. Its part along u is the turn, the rest is
-what slope and lean of road and body differ by from the block's beginning to its end, which does
-not grow with the turn. So the rest is a regression on the turn.
+The axis is found as follows: in a block the vehicle turns by the vector w. The part of w along u is
+the turn. The rest is the difference of slope and lean of road and body between the block's
+beginning and end, which does not grow with the turn. The axis is therefore a regression of the rest
+on the turn.
 """
 
 from __future__ import annotations
@@ -36,40 +38,49 @@ from imucald.mount.signal_blocks import BLOCK_S, SignalBlock
 from imucald.mount.solver import MountSolver
 
 REMEMBERED = 240
-"""Blocks (26 min)."""
+"""Blocks that are remembered (26 min)."""
 LEAST_TILT = 0.04
-"""Changes of gravity that are asked about begin there [rad]: 40 mg, what a zero is off by once the
-sensor is soldered (BMI160 data sheet). What is smaller is within the deviation."""
+"""Smallest change of gravity that is examined [rad]: 40 mg, the zero error once the sensor is
+soldered (BMI160 data sheet). A smaller change is within the deviation.
+"""
 MOST_TILT = 0.35
-"""And end there [rad], 20 deg: no zero is 350 mg off, and no rotation of before is kept."""
+"""Largest change of gravity that is examined [rad], 20 deg: no zero is 350 mg off, and no earlier
+rotation is kept.
+"""
 FEWEST = 2
-"""Blocks since a change that gravity is known from."""
+"""Smallest number of blocks since a change from which gravity is known."""
 TILTED, TILTED_BLOCKS = 0.03, 8.0
-"""What slope and lean differ by over a block [rad], and its weight in blocks: two slopes of
-`SLOPE_STD` that have nothing to do with each other."""
+"""Change of slope and lean over a block [rad], and the weight of this prior in blocks: two
+independent slopes of `SLOPE_STD`.
+"""
 STAYS = math.sqrt(2.0) * UNEVEN_STD["roll_axis"]
-"""The axis of turning differs by that much [rad] between two roads."""
+"""Difference of the axis of turning between two roads [rad]."""
 BELIEVED = math.log(20.0)
-"""Log of the ratio of likelihoods at which at most one in twenty is wrong, if both are as
-probable."""
+"""Log of the ratio of likelihoods at which at most one in twenty is wrong, if both are equally
+probable.
+"""
 FELT_BLOCKS = 3
-"""A turn that the gyroscope felt lies in so many blocks up to the first that is after it."""
+"""A rotation that the gyroscope felt lies within this many blocks, up to the first block after
+it.
+"""
 FELT_PART = 0.5
-"""Of sensors that are turned, while the bus is awake: as many as not (assumption)."""
+"""Fraction of rotated sensors that are rotated while the bus is awake: one half (assumption)."""
 STANDING_METRES = 0.3
-"""A block of standing counts as so much road [m]: it sees one place."""
+"""Road [m] for which a block of standing counts: it sees one place."""
 
 AXIS_PRIOR = 0.07
-"""The axis of turning lies that far from gravity [rad], 4 deg, before any bend: in a measured van
-it lies 3 to 4 deg from what its INS says."""
+"""Distance of the axis of turning from gravity before any bend [rad], 4 deg: in a measured van it
+is 3 to 4 deg from the result of its INS.
+"""
 NO_PRIOR = 1e-6
 NO_ROWS: Array = np.zeros((0, 8))
-"""Of each block: force without motion (3,) [m/s^2], turn (3,) [rad], sensor axes; road [m]; when it
-began [s]."""
+"""Columns of each block: force without motion (3,) [m/s^2], turn (3,) [rad], sensor axes; road [m];
+time of its beginning [s].
+"""
 
 
 class GravityMoved(enum.Enum):
-    """What moved gravity."""
+    """Cause of a change of gravity."""
 
     NOTHING = "nothing that is asked about"
     UNKNOWN = "not known yet"
@@ -78,8 +89,11 @@ class GravityMoved(enum.Enum):
 
 
 class SeenOver(Struct, frozen=True):
-    """Of some blocks: how far gravity and the axis of turning lie from a vertical, tangent vectors
-    (3,) [rad], each with the variance of a component."""
+    """Result over some blocks: distance of gravity and of the axis of turning from a vertical, as
+    tangent vectors (3,) [rad].
+
+    Each has the variance of a component.
+    """
 
     gravity: Array
     gravity_variance: float
@@ -88,9 +102,9 @@ class SeenOver(Struct, frozen=True):
 
 
 class ZeroStep:
-    """Asks after each change of the tilt what it was.
+    """Finds the cause of each change of the tilt.
 
-    cause: of the last change that was asked about.
+    cause: cause of the last change that was examined.
     """
 
     def __init__(self, settings: EstimatorSettings) -> None:
@@ -102,11 +116,16 @@ class ZeroStep:
         self.cause = GravityMoved.NOTHING
 
     def restart(self) -> None:
-        """What comes next has nothing to do with the last blocks; what is asked stays asked."""
+        """Restart: later blocks are unrelated to the last ones. A question that is open stays
+        open.
+        """
         self._rows = NO_ROWS
 
     def ask(self, since: float) -> None:
-        """Gravity has moved; since: when the first block began that is wholly after that [s]."""
+        """Ask for the cause, because gravity has moved.
+
+        since: beginning of the first block that is wholly after the change [s].
+        """
         began = self._rows[:, 7]
         lately = (began > since - (FELT_BLOCKS + 0.5) * BLOCK_S) & (began < since - 0.5 * BLOCK_S)
         if self._before is None:
@@ -117,9 +136,9 @@ class ZeroStep:
         self._judge()
 
     def add(self, p: SignalBlock, sums: BlockSums, solver: MountSolver) -> None:
-        """Take a block; sums: over the ticks that speak.
+        """Take a block. sums: sums over the ticks that count.
 
-        solver: it has a rotation, and has taken the block already.
+        solver: has a rotation, and has already taken the block.
         """
         assert solver.R is not None
         n = sums.n
@@ -177,23 +196,31 @@ class ZeroStep:
             self.cause = GravityMoved.STEPPED if is_stepped else GravityMoved.UNKNOWN
 
     def _is_off_in_bends(self, up: Array, before: SeenOver, change: Array) -> bool:
-        """Whether gravity was off where the axis has shown itself: by more than half of the change,
-        half way between a zero that stepped and a straight grade that is behind the vehicle."""
+        """Whether gravity was off where the axis was visible, by more than half of the change.
+
+        Half is the middle between a zero that stepped and a straight grade behind the vehicle.
+        """
         square = (self._rows[:, 3:6] @ up) ** 2
         mean = square @ self._rows[:, :3]
         there = mean / max(float(mean @ up), 1e-9) - up - before.gravity
         return bool(there @ change > 0.5 * change @ change)
 
     def _felt_ratio(self, up: Array, along: Array, size: float, before: SeenOver) -> float:
-        """What the turn that was felt adds to the log of the ratio, for a change of gravity by size
-        [rad] along a direction (3,); a sensor that turns by it turns about along x up."""
+        """Return what a felt rotation adds to the log of the ratio.
+
+        The change of gravity has a size [rad] along a direction (3,). A sensor with this change
+        turns about along x up.
+        """
         left = self._felt - float(self._felt @ up) * (up + before.axis)
         felt = float(left @ np.cross(along, up))
         more = size * (2.0 * felt - size) / (2.0 * TILTED * TILTED)
         return math.log(1.0 - FELT_PART + FELT_PART * math.exp(min(more, 50.0)))
 
     def _seen(self, rows: Array, up: Array, prior: float) -> SeenOver:
-        """About a vertical (3,); prior: turning [rad^2] that has shown the axis to be there."""
+        """Return the result about a vertical (3,).
+
+        prior: turning [rad^2] that has shown the axis to be there.
+        """
         force, turn, metres = rows[:, :3], rows[:, 3:6], rows[:, 6]
         mean = metres @ force / float(metres.sum())
         q = max(float(metres.sum()) / self._length, 1e-3)

@@ -1,13 +1,14 @@
-"""What runs next to the mount calibration on the same samples.
+"""Consumers: calculations beside the mount calibration on the same samples.
 
-A consumer takes samples one by one, in the same order live as in replay, and gives frames at ends
-of ticks. The engine knows consumers only by the protocol here; `consumers` has those there are.
+A consumer takes samples one by one, in the same order live and in replay, and returns frames at the
+ends of ticks. The engine knows consumers only by this protocol; `consumers` has the existing ones.
 
-The consumers of one engine together: fed sample by sample, live and in replay.
+`ConsumerGroup` holds the consumers of one engine, which are fed sample by sample, live and in
+replay.
 
-They run next to the calibration, and must not end it. Where numbers of a bus make a calculation of
-one fail, the failure is counted, and that consumer begins anew: it sends *not available* until it
-knows something again. A mistake of the program (any other exception) is none of these.
+They run beside the calibration and must not stop it. If numbers from the bus make a calculation
+fail, the failure is counted and that consumer begins anew. It sends *not available* until it has a
+result again. Any other exception is a mistake of the program and is not caught.
 """
 
 from __future__ import annotations
@@ -29,43 +30,52 @@ from imucald.runtime.output.output_message import OutFrame
 from imucald.runtime.pipeline import Snapshot, TickCorrections
 
 ORDER = ("reverse", "speed", "heading", "gyro", "mag", "accel")
-"""Samples of one frame are handed on in this order."""
+"""Order in which samples of one frame are passed on."""
 INERTIAL = frozenset(("accel", "gyro"))
-"""What a consumer carries on from one sample of these rests on all before."""
+"""Channels whose samples a consumer integrates, so that each result depends on all earlier
+samples.
+"""
 _RANK = {channel: rank for rank, channel in enumerate(ORDER)}
 
 
 class Consumer(Protocol):
-    """Takes samples, gives frames. Pure: no I/O, no clock."""
+    """Takes samples, returns frames. Pure: no I/O, no clock."""
 
     name: str
     """Key of its result."""
 
     @property
     def channels(self) -> frozenset[str]:
-        """The channels it wants (see `samples`)."""
+        """Channels that it needs (see `samples`)."""
         ...
 
     def sample(
         self, t: float, channel: str, values: Sequence[float], correction: Correction | None
     ) -> None:
-        """Take a sample at stream time t [s], as the sensor gave it, and what is in force."""
+        """Take a sample at stream time t [s], as the sensor gave it, and the correction in
+        force.
+        """
         ...
 
     def mounted(self, estimate: MountEstimate) -> None:
-        """Take a snapshot of the mount, before the tick that it was taken at the end of."""
+        """Take a snapshot of the mount.
+
+        It comes before the tick at whose end it was taken.
+        """
         ...
 
     def tick(self, k: int) -> list[OutFrame]:
-        """Tick k has ended: return the frames that are due."""
+        """Note that tick k has ended; return the frames that are due."""
         ...
 
     def gap(self) -> None:
-        """Time jumped: nothing before this may be differenced with what follows."""
+        """Note a jump of time: no value from before may be differenced with a later one."""
         ...
 
     def begin_anew(self) -> None:
-        """A calculation failed: forget all that came of samples; nothing is available then."""
+        """Forget all results from samples, because a calculation failed; nothing is available
+        then.
+        """
         ...
 
     def summary(self) -> tuple[str, Mapping[str, Any]]:
@@ -79,31 +89,33 @@ class ChecksSensors(Protocol):
 
     @property
     def checked(self) -> bool:
-        """Whether it has been made, or is known from an earlier drive."""
+        """Whether the check has been made, or is known from an earlier drive."""
         ...
 
     def check_sensors(self) -> None:
-        """Repeat it at the next rest that is long enough."""
+        """Repeat the check at the next rest that is long enough."""
         ...
 
     def saved_check(self) -> Mapping[str, Any] | None:
-        """What it found, as it is saved: sensor axes, SI; None before it."""
+        """Return the result of the check for the saved state: sensor axes, SI; None before it."""
         ...
 
     def restore_check(self, saved: object) -> None:
-        """Take what was saved, where it can be believed; it serves from the mount on."""
+        """Take a saved check if it is plausible; it is used once there is a mount."""
         ...
 
 
 def in_order(samples: Sequence[Sample]) -> Sequence[Sample]:
-    """Samples of one frame in the order consumers take them."""
+    """Return the samples of one frame in the order in which consumers take them."""
     return samples if len(samples) < 2 else sorted(samples, key=lambda s: _RANK.get(s[0], 99))
 
 
 def events_of(
     samples: Mapping[str, ColumnSamples], wanted: Collection[str]
 ) -> list[tuple[int, float, str, Sequence[float]]]:
-    """Row, time, channel and values of the wanted channels' samples, in the order of `in_order`."""
+    """Return row, time, channel and values of the wanted channels' samples, in the order of
+    `in_order`.
+    """
     found: list[tuple[int, int, float, str, Sequence[float]]] = []
     for channel, series in samples.items():
         if channel in wanted:
@@ -120,19 +132,20 @@ def events_of(
 
 
 FAILURES = (ImucaldError, ArithmeticError, ValueError)
-"""What numbers can do to a calculation: refused, divided by zero, too large, outside a domain
-(numpy's singular matrix is a ValueError)."""
+"""Exceptions that numbers can cause in a calculation: refused, divided by zero, too large, outside
+a domain (numpy's singular matrix is a ValueError).
+"""
 
 
 class ConsumerGroup:
-    """Hands samples, snapshots and ends of ticks on to each of the consumers; false without any."""
+    """Passes samples, snapshots and ends of ticks to each consumer; false without any."""
 
     def __init__(self, consumers: Sequence[Consumer]) -> None:
         self.all = tuple(consumers)
         self.failures = Counter[str]()
-        """How often a calculation of a consumer failed, by its name."""
+        """Number of failed calculations of each consumer, by its name."""
         self.last_failures: dict[str, str] = {}
-        """The newest of them in words."""
+        """Text of the newest failure of each consumer."""
         self._channels = frozenset(c for one in self.all for c in one.channels)
 
     def __bool__(self) -> bool:
@@ -145,7 +158,7 @@ class ConsumerGroup:
         correction: Correction | None,
         unfit: Collection[str],
     ) -> None:
-        """Hand on the samples of one frame at stream time t [s]; unfit: see `_hand_on`."""
+        """Pass on the samples of one frame at stream time t [s]. unfit: see `_hand_on`."""
         for channel, values in in_order(samples):
             for consumer in self.all:
                 self._hand_on(consumer, t, channel, values, correction, unfit)
@@ -159,10 +172,11 @@ class ConsumerGroup:
         correction: Correction | None,
         unfit: Collection[str],
     ) -> None:
-        """Hand a sample on to a consumer that wants it; unfit: channels of faulty sensors now.
+        """Pass a sample to a consumer that wants it.
 
-        Of a faulty sensor nothing is handed on. Where it is one that the consumer carries on from,
-        it begins again when that is sound again, and has nothing to say until then.
+        unfit: channels of sensors that are faulty now. Samples of a faulty sensor are not passed
+        on. If the consumer integrates that sensor's samples, it begins again when the sensor has no
+        fault any more. Until then it has no result.
         """
         if channel not in consumer.channels:
             return
@@ -181,7 +195,7 @@ class ConsumerGroup:
             return consumer.tick(k)
         except FAILURES as error:
             self._failed(consumer, error)
-            return consumer.tick(k)  # that nothing is available
+            return consumer.tick(k)  # says that nothing is available
 
     def _failed(self, consumer: Consumer, error: Exception) -> None:
         place = extract_tb(error.__traceback__)[-1]
@@ -192,7 +206,7 @@ class ConsumerGroup:
         consumer.begin_anew()
 
     def summaries(self) -> dict[str, dict[str, Any]]:
-        """What each came to, by its key, and how often a calculation failed."""
+        """Return the result of each consumer by its key, and the numbers of failed calculations."""
         return {
             name: {**content, "failures": self.failures[name]}
             for name, content in (consumer.summary() for consumer in self.all)
@@ -201,9 +215,9 @@ class ConsumerGroup:
     def end_ticks(
         self, first: int, stop: int, snapshots: Sequence[Snapshot], is_late: bool = False
     ) -> list[OutFrame]:
-        """Ticks `first` to `stop` - 1 have ended; return the frames that are due.
+        """Note that ticks `first` to `stop` - 1 have ended; return the frames that are due.
 
-        is_late: too long ago for anything to be sent of them.
+        is_late: the ticks are too old for their frames to be sent.
         """
         taken = {snapshot.k: snapshot.estimate for snapshot in snapshots}
         out: list[OutFrame] = []
@@ -216,7 +230,7 @@ class ConsumerGroup:
         return out
 
     def gap(self) -> None:
-        """Time jumped."""
+        """Note a jump of time."""
         for consumer in self.all:
             consumer.gap()
 
@@ -228,9 +242,9 @@ class ConsumerGroup:
         ticks: NDArray[np.int64],
         base: int,
     ) -> Iterator[OutPart]:
-        """Take a segment one by one; the frames stand as status frames do.
+        """Take a segment sample by sample; the frames are placed as status frames are.
 
-        ticks: (N,) of its frames; base: its first row.
+        ticks: (N,) ticks of its frames; base: its first row.
         """
         in_force = corrections.corrections
         k = first = corrections.first

@@ -1,4 +1,4 @@
-"""The consumers there are (attitude, direction of travel); for those that are switched on."""
+"""The existing consumers (attitude, direction of travel), made if they are switched on."""
 
 from __future__ import annotations
 
@@ -31,9 +31,11 @@ from imucald.travel_direction.direction import TravelDirection
 def consumers_for(
     loaded: LoadedConfig, output: OutputFrames, gyro_step: float = 0.0
 ) -> list[Consumer]:
-    """What a configuration switches on. Raises ConfigError where an input is missing.
+    """Return the consumers that a configuration switches on.
 
-    gyro_step: between two values of the gyroscope's signals [rad/s]; 0 where it is not known.
+    Raises ConfigError if an input is missing.
+
+    gyro_step: step of the gyroscope's signals [rad/s]; 0 if it is not known.
     """
     config = loaded.config
     signals = config.signals
@@ -47,7 +49,7 @@ def consumers_for(
             raise loaded.error(place, "needs signals.gyroscope")
         is_filter = (
             config.attitude.method == "filter"
-        )  # else heading is not read, and `check` says so
+        )  # else heading is not read; `check` reports it
         source = config.attitude.filter.heading if is_filter else "free"
         if source == "signal" and signals.heading is None:
             raise loaded.error(("attitude", "filter", "heading"), "needs signals.heading")
@@ -64,7 +66,9 @@ def consumers_for(
 
 
 _SERVED = GOOD | {MountState.RESTORED}
-"""States of the mount in which there is an attitude; of a restored one it is settling at most."""
+"""States of the mount in which there is an attitude; with a restored mount it is at most
+settling.
+"""
 
 
 class AttitudeConsumer:
@@ -83,12 +87,12 @@ class AttitudeConsumer:
         self._mount_std: tuple[float, float, float] | None = None
         self._mount_state = MountState.WAITING
         self.rejected = 0
-        """Samples that were left out because they cannot be."""
+        """Number of samples that were left out because their values are impossible."""
 
     def sample(
         self, t: float, channel: str, values: Sequence[float], correction: Correction | None
     ) -> None:
-        """Take a sample; those of the sensor are turned into vehicle axes first."""
+        """Take a sample; samples of the sensor are first turned into vehicle axes."""
         if not is_plausible(channel, values):
             self.rejected += 1
             return
@@ -135,7 +139,9 @@ class AttitudeConsumer:
         return self.filter.checked
 
     def saved_check(self) -> Mapping[str, Any] | None:
-        """What the sensor check found, as it is saved: sensor axes, SI; None before it."""
+        """Return the result of the sensor check for the saved state: sensor axes, SI; None before
+        it.
+        """
         found = self.filter.check
         if found is None or self._correction is None:
             kept = self._saved_check
@@ -144,20 +150,21 @@ class AttitudeConsumer:
         return None if kept is None else kept.as_saved()
 
     def restore_check(self, saved: object) -> None:
-        """Take what the check of an earlier drive found; it serves from the mount on."""
+        """Take the check of an earlier drive; it is used once there is a mount."""
         self._saved_check = CheckResult.from_saved(saved)
 
     def mounted(self, estimate: MountEstimate) -> None:
-        """Take what the mount's angles are worth: the vehicle's axes are known no better.
+        """Take the deviations of the mount's angles, because the vehicle's axes are known no
+        better.
 
-        After a mount that was doubted nothing of the old axes is carried on.
+        After a mount that was doubted, nothing in the old axes is kept.
         """
         if self._mount_state in BAD and estimate.state not in BAD:
             self.begin_anew()
         self._mount_std, self._mount_state = estimate.std, estimate.state
 
     def tick(self, k: int) -> list[OutFrame]:
-        """Attitude frames at their rate."""
+        """Return attitude frames at their rate."""
         if (k + 1) % self._every:
             return []
         known = self._correction is not None and self._mount_std is not None
@@ -165,7 +172,9 @@ class AttitudeConsumer:
         return self._frames.frames(self._estimate((k + 1) / TICK_RATE) if known else None)
 
     def _estimate(self, now: float | None = None) -> AttitudeEstimate:
-        """The attitude of the vehicle: that of the corrected axes, with the doubt about them."""
+        """Return the attitude of the vehicle: that of the corrected axes, with the uncertainty of
+        these axes.
+        """
         e = self.filter.estimate(now)
         if self._mount_std is None:
             return e
@@ -182,16 +191,18 @@ class AttitudeConsumer:
         )
 
     def gap(self) -> None:
-        """Time jumped: the attitude starts anew."""
+        """Begin the attitude anew, because time jumped."""
         self.filter.reset()
 
     def begin_anew(self) -> None:
-        """A calculation failed: the sensor check is forgotten too, its numbers may be the cause."""
+        """Begin anew after a failed calculation; the sensor check is forgotten too, because its
+        numbers may be the cause.
+        """
         self.filter = self._new_filter()
         self._saved_check = None
 
     def summary(self) -> tuple[str, Mapping[str, Any]]:
-        """The attitude at the end."""
+        """Return the attitude at the end."""
         is_served = self._correction is not None and self._mount_state not in BAD
         if not is_served or not self.filter.running:
             return self.name, {"state": AttitudeState.NOT_AVAILABLE.name.lower()}
@@ -228,7 +239,7 @@ class AttitudeConsumer:
 
 
 def _with_step(settings: AttitudeSettings, gyro_step: float) -> AttitudeSettings:
-    """With the database's step [rad/s] where the configuration states none."""
+    """Return the settings with the database's step [rad/s] if the configuration states none."""
     of_filter = settings.filter
     if of_filter.gyro_resolution_deg_s is None:
         of_filter = structs.replace(of_filter, gyro_resolution_deg_s=math.degrees(gyro_step))
@@ -236,20 +247,24 @@ def _with_step(settings: AttitudeSettings, gyro_step: float) -> AttitudeSettings
 
 
 def _as_corrected(zeros: CheckResult, correction: Correction) -> CheckResult:
-    """What zero errors in sensor axes are in corrected samples: without what is taken off these."""
+    """Convert zero errors in sensor axes to those of corrected samples, from which the offsets were
+    subtracted.
+    """
     turned = zeros.turned(correction.matrix())
     return turned.less(correction.rate_offset, correction.force_offset)
 
 
 def _as_sensed(zeros: CheckResult, correction: Correction) -> CheckResult:
-    """The other way."""
+    """Convert zero errors of corrected samples to sensor axes."""
     p, q, r = correction.rate_offset
     a, b, c = correction.force_offset
     return zeros.less((-p, -q, -r), (-a, -b, -c)).turned(correction.matrix().T)
 
 
 def _offsets_changed(before: Correction, now: Correction) -> tuple[Vector, Vector]:
-    """By how much more is taken off rate and force than before, in the vehicle axes of now."""
+    """Return the change of the offsets subtracted from rate and force, in the present vehicle
+    axes.
+    """
     turn = now.matrix() @ before.matrix().T
 
     def change(old: Vector, new: Vector) -> Vector:
@@ -285,7 +300,7 @@ class TravelConsumer:
         """Ignore the mount: a carried terminal has none."""
 
     def tick(self, k: int) -> list[OutFrame]:
-        """A frame after each tick with a new step, and one a second."""
+        """Return a frame after each tick with a new step, and one frame a second."""
         travel = self.travel
         if travel.steps == self._sent_steps and (k + 1) % self._every:
             return []
@@ -293,17 +308,17 @@ class TravelConsumer:
         return self._frames.frames(travel.last, travel.state((k + 1) / TICK_RATE), travel.steps)
 
     def gap(self) -> None:
-        """Time jumped."""
+        """Note a jump of time."""
         self.travel.gap()
 
     def begin_anew(self) -> None:
-        """A calculation failed; what was counted stays."""
+        """Begin anew after a failed calculation; counts are kept."""
         before, self.travel = self.travel, TravelDirection(self._settings)
         self.travel.cycles.steps = before.cycles.steps
         self.travel.rejected = before.rejected
 
     def summary(self) -> tuple[str, Mapping[str, Any]]:
-        """Steps and the last direction."""
+        """Return the steps and the last direction."""
         last = self.travel.last
         heading = None if last is None or last.heading is None else math.degrees(last.heading)
         return self.name, {

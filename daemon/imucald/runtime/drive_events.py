@@ -1,4 +1,4 @@
-"""What happened during a drive, as a list: changes of state, moves of the sensor, faults, holes."""
+"""List of the events of a drive: changes of state, moves of the sensor, faults, holes."""
 
 from __future__ import annotations
 
@@ -22,12 +22,17 @@ STATE_WORDS: Mapping[str, str] = {
 
 
 REASON_STANDS_S = 12.8
-"""Two evaluations of the mount: a reason that is gone by the next one explains nothing."""
+"""Shortest duration of a reported reason: two evaluations of the mount.
+
+A reason that has gone by the next evaluation explains nothing.
+"""
 
 
 @dataclass(frozen=True)
 class Event:
-    """t: stream time [s]. kind: state, reason, moved, fault, sensor or gap. text: for people."""
+    """t: stream time [s]. kind: state, reason, moved, fault, sensor or gap. text: text for
+    people.
+    """
 
     t: float
     kind: str
@@ -35,9 +40,10 @@ class Event:
 
 
 class StateChanges:
-    """Changes of state, and of the reason within a state that has stood for `REASON_STANDS_S`.
+    """Changes of state, and changes of a reason within a state that have lasted for
+    `REASON_STANDS_S`.
 
-    A reason in which only numbers change is the same one.
+    A reason in which only numbers change counts as the same reason.
     """
 
     def __init__(self) -> None:
@@ -46,7 +52,7 @@ class StateChanges:
         self._since = 0.0
 
     def take(self, t: float, state: str, waiting_for: Mapping[str, str]) -> Event | None:
-        """Take time [s], state and what it waits for; return what is new of it."""
+        """Take time [s], state and what it waits for; return the new events."""
         waiting = reasons_line(waiting_for)
         reason = without_numbers(waiting)
         if reason != self._newest:
@@ -63,13 +69,15 @@ class StateChanges:
 
 
 def state_changes(states: Iterable[tuple[float, str, Mapping[str, str]]]) -> Iterator[Event]:
-    """The same of a list: time [s], state and what it waits for, one after another."""
+    """Return the events of a list of time [s], state and what it waits for."""
     changes = StateChanges()
     yield from filter(None, (changes.take(*one) for one in states))
 
 
 def reported_events(result: Mapping[str, Any], gaps: Sequence[float] = ()) -> Iterator[Event]:
-    """What a result (or a daemon's status) says about moved sensors, faults and sensor health."""
+    """Return the events in a result (or a daemon's status) about moved sensors, faults and sensor
+    health.
+    """
     details = result.get("details", {})
     for shift in details.get("shifts", ()):
         kind = "moved" if is_move(shift) else "evidence"
@@ -96,5 +104,5 @@ def _fault_words(name: str) -> str:
 
 
 def in_order(events: Iterable[Event]) -> list[Event]:
-    """Events by time; at the same time as they came."""
+    """Return events sorted by time; events of the same time keep their order."""
     return sorted(events, key=lambda event: event.t)

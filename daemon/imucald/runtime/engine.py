@@ -1,8 +1,8 @@
-"""Frames in, frames out: router, pipeline and output put together. No I/O, no clock.
+"""Frames in, frames out: the combination of router, pipeline and output. No I/O, no clock.
 
-The live daemon feeds frames one by one (`frame`), replay feeds chunks of columns (`columns`). Both
-give the same frames in the same order, where no clock was set back by less than a second (see
-`TimeBase.is_live`); the two may be mixed on one engine.
+The live daemon passes frames one by one (`frame`), and replay passes chunks of columns (`columns`).
+Both give the same frames in the same order, unless a clock was set back by less than a second (see
+`TimeBase.is_live`). One engine may use both in turn.
 """
 
 from __future__ import annotations
@@ -49,11 +49,10 @@ class Engine:
     """One sensor on one bus.
 
     on_snapshot: called with every snapshot of the estimate (for terminals and state files).
-    link_health: asked whenever a health frame is made.
-    consumers: run on the same samples.
-    new_estimator: makes the estimator of `restart_calibration`.
-    preprocessing: takes out of the signals what a model file knows of them.
-    on_samples: called by `columns` with the samples of every segment, as they came and corrected.
+    link_health: called whenever a health frame is made. consumers: run on the same samples.
+    new_estimator: makes the estimator for `restart_calibration`. preprocessing: removes the effects
+    in the signals that a model file knows. on_samples: called by `columns` with the samples of
+    every segment, uncorrected and corrected.
     """
 
     def __init__(
@@ -78,7 +77,7 @@ class Engine:
         self.timebase = TimeBase()
         self._group = ConsumerGroup(consumers)
         self.sent = 0
-        """Frames given out."""
+        """Number of frames returned."""
         self._on_snapshot = on_snapshot
         self._on_samples = on_samples
         self._link_health = link_health
@@ -92,17 +91,17 @@ class Engine:
 
     @property
     def model_key(self) -> str:
-        """Names what a model changes of the estimate; "" without one."""
+        """Key of the model's effect on the estimate; "" without a model."""
         return "" if self.preprocessing is None else self.preprocessing.estimate_key
 
     @property
     def consumers(self) -> tuple[Consumer, ...]:
-        """What runs next to the calibration."""
+        """Consumers beside the calibration."""
         return self._group.all
 
     @property
     def consumer_group(self) -> ConsumerGroup:
-        """The same together, with what failed in them."""
+        """The consumers as a group, with their failures."""
         return self._group
 
     def go_on_from(
@@ -112,12 +111,13 @@ class Engine:
         keeps_consumers: bool = False,
         is_same_bus: bool = True,
     ) -> None:
-        """Take the place of another engine between two frames; only of inputs that are other ones
-        anything begins anew.
+        """Take the place of another engine between two frames.
 
-        estimator: goes on from here; the former one's only where all inputs are the same.
-        keeps_consumers: whether those of the former engine are what this one's would be.
-        is_same_bus: else every input is another one, with the same identifiers or not.
+        Only what depends on changed inputs begins anew.
+
+        estimator: continues from here; it may be the former engine's only if all inputs are the
+        same. keeps_consumers: whether the former engine's consumers equal those that this engine
+        would have. is_same_bus: if False, every input has changed, even with the same identifiers.
         """
         before = former.pipeline
         same = self.router.same_sources(former.router) if is_same_bus else frozenset()
@@ -152,10 +152,10 @@ class Engine:
     ) -> list[OutFrame]:
         """Take one frame; return the frames to send.
 
-        stamp: reception time [s], wall clock. can_id with the flag for 29 bits. late: where the
-        frame is too old to be corrected, the time now, by a clock that is never set [s]. It is
-        learnt from; of a burst of such frames no more is sent than comes in as much time otherwise:
-        *not available*, and the newest status.
+        stamp: reception time [s], wall clock. can_id with the flag for 29 bits. late: if the frame
+        is too old to be corrected, the present time by a clock that is never set [s]. A late frame
+        is learnt from. For a burst of late frames, only as much is sent as in the same time
+        otherwise: *not available*, and the newest status.
         """
         t, gap = self.timebase.stream_time(stamp)
         out: list[OutFrame] = []
@@ -195,7 +195,9 @@ class Engine:
     def _turned(
         self, t: float, samples: Sequence[Sample], correction: Correction | None
     ) -> dict[str, Turned]:
-        """Samples of one frame in vehicle axes, by channel; None where there is no correction."""
+        """Return the samples of one frame in vehicle axes, by channel; None where there is no
+        correction.
+        """
         triads, planar = self.output.triads, self.output.planar
         turned: dict[str, Turned] = {}
         for channel, values in samples:
@@ -210,7 +212,9 @@ class Engine:
         return turned
 
     def _corrected_frames(self, turned: Mapping[str, Turned]) -> list[OutFrame]:
-        """Frames of corrected samples; *not available* where a sensor is not fit to be used."""
+        """Return frames of corrected samples, or *not available* where a sensor is not fit to be
+        used.
+        """
         output, faults, quality = self.output, self.pipeline.health.faults, self.pipeline.quality
         out: list[OutFrame] = []
         for channel in output.triads:
@@ -223,22 +227,22 @@ class Engine:
     def _not_available(
         self, channels: Collection[str], spaced: Mapping[str, Spaced], now: float
     ) -> list[OutFrame]:
-        """Frames in place of samples that were rejected or are late, one a cycle."""
+        """Return frames in place of samples that were rejected or are late, one per cycle."""
         output = self.output
         due = [c for c in output.triads if c in channels and spaced[c].passes(now)]
         return [output.corrected(channel, None, 0) for channel in due]
 
     def idle(self, elapsed: float) -> list[OutFrame]:
-        """No frame of ours came for `elapsed` seconds: close the ticks that have passed."""
+        """Close the ticks that have passed, because no frame of ours came for `elapsed` seconds."""
         k = tick_index(self.timebase.idle(elapsed))
         out = self._advance(k, False)
         self.sent += len(out)
         return out
 
     def _advance(self, k: int, gap: bool, late: float | None = None) -> list[OutFrame]:
-        """Close all ticks before k: status frames, then those of the consumers.
+        """Close all ticks before k: first the status frames, then those of the consumers.
 
-        late: as for `frame`; of the consumers nothing is sent then.
+        late: as in `frame`; the consumers then send nothing.
         """
         pipeline = self.pipeline
         first = pipeline.k
@@ -253,7 +257,9 @@ class Engine:
         return out
 
     def heartbeat(self) -> list[OutFrame]:
-        """Status frames while no stream time passes: nothing was heard yet, or not for long."""
+        """Return status frames while no stream time passes: nothing was received yet, or not for
+        long.
+        """
         health = self._watch.all_missing(self._link_health())
         out = self.output.status(self.pipeline.estimator.estimate(), False, health)
         self.sent += len(out)
@@ -262,24 +268,24 @@ class Engine:
     # starting again ------------------------------------------------------------------------
 
     def restart_calibration(self) -> MountEstimator:
-        """Forget the estimate and begin again; all counters go on. Return the former estimator.
+        """Forget the estimate and begin again; all counters continue. Return the former estimator.
 
-        What seemed the end of a sensor's range has to show itself again.
+        The ends of the sensors' ranges must be found again.
         """
         self.pipeline.health.forget_rails()
         return self.pipeline.replace(self.new_estimator(), afresh=True)
 
     def new_estimator(self) -> MountEstimator:
-        """One that knows nothing yet, behind the mount that the configuration states.
+        """Return a new estimator without knowledge, behind the mount that the configuration states.
 
-        Raises EstimateError where the engine was made without.
+        Raises EstimateError if the engine was made without the function for it.
         """
         if self._new_estimator is None:
             raise EstimateError("this engine cannot make a new estimator")
         return self._new_estimator()
 
     def resume_calibration(self, former: MountEstimator) -> None:
-        """Take back an estimator that `restart_calibration` returned, as it was then."""
+        """Use an estimator again that `restart_calibration` returned, in its state of that time."""
         former.gap()
         self.pipeline.replace(former)
 
@@ -297,7 +303,7 @@ class Engine:
         return merged(parts, frames)
 
     def _after_gap(self, segment: TimeSegment, keep: bool) -> Iterator[OutPart]:
-        """Nothing is known of the time before the segment."""
+        """Begin a segment without knowledge of the time before it."""
         base, first = segment.start, self.pipeline.k
         snapshots = self.pipeline.gap(tick_index(float(segment.t[0])))
         if self.preprocessing is not None:
@@ -356,7 +362,7 @@ class Engine:
             self.sent += sum(corrected_count(routed, c) + len(lost[c]) for c in lost)
 
     def _lost_rows(self, routed: Routed, t: NDArray[np.float64]) -> dict[str, NDArray[np.int64]]:
-        """By channel the rows that are answered by a frame that says *not available*."""
+        """Return, by channel, the rows that get a frame with *not available*."""
         lost: dict[str, NDArray[np.int64]] = {}
         for channel in self.output.triads:
             series, bad = routed.samples.get(channel), routed.rejected.get(channel)
@@ -382,7 +388,7 @@ class Engine:
         events: NDArray[np.float64],
         routed: Routed | None = None,
     ) -> Iterator[OutPart]:
-        """Status frames with the health as it was at each snapshot, not at the chunk's end."""
+        """Return status frames with the health at each snapshot, not at the chunk's end."""
         watch, before = self._watch, self._watch.rejected
         for snapshot in snapshots:
             k, seen = snapshot.k, events[events <= snapshot.k]
@@ -392,7 +398,7 @@ class Engine:
             yield from self._frame_parts(out, row_of(k))
 
     def _hand_on(self, snapshots: Sequence[Snapshot]) -> None:
-        """Hand snapshots on where nobody takes the frames that they would be sent in."""
+        """Pass on snapshots when the frames for them are not needed."""
         self.sent += STATUS_FRAMES * len(snapshots)
         if self._on_snapshot is not None:
             for snapshot in snapshots:
@@ -401,14 +407,16 @@ class Engine:
     # status --------------------------------------------------------------------------------
 
     def health(self) -> Health:
-        """What a health frame would say now; before the first frame of ours all is missing."""
+        """Return the content of a health frame now; before the first frame of ours, all inputs are
+        missing.
+        """
         link, rejecting = self._link_health(), self._watch.is_recent(self.pipeline.k)
         if not self.timebase.started:
             return self._watch.all_missing(link, rejecting)
         return self._watch.health(self.pipeline.k, link, self.pipeline.health.unfit)
 
     def _newest(self, snapshots: Sequence[Snapshot], now: float) -> Sequence[Snapshot]:
-        """Of late snapshots the one that is sent, no oftener by the clock than at their rate."""
+        """Return the late snapshot that is sent, at most at their rate by the clock."""
         due = snapshots[-1:] if snapshots and self._late_status.passes(now) else []
         if self._on_snapshot is not None:
             for snapshot in snapshots[: len(snapshots) - len(due)]:

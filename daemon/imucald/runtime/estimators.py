@@ -1,4 +1,4 @@
-"""Configuration -> estimator."""
+"""Make the estimator of a configuration."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from imucald.mount.restored import StoredMount
 
 CONFIGURED_DELAY_STD = 0.03
-"""How well a configured delay is taken to be known [s]."""
+"""Deviation of a configured delay [s]."""
 
 
 def estimator_for(
@@ -34,9 +34,9 @@ def estimator_for(
     compensation: ModelCompensation | None = None,
     stated: Collection[str] = (),
 ) -> MountEstimator:
-    """Return the estimator that a configuration asks for, behind the mount that it states.
+    """Return the estimator for a configuration, behind the mount that it states.
 
-    Raises EstimateError where that mount is too vague. See `learning_estimator`.
+    Raises EstimateError if that mount is too vague. See `learning_estimator`.
     """
     learning = learning_estimator(config, compensation, stated)
     if (mount := config.calibration.mount) is None:
@@ -57,9 +57,10 @@ def learning_estimator(
     compensation: ModelCompensation | None = None,
     stated: Collection[str] = (),
 ) -> MountEstimator:
-    """Return the estimator that finds the mount of a configuration, with what its model knows.
+    """Return the estimator that finds the mount of a configuration, with the knowledge of its
+    model.
 
-    stated: keys of `vehicle` that stand in the file, which no model overrules.
+    stated: keys of `vehicle` in the file, which no model overrules.
     """
     if config.calibration.estimator == "published":
         from imucald.mount.method_a.estimator import PublishedEstimator  # noqa: PLC0415 - few use it
@@ -79,15 +80,17 @@ def learning_estimator(
 
 
 FINEST_STATED = math.radians(0.01)
-"""Finest deviation of a stated mount [rad]: a tenth of what a workshop measures. An even finer one
-would outvote all evidence for ever."""
+"""Smallest deviation of a stated mount [rad]: a tenth of what a workshop measures.
+
+A mount with a smaller deviation would outvote all evidence forever.
+"""
 
 
 def known_mount(mount: KnownMount, targets: Targets | None) -> StoredMount:
-    """A mount that a person states, as an estimator serves it.
+    """Return a mount that a person states, in the form that an estimator serves.
 
-    Raises EstimateError where it is not known well enough to be *usable* (`targets`), or better
-    than any mount is (`FINEST_STATED`).
+    Raises EstimateError if it is not known well enough to be *usable* (`targets`), or if its
+    deviation is smaller than any mount's (`FINEST_STATED`).
     """
     from imucald.mount.restored import StoredMount  # noqa: PLC0415 - few state one
 
@@ -110,7 +113,7 @@ def known_mount(mount: KnownMount, targets: Targets | None) -> StoredMount:
 
 
 def against_orientation(mount: KnownMount | None, calibration: CalibrationSettings) -> str | None:
-    """What a stated mount and `orientation` contradict one another in, in words; None: nothing."""
+    """Return, in words, the contradiction between a stated mount and `orientation`; None: none."""
     if mount is None or calibration.estimator == "published":  # that does not read `orientation`
         return None
     R = rotation_from_angles(mount.roll, mount.pitch, mount.yaw)
@@ -123,7 +126,7 @@ def against_orientation(mount: KnownMount | None, calibration: CalibrationSettin
 
 
 def published_settings(config: Config) -> PublishedSettings:
-    """Settings of method A."""
+    """Return the settings of method A."""
     from imucald.mount.method_a.settings import PublishedSettings  # noqa: PLC0415 - few use it
 
     signals = config.signals
@@ -136,8 +139,10 @@ def published_settings(config: Config) -> PublishedSettings:
 
 
 def _are_sides_turned(signals: Signals) -> bool:
-    """Whether signals that know left from right are turned while the accelerometer is not, so
-    that it may well be mirrored instead."""
+    """Return whether signals that tell left from right are turned and the accelerometer is not.
+
+    The accelerometer may then be mirrored instead.
+    """
     accelerometer, gyroscope = signals.accelerometer[0], signals.gyroscope
     if accelerometer.x.sign < 0 or accelerometer.y.sign < 0:
         return False
@@ -152,7 +157,7 @@ def _are_sides_turned(signals: Signals) -> bool:
 
 
 def full_settings(config: Config) -> EstimatorSettings:
-    """Settings of the full estimator."""
+    """Return the settings of the full estimator."""
     settings = EstimatorSettings(
         config.calibration,
         config.vehicle,

@@ -1,6 +1,7 @@
-"""Whether corrected frames flow now: the first line of what a daemon says of itself.
+"""Whether corrected frames flow now: the first line of a daemon's status.
 
-The alarms of the health frame in words, and which of them mean that nothing good is sent.
+The module gives the alarms of the health frame in words, and those that mean that no good data are
+sent.
 """
 
 from __future__ import annotations
@@ -29,24 +30,26 @@ ALARMS = {
     "id_conflict": "another node sends our ids",
     "send_failed": "frames not sent",
 }
-"""By the names of `Health`."""
+"""Texts by the names of `Health`."""
 
 PASSING = frozenset({"input_rejected", "frames_lost"})
-"""Alarms that a good bus raises now and then: reported, but no fault."""
+"""Alarms that a good bus raises now and then: they are reported, but are no fault."""
 
 
 STARTING_S = 2.0
-"""Within this time from its start a daemon that has heard nothing is starting [s]: an input is
-missing after one second, and a sample a second (GNSS speed) is the rarest that there is."""
+"""Time from its start in which a daemon without input counts as starting [s].
+
+An input is missing after one second, and one sample a second (GNSS speed) is the slowest input.
+"""
 
 
 def is_starting(status: Mapping[str, Any]) -> bool:
-    """Whether a daemon's first samples may be on their way; status: as it states it."""
+    """Return whether the first samples of a daemon may still come. status: its status."""
     return not status["signals"] and status["uptime_s"] < STARTING_S
 
 
 def present_alarms(status: Mapping[str, Any]) -> dict[str, str]:
-    """The alarms of a daemon's status: a missing input is none while it is starting."""
+    """Return the alarms in a daemon's status; a missing input is no alarm while it is starting."""
     found = alarms_of(status["health"])
     if not is_starting(status):
         return found
@@ -54,12 +57,12 @@ def present_alarms(status: Mapping[str, Any]) -> dict[str, str]:
 
 
 def alarms_of(health: Mapping[str, object]) -> dict[str, str]:
-    """The alarms that are on, by name, in words."""
+    """Return the active alarms by name, in words."""
     return {name: words for name, words in ALARMS.items() if health.get(name)}
 
 
 GOOD = {1: "restored", 2: "usable", 3: "fine"}
-"""Qualities of a corrected frame that a receiver may use, from the least to the best."""
+"""Qualities of a corrected frame that a receiver may use, in rising order."""
 SUSPECT = 4
 
 
@@ -69,12 +72,12 @@ class FlowKind(StrEnum):
     GOOD = "good"
     STARTING = "starting"
     NOT_YET = "not yet"
-    """Frames without numbers, as the mount is not known."""
+    """Frames without numbers, because the mount is not known."""
     SUSPECT = "suspect"
     FAULTY = "faulty"
-    """Frames without numbers, as the accelerometer is faulty."""
+    """Frames without numbers, because the accelerometer is faulty."""
     CONFLICT = "conflict"
-    """Frames of ours, and another node's under the same identifiers."""
+    """Our frames, and another node's under the same identifiers."""
     NONE = "none"
 
 
@@ -86,7 +89,7 @@ class Flow(Struct, frozen=True):
 
 
 def flow(status: Mapping[str, Any]) -> Flow:
-    """What a receiver gets now, of a daemon's status (docs/service.md)."""
+    """Return what a receiver gets now, from a daemon's status (docs/service.md)."""
     state, quality = status["state"], status["quality"]
     if (cause := _why_none(status)) is not None:
         return Flow(FlowKind.NONE, f"{cause}: no corrected frames (mount: {state})")
@@ -110,7 +113,7 @@ def flow(status: Mapping[str, Any]) -> Flow:
 
 
 def _why_none(status: Mapping[str, Any]) -> str | None:
-    """Why nothing corrected is sent now; None: it is sent, or will be."""
+    """Return why no corrected data are sent now; None: they are sent, or will be."""
     alarms = present_alarms(status)
     if status["link"]["state"] != "up":
         return f"BUS {status['link']['state'].upper()}"

@@ -1,4 +1,4 @@
-"""Which inputs have come lately, and what was rejected: what the health frame says of them."""
+"""Inputs received lately, and rejections: the content of the health frame."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ from imucald.motion.ticks import TICK_RATE, tick_index
 from imucald.runtime.output.output_frames import Health
 
 MISSING_TICKS = 10
-"""An input that gave no sample for so many ticks is missing: one second."""
+"""Ticks without a sample after which an input is missing: one second."""
 _SENSORS = {"accel": "accelerometer_missing", "gyro": "gyroscope_missing", "speed": "speed_missing"}
 
 
 class LinkHealth(Struct, frozen=True):
-    """What only the bus link knows; all zero in replay."""
+    """Health that only the bus link knows; all zero in replay."""
 
     lost: int = 0
     frames_lost: bool = False
@@ -29,21 +29,22 @@ class LinkHealth(Struct, frozen=True):
 
 
 class InputWatch:
-    """The ticks of the last samples and rejections of one engine; channels: those that can come.
+    """Ticks of the last samples and rejections of one engine. channels: those that can come.
 
-    last: by channel the tick of the last sample. rejected: frames and samples, so far.
+    last: for each channel, the tick of the last sample. rejected: number of rejected frames and
+    samples so far.
     """
 
     def __init__(self, channels: Iterable[str]) -> None:
         there = frozenset(channels)
         self.last = {c: 0 for c in _SENSORS if c in there}
         self.rejected = 0
-        self._rejections: deque[int] = deque()  # ticks of the last second's
+        self._rejections: deque[int] = deque()  # ticks of the last second's rejections
 
     def go_on_from(self, former: InputWatch, same: Collection[str], k: int) -> None:
-        """Go on where another watch stands at tick k; same: channels from the same sources.
+        """Continue from another watch at tick k. same: channels from the same sources.
 
-        The others count from now on, as all do at the start of a process.
+        The other channels count from now on, as at the start of a process.
         """
         for channel in self.last:
             is_known = channel in same and channel in former.last
@@ -51,7 +52,7 @@ class InputWatch:
         self.rejected, self._rejections = former.rejected, former._rejections
 
     def count_rejections(self, k: int, total: int) -> None:
-        """Take the number of rejections so far, in tick k."""
+        """Take the total number of rejections, in tick k."""
         if total > self.rejected:
             self._rejections.append(k)
             self.rejected = total
@@ -59,7 +60,9 @@ class InputWatch:
     def take_columns(
         self, routed: Routed, events: NDArray[np.float64], last: int, total: int
     ) -> None:
-        """Take a chunk's samples, the ticks (M,) of its rejections, its last tick, all so far."""
+        """Take a chunk's samples, the ticks (M,) of its rejections, its last tick, and the total of
+        rejections.
+        """
         self.rejected = total
         recent = sorted(set(events[events > last - 2 * MISSING_TICKS].tolist()))
         self._rejections.extend(map(int, recent))
@@ -68,13 +71,13 @@ class InputWatch:
                 self.last[channel] = tick_index(float(routed.samples[channel].t[-1]))
 
     def is_recent(self, k: int) -> bool:
-        """Whether anything was rejected in the second before the end of tick k."""
+        """Return whether any input was rejected in the second before the end of tick k."""
         while self._rejections and self._rejections[0] <= k - MISSING_TICKS:
             self._rejections.popleft()
         return bool(self._rejections) and self._rejections[0] <= k
 
     def last_until(self, k: int, routed: Routed | None) -> dict[str, int]:
-        """`last` as it is at the end of tick k, within a chunk that is not taken yet."""
+        """Return `last` at the end of tick k, within a chunk that is not taken yet."""
         return {channel: self._last_sample(channel, k, routed) for channel in self.last}
 
     def _last_sample(self, channel: str, k: int, routed: Routed | None) -> int:
@@ -85,11 +88,11 @@ class InputWatch:
         return tick_index(float(series.t[n - 1])) if n else self.last[channel]
 
     def health(self, k: int, link: LinkHealth, faults: Mapping[str, Faults]) -> Health:
-        """What a health frame says at the end of tick k."""
+        """Return the content of a health frame at the end of tick k."""
         return health_at(k, self.last, self.is_recent(k), self.rejected, link, faults)
 
     def all_missing(self, link: LinkHealth, is_rejecting: bool = False) -> Health:
-        """The same before anything was heard, or while nothing is."""
+        """Return the content of a health frame while nothing is received."""
         never = dict.fromkeys(self.last, -MISSING_TICKS)
         return health_at(0, never, is_rejecting, self.rejected, link, {})
 
@@ -102,7 +105,10 @@ def health_at(
     link: LinkHealth,
     faults: Mapping[str, Faults],
 ) -> Health:
-    """What a health frame says at the end of tick k; last: by channel, tick of the last sample."""
+    """Return the content of a health frame at the end of tick k.
+
+    last: for each channel, the tick of the last sample.
+    """
     return Health(
         **{_SENSORS[c]: k - tick >= MISSING_TICKS for c, tick in last.items()},
         accelerometer_faulty="accel" in faults,

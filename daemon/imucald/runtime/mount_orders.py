@@ -1,7 +1,7 @@
-"""What people may have done to the mount: reset, hold, release, set; and a tester's calibration.
+"""Orders about the mount by people: reset, hold, release, set; and a tester's calibration.
 
-One implementation for all who ask: the control socket and the diagnostics on the bus. Every order
-is reported with who gave it. Nothing here opens a file: the service stores what is to be kept.
+The control socket and the diagnostics on the bus use the same implementation. Every order is logged
+with the person who gave it. Nothing here opens a file: the service stores the results.
 """
 
 from __future__ import annotations
@@ -27,11 +27,11 @@ FirstTimes = tuple[float | None, float | None]
 
 
 class OrderError(ImucaldError):
-    """An order that cannot be carried out now: why, and what can be done."""
+    """An order that cannot be carried out now; the text gives the reason and the remedy."""
 
 
 class OrderedService(Protocol):
-    """What runs the calibration; engine and configuration change when it reads its file again."""
+    """Service that runs the calibration; its engine and configuration change at a reload."""
 
     @property
     def engine(self) -> Engine:
@@ -40,11 +40,11 @@ class OrderedService(Protocol):
 
     @property
     def loaded(self) -> LoadedConfig:
-        """The configuration that is in force."""
+        """The configuration in force."""
         ...
 
     def forget_state(self) -> str:
-        """Keep nothing of what was saved; return why the disk does not take that now, or ""."""
+        """Forget all that was saved; return why the disk does not take that now, or ""."""
         ...
 
     def save_state(self) -> str:
@@ -52,12 +52,12 @@ class OrderedService(Protocol):
         ...
 
     def log_order(self, who: str, text: str) -> None:
-        """Write what was done, and by whom, where people look for it."""
+        """Log what was done, and by whom."""
         ...
 
 
 class MountOrders:
-    """Carries orders out. who: gave the order, in words ("root (pid 812)")."""
+    """Carries orders out. who: person who gave the order, in words ("root (pid 812)")."""
 
     def __init__(self, service: OrderedService) -> None:
         self._service = service
@@ -65,7 +65,7 @@ class MountOrders:
 
     @property
     def is_held(self) -> bool:
-        """Whether nothing is learnt."""
+        """Whether the mount is held and nothing is learnt."""
         return self._held is not None
 
     @property
@@ -79,7 +79,7 @@ class MountOrders:
         return self._service.engine.pipeline.estimator
 
     def reset(self, who: str) -> str:
-        """Forget what was learnt, the saved state too, and begin again; cannot be taken back."""
+        """Forget the learnt and the saved mount and begin again; this cannot be undone."""
         self._former = None
         self._service.engine.restart_calibration()
         not_yet = self._service.forget_state()
@@ -89,7 +89,7 @@ class MountOrders:
         return self._logged(who, text + _not_on_the_disk(not_yet))
 
     def hold(self, who: str) -> str:
-        """Keep the mount that is in force and learn nothing. Raises OrderError without one."""
+        """Keep the mount in force and learn nothing. Raises OrderError without a mount."""
         if self.is_held:
             raise OrderError("the mount is held already")
         kept = held(self._estimator)
@@ -104,7 +104,10 @@ class MountOrders:
         return self._logged(who, text + _not_saved(self._put(kept)))
 
     def release(self, who: str) -> str:
-        """Learn again. Raises OrderError where nothing is held, or the configuration holds it."""
+        """Learn again.
+
+        Raises OrderError if nothing is held, or if the configuration holds the mount.
+        """
         kept = self._held
         if kept is None:
             raise OrderError("the mount is not held: it is being learnt")
@@ -113,7 +116,7 @@ class MountOrders:
         return self._logged(who, "release: the mount is learnt again" + _not_saved(not_yet))
 
     def set_mount(self, mount: KnownMount, who: str) -> str:
-        """Put a mount that is known in force. Raises OrderError where it is too vague."""
+        """Put a known mount in force. Raises OrderError if it is too vague."""
         self._refuse_where_configured()
         calibration = self._service.loaded.config.calibration
         if (text := against_orientation(mount, calibration)) is not None:
@@ -135,14 +138,14 @@ class MountOrders:
     # a tester's calibration, which can be taken back ----------------------------------------
 
     def begin(self, who: str) -> None:
-        """Begin again and keep the former estimator aside."""
+        """Begin again, and keep the former estimator for a return."""
         pipeline = self._service.engine.pipeline
         first = pipeline.first_usable, pipeline.first_fine
         self._former = self._settings(), self._service.engine.restart_calibration(), first
         self._logged(who, "the calibration is started again")
 
     def return_to_former(self, who: str) -> bool:
-        """Take the former estimator back, unless it was made for other settings."""
+        """Use the former estimator again, unless it was made for other settings."""
         if self._former is None or self._former[0] != self._settings():
             return False
         _, estimator, first = self._former
@@ -154,13 +157,13 @@ class MountOrders:
         return True
 
     def accept(self) -> None:
-        """Let go of the former estimator."""
+        """Drop the former estimator."""
         self._former = None
 
     # ----------------------------------------------------------------------------------------
 
     def _settings(self) -> object:
-        """All that an estimator depends on; the file may be read again meanwhile."""
+        """Return all settings of an estimator, because the file may be read again meanwhile."""
         config = self._service.loaded.config
         return config.signals, config.calibration, config.vehicle
 
@@ -168,7 +171,7 @@ class MountOrders:
         return without_stored(self._service.engine.new_estimator())
 
     def _put(self, estimator: MountEstimator) -> str:
-        """Let it take the place of what is there; why the disk does not take it now, or ""."""
+        """Replace the estimator; return why the disk does not take it now, or ""."""
         self._former = None
         self._service.engine.pipeline.replace(estimator)
         return self._service.save_state()
@@ -189,7 +192,7 @@ class MountOrders:
 
 
 def _not_on_the_disk(reason: str) -> str:
-    """What is said where the disk did not take it that the saved mount is forgotten."""
+    """Return the text for a disk that did not take that the saved mount is forgotten."""
     if not reason:
         return ""
     return (
@@ -199,7 +202,7 @@ def _not_on_the_disk(reason: str) -> str:
 
 
 def _not_saved(reason: str) -> str:
-    """What is said where the disk did not take what an order put in force."""
+    """Return the text for a disk that did not take the mount of an order."""
     if not reason:
         return ""
     return (

@@ -1,8 +1,8 @@
 """The pipeline: time-stamped samples in, corrections out. It opens nothing and reads no clock.
 
-Samples are gathered into ticks; at the end of each tick the estimator learns from it and says what
-is applied during the next one. The live daemon adds samples one by one (`add`), replay adds
-whole columns (`run`); both give the same corrections to the last bit.
+Samples are gathered into ticks. At the end of each tick the estimator learns from it and gives the
+correction for the next tick. The live daemon adds samples one by one (`add`), replay adds whole
+columns (`run`). Both give the same corrections to the last bit.
 """
 
 from __future__ import annotations
@@ -42,10 +42,10 @@ from imucald.mount.estimate import (
 )
 
 FEW_TICKS = 3
-"""Fewer are closed one by one."""
+"""Up to this many ticks are closed one by one."""
 
 Quality = int
-"""0 not available, 1 restored, 2 usable, 3 fine, 4 suspect: what the frames carry."""
+"""Quality in the frames: 0 not available, 1 restored, 2 usable, 3 fine, 4 suspect."""
 
 _QUALITY = {
     MountState.USABLE: 2,
@@ -64,7 +64,7 @@ class Snapshot(Struct, frozen=True):
     usable: bool
     """Whether a correction is in force from this tick on."""
     faults: Mapping[str, Faults] = field(default_factory=dict)
-    """Sensors and signals that are not fit to be used, by channel."""
+    """For each channel, the faults of sensors and signals that are not fit to be used."""
 
     @property
     def t(self) -> float:
@@ -75,8 +75,8 @@ class Snapshot(Struct, frozen=True):
 class TickCorrections(Struct, frozen=True, dict=True):
     """The corrections in force during ticks `first`, `first` + 1, ..., and their qualities.
 
-    As arrays they are made when they are first looked at: not every replay does.
-    unfit: by channel the ticks (n,) in which its sensor is not fit to be used; absent: always fit.
+    The arrays are made on first use, because not every replay needs them. unfit: for each channel,
+    the ticks (n,) in which its sensor is not fit to be used; absent: always fit.
     """
 
     first: int
@@ -86,20 +86,22 @@ class TickCorrections(Struct, frozen=True, dict=True):
 
     @cached_property
     def _spells(self) -> tuple[list[Correction | None], NDArray[np.int64]]:
-        """Corrections that follow one another, and from which tick on (m,) each holds."""
+        """The successive corrections, and the first tick of each (m,)."""
         which = np.fromiter(map(id, self.corrections), np.uint64, len(self.corrections))
         first = np.append(0, np.flatnonzero(which[1:] != which[:-1]) + 1)
         return [self.corrections[i] for i in first.tolist()], first
 
     def _rows(self, channel: str) -> NDArray[np.float64]:
-        """Of each spell what a channel's samples get (m, 12): matrix by rows, offset; or NaN."""
+        """Return, for each correction, matrix by rows and offset for a channel's samples (m, 12);
+        or NaN.
+        """
         of = [None if c is None else c.of(channel) for c in self._spells[0]]
         return np.array([(math.nan,) * 12 if c is None else (*c[0], *c[1]) for c in of])
 
     def by_tick(self, channel: str) -> NDArray[np.float64]:
-        """Matrix by rows and offset that a channel's samples get in each tick (n, 12), SI.
+        """Return, for each tick, matrix by rows and offset for a channel's samples (n, 12), SI.
 
-        NaN where nothing is applied; which it is, `Correction.of` says.
+        NaN where nothing is applied; `Correction.of` selects the matrix.
         """
         spells = np.diff(self._spells[1], append=len(self.corrections))
         return np.repeat(self._rows(channel), spells, axis=0)
@@ -107,7 +109,9 @@ class TickCorrections(Struct, frozen=True, dict=True):
     def turned(
         self, channel: str, ticks: NDArray[np.int64], values: NDArray[np.float64]
     ) -> NDArray[np.float64]:
-        """Samples (N, 3) of a channel in ticks (N,), counted from `first`, in vehicle axes."""
+        """Return samples (N, 3) of a channel in ticks (N,), counted from `first`, in vehicle
+        axes.
+        """
         if compiled.kernels is None:
             rows = self.rows_in(channel, ticks)
             return times_columns(rows, values) - rows[:, 9:]
@@ -116,9 +120,9 @@ class TickCorrections(Struct, frozen=True, dict=True):
         return out.T
 
     def rows_in(self, channel: str, ticks: NDArray[np.int64]) -> NDArray[np.float64]:
-        """As `by_tick`, during ticks (N,), counted from `first`: (N, 12).
+        """Return the same as `by_tick` during ticks (N,), counted from `first`: (N, 12).
 
-        (1, 12) where it is the same in all n ticks, as most of the time.
+        The shape is (1, 12) if the correction is the same in all n ticks, as most of the time.
         """
         rows, (_, first) = self._rows(channel), self._spells
         if len(rows) == 1:
@@ -127,7 +131,7 @@ class TickCorrections(Struct, frozen=True, dict=True):
 
     @cached_property
     def quality(self) -> NDArray[np.uint8]:
-        """(n,) of the ticks."""
+        """(n,) quality in each tick."""
         return np.array(self.qualities, dtype=np.uint8)
 
 
@@ -135,21 +139,21 @@ class TickPreprocessor(Protocol):
     """Changes the rows of ticks before the estimator sees them."""
 
     def row(self, row: TickRow, correction: Correction | None) -> TickRow:
-        """Return the tick as the estimator is to see it; correction: in force during it."""
+        """Return the tick for the estimator. correction: the one in force during it."""
         ...
 
     def gap(self) -> None:
-        """Time jumped: nothing before is joined with what follows."""
+        """Note a jump of time: earlier data are not joined with later data."""
         ...
 
 
 class Pipeline:
-    """Samples to ticks to estimator to corrections, for one sensor.
+    """From samples to ticks, to the estimator, to corrections, for one sensor.
 
-    status_ticks: a snapshot of the estimate is taken every so many ticks.
-    preprocessor: takes what a model knows out of ticks before the estimator sees them.
-    health: judges the samples as the sensors gave them (`watch`); the estimator gets none of a
-    sensor that is not fit to be used.
+    status_ticks: number of ticks between two snapshots of the estimate. preprocessor: removes known
+    effects of a model from ticks before the estimator sees them. health: judges the samples as the
+    sensors gave them (`watch`). The estimator gets no samples of a sensor that is not fit to be
+    used.
     """
 
     def __init__(
@@ -165,14 +169,14 @@ class Pipeline:
         self.correction: Correction | None = estimator.correction
         self.quality: Quality = 0
         self.first_usable: float | None = None
-        """Stream time [s] at which the correction became usable, and fine, for the first time."""
+        """Stream time [s] at which the correction first became usable, and first became fine."""
         self.first_fine: float | None = None
         self.k = 0
-        """The open tick."""
+        """Number of the open tick."""
         self.speed: tuple[int, float] | None = None
-        """The last tick in which speed was known, and its mean [m/s]."""
+        """The last tick with a known speed, and its mean [m/s]."""
         self.closed: TickRow | None = None
-        """The row of the tick before the open one, where it was closed by itself."""
+        """Row of the tick before the open one, if that tick was closed alone."""
         self.status_ticks = status_ticks
         self._ticks = TickAccumulator()
         self._judges, self._keeps = _judging(estimator), _keeping(estimator)
@@ -190,7 +194,7 @@ class Pipeline:
         self._ticks.reject(channel)
 
     def advance(self, k: int) -> list[Snapshot]:
-        """Close all ticks before tick k, which becomes the open one; return the snapshots due."""
+        """Close all ticks before tick k, which becomes the open one; return the due snapshots."""
         snapshots: list[Snapshot] = []
         while self.k < k:
             self.health.close(self.k)
@@ -198,7 +202,7 @@ class Pipeline:
         return snapshots
 
     def gap(self, k: int) -> list[Snapshot]:
-        """Time was discontinuous: close all ticks before k, where a new segment begins."""
+        """Note a jump of time: close all ticks before k, where a new segment begins."""
         snapshots = self.advance(k)
         self.estimator.gap()
         self.health.gap()
@@ -207,9 +211,9 @@ class Pipeline:
         return snapshots
 
     def replace(self, estimator: MountEstimator, afresh: bool = False) -> MountEstimator:
-        """Go on with another estimator from the open tick on; return the one so far.
+        """Continue with another estimator from the open tick on; return the former one.
 
-        afresh: the mount so far is forgotten, and with it since when it has been good.
+        afresh: the former mount is forgotten, and the time since which it was good.
         """
         former, self.estimator = self.estimator, estimator
         self._judges, self._keeps = _judging(estimator), _keeping(estimator)
@@ -220,9 +224,9 @@ class Pipeline:
         return former
 
     def go_on_from(self, former: Pipeline, same: Collection[str]) -> None:
-        """Go on where another pipeline stands, with this one's estimator.
+        """Continue from another pipeline, with this one's estimator.
 
-        same: channels that come from the same sources; what is known of their health stays.
+        same: channels from the same sources; knowledge of their health is kept.
         """
         self.k = former.k
         judged = self._judges is not None
@@ -242,10 +246,10 @@ class Pipeline:
     ) -> tuple[TickCorrections, list[Snapshot]]:
         """Add columns of samples up to stream time t_last [s], whose tick stays open.
 
-        Samples are those since the last call; rejected: channel to times [s]. watched: the samples
-        as the sensors gave them, where these are others.
-        Returns the corrections from the tick that was open to the one that is now, and snapshots
-        (none without `with_snapshots`, which saves their time).
+        Samples are those since the last call. rejected: channel to times [s]. watched: the samples
+        as the sensors gave them, if they differ. Returns the corrections from the previously open
+        tick to the now open tick, and snapshots. There are none without `with_snapshots`, which
+        saves time.
         """
         first, last = self.k, tick_index(t_last)
         rows = [self.correction]
@@ -276,9 +280,9 @@ class Pipeline:
         return TickCorrections(first, rows, quality, _unfit_ticks(faults, first, last)), snapshots
 
     def _keep_quiet(self, rows: NDArray[np.float64], snapshots: list[Snapshot] | None) -> int:
-        """Close as many ticks as the estimator only keeps, all at once; return how many.
+        """Close together all ticks that the estimator only stores; return their number.
 
-        rows: of the ticks from the open one on. No sensor may be unfit in any of them.
+        rows: rows of the ticks from the open one on. No sensor may be unfit in any of them.
         """
         estimator, keeps = self.estimator, self._keeps
         if self._preprocessor is not None or keeps is None:
@@ -316,13 +320,15 @@ class Pipeline:
     # both ----------------------------------------------------------------------------------
 
     def snapshots_due(self, first: int) -> int:
-        """How many snapshots fell due while tick `first` and those up to now were open."""
+        """Return the number of snapshots that became due while tick `first` and later ones were
+        open.
+        """
         return self.k // self.status_ticks - first // self.status_ticks
 
     def _close(
         self, row: TickRow, snapshots: list[Snapshot] | None, faults: Mapping[str, Faults]
     ) -> None:
-        """Close a tick; faults: in force from its end on."""
+        """Close a tick. faults: those in force from its end on."""
         estimator = self.estimator
         if faults:
             row = emptied(row, faults)
@@ -341,7 +347,9 @@ class Pipeline:
             snapshots.append(Snapshot(self.k - 1, estimator.estimate(), self.quality > 0, unfit))
 
     def _take_signals(self) -> None:
-        """Hand the health what the estimator found of the vehicle's signals in a new block."""
+        """Pass to the health what the estimator found about the vehicle's signals in a new
+        block.
+        """
         if self._judges is None:
             return
         judged = self._judges.stuck_signals
@@ -376,7 +384,10 @@ def _of_tick(series: Series, k: int) -> Series:
 def _unfit_ticks(
     faults: Sequence[Mapping[str, Faults]], first: int, last: int
 ) -> dict[str, NDArray[np.bool_]]:
-    """Ticks `first` to `last` in which a sensor is unfit, by channel; faults: one a hop."""
+    """Return ticks `first` to `last` in which a sensor is unfit, by channel.
+
+    faults: one entry per hop.
+    """
     channels = {channel for of_hop in faults for channel in of_hop}
     if not channels:
         return {}

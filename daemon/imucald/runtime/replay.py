@@ -1,4 +1,4 @@
-"""Recorded logs through the engine, by columns."""
+"""Replay of recorded logs through the engine, by columns."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from imucald.runtime.engine import Engine
 from imucald.runtime.summary import RunCounts, summary
 
 Sink = Callable[[FrameColumns], None]
-"""Takes the frames that the engine gives out."""
+"""Function that takes the frames of the engine."""
 
 SLICE_S = 0.05
 """Longest sleep of a paced replay [s]."""
@@ -26,8 +26,8 @@ SLICE_S = 0.05
 class Replay(Struct):
     """One replay of logs through an engine.
 
-    sink: takes the output frames; without one they are not even encoded. speed: None is as fast as
-    it goes, 1.0 is real time.
+    sink: takes the output frames. Without a sink they are not encoded. speed: None is as fast as
+    possible, 1.0 is real time.
     """
 
     engine: Engine
@@ -45,7 +45,7 @@ class Replay(Struct):
         return self.summary()
 
     def chunks(self) -> Iterator[None]:
-        """Replay chunk by chunk: each step is a chunk of frames that the engine has taken."""
+        """Replay chunk by chunk: each item is a chunk of frames that the engine has taken."""
         began = 0.0
         for chunk in self.reader:
             if not len(chunk):
@@ -63,20 +63,20 @@ class Replay(Struct):
 
     @property
     def span(self) -> tuple[float, float] | None:
-        """Earliest and latest stamp of our frames so far [s]; None before there is any.
+        """Earliest and latest stamp of our frames so far [s]; None without frames.
 
-        Pieces may come in the wrong order, and clocks are set back.
+        Pieces of a log may come in the wrong order, and clocks are set back.
         """
         return self._span
 
     @property
     def lead(self) -> float:
-        """How long before our first frame the log began [s]."""
+        """Time from the beginning of the log to our first frame [s]."""
         start = self.reader.first_stamp
         return 0.0 if self._first is None or start is None else max(self._first - start, 0.0)
 
     def summary(self) -> dict[str, Any]:
-        """What the frames so far came to, as docs/json.md has it."""
+        """Return the summary of the frames so far, as docs/json.md describes it."""
         first, last = self._span or (0.0, 0.0)
         return summary(self.engine, self.counts(), last - first, self.lead)
 
@@ -86,7 +86,7 @@ class Replay(Struct):
             self.sink(out)
 
     def _feed_paced(self, chunk: FrameColumns, origin: float) -> None:
-        """Hand out frames when monotonic time reaches origin + t / speed."""
+        """Pass frames on when monotonic time reaches origin + t / speed."""
         due = origin + chunk.t / (self.speed or 1.0)
         start = 0
         while start < len(chunk):
@@ -99,7 +99,10 @@ class Replay(Struct):
                 time.sleep(min(max(float(due[start]) - now, 0.0), SLICE_S))
 
     def counts(self) -> RunCounts:
-        """Frames so far; rejected are both bad lines and frames that protection refused."""
+        """Counts of frames so far.
+
+        Rejected frames are bad lines and frames that protection refused.
+        """
         rejected = Counter(self.engine.router.rejected)
         rejected.update(self.reader.rejected)
         return RunCounts(self.reader.frames_read, self.engine.router.used, rejected)

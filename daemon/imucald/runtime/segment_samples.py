@@ -1,4 +1,4 @@
-"""What a segment of recorded frames came to: samples as they came, and corrected."""
+"""Samples of a segment of recorded frames: uncorrected and corrected."""
 
 from __future__ import annotations
 
@@ -21,10 +21,10 @@ if TYPE_CHECKING:
 
 
 class CorrectedSamples(Struct, frozen=True, eq=False):
-    """Samples of a sensor in vehicle axes, as they are sent, before they are rounded into frames.
+    """Samples of a sensor in vehicle axes, as sent, before rounding into frames.
 
-    t: (N,) stream time [s]. values: (N, 3) SI, NaN where there is no correction. row: (N,) of the
-    segment's frames. quality: (N,) as on the bus, 0 where values are NaN.
+    t: (N,) stream time [s]. values: (N, 3) SI, NaN where there is no correction. row: (N,) rows of
+    the segment's frames. quality: (N,) as on the bus, 0 where values are NaN.
     """
 
     t: NDArray[np.float64]
@@ -36,10 +36,11 @@ class CorrectedSamples(Struct, frozen=True, eq=False):
 class SegmentSamples(Struct, frozen=True, eq=False):
     """The samples of a segment of a chunk of frames.
 
-    stamps: (N,) recorded times of the segment's frames [s]; rows of samples count in them.
-    as_sensed: by channel, as the sensors gave them, SI (see `core.samples`), in sensor axes.
-    rejected: by channel, the rows whose sample was refused, before a model changes any.
-    corrected: gives them by channel of a corrected frame; they are made when it is first called.
+    stamps: (N,) recorded times of the segment's frames [s]; rows of samples are indices of these
+    frames. as_sensed: for each channel, samples as the sensors gave them, SI (see `core.samples`),
+    in sensor axes. rejected: for each channel, the rows whose sample was refused, before a model
+    changes any. corrected: returns samples for each channel of a corrected frame; they are computed
+    at the first call.
     """
 
     segment: TimeSegment
@@ -56,9 +57,10 @@ def corrected_samples(
     output: OutputFrames,
     preprocessing: PreprocessingChain | None,
 ) -> dict[str, CorrectedSamples]:
-    """Corrected samples by channel; not a number where there is no correction.
+    """Return corrected samples by channel; NaN where there is no correction.
 
-    ticks: (N,) of the segment's frames. preprocessing: what a model knows of corrected samples.
+    ticks: (N,) ticks of the segment's frames. preprocessing: knowledge of a model about corrected
+    samples.
     """
     found = {c: routed.samples[c] for c in output.triads if c in routed.samples}
     tick = {c: ticks[series.row] - corrections.first for c, series in found.items()}

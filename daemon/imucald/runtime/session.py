@@ -1,4 +1,4 @@
-"""A configuration made ready to run: router, estimator and output frames as one engine."""
+"""Build an engine from a configuration: router, estimator and output frames."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
 
 def open_config(path: Path, databases: Sequence[Path] = ()) -> LoadedConfig:
-    """Load a configuration; `databases` stand in for the ones it names. Raises ConfigError."""
+    """Load a configuration; `databases` replace the ones that it names. Raises ConfigError."""
     loaded = load_config(path)
     if not databases:
         return loaded
@@ -49,7 +49,7 @@ def make_engine(
     link_health: Callable[[], LinkHealth] = LinkHealth,
     on_samples: Callable[[SegmentSamples], None] | None = None,
 ) -> Engine:
-    """Build the engine of a configuration. Raises ConfigError with the place of a mistake."""
+    """Return the engine of a configuration. Raises ConfigError with the place of a mistake."""
     config = loaded.config
     router = compile_router(loaded)
     output = OutputFrames(config)
@@ -86,7 +86,7 @@ def make_engine(
 
 
 def _consumers(loaded: LoadedConfig, output: OutputFrames, gyro_step: float) -> list[Consumer]:
-    """What runs next to the calibration. Raises ConfigError where an input is missing."""
+    """Return the consumers beside the calibration. Raises ConfigError if an input is missing."""
     if output.attitude is None and output.travel is None:
         return []
     from imucald.runtime.consumers import consumers_for  # noqa: PLC0415 - few switch one on
@@ -95,7 +95,7 @@ def _consumers(loaded: LoadedConfig, output: OutputFrames, gyro_step: float) -> 
 
 
 def open_compensation(loaded: LoadedConfig) -> ModelCompensation | None:
-    """Read the configuration's model file, where it names one. Raises ConfigError."""
+    """Read the configuration's model file, if it names one. Raises ConfigError."""
     path, model = loaded.model_path, loaded.config.model
     if path is None or model is None:
         return None

@@ -1,4 +1,4 @@
-"""What a run came to, as the JSON that tools rely on."""
+"""Result of a run as the JSON that tools rely on."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ SENT = SentDeviations.__struct_fields__
 
 
 class RunCounts(Struct, frozen=True):
-    """Frames of a run: read at all, used, and rejected by reason."""
+    """Numbers of frames of a run: all that were read, used, and rejected by reason."""
 
     read: int
     used: int
@@ -30,9 +30,9 @@ class RunCounts(Struct, frozen=True):
 def summary(
     engine: Engine, counts: RunCounts, duration: float, lead: float = 0.0
 ) -> dict[str, Any]:
-    """Result of a run, with the keys documented in docs/json.md.
+    """Return the result of a run, with the keys documented in docs/json.md.
 
-    duration: seconds of driving. lead: how long before our first frame the log began [s].
+    duration: seconds of driving. lead: time from the beginning of the log to our first frame [s].
     """
     estimate = engine.pipeline.estimator.estimate()
     pipeline = engine.pipeline
@@ -68,7 +68,7 @@ def _after(t: float | None, lead: float) -> float | None:
 
 
 def mount_dict(estimate: MountEstimate) -> dict[str, Any]:
-    """Angles, quaternion, deviations and covariance; None where there is none yet."""
+    """Return angles, quaternion, deviations and covariance; None where there is none yet."""
     angles, quaternion, std = estimate.angles, estimate.quaternion, estimate.std
     result: dict[str, Any] = {
         f"{name}_deg": None if angles is None else round(angles[i] * DEG_PER_RAD, 4)
@@ -92,7 +92,10 @@ def mount_dict(estimate: MountEstimate) -> dict[str, Any]:
 
 
 def progress_dict(estimate: MountEstimate) -> dict[str, Any] | None:
-    """What is waited for as shares with the driving that is left; None: driving leads nowhere."""
+    """Return the gates as shares with the remaining driving.
+
+    None: driving does not lead to another state.
+    """
     progress = estimate.progress
     if progress is None:
         return None
@@ -108,9 +111,11 @@ def progress_dict(estimate: MountEstimate) -> dict[str, Any] | None:
 
 
 def correction_dict(estimate: MountEstimate) -> dict[str, Any] | None:
-    """Matrices and offsets of both sensors, and the deviations of what they leave; None: none yet.
+    """Return matrices and offsets of both sensors, and the deviations that they leave.
 
-    As estimated; what is applied now follows it tick by tick.
+    None: there is no correction yet.
+
+    The values are as estimated; the applied correction follows them tick by tick.
     """
     found, sent = estimate.correction, estimate.sent
     if found is None:
@@ -136,7 +141,7 @@ def _degrees(std: float | None) -> float | None:
 
 
 def _for_people(estimate: MountEstimate) -> dict[str, Any]:
-    """How the sensor sits in words, and what the deviations must fall below."""
+    """Return how the sensor sits in words, and the limits for the deviations."""
     found: dict[str, Any] = {"sits": how_it_sits(estimate), "steep": steep_note(estimate)}
     found["mirrored"] = mirror_note(estimate)
     judged = estimate.judged_std
@@ -152,9 +157,11 @@ def _for_people(estimate: MountEstimate) -> dict[str, Any]:
 
 
 def plain(value: object, digits: int | None = 6) -> Any:
-    """Details as JSON can carry them: plain numbers, text, lists, mappings; not finite is null.
+    """Return details as JSON can carry them: plain numbers, text, lists, mappings.
 
-    digits: decimals that are kept; None for all.
+    Values that are not finite become null.
+
+    digits: number of decimals; None for all.
     """
     if isinstance(value, Mapping):
         return {str(k): plain(v, digits) for k, v in value.items()}
@@ -169,5 +176,5 @@ def plain(value: object, digits: int | None = 6) -> Any:
 
 
 def as_json(result: Mapping[str, Any]) -> str:
-    """The JSON text of a summary; no NaN, UTF-8, two spaces."""
+    """Return the JSON text of a summary; no NaN, UTF-8, two spaces."""
     return json_text(result, indent=2) + "\n"

@@ -1,12 +1,14 @@
-"""Recorded or received time stamps -> stream time: seconds from our first frame, never backwards.
+"""Convert recorded or received time stamps to stream time: seconds from our first frame, never
+backwards.
 
-Stamps are wall clock. They come a little out of order, stand still, and step when somebody sets the
-clock. Small disorder is flattened; a step (or a long hole) begins a new segment at the next tick,
-and whoever differences over time is informed. A hole lasts `FORWARD_STEP` of stream time at most.
-On a live bus, where disorder is none, a small step back is seen as well, and stream time goes on.
-Where stamps have been before, a jump forward is no hole: a shuffled log takes a tick for each of
-its jumps, not the hundred of a hole. All holes together last `HOLE_SHARE` times as long as what is
-between them, so that stamps that leap ahead at every frame take no hours.
+Stamps are wall-clock times. They may be slightly out of order, stand still, or step when a person
+sets the clock. Small disorder is flattened. A step (or a long hole) begins a new segment at the
+next tick, and all parts that difference over time are informed. A hole lasts at most `FORWARD_STEP`
+of stream time. A live bus has no disorder, so a small step back is seen as well, and stream time
+continues. A jump forward to stamps that were reached before is not a hole: a shuffled log takes one
+tick for each of its jumps, not the hundred of a hole. All holes together last at most `HOLE_SHARE`
+times as long as the time between them. Stamps that jump ahead at every frame therefore do not take
+hours.
 """
 
 from __future__ import annotations
@@ -22,22 +24,29 @@ from imucald.core import compiled
 from imucald.motion.ticks import TICK_RATE
 
 BACKWARD_STEP = 1.0
-"""A stamp older than this against the newest is a clock step, not disorder [s]."""
+"""A stamp that is older than the newest by more than this is a clock step, not disorder [s]."""
 FORWARD_STEP = 10.0
-"""A stamp newer than this is a clock step or a hole: nothing is carried across it [s]. Where stamps
-have been before, one newer than `BACKWARD_STEP` is a step."""
+"""A stamp that is newer by more than this is a clock step or a hole: nothing is carried across it
+[s]. Among stamps that were reached before, one that is newer by more than `BACKWARD_STEP` is a
+step.
+"""
 _STEPS = BACKWARD_STEP, FORWARD_STEP
 
 SET_BACK = 0.05
-"""On a live bus nothing is out of order by more than this [s]: where all stamps for as long are
-further behind, the clock was set back. By more than `BACKWARD_STEP` it is seen at the first."""
+"""Largest disorder on a live bus [s].
+
+If all stamps for this long are further behind, the clock was set back. A step of more than
+`BACKWARD_STEP` is seen at the first stamp.
+"""
 
 HOLE_SHARE = 10.0
-"""A second of frames for each whole hole, after a first one: more than that is no drive."""
+"""After the first hole, each whole hole needs a second of frames: more holes are no drive."""
 
 
 class TimeSegment(Struct, frozen=True):
-    """Rows [start, stop) of a chunk with their stream times; `gap`: a new segment begins here."""
+    """Rows [start, stop) of a chunk with their stream times; `gap`: whether a new segment begins
+    here.
+    """
 
     start: int
     stop: int
@@ -46,14 +55,14 @@ class TimeSegment(Struct, frozen=True):
 
 
 class TimeBase:
-    """Keeps the offset between stamps and stream time. Scalar and column use may be mixed."""
+    """Keeps the offset between stamps and stream time. Scalar and column calls may be mixed."""
 
     def __init__(self) -> None:
         self.steps = 0
-        """Discontinuities seen."""
+        """Number of discontinuities."""
         self.started = False
         self.is_live = False
-        """Whether single stamps are those of a live bus: of one clock, in the order they came."""
+        """Whether single stamps come from a live bus: from one clock, in the order received."""
         self._offset = 0.0
         self._newest = -math.inf  # stamp
         self._highest = -math.inf  # stamp, of all segments
@@ -85,23 +94,23 @@ class TimeBase:
         return self._now, gap
 
     def _is_step(self, stamp: float) -> bool:
-        """Whether a new segment begins with this stamp."""
+        """Return whether a new segment begins with this stamp."""
         limit = FORWARD_STEP if stamp > self._highest else BACKWARD_STEP
         return not -BACKWARD_STEP <= stamp - self._newest <= limit or self._is_overtaken(stamp)
 
     def _is_overtaken(self, stamp: float) -> bool:
-        """Whether `idle` has come further than this stamp: the clock was set back in a silence.
+        """Return whether `idle` has passed this stamp: the clock was set back during a silence.
 
-        Against the newest stamp alone it may look like one that went on, or like disorder; stream
-        time would stand still until the stamps have caught up.
+        Compared with the newest stamp alone, it may look like a clock that went on, or like
+        disorder. Stream time would then stand still until the stamps have caught up.
         """
         return self._now > self._frame and stamp - self._offset < self._now - BACKWARD_STEP
 
     def _take_behind(self, stamp: float) -> None:
-        """Take a stamp of a live bus that is behind stream time, by less than a step.
+        """Take a stamp of a live bus that is behind stream time by less than a step.
 
-        Where it is not the only one, the clock was set back and the samples go on: so does stream
-        time, from where it stood still.
+        If it is not the only one, the clock was set back and the samples continue. Stream time then
+        also continues, from where it stood still.
         """
         first = self._behind
         if first is None or stamp < first:
@@ -114,7 +123,7 @@ class TimeBase:
     def idle(self, elapsed: float) -> float:
         """Let time pass without a stamp; return stream time [s].
 
-        elapsed: seconds since the newest stamp, by a clock that does not step.
+        elapsed: time since the newest stamp [s], by a clock that does not step.
         """
         self._now = max(self._now, self._frame + min(elapsed, FORWARD_STEP))
         return self._now
@@ -129,7 +138,9 @@ class TimeBase:
             start += len(t)
 
     def _times(self, stamps: NDArray[np.float64], start: int, first: float) -> NDArray[np.float64]:
-        """Stream times of a segment that begins at row `start`, at `first`, up to the next step."""
+        """Return stream times of a segment that begins at row `start`, at `first`, up to the next
+        step.
+        """
         if compiled.kernels is not None:
             numbers = np.array([self._offset, self._now, self._newest, self._highest, *_STEPS])
             times = np.empty(len(stamps) - start)

@@ -1,1 +1,1 @@
-"""What makes it a service: wiring of bus, pipeline and status."""
+"""The running service: wiring of bus, pipeline and status."""

@@ -1,4 +1,4 @@
-"""What the service writes into the log by itself: states, link, alarms, the model, rejections."""
+"""Log lines that the service writes by itself: states, link, alarms, the model, rejections."""
 
 from __future__ import annotations
 
@@ -17,22 +17,22 @@ from imucald.runtime.pipeline import Snapshot
 from imucald.service.journal import INFO, NOTICE, WARNING, Journal
 
 _QUIET_EVENTS = frozenset({"up", "lost", "conflict", "queue_full", "rejected"})
-"""Kinds of link events that are no warnings, or that the link itself reports seldom."""
+"""Kinds of link events that are not warnings, or that the link itself reports seldom."""
 
 
 def say_idle_keys(loaded: LoadedConfig, journal: Journal) -> None:
-    """Keys of the configuration that have no effect."""
+    """Log the keys of the configuration that have no effect."""
     for line in loaded.idle_keys():
         journal.say(line, WARNING)
 
 
 _STATES = frozenset(str(state) for state in LinkState)
 BUS_BURST = 20
-"""Lines about the bus that are written at once; after these only seldom ones."""
+"""Number of lines about the bus that are written at once; later lines are written seldom."""
 
 
 class Announcements:
-    """Writes what changes, once, into a journal."""
+    """Writes each change once into a journal."""
 
     def __init__(self, journal: Journal) -> None:
         self._journal = journal
@@ -43,7 +43,7 @@ class Announcements:
         self._failures: dict[str, int] = {}
 
     def model(self, engine: Engine) -> None:
-        """What of the model file is used, and what is not."""
+        """Log which parts of the model file are used, and which are not."""
         preprocessing = engine.preprocessing
         if preprocessing is not None:
             self._journal.say(preprocessing.words())
@@ -51,7 +51,7 @@ class Announcements:
                 self._journal.say(f"part of the model that is not used: {note}", NOTICE)
 
     def link_event(self, event: LinkEvent) -> None:
-        """What happened to the bus link."""
+        """Log an event of the bus link."""
         priority = INFO if event.kind in _QUIET_EVENTS else WARNING
         if event.kind not in _STATES:
             self._journal.say(event.text, priority)
@@ -60,7 +60,7 @@ class Announcements:
             self._untold_event = None if is_told else event
 
     def snapshot(self, snapshot: Snapshot) -> None:
-        """Each change of state in one line, and of the reason within a state."""
+        """Log each change of state in one line, and each change of the reason within a state."""
         estimate = snapshot.estimate
         state, waiting_for = estimate.state.name.lower(), estimate.waiting_for
         event = self._states.take(snapshot.t, state, waiting_for)
@@ -74,7 +74,9 @@ class Announcements:
         self._journal.say(text + (waiting and f" ({waiting})"), NOTICE)
 
     def update(self, engine: Engine, late: int, uptime: float) -> None:
-        """Alarms, rejections, late frames and failed calculations, once a second; uptime [s]."""
+        """Log alarms, rejections, late frames and failed calculations, once a second. uptime:
+        [s].
+        """
         self._alarms.update(asdict(engine.health()), uptime)
         event = self._untold_event
         if event is not None and self._journal.is_due("bus"):  # how the bus is after all that
@@ -87,29 +89,29 @@ class Announcements:
         if late > self._late:
             text = f"frames too late to be corrected so far: {late} (the processor was busy)"
             self._journal.seldom("late", text, WARNING)
-        self._late = late  # those of another link begin at zero
+        self._late = late  # counters of another link begin at zero
         group = engine.consumer_group
         for name, n in group.failures.items():
             if n > self._failures.get(name, 0):
                 times = f"failed and was restarted, {counted(n, 'time')} so far"
                 text = f"{name} {times}: {group.last_failures[name]}"
                 self._journal.seldom(f"{name} failed", text, WARNING)
-        self._failures = dict(group.failures)  # those of another group begin at zero
+        self._failures = dict(group.failures)  # counters of another group begin at zero
 
 
 START_S = 2.0
-"""Before that much of a run [s] inputs are not missed."""
+"""Time from the start of a run [s] before which no input is missing."""
 
 
 class AlarmWatch:
-    """Looks at the health once a second."""
+    """Checks the health once a second."""
 
     def __init__(self, journal: Journal) -> None:
         self._journal = journal
         self._on: set[str] = set()
 
     def update(self, health: Mapping[str, object], uptime: float) -> None:
-        """health: flags by the names of `Health`. uptime: of the process [s]."""
+        """health: flags by the names of `Health`. uptime: uptime of the process [s]."""
         if uptime < START_S:
             return
         now = set(alarms_of(health)) - PASSING

@@ -1,4 +1,4 @@
-"""Where a daemon's status socket is; asking it one line, and getting everything back."""
+"""Path of a daemon's status socket, and one request to it: one line out, the whole answer back."""
 
 from __future__ import annotations
 
@@ -11,15 +11,17 @@ from pathlib import Path
 from imucald.core.errors import LinkError
 
 RUNNING = Path("/run/imucald")
-"""Holds a folder for each daemon of systemd or root."""
+"""Folder with one subfolder for each daemon of systemd or root."""
 RETRY_S = 0.02
-"""A full queue of clients is tried again after so long [s]; the daemon looks every 0.1 s."""
+"""Pause before another try when the queue of clients is full [s]; the daemon serves it every
+0.1 s.
+"""
 
 
 def default_socket(channel: str, environment: Mapping[str, str] | None = None) -> Path | None:
-    """Where the status socket is, or None where there is no folder for it.
+    """Return the path of the status socket, or None where there is no folder for it.
 
-    Root has one where its environment names none, as in a container, under sudo or cron.
+    Root has one even if its environment names none, as in a container, under sudo or cron.
     """
     environment = os.environ if environment is None else environment
     if folder := environment.get("RUNTIME_DIRECTORY", "").partition(":")[0]:
@@ -30,24 +32,26 @@ def default_socket(channel: str, environment: Mapping[str, str] | None = None) -
 
 
 def running_socket(channel: str) -> Path:
-    """The status socket of systemd's or root's daemon of a channel."""
+    """Return the status socket of systemd's or root's daemon of a channel."""
     return RUNNING / _in_one_name(channel) / "status.sock"
 
 
 def _in_one_name(channel: str) -> str:
-    """A channel such as /dev/ttyACM0 without what would name other folders."""
+    """Return a channel such as /dev/ttyACM0 as a single name, without parts that would name other
+    folders.
+    """
     return channel.strip("/.").replace("/", "-")
 
 
 class BusyError(LinkError):
-    """A daemon has the socket, and did not answer in time."""
+    """A daemon has the socket but did not answer in time."""
 
 
 def ask(path: Path, request: str, timeout: float = 3.0, is_repeatable: bool = True) -> str:
-    """Ask a running daemon; raises LinkError with the remedy when none has the socket.
+    """Ask a running daemon. Raises LinkError with the remedy if none has the socket.
 
-    is_repeatable: ask again where the daemon turned us away, until `timeout` [s]. Raises BusyError
-    where a daemon has the socket and does not answer.
+    is_repeatable: ask again if the daemon refused the connection, until `timeout` [s]. Raises
+    BusyError if a daemon has the socket and does not answer.
     """
     end = time.monotonic() + timeout
     while True:
@@ -76,7 +80,7 @@ def _busy(path: Path) -> BusyError:
 
 
 def _answer(connection: socket.socket, request: str) -> bytes:
-    """What the daemon says; empty where it turned us away."""
+    """Return the daemon's answer; empty if it refused the connection."""
     parts = []
     try:
         connection.sendall(request.encode() + b"\n")
@@ -88,7 +92,7 @@ def _answer(connection: socket.socket, request: str) -> bytes:
 
 
 def _connect(connection: socket.socket, path: str, end: float) -> None:
-    """Connect; while as many wait as the daemon lets wait (EAGAIN), until `end` (monotonic)."""
+    """Connect. If the queue of clients is full (EAGAIN), try again until `end` (monotonic)."""
     while True:
         try:
             connection.connect(path)
@@ -101,7 +105,7 @@ def _connect(connection: socket.socket, path: str, end: float) -> None:
 
 
 def control_socket(status_socket: Path) -> Path:
-    """Next to the status socket."""
+    """Return the path of the control socket, beside the status socket."""
     if status_socket.name == "status.sock":
         return status_socket.with_name("control.sock")
     return status_socket.with_name(f"{status_socket.name}.control")

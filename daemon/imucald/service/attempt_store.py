@@ -1,6 +1,7 @@
-"""Keeps the number of wrong keys in a row over restarts: a new start is no new chance.
+"""Keeps the number of wrong keys in a row over restarts, so that a restart gives no new attempts.
 
-What is not there says none. What cannot be believed says one, which costs the delay.
+A missing file counts as no wrong key. An invalid file counts as one wrong key, which costs the
+delay.
 """
 
 from __future__ import annotations
@@ -18,15 +19,18 @@ MAGIC: Final = "imucald-keys 1"
 MAX_BYTES: Final = 256
 MAX_WRONG: Final = 255
 CLOSE_WAIT_S: Final = 0.2
-"""How long a stop waits for the disk [s]."""
+"""Longest wait for the disk at a stop [s]."""
 
 
 class AttemptStore:
-    """The file of one daemon. path: None keeps nothing. say: takes a line and its priority."""
+    """The file of one daemon. path: None saves nothing.
+
+    say: function that takes a log line and its priority.
+    """
 
     def __init__(self, path: Path | None, say: Say) -> None:
         self.wrong = 0
-        """Wrong keys in a row, as they were saved."""
+        """Wrong keys in a row, as saved."""
         self._writer: StateWriter[bytes] | None = None
         if path is not None:
             self.wrong = _read(path, say)
@@ -34,7 +38,7 @@ class AttemptStore:
             self._writer = StateWriter(lambda data: write_file(path, data), title, say)
 
     def put(self, wrong: int) -> None:
-        """Have another number saved; never waits for the disk."""
+        """Request that another number is saved; never waits for the disk."""
         self.wrong = wrong
         if self._writer is not None:
             body = json.dumps({"wrong": min(wrong, MAX_WRONG)}).encode()
@@ -42,7 +46,7 @@ class AttemptStore:
             self._writer.report()
 
     def close(self) -> None:
-        """Write what waits; waits for the disk, but not for long."""
+        """Write what is still waiting; waits for the disk, but not for long."""
         if self._writer is not None:
             self._writer.close(CLOSE_WAIT_S)
             self._writer.report()

@@ -1,7 +1,7 @@
-"""The one thread that writes: the loop hands over what to save, and never waits for a disk.
+"""The only thread that writes: the loop passes it the data to save, and never waits for a disk.
 
-Nothing that a save raises ends it. A failure is counted, kept for the status and tried again, until
-it succeeds or something newer is to be saved.
+No exception of a save ends the thread. A failure is counted and kept for the status. The save is
+tried again until it succeeds or newer data replace it.
 """
 
 from __future__ import annotations
@@ -14,18 +14,19 @@ from typing import Any, Generic, TypeVar
 from imucald.service.journal import WARNING
 
 RETRY_S = 10.0
-"""What could not be saved is tried again after so long [s]."""
+"""Time until a failed save is tried again [s]."""
 
 Say = Callable[[str, int], None]
-"""Takes a line for the log and its priority."""
+"""Function that takes a log line and its priority."""
 Content = TypeVar("Content")
 
 
 class StateWriter(Generic[Content]):
-    """A thread that saves the newest content it was given; started with the first.
+    """A thread that saves the newest content it was given; the first content starts it.
 
-    save: writes a content, or raises whatever it likes. title: what the log calls it, as in
-    "the state". say: takes lines for the log (see `report`). retry: see `RETRY_S`.
+    save: function that writes a content; it may raise any exception. title: name of the content in
+    the log, as in "the state". say: function that takes log lines (see `report`). retry: see
+    `RETRY_S`.
     """
 
     def __init__(
@@ -34,7 +35,7 @@ class StateWriter(Generic[Content]):
         self.saves = 0
         self.failures = 0
         self.last_error = ""
-        """Why the last attempt failed; empty when it did not."""
+        """Reason why the last attempt failed; empty if it succeeded."""
         self._save = save
         self._title = title
         self._say = say
@@ -42,14 +43,17 @@ class StateWriter(Generic[Content]):
         self._next: Content | None = None
         self._not_before = 0.0  # monotonic; a failed content waits until then
         self._busy = False
-        self._discarded = False  # while busy: what is being written is not wanted any more
+        self._discarded = False  # while busy: the content being written is no longer wanted
         self._ended = False
         self._changed = threading.Condition()
         self._thread: threading.Thread | None = None
         self._reported = ""
 
     def put(self, content: Content) -> None:
-        """Have this saved soon; what still waits is replaced. Never blocks for the disk."""
+        """Request that this is saved soon; it replaces content that still waits.
+
+        The call never waits for the disk.
+        """
         with self._changed:
             self._next = content
             self._not_before = 0.0
@@ -64,7 +68,9 @@ class StateWriter(Generic[Content]):
                 self._thread = thread
 
     def flush(self, limit: float) -> bool:
-        """Try what waits at once, for at most `limit` [s]; return whether all is written."""
+        """Write the waiting content at once, for at most `limit` [s]; return whether all is
+        written.
+        """
         with self._changed:
             self._not_before = 0.0
             self._changed.notify_all()
@@ -72,14 +78,16 @@ class StateWriter(Generic[Content]):
             return self._next is None and not self._busy
 
     def discard(self) -> None:
-        """Let go of what waits, and never try again what is being written now."""
+        """Drop the waiting content, and do not retry the content that is being written now."""
         with self._changed:
             self._next = None
             self._discarded = True
             self._changed.notify_all()
 
     def close(self, limit: float) -> bool:
-        """Write what waits and end the thread, within `limit` [s]; whether all is written."""
+        """Write the waiting content and end the thread, within `limit` [s]; return whether all is
+        written.
+        """
         done = self.flush(limit)
         with self._changed:
             self._ended = True
@@ -87,7 +95,7 @@ class StateWriter(Generic[Content]):
         return done
 
     def report(self) -> None:
-        """Say that saving fails, and that it works again, once each; called by the loop."""
+        """Log once that saving fails, and once that it works again; called by the loop."""
         error = self.last_error
         if error != self._reported:
             self._reported = error
@@ -95,7 +103,7 @@ class StateWriter(Generic[Content]):
             self._say(text if error else f"{self._title} can be saved again", WARNING)
 
     def status(self) -> dict[str, Any]:
-        """Saves, failures, and the last error, for the status."""
+        """Return saves, failures, and the last error, for the status."""
         return {"saves": self.saves, "failures": self.failures, "last_error": self.last_error}
 
     def _is_due(self) -> bool:

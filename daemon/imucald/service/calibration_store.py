@@ -1,6 +1,7 @@
-"""Keeps the calibration across restarts: decides when it is saved, and what of it is believed.
+"""Keeps the calibration across restarts: decides when it is saved, and which saved parts are used.
 
-A disk may take seconds to confirm; the loop must not wait for it: see `background_writer`.
+A disk may take seconds to confirm a write, and the loop must not wait for it: see
+`background_writer`.
 """
 
 from __future__ import annotations
@@ -32,26 +33,26 @@ from imucald.service.journal import INFO, NOTICE, WARNING
 from imucald.service.state_file import SavedState, StateStore
 
 SAVE_PERIOD_S = 10.0
-"""A changing estimate is saved so often [s]: what a cut of power may cost."""
+"""Period between saves of a changing estimate [s]: a power cut loses at most this much."""
 SAME_ANGLE = math.radians(0.002)
-"""An estimate that has moved by less [rad] ..."""
+"""An estimate that has changed by less than this angle [rad] ..."""
 SAME_VARIANCE = 0.01
 """... and whose variances have changed by less than this share is not saved again."""
 SHIFTS_KEPT = 32
-"""Remounts that are remembered."""
+"""Remounts that are stored."""
 STOP_WAIT_S = 0.6
-"""How long a stop waits for the disk [s]; it has a second in all."""
+"""Longest wait for the disk at a stop [s]; a stop has one second in all."""
 
 BACK_AFTER_START = (
     "this is tried again until it works; a restart before then would bring the old state back"
 )
-"""What is said of a reset that the disk does not take."""
+"""Text for a reset that the disk does not take."""
 
 _OFFSETS = ("accel_bias", "gyro_bias", "yaw_rate_offset", "steering_offset", "speed_delay")
 SUMS = "sums"
-"""Where among a saved state's evidence the sums are that an estimator goes on with."""
+"""Key of the sums in a saved state's evidence; an estimator continues from them."""
 SENSOR = "sensor"
-"""Where what is known of the sensor by itself is among them."""
+"""Key of the knowledge about the sensor itself in that evidence."""
 _EVIDENCE: tuple[str, ...] = (
     "evidence_std_deg",
     "evidence_share",
@@ -62,13 +63,14 @@ _EVIDENCE += ("right_turns", "stops", "distance", "manoeuvres")
 
 
 SENSOR_CHECK = "sensor_check"
-"""Where a sensor check stands among the saved offsets."""
+"""Key of a sensor check among the saved offsets."""
 
 
 class CalibrationStore:
-    """Restores an estimator from the store, and saves what it finds.
+    """Restores an estimator from the saved state, and saves its estimates.
 
-    say: takes a line for the log and its priority. clock: monotonic [s]. wall: wall clock [s].
+    say: function that takes a log line and its priority. clock: monotonic [s]. wall: wall clock
+    [s].
     """
 
     def __init__(
@@ -83,10 +85,10 @@ class CalibrationStore:
         title = f"the state in {store.folder}"
         self.writer = StateWriter[tuple[int, SavedState | None]](self._write, title, say)
         self.problems: tuple[str, ...] = ()
-        """What of the state could not be believed at the start."""
+        """Parts of the saved state that were not valid at the start."""
         self.restored = False
         self.sensor_check: Callable[[], Mapping[str, Any] | None] = lambda: None
-        """What the sensor check found, to be saved with the mount; None: nothing."""
+        """Function that returns the sensor check to save with the mount; None: nothing."""
         self._say = say
         self._period = period
         self._clock, self._wall = clock, wall
@@ -98,13 +100,13 @@ class CalibrationStore:
         self._is_forgetting = False  # a reset that the disk did not take at once
 
     def _write(self, content: tuple[int, SavedState | None]) -> None:
-        """Save a state of an era; None: have it on the disk that all before was forgotten."""
+        """Save a state of an era. None: force to the disk that all earlier states are forgotten."""
         era, state = content
         failure: OSError | None = None
         try:
             self.store.set_aside_forgotten()
         except OSError as error:
-            failure = error  # a newer state takes its place all the same
+            failure = error  # a newer state still replaces it
         if state is None:
             self.store.sync()
         else:
@@ -113,9 +115,9 @@ class CalibrationStore:
             raise failure  # so that it is tried again
 
     def restore(self, estimator: MountEstimator) -> MountEstimator:
-        """Return the estimator with the saved mount in front, or as it is.
+        """Return the estimator with the saved mount in front of it, or unchanged.
 
-        A mount that the configuration holds stays in front of all that was saved.
+        A mount that the configuration holds takes precedence over all that was saved.
         """
         is_held = isinstance(estimator, RestoredEstimator) and estimator.is_held
         if is_held:
@@ -126,7 +128,7 @@ class CalibrationStore:
             self._say(f"saved state: {problem}", WARNING)
         saved = loaded.state
         if is_held:
-            if saved is not None:  # its sensor check serves all the same
+            if saved is not None:  # its sensor check is still used
                 self._last, self._known, self._driven_before = saved, True, saved.driven_s
             return estimator
         if saved is None:
@@ -151,7 +153,7 @@ class CalibrationStore:
         return restored
 
     def _evidence(self, saved: SavedState) -> SavedInformation | None:
-        """The sums among the evidence; without them the mount serves all the same."""
+        """Return the sums in the evidence; without them the mount can still be used."""
         sums = saved.evidence.get(SUMS)
         if sums is None:
             return None
@@ -162,7 +164,7 @@ class CalibrationStore:
             return None
 
     def _sensor(self, saved: SavedState) -> KnownSensor | None:
-        """What was kept of the sensor itself; without it the mount serves all the same."""
+        """Return what was saved about the sensor itself; without it the mount can still be used."""
         kept = saved.evidence.get(SENSOR)
         if kept is None:
             return None
@@ -176,7 +178,7 @@ class CalibrationStore:
 
     @property
     def saved_check(self) -> object:
-        """The sensor check of the state that was restored, as it was saved; None: there is none."""
+        """The sensor check of the restored state, as saved; None: there is none."""
         return self._last.offsets.get(SENSOR_CHECK) if self._known else None
 
     @property
@@ -185,7 +187,10 @@ class CalibrationStore:
         return check is not None and check != self.saved_check
 
     def update(self, estimator: MountEstimator, driven_s: float) -> None:
-        """Take the present estimate; save it if it is due. driven_s: since the start [s]."""
+        """Take the present estimate and save it if it is due.
+
+        driven_s: driving time since the start [s].
+        """
         state, changed = estimator.state, estimator.state is not self._before
         if self._wanted(state, changed):
             self._save(estimator, self._driven_before + driven_s)
@@ -197,9 +202,9 @@ class CalibrationStore:
 
     def _wanted(self, state: MountState, changed: bool) -> bool:
         is_due = changed or self._clock() - self._last_put >= self._period
-        if state in BAD:  # once; what was good before is kept, as doubted
+        if state in BAD:  # once; the earlier good mount is kept, as doubted
             return self._known and (changed or (is_due and self._is_check_new))
-        if state is MountState.RESTORED:  # nothing new of the mount
+        if state is MountState.RESTORED:  # nothing new is known of the mount
             return is_due and self._is_check_new
         return is_due and state in GOOD
 
@@ -240,7 +245,9 @@ class CalibrationStore:
         return is_same and not self.writer.last_error
 
     def _is_saved(self, state: SavedState) -> bool:
-        """Whether as good as the same was saved: a vehicle that stands wears out no memory."""
+        """Return whether nearly the same state was saved: a vehicle that stands does not wear out
+        the memory.
+        """
         if not self._known or self.writer.last_error:
             return False
         then = self._last
@@ -252,11 +259,12 @@ class CalibrationStore:
         return same and bool(moved < SAME_ANGLE and firmer < SAME_VARIANCE)
 
     def forget(self) -> str:
-        """Keep nothing of what was saved: it is set aside, and not loaded again.
+        """Forget all that was saved: it is set aside and not loaded again.
 
-        Waits for no disk: what is being written now never gets its name, and the thread that
-        writes forces the new names to the disk. Returns why the disk does not take it now, empty
-        where it does; the thread tries again until it does, or a newer state takes its place.
+        The call does not wait for the disk. A file that is being written now never gets its name,
+        and the writing thread forces the new names to the disk. Returns why the disk does not take
+        it now, empty if it does. The thread tries again until it succeeds, or until a newer state
+        replaces it.
         """
         self.writer.discard()
         self._known = False
@@ -271,9 +279,9 @@ class CalibrationStore:
         return reason
 
     def save_order(self, estimator: MountEstimator, driven_s: float) -> str:
-        """Save the mount that is in force by a person's order, at once and whatever its state.
+        """Save the mount in force at once, in any state, because a person ordered it.
 
-        Returns why the disk does not take it now, empty where it does; it is tried again.
+        Returns why the disk does not take it now, empty if it does; the save is tried again.
         """
         stored = mount_in_force(estimator)
         state = None
@@ -293,7 +301,7 @@ class CalibrationStore:
         self.writer.flush(STOP_WAIT_S)
 
     def end(self) -> None:
-        """Save nothing more; what is on its way is written."""
+        """Save nothing more; writes in progress are finished."""
         self.writer.close(0.0)
         self._report_not_forgotten()
 
@@ -309,13 +317,13 @@ class CalibrationStore:
         self.writer.report()
 
     def _report_not_forgotten(self) -> None:
-        """Say at the end that a reset did not reach the disk."""
+        """Log at the end that a reset did not reach the disk."""
         if not self.store.is_forgotten:
             text = f"the state that was reset could not be removed from {self.store.folder}"
             self._say(f"{text}: the next start brings it back; reset again then", WARNING)
 
     def status(self) -> dict[str, Any]:
-        """What `imucald status` shows of it."""
+        """Return the part of `imucald status` about saving."""
         return {
             "folder": str(self.store.folder),
             "generation": 0 if self.store.is_empty else self.store.generation,
@@ -330,7 +338,7 @@ class CalibrationStore:
 def stored_mount(
     saved: SavedState, evidence: SavedInformation | None, sensor: KnownSensor | None = None
 ) -> StoredMount:
-    """A saved state as the estimator takes it, with the sums and the sensor that were in it."""
+    """Return a saved state as the estimator takes it, with its sums and its sensor."""
     R = np.array(saved.rotation).reshape(3, 3)
     applied = None if sensor is None or saved.given else sensor.correction(R)
     return StoredMount(
@@ -354,10 +362,10 @@ def saved_state(
     shifts: Sequence[Mapping[str, Any]] = (),
     stored: StoredMount | None = None,
 ) -> SavedState | None:
-    """An estimator's estimate as it is saved; None where it cannot be.
+    """Return the saved form of an estimator's estimate; None where it cannot be saved.
 
-    stored: the mount to be saved, where it is not the estimate's. One that is held is saved as it
-    was when that began: it does not get vaguer by being held.
+    stored: the mount to save, if it is not the estimate's. A held mount is saved as it was at the
+    beginning of the hold, so it does not become less certain.
     """
     estimate, sums = estimator.estimate(), saved_information(estimator)
     sensor = known_sensor(estimator)

@@ -1,8 +1,8 @@
-"""The control socket: root's orders to a running daemon, one JSON line each.
+"""The control socket: orders from root to a running daemon, one JSON line each.
 
-``{"order": "reset"}``, ``hold``, ``release``, or ``set-mount`` with the ``mount`` that the
-configuration's `calibration: mount` would have. The answer is one JSON line: ``{"done": TEXT}`` or
-``{"error": TEXT}``. Only root and the user that the daemon runs as are listened to.
+The orders are ``{"order": "reset"}``, ``hold``, ``release``, and ``set-mount`` with a ``mount`` as
+in the configuration's `calibration: mount`. The answer is one JSON line: ``{"done": TEXT}`` or
+``{"error": TEXT}``. Only root and the daemon's own user may give orders.
 """
 
 from __future__ import annotations
@@ -25,23 +25,25 @@ from imucald.service.line_server import ROOT, LineServer, Peer
 
 OWNER_ONLY = 0o600
 BURST = 5
-"""So many requests at once, ..."""
+"""Largest number of requests at once, ..."""
 PERIOD_S = 1.0
-"""... then one in this time [s]: a person types no faster, and each makes a new estimator."""
+"""... then one in this time [s]: a person types no faster, and each request makes a new
+estimator.
+"""
 
 
 class Order(Struct, forbid_unknown_fields=True, tag_field="order"):
-    """sudo_user: who became root to give it, as sudo says."""
+    """sudo_user: user who became root to give the order, according to sudo."""
 
     sudo_user: Annotated[str, Meta(pattern=r"^[A-Za-z0-9_.-]{1,32}$")] | None = None
 
 
 class ResetOrder(Order, tag="reset"):
-    """Forget what was learnt and begin again."""
+    """Forget the learnt mount and begin again."""
 
 
 class HoldOrder(Order, tag="hold"):
-    """Keep the mount, learn nothing."""
+    """Keep the mount and learn nothing."""
 
 
 class ReleaseOrder(Order, tag="release"):
@@ -49,7 +51,7 @@ class ReleaseOrder(Order, tag="release"):
 
 
 class SetMountOrder(Order, tag="set-mount"):
-    """Put a mount that is known in force."""
+    """Put a known mount in force."""
 
     mount: KnownMount | None = None
 
@@ -121,7 +123,7 @@ class ControlServer(LineServer):
 
 
 def _name(peer: Peer, sudo_user: str | None = None) -> str:
-    """Who asks; names of users are not looked up, which may ask a server far away."""
+    """Return who asks. Names of users are not looked up, because that may ask a remote server."""
     user = "root" if peer.uid == ROOT else f"user {peer.uid}"
     behind = f", for {sudo_user}" if sudo_user else ""
     return f"{user} (pid {peer.pid}{behind})"

@@ -1,7 +1,7 @@
-"""Keeps the DTCs over restarts: one small file next to the saved state.
+"""Keeps the DTCs over restarts: one small file beside the saved state.
 
-The codes say what a workshop should look at, nothing is driven by them: one generation is enough,
-and a file that cannot be believed is set aside and begun anew.
+The codes only tell a workshop what to examine; no function depends on them. One generation is
+therefore enough. An invalid file is set aside and begun anew.
 """
 
 from __future__ import annotations
@@ -19,20 +19,23 @@ from imucald.service.journal import WARNING
 from imucald.uds.dtc_memory import DtcMemory
 
 MAGIC: Final = "imucald-troubles 1"
-"""The first word is older than the name of this module; files that are there begin with it."""
+"""The first word is older than this module's name; existing files begin with it."""
 MAX_BYTES: Final = 1 << 16
-"""A longer file is not ours."""
+"""A longer file was not written by this module."""
 PERIOD_S: Final = 10.0
-"""Changed codes are written so often at most [s]: a flapping input does not wear the disk out."""
+"""Shortest time between writes of changed codes [s]: a flapping input does not wear out the
+disk.
+"""
 
 CLOSE_WAIT_S: Final = 0.2
-"""How long a stop waits for the disk [s]; the calibration's state waits longer."""
+"""Longest wait for the disk at a stop [s]; the calibration's state waits longer."""
 
 
 class DtcStore:
     """The memory of one daemon, read from its file at the start and written when it changes.
 
-    path: None keeps nothing. say: takes a line for the log and its priority. clock: monotonic [s].
+    path: None saves nothing. say: function that takes a log line and its priority. clock: monotonic
+    [s].
     """
 
     def __init__(
@@ -50,12 +53,12 @@ class DtcStore:
         self._written = self.memory.saved()
 
     def update(self) -> None:
-        """Have the codes written if they changed; never waits for the disk."""
+        """Request that changed codes are written; never waits for the disk."""
         if self._clock() >= self._next:
             self._put()
 
     def close(self) -> None:
-        """Write what changed last; waits for the disk, but not for long."""
+        """Write the last changes; waits for the disk, but not for long."""
         self._put()
         if self.writer is not None:
             self.writer.close(CLOSE_WAIT_S)
@@ -71,7 +74,7 @@ class DtcStore:
             self.writer.put(encoded(now))
 
     def status(self) -> dict[str, Any] | None:
-        """Saves, failures and the last error; None where nothing is kept."""
+        """Return saves, failures and the last error; None if nothing is saved."""
         return None if self.writer is None else self.writer.status()
 
     def _read(self, path: Path) -> Mapping[str, Any]:
@@ -92,13 +95,13 @@ class DtcStore:
 
 
 def encoded(records: Mapping[str, Any]) -> bytes:
-    """The bytes of a file: one line with version and checksum, then JSON."""
+    """Return the bytes of a file: one line with version and checksum, then JSON."""
     body = json.dumps(records).encode()
     return with_checksum(MAGIC, body)
 
 
 def decoded(data: bytes) -> Mapping[str, Any] | None:
-    """The records in a file's bytes, or None where it is damaged."""
+    """Return the records in a file's bytes, or None if it is damaged."""
     title, body, is_right = split_checksum(data)
     if len(data) > MAX_BYTES or title != MAGIC.encode() or not is_right:
         return None

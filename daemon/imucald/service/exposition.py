@@ -1,4 +1,7 @@
-"""Prometheus text of one daemon or of several, as it is asked for and handed on. No numpy here."""
+"""Prometheus text of one daemon or of several: how it is requested and merged.
+
+This module does not import numpy.
+"""
 
 from __future__ import annotations
 
@@ -13,18 +16,18 @@ from imucald.service.asking import ask
 UP = "imucald_up"
 _BUS = re.compile(r'[{,]bus="((?:[^"\\]|\\.)*)"')
 ASK_S = 2.0
-"""A daemon has so long to answer [s]."""
+"""Time that a daemon has to answer [s]."""
 
 
 def bus_of(socket: Path) -> str:
-    """The name of a daemon's bus, from where its status socket is."""
+    """Return the name of a daemon's bus, from the path of its status socket."""
     if socket.name == "status.sock":
         return socket.parent.name
     return socket.stem.removeprefix("imucald-")
 
 
 def gathered(sockets: Iterable[Path]) -> str:
-    """The metrics of all daemons behind these sockets, and which of them answer."""
+    """Return the metrics of all daemons behind these sockets, and which of them answer."""
     texts, answers = [], {}
     for path in sockets:
         try:
@@ -39,7 +42,7 @@ def gathered(sockets: Iterable[Path]) -> str:
 
 
 def escaped(text: str) -> str:
-    """Return a text as it stands between the quotes of a label."""
+    """Return a text in the form for the quotes of a label."""
     return encodable(text).replace("\\", "\\\\").replace('"', '\\"').replace("\n", "\\n")
 
 
@@ -49,7 +52,7 @@ def _up(answers: Mapping[str, int]) -> str:
 
 
 def merged(texts: Iterable[str]) -> str:
-    """Several texts as one: each family once, with the lines of all."""
+    """Return several texts as one: each family once, with the lines of all."""
     heads: dict[str, str] = {}
     lines: dict[str, list[str]] = {}
     for text in texts:

@@ -1,4 +1,4 @@
-"""Whose state it is: the vehicle as configured, and the sensor as its numbers are made."""
+"""Owner of a saved state: the vehicle as configured, and the sensor as defined by its signals."""
 
 from __future__ import annotations
 
@@ -15,16 +15,16 @@ from imucald.inputs.routes import MessageRoute
 from imucald.service.state_file import StateKey
 
 _DECISIVE = frozenset({"signal", "raw", "unit", "sign", "offset"})
-"""Keys of a source on which its numbers depend."""
+"""Keys of a source that change its numbers."""
 
 
 def state_key(loaded: LoadedConfig, router: Router, model: str = "") -> StateKey:
     """Return the key of a configuration's state.
 
-    Only what turns the accelerometer's axes or takes another sensor counts: its sources with
-    identifiers, layout, units and signs, what a model file takes out of the signals (`model`, see
-    `Engine.model_key`), and the mount that the configuration states. Ids of outputs, speed sources
-    or limits do not.
+    Only settings that turn the accelerometer's axes or select another sensor count. They are its
+    sources with identifiers, layout, units and signs, the signal effects that a model file removes
+    (`model`, see `Engine.model_key`), and the mount that the configuration states. Ids of outputs,
+    speed sources and limits do not count.
     """
     described = _triads(loaded.config.signals.accelerometer, router)
     text = json.dumps(described, sort_keys=True, default=str) + model
@@ -41,7 +41,7 @@ def _triads(triads: Sequence[TriadSettings], router: Router) -> list[list[dict[s
 
 
 def _described(source: SourceSettings, router: Router) -> dict[str, Any]:
-    """Everything that decides which number a source gives."""
+    """Return everything that decides which number a source gives."""
     found: dict[str, Any] = {
         "configured": {k: v for k, v in to_builtins(source).items() if k in _DECISIVE}
     }

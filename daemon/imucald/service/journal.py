@@ -1,4 +1,4 @@
-"""Lines for the log: with syslog priorities where the journal reads them, and never in floods."""
+"""Lines for the log, with syslog priorities if the journal reads them, and never in floods."""
 
 from __future__ import annotations
 
@@ -20,11 +20,11 @@ ERROR, WARNING, NOTICE, INFO = 3, 4, 5, 6
 LEVELS = {ERROR: "error", WARNING: "warning", NOTICE: "notice", INFO: "info"}
 PRIORITIES = {word: priority for priority, word in LEVELS.items()}
 EVENTS_KEPT = 200
-"""Lines that `imucald events` shows; the journal has all of them."""
+"""Lines that `imucald events` shows; the journal has all lines."""
 SELDOM_S = 30.0
-"""Lines of one kind that may come without end are written so often at most [s]."""
+"""Shortest time between lines of one kind that may come without end [s]."""
 LINE_BYTES = 4000
-"""A line is cut there: a pipe that takes anything takes 4096 bytes at once."""
+"""Lines are cut to this length, because any pipe accepts 4096 bytes at once."""
 
 
 class LogEvent(NamedTuple):
@@ -36,11 +36,13 @@ class LogEvent(NamedTuple):
 
 
 class Journal:
-    """Says things in one line each. A log that cannot be written stops nothing, nor holds it up.
+    """Writes messages of one line each.
 
-    stream: None for standard error, which may be closed. What cannot be written at once is dropped
-    and counted; the next line that can be says how many were. level: the least important priority
-    that is written; `events` keeps all lines.
+    A log that cannot be written neither stops nor delays the program.
+
+    stream: None for standard error, which may be closed. A line that cannot be written at once is
+    dropped and counted. The next written line states how many were dropped. level: the least
+    important priority that is written; `events` stores all lines.
     """
 
     def __init__(
@@ -55,7 +57,7 @@ class Journal:
         """The last lines, oldest first."""
         self._wall = wall
         self.dropped = 0
-        """Lines that could not be written."""
+        """Number of lines that could not be written."""
         self._untold = 0
         self._stream: TextIO | None = sys.stderr if stream is None else stream
         self._file = _descriptor(self._stream)
@@ -81,7 +83,7 @@ class Journal:
             self._untold += 1
 
     def _write(self, line: str, priority: int) -> bool:
-        """Write a line where that can be done at once; whether it was."""
+        """Write a line if this is possible at once; return whether it was written."""
         head = f"<{priority}>" if self._to_journal else "imucald: "
         try:
             if self._file is not None:
@@ -96,13 +98,14 @@ class Journal:
         return True
 
     def seldom(self, kind: str, text: str, priority: int = WARNING, burst: int = 1) -> bool:
-        """Write a line unless `burst` of its kind came lately; then say how many were left out.
+        """Write a line unless `burst` lines of its kind came lately; the next line states how many
+        were left out.
 
         Returns whether it was written.
         """
         due, untold = self._due.get(kind, (-math.inf, 0))
         now = self._clock()
-        due = max(due, now - (burst - 1) * SELDOM_S)  # at which the next would be without bursts
+        due = max(due, now - (burst - 1) * SELDOM_S)  # time of the next line without bursts
         if now < due:
             self._due[kind] = (due, untold + 1)
             return False
@@ -114,7 +117,7 @@ class Journal:
         return True
 
     def is_due(self, kind: str) -> bool:
-        """Whether `seldom` would write a line of the kind."""
+        """Return whether `seldom` would write a line of the kind."""
         return self._clock() >= self._due.get(kind, (-math.inf, 0))[0]
 
 
@@ -126,8 +129,9 @@ def _descriptor(stream: TextIO | None) -> int | None:
 
 
 def _written_at_once(file: int, data: bytes) -> bool:
-    """Write without ever waiting for the reader; whether it was. Other processes may share the
-    file, so that it cannot be set to non-blocking.
+    """Write without ever waiting for the reader; return whether it was written.
+
+    Other processes may share the file, so it cannot be set to non-blocking.
     """
     if stat.S_ISSOCK(os.fstat(file).st_mode):
         with socket.socket(fileno=os.dup(file)) as connection:
@@ -140,7 +144,7 @@ def _written_at_once(file: int, data: bytes) -> bool:
 
 
 def _is_journal(stream: TextIO | None, environment: Mapping[str, str]) -> bool:
-    """Whether the stream goes to journald, as systemd.exec(5) says how to find out."""
+    """Return whether the stream goes to journald, by the method of systemd.exec(5)."""
     named = environment.get("JOURNAL_STREAM", "")
     try:
         found = os.fstat(-1 if stream is None else stream.fileno())

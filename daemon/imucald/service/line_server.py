@@ -1,7 +1,7 @@
-"""A Unix socket that the frame loop serves in its turns: one line asked, one answer, no threads.
+"""A Unix socket that the frame loop serves in its turns: one request line, one answer, no threads.
 
-Whatever a client does, the loop never waits for it and its work is bounded: so many clients at a
-time, so much to read from each, so long for each. Answers are small and fit the socket's buffer.
+The loop never waits for a client, and its work is bounded: the number of clients, the bytes read
+from each, and the time for each. Answers are small and fit the socket's buffer.
 """
 
 from __future__ import annotations
@@ -20,31 +20,31 @@ from imucald.service.background_writer import Say
 from imucald.service.journal import WARNING
 
 CLIENTS_MAX = 8
-"""More are turned away."""
+"""Largest number of clients; more are refused."""
 CLIENTS_PER_USER = 4
-"""Of these, so that one user cannot take all places."""
+"""Largest number of clients of one user, so that one user cannot take all places."""
 KEPT_FOR_OWNER = 4
-"""Places for root and the daemon's own user beyond these."""
+"""Additional places for root and the daemon's own user."""
 ROOT = 0
 BACKLOG = 128
-"""Clients that wait for a turn of the loop."""
+"""Clients that can wait for a turn of the loop."""
 ACCEPTED_MAX = BACKLOG
-"""So many are looked at in one turn of the loop; the others wait for the next."""
+"""Clients accepted in one turn of the loop; the others wait for the next."""
 CLIENT_S = 1.0
-"""A client has so long to ask and to take its answer [s]."""
+"""Time that a client has to send its request and take its answer [s]."""
 REQUEST_MAX = 4096
 """Longest request [bytes]."""
 SEND_BUFFER = 1 << 18
-"""Asked of the kernel for an answer [bytes]."""
+"""Send buffer for an answer that is requested from the kernel [bytes]."""
 _CREDENTIALS = struct.Struct("3i")
 
 
 def nobody_listens(_text: str, _priority: int) -> None:
-    """The `say` of a server whose errors nobody wants to hear of."""
+    """Ignore a log line; `say` of a server whose errors are not logged."""
 
 
 class Peer(NamedTuple):
-    """Who asks, as the kernel knows it."""
+    """The client as the kernel knows it."""
 
     pid: int
     uid: int
@@ -61,11 +61,11 @@ class _Client:
 
 
 class LineServer:
-    """Answers on a Unix socket: `poll` does what can be done at once.
+    """Answers on a Unix socket. `poll` does what is possible at once.
 
-    mode: of the socket file. answer: bytes for the line that a client sent; where it raises, the
-    client gets nothing, and `say` (a line for the log) hears of each kind of error once. Raises
-    LinkError when the socket cannot be made.
+    mode: permissions of the socket file. answer: function that returns the bytes for the line of a
+    client. If it raises, the client gets nothing, and `say` (a function that takes a log line) gets
+    each kind of error once. Raises LinkError when the socket cannot be made.
     """
 
     def __init__(
@@ -99,7 +99,10 @@ class LineServer:
         self._socket.setblocking(False)
 
     def poll(self) -> None:
-        """Serve whoever waits. Never blocks, never raises, whatever a client does or asks for."""
+        """Serve the clients that wait.
+
+        The call never blocks and never raises, whatever a client does.
+        """
         with contextlib.suppress(OSError):
             for _ in range(ACCEPTED_MAX):
                 connection, _address = self._socket.accept()
@@ -125,7 +128,7 @@ class LineServer:
         return len(others) < CLIENTS_MAX and others.count(uid) < CLIENTS_PER_USER
 
     def _served(self, client: _Client) -> bool:
-        """Go on with one client; whether it is to be kept."""
+        """Serve one client further; return whether to keep it."""
         try:
             if client.answer is None:
                 part = client.connection.recv(REQUEST_MAX)
@@ -154,14 +157,17 @@ class LineServer:
         return True
 
     def _failed(self, error: Exception) -> None:
-        """Say that there was no answer; once, as whoever asked may ask again without end."""
+        """Log that there was no answer.
+
+        This is logged once, because a client may ask again without end.
+        """
         kind = type(error).__name__
         if kind not in self._said:
             self._said.add(kind)
             self._say(f"{self.path}: a request could not be answered ({kind}: {error})", WARNING)
 
     def close(self) -> None:
-        """Take the socket away."""
+        """Remove the socket."""
         for client in self._clients:
             client.connection.close()
         self._socket.close()
@@ -175,7 +181,7 @@ def _peer(connection: socket.socket) -> Peer:
 
 
 def _remove_stale(path: Path) -> None:
-    """Remove the socket of a daemon that was killed; one that answers is left (bind then fails)."""
+    """Remove the socket of a killed daemon. A socket that answers is left, so that bind fails."""
     if not path.is_socket():
         return
     with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as probe:

@@ -1,4 +1,4 @@
-"""An address to listen at, and the process of its own that serves metrics there."""
+"""A listening address, and the separate process that serves metrics there."""
 
 from __future__ import annotations
 
@@ -34,9 +34,9 @@ def listening_at(address: str) -> socket.socket:
 
 
 class ServingProcess:
-    """A forked process that serves on a socket until this one ends, however it ends.
+    """A forked process that serves on a socket until this process ends in any way.
 
-    serve: runs there, for ever. To be made before there are threads.
+    serve: function that runs there forever. The object must be made before any thread.
     """
 
     def __init__(self, listening: socket.socket, serve: Callable[[socket.socket], None]) -> None:
@@ -50,7 +50,7 @@ class ServingProcess:
         self.has_ended = False
 
     def poll(self) -> bool:
-        """Whether it has just ended by itself."""
+        """Return whether the process has just ended by itself."""
         if self.has_ended:
             return False
         try:
@@ -60,7 +60,7 @@ class ServingProcess:
         return self.has_ended
 
     def close(self) -> None:
-        """Have it end."""
+        """End the process."""
         os.close(self._mine)
         self.poll()  # its number may be another process's by now where SIGCHLD is ignored
         if not self.has_ended:

@@ -1,8 +1,9 @@
 """The live daemon: one loop that receives, calibrates, corrects and sends. No threads.
 
-Frames that came are handled at once; when none come, the clock closes ticks so that status
-frames go on and inputs are found missing. Before the first frame of ours a heartbeat says so. A
-frame that waited too long, as the loop was held up or does not keep up, is not corrected any more.
+Received frames are handled at once. Without frames, the clock closes ticks, so that status frames
+continue and missing inputs are found. Before the first frame of ours, a heartbeat reports that. A
+frame that waited too long is no longer corrected. This happens if the loop was blocked or is too
+slow.
 """
 
 from __future__ import annotations
@@ -23,20 +24,23 @@ from imucald.runtime.output.output_message import OutFrame
 from imucald.runtime.timebase import FORWARD_STEP
 
 WAIT_S = 0.05
-"""Longest wait for a frame [s]: bounds how late a silent bus is noticed and a stop obeyed."""
+"""Longest wait for a frame [s]: it limits the delay for noticing a silent bus and for a stop."""
 IDLE_S = 0.5
 """Silence after which the clock closes ticks [s]: far longer than any delivery takes."""
 CONFLICT_S = 10.0
-"""A foreign sender of our ids is reported this long [s]."""
+"""Time for which a foreign sender of our ids is reported [s]."""
 STRIDE = 16
-"""Frames handled between two looks at the clock: 1.3 ms natively, 80 ms under emulation."""
+"""Frames handled between two readings of the clock: 1.3 ms natively, 80 ms under emulation."""
 MAX_AGE_S = 2.0 * MAX_HOLD
-"""A frame that has waited for longer is not corrected any more [s]: twice as long as a corrected
-frame waits to be sent, and as `WAIT_S`: a loop that keeps up finds the bus empty far more often."""
+"""A frame that has waited for longer is no longer corrected [s].
+
+It is twice the time that a corrected frame waits to be sent, and twice `WAIT_S`. A loop that is
+fast enough finds the bus empty far more often.
+"""
 HEARTBEAT_S = 1.0
 """Period of status frames while the bus is silent [s]."""
 RECENT_S = 1.0
-"""Losses and failed sends are reported this long [s]."""
+"""Time for which losses and failed sends are reported [s]."""
 
 
 def open_link(
@@ -47,7 +51,7 @@ def open_link(
     channel: str | None = None,
     on_event: Callable[[LinkEvent], None] | None = None,
 ) -> Link:
-    """Open the configuration's bus (or the one named). Raises LinkError."""
+    """Open the configuration's bus, or the named one. Raises LinkError."""
     bus = loaded.config.bus
     unbound = [IdMatch(m.can_id, m.mask) for m in matches]  # one live bus: any channel
     return Link(
@@ -71,7 +75,7 @@ def send_columns(link: Link, frames: FrameColumns) -> None:
 
 @dataclass
 class _Recent:
-    """Turns a growing counter into "it grew lately"."""
+    """Converts a growing counter into "it grew lately"."""
 
     hold: float
     _value: int = 0
@@ -85,32 +89,34 @@ class _Recent:
 
 
 class Extra(Protocol):
-    """Something that talks on the same bus as the calibration; it never waits for anything."""
+    """Another user of the same bus; it never waits."""
 
     @property
     def ids(self) -> frozenset[int]:
-        """The ids whose frames it takes, with the flag for 29 bits; the engine never sees them."""
+        """Ids of the frames that it takes, with the flag for 29 bits; the engine does not get these
+        frames.
+        """
         ...
 
     @property
     def wait(self) -> float:
-        """How long it can do without `poll` [s]."""
+        """The time until the next `poll` must come [s]."""
         ...
 
     def frame(self, can_id: int, data: bytes) -> list[OutFrame]:
-        """Take one of its frames; return what is to be sent."""
+        """Take one of its frames; return the frames to send."""
         ...
 
     def poll(self) -> list[OutFrame]:
-        """Time has passed: return what is to be sent."""
+        """Let time pass; return the frames to send."""
         ...
 
 
 class Daemon:
     """Runs an engine on a link until asked to stop.
 
-    clock: monotonic [s]. extra: also served, frames of its ids are not the engine's.
-    max_age: of frames that are corrected [s], see `MAX_AGE_S`.
+    clock: monotonic [s]. extra: also served; frames of its ids are not passed to the engine.
+    max_age: largest age of frames that are corrected [s], see `MAX_AGE_S`.
     """
 
     def __init__(
@@ -131,19 +137,19 @@ class Daemon:
         self._lost = _Recent(RECENT_S)
         self._conflict = _Recent(CONFLICT_S)
         self.between: Callable[[], None] = lambda: None
-        """Called every `STRIDE` frames of a batch: what must not wait for its end."""
+        """Called every `STRIDE` frames of a batch, for tasks that cannot wait for its end."""
         self._unsent = _Recent(RECENT_S)
         self._backlog = Backlog(clock(), max_age)
         self._last_frame = clock()
         self._next_heartbeat = clock()
 
     def serve(self, extra: Extra | None) -> None:
-        """Serve this next to the engine from now on, in place of what was served before."""
+        """Serve this beside the engine from now on, in place of the previous one."""
         self._extra = extra
         self._extra_ids = frozenset[int]() if extra is None else extra.ids
 
     def link_health(self) -> LinkHealth:
-        """What the link says, for the health frame."""
+        """Return the health of the link for the health frame."""
         counters, now = self.link.counters, self._clock()
         return LinkHealth(
             lost=counters.lost,
@@ -158,11 +164,13 @@ class Daemon:
             self.step()
 
     def stop(self) -> None:
-        """Ask the loop to end; it does within `WAIT_S`. Safe in a signal handler."""
+        """Ask the loop to end, which takes at most `WAIT_S`. The call is safe in a signal
+        handler.
+        """
         self.stopping = True
 
     def step(self, wait: float = WAIT_S) -> int:
-        """Receive once and handle what came; return the number of frames."""
+        """Receive once and handle the frames; return their number."""
         extra, extra_ids, ours = self._extra, self._extra_ids, 0
         frames = self.link.receive(wait if extra is None else min(wait, extra.wait))
         now, backlog = self._clock(), self._backlog
@@ -203,8 +211,8 @@ class Daemon:
         return max(self._clock() - self._last_frame, 0.0)
 
     def _idle(self, now: float) -> None:
-        """Nothing came for a while: let stream time pass by the monotonic clock."""
-        # behind by IDLE_S, so that a frame on its way is not late
+        """Let stream time pass by the monotonic clock, because nothing came for a while."""
+        # The time lags by IDLE_S, so that a frame in transit is not late.
         elapsed = now - self._last_frame - IDLE_S
         engine = self.engine
         if engine.timebase.started and elapsed < FORWARD_STEP:
@@ -220,16 +228,16 @@ class Daemon:
 
 
 class Backlog:
-    """Tells which frames are too old to be corrected, whatever clock stamps them.
+    """Decides which frames are too old to be corrected, with any clock for the stamps.
 
-    The stamps' clock may be wrong, be set at any time, or be an adapter's own. What is certain is
-    the loop's clock: a frame came after the bus was last found empty. The first frame since stands
-    for that moment, and the others count from it by their stamps. So a frame counts as older than
-    it is by no more than the silence before the first. Where the clock was set forward meanwhile,
-    stamps look too new; then the wall clock tells, as far as they are of it.
+    The stamps' clock may be wrong, be set at any time, or be an adapter's own. Only the loop's
+    clock is certain: a frame came after the bus was last found empty. The first frame since then
+    represents that moment, and later frames count from it by their stamps. A frame therefore seems
+    too old by at most the silence before the first frame. If the clock was set forward meanwhile,
+    stamps look too new. The wall clock then decides, if it is the clock of the stamps.
 
-    now: monotonic [s], here and in all methods. max_age: of a frame that is handled [s].
-    wall: the clock of the stamps, where they are the system's [s].
+    now: monotonic [s], here and in all methods. max_age: largest age of a frame that is handled
+    [s]. wall: clock of the stamps, if it is the system's [s].
     """
 
     def __init__(self, now: float, max_age: float, wall: Callable[[], float] = time.time) -> None:
@@ -240,7 +248,7 @@ class Backlog:
         self._first = math.inf  # stamp of the first frame that came after `_since`
 
     def read(self, frames: Sequence[Frame], is_empty: bool, now: float) -> bool:
-        """Take note of what was read until now; whether any of it can be too old.
+        """Note the frames that were read until now; return whether any of them can be too old.
 
         is_empty: nothing is left on the bus.
         """
@@ -254,11 +262,11 @@ class Backlog:
         return self.may_be_late(now)
 
     def may_be_late(self, now: float) -> bool:
-        """Whether any frame of the last read can be too old by now."""
+        """Return whether any frame of the last read can be too old by now."""
         return now - self._since > self.max_age
 
     def is_late(self, stamp: float, now: float) -> bool:
-        """Whether a frame of the last read is too old by now."""
+        """Return whether a frame of the last read is too old by now."""
         waited = now - self._since
         if waited - (stamp - self._first) > self.max_age:
             return True
@@ -266,36 +274,43 @@ class Backlog:
 
 
 MAX_SLEW = 0.1
-"""A clock that is led to the right time is faster or slower by no more: adjtimex(2), `tick`."""
+"""Largest relative rate difference of a clock that is slewed to the right time: adjtimex(2),
+`tick`.
+"""
 LEAST_S = 0.1
-"""A smaller step is not told from slewing between two looks a second apart."""
+"""Smallest step that is distinguished from slewing between two readings a second apart."""
 
 
 def steady_clock() -> float:
-    """Seconds since the boot, those of a suspend among them where the system says so."""
+    """Return the seconds since the boot, including those of a suspend if the system counts them."""
     return time.clock_gettime(getattr(time, "CLOCK_BOOTTIME", time.CLOCK_MONOTONIC))
 
 
 class ClockWatch:
-    """Notices that the system's clock was set: compares it with a clock that nobody sets [s]."""
+    """Notices that the system's clock was set by comparing it with a clock that is never set
+    [s].
+    """
 
     def __init__(
         self, wall: Callable[[], float] = time.time, steady: Callable[[], float] = steady_clock
     ) -> None:
         self._wall, self._steady = wall, steady
         self.count = 0
-        """How often the clock was set."""
+        """Number of times that the clock was set."""
         self._low, self._high, self._at = self._ahead()
 
     def _ahead(self) -> tuple[float, float, float]:
-        """Bounds of wall less steady clock (the process may be held up within), and the latter."""
+        """Return bounds of wall clock minus steady clock, and the latter.
+
+        There are bounds because the process may be interrupted between the readings.
+        """
         before = self._steady()
         wall = self._wall()
         after = self._steady()
         return wall - after, wall - before, after
 
     def look(self) -> float | None:
-        """By how much the clock was set since the last look [s]; None: it was not."""
+        """Return by how much the clock was set since the last call [s]; None: it was not set."""
         low, high, at = self._ahead()
         slewed = max(MAX_SLEW * (at - self._at), LEAST_S)
         forward, back = low - self._high, high - self._low

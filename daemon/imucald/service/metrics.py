@@ -1,4 +1,4 @@
-"""A status as Prometheus text (exposition format 0.0.4)."""
+"""Convert a status to Prometheus text (exposition format 0.0.4)."""
 
 from __future__ import annotations
 
@@ -26,9 +26,9 @@ _LINK_COUNTERS = {
 
 
 def metrics_text(status: Mapping[str, Any]) -> str:
-    """Return the text; a value that is not known has no line.
+    """Return the text; an unknown value has no line.
 
-    Every line has the label `bus`, as several daemons may stand in one file.
+    Every line has the label `bus`, because one file may contain several daemons.
     """
     bus = str(status["link"]["channel"])
     return "".join(

@@ -1,6 +1,6 @@
-"""Metrics over HTTP, for a Prometheus that scrapes, in a process of its own.
+"""Metrics over HTTP for a Prometheus that scrapes, served by a separate process.
 
-It asks the daemons' status sockets, as anybody may; nothing of the frame loop runs here.
+The process asks the daemons' status sockets, as any client may; it does not use the frame loop.
 """
 
 from __future__ import annotations
@@ -20,17 +20,17 @@ from urllib.parse import urlsplit
 from imucald import __version__
 
 CLIENTS_MAX = 16
-"""With more connections at a time one that has not asked yet is cut off."""
+"""Connections above which one without a request is closed."""
 IDLE_S = 2.0
 CLIENT_S = 5.0
-"""A connection lasts no longer [s], however slowly its request drips in."""
+"""Longest duration of a connection [s], however slowly its request comes."""
 FRESH_S = 0.2
-"""A text that was made before the answer is this old at most [s]."""
+"""Largest age of a text that is sent as an answer [s]."""
 CONTENT = "text/plain; version=0.0.4; charset=utf-8"
 
 
 class MetricsHandler(BaseHTTPRequestHandler):
-    """GET and HEAD of /metrics, and nothing else."""
+    """Handles GET and HEAD of /metrics, and nothing else."""
 
     timeout = IDLE_S
     server_version = f"imucald/{__version__}"
@@ -42,11 +42,11 @@ class MetricsHandler(BaseHTTPRequestHandler):
         self.wfile.write(self._headed())
 
     def do_HEAD(self) -> None:
-        """Answer as to GET, without the text."""
+        """Answer as for GET, without the text."""
         self._headed()
 
     def _headed(self) -> bytes:
-        """Send the head of the answer; the text that belongs to it."""
+        """Send the head of the answer; return its text."""
         self.server.has_asked(self.connection)
         if not self.server.is_named(self.headers.get("Host", "")):
             self.send_error(403, "these metrics are for this machine only")
@@ -62,11 +62,13 @@ class MetricsHandler(BaseHTTPRequestHandler):
         return body
 
     def log_message(self, format: str, *args: Any) -> None:  # noqa: A002 - as in the library
-        """Scrapes come for ever: no line for each."""
+        """Write no line: scrapes come without end."""
 
 
 class MetricsServer(ThreadingHTTPServer):
-    """Serves on a socket that listens already. text: makes the answer of each scrape."""
+    """Serves on a socket that already listens. text: function that makes the answer of each
+    scrape.
+    """
 
     daemon_threads = True
     request_queue_size = 128
@@ -79,15 +81,16 @@ class MetricsServer(ThreadingHTTPServer):
         self._is_local = _is_loopback(str(self.server_address[0]))
         self._open: dict[Any, str] = {}  # sockets, oldest first, with the address of each
         self._asking: set[Any] = set()
-        """Those whose request has not come yet."""
+        """Connections whose request has not come yet."""
         self._lock, self._making = threading.Lock(), threading.Lock()
         self._made, self._made_at = "", -math.inf
 
     def is_named(self, host: str) -> bool:
-        """Whether a request's Host may be this server's.
+        """Return whether a request's Host is a valid name of this server.
 
-        One for this machine only goes by an address or as localhost: any other name is that of a
-        web page whose name was made to point here, to read what its visitor's machine shows.
+        A server for this machine only is valid under an address or as localhost. Any other name may
+        belong to a web page that was made to point here, in order to read what its visitor's
+        machine shows.
         """
         if not self._is_local:
             return True
@@ -98,10 +101,11 @@ class MetricsServer(ThreadingHTTPServer):
         return name is None or name == "localhost" or _is_loopback(name)
 
     def process_request(self, request: Any, client_address: Any) -> None:
-        """Serve a connection along with the others; whoever has not asked yet makes room for it.
+        """Serve a connection along with the others.
 
-        Of these the oldest of the address with the most connections goes: who drips in requests,
-        from however many connections, keeps nobody else out.
+        If there are too many, one without a request is closed. The oldest connection of the address
+        with the most such connections is closed. A client with slow requests therefore cannot block
+        others, however many connections it has.
         """
         with self._lock:
             if len(self._open) >= CLIENTS_MAX:
@@ -122,19 +126,21 @@ class MetricsServer(ThreadingHTTPServer):
         self._asking.discard(request)
 
     def has_asked(self, request: Any) -> None:
-        """A request has come whole: its connection is answered, whoever comes."""
+        """Note that the request of a connection is complete, so the connection is answered in any
+        case.
+        """
         with self._lock:
             self._asking.discard(request)
 
     def fresh_text(self) -> str:
-        """The text; one for all that ask at a time."""
+        """Return the text; simultaneous requests share one text."""
         with self._making:
             if time.monotonic() - self._made_at > FRESH_S:
                 self._made, self._made_at = self.text(), time.monotonic()
             return self._made
 
     def process_request_thread(self, request: Any, client_address: Any) -> None:
-        """Serve a connection for as long as it may last."""
+        """Serve a connection for its allowed duration."""
         end = threading.Timer(CLIENT_S, _cut, [request])
         end.daemon = True
         end.start()
@@ -146,11 +152,14 @@ class MetricsServer(ThreadingHTTPServer):
                 self._forget(request)
 
     def handle_error(self, request: Any, client_address: Any) -> None:
-        """A client that went away is no news."""
+        """Ignore the error: a client that went away is usual."""
 
 
 def _cut(request: socket.socket) -> None:
-    """End what its thread waits for; closing would not, as the thread's files keep it open."""
+    """End the wait of a connection's thread.
+
+    Closing would not do this, because the thread's files keep the connection open.
+    """
     with contextlib.suppress(OSError):
         request.shutdown(socket.SHUT_RDWR)
 

@@ -1,13 +1,14 @@
-"""What systemd gets: ready, reloading, stopping, a status line, and that the loop still turns.
+"""Messages to systemd: ready, reloading, stopping, a status line, and that the loop still runs.
 
 The protocol of sd_notify(3): datagrams of NAME=value lines to the socket that systemd names in the
-environment. Without that name nothing is sent. Sending never blocks and never fails: a service
-manager that does not listen is no reason to stop.
+environment. Without that name in the environment, nothing is sent. Sending never blocks and never
+fails: a service manager that does not listen must not stop the daemon.
 
-The unit's count of starts that followed one another: over once the daemon has lived.
+The module also ends the unit's count of successive starts, once the daemon has run for a while.
 
-The unit (`systemd/imucald@.service`) counts in this file before each start and slows a loop down by
-it; that needs no clock, which would cost it a process, because this module ends the count.
+The unit (`systemd/imucald@.service`) counts in this file before each start and slows down a restart
+loop by it. The unit needs no clock, which would cost it a process, because this module ends the
+count.
 """
 
 from __future__ import annotations
@@ -21,11 +22,14 @@ from contextlib import suppress
 from pathlib import Path
 
 FEEDS_PER_TIMEOUT = 4
-"""The watchdog is fed so often within its time-out."""
+"""Number of watchdog messages within its time-out."""
 
 
 class Notifier:
-    """Talks to the service manager. environment: where its names are (default: the process's)."""
+    """Sends messages to the service manager.
+
+    environment: variables with its names (default: the process's).
+    """
 
     def __init__(
         self,
@@ -46,26 +50,26 @@ class Notifier:
         self._status = ""
 
     def ready(self) -> None:
-        """Starting, or reloading, is over."""
+        """Report that starting, or reloading, is complete."""
         self._send("READY=1")
 
     def reloading(self) -> None:
-        """The configuration is being read again; `ready` ends it."""
+        """Report that the configuration is being read again; `ready` ends this."""
         self._send(f"RELOADING=1\nMONOTONIC_USEC={time.monotonic_ns() // 1000}")
 
     def stopping(self) -> None:
-        """The service ends."""
+        """Report that the service ends."""
         self._send("STOPPING=1")
 
     def status(self, text: str) -> None:
-        """One line that `systemctl status` shows; sent when it changes."""
+        """Send the line that `systemctl status` shows, if it has changed."""
         line = " ".join(text.split())
         if line != self._status:
             self._status = line
             self._send(f"STATUS={line}")
 
     def feed(self) -> None:
-        """To be called by the loop that matters; notifies systemd now and then that it turns."""
+        """Notify systemd now and then that the loop runs; the main loop must call this."""
         now = self._clock()
         if self._period and now >= self._next_feed:
             self._next_feed = now + self._period
@@ -78,7 +82,7 @@ class Notifier:
 
 
 def _watchdog_period(environment: Mapping[str, str]) -> float:
-    """Seconds between feeds; 0 where no watchdog waits for this process."""
+    """Return the seconds between watchdog messages; 0 if no watchdog waits for this process."""
     try:
         timeout = int(environment.get("WATCHDOG_USEC", "0")) / 1e6
         pid = int(environment.get("WATCHDOG_PID", os.getpid()))
@@ -88,13 +92,15 @@ def _watchdog_period(environment: Mapping[str, str]) -> float:
 
 
 LONG_ENOUGH_S = 60.0
-"""Whoever lived so long is in no loop: its next restart is at once again."""
+"""A process that ran for this long is not in a restart loop: its next restart is immediate again
+[s].
+"""
 ENDED = b"ended\n"
-"""Written over a count; whatever is no number counts for nothing."""
+"""Text that replaces a count; any text that is not a number counts as zero."""
 
 
 def start_count_file(environment: Mapping[str, str]) -> Path | None:
-    """The unit's file; None without a unit."""
+    """Return the unit's file; None without a unit."""
     if "INVOCATION_ID" not in environment:  # systemd sets it
         return None
     folder = environment.get("CACHE_DIRECTORY", "").partition(":")[0]
@@ -102,9 +108,12 @@ def start_count_file(environment: Mapping[str, str]) -> Path | None:
 
 
 def end_count(path: Path | None) -> None:
-    """An orderly end, or one that another start would not mend, is no part of a loop."""
+    """End the count at an orderly end, or at one that another start would not cure: neither is part
+    of a loop.
+    """
     if path is not None:
-        # in place, as the unit does: where the disk is full meanwhile, no new file could be written
+        # The file is overwritten in place, as the unit does: on a disk that has become full, no new
+        # file could be written.
         with suppress(OSError), path.open("r+b") as file:  # else a restart waits for a while
             file.write(ENDED)
 
@@ -116,7 +125,7 @@ class StartCount:
         self._path = path
 
     def update(self, uptime: float) -> None:
-        """uptime: of this process [s]."""
+        """uptime: uptime of this process [s]."""
         if self._path is not None and uptime >= LONG_ENOUGH_S:
             end_count(self._path)
             self._path = None

@@ -1,9 +1,10 @@
-"""The parts of a service that come from its configuration, made once and again at each reload.
+"""Parts of a service that depend on its configuration, made at the start and at each reload.
 
-A reload exchanges all of them or none: what fails on the way leaves the running ones as they were.
-What goes on over a reload stands here too, with the sensor check that attitude has.
+A reload replaces all parts or none: a failure leaves the running ones unchanged. The functions that
+carry parts over a reload are here too, and those for the sensor check of the attitude.
 
-Diagnostics (UDS) of a service: what answers on the bus, and what of it outlives the process.
+`UdsDiagnostics` are the diagnostics (UDS) of a service: the server on the bus, and the data that
+survive the process.
 """
 
 from __future__ import annotations
@@ -41,10 +42,10 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class ServiceOptions:
-    """What the command line says of a service.
+    """Options of a service from the command line.
 
-    state_folder, status_socket: None for none. socket_needed: without it nothing starts.
-    save_period: [s]. start_count: the unit's file (see `notify`).
+    state_folder, status_socket: None for none. socket_needed: without the socket the service does
+    not start. save_period: period between saves [s]. start_count: the unit's file (see `notify`).
     """
 
     config: Path
@@ -61,8 +62,8 @@ class ServiceOptions:
 class UdsDiagnostics(Struct, frozen=True):
     """uds: serves testers; None: switched off.
 
-    dtc_store, keys: trouble codes and wrong keys, kept on the disk; once made they stay, also while
-    diagnostics are switched off.
+    dtc_store, keys: trouble codes and wrong keys, saved on the disk. Once made, they stay even
+    while diagnostics are switched off.
     """
 
     uds: BusUds | None = None
@@ -70,19 +71,19 @@ class UdsDiagnostics(Struct, frozen=True):
     keys: AttemptStore | None = None
 
     def update(self) -> None:
-        """Save trouble codes where it is due."""
+        """Save trouble codes if it is due."""
         if self.dtc_store is not None:
             self.dtc_store.update()
 
     def close(self) -> None:
-        """Save what is kept."""
+        """Save the trouble codes and wrong keys."""
         if self.dtc_store is not None:
             self.dtc_store.close()
         if self.keys is not None:
             self.keys.close()
 
     def status(self) -> dict[str, Any] | None:
-        """What `imucald status` shows of it; None: switched off."""
+        """Return the part of `imucald status` about diagnostics; None: switched off."""
         if self.uds is None or self.dtc_store is None:
             return None
         return self.uds.status() | {"dtc_memory": self.dtc_store.status()}
@@ -97,14 +98,14 @@ def diagnostics_for(
     say: Say,
     clock: Callable[[], float],
 ) -> UdsDiagnostics:
-    """The diagnostics of a configuration, going on from those before.
+    """Return the diagnostics of a configuration, continued from the former ones.
 
-    folder: of the saved state. Raises ConfigError with the place of a mistake.
+    folder: folder of the saved state. Raises ConfigError with the place of a mistake.
     """
     dtc_store, keys = before.dtc_store, before.keys
     if not loaded.config.diagnostics.enabled:
         return UdsDiagnostics(None, dtc_store, keys)
-    # imported only where it is wanted: it loads OpenSSL (3.6 MiB) for keys
+    # This is imported only on use: it loads OpenSSL (3.6 MiB) for keys.
     from imucald.service.attempt_store import AttemptStore  # noqa: PLC0415
     from imucald.service.dtc_store import DtcStore  # noqa: PLC0415
     from imucald.service.uds_on_bus import bus_uds_for  # noqa: PLC0415
@@ -120,7 +121,7 @@ def diagnostics_for(
 
 @dataclass(frozen=True)
 class Parts:
-    """What a service runs. calibration_store: None where no state is kept."""
+    """The parts of a running service. calibration_store: None if no state is saved."""
 
     loaded: LoadedConfig
     engine: Engine
@@ -131,7 +132,7 @@ class Parts:
 
 @dataclass(frozen=True)
 class Listeners:
-    """What a service hears from its parts, and what they ask it."""
+    """Callbacks from the parts to their service."""
 
     on_snapshot: Callable[[Snapshot], None]
     on_link_event: Callable[[LinkEvent], None]
@@ -153,7 +154,9 @@ class PartsMaker:
         self._listeners, self._clock = listeners, clock
 
     def read(self) -> tuple[LoadedConfig, Engine]:
-        """Read the configuration and build its engine, which may take long; nothing is opened.
+        """Read the configuration and build its engine.
+
+        This may take long; nothing is opened.
 
         Raises ConfigError.
         """
@@ -162,7 +165,10 @@ class PartsMaker:
         return loaded, make_engine(loaded, listeners.on_snapshot, listeners.link_health)
 
     def first(self, loaded: LoadedConfig, engine: Engine) -> Parts:
-        """The parts at the start, the saved state restored. Raises ConfigError, LinkError."""
+        """Return the parts at the start, with the saved state restored.
+
+        Raises ConfigError, LinkError.
+        """
         store = self._new_calibration_store(loaded, engine)
         if store is not None:
             restored = store.restore(engine.pipeline.estimator)
@@ -174,7 +180,10 @@ class PartsMaker:
         )
 
     def after(self, parts: Parts, loaded: LoadedConfig, engine: Engine) -> Parts:
-        """The parts of another configuration; what can go on goes on. Raises whatever fails."""
+        """Return the parts of another configuration; parts that can continue do.
+
+        Raises any exception of a failing part.
+        """
         old, link, diagnostics = parts.engine, parts.link, parts.diagnostics
         try:
             is_other = loaded.config.diagnostics != parts.loaded.config.diagnostics
@@ -200,9 +209,9 @@ class PartsMaker:
     def _estimator_after(
         self, parts: Parts, loaded: LoadedConfig, engine: Engine, same_bus: bool
     ) -> tuple[MountEstimator, CalibrationStore | None]:
-        """The running estimator where it can stay; else a new one behind what is known.
+        """Return the running estimator if it can stay, else a new one behind what is known.
 
-        With it the store that is to keep it.
+        Also return the store that saves it.
         """
         running, store = parts.engine, parts.calibration_store
         old, new = running.pipeline.estimator, engine.pipeline.estimator
@@ -215,7 +224,7 @@ class PartsMaker:
             if store is not None:
                 restore_check(engine, store.saved_check)
             if is_other_key or restored is not new:
-                return restored, store  # another sensor or vehicle: what was found is not of it
+                return restored, store  # another sensor or vehicle: the found mount is not its own
             return behind_the_known(old, new), store
         restore_check(engine, saved_check(running))
         if same_bus and keeps_estimator(parts.loaded, loaded, running, engine):
@@ -257,7 +266,7 @@ class PartsMaker:
 def listens_otherwise(
     old: LoadedConfig, new: LoadedConfig, old_engine: Engine, new_engine: Engine
 ) -> bool:
-    """Whether another bus, other inputs or other outputs are configured."""
+    """Return whether another bus, other inputs or other outputs are configured."""
     return (
         old.config.bus != new.config.bus
         or old.config.diagnostics != new.config.diagnostics
@@ -267,7 +276,7 @@ def listens_otherwise(
 
 
 def is_same_bus(old: LoadedConfig, new: LoadedConfig, options: ServiceOptions) -> bool:
-    """Whether the same bus is listened to: on another one sits another sensor."""
+    """Return whether the bus is the same; another bus has another sensor."""
 
     def names(loaded: LoadedConfig) -> tuple[str, str]:
         bus = loaded.config.bus
@@ -279,11 +288,12 @@ def is_same_bus(old: LoadedConfig, new: LoadedConfig, options: ServiceOptions) -
 def keeps_estimator(
     old: LoadedConfig, new: LoadedConfig, old_engine: Engine, new_engine: Engine
 ) -> bool:
-    """Whether the running estimator is the one that the new configuration would make.
+    """Return whether the running estimator equals the one that the new configuration would make.
 
-    Not where a database gives a signal another meaning: what is known of the sensor's health is
-    then of another one, and nothing is good before this one has been seen. Limits of what is
-    believed change no number, and take nothing from what was learnt, standing faults among it.
+    The result is False if a database gives a signal another meaning: knowledge of the sensor's
+    health then belongs to the former signal, and nothing is good before the new signal has been
+    seen. Limits of plausible values change no number, and invalidate nothing that was learnt,
+    including standing faults.
     """
     a, b = old.config, new.config
     before, now = old_engine.router, new_engine.router
@@ -294,7 +304,9 @@ def keeps_estimator(
 def keeps_consumers(
     old: LoadedConfig, new: LoadedConfig, old_engine: Engine, new_engine: Engine
 ) -> bool:
-    """Whether what runs next to the calibration is what the new configuration would make."""
+    """Return whether the consumers beside the calibration equal those that the new configuration
+    would make.
+    """
     a, b = (
         (c.attitude, c.travel_direction, c.signals, c.output.ids, c.output.checksum)
         for c in (old.config, new.config)
@@ -303,9 +315,9 @@ def keeps_consumers(
 
 
 def take_usual_signals(old: Engine, estimator: MountEstimator, new: Engine) -> None:
-    """Let a new estimator know how long signals that stay usually keep a value.
+    """Give a new estimator the usual durations for which unchanged signals keep a value.
 
-    One that is stuck since before the reload would never show it.
+    A signal that has been stuck since before the reload would never show its usual duration.
     """
     former, made = without_stored(old.pipeline.estimator), without_stored(estimator)
     if made is not former and isinstance(former, FullEstimator) and isinstance(made, FullEstimator):
@@ -313,9 +325,9 @@ def take_usual_signals(old: Engine, estimator: MountEstimator, new: Engine) -> N
 
 
 def behind_the_known(old: MountEstimator, new: MountEstimator) -> MountEstimator:
-    """The new estimator, with what the old one knows in front of it as restored.
+    """Return the new estimator with the mount of the old one in front of it as restored.
 
-    A hold by an order goes on; one by the configuration is as the new configuration says.
+    A hold by an order continues. A hold by the configuration follows the new configuration.
     """
     stored = mount_in_force(old)
     if stored is None:
@@ -329,7 +341,7 @@ def behind_the_known(old: MountEstimator, new: MountEstimator) -> MountEstimator
 
 
 def repeat_check(engine: Engine) -> bool:
-    """Repeat it at the next rest; return whether there is one to repeat."""
+    """Repeat the sensor check at the next rest; return whether there is one to repeat."""
     found = _checking(engine)
     for consumer in found:
         consumer.check_sensors()
@@ -337,21 +349,23 @@ def repeat_check(engine: Engine) -> bool:
 
 
 def is_checked(engine: Engine) -> bool:
-    """Whether it has been made, where there is one."""
+    """Return whether the sensor check has been made, if there is one."""
     return all(consumer.checked for consumer in _checking(engine))
 
 
 def saved_check(engine: Engine) -> Mapping[str, Any] | None:
-    """What it found, as it is saved: sensor axes, SI; None before it."""
+    """Return the result of the sensor check for the saved state: sensor axes, SI; None before
+    it.
+    """
     return next((consumer.saved_check() for consumer in _checking(engine)), None)
 
 
 def restore_check(engine: Engine, saved: object) -> None:
-    """Take what was saved, where it can be believed."""
+    """Take a saved sensor check if it is plausible."""
     for consumer in _checking(engine):
         consumer.restore_check(saved)
 
 
 def _checking(engine: Engine) -> list[ChecksSensors]:
-    """What checks sensors on an engine: attitude, where it is on."""
+    """Return the consumer of an engine that checks sensors: the attitude, if it is on."""
     return [consumer for consumer in engine.consumers if isinstance(consumer, ChecksSensors)]

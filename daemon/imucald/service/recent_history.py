@@ -1,7 +1,7 @@
-"""The last half hour of a daemon, kept for a page that is opened later.
+"""The last half hour of a daemon, stored for a page that is opened later.
 
-A row each two seconds, as JSON of about 200 bytes, so that it takes 200 kB and an answer is made by
-joining rows.
+There is a row every two seconds, as JSON of about 200 bytes. The history takes 200 kB, and an
+answer only joins rows.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from imucald.runtime.summary import plain
 
 PERIOD_S = 2.0
 KEPT = 900
-"""Half an hour."""
+"""Rows that are kept: half an hour."""
 NOTHING = [math.nan] * 3
 COLUMNS = (
     "at",
@@ -36,13 +36,16 @@ COLUMNS = (
     "dvdt_mps2",
     "turn_mps2",
 )
-"""Wall clock [s]; state; kind of flow; mount, with half of its 95 % intervals; means over the
-period of the force in sensor axes (less what a model file takes out) and as corrected, of the
-change of speed, and of speed times corrected turn rate."""
+"""Columns: wall clock [s]; state; kind of flow; mount, with half of its 95 % intervals; and means
+over the period.
+
+The means are the force in sensor axes (without the effects that a model file removes) and as
+corrected, the change of speed, and speed times corrected turn rate.
+"""
 
 
 class RecentHistory:
-    """Gathers ticks into rows. wall: the time of day [s]."""
+    """Gathers ticks into rows. wall: function that returns the time of day [s]."""
 
     def __init__(self, wall: Callable[[], float] = time.time) -> None:
         self._wall = wall
@@ -69,7 +72,7 @@ class RecentHistory:
         self._ticks.append([*raw, *force, speed, rate[2]])
 
     def end_row(self, engine: Engine, flow: str) -> None:
-        """Make a row of the ticks since the last one; flow: see `runtime.flow`."""
+        """Make a row of the ticks since the last row. flow: see `runtime.flow`."""
         estimate = engine.pipeline.estimator.estimate()
         angles = estimate.angles or NOTHING
         std = estimate.angle_std or NOTHING
@@ -88,7 +91,7 @@ class RecentHistory:
         self._ticks.clear()
 
     def _means(self) -> list[float]:
-        """Forces, dv/dt and speed times turn rate of the ticks; NaN where not known."""
+        """Return forces, dv/dt and speed times turn rate of the ticks; NaN where not known."""
         if not self._ticks:
             self._ended = None
             return [math.nan] * 8
@@ -106,6 +109,6 @@ class RecentHistory:
         return [*means[:6].tolist(), dvdt, float(means[6] * means[7])]
 
     def as_json(self, since: float = -math.inf) -> str:
-        """Rows after a time of day [s], oldest first, with the names of the columns."""
+        """Return the rows after a time of day [s], oldest first, with the names of the columns."""
         rows = ",".join(text for at, text in self._rows if at > since)
         return f'{{"period_s":{PERIOD_S},"columns":{json_text(COLUMNS)},"rows":[{rows}]}}\n'

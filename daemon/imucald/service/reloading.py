@@ -1,4 +1,4 @@
-"""Reading the configuration again: prepared in a thread, taken over in one of its turns."""
+"""Reload of the configuration: prepared in a thread, applied in a turn of the loop."""
 
 from __future__ import annotations
 
@@ -14,14 +14,19 @@ from imucald.service.notify import Notifier
 Read = TypeVar("Read")
 
 LONG_S = 30.0
-"""A reload that takes so long [s] is reported: a large database is read within 10 s for each MB."""
+"""A reload that takes longer than this [s] is reported: a large database is read within 10 s for
+each MB.
+"""
 
 
 class Reloading(Generic[Read]):
-    """A reload from its request to its end. A failure is reported, and what runs goes on as it was.
+    """A reload from its request to its end.
 
-    read: reads and parses, which may take long; touches nothing that runs. take_over: lets what was
-    read take the place of what runs, all of it or nothing. clock: monotonic [s].
+    A failure is reported, and the running parts stay unchanged.
+
+    read: function that reads and parses, which may take long; it changes nothing that runs.
+    take_over: function that replaces the running parts by the new ones, all or none. clock:
+    monotonic [s].
     """
 
     def __init__(
@@ -50,7 +55,7 @@ class Reloading(Generic[Read]):
         self._end(Prepared.of(self._read))
 
     def poll(self) -> None:
-        """Begin a reload that was asked for, in a thread; take over what is prepared."""
+        """Start a requested reload in a thread; apply a reload that is prepared."""
         if self._preparing is None:
             if self._is_requested:
                 self._is_requested = False
@@ -65,7 +70,7 @@ class Reloading(Generic[Read]):
             self._report_hanging(self._clock() - self._began)
 
     def _report_hanging(self, seconds: float) -> None:
-        """Say, once each, that a reload waits for the one before it, and that one takes long."""
+        """Log, once each, that a reload waits for the previous one, and that one takes long."""
         reading = f"the configuration is still being read after {seconds:.0f} s"
         if self._is_requested and not self._is_waiting_reported:
             self._is_waiting_reported = True
@@ -92,7 +97,7 @@ Result = TypeVar("Result")
 
 
 class Prepared(Generic[Result]):
-    """What a function returned or raised."""
+    """Result or exception of a function."""
 
     def __init__(self) -> None:
         self.is_done = False
@@ -101,14 +106,14 @@ class Prepared(Generic[Result]):
 
     @classmethod
     def of(cls, work: Callable[[], Result]) -> Prepared[Result]:
-        """Do it now."""
+        """Call the function now."""
         made = cls()
         made._do(work)
         return made
 
     @classmethod
     def beside(cls, work: Callable[[], Result]) -> Prepared[Result]:
-        """Have a thread do it; without one, it is done now."""
+        """Call the function in a thread; if there is no thread, call it now."""
         made = cls()
         try:
             threading.Thread(target=made._do, args=[work], name="prepare", daemon=True).start()
@@ -125,7 +130,10 @@ class Prepared(Generic[Result]):
             self.is_done = True
 
     def result(self) -> Result:
-        """What was returned; raises what was raised. Only when it is done."""
+        """Return the result of the function, or raise its exception.
+
+        Call this only when it is done.
+        """
         if self._error is not None:
             raise self._error
         assert self._found is not None

@@ -1,5 +1,5 @@
-"""What a running service says of itself: for `imucald status` (docs/service.md has the keys), in a
-line, and what the process takes.
+"""Status of a running service: for `imucald status` (docs/service.md has the keys), as one line,
+and the resources of the process.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from imucald.service.calibration_store import CalibrationStore
 
 
 class InputRates:
-    """Samples a second of each channel, between two calls of `update`."""
+    """Samples per second of each channel, between two calls of `update`."""
 
     def __init__(self, now: float) -> None:
         self._rates: dict[str, float] = {}
@@ -33,18 +33,18 @@ class InputRates:
         self._at = now
 
     def update(self, counts: Mapping[str, int], now: float) -> None:
-        """Take how many samples came so far, by channel."""
+        """Take the number of samples so far, by channel."""
         span = max(now - self._at, 1e-9)
         self._rates = {c: (n - self._counted.get(c, 0)) / span for c, n in counts.items()}
         self._counted, self._at = dict(counts), now
 
     def of(self, channel: str) -> float:
-        """[1/s]"""
+        """Return the rate of a channel [1/s]."""
         return self._rates.get(channel, 0.0)
 
 
 def run_result(engine: Engine, link: Link) -> dict[str, Any]:
-    """Summary of the run (see docs/json.md), with the link's counters."""
+    """Return the summary of the run (see docs/json.md), with the link's counters."""
     counts = RunCounts(link.counters.received, engine.router.used, engine.router.rejected)
     found = summary(engine, counts, engine.timebase.now)
     found["link"] = dataclasses.asdict(link.counters)
@@ -54,7 +54,7 @@ def run_result(engine: Engine, link: Link) -> dict[str, Any]:
 def running_status(
     engine: Engine, link: Link, rates: InputRates, store: CalibrationStore | None
 ) -> dict[str, Any]:
-    """The result so far, and how engine, bus, store and process are."""
+    """Return the result so far, and the state of engine, bus, store and process."""
     found = run_result(engine, link)
     for channel, row in found["signals"].items():
         row["rate_hz"] = round(rates.of(channel), 3)
@@ -87,7 +87,7 @@ NOT_SAVED: dict[str, Any] = {
 
 
 def status_line(estimate: MountEstimate, link: str) -> str:
-    """One line for `systemctl status`."""
+    """Return one line for `systemctl status`."""
     parts = [estimate.state.name.lower()]
     angles, std = estimate.angles, estimate.angle_std
     if angles is not None and std is not None:
@@ -108,7 +108,7 @@ def status_line(estimate: MountEstimate, link: str) -> str:
 
 
 def _to_be_fine(estimate: MountEstimate) -> str:
-    """What states are judged by and is above its target; empty where nothing is."""
+    """Return the judged deviations that are above their targets; empty if there are none."""
     std, targets = estimate.judged_std, estimate.targets
     if std is None or targets is None:
         return ""
@@ -121,7 +121,7 @@ def _to_be_fine(estimate: MountEstimate) -> str:
 
 
 def process_figures() -> dict[str, Any]:
-    """Memory, processor time, threads and open files of this process."""
+    """Return memory, processor time, threads and open files of this process."""
     try:
         pages = int(Path("/proc/self/statm").read_text().split()[1])
         files: int | None = len(os.listdir("/proc/self/fd"))  # noqa: PTH208

@@ -1,7 +1,8 @@
-"""The service around the loop: saved state, systemd, status, reload. All of it in the loop's turns.
+"""The service around the loop: saved state, systemd, status, reload.
 
-The loop comes by `CHORE_S` after the last time at the latest (bus traffic or not), so that what
-systemd's watchdog hears comes from the loop that corrects frames and from nothing else.
+All of it runs in the loop's turns. The loop runs these tasks at least every `CHORE_S`, with or
+without bus traffic. The messages to systemd's watchdog therefore come only from the loop that
+corrects frames.
 """
 
 from __future__ import annotations
@@ -39,25 +40,25 @@ from imucald.service.sockets import Sockets
 from imucald.service.state_file import FolderInUseError, FolderLock, clear_unfinished
 
 CHORE_S = 0.1
-"""The loop turns to everything but frames so often [s]."""
+"""Period of all tasks except frames [s]."""
 SECOND_S = 1.0
-"""Rates and the status line are made so often [s]."""
+"""Period of rates and of the status line [s]."""
 
 
 class Companion(Protocol):
-    """A process that serves next to this one; it ends with it."""
+    """A process that serves beside this one and ends with it."""
 
     def poll(self) -> bool:
-        """Whether it has just ended by itself."""
+        """Return whether the process has just ended by itself."""
         ...
 
     def close(self) -> None:
-        """Have it end."""
+        """End the process."""
         ...
 
 
 class Service:
-    """Runs the daemon of one configuration. Raises ConfigError, LinkError at the start."""
+    """Runs the daemon of one configuration. Raises ConfigError or LinkError at the start."""
 
     def __init__(
         self,
@@ -96,7 +97,7 @@ class Service:
             raise
 
     def _set_up(self, loaded: LoadedConfig, engine: Engine) -> None:
-        """What needs the state folder, and the bus."""
+        """Set up the parts that need the state folder, and the bus."""
         say_idle_keys(loaded, self.journal)
         self.parts = self._maker.first(loaded, engine)
         try:
@@ -113,7 +114,7 @@ class Service:
     # starting ------------------------------------------------------------------------------
 
     def _locked_folder(self) -> FolderLock | None:
-        """Have the state folder alone; one that cannot be locked is read all the same."""
+        """Lock the state folder for this daemon; a folder that cannot be locked is still read."""
         folder = self.options.state_folder
         if folder is None:
             return None
@@ -135,9 +136,9 @@ class Service:
         return lock
 
     def _keep_locked(self) -> None:
-        """Lock the folder that could not be locked, or was deleted and made again.
+        """Lock the folder if it could not be locked before, or was deleted and made again.
 
-        Raises FolderInUseError where another daemon was faster: nothing is saved any more then.
+        Raises FolderInUseError if another daemon was faster; nothing is saved any more then.
         """
         try:
             if self._lock is None:
@@ -163,7 +164,7 @@ class Service:
 
     @property
     def loaded(self) -> LoadedConfig:
-        """The configuration that is in force (another one after a reload, as all of `parts`)."""
+        """The configuration in force. A reload replaces it, as all `parts`."""
         return self.parts.loaded
 
     @property
@@ -197,15 +198,18 @@ class Service:
         self.daemon.stop()
 
     def ask_reload(self) -> None:
-        """Read the configuration again soon; safe in a signal handler."""
+        """Request a reload of the configuration; safe in a signal handler."""
         self._reloading.ask()
 
     def reload(self) -> None:
-        """Read the configuration again; the estimate goes on. A wrong one changes nothing."""
+        """Read the configuration again; the estimate continues.
+
+        A wrong configuration changes nothing.
+        """
         self._reloading.now()
 
     def _take_over(self, read: tuple[LoadedConfig, Engine]) -> None:
-        """Let other parts take the place of the running ones; all of them, or none."""
+        """Replace the running parts by others; all of them, or none."""
         before = self.parts
         self.parts = now = self._maker.after(before, *read)
         self.daemon.engine, self.daemon.link = now.engine, now.link
@@ -216,7 +220,7 @@ class Service:
         self._announcements.model(now.engine)
 
     def _let_go(self, before: Parts, now: Parts) -> None:
-        """End the parts that others have taken the place of; no failure takes that back."""
+        """End the parts that were replaced; no failure reverses the replacement."""
         store, ends = before.calibration_store, list[Callable[[], None]]()
         if store is not None and store is not now.calibration_store:
             ends.append(store.end)
@@ -230,7 +234,7 @@ class Service:
                 self.journal.say(f"{text}: {error})", WARNING)
 
     def close(self) -> None:
-        """Save the state, let go of bus and socket."""
+        """Save the state, release bus and socket."""
         self.notifier.stopping()
         self.sockets.close()
         self.link.close()  # first: nothing stale is sent while the disk takes its time
@@ -244,7 +248,7 @@ class Service:
         self._release()
 
     def _between(self) -> None:
-        """Within a batch of frames: show the watchdog, and whoever asks, that the loop goes on."""
+        """Show the watchdog and clients within a batch of frames that the loop runs."""
         now = self._clock()
         if now >= self._next_look:
             self._next_look = now + CHORE_S
@@ -294,17 +298,19 @@ class Service:
 
     @property
     def link_counters(self) -> LinkCounters:
-        """What the bus link counts."""
+        """Counters of the bus link."""
         return self.link.counters
 
     @property
     def state_corrupt(self) -> bool | None:
-        """Whether a state was found that could not be believed, and none was saved since."""
+        """Whether an invalid saved state was found, and none was saved since."""
         store = self.parts.calibration_store
         return None if store is None else bool(store.problems) and not store.writer.saves
 
     def check_sensors(self) -> bool:
-        """Repeat the sensor check at the next rest; whether there is one to repeat (attitude)."""
+        """Repeat the sensor check at the next rest; return whether there is one to repeat
+        (attitude).
+        """
         is_there = repeat_check(self.engine)
         if is_there:
             self.journal.say("the sensors will be checked at the next stop", NOTICE)
@@ -316,17 +322,17 @@ class Service:
         return is_checked(self.engine)
 
     def ask_sensor_check(self) -> None:
-        """Repeat the sensor check soon; safe within a signal handler."""
+        """Request the sensor check soon; safe in a signal handler."""
         self._check_wanted = True
 
     def forget_state(self) -> str:
-        """Keep nothing of what was saved; return why the disk does not take that now, or ""."""
+        """Forget all that was saved; return why the disk does not take that now, or ""."""
         store = self.parts.calibration_store
         return "" if store is None else store.forget()
 
     @property
     def state_forgotten(self) -> bool:
-        """Whether nothing that was forgotten would come back with another start."""
+        """Whether no forgotten state would return at another start."""
         store = self.parts.calibration_store
         return store is None or store.store.is_forgotten
 
@@ -338,14 +344,14 @@ class Service:
         return store.save_order(engine.pipeline.estimator, engine.timebase.now)
 
     def log_order(self, who: str, text: str) -> None:
-        """Write what was done to the mount, and by whom, into the log."""
+        """Log what was done to the mount, and by whom."""
         if who == TESTER:  # may go on without end
             self.log_tester(f"{text} (by {who})")
         else:
             self.journal.say(f"{text} (by {who})", NOTICE)
 
     def log_tester(self, text: str) -> None:
-        """Write what a tester did into the log."""
+        """Log what a tester did."""
         self.journal.seldom(text.partition(":")[0], text, WARNING)
 
     # what it reports -----------------------------------------------------------------------
@@ -354,11 +360,11 @@ class Service:
         return self.daemon.link_health() if hasattr(self, "daemon") else LinkHealth()
 
     def result(self) -> dict[str, Any]:
-        """Summary of the run (see docs/json.md), with the link's counters."""
+        """Return the summary of the run (see docs/json.md), with the link's counters."""
         return run_result(self.engine, self.link)
 
     def status(self) -> dict[str, Any]:
-        """What `imucald status` shows; keys in docs/service.md."""
+        """Return the content of `imucald status`; keys in docs/service.md."""
         engine, store = self.engine, self.parts.calibration_store
         found = running_status(engine, self.link, self._rates, store)
         found["process"] |= {
@@ -377,7 +383,7 @@ class Service:
         return found | {"flow": asdict(flow(found))}
 
     def _flow(self) -> Flow:
-        """What a receiver gets now, without making all of the status."""
+        """Return what a receiver gets now, without the whole status."""
         pipeline = self.engine.pipeline
         return flow(
             {

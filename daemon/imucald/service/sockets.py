@@ -15,10 +15,10 @@ from imucald.service.status import StatusServer
 
 
 class Sockets:
-    """Both, as far as they can be had: nothing else depends on them.
+    """Both sockets, if they can be made: nothing else depends on them.
 
-    path: of the status socket; None for neither. is_needed: raise LinkError where it cannot be
-    made. status: makes the status; history: see `StatusServer`.
+    path: path of the status socket; None for neither. is_needed: raise LinkError if it cannot be
+    made. status: function that makes the status; history: see `StatusServer`.
     """
 
     def __init__(
@@ -50,18 +50,18 @@ class Sockets:
             journal.say(f"{error}; continuing without it", WARNING)
 
     def poll_status(self) -> None:
-        """Serve those who only ask, also within a batch of frames."""
+        """Serve the clients that only ask, also within a batch of frames."""
         if self.status is not None:
             self.status.poll()
 
     def poll(self) -> None:
-        """Serve whoever waits."""
+        """Serve all clients that wait."""
         self.poll_status()
         if self.control is not None:
             self.control.poll()
 
     def close(self) -> None:
-        """Take both away."""
+        """Remove both sockets."""
         for server in (self.status, self.control):
             if server is not None:
                 server.close()

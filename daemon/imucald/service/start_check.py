@@ -1,4 +1,4 @@
-"""What keeps `imucald run` from starting, asked without a bus."""
+"""Check whether `imucald run` can start, without a bus."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from imucald.service.uds_on_bus import check_diagnostics
 
 
 def check_start(loaded: LoadedConfig) -> None:
-    """Raise the ConfigError that `run` would end with, if there is one."""
+    """Raise the ConfigError with which `run` would end, if there is one."""
     engine = make_engine(loaded)
     if loaded.config.diagnostics.enabled:
         check_diagnostics(loaded, engine)

@@ -1,12 +1,13 @@
-"""The saved state: what a drive found, kept so that no power cut can damage it.
+"""The saved state: the result of a drive, stored so that no power cut can damage it.
 
-Two files take turns (``.0`` and ``.1``), each with a generation number; a save replaces the older
-one: a new file is forced to the disk and renamed, the folder forced too. So the newest or the one
-before it is whole at every instant. A file is believed only when its length and SHA-256 fit, its
-version is known, it was made for this vehicle and this sensor, and its numbers make sense. What is
-not believed is set aside under another name with the reason in it, never deleted.
+Two files (``.0`` and ``.1``) alternate, each with a generation number. A save replaces the older
+file: a new file is forced to the disk and renamed, and the folder is forced to the disk too. At
+every instant, the newest file or the previous one is therefore complete. A file is accepted only if
+its length and SHA-256 are right, its version is known, it belongs to this vehicle and this sensor,
+and its numbers are plausible. A file that is not accepted is renamed, with the reason in its new
+name, and never deleted.
 
-One daemon on one state folder: two would write into one another's files.
+Only one daemon may use a state folder: two would overwrite each other's files.
 """
 
 from __future__ import annotations
@@ -39,29 +40,32 @@ from imucald.core.files import (
 MAGIC = "imucald-state"
 VERSION = 2
 READABLE = (1, 2)
-"""Version 1 had no sums in its evidence; it is read as a state without."""
+"""Versions that can be read.
+
+Version 1 had no sums in its evidence; it is read as a state without sums.
+"""
 MAX_BYTES = 1 << 20
-"""A longer file is not ours."""
+"""A longer file is not a state file."""
 SLOTS = (0, 1)
 PROBE = "probe"
 PROBE_BYTES = 1 << 16
-"""More than a state has, as a rule."""
+"""Bytes of a test write: usually more than a state has."""
 ROTATION_TOLERANCE = 1e-6
-"""How far a stored matrix may be from a rotation."""
+"""Largest difference of a stored matrix from a rotation."""
 LARGEST_VARIANCE = 4.0
-"""Variance of an angle [rad^2]; more than of one that is wholly unknown is nonsense."""
+"""Largest variance of an angle [rad^2]: more than that of an unknown angle is invalid."""
 LARGEST_NUMBER = 2**53
-"""Of any number in a file; up to there a float holds every integer."""
+"""Largest number in a file: up to there a float holds every integer."""
 LONGEST_DOUBT = 2000
-"""Characters of what was wrong: all texts that there are, at once."""
+"""Largest length of the text about what was wrong: all existing texts at once."""
 STATES = ("usable", "fine")
 ORDERED = ("held", "given")
-"""Keys that stand in a file only where they are true: what people ordered."""
+"""Keys that are in a file only if they are true: orders of people."""
 
 
 @dataclass(frozen=True)
 class StateKey:
-    """Whose state it is: the vehicle's identity, and a hash of what defines the sensor."""
+    """Owner of a state: the vehicle's identity, and a hash of the sensor's definition."""
 
     vehicle: str
     sensor: str
@@ -76,15 +80,15 @@ class StateKey:
 
 @dataclass(frozen=True)
 class SavedState:
-    """The content.
+    """Content of a saved state.
 
-    rotation: R_vehicle_from_sensor, nine numbers row by row. covariance: nine [rad^2].
-    state: "usable" or "fine". doubted: it was suspect when it was saved. saved_at: wall clock [s],
-    for people only. driven_s: seconds of driving behind it. offsets: of sensors and signals, SI.
-    shifts: history of remounts, newest last. evidence: what the estimate rests on, for people, and
-    as "sums" and "sensor" what the estimator goes on with (`mount.saved_information`,
-    `mount.joint.known`). held: nothing was learnt.
-    given: a person stated the mount. doubt: why it was suspect, in words.
+    rotation: R_vehicle_from_sensor, nine numbers row by row. covariance: nine numbers [rad^2].
+    state: "usable" or "fine". doubted: the mount was suspect when it was saved. saved_at: wall
+    clock [s], for people only. driven_s: driving time behind it [s]. offsets: offsets of sensors
+    and signals, SI. shifts: history of remounts, newest last. evidence: the evidence behind the
+    estimate, for people. Its keys "sums" and "sensor" hold what the estimator continues from
+    (`mount.saved_information`, `mount.joint.known`). held: nothing was learnt. given: a person
+    stated the mount. doubt: reason why it was suspect, in words.
     """
 
     rotation: tuple[float, ...]
@@ -103,7 +107,7 @@ class SavedState:
 
 @dataclass(frozen=True)
 class Loaded:
-    """Result of `StateStore.load`: the state, or None; and one line for each file not believed."""
+    """Result of `StateStore.load`: the state, or None; and one line for each file not accepted."""
 
     state: SavedState | None
     generation: int
@@ -111,7 +115,7 @@ class Loaded:
 
 
 class _NotBelievedError(Exception):
-    """Why a file is not believed: one word for its new name, and a text."""
+    """Reason why a file is not accepted: one word for its new name, and a text."""
 
     def __init__(self, word: str, text: str) -> None:
         super().__init__(text)
@@ -119,27 +123,32 @@ class _NotBelievedError(Exception):
 
 
 class StateStore:
-    """Saves and loads the state of one vehicle and sensor in a folder of its own."""
+    """Saves and loads the state of one vehicle and sensor in its own folder."""
 
     def __init__(self, folder: Path, key: StateKey) -> None:
         self.folder = folder
         self.key = key
         self.generation = 0
-        """Of the newest one saved, loaded or forgotten."""
+        """Generation of the newest state that was saved, loaded or forgotten."""
         self.is_empty = True
-        """Whether nothing is saved: nothing was, or all was forgotten since."""
+        """Whether nothing is saved: nothing was saved, or all was forgotten since."""
         self.era = 0
-        """Goes up when all that was saved is forgotten; a save of an earlier era comes too late."""
+        """Counter that increases when all saved states are forgotten; a save of an earlier era is
+        ignored.
+        """
         self._forgotten: set[int] = set()
-        """Slots whose file was forgotten and may still have its name."""
+        """Slots whose file was forgotten but may still have its name."""
         self._renaming = threading.Lock()
 
     def path(self, slot: int) -> Path:
-        """The file of a slot."""
+        """Return the path of a slot's file."""
         return self.folder / f"{self.key.file_name}.{slot}"
 
     def load(self) -> Loaded:
-        """Return the newest state that can be believed; set aside what cannot. Never raises."""
+        """Return the newest acceptable state; set aside files that are not acceptable.
+
+        The call never raises.
+        """
         best: SavedState | None = None
         generation, highest, problems = 0, 0, []
         for slot in SLOTS:
@@ -163,10 +172,12 @@ class StateStore:
         return Loaded(best, generation, tuple(problems))
 
     def save(self, state: SavedState, era: int | None = None) -> None:
-        """Write a new generation; OSError when the disk does not take it (nothing is lost then).
+        """Write a new generation.
 
-        era: that of the state, where it was made earlier; if all was forgotten since, nothing is
-        written, and what is being written never gets its name.
+        Raises OSError if the disk does not take it; nothing is lost then.
+
+        era: era of the state, if it was made earlier. If all was forgotten since, nothing is
+        written, and a file that is being written never gets its name.
         """
         era = self.era if era is None else era
         generation = self.generation + 1
@@ -182,7 +193,10 @@ class StateStore:
         self.sync()
 
     def why_not_writable(self) -> str:
-        """Why the folder takes no state now; empty where it does. Waits for no disk."""
+        """Return why the folder takes no state now; empty if it does.
+
+        The call does not wait for the disk.
+        """
         probe = self.folder / f"{PROBE}{UNFINISHED}"
         try:
             self.folder.mkdir(parents=True, exist_ok=True)
@@ -197,10 +211,10 @@ class StateStore:
         return ""
 
     def forget(self) -> None:
-        """Set both generations aside: nothing is loaded any more. OSError where that fails.
+        """Set both generations aside, so that nothing is loaded any more.
 
-        Never waits for the disk; `sync` does, without which a power cut may undo it. After a
-        failure `set_aside_forgotten` goes on with it.
+        Raises OSError if that fails. The call never waits for the disk. `sync` waits; without it a
+        power cut may undo the change. After a failure `set_aside_forgotten` continues.
         """
         with self._renaming:
             self.era += 1
@@ -209,7 +223,7 @@ class StateStore:
         self.set_aside_forgotten()
 
     def set_aside_forgotten(self) -> None:
-        """Set aside what was forgotten and still has its name; OSError where that fails."""
+        """Set aside forgotten files that still have their name. Raises OSError if that fails."""
         failure: OSError | None = None
         with self._renaming:
             for slot in sorted(self._forgotten):
@@ -218,7 +232,7 @@ class StateStore:
                     if path.exists():
                         path.rename(free_name(path, "forgotten"))
                 except OSError as error:
-                    failure = error  # the other one may be more willing
+                    failure = error  # the other file may still succeed
                 else:
                     self._forgotten.discard(slot)
         if failure is not None:
@@ -226,11 +240,11 @@ class StateStore:
 
     @property
     def is_forgotten(self) -> bool:
-        """Whether nothing that was forgotten would be loaded by another start."""
+        """Whether another start would load no forgotten state."""
         return not self._forgotten
 
     def sync(self) -> None:
-        """Force what was renamed to the disk."""
+        """Force the renames to the disk."""
         sync_folder(self.folder)
 
     def _read(self, path: Path) -> tuple[int, SavedState]:
@@ -241,7 +255,7 @@ class StateStore:
         return generation, state
 
     def _set_aside(self, path: Path, reason: _NotBelievedError) -> str:
-        """Rename the file, keeping those set aside before."""
+        """Rename the file and keep those that were set aside before."""
         target = free_name(path, reason.word)
         try:
             path.rename(target)
@@ -254,14 +268,14 @@ class StateStore:
 
 
 def clear_unfinished(folder: Path) -> None:
-    """Remove what a power cut left half written; only for the folder's only user."""
+    """Remove files that a power cut left unfinished; only the folder's only user may do this."""
     for path in folder.glob(f"*{UNFINISHED}"):
         with contextlib.suppress(OSError):
             path.unlink()
 
 
 def encoded(key: StateKey, generation: int, state: SavedState) -> bytes:
-    """The bytes of a file: one line with version, length and checksum, then JSON."""
+    """Return the bytes of a file: one line with version, length and checksum, then JSON."""
     content = {
         "vehicle": key.vehicle,
         "sensor": key.sensor,
@@ -283,7 +297,7 @@ def encoded(key: StateKey, generation: int, state: SavedState) -> bytes:
 
 
 def decoded(data: bytes) -> tuple[int, StateKey, SavedState]:
-    """Return generation, key and content of a file's bytes; raises when they are not believed."""
+    """Return generation, key and content of a file's bytes. Raises if they are not accepted."""
     title, body, is_right = split_checksum(data)
     words = title.split(b" ")
     if words[0] != MAGIC.encode() or len(words) != 3 or len(data) > MAX_BYTES:
@@ -339,7 +353,7 @@ def _state_from(content: Mapping[str, Any]) -> SavedState:
 
 
 def _finite_float(text: str) -> float:
-    """A number that can be saved again; raises ValueError where it is none."""
+    """Return a number that can be saved again; raises ValueError if it is none."""
     value = float(text)
     if not math.isfinite(value):
         raise ValueError(f"{text} is no finite number")
@@ -372,7 +386,9 @@ def _is_rotation(r: tuple[float, ...]) -> bool:
 
 
 def _is_covariance(c: tuple[float, ...]) -> bool:
-    """Symmetric, positive definite (leading minors), and no larger than makes sense."""
+    """Return whether a covariance is symmetric, positive definite (leading minors), and not too
+    large.
+    """
     xx, xy, xz, yx, yy, yz, zx, zy, zz = c
     symmetric = all(abs(a - b) <= 1e-12 for a, b in ((xy, yx), (xz, zx), (yz, zy)))
     minors = (
@@ -387,15 +403,15 @@ LOCK_FILE = ".lock"
 
 
 class FolderInUseError(ImucaldError):
-    """Another process keeps its state in the folder."""
+    """Another process uses the folder for its state."""
 
 
 class FolderLock:
-    """Holds a folder until `release`, or until the process ends, however it does.
+    """Locks a folder until `release`, or until the process ends in any way.
 
-    The folder itself is locked, which a read-only one takes too, and a file in it, which says who
-    has it and serves where a file system locks no folders. Raises FolderInUseError with the
-    holder's pid; OSError where neither can be locked.
+    The folder itself is locked, which also works for a read-only folder. A file in it is locked
+    too: it names the holder, and serves where a file system cannot lock folders. Raises
+    FolderInUseError with the holder's pid. Raises OSError if neither can be locked.
     """
 
     def __init__(self, folder: Path) -> None:
@@ -445,9 +461,9 @@ class FolderLock:
         )
 
     def renew(self) -> bool:
-        """Take the folder again where another one has its name; whether that was so.
+        """Lock again if another folder now has the name; return whether that was so.
 
-        Raises as the constructor does; FolderInUseError where another process was faster.
+        Raises as the constructor does, and FolderInUseError if another process was faster.
         """
         with contextlib.suppress(FileNotFoundError):
             if os.path.samestat(self._path.stat(), os.fstat(self._folder)):
@@ -458,7 +474,7 @@ class FolderLock:
         return True
 
     def release(self) -> None:
-        """Let others have the folder."""
+        """Release the folder for others."""
         for descriptor in (self._folder, *self._held):
             os.close(descriptor)
         self._held = []

@@ -1,8 +1,8 @@
-"""Status for people and programs: asked for over a Unix socket, answered by the loop itself.
+"""Status for people and programs: requested over a Unix socket, answered by the loop itself.
 
-A client connects, sends one line and reads until the end: ``status`` gives JSON, ``events`` the
+A client connects, sends one line and reads until the end. ``status`` gives JSON, ``events`` the
 last events as JSON, ``history`` (or ``history SINCE``) the last half hour, ``metrics`` Prometheus
-text, and ``GET /metrics HTTP/1.1`` the same as a web server would.
+text, and ``GET /metrics HTTP/1.1`` the same text as a web server would send it.
 """
 
 from __future__ import annotations
@@ -19,15 +19,15 @@ from imucald.service.line_server import LineServer, nobody_listens
 from imucald.service.metrics import metrics_text
 
 READABLE_BY_ALL = 0o666
-"""It answers questions and takes no orders."""
+"""Permissions of the socket: it answers questions and takes no orders."""
 
 
 class StatusServer(LineServer):
-    """Answers on a Unix socket that everybody may read.
+    """Answers on a Unix socket that all users may read.
 
-    status: makes the status when somebody asks; events: the last events; history: the last half
-    hour after a time of day, as JSON. say: see `LineServer`.
-    Raises LinkError when the socket cannot be made.
+    status: function that makes the status on request; events: the last events; history: function
+    that returns the last half hour after a time of day, as JSON. say: see `LineServer`. Raises
+    LinkError when the socket cannot be made.
     """
 
     def __init__(
@@ -62,7 +62,7 @@ class StatusServer(LineServer):
 
 
 def status_json(status: Mapping[str, Any]) -> str:
-    """One JSON object on one line."""
+    """Return one JSON object on one line."""
     return json_text(status) + "\n"
 
 
@@ -73,7 +73,7 @@ def _http(code: str, body: bytes) -> bytes:
 
 
 def since(text: str) -> float:
-    """A time of day [s]; before all times where it is none."""
+    """Return a time of day [s]; a time before all others if the text is none."""
     try:
         return float(text)
     except ValueError:

@@ -1,4 +1,4 @@
-"""The running calibration, as the diagnostic server asks for it."""
+"""The running calibration as the diagnostic server uses it."""
 
 from __future__ import annotations
 
@@ -22,15 +22,19 @@ from imucald.runtime.mount_orders import TESTER, MountOrders
 from imucald.uds.host import FrameCounts, Identity, Symptoms
 
 SPEED_AGE_TICKS: Final = 2.0 * TICK_RATE
-"""Speed is known when a sample came within this: for sources that send one a second."""
+"""A speed counts as known if a sample came within this time: for sources of one sample per
+second.
+"""
 STANDING_SPEED: Final = 0.1
-"""A vehicle that is slower stands [m/s]: less than the first step of a coarse speed signal."""
+"""A vehicle below this speed stands [m/s]: it is less than the first step of a coarse speed
+signal.
+"""
 START_S: Final = 2.0
-"""An input is not missed before it had so long to come [s]."""
+"""Time from the start before which no input is missing [s]."""
 
 
 class RunningService(Protocol):
-    """What runs the calibration; engine and configuration change when it reads its file again."""
+    """Service that runs the calibration; its engine and configuration change at a reload."""
 
     @property
     def engine(self) -> Engine:
@@ -39,31 +43,31 @@ class RunningService(Protocol):
 
     @property
     def loaded(self) -> LoadedConfig:
-        """The configuration that is in force."""
+        """The configuration in force."""
         ...
 
     @property
     def link_counters(self) -> LinkCounters:
-        """What the bus link counts."""
+        """Counters of the bus link."""
         ...
 
     @property
     def state_corrupt(self) -> bool | None:
-        """Whether a saved state was found and not believed; None where none is kept."""
+        """Whether an invalid saved state was found; None if no state is kept."""
         ...
 
     @property
     def state_forgotten(self) -> bool:
-        """Whether nothing that was forgotten would come back with another start."""
+        """Whether no forgotten state would return at another start."""
         ...
 
     @property
     def orders(self) -> MountOrders:
-        """What may be done to the mount."""
+        """Orders that may be given about the mount."""
         ...
 
     def check_sensors(self) -> bool:
-        """Repeat the sensor check at the next rest; whether there is one to repeat."""
+        """Repeat the sensor check at the next rest; return whether there is one to repeat."""
         ...
 
     @property
@@ -72,12 +76,12 @@ class RunningService(Protocol):
         ...
 
     def log_tester(self, text: str) -> None:
-        """Write what a tester did into the log; those lines may come without end."""
+        """Log what a tester did; such lines may come without end."""
         ...
 
 
 class LiveHost:
-    """The running calibration, as the server asks for it. See `uds.host.Host`."""
+    """The running calibration as the server uses it. See `uds.host.Host`."""
 
     def __init__(self, service: RunningService, clock: Callable[[], float]) -> None:
         self._service = service
@@ -102,7 +106,7 @@ class LiveHost:
 
     @property
     def standing(self) -> bool | None:
-        """Whether the vehicle stands, by a speed not older than two seconds."""
+        """Whether the vehicle stands, by a speed at most two seconds old."""
         pipeline = self._service.engine.pipeline
         if pipeline.speed is None:
             return None
@@ -115,7 +119,9 @@ class LiveHost:
         return self._clock() - self._began
 
     def estimate(self) -> MountEstimate:
-        """The present state of knowledge; worked out once a tick, however often it is asked."""
+        """Return the present state of knowledge; computed once a tick, however often it is
+        requested.
+        """
         pipeline = self._service.engine.pipeline
         known = self._estimate
         if known is None or known[0] is not pipeline.estimator or known[1] != pipeline.k:
@@ -138,7 +144,7 @@ class LiveHost:
         )
 
     def symptoms(self) -> Symptoms:
-        """What the DTCs are made from."""
+        """Return the symptoms from which the DTCs are made."""
         engine = self._service.engine
         health, channels = engine.health(), engine.router.channels
         missing = {
@@ -171,19 +177,19 @@ class LiveHost:
         )
 
     def begin_calibration(self) -> None:
-        """Begin anew and keep the former estimator aside."""
+        """Begin anew and keep the former estimator for a return."""
         self._service.orders.begin(TESTER)
 
     def return_to_former(self) -> bool:
-        """Take the former estimator back, unless it was made for other settings."""
+        """Use the former estimator again, unless it was made for other settings."""
         return self._service.orders.return_to_former(TESTER)
 
     def accept_calibration(self) -> None:
-        """Let go of the former estimator."""
+        """Drop the former estimator."""
         self._service.orders.accept()
 
     def check_sensors(self) -> bool:
-        """Repeat the sensor check at the next rest; whether there is one to repeat."""
+        """Repeat the sensor check at the next rest; return whether there is one to repeat."""
         return self._service.check_sensors()
 
     @property
@@ -192,19 +198,19 @@ class LiveHost:
         return self._service.sensors_checked
 
     def forget(self) -> None:
-        """Begin anew and keep nothing."""
+        """Begin anew and forget all that was saved."""
         self._service.orders.reset(TESTER)
 
     @property
     def is_forgotten(self) -> bool:
-        """Whether nothing that was forgotten would come back with another start."""
+        """Whether no forgotten state would return at another start."""
         return self._service.state_forgotten
 
 
 def configuration_identity(loaded: LoadedConfig) -> bytes:
-    """32 bytes (SHA-256) over the settings in force and the databases they name.
+    """Return 32 bytes (SHA-256) over the settings in force and the databases that they name.
 
-    Defaults count as if they were written; comments and the order of keys do not.
+    Defaults count as if they were written in the file; comments and the order of keys do not count.
     """
     digest = hashlib.sha256()
     settings = {k: v for k, v in to_builtins(loaded.config).items() if k != "database"}
@@ -215,6 +221,6 @@ def configuration_identity(loaded: LoadedConfig) -> bytes:
         digest.update(json.dumps(described).encode())
         try:
             digest.update(hashlib.sha256(read_regular(path, MAX_FILE_BYTES)).digest())
-        except OSError:  # it was there when it was loaded
+        except OSError:  # the file was there at loading
             digest.update(b"unreadable")
     return digest.digest()

@@ -1,6 +1,6 @@
 """Diagnostics on the bus: the server of `imucald.uds` on the running daemon.
 
-Off by default. The loop hands in the frames of the request ids and sends what comes out; see
+Off by default. The loop passes the frames of the request ids and sends the answers; see
 `live.Extra`.
 """
 
@@ -29,7 +29,7 @@ from imucald.uds.security import KeyFunction, Security
 from imucald.uds.server import Server
 
 JUDGE_S: Final = 0.2
-"""The tests of the DTCs are made so often [s]."""
+"""Period of the tests of the DTCs [s]."""
 TRANSPORT_COUNTERS_IDENTIFIER: Final = 0xFD0C
 TRANSPORT_COUNTERS: Final = (
     "frames",
@@ -86,32 +86,32 @@ class BusUds:
 
     @property
     def ids(self) -> frozenset[int]:
-        """Ids that are listened to, with the flag for 29 bits."""
+        """Ids of received frames, with the flag for 29 bits."""
         return self.channel.ids
 
     @property
     def matches(self) -> list[IdMatch]:
-        """The same for the bus link."""
+        """The same ids in the form for the bus link."""
         return [
             IdMatch(i, CAN_EFF_MASK if i & CAN_EFF_FLAG else CAN_SFF_MASK) for i in sorted(self.ids)
         ]
 
     @property
     def own_ids(self) -> frozenset[int]:
-        """Ids that nobody else may send."""
+        """The ids that no other node may send."""
         return frozenset({self.channel.response_id})
 
     @property
     def wait(self) -> float:
-        """How long it can do without `poll` [s]."""
+        """The time until the next `poll` must come [s]."""
         return min(self.channel.wait, JUDGE_S)
 
     def frame(self, can_id: int, data: bytes) -> list[OutFrame]:
-        """Take a frame of one of `ids`; return what is to be sent."""
+        """Take a frame of one of `ids`; return the frames to send."""
         return self.channel.frame(can_id, data)
 
     def poll(self) -> list[OutFrame]:
-        """Let time pass; return what is to be sent."""
+        """Let time pass; return the frames to send."""
         now = self._clock()
         if now >= self._next_judgement:
             self._next_judgement = now + JUDGE_S
@@ -121,7 +121,7 @@ class BusUds:
         return self.channel.poll()
 
     def status(self) -> dict[str, Any]:
-        """What `imucald status` shows of it."""
+        """Return the part of `imucald status` about diagnostics."""
         server, counters = self.server, self.server.counters
         return {
             "session": server.session.name.lower(),
@@ -144,7 +144,7 @@ class BusUds:
 
     @staticmethod
     def check_identifiers(loaded: LoadedConfig, engine: Engine) -> None:
-        """Raise ConfigError where a diagnostic id is one of an engine's inputs or outputs."""
+        """Raise ConfigError if a diagnostic id is also an input or output of an engine."""
         _check_identifiers(loaded, engine)
 
     def _transport_counted(self) -> bytes:
@@ -162,10 +162,10 @@ def bus_uds_for(
     dtcs: DtcMemory | None = None,
     keys: AttemptStore | None = None,
 ) -> BusUds:
-    """The diagnostics of a configuration.
+    """Return the diagnostics of a configuration.
 
-    service: asked only later, when it runs. dtcs, keys: a memory and a count that are there
-    already. Raises ConfigError with the place of a mistake.
+    service: used only later, when it runs. dtcs, keys: an existing memory and an existing count.
+    Raises ConfigError with the place of a mistake.
     """
     config = loaded.config.diagnostics
     key_function = checked_key_function(loaded, engine)
@@ -176,14 +176,14 @@ def bus_uds_for(
 
 
 def check_diagnostics(loaded: LoadedConfig, engine: Engine) -> None:
-    """Raise ConfigError where the diagnostics of a configuration cannot be had."""
+    """Raise ConfigError if the diagnostics of a configuration cannot be made."""
     checked_key_function(loaded, engine)
     if importlib.util.find_spec("isotp") is None:
         raise _lacks_isotp(loaded)
 
 
 def checked_key_function(loaded: LoadedConfig, engine: Engine) -> KeyFunction | None:
-    """The function that lets a tester in, once the identifiers are known to be free."""
+    """Return the function that checks a tester's key, once the identifiers are known to be free."""
     _check_identifiers(loaded, engine)
     name = loaded.config.diagnostics.security.key_function
     return None if name is None else _load_key_function(loaded, name)

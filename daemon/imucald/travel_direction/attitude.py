@@ -1,7 +1,8 @@
-"""Attitude of a carried terminal: earth axes from terminal axes, sample by sample.
+"""Attitude of a carried terminal: rotation from terminal axes to earth axes, sample by sample.
 
-By gyroscope, levelled by the accelerometer slowly (a complementary filter as in Mahony, Hamel and
-Pflimlin, IEEE Trans. Automatic Control 53, 2008); north by `NorthFilter`, or from a compass signal.
+The gyroscope gives the attitude and the accelerometer levels it slowly (a complementary filter as
+in Mahony, Hamel and Pflimlin, IEEE Trans. Automatic Control 53, 2008). North comes from
+`NorthFilter` or from a compass signal.
 """
 
 from __future__ import annotations
@@ -30,39 +31,42 @@ from imucald.travel_direction.north import NorthFilter
 
 TWO_PI = 2.0 * math.pi
 GAP_S = 0.5
-"""Samples further apart than this are no steady stream [s]."""
+"""Samples further apart than this are not a steady stream [s]."""
 REST_S = 1.0
 
 
 class TerminalAttitude:
-    """Level frame P from terminal axes, and where north is in it."""
+    """Level frame P from terminal axes, and the direction of north in it."""
 
     def __init__(self, settings: AlternativeSettings) -> None:
         self.settings = settings
         self.north = NorthFilter()
         self.zero_error: Vector = (0.0, 0.0, 0.0)
-        """Of the gyroscope, from rests [rad/s]."""
+        """Zero error of the gyroscope, from rests [rad/s]."""
         self._lost_time = LostTime()
         self.restart()
 
     def restart(self) -> None:
-        """Begin again: time has jumped."""
+        """Begin again, because time has jumped."""
         self.q: Quaternion = IDENTITY
         """Terminal to P."""
         self.level: Rows = rows_from_quaternion(IDENTITY)
         self.turned = 0.0
-        """Angle turned about the vertical by the gyroscope, clockwise seen from above [rad]."""
+        """Total turn about the vertical by the gyroscope, clockwise seen from above [rad]."""
         self.ready = False
         self.north.restart()
         self._signal_yaw: float | None = None
         self._t_gyro = self._t_accel = self._t_signal = -math.inf
         self.rate: Vector = (0.0, 0.0, 0.0)
-        """Newest angular rate less the zero error, terminal axes [rad/s]."""
+        """Newest angular rate minus the zero error, terminal axes [rad/s]."""
         self._age = self._signal_age = 0.0
         self._rest_begin()
 
     def gyro(self, t: float, raw: Vector) -> None:
-        """Take an angular rate [rad/s]. P begins anew where nothing saw the terminal turn."""
+        """Take an angular rate [rad/s].
+
+        P begins anew after a time in which the terminal's turn was not measured.
+        """
         dt = t - self._t_gyro
         is_lost = 0.0 <= dt < math.inf and self._lost_time.take(dt) > 0.0
         self._rest(t, raw)
@@ -102,7 +106,7 @@ class TerminalAttitude:
             self.north.add(t, field, self.level)
 
     def compass(self, t: float, heading: float) -> None:
-        """Take a heading of the y axis from elsewhere, clockwise from north [rad]."""
+        """Take a heading of the y axis from another source, clockwise from north [rad]."""
         if not self.ready:
             return
         x, y, _ = times(self.level, (0.0, 1.0, 0.0))
@@ -114,7 +118,7 @@ class TerminalAttitude:
         if self._signal_yaw is None:
             self._signal_yaw, self._signal_age = yaw, 0.0
             return
-        if dt <= 0.0:  # of the same snapshot: it weighs nothing
+        if dt <= 0.0:  # from the same snapshot: it has no weight
             return
         self._signal_age += dt
         part = dt / (min(self.settings.compass_time, self._signal_age) + dt)
@@ -122,7 +126,7 @@ class TerminalAttitude:
 
     @property
     def yaw(self) -> float | None:
-        """Turn about the vertical from P to the earth [rad]; None: north is not known."""
+        """Rotation about the vertical from P to the earth [rad]; None: north is not known."""
         return self._signal_yaw if self._signal_yaw is not None else self.north.yaw
 
     @property
@@ -142,7 +146,7 @@ class TerminalAttitude:
         self._n = 0
 
     def _rest(self, t: float, raw: Vector) -> None:
-        """The mean of a second in which nothing turns is the gyroscope's zero error."""
+        """Use the mean of a second without any turn as the gyroscope's zero error."""
         if math.isnan(self._rest_start):
             self._rest_start = t
         self._n += 1

@@ -1,16 +1,18 @@
-"""How sure a direction of travel is: deviation of the axis, probability of its sign.
+"""Certainty of a direction of travel: deviation of the axis, probability of its sign.
 
-Axis: the spread of the steps' axes about their mean (doubled angles; circular statistics as in
-Mardia and Jupp, "Directional Statistics", 2000), what sways four steps being shared by them;
-north; and a person's way against the axis of the steps: 5 deg (Kunze and others, "Which way am I
-facing", ISWC 2009, trouser pockets).
+The deviation of the axis has three parts. The first is the spread of the steps' axes about their
+mean (doubled angles; circular statistics as in Mardia and Jupp, "Directional Statistics", 2000);
+four steps share the same disturbance. The second is the deviation of north. The third is a person's
+way against the axis of the steps: 5 deg (Kunze and others, "Which way am I facing", ISWC 2009,
+trouser pockets).
 
-Sign: forward leads vertical acceleration at the step's frequency by a quarter period in the trunk
-and by 120 to 150 deg in a hand, so by 120 +- 30 deg; phases about that are taken as a von Mises
-distribution, whose likelihood ratio of the two senses is exp(2 kappa c), c being how far the steps'
-phases agree with it. A swinging arm is not pushed by the step: its phase shows less, the more it
-swings. And who looks at a terminal mostly holds its upper edge ahead (the premise of the published
-method, [0066]): nine in ten. Systematic all of it, so steps do not multiply it.
+For the sign, the forward acceleration leads the vertical acceleration at the step's frequency. The
+lead is a quarter period in the trunk and 120 to 150 deg in a hand, so 120 +- 30 deg is assumed.
+Phases about that lead have a von Mises distribution. The likelihood ratio of the two senses is then
+exp(2 kappa c), with c the agreement of the steps' phases with the lead. The step does not push a
+swinging arm, so its phase shows less with a stronger swing. A person who looks at a terminal mostly
+holds its upper edge ahead (the premise of the published method, [0066]): in nine of ten cases. All
+these errors are systematic, so more steps do not reduce them.
 """
 
 from __future__ import annotations
@@ -21,29 +23,33 @@ LEAD_STD = math.radians(30.0)
 """Spread of the lead over carriers and places [rad]."""
 KAPPA = 1.0 / LEAD_STD**2
 ARM_SWING = 1.0
-"""Mean square of the angular rate of a swinging arm [(rad/s)^2]; a leg has 0.6, a hand that holds
-the terminal before the eyes below 0.1."""
+"""Mean square of the angular rate of a swinging arm [(rad/s)^2].
+
+A leg has 0.6, and a hand that holds the terminal before the eyes has less than 0.1.
+"""
 LOOKED_AT_ODDS = 9.0
-"""Of who looks at a terminal, for the upper edge ahead rather than behind."""
+"""Odds that a person who looks at a terminal holds the upper edge ahead rather than behind."""
 LOOKED_AT = 0.5
-"""Cosine of the screen's lean up to which it is looked at."""
+"""Cosine of the screen's lean up to which a person looks at it."""
 AHEAD_KNOWN = 0.95
 """Probability of the sign below which a direction is called ambiguous."""
 SHARED_STEPS = 4.0
-"""Steps that share what sways them: two strides."""
+"""Number of steps that share one disturbance: two strides."""
 WAY_STD = math.radians(5.0)
-"""Of the way against the axis of the steps [rad]."""
+"""Deviation of the way against the axis of the steps [rad]."""
 COMPASS_STD = math.radians(10.0)
-"""Of a heading signal [rad], as a magnetometer's in `attitude.filter`."""
+"""Deviation of a heading signal [rad], the same as for a magnetometer in `attitude.filter`."""
 MAX_STD = math.pi / 2.0
 MIN_HORIZONTAL = 0.1
-"""Horizontal part of the y axis below which it has no heading: it stands within 6 deg of the
-vertical, where 1 deg of lean turns its heading by 10 deg."""
+"""Smallest horizontal part of the y axis for which it has a heading.
+
+Below it the axis is within 6 deg of the vertical, where 1 deg of lean turns its heading by 10 deg.
+"""
 MIN_AGREEMENT = 1e-6
 
 
 def axis_std(agreement: float, steps: float) -> float:
-    """Deviation of a mean axis [rad].
+    """Return the deviation of a mean axis [rad].
 
     agreement: resultant of the doubled angles, 0 to 1; steps: their effective number.
     """
@@ -52,7 +58,7 @@ def axis_std(agreement: float, steps: float) -> float:
 
 
 def sign_log_odds(agreement: float, swing: float) -> float:
-    """Log odds of the sense that the phases speak for.
+    """Return the log odds of the sense that the phases favour.
 
     agreement: c, -1 to 1; swing: mean square of the angular rate about level axes [(rad/s)^2].
     """
@@ -60,7 +66,7 @@ def sign_log_odds(agreement: float, swing: float) -> float:
 
 
 def edge_log_odds(along: float, screen_up: float, swing: float) -> float:
-    """Log odds of a sense from the upper edge.
+    """Return the log odds of a sense from the upper edge.
 
     along: cosine between sense and edge; screen_up: cosine of the screen's lean.
     """
@@ -70,10 +76,10 @@ def edge_log_odds(along: float, screen_up: float, swing: float) -> float:
 
 
 def probability(log_odds: float) -> float:
-    """Of the sense with these log odds."""
+    """Return the probability of the sense with these log odds."""
     return 1.0 / (1.0 + math.exp(-min(max(log_odds, -50.0), 50.0)))
 
 
 def whole_std(axis: float, north: float) -> float:
-    """Deviation of a direction [rad] from those of axis and north."""
+    """Return the deviation of a direction [rad] from the deviations of axis and north."""
     return min(math.sqrt(axis * axis + north * north + WAY_STD**2), MAX_STD)

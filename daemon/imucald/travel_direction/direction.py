@@ -1,9 +1,10 @@
-"""Frames of a carried terminal in, one direction of travel per step out. Pure: no I/O, no clock.
+"""Travel direction of a carried terminal: its samples in, one direction per step out.
 
-The published method needs accelerometer and a compass (magnetometer, or any heading signal of the
-terminal's y axis); the alternative needs a gyroscope besides. Samples come one by one, in
-terminal axes, SI units, stream time. What the accelerometer reads on an axis that points up and
-which way a heading signal counts is of the terminal (`convention`, `compass`): it is turned here.
+No I/O, no clock. The published method needs an accelerometer and a compass (magnetometer, or any
+heading signal of the terminal's y axis). The alternative also needs a gyroscope. Samples come one
+by one, in terminal axes, SI units, stream time. The sign of the accelerometer on an axis that
+points up, and the counting direction of a heading signal, depend on the terminal (`convention`,
+`compass`). This module converts both.
 """
 
 from __future__ import annotations
@@ -39,11 +40,11 @@ from imucald.travel_direction.step_cycles import StepCycle, StepCycles
 
 TWO_PI = 2.0 * math.pi
 STALE_S = 2.0
-"""Without a step for so long nobody walks [s]."""
+"""Time without a step after which nobody walks [s]."""
 COMPASS_STALE_S = 1.0
-"""A compass older than this is none [s]."""
+"""A compass value older than this is not used [s]."""
 MAX_FIELDS = 4096
-"""Magnetic fields that are kept at most: those of one cycle, whatever the sensor's rate."""
+"""Largest number of magnetic fields that are stored: those of one cycle at any sensor rate."""
 
 
 class TravelState(enum.IntEnum):
@@ -59,11 +60,11 @@ class TravelState(enum.IntEnum):
 
 @dataclass(frozen=True)
 class Step:
-    """One step cycle and the headings it gave [rad, clockwise from north]; None: not known.
+    """One step cycle and its headings [rad, clockwise from north]; None: not known.
 
-    heading: by the method of the settings. compass: of the terminal's y axis, None where that is
-    vertical. deviation: standard deviation of the alternative [rad]; ahead: probability that it is
-    not 180 deg wrong.
+    heading: by the configured method. compass: heading of the terminal's y axis, None where that is
+    vertical. deviation: standard deviation of the alternative [rad]; ahead: probability that the
+    alternative is not 180 deg wrong.
     """
 
     t: float
@@ -77,11 +78,11 @@ class Step:
     deviation: float | None = None
     ahead: float | None = None
     ambiguous: bool = False
-    """The heading is by the alternative, and may be 180 deg wrong."""
+    """Whether the heading comes from the alternative and may be 180 deg wrong."""
 
 
 class TravelDirection:
-    """The whole of method D and the alternative, for one terminal."""
+    """Method D and the alternative for one terminal."""
 
     def __init__(self, settings: TravelDirectionSettings | None = None) -> None:
         self.settings = settings or TravelDirectionSettings()
@@ -95,16 +96,16 @@ class TravelDirection:
         self.last: Step | None = None
         """The newest step."""
         self.rejected = 0
-        """Samples that were left out because they cannot be."""
+        """Number of samples that were left out because their values are impossible."""
         self.gap()
 
     @property
     def steps(self) -> int:
-        """Full step cycles so far."""
+        """Number of full step cycles so far."""
         return self.cycles.steps
 
     def gap(self) -> None:
-        """Time jumped: nothing before this may be differenced with what follows."""
+        """Note a jump of time: no value from before may be differenced with a later one."""
         self.cycles.restart()
         self.published.restart()
         self.alternative.restart()
@@ -119,7 +120,7 @@ class TravelDirection:
     def sample(self, t: float, channel: str, values: Sequence[float]) -> Step | None:
         """Take a sample of a channel (see `samples`); return the step that it completes, if any.
 
-        What cannot be is left out, and counted.
+        Impossible values are left out and counted.
         """
         if not is_plausible(channel, values):
             self.rejected += 1
@@ -169,7 +170,7 @@ class TravelDirection:
         return self.last
 
     def state(self, now: float) -> TravelState:
-        """The state at stream time now [s]."""
+        """Return the state at stream time now [s]."""
         if now - self._heard > COMPASS_STALE_S:
             return TravelState.NOT_AVAILABLE
         last = self.last
@@ -223,13 +224,16 @@ class TravelDirection:
         self._ahead = probability(abs(odds))
         if odds < 0.0:
             angle += math.pi
-        # turning P by yaw, counter-clockwise, takes it from clockwise angles; true north follows
+        # The rotation of P by yaw is counter-clockwise, so it is subtracted from clockwise angles.
+        # The declination then gives true north.
         declination = self.settings.declination if self._heading is None else 0.0
         return (angle - yaw + declination) % TWO_PI
 
     def _level_heading(self, cycle: StepCycle) -> float | None:
-        """Heading of the cycle's level frame, clockwise from north: from the mean field in it, else
-        from the newest heading of the terminal's y axis.
+        """Return the heading of the cycle's level frame, clockwise from north.
+
+        It comes from the mean field in that frame, otherwise from the newest heading of the
+        terminal's y axis.
         """
         mean = cycle.accel.mean(axis=0)
         field = self._mean_field(cycle)
@@ -243,7 +247,7 @@ class TravelDirection:
         return (heading - to_y) % TWO_PI if cycle.t1 - t <= COMPASS_STALE_S else None
 
     def _mean_field(self, cycle: StepCycle) -> NDArray[np.float64] | None:
-        """Mean of the fields of the cycle (3,) [T]; of a slower sensor, the newest one."""
+        """Return the mean field of the cycle (3,) [T]; for a slower sensor, the newest field."""
         inside = [field for t, field in self._fields if cycle.t0 <= t < cycle.t1]
         if not inside:
             newest = [field for t, field in self._fields if 0.0 <= cycle.t1 - t <= COMPASS_STALE_S]

@@ -1,9 +1,10 @@
-"""The alternative to the publication: attitude by gyroscope, axis by power, sign by phase.
+"""The alternative to the published method: attitude by gyroscope, axis by power, sign by phase.
 
-In a level frame the step's forward acceleration swings at the step's frequency, sideways sway at
-half of it. So each cycle gives, at its own frequency, an axis by power, and by phase against the
-vertical the sign. Both are averaged over some steps in a frame that turns with the terminal:
-whoever turns takes it along, and the way it is carried changes rarely.
+In a level frame, the step's forward acceleration oscillates at the step's frequency, and the
+sideways sway at half of it. At its own frequency, each cycle therefore gives an axis by power, and
+a sign by its phase against the vertical. Both are averaged over some steps in a frame that turns
+with the terminal. A person who turns takes the terminal along, and rarely changes the way of
+carrying it.
 """
 
 from __future__ import annotations
@@ -22,7 +23,7 @@ from imucald.travel_direction.step_cycles import POINTS, StepCycle
 ComplexArray = NDArray[np.complex128]
 
 SWING_POWER = 0.5
-"""Mean square of the angular rate from which on a terminal swings [(rad/s)^2]: a leg has 0.7."""
+"""Mean square of the angular rate from which a terminal swings [(rad/s)^2]: a leg has 0.7."""
 TWO_PI = 2.0 * math.pi
 
 
@@ -51,7 +52,7 @@ class GyroStepAxis:
     def take(self, cycle: StepCycle, turned: float, up_in_terminal: Vector) -> float | None:
         """Return the direction after this cycle [0, 2 pi); None: not known.
 
-        turned: angle turned so far about the vertical, clockwise [rad]; up_in_terminal: (3,).
+        turned: total turn about the vertical, clockwise [rad]; up_in_terminal: (3,).
         """
         self._carried(up_in_terminal)
         change = 0.0 if math.isnan(self._turned) else turned - self._turned
@@ -68,7 +69,7 @@ class GyroStepAxis:
         swung, swing_axis = self._pendulum(cycle)
         power += swung
         axis -= swing_axis  # legs and arms swing about an axis across the direction of travel
-        # the part that leads the vertical by so much, signed
+        # The signed part that leads the vertical by this phase.
         lead = up.conjugate() / vertical * cmath.exp(-1j * self.settings.lead)
         sign = complex((north * lead).real, (east * lead).real)
         self._axis = keep * self._axis * turn * turn + axis
@@ -87,10 +88,11 @@ class GyroStepAxis:
         return angle % TWO_PI
 
     def _swing(self, cycle: StepCycle) -> tuple[complex, complex, complex]:
-        """Amplitudes at the step's frequency, in x, y, up.
+        """Return amplitudes at the step's frequency, in x, y, up.
 
-        Mean of this step and the one before it: sway at half the frequency leaks into both with
-        opposite signs, one being the left foot's and the other the right one's.
+        They are the mean of this step and the one before it. Sway at half the frequency leaks into
+        both with opposite signs, because one is the left foot's step and the other the right
+        foot's.
         """
         first = np.fft.fft(cycle.level, axis=0)[1] / POINTS
         before, self._before = self._before, (cycle.t1, first)
@@ -101,7 +103,8 @@ class GyroStepAxis:
 
     @staticmethod
     def _pendulum(cycle: StepCycle) -> tuple[float, complex]:
-        """Power of turns about horizontal axes, and the same with their doubled angle.
+        """Return the power of rotations about horizontal axes, and the same with their doubled
+        angle.
 
         It counts from the swing of a leg or an arm on; a terminal held still only trembles.
         """
@@ -113,7 +116,7 @@ class GyroStepAxis:
 
     @property
     def trust(self) -> float:
-        """How much the steps agree, 0 to 1."""
+        """Agreement of the steps, 0 to 1."""
         return min(abs(self._axis) / self._power, 1.0) if self._power > 0.0 else 0.0
 
     @property
@@ -125,7 +128,7 @@ class GyroStepAxis:
 
     @property
     def phase_agreement(self) -> float:
-        """How far the steps' phases speak for the sense that was taken, 0 to 1."""
+        """Agreement of the steps' phases with the chosen sense, 0 to 1."""
         if self._forward <= 0.0:
             return 0.0
         off = cmath.phase(self._sign) - 0.5 * cmath.phase(self._axis)

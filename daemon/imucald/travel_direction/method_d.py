@@ -1,17 +1,18 @@
-"""Method D as published (CN103543289A), to the letter; angles in radians.
+"""Method D exactly as published (CN103543289A); angles in radians.
 
 Terminal axes: x to the right, y to the upper edge, z out of the screen. The compass is the
-clockwise angle from north of the y axis' horizontal projection ([0003]); the tilt angle counts from
-there. The level frame is what (3) to (5) project to; the correlation angle counts from *its* y axis
-([0127], [0139]). What the publication lacks is *reconstructed* and marked so.
+clockwise angle from north to the horizontal projection of the y axis ([0003]); the tilt angle
+counts from there. Formulas (3) to (5) project to the level frame; the correlation angle counts from
+*its* y axis ([0127], [0139]). Parts that the publication lacks are marked as *reconstructed*.
 
-The text prints two pairs of formulas for terminals whose axes differ. [0070], [0079]:
+The text prints two pairs of formulas for terminals with different axes. [0070], [0079]:
 (atan2(roll, pitch) + 180) % 360 is the clockwise angle from the y axis to the raised edge, and
 angle + compass is clockwise from north. [0072], [0081]: (atan2(pitch, roll) + 180) % 360 is the
 counter-clockwise angle from the x axis, and angle - compass is counter-clockwise from east. Both
-fit an accelerometer that reads -g on the axis that points up, and both mean the same direction
-(tests say so), so one pair is enough here. What a terminal's accelerometer reads upwards and which
-way its compass counts is turned where samples come in: `travel_direction.convention`, `.compass`.
+pairs fit an accelerometer that reads -g on the axis that points up. Tests show that both give the
+same direction, so one pair is enough here. The samples are converted on input for the
+accelerometer's sign upwards and for the counting direction of the compass:
+`travel_direction.convention`, `.compass`.
 """
 
 from __future__ import annotations
@@ -30,36 +31,37 @@ TWO_PI = 2.0 * math.pi
 
 
 def tilt(mean: Array) -> tuple[float, float]:
-    """Pitch and roll of the publication (*reconstructed*) from a mean acceleration (3,)."""
+    """Return pitch and roll of the publication (*reconstructed*) from a mean acceleration (3,)."""
     x, y, z = (float(c) for c in mean)
     return math.atan2(y, math.hypot(x, z)), math.atan2(x, math.hypot(y, z))
 
 
 def tilt_angle(pitch: float, roll: float) -> float:
-    """Clockwise angle from the y axis to the raised edge, by [0070] [0, 2 pi).
+    """Return the clockwise angle from the y axis to the raised edge, by [0070] [0, 2 pi).
 
-    pitch, roll: of an accelerometer that reads -g on the axis that points up.
+    pitch, roll: from an accelerometer that reads -g on the axis that points up.
     """
     return (math.atan2(roll, pitch) + math.pi) % TWO_PI
 
 
 def tilt_heading(pitch: float, roll: float, compass: float) -> float:
-    """Tilt heading (method D, step 3) by [0079], clockwise from north [0, 2 pi)."""
+    """Return the tilt heading (method D, step 3) by [0079], clockwise from north [0, 2 pi)."""
     return (tilt_angle(pitch, roll) + compass + TWO_PI) % TWO_PI
 
 
 def levelling_angles(mean: Array) -> tuple[float, float]:
-    """a and b of the projection, such that the mean (3,) lands on +z (*reconstructed*).
+    """Return a and b of the projection that turns the mean (3,) to +z (*reconstructed*).
 
-    [0093] calls them the angles of the y and the x axis; put in so, the projection does not level
-    (28 deg off at a lean of 20). These do: (4) is zero for b, then (3) for a.
+    [0093] calls them the angles of the y and the x axis. With those angles the projection does not
+    level (28 deg off at a lean of 20). The angles returned here level it: b makes (4) zero, then a
+    makes (3) zero.
     """
     x, y, z = (float(c) for c in mean)
     return math.atan2(-x, math.hypot(y, z)), math.atan2(y, z)
 
 
 def projected(vectors: Array, a: float, b: float) -> Array:
-    """The publication's projection to the horizontal plane; (..., 3) -> (..., 3)."""
+    """Return the publication's projection to the horizontal plane; (..., 3) -> (..., 3)."""
     X, Y, Z = vectors[..., 0], vectors[..., 1], vectors[..., 2]
     ca, sa, cb, sb = math.cos(a), math.sin(a), math.cos(b), math.sin(b)
     ax = X * ca + Y * sa * sb + Z * cb * sa
@@ -69,30 +71,32 @@ def projected(vectors: Array, a: float, b: float) -> Array:
 
 
 def y_angle(mean: Array) -> float | None:
-    """Clockwise angle from the level frame's y axis to the projection of the terminal's.
+    """Return the clockwise angle from the level frame's y axis to the projection of the terminal's
+    y axis.
 
-    mean: acceleration (3,). None where the terminal's y axis is (nearly) vertical.
+    mean: acceleration (3,). Returns None where the terminal's y axis is (nearly) vertical.
     """
     x, y, _ = projected(np.array([0.0, 1.0, 0.0]), *levelling_angles(mean))
     return math.atan2(float(x), float(y)) if math.hypot(x, y) >= MIN_HORIZONTAL else None
 
 
 def level_heading(field: Array, mean: Array) -> float | None:
-    """Clockwise angle from magnetic north of the level frame's y axis [0, 2 pi).
+    """Return the clockwise angle from magnetic north to the level frame's y axis [0, 2 pi).
 
-    field, mean: magnetic field and acceleration (3,). None where the field is vertical.
+    field, mean: magnetic field and acceleration (3,). Returns None where the field is vertical.
     """
     x, y, _ = projected(field, *levelling_angles(mean))
     return math.atan2(-float(x), float(y)) % TWO_PI if x != 0.0 or y != 0.0 else None
 
 
 def correlation_angle(accel: Array) -> float | None:
-    """Acceleration-correlation angle (method D, step 4), clockwise from the level frame's y axis.
+    """Return the acceleration-correlation angle (method D, step 4), clockwise from the level
+    frame's y axis.
 
-    [0, 2 pi). accel: (POINTS, 3) over one cycle, reading +g upwards. R_hz(tau) = sum h(t) z(t +
-    tau), over the cycle as if it repeated; the difference R(+tau) - R(-tau) (*reconstructed*) is
-    positive for the direction of travel: the body is braked after it is lowest, where z is largest.
-    None where no lag shows anything.
+    Range: [0, 2 pi). accel: (POINTS, 3) over one cycle, reading +g upwards. R_hz(tau) = sum h(t)
+    z(t + tau), over the cycle as if it repeated. The difference R(+tau) - R(-tau) (*reconstructed*)
+    is positive for the direction of travel: the body is braked after its lowest point, where z is
+    largest. Returns None where no lag shows a direction.
     """
     waves = projected(accel, *levelling_angles(accel.mean(axis=0)))
     waves = waves - waves.mean(axis=0)
@@ -112,7 +116,8 @@ def correlation_angle(accel: Array) -> float | None:
 
 
 class PublishedResult(NamedTuple):
-    """Headings of one cycle [rad, clockwise from north]; which of the two was chosen; a turn.
+    """Headings of one cycle [rad, clockwise from north], the choice between the two, and whether
+    there was a turn.
 
     compass and tilt_heading are None where the terminal's y axis is vertical.
     """
@@ -135,7 +140,7 @@ class PublishedDirection:
         self.restart()
 
     def restart(self) -> None:
-        """There is no last cycle."""
+        """Forget the last cycle."""
         self._compass: float | None = None
         self._contradicted = False
 
@@ -169,10 +174,10 @@ class PublishedDirection:
 
 
 def apart(a: float | None, b: float | None) -> float:
-    """Size of the difference of two angles [rad]; zero where one of them is not known."""
+    """Return the size of the difference of two angles [rad]; zero if one of them is not known."""
     return 0.0 if a is None or b is None else difference(a, b)
 
 
 def difference(a: float, b: float) -> float:
-    """Size of the difference of two angles, at most pi [rad]."""
+    """Return the size of the difference of two angles, at most pi [rad]."""
     return abs(math.remainder(a - b, TWO_PI))

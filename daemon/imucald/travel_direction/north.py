@@ -1,9 +1,9 @@
-"""Where north is, from a magnetometer with iron near it and a gyroscope with a zero error.
+"""Direction of north from a magnetometer with iron near it and a gyroscope with a zero error.
 
-Field model, in a frame P that is level and kept by the gyroscope: m = h + C^T M + noise, with h the
-hard iron of the terminal and M the earth's field in P, which turns with the gyroscope's zero error
-about the vertical. h does not turn when the terminal does, and that separates the
-two. A Kalman filter of seven states (h, M in uT; zero error in rad/s) has all three.
+The field model uses a level frame P that the gyroscope keeps: m = h + C^T M + noise. h is the hard
+iron of the terminal. M is the earth's field in P; it turns about the vertical with the gyroscope's
+zero error. The vector h does not turn when the terminal does, and that separates the two. A Kalman
+filter of seven states (h, M in uT; zero error in rad/s) estimates all three.
 """
 
 from __future__ import annotations
@@ -16,32 +16,32 @@ from imucald.core.arrays import Array
 from imucald.core.rotations import Rows, Vector
 
 MICRO = 1e6
-"""Tesla to uT: numbers near one are good for a covariance."""
+"""Factor from tesla to uT: numbers near one suit a covariance."""
 STEP_S = 0.2
-"""Fields are averaged over so long before they are used [s]."""
+"""Time over which fields are averaged before use [s]."""
 HARD_IRON_STD = 15.0
-"""[uT]; a magnetised case has more, and is found when it turns."""
+"""[uT]; a magnetised case has more, which is found when the terminal turns."""
 FIELD_STD = 50.0
-"""[uT]; the earth's field has 25 to 65."""
+"""[uT]; the earth's field is 25 to 65."""
 ZERO_ERROR_STD = math.radians(0.5)
 """Gyroscope zero error without a rest [rad/s]."""
 RESTED_STD = math.radians(0.05)
 """The same after a rest [rad/s]."""
 NOISE = 35.0
-"""[uT] per 0.2 s: 5 uT of disturbance that lasts some ten seconds (steel, cables)."""
+"""[uT] per 0.2 s: it represents 5 uT of disturbance that lasts some ten seconds (steel, cables)."""
 HARD_IRON_WALK = 0.03
 """[uT/sqrt(s)]"""
 FIELD_WALK = 0.2
-"""[uT/sqrt(s)]: along streets the field is not the same."""
+"""[uT/sqrt(s)]: the field changes along streets."""
 ZERO_WALK = math.radians(0.002)
 """[rad/s/sqrt(s)]"""
 GATE = 3.0
 DISTURBANCE = 5.0
-"""What `NOISE` stands for [uT]."""
+"""Disturbance for which `NOISE` is chosen [uT]."""
 DISTURBANCE_S = 120.0
-"""Time over which the disturbance is seen in the field's own size [s]."""
+"""Time over which the disturbance is measured from the field's own size [s]."""
 DISTURBANCE_PARTS = (0.3, 3.0)
-"""The seen disturbance against `DISTURBANCE` is believed within these: a short walk sees little."""
+"""Limits of the measured disturbance relative to `DISTURBANCE`: a short walk shows little."""
 
 
 class NorthFilter:
@@ -51,7 +51,7 @@ class NorthFilter:
         self.restart()
 
     def restart(self) -> None:
-        """Nothing is known."""
+        """Forget everything."""
         self.x: Array = np.zeros(7)
         self.P: Array = np.diag([HARD_IRON_STD**2] * 3 + [FIELD_STD**2] * 3 + [ZERO_ERROR_STD**2])
         self.ready = False
@@ -64,7 +64,7 @@ class NorthFilter:
         self._seen = 0
 
     def rested(self) -> None:
-        """The gyroscope's zero error has just been measured: what is left of it is small."""
+        """Note that the gyroscope's zero error has just been measured, so its rest is small."""
         self.x[6] = 0.0
         self.P[6, :] = 0.0
         self.P[:, 6] = 0.0
@@ -88,7 +88,7 @@ class NorthFilter:
         H = np.zeros((3, 7))
         H[:, 0:3] = np.eye(3)
         H[:, 3:6] = C.T
-        # the first fields say at once where north is; disturbance is for those that follow
+        # The first fields show north at once; only later fields get the noise of disturbance.
         noise = NOISE**2 if self.ready else 1.0
         innovation = field - H @ self.x
         S = H @ self.P @ H.T
@@ -105,7 +105,9 @@ class NorthFilter:
         self._watch(C @ (field - self.x[0:3]))
 
     def _watch(self, level_field: Array) -> None:
-        """The earth's field keeps its size level and vertical: what those wander is disturbance."""
+        """Measure the disturbance: the earth's field keeps its level and vertical size, so their
+        changes are disturbance.
+        """
         sizes = np.array([math.hypot(level_field[0], level_field[1]), level_field[2]])
         self._seen += 1
         part = max(1.0 / self._seen, STEP_S / DISTURBANCE_S)
@@ -114,7 +116,7 @@ class NorthFilter:
         self._variance += part * ((1.0 - part) * float(off @ off) / 2.0 - self._variance)
 
     def _predict(self, dt: float) -> None:
-        """The frame P turns with the zero error, and the field in it the other way."""
+        """Predict: P turns with the zero error, and the field in P turns the other way."""
         east, north, zero = float(self.x[3]), float(self.x[4]), float(self.x[6])
         F = np.eye(7)
         turn = zero * dt
@@ -128,7 +130,7 @@ class NorthFilter:
 
     @property
     def yaw(self) -> float | None:
-        """By what P must turn about the vertical to have the field in the north [rad]."""
+        """Rotation of P about the vertical that brings the field to the north [rad]."""
         east, north = float(self.x[3]), float(self.x[4])
         if not self.ready or math.hypot(east, north) < 1.0:
             return None
@@ -136,7 +138,7 @@ class NorthFilter:
 
     @property
     def std(self) -> float:
-        """Deviation of `yaw` [rad]: the filter's own, by the disturbance that is seen."""
+        """Deviation of `yaw` [rad]: that of the filter, scaled by the measured disturbance."""
         east, north = float(self.x[3]), float(self.x[4])
         size = east * east + north * north
         if size < 1.0:

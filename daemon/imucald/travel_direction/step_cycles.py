@@ -12,23 +12,23 @@ from imucald.core.arrays import Array
 from imucald.core.rotations import Vector
 
 POINTS = 64
-"""A cycle is looked at on so many equal parts of its duration."""
+"""Number of equal parts into which a cycle is resampled."""
 MAX_SAMPLES = 4096
-"""Samples of one cycle that are kept at most."""
+"""Largest number of samples of one cycle that are stored."""
 GAP_S = 0.25
 """Samples further apart than this do not belong to one cycle [s]."""
 SOFT_SHARE = 0.4
-"""While walking, the threshold is this part of the vertical acceleration's rms, or lower."""
+"""While walking, the threshold is at most this share of the vertical acceleration's rms."""
 MIN_SAMPLES = 6
-"""A sine needs so many samples."""
+"""Smallest number of samples of a sine."""
 
 
 @dataclass(frozen=True)
 class StepCycle:
     """One step: its time [s], and the acceleration (POINTS, 3) on equal parts of it [m/s^2].
 
-    Terminal axes; level: the same in the level frame that was handed in; turning: (POINTS, 2)
-    angular rate about that frame's horizontal axes [rad/s].
+    The acceleration is in terminal axes. level: the same in the level frame that was passed in.
+    turning: (POINTS, 2) angular rate about that frame's horizontal axes [rad/s].
     """
 
     t0: float
@@ -46,18 +46,18 @@ class StepCycle:
 class StepCycles:
     """Cuts the stream of accelerometer samples into step cycles.
 
-    The vertical is the low-passed acceleration; a cycle goes from one rise of the vertical
+    The low-passed acceleration shows the vertical. A cycle goes from one rise of the vertical
     acceleration through its mean to the next, with a fall past the threshold in between.
     """
 
     def __init__(self, settings: StepSettings) -> None:
         self.settings = settings
         self.steps = 0
-        """Full cycles so far."""
+        """Number of full cycles so far."""
         self.restart()
 
     def restart(self) -> None:
-        """Begin again: time has jumped."""
+        """Begin again, because time has jumped."""
         self._t = -math.inf
         self._g = (0.0, 0.0, 0.0)
         self._warm = 0.0
@@ -80,8 +80,8 @@ class StepCycles:
     ) -> StepCycle | None:
         """Take a sample [m/s^2] at t [s]; return the cycle that it ends, if any.
 
-        level, turning: in a level frame, kept with the cycle. up: the part along the vertical,
-        where an attitude is known; the low-passed acceleration is the vertical where none is.
+        level, turning: in a level frame, stored with the cycle. up: the part along the vertical, if
+        an attitude is known. Without an attitude, the low-passed acceleration shows the vertical.
         """
         dt = t - self._t
         if dt <= 0.0:
@@ -133,7 +133,10 @@ class StepCycles:
         return StepCycle(t0, t1, made[:, :3], made[:, 3:6], made[:, 6:])
 
     def _threshold(self, dt: float, vertical: float) -> float:
-        """Lower while somebody walks softly: an arm that swings takes from every other step."""
+        """Return the threshold.
+
+        It is lower while a person walks softly: a swinging arm takes from every other step.
+        """
         top = self.settings.threshold
         part = 1.0 - math.exp(-dt / self.settings.gravity_time)
         self._square += part * (vertical * vertical - self._square)
@@ -141,7 +144,7 @@ class StepCycles:
         return top if rms < 0.8 * top else min(top, max(SOFT_SHARE * rms, 0.5 * top))
 
     def _vertical(self, dt: float, accel: Vector, up: float | None) -> float:
-        """Vertical acceleration, low-passed twice [m/s^2]."""
+        """Return the vertical acceleration, low-passed twice [m/s^2]."""
         s = self.settings
         self._warm += dt
         part = 1.0 - math.exp(-dt / min(s.gravity_time, max(self._warm, dt)))

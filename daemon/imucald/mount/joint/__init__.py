@@ -1,1 +1,3 @@
-"""One estimate of how both sensors answer to the vehicle's motion: a matrix and a zero each."""
+"""One joint estimate of how both sensors respond to the vehicle's motion: a matrix and a zero for
+each.
+"""

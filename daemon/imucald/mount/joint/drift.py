@@ -1,22 +1,24 @@
-"""Does the accelerometer's zero drift? What it is now against its own past.
+"""Detect a drift of the accelerometer's zero. The present zero is compared with its own past.
 
-A Kalman filter on means of 0.8 s carries the vertical by the gyroscope and holds it against the
-force less motion, in the working axes. In bends a zero goes round with the vehicle and a slope does
-not; that tells them apart, and a creeping mount from both. In a sound drive all but the vertical
-and the slow walks of both sensors' zeros is constant:
+A Kalman filter on means of 0.8 s carries the vertical by the gyroscope and compares it with the
+force less motion, in the working axes. In bends a zero turns with the vehicle and a slope does not.
+This tells a zero from a slope, and a creeping mount from both. In a drive without faults,
+everything is constant except the vertical and the slow walks of both sensors' zeros:
 
     left = g u + b + v (0, -z_r, z_q) + B (dv/dt, v r, dr/dt, r^2) + noise
     u'   = r u_y - q, p - r u_x        (p, q, r) = rate - z - e r
     u    = m + slope, another one every `SLOPE_M` metres
 
 u: level part of the vertical (2). z: zero of the rate (3). e: tilt of the gyroscope (2). m: tilt of
-the working axes (2). b: zero of the force (3). B: what the axes still answer to motion (3 by 4).
+the working axes (2). b: zero of the force (3). B: responses to motion that remain in the axes (3 by
+4).
 
-A zero that drifts from a time on is a ramp in b, at an unknown rate along an unknown direction.
-What it does to the innovations is linear in the rate, so each onset has its likelihood ratio in
-closed form (Willsky and Jones, IEEE Trans. Automatic Control 21, 1976). Their sum over the onsets
-is the statistic of Shiryaev and Roberts: in sound drives its mean grows by one an onset, so it
-passes A once in A onsets at most (Pollak, Ann. Statistics 13, 1985).
+A zero that drifts from some time on is a ramp in b, with an unknown rate along an unknown
+direction. The effect of the ramp on the innovations is linear in the rate, so each onset has its
+likelihood ratio in closed form (Willsky and Jones, IEEE Trans. Automatic Control 21, 1976). The sum
+of these ratios over the onsets is the statistic of Shiryaev and Roberts. In drives without faults
+its mean grows by one per onset, so it passes A at most once in A onsets (Pollak, Ann. Statistics
+13, 1985).
 """
 
 from __future__ import annotations
@@ -38,72 +40,87 @@ Complex = NDArray[np.complex128]
 Flags = NDArray[np.bool_]
 
 STEP, STEPS = 8, 8
-"""Ticks a mean, and means a block."""
+"""Ticks of a mean, and means of a block."""
 STEP_S = STEP * TICK_S
 UP, RATE_ZERO, GYRO, TILT = slice(0, 2), slice(2, 5), slice(5, 7), slice(7, 9)
 ZERO, ANSWER = slice(9, 12), slice(12, 24)
 STATES = 24
 LEVEL_RATES = slice(2, 4)
 ONSET_BLOCKS, ONSETS = 10, 24
-"""A drift may begin every 64 s; the last 26 minutes are asked."""
+"""A drift may begin every 64 s; onsets in the last 26 minutes are tested."""
 FALSE_ALARM_H = 300.0
 """One false alarm in so many hours: the budget of docs/integrity.md for one fault."""
 NAMED = 0.3
-"""A drift is a fault from here on [m/s^2]; what is less is in the deviation."""
+"""A drift is reported as a fault from this size on [m/s^2]; a smaller one only widens the
+deviation.
+"""
 _LOG_ONSETS = math.log(FALSE_ALARM_H * 3600.0 / (ONSET_BLOCKS * STEPS * STEP_S))
 _ONE, _AXES = np.eye(3), np.arange(3)
 _UNTIL = np.vstack([np.tril(np.ones((STEPS, STEPS)), -1) + 0.5 * np.eye(STEPS), np.ones(STEPS)])
-"""Shares of the steps that have passed in the middle of each, and at the end."""
+"""Share of each step that has passed in the middle of each step, and at the end."""
 
 
 class Drifts(NamedTuple):
-    """Deviations before any data, and of what is random in a step."""
+    """Deviations before any data, and deviations of the random part of a step."""
 
     rate: float = 0.002
-    """Drift of a zero that drifts [m/s^2 a second], each axis (assumption): ten times what 1 mg/K
-    (BMI160) makes of a warm-up by 10 K in 10 min."""
+    """Rate of a drifting zero [m/s^2 a second], each axis (assumption): ten times the effect of 1
+    mg/K (BMI160) in a warm-up by 10 K in 10 min.
+    """
     zero: float = 0.5
-    """Zero of the force in the working axes, with gravity's part in their tilt [m/s^2]."""
+    """Zero of the force in the working axes, including gravity's part from their tilt [m/s^2]."""
     zero_walk: float = 3e-4
-    """[m/s^2 a root second], 0.007 m/s^2 in 10 min, as 0.07 mg/K and a warm-up by 10 K make it
-    (assumption): more is a drift, and in the deviation as such."""
+    """[m/s^2 a root second].
+
+    This gives 0.007 m/s^2 in 10 min, as with 0.07 mg/K and a warm-up by 10 K (assumption). A larger
+    change is a drift and enters the deviation as such.
+    """
     rate_zero: float = MAX_GYRO_BIAS
-    """Zero of the rate before a rest [rad/s]: it is guessed from driving, and in the bends of a car
-    park that guess was off by 6 deg/s (css_canmod_164, which was looked at for it)."""
+    """Zero of the rate before a rest [rad/s].
+
+    It is guessed from driving; in the bends of a car park the guess was off by 6 deg/s
+    (css_canmod_164, which was examined for this value).
+    """
     rate_zero_walk: float = 5e-5
-    """[rad/s a root second], 0.03 deg/s in 100 s: a phone warms up so (vehsense_2018_08_04, which
-    was looked at for it and judges nothing here)."""
+    """[rad/s a root second].
+
+    This gives 0.03 deg/s in 100 s, as in a phone that warms up (vehsense_2018_08_04, which was
+    examined for this value and judges nothing here).
+    """
     up: float = 0.05
-    """Vertical where it is not carried [rad]."""
+    """Vertical while nothing carries it [rad]."""
     up_walk: float = 1e-3
-    """Vertical as it is carried [rad a root second]: noise and gain of the gyroscope."""
+    """Vertical while it is carried [rad a root second]: noise and gain of the gyroscope."""
     lost: float = 0.01
-    """The same for each tick that is not to be used [rad]."""
+    """Vertical for each tick that is not to be used [rad]."""
     gyro: float = 0.036
     """Tilt of the gyroscope's axes (`state.Priors.gyro`) and of its working axes (`tilt`)."""
     tilt: float = 0.03
     """Working axes against the vehicle's [rad]."""
     slope: float = SLOPE
     noise: float = 0.1
-    """Of a mean [m/s^2], as a start; it is learnt axis by axis."""
+    """Initial noise of a mean [m/s^2]; it is learnt axis by axis."""
     loudness: float = 4.0
-    """Degrees of freedom with which a block's noise is the learnt one."""
+    """Degrees of freedom of a block's noise about the learnt noise."""
 
 
 ANSWERS: Final = np.array([[0.03, 0.03, 1.5, 3.0], [0.03, 0.03, 3.0, 1.5], [0.03, 0.03, 0.3, 0.3]])
 """Prior deviations of B: cross-talk and gains, and the lever arm [m]."""
 LEARNT, LEAST, MOST = 200.0, 0.02, 100.0
-"""Noise is learnt over so many means (160 s), and is that share of the usual variance."""
+"""The noise is learnt over this many means (160 s), and stays within these factors of the usual
+variance.
+"""
 HEAVY = 9.0
-"""Innovations (chi-square of 3) beyond count less: 1 in 34 of normal ones."""
+"""Innovations beyond this (chi-square of 3) get less weight: 1 in 34 of normal ones."""
 
 
 class Drift(NamedTuple):
-    """What is known of a drift.
+    """Knowledge about a drift.
 
-    log_odds: log of the statistic over its threshold; above zero: a drift, one in
-    `FALSE_ALARM_H` by chance. size: (3,) what the zero has moved by [m/s^2], working axes, if it
-    drifts. covariance: (3, 3) of it. rate, rate_covariance: of the drift itself [m/s^2 a second].
+    log_odds: log of the statistic over its threshold. Above zero there is a drift; a false alarm
+    comes once in `FALSE_ALARM_H`. size: (3,) change of the zero [m/s^2], working axes, if it
+    drifts. covariance: (3, 3) of that change. rate, rate_covariance: rate of the drift [m/s^2 a
+    second].
     """
 
     log_odds: float
@@ -113,7 +130,7 @@ class Drift(NamedTuple):
     rate_covariance: Array = 4e-6 * np.eye(3)
 
     def turned(self, matrix: Array) -> Drift:
-        """The same in the axes that a matrix (3, 3) leads to."""
+        """Return the same drift in the axes that a matrix (3, 3) leads to."""
 
         def both(covariance: Array) -> Array:
             return np.asarray(matrix @ covariance @ matrix.T)
@@ -127,7 +144,9 @@ class Drift(NamedTuple):
         return self.log_odds > 0.0 and float(np.linalg.norm(self.size)) > NAMED
 
     def variance(self) -> Array:
-        """(3,) of the zero now about that of the past, as probable as the drift is."""
+        """(3,) variance of the present zero about the past one, weighted by the probability of a
+        drift.
+        """
         share = 1.0 / (1.0 + math.exp(min(-self.log_odds, 700.0)))
         return np.asarray(share * (np.diag(self.covariance) + self.size**2))
 
@@ -136,21 +155,22 @@ NONE = Drift(-math.inf, np.zeros(3), np.zeros((3, 3)))
 
 
 class _Path(NamedTuple):
-    """The level vertical in the middles of n steps, and at their end: (n + 1, 2), and its slopes
-    (n + 1, 2, STATES) by the state at the start."""
+    """The level vertical in the middle of each of n steps and at their end: (n + 1, 2).
+
+    Also its derivatives with respect to the state at the start: (n + 1, 2, STATES).
+    """
 
     up: Array
     slopes: Array
 
 
 class ZeroDrift:
-    """The filter, and what a drift from each onset does to it.
+    """The filter, and the effect of a drift from each onset on it.
 
-    State: mean and covariance (STATES) of the sound model; by onset the shift of the mean that a
-    rate of one makes, the information (3, 3) on the rate, its score (3,), and by how much the zero
-    had drifted before.
-    past: of a drift before the first block, in the working axes; it may go on, and is the first
-    onset.
+    State: mean and covariance (STATES) of the model without drift. For each onset: the shift of the
+    mean for a rate of one, the information (3, 3) on the rate, its score (3,), and the drift of the
+    zero before. past: a drift before the first block, in the working axes. It may continue, and it
+    is the first onset.
     """
 
     def __init__(self, past: Drift | None = None, drifts: Drifts | None = None) -> None:
@@ -175,7 +195,7 @@ class ZeroDrift:
         self._before = np.zeros((0, 3))
 
     def restart(self) -> None:
-        """The vertical is not known any more."""
+        """Mark the vertical as unknown."""
         self._mean[UP] = 0.0
         self._shift[UP] = 0.0
         self._covariance[UP] = 0.0
@@ -185,8 +205,10 @@ class ZeroDrift:
     def add(
         self, left: Array, rate: Array, speed: Array, accel: Array, use: Flags, rate_zero: Array
     ) -> None:
-        """Take a block of N = 64 ticks in the working axes, in parts: random walks come at the
-        start of one, and what ticks that are not to be used hide has to be there before the rest.
+        """Take a block of N = 64 ticks in the working axes, in parts.
+
+        Random walks are added at the start of a part. The effect of hidden ticks must be added
+        before the rest.
 
         left: (N, 3) force less motion. rate: (N, 3), from which rate_zero (3,) has been taken.
         speed, accel, use: (N,).
@@ -213,7 +235,7 @@ class ZeroDrift:
             self._steps += stop - first
 
     def found(self) -> Drift:
-        """The present knowledge of a drift: how probable it is, and how large."""
+        """Return the present knowledge of a drift: its probability and its size."""
         if not len(self._onsets):
             return NONE
         prior = self._drifts.rate**2
@@ -239,8 +261,11 @@ class ZeroDrift:
         )
 
     def axis_of_turning(self) -> tuple[Array, Array]:
-        """Level part (2,) of the axis that the gyroscope turns about, less that of the vertical
-        which the accelerometer shows on level ground [rad], and its covariance (2, 2)."""
+        """Return the tilt of the gyroscope's axis of turning against the vertical.
+
+        The vertical is the one that the accelerometer shows on level ground. The result is the
+        level part (2,) [rad] and its covariance (2, 2).
+        """
         rows = np.zeros((2, STATES))
         rows[:, GYRO] = np.eye(2)
         rows[:, ZERO.start : ZERO.start + 2] = -np.eye(2) / GRAVITY
@@ -260,7 +285,7 @@ class ZeroDrift:
             self._past = None
 
     def _go_on_from(self, past: Drift) -> None:
-        """The first onset is that of a drift before: its prior is what was known of the rate."""
+        """Make an earlier drift the first onset: its prior is what was known of the rate."""
         prior, information = self._drifts.rate**2, inverse(past.rate_covariance)
         self._information[0] = information - _ONE / prior
         self._score[0] = information @ past.rate
@@ -271,7 +296,7 @@ class ZeroDrift:
     # the filter ----------------------------------------------------------------------------------
 
     def _path(self, turns: Array) -> _Path:
-        """The vertical over steps in which the vehicle turned by (n, 3) [rad]."""
+        """Return the vertical over steps in which the vehicle turned by (n, 3) [rad]."""
         x, n = self._mean, len(turns)
         until = _UNTIL[[*range(n), STEPS], :n]
         p, q, r = (turns - x[RATE_ZERO] * STEP_S).T
@@ -292,9 +317,11 @@ class ZeroDrift:
         return _Path(np.array([made[:, 0].real, made[:, 0].imag]).T, slopes)
 
     def _take(self, path: _Path, means: Array, held: NDArray[np.int_], passed: float) -> None:
-        """Hold the state against the means (n, 8) of the force in the steps `held`, and the
-        vertical at the end of the last against the slopes of roads over so many metres; then
-        carry it over the steps."""
+        """Update the state with the means (n, 8) of the force in the steps `held`.
+
+        Then update the vertical at the end of the last step with the slopes of roads over the
+        distance passed, and carry the state over the steps.
+        """
         n, end = 3 * len(held), path.slopes[-1]
         rows = n + 2 if passed > 0.0 else n
         H, off, noise = np.zeros((rows, STATES)), np.zeros(rows), np.zeros(rows)
@@ -325,8 +352,9 @@ class ZeroDrift:
         shift[UP] = end @ shift
 
     def _force_rows(self, path: _Path, means: Array, held: NDArray[np.int_]) -> tuple[Array, Array]:
-        """What the means of the force answer to the state (3 n, STATES), and what it leaves of
-        them (3 n,)."""
+        """Return the rows (3 n, STATES) by which the means of the force respond to the state, and
+        their residuals (3 n,).
+        """
         x, taken = self._mean, means[held]
         moved, speed = taken[:, 3:7], taken[:, 7]
         H = np.zeros((len(held), 3, STATES))
@@ -343,8 +371,11 @@ class ZeroDrift:
         return H.reshape(-1, STATES), off.ravel()
 
     def _whitened(self, S: Array, noise: Array, columns: Array, n: int) -> Array:
-        """Columns (m, k), the innovations first, by the root of their covariance: that of the state
-        and the noise, to which that of n means is added. Means that are far off count less."""
+        """Whiten columns (m, k), the innovations first, by the root of their covariance.
+
+        The covariance is that of the state and the noise, plus that of n means. Means that are far
+        off get less weight.
+        """
         free, each = self._drifts.loudness, np.tile(self._noise, n)
         diagonal = S.ravel()[:: len(S) + 1]
         diagonal += noise
@@ -358,7 +389,7 @@ class ZeroDrift:
         return np.asarray(inverse(_root(S)) @ columns)
 
     def _learn_noise(self, root: Array, white: Array) -> None:
-        """From white innovations (n, 3) and the root of their covariance."""
+        """Learn the noise from white innovations (n, 3) and the root of their covariance."""
         n, places = len(white), np.arange(len(white))
         blocks = root[: 3 * n, : 3 * n].reshape(n, 3, n, 3)[places, :, places]
         square = (blocks @ white[:, :, None])[:, :, 0] ** 2
@@ -370,7 +401,9 @@ class ZeroDrift:
 
 
 def _means(left: Array, r: Array, speed: Array, accel: Array, use: Flags, used: Array) -> Array:
-    """(STEPS, 8) of the ticks that count: force less motion, dv/dt, v r, dr/dt, r^2, v."""
+    """Return means (STEPS, 8) over the ticks that count: force less motion, dv/dt, v r, dr/dt, r^2,
+    v.
+    """
     every = np.empty((8, len(r)))
     every[:3], every[3], every[4] = left.T, accel, speed * r
     every[5, 1:-1] = (r[2:] - r[:-2]) * (0.5 / TICK_S)
@@ -381,7 +414,9 @@ def _means(left: Array, r: Array, speed: Array, accel: Array, use: Flags, used: 
 
 
 def _as_matrices(values: Complex) -> Array:
-    """(n, 2, 2) what complex factors (n,) do to the level parts of a vector."""
+    """Return matrices (n, 2, 2) that act on the level parts of a vector as complex factors
+    (n,) do.
+    """
     made = np.empty((len(values), 2, 2))
     made[:, 0, 0] = made[:, 1, 1] = values.real
     made[:, 1, 0] = values.imag

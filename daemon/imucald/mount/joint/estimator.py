@@ -1,9 +1,10 @@
-"""The joint estimator: what both sensors answer to the vehicle's motion, with a matrix each.
+"""The joint estimator: the response of both sensors to the vehicle's motion, with a matrix each.
 
-It takes the same blocks of even signals as the full estimator, and its detectors of faults and of
-large moves; smaller moves it finds itself (`moves`). What is applied, what is stated and when it
-is good come from the joint solution (`evidence`), by the vehicle's yaw rate or steering angle where
-there is no gyroscope. Without a speed there is none, and the full estimator's own is served.
+It takes the same blocks of even signals as the full estimator, and the same detectors of faults and
+of large moves. It finds smaller moves itself (`moves`). The applied correction, the stated
+deviations and the time when it is good come from the joint solution (`evidence`). Without a
+gyroscope, that solution uses the vehicle's yaw rate or steering angle. Without a speed there is no
+joint solution, and the full estimator's own is served.
 """
 
 from __future__ import annotations
@@ -34,18 +35,20 @@ from imucald.mount.signal_blocks import BLOCK_S, SignalBlock
 from imucald.mount.states import NEEDED, MountKnowledge
 
 SOLUTIONS_KEPT = 32
-"""As many as are made in the first three minutes; later ones are further apart."""
+"""Number of solutions kept: those of the first three minutes; later ones are further apart."""
 MOVE_UNSEEN_S = 60.0
-"""Blocks before the moment of a move may hold some of it: it is found to a block or two, a slow
-one later."""
+"""The time of a move is found to a block or two, and later for a slow move.
+
+Blocks within this time before it may therefore contain some of the move.
+"""
 LEVEL = (0.2, 0.1)
 """Level zero below which an estimate is usable, and fine [m/s^2]."""
 STEERING_ZERO = math.radians(2.0)
 """Zero error of an angle of the steering wheel that nothing has measured (assumption)."""
 ASKED = 2
-"""Blocks after which it is asked whether the sensor was moved (13 s)."""
+"""The test for a moved sensor runs once in this many blocks (13 s)."""
 REMEMBERED = 240
-"""Blocks (26 min) of which it is known what was known of a drift."""
+"""Blocks (26 min) for which the knowledge of a drift is kept."""
 
 
 class JointSettings(EstimatorSettings, frozen=True):
@@ -60,16 +63,18 @@ class JointSettings(EstimatorSettings, frozen=True):
 
     @classmethod
     def of(cls, settings: EstimatorSettings) -> JointSettings:
-        """The same settings, with these limits where a user gives none."""
+        """Return the same settings, with these limits where a user gives none."""
         return cls(**{name: getattr(settings, name) for name in settings.__struct_fields__})
 
 
 class JointAcceptance(Acceptance, frozen=True):
-    """As of the full estimator, but *fine* does not wait until its test for a small move can see.
+    """Acceptance as in the full estimator, but *fine* does not wait until the test for a small move
+    works.
 
-    A sensor that moves by less than it shows at once is so rare that minutes of every drive are
-    more than it is worth. are_signs_known: a drive before saw the signs agree, and nothing speaks
-    against that all is as then; *fine* waits for them all the same.
+    A move that is too small to show at once is rare. Waiting for minutes in every drive would cost
+    more than it is worth. Waiting for minutes in every drive would cost more than it is worth.
+    are_signs_known: an earlier drive saw the signs agree, and nothing shows a change since. *Fine*
+    still waits for all signs.
     """
 
     are_signs_known: bool = False
@@ -79,16 +84,16 @@ class JointAcceptance(Acceptance, frozen=True):
 
     @property
     def is_armed(self) -> bool:
-        """Whether *fine* has no test to wait for: always."""
+        """Always true: no test keeps an estimate from being *fine*."""
         return True
 
 
 class JointEstimator(FullEstimator):
-    """Serves the joint solution, judged by the deviations of what a consumer gets.
+    """Serves the joint solution, judged by the deviations of the data that a consumer gets.
 
-    `_joint` holds what came since the sensor was last moved, and what was known of the sensor by
-    itself before (`known`). After a move that misleads nobody the
-    earlier solution is served, its deviations widened by the move, until `_next` is usable.
+    `_joint` holds the evidence since the last move of the sensor, and the earlier knowledge of the
+    sensor itself (`known`). After a move that misleads no consumer, the earlier solution is served
+    with deviations widened by the move, until `_next` is usable.
     """
 
     def __init__(self, settings: EstimatorSettings | None = None) -> None:
@@ -105,7 +110,7 @@ class JointEstimator(FullEstimator):
         self._drifts: deque[tuple[float, Drift]] = deque(maxlen=REMEMBERED)
 
     def gap(self) -> None:
-        """Time jumped: signals before it are not joined with those after it."""
+        """Note a jump of time: signals before it are not joined with those after it."""
         super().gap()
         self._taken_until = -math.inf
         self._joint.gap()
@@ -114,7 +119,7 @@ class JointEstimator(FullEstimator):
 
     @property
     def solution(self) -> Solution | None:
-        """How both sensors answer to motion, as far as it is known now; None before it is known."""
+        """Response of both sensors to motion, as known now; None before it is known."""
         return self._joint.solution
 
     def _new_evidence(
@@ -123,7 +128,7 @@ class JointEstimator(FullEstimator):
         return Evidence(self.priors, known, is_moved, past, self._signals_now())
 
     def _signals_now(self) -> OtherSignals:
-        """What there is next to the accelerometer by now."""
+        """Return the signals that are available besides the accelerometer by now."""
         if self._has_gyro:
             return OtherSignals()
         s = self._settings
@@ -137,7 +142,7 @@ class JointEstimator(FullEstimator):
 
     @property
     def priors(self) -> Priors:
-        """What is reckoned with before any data, with what the configuration states."""
+        """Assumptions before any data, with what the configuration states."""
         s = self._settings
         configured = s.calibration.cross_axis
         usual = Priors()
@@ -150,24 +155,31 @@ class JointEstimator(FullEstimator):
     # what is the sensor's own -------------------------------------------------------------------
 
     def known_sensor(self) -> KnownSensor | None:
-        """What is known of the sensor by itself."""
+        """Knowledge about the sensor itself, independent of the mount."""
         return self._joint.known_sensor
 
     def as_before(self) -> float | None:
-        """Probability that sensor and mount are those that it took; None: it took none yet."""
+        """Probability that sensor and mount are those of the earlier drive; None: no earlier drive
+        was taken.
+        """
         if not self._joint.compares_with_before or self.solution is None:
             return None
         return self.solution.same
 
     def take_known_sensor(self, known: KnownSensor, is_moved: bool) -> None:
-        """Begin with what an earlier drive found of the sensor; not once this one has begun."""
+        """Begin with what an earlier drive found of the sensor.
+
+        This is ignored once the present drive has begun.
+        """
         if self._joint.seconds:
             return
         self._known_before = known.away()
         self._joint = self._new_evidence(self._known_before, is_moved)
 
     def _known_until(self, t: float) -> KnownSensor | None:
-        """What was known of the sensor so long before a time that no move is in it."""
+        """Return the knowledge about the sensor from long enough before a time that it contains no
+        move.
+        """
         for end, solution in reversed(self._lately_known):
             if end <= t - MOVE_UNSEEN_S:
                 return solution.sensor(self.priors)
@@ -199,7 +211,7 @@ class JointEstimator(FullEstimator):
             return
         try:
             target.solve_when_due()
-        except np.linalg.LinAlgError:  # the signals contradict one another: `_checks` says which
+        except np.linalg.LinAlgError:  # the signals contradict one another; `_checks` shows which
             self._lately_known.clear()
             self._begin_again([])
             return
@@ -209,7 +221,7 @@ class JointEstimator(FullEstimator):
             self._joint, self._next, self._widened, self._doubt = self._next, None, 0.0, 0.0
 
     def _follow_signals(self) -> None:
-        """Go through the last blocks again, as evidence of the signals that there are by now."""
+        """Use the last blocks again with the signals that are available by now."""
         former, kept = self._next or self._joint, list(self._solvers.kept)[:-1]
         made = self._new_evidence(former.known, former.is_moved)
         for p in kept[max(len(kept) - former.blocks, 0) :]:
@@ -257,7 +269,7 @@ class JointEstimator(FullEstimator):
             self._next, self._doubt = self._filled(after, since), 0.0  # it is no doubt any more
 
     def _small_change(self, is_turn: bool) -> MountChange | None:
-        """As the joint solution sees it, where that is served and has a gyroscope."""
+        """Look for a small change with the joint solution, if it is served and has a gyroscope."""
         if self._signals.without_speed or not self._joint.signals.gyro:
             return super()._small_change(is_turn)
         self._changes.is_near = False  # of the solver's rotation, which decides nothing here
@@ -273,7 +285,10 @@ class JointEstimator(FullEstimator):
     # judging -----------------------------------------------------------------------------------
 
     def _judge(self, p: SignalBlock) -> None:
-        """A zero that has drifted stays where it is to the end of the drive, known to nobody."""
+        """Judge the state.
+
+        A drifted zero stays at its new, unknown value until the end of the drive.
+        """
         if self._drift.is_named and self._is_usable(self.solution):
             self._has_drifted = True
         if self._has_drifted:
@@ -285,7 +300,7 @@ class JointEstimator(FullEstimator):
 
     @property
     def _wide(self) -> float:
-        """Deviation of a turn that is borne or not certain [rad]."""
+        """Deviation of a rotation that is tolerated or not certain [rad]."""
         return math.hypot(self._widened, self._doubt)
 
     def _is_usable(self, solution: Solution | None) -> bool:
@@ -297,12 +312,14 @@ class JointEstimator(FullEstimator):
 
     @property
     def _is_rotation_good(self) -> bool:
-        """With a known sensor the state is good before the solver's own rotation is: then the test
-        for a step in gravity waits until it knows the usual spread of this drive."""
+        """With a known sensor, the state is good before the solver's own rotation is.
+
+        The test for a step in gravity then waits until it knows the usual spread of this drive.
+        """
         return super()._is_rotation_good and self._known_before is None
 
     def _knowledge(self, p: SignalBlock) -> MountKnowledge:
-        """What is known after a block, of the joint solution where there is one."""
+        """Return the knowledge after a block, from the joint solution where there is one."""
         known = super()._knowledge(p)
         if self._signals.without_speed:
             return known
@@ -357,19 +374,24 @@ class JointEstimator(FullEstimator):
         )
 
     def _housing_covariance(self, solution: Solution) -> Array:
-        """Of the housing's rotation. Too small where the cross-axis errors are antisymmetric: those
-        look like a turn, and their size is judged by the symmetric ones."""
+        """Return the covariance of the housing's rotation.
+
+        It is too small if the cross-axis errors are antisymmetric: these look like a rotation, and
+        their size is judged by the symmetric ones.
+        """
         own = solution.covariance[PHI, PHI]
         return np.asarray(own + self._wide**2 * np.eye(3))
 
 
 def _as_angles(sent: SentDeviations) -> tuple[float, float, float]:
-    """Level zero y and x as tilts, and the larger of cross-talk xy and yx, as a yaw [rad]."""
+    """Return level zero y and x as tilts, and the larger of cross-talk xy and yx as a yaw [rad]."""
     return sent.zero_y / GRAVITY, sent.zero_x / GRAVITY, max(sent.xy, sent.yx)
 
 
 def _block(p: SignalBlock, signals: OtherSignals) -> Block:
-    """What of a block the joint solution takes, by what the vehicle has."""
+    """Return the part of a block that the joint solution uses, for the signals that the vehicle
+    has.
+    """
     use = p.ok_force & p.ok_speed & p.learn
     knots = MIDDLES if p.speed_knots is None else p.speed_knots
     if signals.gyro:

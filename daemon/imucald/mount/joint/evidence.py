@@ -1,7 +1,7 @@
 """Evidence of a drive, and the one solve on it.
 
-Ticks are kept as they came, in sensor axes. Windows are made in the working axes when a solve is
-due; when the axes have moved too far for a linear solve, all windows are made again from the kept
+Ticks are stored as received, in sensor axes. Windows are made in the working axes when a solve is
+due. When the axes have moved too far for a linear solve, all windows are made again from the stored
 ticks (Gauss-Newton).
 """
 
@@ -61,26 +61,29 @@ from imucald.mount.joint.sums import Fits, WindowSums
 
 Flags = NDArray[np.bool_]
 Axes = tuple[Matrix3, Matrix3, Array]
-"""Matrices from sensor axes of force and rate, and the zero of the force [m/s^2]."""
+"""Matrices from sensor axes for force and rate, and the zero of the force [m/s^2]."""
 
 BLOCKS_A_WINDOW = wd.WINDOW // wd.BLOCK
 BLOCKS_AT_ONCE = 16
-"""Windows are made of so many blocks at a time; more would need more memory and be no faster."""
+"""Windows are made of this many blocks at a time; more would need more memory without being
+faster.
+"""
 MADE_AT_ONCE = 64
-"""Of an hour of evidence so many are made again with each block that comes (0.04 s on a busy core
-of 2026): the loop that corrects frames waits meanwhile, and what waits for 0.1 s is not corrected.
+"""If long evidence must be made again, this many windows are made with each new block (0.04 s on a
+busy core of 2026). The loop that corrects frames waits meanwhile, and frames that wait for 0.1 s
+are not corrected.
 """
 MOST_BLOCKS, KEPT_BLOCKS = 640, 480
-"""Of a long drive the last 50 to 70 minutes count: more does not make any deviation smaller."""
+"""Of a long drive, the last 50 to 70 minutes count: more data do not reduce any deviation."""
 LEAST_USED, LEAST_MOVING = 0.5, 0.1
-"""Shares of a window's ticks that must count, and that must be driven."""
+"""Smallest shares of a window's ticks that count, and that are driven."""
 MOST_LEFT = 0.01
-"""Windows are made again when the axes have moved by so much [rad] since."""
+"""Windows are made again when the axes have moved by this angle [rad] since."""
 MOST_LATE = 0.03
-"""The same of the speed's delay [s]."""
+"""Windows are made again when the speed's delay has changed by this time [s]."""
 DELAYS: Final = np.arange(MIN_SPEED_DELAY, MAX_SPEED_DELAY + 0.001, 0.02)
 FOLLOWS = 0.8
-"""A band counts while the force follows dv/dt at this share of the slow bands' gain."""
+"""A band counts while the force follows dv/dt with at least this share of the slow bands' gain."""
 USUAL_NOISE: Final = np.array(
     [
         [0.2, 0.4, 0.3, 0.2, 0.2, 0.2, 0.3, 0.4],
@@ -88,11 +91,13 @@ USUAL_NOISE: Final = np.array(
         [0.15, 0.4, 0.3, 0.3, 0.3, 0.3, 0.4, 0.7],
     ]
 )
-"""Noise by axis of the force and band that is expected [(m/s^2)^2]. Rounded up from the means of
-eleven drives (three of second_world, two measured, simulated seeds 970000 to 970005), so those
-judge nothing."""
+"""Expected noise for each axis of the force and each band [(m/s^2)^2].
+
+The values are rounded up from the means of eleven drives (three of second_world, two measured,
+simulated seeds 970000 to 970005). These drives are therefore not used to judge results.
+"""
 USUAL_TURN_NOISE: Final = np.full((2, wd.BANDS), 0.001)
-"""The same of roll and pitch rate [(rad/s)^2]."""
+"""Expected noise of roll and pitch rate [(rad/s)^2]."""
 SPREAD: Final = np.array(
     [  # -vq, jerk, d(vr)/dt, dp/dt, dq/dt, dr/dt, r^2, v, tilted x, y, dv/dt v r, (v r)^2
         [0.1, 0.15, 0.05, 0.1, 1.5, 1.5, 3.0, 0.02, 0.03, 0.03, 0.01, 0.01],
@@ -100,10 +105,11 @@ SPREAD: Final = np.array(
         [0.5, 0.05, 0.05, 1.5, 3.0, 0.1, 0.1, 0.02, 0.03, 0.03, 0.02, 0.02],
     ]
 )
-"""Prior deviations of the nuisances by axis of the force: curvature of the road, delay of the
-speed, lag of the body, lever arm [m], zero of the gyroscope, tilt of the gyroscope, even terms."""
+"""Prior deviations of the nuisances for each axis of the force: curvature of the road, delay of the
+speed, lag of the body, lever arm [m], zero of the gyroscope, tilt of the gyroscope, even terms.
+"""
 TURN_SPREAD: Final = np.array([1.0, 0.02, 0.02, 0.3, 0.02])
-"""Of the rate: axis of turning, and rolling, pitching, dr/dt, lean in bends."""
+"""Prior deviations for the rate: axis of turning, rolling, pitching, dr/dt, lean in bends."""
 _XS = tuple(range(wd.X.start, wd.X.stop))
 _ROLLING: Final = len(wd.MAIN) + wd.EXTRA.index("dp/dt")
 TURN_FITS: Final = Fits(
@@ -113,11 +119,13 @@ TURN_FITS: Final = Fits(
     keep=1,
 )
 ROLLS, PITCHES = 0.0075, 0.004
-"""Without a gyroscope rolling and pitching are what springs make of v r and dv/dt [rad/(m/s^2)]:
-4 to 6 and 2 to 3 deg/g (assumption)."""
+"""Rolling and pitching per v r and dv/dt [rad/(m/s^2)] where there is no gyroscope: 4 to 6 and 2 to
+3 deg/g from the springs (assumption).
+"""
 ROLLING_SPREAD: Final = np.array([0.7, 1.5, 1.5])
-"""Prior deviations by axis of what answers to dp/dt of such a rolling: the lever arm, and what a
-yaw rate that is 0.1 s earlier or later makes of it."""
+"""Prior deviations by axis of the response to dp/dt of such a rolling: the lever arm, and the
+effect of a yaw rate that is 0.1 s earlier or later.
+"""
 SLOPE_NOISE: Final = np.array(
     [
         [6.0, 6.0, 2.0, 0.5, 0.1, 0.0, 0.0, 0.0],
@@ -125,30 +133,35 @@ SLOPE_NOISE: Final = np.array(
         [1.5, 4.0, 2.5, 1.3, 0.7, 0.5, 0.6, 1.2],
     ]
 )
-"""Noise that slopes add where no gyroscope carries the vertical. Medians of simulated seeds 970000
-to 970011, which judge nothing."""
+"""Noise from slopes where no gyroscope carries the vertical.
+
+The values are medians of simulated seeds 970000 to 970011, which are not used to judge results.
+"""
 LEAST_BEFORE = 24
-"""Windows that a move is held against: six road segments."""
+"""Smallest number of windows before a move: six road segments."""
 ALL_BANDS: Final = np.ones(wd.BANDS, dtype=bool)
 
 
 ALL_SIGNALS: Final = OtherSignals()
 LEVEL: Final = np.array([0.0, 0.0, 1.0])
-"""The vertical where nothing carries it."""
+"""The vertical where no gyroscope carries it."""
 NO_ZERO: Final = np.zeros(3)
 NO_AXES: Final = np.eye(3), np.eye(3), NO_ZERO
 MIDDLES: Final = np.linspace(0.5, BLOCK_TICKS - 0.5, BLOCK_TICKS)
-"""Of the ticks of a block: when a speed is known of which each has a mean [ticks]."""
+"""Middles of the ticks of a block: times at which a speed is known if every tick has a mean
+[ticks].
+"""
 
 
 class Block(NamedTuple):
-    """Even signals of 64 ticks. force, rate: (64, 3) in sensor axes, the rate without its zero;
-    without a gyroscope the vehicle's own rate, about its z alone.
+    """Even signals of 64 ticks. force, rate: (64, 3) in sensor axes, the rate without its zero.
 
-    speed: (64,) [m/s], negative in reverse. use: (64,) ticks that may be learnt from.
-    rate_zero: (3,) what was taken off the rate [rad/s]; is_rate_known: whether that was known.
-    knots: (K,) when the speed is known [ticks since the block began]. least_speed: the least that
-    its sender shows [m/s].
+    Without a gyroscope, the rate is that of the vehicle, about its z alone.
+
+    speed: (64,) [m/s], negative in reverse. use: (64,) ticks that may be learnt from. rate_zero:
+    (3,) zero that was subtracted from the rate [rad/s]; is_rate_known: whether it was measured.
+    knots: (K,) times at which the speed is known [ticks since the block began]. least_speed:
+    smallest speed that its sender shows [m/s].
     """
 
     force: Array
@@ -162,13 +175,13 @@ class Block(NamedTuple):
 
 
 class Solution(NamedTuple):
-    """One state of knowledge.
+    """Knowledge at one time.
 
-    force, rate: (3, 3) matrices W and V from sensor axes to vehicle axes. zero: (3,) of the force
-    in vehicle axes [m/s^2], to be subtracted. covariance: (UNKNOWNS, UNKNOWNS) of the errors that
-    these leave. delay: of the speed [s]. unfinished: by how much the axes have just moved [rad].
-    housing: R_vehicle_from_sensor (3, 3). turn: of the gyroscope about z against the
-    accelerometer [rad]. same: probability that sensor and mount are those of before.
+    force, rate: (3, 3) matrices W and V from sensor axes to vehicle axes. zero: (3,) zero of the
+    force in vehicle axes [m/s^2], to be subtracted. covariance: (UNKNOWNS, UNKNOWNS) of the
+    remaining errors. delay: delay of the speed [s]. unfinished: angle by which the axes have just
+    moved [rad]. housing: R_vehicle_from_sensor (3, 3). turn: rotation of the gyroscope about z
+    against the accelerometer [rad]. same: probability that sensor and mount are those of before.
     """
 
     force: Matrix3
@@ -183,11 +196,11 @@ class Solution(NamedTuple):
 
     @property
     def is_of_sensors(self) -> bool:
-        """Whether the gains of both matrices along all directions are those of this unit."""
+        """Whether the gains of both matrices along all directions are possible for this unit."""
         return are_of_a_sensor(self.force, self.rate)
 
     def sensor(self, priors: Priors) -> KnownSensor:
-        """What of it is the sensor's own."""
+        """Return the part of the solution that belongs to the sensor itself."""
         mixed, tilted = (self.housing @ np.linalg.inv(m) for m in (self.force, self.rate))
         terms = np.zeros(UNKNOWNS)
         terms[CROSS] = [mixed[place] for place in OFF]
@@ -196,10 +209,10 @@ class Solution(NamedTuple):
         return KnownSensor.found(self.housing, terms, self.covariance, priors)
 
     def sent(self, wide: float = 0.0, zero: Array = NO_ZERO) -> SentDeviations:
-        """Deviations of what a consumer gets.
+        """Return the deviations of the data that a consumer gets.
 
-        wide: further deviation of a turn of both sensors [rad]. zero: variance (3,) of a
-        zero that has changed [(m/s^2)^2].
+        wide: further deviation of a rotation of both sensors [rad]. zero: variance (3,) of a zero
+        that has changed [(m/s^2)^2].
         """
         made = sent_deviations(self.covariance, wide)
         x, y, _ = np.sqrt(zero).tolist()
@@ -207,7 +220,7 @@ class Solution(NamedTuple):
 
 
 class Evidence:
-    """All blocks of a drive since the sensor was last moved, and the solution on them."""
+    """All blocks of a drive since the last move of the sensor, and the solution on them."""
 
     def __init__(
         self,
@@ -217,8 +230,10 @@ class Evidence:
         past: Drift | None = None,
         signals: OtherSignals = ALL_SIGNALS,
     ) -> None:
-        """known: of the sensor before; is_moved: and it was moved since. past: a drift until then,
-        in sensor axes."""
+        """known: earlier knowledge of the sensor. is_moved: the sensor was moved since.
+
+        past: an earlier drift, in sensor axes.
+        """
         self.signals = signals
         self._past = past
         self._priors = priors
@@ -241,7 +256,7 @@ class Evidence:
 
     @property
     def drift(self) -> Drift:
-        """What the same blocks say of a zero of the force that drifts."""
+        """Knowledge about a drift of the force's zero from the same blocks."""
         if self._axes is None or not self.signals.gyro:
             return NO_DRIFT
         self._follow_drift()  # it can't wait until a solution is due
@@ -251,14 +266,17 @@ class Evidence:
         return self._found_drift
 
     def in_sensor_axes(self, drift: Drift) -> Drift:
-        """`drift` in sensor axes; before there are any axes, what was known before the blocks."""
+        """Return `drift` in sensor axes.
+
+        Before there are any axes, return what was known before the blocks.
+        """
         if self._axes is None:
             return self._past or NO_DRIFT
         return drift.turned(inverse(self._axes[0]))
 
     @property
     def blocks(self) -> int:
-        """How many it has."""
+        """Number of blocks."""
         return len(self._blocks)
 
     @property
@@ -268,11 +286,11 @@ class Evidence:
 
     @property
     def compares_with_before(self) -> bool:
-        """Whether one of the hypotheses is that all is as before."""
+        """Whether one of the hypotheses is that nothing has changed."""
         return self.known is not None and not self.is_moved
 
     def gap(self) -> None:
-        """Time jumped: what comes next is not joined with what came before."""
+        """Note a jump of time: later blocks are not joined with earlier ones."""
         self._breaks.add(len(self._blocks))
 
     def add(self, block: Block) -> None:
@@ -282,9 +300,9 @@ class Evidence:
             self._forget(len(self._blocks) - KEPT_BLOCKS)
 
     def subtract_rate_zero(self, zero: Array) -> None:
-        """Take the rate's zero (3,) [rad/s] off the blocks that came before it was known.
+        """Subtract the rate's zero (3,) [rad/s] from the blocks that came before it was known.
 
-        From those a guess has been taken off.
+        A guess was subtracted from those blocks before.
         """
         self._blocks = [
             b
@@ -297,7 +315,7 @@ class Evidence:
             self._rework(*self._axes)
 
     def _forget(self, count: int) -> None:
-        """Leave out the first blocks: what is known is that of the last hour."""
+        """Drop the first blocks: knowledge covers the last hour."""
         if self._axes is not None:
             self._extend()
             if self.signals.gyro:
@@ -318,7 +336,7 @@ class Evidence:
         self._done = 0
 
     def _reset_drift(self) -> None:
-        """Begin again with the filter of a drift, where the axes have moved beyond its own tilt."""
+        """Restart the filter of a drift if the axes have moved beyond the tilt that it allows."""
         assert self._axes is not None
         if not self.signals.gyro:
             return
@@ -333,7 +351,7 @@ class Evidence:
     # windows -------------------------------------------------------------------------------------
 
     def _extend(self) -> None:
-        """Make the windows of the blocks that have come; the last waits for its next speed."""
+        """Make the windows of the new blocks. The last block waits for its next speed."""
         for first, stop in self._joined_since(self._done):
             if first in self._breaks:
                 self._vertical.restart()
@@ -342,8 +360,10 @@ class Evidence:
             self._done = stop
 
     def _joined_since(self, first: int) -> Iterator[tuple[int, int]]:
-        """First and last block and one of those that came since and are joined, some at a time;
-        no more than `MADE_AT_ONCE` in all."""
+        """Return first and last block and one of the new joined blocks, some at a time.
+
+        There are at most `MADE_AT_ONCE` in all.
+        """
         end = min(len(self._blocks) - 1, first + MADE_AT_ONCE)
         while first < end:
             stop = min([end, first + BLOCKS_AT_ONCE, *(k for k in self._breaks if k > first)])
@@ -351,11 +371,11 @@ class Evidence:
             first = stop
 
     def _is_up_to(self, made: int) -> bool:
-        """Whether all blocks have been made that can be."""
+        """Whether all blocks that can be made into windows have been made."""
         return made >= len(self._blocks) - 1
 
     def _follow_drift(self) -> None:
-        """Hand the blocks that have come to the filter that asks whether the zero drifts."""
+        """Give the new blocks to the filter that tests for a drift of the zero."""
         V = self._drift_axes[1]
         for first, stop in self._joined_since(self._followed):
             if first in self._breaks:
@@ -372,8 +392,9 @@ class Evidence:
     def _in_axes(
         self, first: int, stop: int, axes: Axes, moved: tuple[Array, Array]
     ) -> tuple[Array, Array, Array, Array, Array]:
-        """Force, rate (N, 3), speed, dv/dt (N,) and motion's share of the force (N, 3) in the ticks
-        of joined blocks."""
+        """Return force, rate (N, 3), speed, dv/dt (N,) and motion's share of the force (N, 3) for
+        the ticks of joined blocks.
+        """
         W, V, zero = axes
         run = self._blocks[first:stop]
         speed, accel = moved
@@ -389,7 +410,7 @@ class Evidence:
         return force, rate, speed, accel, motion
 
     def _take(self, first: int, stop: int) -> None:
-        """Make the windows that end with these blocks, which are joined."""
+        """Make the windows that end with these joined blocks."""
         assert self._axes is not None
         use = np.concatenate([b.use for b in self._blocks[first:stop]])
         moved = self._motion(first, stop, self.delay)
@@ -421,12 +442,16 @@ class Evidence:
             self._sums.add(wd.spectra(_by_window(x)[good], in_use[good]), ends)
 
     def _knots_of(self, run: list[Block]) -> Array:
-        """When the speed of joined blocks is known [ticks since the first began]."""
+        """Return the times at which the speed of joined blocks is known [ticks since the first
+        began].
+        """
         parts = [b.knots + k * wd.BLOCK for k, b in enumerate(run)]
         return np.concatenate(parts) - self.delay / TICK_S
 
     def _motion(self, first: int, stop: int, delay: float) -> tuple[Array, Array]:
-        """Speed and its slope in the ticks of joined blocks, of a speed that comes so late [s]."""
+        """Return the speed and its slope in the ticks of joined blocks, for a speed with this delay
+        [s].
+        """
         early, late = (
             self._in_time(first, stop, lambda b: b.speed, delay, 0.5 * part) for part in (-1.0, 1.0)
         )
@@ -435,7 +460,7 @@ class Evidence:
     def _in_time(
         self, first: int, stop: int, of: Callable[[Block], Array], delay: float, later: float = 0.0
     ) -> Array:
-        """A signal of joined blocks (N,) that comes so late [s], so many ticks later."""
+        """Return a signal of joined blocks (N,) with this delay [s], moved by so many ticks."""
         before = first - 1 if first not in self._breaks else first
         after = stop + 1 if stop < len(self._blocks) and stop not in self._breaks else stop
         series = np.concatenate([of(b) for b in self._blocks[before:after]])
@@ -444,8 +469,9 @@ class Evidence:
         return np.asarray(np.interp(t, at, series), dtype=float)
 
     def _level_from(self, left: Array, speed: Array, use: Flags) -> None:
-        """Of each block the sums that gravity's mean level part comes of, weighed by how far the
-        slopes of roads have passed."""
+        """Return, for each block, the sums for gravity's mean level part, weighted by the distance
+        over which the slopes of roads change.
+        """
         slow = np.sqrt(1.0 + np.square(speed / self._priors.slow))
         passed = np.abs(speed) / slow * use * TICK_S
         weight = passed + 0.05 * TICK_S * use
@@ -457,22 +483,25 @@ class Evidence:
     # solving -------------------------------------------------------------------------------------
 
     def start_from(self, R_vehicle_from_sensor: Matrix3) -> None:
-        """Take a rotation (3, 3) for the working axes of both sensors."""
+        """Use a rotation (3, 3) as the working axes of both sensors."""
         self._taken[:] = 0.0
         self._rotation = R_vehicle_from_sensor
         self._rework(R_vehicle_from_sensor, R_vehicle_from_sensor.copy(), np.zeros(3))
 
     def solve_when_due(self) -> None:
-        """Solve after each block at first, later when the evidence has grown by a twentieth."""
+        """Solve after each block at first; later, solve when the evidence has grown by a
+        twentieth.
+        """
         if len(self._blocks) >= self._due:
             self.solve()
             pause = len(self._blocks) // 20 if self._is_up_to(self._done) else 0
             self._due = len(self._blocks) + 1 + pause
 
     def solve(self) -> Solution | None:
-        """Return what all evidence comes to, or what was known before where it is too little.
+        """Return the solution of all evidence, or the earlier knowledge if there is too little
+        evidence.
 
-        Windows of long evidence that are made again are not all there yet: the next calls go on.
+        For long evidence, one call makes only some of the windows again; the next calls continue.
 
         Raises LinAlgError where the signals contradict one another so that no sensor fits them.
         """
@@ -498,7 +527,7 @@ class Evidence:
 
     @property
     def known_sensor(self) -> KnownSensor | None:
-        """What goes on when the sensor is moved, or the process ends."""
+        """Knowledge that survives a move of the sensor or the end of the process."""
         return self.known if self.solution is None else self.solution.sensor(self._priors)
 
     def _hypotheses(self) -> list[WeightedPrior]:
@@ -514,7 +543,9 @@ class Evidence:
         self._extend()
 
     def _find_first_axes(self) -> bool:
-        """Gravity up, forward by complex least squares on dv/dt + i v r."""
+        """Find the first axes: up from gravity, forward by complex least squares on dv/dt + i
+        v r.
+        """
         if len(self._blocks) < BLOCKS_A_WINDOW:
             return False
         blocks = self._blocks[:-1]
@@ -545,7 +576,9 @@ class Evidence:
         return True
 
     def _look_for_delay(self) -> None:
-        """Delay of the speed at which the force follows dv/dt best, and the bands in which."""
+        """Find the delay of the speed at which the force follows dv/dt best, and the bands in which
+        it does.
+        """
         cross, power = self._sums.followed
         power = np.maximum(power, 1e-12)
         grid = DELAYS - self.delay
@@ -578,7 +611,7 @@ class Evidence:
                     C[m, m] += priors.sideslip**2
                 if (i, j) == (2, 0):
                     C[m, m] += priors.pitching**2
-                    if not has_gyro:  # nor has the pitching itself been taken off (assumption)
+                    if not has_gyro:  # nor has the pitching itself been subtracted (assumption)
                         C[m, m] += priors.pitching**2
             if i == 2 and not has_gyro:  # -v q of bends that lean is in it
                 rows[1, CROWN] = -1.0
@@ -595,21 +628,25 @@ class Evidence:
         return self._applied(theta, covariance, same)
 
     def _answer_rows(self) -> Iterator[tuple[list[int], Array]]:
-        """Of each axis of the force to which of dv/dt and v r it should not answer, and what each
-        answer is in the unknowns (places, UNKNOWNS)."""
+        """Return the responses that each axis of the force should not have to dv/dt and v r.
+
+        Each response is a row in the unknowns (places, UNKNOWNS).
+        """
         leak = self._sums.leak
         for i in range(3):
             places = [j for j in range(2) if j != i]
             rows = np.array([entry(i, j) for j in places])
             if i < 2:
                 rows[0, [PHI.start + 2, EPS.start + 2]] -= leak[i, 1 - i]
-            elif self.signals.gyro:  # -v q of a rate that is itself tilted has been taken off
+            elif self.signals.gyro:  # -v q of a tilted rate has been subtracted
                 rows[1] += rate_entry(1, 2)
             yield places, rows
 
     def move(self) -> Move | None:
-        """The most likely turn of the sensor in the last minutes; None where too little is known,
-        or no gyroscope carries the vertical."""
+        """Return the most likely rotation of the sensor in the last minutes.
+
+        Returns None where too little is known or no gyroscope carries the vertical.
+        """
         spans = SPANS[len(self._sums) - LEAST_BEFORE >= SPANS]
         if self.solution is None or not self._sums.has_fitted or not len(spans):
             return None
@@ -619,7 +656,9 @@ class Evidence:
         return likeliest_move(entries, [len(self._blocks) - first for first in began.tolist()])
 
     def _answers_changed(self, spans: NDArray[np.int_]) -> Iterator[EntryChange]:
-        """How the answers to motion have changed with the last so many windows."""
+        """Return the change of the responses to motion over each of these numbers of last
+        windows.
+        """
         priors = self._priors
         more = {(0, 1): priors.sideslip**2, (2, 0): priors.pitching**2}
         size, variance = self._sums.force.changes(spans)
@@ -634,7 +673,7 @@ class Evidence:
             yield EntryChange(rate_entry(i, 2)[PHI], size[i, :, 0], own, ROAD_TAIL)
 
     def _levels_changed(self, began: NDArray[np.int_]) -> Iterator[EntryChange]:
-        """How the level force has changed with each of these blocks."""
+        """Return the change of the level force from each of these blocks on."""
         levels = self._levels[:, :4] / [GRAVITY, GRAVITY, 1.0, 1.0]
         before, of_before = mean_slope(levels[: began[-1]], self._priors.slope)
         after = [mean_slope(levels[first:], self._priors.slope) for first in began]
@@ -657,7 +696,9 @@ class Evidence:
         return out
 
     def _turning_measured(self) -> list[LinearMeasurement]:
-        """The axis of turning is the rate's column 3, and the mean slope of the bends."""
+        """Return the measurement of the axis of turning (column 3 of the rate), and the mean slope
+        of the bends.
+        """
         priors, out = self._priors, []
         found = self._sums.turning.respond(ALL_BANDS)
         for i in range(2):
@@ -670,8 +711,11 @@ class Evidence:
         return out
 
     def _vertical_measured(self) -> LinearMeasurement:
-        """The axis of turning against the vertical that the accelerometer shows, from the filter of
-        a drift: that one knows it by how the force goes round in bends, whatever the slopes are."""
+        """Return the axis of turning against the vertical that the accelerometer shows, from the
+        filter of a drift.
+
+        That filter knows the vertical on any slope, because it sees how the force turns in bends.
+        """
         assert self._axes is not None
         self._follow_drift()
         value, covariance = self._drift.axis_of_turning()
@@ -684,7 +728,7 @@ class Evidence:
         return LinearMeasurement(rows, value, covariance + self._priors.bent**2 * np.eye(2))
 
     def _applied(self, theta: Array, covariance: Array, same: float) -> Solution:
-        """Correct the working axes by what was found to be left."""
+        """Correct the working axes by the remaining errors that were found."""
         assert self._axes is not None
         W, V, zero = self._axes
         mixed, tilted = own_matrices(theta)
@@ -702,7 +746,7 @@ class Evidence:
 
 
 def force_fits(signals: OtherSignals) -> Fits:
-    """The three axes of the force on what these signals say of the motion."""
+    """Return the fit of the three axes of the force to the motion that these signals show."""
     noise = USUAL_NOISE.copy()
     spread = np.concatenate([np.ones((3, 2)), SPREAD], axis=1)
     if not signals.gyro:
@@ -712,11 +756,11 @@ def force_fits(signals: OtherSignals) -> Fits:
 
 
 def mean_slope(blocks: Array, slope: float) -> tuple[Array, Array]:
-    """Mean (2,) of the slopes of roads, and its variance (2,).
+    """Return the mean (2,) of the slopes of roads, and its variance (2,).
 
-    blocks: (n, 4) by block the weighed sums along and across, the weight, and metres. slope:
-    deviation of a road's that is expected. Slopes that go on for longer than expected show in the
-    spread between stretches, as they do in `response`.
+    blocks: (n, 4) per block the weighted sums along and across, the weight, and metres. slope:
+    expected deviation of a road's slope. Slopes that last longer than expected widen the spread
+    between stretches, as in `response`.
     """
     *level, weight, metres = blocks.sum(axis=0).tolist()
     mean = np.array(level) / max(weight, 1e-9)
@@ -735,10 +779,11 @@ def mean_slope(blocks: Array, slope: float) -> tuple[Array, Array]:
 
 
 def without_bend(blocks: Array, variance: float, bend: float) -> tuple[float, float]:
-    """Mean slope across, and its variance, of a path whose curvature has a zero of its own.
+    """Return the mean slope across, and its variance, for a path whose curvature has a zero of its
+    own.
 
-    blocks: (n, 5) as of `mean_slope`, and the weighed squares of the speed over g. variance: of
-    that mean. bend: deviation of the zero [1/m].
+    blocks: (n, 5) as in `mean_slope`, and the weighted squares of the speed over g. variance: of
+    that mean. bend: deviation of the zero of the curvature [1/m].
     """
     weight = blocks[:, 2]
     share, square = weight / weight.sum(), blocks[:, 4] / np.maximum(weight, 1e-9)
@@ -752,7 +797,9 @@ def without_bend(blocks: Array, variance: float, bend: float) -> tuple[float, fl
 
 
 def _by_window(x: NDArray[Any]) -> NDArray[Any]:
-    """Windows (n, WINDOW, ...) of the ticks (N, ...) of joined blocks, one for each block."""
+    """Return windows (n, WINDOW, ...) of the ticks (N, ...) of joined blocks, one for each
+    block.
+    """
     blocks = x.reshape(-1, wd.BLOCK, *x.shape[1:])
     n = len(blocks) - BLOCKS_A_WINDOW + 1
     return np.concatenate([blocks[i : i + n] for i in range(BLOCKS_A_WINDOW)], axis=1)

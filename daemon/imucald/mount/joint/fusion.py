@@ -1,4 +1,4 @@
-"""All that was measured of both sensors, into one estimate of the unknowns."""
+"""Fuse all measurements of both sensors into one estimate of the unknowns."""
 
 from __future__ import annotations
 
@@ -23,10 +23,10 @@ class LinearMeasurement(NamedTuple):
 def fuse(
     hypotheses: Sequence[WeightedPrior], measured: Sequence[LinearMeasurement], taken: Array
 ) -> tuple[Array, Array, Array]:
-    """Return mean and covariance of what is left of the unknowns beyond `taken`, and how probable
-    each hypothesis is.
+    """Return mean and covariance of the unknowns beyond `taken`, and the probability of each
+    hypothesis.
 
-    The answer is the mean over all hypotheses, each as probable as the data make it.
+    The result is the mean over all hypotheses, weighted by their probabilities given the data.
     """
     rows = np.vstack([m.rows for m in measured])
     values = np.concatenate([m.values for m in measured]) + rows @ taken
@@ -49,12 +49,12 @@ def fuse(
 
 
 def any_sensor(priors: Priors, chance: float = 1.0) -> list[WeightedPrior]:
-    """Priors of a sensor of which nothing is known, one for each size of cross-axis errors."""
+    """Return priors of an unknown sensor, one for each size of cross-axis errors."""
     made = []
     for cross, part in priors.cross_axis:
         std = np.full(UNKNOWNS, FREE)
-        # A gain of one axis is a cross-axis term in axes that are turned against it: over all
-        # rotations 1/5 of its variance.
+        # The gain of one axis is a cross-axis term in rotated axes: over all rotations, its
+        # variance is 1/5 of the gain's.
         std[CROSS] = np.hypot(cross, priors.gain / np.sqrt(5.0))
         std[ZERO], std[EPS] = priors.zero / GRAVITY, priors.gyro
         std[CROWN] = np.sqrt(priors.crown_variance)

@@ -1,12 +1,12 @@
-"""What is known of a sensor by its own: it outlives a drive, a restart and a new mount.
+"""Knowledge about a sensor itself: it survives a drive, a restart and a new mount.
 
-Terms of the sensor are kept in its own axes, where turning the housing changes none of them. Those
-that no drive can see, its gains among them, have their prior deviation: turned housings make
-cross-axis terms of them.
+Terms of the sensor are stored in its own axes, where a rotation of the housing does not change
+them. Terms that no drive can see, among them the gains, have their prior deviation. In a rotated
+housing they become cross-axis terms.
 
-What the drive before found is one hypothesis among others: that the sensor was moved since, and
-that it is another one. Each is a prior, each as probable as the data make it, so that one which
-the data contradict loses its weight by itself.
+The result of the previous drive is one hypothesis. The others are that the sensor was moved since,
+and that it is another sensor. Each hypothesis is a prior and gets the probability that the data
+give it. A hypothesis that contradicts the data loses its weight.
 """
 
 from __future__ import annotations
@@ -41,29 +41,36 @@ from imucald.mount.priors import BIAS_DRIFT_STD
 
 TURN, ACCEL, BIAS, GYRO = slice(0, 3), slice(3, 12), slice(12, 15), slice(15, 24)
 TERMS = 24
-"""Turn of the housing (vehicle axes), accelerometer's matrix, its zero over g, gyroscope's."""
+"""Number of terms: rotation of the housing (vehicle axes), accelerometer's matrix, its zero over g,
+gyroscope's matrix.
+"""
 PROBABLY_OTHER = 0.005
-"""Chance that a sensor was exchanged, or became another, since (assumption)."""
+"""Probability that a sensor was exchanged or changed since (assumption)."""
 PROBABLY_MOVED: Final = ((0.1, 0.005), (FREE, 0.005))
-"""Deviation of a turn in between [rad] and its chance: somebody touched it, or mounted it again
-(assumption; one start in a hundred)."""
+"""Deviation of a rotation in between [rad] and its probability: somebody touched or remounted the
+sensor (assumption; one start in a hundred).
+"""
 AS_BEFORE = 0
-"""Place among the hypotheses of the one that nothing has changed ..."""
+"""Place of the hypothesis that nothing has changed ..."""
 CHANCE_AS_BEFORE = (1.0 - PROBABLY_OTHER) * (1.0 - sum(chance for _, chance in PROBABLY_MOVED))
-"""... and how probable it is at the start."""
+"""... and its probability at the start."""
 LARGEST = 1.0
-"""Any term and its deviation: a value beyond is none of a sensor."""
+"""Largest value of any term and of its deviation: no real sensor exceeds it."""
 APART = 0.2
-"""The rotation next to a sensor's matrix differs from the housing's by its cross-axis terms, some
-hundredths; beyond this the two are of different mounts."""
+"""The rotation nearest to a sensor's matrix differs from the housing's by the cross-axis terms,
+some hundredths. Beyond this limit the two belong to different mounts.
+"""
 DIGITS = 9
 _UPPER = np.triu_indices(TERMS)
 _XY, _YX, _XZ, _YZ = (GYRO.start + k for k in (1, 3, 2, 5))
 
 
 class KnownSensor(NamedTuple):
-    """rotation: R_vehicle_from_sensor (3, 3) then. mean (TERMS,), covariance (TERMS, TERMS): of the
-    housing's turn about it in vehicle axes, and of the terms in sensor axes."""
+    """rotation: R_vehicle_from_sensor (3, 3) at that time.
+
+    mean (TERMS,), covariance (TERMS, TERMS): of the housing's rotation about it in vehicle axes,
+    and of the terms in sensor axes.
+    """
 
     rotation: Matrix3
     mean: Array
@@ -73,7 +80,9 @@ class KnownSensor(NamedTuple):
     def found(
         cls, rotation: Matrix3, mean: Array, covariance: Array, priors: Priors
     ) -> KnownSensor:
-        """Of the unknowns (UNKNOWNS,) about axes that the housing has by now."""
+        """Return the knowledge from the unknowns (UNKNOWNS,) about the axes that the housing has by
+        now.
+        """
         place = np.zeros((TERMS, UNKNOWNS))
         place[TURN, PHI] = np.eye(3)
         for k, (i, j) in enumerate(OFF):
@@ -92,16 +101,17 @@ class KnownSensor(NamedTuple):
         return cls(rotation, turned @ place @ mean, turned @ whole @ turned.T)
 
     def away(self) -> KnownSensor:
-        """The same with wider deviations after a parked time: cold sensor, another load."""
+        """Return the same with wider deviations after parking: cold sensor, another load."""
         wider = np.zeros(TERMS)
         wider[TURN] = np.square(BETWEEN_DRIVES_STD)
         wider[BIAS] = (BIAS_DRIFT_STD / GRAVITY) ** 2
         return self._replace(covariance=self.covariance + np.diag(wider))
 
     def hypotheses(self, axes: Matrix3, priors: Priors, is_moved: bool) -> list[WeightedPrior]:
-        """What may be since, as priors about working axes (3, 3); is_moved: it was moved for sure.
+        """Return the possible changes since, as priors about working axes (3, 3).
 
-        That it is another sensor is none of them; they have what that leaves of the probability.
+        is_moved: the sensor was certainly moved. Another sensor is not among them; they share the
+        rest of the probability.
         """
         mean, covariance = self._about(axes, priors)
         sizes = ((FREE, 1.0),) if is_moved else PROBABLY_MOVED
@@ -116,7 +126,7 @@ class KnownSensor(NamedTuple):
         return made
 
     def _about(self, axes: Matrix3, priors: Priors) -> tuple[Array, Array]:
-        """Mean and covariance of the unknowns about working axes (3, 3)."""
+        """Return mean and covariance of the unknowns about working axes (3, 3)."""
         take = np.zeros((UNKNOWNS, TERMS))
         turned = _turned(axes)
         take[PHI, TURN] = np.eye(3)
@@ -131,9 +141,10 @@ class KnownSensor(NamedTuple):
         return mean, covariance
 
     def correction(self, R_vehicle_from_sensor: Matrix3) -> Correction:
-        """What is to be applied in the mount of then; that rotation is told of the housing.
+        """Return the correction for the earlier mount, whose rotation is given for the housing.
 
-        Raises EstimateError where the two are not of one mount, or no sensor has such terms.
+        Raises EstimateError where rotation and matrix are not of one mount, or no sensor has such
+        terms.
         """
         R = self.rotation
         if np.abs(R_vehicle_from_sensor - R).max() > APART:
@@ -149,11 +160,13 @@ class KnownSensor(NamedTuple):
         return Correction.with_matrices(R_vehicle_from_sensor, force, rate, zero)
 
     def sent(self) -> SentDeviations:
-        """Deviations of what that leaves in the samples, in the mount of then."""
+        """Return the deviations that this correction leaves in the samples, in the earlier
+        mount.
+        """
         return sent_deviations(self._about(self.rotation, Priors())[1])
 
     def plain(self) -> dict[str, Any]:
-        """As JSON takes it."""
+        """Return plain values for JSON."""
         return {
             "rotation": self.rotation.ravel().tolist(),
             "mean": [float(f"{v:.{DIGITS}g}") for v in self.mean.tolist()],
@@ -162,7 +175,9 @@ class KnownSensor(NamedTuple):
 
 
 def known_from(content: object) -> KnownSensor:
-    """What `plain` gave; EstimateError where it makes no sense."""
+    """Return the knowledge from the result of `plain`; raises EstimateError where it makes no
+    sense.
+    """
     try:
         if not isinstance(content, Mapping):
             raise TypeError("not of our making")
@@ -192,7 +207,9 @@ def _numbers(values: object, n: int) -> Array:
 
 
 def _turned(R: Matrix3) -> Array:
-    """(TERMS, TERMS) what a turn R of the axes makes of all terms but the housing's turn."""
+    """Return the matrix (TERMS, TERMS) of a rotation R of the axes for all terms but the housing's
+    rotation.
+    """
     made = np.eye(TERMS)
     made[ACCEL, ACCEL] = made[GYRO, GYRO] = np.kron(R, R)
     made[BIAS, BIAS] = R

@@ -1,11 +1,12 @@
-"""Was the sensor moved? What came after each time against what was before.
+"""Detect a move of the sensor.
 
-A move turns both sensors by one angle about an axis of the vehicle. What the force answers to
-motion, the axis of turning and the level force change by what that turn makes of them, while the
-sensor's own terms stay. Of each beginning of the last minutes the change of every entry is fitted
-beside all that does not change (`FitSums.changes`). The likelihoods of all sizes of a turn about
-an axis, each entry with heavy tails, come to one ratio against no turn. The sum of these over the
-beginnings is the statistic of Shiryaev and Roberts, as in `drift`.
+The data after each possible time of a move are compared with the data before it. A move turns both
+sensors by one angle about an axis of the vehicle. The rotation changes the responses of the force
+to motion, the axis of turning and the level force. The terms of the sensor itself stay the same.
+For each possible beginning in the last minutes, the change of every entry is fitted together with
+all that does not change (`FitSums.changes`). The likelihoods of all sizes of a rotation about an
+axis, each entry with heavy tails, give one ratio against no rotation. The sum of these ratios over
+the beginnings is the statistic of Shiryaev and Roberts, as in `drift`.
 """
 
 from __future__ import annotations
@@ -23,21 +24,24 @@ from imucald.mount.even_signals import BLOCK_TICKS
 from imucald.mount.joint.drift import FALSE_ALARM_H
 
 SPANS: Final = np.array((4, 8, 12, 16, 20, 24, 32, 40, 52, 64))
-"""Windows since a move (26 s to 7 min of driving), all of which `sums` keeps one by one."""
+"""Windows since a move (26 s to 7 min of driving); `sums` stores all of them one by one."""
 _HALF: Final = np.radians(np.geomspace(1.0, 30.0, 18))
 SIZES: Final = np.concatenate([-_HALF[::-1], _HALF])
-"""Turns that are asked, as probable each [rad]: one by less than 1 deg misleads nobody."""
+"""Rotations that are tested, with equal probabilities [rad]: a rotation of less than 1 deg misleads
+no consumer.
+"""
 ANSWER_TAIL, ROAD_TAIL = 8.0, 30.0
-"""Degrees of freedom of what answers to motion and what roads show may be off by: wind comes in
-stretches; how long those of roads are is in the variance."""
+"""Degrees of freedom of the errors in responses to motion, and in what roads show.
+
+Wind comes in stretches; the variance already contains the length of stretches of road.
+"""
 _LOG_BEGINNINGS: Final = math.log(FALSE_ALARM_H * 3600.0 / (SPANS[0] * BLOCK_TICKS * TICK_S))
 
 
 class EntryChange(NamedTuple):
     """Changes (S,) of an entry over the last spans, and their variances (S,).
 
-    turn: (3,) by how much the entry falls with a turn by one about each axis. tail: degrees of
-    freedom.
+    turn: (3,) decrease of the entry for a unit rotation about each axis. tail: degrees of freedom.
     """
 
     turn: Array
@@ -46,18 +50,21 @@ class EntryChange(NamedTuple):
     tail: float = ANSWER_TAIL
 
     def log(self, turns: Array) -> Array:
-        """Log of the likelihood of turns (n,) about an axis that makes so much of it (S, n)."""
+        """Return the log likelihood (S, n) of n rotations about an axis.
+
+        turns: (n,) decrease of the entry for each rotation.
+        """
         off = self.size[:, None] + turns
         ratio = off * off / (self.tail * self.variance[:, None])
         return np.asarray(-0.5 * (self.tail + 1.0) * np.log1p(ratio))
 
 
 class Move(Struct, frozen=True):
-    """The turn that is most likely: axis (0 roll, 1 pitch, 2 yaw), size [rad], and how many blocks
-    came since.
+    """Most likely rotation: axis (0 roll, 1 pitch, 2 yaw), size [rad], and blocks since then.
 
     deviations: the root of twice the log of the ratio of likelihoods, signed. log_odds: log of the
-    statistic over its threshold; above zero the sensor was moved, one in `FALSE_ALARM_H` by chance.
+    statistic over its threshold. Above zero the sensor was moved; a false alarm comes once in
+    `FALSE_ALARM_H`.
     """
 
     axis: int
@@ -73,12 +80,15 @@ class Move(Struct, frozen=True):
 
     @property
     def doubt(self) -> float:
-        """Deviation that it adds while it is not certain, as probable as it is [rad]."""
+        """Additional deviation while the move is not certain, weighted by its probability [rad]."""
         return abs(self.size) / math.sqrt(1.0 + math.exp(min(-self.log_odds, 700.0)))
 
 
 def likeliest_move(entries: Sequence[EntryChange], blocks: Sequence[int]) -> Move:
-    """The move that the changes of all entries speak for; blocks: since the begin of each span."""
+    """Return the move that fits the changes of all entries best.
+
+    blocks: blocks since the beginning of each span.
+    """
     log = np.zeros((3, len(blocks), len(SIZES)))
     for entry in entries:
         none = entry.log(np.zeros(1))

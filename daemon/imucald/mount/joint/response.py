@@ -1,7 +1,7 @@
-"""Weighted least squares on the windows of a drive: what the force answers to dv/dt and v r.
+"""Weighted least squares on the windows of a drive: response of the force to dv/dt and v r.
 
-Noise by band is learnt, loud windows count less, and the deviations come from the spread between
-road segments of two lengths (sandwich; White, Econometrica 48, 1980).
+The noise of each band is learnt, and loud windows get less weight. The deviations come from the
+spread between road segments of two lengths (sandwich; White, Econometrica 48, 1980).
 """
 
 from __future__ import annotations
@@ -15,21 +15,23 @@ from imucald.core.arrays import Array, inverse, solved
 from imucald.drive.windows import BAND, BANDS, OVERLAP
 
 SEGMENTS: Final = (4, 16)
-"""Windows a road segment: 26 s and 102 s."""
+"""Windows of a road segment, for both lengths: 26 s and 102 s."""
 HEAVY = 3.0
-"""A window so many times louder than its noise begins to count less."""
+"""A window gets less weight from this ratio of its power to its noise on."""
 PASSES, MORE_PASSES = 4, 2
-"""From nothing, and from the solution before."""
+"""Passes of a fit from nothing, and from the previous solution."""
 NOISE_WINDOWS = 3.0
-"""The usual noise counts as so many windows."""
+"""Weight of the usual noise, in windows."""
 PRIOR_SEGMENTS, PRIOR_RATIO = 5.0, 2.0
-"""What few segments say of the spread is mixed with a variance ratio of 2, worth five segments; set
-on the drives that `state.Priors` names."""
+"""Prior for the spread of few segments: a variance ratio of 2, worth five segments.
+
+It was set on the drives that `state.Priors` names.
+"""
 _BINS = np.bincount(BAND, minlength=BANDS).astype(float)
 
 
 class Packing:
-    """The upper triangle of a symmetric matrix of some columns as one row."""
+    """Stores the upper triangle of a symmetric matrix of some columns as one row."""
 
     def __init__(self, columns: int) -> None:
         self.columns = columns
@@ -40,25 +42,27 @@ class Packing:
         self._places[self._i, self._j] = self._places[self._j, self._i] = np.arange(self.size)
 
     def of(self, products: Array, columns: tuple[int, ...]) -> Array:
-        """Rows (..., size) of matrices, of these columns of them."""
+        """Return rows (..., size) of these columns of matrices."""
         pick, all_of = np.array(columns), products.shape[-1]
         flat = products.reshape(*products.shape[:-2], all_of**2)
         return np.asarray(flat.take(pick[self._i] * all_of + pick[self._j], axis=-1))
 
     def matrices(self, rows: Array) -> Array:
-        """Matrices (..., columns, columns) of rows."""
+        """Return matrices (..., columns, columns) of rows."""
         return np.asarray(rows[..., self._places])
 
     def form(self, v: Array) -> Array:
-        """What v' G v is in a row of G: (..., size) of vectors (..., columns)."""
+        """Return the quadratic form v' G v as factors of a row of G: (..., size) of vectors (...,
+        columns).
+        """
         return np.asarray(v[..., self._i] * v[..., self._j] * self._twice)
 
 
 class Responses(NamedTuple):
-    """Of each fit the coefficients (F, keep) and covariance (F, keep, keep), and how many segments
-    each rests on.
+    """Result of each fit: coefficients (F, keep), covariance (F, keep, keep), and the effective
+    number of segments.
 
-    vector: (F, 1 + p) with which a window's columns give what the fit leaves. noise: (F, BANDS),
+    vector: (F, 1 + p) factors that turn a window's columns into its residual. noise: (F, BANDS),
     infinite in bands that do not count.
     """
 
@@ -70,14 +74,14 @@ class Responses(NamedTuple):
 
 
 def trust_in(left: Array, noise: Array) -> Array:
-    """Weight (F, n) of windows of which (F, n, BANDS) is left."""
+    """Return the weight (F, n) of windows with the residual power (F, n, BANDS)."""
     bins = _BINS[np.isfinite(noise[0])].sum()
     ratio = (left / noise[:, None]).sum(axis=2) / bins
     return np.asarray(np.minimum(1.0, HEAVY / np.maximum(ratio, 1e-9)))
 
 
 def left_of(rows: Array, vector: Array, packing: Packing) -> Array:
-    """What fits (F, 1 + p) leave of windows (F, n, BANDS, size): (F, n, BANDS)."""
+    """Return the residual power (F, n, BANDS) of fits (F, 1 + p) in windows (F, n, BANDS, size)."""
     flat = rows.reshape(len(rows), -1, packing.size)
     made = (flat @ packing.form(vector)[:, :, None]).reshape(rows.shape[:3])
     return np.asarray(np.maximum(made, 1e-12 * rows[..., 0] + 1e-15))
@@ -97,8 +101,9 @@ def respond(
     """Fit column 0 on the others, in F fits at once.
 
     rows: (F, n, BANDS, size) packed, the first `old` of them road segments. counts: (F, n) windows
-    in each, by weight. usual: (F, BANDS) noise that is expected. spread: (F, p) prior deviations.
-    keep: how many coefficients are wanted. bands: which count. last: what most of the windows gave.
+    in each, by weight. usual: (F, BANDS) expected noise. spread: (F, p) prior deviations. keep:
+    number of coefficients to return. bands: bands that count. last: the previous result, from most
+    of these windows.
     """
     fits, p = len(rows), packing.columns - 1
     bins = np.where(bands, _BINS, 0.0)
@@ -155,9 +160,9 @@ def respond(
 def _effective_segments(
     each: Array, covariances: Array, packing: Packing, segment: NDArray[np.int_]
 ) -> Array:
-    """How many road segments (F, keep) the coefficients rest on.
+    """Return the effective number of road segments (F, keep) behind the coefficients.
 
-    each: (F, n, size) weighed windows. covariances: (F, keep, p) rows of them.
+    each: (F, n, size) weighted windows. covariances: (F, keep, p) their rows of the covariance.
     """
     picked = np.concatenate([np.zeros((*covariances.shape[:2], 1)), covariances], axis=2)
     part = each @ packing.form(picked).swapaxes(1, 2)
@@ -167,7 +172,7 @@ def _effective_segments(
 
 
 def _by_place(values: Array, place: NDArray[np.int_], places: int) -> Array:
-    """Sums (F, places, m) of values (F, n, m) by their places (n,), which only grow."""
+    """Return sums (F, places, m) of values (F, n, m) by their places (n,), which never decrease."""
     made = np.zeros((len(values), places, values.shape[2]))
     starts = np.flatnonzero(np.diff(place, prepend=-1))
     made[:, place[starts]] = np.add.reduceat(values, starts, axis=1)

@@ -1,6 +1,7 @@
 """The unknowns of the joint estimate, with unit, prior and source.
 
-All are about the working axes, in which force and rate are nearly along the vehicle's:
+All unknowns are about the working axes, in which force and rate are nearly along the vehicle's
+axes:
 
     force = (1 + E) true force + g b      E = [phi x] + e
     rate  = (1 + C) true rate             C = [phi x] + [(0, 0, eps_z) x] + tilt of column z
@@ -24,24 +25,28 @@ TURN: Final = {
     (0, 1): (2, -1.0), (1, 0): (2, 1.0), (0, 2): (1, 1.0), (2, 0): (1, -1.0), (1, 2): (0, -1.0),
     (2, 1): (0, 1.0),
 }  # fmt: skip
-"""Axis and sign with which a turn by phi stands at each place of [phi x]."""
+"""Axis and sign of the rotation phi at each place of [phi x]."""
 PHI, CROSS, ZERO, EPS, CROWN = slice(0, 3), slice(3, 9), slice(9, 11), slice(11, 14), 14
 UNKNOWNS = 15
 MOST_GAIN = 1.45
-"""Of a sensor's matrix along any direction: four deviations of cross-axis terms of 8 %, the largest
-size that is asked, in two places."""
+"""Largest gain of a sensor's matrix along any direction: four deviations of cross-axis terms of 8
+%, the largest size that is tested, in two places.
+"""
 SLOPE, SLOPE_M = 0.02, 400.0
-"""Slope of a road (tangent), and metres after which it is another one: twice its memory."""
+"""Slope of a road (tangent), and metres after which the slope is independent: twice its correlation
+length.
+"""
 FREE = 10.0
-"""Prior deviation of a rotation of which nothing is known [rad]."""
+"""Prior deviation of an unknown rotation [rad]."""
 
 
 class OtherSignals(NamedTuple):
-    """What there is next to the accelerometer and the speed.
+    """Signals besides the accelerometer and the speed.
 
-    gyro: the sensor has one; else the vertical is not carried, slopes are noise of the level force,
-    and the vehicle's bus says how it turns, by so much late [s]. turns: any signal shows turns.
-    bend: deviation of the path's curvature that the zero of a steering angle leaves [1/m].
+    gyro: the sensor has a gyroscope. Without one, the vertical is not carried and slopes are noise
+    of the level force. The vehicle's bus then gives the turn rate, with the delay `late` [s].
+    turns: any signal shows turns. bend: deviation of the path's curvature from the zero of a
+    steering angle [1/m].
     """
 
     gyro: bool = True
@@ -59,10 +64,11 @@ class WeightedPrior(NamedTuple):
 
 
 class Priors(NamedTuple):
-    """Deviations of the unknowns before any data, and of what the equations leave out.
+    """Deviations of the unknowns before any data, and of effects that the equations leave out.
 
-    Data sheets are named. Sideslip, pitching and turning were set on drives: second_world, one
-    more simulator, and simulated seeds 970000 to 970006, none of which judges them.
+    Data sheets are named. Sideslip, pitching and turning were set on drives of second_world, of one
+    more simulator, and of the simulated seeds 970000 to 970006. None of these drives judges the
+    results.
     """
 
     cross_axis: tuple[tuple[float, float], ...] = CROSS_AXIS
@@ -77,36 +83,47 @@ class Priors(NamedTuple):
     """Mean lean of the roads and its deviation (tangent)."""
     slope: float = SLOPE
     slow: float = 15.0
-    """Slopes of roads for speeds far beyond [m/s] are longer in proportion to the speed: curves of
-    crests and sags are built for the sight that a speed needs (assumption; AASHTO's more so)."""
+    """Speed [m/s] from which slopes become longer in proportion to the speed: curves of crests and
+    sags are built for the sight distance of the design speed (assumption; AASHTO's more so).
+    """
     sideslip: float = 0.0025
-    """E_xy: slip of the tyres in bends."""
+    """E_xy: deviation from the slip of tyres in bends."""
     pitching: float = 0.0035
-    """E_zx: heave and squat that answer to dv/dt."""
+    """E_zx: deviation from heave and squat in response to dv/dt."""
     turning: tuple[float, float] = (0.008, 0.004)
-    """Axis of turning, x and y: a vehicle that rolls in bends rolls about an axis of its own, and
-    the slope of the bends is not that of the road."""
+    """Axis of turning, x and y.
+
+    A vehicle that rolls in bends rolls about its own axis, and the slope of bends is not that of
+    the other road.
+    """
     bent: float = 0.003
-    """Axis of turning in bends: a gyroscope answers to force by 0.1 (deg/s)/g (MPU-6050, 6.1), here
-    to 3 m/s^2 while the vehicle turns by 0.2 rad/s."""
+    """Axis of turning in bends: a gyroscope responds to force by 0.1 (deg/s)/g (MPU-6050, 6.1).
+
+    The value is for 3 m/s^2 while the vehicle turns by 0.2 rad/s.
+    """
     floor: float = 0.001
-    """Any entry."""
+    """Smallest deviation of any entry."""
 
     @property
     def crown_variance(self) -> float:
-        """Of the mean lean of the roads."""
+        """Variance of the mean lean of the roads."""
         return max(self.crown[1], 1e-6) ** 2
 
 
 def are_of_a_sensor(force: Matrix3, rate: Matrix3) -> bool:
-    """Whether the gains of both matrices (3, 3) along all directions are those of their unit."""
+    """Whether the gains of both matrices (3, 3) along all directions are possible for their
+    unit.
+    """
     gains = np.linalg.svd(np.stack([force, rate]), compute_uv=False)
     return bool(((gains > 1.0 / MOST_GAIN) & (gains < MOST_GAIN)).all())
 
 
 def own_matrices(theta: Array) -> tuple[Matrix3, Matrix3]:
-    """Matrices (3, 3) of the sensors' own errors, without the turn phi: 1 + e of the force, and 1
-    with the tilt of column z of the rate. theta: (UNKNOWNS,)."""
+    """Return matrices (3, 3) of the sensors' own errors, without the rotation phi.
+
+    The matrix of the force is 1 + e. The matrix of the rate is 1 with the tilt of column z. theta:
+    (UNKNOWNS,).
+    """
     mixed, tilted = np.eye(3), np.eye(3)
     for k, place in enumerate(OFF):
         mixed[place] = theta[CROSS.start + k]
@@ -115,7 +132,7 @@ def own_matrices(theta: Array) -> tuple[Matrix3, Matrix3]:
 
 
 def entry(i: int, j: int) -> Array:
-    """Row (UNKNOWNS,) of cross-talk E_ij in the unknowns."""
+    """Return the row (UNKNOWNS,) of cross-talk E_ij in the unknowns."""
     row = np.zeros(UNKNOWNS)
     axis, sign = TURN[i, j]
     row[axis] = sign
@@ -124,7 +141,7 @@ def entry(i: int, j: int) -> Array:
 
 
 def rate_entry(i: int, j: int) -> Array:
-    """Row (UNKNOWNS,) of the rate's cross-talk in the unknowns."""
+    """Return the row (UNKNOWNS,) of the rate's cross-talk in the unknowns."""
     row = np.zeros(UNKNOWNS)
     axis, sign = TURN[i, j]
     row[axis] = sign
@@ -136,14 +153,16 @@ def rate_entry(i: int, j: int) -> Array:
 
 
 def zero_row(i: int) -> Array:
-    """Row (UNKNOWNS,) of the level zero over g: what a level force keeps on a level road."""
+    """Return the row (UNKNOWNS,) of the level zero over g: the level force that remains on a level
+    road.
+    """
     row = entry(i, 2)
     row[ZERO.start + i] = 1.0
     return row
 
 
 def level_row(i: int) -> Array:
-    """Row of the level zero, with the mean lean of the roads that were driven."""
+    """Return the row of the level zero plus the mean lean of the roads that were driven."""
     row = zero_row(i)
     if i == 1:
         row[CROWN] = 1.0
@@ -151,7 +170,10 @@ def level_row(i: int) -> Array:
 
 
 def sent_deviations(covariance: Array, wide: float = 0.0) -> SentDeviations:
-    """Of the unknowns' errors; wide: of a turn of both sensors besides [rad]."""
+    """Return the deviations from the unknowns' covariance.
+
+    wide: additional deviation of a rotation of both sensors [rad].
+    """
     variance = ((_SENT @ covariance) * _SENT).sum(axis=1)
     std = np.sqrt(np.maximum(variance, 0.0) + wide**2)
     std[4:6] *= GRAVITY
@@ -165,4 +187,4 @@ _SENT: Final = np.array(
         *(rate_entry(i, 2) for i in range(2)),
     ]
 )
-"""Rows of what a consumer gets, in the order of SentDeviations."""
+"""Rows of the deviations that a consumer gets, in the order of SentDeviations."""

@@ -1,7 +1,7 @@
-"""What the windows of a drive come to: one by one the latest, road segment by road segment before.
+"""Windows of a drive: the latest are stored one by one, earlier ones as sums per road segment.
 
-A fit weighs each window by how loud it is. Of windows that are old this weight stays as it is, so
-that four of them become one Gram matrix: of them the sums are all that any later fit needs.
+A fit weighs each window by its loudness. The weight of an old window does not change any more. Four
+old windows are therefore summed to one Gram matrix, which is all that later fits need.
 """
 
 from __future__ import annotations
@@ -28,20 +28,21 @@ from imucald.mount.joint.response import (
 Complex = NDArray[np.complex128]
 
 RECENT = 64
-"""So many windows are kept one by one: 7 minutes of driving."""
+"""Number of windows stored one by one: 7 minutes of driving."""
 ROUND = SEGMENTS[-1]
-"""Windows that are put together at a time: whole road segments of either length."""
+"""Windows that are summed at a time: whole road segments of either length."""
 NOTHING = 1e-9
-"""Information that is rounding: what is not moved by a turn is not driven."""
+"""Information that is only rounding: an entry that no rotation changes was not driven."""
 MAIN: Final = slice(wd.FIRST_X, wd.FIRST_X + len(wd.MAIN))
 TURNED: Final = slice(len(wd.NAMES) - len(wd.TURNED), len(wd.NAMES))
 
 
 class Fits(NamedTuple):
-    """F least squares fits with as many columns each, the first of which is fitted on the others.
+    """F least squares fits with the same number of columns; the first column is fitted on the
+    others.
 
-    columns: (F, 1 + p). usual: (F, BANDS) noise that is expected. spread: (F, p) prior deviations
-    of the coefficients. keep: how many of them are wanted.
+    columns: (F, 1 + p). usual: (F, BANDS) expected noise. spread: (F, p) prior deviations of the
+    coefficients. keep: number of coefficients to return.
     """
 
     columns: tuple[tuple[int, ...], ...]
@@ -63,14 +64,15 @@ class FitSums:
         self.has_fitted = False  # these windows, or most of them
 
     def restart(self) -> None:
-        """Forget all windows, but not how loud they are."""
+        """Forget all windows, but keep the learnt noise."""
         self._rows, self._counts, self._old = self._rows[:, :0], self._counts[:, :0], 0
         self.has_fitted = False
 
     @property
     def noise(self) -> Array:
-        """(F, BANDS) of the last fits, or what is expected before any; infinite in bands that did
-        not count."""
+        """(F, BANDS) noise of the last fits, or the expected noise before any fit; infinite in
+        bands that did not count.
+        """
         return self._fits.usual if self._last is None else self._last.noise
 
     def add(self, products: Array) -> None:
@@ -95,7 +97,7 @@ class FitSums:
         self._old += sums.shape[1]
 
     def drop(self, windows: int) -> None:
-        """Forget so many of the first windows, of old ones only whole rounds."""
+        """Forget this many of the first windows. Old windows are forgotten only in whole rounds."""
         segments = min(windows // ROUND * (ROUND // SEGMENTS[0]), self._old)
         rows = segments
         if segments == self._old:
@@ -104,10 +106,12 @@ class FitSums:
         self._old -= segments
 
     def changes(self, spans: NDArray[np.int_]) -> tuple[Array, Array]:
-        """How the coefficients have changed with the last so many windows (S,), each fitted beside
-        all coefficients that stay: changes (F, S, keep), and variances.
+        """Return changes (F, S, keep) of the coefficients over the last so many windows (S,), and
+        their variances.
 
-        It takes noise and weights of the last fit; windows that came since are in it too.
+        Each change is fitted together with all coefficients that stay.
+
+        Noise and weights are those of the last fit; later windows are included too.
         """
         last, keep, pack = self._last, self._fits.keep, self._packing
         assert last is not None
@@ -132,10 +136,12 @@ class FitSums:
         return size[..., 0], np.abs(np.diagonal(covariance, axis1=2, axis2=3)) * grow
 
     def _grown_before(self, G: Array, C: Array, off: Array, spans: NDArray[np.int_]) -> Array:
-        """By how much the spread from road segment to road segment is larger than expected, of
-        windows (F, n, columns, columns) before each span: (F, S, keep).
+        """Return the factor (F, S, keep) by which the spread between road segments exceeds the
+        expected one.
 
-        C: (F, keep, p) rows of the covariance. off: (F, S, p) the coefficients then.
+        It is computed from windows (F, n, columns, columns) before each span.
+
+        C: (F, keep, p) rows of the covariance. off: (F, S, p) the coefficients at that time.
         """
         n = G.shape[1]
         seen = C[:, None] @ G[:, :, 1:]
@@ -160,7 +166,7 @@ class FitSums:
         return grow
 
     def respond(self, bands: NDArray[np.bool_]) -> Responses:
-        """The fits on all windows; bands: which count."""
+        """Return the fits on all windows. bands: bands that count."""
         _, usual, spread, keep = self._fits
         last = self._last if self.has_fitted else None
         args = self._rows, self._counts, self._old, self._packing, usual, spread, keep, bands
@@ -169,7 +175,7 @@ class FitSums:
 
 
 class WindowSums:
-    """All windows, for each fit and for what the fits share."""
+    """All windows, for each fit and for the data that the fits share."""
 
     def __init__(self, force: Fits, turning: Fits) -> None:
         self.force, self.turning = self._fits = FitSums(force), FitSums(turning)
@@ -180,7 +186,7 @@ class WindowSums:
 
     @property
     def has_fitted(self) -> bool:
-        """Whether there was a fit on these windows, or most of them."""
+        """Whether a fit used these windows, or most of them."""
         return all(fit.has_fitted for fit in self._fits)
 
     def restart(self) -> None:
@@ -206,7 +212,7 @@ class WindowSums:
         self._shared = np.concatenate([self._shared, shared])
 
     def forget(self, blocks: int) -> None:
-        """Forget the windows that end in the first so many blocks, and count from there."""
+        """Forget the windows that end in the first so many blocks, and count blocks from there."""
         gone = int(np.searchsorted(self._blocks, blocks))
         for fit in self._fits:
             fit.drop(gone)
@@ -215,16 +221,18 @@ class WindowSums:
         self._shared = self._shared[gone:]
 
     def began(self, spans: NDArray[np.int_]) -> NDArray[np.int_]:
-        """First block (S,) of the last so many windows."""
+        """Return the first block (S,) of the last so many windows."""
         return np.asarray(self._blocks[len(self._blocks) - spans] - (wd.WINDOW // wd.BLOCK - 1))
 
     @property
     def followed(self) -> tuple[Complex, Array]:
-        """By bin (bins,): products of dv/dt with the force ahead, and with itself."""
+        """Return, for each bin (bins,), the products of dv/dt with the force ahead, and with
+        itself.
+        """
         return self._cross.sum(axis=0), self._power.sum(axis=0)
 
     @property
     def leak(self) -> Array:
-        """(tilted axis, motion): how a gyroscope's turn answers to dv/dt and v r."""
+        """Return (tilted axis, motion): the response of a rotated gyroscope to dv/dt and v r."""
         total = self._shared.sum(axis=0)
         return np.asarray(np.linalg.lstsq(total[:, :2], total[:, 2:], rcond=None)[0].T)

@@ -12,33 +12,33 @@ from imucald.mount.method_a.settings import PublishedSettings
 from imucald.mount.method_a.target_angle import Manoeuvre, ManoeuvreBook
 
 MANOEUVRES_KEPT = 150
-"""Manoeuvres that are kept (about an hour of city); the oldest goes first."""
+"""Most manoeuvres that are kept (about an hour of city); the oldest is dropped first."""
 MAX_MANOEUVRE_S = 8.0
-"""A longer one counts as several [s]."""
+"""A longer manoeuvre counts as several [s]."""
 MANOEUVRE_HOLE = 1.5
 """Time without an accepted interval that ends a manoeuvre [s]."""
 
 
 class ManoeuvreCollector:
-    """Keeps the open manoeuvre, and the books of those that are over."""
+    """Keeps the open manoeuvre, and the collections of finished ones."""
 
     def __init__(self, settings: PublishedSettings) -> None:
         self._settings = settings
         self.signed = ManoeuvreBook(MANOEUVRES_KEPT)
-        """Speed says which way is forward."""
+        """Manoeuvres for which speed shows which way is forward."""
         self.unsigned = ManoeuvreBook(MANOEUVRES_KEPT)
         self.gear_known = False
-        """Whether something says when the vehicle is in reverse."""
+        """Whether a signal shows when the vehicle is in reverse."""
         self._open: Manoeuvre | None = None
 
     def drop(self) -> None:
-        """Time jumped: the open manoeuvre is not continued, and not kept."""
+        """Drop the open manoeuvre because time jumped."""
         self._open = None
 
     def take(self, interval: SpeedInterval, f: Vector, along: float, lateral: float) -> bool:
-        """Take an interval with speed; True where a manoeuvre has ended and is kept.
+        """Take an interval with speed; return True where a manoeuvre has ended and is kept.
 
-        f: force less offset, sensor axes; along, lateral: dv/dt and v r likewise [m/s^2].
+        f: force less offset, sensor axes; along, lateral: dv/dt and v r less their offsets [m/s^2].
         """
         s, m = self._settings, self._open
         straight = s.calibration.straight
@@ -67,7 +67,9 @@ class ManoeuvreCollector:
     def take_unsigned(
         self, interval: SpeedInterval, f: Vector, R_level_from_sensor: Matrix3
     ) -> bool:
-        """The same without speed: the size of the level force says what is a manoeuvre."""
+        """Take an interval without speed: a manoeuvre is recognised by the size of the level
+        force.
+        """
         x, y, _ = (R_level_from_sensor @ np.array(f)).tolist()
         size = math.hypot(x, y)
         if size < self._settings.calibration.straight.min_speed_change:
@@ -78,7 +80,10 @@ class ManoeuvreCollector:
         return ended
 
     def _manoeuvre(self, interval: SpeedInterval, signed: bool) -> tuple[Manoeuvre, bool]:
-        """The open manoeuvre if the interval belongs to it, else a new one; whether one ended."""
+        """Return the open manoeuvre if the interval belongs to it, else a new one.
+
+        Also return whether one ended.
+        """
         m, ended = self._open, False
         if m is not None and (
             m.signed != signed
@@ -91,7 +96,7 @@ class ManoeuvreCollector:
         return self._open, ended
 
     def end(self) -> bool:
-        """End the open manoeuvre; True where it was one, and is kept."""
+        """End the open manoeuvre; return True if there was one and it is kept."""
         m, self._open = self._open, None
         if m is None or abs(m.peak) < self._settings.calibration.straight.manoeuvre_peak:
             return False

@@ -1,9 +1,9 @@
 """Method A online: a `MountEstimator` that runs the published solver on ticks.
 
-Static test -> tilt -> straight variable-speed motion -> target angle -> correction, as published,
-with what stands on top of it since the first day: the gate on v r, v r subtracted, dv/dt from
-speed for sign and weight, several stops combined, and the wandering offset removed.
-Bad samples are never learnt from: an interval that holds one is dropped whole.
+The published steps are: static test, tilt, straight variable-speed motion, target angle,
+correction. Additions to them: the gate on v r, v r subtracted, dv/dt from speed for sign and
+weight, several stops combined, and the wandering offset removed. The estimator never learns from
+bad samples: an interval with a bad sample is dropped whole.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ from imucald.mount.slewing import SlewedCorrection
 NAN = math.nan
 
 MAX_HOLE_TICKS = 5
-"""Ticks for which the last specific force stands in: a 10 Hz sensor jitters."""
+"""Ticks for which the last specific force replaces a missing one: a 10 Hz sensor jitters."""
 UNKNOWN_SIGN_STD = math.pi / 2.0
 """Standard deviation of a yaw that may be off by 180 deg [rad]."""
 
@@ -75,11 +75,11 @@ class PublishedEstimator:
         self._restart_stream()
         self._solve()
 
-    # The verbs.
+    # Methods of the interface.
 
     @property
     def correction(self) -> Correction | None:
-        """What to apply now; None until usable."""
+        """Correction to apply now; None until usable."""
         return self._applied.correction
 
     @property
@@ -88,7 +88,9 @@ class PublishedEstimator:
         return self._state
 
     def gap(self) -> None:
-        """Time jumped: open windows, intervals and manoeuvres are dropped, knowledge stays."""
+        """Note a jump of time: open windows, intervals and manoeuvres are dropped, knowledge
+        stays.
+        """
         self._restart_stream()
 
     def _restart_stream(self) -> None:
@@ -153,7 +155,7 @@ class PublishedEstimator:
             targets=s.targets,
         )
 
-    # What a tick brings.
+    # Use of a tick.
 
     def _take_vehicle(self, tick: TickRow) -> None:
         if not isnan(tick[REVERSE]):
@@ -195,7 +197,7 @@ class PublishedEstimator:
         stands = self._settings.calibration.static.standstill_speed
         return not stuck or not abs(self._speed) > stands
 
-    # What an interval brings.
+    # Use of an interval.
 
     def _take_interval(self, interval: SpeedInterval) -> None:
         s, dt = self._settings, interval.t1 - interval.t0

@@ -1,4 +1,6 @@
-"""Which intervals of motion the published solver may learn from (method A, step 4, and beyond)."""
+"""Decide which intervals of motion the published solver may learn from (method A, step 4, and
+beyond).
+"""
 
 from __future__ import annotations
 
@@ -15,29 +17,33 @@ from imucald.motion.ticks import TICK_S
 from imucald.mount.method_a.settings import PublishedSettings
 
 OFFSET_SETTLED_S = 2.0
-"""Straight motion that the offset needs before it is good [s]; less where it forgets sooner."""
+"""Straight motion [s] after which the offset is good; less where the offset forgets sooner."""
 OFFSET_INTERVALS = 4.0
-"""The offset's time constant in intervals, at least: a 1 Hz speed makes intervals of 1 s."""
+"""Smallest time constant of the offset, in intervals: a 1 Hz speed makes intervals of 1 s."""
 OFFSET_LOST_SPEED_S = 2.0
-"""And at least this where speed is lost for a while [s]: the mean then takes part of the manoeuvre
-with it."""
+"""Smallest time constant [s] where speed is lost for a while: the mean would otherwise absorb part
+of the manoeuvre.
+"""
 OFFSET_WITHOUT_SPEED_S = 30.0
-"""And at least this where there is no speed at all [s]: the mean would take all manoeuvres with it,
-whose own mean nothing shows; slopes last as long (`LongRunLevel.CORRELATION_S`)."""
+"""Smallest time constant [s] without any speed: the mean would otherwise absorb all manoeuvres,
+because nothing shows their own mean. Slopes last as long (`LongRunLevel.CORRELATION_S`).
+"""
 OFFSET_FADE_S = 15.0
-"""Time constant at which the offset's weight fades while motion is not straight [s]."""
+"""Time constant with which the offset's weight fades while motion is not straight [s]."""
 UNEXPLAINED_NOISE = 0.4
-"""Horizontal force that road and a slow speed leave unexplained on a straight road [m/s^2]."""
+"""Horizontal force that remains unexplained on a straight road, because of the road and a slow
+speed signal [m/s^2].
+"""
 TURN_FACTOR = 1.5
-"""A limit must be exceeded by this factor to call motion a turn, so that noise does not."""
+"""Motion is called a turn if it exceeds a limit by this factor, so that noise is not."""
 
 
 class WanderingOffset:
     """Fading mean of force and of (dv/dt, v r) over straight motion.
 
-    Slope, bank and bias wander slowly; taking the same mean off force and motion removes them and
-    leaves the relation between the two as it is. tau: time constant [s]; 0: nothing is taken off.
-    without_speed: its least while dv/dt is not known [s].
+    Slope, bank and bias wander slowly. Subtracting the same mean from force and motion removes them
+    and keeps the relation between force and motion. tau: time constant [s]; 0: nothing is
+    subtracted. without_speed: smallest time constant while dv/dt is not known [s].
     """
 
     def __init__(self, tau: float, without_speed: float = OFFSET_LOST_SPEED_S) -> None:
@@ -46,13 +52,13 @@ class WanderingOffset:
         self.restart()
 
     def restart(self) -> None:
-        """Forget: what follows is not continuous with what was."""
+        """Forget the mean: later motion is not continuous with earlier motion."""
         self._sums = [0.0] * 5
         self._weight = 0.0
 
     @property
     def ready(self) -> bool:
-        """Whether the mean rests on enough straight motion."""
+        """Whether the mean comes from enough straight motion."""
         return self._weight >= min(OFFSET_SETTLED_S, 0.6 * self._tau)
 
     def mean(self) -> list[float]:
@@ -72,18 +78,18 @@ class WanderingOffset:
             self._weight = self._weight * keep + dt
 
     def fade(self, dt: float) -> None:
-        """Count an interval that is not straight: what was known of the offset ages."""
+        """Take an interval that is not straight: the knowledge of the offset ages."""
         keep = math.exp(-dt / OFFSET_FADE_S)
         self._sums = [s * keep for s in self._sums]
         self._weight *= keep
 
 
 class StraightGate:
-    """Says whether an interval is straight motion.
+    """Decides whether an interval is straight motion.
 
-    The preferred recogniser (or group of them) whose signals are there decides, and the gate on
-    lateral acceleration must agree: v r where both are known, else the vehicle's own lateral
-    acceleration, else the horizontal force that dv/dt does not explain.
+    The preferred recogniser, or group of recognisers, with available signals decides. The gate on
+    lateral acceleration must agree. The gate uses v r where both are known, else the vehicle's own
+    lateral acceleration, else the horizontal force that dv/dt does not explain.
     """
 
     def __init__(self, settings: PublishedSettings, offset: WanderingOffset) -> None:
@@ -134,7 +140,10 @@ class StraightGate:
         return abs(interval.yaw_rate) > TURN_FACTOR * self._yaw_rate_limit(lateral)
 
     def _yaw_rate_limit(self, lateral: float) -> float:
-        """The wider limit is for motion whose v r is known and gated as well."""
+        """Return the limit on the yaw rate.
+
+        The wider limit is for motion whose v r is known and gated as well.
+        """
         s = self._limits
         gated = s.lateral_limit > 0.0 and not isnan(lateral)
         return s.yaw_rate_limit if gated else s.yaw_rate_limit_without_speed
@@ -152,7 +161,9 @@ class StraightGate:
         return self._unexplained(interval, level) <= limit + UNEXPLAINED_NOISE
 
     def _unexplained(self, interval: SpeedInterval, level: Matrix3) -> float:
-        """Horizontal force beyond what dv/dt explains [m/s^2]; 0 where that is not known."""
+        """Return the horizontal force that dv/dt does not explain [m/s^2]; 0 where dv/dt is not
+        known.
+        """
         if isnan(interval.dvdt) or not self._offset.ready:
             return 0.0
         mx, my, mz, m_dvdt, _ = self._offset.mean()
@@ -163,10 +174,11 @@ class StraightGate:
         return math.sqrt(max(x * x + y * y - along * along, 0.0))
 
     def _window_agrees(self, level: Matrix3) -> bool:
-        """Recogniser 3: the angles of the last window agree, offset taken off, smoothed.
+        """Recogniser 3: whether the angles of the last window agree, smoothed and without the
+        offset.
 
-        Motion that does not vary has no angle. It counts as straight, for the offset's sake, and
-        is too weak to give a target angle.
+        Motion that does not vary has no angle. It counts as straight so that the offset can be
+        learnt, and it is too weak to give a target angle.
         """
         n = self._smoothing
         if len(self._recent) <= n:

@@ -1,7 +1,7 @@
 """Levelling: gravity at rest gives the tilt (method A, steps 2 and 3).
 
-One stop gives mount tilt + slope of the road + accelerometer bias. Beyond the publication several
-stops are combined: slopes are a new draw at each place and average out, the bias does not.
+One stop gives mount tilt + slope of the road + accelerometer bias. Beyond the publication, several
+stops are combined. Slopes differ from place to place and average out; the bias does not.
 """
 
 from __future__ import annotations
@@ -16,15 +16,18 @@ from imucald.core.rotations import Matrix3, Vector
 from imucald.core.samples import GRAVITY
 
 PLACES_KEPT = 40
-"""Places of rest that are kept; the oldest goes first, so a slow creep of the mount is followed."""
+"""Most places of rest that are kept.
+
+The oldest is dropped first, so that a slow creep of the mount is followed.
+"""
 SLOPE_PRIOR_PLACES = 4.0
-"""Weight of the preset slope spread against the observed one, in places."""
+"""Weight of the preset slope spread relative to the observed spread, in places."""
 OUTLIER_SPREADS = 2.5
-"""A place further than this many spreads from the mean (a ramp, a kerb) counts less."""
+"""A place further than this many spreads from the mean (a ramp, a kerb) gets less weight."""
 
 
 def rotation_about_up(angle: float) -> Matrix3:
-    """Rz(lambda), levelled -> vehicle axes (steps 5 and 6); (3, 3).
+    """Return Rz(lambda), levelled -> vehicle axes (steps 5 and 6); (3, 3).
 
     L'x = Lx cos(lambda) - Ly sin(lambda), L'y = Lx sin(lambda) + Ly cos(lambda). Lambda is not the
     mount's Z-Y-X yaw angle, but the two are equal for a level sensor.
@@ -34,7 +37,9 @@ def rotation_about_up(angle: float) -> Matrix3:
 
 
 class Tilt(NamedTuple):
-    """Unit vector up in sensor axes, its standard deviation per axis [rad], places behind it."""
+    """Unit vector up in sensor axes, its standard deviation per axis [rad], and the number of
+    places.
+    """
 
     up: Vector
     std: float
@@ -45,7 +50,7 @@ class StopBook:
     """Combines the static windows of several stops into one tilt.
 
     slope_std: preset spread of road slope per axis [rad]; bias_std: of the accelerometer [m/s^2].
-    average: combine all stops; otherwise the last one decides, as published.
+    average: combine all stops; otherwise only the last stop counts, as published.
     """
 
     def __init__(self, slope_std: float, bias_std: float, average: bool = True) -> None:
@@ -94,7 +99,8 @@ class StopBook:
 class LongRunLevel:
     """Fall-back without a stop: the mean specific force of a long drive is gravity.
 
-    Over time T speed changes add at most dv / T and slopes average; this says how little is known.
+    Over time T, speed changes add at most dv / T and slopes average out. The class computes the
+    remaining uncertainty.
     """
 
     SPEED_CHANGE = 30.0

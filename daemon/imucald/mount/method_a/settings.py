@@ -1,4 +1,4 @@
-"""What method A takes from the configuration, and its constants, each with its reason."""
+"""Settings of method A from the configuration, and its constants, each with its reason."""
 
 from __future__ import annotations
 
@@ -10,9 +10,9 @@ from imucald.mount.estimator_settings import Limits, MountSettings
 
 
 class PublishedSettings(MountSettings, frozen=True):
-    """Settings of the published solver and of what stands on top of it. SI units.
+    """Settings of the published solver and of the additions to it. SI units.
 
-    The defaults include what goes beyond the publication; `to_the_letter` leaves that out.
+    The defaults include the additions to the publication; `to_the_letter` leaves them out.
     """
 
     OWN_LIMITS = Limits(
@@ -24,7 +24,7 @@ class PublishedSettings(MountSettings, frozen=True):
 
     @property
     def is_level(self) -> bool:
-        """The accelerometer counts as level: nothing is levelled."""
+        """Whether the accelerometer counts as level, so that nothing is levelled."""
         return self.planar or not self.calibration.method_a.level
 
     def to_the_letter(self) -> PublishedSettings:
@@ -55,31 +55,35 @@ class PublishedSettings(MountSettings, frozen=True):
     place_distance: float = 25.0
     """Distance [m] after which the next stop is another place with another slope."""
     place_seconds: float = 10.0
-    """The same without speed: seconds of motion."""
+    """Seconds of motion after which the next stop is another place, where there is no speed."""
     slope_std: float = math.radians(1.3)
-    """Spread of road slope from stop to stop, per axis [rad]; measured: 0.7-3 deg."""
+    """Spread of road slope between stops, per axis [rad]; measured: 0.7-3 deg."""
     planar: bool = False
     """The accelerometer has two axes only and counts as level; z is taken as gravity."""
     level_std: float = math.radians(1.5)
-    """How level an accelerometer is taken to be that counts as level [rad]."""
+    """Deviation from level of an accelerometer that counts as level [rad]."""
     level_without_stop_after: float = 120.0
-    """Seconds of driving after which the mean specific force levels, for want of a stop [s]."""
+    """Seconds of driving without a stop after which the mean specific force is used to level
+    [s].
+    """
 
     # Step 4: straight variable-speed motion.
     settle: float = 1.5
-    """Straight motion [s] after a turn before anything is learnt: body roll swings out."""
+    """Straight motion [s] after a turn before anything is learnt: the body roll must die out."""
     min_manoeuvre: float = 1.0
     """A shorter manoeuvre is a bump [s]."""
 
     # Step 5: the target angle and its sign.
     wander_speed: float = 2.4
-    """Speed [m/s] at which a block counts half: the faster, the more slope and bank wander while
-    speed changes (beyond the publication). 0: all count the same."""
+    """Speed [m/s] at which a block has half weight: at higher speeds, slope and bank change more
+    during a change of speed (beyond the publication). 0: all blocks have the same weight.
+    """
     robust: bool = True
-    """A manoeuvre that disagrees with the rest counts less (Huber)."""
+    """A manoeuvre that disagrees with the others gets less weight (Huber)."""
     use_speed: bool = True
-    """There is a speed: use dv/dt for gate, sign and weight (beyond the publication for gate and
-    weight)."""
+    """Whether dv/dt from a speed is used for gate, sign and weight (beyond the publication for gate
+    and weight).
+    """
     speed_timeout: float = 2.5
     """Time without a speed sample after which speed is unknown [s]."""
     block_s: float = 0.2

@@ -1,6 +1,6 @@
 """Sign of the target angle without speed: brake switch, turns, first motion after standstill.
 
-Each piece of evidence is a vote: a horizontal vector in sensor axes that points forward, roughly.
+Each piece of evidence is a vote: a horizontal vector in sensor axes that points roughly forward.
 """
 
 from __future__ import annotations
@@ -14,11 +14,11 @@ from imucald.motion.speed import SpeedInterval
 
 VOTES_KEPT = 60
 VOTES_NEEDED = 3
-"""Votes by which one direction must lead: a single pull-off may have been in reverse."""
+"""Lead in votes that one direction needs: a single pull-off may have been in reverse."""
 AGREEMENT = 0.7
 """Part of all votes that must agree."""
 ALIGNED = 0.7
-"""Cosine: a vote must lie within 45 deg of the axis; others show nothing."""
+"""Cosine limit: a vote must lie within 45 deg of the axis; other votes are ignored."""
 GATHER_S = 2.0
 """Time over which the force of a first motion or a braking is averaged [s]."""
 FIRST_MOTION_WITHIN_S = 4.0
@@ -26,7 +26,7 @@ FIRST_MOTION_WITHIN_S = 4.0
 FIRST_MOTION_FORCE = 0.7
 """Mean horizontal force of a first motion that counts [m/s^2]."""
 BRAKE_FORCE = 0.6
-"""The same for a braking that counts."""
+"""Mean horizontal force of a braking that counts [m/s^2]."""
 TURN_RATE = math.radians(6.0)
 """Yaw rate of a turn that distinguishes left from right [rad/s]."""
 TURN_FORCE = 0.8
@@ -36,7 +36,7 @@ TURN_S = 1.5
 
 
 class SignVotes:
-    """Collects votes and says which way along an axis is forward."""
+    """Collects votes and decides which direction along an axis is forward."""
 
     def __init__(self) -> None:
         self._votes: deque[Vector] = deque(maxlen=VOTES_KEPT)
@@ -84,9 +84,9 @@ class _Gathered:
 
 
 class SignEvidence:
-    """Decides between forward and backward by votes of brakings, turns and first motions.
+    """Decides between forward and backward by votes from brakings, turns and first motions.
 
-    The sensor's offset is removed from the force before.
+    The sensor's offset must be removed from the force beforehand.
 
     sources: which of "brake", "turn", "first_motion" may vote.
     """
@@ -98,13 +98,13 @@ class SignEvidence:
         self.restart()
 
     def restart(self) -> None:
-        """Drop what is half gathered; votes stay."""
+        """Drop unfinished sums; votes stay."""
         self._departed = -math.inf
         for gathered in (self._first, self._brake, self._turn):
             gathered.clear()
 
     def depart(self, t: float) -> None:
-        """Standstill has ended at t [s]."""
+        """Note that standstill has ended at t [s]."""
         self._departed = t
         self._first.clear()
 

@@ -13,7 +13,9 @@ from imucald.mount.method_a.target_angle import CombinedAngle
 
 @dataclass(frozen=True)
 class TiltAndAngle:
-    """What is known: tilt and target angle, whether its sign is, and the counts behind them."""
+    """Present knowledge: tilt, target angle, whether its sign is known, and the counts behind
+    them.
+    """
 
     tilt: Tilt | None = None
     angle: CombinedAngle | None = None
@@ -23,9 +25,11 @@ class TiltAndAngle:
 
 
 def judged(known: TiltAndAngle, before: MountState, s: PublishedSettings) -> MountState:
-    """Return the state; one that was reached is left only beyond its limit times hysteresis.
+    """Return the state.
 
-    A calibration that was usable and no longer is becomes suspect: it is still applied.
+    A state that was reached is left only beyond its limit times the hysteresis.
+
+    A calibration that was usable and is no longer usable becomes suspect. It is still applied.
     """
     state = _good(known, before, s)
     if state is not None:
@@ -50,7 +54,7 @@ def _good(known: TiltAndAngle, before: MountState, s: PublishedSettings) -> Moun
 
 
 def waiting_for(known: TiltAndAngle, s: PublishedSettings) -> dict[str, tuple[str, Missing]]:
-    """One reason per angle, in words and as a code; no entry where nothing is missing."""
+    """Return one reason per angle, in words and as a code; no entry where nothing is missing."""
     reasons: dict[str, tuple[str, Missing]] = {}
     if known.tilt is None:
         reason = (

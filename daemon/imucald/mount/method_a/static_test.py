@@ -1,8 +1,8 @@
 """Standstill: the static test of method A (step 1), on ticks.
 
-As published, a preset number of accelerometer samples is static when on each axis max - min is at
-most that axis's threshold. Online two things are added: a known speed must be zero, and while it
-is, wider thresholds apply, because a running engine shakes a sensor more than a smooth road does.
+As published, a preset number of accelerometer samples is static if max - min is at most the
+threshold on each axis. Online, two conditions are added. A known speed must be zero. While it is
+zero, wider thresholds apply, because a running engine shakes a sensor more than a smooth road does.
 """
 
 from __future__ import annotations
@@ -14,10 +14,11 @@ from imucald.config.calibration import StaticTestSettings
 from imucald.motion.ticks import ACCEL, TICK_S, TickRow
 
 CONFIRM_TICKS = 5
-"""A window counts after this many further quiet ticks: a late speed signal (up to 0.4 s) still
-reads zero when the vehicle has begun to move."""
+"""A window counts only after this many further quiet ticks: a late speed signal (up to 0.4 s) still
+reads zero when the vehicle has begun to move.
+"""
 MAX_HOLE_TICKS = 10
-"""Ticks without a sample that a run survives; a slow or jittering sensor leaves single holes."""
+"""Ticks without a sample that do not end a run; a slow or jittering sensor leaves single holes."""
 
 
 class StaticWindow(NamedTuple):
@@ -33,7 +34,8 @@ class StaticWindow(NamedTuple):
 class StandstillDetector:
     """Runs the static test on ticks; windows follow one another without overlap.
 
-    still: whether the vehicle stands now, that is, a window has passed and the run goes on.
+    still: whether the vehicle stands now, which means that a window has passed and the run
+    continues.
     """
 
     def __init__(self, settings: StaticTestSettings) -> None:
@@ -45,7 +47,7 @@ class StandstillDetector:
         self.restart()
 
     def restart(self) -> None:
-        """Begin a new run: what came before is not continued."""
+        """Begin a new run: earlier ticks are not continued."""
         self.still = False
         self._passed.clear()
         self._run = 0

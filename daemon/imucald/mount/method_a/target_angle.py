@@ -1,10 +1,10 @@
-"""Manoeuvres: what one braking or one acceleration says about the target angle, and their sum.
+"""Manoeuvres: evidence of one braking or one acceleration about the target angle, and their sum.
 
-A published sample angle with v*r taken off is lambda_i = atan2(v r, dv/dt) - atan2(R'y, R'x), and
-the circular mean of those, weighted by |R'| |(dv/dt, v r)|, is the argument of the sum of
-conj(R') (dv/dt + i v r). A manoeuvre keeps that sum in sensor axes, before levelling, so that a
-better tilt later re-reads every earlier manoeuvre. Uncertainty comes from how manoeuvres differ
-from one another: samples within one share its slope, its bank and its driver.
+A published sample angle with v*r subtracted is lambda_i = atan2(v r, dv/dt) - atan2(R'y, R'x). The
+circular mean of such angles, weighted by |R'| |(dv/dt, v r)|, is the argument of the sum of
+conj(R') (dv/dt + i v r). A manoeuvre stores that sum in sensor axes, before levelling, so that a
+better tilt later also improves every earlier manoeuvre. The uncertainty comes from the differences
+between manoeuvres: all samples of one manoeuvre share its slope, its bank and its driver.
 """
 
 from __future__ import annotations
@@ -23,23 +23,29 @@ from imucald.motion.speed import SpeedInterval
 Pointers = NDArray[np.complex128]
 
 PRIOR_SPREAD = math.radians(4.0)
-"""Spread of single manoeuvres about the truth that is expected before there are any [rad]."""
+"""Expected spread of single manoeuvres about the truth before there are any [rad]."""
 PRIOR_MANOEUVRES = 2.0
 """Weight of that expectation, in manoeuvres."""
 MIN_SPREAD = math.radians(0.8)
-"""Robust limits never shrink below this [rad]."""
+"""Smallest robust limit [rad]."""
 ROBUST_SPREADS = 1.5
-"""A manoeuvre further than this many spreads from the rest counts less (Huber)."""
+"""A manoeuvre further than this many spreads from the rest gets less weight (Huber)."""
 ROBUST_ROUNDS = 4
 COUNTED_LIMITS = 2.0
-"""Deviations count up to this many robust limits: one that disagrees must not hide from the
-interval, nor blow it up."""
+"""Deviations count up to this many robust limits.
+
+A manoeuvre that disagrees then widens the interval, but not without limit.
+"""
 MIN_AGREEMENT = 0.6
-"""Resultant below which manoeuvres are of two minds (turns among them, say): the spread about their
-mean then shows nothing."""
+"""Resultant below which manoeuvres contradict each other, for example because turns are among them.
+
+Their spread about the mean then shows nothing.
+"""
 TWO_MINDS_STD = math.radians(45.0)
 FLOOR_STD = math.radians(0.15)
-"""What manoeuvres share, so that no number of them averages it: cross-axis error, delay [rad]."""
+"""Errors that manoeuvres share, so that their number does not average them out: cross-axis error,
+delay [rad].
+"""
 MEDIAN_TO_STD = 1.4826
 """Normal distribution: standard deviation over median absolute deviation."""
 
@@ -47,9 +53,9 @@ MEDIAN_TO_STD = 1.4826
 class Manoeuvre:
     """Sums over the intervals of one straight braking or acceleration, in sensor axes.
 
-    sums: f dv/dt (3), f v r (3), f f' as xx, yy, zz, xy, xz, yz (6), each times dt
-    and the interval's weight.
-    signed: speed says which way is forward; peak: largest change of speed in it [m/s^2].
+    sums: f dv/dt (3), f v r (3), f f' as xx, yy, zz, xy, xz, yz (6), each times dt and the
+    interval's weight. signed: speed shows which way is forward; peak: largest change of speed in it
+    [m/s^2].
     """
 
     def __init__(self, start: float, signed: bool) -> None:
@@ -67,7 +73,7 @@ class Manoeuvre:
         lateral: float,
         weight: float,
     ) -> None:
-        """Take an interval: force less offset (3,) [m/s^2], dv/dt and v r likewise [m/s^2]."""
+        """Take an interval: force (3,), dv/dt and v r, each less its offset [m/s^2]."""
         dt = interval.t1 - interval.t0
         x, y, z = f
         motion = (
@@ -82,7 +88,7 @@ class Manoeuvre:
 
 
 class ManoeuvreBook:
-    """The last manoeuvres, at most `kept`; the oldest goes first."""
+    """The last manoeuvres, at most `kept`; the oldest is dropped first."""
 
     def __init__(self, kept: int) -> None:
         self._sums: deque[list[float]] = deque(maxlen=kept)
@@ -91,11 +97,13 @@ class ManoeuvreBook:
         return len(self._sums)
 
     def add(self, manoeuvre: Manoeuvre) -> None:
-        """Keep a manoeuvre that is over."""
+        """Store a finished manoeuvre."""
         self._sums.append(manoeuvre.sums)
 
     def pointers(self, R_level_from_sensor: Matrix3) -> Pointers:
-        """Sum of conj(R') (dv/dt + i v r) of each: its argument is the manoeuvre's lambda."""
+        """Return the sum of conj(R') (dv/dt + i v r) of each manoeuvre: its argument is the
+        manoeuvre's lambda.
+        """
         sums = np.array(self._sums).reshape(-1, 12)
         along = sums[:, 0:3] @ R_level_from_sensor[:2].T
         lateral = sums[:, 3:6] @ R_level_from_sensor[:2].T
@@ -104,7 +112,10 @@ class ManoeuvreBook:
         return result
 
     def axis_pointers(self, R_level_from_sensor: Matrix3) -> Pointers:
-        """Sum of conj(R')^2: half its argument is lambda up to 180 deg; isotropic noise cancels."""
+        """Return the sum of conj(R')^2 of each manoeuvre.
+
+        Half its argument is lambda up to 180 deg; isotropic noise cancels.
+        """
         moments = np.array(self._sums).reshape(-1, 12)[:, 6:]
         a, b = R_level_from_sensor[0], R_level_from_sensor[1]
         squares = moments @ (_products(a, a) - _products(b, b))
@@ -113,14 +124,16 @@ class ManoeuvreBook:
 
 
 def _products(a: NDArray[np.float64], b: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Coefficients of a' M b over M's xx, yy, zz, xy, xz, yz."""
+    """Return the coefficients of a' M b over M's xx, yy, zz, xy, xz, yz."""
     i, j = [0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]
     both = np.where(np.arange(6) < 3, 0.5, 1.0) * (a[i] * b[j] + a[j] * b[i])
     return np.asarray(both, dtype=np.float64)
 
 
 class CombinedAngle(NamedTuple):
-    """A combined angle [rad], its standard deviation [rad], and manoeuvres behind it."""
+    """A combined angle [rad], its standard deviation [rad], and the number of manoeuvres
+    behind it.
+    """
 
     value: float
     std: float
@@ -130,10 +143,10 @@ class CombinedAngle(NamedTuple):
 def combined(pointers: Pointers, turns: float = 1.0, robust: bool = True) -> CombinedAngle | None:
     """Combine pointers (N,) robustly into one angle; None where there is nothing to combine.
 
-    turns: how often a pointer goes round while the angle goes round once (2 for an axis).
+    turns: how many times a pointer goes round while the angle goes round once (2 for an axis).
 
-    The spread over manoeuvres (with a prior worth two) over their effective number gives the
-    standard deviation; where robust, Huber weights keep a manoeuvre that disagrees from deciding.
+    The standard deviation is the spread over manoeuvres (with a prior worth two) over their
+    effective number. If robust, Huber weights prevent that a manoeuvre that disagrees decides.
     """
     sizes = np.abs(pointers)
     if len(sizes) == 0 or not float(sizes.max()) > 0.0:
@@ -163,5 +176,5 @@ def combined(pointers: Pointers, turns: float = 1.0, robust: bool = True) -> Com
 
 
 def combined_axis(pointers: Pointers, robust: bool = True) -> CombinedAngle | None:
-    """Combine axis pointers (see `ManoeuvreBook`): the angle is known up to 180 deg."""
+    """Combine axis pointers (see `ManoeuvreBook`): the result is known up to 180 deg."""
     return combined(pointers, 2.0, robust)

@@ -1,4 +1,4 @@
-"""The frames of the vehicle's attitude: angles, deviations, rates, grade."""
+"""Frames of the vehicle's attitude: angles, deviations, rates, grade."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ from imucald.runtime.output.output_message import (
 )
 
 DEVIATION_MAX = 327.67
-"""Largest deviation that its signals hold [deg]."""
+"""Largest deviation that its signals can hold [deg]."""
 GRADE_DEVIATION_MAX = 655.34
-"""[%]"""
+"""The same for the grade [%]."""
 RATE_DEVIATION_MAX = 6.5534
-"""[deg/s]"""
+"""The same for the rates [deg/s]."""
 HEADING_LSB = 0.01
 
 
@@ -61,7 +61,7 @@ class AttitudeFrames:
         return [self.angles, self._deviation, self._rates, self._grade, *free]
 
     def frames(self, estimate: AttitudeEstimate | None) -> list[OutFrame]:
-        """The frames; None: nothing is known. Angles are there from *settling* on."""
+        """Return the frames. None: nothing is known. Angles are sent from *settling* on."""
         if estimate is None or estimate.state < AttitudeState.SETTLING:
             state = 0 if estimate is None else int(estimate.state)
             nothing = (None, None, None, state)
@@ -86,7 +86,7 @@ class AttitudeFrames:
 
 
 def bearing(heading: float) -> float:
-    """A heading [rad] in degrees, such that it does not round up to 360."""
+    """Return the bearing [deg] of a heading [rad]; a value that would round up to 360 becomes 0."""
     if math.isnan(heading):
         return heading
     degrees = (heading * DEG_PER_RAD) % 360.0

@@ -1,4 +1,4 @@
-"""Frames to send while they are still columns: turned samples, and parts put in order."""
+"""Frames to send as columns: corrected samples, and the order of parts."""
 
 from __future__ import annotations
 
@@ -15,10 +15,9 @@ from imucald.runtime.segment_samples import CorrectedSamples
 
 
 class OutPart(Struct, frozen=True, eq=False):
-    """Frames to send with the input row they belong to and their rank within it.
+    """Frames to send with their input row and their rank within that row.
 
-    Status frames have rank 0: they stand before the corrected frames of the row that brought them
-    about.
+    Status frames have rank 0: they come before the corrected frames of the row that caused them.
     """
 
     row: NDArray[np.int64]
@@ -28,16 +27,18 @@ class OutPart(Struct, frozen=True, eq=False):
 
 
 def corrected_count(routed: Routed, channel: str) -> int:
-    """Corrected frames that a channel comes to, without those that say *not available*."""
+    """Return the number of corrected frames of a channel, without those that say *not
+    available*.
+    """
     series = routed.samples.get(channel)
     return 0 if series is None else len(series.row)
 
 
 def frames_part(out: Sequence[OutFrame], row: int) -> OutPart:
-    """Frames that come before those of a row's samples, in the order given."""
+    """Return a part with frames that come before those of a row's samples, in the order given."""
     return OutPart(
         np.full(len(out), row),
-        np.zeros(len(out), np.int64),  # one frame may close many ticks: as they come
+        np.zeros(len(out), np.int64),  # one frame may close many ticks: keep their order
         np.array([can_id for can_id, _ in out], dtype=np.uint32),
         np.frombuffer(b"".join(data for _, data in out), np.uint8).reshape(len(out), -1),
     )
@@ -49,9 +50,10 @@ def corrected_parts(
     lost: Mapping[str, NDArray[np.int64]],
     base: int,
 ) -> Iterator[OutPart]:
-    """Frames of a segment's corrected samples by channel, and those that say *not available*.
+    """Return frames of a segment's corrected samples by channel, and those that say *not
+    available*.
 
-    lost: by channel the rows that the latter belong to. base: the segment's first row.
+    lost: for each channel, the rows of the latter frames. base: the segment's first row.
     """
     for order, channel in enumerate(output.triads):
         found = corrected.get(channel)
@@ -70,14 +72,16 @@ def corrected_parts(
             turned = np.concatenate([turned, np.full((len(bad), 3), np.nan)])[by_row]
             quality = np.concatenate([quality, np.zeros(len(bad), np.uint8)])[by_row]
         can_id, data = output.corrected_columns(channel, turned, quality)
-        # not-available frames of a row come after its corrected ones, as one by one
+        # Not-available frames of a row come after its corrected ones, as for single frames.
         missing = np.isin(row, bad)
         rank = np.where(missing, len(output.triads), 0) + order + 1
         yield OutPart(base + row, rank, np.full(len(row), can_id, np.uint32), data)
 
 
 def merged(parts: list[OutPart], frames: FrameColumns) -> FrameColumns:
-    """All parts in the order of rows, then ranks; each frame has its row's time of `frames`."""
+    """Return all parts in the order of rows, then ranks; each frame has its row's time of
+    `frames`.
+    """
     if not parts:
         return frames.take(slice(0, 0))
     row = np.concatenate([p.row for p in parts])

@@ -1,8 +1,8 @@
 """The frames that imucald sends: layout from ``imucald_out.dbc``, ids and protection configured.
 
-Corrected samples go out as they come, one frame a sample; status frames with each snapshot. A value
-that is not usable is sent as not available, never as a number. Columns of frames and single
-frames are the same bytes, counters included.
+Corrected samples are sent as they come, one frame per sample. Status frames are sent with each
+snapshot. A value that is not usable is sent as not available, never as a number. Columns of frames
+and single frames give the same bytes, including counters.
 """
 
 from __future__ import annotations
@@ -33,9 +33,9 @@ if TYPE_CHECKING:
 __all__ = ["Health", "OutFrame", "OutputFrames", "output_database"]
 
 STATUS_FRAMES = 5
-"""Frames that each snapshot is sent in: mount, three of deviations, health."""
+"""Frames per snapshot: mount, three of deviations, health."""
 CROSS_TALK_MAX, ZERO_MAX = 20.47, 4.094
-"""Largest deviations that are sent [deg], [m/s^2]; larger ones are sent as these."""
+"""Largest deviations that are sent [deg], [m/s^2]; larger ones are sent as these values."""
 REJECTED_MAX = 65534
 LOST_MAX = 4094
 
@@ -44,7 +44,7 @@ _LAYOUTS: Mapping[str, tuple[str, tuple[str, str, str], float]] = {
     "angular_rate": ("IMUCALD_AngularRate", ("RateX", "RateY", "RateZ"), DEG_PER_RAD),
     "magnetic_field": ("IMUCALD_MagneticField", ("FieldX", "FieldY", "FieldZ"), 1e6),
 }
-"""Per kind of sensor: message, signals, factor from SI to the message's unit."""
+"""For each kind of sensor: message, signals, factor from SI to the message's unit."""
 
 _HEALTH_FLAGS = (
     "AccelerometerMissing",
@@ -60,7 +60,7 @@ _MAIN = {"acceleration": "accel", "angular_rate": "gyro", "magnetic_field": "mag
 
 
 class Health(Struct, frozen=True):
-    """What the health frame says besides the calibration, and which sensor or signal is faulty."""
+    """Content of the health frame besides the calibration, and the faulty sensors and signals."""
 
     accelerometer_missing: bool = False
     gyroscope_missing: bool = False
@@ -97,12 +97,12 @@ class Health(Struct, frozen=True):
 
 
 class OutputFrames:
-    """Encodes everything that imucald sends for one configuration.
+    """Encodes all frames of one configuration.
 
-    triads: the channels that get a corrected frame, in the order they are sent in. planar: those
-    that are parallel sensors of two axes; their z is not available. sensor_of: the
-    channel of the sensor whose health they follow: a parallel sensor's is the main one of its kind.
-    attitude, travel: frames of methods B and C, and of D, where they are configured.
+    triads: channels with a corrected frame, in sending order. planar: channels of parallel sensors
+    with two axes; their z is not available. sensor_of: channel of the sensor whose health applies;
+    a parallel sensor follows the main one of its kind. attitude, travel: frames of methods B and C,
+    and of D, if they are configured.
     """
 
     def __init__(self, config: Config) -> None:
@@ -149,7 +149,7 @@ class OutputFrames:
         self.travel = _travel_frames(config) if config.travel_direction.enabled else None
 
     def message_of(self, channel: str) -> OutputMessage:
-        """The message that a channel of `triads` is sent in."""
+        """Return the message in which a channel of `triads` is sent."""
         return self._corrected[channel]
 
     @property
@@ -162,7 +162,9 @@ class OutputFrames:
         return [*self._corrected.values(), self._mount, self._deviation, *more, self._health]
 
     def go_on_from(self, before: OutputFrames) -> None:
-        """Count on in every message that was sent before: its receivers notice no change."""
+        """Continue the counters of every message that was sent before: its receivers notice no
+        change.
+        """
         known = {message.key: message for message in before.messages()}
         for message in self.messages():
             if message.key in known:
@@ -177,7 +179,7 @@ class OutputFrames:
         return found
 
     def prepare(self) -> None:
-        """Compile all messages now, so that the first frame is as quick as the others."""
+        """Compile all messages now, so that the first frame is as fast as later ones."""
         for message in self._all_messages():
             message.prepare()
 
@@ -198,12 +200,14 @@ class OutputFrames:
     def _message(
         self, name: str, can_id: int, signals: Sequence[str], last: str, missing: int
     ) -> OutputMessage:
-        """Signals that are `missing` where not available, and a last one that always is there."""
+        """Return a message with signals that are `missing` where not available, and a last one that
+        is always there.
+        """
         own = dict.fromkeys(signals, missing)
         return OutputMessage(name, (*signals, last), can_id, self._checksum, own)
 
     def corrected(self, channel: str, values: Sequence[float] | None, quality: int) -> OutFrame:
-        """Frame of one corrected sample in SI (None: not available)."""
+        """Return the frame of one corrected sample in SI (None: not available)."""
         message = self._corrected[channel]
         if values is None:
             return message.not_available()
@@ -215,14 +219,14 @@ class OutputFrames:
     def corrected_columns(
         self, channel: str, values: NDArray[np.float64], quality: NDArray[np.uint8]
     ) -> tuple[int, NDArray[np.uint8]]:
-        """Id and payloads (N, 8) of corrected samples (N, 3) in SI; NaN is not available."""
+        """Return id and payloads (N, 8) of corrected samples (N, 3) in SI; NaN is not available."""
         message = self._corrected[channel]
         factor = self._factors[channel]
         columns = [values[:, i] * factor for i in range(3)]
         return message.can_id, message.payloads([*columns, quality.astype(np.float64)])
 
     def status(self, estimate: MountEstimate, usable: bool, health: Health) -> list[OutFrame]:
-        """The status frames for one snapshot; angles are there where they are usable."""
+        """Return the status frames of one snapshot; they contain angles where these are usable."""
         state = int(estimate.state)
         angles = estimate.angles if usable else None
         std = estimate.std if usable else None
@@ -245,7 +249,7 @@ class OutputFrames:
 def _of_sent(
     sent: SentDeviations | None,
 ) -> tuple[Sequence[float | None], Sequence[float | None]]:
-    """Of cross-talk, and of level zero and rate, in the units of their frames."""
+    """Return deviations of cross-talk, and of level zero and rate, in the units of their frames."""
     if sent is None:
         return (None,) * 4, (None,) * 4
 

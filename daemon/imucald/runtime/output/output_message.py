@@ -1,7 +1,7 @@
-"""One output message: encode, then protect with counter and checksum.
+"""One output message: encoding, then protection with counter and checksum.
 
-Messages are compiled when their first frame is made, or by `prepare`: a replay that keeps no frames
-never reads the database of what is sent.
+A message is compiled when its first frame is made, or by `prepare`: a replay without output frames
+never reads the output database.
 """
 
 from __future__ import annotations
@@ -31,12 +31,12 @@ OUTPUT_DATABASE = Path(__file__).parents[2] / "data" / "imucald_out.dbc"
 NOT_AVAILABLE_SIGNED = -32768
 NOT_AVAILABLE_UNSIGNED = 65535
 NOT_AVAILABLE_12 = 4095
-"""Of unsigned signals of 12 bits."""
+"""Not-available value of unsigned signals of 12 bits."""
 
 
 @cache
 def output_database() -> Database:
-    """The database of what imucald sends."""
+    """Return the database of the frames that imucald sends."""
     text = OUTPUT_DATABASE.read_text("utf-8")
     return load_database_text(text, "dbc", "imucald_out.dbc")
 
@@ -44,7 +44,7 @@ def output_database() -> Database:
 class OutputMessage:
     """Makes the frames of one message; a value that does not fit is sent as not available.
 
-    message: its name in `output_database`. not_available: raw value by signal name.
+    message: its name in `output_database`. not_available: raw value for each signal name.
     """
 
     def __init__(
@@ -73,7 +73,7 @@ class OutputMessage:
 
     @cached_property
     def protection(self) -> ProtectionSpec:
-        """How its frames are protected, for those who read them."""
+        """Protection of its frames, for readers."""
         message = output_database().message(self._message)
         return ProtectionSpec(
             size=message.length,
@@ -86,8 +86,10 @@ class OutputMessage:
         return compile_decode(output_database().message(self._message), self._signals)
 
     def values(self, payload: bytes) -> list[float | None]:
-        """What a frame says, in the message's units; None is not available. The other way round
-        than `frame`. Raises DecodeError where it is too short."""
+        """Return the values in a frame, in the message's units; None is not available.
+
+        It is the inverse of `frame`. Raises DecodeError if the frame is too short.
+        """
         raw = self._reading.decode_raw(payload)
         known = [
             self._not_available.get(name) != r for name, r in zip(self._signals, raw, strict=True)
@@ -97,32 +99,34 @@ class OutputMessage:
 
     @property
     def key(self) -> tuple[str, int]:
-        """Its name and id: what makes it the same message for a receiver."""
+        """Name and id: receivers treat messages with the same key as the same message."""
         return self._message, self.can_id
 
     def go_on_from(self, before: OutputMessage) -> None:
-        """Count on from the last frame of the same message before."""
+        """Continue the counter from the last frame of the same message."""
         self._protector.go_on_from(before._protector)
 
     def prepare(self) -> None:
-        """Compile now, so that the first frame is as quick as the others."""
+        """Compile now, so that the first frame is as fast as later ones."""
         _ = self._plan, self._protector
 
     @cached_property
     def _nothing(self) -> bytes:
-        """The payload, not protected yet, that has nothing to say, in state or quality 0."""
+        """The payload without values, before protection, with state or quality 0."""
         return self._plan.encode([*(None for _ in self._signals[1:]), 0])
 
     def not_available(self) -> OutFrame:
-        """Frame in which no value is available; its last signal, state or quality, is 0."""
+        """Return a frame in which no value is available; its last signal, state or quality, is
+        0.
+        """
         return self.can_id, self._protector.protect(self._nothing)
 
     def frame(self, values: Sequence[float | None]) -> OutFrame:
-        """Frame of one set of values, in the message's units; None is not available."""
+        """Return the frame of one set of values, in the message's units; None is not available."""
         return self.can_id, self._protector.protect(self._plan.encode(values))
 
     def payloads(self, columns: Sequence[NDArray[np.float64]]) -> NDArray[np.uint8]:
-        """Payloads (N, length) of columns (N,); NaN is not available."""
+        """Return payloads (N, length) of columns (N,); NaN is not available."""
         return self._protector.protect_columns(self._plan.encode_columns(columns))
 
 

@@ -1,4 +1,4 @@
-"""The frame of a carried terminal's direction of travel."""
+"""Frame of a carried terminal's direction of travel."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ STEPS_MAX = 65534
 
 WALKS = frozenset({TravelState.WALKING, TravelState.TURNING, TravelState.AMBIGUOUS})
 DEVIATION_MAX = 327.67
-"""[deg]"""
+"""Largest deviation that its signals can hold [deg]."""
 
 
 class TravelFrames:
@@ -43,9 +43,9 @@ class TravelFrames:
         return [self._message, self._deviation]
 
     def frames(self, step: Step | None, state: TravelState, steps: int) -> list[OutFrame]:
-        """The frames after a step; headings are there while somebody walks.
+        """Return the frames after a step; headings are available while a person walks.
 
-        A heading that may be 180 deg wrong is not sent as one, only as an axis.
+        A heading that may be 180 deg wrong is sent only as an axis.
         """
         count = min(steps, STEPS_MAX)
         if step is None or state not in WALKS:
