@@ -78,8 +78,7 @@ class RateGuard:
         self._distrusted_until = -1
 
     def judge(self, t: float, reason: str) -> str:
-        """Return why a frame at stream time t [s] is rejected. reason: from its route, "" if good.
-        """
+        """Return why a frame at stream time t [s] is rejected. reason: of its route, "" if good."""
         if t >= self._ends:
             self._enter(int(t))
         if reason:
@@ -101,7 +100,7 @@ class RateGuard:
             return {}
         first = math.floor(t[0])
         n = math.floor(t[-1]) - first + 1
-        edges = t.searchsorted(np.arange(first, first + n + 1))  # first rows of seconds; times never decrease
+        edges = t.searchsorted(np.arange(first, first + n + 1))  # of seconds: times never decrease
         before = edges if good.all() else np.append(0, np.cumsum(good))[edges]
         good_count = seen_count = np.diff(before)
         fault_count = np.zeros(n, np.int64)

@@ -68,7 +68,7 @@ class SignalRoute(Protocol):
         """Take over the sender's state from a route with equal `frame_key`, as far as it fits."""
 
     def check(self, t: float, data: bytes) -> str | None:
-        """Check a frame at stream time t [s]. Return "" if good, None if other kind, or a reason."""
+        """Check a frame at stream time t [s]. Return "" if good, None if other kind, or reason."""
 
     def numbers(self, data: bytes) -> tuple[Raw, Physical]:
         """Return raw and physical values of a good frame."""
@@ -166,7 +166,7 @@ class MessageRoute:
     def check_columns(
         self, t: NDArray[np.float64], frames: Carried
     ) -> tuple[NDArray[np.bool_], Mapping[str, NDArray[np.int64]]]:
-        """`check` on columns."""
+        """Do the work of `check` for columns."""
         codes = self.checker.check_columns(t, frames.data, frames.length)
         ok = codes == 0
         if ok.all():
@@ -258,7 +258,7 @@ class RawRoute:
     def check_columns(
         self, t: NDArray[np.float64], frames: Carried
     ) -> tuple[NDArray[np.bool_], Mapping[str, NDArray[np.int64]]]:
-        """`check` on columns."""
+        """Do the work of `check` for columns."""
         ours = np.ones(len(frames), dtype=bool)
         if self._when is not None:
             ours = (frames.length >= self._when.needs) & self._when.hold(frames.data, frames.length)

@@ -23,8 +23,8 @@ SENDER_SETTLING = 1.5
 cycles of any sensor. So all messages of a sensor, and each start of the program, make the same
 choice."""
 AS_OFTEN = 2
-"""A candidate must send at least 1 / AS_OFTEN of the frames of the most frequent one. A single frame
-of a unit that starts does not count."""
+"""A candidate must send at least 1 / AS_OFTEN of the frames of the most frequent one. A single
+frame of a unit that starts does not count."""
 NOT_AVAILABLE = 0xFF
 """A payload with only this byte holds no data (J1939-71, 5.1.4). It is ignored in the choice."""
 

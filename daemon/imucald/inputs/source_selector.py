@@ -1,5 +1,4 @@
-"""Select the first active source of a quantity. Collect samples of taps, and assemble triads.
-"""
+"""Select the first active source of a quantity. Collect samples of taps, and assemble triads."""
 
 from __future__ import annotations
 

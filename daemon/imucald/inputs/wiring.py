@@ -62,7 +62,7 @@ Groups = dict[tuple[str, str | None, int | None], _MessageSignals]
 
 
 def load_databases(loaded: LoadedConfig) -> list[LoadedDatabase]:
-    """Read the configuration's databases. Raises ConfigError with its line for an unreadable one."""
+    """Read the configuration's databases. Raises ConfigError with the line of an unreadable one."""
     found = []
     for i, entry in enumerate(loaded.config.database):
         place: Place = ("database", i)
@@ -136,7 +136,7 @@ def _add_signal(
 def _signed_index(
     loaded: LoadedConfig, group: _MessageSignals, wanted: Wanted, signal: Signal
 ) -> int:
-    """Return the index of a signal and its sign signal in the requested signals of its message."""
+    """Return the index of a signal (with its sign signal) in the requested ones of its message."""
     path = wanted.source.sign_signal
     if path is None:
         for index, name in enumerate(group.names):
