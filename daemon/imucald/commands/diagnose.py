@@ -1,4 +1,4 @@
-"""`imucald diagnose`: find errors of the simulation in measured drives, their causes and effects."""
+"""`imucald diagnose`: find errors of the simulation with measured drives, causes and effects."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`imucald fleet`: evaluate thousands of logs of hundreds of vehicles, here or on a Dask cluster."""
+"""`imucald fleet`: evaluate logs of many vehicles, on this machine or on a Dask cluster."""
 
 from __future__ import annotations
 

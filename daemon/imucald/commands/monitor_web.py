@@ -167,8 +167,7 @@ def _matrix(quaternion: Sequence[float]) -> Matrix3:
 
 
 def _angle(status: Mapping[str, Any], i: int) -> dict[str, Any]:
-    """Return a row: an angle with its ±, and the rotation about a vehicle axis with ± and target.
-    """
+    """Return a row: an angle with its ±, and the rotation about an axis with its ± and target."""
     mount, name, axis = status["mount"], ANGLES[i], "xyz"[i]
     value, spread = angle_cells(mount, name)
     std = judged_std(mount, axis)

@@ -127,7 +127,7 @@ def _one(options: argparse.Namespace, config: Configuration, logs: Sequence[str]
 
 
 def _several(options: argparse.Namespace, config: Configuration, logs: Sequence[str]) -> int:
-    """Replay each log as a drive. A log that cannot be read is reported; the others are replayed."""
+    """Replay each log as a drive. A log that cannot be read is reported, and the rest continues."""
     from imucald.api.between_drives import notes_between
     from imucald.api.drives import DriveSet
     from imucald.api.run import is_unused, require_frames

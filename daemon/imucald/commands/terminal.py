@@ -18,7 +18,7 @@ Progress = Callable[[int, int | None], None]
 
 
 MOST_EVENTS = 10
-"""Largest number of event lines at the end of a replay, so that they fit a screen with the mount."""
+"""Largest number of event lines after a replay, so that they fit a screen with the mount."""
 PIPED_WIDTH = 2000
 """Width of the output [columns] without a terminal, so that each row is one line."""
 
