@@ -31,7 +31,7 @@ first."""
 
 
 def in_counts(dimension: str, low: float, high: float) -> UnitChoice:
-    """Return the unit of raw counts with an SI value in [low, high]: a common one, or the middle."""
+    """Return the unit of raw counts with an SI value in [low, high]: a common one, or a middle."""
     name, usual = USUAL_COUNTS[dimension]
     one = find_unit(name, dimension).factor
     fitting = [n for n in usual if low <= one / n <= high]

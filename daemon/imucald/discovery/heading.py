@@ -21,7 +21,7 @@ from imucald.discovery.reference import DELAYS, KnownMotion, stated_unit
 from imucald.discovery.scalars import SAME_MOTION, by_unit_and_name
 
 SPAN = 10
-"""Time over which a change of the heading is computed [ticks]. A receiver sends it once a second."""
+"""Time over which a change of the heading is computed [ticks]. A receiver sends at 1 Hz."""
 LARGEST_CHANGE = 1.0
 """Largest change in that time [rad]. A larger one is the jump from 360 to 0 deg."""
 GAIN = 1.5
@@ -64,13 +64,12 @@ class HeadingFit:
 
     @property
     def is_like_a_compass(self) -> bool:
-        """Whether its name is a compass's or it counts from 0 to 360. Other angles have two signs."""
+        """Whether its name is a compass's or it counts from 0 to 360, without negative values."""
         return self.is_named or self.candidate.least >= 0.0
 
 
 def fit_heading(reference: KnownMotion, candidates: Sequence[SeenSignal]) -> HeadingFit | None:
-    """Return the angle whose change follows the yaw rate best, with its delay; None if none does.
-    """
+    """Return the angle whose change follows the yaw rate best, with its delay, or None."""
     if reference.turn is None:
         return None
     turn = reference.turn

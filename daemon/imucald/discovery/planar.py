@@ -24,8 +24,8 @@ from imucald.discovery.scalars import MAX_ALTERNATIVES, RELATED
 
 _LEFT = re.compile(r"(positive|\+|>\s*0)[^.;]{0,20}\bleft|left[^.;]{0,20}(positive|\+)", re.I)
 WRONG_SCALE = 2.0
-"""Largest accepted ratio to the stated scale. Reverse-engineered databases have such errors. A larger
-ratio means another unit."""
+"""Largest accepted ratio to the stated scale. Reverse-engineered databases have such errors. A
+larger ratio means another unit."""
 
 
 @dataclass

@@ -24,8 +24,8 @@ DELAYS = range(-6, 26)
 """Possible delays of speed and course [ticks]. OBD-II causes up to 1.5 s. A receiver causes up to
 2.5 s if it smooths, is asked once per second, and its answer waits."""
 GAIN_TOLERANCE = 1.25
-"""Largest factor by which squat, slope and tyres change a gain. Measured and simulated vehicles have
-gains of 0.8 to 1.2."""
+"""Largest factor by which squat, slope and tyres change a gain. Measured and simulated vehicles
+have gains of 0.8 to 1.2."""
 MOVING = 3.0
 """Smallest speed for the comparison of turns [m/s]. At lower speed the vehicle may be reversing.
 With an unsigned speed, left and right are then exchanged. Also, curvature would be divided by
@@ -133,8 +133,7 @@ def speed_candidates(candidates: Sequence[SeenSignal]) -> list[SeenSignal]:
 
 
 def speed_against_accelerometer(c: SeenSignal, triad: Triad, up: Array) -> SpeedFit | None:
-    """Compare the changes of a speed with the accelerometer, and find its unit; None if unrelated.
-    """
+    """Compare the changes of a speed with the accelerometer, and find its unit, or None."""
     found = response(c, triad, up)
     if found is None:
         return None

@@ -18,8 +18,8 @@ from imucald.discovery.proposal import Alternative, Choice, source_of
 from imucald.discovery.reference import stated_unit, unit_for
 
 SAME_MOTION = 0.5
-"""Smallest share of common variance at which a signal and its reference are the same quantity. Below
-it, one may only be the cause of the other."""
+"""Smallest share of common variance at which a signal and its reference are the same quantity.
+Below it, one may only be the cause of the other."""
 STEERING_METRES = (15.0, 130.0)
 """Range of wheelbase times steering ratio [m]: from half of a small car's with a quick rack
 (2.4 m x 12) to a lorry's (6 m x 20)."""

@@ -1,5 +1,4 @@
-"""Find accelerometer, speed, gyroscope and magnetometer. All other signals are compared with them.
-"""
+"""Find accelerometer, speed, gyroscope and magnetometer. Other signals are compared with them."""
 
 from __future__ import annotations
 

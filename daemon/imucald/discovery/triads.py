@@ -31,8 +31,8 @@ SCALE_AND_OFFSET = 0.08
 WRONG_SCALE = 0.25
 """Relative error of 1 g above which a stated unit is wrong."""
 NORM_SPREAD = 0.05
-"""Largest relative spread of the vector's size in a drive. A manoeuvre of 0.3 g increases the size by
-sqrt(1 + 0.3^2) - 1 = 0.04, and most of a drive is calmer."""
+"""Largest relative spread of the vector's size in a drive. A manoeuvre of 0.3 g increases the size
+by sqrt(1 + 0.3^2) - 1 = 0.04, and most of a drive is calmer."""
 CALM_PART = 0.1
 """Share of a drive in which even a racing driver neither brakes nor turns. In it, the vector
 (smoothed over bumps) is never shorter than 1 g, and hardly longer."""
