@@ -23,7 +23,7 @@ LONG_BAR = 60
 """Width of a bar [columns] if there is enough space."""
 FACTS = ("now", "losses", "rejected", "process")
 LEFT_OUT = "not learnt from"
-"""Shown as well where there is something."""
+"""Title of a row that is shown only if it has content."""
 KIND_STYLES = {
     "alarm": "red",
     "fault": "red",

@@ -59,8 +59,8 @@ displays show up to 10 % more (UN R39)."""
 TURNING = 0.05
 """Smallest yaw rate of a turn [rad/s]: a bend with a radius of 200 m at 10 m/s."""
 ONE_SIDED_TURNS = 5
-"""Number of turns to judge that all go to one side. By chance this happens in one of 16 drives, but
-then the noise about zero has both signs."""
+"""Number of turns from which turns to one side only are suspicious. By chance, this occurs in one
+of 16 drives, but then the noise about zero has both signs."""
 TWICE_SLOPES = 2.0 * SLOPE_STD
 """Steeper roads are rare (tangent, rms). A larger force along the road comes from driving."""
 

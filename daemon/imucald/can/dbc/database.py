@@ -136,7 +136,7 @@ def _named_apart(
 
 
 def _told_apart(messages: Sequence[Message]) -> list[Message]:
-    """Return the messages. Of messages with equal PGN, those with an own address are marked."""
+    """Return the messages. If messages share a PGN, those with their own address are marked."""
     addresses: dict[int, set[int]] = {}
     for one in messages:
         if one.can_id & CAN_EFF_FLAG:
