@@ -116,7 +116,7 @@ def is_stale(status: Mapping[str, Any], trouble: str = "") -> bool:
 
 
 def no_answer(error: Exception, last: float | None) -> str:
-    """Return a text why a daemon does not answer; last: time of day of its last answer [s]."""
+    """Why a daemon does not answer, in words; last: time of day of its last answer [s]."""
     words = "the daemon has ended"
     if isinstance(error, BusyError) or not isinstance(error, LinkError):
         words = "the daemon does not answer"
