@@ -1,6 +1,6 @@
-"""The Python API behind `import imucald`: settings in, results out; it prints and asks nothing.
+"""The Python API behind `import imucald`. It takes settings and returns results; it never prints.
 
-`configuration` loads, `replaying` runs logs through the engine, `drive` is what comes of one, with
-its `tables` (one per rate) and `mount`. The names that count stand in `imucald.__all__`; this room
-may change. The command line is made of it.
+`configuration` loads a configuration. `replaying` runs logs through the engine. `drive` holds the
+result of one drive, with its `tables` (one per rate) and its `mount`. The public names are listed
+in `imucald.__all__`; other names in this package may change. The command line uses this package.
 """

@@ -1,4 +1,4 @@
-"""What is odd between drives of one vehicle: the same time twice, a mount that has changed."""
+"""Find inconsistencies between drives of one vehicle: overlapping times, a changed mount."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ from imucald.mount.mount_words import is_move
 
 CLOCK_SET_US = round(1e6 * CLOCK_SET_S)
 LIKELY = 1e-3
-"""Two mounts that chance makes so different in fewer than one of a thousand pairs are reported."""
+"""Two mounts are reported as different if the probability of chance is below this value."""
 GOOD = ("usable", "fine")
 
 
 def notes_between(drives: Sequence[DriveResult]) -> tuple[str, ...]:
-    """Overlaps and shifts between drives, in words; drives in the order of their times."""
+    """Describe overlaps and mount shifts between drives, one text each, in order of time."""
     timed = [d for d in drives if d.start_us is not None and d.start_us >= CLOCK_SET_US]
     timed.sort(key=lambda d: d.start_us or 0)
     in_order = timed if len(timed) == len(drives) else list(drives)
@@ -58,10 +58,11 @@ def _without_time(drives: Sequence[DriveResult], timed: Sequence[DriveResult]) -
 
 
 def _shifts(drives: Sequence[DriveResult]) -> Iterator[str]:
-    """Mounts that differ between consecutive good drives by more than chance and load explain.
+    """Report mounts that differ between consecutive good drives more than chance and load explain.
 
-    A move that a drive found itself is one within that drive, and none between it and the one
-    before. Drives that share some time have no order: no move between them is claimed.
+    If a drive itself found a move, only that move is reported. No second move is then reported
+    between this drive and the previous one. Drives that overlap in time have no order, so no move
+    between them is reported.
     """
     before: DriveResult | None = None
     is_moved = False
@@ -86,14 +87,14 @@ def _shifts(drives: Sequence[DriveResult]) -> Iterator[str]:
 
 
 def _share(one: DriveResult, other: DriveResult) -> bool:
-    """Whether two drives with a time of day share some of it; other: the one that begins later."""
+    """Return whether two drives overlap in time. other: the drive that begins later."""
     if one.end_us is None or other.start_us is None or other.start_us < CLOCK_SET_US:
         return False
     return other.start_us < one.end_us
 
 
 def _chance(e: np.ndarray, covariance: np.ndarray) -> float:
-    """Probability of a difference of at least e (3,) by chance: chi-square with 3 degrees."""
+    """Probability that chance gives a difference of at least e (3,): chi-square, 3 degrees."""
     square = float(e @ np.linalg.solve(covariance, e))
     if not math.isfinite(square):
         return 1.0

@@ -1,4 +1,4 @@
-"""Linear algebra on one thread, whatever the process around it has set."""
+"""Run linear algebra on one thread, regardless of the settings of the calling process."""
 
 from __future__ import annotations
 
@@ -12,10 +12,11 @@ R = TypeVar("R")
 
 
 def on_one_thread(function: Callable[P, R]) -> Callable[P, R]:
-    """Call a function with one BLAS thread: its matrices are small, so that more threads wait for
-    each other, and the last bit of a sum depends on their number.
+    """Make a function run with one BLAS thread.
 
-    The command line sets this for its process; a notebook keeps its own threads for all else.
+    Its matrices are small, so several threads would only wait for each other. The last bit of a
+    sum would also depend on the number of threads. The command line sets one thread for its whole
+    process. In a notebook, only this function is limited.
     """
 
     @wraps(function)

@@ -1,4 +1,4 @@
-"""`imucald.check`: what a configuration decodes from a log, and what looks wrong."""
+"""`imucald.check`: show what a configuration decodes from a log, and report what looks wrong."""
 
 from __future__ import annotations
 
@@ -18,11 +18,11 @@ from imucald.config_check import Check
 
 @dataclass(frozen=True, eq=False, repr=False)
 class CheckReport:
-    """What was decoded, and what looks wrong.
+    """The result of a check: what was decoded, and what looks wrong.
 
-    usable: whether nothing necessary is missing or wrong. findings: each with `level` (error,
-    warning, note, ok), `quantity` and `text`, the worst first. problems: the first bad lines, as
-    texts with file and line. report: all that `imucald check --json` prints, see docs/json.md.
+    usable: False if something necessary is missing or wrong. findings: the worst first, each with
+    `level` (error, warning, note, ok), `quantity` and `text`. problems: the first bad lines, as
+    texts with file and line. report: the output of `imucald check --json`, see docs/json.md.
     """
 
     usable: bool
@@ -31,7 +31,7 @@ class CheckReport:
     report: Mapping[str, Any]
 
     def to_dict(self) -> dict[str, Any]:
-        """Exactly what `imucald check --json` prints, as plain data; a copy."""
+        """Return a copy of the output of `imucald check --json`, as plain data."""
         return copy.deepcopy(dict(self.report))
 
     def __repr__(self) -> str:
@@ -40,7 +40,7 @@ class CheckReport:
         return f"Check({'usable' if self.usable else 'not usable'}; findings: {counts or 'none'})"
 
     def _repr_html_(self) -> str:
-        """What a notebook shows."""
+        """Return the HTML that a notebook shows."""
         rows = ([f["level"], f["quantity"], f["text"]] for f in self.findings)
         return html_table(("level", "quantity", "finding"), rows)
 
@@ -53,9 +53,9 @@ def check(
 ) -> CheckReport:
     """Check what a configuration decodes from a log: sources, units, rates, gaps, doubts.
 
-    config: a configuration, or its file's name. log: a name, an open file, or a list of the pieces
-    of one recording. Raises ConfigError where the configuration cannot be used, LogError for a log
-    that cannot be read.
+    config: a configuration, or the name of its file. log: a file's name, an open file, or a list
+    of the pieces of one recording. Raises ConfigError if the configuration cannot be used, and
+    LogError if the log cannot be read.
     """
     checker = Check(Configuration.of(config).loaded)
     sources = [opened(one) for one in pieces(log)]

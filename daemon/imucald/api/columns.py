@@ -1,6 +1,6 @@
-"""The columns of each table: name, unit, kind. A unit stands in the name, too.
+"""Define the columns of each table: name, unit, kind. The name contains the unit too.
 
-Columns are only added, never renamed or given another meaning.
+New columns may be added later. A column never changes its name or its meaning.
 """
 
 from __future__ import annotations
@@ -15,14 +15,14 @@ from numpy.typing import NDArray
 from imucald.core.samples import QUANTITIES
 
 RAW = "raw/"
-"""Tables of samples as the sensors gave them begin so."""
+"""Prefix of the names of tables with raw samples (as the sensors sent them)."""
 HISTORY, EVENTS = "history", "events"
 
 
 class TableColumn(Struct, frozen=True):
     """One column.
 
-    unit: "1" for a pure number, "" for what has none (texts, times of day).
+    unit: "1" for a pure number, "" for a column without a unit (texts, times of day).
     kind: "float", "int8", "bool", "text" or "time" (whole microseconds since 1970, UTC).
     """
 
@@ -32,8 +32,8 @@ class TableColumn(Struct, frozen=True):
 
 
 TIMES = (TableColumn("t_s", "s"), TableColumn("time", "", "time"))
-"""Every table begins with them: seconds from the log's first frame, which never run backwards, and
-the time that the log states."""
+"""The first two columns of every table. `t_s`: seconds since the log's first frame; it never
+decreases. `time`: the time that the log states."""
 
 _DTYPES: Mapping[str, Any] = {
     "float": np.float64,
@@ -51,7 +51,7 @@ _SUFFIXES = {
     "T": "tesla",
     "degC": "degc",
 }
-"""What a column's name ends in, by its unit."""
+"""The suffix of a column's name, by its unit."""
 _WHEELS = ("fl", "fr", "rl", "rr")
 
 HISTORY_COLUMNS = (
@@ -73,12 +73,15 @@ QUALITY = TableColumn("quality", "1", "int8")
 
 
 def corrected_columns(kind: str) -> tuple[TableColumn, ...]:
-    """Columns of corrected samples of a sensor; kind: "accel", "gyro" or "mag"."""
+    """Columns for the corrected samples of a sensor; kind: "accel", "gyro" or "mag"."""
     return (*TIMES, *_triad(kind, ""), QUALITY)
 
 
 def raw_columns(channel: str, kind: str | None = None) -> tuple[TableColumn, ...]:
-    """Columns of a channel's samples as they came (see `core.samples`); kind: of a parallel one."""
+    """Columns for a channel's raw samples (see `core.samples`).
+
+    kind: the kind of sensor, for a parallel channel; None for others.
+    """
     sensor = kind or channel
     quantity = QUANTITIES[sensor]
     if quantity.width == 3:
@@ -96,7 +99,7 @@ def _triad(kind: str, before: str) -> tuple[TableColumn, ...]:
 
 
 class Columns(Struct, frozen=True, eq=False):
-    """A table: its columns, with an array (N,) each. NaN, or None for a text, is *not known*."""
+    """A table: its columns and one array (N,) per column. NaN (None in texts) means unknown."""
 
     columns: tuple[TableColumn, ...]
     arrays: tuple[NDArray[Any], ...]
@@ -105,29 +108,29 @@ class Columns(Struct, frozen=True, eq=False):
         return len(self.arrays[0])
 
     def __getitem__(self, name: str) -> NDArray[Any]:
-        """An array by its column's name."""
+        """Return the array of the column with this name."""
         return self.as_dict()[name]
 
     def from_row(self, first: int) -> Columns:
-        """The rows from one on."""
+        """Return the rows from index `first` to the end."""
         return Columns(self.columns, tuple(array[first:] for array in self.arrays))
 
     def as_dict(self) -> dict[str, NDArray[Any]]:
-        """Arrays by name."""
+        """Return the arrays by column name."""
         return {c.name: a for c, a in zip(self.columns, self.arrays, strict=True)}
 
     def sorted_by_time(self) -> Columns:
-        """The rows in the order of `t_s`."""
+        """Return the table with its rows sorted by `t_s`."""
         order = np.argsort(self.arrays[0], kind="stable")
         return Columns(self.columns, tuple(array[order] for array in self.arrays))
 
 
 def columns_from(columns: tuple[TableColumn, ...], arrays: list[Any]) -> Columns:
-    """A table of arrays or lists, each turned into its column's type."""
+    """Make a table from arrays or lists; each is converted to the type of its column."""
     typed = (np.asarray(a, dtype=_DTYPES[c.kind]) for c, a in zip(columns, arrays, strict=True))
     return Columns(columns, tuple(typed))
 
 
 def no_rows(columns: tuple[TableColumn, ...]) -> Columns:
-    """A table of these columns without a row."""
+    """Make a table with these columns and no rows."""
     return columns_from(columns, [[] for _ in columns])

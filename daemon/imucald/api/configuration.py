@@ -1,4 +1,4 @@
-"""A configuration that can be used: `imucald.Config`."""
+"""`imucald.Config`: a configuration that has been read and checked."""
 
 from __future__ import annotations
 
@@ -17,10 +17,10 @@ PathLike = str | os.PathLike[str]
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Configuration:
-    """A configuration file, read and checked. `load` makes it; it can be pickled.
+    """A configuration file, read and checked. Create it with `load`. It can be pickled.
 
     path: the file. databases: absolute paths of the CAN databases in use.
-    warnings: one line for each key that has no effect, with its place and the reason.
+    warnings: one line for each key without effect, with its place in the file and the reason.
     """
 
     path: Path
@@ -33,9 +33,9 @@ class Configuration:
     def load(cls, path: PathLike, databases: Sequence[PathLike] | None = None) -> Configuration:
         """Read a configuration file (YAML).
 
-        databases: files to use in place of those that it names, as many and in the same order.
-        Raises ConfigError with one line for each mistake: file, line, key, reason, remedy. What
-        the databases hold is looked at when the configuration is used.
+        databases: database files that replace the ones named in the configuration; same number,
+        same order. Raises ConfigError with one line for each mistake: file, line, key, reason,
+        remedy. The content of the databases is checked later, when the configuration is used.
         """
         file = Path(path)
         loaded = open_config(file, [Path(database) for database in databases or ()])

@@ -1,4 +1,4 @@
-"""What is applied to the samples of a drive: a matrix and an offset for each sensor."""
+"""The correction of a drive's samples: a matrix and an offset for each sensor."""
 
 from __future__ import annotations
 
@@ -16,11 +16,13 @@ from imucald.core.arrays import Array
 class CorrectionResult:
     """The correction of force and rate from sensor to vehicle axes, at the end of a drive.
 
-    matrix, offset_mps2: (3, 3), (3,): matrix @ f_sensor - offset_mps2 is sent. gyro_matrix,
-    gyro_offset_rad_s: the same for the rate. cross_talk_std_deg: xy, yx, zx, zy, standard
-    deviations of what is left of a force in another axis: of xy, the part of a lateral force that
-    the forward axis shows. zero_std_mps2: (2,), of the level force on level ground.
-    gyro_cross_talk_std_deg: xz, yz, of turning about z. NaN where a deviation is not known.
+    matrix, offset_mps2: (3, 3) and (3,); the corrected force is matrix @ f_sensor - offset_mps2.
+    gyro_matrix, gyro_offset_rad_s: the same for the angular rate.
+    cross_talk_std_deg: standard deviations of the remaining cross-talk xy, yx, zx, zy. For
+    example, xy is the part of a lateral force that the forward axis shows.
+    zero_std_mps2: (2,), standard deviations of the horizontal force on level ground.
+    gyro_cross_talk_std_deg: standard deviations of the cross-talk xz, yz of a rotation about z.
+    A deviation that is not known is NaN.
     """
 
     matrix: Array
@@ -33,7 +35,7 @@ class CorrectionResult:
 
     @classmethod
     def from_summary(cls, found: Mapping[str, Any] | None) -> CorrectionResult | None:
-        """Make one from `correction` of docs/json.md; None where there is none."""
+        """Make the result from the key `correction` of docs/json.md; None if it is absent."""
         if found is None:
             return None
 

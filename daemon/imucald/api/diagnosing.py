@@ -1,4 +1,4 @@
-"""`imucald.diagnose`: what the simulation gets wrong compared with measured drives, and why."""
+"""`imucald.diagnose`: compare the simulation with measured drives and find causes of errors."""
 
 from __future__ import annotations
 
@@ -26,18 +26,19 @@ from imucald.report.model_changes import model_changes, value_text
 from imucald.report.wording import for_prediction_only, verdict
 
 FEW_REJECTED = 1e-4
-"""Share of frames that may be rejected without a word: a damaged line or two."""
+"""Share of frames that may be rejected without a note, for example one or two damaged lines."""
 Share = Callable[[float, str], None]
-"""Called with the share that is done (0 to 1), and what is being done."""
+"""Callback for progress. Arguments: the share done (0 to 1) and the name of the current step."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class DiagnosisResult:
     """The result of a diagnosis of drives.
 
-    logs: of the drives. verdict: "found", "ambiguous", "unknown" or "nothing". causes: names of
-    those that are certain, see docs/diagnosis.md. headline: the verdict in words. notes: what
-    should be known. complete: whether the time was enough. problems: the first bad lines.
+    logs: the log files of the drives. verdict: "found", "ambiguous", "unknown" or "nothing".
+    causes: names of the certain causes, see docs/diagnosis.md. headline: the verdict in words.
+    notes: further remarks for the user. complete: False if the time limit ended the search.
+    problems: the first bad lines.
     """
 
     logs: tuple[str, ...]
@@ -48,11 +49,11 @@ class DiagnosisResult:
     complete: bool
     problems: tuple[str, ...]
     diagnosis: Diagnosis
-    """All of it, for the package's own use."""
+    """The complete diagnosis, for internal use."""
     durations_s: tuple[float, ...]
 
     def to_dict(self) -> dict[str, Any]:
-        """Exactly what `imucald diagnose --json` writes, as plain data."""
+        """Return the output of `imucald diagnose --json`, as plain data."""
         found = self.diagnosis
         changes = model_changes(found.model_before, found.model_after)
         return {
@@ -62,7 +63,7 @@ class DiagnosisResult:
         }
 
     def model_text(self) -> str:
-        """The extended model file (YAML), with a head that says where it comes from."""
+        """Return the extended model file (YAML). Its header states its origin."""
         found = self.diagnosis
         head = [f"VehicleModel file written by imucald diagnose {__version__} from:"]
         head += [
@@ -82,7 +83,7 @@ class DiagnosisResult:
     def write_model(self, path: PathLike) -> Path:
         """Write the extended model file, for the configuration's key `model:`; return its path.
 
-        Raises ImucaldError where it cannot be written.
+        Raises ImucaldError if the file cannot be written.
         """
         file = Path(path)
         try:
@@ -99,7 +100,7 @@ class DiagnosisResult:
         )
 
     def _repr_html_(self) -> str:
-        """What a notebook shows."""
+        """Return the HTML that a notebook shows."""
         rows = ([cause.name, cause.text] for cause in self.diagnosis.causes)
         return html_table((self.headline, ""), rows)
 
@@ -114,18 +115,20 @@ def diagnose(
     reading: Progress | None = None,
     strict: bool = False,
 ) -> DiagnosisResult:
-    """Compare the simulation with measured drives of one vehicle; say what is wrong in the model.
+    """Compare the simulation with measured drives of one vehicle and report errors of the model.
 
-    The result is that of `imucald diagnose`. config: a configuration, or its file's name. logs:
-    one drive each, with the sensor in its place. model: the model file to put to the test;
-    None: a plain car with the configuration's figures and the mount that the drives give.
-    time_limit_s: processor time after which what was found so far is reported; None: 40 s an
-    hour of driving, and 10 s at least. progress: called with the share done and what is being
-    done; reading: with bytes. strict: the first bad line raises LogError.
+    The result is the same as that of `imucald diagnose`.
 
-    Raises ConfigError (configuration, model file, a log given twice), LogError for a log that
-    cannot be read, has no usable frame or holds the drive of another one, ImucaldError where
-    nothing can be diagnosed.
+    config: a configuration, or the name of its file. logs: one log per drive; the sensor must be
+    mounted in its place. model: the model file to test; None: a plain car with the values of the
+    configuration and the mount found in the drives. time_limit_s: limit of processor time, after
+    which the findings so far are reported; None: 40 s per hour of driving, at least 10 s.
+    progress: called with the share done and the current step. reading: called with the bytes
+    read. strict: the first bad line raises LogError.
+
+    Raises ConfigError for the configuration, the model file, or a log given twice. Raises LogError
+    for a log that cannot be read, has no usable frame, or holds the same drive as another log.
+    Raises ImucaldError if no diagnosis is possible.
     """
     config = Configuration.of(config)
     names = [str(log) for log in pieces(logs)]
@@ -175,7 +178,7 @@ def diagnosis_of(
 
 
 def _refuse_same(logs: Sequence[str], recordings: Sequence[Recording]) -> None:
-    """Raise LogError where two logs hold the same drive: it would count as independent evidence."""
+    """Raise LogError if two logs hold the same drive. It would count as evidence twice."""
     drives = list(zip(logs, recordings, strict=True))
     for (one, first), (other, second) in itertools.combinations(drives, 2):
         if is_same_recording(first, second):
@@ -183,7 +186,7 @@ def _refuse_same(logs: Sequence[str], recordings: Sequence[Recording]) -> None:
 
 
 def _reading_notes(recording: Recording) -> list[str]:
-    """Notes on what went wrong in reading a log."""
+    """Notes on problems in reading a log."""
     notes = []
     bad = sum(recording.rejected.values())
     if bad > FEW_REJECTED * recording.frames_read:

@@ -19,18 +19,18 @@ if TYPE_CHECKING:
     from imucald.api.plots import DrivePlots
 
 WIDTH = 96
-"""Longest line of a representation."""
+"""Longest line of the text from `repr` [characters]."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class DriveResult(TableAccess):
-    """One drive, replayed. Times are seconds from the log's first frame, angles degrees.
+    """One replayed drive. Times are in seconds since the log's first frame, angles in degrees.
 
-    logs: names of the files. mount: how the sensor sits at the end; None before there is any
-    estimate. state, waiting_for, first_usable_s, first_fine_s, frames, duration_s: as in
-    `replay --json`, see docs/json.md. start_us, end_us: the log's own times of the first and the
-    last frame in use, microseconds since 1970; None without one. problems: the first bad lines, as
-    texts with file and line. notes: what else should be known, in words.
+    logs: names of the files. mount: the orientation of the sensor at the end of the drive; None if
+    there is no estimate. state, waiting_for, first_usable_s, first_fine_s, frames, duration_s: as
+    in `replay --json`, see docs/json.md. start_us, end_us: the log's times of the first and last
+    used frame, in microseconds since 1970; None if no frame was used. problems: the first bad
+    lines, as texts with file and line. notes: further remarks for the user, as texts.
     """
 
     logs: tuple[str, ...]
@@ -46,33 +46,33 @@ class DriveResult(TableAccess):
     problems: tuple[str, ...]
     notes: tuple[str, ...]
     summary: Mapping[str, Any]
-    """All that `replay --json` writes."""
+    """The complete output of `replay --json`."""
     tables: Mapping[str, Columns] = field(default_factory=dict)
-    """Every table there is, by name, for the package's own use."""
+    """All tables by name, for internal use."""
 
     @property
     def correction(self) -> CorrectionResult | None:
-        """The correction of each sensor's samples, with deviations; None before any estimate."""
+        """The correction of the samples, with standard deviations; None if there is no estimate."""
         return CorrectionResult.from_summary(self.summary.get("correction"))
 
     @property
     def start(self) -> datetime | None:
-        """The log's time of the first frame in use (UTC); many loggers begin at 1970."""
+        """The log's time of the first used frame (UTC). Many loggers start their clock at 1970."""
         return _day(self.start_us)
 
     @property
     def end(self) -> datetime | None:
-        """The log's time of the last frame in use (UTC)."""
+        """The log's time of the last used frame (UTC)."""
         return _day(self.end_us)
 
     def write(self, path: PathLike, quantities: Sequence[str] | str | None = None) -> list[Path]:
-        """Write tables to a file, by the ending of its name; return the files.
+        """Write tables to files and return their paths. The suffix of `path` sets the format.
 
-        .parquet, .csv: a file for each table, drive.accel.parquet and so on in one folder (a
-        single table: just `path`). .mf4: a channel group for each. .mcap: a topic for each.
-        quantities: names of tables, "raw" for all samples as they came; None for all but these.
-        `open_result` reads them again. Raises ImucaldError where a library is missing or the file
-        cannot be written; nothing is left behind then.
+        .parquet, .csv: one file per table in one folder, such as drive.accel.parquet; a single
+        table is written to `path` itself. .mf4: one channel group per table. .mcap: one topic per
+        table. quantities: names of tables; "raw" means all raw samples; None means all tables
+        except the raw samples. `open_result` reads the files again. Raises ImucaldError if a
+        library is missing or a file cannot be written. No partial file is left in that case.
         """
         tables = {name: table.columns for name, table in self.tables.items()}
         from imucald.api.files.written import chosen, write_parts  # noqa: PLC0415
@@ -82,17 +82,17 @@ class DriveResult(TableAccess):
 
     @property
     def plot(self) -> DrivePlots:
-        """Pictures, with matplotlib (the extra "report"); nothing is loaded before one is drawn."""
+        """Plots, drawn with matplotlib (the extra "report"), which is loaded by the first plot."""
         from imucald.api.plots import DrivePlots  # noqa: PLC0415
 
         return DrivePlots(self)
 
     def to_dict(self) -> dict[str, Any]:
-        """Exactly what `imucald replay --json` writes, as plain data; a copy."""
+        """Return a copy of the output of `imucald replay --json`, as plain data."""
         return copy.deepcopy(dict(self.summary))
 
     def _repr_html_(self) -> str:
-        """What a notebook shows."""
+        """Return the HTML that a notebook shows."""
         from imucald.api.html import drive_html  # noqa: PLC0415
 
         return drive_html(self.logs, self.mount, self.summary, tuple(self.tables), self.notes)
@@ -120,7 +120,7 @@ def drive_result(
     notes: tuple[str, ...],
     tables: Mapping[str, Columns],
 ) -> DriveResult:
-    """Make a result from the content of `replay --json` and what that lacks."""
+    """Make a result from the content of `replay --json` and from data that it does not contain."""
     return DriveResult(
         logs=logs,
         mount=mount,
@@ -140,7 +140,7 @@ def drive_result(
 
 
 def drive_plain(drive: DriveResult) -> dict[str, Any]:
-    """What a file holds of a drive besides its tables."""
+    """Return the data of a drive that a file stores in addition to the tables."""
     return {
         "logs": list(drive.logs),
         "mount": None if drive.mount is None else drive.mount.plain(),
@@ -153,7 +153,7 @@ def drive_plain(drive: DriveResult) -> dict[str, Any]:
 
 
 def drive_from_plain(content: Mapping[str, Any], tables: Mapping[str, Columns]) -> DriveResult:
-    """The drive again."""
+    """Rebuild a drive from the output of `drive_plain` and its tables."""
     start, end = content["start_us"], content["end_us"]
     return drive_result(
         logs=tuple(content["logs"]),
@@ -171,5 +171,5 @@ def _day(us: int | None) -> datetime | None:
         return None
     try:
         return datetime(1970, 1, 1, tzinfo=UTC) + timedelta(microseconds=us)
-    except OverflowError:  # a damaged stamp
+    except OverflowError:  # a damaged time stamp
         return None

@@ -1,4 +1,4 @@
-"""Several drives: one result each, and what is odd between them."""
+"""Several drives: one result per drive, and notes on inconsistencies between the drives."""
 
 from __future__ import annotations
 
@@ -22,10 +22,10 @@ ANGLES = ("roll", "pitch", "yaw")
 
 @dataclass(frozen=True, eq=False, repr=False)
 class DriveSet:
-    """Drives of one configuration, each replayed on its own, in the order that they were given.
+    """Drives with one configuration. Each is replayed separately; the order is that of the call.
 
-    notes: drives that overlap in time or are given twice, and mounts that differ from one drive to
-    the next by more than they may, in words.
+    notes: texts about drives that overlap in time or are given twice, and about mounts that differ
+    too much from one drive to the next.
     """
 
     drives: tuple[DriveResult, ...]
@@ -41,16 +41,16 @@ class DriveSet:
         return self.drives[index]
 
     def rows(self) -> list[dict[str, Any]]:
-        """One row per drive: log, start, duration_s, state, the angles and deviations [deg]."""
+        """One row per drive: log, start, duration_s, state, angles and their deviations [deg]."""
         return [_row(drive) for drive in self.drives]
 
     def to_pandas(self) -> pd.DataFrame:
-        """The rows for pandas (the extra "pandas")."""
+        """Return the rows as a pandas frame (needs the extra "pandas")."""
         frame: pd.DataFrame = library("pandas", "pandas").DataFrame(self.rows())
         return frame
 
     def to_dict(self) -> dict[str, Any]:
-        """Exactly what `imucald replay --json` writes of several drives."""
+        """Return the output of `imucald replay --json` for several drives."""
         drives = [{"log": log_names(drive), **drive.to_dict()} for drive in self.drives]
         return {"drives": drives, "notes": list(self.notes)}
 
@@ -61,7 +61,7 @@ class DriveSet:
         )
 
     def _repr_html_(self) -> str:
-        """What a notebook shows."""
+        """Return the HTML that a notebook shows."""
         rows = []
         for row in self.rows():
             angles = [angle_text(row[f"{a}_deg"], row[f"std_{a}_deg"]) for a in ANGLES]
@@ -96,7 +96,7 @@ def _row(drive: DriveResult) -> dict[str, Any]:
 
 
 def names_apart(logs: Sequence[str]) -> list[str]:
-    """A short name for each log: its file's, with its folder's where two files have one name."""
+    """Return a short name for each log: the file name, with the folder if names are equal."""
     stems = [PurePath(PurePath(log).name.removesuffix(".gz")).stem or "drive" for log in logs]
     found: list[str] = []
     for log, stem in zip(logs, stems, strict=True):

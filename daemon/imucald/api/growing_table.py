@@ -1,4 +1,4 @@
-"""A table of samples that grows segment by segment, without its rows being kept twice."""
+"""A table of samples that grows segment by segment. Its rows are never stored twice."""
 
 from __future__ import annotations
 
@@ -9,15 +9,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 LEEWAY = 1.05
-"""Room for so many times the rows that are expected: memory that is never touched is free."""
+"""Factor of reserved rows to expected rows. Reserved memory costs nothing until it is used."""
 MOST_TIMES = 64
-"""Room for no more than so many times the rows so far: what comes may be other than what came."""
+"""Largest factor of reserved rows to rows so far. The estimate may be wrong at the beginning."""
 SPARE = 2
-"""A column of more than so many times its rows is copied at the end."""
+"""A column is copied at the end if it reserved more than this many times its rows."""
 
 
 class GrowingTable:
-    """Columns, each in one array with room for the rows that are expected."""
+    """Columns of a table. Each is one array with space for the expected rows."""
 
     def __init__(self) -> None:
         self._columns: list[NDArray[Any]] = []
@@ -25,7 +25,7 @@ class GrowingTable:
         self.rows = 0
 
     def add(self, parts: Sequence[NDArray[Any]], share: float | None) -> None:
-        """Add rows: of each column a part (n,). share: of all rows, as far as anyone knows."""
+        """Add rows. parts: (n,) for each column. share: part of all rows present after it."""
         before, self.rows = self.rows, self.rows + len(parts[0])
         if not self._columns or self.rows > self._room:
             self._grow(before, parts, share)
@@ -47,9 +47,10 @@ class GrowingTable:
 
 
 def _side_by_side(kinds: Sequence[np.dtype[Any]], rows: int) -> list[NDArray[Any]]:
-    """Empty columns, those of one type in one array: numpy asks for large pages from 4 MiB on.
+    """Make empty columns; columns of one type share one array.
 
-    To touch an hour of samples for the first time takes a third of the time then.
+    numpy requests large memory pages for arrays from 4 MiB on. The first write to an hour of
+    samples then takes a third of the time.
     """
     of_kind = {kind: iter(np.empty((kinds.count(kind), rows), kind)) for kind in set(kinds)}
     return [next(of_kind[kind]) for kind in kinds]

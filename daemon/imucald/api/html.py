@@ -1,4 +1,4 @@
-"""What notebooks show of results."""
+"""HTML of results for notebooks."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from imucald.mount.mount_words import CONVENTION, angle_text
 
 
 def html_table(heads: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
-    """A table; every text is escaped."""
+    """Return an HTML table; every text is escaped."""
     head = "".join(f"<th>{escape(text)}</th>" for text in heads)
     lines = ("".join(f"<td>{escape(text)}</td>" for text in row) for row in rows)
     body = "".join(f"<tr>{line}</tr>" for line in lines)
@@ -26,7 +26,7 @@ def drive_html(
     tables: Sequence[str],
     notes: Sequence[str] = (),
 ) -> str:
-    """A drive: its state, the three angles, its tables, and notes."""
+    """Return the HTML of a drive: its state, the three angles, its tables, and notes."""
     usable = summary["first_usable_s"]
     since = "never usable" if usable is None else when_reached("usable", usable)
     title = f"{', '.join(logs)}: {summary['state']}, {since}, {summary['duration_s']:.1f} s"

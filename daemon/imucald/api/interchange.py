@@ -1,4 +1,4 @@
-"""Tables for other libraries: Arrow, pandas, polars, and the keys that state units in files."""
+"""Convert tables for Arrow, pandas and polars; define the metadata keys for units in files."""
 
 from __future__ import annotations
 
@@ -21,11 +21,12 @@ if TYPE_CHECKING:
     import pyarrow as pa
 
 FILE_KEY, PANDAS_KEY, UNIT_KEY = "imucald", "PANDAS_ATTRS", "unit"
-"""Keys of files (what the table is; what pandas shows as `DataFrame.attrs`) and of fields."""
+"""Metadata keys. FILE_KEY: the description of the table. PANDAS_KEY: pandas shows its content as
+`DataFrame.attrs`. UNIT_KEY: the unit of a field."""
 
 
 def library(name: str, extra: str) -> ModuleType:
-    """Import an optional library. Raises ImucaldError that names the extra that brings it."""
+    """Import an optional library. Raises ImucaldError that names the extra to install."""
     try:
         return importlib.import_module(name)
     except ModuleNotFoundError as error:
@@ -36,12 +37,12 @@ def library(name: str, extra: str) -> ModuleType:
 
 
 def units(columns: tuple[TableColumn, ...]) -> dict[str, str]:
-    """Unit by column, of those that have one."""
+    """Return the unit of each column that has one, by the column's name."""
     return {c.name: c.unit for c in columns if c.unit}
 
 
 def file_keys(columns: tuple[TableColumn, ...], about: Mapping[str, Any]) -> dict[str, str]:
-    """Keys for a file or a schema; about: what the table is."""
+    """Return the metadata keys for a file or a schema; about: the description of the table."""
     stated = {**about, "units": units(columns)}
     text = json.dumps(stated, allow_nan=False, ensure_ascii=False)
     attributes = json.dumps({"units": stated["units"], "table": about.get("table", "")})
@@ -66,7 +67,7 @@ def arrow_schema(columns: tuple[TableColumn, ...], about: Mapping[str, Any] | No
 
 
 def to_arrow(table: Columns, about: Mapping[str, Any] | None = None) -> pa.Table:
-    """An Arrow table; a number that is not known is null."""
+    """Convert to an Arrow table. An unknown number becomes null."""
     arrow = library("pyarrow", "arrow")
     schema = arrow_schema(table.columns, about)
     arrays = [
@@ -77,7 +78,7 @@ def to_arrow(table: Columns, about: Mapping[str, Any] | None = None) -> pa.Table
 
 
 def from_arrow(table: pa.Table, columns: tuple[TableColumn, ...]) -> Columns:
-    """The same table again."""
+    """Convert an Arrow table of `to_arrow` back to a table."""
     arrays: list[Any] = []
     for column in columns:
         values = table.column(column.name).combine_chunks()
@@ -93,7 +94,7 @@ def from_arrow(table: pa.Table, columns: tuple[TableColumn, ...]) -> Columns:
 
 
 def to_pandas(table: Columns, name: str) -> pd.DataFrame:
-    """A pandas frame; `attrs` has the units."""
+    """Convert to a pandas frame; `attrs` has the units."""
     pandas = library("pandas", "pandas")
     arrays: dict[str, Any] = table.as_dict()
     if "time" in arrays:
@@ -104,7 +105,7 @@ def to_pandas(table: Columns, name: str) -> pd.DataFrame:
 
 
 def to_polars(table: Columns) -> pl.DataFrame:
-    """A polars frame; a number that is not known is null."""
+    """Convert to a polars frame. An unknown number becomes null."""
     polars = library("polars", "polars")
     series = []
     for column, array in zip(table.columns, table.arrays, strict=True):

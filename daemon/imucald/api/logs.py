@@ -14,11 +14,11 @@ LogSource = str | os.PathLike[str] | Any
 """A log's name, or a file that is open for reading bytes (candump text, plain or gzip)."""
 
 LOG_ENDINGS = (".log", ".log.gz", ".asc", ".blf", ".trc", ".mf4")
-"""Files that are taken for logs when a folder is given; others are to be named."""
+"""Suffixes of log files in a folder. A log with another suffix must be given by its name."""
 
 
 def opened(source: LogSource) -> Path | str | OpenLog:
-    """Return a source for the log reader. Raises LogError for anything that is no source."""
+    """Return a source for the log reader. Raises LogError if the argument cannot be a log."""
     if isinstance(source, str | os.PathLike):
         if str(source) != STDIN and Path(source).is_dir():
             raise folder_error(source)
@@ -31,21 +31,21 @@ def opened(source: LogSource) -> Path | str | OpenLog:
 
 
 def pieces(log: LogSource | Sequence[LogSource]) -> Sequence[LogSource]:
-    """Return the pieces of a recording, which may be a single one."""
+    """Return the pieces of a recording. A recording may be a single piece."""
     return log if isinstance(log, list | tuple) else [log]
 
 
 def find_logs(*where: str | os.PathLike[str]) -> list[Path]:
     """List logs: each source is a file's name, a folder, or a shell pattern.
 
-    A folder's files are those whose names end in .log, .log.gz, .asc, .blf, .trc or .mf4, in the
-    order of their names. Raises LogError where there is none.
+    From a folder, files that end in .log, .log.gz, .asc, .blf, .trc or .mf4 are taken, sorted by
+    name. Raises LogError if no log is found.
     """
     return [Path(name) for name in found_names([os.fspath(one) for one in where])]
 
 
 def found_names(where: Sequence[str]) -> list[str]:
-    """The same for the command line's words: '-' stays, each name as it was given."""
+    """Find logs for the command line: '-' (standard input) is kept, names are not changed."""
     found: list[str] = []
     for name in where:
         if name != STDIN and Path(name).is_dir():
@@ -54,7 +54,7 @@ def found_names(where: Sequence[str]) -> list[str]:
         elif name == STDIN or Path(name).exists():
             found.append(name)
         else:
-            import glob  # noqa: PLC0415 - few name their logs so
+            import glob  # noqa: PLC0415 - patterns are rare
 
             is_pattern = glob.has_magic(name)
             matching = sorted(glob.glob(name, recursive=True)) if is_pattern else [name]  # noqa: PTH207 - names as given

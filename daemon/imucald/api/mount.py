@@ -1,4 +1,4 @@
-"""The mount that was found: a rotation with its covariance."""
+"""The estimated mount: a rotation with its covariance."""
 
 from __future__ import annotations
 
@@ -20,13 +20,13 @@ from imucald.mount.mount_words import plus_minus
 
 @dataclass(frozen=True, eq=False, repr=False)
 class MountResult:
-    """How the sensor sits in the vehicle. Vehicle axes are ISO 8855: x forward, y left, z up.
+    """The orientation of the sensor in the vehicle. Axes: ISO 8855, x forward, y left, z up.
 
     matrix: (3, 3), R_vehicle_from_sensor: `matrix @ v_sensor` is the vector in vehicle axes.
-    covariance_deg2: (3, 3) [deg^2] of the rotation vector e about the vehicle's axes that takes
-    the estimate to the truth, R_true = exp(skew(e)) @ matrix; NaN where there is none yet. The
-    estimators find the three angles from evidence of their own each, so it is diagonal but for a
-    mount that was turned by `inverse`.
+    covariance_deg2: (3, 3) [deg^2], covariance of the error e. This is the rotation vector about
+    the vehicle's axes from the estimate to the truth: R_true = exp(skew(e)) @ matrix. Elements are
+    NaN if there is no estimate yet. Each of the three angles is estimated from separate data, so
+    the matrix is diagonal, except after `inverse`.
     """
 
     matrix: Array
@@ -34,7 +34,7 @@ class MountResult:
 
     @classmethod
     def from_estimate(cls, estimate: MountEstimate) -> MountResult | None:
-        """The mount of an estimate; None before there is any."""
+        """Return the mount of an estimate; None if there is no mount yet."""
         if estimate.R_vehicle_from_sensor is None:
             return None
         covariance = np.full((3, 3), math.nan)
@@ -75,18 +75,18 @@ class MountResult:
 
     @property
     def quaternion_wxyz(self) -> tuple[float, float, float, float]:
-        """Unit quaternion of the matrix, w not negative."""
+        """Unit quaternion (w, x, y, z) of the matrix; w is not negative."""
         return quaternion_from_rotation(self.matrix)
 
     @property
     def std_deg(self) -> tuple[float, float, float]:
-        """Standard deviations about the vehicle's x, y, z [deg]; NaN where there is none yet."""
+        """Standard deviations about the vehicle's x, y, z [deg]; NaN if not known yet."""
         x, y, z = np.sqrt(np.diag(self.covariance_deg2)).tolist()
         return x, y, z
 
     @property
     def angle_std_deg(self) -> tuple[float, float, float]:
-        """Standard deviations of roll, pitch and yaw themselves [deg]; inf where not known."""
+        """Standard deviations of the angles roll, pitch and yaw [deg]; inf if not known."""
         covariance = self.covariance_deg2 * RAD_PER_DEG**2
         if not np.isfinite(covariance).all():
             return math.inf, math.inf, math.inf
@@ -94,12 +94,12 @@ class MountResult:
         return roll * DEG_PER_RAD, pitch * DEG_PER_RAD, yaw * DEG_PER_RAD
 
     def apply(self, xyz: ArrayLike) -> Array:
-        """Turn vectors in sensor axes (..., 3) into vehicle axes, same shape and unit."""
+        """Rotate vectors (..., 3) from sensor axes to vehicle axes; same shape and unit."""
         turned: Array = np.asarray(xyz, dtype=float) @ self.matrix.T
         return turned
 
     def inverse(self) -> MountResult:
-        """The rotation from vehicle to sensor axes; its covariance is about the sensor's axes."""
+        """Return the rotation from vehicle to sensor axes; covariance about the sensor's axes."""
         R = self.matrix
         return MountResult(R.T.copy(), R.T @ self.covariance_deg2 @ R)
 

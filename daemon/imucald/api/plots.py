@@ -1,4 +1,4 @@
-"""Pictures of a drive: `drive.plot.mount()` and so on. matplotlib is loaded when one is drawn."""
+"""Plots of a drive, such as `drive.plot.mount()`. The first plot loads matplotlib."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 MAX_POINTS = 20_000
-"""Points of a line; a screen has fewer."""
+"""Largest number of points of a line. A screen has fewer pixels."""
 
 
 class Drawn(Protocol):
-    """The parts of a drive that are drawn."""
+    """The parts of a drive that the plots need."""
 
     @property
     def tables(self) -> Mapping[str, Columns]:
@@ -35,13 +35,13 @@ class Drawn(Protocol):
 
 
 class DrivePlots:
-    """Pictures of one drive. Each takes axes to draw into (None: new ones) and returns them."""
+    """Plots of one drive. Each method draws into `ax` (None: new axes) and returns the axes."""
 
     def __init__(self, drive: Drawn) -> None:
         self._drive = drive
 
     def mount(self, ax: Axes | None = None) -> Axes:
-        """The three angles [deg] with their 95 % intervals, against time [s]."""
+        """Plot the three angles [deg] with their 95 % intervals over time [s]."""
         history = self._drive.tables[HISTORY]
         ax = _axes(ax)
         for name in ANGLES:
@@ -50,14 +50,14 @@ class DrivePlots:
             low, high = value - SD_95 * std, value + SD_95 * std
             ax.fill_between(history["t_s"], low, high, color=line.get_color(), alpha=0.2)
         known = history["roll_deg"][history["usable"]]
-        if len(known):  # before the mount is known at all its intervals would hide all else
+        if len(known):  # while the mount is unknown, its intervals would hide everything
             shown = [history[f"{n}_deg"][history["usable"]] for n in ANGLES]
             bottom, top = float(np.nanmin(shown)), float(np.nanmax(shown))
             ax.set_ylim(bottom - 5.0, top + 5.0)
         return _finished(ax, "mount [deg], bands: 95 %")
 
     def signals(self, table: str = "accel", ax: Axes | None = None) -> Axes:
-        """A table's numbers against time [s]; table: such as "gyro" or "raw/speed"."""
+        """Plot a table's numbers over time [s]; table: a name such as "gyro" or "raw/speed"."""
         found = self._drive.tables.get(table)
         if found is None:
             raise ImucaldError(
@@ -72,7 +72,7 @@ class DrivePlots:
         return _finished(ax, f"{table} (every {every}.)" if every > 1 else table)
 
     def evidence(self, ax: Axes | None = None) -> Axes:
-        """What each kind of evidence alone would give: standard deviations [deg]."""
+        """Plot the standard deviations [deg] that each kind of evidence would give alone."""
         found = self._drive.summary["details"].get("evidence_std_deg", {})
         ax = _axes(ax)
         ax.barh(list(found), list(found.values()))

@@ -1,4 +1,4 @@
-"""Makes tables of the output of an engine during a replay."""
+"""Collect the output of an engine during a replay in tables."""
 
 from __future__ import annotations
 
@@ -31,23 +31,23 @@ from imucald.runtime.pipeline import Snapshot
 from imucald.runtime.segment_samples import SegmentSamples
 
 MAX_EVENTS = 10_000
-"""Events that are kept; a log with more is shuffled or its clock is broken."""
+"""Largest number of stored events. A log with more is not in order, or its clock is broken."""
 BLOCK_ROWS = 1000
-"""Rows of the history that are kept as numbers in an array, once there are so many."""
+"""When the history has this many new rows, they are moved to an array of numbers."""
 SHIFT = "shift"
 EVIDENCE = "evidence"
-"""A change that lies within its own interval."""
-"""Kind of the event that the sensor was moved."""
+"""Kind of event: a change that lies within its own 95 % interval."""
+"""Kind of event: the sensor was moved."""
 LATEST_US = 2**62
-"""Times of day are kept within this [us]: a damaged stamp must not overflow."""
+"""Limit of times of day [us], so that a damaged time stamp cannot overflow."""
 _UPPER = (0, 1, 2, 4, 5, 8)
 """The upper triangle of a 3 x 3 matrix, row by row: xx, xy, xz, yy, yz, zz."""
 
 
 class Recorder:
-    """Gathers history, events and (with `signals`) samples; give its methods to the engine.
+    """Collects history, events and (with `signals`) samples. The engine calls its methods.
 
-    share: gives the part of all logs that has been read; None where that is not known.
+    share: returns the share of the logs that has been read; None if it is not known.
     """
 
     def __init__(self, signals: bool, share: Callable[[], float | None] = lambda: None) -> None:
@@ -67,12 +67,12 @@ class Recorder:
         self._last_stamp = math.nan
         self._tables: dict[str, GrowingTable] = {}
         self.rows = 0
-        """Rows of samples that have not been taken."""
+        """Number of sample rows that `take_signals` has not returned yet."""
 
     # what the engine calls -----------------------------------------------------------------
 
     def snapshot(self, snapshot: Snapshot) -> None:
-        """Take an estimate; whole seconds are kept."""
+        """Receive an estimate. Only estimates at whole seconds are stored."""
         self._take_changes(snapshot)
         if (snapshot.k + 1) % round(TICK_RATE) == 0:
             estimate = snapshot.estimate
@@ -85,7 +85,7 @@ class Recorder:
                 self._rows = []
 
     def samples(self, found: SegmentSamples) -> None:
-        """Take the samples of a segment."""
+        """Receive the samples of a segment."""
         segment, stamps = found.segment, found.stamps
         t = segment.t
         if segment.gap:
@@ -125,7 +125,7 @@ class Recorder:
         self._faults = estimate.faults
         shifts = estimate.details.get("shifts")
         if isinstance(shifts, list) and len(shifts) >= len(self._shifts):
-            # by how much the sensor was turned at each is known later than that it was
+            # the size of each shift is known only some time after the shift was detected
             for _ in shifts[len(self._shifts) :]:
                 self._event(snapshot.t, SHIFT, "")
             self._shifts = shifts
@@ -136,22 +136,22 @@ class Recorder:
         else:
             self.events_left_out += 1
 
-    # what becomes of it --------------------------------------------------------------------
+    # the results ---------------------------------------------------------------------------
 
     def history(self, lead: float) -> Columns:
-        """The estimate at whole seconds of stream time; lead: see `runtime.replay`."""
+        """Return the estimates at whole seconds of stream time; lead: see `runtime.replay`."""
         rows = np.array(self._rows).reshape(len(self._rows), len(HISTORY_COLUMNS) - 2)
         t, usable, *rest = np.concatenate([*self._blocks, rows]).T
         times = [t + lead, self._times(t)]
         return columns_from(HISTORY_COLUMNS, [*times, self._states, usable > 0.0, *rest])
 
     def events(self, lead: float, engine: Engine) -> Columns:
-        """Changes of state, shifts, contradictions, segments, and faults of sensors."""
+        """Return the events: changes of state, shifts, contradictions, segments, sensor faults."""
         rows = [*self._events, *_sensor_faults(engine)]
         times, kinds, texts = ([row[column] for row in rows] for column in range(3))
         turns = np.full((3, len(rows)), math.nan)
         rows_of_shifts = [i for i, kind in enumerate(kinds) if kind == SHIFT]
-        for i, shift in zip(rows_of_shifts, self._shifts, strict=False):  # the last may be left out
+        for i, shift in zip(rows_of_shifts, self._shifts, strict=False):  # the last may be missing
             kinds[i], texts[i] = SHIFT if is_move(shift) else EVIDENCE, moved_words(shift)
             if shift["turn_deg"]:
                 turns[:, i] = shift["turn_deg"]
@@ -160,7 +160,7 @@ class Recorder:
         return found.sorted_by_time()
 
     def take_signals(self, lead: float, kinds: Mapping[str, str]) -> dict[str, Columns]:
-        """Return the samples since the last call by table; kinds: sensor of each channel."""
+        """Return the samples since the last call, by table; kinds: the sensor of each channel."""
         taken, self._tables, self.rows = self._tables, {}, 0
         found: dict[str, Columns] = {}
         for name, table in taken.items():
@@ -173,7 +173,7 @@ class Recorder:
         return found
 
     def _times(self, t: Array) -> NDArray[np.int64]:
-        """Times of day [us] of stream times: those of the segment that they lie in."""
+        """Convert stream times to times of day [us], with the offset of their segment."""
         if not self._segments:
             return np.zeros(len(t), np.int64)
         starts, offsets = np.array(self._segments).T
@@ -182,7 +182,7 @@ class Recorder:
 
 
 def _history_figures(e: MountEstimate) -> list[float]:
-    """A row of the history from its angles on."""
+    """Return the numbers of a history row, from the column roll_deg on."""
     nothing = (math.nan,)
     angles = list(nothing * 3 if e.angles is None else (a * DEG_PER_RAD for a in e.angles))
     quaternion = nothing * 4 if e.quaternion is None else e.quaternion
@@ -193,7 +193,7 @@ def _history_figures(e: MountEstimate) -> list[float]:
         covariance = [flat[i] * DEG_PER_RAD**2 for i in _UPPER]
         of_angles = angle_deviations(e.R_vehicle_from_sensor, e.covariance.tolist())
         deviations = [s * DEG_PER_RAD if math.isfinite(s) else math.nan for s in of_angles]
-        if math.isnan(deviations[2]):  # a number that stands for no direction
+        if math.isnan(deviations[2]):  # the yaw value has no meaning
             angles[2] = math.nan
     return [*angles, *quaternion, *covariance, *deviations]
 
@@ -214,12 +214,12 @@ def _sensor_faults(engine: Engine) -> list[tuple[float, str, str]]:
 
 
 def _by_axis(values: Array) -> Array:
-    """Samples (N,) or (N, axes), axes first."""
+    """Transpose samples (N,) or (N, axes), so that the axes come first."""
     return np.atleast_2d(values.T)
 
 
 def microseconds(stamps: Array) -> NDArray[np.int64]:
-    """Stamps [s] as whole microseconds."""
+    """Convert time stamps [s] to whole microseconds."""
     if compiled.kernels is not None:
         found = np.empty(stamps.shape, np.int64)
         if compiled.kernels.microseconds(stamps, found) == 0:

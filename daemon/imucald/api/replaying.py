@@ -1,4 +1,4 @@
-"""`imucald.replay`: recorded logs through the engine of the daemon."""
+"""`imucald.replay`: run recorded logs through the engine of the daemon."""
 
 from __future__ import annotations
 
@@ -64,20 +64,21 @@ def replay(
     progress: Progress | None = None,
     strict: bool = False,
 ) -> DriveResult | DriveSet:
-    """Replay logs; the result is that of `imucald replay`, bit for bit.
+    """Replay logs. The result is bit for bit the same as that of `imucald replay`.
 
-    config: a configuration, or its file's name.
+    config: a configuration, or the name of its file.
 
-    log: a file's name, or a file that is open for reading bytes (candump text, plain or gzip): one
-    drive, a DriveResult. A list of them is as many drives, each replayed on its own: a DriveSet;
-    with `joined` they are the pieces of one recording, in their order: a DriveResult.
+    log: a file's name, or a file that is open for reading bytes (candump text, plain or gzip). One
+    log is one drive, and the result is a DriveResult. In a list, each log is one drive that is
+    replayed separately, and the result is a DriveSet. With `joined`, the list holds the pieces of
+    one recording in their order, and the result is a DriveResult.
 
-    signals: keep corrected and raw samples (about 100 bytes for each of the sensor's); without
-    them the result has mount, history and events. progress: called with bytes read, and bytes in
-    all or None. strict: the first bad line raises LogError, instead of being counted.
+    signals: whether corrected and raw samples are kept (about 100 bytes per sensor sample). If
+    False, the result has only mount, history and events. progress: called with the bytes read and
+    the total bytes (or None). strict: the first bad line raises LogError instead of being counted.
 
-    Raises ConfigError where the configuration cannot be used, LogError for a log that cannot be
-    read or holds no CAN frame.
+    Raises ConfigError if the configuration cannot be used. Raises LogError for a log that cannot
+    be read or holds no CAN frame.
     """
     config = Configuration.of(config)
     if not isinstance(log, list | tuple):

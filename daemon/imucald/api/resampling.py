@@ -1,4 +1,4 @@
-"""Joins tables of different rates at one rate, by averaging or interpolation."""
+"""Join tables with different rates at one rate, by averaging or interpolation."""
 
 from __future__ import annotations
 
@@ -12,18 +12,18 @@ from imucald.core.arrays import Array
 from imucald.core.errors import ImucaldError
 
 WINDOW_PERIODS = 4.0
-"""Length of the Hann window in periods of the new rate. Its first zero lies at 2 / length, which is
-half the new rate, and what is above stays below -31 dB (Harris, Proc. IEEE 66, 1978)."""
+"""Length of the Hann window in periods of the new rate. The first zero of its spectrum is at
+2 / length, half the new rate. Above it, the level is below -31 dB (Harris, Proc. IEEE 66, 1978)."""
 HOLE_PERIODS = 2.5
-"""Samples further apart than so many of their usual periods have a hole between them: two that
-were lost, and some jitter."""
+"""Smallest distance of two samples that counts as a hole, in usual periods. It corresponds to two
+lost samples minus some jitter."""
 MAX_ROWS = 50_000_000
-"""More rows than that are a mistake in the rate."""
+"""Largest number of rows. More rows mean that the rate is a mistake."""
 SKIPPED = ("t_s", "time", "quality")
 
 
 def resampled(tables: Mapping[str, Columns], rate_hz: float) -> Columns:
-    """The tables' numbers at whole multiples of 1 / rate_hz; see `TableAccess.resample`."""
+    """Return the tables' numbers at whole multiples of 1 / rate_hz; see `TableAccess.resample`."""
     if not (rate_hz > 0.0 and math.isfinite(rate_hz)):
         raise ImucaldError(f"a rate must be positive, not {rate_hz:g} Hz")
     if not tables:
@@ -54,7 +54,7 @@ def _numbers(name: str, table: Columns) -> list[TableColumn]:
 
 
 def _on_grid(t: Array, values: Array, grid: Array, rate_hz: float) -> Array:
-    """Values (N, k) at times t on the grid (M,): (M, k), NaN in holes."""
+    """Resample values (N, k) at times t (N,) to the times grid (M,): (M, k), NaN in holes."""
     known = ~np.isnan(values).any(axis=1)
     t, values = t[known], values[known]
     nothing = np.full((len(grid), values.shape[1]), math.nan)
@@ -82,7 +82,7 @@ def _interpolated(t: Array, values: Array, grid: Array) -> Array:
 
 
 def _averaged(t: Array, values: Array, grid: Array, length: float) -> Array:
-    """Mean under a Hann window of that length [s] around each time of the grid."""
+    """Average with a Hann window of this length [s] around each time of the grid."""
     low = np.searchsorted(t, grid - 0.5 * length, side="right")
     high = np.searchsorted(t, grid + 0.5 * length, side="left")
     total = np.zeros((len(grid), values.shape[1]))

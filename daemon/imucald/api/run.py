@@ -1,4 +1,4 @@
-"""One run of logs through an engine, whole or in pieces; with it the command line is made, too."""
+"""One run of logs through an engine, as a whole or in parts. The command line uses it too."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ from imucald.runtime.session import make_engine
 _T = TypeVar("_T")
 
 Progress = Callable[[int, int | None], None]
-"""Called now and then with bytes read, and bytes in all (None where nobody knows)."""
+"""Callback for progress. Arguments: bytes read, and total bytes (None if not known)."""
 
 _KINDS = {"acceleration": "accel", "angular_rate": "gyro", "magnetic_field": "mag"}
 
@@ -52,42 +52,43 @@ def _both(first: Callable[[_T], None], second: Callable[[_T], None]) -> Callable
 
 
 def is_unused(drive: DriveResult) -> bool:
-    """Whether none of the drive's frames could be used."""
+    """Return whether no frame of the drive could be used."""
     return UNUSED in drive.notes
 
 
 def require_frames(drive: DriveResult) -> DriveResult:
-    """Return the drive; raises NoFramesError where its logs hold no frame."""
+    """Return the drive. Raises NoFramesError if its logs hold no frame."""
     refuse_empty(drive.frames["read"], drive.logs)
     return drive
 
 
 def refuse_empty(frames: int, logs: Iterable[object]) -> None:
-    """Raise NoFramesError with the names of logs that hold no frame."""
+    """Raise NoFramesError with the names of the logs if frames is 0."""
     if not frames:
         raise NoFramesError(f"{', '.join(map(str, logs))}: holds no CAN frame")
 
 
 class Watcher(Protocol):
-    """An observer of a run, such as the one that draws its page."""
+    """An observer of a run, for example the one that draws its page."""
 
     def samples(self, part: SegmentSamples, /) -> None:
-        """Take the samples of a segment of time."""
+        """Receive the samples of a time segment."""
 
     def snapshot(self, snapshot: Snapshot, /) -> None:
-        """Take a snapshot of the estimate."""
+        """Receive a snapshot of the estimate."""
 
     def sink(self, engine: Engine, /) -> Sink:
-        """Return what takes the frames that would be sent."""
+        """Return the receiver for the frames that the daemon would send."""
 
     def begins(self, lead: float, /) -> None:
-        """Take how long before our first frame the log began [s]."""
+        """Receive the time [s] from the begin of the log to our first frame."""
 
 
 class ReplayRun:
     """The replay of the pieces of one recording through its own engine.
 
-    sink: takes the frames that would be sent. speed: 1 is real time, None as fast as possible.
+    sink: receives the frames that the daemon would send. speed: 1 is real time, None means as fast
+    as possible.
     watcher: observes the run.
     Raises ConfigError.
     """
@@ -126,12 +127,12 @@ class ReplayRun:
         }
 
     def chunks(self) -> Iterator[None]:
-        """Yield after each chunk of frames; strict: the first bad line raises LogError."""
+        """Yield after each chunk of frames. With strict, the first bad line raises LogError."""
         yield from self._replay.chunks()
 
     @property
     def rows(self) -> int:
-        """Rows of samples, of all tables, that have not been taken."""
+        """Number of sample rows of all tables that `take_signals` has not returned yet."""
         return self._recorder.rows
 
     def table_columns(self) -> dict[str, tuple[TableColumn, ...]]:
@@ -144,15 +145,15 @@ class ReplayRun:
         return {**found, HISTORY: HISTORY_COLUMNS, EVENTS: EVENT_COLUMNS}
 
     def take_signals(self) -> dict[str, Columns]:
-        """The samples since the last call, by table; what was taken is not kept."""
+        """Return the samples since the last call, by table. They are not stored any longer."""
         return self._recorder.take_signals(self._replay.lead, self._kinds)
 
     def history(self) -> Columns:
-        """The estimate once a second, as far as the replay is."""
+        """Return the estimate once per second, up to the current time of the replay."""
         return self._recorder.history(self._replay.lead)
 
     def result(self) -> DriveResult:
-        """What the frames so far came to, with the signals since they were last taken."""
+        """Return the result of the frames so far, with the samples since `take_signals`."""
         engine, reader = self.engine, self._reader
         lead = self._replay.lead
         if self._watcher is not None:
@@ -183,7 +184,7 @@ class ReplayRun:
         )
 
     def _in_order(self, tables: Mapping[str, Columns]) -> dict[str, Columns]:
-        """Order tables, corrected samples first; a sensor without samples has no rows."""
+        """Sort tables, corrected samples first. A sensor without samples gets an empty table."""
         if not self._signals:
             return {}
         corrected = {

@@ -1,4 +1,4 @@
-"""`imucald.stream`: logs that are larger than memory, part by part."""
+"""`imucald.stream`: replay logs that are larger than memory, part by part."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ from imucald.api.table_access import TableAccess
 from imucald.core.errors import ImucaldError
 
 PART_ROWS = 150_000
-"""Rows, of all tables together, that make a part (some 6 MiB)."""
+"""Number of rows of a part, summed over all tables (about 6 MiB)."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class DrivePart(TableAccess):
     """A part of a drive: the samples from `from_s` to `to_s`, as in `DriveResult`.
 
-    A table that has no sample here is absent; history and events come with the result.
+    A table without samples in this part is absent. History and events are in the final result.
     """
 
     from_s: float
@@ -35,7 +35,7 @@ class DrivePart(TableAccess):
 
 
 class DriveStream:
-    """A running replay: iterate over its parts once, then ask for its `result`."""
+    """A running replay. Iterate over its parts once, then read its `result`."""
 
     def __init__(self, run: ReplayRun) -> None:
         self._run = run
@@ -43,7 +43,7 @@ class DriveStream:
         self._result: DriveResult | None = None
 
     def __iter__(self) -> Iterator[DrivePart]:
-        """Yield parts of some minutes each. Raises LogError."""
+        """Yield parts of a few minutes each. Raises LogError if the log cannot be read."""
         if self._begun:
             raise ImucaldError("a stream can be read only once")
         self._begun = True
@@ -57,21 +57,21 @@ class DriveStream:
 
     @property
     def ended(self) -> bool:
-        """Whether the last part was yielded, so that there is a result."""
+        """Whether the last part was yielded. If True, `result` is available."""
         return self._result is not None
 
     @property
     def result(self) -> DriveResult:
-        """The drive's result with history and events, and without the samples that were yielded.
+        """The drive's result with history and events, but without the yielded samples.
 
-        Raises ImucaldError before the last part was taken.
+        Raises ImucaldError if the last part was not read yet.
         """
         if self._result is None:
             raise ImucaldError("the stream has not ended: read all its parts first")
         return self._result
 
     def write(self, path: PathLike, quantities: Sequence[str] | str | None = None) -> list[Path]:
-        """Write the whole drive in bounded memory; the rest is as for `DriveResult.write`."""
+        """Write the whole drive in bounded memory. All else is as in `DriveResult.write`."""
         from imucald.api.files.written import chosen, format_of, write_parts  # noqa: PLC0415
 
         format_of(Path(path))
@@ -96,10 +96,10 @@ def stream(
     progress: Progress | None = None,
     strict: bool = False,
 ) -> DriveStream:
-    """Replay one recording part by part, in bounded memory, however long it is.
+    """Replay one recording part by part. The memory is bounded for any length.
 
-    The samples are those of `replay`; arguments and errors are the same. log: one, or a list of
-    the pieces of one recording in their order.
+    Samples, arguments and errors are the same as those of `replay`. log: one log, or a list of the
+    pieces of one recording in their order.
     """
     return DriveStream(ReplayRun(Configuration.of(config), pieces(log), True, progress, strict))
 

@@ -1,6 +1,6 @@
-"""Access to a result's tables, one per rate. The only join is `resample`.
+"""Access to a result's tables, one per rate. Only `resample` joins tables.
 
-What turns tables into others is loaded when it is asked for: a replay needs none of it.
+The modules that convert tables are imported at the first use, because a replay does not need them.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 
 class NamedTables:
-    """Tables by name, for Arrow, numpy, pandas and polars."""
+    """Tables by name, with conversion to Arrow, numpy, pandas and polars."""
 
     tables: Mapping[str, Columns]
 
@@ -32,9 +32,9 @@ class NamedTables:
         return found
 
     def arrow(self, table: str) -> pa.Table:
-        """A table by its name, for Arrow. Needs pyarrow (the extra "arrow").
+        """Return the table with this name as an Arrow table. Needs pyarrow (the extra "arrow").
 
-        Raises ImucaldError where there is no such table.
+        Raises ImucaldError if there is no such table.
         """
         from imucald.api.files.table_file import axes_of  # noqa: PLC0415
         from imucald.api.interchange import to_arrow  # noqa: PLC0415
@@ -42,41 +42,47 @@ class NamedTables:
         return to_arrow(self._named(table), {"table": table, "axes": axes_of(table)})
 
     def numpy(self, table: str) -> dict[str, NDArray[Any]]:
-        """A table as arrays (N,) by column; `time` is in microseconds since 1970 (int64).
+        """Return a table as arrays (N,) by column; `time` is in microseconds since 1970 (int64).
 
-        Numbers that are not known are NaN. Raises ImucaldError where there is no such table.
+        Unknown numbers are NaN. Raises ImucaldError if there is no such table.
         """
         return {name: array.copy() for name, array in self._named(table).as_dict().items()}
 
     def to_pandas(self, table: str) -> pd.DataFrame:
-        """A table for pandas (the extra "pandas"); `attrs["units"]` has the unit by column."""
+        """Return a table as a pandas frame (needs the extra "pandas").
+
+        `attrs["units"]` has the unit by column. Raises ImucaldError if there is no such table.
+        """
         from imucald.api.interchange import to_pandas  # noqa: PLC0415
 
         return to_pandas(self._named(table), table)
 
     def to_polars(self, table: str) -> pl.DataFrame:
-        """A table for polars (the extra "polars")."""
+        """Return a table as a polars frame (needs the extra "polars")."""
         from imucald.api.interchange import to_polars  # noqa: PLC0415
 
         return to_polars(self._named(table))
 
 
 class TableAccess(NamedTables):
-    """Tables by name: "accel", "gyro", "mag", "parallel/NAME" corrected to vehicle axes,
-    "raw/CHANNEL" as the sensors gave them, "history" (1 Hz) and "events".
+    """The tables of a drive by name.
 
-    Every table begins with `t_s`, seconds from the log's first frame, which never run backwards,
-    and `time`, what the log says (UTC). The unit is in a column's name, in its field's metadata,
-    and, under "imucald" and "PANDAS_ATTRS", in the schema's.
+    "accel", "gyro", "mag", "parallel/NAME": samples corrected to vehicle axes. "raw/CHANNEL":
+    samples as the sensors sent them. "history": the estimate at 1 Hz. "events": the events.
+
+    Every table begins with the columns `t_s` and `time`. `t_s` is in seconds since the log's first
+    frame and never decreases. `time` is the time that the log states (UTC). The unit is in the
+    name of each column and in the metadata of its Arrow field. It is also in the metadata of the
+    schema, under "imucald" and "PANDAS_ATTRS".
     """
 
     @property
     def accel(self) -> pa.Table:
-        """Specific force in vehicle axes [m/s^2], before it is rounded into frames.
+        """Specific force in vehicle axes [m/s^2], before rounding to the resolution of frames.
 
-        Columns t_s, time, accel_x_mps2, accel_y_mps2, accel_z_mps2 (null: no correction in force,
-        or the sensor was not fit to be used) and quality (0 not available, 1 restored, 2 usable,
-        3 fine, 4 suspect), a row for each sample.
+        One row per sample. Columns: t_s, time, accel_x_mps2, accel_y_mps2, accel_z_mps2, quality.
+        Force is null while no correction is active or while the sensor is faulty. quality: 0 not
+        available, 1 restored, 2 usable, 3 fine, 4 suspect.
         """
         return self.arrow("accel")
 
@@ -91,47 +97,47 @@ class TableAccess(NamedTables):
         return self.arrow("mag")
 
     def raw(self, quantity: str) -> pa.Table:
-        """Samples of a quantity as they came, checked and in SI; a sensor's in its own axes.
+        """Return the raw samples of a quantity: checked, in SI units, in the sensor's own axes.
 
         quantity: "accel", "gyro", "mag", "speed", "wheel_speeds", "steering", "yaw_rate",
         "lateral_accel", "longitudinal_accel", "reverse", "brake", "heading", "temperature" or
-        "parallel/NAME". Columns t_s, time, then raw_... with the unit in the name.
+        "parallel/NAME". Columns: t_s, time, then raw_... with the unit in the name.
         """
         return self.arrow(f"{RAW}{quantity}")
 
     @property
     def history(self) -> pa.Table:
-        """The estimate once a second.
+        """The estimate once per second.
 
-        t_s, time, state, usable (whether a correction was in force), roll_deg, pitch_deg, yaw_deg,
-        q_w, q_x, q_y, q_z, and cov_xx_deg2, cov_xy_deg2, ..., cov_zz_deg2 as in `MountResult`;
-        null before there is an estimate.
+        Columns: t_s, time, state, usable (whether a correction was active), roll_deg, pitch_deg,
+        yaw_deg, q_w, q_x, q_y, q_z, and cov_xx_deg2, cov_xy_deg2, ..., cov_zz_deg2 as in
+        `MountResult`. Values are null before the first estimate.
         """
         return self.arrow(HISTORY)
 
     @property
     def events(self) -> pa.Table:
-        """What happened: t_s, time, kind, text, and d_x_deg, d_y_deg, d_z_deg of a shift.
+        """The events. Columns: t_s, time, kind, text, and d_x_deg, d_y_deg, d_z_deg for a shift.
 
-        Kinds: "state" (text: the new one), "shift" (the mount was moved; d_*: the rotation vector
-        about the vehicle's axes, once a good mount is found after it), "evidence" (a change that
-        lies within its own 95 % interval: nothing shows that the mount was moved), "contradiction"
-        (between signals), "segment" (a hole, or the clock was set), "sensor_fault". Times are when
-        it was noticed.
+        Kinds of events: "state" (text: the new state). "shift": the mount was moved; d_* is the
+        rotation vector about the vehicle's axes, known once a good mount is found after the shift.
+        "evidence": a change within its own 95 % interval, so nothing shows that the mount was
+        moved. "contradiction": signals contradict each other. "segment": a gap in the log, or the
+        clock was set. "sensor_fault": a sensor is faulty. The time is the time of detection.
         """
         return self.arrow(EVENTS)
 
     def resample(self, rate_hz: float, quantities: Sequence[str] = ("accel", "gyro")) -> pa.Table:
-        """Join tables of samples at one rate. This is the only join there is.
+        """Join tables of samples at one rate. No other method joins tables.
 
-        rate_hz: of the rows, at whole multiples of 1/rate_hz after the log's first frame. A table
-        with more samples than that is averaged with a Hann window of four periods, so that what is
-        faster than half the rate is damped by 31 dB and more; one with fewer is interpolated
-        linearly. In holes (no two samples within 2.5 of the table's usual periods) it is null.
-        quantities: tables of numbers, such as "accel" or "raw/speed".
+        rate_hz: the rate of the new rows. Their times are whole multiples of 1/rate_hz after the
+        log's first frame. A table with a higher rate is averaged with a Hann window of four
+        periods, which damps frequencies above half the new rate by at least 31 dB. A table with a
+        lower rate is interpolated linearly. Values in gaps (longer than 2.5 usual periods of the
+        table) are null. quantities: tables of numbers, such as "accel" or "raw/speed".
 
-        Returns t_s and the tables' columns. Raises ImucaldError for a rate that is not positive,
-        or a table that cannot be joined.
+        Returns t_s and the tables' columns. Raises ImucaldError if the rate is not positive or a
+        table cannot be joined.
         """
         from imucald.api.interchange import to_arrow  # noqa: PLC0415
         from imucald.api.resampling import resampled  # noqa: PLC0415

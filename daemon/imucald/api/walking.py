@@ -40,10 +40,11 @@ STEP_COLUMNS = (
 
 @dataclass(frozen=True, eq=False, repr=False)
 class WalkResult(NamedTables):
-    """Steps and their directions. Angles are clockwise from north.
+    """The steps of a walk and their directions. Angles are clockwise from north.
 
     steps, cadence_hz, method, frames, track: as in `walk --json`, see docs/json.md. problems: the
-    first bad lines. tables: "steps", a row for each (`arrow("steps")`, `to_pandas("steps")`).
+    first bad lines. tables: one table "steps" with one row per step (`arrow("steps")`,
+    `to_pandas("steps")`).
     """
 
     steps: int
@@ -56,7 +57,7 @@ class WalkResult(NamedTables):
     tables: Mapping[str, Columns]
 
     def to_dict(self) -> dict[str, Any]:
-        """Exactly what `imucald walk --json` writes, as plain data; a copy."""
+        """Return a copy of the output of `imucald walk --json`, as plain data."""
         return copy.deepcopy(dict(self.summary))
 
     def __repr__(self) -> str:
@@ -74,10 +75,10 @@ def walk(
 ) -> WalkResult:
     """Find the direction of travel of a carried terminal, step by step.
 
-    The result is that of `imucald walk`. config: a configuration, or its file's name. log: a name,
-    an open file, or a list of the pieces of one recording. strict: the first bad line raises
-    LogError. Raises ConfigError for a configuration without a compass, LogError for a log that
-    cannot be read or holds no CAN frame.
+    The result is the same as that of `imucald walk`. config: a configuration, or the name of its
+    file. log: a file's name, an open file, or a list of the pieces of one recording. strict: the
+    first bad line raises LogError. Raises ConfigError for a configuration without a compass.
+    Raises LogError for a log that cannot be read or holds no CAN frame.
     """
     loaded = Configuration.of(config).loaded
     _need_compass(loaded)

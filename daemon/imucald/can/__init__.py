@@ -1,1 +1,1 @@
-"""A CAN library: links, logs, databases, end-to-end protection. It knows no calibration."""
+"""A CAN library: links, logs, databases, end-to-end protection. It contains no calibration code."""

@@ -1,4 +1,4 @@
-"""CAN frames: their limits and flags, many of them as columns, and which are wanted."""
+"""CAN frames: limits and flags, many frames as columns (arrays), and matches for wanted frames."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from msgspec import Struct, structs
 from numpy.typing import NDArray
 
 CAN_EFF_FLAG = 0x8000_0000
-"""Set in a CAN id of 29 bits (SocketCAN's flag)."""
+"""Flag in a CAN id: the id has 29 bits (SocketCAN's flag)."""
 
 CAN_SFF_MASK = 0x7FF
 """The bits of an 11-bit id."""
@@ -25,13 +25,13 @@ FD_BYTES = 64
 
 
 MAX_CHANNELS = 255
-"""Channel indices are bytes; a log with more has been tampered with."""
+"""Largest number of channels, because an index is one byte. A log with more is not genuine."""
 
 CAN_RTR_FLAG = 0x4000_0000
-"""Set in the id of a remote frame."""
+"""Flag in a CAN id: the frame is a remote frame."""
 
 CAN_ERR_FLAG = 0x2000_0000
-"""Set in the id of an error frame, whose other bits are error classes."""
+"""Flag in a CAN id: the frame is an error frame. The other bits of its id are error classes."""
 
 
 class FrameColumns(Struct, frozen=True, eq=False):
@@ -40,9 +40,9 @@ class FrameColumns(Struct, frozen=True, eq=False):
     t: (N,) f8, recorded time [s], as the log states it (not checked for order).
     can_id: (N,) u4, with `CAN_EFF_FLAG` set for 29-bit ids.
     length: (N,) u1, payload bytes 0..64.
-    data: (N, W) u1, zero beyond `length`; W is 8 while no frame is longer, else 64.
-    channel: (N,) u1, index into `channels`; indices stay the same over all chunks of a reader.
-    fd: (N,) bool, frame in CAN FD format; None where none is.
+    data: (N, W) u1, zero beyond `length`; W is 8 if no frame is longer, else 64.
+    channel: (N,) u1, index into `channels`; indices are the same in all chunks of a reader.
+    fd: (N,) bool, True for a frame in CAN FD format; None if there is no such frame.
     """
 
     t: NDArray[np.float64]
@@ -63,7 +63,7 @@ class FrameColumns(Struct, frozen=True, eq=False):
         elif index.dtype == np.bool_:
             data = self.data.compress(index, axis=0)
         else:
-            data = self.data.take(index, axis=0)  # whole rows at once: ten times as fast as [...]
+            data = self.data.take(index, axis=0)  # takes whole rows; ten times as fast as [...]
         return FrameColumns(
             self.t[index],
             self.can_id[index],
@@ -75,7 +75,7 @@ class FrameColumns(Struct, frozen=True, eq=False):
         )
 
     def payloads(self, rows: NDArray[np.int64]) -> Payloads:
-        """What chosen frames carry."""
+        """Return the payloads of the selected frames."""
         return Payloads(self.length.take(rows), self.data.take(rows, axis=0))
 
     def at(self, t: NDArray[np.float64]) -> FrameColumns:
@@ -91,7 +91,7 @@ class FrameColumns(Struct, frozen=True, eq=False):
 
 
 class Payloads(Struct, frozen=True, eq=False):
-    """What (N,) frames carry: length and data as in `FrameColumns`."""
+    """The payloads of N frames: length and data as in `FrameColumns`."""
 
     length: NDArray[np.uint8]
     data: NDArray[np.uint8]
@@ -100,15 +100,15 @@ class Payloads(Struct, frozen=True, eq=False):
         return len(self.length)
 
     def take(self, index: NDArray[np.bool_]) -> Payloads:
-        """Return the chosen ones."""
+        """Return the selected payloads."""
         return Payloads(self.length[index], self.data.compress(index, axis=0))
 
 
 class IdMatch(Struct, frozen=True):
-    """Which frames are wanted: ``(id & mask) == (can_id & mask)``, as a kernel filter does.
+    """A filter for wanted frames: ``(id & mask) == (can_id & mask)``, as in a kernel filter.
 
-    can_id: with `CAN_EFF_FLAG` for a 29-bit id; the flag is always compared, whatever the mask.
-    channel: only frames of this channel, or of any where None.
+    can_id: with `CAN_EFF_FLAG` for a 29-bit id. The flag is always compared, also if the mask does
+    not contain it. channel: only frames of this channel are wanted; None means any channel.
     """
 
     can_id: int
@@ -117,18 +117,18 @@ class IdMatch(Struct, frozen=True):
 
     @property
     def full_mask(self) -> int:
-        """Return the mask with the flag for 29-bit ids, which always counts."""
+        """Return the mask plus the flag for 29-bit ids, which is always compared."""
         return self.mask | CAN_EFF_FLAG
 
     def matches(self, can_id: int, channel: str) -> bool:
-        """Say whether a frame with this id (flag included) on this channel is wanted."""
+        """Return whether a frame with this id (with flag) on this channel is wanted."""
         if self.channel is not None and self.channel != channel:
             return False
         return not (can_id ^ self.can_id) & self.full_mask
 
 
 class Channels:
-    """The channels of a recording in the order they were met; indices never change."""
+    """The channels of a recording, in the order of their first frames. Indices never change."""
 
     def __init__(self) -> None:
         self._index: dict[str, int] = {}
@@ -139,7 +139,7 @@ class Channels:
         return tuple(self._index)
 
     def index(self, name: str) -> int | None:
-        """Return the index of a channel, new or not; None where there are too many."""
+        """Return the index of a channel; a new channel is added. None if there are too many."""
         known = self._index.get(name)
         if known is None and len(self._index) < MAX_CHANNELS:
             known = self._index[name] = len(self._index)

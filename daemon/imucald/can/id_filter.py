@@ -1,4 +1,4 @@
-"""Which frames are ours: the ids of a recording's columns, and those of a live link, one by one."""
+"""Filter frames by id: in columns of a recording, and one by one on a live link."""
 
 from __future__ import annotations
 
@@ -18,14 +18,16 @@ from imucald.can.columns import (
 )
 
 UNWANTED, WANTED, NO_ID = np.uint8(0), np.uint8(1), np.uint8(2)
-"""What an `IdFilter` says of an 11-bit id."""
+"""The results of an `IdFilter` for an 11-bit id."""
 
 KNOWN_IDS = 4096
-"""Ids whose class is remembered; cleared beyond, since a fuzzed bus shows any number of them."""
+"""Largest number of ids with a cached class. The cache is cleared beyond it, since a fuzzed bus may
+have any number of ids."""
 
 
 class IdFilter:
-    """The wanted ids, compiled for columns; one for each channel, since a match may name one."""
+    """The wanted ids, compiled for columns. Each channel has its own filter, since a match may be
+    for one channel only."""
 
     def __init__(self, keep: Sequence[IdMatch] | None, channel: str) -> None:
         """keep: None keeps everything."""
@@ -42,14 +44,14 @@ class IdFilter:
         for m in standard:
             wanted |= ((ids ^ np.uint32(m.can_id)) & np.uint32(m.mask & CAN_EFF_MASK)) == 0
         self.verdict = np.full(16**3, NO_ID, np.uint8)
-        """(4096,) u1, for three hexadecimal digits: WANTED, UNWANTED or, above 7FF, NO_ID."""
+        """(4096,) u1, index: three hexadecimal digits; WANTED, UNWANTED or (above 7FF) NO_ID."""
         self.verdict[: len(ids)] = np.where(wanted, WANTED, UNWANTED)
         self.exact = np.array(sorted(i for i, m in extended if m == CAN_EFF_MASK), np.uint32)
-        """(N,) wanted 29-bit ids; and pairs of id and mask."""
+        """Wanted 29-bit ids (N,) with a full mask. All others are pairs of id and mask."""
         self.masked = sorted(pair for pair in extended if pair[1] != CAN_EFF_MASK)
 
     def extended(self, ids: NDArray[np.uint32]) -> NDArray[np.bool_]:
-        """Say which 29-bit ids (N,), without flag, are wanted."""
+        """Return which 29-bit ids (N,), without flag, are wanted."""
         if self.everything:
             return np.ones(len(ids), np.bool_)
         wanted = np.isin(ids, self.exact) if len(self.exact) else np.zeros(len(ids), np.bool_)
@@ -58,14 +60,14 @@ class IdFilter:
         return wanted
 
     def wanted(self, can_id: int) -> bool:
-        """Say whether one frame's id, flag included, is wanted."""
+        """Return whether the id of one frame (with flag) is wanted."""
         if can_id & CAN_EFF_FLAG:
             return bool(self.extended(np.array([can_id & CAN_EFF_MASK], np.uint32))[0])
         return bool(self.verdict[can_id] == WANTED)
 
 
 class IdFilters:
-    """The filter of each channel, made when the channel is first met."""
+    """The filter of each channel. It is made at the first frame of the channel."""
 
     def __init__(self, keep: Sequence[IdMatch] | None) -> None:
         self._keep = keep
@@ -79,18 +81,18 @@ class IdFilters:
 
 
 class FrameClass(enum.Enum):
-    """What becomes of a received frame."""
+    """How a received frame is treated."""
 
     WANTED = 1
-    CONFLICT = 2  # another node sends under an id of ours
+    CONFLICT = 2  # another node sends with one of our ids
     ERROR = 3
     FOREIGN = 4
 
 
 class LinkIdFilter(dict[int, FrameClass]):
-    """The kind of each id as the kernel writes it (with its flags), worked out once.
+    """The class of each id with the flags of the kernel. It is computed once per id.
 
-    This sorting is what counts; filters in the kernel or an adapter only spare us the work.
+    This class decides about a frame. Filters in the kernel or adapter only reduce the work.
     """
 
     def __init__(self, matches: Sequence[IdMatch], own_ids: Iterable[int], channel: str) -> None:
@@ -117,7 +119,7 @@ class LinkIdFilter(dict[int, FrameClass]):
         return FrameClass.FOREIGN
 
     def filters(self) -> list[IdMatch]:
-        """Return what to let through: the wanted ids, and ours, to see who else sends them."""
+        """Return the filters for the kernel: wanted ids, and own ids to detect other senders."""
         own = [
             IdMatch(can_id, CAN_EFF_MASK if can_id & CAN_EFF_FLAG else CAN_SFF_MASK)
             for can_id in sorted(self._own_ids)

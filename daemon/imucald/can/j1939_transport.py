@@ -1,7 +1,7 @@
-"""The transport protocol of J1939 (SAE J1939-21): which messages come in several frames.
+"""The transport protocol of J1939 (SAE J1939-21): find messages that are sent in several frames.
 
-Such a message is announced by a frame of its own (TP.CM: BAM to all, RTS to one unit) that holds
-its PGN and its length.
+A separate frame announces such a message (TP.CM: BAM to all units, RTS to one unit). It holds the
+PGN and the length of the message.
 """
 
 from __future__ import annotations
@@ -12,17 +12,18 @@ from numpy.typing import NDArray
 from imucald.can.columns import CAN_EFF_FLAG, CLASSIC_BYTES, IdMatch
 
 ANNOUNCEMENT = IdMatch(CAN_EFF_FLAG | 0xEC_0000, 0x03FF_0000)
-"""Frames that announce a message or answer to one, to any address."""
+"""Frames that announce a message or answer an announcement, to any address."""
 _REQUEST_TO_SEND, _TO_ALL = 16, 32
-"""First byte of the two kinds of announcements."""
+"""The first byte of the two kinds of announcements."""
 
 
 def announced_messages(
     can_id: NDArray[np.uint32], data: NDArray[np.uint8], length: NDArray[np.uint8]
 ) -> dict[int, int]:
-    """Length [bytes] of each message that frames (N,) announce, by the id it would have as a frame.
+    """Return the length [bytes] of each message announced in frames (N,).
 
-    can_id: with the flag for 29 bits. data: (N, 8) or wider. The ids have no priority.
+    can_id: with the flag for 29 bits. data: (N, 8) or wider. The keys of the result are the ids
+    that the messages would have as single frames, without priority.
     """
     mask, wanted = ANNOUNCEMENT.full_mask, ANNOUNCEMENT.can_id
     here = (can_id & np.uint32(mask) == wanted) & (length == CLASSIC_BYTES)
@@ -37,7 +38,7 @@ def announced_messages(
 
 
 def in_transport(size: int) -> str:
-    """What to say of a message that comes so, and its remedy. size: its length [bytes]."""
+    """Return a text about a message in transport frames, with a remedy. size: length [bytes]."""
     return (
         f"its PGN comes in several frames ({size} bytes, transport protocol of J1939), which "
         "imucald does not read; set the sensor to messages of 8 bytes"

@@ -1,7 +1,7 @@
-"""How many frames of a cyclic message did not come, by the times of those that came.
+"""Estimate the share of lost frames of a cyclic message from the times of the received frames.
 
-A share is asked for, also of coarse stamps. `diagnosis.direct.stamps` asks which frames are missing
-and how far the sender's clock is off, and answers where stamps keep to a cycle.
+This also works with coarse time stamps. `diagnosis.direct.stamps` finds which frames are missing
+and the error of the sender's clock, but only if the time stamps follow a cycle.
 """
 
 from __future__ import annotations
@@ -14,28 +14,29 @@ from numpy.typing import NDArray
 from imucald.can.dbc.message import Message
 
 REGULAR, REGULAR_SHARE = 0.25, 0.6
-"""A message whose intervals are mostly its cycle, within such a part of it, is sent in cycles. Half
-a cycle off, one interval is as good as two; this is half of that."""
+"""A message is cyclic if this share of its intervals (REGULAR_SHARE) equals its cycle within this
+part of the cycle (REGULAR). At half a cycle, one and two intervals cannot be distinguished. The
+limit is half of that."""
 MOST_CYCLES, MOST_S = 20, 2.0
-"""An interval that is longer than both [s] is a sender that was off, not lost frames: a recorder
-that does not keep up leaves holes of some tenths of a second, whatever the cycle."""
+"""If an interval is longer than both limits (cycles, seconds), the sender was off, and no frames
+count as lost. A recorder that is too slow leaves gaps of some tenths of a second."""
 TOGETHER = 32
-"""Frames whose times are laid on one grid: a cycle that is 1 % off shows in them as a third of it,
-and a sender's clock does not drift by that in so few."""
+"""Number of frames that are fitted with one grid of times. A cycle that is 1 % wrong gives an error
+of a third of a cycle over them. A sender's clock does not drift that much in so few frames."""
 MOST_ROWS = 128
-"""More say no more of a cycle: it is known to a thousandth by then."""
+"""Largest number of groups of frames. With these, the cycle is known to 0.1 %."""
 PITCHES = np.exp(np.linspace(-0.16, 0.16, 129))
-"""Cycles that are tried, over the usual interval: coarse stamps move that by a sixth. They are as
-far apart as those frames tell."""
+"""Tried cycles, divided by the median interval. Coarse time stamps change the median by up to a
+sixth. The step is the resolution of `TOGETHER` frames."""
 DROPPING_SHARE = 0.02
-"""Where so much of every message is lost, it is not one sender's fault."""
+"""If every message loses at least this share, the cause is not a single sender."""
 
 
 def lost_share(intervals: NDArray[np.float64], message: Message | None = None) -> float | None:
-    """Share of the frames that did not come; intervals: (N,) between those that came [s].
+    """Return the share of lost frames; intervals: (N,) between the received frames [s].
 
-    message: its description, where a database has one. None for a message that is not sent in
-    cycles, and for one with a multiplexer: each of its groups has a cycle of its own.
+    message: its description, if a database has one. Returns None for a message that is not cyclic.
+    Also returns None for a message with a multiplexer, since each group has its own cycle.
     """
     if message is not None and message.is_multiplexed:
         return None
@@ -46,15 +47,15 @@ def lost_share(intervals: NDArray[np.float64], message: Message | None = None) -
     cycle = _cycle_of(intervals, cycle)
     if np.mean(np.abs(intervals / cycle - 1.0) < REGULAR) < REGULAR_SHARE:
         return None
-    # The time that passed in cycles: what one interval is too long the next is too short.
+    # The elapsed time in cycles: if one interval is too long, the next is too short.
     return max(0.0, 1.0 - len(intervals) * cycle / float(intervals.sum()))
 
 
 def _cycle_of(intervals: NDArray[np.float64], usual: float) -> float:
-    """The cycle on whose grid frames lie best that came (N,) intervals apart [s], near the usual.
+    """Return the cycle near `usual` [s] whose grid fits frames with intervals (N,) [s] best.
 
-    Stamps that are coarse, or late now and then, scatter about the grid; a lost frame leaves a
-    place of it free. Both leave the grid as it is, where the median moves (periodogram).
+    Coarse or late time stamps scatter about the grid, and a lost frame leaves a place of the grid
+    empty. Neither of them moves the grid (periodogram), but they would move the median.
     """
     rows = min(len(intervals) // TOGETHER, MOST_ROWS)
     if not rows:
@@ -66,13 +67,13 @@ def _cycle_of(intervals: NDArray[np.float64], usual: float) -> float:
     k = int(power[1:-1].argmax()) + 1
     before, best, after = power[k - 1 : k + 2].tolist()
     bend = before - 2.0 * best + after
-    if best < max(before, after) or not bend:  # beyond those that are tried
+    if best < max(before, after) or not bend:  # outside the tried cycles
         return usual
     return float(cycles[k] * (PITCHES[1] / PITCHES[0]) ** (0.5 * (before - after) / bend))
 
 
 def dropping_recorder(shares: Sequence[float | None]) -> str | None:
-    """What the lost shares of several messages say of who recorded them; None: nothing."""
+    """Return a text if the lost shares of several messages show a faulty recorder, else None."""
     known = [share for share in shares if share is not None]
     if len(known) < 2 or min(known) < DROPPING_SHARE:
         return None

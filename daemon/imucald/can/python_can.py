@@ -1,7 +1,7 @@
-"""python-can, imported without the MF4 reader that it would load besides.
+"""Import python-can without its MF4 reader.
 
-Where asammdf is installed (extra ``mf4``), ``import can`` imports it, and pandas with it: 48 MiB
-and 0.2 to 1.8 s, more than a whole daemon takes. `with_mf4` is for those who read MF4.
+If asammdf is installed (extra ``mf4``), ``import can`` imports it together with pandas. This costs
+48 MiB and 0.2 to 1.8 s, more than a whole daemon. Use `with_mf4` to read MF4.
 """
 
 from __future__ import annotations
@@ -18,9 +18,9 @@ __all__ = ["can", "with_mf4"]
 
 
 def with_mf4() -> Any:
-    """Return python-can's MF4 reader class, with asammdf really imported.
+    """Import asammdf, and return python-can's MF4 reader class.
 
-    Raises ImportError where asammdf is not installed (extra ``mf4``).
+    Raises ImportError if asammdf is not installed (extra ``mf4``).
     """
     importlib.import_module("asammdf")
     return importlib.reload(importlib.import_module("can.io.mf4")).MF4Reader

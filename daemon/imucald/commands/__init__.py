@@ -1,1 +1,1 @@
-"""The commands, one module each; imported only when asked for."""
+"""The commands. Each has its own module, which is imported only when it is used."""

@@ -1,4 +1,4 @@
-"""`imucald check`: what a configuration would decode, from a log or a live bus."""
+"""`imucald check`: show what a configuration decodes from a log or a live bus."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ LISTEN_S = 10.0
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Options of `check`."""
+    """Add the options of `check`."""
     parser.epilog = (
         "Without LOG it listens on the configuration's bus. It never sends. Exit status: 0 "
         "the configuration can be used, 1 something necessary is missing or wrong. With "
@@ -52,7 +52,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(options: argparse.Namespace) -> int:
-    """Look, then report."""
+    """Read the frames, then print the report."""
     from imucald.api.checking import check, check_report
     from imucald.commands.files import check_files
     from imucald.commands.terminal import progress_bar

@@ -1,4 +1,4 @@
-"""The report of `imucald check`, for people."""
+"""Print the report of `imucald check` as text."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from imucald.commands.terminal import plain_console
 from imucald.core.text import counted, one_line
 
 WIDE = 130
-"""Columns from which long names stay on one line: below, they are broken at their dot."""
+"""Smallest terminal width [columns] for long names on one line. Below, they break at their dot."""
 LONG_NAME = 18
 _STYLES = {"error": "bold red", "warning": "yellow", "note": "cyan", "ok": "green"}
 
@@ -41,7 +41,7 @@ def print_report(report: Mapping[str, Any], strict: bool = False) -> None:
 
 
 def _verdict(report: Mapping[str, Any], strict: bool) -> Text:
-    """The last line: whether it can be used, and how many warnings there are."""
+    """Return the last line: whether the configuration is usable, and the number of warnings."""
     warnings = report["warnings"]
     how_many = counted(warnings, "warning")
     if not report["usable"]:
@@ -80,7 +80,7 @@ def _messages(rows: list[dict[str, Any]]) -> Table:
 
 
 def _quantities(rows: list[dict[str, Any]], narrow: bool, stacked: bool) -> Table:
-    """stacked: a cell may have two lines; else a row is one line, as `grep` wants it."""
+    """Make the table of quantities. stacked: cells may have two lines; else one line per row."""
     table = Table(box=None, pad_edge=False, padding=(0, 1, 0, 0 if narrow else 1))
     table.add_column("quantity", overflow="fold")
     table.add_column("from", overflow="fold")
@@ -94,7 +94,7 @@ def _quantities(rows: list[dict[str, Any]], narrow: bool, stacked: bool) -> Tabl
         rejected = f"{new_line}-{_reasons(row['rejected'])}" if row["rejected"] else ""
         in_unit, in_si = row["in_unit"], row["in_si"]
         same = row["unit"] == row["si_unit"] or row["factor"] == 1.0 or not row["si_unit"]
-        ends = ("max", "min") if row["factor"] < 0 else ("min", "max")  # of one and the same sample
+        ends = ("max", "min") if row["factor"] < 0 else ("min", "max")  # of the same sample
         cells = [
             _figure(in_si[k])
             if same or in_unit[k] is None
@@ -116,7 +116,7 @@ def _quantities(rows: list[dict[str, Any]], narrow: bool, stacked: bool) -> Tabl
 
 
 def _broken(name: str, narrow: bool) -> str:
-    """A long dotted name on two lines, where columns are scarce."""
+    """Break a long dotted name into two lines on a narrow terminal."""
     return name.replace(".", ".\n", 1) if narrow and len(name) > LONG_NAME else name
 
 

@@ -1,4 +1,4 @@
-"""`imucald demo`: see a calibration converge, without hardware."""
+"""`imucald demo`: show how a calibration converges, without hardware."""
 
 from __future__ import annotations
 
@@ -13,18 +13,18 @@ from imucald.commands.monitor import add_web_argument
 from imucald.core.errors import ConfigError
 
 DEFAULT_MINUTES = 6.0
-"""A drive that brings every angle to rest, and some fifteen seconds of waiting."""
+"""Length of the drive [min]. All angles converge in it; the user waits about fifteen seconds."""
 QUICK_MINUTES = 2.5
 LIVE_MINUTES = 30.0
 FASTEST = 20.0
-"""Times real time: more than a busy machine keeps up with."""
+"""Fastest speed, as a multiple of real time. A busy machine cannot reach it."""
 MAX_MINUTES = 120.0
-"""Two hours of driving: some minutes of waiting."""
+"""Longest drive [min]: two hours, for which the user waits some minutes."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Options of `demo`."""
-    # Otherwise "-5,3,30" would be taken for an option.
+    """Add the options of `demo`."""
+    # Otherwise "-5,3,30" would be read as an option.
     parser._negative_number_matcher = re.compile(r"^-[\d.][\d.,e+-]*$")
     parser.add_argument(
         "--seed",
@@ -67,13 +67,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def _command(options: argparse.Namespace, minutes: float) -> str:
-    """The command line that shows the same drive."""
+    """Return the command line that shows the same drive."""
     mount = f" --mount {options.mount}" if options.mount else ""
     return f"imucald demo --seed {options.seed} --minutes {minutes:g}{mount} --svg FILE"
 
 
 def run(options: argparse.Namespace) -> int:
-    """Drive, show, compare; 0 when the estimate became usable."""
+    """Run the drive, show it, and compare. Return 0 if the estimate became usable."""
     from imucald.commands.files import check_files
     from imucald.commands.terminal import plain_where_needed
 
@@ -97,7 +97,7 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _as_fast_as_it_goes(options: argparse.Namespace, minutes: float) -> int:
-    """Show a drive in little time, its result and perhaps its picture."""
+    """Show a drive as fast as possible, its result, and (if requested) its picture."""
     from imucald.commands.demo_drive import Demonstration
     from imucald.commands.demo_picture import Picture
     from imucald.commands.demo_result import print_result, write_svg

@@ -1,9 +1,9 @@
 """The demonstration: a simulated car and the real daemon on one virtual bus, in one process.
 
-The car sends its frames slice by slice, stamped with simulated time, and after each slice the
-daemon works until its queue is empty. So a drive passes as fast as the machine goes, and with the
-same numbers every time. A listener stands for the control unit that uses the corrected frames: it
-knows nothing but ``imucald_out.dbc``, and believes a frame only with a good counter and checksum.
+The car sends its frames in slices, with time stamps in simulated time. After each slice, the daemon
+works until its queue is empty. So a drive runs as fast as the machine allows, and always gives the
+same numbers. A listener represents the control unit that uses the corrected frames. It knows only
+``imucald_out.dbc``, and accepts a frame only with a correct counter and checksum.
 """
 
 from __future__ import annotations
@@ -36,12 +36,12 @@ from imucald.traffic.can_log import EPOCH_S, live_frames
 from imucald.traffic.drive_encoder import BusEncoder
 
 SLICE_S = 0.25
-"""The car sends so much of the drive [s] before the daemon gets its turn: four views a second of
-driving, and queues of a hundred frames."""
+"""Length of a slice of the drive that the car sends before the daemon runs [s]. It gives four views
+per second of driving, and queues of a hundred frames."""
 LAST_S = 60.0
-"""The corrected acceleration is compared with the truth over this last part of the drive [s]."""
+"""Length of the last part of the drive in which acceleration and truth are compared [s]."""
 UNKNOWN_STD = 1.0
-"""An angle with a larger standard deviation is as good as unknown [rad]."""
+"""An angle with a larger standard deviation counts as unknown [rad]."""
 ACCEL = "accel"
 
 _LISTENER = """
@@ -61,7 +61,7 @@ _channel_numbers = itertools.count()
 
 @dataclass(frozen=True)
 class Angle:
-    """One mount angle and the truth [rad]; std: of this angle; error: estimate less truth."""
+    """One mount angle and its truth [rad]. std: of this angle. error: estimate minus truth."""
 
     name: str
     estimate: float
@@ -71,7 +71,7 @@ class Angle:
 
     @property
     def inside(self) -> bool:
-        """Whether the truth lies within the 95 % interval."""
+        """Whether the truth is within the 95 % interval."""
         return abs(self.error) <= SD_95 * self.std
 
 
@@ -79,8 +79,9 @@ class Angle:
 class Comparison:
     """Root mean square of the acceleration's error vector [m/s^2], over `count` samples.
 
-    measured: the sensor's axes taken for the vehicle's. corrected: as received in imucald's frames.
-    known_mount: what would be left if the mount were known exactly (noise, vibration, bias).
+    measured: error if the sensor's axes are used as the vehicle's axes. corrected: error of the
+    samples in imucald's frames. known_mount: error with an exactly known mount (noise, vibration,
+    bias).
     """
 
     count: int
@@ -90,25 +91,25 @@ class Comparison:
 
 
 class Listener:
-    """Another unit on the bus, which decodes imucald's corrected acceleration."""
+    """Another unit on the bus. It decodes imucald's corrected acceleration."""
 
     def __init__(self) -> None:
         place = Path(str(resources.files("imucald"))) / "data" / "listener.yaml"
         self._router = compile_router(parse_config(_LISTENER, place))
         self.can_id = self._router.matches[0].can_id
         self.frames = 0
-        """Frames of corrected acceleration, available or not."""
+        """Number of frames with corrected acceleration, available or not."""
         self.values: list[tuple[float, ...] | None] = []
-        """Corrected acceleration [m/s^2] frame by frame; None where not available."""
+        """Corrected acceleration [m/s^2] of each frame; None if not available."""
 
     @property
     def damaged(self) -> int:
-        """Frames with a wrong counter or checksum."""
+        """Number of frames with a wrong counter or checksum."""
         rejected = self._router.rejected
         return rejected.total() - rejected["not_available"]
 
     def take(self, t: float, can_id: int, data: bytes) -> None:
-        """Take one frame from the bus."""
+        """Process one frame from the bus."""
         if can_id != self.can_id:
             return
         self.frames += 1
@@ -119,7 +120,7 @@ class Listener:
 class Demonstration:
     """A drive, the daemon and a listener on a virtual bus; a context manager.
 
-    drive: what the car does. loaded: the configuration, as for a real car.
+    drive: the simulated drive of the car. loaded: the configuration, as for a real car.
     """
 
     def __init__(self, drive: Drive, loaded: LoadedConfig) -> None:
@@ -127,7 +128,7 @@ class Demonstration:
         self.now = 0.0
         """Time in the drive [s]."""
         self.sent = 0
-        """Frames that the car has sent."""
+        """Number of frames that the car has sent."""
         self.snapshots: list[Snapshot] = []
         self.listener = Listener()
         self._frames = live_frames(drive, BusEncoder(loaded))
@@ -136,7 +137,7 @@ class Demonstration:
         self._car = can.Bus(interface="virtual", channel=channel, preserve_timestamps=True)
         ids = self.engine.output.can_ids
         self.link = open_link(loaded, self.engine.router.matches, ids, "virtual", channel)
-        # its clock goes by slices of the drive: no frame of one is late
+        # its clock advances in slices of the drive, so no frame is late
         self.daemon = Daemon(self.engine, self.link, lambda: self.now, max_age=math.inf)
 
     def __enter__(self) -> Self:
@@ -157,7 +158,7 @@ class Demonstration:
     # running -------------------------------------------------------------------------------
 
     def run(self) -> Iterator[float]:
-        """Drive to the end; yields the time in the drive [s] after each slice."""
+        """Run the whole drive. Yields the time in the drive [s] after each slice."""
         waiting = next(self._frames, None)
         while waiting is not None:
             self.now += SLICE_S
@@ -185,33 +186,33 @@ class Demonstration:
             flag = CAN_EFF_FLAG if message.is_extended_id else 0
             self.listener.take(self.now, message.arbitration_id | flag, bytes(message.data))
 
-    # what came of it -----------------------------------------------------------------------
+    # results -------------------------------------------------------------------------------
 
     @property
     def truth(self) -> Matrix3:
-        """The mount in truth, R_vehicle_from_sensor."""
+        """The true mount, R_vehicle_from_sensor."""
         return self.drive.truth.R_vehicle_from_sensor(self.now)
 
     def estimate(self) -> MountEstimate:
-        """The daemon's estimate now."""
+        """The daemon's present estimate."""
         return self.engine.pipeline.estimator.estimate()
 
     def motion(self) -> tuple[float, float, float]:
-        """Speed [m/s], its change [m/s^2] and yaw rate [rad/s] now, in truth."""
+        """True present speed [m/s], change of speed [m/s^2] and yaw rate [rad/s]."""
         truth = self.drive.truth
         i = min(int(np.searchsorted(truth.t, self.now)), len(truth.t) - 1)
         return float(truth.speed[i]), float(truth.acceleration[i]), float(truth.yaw_rate[i])
 
     def acceleration(self) -> tuple[NDArray[np.float64], tuple[float, ...] | None]:
-        """The newest acceleration as measured (3,) and as received corrected [m/s^2]."""
+        """Return the newest acceleration as measured (3,) and as corrected [m/s^2]."""
         series = self.drive.samples[ACCEL]
         i = min(max(self.listener.frames, 1), len(series.t)) - 1
         return series.values[i], self.listener.values[-1] if self.listener.values else None
 
     def compare(self, last_s: float = LAST_S) -> Comparison | None:
-        """Compare the listener's acceleration with the truth; None where it got none.
+        """Compare the listener's acceleration with the truth. None if it received none.
 
-        Each sample of the accelerometer brings one corrected frame, so the n-th belongs together.
+        Each accelerometer sample gives one corrected frame, so sample n belongs to frame n.
         """
         series, truth = self.drive.samples[ACCEL], self.drive.truth
         n = min(len(self.listener.values), len(series.t))
@@ -235,7 +236,7 @@ def _rms(error: NDArray[np.float64]) -> float:
 
 
 def angles_beside(estimate: MountEstimate, truth: Matrix3) -> list[Angle]:
-    """Those of roll, pitch and yaw that are known at all (see `UNKNOWN_STD`), with the truth."""
+    """Return the known angles of roll, pitch and yaw (see `UNKNOWN_STD`), with the truth."""
     R, std = estimate.R_vehicle_from_sensor, estimate.angle_std
     if R is None or std is None:
         return []

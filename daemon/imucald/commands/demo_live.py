@@ -1,9 +1,9 @@
-"""`imucald demo --live`: a simulated bus, the real daemon and its monitor, in one line.
+"""`imucald demo --live`: a simulated bus, the real daemon and its monitor, with one command.
 
-The daemon is the one of `imucald run`, in a thread of its own; the monitor asks it through its
-status socket, as it would any other. On python-can's virtual bus nothing has to be installed. The
-drive is made before that by `imucald simulate` in a process of its own, into a log that is read as
-it is played: so what simulating needs of memory is gone when the daemon starts.
+The daemon is that of `imucald run`, in its own thread. The monitor reads the daemon's status
+socket, as for any other daemon. python-can's virtual bus needs no installation. Before that,
+`imucald simulate` writes the drive to a log in a separate process. The log is read while it is
+played. So the memory for the simulation is free again when the daemon starts.
 """
 
 from __future__ import annotations
@@ -34,16 +34,16 @@ from imucald.service.parts import ServiceOptions
 from imucald.service.service import Service
 
 START_S = 10.0
-"""The daemon's socket must answer within this time [s]."""
+"""Longest time until the daemon's socket must answer [s]."""
 AHEAD_S = 0.002
-"""Frames due within this are sent at once: shorter sleeps are not dependable."""
+"""Frames due within this time are sent at once [s], because shorter sleeps are not reliable."""
 CHANNELS = {"virtual": "imucald-live", "udp_multicast": "239.74.163.2", "socketcan": "vcan0"}
 
 
 class SimulatedBus:
     """Sends the frames of a drive's log at their times, in a thread.
 
-    On the virtual bus stamps are those of the drive, so that it may pass faster than real time.
+    On the virtual bus, time stamps are those of the drive. So it may run faster than real time.
     """
 
     def __init__(self, log: Path, interface: str, channel: str, speed: float) -> None:
@@ -60,15 +60,15 @@ class SimulatedBus:
         self._thread = threading.Thread(target=self._play, daemon=True)
 
     def start(self) -> None:
-        """Begin to drive."""
+        """Start the drive."""
         self._thread.start()
 
     def is_over(self) -> bool:
-        """Whether the last frame has been sent: a busy machine needs longer than the drive took."""
+        """Whether the last frame was sent. A busy machine needs longer than the drive."""
         return not self._thread.is_alive()
 
     def close(self) -> None:
-        """Stop, wherever the drive is."""
+        """Stop at any point of the drive."""
         self._ended.set()
         if self._thread.is_alive():
             self._thread.join(2.0)
@@ -102,7 +102,7 @@ def run_live(
     speed: float,
     web: int | None,
 ) -> None:
-    """Show a drive live until it ends or Ctrl-C; then the truth. Raises ConfigError, LinkError."""
+    """Show a drive live until its end or Ctrl-C, then the truth. Raises ConfigError, LinkError."""
     if speed != 1.0 and interface != "virtual":
         raise ConfigError(
             "--speed needs the virtual bus (leave --interface out): on other buses, frames "
@@ -129,7 +129,7 @@ def run_live(
 
 
 def _simulated(log: Path, seed: int, minutes: float, mount: str | None) -> dict[str, Any]:
-    """Have a drive written into a log; its truth. Raises ConfigError where it cannot be made."""
+    """Write a drive to a log and return its truth. Raises ConfigError if that is not possible."""
     command = [sys.executable, "-P", "-m", "imucald", "simulate", "--out", str(log)]
     command += ["--seed", str(seed), "--minutes", str(minutes)]
     command += ["--mount", mount] if mount else []
@@ -161,6 +161,6 @@ def _daemon(interface: str, channel: str) -> Iterator[Path]:
 
 @contextmanager
 def _quiet() -> Iterator[Journal]:
-    """A log that goes nowhere: the monitor shows what happens."""
+    """Make a journal without output, because the monitor shows the events."""
     with Path("/dev/null").open("w") as nowhere:
         yield Journal(nowhere)

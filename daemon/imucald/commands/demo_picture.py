@@ -1,4 +1,4 @@
-"""The picture of `imucald demo`: the state at one moment, with the history of its uncertainty."""
+"""The picture of `imucald demo`: the present state, with the history of its uncertainty."""
 
 from __future__ import annotations
 
@@ -25,10 +25,10 @@ from imucald.mount.mount_words import (
 
 COLUMNS = 80
 HISTORY = 24
-"""Columns of the history of an angle's uncertainty."""
+"""Width of the history of an angle's uncertainty [columns]."""
 BLOCKS = " ▁▂▃▄▅▆▇█"
 WIDEST_DEG, NARROWEST_DEG = 12.0, 0.25
-"""95 % intervals that fill the history's column, and that leave it empty (log scale)."""
+"""95 % intervals [deg] at which a column of the history is full and empty (log scale)."""
 _STYLES = {
     MountState.USABLE: "green",
     MountState.FINE: "bold green",
@@ -38,14 +38,14 @@ _STYLES = {
 
 
 class Picture:
-    """The state of a demonstration at one moment, with the history of its uncertainty."""
+    """The present state of a demonstration, with the history of its uncertainty."""
 
     def __init__(self) -> None:
         self._began = time.monotonic()
         self._history: dict[str, list[float]] = {name: [] for name in ANGLES}
 
     def note(self, demo: Demonstration) -> None:
-        """Take the uncertainty of the moment into the history."""
+        """Add the present uncertainty to the history."""
         columns = min(int(HISTORY * demo.now / demo.drive.duration_s), HISTORY)
         if columns <= len(self._history["yaw"]):
             return
@@ -55,7 +55,7 @@ class Picture:
             history.extend([width] * (columns - len(history)))
 
     def draw(self, demo: Demonstration, steady: bool = True) -> Group:
-        """Return the picture, twenty lines for 80 columns; steady: of the same height always."""
+        """Return the picture: twenty lines at 80 columns. steady: the height never changes."""
         estimate = demo.estimate()
         reports = [f"waiting for  {who}: {text}" for who, text in reasons(estimate.waiting_for)]
         waiting = [line for text in reports for line in textwrap.wrap(text, COLUMNS)]
@@ -134,12 +134,12 @@ def _traffic_line(demo: Demonstration, waited: float) -> Text:
 
 
 def degrees(angle: float) -> str:
-    """An angle [rad] in degrees, with its sign."""
+    """Format an angle [rad] in degrees, with its sign."""
     return f"{angle * DEG_PER_RAD:+.2f}°"
 
 
 def interval(std: float) -> str:
-    """The 95 % interval of a standard deviation [rad], in degrees."""
+    """Format the 95 % interval of a standard deviation [rad] in degrees."""
     return plus_minus(std * DEG_PER_RAD)
 
 

@@ -31,7 +31,7 @@ SVG_COLUMNS = 82
 def write_svg(
     demo: Demonstration, picture: Picture, waited: float, path: Path, command: str
 ) -> None:
-    """Write the last picture and the result as SVG. Raises ImucaldError where it cannot.
+    """Write the last picture and the result as SVG. Raises ImucaldError if that fails.
 
     command: the command line of the demo, for the picture's metadata.
     """
@@ -54,7 +54,7 @@ def write_svg(
 
 
 def print_result(demo: Demonstration, waited: float, console: Console | None = None) -> None:
-    """Print estimate and truth, the frames' proof, and what to do next."""
+    """Print estimate and truth, the comparison of the frames, and the next steps."""
     console = console or plain_console()
     angles = angles_beside(demo.estimate(), demo.truth)
     console.print()

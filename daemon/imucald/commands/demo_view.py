@@ -1,4 +1,4 @@
-"""What `imucald demo` shows while it drives: a live picture on a terminal, lines elsewhere."""
+"""The display of `imucald demo` during the drive: a live picture on a terminal, lines elsewhere."""
 
 from __future__ import annotations
 
@@ -21,15 +21,15 @@ from imucald.mount.mount_words import (
 )
 
 FASTEST = 24.0
-"""On a terminal no more times real time than this, so that the eye can follow."""
+"""Fastest speed on a terminal, as a multiple of real time, so that the user can follow."""
 FRAME_S = 0.1
-"""The picture is drawn anew so often [s of waiting]."""
+"""Period of drawing the picture [s of real time]."""
 LINE_S = 15.0
-"""A plain line appears so often [s of driving]."""
+"""Period of plain lines [s of driving]."""
 
 
 class PlainView:
-    """One line every so often."""
+    """Prints a line from time to time."""
 
     def __init__(self, seed: int) -> None:
         self._seed = seed
@@ -48,7 +48,7 @@ class PlainView:
         error: BaseException | None,
         trace: TracebackType | None,
     ) -> None:
-        """Nothing is open."""
+        """Do nothing, because nothing is open."""
 
     def show(self, demo: Demonstration) -> None:
         """Print a line when one is due."""
@@ -64,7 +64,7 @@ class PlainView:
 
 
 class LiveView:
-    """A picture that moves."""
+    """Shows a live picture."""
 
     def __init__(self, seed: int) -> None:
         self._live = Live(console=plain_console(), auto_refresh=False, transient=True)

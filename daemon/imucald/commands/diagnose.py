@@ -1,4 +1,4 @@
-"""`imucald diagnose`: what the simulation gets wrong in measured drives, why, and the gain."""
+"""`imucald diagnose`: find errors of the simulation with measured drives, causes and effects."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Options of `diagnose`."""
+    """Add the options of `diagnose`."""
     parser.epilog = (
         "Several logs must be drives of one vehicle, with the sensor at the same place. "
         "Whole drives are then kept out of the fit and test it. Exit status: 0 whatever the "
@@ -64,7 +64,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(options: argparse.Namespace) -> int:
-    """Read, diagnose, then report in every way that was asked for."""
+    """Read the drives, diagnose them, and write all requested reports."""
     from imucald.api.diagnosing import diagnosis_of
     from imucald.commands.diagnose_view import share_bar
     from imucald.commands.files import STANDARD, write_text, write_yaml
@@ -96,7 +96,7 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _check(options: argparse.Namespace) -> None:
-    """Raise ImucaldError for what would fail later, before any work."""
+    """Raise ImucaldError before any work for options that would fail later."""
     from imucald.commands.files import STANDARD, check_files
     from imucald.core.errors import ConfigError
 
@@ -112,7 +112,7 @@ def _check(options: argparse.Namespace) -> None:
 
         folder = options.report
         check_report_folder(folder)
-        # A folder that is made only at the end is checked by its name in the folder above.
+        # A folder that is made only at the end is checked through its parent folder.
         outputs.append(folder / PAGE if folder.exists() else folder)
     models = [options.model] if options.model else []
     inputs = (options.config, *options.database, *models, *options.logs)

@@ -1,4 +1,4 @@
-"""What people see of a diagnosis in the terminal."""
+"""Show a diagnosis on the terminal."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ COLOURS = {"found": "bold blue", "ambiguous": "bold yellow", "unknown": "bold ma
 
 @contextmanager
 def share_bar(text: str, quiet: bool = False) -> Iterator[Callable[[float, str], None]]:
-    """Show how much is done and what is being done; yields what takes (share 0..1, text)."""
+    """Show the share done and the current step. Yields a callback for (share 0..1, text)."""
     if quiet or not sys.stderr.isatty():
         yield _nothing
         return
@@ -44,11 +44,11 @@ def share_bar(text: str, quiet: bool = False) -> Iterator[Callable[[float, str],
 
 
 def _nothing(share: float, doing: str) -> None:
-    """Show nothing: this is no terminal."""
+    """Show nothing, because the output is not a terminal."""
 
 
 def print_diagnosis(diagnosis: Diagnosis) -> None:
-    """Print verdict, causes, what they are worth, and what is left."""
+    """Print verdict, causes, their effects, and the remaining errors."""
     from rich.text import Text
 
     plain_where_needed()
@@ -103,7 +103,7 @@ def _print_cause(console: Console, cause: FoundCause, diagnosis: Diagnosis) -> N
 
 
 def _print_open(console: Console, diagnosis: Diagnosis) -> None:
-    """What these drives cannot distinguish, and what is left."""
+    """Print the causes that these drives cannot distinguish, and the remaining errors."""
     if diagnosis.look_alikes:
         console.print()
     for group_titles, group in words.look_alike_groups(diagnosis).items():

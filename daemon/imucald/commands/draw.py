@@ -1,4 +1,4 @@
-"""`imucald draw`: how a sensor sits, drawn and in words, from its angles."""
+"""`imucald draw`: show the orientation of a sensor from its angles, as a picture and in words."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ if TYPE_CHECKING:
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Options of `draw`."""
-    # Otherwise "-5,3,30" would be taken for an option.
+    """Add the options of `draw`."""
+    # Otherwise "-5,3,30" would be read as an option.
     parser._negative_number_matcher = re.compile(r"^-[\d.][\d.,e+-]*$")
     what = parser.add_mutually_exclusive_group(required=True)
     what.add_argument(
@@ -30,7 +30,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(options: argparse.Namespace) -> int:
-    """Say how the sensor sits, and draw it."""
+    """Describe the orientation of the sensor, and draw it."""
     from imucald.commands.files import with_origin, write_text
     from imucald.commands.terminal import plain_where_needed
     from imucald.core.orientation_words import sits_words, steep_words
@@ -53,14 +53,14 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _command(options: argparse.Namespace) -> str:
-    """The command line that draws the same."""
+    """Return the command line that draws the same picture."""
     name = next(n for n in ("axes", "mount", "quaternion") if getattr(options, n))
     value = getattr(options, name)
     return f"imucald draw --{name}" if value is True else f"imucald draw --{name} {value}"
 
 
 def _rotation(options: argparse.Namespace) -> Matrix3:
-    """R_vehicle_from_sensor of the angles or the quaternion; ConfigError where it is none."""
+    """Return R_vehicle_from_sensor from angles or quaternion. Raises ConfigError if invalid."""
     import math
 
     import numpy as np

@@ -1,4 +1,4 @@
-"""`imucald events`: the last things that happened to a running daemon, with their times."""
+"""`imucald events`: print the last events of a running daemon, with their times."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import time
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Options of `events`."""
+    """Add the options of `events`."""
     from imucald.commands.status import add_socket_argument
 
     add_socket_argument(parser)
@@ -30,7 +30,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(options: argparse.Namespace) -> int:
-    """Print them, oldest first."""
+    """Print the events, oldest first."""
     from imucald.commands.status import asked
     from imucald.core.errors import ImucaldError
 

@@ -1,4 +1,4 @@
-"""`imucald feed`: hand what a running daemon finds on to MQTT, a KUKSA databroker or Foxglove."""
+"""`imucald feed`: send a running daemon's results to MQTT, a KUKSA databroker or Foxglove."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ TARGETS = {
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Options of `feed`, target by target."""
+    """Add the options of `feed` for each target."""
     targets = parser.add_subparsers(dest="target", metavar="TARGET", required=True, help="to whom")
     for name, text in TARGETS.items():
         sub = targets.add_parser(
@@ -114,7 +114,7 @@ def _add_source(parser: argparse.ArgumentParser) -> None:
 
 
 def run(options: argparse.Namespace) -> int:
-    """Feed until SIGINT or SIGTERM."""
+    """Run the feed until SIGINT or SIGTERM."""
     import signal
 
     from imucald.feeds.corrected_frames import FINE, RESTORED, USABLE
@@ -150,7 +150,7 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _socket(options: argparse.Namespace) -> Path:
-    """The status socket that is meant; one of a named channel may come later."""
+    """Return the requested status socket. The socket of a named channel may appear later."""
     from imucald.commands.status import find_socket, running_sockets
     from imucald.service.asking import running_socket
 

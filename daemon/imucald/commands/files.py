@@ -1,4 +1,4 @@
-"""The files that commands read and write: mistakes are reported before the work, not after it."""
+"""The files that commands read and write. Mistakes are reported before the work starts."""
 
 from __future__ import annotations
 
@@ -11,16 +11,16 @@ from pathlib import Path
 from imucald.core.errors import ImucaldError, LogError
 
 STANDARD = "-"
-"""Stands for standard input or output."""
+"""The name for standard input or output."""
 
 Name = Path | str
 
 
 def fill_standard_files() -> None:
-    """Put /dev/null where standard input, output or error are closed.
+    """Open /dev/null if standard input, output or error is closed.
 
-    The next file that is opened would take their number, and whatever a library has to say would go
-    there: into a bus, or into the saved state.
+    Otherwise, the next opened file would get its number. Messages of libraries would then be
+    written to this file, for example to a bus or to the saved state.
     """
     while (number := os.open(os.devnull, os.O_RDWR)) <= 2:
         pass
@@ -28,9 +28,9 @@ def fill_standard_files() -> None:
 
 
 def check_files(inputs: Iterable[Name], outputs: Sequence[Name | None]) -> None:
-    """Raise ImucaldError where an input is missing, or an output cannot be or would destroy one.
+    """Raise ImucaldError if an input is missing, or an output cannot be written or is an input.
 
-    Nothing is opened: an input may be a pipe, and an output keeps its content if a later step
+    No file is opened, because an input may be a pipe. An output keeps its content if a later step
     fails.
     """
     read = [Path(name) for name in inputs if str(name) != STANDARD]
@@ -72,8 +72,8 @@ def _check_output(path: Path) -> None:
 
 
 def with_origin(svg: str, command: str) -> str:
-    """The picture with the command that makes it, in its metadata."""
-    from html import escape  # a few commands draw
+    """Return the picture with the command that makes it in its metadata."""
+    from html import escape  # only some commands draw
 
     head, opening, rest = svg.partition("<svg")
     tag, end, body = rest.partition(">")
@@ -81,7 +81,7 @@ def with_origin(svg: str, command: str) -> str:
 
 
 def write_text(name: Name, text: str) -> None:
-    """Write UTF-8 text to a file ('-': standard output). Raises ImucaldError where it cannot."""
+    """Write UTF-8 text to a file ('-': standard output). Raises ImucaldError if that fails."""
     if str(name) == STANDARD:
         sys.stdout.write(text)
         return
@@ -92,10 +92,10 @@ def write_text(name: Name, text: str) -> None:
 
 
 def write_yaml(name: Name, text: str, schema: str) -> None:
-    """Write a YAML file with the line by which editors find its schema, and that next to it.
+    """Write a YAML file with a line for editors that names its schema, and the schema next to it.
 
-    schema: its file's name, of `commands.schema`. Standard output gets the text alone. Raises
-    ImucaldError where a file cannot be written.
+    schema: name of the schema file, from `commands.schema`. To standard output, only the text is
+    written. Raises ImucaldError if a file cannot be written.
     """
     from imucald.commands.schema import schema_text
 
@@ -108,9 +108,9 @@ def write_yaml(name: Name, text: str, schema: str) -> None:
 
 @contextmanager
 def reported_when_cut(name: Name) -> Iterator[None]:
-    """Say on stderr that a file is not complete, when the body ends by an error or Ctrl-C.
+    """Report on stderr that a file is incomplete if the body ends by an error or Ctrl-C.
 
-    Not of one that is gone, as there was no place for it.
+    A file that was removed (because the disk was full) is not reported.
     """
     try:
         yield

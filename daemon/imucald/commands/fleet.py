@@ -1,4 +1,4 @@
-"""`imucald fleet`: thousands of logs of hundreds of vehicles, here or on a Dask cluster."""
+"""`imucald fleet`: evaluate logs of many vehicles, on this machine or on a Dask cluster."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ ACTIONS = {
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Options of `fleet`, action by action."""
+    """Add the options of each action of `fleet`."""
     actions = parser.add_subparsers(
         dest="action", metavar="ACTION", required=True, help="what to do"
     )
@@ -99,7 +99,7 @@ def _add_run(parser: argparse.ArgumentParser) -> None:
 
 
 def run(options: argparse.Namespace) -> int:
-    """Do the action; 0 done, 3 some logs failed, 1 the run broke off."""
+    """Run the action. Return 0: done, 3: some logs failed, 1: the run was aborted."""
     missing = [name for name in LIBRARIES if importlib.util.find_spec(name) is None]
     if missing:
         text = f"fleet needs {' and '.join(missing)}: {how_to_install('fleet')}"

@@ -1,4 +1,4 @@
-"""`imucald fleet status`, `why`, `analyse` and `report`: what the tables say."""
+"""`imucald fleet status`, `why`, `analyse` and `report`: evaluate the tables."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def _store(options: argparse.Namespace) -> Store:
 
 
 def status(options: argparse.Namespace) -> int:
-    """Say what is there, what failed and why, and whether a run goes on."""
+    """Print the present results, the failures with reasons, and whether a run is active."""
     from collections import Counter
 
     from rich.table import Table
@@ -68,7 +68,7 @@ def status(options: argparse.Namespace) -> int:
 
 
 def why(options: argparse.Namespace) -> int:
-    """Say all that the tables hold of one log."""
+    """Print all data of one log in the tables."""
     import pyarrow.compute as pc
 
     from imucald.commands.terminal import plain_console
@@ -104,7 +104,7 @@ def why(options: argparse.Namespace) -> int:
 
 
 def analyse(options: argparse.Namespace) -> int:
-    """Read all drives together, write `analysis/`, and say the most important of it."""
+    """Analyse all drives together, write `analysis/`, and print the most important results."""
     from imucald.commands.fleet_view import print_analysis
     from imucald.fleet.analysis.analyse import GROUPS
     from imucald.fleet.lease import Lease

@@ -33,13 +33,13 @@ _TIME = re.compile(r"([\d.]+)\s*(s|min|h|)")
 
 
 def retry(options: argparse.Namespace) -> int:
-    """Evaluate what failed before once more."""
+    """Evaluate again the logs that failed before."""
     options.redo = "failed"
     return run(options)
 
 
 def run(options: argparse.Namespace) -> int:
-    """Evaluate what is not evaluated yet."""
+    """Evaluate the logs that are not evaluated yet."""
     stopping = _Stopping()
     try:
         with _signals_call(stopping):
@@ -153,10 +153,10 @@ def _said(plan: Plan) -> str:
 
 
 class _Stopping:
-    """What Ctrl-C and SIGTERM do: begin nothing more, finish what runs; a second breaks off."""
+    """Handler of Ctrl-C and SIGTERM. The first finishes running logs only; the second aborts."""
 
     work: FleetRun | None = None
-    """None: nothing runs yet, the first one breaks off."""
+    """The run; None if it has not started. In that case, the first signal aborts."""
 
     def __call__(self, number: int, frame: FrameType | None) -> None:
         if self.work is None or self.work.counts.stopping:
@@ -190,7 +190,7 @@ def _line(counts: Counts) -> str:
 
 @contextmanager
 def _progress(quiet: bool) -> Iterator[Callable[[Counts], None]]:
-    """Yield what takes how far the run is: a line on a terminal, else one a minute."""
+    """Yield a callback that shows progress: a live line on a terminal, else a line per minute."""
     import time
 
     terminal = sys.stderr.isatty()

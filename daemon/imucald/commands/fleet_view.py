@@ -1,4 +1,4 @@
-"""What `imucald fleet analyse` prints."""
+"""Print the results of `imucald fleet analyse`."""
 
 from __future__ import annotations
 
@@ -18,11 +18,11 @@ if TYPE_CHECKING:
     from rich.table import Table
 
 SHOWN = 10
-"""Rows of each kind; the tables have all."""
+"""Number of printed rows of each kind. The tables have all rows."""
 
 
 def print_analysis(tables: Mapping[str, pa.Table]) -> None:
-    """Print types, then what stands out."""
+    """Print the vehicle types, then the conspicuous results."""
     plain_where_needed()
     console = plain_console()
     rows = {name.rpartition("/")[2]: table.to_pylist() for name, table in tables.items()}
@@ -89,7 +89,8 @@ def _turn(row: dict[str, Any]) -> str:
 
 
 def _q(q: float) -> str:
-    """The false-discovery rate; smaller than any model of the noise is right it is no number."""
+    """Format the false-discovery rate. Very small rates are not printed as a number, because no
+    model of the noise is that exact."""
     return "q < 1e-6" if q < 1e-6 else f"q {q:.2g}"
 
 
@@ -99,7 +100,7 @@ def _angle(value: float, half: float | None) -> str:
 
 
 def _mounts(rows: Sequence[dict[str, Any]]) -> Table:
-    """Each vehicle with its present mount, see `present_mounts`."""
+    """Make the table of vehicles with their present mounts, see `present_mounts`."""
     from rich.table import Table
 
     table = Table(box=None, pad_edge=False)

@@ -1,4 +1,4 @@
-"""`imucald hold`: keep the mount in force and learn nothing."""
+"""`imucald hold`: keep the active mount and stop learning."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from imucald.commands.orders import add_target, give
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Options of `hold`."""
+    """Add the options of `hold`."""
     add_target(
         parser,
         " A hold outlasts a restart. Data recorded during a hold is ignored. If the drive "
@@ -17,5 +17,5 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(options: argparse.Namespace) -> int:
-    """Give the order."""
+    """Send the order to the daemon."""
     return give(options, "hold")

@@ -1,4 +1,4 @@
-"""`imucald init`: a configuration proposed from a database and what is on the bus."""
+"""`imucald init`: propose a configuration from a database and the frames on the bus."""
 
 from __future__ import annotations
 
@@ -19,11 +19,11 @@ if TYPE_CHECKING:
 
 SOCKETCAN = "socketcan"
 LISTEN_S = 120.0
-"""A drive round the block: a stop, a start, some bends."""
+"""Default listening time [s]: a short drive with a stop, a start and some bends."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Options of `init`."""
+    """Add the options of `init`."""
     parser.epilog = (
         "The recording should be a drive with stops and bends: two minutes at least, better ten. "
         "Without a recording the proposal uses names and units only. Then: imucald check --config "
@@ -67,7 +67,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(options: argparse.Namespace) -> int:
-    """Read or listen, then propose."""
+    """Read a log or listen on a bus, then write the proposal."""
     from imucald.can.dbc.database import load_database
     from imucald.commands.files import STANDARD, check_files, write_yaml
     from imucald.commands.schema import CONFIGURATION
@@ -109,7 +109,7 @@ def run(options: argparse.Namespace) -> int:
 def _require_matches(
     options: argparse.Namespace, recording: GatheredFrames, proposal: Proposal
 ) -> None:
-    """Raise where what was looked at cannot say anything: nothing is written then."""
+    """Raise an error if the frames allow no proposal. In this case nothing is written."""
     from imucald.core.errors import ConfigError, LinkError, NoFramesError
 
     if not recording.frames:
@@ -141,7 +141,7 @@ def _require_matches(
 
 
 def _outcome(proposal: Proposal, options: argparse.Namespace) -> str:
-    """What was found, and what to do next, on the same log or bus."""
+    """Return a text about the results and the next steps with the same log or bus."""
     count = len(proposal.choices)
     unsure = sum(not choice.is_sure for choice in proposal.choices)
     found = f"{counted(count, 'quantity', 'quantities')}, {unsure} of them unsure; "
@@ -186,7 +186,7 @@ def _listen(options: argparse.Namespace, databases: Mapping[str, Database]) -> G
     from imucald.discovery import GatheredFrames
 
     interface, channel = options.interface, options.channel
-    if interface is None or channel is None:  # one name alone is an interface of the kernel
+    if interface is None or channel is None:  # a single name is an interface of the kernel
         interface, channel = SOCKETCAN, interface or channel
     fd = any(m.is_fd for d in databases.values() for m in d.messages.values())
     recording = GatheredFrames()

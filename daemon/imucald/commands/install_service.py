@@ -28,14 +28,14 @@ FILES = {
     "imucald_out.dbc": "share/imucald/imucald_out.dbc",
     "imucald_example.yaml": "share/imucald/imucald_example.yaml",
 }
-"""Name in the package -> place below PREFIX."""
+"""Name of each file in the package -> its path below PREFIX."""
 _PACKAGED = "/usr/bin/imucald"
 HIDDEN = tuple(map(Path, ("/home", "/root", "/run/user", "/tmp", "/var/tmp")))
-"""What a unit does not see: ProtectHome=yes and PrivateTmp=yes."""
+"""Folders that a unit cannot see because of ProtectHome=yes and PrivateTmp=yes."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Options of `install-service`."""
+    """Add the options of `install-service`."""
     parser.epilog = (
         "Writing to the system needs root: sudo imucald install-service. The program must not "
         "stand under /home, /root or /tmp, since systemd hides these folders from the units."
@@ -62,7 +62,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(options: argparse.Namespace) -> int:
-    """Write the files; say what was written, and what comes next."""
+    """Write the files. Print what was written and the next steps."""
     from importlib import resources
 
     command = options.exec or f"{sys.executable} -m imucald"

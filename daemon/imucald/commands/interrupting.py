@@ -1,7 +1,8 @@
-"""Ctrl-C that never breaks into an import: that would wrap, print or swallow it.
+"""Handle Ctrl-C so that it never interrupts an import.
 
-SIGTERM and SIGHUP (the terminal is closed) likewise: a command that one of them ends tidies up as
-after Ctrl-C, and then dies of it, as who sent it expects.
+An import would wrap, print or ignore the exception. SIGTERM and SIGHUP (closed terminal) are
+handled in the same way. A command that receives one of them cleans up as after Ctrl-C. Then it ends
+with this signal, as the sender expects.
 """
 
 from __future__ import annotations
@@ -14,13 +15,13 @@ import sys
 from types import FrameType
 
 IMPORTING = "<frozen importlib._bootstrap"
-"""File of the frames that import a module."""
+"""File name of the stack frames that import a module."""
 AFTER_IMPORT_S = 0.02
-"""In an import it is looked at again so soon."""
+"""Time until the next attempt if an import is running [s]."""
 
 
 def interrupt(_: int, frame: FrameType | None) -> None:
-    """Raise KeyboardInterrupt, after the import that runs: a signal handler of the main thread."""
+    """Signal handler of the main thread: raise KeyboardInterrupt, after a running import."""
     while frame is not None:
         if frame.f_code.co_filename.startswith(IMPORTING):
             if not hasattr(signal, "setitimer"):  # Windows
@@ -39,7 +40,7 @@ class _Asked:
 
 
 def terminate(number: int, frame: FrameType | None) -> None:
-    """Interrupt, and die of the signal once all is tidied up: a handler of the main thread."""
+    """Signal handler of the main thread: interrupt, clean up, and end with the signal."""
     _Asked.to_end = number
     interrupt(number, frame)
 

@@ -1,4 +1,4 @@
-"""Listening on a bus for a while: what `check` and `init` do without a log."""
+"""Listen on a bus for some time. `check` and `init` do this without a log."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ if TYPE_CHECKING:
     from imucald.can.link.link import Frame, Link
 
 BATCH = 10_000
-"""Frames gathered before they are handed on."""
+"""Number of frames that are collected before they are passed on."""
 
 
 def listen(link: Link, seconds: float, feed: Callable[[FrameColumns], None]) -> None:
-    """Hand on what an open link receives in so many seconds; the link is closed."""
+    """Pass on the frames that an open link receives in `seconds` [s], then close the link."""
     with link, countdown(f"listening on {link.channel}", seconds) as tick:
         began = time.monotonic()
         waiting: list[Frame] = []

@@ -1,4 +1,4 @@
-"""What happened while a daemon was watched, from one status after another."""
+"""Find events of a watched daemon by comparing successive statuses."""
 
 from __future__ import annotations
 
@@ -21,9 +21,9 @@ KEPT = 200
 
 @dataclass(frozen=True)
 class LiveEvent:
-    """at: wall clock [s]. kind: state, reason, moved, fault, sensor, bus, alarm or log.
+    """An event. at: wall clock [s]. kind: state, reason, moved, fault, sensor, bus, alarm or log.
 
-    text: for people.
+    text: readable description.
     """
 
     at: float
@@ -37,10 +37,10 @@ class LiveEvent:
 
 
 class LiveEvents:
-    """Gathers events; oldest first in `events`.
+    """Collects events in `events`, oldest first.
 
-    What the daemon reports of earlier times is placed by its own clock, so a monitor that is
-    started late shows it too.
+    Events that the daemon reports from earlier times get the time of the daemon's clock. So a
+    monitor that is started late shows them too.
     """
 
     def __init__(self) -> None:
@@ -53,32 +53,32 @@ class LiveEvents:
         self._listed: dict[tuple[float, str, str], LiveEvent] = {}
 
     def remember(self, logged: Sequence[Mapping[str, Any]]) -> None:
-        """Take the daemon's own events of the time before, as `imucald events` lists them."""
+        """Add earlier events of the daemon, in the form of `imucald events`."""
         self.events.extend(LiveEvent(e["at"], _kind(e), e["text"]) for e in logged)
         self._has_log = bool(logged)
 
     def update(self, status: Mapping[str, Any], now: float) -> None:
-        """Take a status at wall clock `now` [s]."""
-        # stream time stands still in a long silence; an older daemon does not state it
+        """Process a status at wall clock `now` [s]."""
+        # stream time stops in a long silence; an older daemon does not state it
         stood = max(0.0, float(status.get("silent_s", 0.0)) - FORWARD_STEP)
         began = now - stood - float(status["duration_s"])
         first = self._state is None
         found = []
         for event in reported_events(status):
-            is_change = event.kind in ("moved", "evidence")  # which of both is known later
+            is_change = event.kind in ("moved", "evidence")  # which one is known later
             name = "" if is_change else event.text.partition(",")[0]
             key = event.t, "moved" if is_change else event.kind, name
             before = self._listed.get(key)
             if before is None:
                 self._listed[key] = LiveEvent(began + event.t, event.kind, event.text)
                 found.append(self._listed[key])
-            elif before.text != event.text:  # more is known of it by now
+            elif before.text != event.text:  # more is known now
                 self._listed[key] = replace(before, kind=event.kind, text=event.text)
                 same = [self._listed[key] if e is before else e for e in self.events]
                 self.events = deque(same, maxlen=KEPT)
         if (
             first and not self._has_log and status["state"] != "restored"
-        ):  # not confirmed, and in force
+        ):  # not confirmed, and active
             found += [
                 LiveEvent(began + status[f"first_{name}_s"], "state", f"{name} for the first time")
                 for name in ("usable", "fine")
@@ -96,7 +96,7 @@ class LiveEvents:
             self.events.append(LiveEvent(now, "bus", f"{status['link']['channel']} is {link}"))
         alarms = frozenset(present_alarms(status))
         if self._state is None and not status["signals"]:
-            alarms = frozenset()  # nothing has come yet: that is no news
+            alarms = frozenset()  # no frame yet is not an event
         if self._state is None and self._has_log:
             self._alarms = alarms  # they are in the log
         for flag in sorted(alarms - self._alarms):
@@ -107,7 +107,7 @@ class LiveEvents:
 
 
 def logged_events(path: Path) -> list[dict[str, Any]]:
-    """What the daemon behind a status socket has logged; nothing where it does not say."""
+    """Return the logged events of the daemon at a status socket; empty if it does not answer."""
     try:
         found: list[dict[str, Any]] = json.loads(ask(path, "events"))["events"]
     except (LinkError, ValueError, LookupError):

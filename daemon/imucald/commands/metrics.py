@@ -1,4 +1,4 @@
-"""`imucald metrics`: the running daemons' metrics for Prometheus, as text, file or over HTTP."""
+"""`imucald metrics`: metrics of running daemons for Prometheus, as text, as file or over HTTP."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
 TEXTFILE_MODE = 0o644
-"""The collector of node_exporter runs as another user."""
+"""File mode of the text file. The collector of node_exporter runs as another user."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Options of `metrics`."""
+    """Add the options of `metrics`."""
     from imucald.commands.status import add_socket_argument
 
     add_socket_argument(parser)
@@ -42,7 +42,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(options: argparse.Namespace) -> int:
-    """Print, write or serve them."""
+    """Print, write or serve the metrics."""
     if options.listen:
         return _listen(options)
     text = _text_of(options)()
@@ -76,7 +76,7 @@ def _listen(options: argparse.Namespace) -> int:
 
 
 def serve(listening: socket.socket, text: Callable[[], str]) -> None:
-    """Serve for ever."""
+    """Serve the metrics without end."""
     from imucald.service.metrics_server import MetricsServer
 
     with MetricsServer(listening, text) as server:
@@ -84,7 +84,7 @@ def serve(listening: socket.socket, text: Callable[[], str]) -> None:
 
 
 def _write(path: Path, text: str) -> None:
-    """Replace a regular file or make one; raises ImucaldError, and leaves all else as it is."""
+    """Replace a regular file or make one. For any other path, raises ImucaldError."""
     from imucald.core.errors import ImucaldError
     from imucald.core.files import write_file
 

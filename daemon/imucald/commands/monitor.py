@@ -14,12 +14,12 @@ from imucald.commands.status import add_socket_argument, asked, find_socket
 from imucald.core.libraries import how_to_install
 
 PERIOD_S = 0.5
-"""The picture is made anew so often [s]."""
+"""Period of drawing the picture [s]."""
 WEB_PORT = 8130
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Options of `monitor`."""
+    """Add the options of `monitor`."""
     add_socket_argument(parser)
     parser.add_argument("--seconds", type=positive, metavar="S", help="stop after this time")
     add_web_argument(parser)
@@ -29,7 +29,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def add_web_argument(parser: argparse.ArgumentParser) -> None:
-    """The page instead of the terminal; `demo --live` has it too."""
+    """Add the option for a web page instead of the terminal, also for `demo --live`."""
     parser.add_argument(
         "--web",
         type=int,
@@ -42,9 +42,9 @@ def add_web_argument(parser: argparse.ArgumentParser) -> None:
 
 
 def run(options: argparse.Namespace) -> int:
-    """Show the status until Ctrl-C; a daemon that goes away is waited for."""
+    """Show the status until Ctrl-C. If the daemon stops, wait for it."""
     answer = asked(options, "status")
-    if isinstance(answer, int):  # nobody there at the start is an error
+    if isinstance(answer, int):  # no daemon at the start is an error
         return answer
     path = find_socket(options.socket, options.channel)
     seconds = float("inf") if options.seconds is None else options.seconds
@@ -54,10 +54,10 @@ def run(options: argparse.Namespace) -> int:
 
 
 def watch(path: Path, is_over: Callable[[], bool], web: int | None, note: str = "") -> None:
-    """Show what the daemon behind a socket says until Ctrl-C, or until it is over.
+    """Show the status of the daemon at a socket until Ctrl-C or until `is_over` is true.
 
-    is_over: asked before each picture; one more is shown after it was. web: on this port of
-    127.0.0.1 instead of the terminal. note: shown below.
+    is_over: called before each picture; after True, one last picture is shown. web: port of
+    127.0.0.1 for a web page instead of the terminal. note: text shown below the picture.
     """
     if web is not None:
         from imucald.commands.monitor_web import serve

@@ -1,4 +1,4 @@
-"""The picture of `imucald monitor`: bars of the intervals, inputs, events, at any width."""
+"""The picture of `imucald monitor`: bars of the intervals, inputs, events, for any width."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ from imucald.commands.status_view import facts, headline, is_stale, wrong_now
 from imucald.mount.mount_words import left_out_words
 
 BESIDE = 120
-"""Columns from which inputs and events stand side by side."""
+"""Smallest width [columns] for inputs and events side by side."""
 BESIDE_INPUTS = 66
 LEAST_EVENTS = 3
 LONG_BAR = 60
-"""Columns of a bar where there is room."""
+"""Width of a bar [columns] if there is enough space."""
 FACTS = ("now", "losses", "rejected", "process")
 LEFT_OUT = "not learnt from"
-"""Shown as well where there is something."""
+"""Title of a row that is shown only if it has content."""
 KIND_STYLES = {
     "alarm": "red",
     "fault": "red",
@@ -40,9 +40,9 @@ def monitor_picture(
     foot: Text,
     trouble: str = "",
 ) -> Group:
-    """Return the picture for a terminal: the newest events fill what is left of its height.
+    """Return the picture for a terminal. The newest events fill the remaining height.
 
-    trouble: why the daemon does not answer; the rest is what it said last.
+    trouble: why the daemon does not answer; the rest is then its last status.
     """
     width, height = console.size
     is_grey = is_stale(status, trouble)
@@ -61,7 +61,7 @@ def monitor_picture(
         grid.add_row(inputs, events_table(shown))
         return Group(*top, grid, *below)
     left = height - _lines(console, *top, inputs, *below) - 1
-    if left < LEAST_EVENTS:  # a low terminal: what comes in and what is wrong as one line each
+    if left < LEAST_EVENTS:  # a low terminal: one line for inputs and one for problems
         wrong = wrong_now(status)
         below = [*([Text(f"now     {wrong}", style="red")] if wrong else []), foot]
         inputs = Text(_short(status))
@@ -70,7 +70,7 @@ def monitor_picture(
             left = height - _lines(console, *top, inputs, *below) - 1
             if left >= LEAST_EVENTS or len(mount) == 1:
                 break
-            mount.pop()  # the last is what helps least
+            mount.pop()  # the last part is the least useful
     shown = _fitting(console, events, left, width)
     return Group(*top, inputs, Padding(events_table(shown), (1, 0, 0, 0)), *below)
 
@@ -82,7 +82,7 @@ def _lines(console: Console, *parts: RenderableType) -> int:
 def _fitting(
     console: Console, events: Sequence[LiveEvent], rows: int, width: int
 ) -> list[LiveEvent]:
-    """The newest events whose table has at most so many rows."""
+    """Return the newest events that fit a table of at most `rows` rows."""
     options = console.options.update(width=width)
     shown = list(events)[-rows:] if rows > 0 else []
     while shown and len(console.render_lines(events_table(shown), options)) > rows:
@@ -96,7 +96,7 @@ def _short(status: Mapping[str, Any]) -> str:
 
 
 def inputs_table(status: Mapping[str, Any], is_grey: bool = False) -> Table:
-    """What comes in: rate, samples so far, health."""
+    """Make the table of inputs: rate, number of samples, health."""
     table = Table(box=None, pad_edge=False)
     table.add_column("input")
     table.add_column("rate", justify="right")
@@ -113,7 +113,7 @@ def inputs_table(status: Mapping[str, Any], is_grey: bool = False) -> Table:
 
 
 def input_health(status: Mapping[str, Any], channel: str, rate: float | None) -> tuple[str, str]:
-    """How an input is, in words and as a style."""
+    """Return the health of an input as text and as style."""
     faults = status["signal_health"]["sensors"].get(channel)
     if faults:
         words = ", ".join(
@@ -126,7 +126,7 @@ def input_health(status: Mapping[str, Any], channel: str, rate: float | None) ->
 
 
 def events_table(events: Sequence[LiveEvent]) -> Table:
-    """Events by time of day."""
+    """Make the table of events with their times of day."""
     table = Table(box=None, pad_edge=False)
     table.add_column("time", style="dim", no_wrap=True)
     table.add_column("event", overflow="fold")

@@ -1,9 +1,9 @@
-"""`imucald monitor --web`: the monitor as one page, served to this machine only.
+"""`imucald monitor --web`: the monitor as a web page, only for this machine.
 
-The server asks the daemon's status socket once a second, keeps its history for the charts, and
-answers GET requests on 127.0.0.1. It takes no orders. A page of another site cannot read it: the
-host name that the browser asked for must be this machine's (against DNS rebinding), and nothing
-allows other origins.
+The server reads the daemon's status socket once per second, keeps its history for the charts, and
+answers GET requests on 127.0.0.1. It accepts no orders. A page of another site cannot read it: the
+host name in the request must be this machine's (against DNS rebinding), and other origins are not
+allowed.
 """
 
 from __future__ import annotations
@@ -59,9 +59,9 @@ ADDRESS = "127.0.0.1"
 PERIOD_S = 1.0
 CONNECTIONS_MAX = 32
 ASK_S = 2.0
-"""A connection has so long to send a request [s] ..."""
+"""Longest time for a connection to send its first request [s]."""
 KEEP_S = 5.0
-"""... and the next one on the same connection [s]."""
+"""Longest time until the next request on the same connection [s]."""
 HEADERS = {
     "Content-Security-Policy": "default-src 'none'; connect-src 'self'; "
     "style-src 'unsafe-inline'; script-src 'self'; img-src data:",
@@ -72,7 +72,7 @@ HEADERS = {
 
 
 class LiveState:
-    """What the page shows: the newest status, the history, the events."""
+    """The content of the page: the newest status, the history, the events."""
 
     def __init__(self, note: str = "") -> None:
         self._note = note
@@ -84,12 +84,12 @@ class LiveState:
         self._rows: deque[list[Any]] = deque(maxlen=KEPT)
 
     def update(self, status: dict[str, Any], now: float) -> None:
-        """Take a status at wall clock `now` [s]."""
+        """Process a status at wall clock `now` [s]."""
         self._status, self._trouble, self._last = status, "", now
         self._events.update(status, now)
 
     def remember(self, events: Sequence[Mapping[str, Any]]) -> None:
-        """Take what the daemon logged before this page was started."""
+        """Add the events that the daemon logged before this page was started."""
         self._events.remember(events)
 
     @property
@@ -98,7 +98,7 @@ class LiveState:
         return float(self._rows[-1][0]) if self._rows else -math.inf
 
     def add_history(self, found: Mapping[str, Any]) -> None:
-        """Take the daemon's rows after `newest`."""
+        """Add the daemon's rows after `newest`."""
         self._columns = list(found["columns"])
         self._rows.extend(found["rows"])
 
@@ -108,11 +108,11 @@ class LiveState:
         return self._status is not None
 
     def fail(self, error: Exception) -> None:
-        """The daemon did not answer."""
+        """Register that the daemon did not answer."""
         self._trouble = no_answer(error, self._last)
 
     def page(self, since: float = -math.inf) -> dict[str, Any]:
-        """Everything that the page needs, as JSON; since: of the history, rows after that time."""
+        """Return the data of the page for JSON. since: only history rows after this time [s]."""
         status = self._status
         if status is None:
             return {"trouble": self._trouble or "no answer yet"}
@@ -167,7 +167,7 @@ def _matrix(quaternion: Sequence[float]) -> Matrix3:
 
 
 def _angle(status: Mapping[str, Any], i: int) -> dict[str, Any]:
-    """A row: an angle with its ±, and the turn about a vehicle axis with its own and its target."""
+    """Return a row: an angle with its ±, and the rotation about an axis with its ± and target."""
     mount, name, axis = status["mount"], ANGLES[i], "xyz"[i]
     value, spread = angle_cells(mount, name)
     std = judged_std(mount, axis)
@@ -210,7 +210,7 @@ def _rotation(mount: Mapping[str, Any]) -> Matrix3 | None:
 
 
 def serve(path: Path, port: int, is_over: Callable[[], bool], note: str) -> None:
-    """Serve the page until Ctrl-C, or until it is over. Raises ImucaldError."""
+    """Serve the page until Ctrl-C or until `is_over` is true. Raises ImucaldError."""
     try:
         import aiohttp  # noqa: F401 - an extra: without it there is a remedy to report
     except ImportError:
@@ -255,16 +255,16 @@ async def _ask(path: Path, state: LiveState) -> None:
     except (LinkError, ValueError) as error:
         state.fail(error)
         return
-    with contextlib.suppress(LinkError, ValueError, LookupError):  # an older daemon has none
+    with contextlib.suppress(LinkError, ValueError, LookupError):  # an older daemon has no history
         history = await asyncio.to_thread(ask, path, f"history {state.newest}")
         state.add_history(json.loads(history))
 
 
 class Connections:
-    """Keeps the connections of an aiohttp server few, whoever opens them.
+    """Limits the number of connections of an aiohttp server.
 
-    One that sends no whole request is cut off after `ASK_S`, and makes room before that where
-    there are more than `CONNECTIONS_MAX`.
+    A connection that sends no complete request is closed after `ASK_S`. If there are more than
+    `CONNECTIONS_MAX` connections, it is closed earlier.
     """
 
     def __init__(self) -> None:
@@ -272,7 +272,7 @@ class Connections:
         self._answered: set[web.RequestHandler] = set()
 
     def bound(self, server: web.Server) -> None:
-        """Watch over a server that has no connection yet."""
+        """Attach to a server that has no connection yet."""
         made, lost = server.connection_made, server.connection_lost
 
         def connection_made(handler: web.RequestHandler, transport: asyncio.Transport) -> None:
@@ -290,7 +290,7 @@ class Connections:
         vars(server).update(connection_made=connection_made, connection_lost=connection_lost)
 
     def has_asked(self, handler: web.RequestHandler) -> None:
-        """A request has come whole; the next has as long again, and the server's own limit."""
+        """Register a complete request. The server's own limit applies to the next one."""
         if handler in self._open:
             self._answered.add(handler)
             self._open[handler].cancel()
@@ -309,7 +309,7 @@ class Connections:
 
 
 def application(state: LiveState, connections: Connections | None = None) -> web.Application:
-    """Return the server: `/`, `/monitor.js`, `/live`; nothing else, and only to read."""
+    """Return the server. It has only `/`, `/monitor.js` and `/live`, all read-only."""
     from aiohttp import web
 
     pages = resources.files("imucald.report") / "templates"

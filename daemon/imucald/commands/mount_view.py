@@ -1,4 +1,4 @@
-"""The mount on a terminal, the same in `status`, `monitor` and `replay`."""
+"""Show the mount on a terminal. `status`, `monitor` and `replay` use this module."""
 
 from __future__ import annotations
 
@@ -25,16 +25,16 @@ from imucald.mount.mount_words import (
 )
 
 BAR = 24
-"""Columns of a bar."""
+"""Width of a bar [columns]."""
 
 
 def mount_parts(
     result: Mapping[str, Any], bar: int = BAR, is_stale: bool = False
 ) -> Iterator[Table | Text]:
-    """Yield the table, how the sensor sits, what is left, what is missing, and what "±" means.
+    """Yield the table, the sensor's orientation, the remaining driving, what is missing, and "±".
 
-    result: as in docs/json.md, or a status (of an older daemon too). bar: columns of the bars.
-    is_stale: nothing flows now, so that no target is shown as reached.
+    result: as in docs/json.md, or a status (also of an older daemon). bar: width of bars [columns].
+    is_stale: no frames flow now, so no target is shown as reached.
     """
     mount, progress = result["mount"], result.get("progress")
     yield _table(mount, progress, is_stale)
@@ -54,7 +54,7 @@ def mount_parts(
 
 
 def _gates(progress: Mapping[str, Any], bar: int) -> Table:
-    """A bar for each thing that is waited for: its share, and the driving that is left."""
+    """Make a bar for each missing condition, with its share and the remaining driving."""
     table = Table(box=None, pad_edge=False)
     table.add_column(f"to {progress['goal']}")
     table.add_column("")
@@ -73,7 +73,7 @@ def _table(mount: Mapping[str, Any], progress: Mapping[str, Any] | None, is_stal
     table.add_column("mount", min_width=6)
     table.add_column("angle", justify="right", min_width=8)
     table.add_column("± 95 %", justify="right", min_width=7)
-    table.add_column("")  # a gap between the mount and what states are judged by
+    table.add_column("")  # a gap between the mount and the criteria of the state
     table.add_column("turn about", min_width=12)
     table.add_column("± 95 %", justify="right", min_width=7)
     table.add_column("target")

@@ -1,4 +1,4 @@
-"""Options that several commands have in common."""
+"""Options that several commands use."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ LOG_HELP = (
 
 
 def positive(text: str) -> float:
-    """A finite number above zero, for an option."""
+    """Parse a finite number above zero, for an option."""
     try:
         number = float(text)
     except ValueError:
@@ -32,7 +32,7 @@ def positive(text: str) -> float:
 
 
 def add_config(parser: argparse.ArgumentParser) -> None:
-    """Which configuration, and databases in place of those that it names."""
+    """Add the options for the configuration and for databases that replace those it names."""
     parser.add_argument(
         "--config",
         required=True,
@@ -51,7 +51,7 @@ def add_config(parser: argparse.ArgumentParser) -> None:
 
 
 def configuration(options: argparse.Namespace) -> Configuration:
-    """The configuration that the options of `add_config` name; its warnings go to stderr."""
+    """Load the configuration that the options of `add_config` name; print warnings on stderr."""
     from imucald.api.configuration import Configuration
 
     found = Configuration.load(options.config, options.database)
@@ -60,23 +60,23 @@ def configuration(options: argparse.Namespace) -> Configuration:
 
 
 def print_problems(texts: Iterable[str]) -> None:
-    """What is wrong with a configuration or a log, a line each on stderr."""
+    """Print problems of a configuration or a log on stderr, one line each."""
     for text in texts:
         print(f"imucald: {text}", file=sys.stderr)
 
 
 def add_quiet(parser: argparse.ArgumentParser, text: str) -> None:
-    """The same two names in every command. text: what is left out."""
+    """Add the option for quiet output, with the same names in all commands. text: its help."""
     parser.add_argument("--quiet", "-q", action="store_true", help=text)
 
 
 def refuse_log_and_bus(options: argparse.Namespace) -> None:
-    """Raise ConfigError where both a recording and a bus are named."""
+    """Raise ConfigError if both a recording and a bus are given."""
     if options.logs and (options.interface or options.channel):
         raise ConfigError("give either LOG, or --interface and --channel, but not both")
 
 
 def add_bus(parser: argparse.ArgumentParser) -> None:
-    """Which bus, in place of the configuration's."""
+    """Add the options for a bus that replaces the configured one."""
     parser.add_argument("--interface", help="python-can interface (default: the configuration's)")
     parser.add_argument("--channel", help="its channel, such as can0")

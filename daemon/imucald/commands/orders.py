@@ -1,4 +1,4 @@
-"""What `reset`, `hold`, `release` and `set-mount` have in common: an order to a running daemon."""
+"""Send an order to a running daemon, for `reset`, `hold`, `release` and `set-mount`."""
 
 from __future__ import annotations
 
@@ -19,11 +19,11 @@ WHO = (
     "no daemon runs, 8 the daemon does not answer."
 )
 NOT_RUNNING = 3
-"""As `systemctl is-active` and `status` of init scripts have it."""
+"""Exit status if no daemon runs, as in `systemctl is-active` and `status` of init scripts."""
 
 
 def add_target(parser: argparse.ArgumentParser, more: str = "") -> None:
-    """Which daemons are meant."""
+    """Add the options that select daemons."""
     from imucald.commands.status import add_socket_argument
 
     add_socket_argument(
@@ -35,7 +35,7 @@ def add_target(parser: argparse.ArgumentParser, more: str = "") -> None:
 
 
 def give(options: argparse.Namespace, order: str, **more: Any) -> int:
-    """Give an order to the daemons that are meant and print their answers; the exit status."""
+    """Send an order to the selected daemons, print their answers, and return the exit status."""
     from imucald.commands.status import find_socket, running_sockets
 
     if options.all and (options.channel or options.socket):

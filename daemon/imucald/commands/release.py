@@ -8,7 +8,7 @@ from imucald.commands.orders import add_target, give
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Options of `release`."""
+    """Add the options of `release`."""
     add_target(
         parser,
         " A hold that the configuration states ('calibration: mount: hold: true') cannot be "
@@ -17,5 +17,5 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(options: argparse.Namespace) -> int:
-    """Give the order."""
+    """Send the order to the daemon."""
     return give(options, "release")

@@ -1,4 +1,4 @@
-"""`imucald replay`: recorded logs through the same engine as the live daemon."""
+"""`imucald replay`: run recorded logs through the same engine as the live daemon."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Options of `replay`."""
+    """Add the options of `replay`."""
     parser.epilog = (
         "Several logs are several drives, each replayed on its own. Logs that overlap in time and "
         "mounts that differ from drive to drive are reported. With --joined the logs are pieces of "
@@ -88,7 +88,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(options: argparse.Namespace) -> int:
-    """Replay, then say what came of it."""
+    """Replay the logs, then print the results."""
     from imucald.api.logs import found_names
     from imucald.core import compiled
     from imucald.core.file_cache import keep_databases
@@ -109,7 +109,7 @@ def _one(options: argparse.Namespace, config: Configuration, logs: Sequence[str]
     from imucald.commands.files import STANDARD, write_text
     from imucald.runtime.summary import as_json
 
-    page = _page(options, logs, options.report)  # refused before a file is opened
+    page = _page(options, logs, options.report)  # checked before a file is opened
     with _sink(options, config) as sink:
         drive, written = _replayed(options, config, logs, options.write, sink, page)
     _print_problems(options, drive)
@@ -127,7 +127,7 @@ def _one(options: argparse.Namespace, config: Configuration, logs: Sequence[str]
 
 
 def _several(options: argparse.Namespace, config: Configuration, logs: Sequence[str]) -> int:
-    """Each log is a drive; one that cannot be read is reported, and the others go on."""
+    """Replay each log as a drive. A log that cannot be read is reported, and the rest continues."""
     from imucald.api.between_drives import notes_between
     from imucald.api.drives import DriveSet
     from imucald.api.run import is_unused, require_frames
@@ -182,7 +182,7 @@ def _replayed(
     sink: Sink | None,
     page: ReplayReport | None,
 ) -> tuple[DriveResult, list[Path]]:
-    """Replay one recording; return what came of it, and the files that were written."""
+    """Replay one recording; return its result and the written files."""
     from imucald.api.run import ReplayRun
     from imucald.commands.terminal import progress_bar
 
@@ -200,7 +200,7 @@ def _replayed(
 def _written(
     run: ReplayRun, path: Path, options: argparse.Namespace
 ) -> tuple[DriveResult, list[Path]]:
-    """Replay into a file; the same."""
+    """Replay into a file; return the result and the written files."""
     from imucald.api.streaming import DriveStream
     from imucald.core.errors import LogError
 
@@ -208,7 +208,7 @@ def _written(
     try:
         files = stream.write(path, _quantities(options))
     except LogError:
-        if not stream.ended:  # one without a frame has a result, and is reported after it
+        if not stream.ended:  # a log without a frame has a result, and is reported later
             raise
     return stream.result, files
 
@@ -218,7 +218,7 @@ def _quantities(options: argparse.Namespace) -> list[str] | None:
 
 
 def _paths(path: Path | None, logs: Sequence[str]) -> list[Path | None]:
-    """The file that each drive is written to."""
+    """Return the output file of each drive."""
     from imucald.api.drives import names_apart
 
     if path is None:
@@ -227,7 +227,7 @@ def _paths(path: Path | None, logs: Sequence[str]) -> list[Path | None]:
 
 
 def _folders(folder: Path | None, logs: Sequence[str]) -> list[Path | None]:
-    """The folder of each drive's page, in the one that was named."""
+    """Return the folder of each drive's page, inside the given folder."""
     from imucald.api.drives import names_apart
 
     if folder is None:
@@ -242,7 +242,7 @@ def _folders(folder: Path | None, logs: Sequence[str]) -> list[Path | None]:
 def _page(
     options: argparse.Namespace, logs: Sequence[str], folder: Path | None
 ) -> ReplayReport | None:
-    """What gathers a page about the drive; None where none is wanted."""
+    """Return the collector of the drive's page; None if no page is wanted."""
     if folder is None:
         return None
     from imucald.commands.replay_report import ReplayReport
@@ -263,7 +263,7 @@ def _print_written(files: Sequence[Path]) -> None:
 
 
 def _check(options: argparse.Namespace, logs: Sequence[str]) -> None:
-    """Raise ImucaldError for options that do not go together, before any work."""
+    """Raise ImucaldError before any work if options contradict each other."""
     from imucald.commands.files import check_files
     from imucald.core.errors import ConfigError
 
@@ -291,7 +291,7 @@ def _check(options: argparse.Namespace, logs: Sequence[str]) -> None:
 
 @contextmanager
 def _sink(options: argparse.Namespace, config: Configuration) -> Iterator[Sink | None]:
-    """Where the frames go: a file, a bus, both, or nowhere (None)."""
+    """Yield the receiver of the frames: a file, a bus, both, or None."""
     from contextlib import ExitStack
 
     from imucald.can.logs.log_reader import CandumpWriter
@@ -299,7 +299,7 @@ def _sink(options: argparse.Namespace, config: Configuration) -> Iterator[Sink |
 
     with ExitStack() as stack:
         sinks: list[Sink] = []
-        if options.speed is not None:  # first: without the bus no file is begun
+        if options.speed is not None:  # first the bus: if it fails, no file is made
             from imucald.service.live import open_link, send_columns
 
             link = stack.enter_context(

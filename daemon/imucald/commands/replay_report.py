@@ -1,4 +1,4 @@
-"""`imucald replay --report DIR`: the page about a drive, made during the replay."""
+"""`imucald replay --report DIR`: make the page about a drive during the replay."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from imucald.report.replay_page import replay_page
 
 
 class ReplayReport:
-    """Gathers what the page needs, then writes it. Raises ImucaldError before any work."""
+    """Collects the data of the page, then writes it. Raises ImucaldError before any work."""
 
     def __init__(
         self,
@@ -33,7 +33,7 @@ class ReplayReport:
         self._options, self._logs, self._folder = options, logs, folder
 
     def write(self, result: Mapping[str, Any], problems: Sequence[str]) -> None:
-        """Write the page. Raises ImucaldError where that cannot be."""
+        """Write the page. Raises ImucaldError if that fails."""
         options = self._options
         about = about_now(self._logs, options.config, model="")
         file = write_page(self._folder, replay_page(self.history, result, problems, about))
@@ -44,10 +44,10 @@ class ReplayReport:
 def write_index(
     folder: Path, drives: Sequence[tuple[str, Mapping[str, Any]]], notes: Sequence[str]
 ) -> Path:
-    """Write the page that leads to those of several drives: a row for each; return its path.
+    """Write an index page with a row and a link for each drive; return its path.
 
-    drives: name of the folder in `folder`, and row of `DriveSet.rows`. notes: between drives.
-    Raises ImucaldError where it cannot be written.
+    drives: for each drive, the name of its folder in `folder` and its row of `DriveSet.rows`.
+    notes: notes between drives. Raises ImucaldError if the page cannot be written.
     """
     rows = [
         (name, row, [angle_text(row[f"{a}_deg"], row[f"std_{a}_deg"]) for a in ANGLES])

@@ -1,4 +1,4 @@
-"""The folder that `--report` names: checked before the work, made and filled after it."""
+"""The folder of option `--report`. It is checked before the work, and made and filled after it."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ PAGE = "index.html"
 
 
 def check_report_folder(folder: Path) -> None:
-    """Raise ImucaldError where a page could not be made, or not be written there."""
+    """Raise ImucaldError if a page cannot be made or cannot be written to the folder."""
     require_libraries()
     if folder.exists() and not folder.is_dir():
         raise ImucaldError(f"{folder}: cannot be written: Not a directory")
 
 
 def make_folder(folder: Path) -> None:
-    """Make a folder, unless it is there. Raises ImucaldError where that cannot be."""
+    """Make a folder if it does not exist. Raises ImucaldError if that fails."""
     try:
         folder.mkdir(exist_ok=True)
     except OSError as error:
@@ -30,7 +30,7 @@ def make_folder(folder: Path) -> None:
 
 
 def about_now(logs: Sequence[str], config: Path, model: str) -> About:
-    """What stands at a page's foot; model: the model file in words, "" without."""
+    """Return the data of a page's footer; model: text about the model file, "" without one."""
     return About(
         logs=["/".join(Path(log).parts[-2:]) for log in logs],
         config=config.name,
@@ -40,7 +40,7 @@ def about_now(logs: Sequence[str], config: Path, model: str) -> About:
 
 
 def write_page(folder: Path, page: str) -> Path:
-    """Write the page into its folder; return its path. Raises ImucaldError where that cannot be."""
+    """Write the page into its folder; return its path. Raises ImucaldError if that fails."""
     make_folder(folder)
     write_text(folder / PAGE, page)
     return folder / PAGE

@@ -8,7 +8,7 @@ from imucald.commands.orders import add_target, give
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Options of `reset`."""
+    """Add the options of `reset`."""
     add_target(
         parser,
         " The learnt and the saved mount are discarded. This cannot be undone. A mount that the "
@@ -17,5 +17,5 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(options: argparse.Namespace) -> int:
-    """Give the order."""
+    """Send the order to the daemon."""
     return give(options, "reset")

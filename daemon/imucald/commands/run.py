@@ -14,9 +14,9 @@ if TYPE_CHECKING:
     from imucald.service.listening import ServingProcess
 
 WRONG_CONFIGURATION = 78
-"""Exit status (EX_CONFIG of sysexits.h) by which systemd knows that another start is no use."""
+"""Exit status (EX_CONFIG of sysexits.h). It tells systemd not to start the daemon again."""
 LOG_LEVELS = ("error", "warning", "notice", "info")
-"""As in `service.journal`, which is loaded later."""
+"""Log levels, as in `service.journal`, which is loaded later."""
 NO_SOCKET = (
     "there is no status socket, since XDG_RUNTIME_DIR is not set: 'imucald status', "
     "'monitor' and orders cannot reach this daemon. Set XDG_RUNTIME_DIR to a folder for all "
@@ -25,7 +25,7 @@ NO_SOCKET = (
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Options of `run`."""
+    """Add the options of `run`."""
     parser.epilog = (
         "Ctrl-C or SIGTERM stops it. SIGHUP makes it read the configuration again. Exit "
         "status: 0 stopped, 1 an error (for example: the interface does not exist), 78 the "
@@ -82,11 +82,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(options: argparse.Namespace) -> int:
-    """Run until SIGINT or SIGTERM; SIGHUP reads the configuration again, SIGUSR1
-    repeats the sensor check."""
+    """Run the daemon until SIGINT or SIGTERM. SIGHUP reads the configuration again; SIGUSR1 repeats
+    the sensor check."""
     import signal
 
-    early: set[int] = set()  # asked for while it starts, which would end it by default
+    early: set[int] = set()  # received during the start; by default they would end it
     for number in (signal.SIGHUP, signal.SIGUSR1):
         signal.signal(number, lambda asked, _: early.add(asked))
 
@@ -105,7 +105,7 @@ def run(options: argparse.Namespace) -> int:
 
     fill_standard_files()
     described = [path for path in (options.config, *options.database) if path.exists()]
-    check_files(described, (options.json,))  # a missing one has its own exit status below
+    check_files(described, (options.json,))  # a missing input has its own exit status below
     if options.state_dir is not None and options.state_dir.is_file():
         raise ImucaldError(f"--state-dir {options.state_dir}: this is a file; name a folder")
     journal = Journal(level=WARNING if options.quiet else PRIORITIES[options.log_level])
@@ -162,7 +162,7 @@ def _wrong(error: ConfigError, journal: Journal) -> int:
 
 
 def _checked(options: argparse.Namespace, journal: Journal) -> int:
-    """What the service would read at its start or reload, read without a bus."""
+    """Read all files that the service reads at start or reload, without a bus."""
     from imucald.core.errors import ConfigError
     from imucald.runtime.session import open_config
     from imucald.service.announcements import say_idle_keys
@@ -179,7 +179,7 @@ def _checked(options: argparse.Namespace, journal: Journal) -> int:
 
 
 def _metrics_process(address: str | None, status_socket: Path | None) -> ServingProcess | None:
-    """The process that serves metrics, where that is wanted."""
+    """Return the process that serves metrics; None if it is not wanted."""
     if address is None:
         return None
     from imucald.commands.metrics import serve

@@ -1,15 +1,15 @@
-"""`imucald schema`: JSON schemas of the configuration and the model file, for editors."""
+"""`imucald schema`: print the JSON schema of the configuration or the model file, for editors."""
 
 from __future__ import annotations
 
 import argparse
 
 CONFIGURATION, MODEL = "imucald.schema.json", "imucald-model.schema.json"
-"""Schemas, as they are called next to the files that name them."""
+"""File names of the schemas, which are written next to the YAML files."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Options of `schema`."""
+    """Add the options of `schema`."""
     parser.add_argument(
         "--model", action="store_true", help="print the schema of the model file instead"
     )
@@ -22,7 +22,7 @@ def run(options: argparse.Namespace) -> int:
 
 
 def schema_text(of: str) -> str:
-    """The content of a schema file, by its name."""
+    """Return the content of a schema file, by its name."""
     import json
 
     from imucald.can.e2e.checksums import KINDS, NO_CHECKSUM, ONE_BYTE_KINDS

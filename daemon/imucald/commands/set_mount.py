@@ -1,4 +1,4 @@
-"""`imucald set-mount`: put a mount that is known in force."""
+"""`imucald set-mount`: activate a known mount."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ ANGLES = ("roll", "pitch", "yaw")
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Options of `set-mount`."""
+    """Add the options of `set-mount`."""
     add_target(
         parser,
         " Angles are those of the sensor in the vehicle, as 'imucald status' shows them. The state "
@@ -34,7 +34,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(options: argparse.Namespace) -> int:
-    """Give the order."""
+    """Send the order to the daemon."""
     from imucald.config.calibration import KnownMount
     from imucald.core.errors import ImucaldError
     from imucald.core.typed import Document, typed
@@ -52,6 +52,6 @@ def run(options: argparse.Namespace) -> int:
         given = [x / SD_95 for x in given]
     mount = {f"{name}_deg": getattr(options, name) for name in ANGLES}
     mount |= {"std_deg": given[0] if len(given) == 1 else given, "hold": options.hold}
-    # the daemon's own words are terser
+    # the daemon's own texts are shorter
     typed(mount, KnownMount, Document("set-mount", {}, "the mount"))
     return give(options, "set-mount", mount=mount)

@@ -1,4 +1,4 @@
-"""`imucald simulate`: a simulated drive as a candump log, with its truth in another file."""
+"""`imucald simulate`: write a simulated drive as a candump log, and its truth to another file."""
 
 from __future__ import annotations
 
@@ -20,18 +20,18 @@ if TYPE_CHECKING:
 
 ROUTES = ("mixed", "city", "motorway", "straight_only", "circles", "parked")
 MAX_SCALE = 0.5
-"""Largest gain error: no sensor is off by half, and 1 is what is written for a factor."""
+"""Largest gain error. No sensor has 50 % error, and a value of 1 means that a factor was given."""
 MAX_MINUTES = 600.0
-"""Ten hours: about 1.5 GB of memory."""
+"""Longest drive [min]: ten hours, about 1.5 GB of memory."""
 
 
 LATEST_START_S = 4_102_444_800.0
-"""1 January 2100 [UNIX s]."""
+"""Latest start of a drive: 1 January 2100 [UNIX s]."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options of `simulate`."""
-    # Otherwise "-5,3,30" would be taken for an option.
+    # Otherwise "-5,3,30" would be read as an option.
     parser._negative_number_matcher = re.compile(r"^-[\d.][\d.,e+-]*$")
     parser.add_argument(
         "--out",
@@ -104,7 +104,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(options: argparse.Namespace) -> int:
-    """Simulate, write log, truth and perhaps the model; say what was written."""
+    """Simulate; write log, truth and (if requested) the model; print what was written."""
     from imucald.commands.files import check_files, write_yaml
     from imucald.commands.schema import MODEL
     from imucald.config import load_config
@@ -146,7 +146,7 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _start(text: str | None) -> float:
-    """The stamp of the first frame [UNIX s]."""
+    """Return the time stamp of the first frame [UNIX s]."""
     from imucald.traffic.can_log import EPOCH_S
 
     if text is None:
@@ -197,9 +197,9 @@ def _send(options: argparse.Namespace, drive: Drive, encoder: BusEncoder) -> Non
 
 
 def chosen_model(options: argparse.Namespace, side: str | None = None) -> VehicleModel:
-    """Return the model that the options ask for: file or drawn, then changed.
+    """Return the model that the options select (from a file or random), with the given changes.
 
-    side: that the configuration states. `--set` and a model file that states one go before it.
+    side: driving side in the configuration. A side from `--set` or a model file is preferred.
     """
     from imucald.model.model import load_model
     from imucald.simulation.random_model import random_model
@@ -230,7 +230,7 @@ def chosen_model(options: argparse.Namespace, side: str | None = None) -> Vehicl
 
 
 def _check_scales(model: VehicleModel) -> None:
-    """Raise ConfigError for a gain error of which a factor was meant."""
+    """Raise ConfigError for a gain error that looks like a factor."""
     for section, values in model.dump().items():
         scale = values.get("scale", 0.0) if isinstance(values, dict) else 0.0
         for x in scale if isinstance(scale, (list, tuple)) else (scale,):
@@ -242,7 +242,7 @@ def _check_scales(model: VehicleModel) -> None:
 
 
 def _side(options: argparse.Namespace, model: VehicleModel, side: str) -> str:
-    """The side of the road: the configuration's, unless the model file states one."""
+    """Return the driving side: the configuration's, unless the model file states one."""
     from imucald.core.yaml_lines import read_yaml_file
 
     if not options.model:

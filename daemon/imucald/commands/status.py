@@ -1,4 +1,4 @@
-"""`imucald status`: ask a running daemon how it is."""
+"""`imucald status`: print the status of a running daemon."""
 
 from __future__ import annotations
 
@@ -13,10 +13,10 @@ from typing import Any, NamedTuple
 from imucald.core.errors import LinkError
 
 FINE, UNCLEAR, NOT_RUNNING, USABLE, NOT_YET, SUSPECT, FAULT, BUSY = 0, 1, 3, 4, 5, 6, 7, 8
-"""Exit status; 1 (here: several daemons run) and 2 are what every command means by them. 3 as in
-`systemctl is-active`."""
+"""Exit statuses. 1 (here: several daemons run) and 2 have the same meaning in every command. 3 is
+the same as in `systemctl is-active`."""
 ASK_S = 1.0
-"""A daemon has so long to state its channel [s]."""
+"""Longest time for a daemon to state its channel [s]."""
 _BY_STATE = {
     "fine": FINE,
     "usable": USABLE,
@@ -29,14 +29,14 @@ _BY_STATE = {
 
 
 class NoAnswer(NamedTuple):
-    """Why a daemon gave no answer: an exit status, and the reason in words."""
+    """Why a daemon gave no answer: an exit status, and the reason as text."""
 
     status: int
     reason: str
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Options of `status`."""
+    """Add the options of `status`."""
     add_socket_argument(parser)
     form = parser.add_mutually_exclusive_group()
     form.add_argument(
@@ -59,7 +59,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def add_socket_argument(
     parser: argparse.ArgumentParser, socket_help: str = "status socket of the daemon"
 ) -> None:
-    """Which daemon is meant; `monitor` asks the same."""
+    """Add the options that select a daemon. `monitor` uses them too."""
     parser.add_argument(
         "channel",
         nargs="?",
@@ -69,7 +69,7 @@ def add_socket_argument(
 
 
 def run(options: argparse.Namespace) -> int:
-    """Print the status; the exit status says it in a number."""
+    """Print the status, and return it as an exit status."""
     answer = asked(options, "metrics" if options.metrics else "status")
     if isinstance(answer, int):
         return answer
@@ -93,7 +93,7 @@ def run(options: argparse.Namespace) -> int:
 
 
 def exit_status(status: Mapping[str, Any]) -> int:
-    """A daemon's status as an exit status."""
+    """Return the exit status for a daemon's status."""
     from imucald.runtime.flow import PASSING, is_starting, present_alarms
 
     if status["link"]["state"] != "up" or set(present_alarms(status)) - PASSING:
@@ -104,7 +104,7 @@ def exit_status(status: Mapping[str, Any]) -> int:
 
 
 def asked(options: argparse.Namespace, request: str) -> str | int:
-    """The answer of the daemon that is meant; without one the exit status, the reason on stderr."""
+    """Return the selected daemon's answer. Without one, print why, and return the exit status."""
     answer = answer_of(options, request)
     if isinstance(answer, str):
         return answer
@@ -113,7 +113,7 @@ def asked(options: argparse.Namespace, request: str) -> str | int:
 
 
 def answer_of(options: argparse.Namespace, request: str) -> str | NoAnswer:
-    """The answer of the daemon that is meant, or why there is none."""
+    """Return the answer of the selected daemon, or why there is none."""
     from imucald.service.asking import BusyError, ask
 
     try:
@@ -126,7 +126,7 @@ def answer_of(options: argparse.Namespace, request: str) -> str | NoAnswer:
 
 
 def running_sockets(channel: str | None = None) -> list[Path]:
-    """Status sockets of this machine's daemons, of those of a channel where one is named."""
+    """Return the status sockets of this machine's daemons, or only of one channel's daemons."""
     from imucald.core.text import encodable
     from imucald.service.asking import RUNNING
 
@@ -141,7 +141,7 @@ def running_sockets(channel: str | None = None) -> list[Path]:
 
 
 def _channel_of(path: Path) -> str | None:
-    """The channel that a daemon states, where its configuration and not the socket names it."""
+    """Ask a daemon for its channel, for a channel that is named only in the configuration."""
     from imucald.service.asking import ask
 
     try:
@@ -151,7 +151,7 @@ def _channel_of(path: Path) -> str | None:
 
 
 def find_socket(given: Path | None, channel: str | None) -> Path:
-    """The socket that is meant; LinkError with the choice where that is not clear."""
+    """Return the selected socket. If it is not clear, LinkError lists the possible ones."""
     if given is not None:
         return given
     found = running_sockets(channel)

@@ -1,4 +1,4 @@
-"""A daemon's status as a picture on a terminal, for `status` and `monitor`."""
+"""Show a daemon's status on a terminal, for `status` and `monitor`."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ EVIDENCE = {
     "stops": ("stop", ""),
     "off_vertical": ("restart", "restarts"),
 }
-"""Kinds of evidence, one and several."""
+"""Names of the kinds of evidence, singular and plural."""
 
 SHARE_SHOWN = 0.05
 _SILENT = frozenset({"accelerometer_missing", "gyroscope_missing"})
@@ -61,12 +61,12 @@ _SILENT = frozenset({"accelerometer_missing", "gyroscope_missing"})
 
 
 def waits_for(status: Mapping[str, Any]) -> str:
-    """Return in one line what flows and what is waited for."""
+    """Return one line: which frames flow, and what the daemon waits for."""
     return "; ".join([flow(status).text, *_still_missing(status)])
 
 
 def short(status: Mapping[str, Any]) -> str:
-    """Return the status as one line: what flows, the angles, what is waited for."""
+    """Return the status as one line: frames that flow, angles, what the daemon waits for."""
     angles = angles_line(status["mount"])
     return "; ".join([flow(status).text, *([angles] if angles else []), *_still_missing(status)])
 
@@ -78,16 +78,16 @@ def _still_missing(status: Mapping[str, Any]) -> list[str]:
 
 
 def picture(status: Mapping[str, Any]) -> Group:
-    """Return the whole status, for any width."""
+    """Return the complete status, for any width."""
     mount = Group(*mount_parts(status, is_stale=is_stale(status)))
     return Group(headline(status), Padding(mount, (1, 0)), facts(status))
 
 
 def headline(status: Mapping[str, Any], trouble: str = "") -> Text:
-    """Return whether corrected frames flow now, who says so, and the mount's state.
+    """Return the first lines: whether corrected frames flow now, the daemon, the mount's state.
 
-    trouble: why the daemon does not answer; then all else is what it said last. The state has its
-    colour only while frames flow: without them a known mount helps nobody.
+    trouble: why the daemon does not answer; the rest is then its last status. The state has its
+    colour only while frames flow, because a known mount is useless without frames.
     """
     link, state, now = status["link"], status["state"], flow(status)
     text = Text()
@@ -111,7 +111,7 @@ def headline(status: Mapping[str, Any], trouble: str = "") -> Text:
 
 
 def is_stale(status: Mapping[str, Any], trouble: str = "") -> bool:
-    """Whether nothing flows now, so that nothing may look good; trouble: see `headline`."""
+    """Whether no frames flow now, so nothing may be shown as good; trouble: see `headline`."""
     return bool(trouble) or flow(status).kind in SILENT
 
 
@@ -128,7 +128,7 @@ def no_answer(error: Exception, last: float | None) -> str:
 def facts(status: Mapping[str, Any], wanted: Collection[str] = ()) -> Table:
     """Return signals, evidence, frames, alarms, losses, saved state and process.
 
-    wanted: these rows only; all where there are none.
+    wanted: the rows to show; all rows if empty.
     """
     grid = Table.grid(padding=(0, 2))
     grid.add_column(style="dim", no_wrap=True)
@@ -140,7 +140,7 @@ def facts(status: Mapping[str, Any], wanted: Collection[str] = ()) -> Table:
 
 
 def wrong_now(status: Mapping[str, Any]) -> str:
-    """What is wrong now, in one line; "": nothing."""
+    """Return one line about present problems; "" if there are none."""
     return "; ".join([*present_alarms(status).values(), *_troubles(status)])
 
 
@@ -171,13 +171,13 @@ def _rows(status: Mapping[str, Any]) -> dict[str, str | Text]:
 
 
 def _not_understood(link: Mapping[str, Any]) -> str:
-    """Only where it happened: SocketCAN hands out sound frames only."""
+    """Return a text about rejected frames, if there are any. SocketCAN never has such frames."""
     count = link.get("rejected", 0)  # an older daemon does not count them
     return f", {count} not understood" if count else ""
 
 
 def _troubles(status: Mapping[str, Any]) -> list[str]:
-    """What is wrong with mount and signals; where nothing else is known, that it is suspect."""
+    """Return problems of mount and signals; "suspect" if no other problem is known."""
     found = [text for _, text in reasons(status["waiting_for"]) if is_trouble(text)]
     restored = status["details"].get("restored", {})
     if not found and restored.get("phase") == "doubted" and restored.get("doubt"):
@@ -188,7 +188,7 @@ def _troubles(status: Mapping[str, Any]) -> list[str]:
 
 
 def _sensors(status: Mapping[str, Any]) -> Text:
-    """Which sensors are fit to be used, and why the others are not."""
+    """Return which sensors can be used, and why the others cannot."""
     health = status["signal_health"]
     absent = [words for name, words in present_alarms(status).items() if name in _SILENT]
     if is_starting(status):
@@ -217,7 +217,7 @@ def _evidence(details: Mapping[str, Any]) -> str:
 
 
 def _weights(details: Mapping[str, Any]) -> str:
-    """Which evidence decides each angle."""
+    """Return which evidence determines each angle."""
     parts = []
     for angle, shares in details.get("evidence_share", {}).items():
         sums: dict[str, float] = {}
@@ -243,6 +243,6 @@ def _saved(saved: Mapping[str, Any]) -> Text:
         text.append(f"\n{problem}", style="yellow")
     if saved["last_error"]:
         text.append(f"\ncannot be saved: {saved['last_error']}", style="bold red")
-    if saved.get("to_be_forgotten"):  # an older daemon does not say it
+    if saved.get("to_be_forgotten"):  # an older daemon does not state it
         text.append("\na reset is not saved yet: a restart would undo it", style="bold red")
     return text

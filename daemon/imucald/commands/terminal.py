@@ -1,4 +1,4 @@
-"""What people see: progress, tables. Progress goes to stderr, and only to a terminal."""
+"""Text output: progress and tables. Progress is written to stderr, and only on a terminal."""
 
 from __future__ import annotations
 
@@ -18,13 +18,13 @@ Progress = Callable[[int, int | None], None]
 
 
 MOST_EVENTS = 10
-"""Lines of events at the end of a replay: a screen holds no more besides the mount."""
+"""Largest number of event lines after a replay, so that they fit a screen with the mount."""
 PIPED_WIDTH = 2000
-"""Columns where no terminal says how many there are: a row is a line, whoever reads it."""
+"""Width of the output [columns] without a terminal, so that each row is one line."""
 
 
 class _LinesWithoutPadding(io.TextIOBase):
-    """Passes text on line by line, without the blanks that fill a table's columns."""
+    """Passes text on line by line, without the trailing blanks of table columns."""
 
     def __init__(self, stream: TextIO) -> None:
         self._stream = stream
@@ -32,24 +32,24 @@ class _LinesWithoutPadding(io.TextIOBase):
 
     @property
     def encoding(self) -> str:  # type: ignore[override]
-        """That of the stream behind."""
+        """The encoding of the underlying stream."""
         return self._stream.encoding
 
     def write(self, text: str) -> int:
-        """Pass on the lines that are whole."""
+        """Pass on the complete lines."""
         *lines, self._line = (self._line + text).split("\n")
         self._stream.writelines(f"{line.rstrip(' ')}\n" for line in lines)
         return len(text)
 
     def flush(self) -> None:
-        """Pass on what is left."""
+        """Pass on the remaining text."""
         self._stream.write(self._line)
         self._line = ""
         self._stream.flush()
 
 
 def screen_console(**given: Any) -> Console:
-    """A console of rich: its own colours and moves of the cursor pass, those of texts do not."""
+    """Make a console of rich. Control codes in texts are removed; the console's own are kept."""
     from rich.console import Console
     from rich.segment import Segment
 
@@ -75,9 +75,10 @@ def screen_console(**given: Any) -> Console:
 
 
 def plain_console() -> Console:
-    """Standard output for tables: names from databases are no markup, a closed pipe is no error.
+    """Make a console for tables on standard output.
 
-    Where it is no terminal each row is one line, as `grep` and `awk` want it.
+    Names from databases are not read as markup, and a closed pipe is not an error. Without a
+    terminal, each row is one line, for `grep` and `awk`.
     """
     if sys.stdout.isatty() or "COLUMNS" in os.environ:
         return screen_console(highlight=False, markup=False)
@@ -87,7 +88,7 @@ def plain_console() -> Console:
 
 @contextmanager
 def progress_bar(text: str, quiet: bool = False) -> Iterator[Progress | None]:
-    """Show a bar while the body runs; yields what takes (done, total) bytes, or None."""
+    """Show a bar while the body runs. Yields a callback for (done, total) bytes, or None."""
     if quiet or not sys.stderr.isatty():
         yield None
         return
@@ -102,7 +103,7 @@ def progress_bar(text: str, quiet: bool = False) -> Iterator[Progress | None]:
 
 @contextmanager
 def countdown(text: str, seconds: float) -> Iterator[Callable[[float], None]]:
-    """Show how much of a known time has passed; yields what takes the seconds passed."""
+    """Show the elapsed part of a known time. Yields a callback for the elapsed seconds."""
     if not sys.stderr.isatty():
         yield _nothing
         return
@@ -117,11 +118,11 @@ def countdown(text: str, seconds: float) -> Iterator[Callable[[float], None]]:
 
 
 def _nothing(passed: float) -> None:
-    """Show nothing: this is no terminal."""
+    """Show nothing, because the output is not a terminal."""
 
 
 def plain_where_needed() -> None:
-    """Let standard output show '?' for what its encoding lacks, rather than fail."""
+    """Make standard output replace characters that its encoding lacks with '?'."""
     stdout = stream_behind(sys.stdout)
     if isinstance(stdout, io.TextIOWrapper):
         stdout.reconfigure(errors="replace")
@@ -160,7 +161,7 @@ def print_summary(result: Mapping[str, Any]) -> None:
 
 
 def print_drives(rows: Sequence[Mapping[str, Any]], notes: Sequence[str]) -> None:
-    """Print several drives, a row each, and what is odd between them."""
+    """Print several drives, one row each, and notes on inconsistencies between them."""
     from rich.table import Table
 
     from imucald.mount.estimate import ANGLES
@@ -182,7 +183,7 @@ def print_drives(rows: Sequence[Mapping[str, Any]], notes: Sequence[str]) -> Non
 
 
 def _noticed(result: Mapping[str, Any]) -> Iterator[str]:
-    """What was noticed of moved sensors and of faults, in the order of time."""
+    """Yield texts about moved sensors and faults, in the order of time."""
     from imucald.runtime.drive_events import in_order, reported_events
 
     events = in_order(reported_events(result))
@@ -193,7 +194,7 @@ def _noticed(result: Mapping[str, Any]) -> Iterator[str]:
 
 
 def _beside(result: Mapping[str, Any]) -> Iterator[str]:
-    """Results of what runs next to the calibration, where it was switched on."""
+    """Yield results of functions besides the calibration, if they were enabled."""
     attitude = result.get("attitude")
     if attitude is not None:
         angles = ", ".join(

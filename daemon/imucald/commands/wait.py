@@ -1,4 +1,4 @@
-"""`imucald wait`: block until a running daemon sends good frames, for scripts and test benches."""
+"""`imucald wait`: wait until a running daemon sends good frames, for scripts and test benches."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ from imucald.commands.options import add_quiet
 
 POLL_S = 0.5
 REPEAT_S = 30.0
-"""So long a line in which only numbers change is not printed again [s]."""
+"""Shortest time until a line is printed again if only its numbers change [s]."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Options of `wait`."""
+    """Add the options of `wait`."""
     from imucald.commands.status import add_socket_argument
     from imucald.runtime.flow import GOOD
 
@@ -40,7 +40,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(options: argparse.Namespace) -> int:
-    """Ask twice a second; print what is waited for when it changes, and how far it is by then."""
+    """Ask twice per second. If the awaited conditions change, print them and their progress."""
     from imucald.commands.status import FINE
     from imucald.core.errors import ImucaldError
     from imucald.core.text import without_numbers
@@ -62,9 +62,9 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _asked(options: argparse.Namespace) -> tuple[int, str]:
-    """The exit status as it would be now, and a line on what flows and what is waited for.
+    """Return the present exit status, and a line about flowing frames and missing conditions.
 
-    Raises LinkError where several daemons run and none is named.
+    Raises LinkError if several daemons run and none is named.
     """
     from imucald.commands.status import (
         FINE,
@@ -93,7 +93,7 @@ def _asked(options: argparse.Namespace) -> tuple[int, str]:
 def _is_reached(status: Mapping[str, Any], state: str) -> bool:
     from imucald.runtime.flow import GOOD, FlowKind, flow
 
-    states = tuple(GOOD.values())  # from the least to the best
+    states = tuple(GOOD.values())  # from worst to best
     if flow(status).kind is not FlowKind.GOOD:
         return False
     return states.index(GOOD[status["quality"]]) >= states.index(state)

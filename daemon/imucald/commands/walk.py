@@ -1,4 +1,4 @@
-"""`imucald walk`: direction of travel of a carried terminal, from a recorded log."""
+"""`imucald walk`: find the direction of travel of a carried terminal from a recorded log."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ from imucald.commands.options import LOG_HELP, add_config, add_quiet, configurat
 from imucald.core.text import counted
 
 SHOWN = 20
-"""Lines of the table: steps are left out until it fits a page."""
+"""Largest number of table lines. Steps are left out so that the table fits a page."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Options of `walk`."""
+    """Add the options of `walk`."""
     parser.add_argument("logs", nargs="+", metavar="LOG", help=LOG_HELP)
     add_config(parser)
     parser.add_argument(
@@ -30,7 +30,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(options: argparse.Namespace) -> int:
-    """Read the log, step by step."""
+    """Read the log, and print the steps."""
     from imucald.api.walking import walk
     from imucald.commands.files import STANDARD, check_files, write_text
     from imucald.commands.terminal import progress_bar

@@ -1,8 +1,8 @@
-"""YAML -> typed settings. Every mistake is one clear line with its place in the file and a remedy.
+"""Read YAML into typed settings. Each mistake gives one line with its place and a remedy.
 
-The settings below are the configuration reference's source: `imucald schema` prints their JSON
-schema and ``docs/configuration.md`` is checked against them. Files are untrusted: size, nesting and
-aliases are bounded before anything is built from them.
+The settings in this package define the configuration reference. `imucald schema` prints their JSON
+schema, and ``docs/configuration.md`` is checked against them. Files are untrusted: the limits of
+size, nesting and aliases are checked before any setting is built.
 """
 
 from __future__ import annotations

@@ -20,7 +20,7 @@ from imucald.config.base import (
 )
 
 AxisConvention = Literal["force", "gravity"]
-"""What an accelerometer at rest reads on the axis that points up: +g, or -g."""
+"""The reading of an accelerometer at rest on the axis that points up: +g ("force") or -g."""
 
 
 class MotionCompensationSettings(Settings, frozen=True):

@@ -1,4 +1,4 @@
-"""What all parts of the configuration are made of."""
+"""Common types of all parts of the configuration."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ class Settings(Struct, frozen=True, forbid_unknown_fields=True):
 
 CanId = Annotated[int, Meta(ge=0, le=EXTENDED_ID_MAX)]
 SourceAddress = Annotated[int, Meta(ge=0, le=253)]
-"""Of a sender on a J1939 bus; 254 is none, 255 all."""
+"""Address of a sender on a J1939 bus. 254 means no address, 255 means all."""
 Positive = Annotated[float, Meta(gt=0)]
 NotNegative = Annotated[float, Meta(ge=0)]
 Share = Annotated[float, Meta(ge=0, le=0.5)]
@@ -25,9 +25,10 @@ Share = Annotated[float, Meta(ge=0, le=0.5)]
 Angle = Annotated[float, Meta(ge=-180, le=180)]
 """[deg]"""
 MIN_SPEED_DELAY, MAX_SPEED_DELAY = -0.5, 1.8
-"""Of speed behind the accelerometer [s]: what can be configured, and where it is sought. A speed
-of 1 Hz that is averaged over its cycle and waits for a frame is a second late, receivers filter
-for as long again; the accelerometer is late against it by a low-pass and its own cycle at most."""
+"""Limits of the speed delay relative to the accelerometer [s], for the configuration and for the
+search. A speed of 1 Hz that is averaged over its cycle and waits for a frame is one second late. A
+filter in the receiver adds up to one second. The accelerometer can only be late by a low-pass
+filter and its own cycle."""
 SpeedDelay = Annotated[float, Meta(ge=MIN_SPEED_DELAY, le=MAX_SPEED_DELAY)]
 """[s]"""
 
@@ -38,13 +39,13 @@ crashes msgspec 0.22 when garbage is collected.)"""
 
 
 def per_axis(value: float | tuple[float, ...]) -> tuple[float, float, float]:
-    """The numbers of x, y, z."""
+    """Return the numbers for x, y, z; a single number counts for all three."""
     x, y, z = value if isinstance(value, tuple) else (value, value, value)
     return x, y, z
 
 
 class Radians:
-    """An angle (or rate) that the file gives in degrees, in radians for those who read it."""
+    """Descriptor: the file gives an angle (or rate) in degrees, and reading it gives radians."""
 
     def __init__(self, key: str) -> None:
         self._key = key
@@ -54,7 +55,7 @@ class Radians:
 
 
 class RadiansPerAxis(Radians):
-    """The same of a key that may have a number per axis; always three."""
+    """Descriptor as `Radians` for a key with one number or one per axis; returns three numbers."""
 
     def __get__(  # type: ignore[override]
         self, settings: Struct, owner: type[Struct]
@@ -64,7 +65,7 @@ class RadiansPerAxis(Radians):
 
 
 class RadiansOrNone(Radians):
-    """The same of a key that may be absent."""
+    """Descriptor as `Radians` for an optional key; returns None if it is absent."""
 
     def __get__(self, settings: Struct, owner: type[Struct]) -> float | None:  # type: ignore[override]
         degrees = getattr(settings, self._key)
@@ -72,7 +73,7 @@ class RadiansOrNone(Radians):
 
 
 class Part:
-    """A share that the file gives in percent, as a part of one for those who read it."""
+    """Descriptor: the file gives a share in percent, and reading it gives a fraction of 1."""
 
     def __init__(self, key: str) -> None:
         self._key = key

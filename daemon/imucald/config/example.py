@@ -1,4 +1,4 @@
-"""The configuration of the example bus, which the package carries."""
+"""The configuration of the example bus. It is part of the package."""
 
 from __future__ import annotations
 
@@ -6,5 +6,5 @@ from pathlib import Path
 
 
 def example_path() -> Path:
-    """Where the configuration of the example bus (``imucald_example.dbc``) is."""
+    """Return the path of the configuration for the example bus (``imucald_example.dbc``)."""
     return Path(__file__).parent.parent / "data" / "imucald_example.yaml"

@@ -1,4 +1,4 @@
-"""Databases, message protection, the bus, what is sent, and the UDS server (ISO 14229)."""
+"""Settings of databases, message protection, the bus, output frames, and UDS (ISO 14229)."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A whole configuration: read, checked, and where it came from."""
+"""A complete configuration: read it, check it, and keep the place of each key in the file."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ class Config(Settings, frozen=True, kw_only=True):
     diagnostics: Uds = Uds()
 
     def __post_init__(self) -> None:
-        """Fill in the defaults that are another key's value."""
+        """Set defaults that depend on the value of another key."""
         calibration, attitude = self.calibration, self.attitude
         compensation, of_filter = attitude.compensation, attitude.filter
         if compensation.delay is None:
@@ -61,9 +61,9 @@ class Config(Settings, frozen=True, kw_only=True):
 
 
 class LoadedConfig:
-    """A configuration with the place it came from.
+    """A configuration with its origin.
 
-    config: the settings. path: the file, or None. marks: where in the file each key stands.
+    config: the settings. path: the file, or None. marks: the position of each key in the file.
     """
 
     def __init__(self, config: Config, path: Path | None, marks: Marks) -> None:
@@ -73,12 +73,12 @@ class LoadedConfig:
         self._document = Document(_name(path), marks, _WHOLE)
 
     def database_path(self, database: DatabaseSettings) -> Path:
-        """Return a database's absolute path: relative ones are relative to the configuration."""
+        """Return a database's absolute path. A relative path starts at the configuration file."""
         return self._resolved(database.path)
 
     @property
     def model_path(self) -> Path | None:
-        """Absolute path of the model file, where there is one."""
+        """Absolute path of the model file; None if there is none."""
         model = self.config.model
         return None if model is None else self._resolved(model.path)
 
@@ -92,17 +92,17 @@ class LoadedConfig:
             ) from None
 
     def with_databases(self, entries: tuple[DatabaseSettings, ...]) -> LoadedConfig:
-        """The same configuration with other database entries."""
+        """Return the same configuration with other database entries."""
         config = msgspec.structs.replace(self.config, database=entries)
         return LoadedConfig(config, self.path, self._marks)
 
     def keys_in(self, section: str) -> frozenset[str]:
-        """The keys of a section that stand in the file, whatever their values."""
+        """Return the keys of a section that are present in the file."""
         places = (place for place in self._marks if len(place) == 2 and place[0] == section)
         return frozenset(str(place[1]) for place in places)
 
     def with_model(self, path: Path) -> LoadedConfig:
-        """The same configuration with its model file at another place."""
+        """Return the same configuration with another path of the model file."""
         if self.config.model is None:
             raise self.error(("model",), "the file names no model, so its place cannot be changed")
         model = msgspec.structs.replace(self.config.model, path=str(path.resolve()))
@@ -110,16 +110,16 @@ class LoadedConfig:
         return LoadedConfig(config, self.path, self._marks)
 
     def idle_keys(self) -> list[str]:
-        """A line for each key of the file that has no effect, with its place and the reason."""
+        """Return one line for each key without effect, with its place and the reason."""
         return [
             f"{self._document.located(place)}: {why}"
             for place, why in idle_keys(self.config, lambda place: place in self._marks)
         ]
 
     def error(self, place: Place, text: str) -> ConfigError:
-        """An error at a key of the file, such as ("signals", "speed", 0)."""
+        """Return an error for a key of the file, such as ("signals", "speed", 0)."""
         written: Place = ()
-        for part in place:  # a single source may stand where a list of them is meant
+        for part in place:  # a single source is allowed instead of a list
             if not isinstance(part, int) or (*written, part) in self._marks:
                 written = (*written, part)
         return ConfigError(f"{self._document.located(written)}: {text}")
@@ -141,9 +141,9 @@ def load_config(path: Path) -> LoadedConfig:
 
 
 def parse_config(text: str, path: Path | None = None) -> LoadedConfig:
-    """Parse the text of a configuration; `path` names it and anchors relative paths.
+    """Parse the text of a configuration. Relative paths start at the folder of `path`.
 
-    Raises ConfigError as `load_config` does.
+    Raises ConfigError as `load_config` does. The errors name `path`.
     """
     return _checked(*read_yaml(text, _name(path)), path)
 
@@ -165,7 +165,7 @@ def _name(path: Path | None) -> str:
 
 
 def json_schema(choices: Mapping[tuple[str, str], Sequence[str]] | None = None) -> str:
-    """JSON schema (draft 7) of the configuration; choices: see `described_schema`."""
+    """Return the JSON schema (draft 7) of the configuration; choices: see `described_schema`."""
     from imucald.config.schema import described_schema  # noqa: PLC0415 - only for this
 
     return json.dumps(described_schema(Config, choices or {}), indent=2)

@@ -1,7 +1,7 @@
-"""JSON schema of a YAML file of ours, with what the docstrings state of each key.
+"""Make the JSON schema of our YAML files. Each key is described by its docstring.
 
-Draft 7: editors' language servers know no later one. Only `imucald schema` and what writes a YAML
-file need it.
+The schema is draft 7, because the language servers of editors do not support later drafts. Only
+`imucald schema` and commands that write YAML files use this module.
 """
 
 from __future__ import annotations
@@ -25,10 +25,9 @@ REFERENCE = "#/definitions/"
 def described_schema(
     kind: type[Struct], choices: Mapping[tuple[str, str], Sequence[str]]
 ) -> dict[str, Any]:
-    """JSON schema of settings and of all that they hold, with a description of each key.
+    """Return the JSON schema of settings and their parts, with a description of each key.
 
-    choices: the words that a key takes, by the settings' class and the key, where another room
-    knows them.
+    choices: the allowed words of a key, by class name and key, if another package defines them.
     """
     _, parts = msgspec.json.schema_components([kind], ref_template=f"{REFERENCE}{{name}}")
     kinds = {found.__name__: found for found in _within(kind.__mro__[1])}
@@ -44,7 +43,7 @@ def described_schema(
 
 
 def _with_short(node: dict[str, Any]) -> dict[str, Any]:
-    """The schema of a key, its short forms allowed."""
+    """Return the schema of a key, extended by its short forms."""
     found = dict(node)
     if "anyOf" in found:
         branches = [_with_short(branch) for branch in found.pop("anyOf")]
@@ -67,7 +66,7 @@ def _with_short(node: dict[str, Any]) -> dict[str, Any]:
 
 
 def _as_draft_7(node: Any) -> Any:
-    """A schema of draft 2020-12 as one of draft 7, of what msgspec makes."""
+    """Convert a schema of msgspec from draft 2020-12 to draft 7."""
     if isinstance(node, list):
         return [_as_draft_7(one) for one in node]
     if not isinstance(node, dict):
@@ -76,7 +75,7 @@ def _as_draft_7(node: Any) -> Any:
     if "prefixItems" in found:
         found["additionalItems"] = found.pop("items", True)
         found["items"] = found.pop("prefixItems")
-    if "$ref" in found and len(found) > 1:  # what stands next to a reference does not count
+    if "$ref" in found and len(found) > 1:  # draft 7 ignores keys next to a reference
         found["allOf"] = [{"$ref": found.pop("$ref")}]
     return found
 
@@ -90,7 +89,7 @@ def _within(base: type) -> Iterator[type]:
 
 
 def _texts(kind: type) -> dict[str, str]:
-    """The string that follows each annotated name in the class's source."""
+    """Return the docstring after each annotated name in the source of a class."""
     (tree,) = ast.parse(textwrap.dedent(inspect.getsource(kind))).body
     found: dict[str, str] = {}
     for field, text in itertools.pairwise(tree.body if isinstance(tree, ast.ClassDef) else []):

@@ -1,7 +1,8 @@
-"""Which signal is which quantity, and short forms of the configuration.
+"""Settings that assign signals to quantities, and short forms of the configuration.
 
-A text may stand for a source (``MESSAGE.SIGNAL``), a database or a model file (its path), and one
-entry where a list is expected. What has neither form is left as it is for the check to refuse.
+A source may be written as text (``MESSAGE.SIGNAL``). A database or a model file may be written as
+its path. A single entry may replace a list. Other forms are not changed here; the check refuses
+them.
 """
 
 from __future__ import annotations
@@ -15,7 +16,7 @@ from msgspec import Meta
 from imucald.config.base import STANDARD_ID_MAX, CanId, Settings, SourceAddress
 
 MESSAGE_SIGNAL = r"^[^.\s]+\.[^.\s]+$"
-"""For editors, in the JSON schema."""
+"""Pattern of ``MESSAGE.SIGNAL`` in the JSON schema, for editors."""
 
 
 def _all_of(values: tuple[float, ...] | float) -> tuple[float, ...]:
@@ -192,15 +193,15 @@ SHORT_TEXTS: dict[str, dict[str, Any]] = {
     "DatabaseSettings": {"type": "string"},
     "ModelFile": {"type": "string"},
 }
-"""JSON schema of the text that may stand for settings of this class."""
+"""JSON schema of the text that may replace settings, by their class."""
 ONE_OF_LIST = frozenset({"SourceSettings", "DatabaseSettings", "TriadSettings"})
-"""Settings of which a single one may stand where a list is expected."""
+"""Settings of which a single entry may replace a list."""
 _TRIADS = frozenset({"accelerometer", "gyroscope", "magnetometer"})
 _AXES = frozenset({"x", "y", "z"})
 
 
 def spelled_out(data: dict[Any, Any]) -> dict[Any, Any]:
-    """Return a configuration's data with all short forms in full; the argument stays as it is."""
+    """Return the data with all short forms replaced by full forms. The argument is not changed."""
     found = dict(data)
     if "database" in found:
         found["database"] = _each(found["database"], lambda one: _long(one, "path"))

@@ -1,4 +1,4 @@
-"""The vehicle: what is known about it, and its model file."""
+"""Settings of the vehicle and of its model file."""
 
 from __future__ import annotations
 
@@ -43,11 +43,11 @@ class VehicleSettings(Settings, frozen=True):
 
     @property
     def kerb(self) -> float:
-        """Sign of the roll that the crown of a road gives this vehicle; 0 where unknown."""
+        """Sign of the roll of this vehicle on a crowned road; 0 if the driving side is unknown."""
         return {"right": 1.0, "left": -1.0}.get(self.driving_side, 0.0)
 
     @property
     def crown_std(self) -> float:
-        """Spread of the crown's roll [rad]: with an unknown side its mean is in it too."""
+        """Spread of the roll from the crown [rad]. If the side is unknown, it includes the mean."""
         spread = self.crown_spread
         return spread if self.kerb else math.hypot(self.crown_mean, spread)

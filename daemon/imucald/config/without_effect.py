@@ -1,6 +1,7 @@
-"""Keys that the file gives and nothing reads, the other keys being as they are: reported, with why.
+"""Find keys of the file that have no effect with the present settings, and give the reasons.
 
-A key that cannot ever be met is an error (`impossible`); one that is merely idle is a warning.
+A key with a condition that can never be met is an error (`impossible`). A key that is only unused
+is a warning.
 """
 
 from __future__ import annotations
@@ -14,35 +15,35 @@ from imucald.config.signals import Signals
 from imucald.core.typed import Place
 
 Rule = tuple[tuple[str, ...], bool, str]
-"""Key (dotted path in parts), whether it is idle, why."""
+"""Key (parts of the dotted path), whether it has no effect, the reason."""
 
 
 class Keys(Protocol):
-    """The sections whose keys are looked at."""
+    """The sections whose keys are checked."""
 
     @property
     def signals(self) -> Signals:
-        """Which signal is which quantity."""
+        """The signals of the quantities."""
         ...
 
     @property
     def calibration(self) -> CalibrationSettings:
-        """How the mount is found."""
+        """The settings for finding the mount."""
         ...
 
     @property
     def attitude(self) -> AttitudeSettings:
-        """Methods B and C."""
+        """The settings of methods B and C."""
         ...
 
     @property
     def travel_direction(self) -> TravelDirectionSettings:
-        """Method D."""
+        """The settings of method D."""
         ...
 
 
 FILTER_ONLY = ("speed_noise", "speed_scale", "creep_speed", "lever_uncertainty")
-"""Of `attitude.compensation`: what widens the filter's noise."""
+"""Keys of `attitude.compensation` that increase the noise of the filter."""
 B_READS = (
     "check",
     "start",
@@ -51,11 +52,11 @@ B_READS = (
     "rest_gyro_spread_deg_s",
     "gyro_start_deg_s",
 )
-"""Of `attitude.filter`: what method B alone reads for its rests."""
+"""Keys of `attitude.filter` that method B alone reads, to detect rest."""
 
 
 def idle_keys(config: Keys, is_given: Callable[[Place], bool]) -> Iterator[tuple[Place, str]]:
-    """Places of given keys that have no effect, each with its reason."""
+    """Yield the places of present keys without effect, each with its reason."""
     for rules in (_calibration(config), _attitude(config), _travel(config)):
         for place, idle, why in rules:
             if idle and is_given(place):
@@ -70,7 +71,7 @@ LEANING = (
 
 
 def impossible(config: Keys) -> Iterator[tuple[Place, str]]:
-    """Places of keys that no sensor or sample can ever meet, each with what they need."""
+    """Yield the places of keys that no sensor or sample can ever meet, with the requirement."""
     calibration, signals = config.calibration, config.signals
     up, forward = calibration.orientation.up, calibration.orientation.forward
     if up is not None and forward is not None and up[-1] == forward[-1]:
@@ -99,7 +100,7 @@ def impossible(config: Keys) -> Iterator[tuple[Place, str]]:
 
 
 def _is_level(config: Keys) -> bool:
-    """Whether the accelerometer, and what is parallel to it, counts as level."""
+    """Whether the accelerometer and its parallel sensors count as level."""
     calibration = config.calibration
     published = calibration.estimator == "published"
     planar = config.signals.accelerometer[0].z is None
@@ -178,13 +179,14 @@ LIMITS = {
     "steering": ("steering_limit_deg",),
     "consistency": ("consistency_window", "consistency_range_deg", "consistency_mean"),
 }
-"""Keys of `calibration.straight` that a recogniser reads."""
+"""Keys of `calibration.straight` that each recogniser reads."""
 
 
 def _recognisers(config: Keys) -> Iterator[Rule]:
-    """Keys of recognisers that are not named, whose signal is missing, or that another precedes.
+    """Rules for keys of recognisers that are not used.
 
-    What the yaw rate's limits say of turns is read without to_the_letter, whoever recognises.
+    A recogniser is not used if it is not named, if its signal is missing, or if an earlier one is
+    used. The limits of the yaw rate are also used to find turns, unless to_the_letter is set.
     """
     straight, there = config.calibration.straight, _recognisers_there(config)
     deciding = [g for g in straight.groups if all(there[name] for name in g)][:1]
@@ -219,7 +221,7 @@ def _recognisers_there(config: Keys) -> dict[str, bool]:
 
 def _attitude(config: Keys) -> Iterator[Rule]:
     attitude = config.attitude
-    if not attitude.enabled:  # prepared and switched off: that is what `enabled` is for
+    if not attitude.enabled:  # prepared but switched off is allowed
         return
     at = "attitude"
     alone = attitude.method == "compensation"

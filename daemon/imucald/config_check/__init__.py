@@ -1,7 +1,6 @@
-"""What a configuration decodes from a log or a bus: sources, units, rates, gaps, suspicions.
+"""Report what a configuration decodes from a log or a bus: sources, units, rates, gaps, doubts.
 
-The frames go through the daemon's own router, so what is reported here is what `imucald run` would
-do.
+The frames pass through the daemon's own router, so the report shows what `imucald run` would do.
 """
 
 from __future__ import annotations

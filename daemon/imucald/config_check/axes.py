@@ -1,4 +1,4 @@
-"""The sensor's axes against the vehicle's motion: scale, delay, handedness."""
+"""Compare the sensor's axes with the vehicle's motion: scale, delay, handedness."""
 
 from __future__ import annotations
 
@@ -29,33 +29,33 @@ from imucald.mount.log_ratios import MOST, TO_ACCUSE, TO_BE_FINE
 from imucald.mount.signal_blocks import BLOCK_TICKS
 
 MIN_BRAKING = 0.25
-"""Least standard deviation of the change of speed for a judgement [m/s^2]."""
+"""Smallest standard deviation of the change of speed for a judgement [m/s^2]."""
 AXIS_DEG = 20.0
-"""Largest plausible angle between a gyroscope's axis in turns and gravity [deg]: body roll and
-cross-axis errors make a few."""
+"""Largest plausible angle between a gyroscope's axis in turns and gravity [deg]. Body roll and
+cross-axis errors cause a few degrees."""
 HANDED = 0.7
-"""Triple product of the unit vectors forward, left and up from which their sense is clear."""
+"""Triple product of the unit vectors forward, left and up above which the handedness is clear."""
 NO_SPEED = 5.0
-"""A gain beyond this is none between two units of speed on a road: 3.6 is the largest."""
+"""Largest gain that can be a ratio of two units of speed; the largest ratio is 3.6."""
 LEAST_ACROSS = 0.4
-"""So much of the centripetal acceleration must show in the accelerometer to say where left is."""
+"""Share of the centripetal acceleration that the accelerometer must show to find left."""
 MIN_REPORTED_DELAY = 2
-"""Ticks of speed delay from which it is reported."""
+"""Smallest speed delay that is reported [ticks]."""
 MIN_ACROSS = 0.15
-"""Least standard deviation of the force in turns [m/s^2]: twice what crowns and slopes leave."""
+"""Smallest standard deviation of the force in turns [m/s^2]: twice the effect of the road."""
 LATEST = 2.5
-"""Delay of the speed up to which its size is judged [s]: a receiver that smooths, is asked once a
-second, and whose answer waits."""
+"""Largest delay of the speed at which its scale is judged [s]. It occurs if a receiver smooths, is
+asked once per second, and its answer waits."""
 _DELAYS = range(round(MIN_SPEED_DELAY / TICK_S), round(LATEST / TICK_S) + 1)
 """[ticks]"""
 
 
 @dataclass(frozen=True)
 class Response:
-    """What the accelerometer's axes (3,) show of changes of speed and of turns.
+    """The response of the accelerometer's axes (3,) to changes of speed and to turns.
 
-    explained: part of the motion along `along` that the change of speed explains. delay: of the
-    speed behind the accelerometer [ticks].
+    explained: share of the motion along `along` that the change of speed explains. delay: delay of
+    the speed relative to the accelerometer [ticks].
     """
 
     along: Array
@@ -65,9 +65,9 @@ class Response:
 
 
 def _response(accel: Array, change: Array, turn: Array, zero: Array, delay: int) -> Response | None:
-    """Least squares of the axes on change of speed and centripetal acceleration.
+    """Least-squares fit of the axes with change of speed and centripetal acceleration.
 
-    zero: (n, k), what a zero error of the rate adds to `turn`: columns that are fitted too.
+    zero: (n, k), extra columns of the fit: the effect of a zero error of the rate on `turn`.
     """
     change = shifted(change, delay)
     rows = np.isfinite(accel).all(axis=1) & np.isfinite(change) & np.isfinite(turn)
@@ -86,9 +86,9 @@ def _response(accel: Array, change: Array, turn: Array, zero: Array, delay: int)
 
 
 def best_response(motion: Motion, rates: Mapping[str, Array]) -> Response | None:
-    """The response with the delay that explains most; None where it is not clear.
+    """Return the response with the delay that explains most; None if it is not clear.
 
-    `discovery.reference.response` asks it of speeds in any unit before turns are known.
+    `discovery.reference.response` is similar, for speeds in any unit before turns are known.
     """
     if motion.change is None or motion.accel is None or motion.speed is None:
         return None
@@ -101,10 +101,11 @@ def best_response(motion: Motion, rates: Mapping[str, Array]) -> Response | None
 
 
 def speed_findings(response: Response, unit_advice: Mapping[str, str]) -> Iterator[Finding]:
-    """Whether changes of speed show in the accelerometer as they should, and how late.
+    """Check the size and the delay of speed changes in the accelerometer.
 
-    The regression on the speed is too small where the speed is noisy or its delay changes, the
-    other one (on the accelerometer) too large: the gain lies between both (Fuller 1987, 1.1).
+    If the speed is noisy or its delay changes, the regression on the speed gives too small a gain.
+    The regression on the accelerometer gives too large a gain. The true gain is between both
+    (Fuller 1987, 1.1).
     """
     gain, delay = float(np.linalg.norm(response.along)), response.delay
     if gain <= 1.0 / ODD_GAIN < gain / response.explained:
@@ -136,7 +137,7 @@ def speed_findings(response: Response, unit_advice: Mapping[str, str]) -> Iterat
 def axes_findings(
     motion: Motion, rates: Mapping[str, Array], unit_advice: Mapping[str, str]
 ) -> Iterator[Finding]:
-    """Whether accelerometer and gyroscope make sense as right-handed sets of the same axes."""
+    """Check whether accelerometer and gyroscope have the same right-handed axes."""
     up = motion.up
     if up is None:
         return
@@ -162,9 +163,9 @@ def axes_findings(
 def _turn_gain(
     motion: Motion, rate: Array, up: Array, unit_advice: Mapping[str, str], knows_speed: bool
 ) -> Iterator[Finding]:
-    """Speed times yaw rate against the force across, where nothing else shows turns.
+    """Compare speed times yaw rate with the lateral force, if no other signal shows turns.
 
-    knows_speed: its changes have shown its unit, or it was allowed for.
+    knows_speed: the unit of the speed was confirmed by its changes, or it was corrected.
     """
     if motion.speed is None or motion.accel is None or motion.gravity is None:
         return
@@ -194,7 +195,7 @@ def _turn_gain(
 
 
 def _gyro_axes(motion: Motion, response: Response, up: Array) -> Iterator[Finding]:
-    """Whether the gyroscope carries the vertical as the accelerometer shows it (`alternatives`)."""
+    """Check that the vertical moves in the gyroscope as in the accelerometer (`alternatives`)."""
     if "gyro" not in motion.grid or motion.speed is None or motion.change is None:
         return
     accel, rate = motion.accel, smooth(motion.grid["gyro"])
@@ -240,11 +241,11 @@ def _gyro_axes(motion: Motion, response: Response, up: Array) -> Iterator[Findin
 
 
 def _gyro_zeros(motion: Motion, rate: Array, moving: Array, up: Array) -> list[Array]:
-    """The gyroscope's zero error (3,) [rad/s] for each order and signs of its axes that are tried.
+    """Return the gyroscope's zero error (3,) [rad/s] for each tried order and signs of its axes.
 
-    rate, moving: (n, 3), of the whole drive and of what is judged. At rest it is what is read. In a
-    drive without a stop it is fitted to each alternative: about the level axes a vehicle turns by
-    nothing on the whole, whatever it turns about the vertical, so their mean is the zero error.
+    rate, moving: (n, 3), rates of the whole drive and of the judged part. At rest, the reading is
+    the zero error. In a drive without a stop, it is fitted for each alternative. The total rotation
+    about the horizontal axes is zero for any drive, so their mean rate is the zero error.
     """
     if motion.standing is not None:
         n = min(len(rate), len(motion.standing))
@@ -254,10 +255,10 @@ def _gyro_zeros(motion: Motion, rate: Array, moving: Array, up: Array) -> list[A
 
 
 def _rotation_axis(motion: Motion, rates: Mapping[str, Array], up: Array) -> Iterator[Finding]:
-    """In turns a gyroscope turns about the direction that the accelerometer calls up.
+    """Check that the rotation axis of the gyroscope in turns is the accelerometer's vertical.
 
-    Another question than `turning_axis`: the axis is seen in all three rates, next to a signal that
-    shows turns, where a force in bends shows only which rate it follows.
+    This check uses all three rates and a signal that shows turns. `turning_axis` is different: it
+    uses the force in bends, which shows only which rate it follows.
     """
     names = [n for n, rate in rates.items() if n != "gyroscope" and spread(rate) > MIN_TURNING]
     if "gyro" not in motion.grid or not names:

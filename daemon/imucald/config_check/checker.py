@@ -1,4 +1,4 @@
-"""Takes frames through the daemon's own router, and reports what they were."""
+"""Pass frames through the daemon's own router, and report the results."""
 
 from __future__ import annotations
 
@@ -47,11 +47,12 @@ from imucald.runtime.session import make_engine, open_compensation
 from imucald.runtime.timebase import TimeBase
 
 EVERY_FRAME = (IdMatch(0, 0), IdMatch(CAN_EFF_FLAG, 0))
-"""Lets every identifier through, 11 and 29 bits."""
+"""A filter that accepts every identifier, of 11 and 29 bits."""
 MAX_IDS = 20_000
-"""Identifiers that are counted one by one; a vehicle has hundreds, a fuzzed bus any number."""
+"""Largest number of identifiers that are counted separately. A vehicle has hundreds; a fuzzed bus
+may have any number."""
 FASTEST_BUS = 1e6
-"""Bits in a second of the fastest CAN bus."""
+"""Bit rate of the fastest CAN bus [bit/s]."""
 MAX_TEXT = 80
 _OUTPUTS = (
     "acceleration", "angular_rate", "magnetic_field", "mount", "mount_deviation",
@@ -60,14 +61,14 @@ _OUTPUTS = (
 
 
 class Check:
-    """Takes frames; reports at the end what they were.
+    """Receives frames, and makes a report at the end.
 
-    Raises ConfigError where the configuration cannot be used: whatever `run` refuses.
+    Raises ConfigError if the configuration cannot be used, as `run` does.
     """
 
     def __init__(self, loaded: LoadedConfig, silence: str = "the log holds no frame") -> None:
-        """silence: what to say, with the remedy, when no frame comes at all."""
-        make_engine(loaded)  # for its errors
+        """Prepare the check. silence: text with a remedy, reported if there is no frame at all."""
+        make_engine(loaded)  # raises its errors
         self.loaded = loaded
         self.silence = silence
         self.router = compile_router(loaded)
@@ -78,17 +79,17 @@ class Check:
         self.ids: Counter[tuple[str, int]] = Counter()
         """Frames by (channel, id with the flag for 29 bits)."""
         self.bad_lines: Counter[str] = Counter()
-        """What a log's reader rejected, by reason; for the report."""
+        """Number of lines that the log reader rejected, by reason; for the report."""
         self._announced: dict[tuple[str, int], int] = {}
         self._uncounted = 0
         self._bits: Counter[str] = Counter()
-        """Least bits that the frames of each channel take on a bus."""
+        """Smallest number of bits of each channel's frames on a bus."""
         self._timebase = TimeBase()
         self._means = TickMeans()
         self._health = LogHealth(self.router.measured_axes, loaded.config)
 
     def feed(self, frames: FrameColumns) -> None:
-        """Take a chunk of all the frames of a log or a bus."""
+        """Add a chunk of frames of a log or a bus. It must include unwanted frames."""
         for index in np.unique(frames.channel).tolist():
             here = frames.channel == index
             self._bits[frames.channels[index]] += least_bits(frames.take(here))
@@ -115,7 +116,7 @@ class Check:
             self._health.add(samples, float(segment.t[-1]))
 
     def _meet(self, channel: str, can_id: int) -> None:
-        """Keep the J1939 address of an id that is new, where frames of every sender are taken."""
+        """Store the J1939 source address of a new id, if frames of all senders are accepted."""
         for probe in self.probes:
             is_any = probe.match.can_id & CAN_EFF_FLAG and not probe.match.mask & J1939_ADDRESS_MASK
             if is_any and probe.sender is None and probe.match.matches(can_id, channel):
@@ -129,12 +130,12 @@ class Check:
         return self._timebase.now
 
     def findings(self) -> list[Finding]:
-        """Every finding, the worst first."""
+        """Return all findings, the worst first."""
         found = self._nothing() or self._found()
         return sorted(found, key=lambda f: ("error", "warning", "note", "ok").index(f.level))
 
     def _nothing(self) -> list[Finding]:
-        """Where nothing of ours came, one error says what to look at, and no warning besides."""
+        """If no configured frame came, return one error with a hint, and no warnings."""
         if not self.frames_read:
             bad = (
                 f"; some lines cannot be used: {counts_text(self.bad_lines)}"
@@ -154,7 +155,7 @@ class Check:
 
     @property
     def frames_read(self) -> int:
-        """All frames, ours or not."""
+        """Number of all frames, wanted or not."""
         return sum(self.ids.values()) + self._uncounted
 
     def _found(self) -> list[Finding]:
@@ -204,7 +205,7 @@ class Check:
         return [*found, *not_judged(rows, found)]
 
     def report(self) -> dict[str, Any]:
-        """Everything, as docs/json.md describes it."""
+        """Return the complete report, in the form of docs/json.md."""
         findings = self.findings()
         rejected = self.router.rejected + self.bad_lines
         matched = {
@@ -249,7 +250,7 @@ class Check:
 
 
 def least_bits(frames: FrameColumns) -> int:
-    """Bits that frames take on a bus without stuffing (ISO 11898-1); of CAN FD its slow part."""
+    """Return the bits of frames without stuff bits (ISO 11898-1); of CAN FD only the slow part."""
     extended = int(np.count_nonzero(frames.can_id & CAN_EFF_FLAG))
     payload = np.where(frames.length > CLASSIC_BYTES, 0, frames.length)
     if frames.fd is not None:
@@ -263,7 +264,7 @@ def _shortened(text: str) -> str:
 
 
 def columns_of(frames: Sequence[Frame], channel: str) -> FrameColumns:
-    """Frames of a live bus, (t, id, data) each, as columns."""
+    """Convert frames (t, id, data) of a live bus to columns."""
     width = CLASSIC_BYTES if all(len(f[2]) <= CLASSIC_BYTES for f in frames) else FD_BYTES
     data = b"".join(payload.ljust(width, b"\0") for _, _, payload in frames)
     n = len(frames)

@@ -1,4 +1,4 @@
-"""What the frames themselves show: what does not come, what is rejected, what that costs."""
+"""Findings from the frames: missing messages, rejected frames, and the consequences."""
 
 from __future__ import annotations
 
@@ -20,18 +20,18 @@ from imucald.inputs.routes import MessageRoute
 from imucald.mount.signal_blocks import ACCEL_GAP, SPEED_GAP
 
 CYCLE_TOLERANCE = 1.5
-"""A cycle is reported when it is so many times longer or shorter than the database states."""
+"""A cycle is reported if it differs from the database's cycle by more than this factor."""
 MIN_REJECTED_SHARE = 0.01
-"""Part of rejected frames or values from which it is reported."""
+"""Smallest share of rejected frames or values that is reported."""
 MIN_EQUAL_VALUES = 100
-"""So many equal values of a sensor in a row, and no other, look stuck."""
+"""A sensor looks stuck if it gives this number of values and all are equal."""
 
 SLOWEST = {"accel": ACCEL_GAP, "gyro": ACCEL_GAP, "speed": SPEED_GAP}
 """Longest time between two samples that the calibration bridges [s]."""
 
 SELDOM_SPEED = 1.5
-"""A speed that comes more seldom [s] hides what a vehicle does within 3 s, most starts and brakes:
-on simulated drives at 0.5 Hz a mount took twice as long."""
+"""Longest useful cycle of the speed [s]. A slower speed hides motions shorter than 3 s, such as
+most starts and brakings. In simulated drives with 0.5 Hz, a mount took twice as long."""
 
 _NO_SPEED = "missing: yaw is found later and is less certain; "
 _NO_GYRO = "turns then do not help to find pitch and roll, and no corrected angular rate is sent"
@@ -73,13 +73,13 @@ _REMEDIES = {
 
 COARSE = ", although its frames come more often (are the time stamps too coarse?)"
 BURST_S = 0.5
-"""An adapter may hand over frames so late and all at once [s]."""
+"""Longest delay after which an adapter delivers frames in one burst [s]."""
 
 
 @dataclass(frozen=True)
 class Decoding:
-    """What there is to judge: ids seen (channel, id with flag), samples by channel, duration [s],
-    clock steps, bad lines by reason."""
+    """The data for the findings: ids seen (channel, id with flag), samples by channel, duration
+    [s], clock steps, bad lines by reason."""
 
     loaded: LoadedConfig
     probes: list[Probe]
@@ -91,16 +91,16 @@ class Decoding:
     bad_lines: Counter[str]
     output_ids: frozenset[int]
     least_duration: float = 0.0
-    """What all these frames take on the fastest bus [s]."""
+    """Time that all these frames need on the fastest bus [s]."""
     paces: Mapping[str, float] = field(default_factory=dict)
     """Usual time between two ticks with samples, by channel [s]."""
     announced: Mapping[tuple[str, int], int] = field(default_factory=dict)
-    """Bytes of the messages that J1939's transport protocol announces, by (channel, id)."""
+    """Length [bytes] of each message announced by J1939 transport frames, by (channel, id)."""
     drives: bool = False
-    """For a minute at least: no axis of a sensor is the same all that time."""
+    """Whether the vehicle drives for at least a minute. In this time, every sensor axis changes."""
 
     def findings(self) -> Iterator[Finding]:
-        """Yield every finding, in no order."""
+        """Yield all findings, in no particular order."""
         yield from self._silent()
         yield from self._cut()
         yield from self._several_senders()
@@ -115,7 +115,7 @@ class Decoding:
         return self.samples.get(channel, 0) > 0
 
     def _silent(self) -> Iterator[Finding]:
-        """Messages that did not come, and frames that were all refused."""
+        """Find messages that did not come, and messages of which all frames were rejected."""
         for probe in self.probes:
             quantity = ", ".join(dict.fromkeys(configured_name(tap.channel) for tap in probe.taps))
             if not probe.frames:
@@ -134,7 +134,7 @@ class Decoding:
                 yield Finding("warning", quantity, text + _remedy(probe.rejected))
 
     def _elsewhere(self, match: IdMatch) -> str:
-        """A hint where the frame came by another channel or with another kind of id."""
+        """Return a hint if the frame came on another channel or with another kind of id."""
         channels = [c for c, can_id in self.ids if not (can_id ^ match.can_id) & match.full_mask]
         if channels:
             return (
@@ -149,7 +149,7 @@ class Decoding:
         return ""
 
     def _of_its_pgn(self, probe: Probe) -> str:
-        """A hint where the PGN comes from another address, or is announced in several frames."""
+        """Return a hint if the PGN comes from another address or in transport frames."""
         if not isinstance(probe.route, MessageRoute) or not probe.match.can_id & CAN_EFF_FLAG:
             return ""
         match = id_match(probe.route.plan.message, True, probe.match.channel)
@@ -164,7 +164,7 @@ class Decoding:
         return f"; {in_transport(max(sizes))}" if sizes else ""
 
     def _cut(self) -> Iterator[Finding]:
-        """Messages whose frames are shorter than the database says."""
+        """Find messages whose frames are shorter than in the database."""
         for probe in self.probes:
             if not probe.frames or not isinstance(probe.route, MessageRoute):
                 continue
@@ -173,7 +173,7 @@ class Decoding:
                 yield Finding("warning", probe.name, cut_frames(probe.name, probe.shortest, size))
 
     def _several_senders(self) -> Iterator[Finding]:
-        """Messages of J1939 that come from several addresses, where none is configured."""
+        """Find J1939 messages that come from several addresses, if none is configured."""
         for probe in self.probes:
             match = probe.match
             if not match.can_id & CAN_EFF_FLAG or match.mask & J1939_ADDRESS_MASK:
@@ -223,7 +223,7 @@ class Decoding:
         for probe in self.probes:
             stated = stated_cycle(self.loaded, probe)
             seen = [c for c in (probe.cycle, *probe.cycles) if c]
-            # A database states the cycle of a frame, whatever its group, or that of a group.
+            # A database states the cycle of all frames of a message, or that of a group.
             if stated and seen and not any(_is_near(c, stated) for c in seen):
                 text = (
                     f"{probe.name} comes every {1e3 * seen[-1]:.3g} ms, but the "
@@ -243,7 +243,7 @@ class Decoding:
             yield Finding("note", "", text)
 
     def _too_slow(self) -> Iterator[Finding]:
-        """What comes so seldom that the calibration cannot bridge from one sample to the next."""
+        """Find channels that are too slow, so the calibration cannot bridge the gap of samples."""
         for channel, longest in SLOWEST.items():
             found = [probe.cycle_of(channel) for probe in self.probes]
             cycles = [cycle for cycle in found if cycle is not None]
@@ -264,7 +264,7 @@ class Decoding:
                 yield Finding("note", configured_name(channel), text)
 
     def _nothing_left(self) -> Iterator[Finding]:
-        """An accelerometer of which the calibration can use nothing, though samples came."""
+        """Report an accelerometer with samples of which the calibration can use none."""
         left = self.samples.get("accel", 0)
         if left > 1 and self.duration == 0.0:
             text = "all frames have the same time stamp; record with: candump -l can0"
@@ -285,7 +285,7 @@ class Decoding:
         for source in self.sources:
             if source.wanted.channel == "accel":
                 rejected += source.statistics.rejected
-        # rejections take most of it, and leave less than a sample in each gap that is bridged
+        # most samples are rejected: less than one remains in each gap that can be bridged
         if 0 < left < min(rejected.total(), self.duration / ACCEL_GAP):
             text = (
                 f"nearly all samples are rejected ({counts_text(rejected)}): the calibration "
@@ -302,7 +302,7 @@ class Decoding:
             yield Finding("error", "accelerometer", text)
 
     def _costs(self) -> Iterator[Finding]:
-        """What is missing, and what that costs."""
+        """Report missing signals and their consequences."""
         config = self.loaded.config
         if not self._has("accel"):
             text = "no sample came, and nothing can be calibrated without it"
@@ -348,7 +348,7 @@ class Decoding:
 
 
 def _remedy(reasons: Counter[str]) -> str:
-    """A hint for the most frequent reason; "untrusted" is what follows any other."""
+    """Return a hint for the most frequent reason. "untrusted" is ignored: it follows the others."""
     causes = [reason for reason, _ in reasons.most_common() if reason != "untrusted"]
     kind = causes[0] if causes else ""
     general = _REMEDIES["counter"] if kind.startswith("counter") else ""
@@ -356,12 +356,12 @@ def _remedy(reasons: Counter[str]) -> str:
 
 
 def counts_text(reasons: Counter[str]) -> str:
-    """Reasons with their numbers, the most frequent first."""
+    """Return a text of the reasons with their numbers, the most frequent first."""
     return ", ".join(f"{reason} {n}" for reason, n in reasons.most_common())
 
 
 def never_changes(source: QuantitySource) -> bool:
-    """Whether an axis of accelerometer or gyroscope says the same all the time."""
+    """Whether an axis of accelerometer or gyroscope always has the same value."""
     values = source.statistics.si
     is_sensor = source.wanted.channel in ("accel", "gyro")
     return is_sensor and values.count >= MIN_EQUAL_VALUES and values.least == values.largest

@@ -1,4 +1,4 @@
-"""A finding of `imucald check`, and the arithmetic that decides it."""
+"""A finding of `imucald check`, and common calculations for findings."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ from imucald.core.samples import GRAVITY
 Level = Literal["error", "warning", "note", "ok"]
 
 MIN_TICKS = 200
-"""Ticks in motion that a judgement needs: 20 s."""
+"""Smallest number of ticks in motion for a judgement: 20 s."""
 ODD_GAIN = 1.4
-"""A gain beyond this (or below its inverse) is odd: measured and simulated vehicles show 0.8 to
-1.2, miles taken for kilometres 0.6 or 1.6 of that."""
+"""A gain above this (or below its inverse) is suspicious. Measured and simulated vehicles have
+gains of 0.8 to 1.2. Confusing miles and kilometres multiplies them by 0.6 or 1.6."""
 
 TURN_SIGN = "set 'sign: -1', or remove 'sign: -1' if it is set"
-"""The remedy for a wrong sign: where one is configured, that one is the mistake."""
+"""The remedy for a wrong sign. If a sign is configured, that sign is the mistake."""
 
 _FACTORS = (
     (DEG_PER_RAD, "deg against rad"),
@@ -35,7 +35,7 @@ _FACTORS = (
 
 @dataclass(frozen=True)
 class Finding:
-    """One finding; `quantity` as in the configuration; beside: others that it was compared with."""
+    """One finding. `quantity`: name in the configuration. beside: quantities compared with it."""
 
     level: Level
     quantity: str
@@ -43,17 +43,17 @@ class Finding:
     beside: tuple[str, ...] = ()
 
     def as_dict(self) -> dict[str, str]:
-        """Plain, for JSON."""
+        """Return the finding as plain data for JSON."""
         return {"level": self.level, "quantity": self.quantity, "text": self.text}
 
 
 def is_beyond(gain: float, limit: float) -> bool:
-    """Whether the size of a gain that should be one is beyond a limit, or below its inverse."""
+    """Whether the size of a gain (ideally 1) is above a limit or below its inverse."""
     return not 1.0 / limit < abs(gain) < limit
 
 
 def gain_guess(ratio: float, unit_advice: str | None) -> str:
-    """Words for a gain that should be one; unit_advice: of a unit that is stated already."""
+    """Return a text for a gain that should be 1; unit_advice: advice if a unit is stated."""
     size, unit_advice = abs(ratio), unit_advice or "set 'unit:'"
     words = f"{size:.3g} times too much" if size > 1.0 else f"{1.0 / size:.3g} times too little"
     for factor, guess in _FACTORS:
@@ -63,13 +63,13 @@ def gain_guess(ratio: float, unit_advice: str | None) -> str:
 
 
 def spread(x: Array) -> float:
-    """Standard deviation of what is known of x; 0 where that is too little."""
+    """Standard deviation of the known values of x; 0 if there are too few."""
     known = x[np.isfinite(x)]
     return float(np.std(known)) if len(known) >= MIN_TICKS else 0.0
 
 
 def cut_frames(name: str, shortest: int, size: int) -> str:
-    """What to say of a message whose frames are shorter [bytes] than the database describes it."""
+    """Return a text for a message whose frames are shorter [bytes] than in the database."""
     return (
         f"frames of {name} have {shortest} bytes, but the database says {size}: the signals "
         "in the last bytes are missing. Is it the database of this vehicle?"

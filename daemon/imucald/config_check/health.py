@@ -1,4 +1,4 @@
-"""Faulty sensors and signals of a log, as `imucald check` says about them."""
+"""Find faulty sensors and signals in a log, for `imucald check`."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from imucald.mount.signal_blocks import SignalBlockMaker
 from imucald.runtime.pipeline import Pipeline
 
 MOST_SHARE = 0.5
-"""Part of a log from which a signal that is left out is no witness."""
+"""A signal that is ignored for more than this share of a log is not used as evidence."""
 _WORDS = {
     SignalFault.STUCK: "repeats one value",
     SignalFault.SATURATED: "stays at the end of its range (is a range set too small?)",
@@ -32,7 +32,7 @@ _WORDS = {
 
 
 class _SignalsOnly:
-    """Takes the place of an estimator: says which signals are stuck, and nothing of the mount."""
+    """Replaces an estimator: it reports which signals are stuck, but estimates no mount."""
 
     correction, state = None, MountState.WAITING
 
@@ -64,9 +64,9 @@ class _SignalsOnly:
 
 
 class LogHealth:
-    """Judges the sensors and signals of a log as `run` does, chunk by chunk.
+    """Checks the sensors and signals of a log as `run` does, chunk by chunk.
 
-    axes: how many axes of each channel are measured.
+    axes: the number of measured axes of each channel.
     """
 
     def __init__(self, axes: Mapping[str, int], config: Config) -> None:
@@ -75,26 +75,26 @@ class LogHealth:
         self._pipeline = Pipeline(self._signals, health=SampleHealth(axes))
 
     def gap(self, t: float) -> None:
-        """Time jumped to t, stream time [s]."""
+        """Register a jump of stream time to t [s]."""
         self._pipeline.gap(tick_index(t))
 
     def add(self, samples: Samples, t_last: float) -> None:
-        """Take samples of all channels, up to stream time t_last [s]."""
+        """Add samples of all channels, up to stream time t_last [s]."""
         self._pipeline.run(samples, {}, t_last, with_snapshots=False)
 
     @property
     def left_out(self) -> Sequence[Mapping[str, Any]]:
-        """What the calibration learns nothing from, see `left_out_details`."""
+        """Return the data that the calibration ignores, see `left_out_details`."""
         return left_out_details(self._signals.blocks)
 
     @property
     def events(self) -> Iterable[FaultEvent]:
-        """Faults so far."""
+        """Return the faults so far."""
         return self._pipeline.health.events
 
 
 def health_findings(events: Iterable[FaultEvent]) -> Iterator[Finding]:
-    """One finding for each sensor, fault and axes, with the first time and how often."""
+    """Yield one finding per sensor, fault and axes, with the first time and the number."""
     found: dict[tuple[str, SignalFault, str], list[float]] = {}
     for event in events:
         found.setdefault((event.channel, event.fault, event.axes), []).append(event.since)
@@ -111,7 +111,10 @@ def health_findings(events: Iterable[FaultEvent]) -> Iterator[Finding]:
 
 
 def jumping_finding(left_out: Sequence[Mapping[str, Any]], duration: float) -> Iterator[Finding]:
-    """A speed that jumps in most of a log of so many seconds: it is not that of one vehicle."""
+    """Report a speed that jumps in most of a log. It is not the speed of one vehicle.
+
+    duration: of the log [s].
+    """
     for one in left_out:
         if one["cause"] == SignalFault.SPEED_JUMP and one["seconds"] > MOST_SHARE * duration:
             text = (
@@ -123,7 +126,7 @@ def jumping_finding(left_out: Sequence[Mapping[str, Any]], duration: float) -> I
 
 
 def left_out_finding(left_out: Sequence[Mapping[str, Any]], duration: float) -> Iterator[Finding]:
-    """What the calibration learns nothing from in a log of so many seconds."""
+    """Report the data that the calibration ignores; duration: of the log [s]."""
     if words := left_out_words({"not_learnt_from": left_out}):
         yield Finding(
             "note", "log", f"the log has {duration:.0f} s; the calibration does not use: {words}"

@@ -1,8 +1,8 @@
-"""What is suspicious in the signals of a drive: units, signs, axes; for `imucald check`.
+"""Find suspicious units, signs and axes in the signals of a drive, for `imucald check`.
 
-Every judgement needs enough motion and a clear correlation, and stays silent without. Thresholds
-are wide: squat, superelevation and offsets change a gain by a third, a wrong unit by over 2.5.
-Miles for kilometres are less: speed is held against a narrower one.
+Each judgement needs enough motion and a clear correlation. Otherwise it reports nothing. Thresholds
+are wide: squat, superelevation and offsets change a gain by a third, a wrong unit by more than 2.5.
+Confusing miles and kilometres changes it less, so the threshold for the speed is narrower.
 """
 
 from __future__ import annotations
@@ -43,24 +43,26 @@ from imucald.mount.stated_orientation import CLEAR as CLEAR_PART
 from imucald.mount.stated_orientation import unit_vector
 
 REST_WRONG, REST_ODD = 0.25, 0.03
-"""Parts by which gravity at rest may be off before it is a wrong unit, or worth a word."""
+"""Relative errors of gravity at rest: above REST_WRONG the unit is wrong, above REST_ODD a note is
+reported."""
 PLANAR_REST = 1.5
-"""What a level accelerometer may show at rest [m/s^2]: slope and offset."""
+"""Largest reading of a level accelerometer at rest [m/s^2], from slope and offset."""
 GYRO_REST = math.radians(5.0)
 """Largest plausible gyro offset at rest [rad/s]."""
 REVERSE_SPEED = 7.0
-"""Nobody reverses faster for long [m/s]."""
+"""Largest speed in reverse for a longer time [m/s]."""
 REVERSE_SHARE = 0.1
-"""Part of the time above that speed that reverse may be on: a lever passing by."""
+"""Largest share of the time above that speed with reverse on. A moved lever passes reverse."""
 WHEELS_DIFFER = 0.1
-"""Part by which the speed may differ from the wheels': worn and wrong tyres make 5 %, displays show
-up to 10 % more (UN R39)."""
+"""Largest relative difference of the speed and the wheel speeds. Worn and wrong tyres cause 5 %;
+displays show up to 10 % more (UN R39)."""
 TURNING = 0.05
-"""Yaw rate of a turn [rad/s]: a bend of 200 m at 10 m/s."""
+"""Smallest yaw rate of a turn [rad/s]: a bend with a radius of 200 m at 10 m/s."""
 ONE_SIDED_TURNS = 5
-"""All of so many turns are to one side in one drive of 16, and then noise about zero has both."""
+"""Number of turns from which turns to one side only are suspicious. By chance, this occurs in one
+of 16 drives, but then the noise about zero has both signs."""
 TWICE_SLOPES = 2.0 * SLOPE_STD
-"""Steeper roads than that are rare: what is more along the road is driving (tangent, rms)."""
+"""Steeper roads are rare (tangent, rms). A larger force along the road comes from driving."""
 
 _WHEELS = ("wheel_speeds",)
 
@@ -83,13 +85,13 @@ def judge(
     turned: Mapping[str, bool] = MappingProxyType({}),
     never_negative: Mapping[str, str] = MappingProxyType({}),
 ) -> Iterator[Finding]:
-    """Yield everything that the motion shows about units, signs and axes.
+    """Yield all findings that the motion shows about units, signs and axes.
 
-    A wrong scale of accelerometer or speed is reported once and then allowed for, so that it is not
-    reported again for every signal that is compared with them. stated: how a person says that the
-    sensor sits. unit_advice: of quantities with a stated unit (see `unit_advice`). turned: by
-    quantity, whether the configuration turns the signs of all its axes. never_negative: by
-    quantity that was not, the signals that may hold its sign.
+    A wrong scale of accelerometer or speed is reported once and then corrected. So it is not
+    reported again for every signal that is compared with them. stated: the orientation of the
+    sensor that the user states. unit_advice: advice for quantities with a stated unit (see
+    `unit_advice`). turned: by quantity, whether the configuration reverses the signs of all its
+    axes. never_negative: by quantity that was never negative, the signals that may hold its sign.
     """
     yield from _at_rest(motion, unit_advice.get("accelerometer"))
     yield from _constant_speed(motion)
@@ -108,7 +110,7 @@ def judge(
         if response is not None:
             yield from speed_findings(response, unit_advice)
             gain = float(np.linalg.norm(response.along))
-            if not any(finding.level == "error" for finding in of_up):  # that is the mirror image
+            if not any(finding.level == "error" for finding in of_up):  # else it is mirrored
                 ahead = response.along / gain
                 yield from _stated_axis(stated.forward, "forward", ahead, "back", FORWARD_REMEDY)
             if is_beyond(gain, WRONG_UNIT):
@@ -134,7 +136,7 @@ def judge(
 
 
 def _magnitudes(rates: Mapping[str, Array], never_negative: Mapping[str, str]) -> Iterator[Finding]:
-    """What shows turns, and all of them to one side."""
+    """Find signals that show turns, but only to one side."""
     for name, bits in never_negative.items():
         rate = rates.get(name)
         if rate is None:
@@ -155,9 +157,9 @@ def _magnitudes(rates: Mapping[str, Array], never_negative: Mapping[str, str]) -
 
 
 def _mirrored(of_turns: Sequence[Finding], turned: Mapping[str, bool]) -> Iterator[Finding]:
-    """Whether signals that agree do so because the configuration turns them all.
+    """Check whether signals agree only because the configuration reverses all of them.
 
-    of_turns: what was found of the signals that show turns.
+    of_turns: findings about the signals that show turns.
     """
     agree = next((f for f in of_turns if f.level == "ok" and f.beside), None)
     if agree is None:
@@ -174,7 +176,7 @@ def _mirrored(of_turns: Sequence[Finding], turned: Mapping[str, bool]) -> Iterat
             )
             yield Finding("warning", "accelerometer", text)
         return
-    # as it would be without its signs
+    # the result without the configured signs
     shown = {name: is_turned == (name == "gyroscope") for name, is_turned in shown.items()}
     if 1.0 - probability(shown) >= DOUBTED:
         text = (
@@ -187,10 +189,10 @@ def _mirrored(of_turns: Sequence[Finding], turned: Mapping[str, bool]) -> Iterat
 def _stated_axis(
     stated: SensorAxis | None, direction: str, found: Array, opposite: str, remedy: str
 ) -> Iterator[Finding]:
-    """Whether the axis that a person states for a direction is where the direction is found.
+    """Check whether the axis that the user states for a direction agrees with the data.
 
-    direction: "up" or "forward"; found: (3,) of unit length, sensor axes; opposite: of the
-    direction, in words; remedy: where the axis points there.
+    direction: "up" or "forward". found: the direction in the data, unit vector (3,) in sensor axes.
+    opposite: the name of the opposite direction. remedy: text for an axis that points there.
     """
     if stated is None:
         return
@@ -208,9 +210,9 @@ def _stated_axis(
 
 
 def _constant_speed(motion: Motion) -> Iterator[Finding]:
-    """One value all the time: a cruise control may do that where speed comes in whole km/h.
+    """Report a speed that never changes. Cruise control can cause this with whole km/h.
 
-    It is an error where the accelerometer shows that the vehicle does drive faster and slower.
+    It is an error if the accelerometer shows that the vehicle's speed changes.
     """
     if not motion.drives:
         return
@@ -233,9 +235,10 @@ def _constant_speed(motion: Motion) -> Iterator[Finding]:
 
 
 def _is_driven_both_ways(motion: Motion) -> bool:
-    """Whether the force varies along two horizontal directions, by more than slopes make of it.
+    """Whether the force varies along two horizontal directions by more than slopes cause.
 
-    Bends vary it along one; along the other only a change of speed does, and slopes.
+    Bends change the force along one direction. Only a change of speed or a slope changes it along
+    the other.
     """
     if motion.accel is None or motion.up is None:
         return False
@@ -248,7 +251,7 @@ def _is_driven_both_ways(motion: Motion) -> bool:
 
 
 def _speed_against_wheels(motion: Motion, unit_advice: str | None) -> Iterator[Finding]:
-    """Both are measured at the wheels; they agree within a few per cent but for a wrong unit."""
+    """Compare speed and wheel speeds. They agree within a few per cent unless a unit is wrong."""
     if motion.speed is None or "wheel_speeds" not in motion.grid:
         return
     wheels = np.abs(smooth(motion.grid["wheel_speeds"])).mean(axis=1)
@@ -270,7 +273,7 @@ def _speed_against_wheels(motion: Motion, unit_advice: str | None) -> Iterator[F
 def _not_checked(
     motion: Motion, rates: Mapping[str, Array], stated: OrientationSettings
 ) -> Iterator[Finding]:
-    """What the drive, or its signals, could not show."""
+    """Report the checks that this drive or its signals do not allow."""
     left: list[str] = []
     turning = [name for name, rate in rates.items() if spread(rate) > MIN_TURNING]
     if not turning:
@@ -334,12 +337,12 @@ def _at_rest(motion: Motion, unit_advice: str | None) -> Iterator[Finding]:
 
 
 def _lacks_gravity(accel: Array, size: float) -> bool:
-    """Whether readings (n, 3) usually change by more than their mean's size: by no unit a
-    vehicle's.
+    """Whether readings (n, 3) usually change by more than the size of their mean. No unit can make
+    such readings those of a vehicle.
 
-    A wrong unit makes both wrong by the same factor: changes of more than gravity itself would
-    have to be there, of 1 g and more on the average of a drive. Usually: half of them are within
-    0.67 deviations (normal); single spikes do not count.
+    A wrong unit changes mean and variation by the same factor. So the vehicle would have an average
+    acceleration of 1 g or more. "Usually" means the median: half of the changes are within 0.67
+    deviations (normal distribution), and single spikes do not count.
     """
     known = accel[np.isfinite(accel).all(axis=1)]
     if len(known) < MIN_TICKS:
@@ -349,7 +352,7 @@ def _lacks_gravity(accel: Array, size: float) -> bool:
 
 
 def _along(motion: Motion, unit_advice: Mapping[str, str]) -> Iterator[Finding]:
-    """Signals that must follow the change of speed."""
+    """Check the signals that must follow the change of speed."""
     if motion.change is None or spread(motion.change) < MIN_BRAKING:
         return
     signals = {}
@@ -392,7 +395,7 @@ def _reverse(motion: Motion) -> Iterator[Finding]:
         )
         yield Finding("error" if share > 0.5 else "warning", "reverse", text)
     elif len(reverse) >= MIN_TICKS and np.nanmax(motion.grid["reverse"]) > 0.5:
-        yield Finding("ok", "reverse", f"is off above {fastest}")  # and on at times
+        yield Finding("ok", "reverse", f"is off above {fastest}")  # and sometimes on
 
 
 def _brake(motion: Motion) -> Iterator[Finding]:

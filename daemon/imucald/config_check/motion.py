@@ -1,4 +1,4 @@
-"""Samples on a common grid, and what they say about the vehicle's motion, for `imucald check`."""
+"""Put samples on a common grid, and derive the vehicle's motion, for `imucald check`."""
 
 from __future__ import annotations
 
@@ -14,26 +14,26 @@ from imucald.motion.standstill import DRIVING_SPEED, ZERO_SPEED_SMOOTHED
 from imucald.motion.ticks import TICK_RATE
 
 MAX_TICKS = 72_000
-"""Two hours: enough to judge a sign by, and no more memory for a longer log."""
+"""Largest number of ticks (two hours). It is enough to judge a sign, and it bounds the memory."""
 MAX_HOLE = 25
-"""Holes up to so many ticks are bridged: speed over OBD-II comes once a second."""
+"""Longest gap that is bridged [ticks]. A speed over OBD-II comes once per second."""
 SMOOTH = 11
-"""Ticks of the moving mean, 1.1 s: delays between signals and the road's bumps matter less."""
+"""Length of the moving mean [ticks], 1.1 s. It reduces the effect of delays and road bumps."""
 DRIVEN_TICKS = 600
-"""Driving in which no signal of a vehicle is the same all the time: a minute."""
+"""Driving time in which every signal of a vehicle changes [ticks]: a minute."""
 MIN_STANDING_TICKS = 20
-"""Ticks of standing (after smoothing) that show something: two seconds."""
+"""Smallest standing time that is used (after smoothing) [ticks]: two seconds."""
 
 
 class TickMeans:
-    """Mean of each channel in each tick (0.1 s), gathered from chunks of samples."""
+    """The mean of each channel in each tick (0.1 s), collected from chunks of samples."""
 
     def __init__(self) -> None:
         self._sums: dict[str, Array] = {}
         self._counts: dict[str, Array] = {}
 
     def add(self, samples: Samples) -> None:
-        """Take samples by channel; times are stream times."""
+        """Add samples by channel; times are stream times."""
         for channel, series in samples.items():
             ticks = np.floor(series.t * TICK_RATE).astype(np.int64)
             inside = ticks < MAX_TICKS
@@ -62,7 +62,7 @@ class TickMeans:
         return {name: float(np.median(g)) / TICK_RATE for name, g in gaps.items() if len(g)}
 
     def grid(self) -> dict[str, Array]:
-        """Channel to means (n,) or (n, width), holes bridged, NaN where nothing is known."""
+        """Return means (n,) or (n, width) by channel. Gaps are bridged; unknown values are NaN."""
         last = [np.flatnonzero(counts) for counts in self._counts.values()]
         n = max((int(rows[-1]) + 1 for rows in last if len(rows)), default=0)
         grid = {}
@@ -77,7 +77,7 @@ class TickMeans:
 
 
 def bridged(n: int, rows: NDArray[np.intp], values: Array) -> Array:
-    """Values (n,) known at some rows, short holes bridged by lines, NaN where nothing is known."""
+    """Return values (n,) that are known at `rows`. Short gaps are interpolated, others are NaN."""
     here = np.arange(n)
     result = np.interp(here, rows, values)
     after = np.searchsorted(rows, here)
@@ -102,10 +102,10 @@ def smooth(x: Array) -> Array:
 
 
 class Motion:
-    """What the vehicle did, from the grid; each part is None where its signals are missing.
+    """The vehicle's motion, from the grid. A part is None if its signals are missing.
 
-    All arrays are smoothed and (n,): speed [m/s] (negative in reverse), change of speed
-    [m/s^2]; accel (n, 3) [m/s^2]; up (3,) unit vector in sensor axes.
+    All arrays are smoothed. Speed (n,) [m/s] (negative in reverse), change of speed (n,) [m/s^2],
+    accel (n, 3) [m/s^2], up (3,) unit vector in sensor axes.
     """
 
     def __init__(self, grid: Mapping[str, Array], planar: bool) -> None:
@@ -122,28 +122,29 @@ class Motion:
         self.gravity = self._gravity()
 
     def scaled(self, accel: float = 1.0, speed: float = 1.0) -> Motion:
-        """The same motion with accelerometer and speed times a factor."""
+        """Return the motion with accelerometer and speed multiplied by a factor."""
         factors = {"accel": accel, "speed": speed}
         grid = {name: values * factors.get(name, 1.0) for name, values in self.grid.items()}
         return Motion(grid, self.planar)
 
     def without(self, channel: str) -> Motion:
-        """The same motion as if a channel were not there."""
+        """Return the motion without one channel."""
         grid = {name: values for name, values in self.grid.items() if name != channel}
         return Motion(grid, self.planar)
 
     @property
     def up(self) -> Array | None:
-        """Direction of gravity's reaction in sensor axes (3,)."""
+        """The direction up (reaction to gravity) in sensor axes, unit vector (3,)."""
         if self.gravity is None:
             return None
         return np.asarray(self.gravity / np.linalg.norm(self.gravity))
 
     @property
     def turn_zero(self) -> Array:
-        """What a gyroscope's zero error adds to speed times its rate (n, k); k is 0 where it rests.
+        """Effect of a gyroscope's zero error on speed times rate, as fit columns (n, k).
 
-        At rest the zero is read, else the speed itself is the shape of what it adds.
+        If the vehicle rests, the zero error is measured and k is 0. Otherwise the speed is the
+        column.
         """
         if self.speed is None:
             return np.zeros((0, 0))
@@ -151,24 +152,24 @@ class Motion:
 
     @property
     def drives(self) -> bool:
-        """Whether the vehicle drives for a minute at least, by its speed."""
+        """Whether the vehicle drives for at least a minute, according to its speed."""
         if self.speed is None:
             return False
         return int(np.count_nonzero(np.abs(self.speed) > DRIVING_SPEED)) >= DRIVEN_TICKS
 
     def _direction(self) -> Array:
-        """-1 in reverse, else 1 (n,), or (1,) where reverse is not known."""
+        """Driving direction: -1 in reverse, else 1. Shape (n,), or (1,) if reverse is unknown."""
         return np.where(np.nan_to_num(self.grid.get("reverse", np.zeros(1))) > 0.5, -1.0, 1.0)
 
     def _standing(self) -> NDArray[np.bool_] | None:
-        """Ticks at rest (n,), None where too few."""
+        """Which ticks are at rest (n,); None if too few."""
         if self.speed is None:
             return None
         calm = np.nan_to_num(np.abs(self.speed), nan=np.inf) < ZERO_SPEED_SMOOTHED
         return calm if np.count_nonzero(calm) >= MIN_STANDING_TICKS else None
 
     def _gravity(self) -> Array | None:
-        """Mean specific force at rest (3,) [m/s^2]; over the whole drive where it never rests."""
+        """Mean specific force at rest (3,) [m/s^2]; mean of the whole drive if there is no rest."""
         if self.accel is None:
             return None
         known = np.isfinite(self.accel).all(axis=1)
@@ -181,9 +182,9 @@ class Motion:
         return mean if np.linalg.norm(mean) > 0.0 else None
 
     def turn_rates(self, vehicle: VehicleSettings) -> dict[str, Array]:
-        """Each witness of the yaw rate (n,) [rad/s], positive to the left, by its quantity's name.
+        """Return each measurement of the yaw rate (n,) [rad/s], positive to the left, by quantity.
 
-        The gyro's is its part about the vertical, less its mean at rest.
+        For the gyroscope, it is the rate about the vertical minus its mean at rest.
         """
         found: dict[str, Array] = {}
         grid = self.grid
@@ -197,7 +198,7 @@ class Motion:
         if "wheel_speeds" in grid:
             wheels = grid["wheel_speeds"]
             right_less_left = 0.5 * (wheels[:, 1] - wheels[:, 0] + wheels[:, 3] - wheels[:, 2])
-            if not np.nanmin(wheels, initial=0.0) < 0.0:  # magnitudes, as nearly all vehicles send
+            if not np.nanmin(wheels, initial=0.0) < 0.0:  # magnitudes, as usual in vehicles
                 right_less_left = right_less_left * self._direction()
             found["wheel_speeds"] = smooth(right_less_left) / vehicle.track
         if self.speed is None:
@@ -214,8 +215,8 @@ class Motion:
 
 
 def less(x: Array, known: Array) -> Array:
-    """What (n, k) columns and a constant leave of x (n,) or (n, w), by least squares; NaN where one
-    is."""
+    """Return the residual of x (n,) or (n, w) after a least-squares fit with columns (n, k) and a
+    constant. It is NaN if any input is NaN."""
     rows = np.isfinite(x).reshape(len(x), -1).all(axis=1) & np.isfinite(known).all(axis=1)
     left = np.full_like(x, np.nan)
     if rows.any():
@@ -226,7 +227,7 @@ def less(x: Array, known: Array) -> Array:
 
 
 def shifted(x: Array, ticks: int) -> Array:
-    """The array whose row k is row k + ticks of x; NaN beyond the ends."""
+    """Return an array whose row k is row k + ticks of x; NaN beyond the ends."""
     result = np.full_like(x, np.nan)
     if abs(ticks) >= len(x):
         return result

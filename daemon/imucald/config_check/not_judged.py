@@ -1,4 +1,4 @@
-"""Configured quantities of which a recording shows nothing but their range, for `imucald check`."""
+"""Report configured quantities of which only the range could be checked, for `imucald check`."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ _FLAG = SI_UNITS["flag"]
 
 
 def not_judged(rows: Sequence[QuantitySource], found: Iterable[Finding]) -> Iterator[Finding]:
-    """One note for all quantities that came and that no finding speaks of, nor compares with."""
+    """Yield one note for all received quantities that no finding is about or compares with."""
     judged = {name.partition(".")[0] for f in found for name in (f.quantity, *f.beside)}
     left: dict[str, str] = {}
     for row in rows:

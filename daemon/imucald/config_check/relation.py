@@ -1,9 +1,9 @@
-"""How far two signals show the same motion, and how sure that is: for `check` and for `init`.
+"""Measure whether two signals show the same motion, and how certain that is (`check`, `init`).
 
-Neighbouring values of a smoothed signal say the same thing twice. Each comparison therefore counts
-with the number of independent values (Bartlett's formula, summed up to the first negative product
-of the autocorrelations, after Geyer 1992). It is believed where noise would do the same in one of a
-thousand recordings, all comparisons of a search taken together (Bonferroni).
+Neighbouring values of a smoothed signal are not independent. So each comparison uses the number of
+independent values (Bartlett's formula, summed up to the first negative product of the
+autocorrelations, after Geyer 1992). A relation is accepted if noise would give it in at most one of
+a thousand recordings. This counts all comparisons of a search together (Bonferroni).
 """
 
 from __future__ import annotations
@@ -18,22 +18,23 @@ from imucald.core.arrays import Array
 from imucald.mount.contradictions import LIKE
 
 FALSE_ALARM = 1e-3
-"""Part of the recordings in which a search may find a relation that is chance."""
+"""Share of recordings in which a search may find a relation by chance."""
 MANY = 1000
-"""Comparisons of a search through all signals of a bus, where they are not counted."""
+"""Assumed number of comparisons in a search through all signals of a bus, if not counted."""
 BELIEVED_NATS = math.log(1e3)
-"""Log likelihood ratio from which one hypothesis is believed rather than another."""
+"""Log likelihood ratio above which one hypothesis is preferred to another."""
 MIN_VALUES = 50
-"""Ticks in common that a comparison needs: five seconds."""
+"""Smallest number of common ticks for a comparison: five seconds."""
 
 
 @dataclass(frozen=True)
 class Relation:
-    """How a signal follows a reference.
+    """The relation of a signal to a reference.
 
-    correlation: with sign. independent: number of independent values. low, high: size of the
-    signal for one of the reference: least squares of the signal on the reference, and the other
-    way round; noise in either moves the truth between them. error: relative standard error.
+    correlation: with sign. independent: number of independent values. low, high: limits of the
+    gain (signal divided by reference). They are the least-squares gains of the signal on the
+    reference and of the reference on the signal; with noise, the truth is between them. error:
+    relative standard error.
     """
 
     correlation: float = 0.0
@@ -52,21 +53,21 @@ class Relation:
 
     @property
     def is_believed(self) -> bool:
-        """Whether the two are certainly related, found among any signals of a bus."""
+        """Whether the two are certainly related, if selected among all signals of a bus."""
         return self.is_believed_of(MANY)
 
     def is_believed_of(self, comparisons: int) -> bool:
-        """Whether the two are certainly related, the best of so many comparisons or not."""
+        """Whether the two are certainly related, if they are the best of `comparisons` pairs."""
         return self.z >= believed_z(comparisons)
 
     @property
     def is_same_motion(self) -> bool:
-        """Whether the two certainly show the same motion, most of it, as the daemon asks for it."""
+        """Whether most of the motion in both is certainly the same (the daemon's criterion)."""
         return abs(self.correlation) >= LIKE and self.is_believed_of(1)
 
     @property
     def gain(self) -> float:
-        """Size of the signal for one of the reference: the middle, the ratio of their spreads."""
+        """Gain (signal divided by reference): the ratio of their standard deviations."""
         return math.sqrt(self.low * self.high)
 
     @property
@@ -76,12 +77,12 @@ class Relation:
 
     @property
     def explained(self) -> float:
-        """Part of the variance that both share."""
+        """Share of the variance that both have in common."""
         return self.correlation * self.correlation
 
 
 def believed_z(comparisons: int) -> float:
-    """Fisher's z [standard deviations] from which one of so many comparisons is believed."""
+    """Smallest Fisher's z [standard deviations] at which one of `comparisons` is accepted."""
     return NormalDist().inv_cdf(1.0 - 0.5 * FALSE_ALARM / max(comparisons, 1))
 
 
@@ -95,7 +96,7 @@ def is_better(a: Relation, b: Relation) -> bool:
 
 
 def relation(reference: Array, signal: Array) -> Relation:
-    """Compare two (n,) signals where both are known."""
+    """Compare two signals (n,) at the ticks where both are known."""
     rows = np.isfinite(reference) & np.isfinite(signal)
     if np.count_nonzero(rows) < MIN_VALUES:
         return Relation()
@@ -113,7 +114,7 @@ def relation(reference: Array, signal: Array) -> Relation:
 
 
 def _independent(a: Array, b: Array, n: int) -> float:
-    """Independent values of two zero-filled, centred signals."""
+    """Number of independent values of two centred signals with zeros in gaps."""
     size = 1 << (2 * len(a) - 1).bit_length()
     shapes = []
     for x in (a, b):

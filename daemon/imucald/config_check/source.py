@@ -1,4 +1,4 @@
-"""Each configured number with the signal that it comes from."""
+"""Connect each configured number with its signal."""
 
 from __future__ import annotations
 
@@ -20,13 +20,13 @@ _WHEELS = ("front_left", "front_right", "rear_left", "rear_right")
 
 
 def configured_name(channel: str) -> str:
-    """The configuration's name of a channel."""
+    """Return the name of a channel in the configuration."""
     return QUANTITIES[channel].key if channel in QUANTITIES else channel.replace("/", ".")
 
 
 @dataclass(frozen=True)
 class QuantitySource:
-    """One configured number with the figures that its signal gave."""
+    """One configured number with the statistics of its signal."""
 
     wanted: Wanted
     probe: Probe
@@ -44,7 +44,7 @@ class QuantitySource:
 
     @property
     def unit(self) -> str:
-        """The source's unit, as the configuration or the database spells it."""
+        """The source's unit, as written in the configuration or the database."""
         stated = self.wanted.source.unit
         return stated if stated is not None else self.signal.unit if self.signal else ""
 
@@ -68,9 +68,10 @@ def sources(loaded: LoadedConfig, probes: Sequence[Probe]) -> Iterator[QuantityS
 
 
 def never_negative(sources: Iterable[QuantitySource]) -> dict[str, str]:
-    """Where the sign may be of what is to the left or right and never was negative, in words.
+    """For signed quantities that were never negative, describe where their sign may be.
 
-    By quantity, of its first choice. Signals of one bit in the same message may be it.
+    The result is by quantity, for its first source. One-bit signals of the same message may hold
+    the sign.
     """
     found = {}
     for source in sources:
@@ -90,9 +91,10 @@ def never_negative(sources: Iterable[QuantitySource]) -> dict[str, str]:
 
 
 def turned_quantities(sources: Iterable[QuantitySource]) -> dict[str, bool]:
-    """By quantity, whether its first choice has the signs of all its axes turned.
+    """Return by quantity whether its first source has the signs of all axes reversed.
 
-    Without those whose sign is a bit of its own: it means left in one vehicle, right in the next.
+    Quantities with a separate sign bit are left out, because the bit means left in some vehicles
+    and right in others.
     """
     turned: dict[str, bool] = {}
     for source in sources:
@@ -103,7 +105,7 @@ def turned_quantities(sources: Iterable[QuantitySource]) -> dict[str, bool]:
 
 
 def message_row(loaded: LoadedConfig, probe: Probe) -> dict[str, Any]:
-    """A message as JSON has it."""
+    """Return the JSON data of a message."""
     return {
         "name": probe.name,
         "id": id_text(probe.match.can_id),
@@ -117,7 +119,7 @@ def message_row(loaded: LoadedConfig, probe: Probe) -> dict[str, Any]:
 
 
 def quantity_row(source: QuantitySource) -> dict[str, Any]:
-    """A configured number as JSON has it."""
+    """Return the JSON data of a configured number."""
     conversion = source.statistics.conversion
     return {
         "quantity": source.quantity,
@@ -135,7 +137,7 @@ def quantity_row(source: QuantitySource) -> dict[str, Any]:
 
 
 def stated_cycle(loaded: LoadedConfig, probe: Probe) -> float | None:
-    """Cycle time [s] as the configuration or the database states it."""
+    """Return the cycle time [s] that the configuration or the database states."""
     if not isinstance(probe.route, MessageRoute):
         return None
     protection = loaded.config.messages.get(probe.name)
@@ -144,5 +146,5 @@ def stated_cycle(loaded: LoadedConfig, probe: Probe) -> float | None:
 
 
 def id_text(can_id: int) -> str:
-    """An identifier for people, without its flag."""
+    """Return the text of an identifier, without its flag."""
     return f"0x{can_id & CAN_EFF_MASK:X}"

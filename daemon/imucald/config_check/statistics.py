@@ -1,7 +1,7 @@
-"""Counts and ranges of what routes decode, taken on the way, for `imucald check`.
+"""Collect counts and ranges of the decoded values of routes, for `imucald check`.
 
-A `Probe` stands in a router in a route's place. It hands everything on unchanged and keeps the
-figures: frames, cycle, rejections by reason, and range of each signal in its own unit and in SI.
+A `Probe` replaces a route in a router. It passes everything on unchanged and collects statistics:
+frames, cycle, rejections by reason, and the range of each signal in its own unit and in SI.
 """
 
 from __future__ import annotations
@@ -25,13 +25,14 @@ from imucald.inputs.sender_choice import SenderChoice
 from imucald.inputs.taps import Columns, Physical, Raw, Tap, TapColumns, arrays_of
 
 CYCLE_FRAMES = 5000
-"""The cycle seen is the median over so many frames at most."""
+"""Largest number of frames for the median that gives the observed cycle."""
 STOPPED_S, STOPPED_CYCLES = 10.0, 20.0
-"""A message that stops so long before the end [s], and so many of its cycles, is reported."""
+"""A message is reported as stopped if it ends this time [s] and this number of cycles before the
+end of the log."""
 
 
 class Range:
-    """Least, mean and largest of numbers that come in pieces."""
+    """Smallest, mean and largest of numbers that are added in pieces."""
 
     def __init__(self) -> None:
         self.count = 0
@@ -40,7 +41,7 @@ class Range:
         self._sum = 0.0
 
     def add(self, values: Array) -> None:
-        """Take finite values (N,)."""
+        """Add finite values (N,)."""
         if not len(values):
             return
         self.count += len(values)
@@ -50,11 +51,11 @@ class Range:
 
     @property
     def mean(self) -> float:
-        """Their mean; NaN without any."""
+        """The mean; NaN if there is no value."""
         return self._sum / self.count if self.count else math.nan
 
     def as_dict(self) -> dict[str, float | None]:
-        """The three figures, for JSON."""
+        """Return the three values for JSON."""
         if not self.count:
             return {"min": None, "mean": None, "max": None}
         return {
@@ -69,7 +70,7 @@ def _figure(value: float) -> float:
 
 
 class SignalStatistics:
-    """One signal of one tap. rejected: values by reason; absent ones (multiplexer) do not count."""
+    """Statistics of one signal of a tap. rejected: numbers by reason, without absent values."""
 
     def __init__(self, conversion: Conversion) -> None:
         self.conversion = conversion
@@ -78,7 +79,7 @@ class SignalStatistics:
         self.rejected: Counter[str] = Counter()
 
     def add(self, raw: NDArray[np.generic], physical: Array) -> None:
-        """Take raw and physical values (N,)."""
+        """Add raw and physical values (N,)."""
         values, codes = self.conversion.array(raw, physical)
         good = codes == 0
         self.physical.add(physical[good])
@@ -88,20 +89,20 @@ class SignalStatistics:
 
 
 class _CountingGuard:
-    """A route's guard; counts what it refuses, by reason."""
+    """Wraps the guard of a route, and counts its rejections by reason."""
 
     def __init__(self, guard: JudgesRate, refused: Counter[str]) -> None:
         self._guard = guard
         self._refused = refused
 
     def judge(self, t: float, reason: str) -> str:
-        """As the guard; not counted."""
+        """Call the guard; not counted."""
         return self._guard.judge(t, reason)
 
     def judge_columns(
         self, t: Array, good: NDArray[np.bool_], reasons: Mapping[str, Rows]
     ) -> dict[str, Rows]:
-        """As the guard; counted."""
+        """Call the guard, and count its rejections."""
         found = self._guard.judge_columns(t, good, reasons)
         for reason, rows in found.items():
             self._refused[reason] += len(rows)
@@ -109,7 +110,7 @@ class _CountingGuard:
 
 
 class _Times:
-    """When frames of one kind came."""
+    """The times of the frames of one kind."""
 
     def __init__(self) -> None:
         self._intervals: list[Array] = []
@@ -118,7 +119,7 @@ class _Times:
         """Stream time of the last frame [s]."""
 
     def add(self, t: Array) -> None:
-        """Take the times (N,) of the next frames."""
+        """Add the times (N,) of the next frames."""
         if not len(t):
             return
         if self._count < CYCLE_FRAMES:
@@ -130,25 +131,25 @@ class _Times:
 
     @property
     def cycle(self) -> float | None:
-        """Median time between two of them [s]."""
+        """Median time between two frames [s]."""
         return float(np.median(np.concatenate(self._intervals))) if self._count else None
 
     def lost_share(self, message: Message | None = None) -> float | None:
-        """Share of them that did not come, by the times; message: whose they are, all together."""
+        """Share of lost frames, from the times. message: the message of all these frames."""
         return lost_share(np.concatenate(self._intervals), message) if self._count else None
 
 
 class Probe:
-    """A route that keeps figures of what passes through it (columns only)."""
+    """A route that collects statistics of its frames (only for columns)."""
 
     def __init__(self, route: SignalRoute) -> None:
         self.route = route
         self.frames = 0
-        """Frames of this kind, good or not."""
+        """Number of frames of this kind, good or not."""
         self.shortest = FD_BYTES
-        """Bytes of the shortest of them."""
+        """Length of the shortest frame [bytes]."""
         self.rejected: Counter[str] = Counter()
-        """Frames rejected whole, by reason."""
+        """Number of completely rejected frames, by reason."""
         self.guard: JudgesRate = _CountingGuard(route.guard, self.rejected)
         self.signals = {
             (tap.channel, tap.rank, slot): SignalStatistics(component.conversion)
@@ -157,9 +158,9 @@ class Probe:
         }
         self._times = _Times()
         self._of_groups: dict[Selectors, _Times] = {}
-        """The same of the frames that carry a signal of a multiplexer: groups have their cycles."""
+        """Times of the frames of each multiplexer group, because each group has its own cycle."""
         self.addresses: set[int] = set()
-        """J1939 source addresses whose frames are all taken: of several, each has its own cycle."""
+        """J1939 source addresses with accepted frames. Each sender has its own cycle."""
 
     @property
     def name(self) -> str:
@@ -188,37 +189,37 @@ class Probe:
 
     @property
     def frame_key(self) -> Hashable:
-        """The route's."""
+        """The route's frame key."""
         return self.route.frame_key
 
     def source_of(self, tap: Tap) -> Hashable:
-        """As the route."""
+        """Call the route's method."""
         return self.route.source_of(tap)
 
     def go_on_from(self, former: SignalRoute) -> None:
-        """As the route; the figures stay."""
+        """Call the route's method; the statistics are kept."""
         self.route.go_on_from(former)
 
     @property
     def refused(self) -> Counter[str]:
-        """The same without copies: of a frame that came twice one is taken, and nothing is lost."""
+        """`rejected` without copies: one frame of each copied pair is accepted, so none is lost."""
         return Counter({reason: n for reason, n in self.rejected.items() if reason != DOUBLED})
 
     @property
     def cycle(self) -> float | None:
-        """Usual time between frames [s], None before two of them and for several senders."""
+        """Usual time between frames [s]; None with less than two frames or several senders."""
         return None if len(self.addresses) > 1 else self._times.cycle
 
     @property
     def cycles(self) -> tuple[float, ...]:
-        """`cycle`, or that of each group of the multiplexer that is used, the slowest first."""
+        """`cycle`, or the cycle of each used multiplexer group, the slowest first."""
         if not self._of_groups:
             return () if self.cycle is None else (self.cycle,)
         found = {self._cycle_of(tap) for tap in self.taps} - {None}
         return tuple(sorted((c for c in found if c is not None), reverse=True))
 
     def cycle_of(self, channel: str) -> float | None:
-        """`cycle` of the signals for one channel: of its slowest one where there are groups."""
+        """`cycle` of the signals for one channel; with groups, that of the slowest group."""
         found = [self._cycle_of(tap) for tap in self.taps if tap.channel == channel]
         return max((c for c in found if c is not None), default=None)
 
@@ -234,7 +235,7 @@ class Probe:
         return [route.plan.signals[component.index].selectors for component in tap.components]
 
     def has_stopped(self, end: float) -> float | None:
-        """When what came regularly, or a group of it, came last, if that is long before the end."""
+        """Return the time of the last frame if a regular message (or group) stopped early."""
         for times in self._of_groups.values() if self._of_groups else (self._times,):
             usual, last = times.cycle, times.last
             if usual is None or last is None:
@@ -245,10 +246,10 @@ class Probe:
 
     @property
     def lost_share(self) -> float | None:
-        """Share of the frames that did not come: by the times, or by the counter if that is more.
+        """Share of lost frames, from the times or from the counter, whichever is larger.
 
-        A counter does not tell a hole in which it went round. None for a message that is not sent
-        in cycles and has no counter, and of several senders.
+        A counter does not show a gap in which it wraps. None for a message that is not cyclic and
+        has no counter, and for several senders.
         """
         if len(self.addresses) > 1:
             return None
@@ -273,7 +274,7 @@ class Probe:
     def check_columns(
         self, t: Array, frames: Carried
     ) -> tuple[NDArray[np.bool_], Mapping[str, NDArray[np.int64]]]:
-        """As the route; counted."""
+        """Call the route's method, and count frames and rejections."""
         ok, reasons = self.route.check_columns(t, frames)
         for reason, rows in reasons.items():
             self.rejected[reason] += len(rows)
@@ -283,7 +284,7 @@ class Probe:
         self.frames += int(np.count_nonzero(ours))
         if len(frames) and ours.any():
             self.shortest = min(self.shortest, int(frames.length[ours].min()))
-        if DOUBLED in reasons:  # their original has the time
+        if DOUBLED in reasons:  # the original frame has the same time
             ours[reasons[DOUBLED]] = False
         self._times.add(t[ours])
         if isinstance(self.route, MessageRoute):

@@ -1,4 +1,4 @@
-"""Whether bends show in the gyroscope's axes that gravity says they must."""
+"""Check whether bends show in the gyroscope axis that is vertical according to gravity."""
 
 from __future__ import annotations
 
@@ -17,11 +17,12 @@ from imucald.mount.signal_blocks import BLOCK_TICKS
 
 
 def turning_axis_findings(motion: Motion) -> Iterator[Finding]:
-    """Whether the force in bends follows the rate about the vertical, or that of another axis.
+    """Check whether the force in bends follows the rate about the vertical or about another axis.
 
-    Needs neither forward nor left. The level force is regressed on dv/dt and v r, r being the rate
-    about the vertical as configured, or with a sign turned or axes exchanged: the likelihood ratio
-    of what is left over (as in `alternatives`), where the other one explains much.
+    The directions forward and left are not needed. The horizontal force is fitted with dv/dt and
+    v r. Here, r is the rate about the vertical, with the axes as configured, with a reversed sign,
+    or with exchanged axes. The likelihood ratio of the residuals decides (as in `alternatives`), if
+    the alternative explains much.
     """
     up, gravity = motion.up, motion.gravity
     if up is None or gravity is None or motion.accel is None or "gyro" not in motion.grid:
@@ -38,7 +39,7 @@ def turning_axis_findings(motion: Motion) -> Iterator[Finding]:
     if len(table) < MIN_TICKS:
         return
     level, change, speed, rate = table[:, :3], table[:, 3], table[:, 4], table[:, 5:]
-    # a zero error of the rate adds the speed in its own shape
+    # a zero error of the rate adds a term proportional to the speed
     without = _energy_left(level, np.column_stack([change, speed]))
     left = [
         _energy_left(level, np.column_stack([change, speed, speed * (rate @ (S.T @ up))]))
@@ -57,5 +58,5 @@ def turning_axis_findings(motion: Motion) -> Iterator[Finding]:
 
 
 def _energy_left(signals: Array, known: Array) -> float:
-    """Energy that is left of signals (N, k) when columns (N, m) and a constant are taken off."""
+    """Residual energy of signals (N, k) after a fit with columns (N, m) and a constant."""
     return float(np.square(less(signals, known)).sum())

@@ -1,4 +1,4 @@
-"""The advice about a wrong unit, where the configuration states a unit already."""
+"""Advice about a wrong unit if the configuration already states a unit."""
 
 from __future__ import annotations
 
@@ -8,10 +8,10 @@ from imucald.config_check.source import QuantitySource
 
 
 def unit_advice(sources: Iterable[QuantitySource]) -> dict[str, str]:
-    """Return by quantity which unit is stated, what the database has, and what to do.
+    """Return advice by quantity: the stated unit, the unit in the database, and what to do.
 
-    Quantities by their names in the configuration, axes also together: "accelerometer.x" and
-    "accelerometer".
+    The keys are names in the configuration, both of axes and of sensors, such as "accelerometer.x"
+    and "accelerometer".
     """
     made: dict[str, str] = {}
     for source in sources:

@@ -1,4 +1,4 @@
-"""Witnesses of the yaw rate, compared with each other: signs and units of what shows turns."""
+"""Compare all measurements of the yaw rate with each other, to check their signs and units."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ from imucald.core.arrays import Array
 from imucald.mount.contradictions import UNLIKE, WRONG_UNIT
 
 MIN_TURNING = 0.008
-"""Least standard deviation of the yaw rate for a judgement [rad/s]: bends of a motorway."""
+"""Smallest standard deviation of the yaw rate for a judgement [rad/s]: bends of a motorway."""
 MIN_TURNING_TO_FOLLOW = 0.04
-"""The same from which a signal that does not follow is reported [rad/s]: a city."""
+"""Smallest standard deviation for reporting a signal that does not follow [rad/s]: a city."""
 OTHER_RATIO = 2.5
-"""A gain of the steering angle beyond this is a unit even where nobody stated steering ratio and
-wheelbase: those of trucks are up to 1.3 times and twice a car's."""
+"""A larger gain of the steering angle means a wrong unit, even if steering ratio and wheelbase are
+not stated. For trucks they are up to 1.3 times and twice those of a car."""
 _STEERING = "steering_wheel_angle"
 
 
@@ -27,9 +27,9 @@ def yaw_rate_findings(
     unit_advice: Mapping[str, str],
     turned: Mapping[str, bool] = MappingProxyType({}),
 ) -> Iterator[Finding]:
-    """Compare all witnesses of the yaw rate with the first one that turns.
+    """Compare all measurements of the yaw rate with the first one that shows turns.
 
-    turned: by quantity, whether the configuration turns the signs of all its axes.
+    turned: by quantity, whether the configuration reverses the signs of all its axes.
     """
     names = [name for name, rate in rates.items() if spread(rate) > MIN_TURNING]
     if len(names) < 2:
@@ -48,7 +48,7 @@ def yaw_rate_findings(
 
 
 def _gains(gains: Mapping[str, float], unit_advice: Mapping[str, str]) -> Iterator[Finding]:
-    """Of three witnesses or more the middle one is believed; of two the first."""
+    """Check the gains. With three or more measurements the median is right; with two, the first."""
     sizes = {name: abs(gain) for name, gain in gains.items()}
     middle = float(np.median(list(sizes.values()))) if len(sizes) > 2 else 1.0
     for name, size in sizes.items():

@@ -1,4 +1,4 @@
-"""A configuration proposed from databases and a recording, with its evidence above each entry."""
+"""Propose a configuration from databases and a recording, with the evidence above each entry."""
 
 from __future__ import annotations
 

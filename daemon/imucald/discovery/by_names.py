@@ -1,4 +1,4 @@
-"""What units and names alone suggest, where a recording shows nothing; none of it is sure."""
+"""Choices from units and names alone, if the recording shows nothing. None of them is sure."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ _SENSORS = {
 
 
 def by_names(candidates: Sequence[SeenSignal], found: set[str]) -> Iterator[Choice]:
-    """Choices of quantities that are not `found` yet."""
+    """Yield choices for quantities that are not `found` yet."""
     for quantity, dimension in _SENSORS.items():
         if quantity not in found:
             three = _three(candidates, dimension)
@@ -46,7 +46,7 @@ def by_names(candidates: Sequence[SeenSignal], found: set[str]) -> Iterator[Choi
 def _three(
     candidates: Sequence[SeenSignal], dimension: str
 ) -> tuple[SeenSignal, SeenSignal, SeenSignal] | None:
-    """The first three signals of a message whose names differ in x, y, z alone."""
+    """Return the first three signals of a message whose names differ only in x, y, z."""
     groups: dict[str, list[SeenSignal]] = {}
     for c in candidates:
         if c.states(dimension):

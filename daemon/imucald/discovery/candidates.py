@@ -1,4 +1,4 @@
-"""Every signal of the databases that a recording holds, as numbers on a common grid."""
+"""All signals of the databases that are in a recording, as numbers on a common grid."""
 
 from __future__ import annotations
 
@@ -27,26 +27,27 @@ from imucald.inputs.units import is_unit
 from imucald.motion.ticks import TICK_RATE
 
 FEW_LEVELS = 16
-"""A signal with so few values may be a switch or a lever."""
+"""A signal with at most this number of values may be a switch or a lever."""
 MIN_FRAMES = 20
-"""Frames of a message from which it is looked at."""
+"""Smallest number of frames of a message that is used."""
 SNA_BITS = 6
-"""Bits from which all ones are likely to mean 'not available' when they stand far out."""
+"""Smallest signal length [bits] at which an outlier of all ones probably means 'not available'."""
 SMALL_AT_SIGN = 0.3
-"""Part of its mean size that a magnitude has where its sign changes: any other bit changes at its
-mean size."""
+"""Largest size of a magnitude at a change of its sign bit, relative to its mean size. A bit that is
+not its sign changes at the mean size."""
 NOT_AVAILABLE_BYTE = 0xFF
-"""What a J1939 sender that has no value fills its message with."""
+"""The fill byte of a J1939 message without values."""
 _NO_UNIT = frozenset({"", "-", "1", "none", "unit", "raw", "bit", "bits", "unitless"})
 
 
 @dataclass(frozen=True, eq=False)
 class SeenSignal:
-    """One signal. x, smooth: (n,) on ticks of 0.1 s in the signal's unit, NaN where unknown.
+    """One signal. x, smooth: (n,) at ticks of 0.1 s in the signal's unit, NaN if unknown.
 
-    cycle: mean time between frames [s]. levels: number of different values, FEW_LEVELS + 1 for
-    more. held: (n,) the last value before each tick, of signals with few levels. unavailable: raw
-    values that the data show to mean 'not available', and that no value table names.
+    cycle: mean time between frames [s]. levels: number of different values, at most
+    FEW_LEVELS + 1. held: (n,) the last value before each tick, for signals with few levels.
+    unavailable: raw values that mean 'not available' according to the data, without an entry in a
+    value table.
     """
 
     message: Message
@@ -61,13 +62,13 @@ class SeenSignal:
     least: float
     largest: float
     raw: Mapping[str, Any] | None = None
-    """Bytes and an expression, where no database describes it."""
+    """Bytes and expression of a signal that no database describes."""
     sign_signal: str | None = None
-    """``MESSAGE.SIGNAL`` of the bit that says that it is negative, where it has no sign itself."""
+    """``MESSAGE.SIGNAL`` of the sign bit, for a signal without its own sign."""
     source_address: int | None = None
-    """Of the sender, where several send this J1939 message."""
+    """Source address of the sender, if several units send this J1939 message."""
     own_channel: str | None = None
-    """The channel that its source must name: raw ones of a recording with several."""
+    """The channel that its source must name, for a raw source in a recording with several."""
 
     @property
     def path(self) -> str:
@@ -76,26 +77,26 @@ class SeenSignal:
 
     @property
     def unit(self) -> str:
-        """Unit as the database states it."""
+        """The unit in the database."""
         return self.signal.unit.strip()
 
     @property
     def has_no_unit(self) -> bool:
-        """Whether the database states none."""
+        """Whether the database states no unit."""
         return self.unit.casefold() in _NO_UNIT
 
     @property
     def is_constant(self) -> bool:
-        """Whether it never changed."""
+        """Whether the signal never changed."""
         return self.least == self.largest
 
     @property
     def is_switch(self) -> bool:
-        """Whether it was only ever one of two values, without a unit: on or off."""
+        """Whether the signal had only two values and has no unit (on or off)."""
         return 0 < len(self.levels) <= 2 and self.has_no_unit
 
     def may_be(self, dimension: str) -> bool:
-        """Whether its unit allows the dimension: it names it, or is none that is known."""
+        """Whether its unit allows the dimension: it names the dimension, or it is unknown."""
         return self.has_no_unit or self.states(dimension) or not is_unit(self.unit)
 
     def states(self, dimension: str) -> bool:
@@ -107,8 +108,8 @@ class SeenSignal:
 class MessageTraffic:
     """A message of a database with its frames.
 
-    senders: source addresses where several units send this J1939 message; the frames are those of
-    the first one.
+    senders: source addresses, if several units send this J1939 message. The frames are those of the
+    first address.
     """
 
     message: Message
@@ -120,7 +121,7 @@ class MessageTraffic:
 
 
 def stated_cycles(databases: Mapping[str, Database]) -> Iterator[tuple[IdMatch, float]]:
-    """Messages that state a cycle [s]."""
+    """Yield the messages with a stated cycle [s]."""
     for database in databases.values():
         for message in database.messages.values():
             if message.cycle_time:
@@ -130,7 +131,7 @@ def stated_cycles(databases: Mapping[str, Database]) -> Iterator[tuple[IdMatch, 
 def messages_in(
     database: Database, traffic: Sequence[Traffic], channel: str | None
 ) -> Iterator[MessageTraffic]:
-    """Each decodable message that came on a channel (any where None), with its frames."""
+    """Yield each decodable message on a channel (None: any channel), with its frames."""
     for message in database.messages.values():
         if message.unsupported or not message.signals:
             continue
@@ -157,7 +158,7 @@ def messages_in(
                 frames[address] = frames.get(address, 0) + len(part)
             senders = tuple(sorted(a for a, n in frames.items() if n >= MIN_FRAMES))
         if len(senders) > 1:
-            # As a route would choose: the lowest of those that came regularly at first.
+            # Same choice as in a route: the lowest address that sent regularly at first.
             speaking = {p.can_id & J1939_ADDRESS_MASK for p in parts if _says_something(p)}
             heard = [p for p in parts if p.can_id & J1939_ADDRESS_MASK in speaking] or parts
             late = min(p.t[0] for p in heard) + SENDER_SETTLING
@@ -183,13 +184,13 @@ def messages_in(
 
 
 def _says_something(one: Traffic) -> bool:
-    """Whether a byte is another than all ones, which is "not available" in J1939."""
+    """Whether any byte differs from 0xFF ("not available" in J1939)."""
     rows, at = np.arange(one.data.shape[1]), one.length[:, np.newaxis]
     return bool(((one.data != NOT_AVAILABLE_BYTE) & (rows < at)).any())
 
 
 def candidates_of(one: MessageTraffic, ticks: int) -> Iterator[SeenSignal]:
-    """Every signal of a message that can be decoded and came often enough."""
+    """Yield every signal of a message that can be decoded and came often enough."""
     names = []
     for name in one.message.signals:
         try:
@@ -228,7 +229,7 @@ def candidates_of(one: MessageTraffic, ticks: int) -> Iterator[SeenSignal]:
 
 
 def _changes_sign_at_zero(values: Array) -> bool:
-    """Whether values change their sign where they are small: a sign bit makes them one signal."""
+    """Whether values change their sign only when small. If so, the bit is a sign bit."""
     at = np.flatnonzero(np.signbit(values[1:]) != np.signbit(values[:-1]))
     usual = float(np.abs(values).mean()) if len(values) else 0.0
     return len(at) > 0 and float(np.abs(values[at]).mean()) < SMALL_AT_SIGN * usual
@@ -276,15 +277,16 @@ def _candidate(
 
 
 def _held(t: Array, values: Array, ticks: int) -> Array:
-    """The last value at the end of each tick; NaN before the first."""
+    """Return the last value at the end of each tick; NaN before the first value."""
     last = np.searchsorted(t, (np.arange(ticks) + 1.0) / TICK_RATE) - 1
     return np.where(last >= 0, values[np.maximum(last, 0)], np.nan)
 
 
 def _unavailable(signal: Signal, raw: NDArray[np.generic]) -> tuple[int, ...]:
-    """All ones (or the lowest number of a signed signal), where it is jumped to from far away.
+    """Return raw values that mean 'not available': all ones, or the lowest signed number.
 
-    Twice as far as any other step: a signal that grows to its end comes there by its usual steps.
+    The step to this value must be at least twice any other step. A signal that reaches the end of
+    its range does so with its usual steps.
     """
     if signal.length < SNA_BITS or len(raw) < MIN_FRAMES:
         return ()
@@ -304,7 +306,7 @@ def _unavailable(signal: Signal, raw: NDArray[np.generic]) -> tuple[int, ...]:
 
 
 def silent_candidates(database: Database) -> Iterator[SeenSignal]:
-    """Every signal of a database without a recording: its name and unit are all there is."""
+    """Yield every signal of a database without a recording. Only name and unit are known."""
     nothing = np.full(1, np.nan)
     for message in database.messages.values():
         for signal in message.signals.values() if not message.unsupported else ():
@@ -320,7 +322,7 @@ def silent_candidates(database: Database) -> Iterator[SeenSignal]:
 
 
 def obd_speeds(traffic: Sequence[Traffic], ticks: int) -> Iterator[SeenSignal]:
-    """Answers to OBD-II requests for the vehicle's speed (SAE J1979: mode 01, PID 0x0D, km/h)."""
+    """Find answers to OBD-II requests for the speed (SAE J1979: mode 01, PID 0x0D, km/h)."""
     several = len({one.channel for one in traffic}) > 1
     for one in traffic:
         if not _is_obd_answer(one.can_id) or one.data.shape[1] < 4:
@@ -343,11 +345,11 @@ def obd_speeds(traffic: Sequence[Traffic], ticks: int) -> Iterator[SeenSignal]:
 
 
 def _is_obd_answer(can_id: int) -> bool:
-    """Whether an identifier is one that ISO 15765-4 gives to answers."""
+    """Whether an identifier is for answers according to ISO 15765-4."""
     return 0x7E8 <= can_id <= 0x7EF or can_id & ~0xFF == 0x98DAF100
 
 
 def words(name: str) -> list[str]:
-    """The parts of a name in small letters: "WheelSpeed_FL" is wheel, speed, fl."""
+    """Return the parts of a name in lower case: "WheelSpeed_FL" gives wheel, speed, fl."""
     parted = re.sub(r"(?<=[a-z0-9])(?=[A-Z])|(?<=[A-Z])(?=[A-Z][a-z])", " ", name)
     return [w.lower() for w in re.split(r"[\W_]+|(?<=\D)(?=\d)|\s+", parted) if w]

@@ -1,4 +1,4 @@
-"""From databases and a recording to a proposed configuration."""
+"""Make a proposed configuration from databases and a recording."""
 
 from __future__ import annotations
 
@@ -42,11 +42,11 @@ from imucald.discovery.turning import Turning
 from imucald.motion.ticks import TICK_RATE
 
 LEAST_LOSS = 0.05
-"""Share of lost frames [%] that is shown: less reads 0.0."""
+"""Smallest share of lost frames [%] that is shown. A smaller one would be shown as 0.0."""
 
 
 def discover(databases: Mapping[str, Database], recording: GatheredFrames) -> Proposal:
-    """Propose a configuration. databases: by the path that the configuration will name."""
+    """Propose a configuration. databases: keys are the paths for the configuration."""
     traffic = recording.traffic()
     ticks = int(recording.seconds * TICK_RATE) + 1
     proposal = Proposal()
@@ -101,7 +101,7 @@ def discover(databases: Mapping[str, Database], recording: GatheredFrames) -> Pr
 
 
 def _lost(shares: Mapping[str, float | None]) -> list[str]:
-    """The lost share of each message, where anything is lost."""
+    """Return the lost share of each message with losses, as texts."""
     known = {name: 100.0 * share for name, share in shares.items() if share is not None}
     if not any(share >= LEAST_LOSS for share in known.values()):
         return []
@@ -109,7 +109,7 @@ def _lost(shares: Mapping[str, float | None]) -> list[str]:
 
 
 def _announced(traffic: Sequence[Traffic]) -> dict[int, int]:
-    """What J1939's transport protocol announces on any channel, as of `announced_messages`."""
+    """Return the J1939 transport announcements on all channels, see `announced_messages`."""
     found: dict[int, int] = {}
     for one in traffic:
         ids = np.full(len(one), one.can_id, np.uint32)
@@ -118,7 +118,7 @@ def _announced(traffic: Sequence[Traffic]) -> dict[int, int]:
 
 
 def _cut(choices: Sequence[Choice], messages: Mapping[str, MessageTraffic]) -> Iterator[str]:
-    """A note for each message that is used and whose frames are shorter than the database says."""
+    """Yield a note for each used message whose frames are shorter than in the database."""
     for name in used_messages(choices):
         one = messages.get(name)
         if one is not None and (shortest := int(one.length.min())) < one.message.length:
@@ -141,7 +141,7 @@ def doubt_sender(choice: Choice, messages: Mapping[str, MessageTraffic]) -> None
 def _notes(
     recording: GatheredFrames, candidates: Sequence[SeenSignal], databases: Mapping[str, Database]
 ) -> Iterator[str]:
-    """What the head of the file says about the recording."""
+    """Yield the notes about the recording for the head of the file."""
     if not recording.frames:
         yield "No recording was given: the proposal uses names and units only and is unsure."
         return
@@ -159,7 +159,7 @@ def _notes(
 
 
 def free_output_ids(taken: Set[int]) -> dict[str, int]:
-    """The ids to be sent, moved where one of the usual ones is on the bus; empty where none is."""
+    """Return other output ids if a usual one is on the bus; empty if the usual ids are free."""
     usual = asdict(OutputIds())
     if not taken & set(usual.values()):
         return {}
@@ -173,7 +173,7 @@ def free_output_ids(taken: Set[int]) -> dict[str, int]:
 def choices_from(
     candidates: Sequence[SeenSignal], proposal: Proposal
 ) -> tuple[list[Choice], KnownMotion]:
-    """Every quantity that the candidates hold, and the motion that they were held against."""
+    """Return choices for all found quantities, and the motion used as the reference."""
     plain = [c for c in candidates if c.sign_signal is None]
     sensors = Sensors(plain, candidates)
     turning = Turning(sensors)
@@ -202,7 +202,7 @@ def choices_from(
 
 
 def used_messages(choices: Sequence[Choice]) -> list[str]:
-    """Messages from which something is taken, in order."""
+    """Return the used messages, in order."""
     names = (
         source.signal.partition(".")[0]
         for choice in choices
@@ -213,7 +213,7 @@ def used_messages(choices: Sequence[Choice]) -> list[str]:
 
 
 def _is_described(databases: Mapping[str, Database], one: Traffic) -> bool:
-    """Whether a database has a message with signals of this identifier."""
+    """Whether a database has a message with signals for this identifier."""
     return any(
         message.signals and not message.unsupported and message.can_id == one.can_id
         for database in databases.values()
@@ -222,7 +222,7 @@ def _is_described(databases: Mapping[str, Database], one: Traffic) -> bool:
 
 
 def _channel_of(database: Database, traffic: Sequence[Traffic]) -> str | None:
-    """The channel on which most messages of a database come, where the recording has several."""
+    """Return the channel with most messages of a database, if the recording has several."""
     channels = dict.fromkeys(one.channel for one in traffic)
     if len(channels) < 2:
         return None

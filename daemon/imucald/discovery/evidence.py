@@ -1,4 +1,4 @@
-"""Units and raw counts in which a signal has the size that its reference asks for."""
+"""Find the unit or the scale of raw counts in which a signal fits its reference."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ COMMON_UNITS = {
     "speed": ("km/h", "m/s", "mph", "kn"),
     "magnetic_field": ("uT", "mG", "Gs"),
 }
-"""Units that senders use, the usual one first; others are believed only where they are stated."""
+"""Common units, the most frequent first. Other units are accepted only if they are stated."""
 
 
 USUAL_COUNTS = {
@@ -26,12 +26,12 @@ USUAL_COUNTS = {
         (131, 65.5, 32.8, 16.4, 114.3, 57.1, 28.6, 14.3, 100, 64, 50, 20, 10),
     ),
 }
-"""Counts for one of a unit, of the ranges of usual sensors (MPU-6050, LSM6, BMI, ...), the usual
-ones first."""
+"""Counts per unit for the ranges of common sensors (MPU-6050, LSM6, BMI, ...), the most frequent
+first."""
 
 
 def in_counts(dimension: str, low: float, high: float) -> UnitChoice:
-    """The unit of raw counts whose SI value lies in [low, high]: a usual scale, else the middle."""
+    """Return the unit of raw counts with an SI value in [low, high]: a common one, or a middle."""
     name, usual = USUAL_COUNTS[dimension]
     one = find_unit(name, dimension).factor
     fitting = [n for n in usual if low <= one / n <= high]
@@ -44,7 +44,7 @@ def in_counts(dimension: str, low: float, high: float) -> UnitChoice:
 class UnitChoice:
     """A unit and whether the database states it.
 
-    others: units that would fit as well. is_counts: raw counts, whose scale the data show.
+    others: other units that also fit. is_counts: whether it is raw counts with a scale from data.
     """
 
     name: str
@@ -60,7 +60,7 @@ class UnitChoice:
 
 
 def factor_of(text: str, dimension: str) -> float | None:
-    """SI value of one of a unit; None where the text names no unit of the dimension."""
+    """Return the SI value of 1 in a unit; None if the text is not a unit of the dimension."""
     try:
         return find_unit(text, dimension).factor if text.strip() else None
     except ConfigError:
@@ -70,7 +70,7 @@ def factor_of(text: str, dimension: str) -> float | None:
 def choose_unit(
     stated: str, dimension: str, low: float, high: float, names: Sequence[str] = ()
 ) -> UnitChoice | None:
-    """The unit whose SI value lies in [low, high]; the stated one where it does."""
+    """Return the unit with an SI value in [low, high]; the stated unit if it fits."""
     factor = factor_of(stated, dimension)
     if factor is not None and low <= factor <= high:
         return UnitChoice(stated, factor, True)

@@ -1,4 +1,4 @@
-"""Reverse, brake and the sensor's temperature: what is on when the vehicle does something."""
+"""Find reverse, brake and the sensor's temperature."""
 
 from __future__ import annotations
 
@@ -25,21 +25,21 @@ from imucald.inputs.units import find_unit
 CREEP = 0.2
 MIN_REVERSE_TICKS = 15
 BRAKING = 0.7
-"""Deceleration that takes a brake [m/s^2]: drag and engine in gear stay below about 0.6."""
+"""Deceleration that needs a brake [m/s^2]. Drag and engine braking stay below about 0.6."""
 COASTING = 0.3
-"""Milder than this nobody brakes."""
+"""Below this deceleration, the brake is not used [m/s^2]."""
 ENGINE_WARM = 75.0
-"""Coolant and oil become warmer: thermostats open at 80 to 95 [degC]."""
+"""Coolant and oil become warmer than this [degC]. Thermostats open at 80 to 95 degC."""
 CLEAR_MATTHEWS = 0.6
-"""Matthews' correlation of a switch with braking, from which it is the brake."""
+"""Smallest Matthews correlation of a switch with braking at which it is the brake."""
 LEVER_BITS = 8
-"""A lever has fewer than 256 places."""
+"""Longest signal of a lever [bits]. A lever has fewer than 256 positions."""
 _LEVER_WORDS = frozenset(("gear", "gang", "lever", "selector", "prnd", "getriebe", "reverse"))
 _REVERSE_NAMES = ("r", "reverse", "rev", "backward", "rueckwaerts", "rückwärts")
 
 
 def find_reverse(reference: KnownMotion, candidates: Sequence[SeenSignal]) -> Choice | None:
-    """A switch or a lever's place at which the change of speed shows the wrong way round."""
+    """Find a value of a switch or lever at which the force is opposite to the change of speed."""
     found = sorted(_reversing(reference, candidates), key=lambda f: -f.nats)
     sure = [f for f in found if f.nats >= BELIEVED_NATS + math.log(len(found))]
     if sure:
@@ -65,7 +65,7 @@ def find_reverse(reference: KnownMotion, candidates: Sequence[SeenSignal]) -> Ch
 
 @dataclass(frozen=True, eq=False)
 class _Level:
-    """A value of a switch or lever; nats: of going backwards against forwards while it is held."""
+    """A value of a switch or lever. nats: log likelihood ratio of backwards to forwards."""
 
     candidate: SeenSignal
     level: float
@@ -74,11 +74,11 @@ class _Level:
 
 
 def _reversing(reference: KnownMotion, candidates: Sequence[SeenSignal]) -> list[_Level]:
-    """Every value that is held at low speed only, with its likelihood ratio.
+    """Return every value that occurs only at low speed, with its likelihood ratio.
 
-    Forwards the acceleration along the vehicle is the change of speed, backwards its opposite, but
-    for noise as large as in the whole drive (its slopes included). Of each segment the mean is
-    taken out: an offset of the sensor, a slope.
+    Forwards, the acceleration along the vehicle equals the change of speed. Backwards, it is the
+    opposite. The noise is as large as in the whole drive (including slopes). The mean of each
+    segment is removed, because it may be a sensor offset or a slope.
     """
     speed, along = reference.speed, reference.along
     if speed is None or along is None or not speed.relation.is_believed_of(1):
@@ -102,14 +102,14 @@ def _reversing(reference: KnownMotion, candidates: Sequence[SeenSignal]) -> list
 
 
 def _less_their_means(x: Array, at: NDArray[np.bool_]) -> Array:
-    """Values of the marked ticks, less the mean of each segment of neighbours."""
+    """Return the values of the marked ticks, minus the mean of each contiguous segment."""
     rows = np.flatnonzero(at)
     parts = np.split(x[rows], np.flatnonzero(np.diff(rows) > 1) + 1)
     return np.concatenate([part - part.mean() for part in parts])
 
 
 def _names_reverse(signal: Signal) -> float | None:
-    """The physical value that a value table calls reverse."""
+    """Return the physical value that a value table names reverse."""
     for raw, name in signal.choices.items():
         if name.strip().lower() in _REVERSE_NAMES:
             return float(raw * signal.scale + signal.offset)
@@ -137,7 +137,7 @@ def _reverse_by_name(candidates: Sequence[SeenSignal]) -> Choice | None:
 
 
 def unseen_reverse(candidates: Sequence[SeenSignal]) -> Iterator[str]:
-    """What to say where the lever has not been in reverse, and no name says which value that is."""
+    """Yield a note if the lever was not in reverse and no name shows the value for reverse."""
     levers = [
         c.path
         for c in candidates
@@ -154,7 +154,7 @@ def unseen_reverse(candidates: Sequence[SeenSignal]) -> Iterator[str]:
 
 
 def find_brake(reference: KnownMotion, candidates: Sequence[SeenSignal]) -> Choice | None:
-    """A switch (or a pressure) that is on when the vehicle slows down more than by itself."""
+    """Find a switch (or pressure) that is on when the vehicle brakes."""
     if reference.speed is None:
         return None
     change = reference.speed.change
@@ -191,7 +191,7 @@ def find_brake(reference: KnownMotion, candidates: Sequence[SeenSignal]) -> Choi
 
 
 def _switches(c: SeenSignal) -> list[tuple[Array, dict[str, Any]]]:
-    """Ways to read a signal as on or off, with their settings."""
+    """Return the possible ways to read a signal as on or off, with their settings."""
     if c.held is not None:
         if len(c.levels) == 2:
             if 0.0 in c.levels and max(c.levels) > 0.0:
@@ -224,13 +224,13 @@ def _brake_by_name(candidates: Sequence[SeenSignal]) -> Choice | None:
 
 
 def _is_an_engine(c: SeenSignal) -> bool:
-    """Whether a temperature becomes an engine's; a sensor that hot is near its end (85 degC)."""
+    """Whether a temperature gets as high as an engine's. A sensor's limit is 85 degC."""
     unit = find_unit(c.unit, "temperature")
     return c.largest * unit.factor + unit.offset > ENGINE_WARM
 
 
 def find_temperature(reference: KnownMotion, candidates: Sequence[SeenSignal]) -> Choice | None:
-    """A temperature whose message belongs to the sensor's."""
+    """Find a temperature in a message that belongs to the sensor's messages."""
     usable = [c for c in candidates if c.states("temperature")]
     triad = reference.accelerometer
     if not usable or triad is None:

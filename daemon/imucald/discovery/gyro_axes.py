@@ -1,11 +1,11 @@
-"""How a gyroscope's axes lie to an accelerometer's: which is which, sign and unit.
+"""Find the relation of a gyroscope's axes to an accelerometer's: order, signs and unit.
 
-Two facts show it, whatever the mount. In turns speed times the rate about up is the acceleration to
-the left. And while the body pitches and rolls, gravity moves through the accelerometer's axes as
-the gyroscope says: g' = -omega x g. Each of the 48 ways to name and sign three axes is held against
-both, by likelihood; offsets, and acceleration that goes with speed, are fitted and do not count.
-The unit is free here. `mount.gyro_alternatives` and `config_check.turning_axis` know it, and ask
-whether the axes as configured are wrong.
+Two facts show this relation for any mount. In turns, speed times the rate about the vertical is the
+acceleration to the left. While the body pitches and rolls, gravity moves in the accelerometer's
+axes with g' = -omega x g. Each of the 48 orders and signs of three axes is compared with both
+facts, by likelihood. Offsets, and acceleration that is proportional to speed, are fitted, so they
+have no effect. The unit is unknown here. In `mount.gyro_alternatives` and
+`config_check.turning_axis` the unit is known; they check whether the configured axes are wrong.
 """
 
 from __future__ import annotations
@@ -24,24 +24,24 @@ from imucald.discovery.triads import Triad
 from imucald.motion.ticks import TICK_RATE
 
 WINDOW = 10
-"""Ticks over which gravity's change is compared: a second, a pitching body's time."""
+"""Window for comparing the change of gravity [ticks]: one second, the time scale of pitching."""
 STEADY_UP = 0.97
-"""Mean resultant length of the force's direction from which gravity is one direction: a vehicle's
-slopes and manoeuvres keep within 15 deg of it."""
+"""Smallest mean resultant length of the force's direction at which gravity counts as constant. With
+slopes and manoeuvres, a vehicle stays within 15 deg."""
 
 Order = tuple[tuple[int, int, int], tuple[int, int, int]]
-"""Which gyroscope axis is x, y, z, and their signs."""
+"""The gyroscope axes that are x, y, z, and their signs."""
 
 AS_IT_IS: Order = ((0, 1, 2), (1, 1, 1))
 
 
 @dataclass(frozen=True)
 class GyroFit:
-    """The likeliest order of a gyroscope's axes among `tried`, and what supports it.
+    """The most likely order of a gyroscope's axes among `tried`, with its evidence.
 
-    nats: log likelihood of each order, relative to none. turning: of the acceleration to the left
-    against speed times rate; carried: of gravity's change against the rates. is_contradicted:
-    whether gravity speaks clearly for another order than turns do.
+    nats: log likelihood of each order, relative to no relation. turning: relation of the
+    acceleration to the left to speed times rate. carried: relation of gravity's change to the
+    rates. is_contradicted: whether gravity and turns clearly show different orders.
     """
 
     order: Order
@@ -51,35 +51,35 @@ class GyroFit:
     is_contradicted: bool = False
 
     def ahead(self, orders: list[Order]) -> float:
-        """Nats by which the order is ahead of the best other one of some orders."""
+        """Return how much more likely the order is than the best other one of `orders` [nats]."""
         others = [self.nats[o] for o in orders if o != self.order]
         return self.nats[self.order] - max(others, default=-math.inf)
 
     @property
     def is_believed(self) -> bool:
-        """Whether the rates go with the accelerometer at all."""
+        """Whether the rates are certainly related to the accelerometer."""
         return self.turning.is_believed or self.carried.is_believed
 
 
 def every_order() -> list[Order]:
-    """All 48 orders and signs."""
+    """Return all 48 orders and signs."""
     signs = list(itertools.product((1, -1), repeat=3))
     return [(p, s) for p in itertools.permutations((0, 1, 2)) for s in signs]  # type: ignore[misc]
 
 
 def right_handed_orders() -> list[Order]:
-    """The three cyclic orders, and the same with all signs turned round."""
+    """Return the three cyclic orders, and the same with all signs reversed."""
     cyclic = ((0, 1, 2), (1, 2, 0), (2, 0, 1))
     return [(p, s) for p in cyclic for s in ((1, 1, 1), (-1, -1, -1))]
 
 
 def signed(gyro: Array, order: Order) -> Array:
-    """(n, 3) rates in another order."""
+    """Return the rates (n, 3) in another order and with its signs."""
     return gyro[:, list(order[0])] * np.array(order[1], np.float64)
 
 
 def fit_gyroscope(gyro: Triad, reference: KnownMotion, tried: list[Order]) -> GyroFit | None:
-    """Hold a gyroscope's axes against the accelerometer; None where there is nothing to hold."""
+    """Compare a gyroscope's axes with the accelerometer; None if there is no evidence."""
     if reference.accelerometer is None or reference.up is None:
         return None
     orders = every_order()
@@ -89,7 +89,7 @@ def fit_gyroscope(gyro: Triad, reference: KnownMotion, tried: list[Order]) -> Gy
     of_turns = {o: turning.get(o, nothing)[0] for o in orders}
     of_gravity = {o: carried.get(o, nothing)[0] for o in orders}
     nats = {o: of_turns[o] + of_gravity[o] for o in orders}
-    # turns are what the mount is found from: gravity decides among what they leave open
+    # the mount is found from turns, so gravity decides only between orders that fit the turns
     most = max(of_turns[o] for o in tried)
     open_ones = [o for o in tried if of_turns[o] > most - BELIEVED_NATS]
     best = max(open_ones, key=lambda o: nats[o])
@@ -102,7 +102,7 @@ def fit_gyroscope(gyro: Triad, reference: KnownMotion, tried: list[Order]) -> Gy
 def _turning(
     gyro: Array, reference: KnownMotion, orders: list[Order]
 ) -> dict[Order, tuple[float, Relation]]:
-    """Log likelihood of each order from turns."""
+    """Return the log likelihood of each order from turns."""
     if reference.lateral is None or reference.speed is None or reference.up is None:
         return {}
     v = reference.speed.moving
@@ -118,7 +118,7 @@ def _turning(
 def _carried(
     gyro: Array, accelerometer: Triad, reference: KnownMotion, orders: list[Order]
 ) -> dict[Order, tuple[float, Relation]]:
-    """The same from gravity's movement through the axes, in windows of a second."""
+    """Return the log likelihood of each order from gravity's changes in windows of a second."""
     force = accelerometer.smooth
     gravity = _gravity(force)
     target = shifted(force, WINDOW) - force
@@ -138,12 +138,12 @@ def _carried(
     basis = np.linalg.qr(np.column_stack([np.ones(count), moved[rows]]))[0]
     target, *left = (x[rows] - basis @ (basis.T @ x[rows]) for x in (target, *terms.values()))
     parts = dict(zip(terms, left, strict=True))
-    independent = 2.0 * count / (WINDOW + SMOOTH)  # two level axes in each window
+    independent = 2.0 * count / (WINDOW + SMOOTH)  # two horizontal axes in each window
     return {order: _held_against(target, _in_order(parts, order), independent) for order in orders}
 
 
 def _gravity(force: Array) -> Array:
-    """Gravity in sensor axes (n, 3): one direction in a vehicle, the force itself in a hand."""
+    """Return gravity in sensor axes (n, 3): constant in a vehicle, the force itself in a hand."""
     direction = force / np.linalg.norm(force, axis=1, keepdims=True)
     if np.linalg.norm(np.nanmean(direction, axis=0)) < STEADY_UP:
         return force
@@ -151,7 +151,7 @@ def _gravity(force: Array) -> Array:
 
 
 def _accelerations(reference: KnownMotion) -> Array:
-    """Windowed changes (n, k) of the accelerations that go with speed; k is 0 without a speed."""
+    """Return windowed changes (n, k) of accelerations due to speed; k is 0 without a speed."""
     known = []
     if reference.speed is not None:
         known.append(_windowed(reference.speed.change))
@@ -163,14 +163,14 @@ def _accelerations(reference: KnownMotion) -> Array:
 
 
 def _in_order(parts: dict[tuple[int, int], Array], order: Order) -> Array:
-    """Change of gravity (m, 3) with the gyroscope's axes in an order."""
+    """Return the predicted change of gravity (m, 3) for one order of the gyroscope's axes."""
     return np.asarray(
         sum(sign * parts[axis, p] for p, (axis, sign) in enumerate(zip(*order, strict=True)))
     )
 
 
 def _held_against(target: Array, predicted: Array, independent: float) -> tuple[float, Relation]:
-    """Log likelihood of a prediction whose scale is free but positive, and the relation."""
+    """Return the log likelihood of a prediction with any positive scale, and the relation."""
     dot, size = float((target * predicted).sum()), float((predicted * predicted).sum())
     total = float((target * target).sum())
     if not (size > 0.0 and total > 0.0):
@@ -186,12 +186,12 @@ def _windowed(x: Array) -> Array:
 
 
 def _integrated(rate: Array) -> Array:
-    """Change over a window of what goes by a rate (n, 3) [1/s], smoothed as the force is."""
+    """Integrate a rate (n, 3) [1/s] over a window, with the same smoothing as the force."""
     known = np.where(np.isfinite(rate), rate, 0.0)
     whole = smooth(np.cumsum(known, axis=0) / TICK_RATE)
     return np.where(np.isfinite(rate), shifted(whole, WINDOW) - whole, np.nan)
 
 
 def is_decided(fit: GyroFit, orders: list[Order]) -> bool:
-    """Whether an order is certainly ahead of some others."""
+    """Whether the order is certainly more likely than the given others."""
     return fit.ahead(orders) >= BELIEVED_NATS

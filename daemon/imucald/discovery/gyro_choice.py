@@ -1,4 +1,4 @@
-"""A gyroscope as it is proposed: unit, sign, which axis is which, and what is not certain."""
+"""The proposal for a gyroscope: unit, sign, order of axes, and doubts."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ RAW_COUNTS = (
 
 
 def axes_of(triad: Triad, unit: str, sign: int = 1) -> dict[str, Proposed]:
-    """Sources of a triad by axis."""
+    """Return the sources of a triad by axis."""
     return {
         axis: source_of(member, unit, sign)
         for axis, member in zip("xyz", triad.members, strict=True)
@@ -27,7 +27,7 @@ def axes_of(triad: Triad, unit: str, sign: int = 1) -> dict[str, Proposed]:
 def gyroscope_choice(
     triad: Triad, fit: GyroFit, others: list[tuple[Triad, GyroFit]]
 ) -> tuple[Choice, Order, Triad]:
-    """The choice, and the triad in its unit and order with the signs that are left to apply."""
+    """Return the choice, the signs to apply, and the triad in its unit and order."""
     unit, doubt = _unit(triad, fit)
     places, signs = fit.order
     x, y, z = (triad.members[i] for i in places)
@@ -45,7 +45,7 @@ def gyroscope_choice(
 
 
 def _unit(triad: Triad, fit: GyroFit) -> tuple[UnitChoice, str]:
-    """The unit by what turns or gravity show, and why it is not sure."""
+    """Return the unit from turns or gravity, and why it is not sure."""
     found = fit.turning if fit.turning.is_believed else fit.carried
     unit = triad.unit
     if found.is_believed and found.low > 0.0:
@@ -69,7 +69,7 @@ def _contradiction(fit: GyroFit) -> str:
 
 
 def _open_question(triad: Triad, fit: GyroFit) -> str:
-    """What the likelihoods leave open; empty where nothing."""
+    """Return the question that the likelihoods do not decide; empty if there is none."""
     orders, signs = right_handed_orders(), fit.order[1]
     if not fit.is_believed:
         return "the recording has no turns or slopes that confirm it"

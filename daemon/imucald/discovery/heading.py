@@ -1,8 +1,8 @@
-"""The heading, and what a compass's sense of turning says about the accelerometer's sign.
+"""Find the heading, and use its direction of rotation to check the accelerometer's sign.
 
-A course is clockwise on every receiver. It is the one signal of a bus that distinguishes a sensor
-of the specific force from one that shows its opposite (phones do, and what calls itself a
-gravity vector): upside down and backwards, such a sensor fits speed, turns and gyroscope as well.
+The course of every receiver is clockwise. Some sensors measure the opposite of the specific force
+(phones, and sensors of a "gravity vector"). Mounted upside down and backwards, such a sensor also
+fits speed, turns and gyroscope. The heading is the only signal on a bus that shows the difference.
 """
 
 from __future__ import annotations
@@ -21,11 +21,11 @@ from imucald.discovery.reference import DELAYS, KnownMotion, stated_unit
 from imucald.discovery.scalars import SAME_MOTION, by_unit_and_name
 
 SPAN = 10
-"""Ticks over which a change of the heading is taken: a receiver gives it once a second."""
+"""Time over which a change of the heading is computed [ticks]. A receiver sends at 1 Hz."""
 LARGEST_CHANGE = 1.0
-"""In that time [rad]; what is more is the bridge over the jump from 360 to 0."""
+"""Largest change in that time [rad]. A larger one is the jump from 360 to 0 deg."""
 GAIN = 1.5
-"""Half way, as a ratio, between the right unit and half or twice of it."""
+"""Largest accepted gain ratio, between 1 (right unit) and 2 (half or twice the unit)."""
 
 REVERSED = (
     "this sensor seems to show minus the specific force, so 'sign: -1' is set: without it, "
@@ -49,31 +49,31 @@ TURNED_TO_FIT = (
 
 @dataclass(frozen=True, eq=False)
 class HeadingFit:
-    """An angle whose change is the yaw rate. relation: to clockwise turning; delay [ticks]."""
+    """An angle whose change is the yaw rate. relation: to clockwise rotation. delay: [ticks]."""
 
     candidate: SeenSignal
     relation: Relation
     delay: int
     is_reversed: bool = False
-    """Whether the accelerometer was reversed for it."""
+    """Whether the accelerometer was reversed because of the heading."""
 
     @property
     def is_named(self) -> bool:
-        """Whether its name says that it is a compass's."""
+        """Whether its name is that of a compass."""
         return hint("heading", self.candidate) is not None
 
     @property
     def is_like_a_compass(self) -> bool:
-        """Whether it is named so, or counts from 0 to 360; angles to the left have both signs."""
+        """Whether its name is a compass's or it counts from 0 to 360, without negative values."""
         return self.is_named or self.candidate.least >= 0.0
 
 
 def fit_heading(reference: KnownMotion, candidates: Sequence[SeenSignal]) -> HeadingFit | None:
-    """The angle whose change follows the yaw rate best, at its own delay; None where none does."""
+    """Return the angle whose change follows the yaw rate best, with its delay, or None."""
     if reference.turn is None:
         return None
     turn = reference.turn
-    if reference.speed is not None:  # a receiver that stands has no course
+    if reference.speed is not None:  # a receiver at rest has no course
         turn = np.where(np.isfinite(reference.speed.moving), turn, np.nan)
     best: HeadingFit | None = None
     for c in candidates:
@@ -96,7 +96,7 @@ def fit_heading(reference: KnownMotion, candidates: Sequence[SeenSignal]) -> Hea
 def heading_choice(
     fit: HeadingFit | None, reference: KnownMotion, candidates: Sequence[SeenSignal]
 ) -> Choice | None:
-    """The heading as it is proposed; by unit and name where nothing was found to follow a turn."""
+    """Return the proposed heading; if none follows turns, one chosen by unit and name."""
     if fit is None:
         wide = []
         for c in candidates:
@@ -132,10 +132,11 @@ def heading_choice(
 def doubt_what_is_turned(
     accelerometer: Choice, gyroscope: Choice | None, fit: HeadingFit | None
 ) -> None:
-    """Mark what a heading does not show where all signs of the gyroscope were turned before.
+    """Add doubts if all signs of the gyroscope were reversed before the heading was used.
 
-    They are turned to fit the accelerometer, so the heading speaks of both at once: agreement with
-    an unsure turn does not prove the accelerometer, and disagreement does not prove the turn.
+    The signs were reversed to fit the accelerometer, so the heading tests both sensors together. If
+    the reversal is unsure, agreement does not prove the accelerometer, and disagreement does not
+    prove the reversal.
     """
     if fit is None or gyroscope is None:
         return
@@ -150,10 +151,10 @@ def doubt_what_is_turned(
 def hold_against_heading(
     reference: KnownMotion, accelerometer: Choice, fit: HeadingFit | None
 ) -> HeadingFit | None:
-    """Reverse the accelerometer, and all that follows from it, where a compass says so.
+    """Reverse the accelerometer, and all results from it, if a compass shows that it is reversed.
 
-    Returns the fit with the sense that it has then. Where the name does not say that it is a
-    compass, everything that has a side is doubted.
+    Returns the fit with its new direction of rotation. If the name is not that of a compass, all
+    signals with left and right get a doubt.
     """
     if fit is None or fit.relation.sign > 0 or reference.up is None or reference.turn is None:
         return fit

@@ -1,4 +1,4 @@
-"""An accelerometer against which all signals that have a side need the other sign."""
+"""Detect a mirrored accelerometer: all signals with left and right need the other sign."""
 
 from __future__ import annotations
 
@@ -16,9 +16,10 @@ WITH_IT = "its sign depends on the signs of the accelerometer, which are unsure"
 
 
 def hold_against_usual_signs(choices: Sequence[Choice], heading: HeadingFit | None) -> None:
-    """Doubt the accelerometer, and turn it where it is likelier mirrored than the others turned.
+    """Add a doubt to the accelerometer. Reverse it if this is more likely than that all others are
+    reversed.
 
-    A compass on the bus has decided that already.
+    If a compass is on the bus, it has already decided this.
     """
     by_name = {choice.quantity: choice for choice in choices}
     accelerometer = by_name.get("accelerometer")
@@ -35,7 +36,7 @@ def hold_against_usual_signs(choices: Sequence[Choice], heading: HeadingFit | No
     for name in SIDED:
         if name in turned:
             by_name[name].doubt = WITH_IT
-    # a database whose names do not say which axis is which says nothing of usual signs either
+    # if names do not show the axes, the database may not use the usual signs either
     if likely <= 0.5 or by_places or not any(turned.get(name) for name in SIDED):
         accelerometer.doubt = f"with the signs as they are, {names} would need 'sign: -1': {REMEDY}"
         return
@@ -55,7 +56,7 @@ def hold_against_usual_signs(choices: Sequence[Choice], heading: HeadingFit | No
 
 
 def _exchange_wheels(wheels: Choice | None) -> None:
-    """Left and right as they are once the accelerometer is turned."""
+    """Exchange left and right wheels after the accelerometer was reversed."""
     if wheels is not None and wheels.doubt == EXCHANGED:
         wheels.doubt = ""
     elif wheels is not None and BY_TURNS in wheels.evidence:
@@ -72,7 +73,7 @@ def _has_sign_bit(choice: Choice) -> bool:
 
 
 def _turned(by_name: dict[str, Choice]) -> dict[str, bool]:
-    """Which of the signals that have a side need the other sign, of those whose sign is known."""
+    """Return which signals with left and right need the other sign, if their sign is known."""
     turned = {}
     for name in ("gyroscope", *SIDED):
         choice = by_name.get(name)

@@ -1,4 +1,4 @@
-"""What names of signals show: axes, wheels, sides. Names break ties; the data decide."""
+"""Find axes, wheels and sides in signal names. Names decide only if the data do not."""
 
 from __future__ import annotations
 
@@ -24,15 +24,15 @@ _AXES = {
     "y": ("lateral", "lat", "quer", "sway", "pitch", "nick"),
     "z": ("vertical", "vert", "hoch", "heave", "yaw", "gier"),
 }
-"""Beginnings of the words for a direction, or for turning about it (ISO 8855, DIN 70000)."""
+"""Beginnings of the words for a direction or a rotation about it (ISO 8855, DIN 70000)."""
 _AXIS_LETTER = re.compile("(?:a|acc|accel|g|gyr|gyro|w|omega|r|rate|m|mag|b)?([xyz])")
 
 
 def axes_by_name(candidates: Sequence[SeenSignal]) -> tuple[int, int, int] | None:
-    """Which of three signals are x, y and z: by a letter, else by a word for the direction.
+    """Return which of three signals are x, y and z, from a letter or a word for the direction.
 
-    A letter is all in which the names differ, as in AccX, AccY, AccZ; a word stands in each name:
-    longitudinal, lateral, vertical, or roll, pitch, yaw, in English or German.
+    A letter counts if the names differ only in it, as in AccX, AccY, AccZ. A word must be in each
+    name: longitudinal, lateral, vertical, or roll, pitch, yaw, in English or German.
     """
     names = [c.signal.name for c in candidates]
     for place in range(min(map(len, names))):
@@ -50,7 +50,7 @@ def axes_by_name(candidates: Sequence[SeenSignal]) -> tuple[int, int, int] | Non
 
 
 def _axis_of(parts: Sequence[str]) -> str:
-    """The one axis that the words of a name speak of; empty where there is none, or another."""
+    """Return the single axis in the words of a name; empty if there is none or more than one."""
     found = set()
     for word in parts:
         letter = _AXIS_LETTER.fullmatch(word)
@@ -60,7 +60,7 @@ def _axis_of(parts: Sequence[str]) -> str:
 
 
 def wheel_by_name(name: str) -> str | None:
-    """The wheel that a signal's name shows."""
+    """Return the wheel in a signal's name."""
     parts = words(name)
     for part in reversed(parts):
         if part in _CORNERS:
@@ -94,21 +94,21 @@ _OF_ANOTHER = frozenset((
     "set", "setpoint", "limit", "target", "desired", "soll", "max", "min", "cruise", "acc", "obj",
     "object", "rel", "lead", "setspeed", "tempomat", "wunsch",
 ))  # fmt: skip
-"""Words of a speed that is wished, allowed, or another vehicle's."""
+"""Words in names of a requested or allowed speed, or of another vehicle's speed."""
 
 
 def is_of_another(name: str) -> bool:
-    """Whether a name speaks of what is wished or allowed, or of another vehicle."""
+    """Whether a name is that of a requested or allowed value, or of another vehicle's value."""
     return not _OF_ANOTHER.isdisjoint(words(name))
 
 
 def hint(quantity: str, candidate: SeenSignal) -> str | None:
-    """The word of a signal's name that speaks for a quantity."""
+    """Return the word in a signal's name that indicates a quantity."""
     return named_so(quantity, candidate.signal.name)
 
 
 def named_so(quantity: str, name: str) -> str | None:
-    """The word of a name that speaks for a quantity."""
+    """Return the word in a name that indicates a quantity."""
     known = _HINTS.get(quantity, ())
     for part in words(name):
         if part in known or any(len(k) > 4 and part.startswith(k) for k in known):
@@ -117,6 +117,6 @@ def named_so(quantity: str, name: str) -> str | None:
 
 
 def same_family(a: str, b: str) -> bool:
-    """Whether two messages begin with the same word, as INS_Acc_02 and INS_Temp do."""
+    """Whether two message names begin with the same word, as INS_Acc_02 and INS_Temp."""
     first, second = words(a), words(b)
     return bool(first and second) and first[0] == second[0] and len(first[0]) > 1

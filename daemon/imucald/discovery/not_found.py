@@ -1,4 +1,4 @@
-"""What was looked for and not found, with the nearest reason that the recording shows."""
+"""List the quantities that were not found, with the most likely reason."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from imucald.discovery.candidates import MessageTraffic, SeenSignal
 from imucald.discovery.names import named_so
 
 LOOKED_FOR = tuple(row.key for row in QUANTITIES.values() if row.channel != "mag")
-"""A magnetometer is seldom there."""
+"""The quantities to report. A magnetometer is rare, so it is not reported."""
 
 
 def not_found(
@@ -25,10 +25,10 @@ def not_found(
     candidates: Sequence[SeenSignal],
     announced: Mapping[int, int],
 ) -> dict[str, str]:
-    """By quantity that was not found, why a signal with its name is not it; empty: no such name.
+    """Return for each missing quantity why a signal with a similar name was not used.
 
-    used: paths of signals that are another quantity. announced: messages that J1939's transport
-    protocol announces, as of `announced_messages`.
+    The text is empty if there is no such name. used: paths of signals used for another quantity.
+    announced: messages announced by J1939 transport frames, see `announced_messages`.
     """
     seen = {c.path: c for c in candidates}
     reasons = {}
@@ -57,7 +57,7 @@ def _why(
     seen: Mapping[str, SeenSignal],
     announced: Mapping[int, int],
 ) -> str:
-    """What the recording shows of a signal that is named like a quantity."""
+    """Return what the recording shows about a signal with the name of a quantity."""
     path = f"{message.name}.{name}"
     if path in seen:
         if seen[path].is_constant:

@@ -1,4 +1,4 @@
-"""A vehicle without a sensor of three axes: the stability control's two axes stand in for it."""
+"""A vehicle without a three-axis sensor: use the two accelerations of the stability control."""
 
 from __future__ import annotations
 
@@ -24,12 +24,13 @@ from imucald.discovery.scalars import MAX_ALTERNATIVES, RELATED
 
 _LEFT = re.compile(r"(positive|\+|>\s*0)[^.;]{0,20}\bleft|left[^.;]{0,20}(positive|\+)", re.I)
 WRONG_SCALE = 2.0
-"""Half way, as a ratio, to another unit: databases that people find out by trial are off so far."""
+"""Largest accepted ratio to the stated scale. Reverse-engineered databases have such errors. A
+larger ratio means another unit."""
 
 
 @dataclass
 class Planar:
-    """What was found: the two-axis accelerometer and the speed, with the motion they show."""
+    """The result: the two-axis accelerometer and the speed, with the motion that they show."""
 
     reference: KnownMotion
     accelerometer: Choice
@@ -39,7 +40,7 @@ class Planar:
 
 @dataclass(frozen=True, eq=False)
 class _Pair:
-    """A signal that follows another one."""
+    """A signal and another signal that follows it."""
 
     first: SeenSignal
     second: SeenSignal
@@ -50,14 +51,14 @@ class _Pair:
 def find_planar(
     candidates: Sequence[SeenSignal], wheels: Sequence[SeenSignal] | None, taken: set[str]
 ) -> Planar | None:
-    """Two accelerations that follow the change of speed, and speed times a yaw rate."""
+    """Find two accelerations: one follows the change of speed, one follows speed times yaw rate."""
     accelerations = [c for c in candidates if c.states("acceleration") and not c.is_constant]
     speeds = [c for c in speed_candidates(candidates) if c.states("speed")]
     along = _along(speeds, accelerations)
     own = [p for p in along if p.first.path not in taken] or along
     if not own:
         return None
-    for best in own:  # both axes come in one message, as of one sensor
+    for best in own:  # one sensor sends both axes in one message
         unit = stated_unit(best.first, "speed")
         assert unit is not None, "only speeds that state their unit were tried"
         fit = SpeedFit(best.first, unit, best.relation)
@@ -106,7 +107,7 @@ def _speed_choice(best: _Pair, others: list[_Pair]) -> Choice:
 
 
 def _along(speeds: list[SeenSignal], accelerations: list[SeenSignal]) -> list[_Pair]:
-    """Speeds with the acceleration that follows their changes, the clearest first."""
+    """Return speeds with the acceleration that follows their changes, the best first."""
     pairs = []
     for v in speeds:
         own = stated_unit(v, "speed")
@@ -123,7 +124,7 @@ def _along(speeds: list[SeenSignal], accelerations: list[SeenSignal]) -> list[_P
 def _across(
     v: Array, candidates: Sequence[SeenSignal], accelerations: list[SeenSignal]
 ) -> _Pair | None:
-    """The yaw rate and the acceleration that is speed times it; None where there are none."""
+    """Return a yaw rate and the acceleration equal to speed times it; None if there are none."""
     rates = [(c, stated_unit(c, "angular_rate")) for c in candidates if not c.is_constant]
     pairs = []
     for rate, own in rates:
@@ -144,7 +145,7 @@ def _is_clear(found: Relation, comparisons: int) -> bool:
 def _sides(
     v: Array, candidates: Sequence[SeenSignal], wheels: Sequence[SeenSignal] | None, yaw: SeenSignal
 ) -> tuple[int, str]:
-    """Sign that makes a yaw rate positive to the left, and what shows it."""
+    """Return the sign that makes a yaw rate positive to the left, and its evidence."""
     if wheels:
         named = [wheel_by_name(c.signal.name) for c in wheels]
         if sorted(n or "" for n in named) == sorted(WHEELS):

@@ -1,4 +1,4 @@
-"""What is proposed: a source for each quantity, with its evidence and what speaks against it."""
+"""The proposal: a source for each quantity, with its evidence and doubts."""
 
 from __future__ import annotations
 
@@ -11,13 +11,13 @@ from imucald.discovery.candidates import SeenSignal
 
 @dataclass(frozen=True)
 class Proposed:
-    """One number's source, as the configuration writes it."""
+    """The source of one number, in the form of the configuration."""
 
     signal: str = ""
-    """``MESSAGE.SIGNAL``; empty where `raw` is given."""
+    """``MESSAGE.SIGNAL``; empty if `raw` is given."""
     raw: Mapping[str, Any] | None = None
     unit: str | None = None
-    """Where it is not the database's."""
+    """The unit, if it is not the one in the database."""
     sign: int = 1
     sign_signal: str | None = None
     source_address: int | None = None
@@ -28,7 +28,7 @@ class Proposed:
     channel: str | None = None
 
     def settings(self) -> str | dict[str, Any]:
-        """What stands in the configuration: a text where nothing but the signal is to be said."""
+        """Return the entry for the configuration: a text if only the signal is needed."""
         found: dict[str, Any] = {"raw": dict(self.raw)} if self.raw else {"signal": self.signal}
         if self.sign_signal is not None:
             found["sign_signal"] = self.sign_signal
@@ -53,7 +53,7 @@ class Proposed:
 
 @dataclass(frozen=True)
 class Alternative:
-    """Another choice for the same quantity, and why it is not the first."""
+    """Another choice for the same quantity, and why it is not preferred."""
 
     sources: Mapping[str, Proposed]
     text: str
@@ -61,9 +61,9 @@ class Alternative:
 
 @dataclass
 class Choice:
-    """The sources of one quantity: "" alone, or by axis or wheel.
+    """The sources of one quantity, by axis or wheel (key "" for a single source).
 
-    evidence: one line. doubt: why it is not sure; empty where it is. doubts: by axis or wheel.
+    evidence: one line. doubt: why the choice is not sure; empty if it is. doubts: by axis or wheel.
     """
 
     quantity: str
@@ -74,13 +74,13 @@ class Choice:
 
     @property
     def is_sure(self) -> bool:
-        """Whether nothing speaks against it."""
+        """Whether there is no doubt."""
         return not self.doubt
 
 
 @dataclass(frozen=True)
 class ProtectionFound:
-    """What protects a message, as the configuration writes it, and the evidence."""
+    """The protection of a message in the form of the configuration, and the evidence."""
 
     message: str
     settings: Mapping[str, Any]
@@ -89,32 +89,32 @@ class ProtectionFound:
 
 @dataclass
 class Proposal:
-    """A whole proposal. notes: lines for the head of the file."""
+    """A complete proposal. notes: lines for the head of the file."""
 
     choices: list[Choice] = field(default_factory=list)
     messages_seen: int = 0
-    """Messages of the databases that came in the recording."""
+    """Number of messages of the databases that are in the recording."""
     protections: list[ProtectionFound] = field(default_factory=list)
     vehicle: list[tuple[str, str, str]] = field(default_factory=list)
-    """Key, value, evidence."""
+    """Keys of the vehicle, each with value and evidence."""
     channels: Mapping[str, str] = field(default_factory=dict)
-    """Channel of each database by its path, where the recording has several."""
+    """Channel of each database by its path, if the recording has several channels."""
     notes: list[str] = field(default_factory=list)
     loss: str | None = None
-    """What is said of a recorder that dropped frames."""
+    """A text about a recorder that dropped frames, or None."""
     missing: Mapping[str, str] = field(default_factory=dict)
-    """Quantities that were looked for and not found, each with a reason where one is known."""
+    """Quantities that were not found, each with the reason if it is known."""
     driving_side: str = "unknown"
     output_ids: Mapping[str, int] = field(default_factory=dict)
-    """Ids of the frames that are sent, where the usual ones are taken on this bus."""
+    """Ids of the output frames, if the usual ids are already used on this bus."""
 
     def choice(self, quantity: str) -> Choice | None:
-        """The choice of a quantity, None where there is none."""
+        """Return the choice of a quantity; None if there is none."""
         return next((c for c in self.choices if c.quantity == quantity), None)
 
 
 def candidate_of(source: Proposed, candidates: Sequence[SeenSignal]) -> SeenSignal:
-    """The candidate that a source was made of."""
+    """Return the candidate from which a source was made."""
     return next(
         c for c in candidates if (c.path, c.sign_signal) == (source.signal, source.sign_signal)
     )
@@ -123,7 +123,7 @@ def candidate_of(source: Proposed, candidates: Sequence[SeenSignal]) -> SeenSign
 def source_of(
     candidate: SeenSignal, unit: str | None = None, sign: int = 1, **others: Any
 ) -> Proposed:
-    """A source of a candidate; `unit` only where the database does not state it."""
+    """Make the source of a candidate. `unit` is stored only if the database does not state it."""
     if candidate.raw is not None:
         others |= {"raw": candidate.raw, "channel": candidate.own_channel}
         return Proposed(unit=unit or candidate.unit, sign=sign, **others)

@@ -1,8 +1,9 @@
-"""Alive counters and checksums of a message, found by trying them on its frames.
+"""Find alive counters and checksums of a message by trying them on its frames.
 
-A checksum of eight bits fits a frame by chance once in 256; it must fit nearly all of at least 20
-different ones. Unknown data ids of AUTOSAR E2E profiles need no search: a CRC is linear, so what an
-id adds to it is one number for all frames of a message (of a counter value, where ids take turns).
+A checksum of eight bits fits a frame by chance with probability 1/256. It must fit nearly all of at
+least 20 different frames. Unknown data ids of AUTOSAR E2E profiles need no search. A CRC is linear,
+so the contribution of an id is the same number for all frames of a message. If ids alternate, it is
+the same for all frames with one counter value.
 """
 
 from __future__ import annotations
@@ -31,14 +32,14 @@ from imucald.discovery.proposal import ProtectionFound
 
 MAX_FRAMES = 20_000
 MIN_DIFFERENT = 20
-"""Different frames from which a fit is no chance (256^-20)."""
+"""Smallest number of different frames, so that a fit is not by chance (256^-20)."""
 FITS = 0.99
-"""Part of the frames that a checksum must fit: a recording may hold damaged ones."""
+"""Share of the frames that a checksum must fit. A recording may contain damaged frames."""
 COUNTS = 0.9
-"""Part of the frames from which a counter goes on by one: a tenth of the frames may be lost."""
+"""Share of the frames in which a counter must increase by 1. A tenth of the frames may be lost."""
 COUNTER_BITS = range(2, 17)
 ID_BYTES = (0, 2, 4, 1)
-"""Bytes of the identifier that go into a checksum first, the usual numbers first."""
+"""Numbers of identifier bytes at the start of a checksum's input, the most frequent first."""
 
 _NAMES = re.compile(r"crc|check|chk|cks|pruef|bcc", re.IGNORECASE)
 
@@ -47,7 +48,7 @@ Columns = NDArray[np.uint8]
 
 @dataclass(frozen=True)
 class _Options:
-    """What `ChecksumKind.make` reads."""
+    """The options that `ChecksumKind.make` reads."""
 
     signal: str | None = None
     id_bytes: int = 0
@@ -57,7 +58,7 @@ class _Options:
 
 
 def find_protection(one: MessageTraffic) -> ProtectionFound | None:
-    """Counter and checksum of a message; None where it has neither."""
+    """Find counter and checksum of a message; None if it has neither."""
     whole = one.length == one.message.length
     data = one.data[whole][:MAX_FRAMES]
     if len(data) < MIN_DIFFERENT or data.shape[1] < one.message.length:
@@ -70,7 +71,7 @@ def find_protection(one: MessageTraffic) -> ProtectionFound | None:
     checksum = _checksum_in_signal(one, data)
     if checksum is None:
         checksum = next(_e2e(one.message.length, data), None)
-        if checksum is not None:  # its profile brings its own counter
+        if checksum is not None:  # its profile defines the counter
             settings.pop("counter", None)
             evidence.pop("counter", None)
     if checksum is not None:
@@ -104,7 +105,7 @@ def _counter(one: MessageTraffic, data: Columns) -> tuple[dict[str, Any], str] |
 
 
 def _checksum_in_signal(one: MessageTraffic, data: Columns) -> tuple[dict[str, Any], str] | None:
-    # every byte is the XOR of all others: the last is the one that is likely to be meant
+    # each byte is the XOR of all others: the last one is probably the checksum
     for name, signal in sorted(
         one.message.signals.items(),
         key=lambda item: (not _NAMES.search(item[0]), -field_of(item[1]).first_bit),
@@ -138,7 +139,7 @@ def _share(spec: ChecksumSpec, data: Columns) -> float:
 
 
 def _e2e(size: int, data: Columns) -> Iterator[tuple[dict[str, Any], str]]:
-    """Settings of each E2E profile that fits, with any data id."""
+    """Yield the settings of each E2E profile that fits with any data id."""
     for offset in range(size - 1):
         stored = data[:, offset]
         if len(np.unique(stored)) < MIN_DIFFERENT:
@@ -213,7 +214,7 @@ def _profile_5(size: int, offset: int, data: Columns) -> Found:
     if common is None:
         return None
     made = np.zeros(1, np.uint16)
-    for power in range(16):  # what an id adds is the sum of what its bits add
+    for power in range(16):  # the contribution of an id is the sum over its bits
         one = _difference(e2e_profile_5(size, 1 << power, bit), without)
         made = np.concatenate([made, made ^ np.uint16(one)])
     fitting = np.flatnonzero(made == common)
@@ -224,7 +225,7 @@ def _profile_5(size: int, offset: int, data: Columns) -> Found:
 
 
 def _header_counter(profile: int, bit: int, data: Columns) -> NDArray[np.int64] | None:
-    """The counter (N,) of a profile's header at a bit, where it counts."""
+    """Return the counter (N,) of a profile's header at a bit, if it counts up."""
     header = E2E_COUNTERS[profile]
     field = Field(bit + header.bit, header.length, "little_endian")
     if field.end_byte > data.shape[1]:
@@ -235,7 +236,7 @@ def _header_counter(profile: int, bit: int, data: Columns) -> NDArray[np.int64] 
 
 
 def _added(spec: ChecksumSpec, data: Columns) -> NDArray[np.uint16]:
-    """What the stored checksums (N,) differ by from those without an id."""
+    """Return the difference (XOR) of stored checksums (N,) from checksums without an id."""
     stored = data[:, spec.position].astype(np.uint16)
     if spec.width == 2:
         stored |= data[:, spec.position + 1].astype(np.uint16) << np.uint16(8)
@@ -243,13 +244,13 @@ def _added(spec: ChecksumSpec, data: Columns) -> NDArray[np.uint16]:
 
 
 def _difference(spec: ChecksumSpec, without: ChecksumSpec) -> int:
-    """What an id adds to the checksum of any frame."""
+    """Return the contribution of an id to the checksum of any frame."""
     zero = bytes(spec.size)
     return Checksum(spec).compute(zero) ^ Checksum(without).compute(zero)
 
 
 def _common(values: NDArray[np.uint16]) -> int | None:
-    """The number that nearly all values are; None where there is none."""
+    """Return the number that nearly all values have; None if there is none."""
     if len(values) < 3:
         return None
     numbers, counts = np.unique(values, return_counts=True)

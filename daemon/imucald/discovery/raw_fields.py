@@ -1,7 +1,7 @@
-"""Numbers in frames that no database describes: bytes that change like a measured quantity.
+"""Find measured numbers in frames that no database describes.
 
-A field of one or two bytes counts where neighbouring values are close together and their range is
-wide; upper bits that jump (flags of other signals) are masked. Fields are offered as `raw`.
+A field of one or two bytes counts if consecutive values are close together and the range is wide.
+Upper bits that jump (flags of other signals) are masked. Fields are proposed as `raw`.
 """
 
 from __future__ import annotations
@@ -20,18 +20,18 @@ from imucald.motion.ticks import TICK_RATE
 
 MIN_FRAMES = 200
 MIN_LEVELS = 40
-"""Different values that a speed or an angle has in a drive."""
+"""Smallest number of different values of a speed or an angle in a drive."""
 CLOSE = 0.02
-"""Median step, as a part of the range, up to which a field changes smoothly."""
+"""Largest median step of a smooth field, relative to its range."""
 JUMP = 0.25
-"""A step of this part of the range is a jump: a wrap, or bits that belong elsewhere."""
+"""A step of at least this share of the range is a jump (a wrap, or bits of other signals)."""
 MAX_MASKED = 5
-"""Upper bits that may belong to other signals."""
+"""Largest number of upper bits that may belong to other signals."""
 MAX_STEP_S = 1.0
 
 
 def raw_fields(traffic: Sequence[Traffic], known: set[int], ticks: int) -> Iterator[SeenSignal]:
-    """Every field of identifiers that are not `known`, wide ones before narrow ones."""
+    """Yield all fields of identifiers that are not `known`, wide fields first."""
     several = len({one.channel for one in traffic}) > 1
     for one in traffic:
         if one.can_id in known or len(one) < MIN_FRAMES:
@@ -58,7 +58,7 @@ def raw_fields(traffic: Sequence[Traffic], known: set[int], ticks: int) -> Itera
 def _field(one: Traffic, places: tuple[int, ...], ticks: int, several: bool) -> SeenSignal | None:
     data = one.data.astype(np.int64)
     if len(places) == 2 and len(np.unique(data[:, places[1]])) < MIN_LEVELS:
-        return None  # nothing in the low byte: one byte is all there is
+        return None  # no data in the low byte: the field has one byte
     for masked in range(MAX_MASKED + 1 if len(places) == 2 else 1):
         mask = 0xFF >> masked
         values = data[:, places[0]] & mask

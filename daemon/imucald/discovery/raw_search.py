@@ -1,8 +1,9 @@
-"""A speed and a steering angle among bytes that no database describes.
+"""Find a speed and a steering angle in bytes that no database describes.
 
-Speeds are fields that are one another but for a factor: wheels, transmission, display. The steering
-angle is what goes with the difference of two wheels over their speed, the curvature. Where an
-accelerometer is known it gives the speed's scale. Nothing here is sure: all of it is offered only.
+Speeds are fields that are proportional to each other: wheels, transmission, display. The steering
+angle is a field that follows the curvature: the difference of two wheel speeds divided by their
+speed. If an accelerometer is known, it gives the scale of the speed. No result is sure, so all of
+them are only suggestions.
 """
 
 from __future__ import annotations
@@ -20,22 +21,22 @@ from imucald.discovery.reference import KnownMotion, response
 from imucald.discovery.scalars import SAME_MOTION
 
 ROLL_TOGETHER = 0.995
-"""Correlation of two speeds of one vehicle."""
+"""Smallest correlation of two speeds of one vehicle."""
 NO_OFFSET = 0.02
-"""Part of its range that a speed may be off zero where another one is zero."""
+"""Largest value of a speed while another one is zero, relative to its range."""
 USUAL_KMH = (0.01, 1.0 / 64.0, 0.05625, 0.1, 1.0 / 256.0, 0.05, 0.02, 1.0)
-"""Scales that makers use for a speed [km/h]."""
+"""Common scales of a speed signal [km/h]."""
 TOP_SPEED = (8.0, 250.0)
-"""What a drive's highest speed may be [km/h]."""
+"""Smallest and largest possible top speed of a drive [km/h]."""
 TRACK, STEERING_METRES = 1.55, 40.0
-"""A passenger car's [m]: for a scale that is right within a third."""
+"""Values of a passenger car [m]. The resulting scale is right within a third."""
 MAX_OFFERS = 3
 
 
 def raw_choices(
     fields: Sequence[SeenSignal], reference: KnownMotion, wanted: set[str]
 ) -> list[Choice]:
-    """Offers of `speed` and `steering_wheel_angle`, as far as they are wanted; none is active."""
+    """Return suggestions for `speed` and `steering_wheel_angle` if wanted. None is active."""
     found = []
     if "speed" in wanted:
         choice = _speed(fields, reference)
@@ -93,7 +94,7 @@ def _speed(fields: Sequence[SeenSignal], reference: KnownMotion) -> Choice | Non
 
 
 def speed_groups(fields: Sequence[SeenSignal]) -> list[list[SeenSignal]]:
-    """Fields that are one another but for a factor, and zero together; the largest group first."""
+    """Group fields that are proportional and zero at the same times; the largest group first."""
     rolling = [c for c in fields if _rests_at_its_least(c)]
     left, groups = list(rolling), []
     while left:
@@ -102,12 +103,12 @@ def speed_groups(fields: Sequence[SeenSignal]) -> list[list[SeenSignal]]:
         left = [c for c in left if c not in group]
         if len(group) > 1:
             groups.append(group)
-    # a speed is sent in more than one message, or by four wheels; the most members win
+    # a speed is in several messages, or there are four wheels; the largest group wins
     return sorted(groups, key=lambda g: (-len({c.message.name for c in g}) - len(g), g[0].cycle))
 
 
 def _rests_at_its_least(c: SeenSignal) -> bool:
-    """Whether a field never goes far below its first percent: an angle goes both ways."""
+    """Whether a field is never far below its first percentile. An angle goes in both directions."""
     known = c.x[np.isfinite(c.x)]
     return bool(len(known)) and c.least <= 0.1 * c.largest
 
@@ -129,7 +130,7 @@ def _plausible_scale(c: SeenSignal) -> float:
 
 
 def _usual(scale: float, usual: Sequence[float]) -> float:
-    """The usual scale within a fifth, else two digits of the found one."""
+    """Return the common scale within 20 %, else the found scale with two digits."""
     nearest = min(usual, key=lambda u: abs(np.log(u / scale)))
     return nearest if 0.8 < nearest / scale < 1.25 else float(f"{scale:.2g}")
 
@@ -176,7 +177,7 @@ def _steering(fields: Sequence[SeenSignal], reference: KnownMotion) -> Choice | 
 
 
 def _curvature_of_wheels(fields: Sequence[SeenSignal]) -> tuple[Array | None, set[str]]:
-    """Curvature [1/m] from two neighbouring wheels of a message; without left and right known."""
+    """Return the curvature [1/m] from two adjacent wheels in a message; its sign is unknown."""
     for group in speed_groups(fields):
         by_message: dict[str, list[SeenSignal]] = {}
         for c in group:

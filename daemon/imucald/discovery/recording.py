@@ -12,14 +12,14 @@ from imucald.can.columns import FrameColumns, concatenate
 from imucald.runtime.timebase import TimeBase
 
 MAX_SECONDS = 2400.0
-"""What is gathered: 40 min hold more turns and stops than any decision here needs."""
+"""Longest collected time [s]. 40 min have more turns and stops than any decision here needs."""
 MAX_FRAMES = 6_000_000
-"""The same for a fast bus; about 150 MB."""
+"""Largest number of collected frames, for a fast bus; about 150 MB."""
 
 
 @dataclass(frozen=True, eq=False)
 class Traffic:
-    """All frames of one identifier on one channel; t (N,) [s] from the recording's start."""
+    """All frames of one identifier on one channel; t (N,): time since the recording's start [s]."""
 
     channel: str
     can_id: int
@@ -32,18 +32,18 @@ class Traffic:
 
 
 class GatheredFrames:
-    """Gathers frames, then gives them by channel and identifier."""
+    """Collects frames, then returns them by channel and identifier."""
 
     def __init__(self) -> None:
         self._timebase = TimeBase()
         self._parts: list[FrameColumns] = []
         self._frames = 0
         self.is_full = False
-        """Whether frames came that were not looked at."""
+        """Whether more frames came than could be collected."""
 
     @classmethod
     def of(cls, chunks: Iterable[FrameColumns]) -> GatheredFrames:
-        """Gather as many chunks as there is room for."""
+        """Collect chunks up to the limits."""
         recording = cls()
         for chunk in chunks:
             recording.add(chunk)
@@ -52,7 +52,7 @@ class GatheredFrames:
         return recording
 
     def add(self, frames: FrameColumns) -> None:
-        """Take a chunk of all the frames of a log or a bus."""
+        """Add a chunk of frames of a log or a bus. It must include unwanted frames."""
         for segment in self._timebase.segments(frames.t):
             if self.is_full or not len(segment.t):
                 return
@@ -69,16 +69,16 @@ class GatheredFrames:
 
     @property
     def frames(self) -> int:
-        """Frames gathered."""
+        """Number of collected frames."""
         return self._frames
 
     @property
     def seconds(self) -> float:
-        """From the first frame to the last that was gathered."""
+        """Time from the first to the last collected frame [s]."""
         return float(self._parts[-1].t[-1]) if self._parts else 0.0
 
     def traffic(self) -> list[Traffic]:
-        """Every identifier of every channel, the smallest first."""
+        """Return the frames of every identifier of every channel, the smallest first."""
         if not self._parts:
             return []
         whole = concatenate(self._parts)

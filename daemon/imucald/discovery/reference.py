@@ -1,8 +1,8 @@
-"""What the vehicle did: the reference that signals are held against.
+"""The vehicle's motion, as the reference with which signals are compared.
 
-Only physics ties signals together here: an accelerometer shows the change of speed along the
-vehicle and speed times yaw rate across it. Where a sensor of three axes is level follows from
-gravity, forward from the change of speed, left from both (axes are taken as right-handed).
+Signals are connected only by physics. An accelerometer shows the change of speed along the vehicle,
+and speed times yaw rate across it. For a three-axis sensor, gravity gives the vertical, the change
+of speed gives forward, and both give left (axes are assumed to be right-handed).
 """
 
 from __future__ import annotations
@@ -21,54 +21,56 @@ from imucald.discovery.triads import Triad
 from imucald.motion.ticks import TICK_RATE
 
 DELAYS = range(-6, 26)
-"""Ticks by which speed and course may be late: OBD-II makes up to a second and a half; a receiver
-that smooths, is asked once a second, and whose answer waits, two and a half."""
+"""Possible delays of speed and course [ticks]. OBD-II causes up to 1.5 s. A receiver causes up to
+2.5 s if it smooths, is asked once per second, and its answer waits."""
 GAIN_TOLERANCE = 1.25
-"""Squat, slope and tyres change a gain by so much (measured and simulated vehicles: 0.8 to 1.2)."""
+"""Largest factor by which squat, slope and tyres change a gain. Measured and simulated vehicles
+have gains of 0.8 to 1.2."""
 MOVING = 3.0
-"""Speed from which turns are compared [m/s]: slower ones may be reversing, where left is right in
-whatever goes with an unsigned speed, and curvature is a division by nearly nothing."""
+"""Smallest speed for the comparison of turns [m/s]. At lower speed the vehicle may be reversing.
+With an unsigned speed, left and right are then exchanged. Also, curvature would be divided by
+nearly zero."""
 LEAST_SPEED_BITS = 7
 
 
 @dataclass(frozen=True, eq=False)
 class SpeedFit:
-    """A speed against the accelerometer. delay [ticks]; relation of the accelerometer to it."""
+    """A speed compared with the accelerometer. delay: [ticks]. relation: to the accelerometer."""
 
     candidate: SeenSignal
     unit: UnitChoice
     relation: Relation
     delay: int = 0
     forward: Array | None = None
-    """(3,) unit vector in the accelerometer's axes."""
+    """Forward direction: unit vector (3,) in the accelerometer's axes."""
 
     @property
     def is_believed(self) -> bool:
-        """Whether its changes show in the accelerometer."""
+        """Whether its changes certainly show in the accelerometer."""
         return self.relation.is_believed
 
     @property
     def speed(self) -> Array:
-        """(n,) [m/s], brought to the accelerometer's time."""
+        """The speed (n,) [m/s], with its delay removed."""
         return shifted(self.candidate.smooth * self.unit.factor, self.delay)
 
     @property
     def change(self) -> Array:
-        """(n,) [m/s^2]."""
+        """The change of speed (n,) [m/s^2]."""
         return change_of(self.speed)
 
     @property
     def moving(self) -> Array:
-        """(n,) the speed where it is above MOVING, else NaN."""
+        """The speed (n,) [m/s] if it is above MOVING, else NaN."""
         return moving(self.speed)
 
 
 @dataclass(eq=False)
 class KnownMotion:
-    """The vehicle's motion as far as it is known; arrays (n,) in SI.
+    """The known part of the vehicle's motion; arrays (n,) in SI.
 
-    along, lateral: acceleration forward and to the left as the accelerometer shows it. turn: yaw
-    rate, left positive.
+    along, lateral: acceleration forward and to the left, from the accelerometer. turn: yaw rate,
+    positive to the left.
     """
 
     accelerometer: Triad | None = None
@@ -78,15 +80,15 @@ class KnownMotion:
     lateral: Array | None = None
     turn: Array | None = None
     sides_from: str = ""
-    """What separates left from right."""
+    """The evidence that distinguishes left from right."""
 
     @property
     def forward(self) -> Array | None:
-        """(3,) in the accelerometer's axes."""
+        """Forward direction (3,) in the accelerometer's axes."""
         return None if self.speed is None else self.speed.forward
 
     def set_lateral(self) -> None:
-        """Left from up and forward, once both are known."""
+        """Compute the lateral acceleration from up and forward, if both are known."""
         if self.accelerometer is None or self.up is None or self.forward is None:
             return
         self.along = self.accelerometer.smooth @ self.forward
@@ -95,31 +97,31 @@ class KnownMotion:
 
     @property
     def curvature(self) -> Array | None:
-        """(n,) yaw rate over speed [1/m], NaN below MOVING."""
+        """Curvature (n,) [1/m]: yaw rate divided by speed, NaN below MOVING."""
         if self.turn is None or self.speed is None:
             return None
         return self.turn / self.speed.moving
 
 
 def moving(speed: Array) -> Array:
-    """A speed (n,) [m/s] where it is above MOVING, else NaN."""
+    """Return a speed (n,) [m/s] if it is above MOVING, else NaN."""
     return np.where(np.abs(speed) > MOVING, speed, np.nan)
 
 
 def change_of(speed: Array) -> Array:
-    """Derivative of a smoothed (n,) speed over the length of its window."""
+    """Return the derivative of a smoothed speed (n,), over the length of its window."""
     half = SMOOTH // 2
     return (shifted(speed, half) - shifted(speed, -half)) * (TICK_RATE / (2 * half))
 
 
 def direction_up(accelerometer: Triad) -> Array:
-    """(3,) unit vector of the mean specific force: up, within slopes and manoeuvres."""
+    """Return up as the unit vector (3,) of the mean specific force (slopes cause an error)."""
     mean = np.nanmean(accelerometer.smooth, axis=0)
     return np.asarray(mean / np.linalg.norm(mean))
 
 
 def speed_candidates(candidates: Sequence[SeenSignal]) -> list[SeenSignal]:
-    """Signals whose unit allows a speed and that move as one may."""
+    """Return the signals whose unit and values are possible for a speed."""
     return [
         c
         for c in candidates
@@ -131,7 +133,7 @@ def speed_candidates(candidates: Sequence[SeenSignal]) -> list[SeenSignal]:
 
 
 def speed_against_accelerometer(c: SeenSignal, triad: Triad, up: Array) -> SpeedFit | None:
-    """How the changes of a speed show in the accelerometer, and in which unit; None: not at all."""
+    """Compare the changes of a speed with the accelerometer, and find its unit, or None."""
     found = response(c, triad, up)
     if found is None:
         return None
@@ -142,14 +144,14 @@ def speed_against_accelerometer(c: SeenSignal, triad: Triad, up: Array) -> Speed
         unit = stated_unit(c, "speed")
         if unit is None:
             return None
-        shown = Relation()  # a stated unit that contradicts the data: not believed
+        shown = Relation()  # the stated unit contradicts the data, so it is ignored
     return SpeedFit(c, unit, shown, delay, forward)
 
 
 def response(c: SeenSignal, triad: Triad, up: Array) -> tuple[Relation, int, Array] | None:
-    """Acceleration in a level plane [m/s^2] for one of a speed's unit per second.
+    """Find the horizontal acceleration [m/s^2] per unit of speed change per second.
 
-    Returns the relation, the delay of the speed [ticks], and forward (3,); None: hardly any.
+    Returns the relation, the delay of the speed [ticks], and forward (3,); None if too weak.
     """
     level = level_axes(up)
     accel = triad.smooth @ level.T
@@ -174,7 +176,7 @@ def response(c: SeenSignal, triad: Triad, up: Array) -> tuple[Relation, int, Arr
 
 
 def stated_unit(c: SeenSignal, dimension: str) -> UnitChoice | None:
-    """A candidate's own unit, where it is one of the dimension."""
+    """Return a candidate's stated unit if it is a unit of the dimension."""
     factor = factor_of(c.unit, dimension) if c.states(dimension) else None
     return None if factor is None else UnitChoice(c.unit, factor, True)
 
@@ -182,7 +184,7 @@ def stated_unit(c: SeenSignal, dimension: str) -> UnitChoice | None:
 def unit_for(
     c: SeenSignal, dimension: str, found: Relation, tolerance: float = GAIN_TOLERANCE
 ) -> UnitChoice | None:
-    """The unit in which a signal is its SI reference, give or take a tolerance."""
+    """Return the unit in which a signal equals its SI reference within a tolerance."""
     if not found.low > 0.0:
         return None
     low, high = 1.0 / (found.high * tolerance), tolerance / found.low
@@ -190,7 +192,7 @@ def unit_for(
 
 
 def level_axes(up: Array) -> Array:
-    """(2, 3) two unit vectors at right angles to up and to each other."""
+    """Return two unit vectors (2, 3) that are orthogonal to up and to each other."""
     start = np.eye(3)[int(np.argmin(np.abs(up)))]
     first = np.cross(up, start)
     first /= np.linalg.norm(first)
@@ -198,7 +200,7 @@ def level_axes(up: Array) -> Array:
 
 
 def _explained(accel: Array, change: Array) -> float:
-    """Part of the change of speed's variance that level acceleration explains."""
+    """Return the share of the variance of speed changes explained by horizontal acceleration."""
     rows = np.isfinite(change) & np.isfinite(accel).all(axis=1)
     if np.count_nonzero(rows) < 50:
         return 0.0
@@ -211,7 +213,7 @@ def _explained(accel: Array, change: Array) -> float:
 
 
 def _least_squares(known: Array, accel: Array) -> Array:
-    """(2,) response of level acceleration to one of `known`."""
+    """Return the response (2,) of the horizontal acceleration to `known`."""
     rows = np.isfinite(known) & np.isfinite(accel).all(axis=1)
     x = known[rows] - known[rows].mean()
     return np.asarray((accel[rows] - accel[rows].mean(axis=0)).T @ x / (x @ x))

@@ -1,6 +1,7 @@
-"""Single signals that follow the vehicle's motion: yaw rate, accelerations, steering.
+"""Find single signals that follow the vehicle's motion: yaw rate, accelerations, steering.
 
-Each has a reference made of other signals and a gain that physics knows; its sign and unit follow.
+Each quantity has a reference from other signals and a gain known from physics. They determine its
+sign and unit.
 """
 
 from __future__ import annotations
@@ -17,19 +18,20 @@ from imucald.discovery.proposal import Alternative, Choice, source_of
 from imucald.discovery.reference import stated_unit, unit_for
 
 SAME_MOTION = 0.5
-"""Part of the variance that a signal and its reference share, from which they are the same thing
-and not one the cause of the other: more than half."""
+"""Smallest share of common variance at which a signal and its reference are the same quantity.
+Below it, one may only be the cause of the other."""
 STEERING_METRES = (15.0, 130.0)
-"""Wheelbase times steering ratio [m]: half of a small car's quick rack (2.4 m x 12) to a lorry's
-(6 m x 20)."""
+"""Range of wheelbase times steering ratio [m]: from half of a small car's with a quick rack
+(2.4 m x 12) to a lorry's (6 m x 20)."""
 RELATED = 0.25
-"""The same where the stated unit fits too: half the amplitude is the reference's."""
+"""Smallest share of common variance if the stated unit fits too. Half of the amplitude is then from
+the reference."""
 MAX_ALTERNATIVES = 3
 
 
 @dataclass(frozen=True, eq=False)
 class Match:
-    """A candidate held against a reference."""
+    """The comparison of a candidate with a reference."""
 
     candidate: SeenSignal
     relation: Relation
@@ -38,12 +40,12 @@ class Match:
 
 @dataclass(frozen=True)
 class ScalarQuantity:
-    """What a single signal may be. unit: how its unit follows from the relation."""
+    """A quantity of a single signal. unit: function that finds its unit from the relation."""
 
     name: str
     dimension: str
     words: str
-    """What its reference is, for the evidence."""
+    """A text about its reference, for the evidence."""
     unit: Callable[[SeenSignal, Relation], UnitChoice | None]
 
 
@@ -52,7 +54,7 @@ def _by_gain(dimension: str) -> Callable[[SeenSignal, Relation], UnitChoice | No
 
 
 def _steering_unit(c: SeenSignal, found: Relation) -> UnitChoice | None:
-    """The angle's unit in which wheelbase times ratio is a vehicle's."""
+    """Return the angle's unit in which wheelbase times steering ratio is plausible."""
     if not found.low > 0.0:
         return None
     low, high = STEERING_METRES
@@ -73,9 +75,9 @@ STEERING = ScalarQuantity("steering_wheel_angle", "angle", "the curvature", _ste
 def find_scalar(
     quantity: ScalarQuantity, reference: Array | None, candidates: Sequence[SeenSignal], sides: str
 ) -> Choice | None:
-    """The signal that follows a reference best, with its unit and sign; None where none does.
+    """Return the signal that follows a reference best, with its unit and sign; None if none does.
 
-    sides: what separates left from right; empty where nothing does, or where the sign has none.
+    sides: the evidence for left and right; empty if there is none or if the quantity has no side.
     """
     usable = [
         c
@@ -114,7 +116,7 @@ def find_scalar(
 
 
 def _ranked(matches: list[Match], quantity: ScalarQuantity) -> list[Match]:
-    """Those whose unit fits first, then stated units, then the stronger relation."""
+    """Sort matches: fitting units first, then stated units, then by the strength of relation."""
     return sorted(
         matches,
         key=lambda m: (
@@ -149,7 +151,7 @@ def _doubt(best: Match, others: list[Match], quantity: ScalarQuantity, sides: st
 def by_unit_and_name(
     name: str, dimension: str, candidates: Sequence[SeenSignal], why: str = ""
 ) -> Choice | None:
-    """What unit and name alone suggest; never sure."""
+    """Return the choice from unit and name alone. It is never sure."""
     named = [
         c
         for c in candidates

@@ -1,4 +1,4 @@
-"""Accelerometer, speed, gyroscope and magnetometer: what everything else is held against."""
+"""Find accelerometer, speed, gyroscope and magnetometer. Other signals are compared with them."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ from imucald.discovery.triads import (
 from imucald.discovery.wheels import wheel_sets
 
 MAX_TRIADS = 6
-"""Triads that are held against every speed, where no unit shows which is the accelerometer."""
+"""Largest number of triads compared with every speed, if no unit shows the accelerometer."""
 MAX_ALTERNATIVES = 3
 RAW_COUNTS = (
     "the accelerometer is in raw counts, since the database states no scale; 1 g is "
@@ -57,12 +57,12 @@ BY_PLACES = "the axes are in the order of their bits"
 
 
 class Sensors:
-    """The sensor to calibrate and the speed. `reference`: the motion; `taken`: signals in use."""
+    """The sensor to calibrate, and the speed. `reference`: the motion. `taken`: used signals."""
 
     def __init__(
         self, candidates: Sequence[SeenSignal], with_signs: Sequence[SeenSignal] = ()
     ) -> None:
-        """with_signs: the same and magnitudes with a bit for their sign, as a yaw rate may be."""
+        """Find the sensors. with_signs: candidates plus magnitudes with a sign bit (yaw rates)."""
         self.candidates = candidates
         self.reference = KnownMotion()
         self.wheels = next(iter(wheel_sets(candidates)), None)
@@ -88,7 +88,7 @@ class Sensors:
         return [c for c in self.candidates if c.path not in self.taken]
 
     def choices(self) -> Iterator[Choice | None]:
-        """What was found, in the order of the configuration."""
+        """Yield the choices, in the order of the configuration."""
         yield from self._found
 
     def _set_accelerometer(self, triads: list[Triad]) -> None:
@@ -118,7 +118,7 @@ class Sensors:
         self._found += [gyro, self._magnetometer(), speed]
 
     def _speed_for(self, triad: Triad) -> float:
-        """How well the best speed explains a triad; the fits are kept."""
+        """Return how well the best speed explains a triad; store the fits."""
         up = direction_up(triad)
         members = {m.path for m in triad.members}
         fits = [
@@ -132,7 +132,7 @@ class Sensors:
     # speed -----------------------------------------------------------------------------------
 
     def _choose_speed(self) -> Choice | None:
-        """The speed whose changes the accelerometer shows best; wheels stand in for it."""
+        """Choose the speed whose changes show best in the accelerometer, or else the wheels."""
         wheels = {c.path for c in self.wheels or ()}
         believed = [f for f in self._speeds if f.is_believed]
         rolling = best_first([f for f in believed if f.candidate.path in wheels], None)
@@ -153,7 +153,7 @@ class Sensors:
         return Choice("speed", chosen, words, doubt, others[:MAX_ALTERNATIVES])
 
     def _speed_by_unit(self, wheels: set[str]) -> Choice | None:
-        """A speed that no accelerometer confirms: by its unit, and by its name among several."""
+        """Choose a speed without an accelerometer: by its unit, and if several, by its name."""
         usable = [
             c
             for c in self.candidates

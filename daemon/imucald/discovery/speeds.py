@@ -1,7 +1,7 @@
-"""Which of several speeds is the vehicle's.
+"""Choose the vehicle's speed among several speeds.
 
-A speedometer may show up to a tenth and 4 km/h more (UN Regulation 39), and its changes show in the
-accelerometer as well as the true ones do. The wheels separate them.
+A speedometer may show up to 10 % plus 4 km/h more (UN Regulation 39). Its changes show in the
+accelerometer as clearly as the true ones. Only the wheel speeds show the difference.
 """
 
 from __future__ import annotations
@@ -20,13 +20,13 @@ from imucald.discovery.reference import SpeedFit, stated_unit
 from imucald.discovery.scalars import SAME_MOTION
 
 NEAR_WHEELS = 0.04
-"""Part by which a speed may differ from the mean of the wheels: worn and wrong tyres, slip."""
+"""Largest relative difference of a speed from the wheel mean (worn and wrong tyres, slip)."""
 ONE_UNIT = 0.2
-"""The same within which it is in the wheels' unit."""
+"""Largest relative difference at which a speed has the same unit as the wheels."""
 
 
 def wheel_mean(wheels: Sequence[SeenSignal] | None) -> Array | None:
-    """(n,) mean speed of the wheels [m/s]; None where they state no unit."""
+    """Return the mean wheel speed (n,) [m/s]; None if the wheels state no unit."""
     unit = stated_unit(wheels[0], "speed") if wheels else None
     if unit is None or wheels is None:
         return None
@@ -34,7 +34,7 @@ def wheel_mean(wheels: Sequence[SeenSignal] | None) -> Array | None:
 
 
 def apart_from(fit: SpeedFit, mean: Array) -> float:
-    """How far a speed is from the wheels', as a part of it (rms)."""
+    """Return the relative difference of a speed from the wheel speed (rms)."""
     own = np.abs(fit.candidate.smooth * fit.unit.factor)
     rows = np.isfinite(own) & np.isfinite(mean)
     if np.count_nonzero(rows) < 50 or not mean[rows].any():
@@ -43,10 +43,10 @@ def apart_from(fit: SpeedFit, mean: Array) -> float:
 
 
 def best_first(fits: list[SpeedFit], mean: Array | None) -> list[SpeedFit]:
-    """Those near the wheels first, then stated units, then what explains most.
+    """Sort speeds: near the wheels first, then stated units, then the best explanation.
 
-    Of what differs by chance the one that is named so, then the faster. Signals without a unit are
-    kept only where they share most of the motion.
+    If two differ only by chance, the one with a speed's name is first, then the one with the faster
+    cycle. Signals without a unit are kept only if they share most of the motion.
     """
     fits = [f if mean is None else _in_wheels_unit(f, mean) for f in fits]
     fits = [f for f in fits if f.unit.is_stated or f.relation.explained >= SAME_MOTION]
@@ -66,7 +66,7 @@ def best_first(fits: list[SpeedFit], mean: Array | None) -> list[SpeedFit]:
 
 
 def _in_wheels_unit(fit: SpeedFit, mean: Array) -> SpeedFit:
-    """A speed without a unit in the one that makes it the wheels' speed."""
+    """Return a speed without a unit in the unit that makes it equal to the wheel speed."""
     if fit.unit.is_stated:
         return fit
     found = relation(mean, fit.candidate.smooth)
@@ -81,7 +81,7 @@ def _in_wheels_unit(fit: SpeedFit, mean: Array) -> SpeedFit:
 
 
 def speed_doubt(fits: list[SpeedFit], mean: Array | None) -> str:
-    """Why the first of some speeds is not sure; empty where it is."""
+    """Return why the first of several speeds is not sure; empty if it is sure."""
     best = fits[0]
     if not best.unit.is_sure:
         return f"the database states no unit; {', '.join(best.unit.others)} would fit too"

@@ -1,7 +1,6 @@
-"""Sensors of three axes: which three signals belong together, and in which unit.
+"""Sensors of three axes: find three signals that belong together, and their unit.
 
-An accelerometer's three axes make one vector whose size at rest is 1 g, whatever its mount and
-whatever its unit.
+The three axes of an accelerometer form a vector. Its size at rest is 1 g for any mount.
 """
 
 from __future__ import annotations
@@ -21,50 +20,51 @@ from imucald.discovery.names import axes_by_name
 from imucald.inputs.units import is_unit
 
 LEAST_COUNTS = 50.0
-"""Counts of 1 g: fewer are no sensor's scale."""
+"""Smallest number of counts for 1 g. No sensor has fewer."""
 MIN_BITS = 7
-"""No axis of a sensor has fewer."""
+"""Smallest length of a sensor axis [bits]."""
 MAX_TOGETHER = 12
-"""Signals of one kind in a message up to which any three are tried; beyond, neighbours only."""
+"""Up to this number of similar signals in a message, any three are tried; above, only adjacent
+ones."""
 SCALE_AND_OFFSET = 0.08
-"""Part by which a sensor's 1 g may be off: 5 % of scale and 30 mg of offset (consumer MEMS)."""
+"""Largest relative error of a sensor's 1 g: 5 % of scale and 30 mg of offset (consumer MEMS)."""
 WRONG_SCALE = 0.25
-"""The same beyond which a stated unit is wrong."""
+"""Relative error of 1 g above which a stated unit is wrong."""
 NORM_SPREAD = 0.05
-"""Largest spread of the vector's size in a drive, as a part of it: sqrt(1 + 0.3^2) - 1 = 0.04 is
-the vector's growth in a manoeuvre of 0.3 g, and most of a drive is calmer."""
+"""Largest relative spread of the vector's size in a drive. A manoeuvre of 0.3 g increases the size
+by sqrt(1 + 0.3^2) - 1 = 0.04, and most of a drive is calmer."""
 CALM_PART = 0.1
-"""Part of a drive in which even a racing driver neither brakes nor turns: the vector is never
-shorter than 1 g there, smoothed over the bumps, and hardly longer."""
+"""Share of a drive in which even a racing driver neither brakes nor turns. In it, the vector
+(smoothed over bumps) is never shorter than 1 g, and hardly longer."""
 EARTH_FIELD = (22e-6, 67e-6)
-"""Size of the earth's magnetic field [T] (World Magnetic Model)."""
+"""Range of the earth's magnetic field [T] (World Magnetic Model)."""
 
 
 @dataclass(frozen=True, eq=False)
 class Triad:
-    """Three signals as x, y, z. names_axes: whether their names say which is which."""
+    """Three signals as x, y, z. names_axes: whether their names show the axes."""
 
     members: tuple[SeenSignal, SeenSignal, SeenSignal]
     unit: UnitChoice
     names_axes: bool
     size: float = math.nan
-    """Median size of the vector in SI; that of its calm part where it is driven hard."""
+    """Median size of the vector in SI; for hard driving, the median of the calm part."""
     spread: float = math.nan
-    """Robust standard deviation of that size, as a part of it."""
+    """Robust relative standard deviation of the size."""
 
     @property
     def smooth(self) -> Array:
-        """(n, 3) in SI, smoothed."""
+        """Smoothed values (n, 3) in SI."""
         return np.column_stack([m.smooth for m in self.members]) * self.unit.factor
 
     @property
     def ticks(self) -> Array:
-        """(n, 3) in SI."""
+        """Values (n, 3) in SI."""
         return np.column_stack([m.x for m in self.members]) * self.unit.factor
 
     @property
     def apart(self) -> int:
-        """How far the identifiers of its messages are apart; 0 of one message."""
+        """Difference of the identifiers of its messages; 0 for one message."""
         ids = [m.message.can_id for m in self.members]
         return max(ids) - min(ids)
 
@@ -75,7 +75,7 @@ class Triad:
 
 
 def accelerometers(candidates: Sequence[SeenSignal]) -> list[Triad]:
-    """Every three signals that are 1 g in size, the likeliest first."""
+    """Return all triads with a size of 1 g, the most likely first."""
     found: list[Triad] = []
     for three in _threes(candidates, "acceleration"):
         fit = _of_one_g(three)
@@ -86,9 +86,9 @@ def accelerometers(candidates: Sequence[SeenSignal]) -> list[Triad]:
 
 
 def in_raw_counts(candidates: Sequence[SeenSignal]) -> list[Triad]:
-    """Every three signals without a unit, named as axes, whose vector keeps a size in counts.
+    """Return all triads without a unit, named as axes, whose vector has a constant size in counts.
 
-    The earth's field does so too, in a magnetometer: motion has to show which it is.
+    The earth's field in a magnetometer is constant too. Only motion shows the difference.
     """
     found = []
     for three in _threes(candidates, "acceleration"):
@@ -103,16 +103,16 @@ def in_raw_counts(candidates: Sequence[SeenSignal]) -> list[Triad]:
 
 
 def _accelerometer_rank(triad: Triad) -> tuple[bool, bool, bool, int, float]:
-    """Stated unit, named axes, one message or near ones; then the steadiest 1 g."""
+    """Sort key: stated unit, named axes, one message or near ones, then the most constant 1 g."""
     stated = all(m.states("acceleration") for m in triad.members)
     apart = triad.apart
     return not stated, not triad.names_axes, apart > 0, apart, triad.spread
 
 
 def _sizes(three: tuple[SeenSignal, ...]) -> tuple[Array, float, float]:
-    """Sizes (n,) of a vector in its signals' unit, their median, and their spread as a part of it.
+    """Return the sizes (n,) of a vector in its signals' unit, their median, and relative spread.
 
-    The median is 0.0, and the spread infinite, where nothing is known of the size.
+    If the size is unknown, the median is 0.0 and the spread is infinite.
     """
     size = np.linalg.norm(np.column_stack([m.smooth for m in three]), axis=1)
     size = size[np.isfinite(size)]
@@ -128,7 +128,7 @@ def _of_one_g(three: tuple[SeenSignal, ...]) -> Triad | None:
     if not middle > 0.0:
         return None
     if spread > NORM_SPREAD:
-        # driven hard: its calm part is held against 1 g, where the database states the unit
+        # hard driving: the calm part is compared with 1 g if the database states the unit
         middle = float(np.quantile(size, CALM_PART))
         unit = _one_g_unit(ordered[0].unit, middle, SCALE_AND_OFFSET) if middle > 0.0 else None
         if unit is None or not unit.is_stated or len({m.message.name for m in three}) > 1:
@@ -142,10 +142,10 @@ def _of_one_g(three: tuple[SeenSignal, ...]) -> Triad | None:
 
 
 def of_another_size(candidates: Sequence[SeenSignal]) -> str:
-    """Words for three accelerations of one message whose vector keeps a size that is not 1 g.
+    """Return a text about three accelerations of a message with a constant size that is not 1 g.
 
-    Gravity keeps its size whatever the drive; a wrong scale in the database keeps it too, at
-    another one. Empty where there are none: signals of a unit, named as axes.
+    The size of gravity is constant in any drive. With a wrong scale in the database, it is constant
+    at another value. Only signals with a unit and names of axes count. Empty if there are none.
     """
     for three in _threes(candidates, "acceleration"):
         ordered, named = in_order(three)
@@ -167,13 +167,13 @@ def of_another_size(candidates: Sequence[SeenSignal]) -> str:
 
 
 def _one_g_unit(stated: str, size: float, tolerance: float) -> UnitChoice | None:
-    """The unit in which a size is 1 g, give or take a part of it."""
+    """Return the unit in which a size is 1 g within a relative tolerance."""
     low, high = ((1.0 + s * tolerance) * GRAVITY / size for s in (-1.0, 1.0))
     return choose_unit(stated, "acceleration", low, high)
 
 
 def gyroscopes(candidates: Sequence[SeenSignal]) -> list[Triad]:
-    """Every three signals of one kind that may be angular rates; the unit is not judged yet."""
+    """Return all triads that may be angular rates. The unit is not checked yet."""
     found = []
     for three in _threes(candidates, "angular_rate"):
         ordered, named = in_order(three)
@@ -184,7 +184,7 @@ def gyroscopes(candidates: Sequence[SeenSignal]) -> list[Triad]:
 
 
 def magnetometers(candidates: Sequence[SeenSignal]) -> list[Triad]:
-    """Every three signals that state a unit of the magnetic field, or whose names agree."""
+    """Return all triads with a unit of the magnetic field or with names of a magnetometer."""
     found = []
     for three in _threes(candidates, "magnetic_field"):
         ordered, named = in_order(three)
@@ -208,7 +208,7 @@ def _stated_or_first(candidate: SeenSignal, dimension: str) -> UnitChoice:
 def in_order(
     three: tuple[SeenSignal, ...],
 ) -> tuple[tuple[SeenSignal, SeenSignal, SeenSignal], bool]:
-    """Three signals as x, y, z: by their names, else by their places; and whether by names."""
+    """Sort three signals as x, y, z by names, else by position. Return also whether by names."""
     named = axes_by_name(three)
     if named is not None:
         x, y, z = (three[i] for i in named)
@@ -218,7 +218,7 @@ def in_order(
 
 
 def _place(candidate: SeenSignal) -> tuple[int, int]:
-    """Identifier, then bit from the payload's beginning."""
+    """Return the identifier, and the bit position from the payload's start."""
     signal = candidate.signal
     big = signal.byte_order == "big_endian"
     bit = 8 * (signal.start // 8) + 7 - signal.start % 8 if big else signal.start
@@ -228,7 +228,7 @@ def _place(candidate: SeenSignal) -> tuple[int, int]:
 def _threes(
     candidates: Sequence[SeenSignal], dimension: str
 ) -> Iterator[tuple[SeenSignal, SeenSignal, SeenSignal]]:
-    """Signals of one kind by threes: within messages, and from two or three that hold no three."""
+    """Yield sets of three similar signals: from one message, or from two or three messages."""
     usable = [
         c
         for c in candidates
@@ -252,14 +252,14 @@ def _threes(
             if len(equal) <= MAX_TOGETHER:
                 yield from filter(_are_across, itertools.combinations(equal, 3))
         if len(of_pace) > 1 and len(group) <= MAX_TOGETHER:
-            for three in itertools.combinations(group, 3):  # at other rates names must say so
+            for three in itertools.combinations(group, 3):  # at different rates, names must agree
                 if len({_pace(c) for c in three}) > 1 and axes_by_name(three) is not None:
                     yield three
 
 
 def _alike(c: SeenSignal) -> int:
-    """How many signals of its kind the message has in the database: where an axis is cut off, no
-    other message has it."""
+    """Return the number of similar signals of the message in the database. An axis that is missing
+    in cut frames is not in another message."""
     signals = c.message.signals.values()
     return sum((s.unit, s.length) == (c.signal.unit, c.signal.length) for s in signals)
 
@@ -269,7 +269,7 @@ def _are_across(three: tuple[SeenSignal, ...]) -> bool:
 
 
 def _pace(c: SeenSignal) -> int:
-    """The same number for signals that come equally often, give or take an eighth."""
+    """Return a number that is equal for signals with the same rate within an eighth."""
     return round(4.0 * math.log(c.cycle + 1e-6))
 
 
@@ -281,14 +281,14 @@ def _combinations(group: list[SeenSignal]) -> Iterator[tuple[SeenSignal, SeenSig
 
 
 def _kind(c: SeenSignal, dimension: str) -> tuple[object, ...]:
-    """What the axes of one sensor have in common."""
+    """Return a key of the properties that all axes of one sensor have in common."""
     if c.states(dimension):
         return (c.unit,)
     return "", c.signal.length, c.signal.scale
 
 
 def _without_overlap(found: list[Triad]) -> list[Triad]:
-    """Only triads that share no signal with a better one."""
+    """Keep only triads that share no signal with a better triad."""
     used: set[str] = set()
     kept = []
     for triad in found:

@@ -1,4 +1,4 @@
-"""What turns with what: yaw rate, steering, accelerations, wheels, and the vehicle's measures."""
+"""Find the signals of turns: yaw rate, steering, accelerations, wheels; and vehicle dimensions."""
 
 from __future__ import annotations
 
@@ -23,11 +23,11 @@ from imucald.discovery.sensors import Sensors
 from imucald.discovery.wheels import find_wheels
 
 WHEELBASE = 2.7
-"""What the configuration takes where nobody says otherwise [m]."""
+"""Default wheelbase of the configuration [m]."""
 
 
 class Turning:
-    """Signals of turns. vehicle: (key, value, evidence) of what they say about the vehicle."""
+    """Signals of turns. vehicle: (key, value, evidence) of vehicle data found from them."""
 
     def __init__(self, sensors: Sensors) -> None:
         self._sensors = sensors
@@ -35,7 +35,7 @@ class Turning:
         self.vehicle: list[tuple[str, str, str]] = []
 
     def choices(self, free: Sequence[SeenSignal]) -> Iterator[Choice | None]:
-        """Wheels, steering, yaw rate and accelerations, in the order of the configuration."""
+        """Yield choices of wheels, steering, yaw rate and accelerations, in configuration order."""
         reference = self.reference
         yaw_rate = self._yaw_rate(free)
         yield self._wheels()
@@ -51,7 +51,9 @@ class Turning:
         yield find_scalar(LONGITUDINAL, change, free, "speed")
 
     def _yaw_rate(self, free: Sequence[SeenSignal]) -> Choice | None:
-        """Against the gyroscope; without one, speed times it must be the lateral acceleration."""
+        """Find the yaw rate by comparison with the gyroscope. Without a gyroscope, speed times yaw
+        rate must equal the lateral acceleration.
+        """
         reference = self.reference
         if reference.turn is None and reference.lateral is not None and reference.speed is not None:
             turn = reference.lateral / reference.speed.moving
@@ -92,7 +94,7 @@ class Turning:
         return choice
 
     def _note_steering(self, choice: Choice, free: Sequence[SeenSignal]) -> None:
-        """Steering ratio for the wheelbase that is assumed: only their product can be seen."""
+        """Note the steering ratio for the assumed wheelbase. Only their product is observable."""
         source = choice.sources[""]
         candidate = candidate_of(source, free)
         factor = factor_of(source.unit or candidate.unit, "angle")
@@ -109,7 +111,7 @@ class Turning:
 
 
 def _turn_of(choice: Choice | None, free: Sequence[SeenSignal], otherwise: Array) -> Array:
-    """The yaw rate that was found, else what the accelerometer shows of it."""
+    """Return the found yaw rate, else the yaw rate from the accelerometer."""
     if choice is not None and choice.is_sure:
         source = choice.sources[""]
         candidate = candidate_of(source, free)
@@ -120,7 +122,7 @@ def _turn_of(choice: Choice | None, free: Sequence[SeenSignal], otherwise: Array
 
 
 def _turning_metres(angle: Array, curvature: Array, speed: Array) -> float | None:
-    """Wheelbase times ratio: angle = L i curvature (1 + K v^2) + offset, by least squares."""
+    """Fit wheelbase times ratio: angle = L i curvature (1 + K v^2) + offset (least squares)."""
     rows = np.isfinite(angle) & np.isfinite(curvature) & np.isfinite(speed)
     if np.count_nonzero(rows) < 200:
         return None

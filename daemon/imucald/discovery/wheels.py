@@ -1,4 +1,4 @@
-"""Four wheel speeds: which signals they are, and which is which wheel."""
+"""Find the signals of the four wheel speeds, and the wheel of each signal."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ from imucald.discovery.proposal import Choice, Proposed, source_of
 from imucald.discovery.reference import KnownMotion, moving
 
 SAME_SPEED = 0.1
-"""Part by which the wheels of one vehicle may differ on average: tyres of other sizes make 3 %."""
+"""Largest relative mean difference of the wheels of one vehicle. Different tyres cause 3 %."""
 SIDE_BY_SIDE = 0.98
-"""Correlation of wheel speeds in a drive: they differ in bends and by slip only."""
+"""Smallest correlation of wheel speeds in a drive. They differ only in bends and by slip."""
 MIN_BITS = 7
 HALF_SQUARE = (1.5, 12.0)
-"""Half the square of a wheelbase [m^2]: 2 m to 5 m, some of it hidden by side-slip."""
+"""Range of half the square of a wheelbase [m^2], for 2 m to 5 m. Side-slip reduces it."""
 MANY = 24
-"""Signals of one kind beyond which only messages with four of them are looked at."""
+"""Above this number of similar signals, only messages with exactly four of them are used."""
 
 IN_ORDER = "right wheels are faster in left turns"
 BY_TURNS = "left and right follow from the yaw rate"
@@ -33,7 +33,7 @@ _Ends = Callable[[int, int], Relation]
 
 
 def wheel_sets(candidates: Sequence[SeenSignal]) -> Iterator[tuple[SeenSignal, ...]]:
-    """Every four signals of one kind that move like the wheels of one vehicle."""
+    """Yield all sets of four similar signals that move like the wheels of one vehicle."""
     kinds: dict[object, list[SeenSignal]] = {}
     for c in candidates:
         if c.may_be("speed") and not c.is_constant and not c.levels and c.signal.length >= MIN_BITS:
@@ -68,9 +68,9 @@ def _roll_together(four: Sequence[SeenSignal]) -> bool:
 def find_wheels(
     four: Sequence[SeenSignal], unit: UnitChoice, doubt: str, reference: KnownMotion
 ) -> tuple[Choice, float | None]:
-    """Which signal is which wheel, and the track [m] that they show; by name where names say it.
+    """Find the wheel of each signal (by name, if names show it), and the track [m].
 
-    In a left turn the right wheels are faster; in any turn the front wheels go further round.
+    In a left turn the right wheels are faster. In any turn the front wheels are faster.
     """
     named = [wheel_by_name(c.signal.name) for c in four]
     by_name = sorted(n or "" for n in named) == sorted(WHEELS)
@@ -101,7 +101,7 @@ def _choice(
 def _turning(
     four: Sequence[SeenSignal], unit: UnitChoice, reference: KnownMotion
 ) -> tuple[list[Relation], _Ends]:
-    """Of each wheel, how it goes with the curvature; of two, which is further out in bends."""
+    """Return each wheel's relation to curvature, and a comparison of two wheels in bends."""
     if reference.turn is None:
         return [Relation()] * 4, lambda _a, _b: Relation()
     table = np.column_stack([c.smooth for c in four]) * unit.factor
@@ -112,7 +112,7 @@ def _turning(
     known = np.column_stack([curvature, drive, v])  # side, slip with acceleration, size of the tyre
 
     def further(a: int, b: int) -> Relation:
-        """The first wheel's speed less the second's, against the curvature's square."""
+        """Compare the difference of two wheel speeds with the square of the curvature."""
         return relation(less(curvature**2, known), less((table[:, a] - table[:, b]) / v, known))
 
     return sides, further
@@ -121,7 +121,7 @@ def _turning(
 def _by_turns(
     four: Sequence[SeenSignal], sides: list[Relation], further: _Ends
 ) -> tuple[list[int], str, str]:
-    """Order front left, front right, rear left, rear right; evidence; doubt."""
+    """Return the order front left, front right, rear left, rear right; the evidence; the doubt."""
     right = [i for i in range(4) if sides[i].sign > 0]
     left = [i for i in range(4) if i not in right]
     if len(right) != 2 or not all(s.is_believed for s in sides):
@@ -144,9 +144,9 @@ def _by_turns(
 
 
 def _front_first(pair: list[int], further: _Ends) -> tuple[int, int, bool]:
-    """The wheel that goes further in bends first, and whether that is sure.
+    """Return two wheels with the front wheel (faster in bends) first, and whether that is sure.
 
-    A front wheel's way is longer by half the square of wheelbase times curvature.
+    The path of a front wheel is longer by half the square of wheelbase times curvature.
     """
     a, b = pair
     found = further(a, b)
@@ -158,7 +158,9 @@ def _front_first(pair: list[int], further: _Ends) -> tuple[int, int, bool]:
 def _track(
     four: Sequence[SeenSignal], order: Sequence[int], unit: UnitChoice, reference: KnownMotion
 ) -> Relation | None:
-    """Right less left against the yaw rate, over speed: its gain is the track."""
+    """Compare right minus left wheel speed with the yaw rate, divided by speed. The gain is the
+    track.
+    """
     if reference.turn is None:
         return None
     fl, fr, rl, rr = (four[i].smooth * unit.factor for i in order)

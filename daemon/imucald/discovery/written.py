@@ -1,4 +1,4 @@
-"""A proposal as a commented configuration file."""
+"""Write a proposal as a configuration file with comments."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ _MISSING = {
     "gyroscope": "{x: MESSAGE.SIGNAL, y: MESSAGE.SIGNAL, z: MESSAGE.SIGNAL}",
     "speed": "MESSAGE.SIGNAL",
 }
-"""What is worth a line even where it was not found."""
+"""Template lines for important quantities that were not found."""
 
 
 def as_yaml(proposal: Proposal, databases: Sequence[str]) -> str:
-    """The whole file. databases: paths as the file is to name them."""
+    """Return the text of the file. databases: paths as written in the file."""
     return "\n".join(_lines(proposal, databases)) + "\n"
 
 
@@ -91,7 +91,7 @@ def _choice(choice: Choice) -> Iterator[str]:
 
 
 def _alternative(quantity: str, other: Alternative) -> Iterator[str]:
-    """One commented line, however long: it is to be put in a line's place."""
+    """Yield one commented line of any length. The user can replace another line with it."""
     flat: Any = {key: one.settings() for key, one in other.sources.items()}
     value = flat.get("", flat)
     yield f"  # unsure: {quantity}: {_flow(value)} # {other.text}"
@@ -107,7 +107,7 @@ def _sources(quantity: str, sources: Mapping[str, Proposed], indent: str) -> Ite
 
 
 def _flow(value: Any) -> str:
-    """A value in YAML's short form."""
+    """Format a value in YAML's flow style."""
     if isinstance(value, dict):
         return "{" + ", ".join(f"{k}: {_of_key(k, v)}" for k, v in value.items()) + "}"
     if isinstance(value, list | tuple):
@@ -120,14 +120,14 @@ def _flow(value: Any) -> str:
 
 
 def _of_key(key: str, value: Any) -> str:
-    """A value; identifiers as people write them."""
+    """Format the value of a key; identifiers in hexadecimal."""
     if key == "source_address":
         return f"0x{value:02X}"
     return f"0x{value:03X}" if key == "id" and isinstance(value, int) else _flow(value)
 
 
 def _is_plain(text: str) -> bool:
-    """Whether YAML reads a text as itself without quotes, in a list too."""
+    """Whether YAML reads a text unchanged without quotes, also in a list."""
     words = {"y", "n", "yes", "no", "on", "off", "true", "false", "null", "~"}
     if not text or text.lower() in words or text != text.strip():
         return False

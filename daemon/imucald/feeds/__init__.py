@@ -1,1 +1,1 @@
-"""What imucald finds, handed on to others: MQTT, KUKSA. Companions, never in the daemon's loop."""
+"""Send imucald's results to MQTT, KUKSA or Foxglove. Feeds never run in the daemon's loop."""

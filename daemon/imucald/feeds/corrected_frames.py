@@ -1,4 +1,4 @@
-"""The corrected frames of a bus, read as a careful consumer reads them (docs/output-frames.md)."""
+"""Read the corrected frames of a bus, with all checks of docs/output-frames.md."""
 
 from __future__ import annotations
 
@@ -16,17 +16,17 @@ Triple = tuple[float, float, float]
 Attitude = tuple[float, float, float | None]
 
 STALE_S = 0.5
-"""Without a good frame for so long [s] a value is not available: five periods of 10 Hz."""
+"""Time without a good frame after which a value is not available [s]: five periods of 10 Hz."""
 RESTORED, USABLE, FINE = 1, 2, 3
 GOOD = frozenset({USABLE, FINE})
-"""Qualities that are handed on."""
+"""Qualities that are passed on."""
 CHANNELS = {"accel": "acceleration", "gyro": "angular_rate"}
-"""Channels of the engine, and what they are called in a feed."""
+"""Channels of the engine, and their names in a feed."""
 ATTITUDE = "attitude"
 
 
 class VectorMeans:
-    """Means of vectors between two looks, by name."""
+    """The means of vectors since the last call of `means`, by name."""
 
     def __init__(self, names: Iterable[str]) -> None:
         self._sums: dict[str, list[float]] = {name: [0, 0.0, 0.0, 0.0] for name in names}
@@ -35,19 +35,19 @@ class VectorMeans:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """What there is to read."""
+        """The names of the vectors."""
         return tuple(self._sums)
 
     def add(self, name: str, t: float, values: Sequence[float]) -> None:
-        """Take a vector that is good at t [s], of the clock that `means` is asked with."""
+        """Add a good vector at time t [s] (same clock as for `means`)."""
         n, x, y, z = self._sums[name]
         self._sums[name] = [n + 1, x + values[0], y + values[1], z + values[2]]
         self._times[name] = t
 
     def means(self, now: float) -> Mapping[str, Triple | None]:
-        """By name the mean since the last call; None: not available.
+        """Return the means since the last call, by name; None: not available.
 
-        Where nothing came since, the mean before stands until it is stale.
+        If no vector came since then, the previous mean is returned until it is too old.
         """
         for name, (n, x, y, z) in self._sums.items():
             if n:
@@ -60,10 +60,10 @@ class VectorMeans:
 
 
 class CorrectedFrames:
-    """Means of the corrected samples between two looks, in m/s^2 and deg/s; the newest attitude.
+    """Means of the corrected samples in m/s^2 and deg/s, and the newest attitude.
 
-    accepted: qualities that count; the frames of others are as none. Checksum, counter, length and
-    *not available* are obeyed.
+    accepted: accepted qualities; frames with other qualities are ignored. Checksum, counter, length
+    and *not available* are checked.
     """
 
     def __init__(self, config: Config, accepted: Iterable[int] = GOOD) -> None:
@@ -85,12 +85,12 @@ class CorrectedFrames:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """What there is to read: "acceleration", "angular_rate"."""
+        """The names of the vectors: "acceleration", "angular_rate"."""
         return self._means.names
 
     @property
     def matches(self) -> list[IdMatch]:
-        """Which frames of the bus are wanted."""
+        """Filters of the wanted frames."""
         return [IdMatch(i, CAN_EFF_MASK if i & CAN_EFF_FLAG else CAN_SFF_MASK) for i in self._by_id]
 
     def take(self, t: float, can_id: int, data: bytes) -> None:
@@ -112,19 +112,19 @@ class CorrectedFrames:
             self._means.add(name, t, (x, y, z))
 
     def means(self, now: float) -> Mapping[str, Triple | None]:
-        """By name the mean since the last call, in m/s^2 and deg/s; see `VectorMeans`."""
+        """Return the means since the last call by name, in m/s^2 and deg/s; see `VectorMeans`."""
         return self._means.means(now)
 
     def attitude(self, now: float) -> Attitude | None:
-        """Roll, pitch and heading [deg] of the vehicle; None: not available."""
+        """Return roll, pitch and heading [deg] of the vehicle; None: not available."""
         t, angles = self._attitude
         return angles if now - t <= STALE_S else None
 
 
 class RawSamples:
-    """Means of the samples as the sensor gave them, in its own axes, m/s^2 and deg/s.
+    """Means of the raw samples, in the sensor's own axes, in m/s^2 and deg/s.
 
-    Raises ConfigError where the databases of the configuration cannot be read.
+    Raises ConfigError if the databases of the configuration cannot be read.
     """
 
     def __init__(self, loaded: LoadedConfig) -> None:
@@ -134,7 +134,7 @@ class RawSamples:
 
     @property
     def matches(self) -> list[IdMatch]:
-        """Which frames of the bus are wanted."""
+        """Filters of the wanted frames."""
         return self._router.matches
 
     def take(self, t: float, can_id: int, data: bytes) -> None:
@@ -146,5 +146,5 @@ class RawSamples:
                 self._means.add(CHANNELS[channel], t, [v * DEG_PER_RAD for v in values])
 
     def means(self, now: float) -> Mapping[str, Triple | None]:
-        """By name the mean since the last call; see `VectorMeans`."""
+        """Return the means since the last call by name; see `VectorMeans`."""
         return self._means.means(now)

@@ -1,4 +1,4 @@
-"""What a feed reads: the daemon's status socket, and its corrected frames on the bus."""
+"""The input of a feed: the daemon's status socket, and its corrected frames on the bus."""
 
 from __future__ import annotations
 
@@ -17,20 +17,21 @@ from imucald.feeds.corrected_frames import GOOD, Attitude, CorrectedFrames, RawS
 from imucald.service.asking import ask
 
 STATUS_S = 1.0
-"""The status is asked for so often [s]."""
+"""Period of reading the status [s]."""
 ASK_S = 0.5
-"""A daemon that does not answer within this [s] is taken as not running."""
+"""A daemon that does not answer within this time counts as not running [s]."""
 
 Say = Callable[[str], None]
 
 
 @dataclass(frozen=True)
 class Reading:
-    """at: wall clock [s]. status: as `imucald status --json` has it; None: no daemon answers.
+    """The state at one time. at: wall clock [s]. status: as in `imucald status --json`, or None.
 
-    is_new: whether the status was asked for just now. corrected: by name ("acceleration" in m/s^2,
-    "angular_rate" in deg/s) x, y, z in vehicle axes; None: not available. raw: the same of the
-    sensor as it sent them, in its own axes. attitude: roll, pitch, heading of the vehicle [deg].
+    status is None if no daemon answers. is_new: whether the status was read just now. corrected:
+    x, y, z in vehicle axes by name ("acceleration" in m/s^2, "angular_rate" in deg/s); None: not
+    available. raw: the same for the raw samples, in the sensor's own axes. attitude: roll, pitch,
+    heading of the vehicle [deg].
     """
 
     at: float
@@ -42,10 +43,11 @@ class Reading:
 
 
 class DaemonSource:
-    """Reads one daemon. The bus is the one that the daemon says it is on.
+    """Reads one daemon. The daemon's status names the bus.
 
-    accepted: qualities of corrected frames that count. config: None for the file that the daemon
-    names. wants_frames: without them only the status is read. wants_raw: the sensor's frames too.
+    accepted: accepted qualities of corrected frames. config: None for the file that the daemon
+    names. wants_frames: if False, only the status is read. wants_raw: whether the sensor's raw
+    frames are read too.
     """
 
     def __init__(
@@ -72,7 +74,7 @@ class DaemonSource:
         self._reported = ""
 
     def read(self, seconds: float) -> Reading:
-        """Listen for so long; return what is known then."""
+        """Listen for `seconds` [s], then return the present reading."""
         end = self._clock() + seconds
         is_new = self._clock() >= self._next_status
         if is_new:
@@ -138,7 +140,7 @@ class DaemonSource:
             self._say(text)
 
     def close(self) -> None:
-        """Let go of the bus."""
+        """Close the bus."""
         if self._link is not None:
             self._link.close()
 

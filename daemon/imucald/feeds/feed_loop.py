@@ -1,4 +1,4 @@
-"""Hands readings on to a receiver; one that is not there is tried again, later and later."""
+"""Send readings to a receiver. If it is absent, retry with increasing pauses."""
 
 from __future__ import annotations
 
@@ -15,51 +15,51 @@ LONGEST_PAUSE_S = 60.0
 
 
 def next_pause(pause: float, lasted: float) -> float:
-    """The pause [s] after one of `pause` (0: none yet) and a connection that lasted so long.
+    """Return the next pause [s]. pause: the last pause (0: none). lasted: time connected [s].
 
-    One that does not outlast the longest pause is no success: a receiver that takes connections
-    and drops them is tried ever more seldom.
+    A connection shorter than the longest pause does not count as success. So the pauses increase
+    for a receiver that accepts connections and drops them.
     """
     is_first = pause == 0.0 or lasted > LONGEST_PAUSE_S
     return FIRST_PAUSE_S if is_first else min(2.0 * pause, LONGEST_PAUSE_S)
 
 
 class ReceiverError(ImucaldError):
-    """A receiver cannot be reached, or refuses what it is sent: why."""
+    """The reason why a receiver cannot be reached or refuses data."""
 
 
 class Source(Protocol):
-    """Gives readings."""
+    """A source of readings."""
 
     def read(self, seconds: float) -> Reading:
-        """Listen for so long; return what is known then."""
+        """Listen for `seconds` [s], then return the present reading."""
         ...
 
 
 class Receiver(Protocol):
-    """Takes readings. All raise ReceiverError."""
+    """A receiver of readings. Its methods raise ReceiverError."""
 
     def connect(self) -> None:
-        """Reach it."""
+        """Connect to the receiver."""
         ...
 
     def publish(self, reading: Reading) -> None:
-        """Hand a reading on."""
+        """Send a reading."""
         ...
 
     def disconnect(self) -> None:
-        """Let go of it after an error; never raises."""
+        """Disconnect after an error; never raises."""
         ...
 
     def close(self) -> None:
-        """The feed ends: say that nothing is available any more; never raises."""
+        """End the feed: report that no value is available any more; never raises."""
         ...
 
 
 class Feed:
-    """Reads and publishes until it is stopped; what comes during an outage is not kept.
+    """Reads and publishes until it is stopped. Readings during an outage are not stored.
 
-    period: between two readings [s].
+    period: time between two readings [s].
     """
 
     def __init__(
@@ -81,7 +81,7 @@ class Feed:
         self.stopping = False
 
     def run(self) -> None:
-        """Loop until `stopping`."""
+        """Run until `stopping`."""
         try:
             while not self.stopping:
                 self.step()
@@ -89,7 +89,7 @@ class Feed:
             self._receiver.close()
 
     def step(self) -> None:
-        """One reading."""
+        """Process one reading."""
         reading = self._source.read(self._period)
         if not self._is_connected and self._clock() < self._next_try:
             return

@@ -1,6 +1,6 @@
 """Foxglove: a server of its WebSocket protocol. IMU (corrected, raw), attitude, mount, status.
 
-Topics, fields and frames are those of an MCAP file of `replay --write`.
+Topics, fields and frames are the same as in an MCAP file of `replay --write`.
 """
 
 from __future__ import annotations
@@ -60,14 +60,14 @@ SCHEMAS: Mapping[str, Mapping[str, Any]] = {
 
 @dataclass(frozen=True)
 class FoxgloveSettings:
-    """host, port: where the server listens; port 0: any."""
+    """Settings of the server. host, port: its address; port 0: any free port."""
 
     host: str
     port: int
 
 
 class FoxgloveReceiver:
-    """Serves with foxglove-sdk, whose threads keep the connections."""
+    """A server with foxglove-sdk. Its threads handle the connections."""
 
     def __init__(self, settings: FoxgloveSettings, say: Say) -> None:
         import foxglove  # noqa: PLC0415 - an extra
@@ -88,11 +88,11 @@ class FoxgloveReceiver:
 
     @property
     def port(self) -> int:
-        """Where it listens, once connected."""
+        """The port of the server, once connected."""
         return int(self._server.port)
 
     def connect(self) -> None:
-        """Listen."""
+        """Start the server."""
         host, port = self._settings.host, self._settings.port
         try:
             self._server = self._library.start_server(
@@ -103,7 +103,7 @@ class FoxgloveReceiver:
         self._say(f"open ws://{host}:{self.port} in Foxglove (Foxglove WebSocket)")
 
     def publish(self, reading: Reading) -> None:
-        """Hand a reading to the clients that there are."""
+        """Send a reading to the connected clients."""
         at = round(reading.at * 1e9)
         for topic, content in contents(reading).items():
             self._channels[topic].log(content, log_time=at)
@@ -118,7 +118,7 @@ class FoxgloveReceiver:
             self._transforms.log(transform, log_time=at)
 
     def disconnect(self) -> None:
-        """Nothing to do: clients come and go by themselves."""
+        """Do nothing, because clients connect and disconnect by themselves."""
 
     def close(self) -> None:
         """Close the connections."""
@@ -127,7 +127,7 @@ class FoxgloveReceiver:
 
 
 def contents(reading: Reading) -> dict[str, dict[str, Any]]:
-    """Messages by topic; mount and status where they were asked for just now."""
+    """Return the messages by topic; mount and status only if the status is new."""
     found: dict[str, dict[str, Any]] = {}
     for topic, frame, vectors in (
         ("/imu/data", "vehicle", reading.corrected),
@@ -156,10 +156,10 @@ def _vector(values: Triple | None, factor: float) -> dict[str, float | None]:
 
 
 def transforms(reading: Reading) -> dict[tuple[str, str], tuple[float, float, float, float]]:
-    """By parent and child frame the quaternion w, x, y, z of the child in it.
+    """Return the quaternion w, x, y, z of a child frame in its parent, by (parent, child).
 
-    Of the sensor in the vehicle where the mount is known, of the vehicle in level axes (heading 0
-    where it is not known) where the attitude is.
+    If the mount is known: sensor in the vehicle. If the attitude is known: vehicle in level axes
+    (heading 0 if it is not known).
     """
     found: dict[tuple[str, str], tuple[float, float, float, float]] = {}
     if reading.is_new and reading.status is not None:

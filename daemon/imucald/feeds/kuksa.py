@@ -1,4 +1,4 @@
-"""KUKSA: corrected values and the mount as VSS signals of a databroker."""
+"""KUKSA: send corrected values and the mount to a databroker as VSS signals."""
 
 from __future__ import annotations
 
@@ -12,14 +12,14 @@ from imucald.feeds.daemon_source import Reading, Say
 from imucald.feeds.feed_loop import ReceiverError
 
 CALL_S = 2.0
-"""The databroker has so long to answer [s]."""
+"""Longest time for an answer of the databroker [s]."""
 OWN = "Vehicle.Private.Imucald"
-"""Branch of what VSS has no signals for: config/imucald-vss.json."""
+"""Branch for values without a VSS signal, see config/imucald-vss.json."""
 VECTORS = {
     "acceleration": [f"Vehicle.Acceleration.{n}" for n in ("Longitudinal", "Lateral", "Vertical")],
     "angular_rate": [f"Vehicle.AngularVelocity.{n}" for n in ("Roll", "Pitch", "Yaw")],
 }
-"""x, y, z of ISO 8855, as VSS has them; m/s^2 and degrees/s."""
+"""VSS signals for x, y, z of ISO 8855, in m/s^2 and degrees/s."""
 _STATUS: Mapping[str, Callable[[Mapping[str, Any]], Any]] = {
     f"{OWN}.State": lambda status: status["state"],
     f"{OWN}.Quality": lambda status: status["quality"],
@@ -36,7 +36,10 @@ PATHS = [*(path for paths in VECTORS.values() for path in paths), *_STATUS]
 
 @dataclass(frozen=True)
 class KuksaSettings:
-    """host, port: of the databroker. token: a file. ca: for TLS; server_name: the certificate's."""
+    """Settings of the connection. host, port: of the databroker. token: path of the token file.
+
+    ca: path of the CA certificate for TLS. server_name: name in the server's certificate.
+    """
 
     host: str
     port: int
@@ -60,8 +63,8 @@ class KuksaReceiver:
 
     @contextmanager
     def _errors_as_ours(self) -> Iterator[None]:
-        """The library takes types and answers as a databroker states them: what comes of wrong
-        ones is anything, and the databroker's error."""
+        """Convert exceptions to ReceiverError. The library does not check types and answers of a
+        databroker, so wrong ones may cause any exception."""
         try:
             yield
         except ReceiverError:
@@ -73,7 +76,7 @@ class KuksaReceiver:
             raise ReceiverError(f"{text}: {' '.join(str(error).split())[:200]}") from None
 
     def connect(self) -> None:
-        """Reach the databroker and see which of our signals it knows."""
+        """Connect to the databroker, and find which of our signals it knows."""
         with self._errors_as_ours():
             self._connect()
 
@@ -95,7 +98,7 @@ class KuksaReceiver:
         self._say(f"{self._broker} takes {len(self._types)} signals")
 
     def _type_of(self, path: str) -> Any:
-        """The data type of a signal; None, reported once, where the databroker does not know it."""
+        """Return the data type of a signal. If it is unknown, return None and report it once."""
         try:
             return self._client.get_value_types([path], timeout=CALL_S)[path]
         except self._library.VSSClientError as error:
@@ -108,7 +111,7 @@ class KuksaReceiver:
         return None
 
     def publish(self, reading: Reading) -> None:
-        """Hand a reading on."""
+        """Send a reading."""
         self._set(vss_values(reading))
 
     def _set(self, values: Mapping[str, Any]) -> None:
@@ -131,13 +134,13 @@ class KuksaReceiver:
             self._client.set(updates, try_v2=True, timeout=CALL_S)
 
     def disconnect(self) -> None:
-        """Let go of the databroker."""
+        """Disconnect from the databroker."""
         if self._client is not None:
             self._client.disconnect()
             self._client = None
 
     def close(self) -> None:
-        """Leave nothing behind that looks like a present value."""
+        """Set all values to not available, so that none looks like a present value."""
         if self._client is not None:
             try:
                 self._set(dict.fromkeys(self._types))
@@ -156,11 +159,11 @@ class KuksaReceiver:
 
 
 NOT_FOUND = 404
-"""Of kuksa-client, where no signal has the name."""
+"""Error code of kuksa-client for an unknown signal name."""
 
 
 def vss_values(reading: Reading) -> dict[str, Any]:
-    """Values by VSS path; None: not available."""
+    """Return the values by VSS path; None: not available."""
     values: dict[str, Any] = {}
     for name, paths in VECTORS.items():
         if name in reading.corrected:

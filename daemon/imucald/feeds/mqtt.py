@@ -1,4 +1,4 @@
-"""MQTT: status and corrected values as JSON under one topic, with a last will."""
+"""MQTT: publish status and corrected values as JSON under one topic, with a last will."""
 
 from __future__ import annotations
 
@@ -18,20 +18,20 @@ from imucald.feeds.feed_loop import FIRST_PAUSE_S, LONGEST_PAUSE_S, next_pause
 from imucald.feeds.status_content import QUALITIES, status_content
 
 PASSWORD = "IMUCALD_MQTT_PASSWORD"
-"""Environment variable; a password does not belong on a command line."""
+"""Environment variable for the password, because a command line is not secret."""
 KEEPALIVE_S = 10
-"""A connection that is silent for one and a half times this [s] is dead: the will is sent."""
+"""Keep-alive time [s]. After 1.5 times this time without data, the broker sends the last will."""
 PACKET_MAX = 4
-"""Longest packet taken from a broker [bytes]: only acknowledgements are asked for. No message that
-paho would keep (QoS 2) is so short."""
+"""Longest packet accepted from a broker [bytes]. Only acknowledgements are expected. Messages that
+paho would store (QoS 2) are longer."""
 SENT_AHEAD = 1 << 14
-"""So much waits in the kernel for a broker that does not read [bytes]: some seconds of values."""
+"""Largest send buffer in the kernel for a slow broker [bytes]: some seconds of values."""
 UNITS = {"acceleration": "m/s2", "angular_rate": "deg/s"}
 
 
 @dataclass(frozen=True)
 class MqttSettings:
-    """host, port: of the broker. topic: what all topics begin with. ca: for TLS."""
+    """Settings. host, port: of the broker. topic: prefix of all topics. ca: CA file for TLS."""
 
     host: str
     port: int
@@ -41,15 +41,15 @@ class MqttSettings:
 
 
 class MqttReceiver:
-    """Publishes with paho-mqtt, whose thread keeps the connection and makes it again."""
+    """Publishes with paho-mqtt. Its thread keeps the connection and reconnects."""
 
     def __init__(self, settings: MqttSettings, say: Say) -> None:
         from paho.mqtt.client import Client  # noqa: PLC0415 - an extra
         from paho.mqtt.enums import CallbackAPIVersion, MQTTErrorCode  # noqa: PLC0415
 
         class BoundedClient(Client):
-            """paho holds whatever length a packet announces; nothing long is meant for us. Its
-            thread ends at a packet that it cannot take apart."""
+            """A client with a limit of the packet length, because paho stores packets of any
+            length. It also survives invalid packets, which would end paho's thread."""
 
             def _sock_recv(self, bufsize: int) -> bytes:
                 if bufsize > PACKET_MAX:
@@ -86,13 +86,13 @@ class MqttReceiver:
         self._client = client
 
     def connect(self) -> None:
-        """Have the library connect, and connect again whenever that is lost."""
+        """Make the library connect, and reconnect after each loss."""
         settings = self._settings
         self._client.connect_async(settings.host, settings.port, KEEPALIVE_S)
         self._client.loop_start()
 
     def publish(self, reading: Reading) -> None:
-        """Hand a reading on; without a connection it is let go, never sent late."""
+        """Send a reading. Without a connection it is dropped and never sent late."""
         if not self._client.is_connected():
             return
         if reading.is_new:
@@ -102,10 +102,10 @@ class MqttReceiver:
             self._send(name, corrected_content(name, values, quality, reading.at))
 
     def disconnect(self) -> None:
-        """Nothing to do: the library goes on by itself."""
+        """Do nothing, because the library reconnects by itself."""
 
     def close(self) -> None:
-        """Take leave: offline, by our own word."""
+        """Publish "offline" and disconnect."""
         if self._client.is_connected():
             last = self._client.publish(self._topic("online"), "0", qos=1, retain=True)
             with suppress(RuntimeError, ValueError):  # the broker goes meanwhile
@@ -117,8 +117,8 @@ class MqttReceiver:
         self._put(name, json_text(content), 0, retain)
 
     def _put(self, name: str, text: str, qos: int, retain: bool) -> None:
-        """Publish, unless what the topic was given before has not left: paho keeps all that a slow
-        broker does not take, and sends it late."""
+        """Publish, unless the last message of the topic is still waiting. For a slow broker, paho
+        would store all messages and send them late."""
         if name not in self._leaving or _has_left(self._leaving[name]):
             self._leaving[name] = self._client.publish(self._topic(name), text, qos, retain)
 
@@ -164,7 +164,7 @@ def _has_left(message: Any) -> bool:
 def corrected_content(
     name: str, values: tuple[float, float, float] | None, quality: int, at: float
 ) -> dict[str, Any]:
-    """What the topic of a corrected vector carries; null where it is not available."""
+    """Return the content for the topic of a corrected vector; null if not available."""
     x, y, z = (None, None, None) if values is None else (round(v, 4) for v in values)
     shown = QUALITIES[0 if values is None else quality]
     return {"at": round(at, 3), "x": x, "y": y, "z": z, "unit": UNITS[name], "quality": shown}

@@ -1,4 +1,4 @@
-"""What a feed hands on of the daemon's status, as plain data."""
+"""The part of the daemon's status that a feed sends, as plain data."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ QUALITIES = ("not_available", "restored", "usable", "fine", "suspect")
 
 
 def status_content(reading: Reading) -> dict[str, Any]:
-    """State, mount with its ± (95 %), what is waited for; without a daemon `running` false."""
+    """Return state, mount with ± (95 %), and waiting reasons; `running` is false without daemon."""
     status = reading.status
     if status is None:
         return {"at": round(reading.at, 3), "running": False}

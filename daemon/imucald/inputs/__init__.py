@@ -1,1 +1,1 @@
-"""Signal acquisition: which signal is which quantity, from frames to samples in SI."""
+"""Signal acquisition: assign signals to quantities, and convert frames to samples in SI."""

@@ -1,4 +1,4 @@
-"""Samples of a chunk of frames by channel: joined from several sources, and from split triads."""
+"""Samples of a chunk of frames by channel: join several sources, assemble split triads."""
 
 from __future__ import annotations
 
@@ -18,17 +18,17 @@ Rows = NDArray[np.int64]
 
 
 class ColumnSamples(Series, frozen=True, eq=False):
-    """A series that knows which row of the chunk each sample came from; row: (N,) int64."""
+    """A series with the origin of each sample; row: (N,) int64, row in the chunk."""
 
     row: Rows = field(default_factory=lambda: np.zeros(0, np.int64))
 
 
 class Routed(Struct, frozen=True, eq=False):
-    """What a chunk of frames came to.
+    """The result of a chunk of frames.
 
-    samples: by channel. rejected: by channel, the rows whose sample was rejected, in order.
-    rejected_values: those of them that were rejected for their value, not with the whole frame.
-    events: (M,) stream times of all rejections that were counted [s], in order.
+    samples: by channel. rejected: by channel, the rows with a rejected sample, in order.
+    rejected_values: the rejected rows whose value was the reason, not the whole frame.
+    events: (M,) stream times of all counted rejections [s], in order.
     """
 
     samples: dict[str, ColumnSamples]
@@ -38,7 +38,7 @@ class Routed(Struct, frozen=True, eq=False):
 
 
 def joined(found: list[TapSamples], selector: SourceSelector | None) -> ColumnSamples:
-    """Whole samples of a channel, by preference; parts of triads are for `assembled`."""
+    """Join complete samples of a channel by preference. For parts of triads, use `assembled`."""
     whole = sorted(found, key=lambda part: part.tap.rank)
     if selector is not None:
         by_rank: dict[int, TapSamples] = {}
@@ -63,9 +63,10 @@ def assembled(
     refused: list[tuple[Tap, Rows]],
     refused_values: list[tuple[Tap, Rows]],
 ) -> ColumnSamples:
-    """A channel with split triads: the same steps as for single frames, in row order.
+    """Assemble a channel with split triads, with the same steps as for single frames, in row order.
 
-    refused: takes the rows at which a triad fell apart; refused_values: for a value.
+    refused: receives the rows at which a triad was incomplete. refused_values: the same, if a value
+    was the reason.
     """
     t_out: list[float] = []
     rows_out: list[int] = []
@@ -99,7 +100,7 @@ def guarded(
     ok: NDArray[np.bool_],
     reasons: Mapping[str, Rows],
 ) -> tuple[NDArray[np.bool_], Mapping[str, Rows]]:
-    """What a route's check says of frames, and of what comes too often."""
+    """Apply a route's check to frames, and reject frames that come too often."""
     ours = ok.copy()
     for rows in reasons.values():
         ours[rows] = True
@@ -122,7 +123,7 @@ def guarded(
 
 
 def rows_of(match: IdMatch, frames: FrameColumns) -> NDArray[np.int64]:
-    """Rows of the frames that match."""
+    """Return the rows of the frames that match."""
     mask = np.uint32(match.full_mask)
     hit = (frames.can_id & mask) == np.uint32(match.can_id & match.full_mask)
     if match.channel is not None:

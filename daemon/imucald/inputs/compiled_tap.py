@@ -1,6 +1,7 @@
-"""What a tap takes of columns of frames, by the compiled part: decoded, scaled, judged in one go.
+"""Decode, scale and check the values of a tap for columns of frames, in compiled code.
 
-To the same bits as `DecodePlan.decode_columns` and `Tap.array`, which do it for every other tap.
+The results are bit for bit the same as those of `DecodePlan.decode_columns` and `Tap.array`, which
+are used for all other taps.
 """
 
 from __future__ import annotations
@@ -23,8 +24,8 @@ _LEAST, _MOST = -(2**63), 2**63 - 1
 _QUANTITY, _NOT_ZERO, _ABOVE, _AMONG = range(4)
 
 _Numbers = tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.int64], NDArray[np.float64]]
-"""Whole numbers and floats of a signal, its raw values that are not available, and those at which a
-flag is on (see `core/kernels/frames.c`)."""
+"""The integer and float parameters of a signal, its raw values for "not available", and the values
+at which a flag is on (see `core/kernels/frames.c`)."""
 
 
 class CompiledTap:
@@ -44,7 +45,7 @@ class CompiledTap:
     def array(
         self, kernels: Kernels, frames: FrameColumns | Payloads
     ) -> tuple[NDArray[np.float64], NDArray[np.int8]]:
-        """As `Tap.array`, of good frames (N,)."""
+        """Do the work of `Tap.array` for good frames (N,)."""
         data, length, n = frames.data, frames.length, len(frames)
         codes = np.zeros(n, np.int8)
         values = np.empty((len(self._parts) + (self._third is not None), n))
@@ -55,14 +56,14 @@ class CompiledTap:
         return (values[0] if len(values) == 1 else values.T), codes
 
     def can_take(self, frames: FrameColumns | Payloads) -> bool:
-        """Whether the kernel knows such signals, and every one lies in the frames."""
+        """Whether the compiled code supports these signals and all are within the frames."""
         if not self._is_plain or frames.data.shape[1] < self._size:
             return False
         return not self._may_be_cut or not len(frames) or int(frames.length.min()) >= self._size
 
 
 def _is_plain(signal: ResolvedSignal) -> bool:
-    """Whether a signal is always there, and is an integer that doubles scale exactly enough."""
+    """Whether a signal is always present, and is an integer that doubles scale exactly enough."""
     is_other = signal.signal.is_float or isinstance(signal.scaling, IntegerScaling)
     is_large = not signal.signal.is_signed and signal.field.length == WORD_BITS
     return not (is_other or is_large or signal.selectors)

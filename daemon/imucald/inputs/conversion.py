@@ -1,7 +1,7 @@
-"""From a signal's number to a quantity in SI: unit, sign, offset, plausibility.
+"""Convert a signal's number to a quantity in SI: unit, sign, offset, plausibility.
 
-A number that is not available, implausible, saturated or not finite is no number: it is rejected
-with a reason. One number and a column go the same way, with equal results.
+A number that is not available, implausible, saturated or not finite is rejected with a reason.
+Single numbers and columns give equal results.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from imucald.inputs.units import Unit
 
 OK: Final = 0
 REASONS: Final = ("", "not_available", "not_finite", "saturated", "out_of_range", "status")
-"""Why a number was rejected, by code; 0 is accepted. The last: the sensor's own status says so."""
+"""Why a number was rejected, by code; 0 is accepted. "status": the sensor's status rejects it."""
 STATUS: Final = 5
 
 LIMITS: Final = {
@@ -30,16 +30,16 @@ LIMITS: Final = {
     "temperature": 1000.0,
     "flag": math.inf,
 }
-"""Largest plausible magnitude per dimension [SI]: beyond any road vehicle and its sensors."""
+"""Largest plausible magnitude per dimension [SI]. No road vehicle or its sensors exceed it."""
 
 
 class Conversion(Struct, frozen=True):
-    """How a physical value of the database becomes a quantity.
+    """The conversion of a physical value of the database to a quantity.
 
-    SI = sign * (factor * (physical + offset) + unit_offset). `low`, `high`: plausible physical
-    values, both included. `rails`: physical values at which the sensor is saturated (included), or
-    None. `not_available`: raw values. `on_values`, `on_above`: for flags. `step`: between two
-    neighbouring values, in SI; 0 where it is not known.
+    SI = sign * (factor * (physical + offset) + unit_offset). `low`, `high`: limits of plausible
+    physical values, included. `rails`: physical values from which the sensor is saturated
+    (included), or None. `not_available`: raw values with this meaning. `on_values`, `on_above`: for
+    flags. `step`: difference of two neighbouring values in SI; 0 if not known.
     """
 
     unit: Unit
@@ -60,11 +60,11 @@ class Conversion(Struct, frozen=True):
 
     @property
     def source(self) -> Hashable:
-        """What decides which quantity a value becomes, apart from whether it is believed."""
+        """A key of the settings that determine the converted value, without those of its check."""
         return self.unit, self.sign, self.offset, self.on_values, self.on_above
 
     def scalar(self, raw: float | int, physical: float) -> tuple[float, int]:
-        """Return (value in SI, code); the value is NaN where the code is not OK."""
+        """Return (value in SI, code). The value is NaN if the code is not OK."""
         if self.not_available and raw in self.not_available:
             return math.nan, 1
         if not math.isfinite(physical):
@@ -90,7 +90,7 @@ class Conversion(Struct, frozen=True):
     def array(
         self, raw: NDArray[np.generic], physical: NDArray[np.float64]
     ) -> tuple[NDArray[np.float64], NDArray[np.int8]]:
-        """Values (N,) in SI (NaN where rejected) and codes (N,)."""
+        """Return values (N,) in SI (NaN if rejected) and codes (N,)."""
         if self.unit.dimension == "flag":
             values = self._flags(physical)
         else:
@@ -113,10 +113,10 @@ class Conversion(Struct, frozen=True):
         return values, codes
 
     def _takes_all(self, physical: NDArray[np.float64]) -> bool:
-        """Whether none is rejected for its size: where the ends are taken, all between them are."""
+        """Whether no value is rejected for its size. It is enough to check the extreme values."""
         if not len(physical):
             return True
-        ends = np.minimum.reduce(physical), np.maximum.reduce(physical)  # NaN where one is
+        ends = np.minimum.reduce(physical), np.maximum.reduce(physical)  # NaN if any is NaN
         return all(self.scalar(math.nan, float(end))[1] == OK for end in ends)
 
     def _flags(self, physical: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -1,9 +1,9 @@
-"""Raw expressions: values and conditions from a frame's bytes, for what no database describes.
+"""Raw expressions: values and conditions from a frame's bytes, without a database.
 
 An OBD-II answer to service 01 PID 0x0D is ``when: "data[1] == 0x41 and data[2] == 0x0D"`` and
 ``value: "data[3]"``. The language is Python's arithmetic and comparison on ``data[i]`` (one byte),
-``length`` and whole numbers; nothing else is reachable from it. The same tree is evaluated on
-one frame with whole numbers and on columns with int64, with equal results.
+``length`` and integers. Nothing else can be used in it. The same expression tree is evaluated for
+one frame with Python integers and for columns with int64. The results are equal.
 """
 
 from __future__ import annotations
@@ -19,13 +19,13 @@ from numpy.typing import NDArray
 from imucald.core.errors import ConfigError
 
 MAX_TEXT = 300
-"""Longest accepted expression; a formula over eight bytes needs a fraction of it."""
+"""Longest accepted expression [characters]. A formula with eight bytes is much shorter."""
 MAX_BYTE = 63
-"""Highest byte of a CAN FD frame."""
+"""Highest byte index of a CAN FD frame."""
 MAX_SHIFT = 40
-"""Largest shift [bit]: five bytes, the widest raw field anyone shifts by hand."""
+"""Largest shift [bit]: five bytes, enough for the widest raw field in practice."""
 MAX_MAGNITUDE = 2.0**53
-"""Largest magnitude of any intermediate value: beyond it float64 columns are not exact."""
+"""Largest magnitude of any intermediate value. Above it, float64 columns are not exact."""
 
 _BINARY = (ast.Add, ast.Sub, ast.Mult, ast.Div, ast.LShift, ast.RShift, ast.BitAnd, ast.BitOr)
 _COMPARE = (ast.Eq, ast.NotEq, ast.Lt, ast.LtE, ast.Gt, ast.GtE)
@@ -34,8 +34,8 @@ _COMPARE = (ast.Eq, ast.NotEq, ast.Lt, ast.LtE, ast.Gt, ast.GtE)
 class Expression:
     """A compiled raw expression.
 
-    `needs`: how many data bytes a frame must have. Raises ConfigError on anything but the
-    language above, with the reason.
+    `needs`: number of data bytes that a frame must have. Raises ConfigError with the reason for
+    text that is not in the language above.
     """
 
     def __init__(self, text: str) -> None:
@@ -54,7 +54,7 @@ class Expression:
         self._columns = _compiled(columns, "data", "length", "_and", "_or", "_not")
 
     def _check(self, node: ast.expr) -> float:
-        """Refuse what is not in the language; return a bound on the magnitude of the value."""
+        """Refuse nodes outside the language. Return an upper bound of the value's magnitude."""
         bound = self._bound(node)
         if bound > MAX_MAGNITUDE:
             raise ConfigError(
@@ -127,19 +127,19 @@ class Expression:
             raise ConfigError(f"a divisor in {self.text!r} must be a number other than zero")
 
     def number(self, data: Sequence[int]) -> float:
-        """Value on one frame's bytes; the caller has checked `needs`."""
+        """Evaluate the expression for one frame. The caller must check `needs` first."""
         return float(self._scalar(data, len(data)))
 
     def holds(self, data: Sequence[int]) -> bool:
-        """Truth on one frame's bytes; the caller has checked `needs`."""
+        """Evaluate the condition for one frame. The caller must check `needs` first."""
         return bool(self._scalar(data, len(data)))
 
     def numbers(self, data: NDArray[np.uint8], length: NDArray[np.uint8]) -> NDArray[np.float64]:
-        """Values on columns of bytes (N, W) and lengths (N,)."""
+        """Evaluate the expression for N frames: bytes (N, W), lengths (N,)."""
         return np.broadcast_to(self._on_columns(data, length), (len(data),)).astype(np.float64)
 
     def hold(self, data: NDArray[np.uint8], length: NDArray[np.uint8]) -> NDArray[np.bool_]:
-        """Truths on columns of bytes (N, W) and lengths (N,)."""
+        """Evaluate the condition for N frames: bytes (N, W), lengths (N,)."""
         return np.broadcast_to(self._on_columns(data, length), (len(data),)).astype(np.bool_)
 
     def _on_columns(self, data: NDArray[np.uint8], length: NDArray[np.uint8]) -> Any:
@@ -160,7 +160,7 @@ class _ByteColumns:
 
 
 class _Scalar(ast.NodeTransformer):
-    """Conjunctions give truth values, so that both evaluations agree."""
+    """Make ``and`` and ``or`` return truth values, so that both evaluations agree."""
 
     def visit_BoolOp(self, node: ast.BoolOp) -> ast.expr:
         self.generic_visit(node)
@@ -171,7 +171,7 @@ class _Scalar(ast.NodeTransformer):
 
 
 class _Columns(ast.NodeTransformer):
-    """``and``, ``or``, ``not`` become calls of numpy's element-wise functions."""
+    """Replace ``and``, ``or``, ``not`` by calls of numpy's element-wise functions."""
 
     def visit_BoolOp(self, node: ast.BoolOp) -> ast.expr:
         self.generic_visit(node)

@@ -1,4 +1,4 @@
-"""Which numbers a configuration's `signals` section asks for: key -> channel, quantity, axis."""
+"""List the numbers of a configuration's `signals` section: key -> channel, quantity, axis."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ _WHEELS = ("front_left", "front_right", "rear_left", "rear_right")
 
 
 class Wanted(Struct, frozen=True):
-    """One number that the configuration asks for."""
+    """One number that the configuration requests."""
 
     channel: str
     dimension: str
@@ -29,7 +29,7 @@ class Wanted(Struct, frozen=True):
 
 
 def wanted_numbers(signals: cfg.Signals) -> Iterator[Wanted]:
-    """Every number that the configuration's `signals` section names."""
+    """Yield every number that the configuration's `signals` section names."""
     for channel, key, dimension, width in QUANTITIES.values():
         if width != 3:
             continue

@@ -1,8 +1,8 @@
-"""How often an input may come, and whether one sender sends it.
+"""Limit the rate of an input, and detect a second sender.
 
-Counted in whole seconds of stream time, so that a burst after a stall harms nobody and single
-frames and columns give the same. What is usual is learnt from the first seconds; a cycle that is
-stated counts where it is faster. Nothing is refused before that is known.
+Frames are counted in whole seconds of stream time. So a burst after a stall is accepted, and single
+frames and columns give the same result. The usual rate is learnt from the first seconds. If a
+stated cycle is faster, it is used instead. No frame is refused before the usual rate is known.
 """
 
 from __future__ import annotations
@@ -19,49 +19,51 @@ from imucald.can.e2e.protection import DOUBLED, TOO_EARLY
 
 TOO_FAST, DUPLICATE = "too_fast", "duplicate_sender"
 LEARNT_S = 10
-"""Seconds with frames from which the usual rate is taken."""
+"""Number of seconds with frames from which the usual rate is learnt."""
 TIMES_USUAL = 2.5
-"""At most one frame in 0.4 cycles, on average over a second."""
+"""Largest rate relative to the usual rate: one frame per 0.4 cycles, averaged over a second."""
 LEAST_STATED, LEAST_LEARNT = 20, 250
-"""So many a second are always let through: senders of a stated cycle send changes in between, and
-one of no stated cycle may wake up; 250 a second are no load."""
+"""Rates [1/s] that are always accepted, with a stated and with a learnt cycle. A sender with a
+stated cycle may send changes in between. A sender without one may wake up later. 250 frames per
+second are no load."""
 TWO_SENDERS = 1.6
-"""Three seconds with so many times the usual rate are two senders: no clock is that wrong."""
+"""Three seconds with this multiple of the usual rate mean two senders. No clock is that wrong."""
 SECONDS = 3
 NO_LIMIT = 1e9
 FAULTY_COUNTERS = 0.05
-"""And two counters interleave: a fault in seventeen frames where the other sends sixteen."""
+"""Smallest share of counter faults that also shows two senders, because two counters interleave.
+The limit is one fault in seventeen frames, if the other sender sends sixteen frames."""
 HELD_S = 2
-"""A sender is trusted again so many seconds after the other fell silent."""
+"""A sender is trusted again this time after the other sender stopped [s]."""
 _NOT_SENT = frozenset(("checksum", "short_frame", DOUBLED))
-"""Frames that nobody knows to be of a sender, and copies that none has sent."""
+"""Reasons that do not show a second sender: frames with an unknown sender, and copies."""
 
 Rows = NDArray[np.int64]
 
 
 def _is_of_another(reason: str) -> bool:
-    """Whether a second sender's frames are rejected so."""
+    """Whether this reason of rejection can come from a second sender."""
     return reason.startswith("counter") or reason == TOO_EARLY
 
 
 class JudgesRate(Protocol):
-    """What a route asks of how often its frames come, see `RateGuard`."""
+    """The rate check that a route needs, see `RateGuard`."""
 
     def judge(self, t: float, reason: str) -> str:
-        """Of one frame."""
+        """Check one frame."""
         ...
 
     def judge_columns(
         self, t: NDArray[np.float64], good: NDArray[np.bool_], reasons: Mapping[str, Rows]
     ) -> dict[str, Rows]:
-        """Of many."""
+        """Check many frames."""
         ...
 
 
 class RateGuard:
-    """Watches the frames of one route.
+    """Checks the rate of the frames of one route.
 
-    stated: its cycle [s], or None. counted: it has a counter.
+    stated: its stated cycle [s], or None. counted: whether it has a counter.
     """
 
     def __init__(self, stated: float | None = None, counted: bool = False) -> None:
@@ -76,7 +78,7 @@ class RateGuard:
         self._distrusted_until = -1
 
     def judge(self, t: float, reason: str) -> str:
-        """Why a frame at stream time t [s] is rejected; reason: what its route says, "" if good."""
+        """Return why a frame at stream time t [s] is rejected. reason: of its route, "" if good."""
         if t >= self._ends:
             self._enter(int(t))
         if reason:
@@ -93,7 +95,7 @@ class RateGuard:
     def judge_columns(
         self, t: NDArray[np.float64], good: NDArray[np.bool_], reasons: Mapping[str, Rows]
     ) -> dict[str, Rows]:
-        """The same of many frames: rows among the good ones (N,) that are rejected, by reason."""
+        """Do the same for many frames: return the rejected rows of good frames (N,), by reason."""
         if not len(t):
             return {}
         first = math.floor(t[0])
@@ -109,7 +111,7 @@ class RateGuard:
             if _is_of_another(reason):
                 fault_count += count
         seen, faulty, sound_in = seen_count.tolist(), fault_count.tolist(), good_count.tolist()
-        if n > SECONDS + 1 and self._is_usual(first, seen):  # only the last ones count from now on
+        if n > SECONDS + 1 and self._is_usual(first, seen):  # only the last seconds count later
             self._before.extend(zip(seen[:-1], faulty[:-1], strict=True))
             self._second, self._ends = first + n - 1, first + float(n)
             self._seen, self._faults, self._taken = seen[-1], faulty[-1], sound_in[-1]
@@ -121,7 +123,7 @@ class RateGuard:
             frames, faults, sound = seen[i], faulty[i], sound_in[i]
             of = slice(begins[i], begins[i + 1])
             if of.start == of.stop:
-                continue  # no frame, damaged ones too
+                continue  # no frame, also no damaged frame
             self._enter(first + i)
             self._seen += frames
             self._faults += faults
@@ -136,7 +138,7 @@ class RateGuard:
         return {reason: np.concatenate(rows) for reason, rows in refused.items()}
 
     def _is_usual(self, first: int, seen: Sequence[int]) -> bool:
-        """Whether nothing can be refused in these seconds: all have few frames, as those before."""
+        """Whether no frame can be refused in these seconds, as all seconds have few frames."""
         open_second = self._seen + (seen[0] if first == self._second else 0)
         most = max(*seen, open_second, *(before for before, _ in self._before))
         return most <= TWO_SENDERS * self._usual < math.inf and first > self._distrusted_until
@@ -149,7 +151,7 @@ class RateGuard:
         return max(TIMES_USUAL * self._usual, least) + max(0.0, math.floor(held_back))
 
     def _enter(self, second: int) -> None:
-        """Close the seconds before this one."""
+        """End the seconds before this one."""
         if second <= self._second:
             return
         if self._second >= 0:
@@ -180,28 +182,28 @@ class RateGuard:
 
 
 class Spaced:
-    """Lets one event in a cycle through, on average; cycle [s]. For frames *not available*."""
+    """Accepts one event per cycle [s] on average. It is used for *not available* frames."""
 
     EARLY = 0.6
-    """So many cycles early is jitter."""
+    """An event may be early by this share of a cycle, because of jitter."""
 
     def __init__(self, cycle: float) -> None:
         self.cycle = cycle
         self._next = -math.inf
 
     def passes(self, t: float) -> bool:
-        """Whether an event at t [s] is let through; times never decrease."""
+        """Whether an event at t [s] is accepted. Times must not decrease."""
         if t < self._next - self.EARLY * self.cycle:
             return False
         self._next = max(self._next, t) + 0.95 * self.cycle
         return True
 
     def among(self, t: NDArray[np.float64]) -> NDArray[np.bool_]:
-        """The same of many (N,)."""
+        """Do the same for many events (N,)."""
         return np.array([self.passes(x) for x in t.tolist()], dtype=bool)
 
 
 def guarded_cycle(cycles: Collection[float | None]) -> float:
-    """Cycle [s] of frames that say *not available*: the fastest that is stated, else 10 ms."""
+    """Return the cycle [s] of *not available* frames: the fastest stated cycle, else 10 ms."""
     stated = [cycle for cycle in cycles if cycle]
     return min(stated) if stated else 0.01

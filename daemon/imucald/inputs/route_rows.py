@@ -1,4 +1,4 @@
-"""Which frames of a chunk belong to which route."""
+"""Find the frames of a chunk that belong to each route."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ Rows = NDArray[np.int64]
 _STANDARD = np.arange(2048, dtype=np.uint32)
 _NONE, _SEVERAL = -1, -2
 _MOST = 2**15 - 1
-"""The compiled part numbers no more routes."""
+"""Largest number of routes in the compiled code."""
 
 
 class RouteRows:
-    """Finds the rows of every route; matches: of the routes, in their order."""
+    """Finds the rows of every route. matches: the filters of the routes, in order."""
 
     def __init__(self, matches: Sequence[IdMatch]) -> None:
         self._matches = tuple(matches)
@@ -34,7 +34,7 @@ class RouteRows:
             self._table[hit] = np.where(self._table[hit] == _NONE, k, _SEVERAL)
 
     def of(self, frames: FrameColumns) -> tuple[list[Rows], bool]:
-        """Rows of each route, and whether it is known that no frame belongs to several."""
+        """Return the rows of each route, and whether surely no frame belongs to several routes."""
         kernels = compiled.kernels
         if kernels is not None and self._is_simple:
             n = len(frames)

@@ -1,7 +1,7 @@
-"""Frames -> samples: which signal is which quantity, compiled from configuration and databases.
+"""Convert frames to samples. A router is compiled from the configuration and the databases.
 
-A `Router` takes single frames (live) or columns of frames (replay) and gives samples by channel
-(see `samples`), the same either way. What it rejects it counts, by reason.
+A `Router` receives single frames (live) or columns of frames (replay). It returns samples by
+channel (see `samples`), which are the same in both cases. It counts rejections by reason.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ from imucald.inputs.source_selector import SourceSelector, TapSamples, TriadAsse
 from imucald.inputs.taps import Physical, Raw, Tap
 
 MAX_KNOWN_IDS = 4096
-"""Identifiers remembered by the dispatcher; J1939 sources are few, an attacker's are many."""
+"""Largest number of cached identifiers. A J1939 bus has few sources; an attacker may send many."""
 
 OF_SENSOR = frozenset(("accel", "gyro", "mag"))
 """Channels of the sensor that is calibrated."""
@@ -42,10 +42,11 @@ Rows = NDArray[np.int64]
 
 
 class Router:
-    """Turns frames into samples.
+    """Converts frames to samples.
 
-    routes: one for each message (or raw expression) in use, see `routes`.
-    derive_speed: speed comes from the wheels. derive_reverse: reverse is a negative speed.
+    routes: one for each used message (or raw expression), see `routes`.
+    derive_speed: whether the speed is computed from the wheels. derive_reverse: whether a negative
+    speed means reverse.
     """
 
     def __init__(
@@ -57,11 +58,11 @@ class Router:
         self.routes = tuple(routes)
         self._rows = RouteRows([route.match for route in self.routes])
         self.rejected: Counter[str] = Counter()
-        """Rejected frames and samples by reason."""
+        """Number of rejected frames and samples, by reason."""
         self.used = 0
-        """Frames that were accepted."""
+        """Number of accepted frames."""
         self.sample_counts: Counter[str] = Counter()
-        """Accepted samples by channel."""
+        """Number of accepted samples, by channel."""
         self._join_senders()
         self._known: dict[int, tuple[SignalRoute, ...]] = {}
         self._derive_speed = derive_speed
@@ -77,7 +78,7 @@ class Router:
         }
 
     def _join_senders(self) -> None:
-        """The messages of the sensor itself come from one sender; each parallel one has its own."""
+        """Make all messages of the sensor use one sender. Each parallel sensor has its own."""
         joined_senders(
             route.sender
             for route in self.routes
@@ -89,17 +90,17 @@ class Router:
 
     @property
     def matches(self) -> list[IdMatch]:
-        """Identifiers that the bus link and log readers must let through."""
+        """Filters of the identifiers that bus links and log readers must accept."""
         return list(dict.fromkeys(route.match for route in self.routes))
 
     @property
     def stated_cycles(self) -> list[tuple[IdMatch, float]]:
-        """Identifiers with their stated cycle [s], where one is stated."""
+        """Filters of the identifiers with a stated cycle [s]."""
         return [(r.match, r.stated_cycle) for r in self.routes if r.stated_cycle is not None]
 
     @property
     def channels(self) -> frozenset[str]:
-        """Channels that can come."""
+        """The channels that can have samples."""
         found = {tap.channel for tap in self._taps()}
         if self._derive_speed:
             found.add("speed")
@@ -109,26 +110,26 @@ class Router:
 
     @property
     def measured_axes(self) -> dict[str, int]:
-        """How many axes of each channel come from signals: a planar accelerometer has two."""
+        """Number of measured axes of each channel. A planar accelerometer has two."""
         return {t.channel: width_of(t.channel) - (t.third is not None) for t in self._taps()}
 
     def step(self, channel: str) -> float:
-        """Largest step between two values of a channel's axes, SI; 0 where it is not known."""
+        """Largest resolution step of a channel's axes in SI; 0 if not known."""
         taps = (tap for tap in self._taps() if tap.channel == channel)
         return max((c.conversion.step for tap in taps for c in tap.components), default=0.0)
 
     def cycles(self, channel: str) -> list[float | None]:
-        """Stated cycles [s] of the routes that carry a channel."""
+        """Return the stated cycles [s] of the routes of a channel."""
         return [
             route.stated_cycle
             for route in self.routes
             if any(tap.channel == channel for tap in route.taps)
         ]
 
-    # in the place of another ----------------------------------------------------------------
+    # replacing another router ---------------------------------------------------------------
 
     def source(self, channel: str) -> Hashable:
-        """What decides which numbers a channel gives, of all its sources."""
+        """Return a key of all settings that determine the values of a channel."""
         if channel == "speed" and self._derive_speed:
             return channel, self.source("wheel_speeds")
         if channel == "reverse" and self._derive_reverse:
@@ -141,19 +142,19 @@ class Router:
         )
 
     def same_sources(self, former: Router) -> frozenset[str]:
-        """Channels that both routers have, with the same numbers from the same frames."""
+        """Return the common channels of both routers with equal values from equal frames."""
         both = self.channels & former.channels
         return frozenset(c for c in both if self.source(c) == former.source(c))
 
     def go_on_from(self, former: Router, same: Collection[str]) -> None:
-        """Go on where another router stands: counts, and what it knows of senders that stay.
+        """Continue with the state of another router: counts, and state of unchanged senders.
 
-        same: see `same_sources`.
+        same: the result of `same_sources`.
         """
         before: dict[Hashable, deque[SignalRoute]] = {}
         for route in former.routes:
             before.setdefault(route.frame_key, deque()).append(route)
-        for route in self.routes:  # several of the same frames: each has its own guard
+        for route in self.routes:  # several routes may use the same frames
             if known := before.get(route.frame_key):
                 route.go_on_from(known.popleft())
         self._join_senders()
@@ -172,11 +173,12 @@ class Router:
     def frame(
         self, t: float, can_id: int, data: bytes
     ) -> tuple[list[Sample], list[str], list[str]]:
-        """Samples of one frame, the channels of which a sample was rejected, and for its value.
+        """Process one frame. Return its samples and two lists of channels with a rejected sample.
 
-        A frame that is rejected whole is a hole as a lost one is: only its value can say that what
-        is missing was large. t: stream time [s]; can_id with the flag for 29 bits. The channel of a
-        recording is not looked at: a live bus is one bus.
+        The first list is of all rejections, the second only of samples rejected for their value. A
+        completely rejected frame is a gap like a lost frame. A sample rejected for its value may
+        have been a large value. t: stream time [s]. can_id: with the flag for 29 bits. Channels of
+        a recording are ignored, because a live bus is one bus.
         """
         samples: list[Sample] = []
         refused: list[Tap] = []
@@ -192,13 +194,13 @@ class Router:
             reason = route.guard.judge(t, reason)
             if reason:
                 self.rejected[reason] += 1
-                if reason != DOUBLED:  # the frame itself was judged, and nothing is lost
+                if reason != DOUBLED:  # the original frame was checked; nothing is lost
                     refused += route.taps
                 continue
             accepted += 1
             raw, physical = route.numbers(data)
             found += [(tap, raw, physical) for tap in route.taps]
-        if accepted > 1:  # the preferred source is taken first, whichever route it is on
+        if accepted > 1:  # preferred sources first, on any route
             found.sort(key=lambda one: one[0].rank)
         self.used += accepted > 0
         self._take(t, found, samples, refused, values)
@@ -209,7 +211,7 @@ class Router:
         )
 
     def _selects(self, t: float, tap: Tap) -> bool:
-        """Whether a tap's samples are taken now: nothing is lost by those that would not be."""
+        """Whether a tap's samples would be used now. If not, a rejection loses nothing."""
         selector = self._selectors.get(tap.channel)
         return selector is None or selector.selects(t, tap.rank)
 
@@ -272,7 +274,7 @@ class Router:
     # columns -------------------------------------------------------------------------------
 
     def columns(self, t: NDArray[np.float64], frames: FrameColumns) -> Routed:
-        """Samples of a chunk of frames; t: (N,) stream times of the frames."""
+        """Return the samples of a chunk of frames; t: (N,) stream times of the frames [s]."""
         found, is_disjoint = self._rows.of(frames)
         used = np.zeros(0 if is_disjoint else len(frames), dtype=bool)
         parts: dict[str, list[TapSamples]] = {}
@@ -313,7 +315,7 @@ class Router:
     def _chosen(
         self, t: NDArray[np.float64], frames: FrameColumns, found: Sequence[Rows]
     ) -> Sequence[Rows]:
-        """Rows by route, of the chosen senders where there are several."""
+        """Return the rows by route. With several senders, only rows of the chosen one."""
         asked = {
             k: Asked(route.sender, found[k], t.take(found[k]))
             for k, route in enumerate(self.routes)
@@ -329,7 +331,7 @@ class Router:
     def _rejected_rows(
         self, t: NDArray[np.float64], refused: list[tuple[Tap, Rows]]
     ) -> dict[str, Rows]:
-        """Rows by channel of what was refused and would have been taken."""
+        """Return by channel the rejected rows that would have been used."""
         found: dict[str, list[Rows]] = {}
         for tap, rows in refused:
             selector = self._selectors.get(tap.channel)

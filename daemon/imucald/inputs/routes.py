@@ -1,4 +1,4 @@
-"""Routes: one message (or one raw expression) and the quantities that it carries."""
+"""Routes: a route is one message (or one raw expression) with the quantities in it."""
 
 from __future__ import annotations
 
@@ -21,75 +21,75 @@ from imucald.inputs.sender_choice import SenderChoice
 from imucald.inputs.taps import Columns, Physical, Raw, Tap, TapColumns, arrays_of
 
 Carried = FrameColumns | Payloads
-"""Frames (N,), of which a route looks at what they carry."""
+"""Frames (N,). A route reads only their payloads."""
 
 _SENSORS = frozenset({"accel", "gyro", "mag", "parallel"})
-"""Channels of sensors that are mounted somewhere: of two senders each has its own mount."""
+"""Channels of mounted sensors. The sensors of two senders have different mounts."""
 
 
 class SignalRoute(Protocol):
-    """How frames of one kind become numbers."""
+    """The conversion of frames of one kind to numbers."""
 
     @property
     def name(self) -> str:
-        """Name for people."""
+        """A readable name."""
 
     @property
     def match(self) -> IdMatch:
-        """Which frames."""
+        """The filter of the frames."""
 
     @property
     def taps(self) -> tuple[Tap, ...]:
-        """What they carry."""
+        """The values in the frames, one tap per channel."""
 
     @property
     def guard(self) -> JudgesRate:
-        """How often they may come."""
+        """The check of the frame rate."""
 
     @property
     def sender(self) -> SenderChoice | None:
-        """Which sender is heard, where there may be several and one must be chosen."""
+        """The choice among several senders; None if no choice is needed."""
 
     @property
     def stated_cycle(self) -> float | None:
-        """Their cycle [s] as the configuration or the database states it."""
+        """The cycle [s] of the frames, as stated in the configuration or the database."""
 
     @property
     def frame_key(self) -> Hashable:
-        """Which frames it takes: equal for routes that take the same."""
+        """A key of the accepted frames. It is equal for routes that accept the same frames."""
 
     def source_of(self, tap: Tap) -> Hashable:
-        """What decides which numbers one of its taps gives: where equal, they are of one source.
+        """Return a key of the settings that determine a tap's values. Equal keys: same source.
 
-        Limits of what is believed do not count.
+        Limits of plausible values are not part of the key.
         """
 
     def go_on_from(self, former: SignalRoute) -> None:
-        """Take what another route with equal `frame_key` knows of its sender; as far as it fits."""
+        """Take over the sender's state from a route with equal `frame_key`, as far as it fits."""
 
     def check(self, t: float, data: bytes) -> str | None:
-        """Judge a frame at stream time t [s]: "" good, None not of this kind, else the reason."""
+        """Check a frame at stream time t [s]. Return "" if good, None if other kind, or reason."""
 
     def numbers(self, data: bytes) -> tuple[Raw, Physical]:
-        """Raw and physical values of a good frame."""
+        """Return raw and physical values of a good frame."""
 
     def check_columns(
         self, t: NDArray[np.float64], frames: Carried
     ) -> tuple[NDArray[np.bool_], Mapping[str, NDArray[np.int64]]]:
-        """Good frames (N,), and the rows of bad ones by reason."""
+        """Return which frames (N,) are good, and the rows of bad frames by reason."""
 
     def number_columns(self, frames: Carried) -> Columns:
-        """Raw and physical values of good frames, one entry a signal."""
+        """Return raw and physical values of good frames, one entry per signal."""
 
     def tap_columns(self, frames: Carried) -> TapColumns:
-        """What each of the taps takes of good frames (see `Tap.array`), in their order."""
+        """Return the values of each tap for good frames (see `Tap.array`), in the taps' order."""
 
 
 class MessageRoute:
-    """Frames that a database describes.
+    """The route of a message in a database.
 
-    signs: of signals that are magnitudes (by place among the plan's), the place of the signal that
-    is not 0 where they are negative.
+    signs: for signals that are magnitudes. Key: index of the signal in the plan. Value: index of
+    the sign signal, which is not 0 if the value is negative.
     """
 
     def __init__(
@@ -121,7 +121,7 @@ class MessageRoute:
         return self.name, self.match
 
     def source_of(self, tap: Tap) -> Hashable:
-        """Identifiers, bits, multiplexers and scaling, and what is done with the number."""
+        """Key of identifiers, bits, multiplexers, scaling and conversion."""
         found = []
         for component in tap.components:
             signal = self.plan.signals[component.index]
@@ -134,7 +134,7 @@ class MessageRoute:
         return self.match, tap.source, tuple(found)
 
     def go_on_from(self, former: SignalRoute) -> None:
-        """Counter, distrust and usual rate, where the protection is the same."""
+        """Take over counter, distrust and usual rate if the protection is the same."""
         if not isinstance(former, MessageRoute):
             return
         spec, before = self.checker.spec, former.checker.spec
@@ -147,7 +147,7 @@ class MessageRoute:
             self.sender = former.sender
 
     def check(self, t: float, data: bytes) -> str | None:
-        """Length, checksum, counter, time-out."""
+        """Check length, checksum, counter and time-out."""
         return self.checker.check(t, data) or ""
 
     def numbers(self, data: bytes) -> tuple[Raw, Physical]:
@@ -166,7 +166,7 @@ class MessageRoute:
     def check_columns(
         self, t: NDArray[np.float64], frames: Carried
     ) -> tuple[NDArray[np.bool_], Mapping[str, NDArray[np.int64]]]:
-        """`check` on columns."""
+        """Do the work of `check` for columns."""
         codes = self.checker.check_columns(t, frames.data, frames.length)
         ok = codes == 0
         if ok.all():
@@ -188,7 +188,7 @@ class MessageRoute:
         return columns
 
     def tap_columns(self, frames: Carried) -> TapColumns:
-        """Decode, scale and judge; signal by signal only where the compiled part cannot."""
+        """Decode, scale and check values, in compiled code if it supports the signals."""
         kernels = compiled.kernels
         if (
             kernels is None
@@ -200,7 +200,7 @@ class MessageRoute:
 
 
 class RawRoute:
-    """Frames that a configured expression describes."""
+    """The route of a configured raw expression."""
 
     def __init__(
         self,
@@ -224,16 +224,16 @@ class RawRoute:
 
     @property
     def frame_key(self) -> Hashable:
-        """Identifiers and condition."""
+        """Key of identifiers and condition."""
         return self.match, None if self._when is None else self._when.text
 
     def source_of(self, tap: Tap) -> Hashable:
-        """Which frames, the value, and what is done with it."""
+        """Key of the frames, the value's expression and the conversion."""
         conversions = tuple(component.conversion.source for component in tap.components)
         return self.frame_key, self._value.text, tap.source, conversions
 
     def go_on_from(self, former: SignalRoute) -> None:
-        """The usual rate; counter and distrust where the protection is the same."""
+        """Take over the usual rate; also counter and distrust if the protection is the same."""
         self.guard = former.guard
         if not isinstance(former, RawRoute) or self.checker is None or former.checker is None:
             return
@@ -241,8 +241,8 @@ class RawRoute:
             self.checker = former.checker
 
     def check(self, t: float, data: bytes) -> str | None:
-        """The message's protection, which every frame of it goes on with; the condition, and the
-        length the value needs."""
+        """Check the message's protection (with every frame of the message), the condition, and the
+        length that the value needs."""
         reason = None if self.checker is None else self.checker.check(t, data)
         if self._when is not None and not (
             len(data) >= self._when.needs and self._when.holds(data)
@@ -251,14 +251,14 @@ class RawRoute:
         return reason or ("" if len(data) >= self._value.needs else "short_frame")
 
     def numbers(self, data: bytes) -> tuple[Raw, Physical]:
-        """The value; raw and physical are one."""
+        """Return the value; raw and physical values are equal."""
         number = self._value.number(data)
         return (number,), (number if math.isfinite(number) else math.nan,)
 
     def check_columns(
         self, t: NDArray[np.float64], frames: Carried
     ) -> tuple[NDArray[np.bool_], Mapping[str, NDArray[np.int64]]]:
-        """`check` on columns."""
+        """Do the work of `check` for columns."""
         ours = np.ones(len(frames), dtype=bool)
         if self._when is not None:
             ours = (frames.length >= self._when.needs) & self._when.hold(frames.data, frames.length)
@@ -271,10 +271,10 @@ class RawRoute:
         return ours & (codes == OK), reasons
 
     def number_columns(self, frames: Carried) -> Columns:
-        """The values."""
+        """Return the values."""
         numbers = self._value.numbers(frames.data, frames.length)
         return [(numbers, numbers, None)]
 
     def tap_columns(self, frames: Carried) -> TapColumns:
-        """What the tap takes of them."""
+        """Return the values of the tap."""
         return arrays_of(self.taps, self.number_columns(frames))

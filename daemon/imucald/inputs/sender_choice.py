@@ -1,8 +1,8 @@
-"""Several senders of one J1939 message, where none is configured: one of them is a sensor's.
+"""Choose one of several senders of a J1939 message, if no sender is configured.
 
-Two sensors send the same message, each from an address of its own. Samples of both, mixed, would be
-those of a sensor that does not exist. So would be the accelerometer of one and the gyroscope of the
-other: an address that sends more of the sensor's messages goes before one that sends fewer.
+Two sensors may send the same message, each with its own address. Their samples must not be mixed.
+The accelerometer of one sensor must not be combined with the gyroscope of the other either. So an
+address that sends more of the sensor's messages is preferred.
 """
 
 from __future__ import annotations
@@ -19,34 +19,35 @@ from imucald.can.columns import FrameColumns
 from imucald.can.dbc.decode import J1939_ADDRESS_MASK
 
 SENDER_SETTLING = 1.5
-"""Addresses that are heard within this from the first frame [s] are chosen from: several cycles
-of any sensor, so that all messages of a sensor, and every start of the program, choose alike."""
+"""Time after the first frame in which candidate addresses are collected [s]. It covers several
+cycles of any sensor. So all messages of a sensor, and each start of the program, make the same
+choice."""
 AS_OFTEN = 2
-"""Of these only such as send at least the half of what the busiest one sends: a stray frame of a
-unit that starts is no sensor."""
+"""A candidate must send at least 1 / AS_OFTEN of the frames of the most frequent one. A single
+frame of a unit that starts does not count."""
 NOT_AVAILABLE = 0xFF
-"""A payload of nothing but these says nothing (J1939-71, 5.1.4): no choice is made of it."""
+"""A payload with only this byte holds no data (J1939-71, 5.1.4). It is ignored in the choice."""
 
 Rows = NDArray[np.int64]
 Flags = NDArray[np.bool_]
 
 
 class SenderChoice:
-    """Chooses one sender of a message, for good: another one may be mounted otherwise.
+    """Chooses one sender of a message permanently. Another sensor may have another mount.
 
-    Until there is a frame that says something, all are taken.
+    All senders are accepted until a frame with data arrives.
     """
 
     def __init__(self) -> None:
         self.sensor: Sequence[SenderChoice] = (self,)
-        """Those of all messages of the sensor."""
+        """The choices of all messages of the sensor."""
         self._counts: Counter[int] = Counter()
         self._address: int | None = None
         self._end = math.inf
 
     @property
     def address(self) -> int | None:
-        """The chosen sender, None before its first frame."""
+        """The address of the chosen sender; None before its first frame."""
         return self._address
 
     @property
@@ -55,11 +56,11 @@ class SenderChoice:
         return [address for address, count in self._counts.items() if count >= least]
 
     def is_settled(self, t: float) -> bool:
-        """Whether nothing is chosen any more at t [s]."""
+        """Whether the choice is final at t [s]."""
         return t > self._end
 
     def takes(self, t: float, can_id: int, data: bytes) -> bool:
-        """Whether a frame at t [s] is the chosen sender's."""
+        """Whether a frame at t [s] is from the chosen sender."""
         address = can_id & J1939_ADDRESS_MASK
         if not self.is_settled(t) and data.count(NOT_AVAILABLE) < len(data):
             self._end = min(self._end, t + SENDER_SETTLING)
@@ -70,7 +71,7 @@ class SenderChoice:
         return self._address is None or address == self._address
 
     def choosing(self, frames: FrameColumns, rows: Rows, t: NDArray[np.float64]) -> tuple[int, int]:
-        """The first of frames (N,) of which a choice is made, and the first after the choice."""
+        """Return the range of frames (N,) used for the choice: first, and first after it."""
         end, first = self._end, 0
         if math.isinf(end):
             length = np.arange(frames.data.shape[1]) < frames.length[rows][:, None]
@@ -83,7 +84,7 @@ class SenderChoice:
 
 
 class Asked(Struct, frozen=True, eq=False):
-    """Frames of one message of a chunk: their rows (N,) in it and times (N,)."""
+    """Frames of one message in a chunk: their rows (N,) and times (N,)."""
 
     choice: SenderChoice
     rows: Rows
@@ -91,14 +92,14 @@ class Asked(Struct, frozen=True, eq=False):
 
 
 def joined(choices: Iterable[SenderChoice]) -> None:
-    """Have the messages of one sensor choose alike."""
+    """Make all messages of one sensor choose the same sender."""
     sensor = tuple(choices)
     for choice in sensor:
         choice.sensor = sensor
 
 
 def taken(frames: FrameColumns, asked: Sequence[Asked]) -> list[Flags]:
-    """`SenderChoice.takes` of the frames of each of the messages, in the order of their rows."""
+    """Apply `SenderChoice.takes` to the frames of all messages, in the order of their rows."""
     flags = [np.ones(len(one.rows), dtype=bool) for one in asked]
     events: list[tuple[int, int, int]] = []
     stops = []

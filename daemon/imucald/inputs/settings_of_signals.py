@@ -1,11 +1,12 @@
-"""Raw values that a database's value table calls no value at all.
+"""Settings of signals: raw values without a value, configured numbers, message protection.
 
-J1939 and the databases of vehicle makers name them: SNA, not available, invalid, error, init; in
-German ones ungueltig, nicht verfuegbar, Fehler. A signal carries them instead of a value.
+The value table of a database names raw values that mean "no value": SNA, not available, invalid,
+error, init; in German ungueltig, nicht verfuegbar, Fehler. A signal holds such a raw value instead
+of a measured value.
 
-Numbers of a configuration that a signal is compared with: only such as it can have.
+A configured number that is compared with a signal must be a value that the signal can have.
 
-What the configuration says of a message's protection -> its checker.
+`checker_for` makes the checker of a message from the configuration of its protection.
 """
 
 from __future__ import annotations
@@ -33,22 +34,22 @@ _NO = re.compile(r"^(no|kein|keine|not in|without)\b")
 
 
 def is_no_value(name: str) -> bool:
-    """Whether an entry of a value table says that there is no value: "SNA", "NotAvailable"."""
+    """Whether an entry of a value table means "no value", such as "SNA" or "NotAvailable"."""
     words = re.sub(r"(?<=[a-z])(?=[A-Z])", " ", name)
     words = re.sub(r"[\W_]+", " ", words).strip().lower()
     return bool(_NAMES.search(words)) and not _NO.match(words)
 
 
 def no_values(choices: Mapping[int, str]) -> tuple[int, ...]:
-    """The raw values of a table that are none, in order."""
+    """Return the raw values of a value table that mean "no value", in order."""
     return tuple(sorted(raw for raw, name in choices.items() if is_no_value(name)))
 
 
 def as_decoded(signal: Signal, value: float) -> float:
-    """What the decoder makes of the raw number that a person calls `value` [the signal's unit].
+    """Return the decoder's result for the raw number that belongs to `value` [the signal's unit].
 
-    The two differ in the last bit, such as 0.3 from 3 times 0.1. Raises ConfigError where no raw
-    number gives it: the comparison would never hold.
+    The result may differ from `value` in the last bit, as 3 times 0.1 differs from 0.3. Raises
+    ConfigError if no raw number gives this value, because the comparison would never be true.
     """
     if signal.is_float or not signal.scale:
         return value
@@ -57,7 +58,7 @@ def as_decoded(signal: Signal, value: float) -> float:
         scale, offset = float(signal.scale), float(signal.offset)
         raw = min(max(round((value - offset) / scale), low), high)
         found = float(scaling_of(signal, signal.name).column(np.array([raw]))[0])
-    except (OverflowError, ValueError):  # infinite, no number, or beyond all that a bus carries
+    except (OverflowError, ValueError):  # infinite, NaN, or too large for any signal
         raise ConfigError(f"{signal.name} is never {value:g}") from None
     if abs(found - value) > 1e-6 * abs(scale):
         raise ConfigError(
@@ -67,8 +68,8 @@ def as_decoded(signal: Signal, value: float) -> float:
 
 
 def check_raw(signal: Signal, raw: int) -> int:
-    """The raw number; raises ConfigError where the signal's bits do not hold it."""
-    if signal.is_float or signal.length < 1:  # who decodes the signal refuses the second
+    """Return the raw number. Raises ConfigError if it does not fit the signal's bits."""
+    if signal.is_float or signal.length < 1:  # decoding refuses a length below 1
         return raw
     low, high = raw_limits(signal)
     if low <= raw <= high:
@@ -83,14 +84,15 @@ def check_raw(signal: Signal, raw: int) -> int:
 def checker_for(
     message: Message, protection: MessageProtection | None, least: int | None = None
 ) -> MessageChecker:
-    """Checker of a message; without configuration only its length is judged.
+    """Make the checker of a message. Without configuration, only the length is checked.
 
-    The database's cycle time alone brings no time-out: many state one for event-driven messages.
+    A cycle time in the database alone gives no time-out, because many databases state one for
+    event-driven messages.
 
-    least: bytes that a frame must have; default: those of the message. A checksum is of the whole
-    message, so that all must be there.
+    least: shortest accepted frame [bytes]; default: the length of the message. With a checksum, all
+    bytes must be present.
 
-    Raises ConfigError (without place) where the configuration does not fit the message.
+    Raises ConfigError (without place) if the configuration does not fit the message.
     """
     size = message.length if least is None else least
     if protection is None:

@@ -1,7 +1,4 @@
-"""Of several sources of one quantity, the first that is alive is selected.
-
-Samples of one tap on a chunk, and triads put together from several frames.
-"""
+"""Select the first active source of a quantity. Collect samples of taps, and assemble triads."""
 
 from __future__ import annotations
 
@@ -15,19 +12,19 @@ from numpy.typing import NDArray
 from imucald.inputs.taps import Tap
 
 SOURCE_HOLD = 1.5
-"""A less preferred source is selected when the preferred ones were silent this long [s]: longer
-than the cycle of any vehicle speed, shorter than a manoeuvre."""
+"""A less preferred source is selected after the preferred sources were silent for this time [s]. It
+is longer than the cycle of any vehicle speed and shorter than a manoeuvre."""
 
 Times = NDArray[np.float64]
 Rows = NDArray[np.int64]
 
 
 class SourceSelector:
-    """Selects among `n` sources by preference: rank 0 first. One without good samples is silent.
+    """Selects among `n` sources by preference (rank 0 first). Only good samples count as activity.
 
-    Single samples go through `accept`. In a chunk of columns the order of all samples is that of
-    their rows, and of ranks within one: `begin_chunk`, then each rank's samples, better ones
-    first (`accept_columns`), or all of them in that order (`accept_row`).
+    Use `accept` for single samples. In a chunk of columns, samples are ordered by row, and by rank
+    within a row. First call `begin_chunk`. Then call `accept_columns` for each rank, preferred
+    ranks first, or `accept_row` for all samples in that order.
     """
 
     def __init__(self, n: int) -> None:
@@ -36,7 +33,7 @@ class SourceSelector:
         self._chunk: list[list[tuple[Times, Rows]]] = [[] for _ in range(n)]
 
     def accept(self, t: float, rank: int) -> bool:
-        """Take note of a sample at t [s]; whether its source is selected."""
+        """Register a sample at t [s]. Return whether its source is selected."""
         self._last[rank] = t
         return self.selects(t, rank)
 
@@ -45,31 +42,31 @@ class SourceSelector:
         return all(t - self._last[better] > SOURCE_HOLD for better in range(rank))
 
     def begin_chunk(self) -> None:
-        """Columns follow, their rows counted from 0."""
+        """Begin a chunk of columns. Its rows are counted from 0."""
         self._before = list(self._last)
         self._chunk = [[] for _ in self._last]
 
     def accept_row(self, t: float, row: int, rank: int) -> bool:
-        """`accept` within a chunk."""
+        """Do the work of `accept` within a chunk."""
         self._chunk[rank].append((np.array([t]), np.array([row], np.int64)))
         return self.accept(t, rank)
 
     def accept_columns(self, t: Times, row: Rows, rank: int) -> NDArray[np.bool_]:
-        """`accept` for all of a source's samples (N,) of the chunk, in order."""
+        """Do the work of `accept` for all samples (N,) of a source in the chunk, in order."""
         if len(t):
             self._chunk[rank].append((t, row))
             self._last[rank] = float(t[-1])
         return self.selects_columns(t, row, rank)
 
     def selects_columns(self, t: Times, row: Rows, rank: int) -> NDArray[np.bool_]:
-        """`selects` at times (N,) and rows of the chunk, once it is whole."""
+        """Do the work of `selects` at times (N,) and rows of a complete chunk."""
         selected = np.ones(len(t), dtype=bool)
         for better in range(rank):
             selected &= t - self._last_at(better, row) > SOURCE_HOLD
         return selected
 
     def _last_at(self, rank: int, row: Rows) -> Times:
-        """Time of the source's last sample up to each row (N,)."""
+        """Return the time of the source's last sample up to each row (N,)."""
         found = self._chunk[rank]
         if not found:
             return np.full(len(row), self._before[rank])
@@ -83,11 +80,11 @@ class SourceSelector:
 
 
 MAX_SKEW = 0.1
-"""Parts of a triad from different frames belong together within this [s]: one tick."""
+"""Largest time difference of the parts of a triad from different frames [s]: one tick."""
 
 
 class TapSamples(Struct, frozen=True, eq=False):
-    """What one tap gave on a chunk: times, rows, values (N, k) or (N,), codes."""
+    """The results of one tap for a chunk: times, rows, values (N, k) or (N,), codes."""
 
     tap: Tap
     t: NDArray[np.float64]
@@ -96,13 +93,13 @@ class TapSamples(Struct, frozen=True, eq=False):
     codes: NDArray[np.int8]
 
     def take(self, keep: NDArray[np.bool_] | NDArray[np.intp]) -> TapSamples:
-        """Return the chosen rows."""
+        """Return the selected rows."""
         return TapSamples(
             self.tap, self.t[keep], self.row[keep], self.values[keep], self.codes[keep]
         )
 
     def merged(self, other: TapSamples) -> TapSamples:
-        """Return both, in the order of rows; at equal rows this one comes first."""
+        """Return the samples of both in the order of rows. At equal rows, `self` comes first."""
         row = np.concatenate([self.row, other.row])
         order = np.argsort(row, kind="stable")
         return TapSamples(
@@ -115,10 +112,10 @@ class TapSamples(Struct, frozen=True, eq=False):
 
 
 class TriadAssembler:
-    """Puts one sample (a triad, four wheel speeds) together from values of several frames.
+    """Assembles one sample (a triad, four wheel speeds) from values of several frames.
 
-    A value that comes again before the sample is whole begins the next one: a part was lost, or
-    comes less often. So no part is older than a cycle of the others.
+    If a value arrives again before the sample is complete, the next sample begins. In this case,
+    another part was lost or has a lower rate. So no part is older than a cycle of the others.
     """
 
     def __init__(self, width: int) -> None:
@@ -128,7 +125,7 @@ class TriadAssembler:
     def add(
         self, t: float, slots: Sequence[int], values: Sequence[float] | None
     ) -> tuple[Sequence[float] | None, bool]:
-        """Return (the whole triad or None, whether a rejected part made a sample invalid)."""
+        """Return (the complete triad or None, whether a rejected part made a sample invalid)."""
         if values is None:
             self._values = [None] * len(self._values)
             return None, True
@@ -150,7 +147,7 @@ class TriadAssembler:
 def in_row_order(
     found: Iterable[TapSamples],
 ) -> list[tuple[int, Tap, float, Sequence[float], int]]:
-    """Row, tap, time, values and code of every sample, in the order of rows, then of ranks."""
+    """Return row, tap, time, values and code of every sample, sorted by row, then by rank."""
     events: list[tuple[int, Tap, float, Sequence[float], int]] = []
     for part in sorted(found, key=lambda p: p.tap.rank):
         values = part.values if part.values.ndim == 2 else part.values[:, None]

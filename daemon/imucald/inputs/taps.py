@@ -1,4 +1,4 @@
-"""Taps: what one message, or one raw expression, gives to a channel."""
+"""Taps: a tap is the set of values that a message or raw expression gives to a channel."""
 
 from __future__ import annotations
 
@@ -12,15 +12,15 @@ from imucald.core.samples import GRAVITY
 from imucald.inputs.conversion import STATUS, Conversion
 
 ABSENT = -1
-"""Code of a value that the frame does not carry (another multiplexer value)."""
+"""Code of a value that is not in the frame (because of the multiplexer)."""
 
 PLANAR_Z = GRAVITY
-"""What a planar accelerometer's missing z axis is taken as [m/s^2]: it is level by declaration."""
+"""The assumed z value of a planar accelerometer [m/s^2]. It is declared as level."""
 
 Raw = Sequence[int | float | None]
 Physical = Sequence[float | None]
 Columns = Sequence[tuple[NDArray[np.generic], NDArray[np.float64], NDArray[np.bool_] | None]]
-"""Raw values, physical values and presence (None: always) of each signal."""
+"""Raw values, physical values and presence (None: always present) of each signal."""
 
 
 TapColumns = Sequence[tuple[NDArray[np.float64], NDArray[np.int8]]]
@@ -28,16 +28,16 @@ TapColumns = Sequence[tuple[NDArray[np.float64], NDArray[np.int8]]]
 
 
 class Component(Struct, frozen=True):
-    """One number of a tap: position among the route's signals, and what is done with it."""
+    """One number of a tap: index in the route's signals, and conversion."""
 
     index: int
     conversion: Conversion
 
 
 class Status(Struct, frozen=True):
-    """A signal of the same message that says whether the values can be used.
+    """A signal of the same message that states whether the values can be used.
 
-    index: position among the route's signals. values: physical ones at which they can.
+    index: index in the route's signals. values: physical values that mean "can be used".
     """
 
     index: int
@@ -45,11 +45,11 @@ class Status(Struct, frozen=True):
 
 
 class Tap(Struct, frozen=True):
-    """What a route gives to one channel.
+    """The values of a route for one channel.
 
-    slots: positions in the channel's values, in the order of components. complete: they are all
-    of them. third: what the third axis of a sensor of two is taken as; None: it has three. rank: 0
-    is the preferred source. statuses: all must say that the values can be used.
+    slots: indices in the channel's values, in the order of components. complete: whether these are
+    all values of the channel. third: assumed third value of a two-axis sensor; None if it has three
+    axes. rank: 0 is the preferred source. statuses: all must state that the values can be used.
     """
 
     channel: str
@@ -62,11 +62,11 @@ class Tap(Struct, frozen=True):
 
     @property
     def source(self) -> Hashable:
-        """Which numbers of the channel it gives, apart from whether they can be used."""
+        """A key of the values that the tap gives, without their checks."""
         return self.channel, self.rank, self.slots, self.third
 
     def scalar(self, raw: Raw, physical: Physical) -> tuple[Sequence[float], int]:
-        """Values in SI and code (see `quantities.REASONS`) from the numbers of one frame."""
+        """Return values in SI and code (see `conversion.REASONS`) for the numbers of one frame."""
         values = []
         for component in self.components:
             number = physical[component.index]
@@ -84,7 +84,7 @@ class Tap(Struct, frozen=True):
         return values, 0
 
     def array(self, columns: Columns) -> tuple[NDArray[np.float64], NDArray[np.int8]]:
-        """Values (N,) or (N, k) in SI and codes (N,); the first fault of a row counts."""
+        """Return values (N,) or (N, k) in SI and codes (N,). The first fault of a row counts."""
         n = len(columns[self.components[0].index][1])
         codes = np.zeros(n, dtype=np.int8)
         values = np.empty((n, len(self.components) + (self.third is not None)))
@@ -107,5 +107,5 @@ class Tap(Struct, frozen=True):
 
 
 def arrays_of(taps: Sequence[Tap], columns: Columns) -> TapColumns:
-    """What each tap takes of decoded columns."""
+    """Return the values of each tap from decoded columns."""
     return [tap.array(columns) for tap in taps]

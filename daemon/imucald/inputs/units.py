@@ -1,4 +1,4 @@
-"""Units of signals, as databases and people write them, and their way to SI."""
+"""Units of signals as written in databases and by users, and their conversion to SI."""
 
 from __future__ import annotations
 
@@ -63,7 +63,7 @@ _FOLDED: Mapping[tuple[str, str], Unit] = {
 
 T = TypeVar("T")
 _Part = tuple[float, tuple[tuple[str, int], ...]]
-"""SI value of one, and the base dimensions with their exponents."""
+"""SI value of 1, and the base dimensions with their exponents."""
 
 
 def _parts(dimension: tuple[tuple[str, int], ...], sizes: Mapping[str, float]) -> dict[str, _Part]:
@@ -86,7 +86,7 @@ _WORDS: Mapping[str, _Part] = {
     **_parts((("angle", 1), ("time", -1)), {"dps": RAD_PER_DEG}),
     **_parts((("length", 1), ("time", -2)), {"g gravity": GRAVITY, "mg": 1e-3 * GRAVITY}),
     **_parts((("warmth", 1),), {"c celsius kelvin k fahrenheit f": 1.0}),
-    **_parts((("more", 1),), {  # of other things than motion: only that they are units counts
+    **_parts((("more", 1),), {  # not of motion: only recognised as units
         "v volt volts mv kv a amp amps ampere ma w watt watts kw n newton kn nm": 1.0,
         "j joule mj kj wh": 1.0,
         "pa pascal kpa hpa mpa bar mbar psi hz hertz khz rpm ohm l liter litre ml ul kg gram": 1.0,
@@ -103,23 +103,23 @@ _OF_BASE: Mapping[tuple[tuple[str, int], ...], str] = {
     (("length", 1), ("time", -2)): "acceleration",
 }
 LEAST_COUNTS = 4.0
-"""A number from this on is a factor; less is an exponent."""
+"""A number of at least this value is a factor; a smaller one is an exponent."""
 _SHORTEST_CUT, _LONGEST_ENDING = 4, 2
-"""Letters that are left of a word that is cut off ("squar"), and those of an ending."""
+"""Smallest length of a shortened word ("squar"), and largest length of an ending."""
 
 
 DIMENSIONS = tuple(dict.fromkeys(unit.dimension for unit, _ in _TABLE))
 
 
 def unit_names(dimension: str) -> tuple[str, ...]:
-    """One accepted spelling per unit of a dimension, for messages."""
+    """Return one accepted spelling for each unit of a dimension, for messages."""
     return tuple(names[0] for unit, names in _TABLE if unit.dimension == dimension)
 
 
 def find_unit(text: str, dimension: str) -> Unit:
-    """Return the unit that `text` names in a dimension.
+    """Return the unit of a dimension that `text` names.
 
-    Raises ConfigError, listing what is known, where the text is not a unit of that dimension.
+    Raises ConfigError with a list of known units if the text is not a unit of this dimension.
     """
     name = text.strip()
     unit = (
@@ -137,7 +137,7 @@ def find_unit(text: str, dimension: str) -> Unit:
 
 
 def is_unit(text: str) -> bool:
-    """Whether a text is a unit of anything, of motion or not; "counts" and "" are none."""
+    """Whether a text is any unit, of motion or not. "counts" and "" are not units."""
     name = text.strip()
     return bool(name) and (
         any((d, name.casefold()) in _FOLDED for d in DIMENSIONS if d != "flag")
@@ -146,7 +146,7 @@ def is_unit(text: str) -> bool:
 
 
 def _in_words(text: str, dimension: str) -> Unit | None:
-    """The unit that words for units make ("Unit_KiloMeterPerHour", "kph / km/h"), if it is one."""
+    """Return the unit written in words ("Unit_KiloMeterPerHour", "kph / km/h"), if it is one."""
     ways = {_of_words(text)} - {None}
     if not any(way is not None and way[1] == dimension for way in ways):
         ways = {_of_words(_divided(text))}
@@ -158,14 +158,14 @@ def _in_words(text: str, dimension: str) -> Unit | None:
 
 
 def _divided(text: str) -> str:
-    """The unit with its first sign between words read as a fraction's stroke ("km_h", "m_s2"): an
-    underscore stands for it where a name or a tool allows no other sign.
+    """Replace the first separator between words by a fraction stroke ("km_h", "m_s2"). Some names
+    and tools allow only an underscore.
     """
     return re.sub(r"(?<=[^\W\d_]|°)[_.\\-](?=[^\W\d_])", "/", text, count=1)
 
 
 def _of_words(text: str) -> tuple[float, str] | None:
-    """SI value and dimension ("" for others than motion) of a unit written in words or symbols."""
+    """Return SI value and dimension ("" if not of motion) of a unit in words or symbols."""
     tokens = list(_tokens(text))
     size, exponents, sign = 1.0, Counter[str](), 1
     last: tuple[_Part, int] | None = None
@@ -174,7 +174,7 @@ def _of_words(text: str) -> tuple[float, str] | None:
         if token in ("/", "per", "pro"):
             sign, last = -1, None
             continue
-        if token[0].isdigit() and float(token) >= LEAST_COUNTS:  # g/16384: so many counts are 1 g
+        if token[0].isdigit() and float(token) >= LEAST_COUNTS:  # g/16384: 16384 counts are 1 g
             size *= float(token) ** sign
             continue
         power = _meant(token, _POWERS)
@@ -195,10 +195,10 @@ def _of_words(text: str) -> tuple[float, str] | None:
 
 
 def _tokens(text: str) -> Iterator[str]:
-    """Words, signs and exponents of a unit in small letters, without accents."""
+    """Yield words, signs and exponents of a unit in lower case, without accents."""
     plain = re.sub("[\u0300-\u036f]", "", normalize("NFKD", text.replace("º", "°")))
     plain = re.sub(r"(?<=[a-z])(?=[A-Z])", " ", plain.replace("_", " ")).casefold()
-    plain = re.sub(r"\bmps[ ^*-]*2\b", "m/s2", plain)  # the exponent is that of the second
+    plain = re.sub(r"\bmps[ ^*-]*2\b", "m/s2", plain)  # the exponent belongs to the second
     plain = re.sub(r"^ *unit\b|'s\b", "", re.sub(r"\bper cent", "percent", plain))
     plain = re.sub(r"\^(?=[a-z])", "/", plain.replace("\u2212", "-"))
     for token in re.findall(r"[^\W\d]+|[°%/]|-?\d+(?:\.\d+)?", plain):
@@ -211,7 +211,7 @@ def _tokens(text: str) -> Iterator[str]:
 
 
 def _meant(token: str, known: Mapping[str, T]) -> T | None:
-    """What a token means in a table: its word whole, cut off, or with an ending."""
+    """Look up a token in a table: as a whole word, a shortened word, or with an ending."""
     if token in known or len(token) < _SHORTEST_CUT:
         return known.get(token)
     for word, meaning in known.items():

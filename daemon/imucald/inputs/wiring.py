@@ -1,4 +1,4 @@
-"""Configuration and databases -> a `Router`. What does not fit is a ConfigError with its line."""
+"""Build a `Router` from configuration and databases. Mistakes raise ConfigError with the line."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ Number = TypeVar("Number", int, float)
 PLANAR_AXES = 2
 SPLIT_PLANAR = "x and y of a sensor without z must be in one message, in one frame"
 _SENSORS = ("accel", "gyro")
-"""Channels whose end-of-range values mean a saturated sensor."""
+"""Channels in which values at the end of the range mean a saturated sensor."""
 
 
 class LoadedDatabase(Struct):
@@ -45,7 +45,7 @@ class LoadedDatabase(Struct):
 
 
 class _MessageSignals(Struct):
-    """What is asked of one message; signs: see `MessageRoute`."""
+    """The requested signals of one message; signs: see `MessageRoute`."""
 
     message: Message
     channel: str | None
@@ -58,11 +58,11 @@ class _MessageSignals(Struct):
 
 
 Groups = dict[tuple[str, str | None, int | None], _MessageSignals]
-"""By message, channel of a recording, and sender."""
+"""Requested signals, by message, channel of a recording, and sender."""
 
 
 def load_databases(loaded: LoadedConfig) -> list[LoadedDatabase]:
-    """Read the configuration's databases; ConfigError at its line where one cannot be read."""
+    """Read the configuration's databases. Raises ConfigError with the line of an unreadable one."""
     found = []
     for i, entry in enumerate(loaded.config.database):
         place: Place = ("database", i)
@@ -79,7 +79,7 @@ def load_databases(loaded: LoadedConfig) -> list[LoadedDatabase]:
 def compile_router(loaded: LoadedConfig) -> Router:
     """Build the router that a configuration describes.
 
-    Raises ConfigError, with line and remedy, where a message, a signal or a unit does not fit.
+    Raises ConfigError with line and remedy if a message, a signal or a unit does not fit.
     """
     databases = load_databases(loaded)
     groups: Groups = {}
@@ -103,7 +103,7 @@ def compile_router(loaded: LoadedConfig) -> Router:
 
 
 def _signed_speed(groups: Iterable[_MessageSignals]) -> bool:
-    """Whether a speed signal can be negative: reverse is then read from its sign."""
+    """Whether a speed signal can be negative. If so, its sign shows reverse."""
     return any(
         w.channel == "speed" and (g.message.signal(g.names[i]).is_signed or i in g.signs)
         for g in groups
@@ -136,7 +136,7 @@ def _add_signal(
 def _signed_index(
     loaded: LoadedConfig, group: _MessageSignals, wanted: Wanted, signal: Signal
 ) -> int:
-    """Place of a signal, with the sign that it is given, among those asked of its message."""
+    """Return the index of a signal (with its sign signal) in the requested ones of its message."""
     path = wanted.source.sign_signal
     if path is None:
         for index, name in enumerate(group.names):
@@ -248,7 +248,7 @@ def _possible(
     signal: Signal,
     numbers: Iterable[Number],
 ) -> tuple[Number, ...]:
-    """What `check` makes of configured numbers; ConfigError at their place where it refuses one."""
+    """Apply `check` to configured numbers. If it refuses one, ConfigError names their place."""
     try:
         return tuple(check(signal, number) for number in numbers)
     except (ConfigError, DatabaseError) as error:
@@ -272,7 +272,7 @@ def _unit(text: str | None, dimension: str) -> Unit:
 
 
 def _rails(signal: Signal | None, source: cfg.SourceSettings) -> tuple[float, float] | None:
-    """Physical values at which the sensor has run into its end."""
+    """Return the physical values at which the sensor is saturated."""
     if signal is None or signal.is_float:
         return None
     try:
@@ -280,7 +280,7 @@ def _rails(signal: Signal | None, source: cfg.SourceSettings) -> tuple[float, fl
     except OverflowError:  # whole numbers of any size; who decodes the signal refuses it
         return None
     low, high = min(ends), max(ends)
-    if source.sign_signal is not None:  # the values of a magnitude end at zero, the sensor does not
+    if source.sign_signal is not None:  # a magnitude ends at zero, the sensor does not
         low = -high
     if source.range is None and signal.minimum is not None and signal.maximum is not None:
         high = min(high, signal.maximum)
@@ -315,7 +315,7 @@ def _raw_route(
 def _raw_checker(
     loaded: LoadedConfig, databases: Sequence[LoadedDatabase], match: IdMatch
 ) -> tuple[str, MessageChecker | None]:
-    """The configured message that a raw source reads, by its identifier, and its protection."""
+    """Return the configured message of a raw source (by identifier), and its checker."""
     for name, protection in loaded.config.messages.items():
         for holder in databases:
             message = holder.database.messages.get(name)
@@ -369,13 +369,13 @@ def _taps(group: _MessageSignals) -> Iterator[Tap]:
 
 
 def _tap_key(group: _MessageSignals, wanted: Wanted, index: int) -> Hashable:
-    """Equal for numbers of one sample that come in one frame: under the same multiplexer values."""
+    """Return a key that is equal for numbers in the same frame (same multiplexer values)."""
     selectors = group.message.signal(group.names[index]).selectors
     return wanted.channel, wanted.rank, selectors
 
 
 def _third(wanted: Wanted) -> float | None:
-    """The axis that a sensor of two lacks: of the accelerometer gravity, of others not known."""
+    """Return the missing axis of a two-axis sensor: gravity for an accelerometer, else unknown."""
     if not wanted.planar:
         return None
     return PLANAR_Z if wanted.channel == "accel" else math.nan

@@ -1,1 +1,1 @@
-"""A simulated drive as CAN traffic: encoded, with other units, into a log or onto a bus."""
+"""Send a simulated drive as CAN traffic, with frames of other units, to a log or a bus."""

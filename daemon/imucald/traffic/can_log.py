@@ -16,20 +16,20 @@ from imucald.traffic.drive_encoder import BusEncoder
 from imucald.traffic.other_units import arbitrated, background, joined
 
 EPOCH_S = 1_600_000_000.0
-"""Stamp of the start of a drive [UNIX s], where no other is asked for."""
+"""Default time stamp of the start of a drive [UNIX s]."""
 BLOCK_S = 30.0
-"""Frames are made in blocks, so that memory does not grow with background traffic."""
+"""Length of a block of frames [s]. With blocks, background traffic does not increase memory."""
 
 Progress = Callable[[float], None]
-"""Called with the seconds of the drive that are written."""
+"""Callback for progress. Argument: written time of the drive [s]."""
 
 
 def bus_frames(
     drive: Drive, encoder: BusEncoder, with_background: bool = False
 ) -> Iterator[FrameColumns]:
-    """Frames of a drive in the order of the bus, block by block; t in seconds from its start.
+    """Yield the frames of a drive in bus order, block by block; t is in seconds since its start.
 
-    Each channel of the recording is a bus of its own; other units' traffic is on the first.
+    Each channel of the recording is a separate bus. The traffic of other units is on the first.
     """
     ours = joined(list(encoder.frames(drive)))
     ours = ours.take(np.argsort(ours.t, kind="stable"))
@@ -56,7 +56,7 @@ def bus_frames(
 def live_frames(
     drive: Drive, encoder: BusEncoder, with_background: bool = False
 ) -> Iterator[tuple[float, int, bytes]]:
-    """Frames one by one: (seconds from the drive's start, id with the 29-bit flag, payload)."""
+    """Yield single frames: (seconds since the drive's start, id with 29-bit flag, payload)."""
     for block in bus_frames(drive, encoder, with_background):
         yield from block.rows()
 
@@ -69,9 +69,9 @@ def write_log(
     progress: Progress | None = None,
     start_s: float = EPOCH_S,
 ) -> int:
-    """Write a drive as a candump log; return the number of frames. LogError where it cannot be.
+    """Write a drive as a candump log; return the number of frames. Raises LogError on failure.
 
-    start_s: stamp of the start [UNIX s].
+    start_s: time stamp of the start [UNIX s].
     """
     with CandumpWriter(path) as writer:
         for block in bus_frames(drive, encoder, with_background):

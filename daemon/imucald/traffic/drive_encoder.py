@@ -1,8 +1,8 @@
-"""Samples -> frames, through the configuration that decodes them: the reader's way, backwards.
+"""Encode samples to frames with the configuration that decodes them.
 
-What `inputs.wiring` compiles for reading says which signal is which quantity, in which unit, with
-which counter and checksum; here the same routes are run in the other direction. So a simulated log
-can be written in the frames of any vehicle that has a configuration.
+The routes of `inputs.wiring` define the signal, unit, counter and checksum of each quantity. This
+module uses the same routes in the reverse direction. So a simulated log can be written in the
+frames of any vehicle that has a configuration.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ from imucald.simulation.drive import Drive
 from imucald.simulation.timing import frame_timing
 
 CHANNEL = "can0"
-"""Bus of a recording where the configuration names none."""
+"""Channel of a recording if the configuration names none."""
 
 
 def example_config() -> LoadedConfig:
@@ -38,17 +38,17 @@ def example_config() -> LoadedConfig:
 
 
 class BusEncoder:
-    """Turns drives into the frames of a vehicle.
+    """Encodes drives to the frames of a vehicle.
 
-    Raises ConfigError where the configuration names no message whose signals are simulated.
-    Quantities that come by a raw expression cannot be written and are left out (`left_out`).
+    Raises ConfigError if the configuration names no message with simulated signals. Quantities of
+    raw expressions cannot be written and are left out (`left_out`).
     """
 
     def __init__(self, loaded: LoadedConfig) -> None:
         routes = compile_router(loaded).routes
         self._routes = [route for route in routes if isinstance(route, MessageRoute)]
         self.left_out = [route.name for route in routes if not isinstance(route, MessageRoute)]
-        """Routes that cannot be written."""
+        """Names of the routes that cannot be written."""
         if not self._routes:
             raise ConfigError(
                 "the configuration takes no signal from a message of a database, "
@@ -57,13 +57,13 @@ class BusEncoder:
 
     @property
     def ids(self) -> frozenset[int]:
-        """Identifiers of the frames, with the flag for 29 bits."""
+        """The identifiers of the frames, with the flag for 29 bits."""
         return frozenset(route.plan.message.can_id for route in self._routes)
 
     def frames(self, drive: Drive) -> Iterator[FrameColumns]:
-        """Frames of each message, in its own time order; t is in seconds from the drive's start.
+        """Yield the frames of each message in time order; t is in seconds since the drive's start.
 
-        Values beyond a signal's range are written as its nearest end, as saturated sensors do.
+        A value outside a signal's range is written as the nearest limit, as in a saturated sensor.
         """
         for route in self._routes:
             found = _message_frames(route, drive)
@@ -102,7 +102,7 @@ def _message_frames(route: MessageRoute, drive: Drive) -> FrameColumns | None:
 def _tap_columns(
     route: MessageRoute, tap: Tap, drive: Drive
 ) -> Iterator[tuple[str, NDArray[np.float64]]]:
-    """Physical values of a tap's signals, one for each sample of its channel."""
+    """Yield the physical values of a tap's signals, one for each sample of its channel."""
     series = drive.samples[tap.channel]
     for component, slot in zip(tap.components, tap.slots, strict=True):
         name = route.plan.signal_names[component.index]
@@ -120,7 +120,7 @@ def _tap_columns(
 
 
 def _direction(drive: Drive, series: Series) -> NDArray[np.float64]:
-    """Sign for a speed signal that is negative in reverse."""
+    """Return the sign for a speed signal that is negative in reverse."""
     reverse = drive.samples.get("reverse")
     if reverse is None or not len(reverse.t):
         return np.ones(len(series.t))
@@ -130,7 +130,7 @@ def _direction(drive: Drive, series: Series) -> NDArray[np.float64]:
 
 
 def _physical(conversion: Conversion, values: NDArray[np.float64]) -> NDArray[np.float64]:
-    """SI -> the database's physical value: `quantities.Conversion`, solved."""
+    """Convert SI to the database's physical value, the inverse of `conversion.Conversion`."""
     if conversion.unit.dimension == "flag":
         return _flag_values(conversion, values)
     unit = conversion.unit
@@ -166,7 +166,7 @@ def _clipped(signal: Signal, values: NDArray[np.float64]) -> NDArray[np.float64]
 def _protected(
     route: MessageRoute, drive: Drive, leader: str, data: NDArray[np.uint8]
 ) -> NDArray[np.uint8]:
-    """Counter and checksum; the counter goes on over lost frames, as the sender does not know."""
+    """Add counter and checksum. Lost frames are counted too, because the sender cannot see them."""
     spec = route.checker.spec
     if spec.counter is None and spec.checksum is None:
         return data

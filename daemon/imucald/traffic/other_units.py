@@ -1,4 +1,4 @@
-"""The bus that frames share: arbitration, and the traffic of all other units."""
+"""A shared bus: arbitration, and the traffic of all other units."""
 
 from __future__ import annotations
 
@@ -13,19 +13,19 @@ from imucald.core.arrays import Array
 from imucald.simulation.filters import generator
 
 STANDARD_BITS = 47
-"""Bits of an 11-bit data frame without payload, with the gap to the next one."""
+"""Bits of a data frame with 11-bit id, without payload, with the gap to the next frame."""
 EXTENDED_BITS = 67
 STUFFING = 1.1
-"""Stuffed bits, on average."""
+"""Average factor for stuff bits."""
 CYCLES_S = (0.01, 0.02, 0.05, 0.1, 1.0)
 CYCLE_SHARES = (0.22, 0.22, 0.16, 0.28, 0.12)
-"""How many messages of a real bus have each cycle."""
+"""Share of the messages of a real bus with each cycle."""
 
 
 def background(
     seed: int, frames_per_s: float, avoid: frozenset[int], start_s: float, stop_s: float
 ) -> FrameColumns:
-    """Frames of other units in [start_s, stop_s); the same messages whatever the interval."""
+    """Return frames of other units in [start_s, stop_s). Messages do not depend on the interval."""
     rng = generator(seed, "background")
     cycles: list[float] = []
     while sum(1.0 / c for c in cycles) < frames_per_s:
@@ -65,10 +65,10 @@ def _moments(
 
 
 def arbitrated(frames: FrameColumns, bitrate: float, busy_until: float) -> FrameColumns:
-    """Send frames over one bus: none overlaps, the lower id goes first among those that wait.
+    """Send frames over one bus. Frames do not overlap; of waiting frames, the lowest id is first.
 
-    frames: any order; t is when each was handed over. busy_until: when the bus is free first [s].
-    The t of the result is the end of each frame, when receivers take its stamp.
+    frames: in any order; t is the time of the send request. busy_until: time when the bus becomes
+    free [s]. In the result, t is the end of each frame, when receivers record its time stamp.
     """
     order = np.argsort(frames.t, kind="stable")
     request = frames.t[order]
@@ -85,7 +85,7 @@ def arbitrated(frames: FrameColumns, bitrate: float, busy_until: float) -> Frame
 
 
 def _ends(request: Array, duration: Array, busy_until: float) -> Array:
-    """End of each frame in a first-come queue: end[k] = max(request[k], end[k-1]) + duration[k]."""
+    """Return frame ends in a first-come queue: end[k] = max(request[k], end[k-1]) + duration[k]."""
     total = np.cumsum(duration)
     slack = np.maximum.accumulate(np.maximum(request, busy_until) - (total - duration))
     ends: Array = slack + total
@@ -95,7 +95,7 @@ def _ends(request: Array, duration: Array, busy_until: float) -> Array:
 def _in_order_of_priority(
     request: Array, duration: Array, priority: NDArray[np.int64], end: Array
 ) -> NDArray[np.intp]:
-    """Places (N,) of frames, given first come first served, in the order in which they are sent."""
+    """Return indices (N,) in sending order. end: frame ends for first come, first served."""
     result = np.arange(len(request))
     starts = (end - duration).tolist()
     waits, lengths, ranks = request.tolist(), duration.tolist(), priority.tolist()
@@ -107,10 +107,10 @@ def _in_order_of_priority(
 def _contested(
     request: Array, duration: Array, priority: NDArray[np.int64], end: Array
 ) -> list[tuple[int, int]]:
-    """Busy periods in which first come is not first served, as ranges of frames.
+    """Return the busy periods in which priority changes the order, as ranges of frames.
 
-    That is so exactly where some frame has a successor that was there when it started and has
-    priority: if a later one than the successor has, so has one between them.
+    The order changes exactly if a frame is followed directly by one that was already waiting and
+    has priority. This test of neighbours also finds all later frames with priority.
     """
     if len(request) < 2:
         return []
@@ -129,7 +129,7 @@ def _served(
     stop: int,
     start: float,
 ) -> list[int]:
-    """Order of the frames [first, stop) of one busy period that begins at `start` [s]."""
+    """Return the order of the frames [first, stop) in a busy period that begins at `start` [s]."""
     waiting: list[tuple[int, int]] = []
     served: list[int] = []
     now, coming = start, first
@@ -151,7 +151,7 @@ def _durations(frames: FrameColumns, bitrate: float) -> Array:
 
 
 def _priority(can_id: NDArray[np.uint32]) -> NDArray[np.int64]:
-    """Order of arbitration: the first 11 bits decide, then the standard frame wins."""
+    """Return the arbitration rank: the first 11 bits decide, then the standard frame wins."""
     extended = (can_id & CAN_EFF_FLAG) != 0
     number = (can_id & 0x1FFF_FFFF).astype(np.int64)
     result: NDArray[np.int64] = np.where(extended, (number << 1) | 1, number << 19)
@@ -159,7 +159,7 @@ def _priority(can_id: NDArray[np.uint32]) -> NDArray[np.int64]:
 
 
 def joined(parts: Sequence[FrameColumns]) -> FrameColumns:
-    """Put frames of several messages into one, channels and widths made common."""
+    """Join frames of several messages, with common channels and width."""
     channels = tuple(dict.fromkeys(name for part in parts for name in part.channels))
     width = max(part.data.shape[1] for part in parts)
 

@@ -1,4 +1,4 @@
-"""A drive in real time (or faster) onto a bus."""
+"""Send a drive to a bus in real time (or faster)."""
 
 from __future__ import annotations
 
@@ -11,18 +11,18 @@ from imucald.traffic.can_log import Progress, live_frames
 from imucald.traffic.drive_encoder import BusEncoder
 
 EARLY_S = 0.0005
-"""Frames due within this are sent at once: sleeping shorter than that is not dependable."""
+"""Frames due within this time are sent at once [s], because shorter sleeps are not reliable."""
 PROGRESS_S = 0.5
 
 
 class FrameSink(Protocol):
-    """What `play` needs of a `can.link.link.Link`."""
+    """The methods of a `can.link.link.Link` that `play` needs."""
 
     def send(self, can_id: int, data: bytes) -> bool:
-        """Send one frame; whether it was accepted."""
+        """Send one frame. Return whether it was accepted."""
 
     def receive(self, timeout: float) -> object:
-        """Wait; the link keeps itself alive in the meantime."""
+        """Wait. Meanwhile, the link maintains its connection."""
 
 
 def play(
@@ -34,9 +34,9 @@ def play(
     progress: Progress | None = None,
     clock: Callable[[], float] = time.monotonic,
 ) -> int:
-    """Send a drive's frames at their times, `speed` times as fast; return how many were accepted.
+    """Send a drive's frames at their times, `speed` times as fast. Return the accepted number.
 
-    speed: 1 is real time. A frame that the bus does not take is lost, as on a real one.
+    speed: 1 is real time. A frame that the bus does not accept is lost, as on a real bus.
     """
     began = clock()
     accepted, reported = 0, 0.0

@@ -1,5 +1,5 @@
-"""Unified diagnostic services (ISO 14229-1): bytes of a request in, bytes of a response out.
+"""Unified diagnostic services (ISO 14229-1): convert request bytes to response bytes.
 
-No I/O and no clock of its own. `isotp_channel` carries requests and responses in CAN frames;
-`service.uds_on_bus` puts the server on the running daemon.
+The server has no I/O and no clock. `isotp_channel` transports requests and responses in CAN frames.
+`service.uds_on_bus` connects the server to the running daemon.
 """

@@ -7,7 +7,7 @@ from typing import Final
 
 
 class Sid(enum.IntEnum):
-    """Services that are answered."""
+    """Supported services."""
 
     SESSION_CONTROL = 0x10
     CLEAR_DTCS = 0x14
@@ -49,9 +49,9 @@ EXTENDED_ONLY: Final = frozenset({Session.EXTENDED})
 NEGATIVE: Final = 0x7F
 """First byte of a negative response."""
 POSITIVE: Final = 0x40
-"""Added to the service's number in a positive response; set in no request."""
+"""Added to the service's number in a positive response. This bit is 0 in every request."""
 SUPPRESS: Final = 0x80
-"""Bit of a sub-function: no positive response is wanted."""
+"""Bit of a sub-function: the positive response is suppressed."""
 
 Answer = bytes | Nrc
-"""What a service says: the response without the service's number, or why it refuses."""
+"""Answer of a service: the response without the service's number, or the negative code."""

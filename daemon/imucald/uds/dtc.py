@@ -1,4 +1,4 @@
-"""The DTCs."""
+"""The diagnostic trouble codes (DTCs)."""
 
 from __future__ import annotations
 
@@ -6,15 +6,16 @@ from dataclasses import dataclass
 from typing import Final
 
 NOT_CALIBRATED_S: Final = 1200.0
-"""A calibration takes minutes of driving; without one for so long the code is confirmed [s]."""
+"""Time without a calibration until the code is confirmed [s]. A calibration takes minutes of
+driving."""
 
 
 @dataclass(frozen=True)
 class Dtc:
     """One DTC.
 
-    number: three bytes, the last is the kind of failure (SAE J2012-DA). confirm_after: seconds
-    of failing until it is confirmed.
+    number: three bytes, the last is the failure type (SAE J2012-DA). confirm_after: duration of the
+    failure until the code is confirmed [s].
     """
 
     number: int
@@ -24,7 +25,7 @@ class Dtc:
 
     @property
     def display(self) -> str:
-        """The code as a tester shows it, such as "C1A10-54"."""
+        """The code in the form of a tester, such as "C1A10-54"."""
         kind = "PCBU"[self.number >> 22]
         return f"{kind}{self.number >> 8 & 0x3FFF:04X}-{self.number & 0xFF:02X}"
 
@@ -34,8 +35,8 @@ FAULTS: Final = {
     "stuck": (0x2A, "it, or one of its axes, repeats the same value"),
     "implausible": (0x64, "its values are impossible for a road vehicle, or its unit is wrong"),
 }
-"""Faults of sensors: kind of failure (signal amplitude above its maximum, signal stuck in range,
-signal plausibility failure), and what is meant."""
+"""Faults of sensors: failure type (signal amplitude above its maximum, signal stuck in range,
+signal plausibility failure), and its meaning."""
 FAULTY: Final = {
     sensor: {
         fault: Dtc(code << 8 | kind, f"{sensor}_{fault}", meaning)
@@ -49,7 +50,7 @@ FAULTY: Final = {
         ("yaw_rate", 0x5A17, "it repeats the same value while the vehicle turns"),
     )
 }
-"""By sensor or signal, and fault."""
+"""The DTC of each fault, by sensor or signal."""
 NOT_CALIBRATED = Dtc(0x5A1054, "not_calibrated", "no correction is in force", NOT_CALIBRATED_S)
 SENSOR_MOVED = Dtc(0x5A1176, "sensor_moved", "the sensor seems to have been moved")
 ACCELEROMETER_MISSING = Dtc(0x5A1287, "accelerometer_missing", "no good sample for a second")
@@ -82,4 +83,4 @@ DTCS: Final = (
     DUPLICATE_SENDER,
     *(dtc for faults in FAULTY.values() for dtc in faults.values()),
 )
-"""All, in the order in which they are reported."""
+"""All DTCs, in the order in which they are reported."""

@@ -1,4 +1,4 @@
-"""The memory of DTCs, with the status bits of ISO 14229-1, and the tests that fill it.
+"""The memory of DTCs, with the status bits of ISO 14229-1, and the tests that set DTCs.
 
 An operation cycle is one run of the daemon.
 """
@@ -29,11 +29,11 @@ from imucald.uds.dtc import (
 from imucald.uds.host import Symptoms
 
 WINDOW_S: Final = 10.0
-"""Faults of frames are counted over so long [s]; none for so long, and the test is passed."""
+"""Window for counting faults of frames [s]. The test is passed after this time without a fault."""
 FAULTS: Final = 3
-"""So many in the window fail the test: single ones are what a bus's noise makes."""
+"""Number of faults in the window that fail the test. Bus noise causes only single faults."""
 AGED_OUT: Final = 40
-"""Cycles in a row without a failure after which a confirmed code is let go."""
+"""Number of consecutive cycles without a failure after which a confirmed code is removed."""
 DUPLICATE_FAULTS: Final = ("duplicate_sender",)
 CHECKSUM_FAULTS: Final = ("checksum",)
 COUNTER_FAULTS: Final = (
@@ -45,7 +45,7 @@ COUNTER_FAULTS: Final = (
 
 
 class DtcStatus(enum.IntFlag):
-    """Bits of a code's status."""
+    """The status bits of a code."""
 
     TEST_FAILED = 0x01
     FAILED_THIS_CYCLE = 0x02
@@ -57,7 +57,7 @@ class DtcStatus(enum.IntFlag):
 
 
 AVAILABLE: Final = 0x7F
-"""All bits but the one that asks for a warning lamp."""
+"""All supported bits: all except the request of a warning lamp."""
 CLEARED: Final = DtcStatus.NOT_COMPLETED_SINCE_CLEAR | DtcStatus.NOT_COMPLETED_THIS_CYCLE
 
 
@@ -69,9 +69,9 @@ _MISSING: Mapping[str, Dtc] = {
 
 
 class FaultRate:
-    """Judges a growing counter: failed by `limit` faults within the window, passed by none.
+    """Tests an increasing counter of faults: `limit` faults in the window fail, no fault passes.
 
-    Between the two, and before any frame was there to be judged, it says None.
+    With fewer faults, or before the first frame, the result is None.
     """
 
     def __init__(self, limit: int) -> None:
@@ -81,7 +81,7 @@ class FaultRate:
         self._alive_since: float | None = None
 
     def judge(self, now: float, total: int, alive: bool) -> bool | None:
-        """Whether the test fails. total: the counter; alive: something was there to be judged."""
+        """Return whether the test fails. total: the counter. alive: whether frames arrived."""
         self._recent.extend([now] * min(max(total - self._total, 0), self._limit))
         self._total = total
         if len(self._recent) == self._limit and now - self._recent[0] < WINDOW_S:
@@ -95,22 +95,22 @@ class FaultRate:
         return False if now - quiet_since >= WINDOW_S else None
 
     def forget(self) -> None:
-        """Only what comes from now on counts."""
+        """Ignore all faults before now."""
         self._recent.clear()
 
 
 @dataclass
 class DtcRecord:
-    """What is remembered of one code. occurrences, aged: 0 to 255."""
+    """The stored data of one code. occurrences, aged: 0 to 255."""
 
     status: DtcStatus = CLEARED
     occurrences: int = 0
     aged: int = 0
-    """Cycles in a row that ended without a failure, while confirmed."""
+    """Number of consecutive cycles without a failure since the code was confirmed."""
     failing_since: float | None = None
 
     def failed(self, now: float, confirm_after: float) -> None:
-        """The test failed."""
+        """Register a failed test."""
         if not self.status & DtcStatus.TEST_FAILED:
             self.occurrences = min(self.occurrences + 1, 255)
             self.failing_since = now
@@ -122,12 +122,12 @@ class DtcRecord:
             self.aged = 0
 
     def passed(self) -> None:
-        """The test was passed."""
+        """Register a passed test."""
         self.status &= ~(CLEARED | DtcStatus.TEST_FAILED)
         self.failing_since = None
 
     def new_cycle(self) -> None:
-        """A new run begins."""
+        """Begin a new run."""
         failed = bool(self.status & DtcStatus.FAILED_THIS_CYCLE)
         completed = not self.status & DtcStatus.NOT_COMPLETED_THIS_CYCLE
         if completed and not failed:
@@ -144,7 +144,7 @@ class DtcRecord:
 
 @dataclass
 class DtcMemory:
-    """All codes. `update` is called some times a second with what is known now."""
+    """The memory of all codes. `update` is called several times per second with the symptoms."""
 
     _records: dict[int, DtcRecord] = field(
         default_factory=lambda: {t.number: DtcRecord() for t in DTCS}
@@ -164,18 +164,18 @@ class DtcMemory:
         return ((dtc, self._records[dtc.number]) for dtc in DTCS)
 
     def find(self, number: int) -> DtcRecord | None:
-        """The record of a code."""
+        """Return the record of a code."""
         return self._records.get(number)
 
     def clear(self, number: int | None = None) -> None:
-        """Forget one code, or all; a test that still fails sets its code again."""
+        """Clear one code, or all. A test that still fails sets its code again."""
         for key in self._records if number is None else (number,):
             self._records[key] = DtcRecord()
             if key in self._rates:
                 self._rates[key].forget()
 
     def update(self, now: float, symptoms: Symptoms) -> None:
-        """Judge all tests. now: monotonic [s]."""
+        """Run all tests. now: monotonic [s]."""
         for dtc, failed in self._results(now, symptoms):
             record = self._records[dtc.number]
             if failed:
@@ -206,7 +206,7 @@ class DtcMemory:
         return self._rates[dtc.number].judge(now, total, alive)
 
     def _is_alive(self, now: float, used: int) -> bool:
-        """Whether good frames came within the last second."""
+        """Whether good frames arrived within the last second."""
         if used != self._used:
             self._used, self._alive_at = used, now
         return now - self._alive_at < 1.0
@@ -214,14 +214,14 @@ class DtcMemory:
     # over restarts ---------------------------------------------------------------------------
 
     def saved(self) -> dict[str, Any]:
-        """What to keep over a restart, as JSON can carry it."""
+        """Return the data to keep over a restart, in a form for JSON."""
         return {
             f"{number:06X}": [int(r.status), r.occurrences, r.aged]
             for number, r in self._records.items()
         }
 
     def restore(self, saved: Mapping[str, Any]) -> None:
-        """Take back what `saved` gave, as of an earlier cycle; what makes no sense is passed by."""
+        """Restore data of `saved` from an earlier cycle. Invalid data are ignored."""
         for number, record in self._records.items():
             kept = _kept(saved.get(f"{number:06X}"))
             if kept is not None:
@@ -235,7 +235,7 @@ def _sum(faults: Mapping[str, int], reasons: tuple[str, ...]) -> int:
 
 
 def _kept(found: object) -> tuple[int, int, int] | None:
-    """DtcStatus, occurrences and cycles without failure, where that is what was found."""
+    """Return status, occurrences and cycles without failure; None if the data are invalid."""
     if not isinstance(found, list) or len(found) != 3:
         return None
     status, occurrences, aged = found

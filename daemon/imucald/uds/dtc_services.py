@@ -17,7 +17,7 @@ SUPPORTED: Final = 0x0A
 
 ALL_GROUPS: Final = 0xFFFFFF
 J2012_FORMAT: Final = 0x00
-"""Format of the codes: SAE J2012-DA, two bytes of code and one of failure type."""
+"""Format of the codes: SAE J2012-DA, two bytes for the code and one for the failure type."""
 
 OCCURRENCES: Final = 0x01
 AGED: Final = 0x02
@@ -51,7 +51,7 @@ class ReadDtcs:
         self._memory = memory
 
     def answer(self, data: bytes) -> Answer:
-        """Answer a report request; data: from the sub-function on."""
+        """Answer a report request; data: the bytes from the sub-function on."""
         sub, rest = data[0], data[1:]
         if sub == SUPPORTED:
             return Nrc.INCORRECT_LENGTH if rest else self._list(sub, self._memory)
@@ -70,7 +70,7 @@ class ReadDtcs:
         return bytes([sub, AVAILABLE]) + b"".join(lines)
 
     def _extended(self, rest: bytes) -> Answer:
-        """Occurrences and cycles without failure, of one code."""
+        """Return occurrences and cycles without failure of one code."""
         if len(rest) != 4:
             return Nrc.INCORRECT_LENGTH
         number, wanted = int.from_bytes(rest[:3], "big"), rest[3]

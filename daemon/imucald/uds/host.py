@@ -1,4 +1,4 @@
-"""What the server asks of the calibration it speaks for, and has done to it."""
+"""The interface of a calibration for the UDS server: data to read and actions."""
 
 from __future__ import annotations
 
@@ -11,9 +11,9 @@ from imucald.mount.estimate import MountEstimate
 
 @dataclass(frozen=True)
 class Identity:
-    """What does not change while the daemon runs.
+    """Data that do not change while the daemon runs.
 
-    configuration: 32 bytes that differ when the configuration does.
+    configuration: 32 bytes that change if the configuration changes.
     """
 
     version: str
@@ -23,9 +23,9 @@ class Identity:
 
 @dataclass(frozen=True)
 class FrameCounts:
-    """What has happened since the start.
+    """Numbers of frames since the start.
 
-    faults: rejected frames and samples by reason. conflicts: frames of others under our ids.
+    faults: rejected frames and samples by reason. conflicts: frames of other nodes with our ids.
     """
 
     received: int = 0
@@ -39,12 +39,12 @@ class FrameCounts:
 
 @dataclass(frozen=True)
 class Symptoms:
-    """What the DTCs are made from; None where it cannot be reported.
+    """The inputs of the DTC tests. A value is None if it cannot be determined.
 
-    usable: a correction is in force. moved: the sensor seems to have been moved. missing: inputs
-    by name ("accelerometer", "gyroscope", "speed") that are configured: whether they are missing.
-    faulty: sensors by name that are configured, "speed" and "yaw_rate": their faults ("stuck",
-    "saturated", "implausible"). state_corrupt: a saved state was found and could not be used.
+    usable: a correction is active. moved: the sensor seems to have been moved. missing: for each
+    configured input ("accelerometer", "gyroscope", "speed"), whether it is missing. faulty: for
+    each configured sensor, "speed" and "yaw_rate", its faults ("stuck", "saturated",
+    "implausible"). state_corrupt: a saved state was found but could not be used.
     """
 
     usable: bool
@@ -60,17 +60,17 @@ class Host(Protocol):
 
     @property
     def identity(self) -> Identity:
-        """Who it is."""
+        """The identity of the calibration."""
         ...
 
     @property
     def quality(self) -> int:
-        """Quality of the correction in force, as in the corrected frames."""
+        """Quality of the active correction, as in the corrected frames."""
         ...
 
     @property
     def standing(self) -> bool | None:
-        """Whether the vehicle stands; None where its speed is not known."""
+        """Whether the vehicle stands; None if its speed is not known."""
         ...
 
     @property
@@ -79,39 +79,39 @@ class Host(Protocol):
         ...
 
     def estimate(self) -> MountEstimate:
-        """The present state of knowledge about the mount."""
+        """The present estimate of the mount."""
         ...
 
     def counts(self) -> FrameCounts:
-        """What has happened since the start."""
+        """Numbers of frames since the start."""
         ...
 
     def begin_calibration(self) -> None:
-        """Begin again; what was known is kept aside for `return_to_former`."""
+        """Start a new calibration. The former one is kept for `return_to_former`."""
         ...
 
     def return_to_former(self) -> bool:
-        """Take back what was kept aside; whether it still fits."""
+        """Return to the kept calibration. Return whether it still fits."""
         ...
 
     def accept_calibration(self) -> None:
-        """Let go of what was kept aside."""
+        """Accept the new calibration, and delete the kept one."""
         ...
 
     def check_sensors(self) -> bool:
-        """Repeat the sensor check at the next rest; whether there is one to repeat."""
+        """Repeat the sensor check at the next rest. Return whether there is a check to repeat."""
         ...
 
     @property
     def sensors_checked(self) -> bool:
-        """Whether the sensor check has been made."""
+        """Whether the sensor check is complete."""
         ...
 
     def forget(self) -> None:
-        """Begin again and keep nothing, a saved state neither."""
+        """Start a new calibration, and delete the former one and the saved state."""
         ...
 
     @property
     def is_forgotten(self) -> bool:
-        """Whether the disk has taken that: nothing comes back with another start."""
+        """Whether the deletion is stored on disk, so that a restart cannot restore anything."""
         ...

@@ -1,6 +1,6 @@
-"""Read data by identifier (service 0x22): what can be read, and how it is written.
+"""Read data by identifier (service 0x22): the identifiers and the format of their data.
 
-Numbers are big endian, as everywhere in ISO 14229. What is not known has its own raw value.
+Numbers are big endian, as everywhere in ISO 14229. An unknown value has a special raw value.
 """
 
 from __future__ import annotations
@@ -16,9 +16,9 @@ from imucald.uds.codes import Answer, Nrc
 from imucald.uds.host import Host
 
 MAX_IDENTIFIERS = 16
-"""In one request: bounds the work and the response."""
+"""Largest number of identifiers in a request. It limits the work and the response."""
 MAX_RESPONSE = 512
-"""Bytes of a response; a longer one is refused."""
+"""Longest response [bytes]. A request for a longer one is refused."""
 VIN_BYTES = 17
 
 ANGLE_NOT_KNOWN = -0x8000
@@ -45,14 +45,14 @@ COUNTED_FAULTS = (
 
 @dataclass(frozen=True)
 class Identifier:
-    """A data identifier: its name, and the bytes to answer with (None: not supported now)."""
+    """A data identifier: its name, and a function for its bytes (None: not supported now)."""
 
     name: str
     read: Callable[[Host], bytes | None]
 
 
 def _angles(host: Host) -> bytes:
-    """As in the mount frame: only while a correction is in force."""
+    """Return the angles as in the mount frame, only while a correction is active."""
     angles = host.estimate().angles if host.quality else None
     raw = (ANGLE_NOT_KNOWN,) * 3 if angles is None else [_angle(a) for a in angles]
     return struct.pack(">3h", *raw)
@@ -64,7 +64,7 @@ def _angle(value: float) -> int:
 
 
 def _deviations(host: Host) -> bytes:
-    """Also before anything is usable: they show how far it is."""
+    """Return the deviations, also before a correction is usable. They show the progress."""
     std = host.estimate().std
     raw = (DEVIATION_NOT_KNOWN,) * 3 if std is None else [_deviation(s) for s in std]
     return struct.pack(">3H", *raw)
@@ -105,7 +105,7 @@ def _u32(*values: int) -> bytes:
 
 
 def _vin(host: Host) -> bytes | None:
-    """The vehicle's identity, where it has the form of a VIN."""
+    """Return the vehicle's identity if it has the form of a VIN."""
     text = host.identity.vehicle
     ok = len(text) == VIN_BYTES and text.isascii() and text.isalnum()
     return text.encode("ascii") if ok else None
@@ -131,14 +131,14 @@ IDENTIFIERS: Mapping[int, Identifier] = {
 
 
 class ReadData:
-    """The service. own: identifiers that the server itself can answer."""
+    """Service 0x22. own: identifiers that the server itself answers."""
 
     def __init__(self, host: Host, own: Mapping[int, Identifier]) -> None:
         self._host = host
         self._identifiers = {**IDENTIFIERS, **own}
 
     def answer(self, data: bytes) -> Answer:
-        """Answer a request for one or more identifiers; those not known are left out."""
+        """Answer a request for one or more identifiers. Unknown identifiers are left out."""
         if not data or len(data) % 2:
             return Nrc.INCORRECT_LENGTH
         wanted = [number for (number,) in struct.iter_unpack(">H", data)]

@@ -1,8 +1,8 @@
-"""ISO-TP (ISO 15765-2) in the daemon's loop: frames in, frames out, no thread, bounded in all.
+"""ISO-TP (ISO 15765-2) in the daemon's loop: process frames without a thread, with limits.
 
-The segments are handled by the `can-isotp` package. Everything that comes in may be hostile, so
-how many frames are looked at, how long a request or response is and how long it may take are all
-limited, and what is refused is counted.
+The package `can-isotp` handles the segments. Every received frame may be hostile. So the number of
+processed frames, the length of requests and responses, and their duration are limited. Refused
+frames and requests are counted.
 """
 
 from __future__ import annotations
@@ -16,34 +16,34 @@ from imucald.can.columns import CAN_EFF_FLAG, CAN_SFF_MASK
 from imucald.core.libraries import standing_in
 
 MAX_REQUEST: Final = 128
-"""Longest request [bytes]: twice the longest that has a meaning; others get "overflow"."""
+"""Longest request [bytes]: twice the longest valid one. Longer ones get the answer "overflow"."""
 FRAMES_PER_SECOND: Final = 500.0
-"""Frames that are looked at, on average: many times what a tester sends, little work for us."""
+"""Largest average rate of processed frames [1/s]. It is much more than a tester sends."""
 FRAMES_AT_ONCE: Final = 200.0
-"""The same in a burst."""
+"""Largest burst of processed frames."""
 SEND_WINDOW_S: Final = 0.05
 FRAMES_PER_WINDOW: Final = 16
-"""Frames sent in a window: what an interface's queue takes besides the corrected frames."""
+"""Frames sent per window. They fit the interface's queue together with the corrected frames."""
 PADDING: Final = 0xCC
-"""Fills frames up to 8 bytes (ISO 15765-2)."""
+"""Byte that fills frames up to 8 bytes (ISO 15765-2)."""
 LONGEST_RESPONSE_S: Final = 10.0
-"""A receiver that keeps a response waiting for longer is given up [s]."""
+"""Longest time of a response [s]. If the receiver delays it longer, it is aborted."""
 BUSY_WAIT_S: Final = 0.005
-"""How soon to come back while a response is being sent [s]."""
+"""Time until the next call of `poll` while a response is being sent [s]."""
 SINGLE_FRAME_BYTES: Final = 7
 
 CanFrame = tuple[int, bytes]
 """Id (with the flag for 29 bits) and payload of a frame to send."""
 
 Handler = Callable[[bytes, bool], bytes | None]
-"""Request, and whether it was sent to all nodes -> response or None."""
+"""Function with the request, and whether it was sent to all nodes. Returns a response or None."""
 
 
 def import_isotp() -> Any:
-    """Import can-isotp without python-can, which it would load for buses that are not used here.
+    """Import can-isotp without python-can. can-isotp needs python-can only for its own buses.
 
-    That is 10 MiB (of the 50 that a daemon may take) and 45 ms. Raises ImportError where can-isotp
-    is not installed.
+    This saves 10 MiB (a daemon may use 50 MiB) and 45 ms. Raises ImportError if can-isotp is not
+    installed.
     """
     with standing_in("can", None):
         import isotp  # noqa: PLC0415
@@ -52,15 +52,15 @@ def import_isotp() -> Any:
 
 
 def flagged(can_id: int) -> int:
-    """An id as links write it: with the flag where it has 29 bits."""
+    """Return an id in the form of links: with the flag if it has 29 bits."""
     return can_id | (CAN_EFF_FLAG if can_id > CAN_SFF_MASK else 0)
 
 
 class IsoTpChannel:
-    """Requests of one tester, one after the other.
+    """The channel for requests of one tester, one after the other.
 
-    handle: answers a request. clock: monotonic [s]. Ids as configured, without flag.
-    Raises ImportError where can-isotp is not installed.
+    handle: answers a request. clock: monotonic [s]. Ids are as configured, without flag.
+    Raises ImportError if can-isotp is not installed.
     """
 
     def __init__(
@@ -72,7 +72,7 @@ class IsoTpChannel:
         clock: Callable[[], float],
     ) -> None:
         self.counters: Counter[str] = Counter()
-        """Frames, requests, what was dropped, and the transport's errors by name."""
+        """Numbers of frames, requests, dropped items, and errors of the transport, by name."""
         self.request_id = flagged(request_id)
         self.response_id = flagged(response_id)
         self.functional_id = None if functional_id is None else flagged(functional_id)
@@ -109,16 +109,16 @@ class IsoTpChannel:
 
     @property
     def ids(self) -> frozenset[int]:
-        """The ids that are listened to, with the flag for 29 bits."""
+        """The ids of received frames, with the flag for 29 bits."""
         return frozenset(i for i in (self.request_id, self.functional_id) if i is not None)
 
     @property
     def wait(self) -> float:
-        """How long it can do without `poll` [s]."""
+        """Longest time until the next call of `poll` [s]."""
         return float("inf") if self._sending_since is None else BUSY_WAIT_S
 
     def frame(self, can_id: int, data: bytes) -> list[CanFrame]:
-        """Take a frame of one of `ids`; return what is to be sent."""
+        """Process a frame with one of `ids`. Return the frames to send."""
         if not self._is_allowed():
             self.counters["dropped"] += 1
             return []
@@ -135,7 +135,7 @@ class IsoTpChannel:
         return self._taken()
 
     def poll(self) -> list[CanFrame]:
-        """Let time pass: go on with a response; return what is to be sent."""
+        """Continue a response. Return the frames to send."""
         since = self._sending_since
         if since is not None and self._clock() - since > LONGEST_RESPONSE_S:
             self._give_up()
@@ -144,7 +144,7 @@ class IsoTpChannel:
         return self._taken()
 
     def _is_allowed(self) -> bool:
-        """Whether one more frame is looked at now."""
+        """Whether one more frame may be processed now."""
         now = self._clock()
         earned = (now - self._counted_at) * FRAMES_PER_SECOND
         self._allowance = min(self._allowance + earned, FRAMES_AT_ONCE)
@@ -155,7 +155,7 @@ class IsoTpChannel:
         return True
 
     def _take_functional(self, data: bytes) -> None:
-        """A request to all nodes is one frame; anything else is not answered."""
+        """Process a request to all nodes. It must be a single frame; others are not answered."""
         length = data[0] if data else 0
         if not 1 <= length <= SINGLE_FRAME_BYTES or len(data) <= length:
             self.counters["not_a_functional_request"] += 1
@@ -168,10 +168,10 @@ class IsoTpChannel:
         if response is None:
             return
         if self._stack.transmitting():
-            if to_all:  # a response on its way to one tester is worth more
+            if to_all:  # a running response to one tester has priority
                 self.counters["functional_response_dropped"] += 1
                 return
-            self._give_up()  # the tester asks again: it does not wait for the rest
+            self._give_up()  # a new request: the tester does not wait for the rest
         self._stack.send(response)
         self._sending_since = self._clock()
         self._process(receive=False)
@@ -203,7 +203,7 @@ class IsoTpChannel:
 
 
 def _silent_logger() -> str:
-    """Name of a logger that says nothing: each damaged frame would be a line; they are counted."""
+    """Return the name of a silent logger. Damaged frames are counted instead of being logged."""
     logger = logging.getLogger("imucald.isotp")
     logger.disabled = True
     return logger.name

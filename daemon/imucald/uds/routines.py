@@ -1,6 +1,6 @@
 """Routine control (service 0x31): calibrate again, reset, check the sensors again.
 
-All change what the daemon sends, so all ask for an unlocked server and a vehicle that stands.
+All routines change the daemon's output, so they need an unlocked server and a standing vehicle.
 """
 
 from __future__ import annotations
@@ -19,25 +19,26 @@ STOP: Final = 0x02
 RESULTS: Final = 0x03
 
 CALIBRATE: Final = 0xF010
-"""Begin again under supervision; stopping it takes the former calibration back."""
+"""Start a new supervised calibration. Stopping it restores the former calibration."""
 RESET: Final = 0xF011
-"""Forget the calibration, the saved one too; done at once, cannot be taken back.
+"""Delete the calibration and the saved state. It acts at once and cannot be undone.
 
-It runs for as long as the disk does not take it, so that a restart would bring the saved one back.
+The routine runs until the deletion is stored on disk. Until then, a restart would restore the saved
+state.
 """
 
 CHECK_SENSORS: Final = 0xF012
-"""Repeat the sensor check of the attitude: the vehicle has to stand until it is completed."""
+"""Repeat the sensor check of the attitude. The vehicle must stand until it is complete."""
 
 GOOD_QUALITIES: Final = (2, 3)
-"""*Usable* and *fine*: with these a calibration is there. 1 is restored and not confirmed yet, 4 is
-suspect: the drive contradicts it, and it is to be found again."""
+"""Qualities *usable* and *fine*: the calibration is complete. 1 is restored but not confirmed yet.
+4 is suspect: the drive contradicts the calibration, so it must be found again."""
 RESULT_IDENTIFIERS: Final = (0xFD03, 0xFD04, 0xFD05, 0xFD00, 0xFD01)
-"""Results end with state, quality, waiting reasons, angles, deviations, as these are read."""
+"""Identifiers at the end of results: state, quality, waiting reasons, angles, deviations."""
 
 
 class RoutineStatus(enum.IntEnum):
-    """How a routine is; the number in its results."""
+    """The status of a routine. The number is part of its results."""
 
     RUNNING = 1
     COMPLETED = 2
@@ -45,7 +46,7 @@ class RoutineStatus(enum.IntEnum):
 
 
 class Routines:
-    """The service. unlocked: whether security access was given."""
+    """Service 0x31. unlocked: returns whether security access was granted."""
 
     def __init__(self, host: Host, unlocked: Callable[[], bool]) -> None:
         self._host = host
@@ -58,7 +59,7 @@ class Routines:
         }
 
     def poll(self) -> None:
-        """See whether the calibration is there; called before each request too."""
+        """Check whether the calibration is complete. It is also called before each request."""
         if self._runs(CALIBRATE) and self._host.quality in GOOD_QUALITIES:
             self._status[CALIBRATE] = RoutineStatus.COMPLETED
             self._host.accept_calibration()
@@ -81,7 +82,7 @@ class Routines:
         return self._start(routine) if sub == START else self._stop(routine)
 
     def _start(self, routine: int) -> Answer:
-        if self._runs(routine) and routine != RESET:  # what was learnt since is to go as well
+        if self._runs(routine) and routine != RESET:  # delete what was learnt since then, too
             return Nrc.REQUEST_SEQUENCE_ERROR
         if not self._host.standing:
             return Nrc.CONDITIONS_NOT_CORRECT

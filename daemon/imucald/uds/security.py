@@ -1,4 +1,4 @@
-"""Security access (service 0x27): seed, key, wrong attempts and the delay they cost."""
+"""Security access (service 0x27): seed, key, wrong attempts and the delay after them."""
 
 from __future__ import annotations
 
@@ -11,21 +11,22 @@ from imucald.uds.codes import Answer, Nrc
 REQUEST_SEED = 0x01
 SEND_KEY = 0x02
 SEED_BYTES = 16
-"""As long as an AES block, for key functions that encrypt it."""
+"""Length of the seed [bytes]: one AES block, for key functions that encrypt it."""
 MAX_KEY_BYTES = 64
 
 KeyFunction = Callable[[bytes], bytes]
-"""Seed to key. It runs in the daemon's loop: it must be quick and wait for nothing."""
+"""Function that computes the key from the seed. It runs in the daemon's loop, so it must be fast
+and must not block."""
 
 
 class Security:
-    """Locked until a tester has shown that it can turn a seed into its key.
+    """The lock of the server. It opens if a tester sends the correct key for a seed.
 
-    key_function: None refuses everybody. random: so many unpredictable bytes.
-    attempts: wrong keys that are borne before the delay [s]. clock: monotonic [s].
-    wrong: keys that were wrong in a row when it was last switched off; after any, the delay passes
-    before the first key is taken (ISO 14229-1). on_count: called with each new number of them.
-    Attempts are counted over all sessions: a new session is no new chance.
+    key_function: None refuses every tester. random: returns the given number of random bytes.
+    attempts: number of wrong keys before the delay. delay: [s]. clock: monotonic [s].
+    wrong: number of consecutive wrong keys at the last shutdown. If it is not 0, the first key is
+    accepted only after the delay (ISO 14229-1). on_count: called when this number changes.
+    Attempts are counted over all sessions, so a new session gives no additional attempts.
     """
 
     def __init__(
@@ -40,7 +41,7 @@ class Security:
     ) -> None:
         self.unlocked = False
         self.refused = 0
-        """Keys that were wrong, and requests that came during the delay."""
+        """Number of wrong keys and of requests during the delay."""
         self._key_function = key_function
         self._random = random
         self._clock = clock
@@ -52,12 +53,12 @@ class Security:
         self._seed: bytes | None = None
 
     def lock(self) -> None:
-        """Ask for the key again."""
+        """Lock the server again."""
         self.unlocked = False
         self._seed = None
 
     def answer(self, data: bytes) -> Answer:
-        """Answer a request; data: from the sub-function on."""
+        """Answer a request; data: the bytes from the sub-function on."""
         if data[0] == REQUEST_SEED:
             return self._give_seed(data)
         return self._take_key(data[1:])
@@ -92,7 +93,7 @@ class Security:
         return self._wrong_key()
 
     def _expected(self, seed: bytes) -> bytes:
-        """The key; empty where the function fails, which refuses every key."""
+        """Return the correct key. It is empty if the function fails; then every key is refused."""
         if self._key_function is None:
             return b""
         try:

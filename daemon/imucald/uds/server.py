@@ -1,7 +1,7 @@
-"""The server: sessions, which service may be asked for when, and how a refusal is reported.
+"""The UDS server: sessions, the services that are allowed in them, and negative responses.
 
-The order in which a request is judged is that of ISO 14229-1: service, session, length,
-sub-function, then what the service itself asks for.
+A request is checked in the order of ISO 14229-1: service, session, length, sub-function, and then
+the conditions of the service.
 """
 
 from __future__ import annotations
@@ -37,11 +37,11 @@ from imucald.uds.routines import RESULTS, START, STOP, Routines
 from imucald.uds.security import REQUEST_SEED, SEND_KEY, Security
 
 S3_S: Final = 5.0
-"""A session ends when nothing was asked for so long [s]."""
+"""A session ends after this time without a request [s]."""
 P2_MS: Final = 50
-"""A response is on its way within that time [ms]: one turn of the daemon's loop at most."""
+"""Longest time until a response starts [ms]: at most one cycle of the daemon's loop."""
 P2_STAR_10MS: Final = 500
-"""The same after "response pending", which is never sent [10 ms]."""
+"""The same time after "response pending" [10 ms]. "Response pending" is never sent."""
 
 NOT_ANSWERED_TO_ALL: Final = frozenset(
     {
@@ -52,14 +52,14 @@ NOT_ANSWERED_TO_ALL: Final = frozenset(
         Nrc.SERVICE_NOT_IN_SESSION,
     }
 )
-"""Refusals that answer no request to all nodes: it was meant for others."""
+"""Negative codes that are not sent for a request to all nodes, because it was for other nodes."""
 
 
 @dataclass(frozen=True)
 class UdsService:
-    """One service. answer: given the request without the service's number.
+    """One service. answer: called with the request without the service's number.
 
-    shortest: bytes of the shortest request. sub_functions: None where it has none.
+    shortest: length of the shortest request [bytes]. sub_functions: None if there are none.
     """
 
     answer: Callable[[bytes], Answer]
@@ -70,19 +70,19 @@ class UdsService:
 
 @dataclass
 class ServerCounters:
-    """Requests since the start; those nobody answers are in `refused` too."""
+    """Numbers of requests since the start. Unanswered requests are counted in `refused` too."""
 
     requests: int = 0
     refused: int = 0
     ended_sessions: int = 0
-    """Sessions that ended because nothing was asked."""
+    """Number of sessions that ended because there was no request."""
 
 
 class Server:
     """Answers requests about one host.
 
-    clock: monotonic [s]. security: what unlocks the routines. more: identifiers that can be read
-    besides those of the host. dtcs: a memory that is there already.
+    clock: monotonic [s]. security: the lock of the routines. more: additional identifiers besides
+    those of the host. dtcs: an existing DTC memory.
     """
 
     def __init__(
@@ -130,9 +130,9 @@ class Server:
         }
 
     def handle(self, request: bytes, to_all: bool = False) -> bytes | None:
-        """Answer a request, or say nothing. to_all: it was sent by functional addressing."""
+        """Answer a request, or return None. to_all: whether it used functional addressing."""
         self.poll()
-        if not request or request[0] & POSITIVE:  # responses of others are no requests
+        if not request or request[0] & POSITIVE:  # responses of other nodes are not requests
             return None
         self._last_request = self._clock()
         self.counters.requests += 1
@@ -144,14 +144,14 @@ class Server:
         return None if suppressed else bytes([request[0] + POSITIVE]) + answer
 
     def poll(self) -> None:
-        """Let time pass: end a session in which nothing was asked."""
+        """End a session without requests when its time is over."""
         self._routines.poll()
         if self.session is not Session.DEFAULT and self._clock() - self._last_request > S3_S:
             self.counters.ended_sessions += 1
             self._enter(Session.DEFAULT)
 
     def _judge(self, request: bytes) -> tuple[Answer, bool]:
-        """The answer, and whether a positive one is not to be sent."""
+        """Return the answer, and whether a positive answer is suppressed."""
         service = self._services.get(request[0])
         if service is None:
             return Nrc.SERVICE_NOT_SUPPORTED, False

@@ -1,5 +1,5 @@
 """Results as files: `written` writes a drive's tables, `reading` opens them again.
 
-One module a format: `parquet`, `csv_text`, `mf4`, `mcap_log`. All write in pieces, in bounded
-memory, under a name that is taken only when the file is whole.
+Each format has its module: `parquet`, `csv_text`, `mf4`, `mcap_log`. All of them write in pieces
+and in bounded memory. A file has a temporary name until it is complete.
 """

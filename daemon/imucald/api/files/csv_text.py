@@ -1,4 +1,4 @@
-"""CSV: a file for each table, units in the columns' names; `drive.result.json` holds the rest."""
+"""CSV: one file per table, units in the column names. `drive.result.json` holds all other data."""
 
 from __future__ import annotations
 
@@ -20,12 +20,12 @@ from imucald.api.interchange import arrow_schema, from_arrow, library, to_arrow
 
 
 def result_file(path: Path) -> Path:
-    """The JSON file next to the tables, for the result, which CSV has no place for."""
+    """Return the path of the JSON file for the result, because CSV cannot hold it."""
     return path.with_name(f"{path.stem}.result.json")
 
 
 class CsvTables:
-    """Writes CSV: what is not known is empty, times are ISO 8601 in UTC."""
+    """Writes CSV. Unknown values are empty fields; times are ISO 8601 in UTC."""
 
     needs: ClassVar = ("pyarrow.csv", "arrow")
 
@@ -52,12 +52,12 @@ class CsvTables:
         return [named(file) for file in (*self._files.values(), self._result)]
 
     def abandon(self) -> None:
-        """Close and remove."""
+        """Close and remove the unfinished files."""
         given_up(self._writers.values(), map(unfinished, (*self._files.values(), self._result)))
 
 
 def read_tables(folder: Path, about: Mapping[str, Any], tables: Tables) -> dict[str, Columns]:
-    """The tables of all files that were written together."""
+    """Read the tables of all files that were written together."""
     csv = library(*CsvTables.needs)
     found: dict[str, Columns] = {}
     for name, columns in tables.items():

@@ -1,9 +1,9 @@
-"""Samples of force and rate as one, with covariances.
+"""Join samples of force and rate into one series, with covariances.
 
-The covariance of a corrected vector v is what the mount's error turns it by, [v]x P [v]x' with P
-the covariance of the turn about the vehicle's axes, and the noise of a sample: the variance of
-second differences over 6 (von Neumann and others, Ann. Math. Stat. 12, 1941), which driving
-changes little.
+The covariance of a corrected vector v has two parts. The mount error gives [v]x P [v]x', where P is
+the covariance of the rotation about the vehicle's axes. The noise of a sample is the variance of
+second differences divided by 6 (von Neumann and others, Ann. Math. Stat. 12, 1941). Driving hardly
+changes this value.
 """
 
 from __future__ import annotations
@@ -19,18 +19,18 @@ from imucald.core.arrays import Array
 from imucald.core.rotations import skew
 
 _BLOCK = 10_000
-"""Rows at a time: a whole drive may be one part."""
+"""Rows that are processed together, because one part may be a whole drive."""
 _FURTHEST_S = 0.05
-"""A rate that is further away than this [s] is not that of a force: half a period of 10 Hz."""
+"""Largest time difference [s] between a force and its rate: half a period of 10 Hz."""
 _UPPER = ("xx", "xy", "xz", "yy", "yz", "zz")
 _FULL = (0, 1, 2, 1, 3, 4, 2, 4, 5)
-"""Of the upper triangle, a 3 x 3 matrix row by row."""
+"""Indices into the upper triangle that give the full 3 x 3 matrix, row by row."""
 _SECOND_DIFFERENCE = 6.0
-"""Variance of x[i-1] - 2 x[i] + x[i+1] over that of x."""
+"""Variance of x[i-1] - 2 x[i] + x[i+1] divided by the variance of x (white noise)."""
 
 
 class ImuSamples(NamedTuple):
-    """times (N,) [us]; force, rate (N, 3), NaN: there is no rate; covariances (N, 9)."""
+    """times (N,) [us]; force, rate (N, 3), rate is NaN if there is none; covariances (N, 9)."""
 
     times: Array
     force: Array
@@ -40,17 +40,17 @@ class ImuSamples(NamedTuple):
 
 
 def mounts_of(history: Columns) -> Array:
-    """Times [s] and covariances [rad^2] (N, 10) of the rows of a history that know the mount."""
+    """Times [s] and covariances [rad^2] (N, 10) of the history rows with a known mount."""
     entries = [history[f"cov_{name}_deg2"] * RAD_PER_DEG**2 for name in _UPPER]
     found = np.stack([history["t_s"], *(entries[i] for i in _FULL)], axis=1)
     return _complete(found)
 
 
 def joined(force: Columns, rate: Columns | None, mounts: Array) -> Iterator[ImuSamples]:
-    """Each known force with the nearest rate.
+    """Join each known force with the nearest rate.
 
-    mounts: as of `mounts_of`; each holds from its time on, and before the first one, or without
-    any, a covariance is that of the noise alone.
+    mounts: the result of `mounts_of`; each row is valid from its time on. Before the first row, or
+    if there is no row, the covariance contains only the noise.
     """
     forces, rates = _known(force), np.zeros((0, 5)) if rate is None else _known(rate)
     force_noise, rate_noise = _noise(forces[:, 2:]), _noise(rates[:, 2:])
@@ -78,7 +78,7 @@ def _complete(rows: Array) -> Array:
 
 
 def _noise(values: Array) -> Array:
-    """Variance (3,) of a sample's noise; zeros where there are too few samples."""
+    """Variance (3,) of a sample's noise; zeros if there are too few samples."""
     if len(values) < 3:
         return np.zeros(3)
     noise: Array = np.mean(np.diff(values, n=2, axis=0) ** 2, axis=0) / _SECOND_DIFFERENCE
@@ -86,7 +86,7 @@ def _noise(values: Array) -> Array:
 
 
 def _nearest(rates: Array, t: Array) -> Array:
-    """The rate (N, 3) nearest to each time; NaN where none is near."""
+    """The rate (N, 3) nearest to each time; NaN if none is close enough."""
     if not len(rates):
         return np.full((len(t), 3), np.nan)
     after = np.searchsorted(rates[:, 0], t).clip(1, max(1, len(rates) - 1))
@@ -100,7 +100,7 @@ def _nearest(rates: Array, t: Array) -> Array:
 
 
 def _covariance(values: Array, turns: Array, noise: Array) -> Array:
-    """Covariances (N, 9) of vectors (N, 3) that are turned with these covariances (N, 9)."""
+    """Covariances (N, 9) of vectors (N, 3) from the covariances (N, 9) of their rotation."""
     cross = skew(np.nan_to_num(values))
     found: Array = cross @ turns.reshape(-1, 3, 3) @ cross.transpose(0, 2, 1) + np.diag(noise)
     return found.reshape(-1, 9)

@@ -1,10 +1,10 @@
 """MCAP of ROS 2, for `ros2 bag play`, Foxglove and PlotJuggler.
 
-Each table is a topic of messages with its columns, by which it is read again (a player without
-their definition leaves them out). What ROS knows stands in its own messages as well: corrected and
-raw samples as sensor_msgs/Imu, the mount as a static transform, events as rcl_interfaces/Log. An
-array of zeros is a covariance that is not known, and one that begins with -1 belongs to what is not
-measured, as sensor_msgs/Imu says.
+Each table is a topic. Its messages have the table's columns, and imucald reads the table again from
+this topic. A player that does not know these message definitions skips them. The file also contains
+standard ROS messages: corrected and raw samples as sensor_msgs/Imu, the mount as a static
+transform, events as rcl_interfaces/Log. As defined by sensor_msgs/Imu, a covariance of zeros is not
+known, and a covariance that begins with -1 means that the quantity is not measured.
 """
 
 from __future__ import annotations
@@ -41,8 +41,8 @@ _LATCHED = """- history: 1
   liveliness_lease_duration: {sec: 9223372036, nsec: 854775807}
   avoid_ros_namespace_conventions: false
 """
-"""Quality of service, as rosbag2 records it, without which no listener of tf2 takes a static
-transform: durability transient_local."""
+"""Quality of service in the notation of rosbag2: durability transient_local. Without it no tf2
+listener accepts a static transform."""
 _INFO = 20
 _NOT_MEASURED = np.array([-1.0] + [0.0] * 8)
 
@@ -87,13 +87,13 @@ class McapTables:
         return channel
 
     def _put(self, topic: str, us: int, of: str, message: Any) -> None:
-        """Append a message of a time [us]."""
+        """Append a message with this time stamp [us]."""
         stamp = max(us, 0) * 1000
         data = self._store.encoded(message, of)
         self._writer.add_message(self._channels[topic], stamp, data, stamp)
 
     def add(self, part: Mapping[str, Columns]) -> None:
-        """Append a message for each row, and those of ROS that follow from them."""
+        """Append a message for each row, and the standard ROS messages made from the rows."""
         for name, rows in part.items():
             topic, of = self._topics[name], self._types[name]
             make = self._store.types[of]
@@ -112,7 +112,7 @@ class McapTables:
                     self._put_imu(topic, frame, samples)
 
     def _take_mounts(self, rows: Columns) -> None:
-        """Keep the newest row of before: it holds until the next one."""
+        """Keep the newest previous row, because it is valid until the next one."""
         self._mounts = np.concatenate([self._mounts[-1:], mounts_of(rows)])
         quaternions = np.stack([rows[f"q_{part}"] for part in "xyzw"], axis=1)
         known = quaternions[~np.isnan(quaternions).any(axis=1)]
@@ -142,7 +142,7 @@ class McapTables:
             self._put(topic, int(us), of, message)
 
     def finish(self, about: Mapping[str, Any]) -> list[Path]:
-        """Write the mount and the metadata, and close."""
+        """Write the mount and the metadata, and close the file."""
         if self._mount is not None and self._start_us is not None:
             self._put(
                 "/tf_static",
@@ -157,7 +157,7 @@ class McapTables:
         return [named(self._path)]
 
     def abandon(self) -> None:
-        """Close and remove."""
+        """Close and remove the unfinished file."""
         given_up([self._file], [unfinished(self._path)])
 
 
@@ -170,7 +170,7 @@ def _topic(name: str) -> str:
 
 
 class _Definitions:
-    """Messages of ROS 2, and those of our tables."""
+    """Definitions of the ROS 2 messages and of the messages for our tables."""
 
     def __init__(self) -> None:
         self._typesys = library("rosbags.typesys", "mcap")
@@ -191,33 +191,33 @@ class _Definitions:
         return found
 
     def define(self, of: str, text: str) -> None:
-        """Take the definition of a message."""
+        """Register the definition of a message."""
         self._store.register(self._typesys.get_types_from_msg(text, of))
 
     def definition(self, of: str) -> str:
-        """The definition of a message, with those of its parts."""
+        """Return the definition of a message, with the definitions of its parts."""
         text: str = self._store.generate_msgdef(of, ros_version=2)[0]
         return text
 
     def encoded(self, message: Any, of: str) -> bytes:
-        """A message as CDR."""
+        """Encode a message as CDR."""
         return bytes(self._store.serialize_cdr(message, of))
 
     def decoded(self, data: bytes, of: str) -> Any:
-        """A message of CDR."""
+        """Decode a message from CDR."""
         return self._store.deserialize_cdr(data, of)
 
     def stamp(self, us: int) -> Any:
-        """builtin_interfaces/Time of a time [us]."""
+        """Make a builtin_interfaces/Time from a time [us]."""
         seconds, microseconds = divmod(max(us, 0), 1_000_000)
         return self.types["builtin_interfaces/msg/Time"](seconds, microseconds * 1000)
 
     def header(self, us: int, frame: str) -> Any:
-        """std_msgs/Header."""
+        """Make a std_msgs/Header."""
         return self.types["std_msgs/msg/Header"](self.stamp(us), frame)
 
     def transform(self, us: int, parent: str, child: str, xyzw: tuple[float, ...]) -> Any:
-        """tf2_msgs/TFMessage of one rotation."""
+        """Make a tf2_msgs/TFMessage with one rotation."""
         types = self.types
         turn = types["geometry_msgs/msg/Transform"](
             types["geometry_msgs/msg/Vector3"](0.0, 0.0, 0.0), self.quaternion(*xyzw)
@@ -227,7 +227,7 @@ class _Definitions:
 
 
 def read_about(path: Path) -> dict[str, Any]:
-    """What a file states about itself. Raises ImucaldError for one that imucald did not write."""
+    """Read a file's description of itself. Raises ImucaldError if imucald did not write it."""
     with path.open("rb") as file:
         for record in library("mcap.reader", "mcap").make_reader(file).iter_metadata():
             if record.name == FILE_KEY:
@@ -237,7 +237,7 @@ def read_about(path: Path) -> dict[str, Any]:
 
 
 def read_tables(path: Path, about: Mapping[str, Any], tables: Tables) -> dict[str, Columns]:
-    """The tables of a file."""
+    """Read the tables of a file."""
     names = {topic: name for name, topic in about["topics"].items()}
     store, known = _Definitions(), set[str]()
     rows: dict[str, list[list[Any]]] = {name: [[] for _ in cs] for name, cs in tables.items()}

@@ -1,4 +1,4 @@
-"""MF4 (ASAM MDF 4.10): a channel group for each table, units at the channels, one attachment."""
+"""MF4 (ASAM MDF 4.10): one channel group per table, a unit for each channel, one attachment."""
 
 from __future__ import annotations
 
@@ -33,14 +33,14 @@ class Mf4Tables:
 
     def __init__(self, path: Path, tables: Tables) -> None:
         self._path = path
-        # asammdf puts the ending that it wants behind any other
+        # asammdf appends its own suffix to any other suffix
         self._saving = unfinished(path).with_suffix(".mf4")
         self._asammdf = library(*self.needs)
         self._mdf = self._asammdf.MDF(version="4.10")
         self._groups: dict[str, int] = {}
 
     def add(self, part: Mapping[str, Columns]) -> None:
-        """Append rows to each table's channel group, which the first rows make."""
+        """Append rows to each table's channel group. The first rows create the group."""
         for name, rows in part.items():
             if len(rows):
                 self._append(name, rows)
@@ -72,7 +72,7 @@ class Mf4Tables:
         return [named(self._path)]
 
     def abandon(self) -> None:
-        """Close and remove."""
+        """Close and remove the unfinished file."""
         given_up([self._mdf], [self._saving, unfinished(self._path)])
 
 
@@ -87,7 +87,7 @@ def _stored(column: TableColumn, array: NDArray[Any]) -> NDArray[Any]:
 
 
 def _close_half_made(error: Exception) -> None:
-    """Close what asammdf began to make of a damaged file, which would fail when it is collected."""
+    """Close the half-made object of asammdf for a damaged file. Its deletion would fail later."""
     for frame, _ in traceback.walk_tb(error.__traceback__):
         half_made: Any = frame.f_locals.get("self")
         with contextlib.suppress(Exception):
@@ -96,7 +96,7 @@ def _close_half_made(error: Exception) -> None:
 
 @contextmanager
 def opened(path: Path) -> Iterator[Any]:
-    """Open a file. Raises ImucaldError for one that imucald did not write."""
+    """Open a file. Raises ImucaldError if imucald did not write it."""
     asammdf = library(*Mf4Tables.needs)
     with path.open("rb") as file:
         if file.read(len(SIGNATURE)) != SIGNATURE:
@@ -116,7 +116,7 @@ def opened(path: Path) -> Iterator[Any]:
 
 
 def read_about(path: Path) -> dict[str, Any]:
-    """What a file states about itself."""
+    """Read a file's description of itself."""
     with opened(path) as mdf:
         (found,) = [a for a in mdf.attachments if str(a.file_name) == ATTACHMENT]
         about: dict[str, Any] = json.loads(found.extract())
@@ -124,7 +124,7 @@ def read_about(path: Path) -> dict[str, Any]:
 
 
 def read_tables(path: Path, about: Mapping[str, Any], tables: Tables) -> dict[str, Columns]:
-    """The tables of a file."""
+    """Read the tables of a file."""
     groups = about["groups"]
     with opened(path) as mdf:
         return {name: _read(mdf, groups.get(name), columns) for name, columns in tables.items()}

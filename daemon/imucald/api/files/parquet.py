@@ -1,4 +1,4 @@
-"""Parquet: a file for each table, zstd, units in the columns' names, the fields and the keys."""
+"""Parquet: one file per table, zstd; units in the column names, in the fields and in the keys."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ from imucald.api.interchange import (
 from imucald.core.errors import ImucaldError
 
 ROW_GROUP = 100_000
-"""Rows: what DuckDB and others advise."""
+"""Rows per row group, as recommended by DuckDB and others."""
 
 
 class ParquetTables:
@@ -43,7 +43,7 @@ class ParquetTables:
 
         def writer(name: str, path: str) -> Any:
             keys = file_keys(tables[name], {"table": name})
-            # The result of the drive is known, and written, at the end.
+            # The result of the drive is known only at the end, so it is written there.
             schema = arrow_schema(tables[name], None).with_metadata({PANDAS_KEY: keys[PANDAS_KEY]})
             return parquet.ParquetWriter(path, schema, compression="zstd")
 
@@ -56,7 +56,7 @@ class ParquetTables:
             writer.write_table(to_arrow(rows).cast(writer.schema), row_group_size=ROW_GROUP)
 
     def finish(self, about: Mapping[str, Any]) -> list[Path]:
-        """Write the keys and close."""
+        """Write the keys and close the files."""
         files = {name: file.name for name, file in self._files.items()}
         for name, writer in self._writers.items():
             keys = file_keys(self._tables[name], {**about, "table": name, "files": files})
@@ -65,12 +65,12 @@ class ParquetTables:
         return [named(file) for file in self._files.values()]
 
     def abandon(self) -> None:
-        """Close and remove."""
+        """Close and remove the unfinished files."""
         given_up(self._writers.values(), map(unfinished, self._files.values()))
 
 
 def read_about(path: Path) -> dict[str, Any]:
-    """What a file states about itself. Raises ImucaldError for one that imucald did not write."""
+    """Read a file's description of itself. Raises ImucaldError if imucald did not write it."""
     keys = library(*ParquetTables.needs).read_metadata(path).metadata or {}
     text = keys.get(FILE_KEY.encode())
     if text is None:
@@ -80,7 +80,7 @@ def read_about(path: Path) -> dict[str, Any]:
 
 
 def read_tables(folder: Path, about: Mapping[str, Any], tables: Tables) -> dict[str, Columns]:
-    """The tables of all files that were written together."""
+    """Read the tables of all files that were written together."""
     parquet = library(*ParquetTables.needs)
     return {
         name: from_arrow(parquet.read_table(folder / about["files"][name]), columns)

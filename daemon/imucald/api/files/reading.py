@@ -1,4 +1,4 @@
-"""`imucald.open_result`: what `write` wrote, as it was."""
+"""`imucald.open_result`: read the files that `write` wrote."""
 
 from __future__ import annotations
 
@@ -19,10 +19,10 @@ Reader = Callable[[Path, Mapping[str, Any], Tables], dict[str, Columns]]
 
 
 def open_result(path: PathLike) -> DriveResult:
-    """Open what `DriveResult.write` or `imucald replay --write` wrote: the same result again.
+    """Open files of `DriveResult.write` or `imucald replay --write`; return the same result.
 
-    path: the name that was given then; for Parquet and CSV any of its files.
-    Raises ImucaldError for a file that is not there or that imucald did not write.
+    path: the path that was given for writing; for Parquet and CSV, any of the files.
+    Raises ImucaldError if the file does not exist or if imucald did not write it.
     """
     file = Path(path)
     format_of(file)
@@ -35,7 +35,7 @@ def open_result(path: PathLike) -> DriveResult:
         raise ImucaldError(text if text.startswith(str(file)) else f"{file}: {text}") from None
     except OSError as error:
         raise ImucaldError(f"{file}: cannot be opened: {error.strerror or error}") from None
-    # What libraries raise on damaged files is not documented, and is anything.
+    # Libraries do not document their errors for damaged files; any exception is possible.
     except Exception as error:
         raise ImucaldError(f"{file}: cannot be read: {error or type(error).__name__}") from error
 
@@ -57,7 +57,7 @@ def _opened(file: Path) -> tuple[dict[str, Any], Path, Reader]:
 
 
 def _beside(file: Path) -> Path:
-    """One of the files that were written together under this name."""
+    """Return one of the files that were written together under this name."""
     found = sorted(file.parent.glob(f"{file.stem}.*{file.suffix}"))
     if not found:
         raise ImucaldError(f"{file}: cannot be opened: No such file or directory")

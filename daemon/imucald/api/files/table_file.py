@@ -1,4 +1,4 @@
-"""What all file formats share: tables are written in pieces, and the file describes them."""
+"""Common parts of all file formats: tables are written in pieces, and the file describes them."""
 
 from __future__ import annotations
 
@@ -14,69 +14,69 @@ from imucald.api.columns import RAW, Columns, TableColumn
 from imucald.core.errors import ImucaldError
 
 VERSION = 1
-"""Of what a file states about its tables; keys are only added."""
+"""Version of the description of the tables in a file. New keys may be added to it."""
 UNFINISHED = ".unfinished"
 VEHICLE_AXES = "vehicle: x forward, y left, z up (ISO 8855)"
 SENSOR_AXES = "sensor"
 
 Tables = Mapping[str, tuple[TableColumn, ...]]
-"""Columns of each table, by its name."""
+"""The columns of each table, by the table's name."""
 
 
 class TableWriter(Protocol):
     """Writes tables to one file, or to several in one folder."""
 
     needs: ClassVar[tuple[str, str]]
-    """The library that it writes with: module, and the extra that brings it."""
+    """The required library: its module, and the extra that installs it."""
 
     def __init__(self, path: Path, tables: Tables) -> None: ...
 
     def add(self, part: Mapping[str, Columns]) -> None:
-        """Append the rows of a part of the drive to their tables."""
+        """Append the rows of one part of the drive to the tables."""
         ...
 
     def finish(self, about: Mapping[str, Any]) -> list[Path]:
-        """Write what the file states about its tables; name the files, and return them."""
+        """Write the description of the tables, give the files their names, and return them."""
         ...
 
     def abandon(self) -> None:
-        """Close and remove what was written so far."""
+        """Close and remove the files that were written so far."""
         ...
 
 
 def axes_of(table: str) -> str:
-    """Which axes a table's vectors are in."""
+    """Return the axes of the vectors in a table."""
     return SENSOR_AXES if table.startswith(RAW) else VEHICLE_AXES
 
 
 def about_tables(tables: Tables, drive: Mapping[str, Any]) -> dict[str, Any]:
-    """What a file states about its tables; drive: of the drive that they are of."""
+    """Return the description of the tables for a file; drive: the data of the drive."""
     columns = {name: [[c.name, c.unit, c.kind] for c in cs] for name, cs in tables.items()}
     return {"version": VERSION, "imucald": __version__, "tables": columns, "drive": dict(drive)}
 
 
 def tables_of(about: Mapping[str, Any]) -> dict[str, tuple[TableColumn, ...]]:
-    """The tables that a file states. Raises ImucaldError for a file of a later version."""
+    """Return the tables that a file lists. Raises ImucaldError for a file of a later version."""
     if about["version"] != VERSION:
         raise ImucaldError(f"it was written by a later imucald ({about['imucald']})")
     return {name: tuple(TableColumn(*c) for c in cs) for name, cs in about["tables"].items()}
 
 
 def unfinished(path: Path) -> Path:
-    """The name of a file while it is being written."""
+    """Return the temporary name of a file while it is being written."""
     return path.with_name(f".{path.name}{UNFINISHED}")
 
 
 def named(path: Path) -> Path:
-    """Give a file its name, now that it is whole."""
+    """Give a complete file its final name."""
     os.replace(unfinished(path), path)  # noqa: PTH105 - Path.replace takes the other order
     return path
 
 
 def given_up(writers: Iterable[Any], files: Iterable[Path]) -> None:
-    """Close what writes, and remove unfinished files: one that cannot be closed well, too."""
+    """Close the writers and remove unfinished files, even if closing fails."""
     for writer in writers:
-        with contextlib.suppress(OSError):  # what is left to write does not fit on a full disk
+        with contextlib.suppress(OSError):  # the remaining data do not fit on a full disk
             writer.close()
     for file in files:
         with contextlib.suppress(OSError):
@@ -84,9 +84,9 @@ def given_up(writers: Iterable[Any], files: Iterable[Path]) -> None:
 
 
 def opened(files: Mapping[str, Path], open_one: Callable[[str, str], Any]) -> dict[str, Any]:
-    """A writer for each table's unfinished file; where one cannot be opened none is left behind.
+    """Open a writer for each table's unfinished file. If one fails, all files are removed.
 
-    files: of each table, as it is named in the end. open_one: takes a table's name and a path.
+    files: the final path of each table. open_one: called with a table's name and a path.
     """
     writers: dict[str, Any] = {}
     try:
@@ -99,7 +99,7 @@ def opened(files: Mapping[str, Path], open_one: Callable[[str, str], Any]) -> di
 
 
 def names_beside(path: Path, tables: Tables) -> dict[str, Path]:
-    """The file of each table: `path` itself for one, drive.TABLE.parquet and so on for several."""
+    """Return the file of each table: `path` for a single table, else drive.TABLE.parquet etc."""
     if len(tables) == 1:
         return dict.fromkeys(tables, path)
     found: dict[str, Path] = {}

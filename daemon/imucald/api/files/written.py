@@ -1,4 +1,4 @@
-"""Writes the tables of a drive, in whichever format the file's name asks for."""
+"""Write the tables of a drive. The suffix of the file's name sets the format."""
 
 from __future__ import annotations
 
@@ -23,14 +23,14 @@ FORMATS: Mapping[str, type[TableWriter]] = {
     ".mf4": Mf4Tables,
     ".mcap": McapTables,
 }
-"""Writers by the ending of the file's name."""
+"""Writers by the suffix of the file's name."""
 _NUMBER = re.compile(r"\[errno (\d+)\]")
 ALL_RAW = RAW.rstrip("/")
-"""Stands for all tables of samples as they came."""
+"""The name that selects all tables of raw samples."""
 
 
 def format_of(path: Path) -> type[TableWriter]:
-    """The writer for a file. Raises ImucaldError for an ending that is none of ours."""
+    """Return the writer for a file. Raises ImucaldError for an unknown suffix."""
     found = FORMATS.get(path.suffix.lower())
     if found is None:
         raise ImucaldError(f"{path}: the name must end in {', '.join(FORMATS)}")
@@ -38,12 +38,12 @@ def format_of(path: Path) -> type[TableWriter]:
 
 
 def require_format(path: Path) -> None:
-    """Raise ImucaldError, with the remedy, where a file of this name could not be written."""
+    """Raise ImucaldError with a remedy if a file of this name cannot be written."""
     library(*format_of(path).needs)
 
 
 def chosen(tables: Tables, quantities: Sequence[str] | str | None) -> Tables:
-    """The tables that are asked for; None: all but the samples as they came."""
+    """Return the selected tables; None selects all tables except those of raw samples."""
     if quantities is None:
         return {name: cs for name, cs in tables.items() if not name.startswith(RAW)}
     asked = [quantities] if isinstance(quantities, str) else list(quantities)
@@ -65,10 +65,11 @@ def write_parts(
     parts: Iterable[Mapping[str, Columns]],
     about_drive: Callable[[], Mapping[str, Any]],
 ) -> list[Path]:
-    """Write parts of tables as they come; about_drive is asked at the end.
+    """Write parts of tables one after the other, and call about_drive at the end.
 
-    Returns the files. Where anything fails nothing is left behind, and a file of that name stays
-    as it was. Raises ImucaldError where the file cannot be written or a library is missing.
+    Returns the files. If an error occurs, no partial file is left, and an existing file of the
+    same name is not changed. Raises ImucaldError if the file cannot be written or a library is
+    missing.
     """
     try:
         writer = format_of(path)(path, tables)
@@ -80,6 +81,6 @@ def write_parts(
             writer.abandon()
             raise
     except OSError as error:
-        number = _NUMBER.search(str(error))  # pyarrow puts it into a sentence of its own
+        number = _NUMBER.search(str(error))  # pyarrow puts the number into its message
         reason = os.strerror(int(number[1])) if number else error.strerror or str(error)
         raise ImucaldError(f"{path}: cannot be written: {reason}") from None

@@ -1,1 +1,1 @@
-"""CAN databases: read, and compiled into plans that decode and encode."""
+"""CAN databases: read them, and compile them into plans for decoding and encoding."""

@@ -1,7 +1,8 @@
-"""Where in an ARXML file the parser stopped, and what to do about it.
+"""Find the place in an ARXML file where the parser stopped, and give a remedy.
 
-The parser takes for granted what the standard asks for, and answers with Python's words where it is
-missing. The element that it was at is still in the frames of its error.
+The parser assumes that all elements required by the standard are present. If one is missing, it
+raises an error of Python that does not name the element. The traceback of this error still holds
+the element that was being parsed.
 """
 
 from __future__ import annotations
@@ -17,11 +18,11 @@ NO_PACKAGES = (
 )
 MISSING = "an element that the standard requires is missing"
 PYTHONS_OWN = (AttributeError, TypeError, KeyError, IndexError)
-"""What a missing element leads to; its words name no element."""
+"""Errors that a missing element causes. Their texts do not name the element."""
 
 
 def why_refused(error: Exception, text: str) -> str:
-    """Reason with line, element and remedy; error: what the parser raised of the text."""
+    """Return the reason with line, element and remedy; error: the parser's error for the text."""
     inner = getattr(error, "e_arxml", None) or error
     found = _last_element(inner)
     words = " ".join(str(inner).split()) or type(inner).__name__
@@ -33,7 +34,7 @@ def why_refused(error: Exception, text: str) -> str:
 
 
 def _last_element(error: BaseException) -> tuple[str, str] | None:
-    """Tag and short name of the innermost element with a name that the parser was at."""
+    """Tag and short name of the innermost named element that was being parsed."""
     found = None
     traceback = error.__traceback__
     while traceback is not None:

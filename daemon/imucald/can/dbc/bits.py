@@ -1,8 +1,8 @@
-"""Where a signal's bits lie, and how to move them for one frame and for whole columns.
+"""The bit positions of signals; read and write these bits in one frame and in whole columns.
 
-A frame is seen as one integer of `8 * size` bits, little-endian for Intel signals and big-endian
-for Motorola ones; in it every signal is one run of bits at a `shift` from the low end. Columns
-are seen as 64-bit words of the same byte order. Both give the same integer.
+A frame is treated as one integer of `8 * size` bits: little-endian for Intel signals, big-endian
+for Motorola signals. In this integer, each signal is one contiguous run of bits, `shift` bits above
+the low end. Columns are treated as 64-bit words of the same byte order. Both give the same integer.
 """
 
 from __future__ import annotations
@@ -21,14 +21,14 @@ MAX_FRAME_BYTES = 64
 WORD_BITS = 64
 
 Columns = NDArray[np.uint8]
-"""(N, W) payload bytes, zero-padded."""
+"""Payload bytes (N, W), padded with zeros."""
 
 
 class Field(Struct, frozen=True):
-    """A run of bits: `first_bit` counted in transmission order of its byte order.
+    """A contiguous run of bits. `first_bit` is counted in the order of its byte order.
 
-    Intel: the least significant bit's number. Motorola: the most significant bit's number,
-    counted from byte 0's highest bit. `end_byte`: bytes a frame needs to hold it.
+    Intel: the number of the least significant bit. Motorola: the number of the most significant
+    bit, counted from the highest bit of byte 0. `end_byte`: bytes that a frame needs to hold it.
     """
 
     first_bit: int
@@ -37,43 +37,43 @@ class Field(Struct, frozen=True):
 
     @property
     def is_big(self) -> bool:
-        """True for Motorola order."""
+        """Whether the byte order is Motorola."""
         return self.byte_order == "big_endian"
 
     @property
     def order(self) -> Literal["little", "big"]:
-        """The byte order, as `int.from_bytes` names it."""
+        """The byte order, with the names of `int.from_bytes`."""
         return "big" if self.is_big else "little"
 
     @property
     def end_byte(self) -> int:
-        """One past the last byte touched."""
+        """Index of the last byte of the field, plus 1."""
         return (self.first_bit + self.length + 7) // 8
 
     @property
     def mask(self) -> int:
-        """As many ones as the field has bits."""
+        """A mask with one set bit for each bit of the field."""
         return (1 << self.length) - 1
 
     def shift(self, size: int) -> int:
-        """Distance of the lowest bit from the low end of a frame of `size` bytes."""
+        """Number of bits below the field, in the integer of a frame of `size` bytes."""
         return 8 * size - self.first_bit - self.length if self.is_big else self.first_bit
 
 
 def field_at(start: int, length: int, byte_order: ByteOrder) -> Field:
-    """Field from a DBC's start bit."""
+    """Make a field from the start bit of a DBC."""
     first = 8 * (start // 8) + 7 - start % 8 if byte_order == "big_endian" else start
     return Field(first, length, byte_order)
 
 
 def field_of(signal: Signal) -> Field:
-    """Field of a signal."""
+    """Return the field of a signal."""
     return field_at(signal.start, signal.length, signal.byte_order)
 
 
 def read_bits(data: bytes | bytearray, field: Field) -> int:
-    """Unsigned integer in `field`; the frame must be long enough."""
-    # twice a frame: spelt out, which takes half as long as by the field's properties
+    """Read the unsigned integer in `field`. The frame must be long enough."""
+    # runs twice a frame; written out, it takes half the time of the field's properties
     first, length = field.first_bit, field.length
     size = (first + length + 7) // 8
     if field.byte_order == "big_endian":
@@ -82,7 +82,7 @@ def read_bits(data: bytes | bytearray, field: Field) -> int:
 
 
 def write_bits(data: bytearray, field: Field, value: int) -> None:
-    """Put the low bits of `value` into `field`; the frame must be long enough."""
+    """Write the low bits of `value` into `field`. The frame must be long enough."""
     first, length = field.first_bit, field.length
     size, mask = (first + length + 7) // 8, (1 << length) - 1
     order: Literal["little", "big"] = "little"
@@ -94,7 +94,7 @@ def write_bits(data: bytearray, field: Field, value: int) -> None:
 
 
 def words_of(data: Columns, byte_order: ByteOrder) -> NDArray[np.uint64]:
-    """See (N, W) bytes as (N, ceil(W / 8)) words of the byte order; copies only if it must."""
+    """View bytes (N, W) as words (N, ceil(W / 8)) of the byte order. Copies only if necessary."""
     count, width = data.shape
     padded_width = -(-max(width, 1) // 8) * 8
     if padded_width != width:
@@ -107,7 +107,7 @@ def words_of(data: Columns, byte_order: ByteOrder) -> NDArray[np.uint64]:
 
 
 def read_column(words: NDArray[np.uint64], field: Field) -> NDArray[np.uint64]:
-    """Unsigned (N,) column of a field of at most 64 bits, in the words of its byte order."""
+    """Read a field of at most 64 bits as unsigned (N,). words: in the field's byte order."""
     index, at = divmod(field.first_bit, WORD_BITS)
     left = np.uint64(WORD_BITS - field.length)
     if field.is_big:
@@ -122,9 +122,9 @@ def read_column(words: NDArray[np.uint64], field: Field) -> NDArray[np.uint64]:
 
 
 def write_column(out: Columns, field: Field, values: NDArray[np.uint64]) -> None:
-    """Put (N,) unsigned values, already cut to the field, into zero bits of `out`.
+    """Write unsigned values (N,) into `field` of `out`. Values must fit into the field.
 
-    `out`: (N, W), contiguous, W a multiple of 8.
+    `out`: (N, W), contiguous, W a multiple of 8. The bits of the field must be zero before.
     """
     words = out.view(">u8" if field.is_big else "<u8")
     index, at = divmod(field.first_bit, WORD_BITS)
@@ -142,6 +142,6 @@ def write_column(out: Columns, field: Field, values: NDArray[np.uint64]) -> None
 
 
 def signed_column(values: NDArray[np.uint64], length: int) -> NDArray[np.int64]:
-    """Two's complement reading of unsigned (N,) values of `length` bits."""
+    """Convert unsigned values (N,) of `length` bits to signed ones (two's complement)."""
     left = np.int64(WORD_BITS - length)
     return (values.view(np.int64) << left) >> left

@@ -1,7 +1,8 @@
-"""Parsing of databases within bounds: a large one in a process of its own, with limits.
+"""Parse databases with limits: a large database is parsed in a separate process.
 
-The parser needs 30 to 220 times the memory of its text, which nothing in the text foretells. A
-process of its own may use up what it is given, or crash, and it is a database that was refused.
+The parser needs 30 to 220 times the memory of its text. The text does not show how much it will
+need. If the separate process exceeds its limits or crashes, the database is refused, and this
+process continues.
 """
 
 from __future__ import annotations
@@ -24,11 +25,12 @@ if TYPE_CHECKING:
     import subprocess
 
 SMALL = 64 * 2**10
-"""Characters of text that this process parses itself: 220 times that is 14 MiB."""
+"""Largest text [characters] that this process parses itself. 220 times this size is 14 MiB."""
 PARSER_SHARE = 0.6
-"""Of the memory allowed, for the parser; the rest holds this process, and the text twice."""
+"""Share of the allowed memory for the parser. The rest is for this process and two copies of the
+text."""
 MIN_SECONDS = 60
-"""Processor time for any database [s]: a slow processor takes 10 s for each megabyte of DBC."""
+"""Smallest limit of processor time [s]. A slow processor takes 10 s per megabyte of DBC."""
 SECONDS_PER_MB = 10
 _MB = 10**6
 _START = """
@@ -40,7 +42,7 @@ sys.exit(parse_for_parent(*sys.argv[2:]))
 
 
 def parse_bounded(text: str, database_format: str, source: str) -> list[Message]:
-    """Return the messages of a database's text; DatabaseError where it is wrong or too much."""
+    """Return the messages of a database's text. Raises DatabaseError if wrong or too large."""
     if len(text) <= SMALL or not sys.executable:
         try:
             return parse(text, database_format, source)
@@ -60,7 +62,7 @@ def parse_bounded(text: str, database_format: str, source: str) -> list[Message]
             input=text.encode("utf-8", "surrogatepass"),
             capture_output=True,
             env=os.environ | {"OPENBLAS_NUM_THREADS": "1"},
-            timeout=4.0 * seconds,  # of any clock, where the processor is shared
+            timeout=4.0 * seconds,  # wall-clock time, since the processor is shared
             check=False,
         )
     except subprocess.TimeoutExpired:
@@ -71,14 +73,14 @@ def parse_bounded(text: str, database_format: str, source: str) -> list[Message]
         if done.returncode == 0:
             return msgspec.json.decode(done.stdout, type=list[Message])
     except msgspec.DecodeError:
-        pass  # where SIGCHLD is ignored (inherited), the status of every process is 0
+        pass  # if SIGCHLD is ignored (inherited), the status of every process is 0
     raise DatabaseError(f"{source}: {_why(done, memory, seconds)}")
 
 
 def parse_for_parent(database_format: str, source: str, memory: str, seconds: str) -> int:
-    """What the process of its own does: text of standard input -> JSON, or status 1 and why not."""
+    """Run in the separate process: parse standard input, write JSON, or exit 1 with a reason."""
     limit_own(int(memory), int(seconds))
-    with contextlib.suppress(OSError):  # where memory gets short, this is what has to go
+    with contextlib.suppress(OSError):  # if memory runs out, kill this process first
         Path("/proc/self/oom_score_adj").write_text("1000")
     try:
         text = sys.stdin.buffer.read().decode("utf-8", "surrogatepass")

@@ -1,4 +1,4 @@
-"""CAN databases (DBC, ARXML, KCD, SYM): the messages of one bus by name, from a file or several."""
+"""CAN databases (DBC, ARXML, KCD, SYM): the messages of one bus by name, from one or more files."""
 
 from __future__ import annotations
 
@@ -18,32 +18,32 @@ from imucald.core.files import read_regular
 from imucald.core.memory import allowed_memory
 
 FORMATS = ("dbc", "sym", "kcd", "arxml")
-"""Endings of the files that are read."""
+"""Suffixes of the files that can be read."""
 _MARKS: Mapping[bytes, str] = {
     codecs.BOM_UTF8: "utf-8-sig",
     codecs.BOM_UTF16_LE: "utf-16",
     codecs.BOM_UTF16_BE: "utf-16",
 }
-"""Encodings by the bytes that a file begins with."""
+"""Encodings by the byte order mark at the start of a file."""
 MAX_FILE_BYTES = 256 * 2**20
-"""Vehicle-wide ARXML files reach 100 MB; more than this is no database."""
+"""Largest file [bytes]. ARXML files of a whole vehicle reach 100 MB."""
 TEXT_SHARE = 1 / 16
-"""Of the memory allowed, for the text: as bytes, and as text of two bytes a character."""
+"""Share of the allowed memory for the text, as bytes and as text of two bytes per character."""
 REMEMBERED = 4
-"""Databases that a process keeps in memory: the next log most often needs the same ..."""
+"""Number of databases that a process caches, because the next log often needs the same one."""
 REMEMBERED_TEXT = 2 * 2**20
-"""... with no more characters than that: some tens of MiB in all."""
+"""Largest text of a cached database [characters]. The cache then takes some tens of MiB."""
 
 
 class Database:
-    """The messages of one bus, from one or several files; names are unique."""
+    """The messages of one bus, from one or several files. Message names are unique."""
 
     def __init__(self, messages: Sequence[Message], ambiguous: Mapping[str, str]) -> None:
         self.messages: Mapping[str, Message] = {m.name: m for m in _told_apart(messages)}
         self._ambiguous = dict(ambiguous)
 
     def message(self, name: str) -> Message:
-        """Return the message; DatabaseError where absent, ambiguous or not decodable."""
+        """Return the message. Raises DatabaseError if absent, ambiguous or not decodable."""
         if name in self._ambiguous:
             raise DatabaseError(self._ambiguous[name])
         found = self.messages.get(name)
@@ -55,7 +55,7 @@ class Database:
         return found
 
     def signal(self, path: str) -> tuple[Message, Signal]:
-        """Return message and signal of ``MESSAGE.SIGNAL``; DatabaseError where absent."""
+        """Return message and signal of ``MESSAGE.SIGNAL``. Raises DatabaseError if absent."""
         message_name, dot, signal_name = path.partition(".")
         if not dot or not message_name or not signal_name:
             hint = self._holders(path) or ", such as IMU.AccX"
@@ -68,7 +68,7 @@ class Database:
 
     @property
     def left_out(self) -> list[str]:
-        """A line for each message and signal that could not be read: its place, why, remedy."""
+        """One line for each message and signal that could not be read: place, reason, remedy."""
         found = [
             f"{m.source}: message {m.name}: {m.unsupported}"
             for m in self.messages.values()
@@ -77,11 +77,11 @@ class Database:
         return found + [why for m in self.messages.values() for why in m.left_out.values()]
 
     def _files(self) -> str:
-        """The files that it was read from, for a message."""
+        """The names of the files of this database, for error texts."""
         return ", ".join(dict.fromkeys(m.source for m in self.messages.values())) or "the database"
 
     def _holders(self, signal_name: str) -> str:
-        """What to write for a signal that is in other messages; nothing where none has it."""
+        """A hint which other messages have this signal; empty if none has it."""
         found = [
             f"{m.name}.{signal_name}" for m in self.messages.values() if signal_name in m.signals
         ]
@@ -91,8 +91,8 @@ class Database:
 def load_database(paths: Sequence[Path], shared_ids: bool = False) -> Database:
     """Read one or several database files of one bus.
 
-    Two files that describe one name or (unless `shared_ids`) one identifier differently, and
-    whatever cannot be read, give a DatabaseError that names file and reason.
+    Raises DatabaseError with file and reason for a file that cannot be read. It is also raised if
+    two files describe one name or (unless `shared_ids`) one identifier differently.
     """
     messages: list[Message] = []
     ambiguous: dict[str, str] = {}
@@ -116,9 +116,10 @@ def load_database(paths: Sequence[Path], shared_ids: bool = False) -> Database:
 def _named_apart(
     messages: Sequence[Message],
 ) -> tuple[list[Message], dict[str, Sequence[str]]]:
-    """The messages, and the names that several had with what these are called instead.
+    """Return the messages with unique names, and a map from each shared name to the new names.
 
-    A file may describe two senders of one kind by the same names: identifiers tell them apart.
+    A file may describe two senders of one type with the same message names. The new names contain
+    the identifiers.
     """
     ids: dict[str, list[int]] = {}
     for one in messages:
@@ -135,7 +136,7 @@ def _named_apart(
 
 
 def _told_apart(messages: Sequence[Message]) -> list[Message]:
-    """The messages; of those that share a PGN each one with an address of its own is marked."""
+    """Return the messages. If messages share a PGN, those with their own address are marked."""
     addresses: dict[int, set[int]] = {}
     for one in messages:
         if one.can_id & CAN_EFF_FLAG:
@@ -156,7 +157,7 @@ def load_database_text(text: str, database_format: str, name: str = "<text>") ->
 
 
 def max_file_bytes() -> int:
-    """Size of the largest file that is taken: what the memory allowed can hold."""
+    """Size of the largest accepted file, from the allowed memory [bytes]."""
     return min(MAX_FILE_BYTES, int(allowed_memory() * TEXT_SHARE))
 
 
@@ -176,10 +177,11 @@ def _load_file(path: Path) -> list[Message]:
 
 
 def decoded(data: bytes) -> str:
-    """Text of a file: as its mark says, else each line UTF-8 where it can be that, else cp1252.
+    """Decode a file. The byte order mark sets the encoding, if there is one.
 
-    Tools on Windows write cp1252, editors and scripts UTF-8, and some files have been through both;
-    hardly any text of the first is right in the second.
+    Without a mark, each line is decoded as UTF-8 if it is valid UTF-8, else as cp1252. Tools on
+    Windows write cp1252; editors and scripts write UTF-8; some files contain both. A line with
+    cp1252 characters is hardly ever valid UTF-8.
     """
     for mark, encoding in _MARKS.items():
         if data.startswith(mark):
@@ -211,7 +213,7 @@ def _parsed(text: str, database_format: str, source: str) -> Sequence[Message]:
     name = f"{database_format} {source}"
     messages = database_cache.find(text, name, Message)
     if messages is None:
-        from imucald.can.dbc.bounded_parser import parse_bounded  # noqa: PLC0415 - few are not kept
+        from imucald.can.dbc.bounded_parser import parse_bounded  # noqa: PLC0415 - seldom needed
 
         messages = parse_bounded(text, database_format, source)
         database_cache.keep(text, name, messages, Message)

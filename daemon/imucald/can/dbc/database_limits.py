@@ -1,7 +1,8 @@
-"""What a database must not contain, because the parser would take all memory or time over it.
+"""Refuse databases that would make the parser use all memory or run for a very long time.
 
-The parser's memory grows with the lengths a database states (a message of four gigabytes is one
-line of text), and its time with the product of nested multiplexers. Real databases are far below.
+The parser's memory grows with the lengths that a database states; one line of text can state a
+message of four gigabytes. The parser's time grows with the product of nested multiplexers. Real
+databases are far below these limits.
 """
 
 from __future__ import annotations
@@ -13,15 +14,16 @@ from collections.abc import Mapping, Sequence
 from imucald.core.errors import DatabaseError
 
 MAX_MESSAGE_BYTES = 4096
-"""Longest message taken (J1939 transport: 1785 bytes)."""
+"""Longest accepted message (J1939 transport: 1785 bytes)."""
 
 MAX_BITS = 8 * MAX_MESSAGE_BYTES
 
 MAX_PDU_BITS = 2**24
-"""Longest PDU taken in an ARXML file, which may describe Ethernet besides CAN."""
+"""Longest accepted PDU in an ARXML file, which may also describe Ethernet."""
 
 MAX_MULTIPLEXED_SETS = 65_536
-"""Most sets of signals that one message's multiplexers may select, nested ones multiplied."""
+"""Largest number of signal sets that the multiplexers of one message may select. The numbers of
+nested multiplexers are multiplied."""
 
 _NUMBERS: Mapping[str, Sequence[tuple[str, int]]] = {
     "dbc": (
@@ -41,7 +43,7 @@ _NUMBERS: Mapping[str, Sequence[tuple[str, int]]] = {
         (r"<(?:\w+:)?(?:LENGTH|START-POSITION)>\s*(\d+)", MAX_PDU_BITS),
     ),
 }
-"""Numbers that cost memory, by format: a pattern with the digits as its group, and their limit."""
+"""Numbers that determine memory, by format: a pattern whose group is the digits, and a limit."""
 
 _SYM_SIGNAL = re.compile(r"\b(?:Sig|Var|Mux)\s*=")
 _SYM_NUMBER = re.compile(r"\s(\d{5,})(?![\dA-Fa-fh])")
@@ -52,7 +54,7 @@ _RANGE = re.compile(r"(\d{1,20})\s*-\s*(\d{1,20})")
 
 
 def refuse_heavy(text: str, database_format: str, source: str) -> None:
-    """Raise DatabaseError, with file and line, where a number in the text is beyond its limit."""
+    """Raise DatabaseError with file and line if a number in the text exceeds its limit."""
     for pattern, limit in _NUMBERS.get(database_format, ()):
         for match in re.finditer(pattern, text):
             _refuse_number(match.group(1), limit, text, match.start(), source)
@@ -66,8 +68,8 @@ def refuse_heavy(text: str, database_format: str, source: str) -> None:
 def _refuse_long_messages(text: str, source: str) -> None:
     """Refuse a message of a DBC that is too long.
 
-    The parser needs no space between identifier and name: what stands up to the colon is looked at
-    no further, and each piece of the text once.
+    The parser accepts a message without a space between identifier and name. So the text before the
+    colon is not analysed, and each part of the text is read only once.
     """
     starts = [match.start() for match in _MESSAGE.finditer(text)]
     for at, end in itertools.pairwise([*starts, len(text)]):
@@ -78,7 +80,7 @@ def _refuse_long_messages(text: str, source: str) -> None:
 
 
 def _refuse_sym_positions(text: str, source: str) -> None:
-    """Refuse a position or length of a SYM signal that is too large; a line is looked at once."""
+    """Refuse a position or length of a SYM signal that is too large. Each line is read once."""
     at = 0
     for line in text.split("\n"):
         text = line.partition("/")[0]
@@ -120,7 +122,7 @@ def _count_sets(
     sets: dict[tuple[str, str], int],
     above: tuple[tuple[str, str], ...],
 ) -> int:
-    """Sets of signals under one multiplexer; more than the limit where it is its own parent."""
+    """Count the signal sets under one multiplexer; above the limit if it is its own parent."""
     if key in sets:
         return sets[key]
     if key in above or len(above) > 100:

@@ -1,6 +1,6 @@
-"""A DBC with lines that cannot be read: they cost their message or signal, not the database.
+"""Read a DBC with damaged lines: only their message or signal is lost, not the database.
 
-What is left out becomes spaces, so that all other lines keep their numbers.
+Removed text is replaced with spaces, so that all other lines keep their numbers.
 """
 
 from __future__ import annotations
@@ -15,9 +15,9 @@ from imucald.can.columns import CAN_EFF_FLAG, CAN_EFF_MASK, CAN_SFF_MASK
 from imucald.can.dbc.message import Message
 
 MOST_ATTEMPTS = 40
-"""Times that a database is read again without what could not be read ..."""
+"""Largest number of times that a database is parsed again after damaged text was removed."""
 MOST_CHARACTERS = 2_000_000
-"""... and characters read in all of them: some 20 s on a slow processor."""
+"""Largest number of characters parsed in all attempts: about 20 s on a slow processor."""
 
 _STATEMENT = re.compile(
     r"^[ \t]*(VERSION|NS_|BS_|BU_|BO_|SG_|CM_|VAL_TABLE_|VAL_|BA_DEF_DEF_REL_|BA_DEF_REL_|BA_REL_"
@@ -26,7 +26,7 @@ _STATEMENT = re.compile(
     re.MULTILINE,
 )
 _TEXT = re.compile(r'"(?:\\.|[^"\\])*+("?)')
-"""Quoted text, and what follows a quote that none ends: no character is looked at twice."""
+"""Quoted text, or all text after a quote without an end. No character is read twice."""
 _MESSAGE = re.compile(r"BO_\s+(\S+)\s+([^\s:]*)\s*:\s*(\d*)")
 _SIGNAL = re.compile(r"SG_\s+([^\s:]+)(?:[ \t]+(M|m\d+M?)\b)?")
 _REFERENCE = re.compile(r"(?:VAL_|SIG_VALTYPE_)\s+(\d+)\s+([^\s:]+)")
@@ -34,7 +34,8 @@ _UNREADABLE = "this line cannot be read as DBC; write it like the lines around i
 _NO_MULTIPLEXER = "is not used, since the line of its multiplexer cannot be read; correct that line"
 _ONE_LINE = frozenset({"BO_", "SG_"})
 _DECISIVE = frozenset({"SIG_VALTYPE_", "SG_MUL_VAL_"})
-"""Without these a signal would be read, and be another one: the database is refused."""
+"""Statements that cannot be removed: without them, a signal would be decoded wrongly. A database
+with such a damaged statement is refused."""
 _NAME = re.compile(r"[A-Za-z_]\w*", re.ASCII)
 _MULTIPLEXING = re.compile(
     r"^[ \t]*(?:BO_[ \t]+\d+[ \t]+(\w+)|SG_[ \t]+(\w+)[ \t]+m\d+M?[ \t]*:)", re.MULTILINE
@@ -45,7 +46,7 @@ _DEFINED = re.compile(r'BA_DEF_\s+(?:[A-Z]+_\s+)?"([^"]*)"')
 
 
 class LeftOut(Struct, frozen=True):
-    """A message, or a signal of one, that is not as the text has it: reason and remedy in `why`."""
+    """A message or signal that was left out or changed. `why`: the reason and the remedy."""
 
     message: str
     signal: str
@@ -56,7 +57,7 @@ class LeftOut(Struct, frozen=True):
 
 
 class _Statement(Struct, frozen=True):
-    """One statement: its keyword, and where it stands in the text."""
+    """One statement: its keyword and its position in the text."""
 
     keyword: str
     start: int
@@ -64,7 +65,7 @@ class _Statement(Struct, frozen=True):
 
 
 class MendedText:
-    """The text of a DBC, from which lines are taken out; left_out: what they were."""
+    """The text of a DBC from which damaged lines are removed. left_out: the removed items."""
 
     def __init__(self, text: str) -> None:
         self.text = text
@@ -74,9 +75,9 @@ class MendedText:
         self._attempts = min(MOST_ATTEMPTS, max(3, MOST_CHARACTERS // max(1, len(text))))
 
     def mend(self, reason: str) -> bool:
-        """Take out what is known to be wrong, and what stands where the parser stopped.
+        """Remove statements that are wrong, and the statement at which the parser stopped.
 
-        Returns False where nothing was found, or it has been tried often enough.
+        Returns False if nothing was found or the limit of attempts is reached.
         """
         if self._attempts == 0:
             return False
@@ -96,7 +97,7 @@ class MendedText:
         return self.text != before
 
     def _bad_messages(self) -> None:
-        """Identifiers that no frame has, and names that are none."""
+        """Remove messages with an impossible identifier or an invalid name."""
         statements = list(_statements(self.text))
         for k, one in enumerate(statements):
             found = _MESSAGE.match(self._of(one))
@@ -110,7 +111,7 @@ class MendedText:
                 self._take_signal(statements, k, _name_reason(signal.group(1)))
 
     def _at(self, line: int, column: int) -> None:
-        """What stands where the parser stopped, or did not end before it."""
+        """Remove the statement at which the parser stopped, or an unfinished one before it."""
         at = 0
         for _ in range(line - 1):
             at = self.text.find("\n", at) + 1
@@ -120,7 +121,7 @@ class MendedText:
         k = bisect_right(starts, at) - 1
         line_start = at - column + 1
         is_stray = k < 0 or (statements[k].keyword in _ONE_LINE and starts[k] < line_start)
-        if is_stray:  # what follows could be its signals: they are no other message's
+        if is_stray:  # the next signals may belong to it, not to the message before
             end = k + 1
             while end < len(statements) and statements[end].keyword == "SG_":
                 end += 1
@@ -142,7 +143,7 @@ class MendedText:
             self._bad.append((one.start, one.end))
 
     def _is_unfinished(self, one: _Statement, following: _Statement) -> bool:
-        """Whether a statement, and not the keyword after it, is what the parser stopped at."""
+        """Whether the parser stopped because of a statement, not of the keyword after it."""
         if one.keyword in {"BO_", "SG_"}:
             return True
         if following.keyword == "SG_" or one.keyword in {"BU_", "BS_", "NS_", "VERSION"}:
@@ -150,7 +151,7 @@ class MendedText:
         return not self._of(one).rstrip().endswith(";")
 
     def _stale(self) -> None:
-        """Value tables and float marks of signals that are not there; attributes not defined."""
+        """Remove value tables and float types of missing signals, and undefined attributes."""
         known: set[tuple[str, str]] = set()
         names: dict[str, str] = {}
         number = ""
@@ -208,9 +209,9 @@ class MendedText:
     def _take_multiplexed(
         self, statements: list[_Statement], k: int, message: str, bad: _Statement
     ) -> None:
-        """Take out the multiplexed signals of message k if its multiplexer may be the bad signal.
+        """Remove the multiplexed signals of message k if the bad signal may be its multiplexer.
 
-        Nothing says then which frames have them.
+        Without the multiplexer, it is not known which frames contain these signals.
         """
         multiplexed: list[tuple[_Statement, str]] = []
         for one in statements[k + 1 :]:
@@ -237,7 +238,7 @@ class MendedText:
         return self.text[one.start : one.end]
 
     def _blank(self, *ranges: tuple[int, int]) -> None:
-        """Make spaces of ranges (start, end) of the text; they may overlap."""
+        """Replace ranges (start, end) of the text with spaces. The ranges may overlap."""
         parts, at = [], 0
         for start, end in sorted(ranges):
             parts.append(self.text[at:start])
@@ -247,7 +248,7 @@ class MendedText:
 
 
 def lost_multiplexers(text: str, messages: Iterable[Message]) -> Iterator[LeftOut]:
-    """Signals that the text marks as multiplexed, and for which the parser found no multiplexer."""
+    """Find signals that are marked as multiplexed but have no multiplexer."""
     always = {m.name: {s.name for s in m.signals.values() if not s.selectors} for m in messages}
     message, line, at = "", 1, 0
     for found in _MULTIPLEXING.finditer(text):
@@ -263,7 +264,7 @@ def lost_multiplexers(text: str, messages: Iterable[Message]) -> Iterator[LeftOu
 
 
 def _statements(text: str) -> Iterator[_Statement]:
-    """All statements of a text; keywords within quoted text are none."""
+    """Find all statements of a text. Keywords within quoted text are ignored."""
     plain = _TEXT.sub(
         lambda found: re.sub(r"[^\n]", "x", found.group()) if found.group(1) else found.group(),
         text,
@@ -276,7 +277,7 @@ def _statements(text: str) -> Iterator[_Statement]:
 
 
 def _id_reason(number: int) -> str:
-    """Why no frame has the identifier, and the remedy; nothing where one can."""
+    """Return why an identifier is impossible, and the remedy; empty if it is possible."""
     bits = number & ~CAN_EFF_FLAG
     if number <= CAN_SFF_MASK or (number & CAN_EFF_FLAG and bits <= CAN_EFF_MASK):
         return ""
@@ -294,7 +295,7 @@ def _id_reason(number: int) -> str:
 
 
 def _name_reason(name: str) -> str:
-    """Why it is no name, and the remedy."""
+    """Return why a name is invalid, and the remedy."""
     if _NAME.fullmatch(name):
         return ""
     return (

@@ -1,10 +1,10 @@
-"""Decode plans: a message and the signals asked for, compiled once.
+"""Decode plans: a message and the requested signals, compiled once.
 
-One frame is decoded by a small generated function (a few integer operations a signal), whole
-columns by numpy; both give the same doubles, and the ones cantools gives. A multiplexer's value
-is compared as raw value. The way back is in `encode`; databases are read by `database`. The text of
-the generated functions comes from numbers of checked type and from positions only, never from names
-in a database.
+A small generated function decodes one frame, with a few integer operations per signal. numpy
+decodes whole columns. Both give the same doubles as cantools. The values of multiplexers are
+compared as raw values. `encode` is the reverse; `database` reads databases. The text of the
+generated functions contains only numbers of checked type and positions, never names from a
+database.
 """
 
 from __future__ import annotations
@@ -31,24 +31,25 @@ from imucald.can.dbc.resolved_signal import FLOAT_CODES, ResolvedSignal, resolve
 from imucald.core.errors import DatabaseError, DecodeError
 
 J1939_BROADCAST_FORMAT = 240
-"""From this PDU format on (PDU2) the PDU-specific byte is part of the PGN (SAE J1939-21)."""
+"""From this PDU format on (PDU2), the PDU-specific byte is part of the PGN (SAE J1939-21)."""
 
 J1939_PDU1_MASK = 0x03FF_0000
-"""Extended data page, data page and PDU format: the PGN of a message to one address."""
+"""Mask of the PGN of a message to one address: extended data page, data page, PDU format."""
 
 J1939_PDU2_MASK = 0x03FF_FF00
-"""The same with the group extension: the PGN of a broadcast message."""
+"""Mask of the PGN of a broadcast message: as `J1939_PDU1_MASK`, plus the group extension."""
 
 FEW_VALUES = 8
-"""Up to so many multiplexer values, comparing with each is quicker than a search."""
+"""Up to this number of multiplexer values, comparing with each value is faster than a search."""
 
 _STRUCT_CODES = {8: "b", 16: "h", 32: "i", 64: "q"}
-"""struct's letter for a signed integer of so many bits."""
+"""The letter of module struct for a signed integer, by its number of bits."""
 
 J1939_ADDRESS_MASK = 0xFF
-"""The address of the sender."""
+"""Mask of the sender's address."""
 J1939_NO_ADDRESS = 0xFE
-"""From here on an address is nobody's; databases write it for whoever sends (SAE J1939-81)."""
+"""From this value on, an address is no unit's address. Databases use it for any sender
+(SAE J1939-81)."""
 
 Raw = int | float | None
 RawColumn = NDArray[np.int64] | NDArray[np.uint64] | NDArray[np.float64]
@@ -60,7 +61,7 @@ def _pgn_mask(can_id: int) -> int:
 
 
 def pgn_of(can_id: int) -> int:
-    """The bits of a 29-bit identifier that are its PGN, where they stand in it."""
+    """Return the PGN bits of a 29-bit identifier, at their original position."""
     return can_id & _pgn_mask(can_id)
 
 
@@ -70,14 +71,14 @@ def id_match(
     channel: str | None = None,
     source_address: int | None = None,
 ) -> IdMatch:
-    """Which frames are this message's.
+    """Return the filter for the frames of this message.
 
-    A J1939 message is matched by its PGN, whatever priority and (for PDU1) destination, and
-    whatever source address unless one is given, or the database has several messages of that PGN
-    and this one has an address of its own; `j1939` overrides what the database says of
-    messages with 29 bits of identifier. One with 11 bits has no PGN.
+    A J1939 message is matched by its PGN. Priority and (for PDU1) destination are ignored. The
+    source address counts only in two cases: if one is given here, or if the database has several
+    messages with this PGN and this message has its own address. `j1939` overrides the database for
+    messages with a 29-bit identifier. A message with an 11-bit identifier has no PGN.
 
-    Raises DatabaseError where a source address is given for a message that is not of J1939.
+    Raises DatabaseError if a source address is given for a message that is not J1939.
     """
     is_extended = bool(message.can_id & CAN_EFF_FLAG)
     if is_extended and (message.is_j1939 if j1939 is None else j1939):
@@ -102,11 +103,12 @@ def id_match(
 
 
 class DecodedColumns(Struct, frozen=True):
-    """Columns of one message; `N` frames.
+    """Decoded columns of one message, for N frames.
 
-    `raw`: a signal's raw integers (int64; uint64 for 64 unsigned bits) or floats. `values`:
-    physical float64, NaN where the signal is absent. `present`: (N,) bool a signal, None where
-    it always is. `ok`: (N,) bool, False where the frame is short (everything is absent there).
+    `raw`: raw integers (int64; uint64 for 64 unsigned bits) or floats of each signal. `values`:
+    physical values, float64, NaN if the signal is absent. `present`: (N,) bool for each signal;
+    None if it is always present. `ok`: (N,) bool, False for a frame that is too short (all its
+    signals are absent).
     """
 
     raw: tuple[RawColumn, ...]
@@ -116,13 +118,15 @@ class DecodedColumns(Struct, frozen=True):
 
 
 class DecodePlan:
-    """Decodes the asked signals of one message, in the order asked.
+    """Decodes the requested signals of one message, in the requested order.
 
-    `size`: bytes of the message. `least`: bytes a frame must have: fewer where it may be cut; what
-    does not lie in the frame is absent then. `ends`: bytes that hold each signal.
-    `decode_raw(data)`: raw values, None where another multiplexer value stands or the frame is
-    cut. `scale(raw)`: physical values of those. `decode(data)`: both in one. The first and the
-    last raise DecodeError ("short_frame"). Not-finite floats come out as they are.
+    `size`: length of the message [bytes]. `least`: shortest accepted frame [bytes]. It is less than
+    `size` if frames may be cut; signals outside the frame are then absent. `ends`: for each signal,
+    the frame length [bytes] that is needed to hold it.
+    `decode_raw(data)`: returns raw values; None if the signal is absent because of the multiplexer
+    or of a cut frame. `scale(raw)`: converts raw values to physical values. `decode(data)`: does
+    both steps. `decode_raw` and `decode` raise DecodeError ("short_frame"). Infinite and NaN floats
+    are returned unchanged.
     """
 
     def __init__(
@@ -153,12 +157,12 @@ class DecodePlan:
         self.decode: Callable[[bytes | bytearray], tuple[float | None, ...]] = names["decode"]
 
     def raise_short(self, length: int) -> NoReturn:
-        """Raise the DecodeError of a frame that is shorter than its message."""
+        """Raise DecodeError for a frame that is shorter than its message."""
         text = f"{self.message.name}: {length} of {self.least} bytes"
         raise DecodeError("short_frame", text)
 
     def decode_columns(self, data: Columns, length: NDArray[np.uint8]) -> DecodedColumns:
-        """Decode (N, W) payloads of (N,) lengths; never raises on what a frame contains."""
+        """Decode payloads (N, W) with lengths (N,). No frame content raises an error."""
         ok = length >= self.least
         if data.shape[1] < self.least:
             ok = np.zeros(len(data), bool)
@@ -190,7 +194,7 @@ class DecodePlan:
     def presence(
         self, data: Columns, length: NDArray[np.uint8]
     ) -> Mapping[Selectors, NDArray[np.bool_]]:
-        """For each choice of multiplexer values among the signals: the frames (N,) with it."""
+        """For each set of multiplexer values that signals need, return the frames (N,) with it."""
         if not self.multiplexers:
             return {}
         data = self._wide(data)
@@ -207,7 +211,7 @@ class DecodePlan:
         return found
 
     def _wide(self, data: Columns) -> Columns:
-        """Payloads at least as wide as the message, with zeros."""
+        """Pad payloads with zeros to at least the width of the message."""
         if data.shape[1] >= self.size:
             return data
         wide = np.zeros((len(data), self.size), np.uint8)
@@ -223,9 +227,10 @@ def compile_decode(
     source_address: int | None = None,
     may_be_cut: bool = False,
 ) -> DecodePlan:
-    """Plan for the signals asked, in that order; DatabaseError where one cannot be decoded.
+    """Make the plan for the requested signals, in that order.
 
-    may_be_cut: frames may be shorter than the message: signals that lie in them are decoded.
+    may_be_cut: frames may be shorter than the message; signals within the frame are decoded.
+    Raises DatabaseError if a signal cannot be decoded.
     """
     if message.unsupported:
         raise DatabaseError(f"{message.source}: message {message.name}: {message.unsupported}")
@@ -272,7 +277,7 @@ def _raw_column(
 
 
 def float_column(bits: NDArray[np.uint64], length: int) -> NDArray[np.float64]:
-    """IEEE 754 numbers of `length` bits, as float64 (N,)."""
+    """Convert bits of IEEE 754 numbers of `length` bits to float64 (N,)."""
     if length == 64:
         return bits.view(np.float64)
     kinds: dict[int, tuple[Any, Any]] = {
@@ -281,7 +286,7 @@ def float_column(bits: NDArray[np.uint64], length: int) -> NDArray[np.float64]:
     }
     unsigned, floating = kinds[length]
     narrow: NDArray[Any] = bits.astype(unsigned).view(floating)
-    with np.errstate(invalid="ignore"):  # signalling NaNs come from the bus
+    with np.errstate(invalid="ignore"):  # a frame may hold signalling NaNs
         return narrow.astype(np.float64)
 
 
@@ -295,8 +300,8 @@ def _generated(
 ) -> dict[str, Any]:
     """Make `decode_raw(data)`, `scale(raw)` and `decode(data)` for frames of `size` bytes.
 
-    `short` is called with the length of a frame that has fewer than `least`, and raises. ends: of
-    the signals, in bytes: a frame of fewer does not hold them.
+    short: called with the length of a frame that has less than `least` bytes; it raises an error.
+    ends: frame length [bytes] that each signal needs.
     """
     body, scope = _reading_lines(size, least, ends, signals, multiplexers)
     scope["short"] = short
@@ -312,7 +317,7 @@ def _generated(
 
 @lru_cache(maxsize=256)
 def _compiled(text: str) -> CodeType:
-    """Code of a plan; several drives of one configuration ask for the same."""
+    """Compile the code of a plan. It is cached, because several drives use the same plan."""
     return compile(text, "<decode plan>", "exec")
 
 
@@ -323,7 +328,7 @@ def _reading_lines(
     signals: Sequence[ResolvedSignal],
     multiplexers: Mapping[str, ResolvedSignal],
 ) -> tuple[list[str], dict[str, Any]]:
-    """Lines that set r0, r1, ... from `data`, and the names they use."""
+    """Return the lines that set r0, r1, ... from `data`, and the names that they use."""
     scope: dict[str, Any] = {"from_bytes": int.from_bytes}
     lines = [
         "    length = len(data)",
@@ -362,7 +367,7 @@ def _reading_lines(
 
 
 def _physical_expression(s: ResolvedSignal, raw: str, may_be_cut: bool) -> str:
-    """Python text of the physical value of a raw variable."""
+    """Return the Python expression for the physical value of a raw variable."""
     text = s.scaling.expression.format(r=raw)
     return f"None if {raw} is None else {text}" if s.selectors or may_be_cut else text
 
@@ -374,7 +379,7 @@ def _listing(names: Sequence[str]) -> str:
 def _split_aligned(
     wanted: Sequence[tuple[str, ResolvedSignal]],
 ) -> tuple[dict[str, list[tuple[str, ResolvedSignal]]], list[tuple[str, ResolvedSignal]]]:
-    """Signals that a struct can read, by byte order, and the rest."""
+    """Split the signals: those that module struct can read, by byte order, and all others."""
     grouped: dict[str, list[tuple[str, ResolvedSignal]]] = {}
     loose = []
     ends = {"little_endian": 0, "big_endian": 0}

@@ -1,9 +1,9 @@
-"""Encode plans: physical values into a message's bits, compiled once.
+"""Encode plans: convert physical values to the bits of a message, compiled once.
 
-One frame and whole columns give the same bytes, and those of cantools: raw is
-`round((value - offset) / scale)`, halves to even. Saturation is never silent: what a signal cannot
-say (beyond its range or bits, NaN, None) becomes its not-available raw value, or an EncodeError
-where it has none.
+One frame and whole columns give the same bytes, equal to those of cantools: raw is
+`round((value - offset) / scale)`, with halves rounded to even. Values are never clipped. A value
+that the signal cannot represent (outside its range or bits, NaN, None) becomes the not-available
+raw value. If the signal has no such value, EncodeError is raised.
 
 One signal of an encode plan: what it can say, and the bits that say it.
 """
@@ -25,14 +25,14 @@ from imucald.can.dbc.resolved_signal import FLOAT_CODES, ResolvedSignal, raw_lim
 from imucald.core.errors import DatabaseError, EncodeError
 
 RANGE_TOLERANCE = 1e-6
-"""Slack at a stated minimum or maximum, in raw steps: the rounding of numbers in a database."""
+"""Tolerance at a stated minimum or maximum, in raw steps, because databases round numbers."""
 
 MAX_DOUBLE = sys.float_info.max
-"""Beyond this a number is not finite; NaN fails any comparison."""
+"""Largest finite number. Comparing with it also excludes NaN."""
 
 
 class SignalEncoder:
-    """One signal of an encode plan: range in raw steps and its not-available bits."""
+    """One signal of an encode plan: its range in raw steps and its not-available bits."""
 
     def __init__(
         self, message: Message, s: ResolvedSignal, not_available: int | float | None
@@ -50,7 +50,7 @@ class SignalEncoder:
             self._absent = _not_available_bits(s.signal, not_available, self.place)
 
     def generate(self, i: int, scope: dict[str, Any]) -> list[str]:
-        """Lines of Python that set ``b{i}``, the bits, from ``v{i}``, the value."""
+        """Return lines of Python that set the bits ``b{i}`` from the value ``v{i}``."""
         raw = f"v{i}"
         if not self._is_identity:
             raw = f"(v{i} - {self._offset!r}) / {self._scale!r}"
@@ -67,7 +67,7 @@ class SignalEncoder:
         return [f"    b{i} = round({raw})", f"    b{i} = b{i}{mask} if {test} else bits_{i}(v{i})"]
 
     def bits(self, value: float | None) -> int:
-        """Bits of one value; EncodeError where it cannot be encoded."""
+        """Return the bits of one value. Raises EncodeError if it cannot be encoded."""
         if value is not None and math.isfinite(value):
             raw = value if self._is_identity else (value - self._offset) / self._scale
             if self.is_float:
@@ -82,7 +82,7 @@ class SignalEncoder:
         return self._absent
 
     def bits_column(self, values: NDArray[np.float64]) -> NDArray[np.uint64]:
-        """The same for (N,) values."""
+        """Return the bits of values (N,). Raises EncodeError if one cannot be encoded."""
         with np.errstate(all="ignore"):
             raw = values if self._is_identity else (values - self._offset) / self._scale
             if self.is_float:
@@ -112,7 +112,7 @@ class SignalEncoder:
 
 
 def _integer_limits(signal: Signal) -> tuple[int, int]:
-    """Lowest and highest raw integer within the bits and the stated physical range."""
+    """Lowest and highest raw integer that fit the bits and the stated physical range."""
     lowest, highest = raw_limits(signal)
     scale, offset = float(signal.scale), float(signal.offset)
     ends = [
@@ -128,7 +128,7 @@ def _integer_limits(signal: Signal) -> tuple[int, int]:
 
 
 def _float_limits(signal: Signal) -> tuple[float, float]:
-    """Stated physical range; finite, so that no infinity is within it."""
+    """Stated physical range. It is finite, so it excludes infinity."""
     low = -MAX_DOUBLE if signal.minimum is None else signal.minimum
     high = MAX_DOUBLE if signal.maximum is None else signal.maximum
     return low, high
@@ -147,7 +147,7 @@ def _floor_double(limit: int) -> float:
 
 
 def float_bits(raw: float, length: int) -> int | None:
-    """IEEE 754 bits; None where the number is too large for the length."""
+    """Return the IEEE 754 bits; None if the number is too large for this length."""
     try:
         return int.from_bytes(struct.pack("<" + FLOAT_CODES[length], raw), "little")
     except OverflowError:
@@ -177,11 +177,11 @@ def _not_available_bits(signal: Signal, raw: int | float, place: str) -> int:
 
 
 class EncodePlan:
-    """Encodes the asked signals of one message, values in the order asked, into `size` bytes.
+    """Encodes the requested signals of one message into `size` bytes, in the requested order.
 
     `encode(values)`: one frame from floats (None: not available). `encode_columns(columns)`:
-    (N, size) uint8 from arrays (NaN: not available). Signals not asked hold their start value;
-    multiplexers stand at `multiplexer` (raw).
+    (N, size) uint8 from arrays (NaN: not available). All other signals have their start values.
+    Multiplexers have the raw values in `multiplexer`.
     """
 
     def __init__(
@@ -202,7 +202,7 @@ class EncodePlan:
         self._encode = self._generate()
 
     def encode(self, values: Sequence[float | None]) -> bytes:
-        """Payload of one frame; EncodeError where a value cannot be encoded."""
+        """Return the payload of one frame. Raises EncodeError if a value cannot be encoded."""
         try:
             return self._encode(values)
         except (TypeError, ValueError, OverflowError):
@@ -215,7 +215,7 @@ class EncodePlan:
         return bytes(payload)
 
     def encode_columns(self, columns: Sequence[ArrayLike]) -> Columns:
-        """Payloads (N, size) of N frames; EncodeError where a value cannot be encoded."""
+        """Return payloads (N, size). Raises EncodeError if a value cannot be encoded."""
         if len(columns) != len(self._encoders):
             text = f"{len(columns)} columns for {len(self._encoders)} signals"
             raise EncodeError(f"{self.message.name}: {text}")
@@ -230,7 +230,7 @@ class EncodePlan:
         return np.ascontiguousarray(out[:, : self.size])
 
     def _start_bytes(self) -> bytes:
-        """Start values of the signals that are there, zeros under the signals asked."""
+        """Return a frame with the start values of present signals and 0 for requested signals."""
         payload = bytearray(self.size)
         for signal in self.message.signals.values():
             field = field_of(signal)
@@ -253,7 +253,7 @@ class EncodePlan:
         return True
 
     def _generate(self) -> Callable[[Sequence[float | None]], bytes]:
-        """Make the function of the ordinary case; anything else raises, and goes the slow way."""
+        """Make the function for the normal case. Other cases raise and take the slow path."""
         scope: dict[str, Any] = {"from_bytes": int.from_bytes}
         parts: dict[bool, list[str]] = {False: [], True: []}
         names = "".join(f"v{i}, " for i in range(len(self._encoders)))
@@ -281,11 +281,12 @@ def compile_encode(
     not_available: Mapping[str, int | float] | None = None,
     multiplexer: Mapping[str, int] | None = None,
 ) -> EncodePlan:
-    """Plan for the signals given, in that order.
+    """Make the plan for the given signals, in that order.
 
-    `not_available`: raw value of a signal that says so (a float for float signals).
-    `multiplexer`: raw values of multiplexers; where not given, the lowest under which all asked
-    signals are there. DatabaseError where a signal cannot be encoded or they exclude one another.
+    `not_available`: the raw value that means "not available", by signal (float for float signals).
+    `multiplexer`: raw values of multiplexers. A missing one is the lowest value for which all
+    requested signals are present. Raises DatabaseError if a signal cannot be encoded or if signals
+    exclude each other.
     """
     if message.unsupported:
         raise DatabaseError(f"{message.source}: message {message.name}: {message.unsupported}")

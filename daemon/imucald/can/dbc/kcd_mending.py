@@ -1,6 +1,6 @@
-"""A KCD with messages that cannot be read: each is left out, and the others stay.
+"""Read a KCD with damaged messages: only these messages are left out.
 
-What is left out becomes spaces, so that all other lines keep their numbers.
+Removed text is replaced with spaces, so that all other lines keep their numbers.
 """
 
 from __future__ import annotations
@@ -16,11 +16,11 @@ from imucald.can.dbc.dbc_mending import LeftOut
 
 _NAMESPACE = "http://kayak.2codeornot2code.org/1.0"
 _ALONE = f'<NetworkDefinition xmlns="{_NAMESPACE}"><Bus name="">%s</Bus></NetworkDefinition>'
-"""A database of one message."""
+"""Template of a database with one message."""
 
 
 class _Element(Struct, frozen=True):
-    """A message: attributes, line, and where it stands in the text as UTF-8."""
+    """A message: attributes, line, and its position in the UTF-8 text."""
 
     attributes: dict[str, str]
     line: int
@@ -29,9 +29,9 @@ class _Element(Struct, frozen=True):
 
 
 class MendedKcd:
-    """The text of a KCD without the messages that cannot be read; left_out: what they were.
+    """The text of a KCD without the messages that cannot be read. left_out: these messages.
 
-    reason_of: why a text cannot be read, nothing where it can.
+    reason_of: returns why a text cannot be read; empty if it can be read.
     """
 
     def __init__(self, text: str, reason_of: Callable[[str], str]) -> None:
@@ -40,7 +40,7 @@ class MendedKcd:
         self._reason_of = reason_of
 
     def mend(self, _reason: str) -> bool:
-        """Take out every message that cannot be read by itself; False where there is none."""
+        """Remove every message that cannot be read alone. Return False if there is none."""
         data = self.text.encode()
         parts, at, count = [], 0, len(self.left_out)
         for one in _messages(data):
@@ -55,7 +55,7 @@ class MendedKcd:
 
 
 def _messages(data: bytes) -> list[_Element]:
-    """All elements named Message; none where the text is no XML."""
+    """Find all elements named Message. Empty if the text is not valid XML."""
     found: list[_Element] = []
     begun: list[tuple[dict[str, str], int, int]] = []
     parser = expat.ParserCreate("utf-8")
@@ -67,10 +67,10 @@ def _messages(data: bytes) -> list[_Element]:
     def end(name: str) -> None:
         if name == "Message" and begun:
             attributes, line, at = begun.pop()
-            close = parser.CurrentByteIndex  # of an element in one tag: behind it
+            close = parser.CurrentByteIndex  # an element of one tag: its end
             if data.startswith(b"</", close):
                 close = data.index(b">", close) + 1
-            if not begun:  # a message within a message is part of it
+            if not begun:  # a nested message is part of the outer one
                 found.append(_Element(attributes, line, at, close))
 
     parser.StartElementHandler, parser.EndElementHandler = start, end
@@ -97,7 +97,7 @@ def _left_out(one: _Element, reason: str) -> LeftOut:
 
 
 def _number(text: str) -> int:
-    """A whole number as KCD writes it; 0 for anything else."""
+    """Convert an integer in the notation of KCD; 0 for anything else."""
     try:
         return max(0, int(text, 0))
     except ValueError:

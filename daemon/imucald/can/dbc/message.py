@@ -1,4 +1,4 @@
-"""What a CAN database says of a message and of its signals: plain, frozen, known to every codec."""
+"""The description of a message and its signals in a CAN database, as plain immutable data."""
 
 from __future__ import annotations
 
@@ -12,17 +12,18 @@ from imucald.core.errors import DatabaseError
 
 ByteOrder = Literal["little_endian", "big_endian"]
 Selectors = tuple[tuple[str, frozenset[int]], ...]
-"""A signal's multiplexers, each with the values under which it is there; none: always."""
+"""The multiplexers of a signal, each with the values for which the signal is present. Empty: the
+signal is always present."""
 
 
 class Signal(Struct, frozen=True, omit_defaults=True):
-    """One signal: where its bits are and what they mean.
+    """One signal: the position and the meaning of its bits.
 
-    `start` and `byte_order` as in a DBC: the least significant bit of an Intel signal, the most
-    significant of a Motorola one, in the DBC's numbering (bit 0 = byte 0's lowest).
-    Physical = raw * scale + offset, in `unit`. `minimum`, `maximum`: physical, None where not
-    stated. `selectors`: the multiplexers that must hold, outermost first, each with the raw
-    values under which this signal is there. `initial_raw`, `invalid_raw`: as the database states.
+    `start`, `byte_order`: as in a DBC. `start` is the least significant bit of an Intel signal and
+    the most significant bit of a Motorola signal. Bit 0 is the lowest bit of byte 0.
+    Physical value = raw * scale + offset, in `unit`. `minimum`, `maximum`: physical values, None if
+    not stated. `selectors`: multiplexers of this signal, outermost first, each with the raw values
+    for which the signal is present. `initial_raw`, `invalid_raw`: as stated in the database.
     """
 
     name: str
@@ -58,17 +59,18 @@ class Message(Struct, frozen=True, omit_defaults=True):
     source: str = ""
     unsupported: str = ""
     has_own_address: bool = False
-    """Of J1939: another message of its database has the same PGN, so that the address decides."""
+    """Whether another J1939 message of the database has the same PGN. The source address then
+    distinguishes the messages."""
     left_out: Mapping[str, str] = msgspec.field(default_factory=dict)
-    """Signals that were not taken as the database states them: where (file:line), why, remedy."""
+    """Signals that were left out or changed: place (file:line), reason, remedy."""
 
     @property
     def is_multiplexed(self) -> bool:
-        """Whether some of its signals come with certain values of a multiplexer alone."""
+        """Whether some signals are present only for certain values of a multiplexer."""
         return any(signal.is_multiplexer for signal in self.signals.values())
 
     def signal(self, name: str) -> Signal:
-        """Return the signal; DatabaseError with the nearest names where there is none."""
+        """Return the signal. If there is none, DatabaseError names the most similar signals."""
         try:
             return self.signals[name]
         except KeyError:
@@ -80,8 +82,8 @@ class Message(Struct, frozen=True, omit_defaults=True):
 
 
 def nearest(name: str, names: list[str]) -> str:
-    """The names that may have been meant, in brackets; nothing where none is near."""
-    import difflib  # noqa: PLC0415 - for a mistake only
+    """Return similar names in brackets, as a hint; empty if no name is similar."""
+    import difflib  # noqa: PLC0415 - for errors only
 
     near = difflib.get_close_matches(name, names, n=3, cutoff=0.5)
     return f" (nearest: {', '.join(near)})" if near else ""

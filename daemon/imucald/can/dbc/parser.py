@@ -1,7 +1,7 @@
-"""The text of a CAN database -> its messages, by cantools. Nothing past this module knows cantools.
+"""Parse the text of a CAN database with cantools. No other module uses cantools.
 
-A database is untrusted input: what would exhaust the parser is refused before it sees it
-(`database_limits`), and whatever the parser raises becomes a `DatabaseError`.
+A database is untrusted input. A text that would exhaust the parser is refused before parsing
+(`database_limits`). Every exception of the parser becomes a `DatabaseError`.
 """
 
 from __future__ import annotations
@@ -25,14 +25,14 @@ from imucald.core.errors import DatabaseError
 from imucald.core.libraries import standing_in
 
 MAX_REASON = 300
-"""Characters of a reason that are shown."""
+"""Largest number of characters of a reason that are shown."""
 
 
 def parse(text: str, database_format: str, source: str) -> list[Message]:
     """Return the messages of a database's text.
 
-    source: what errors call it. Raises DatabaseError with the reason where it is wrong,
-    MemoryError where it needs more than there is.
+    source: the name of the text in errors. Raises DatabaseError with the reason if the text is
+    wrong. Raises MemoryError if there is not enough memory.
     """
     refuse_heavy(text, database_format, source)
     mended = MendedKcd(text, _reason_of_kcd) if database_format == "kcd" else MendedText(text)
@@ -43,7 +43,7 @@ def parse(text: str, database_format: str, source: str) -> list[Message]:
             if not mended.left_out or mended.text.strip():
                 loaded: Any = _cantools().load_string(mended.text, database_format, strict=False)
                 found = [_message(message, source) for message in loaded.messages]
-        # The parser meets text of any kind, and answers with almost any exception.
+        # For damaged text, the parser may raise almost any exception.
         except Exception as error:
             if _is_out_of_memory(error):
                 raise MemoryError from error
@@ -63,9 +63,9 @@ def parse(text: str, database_format: str, source: str) -> list[Message]:
 
 
 def _with_left_out(found: list[Message], left_out: Sequence[LeftOut], source: str) -> list[Message]:
-    """The messages with what was left out: whoever asks for it is told where it stands, and why."""
+    """Add the left-out items to the messages, so that errors can state their place and reason."""
     by_name = {message.name: message for message in found}
-    last = dict(by_name)  # of several messages of one name: the others stay, and are seen to differ
+    last = dict(by_name)  # the last of equal names; the others stay, and are reported as different
     for one in left_out:
         place = f"{source}:{one.line}"
         known = by_name.get(one.message)
@@ -87,7 +87,7 @@ def _with_left_out(found: list[Message], left_out: Sequence[LeftOut], source: st
 
 
 def _reason_of_kcd(text: str) -> str:
-    """Why the text of a KCD cannot be read; nothing where it can."""
+    """Return why the text of a KCD cannot be read; empty if it can be read."""
     try:
         _cantools().load_string(text, "kcd", strict=False)
     except Exception as error:
@@ -98,10 +98,10 @@ def _reason_of_kcd(text: str) -> str:
 
 
 def _cantools() -> Any:
-    """`cantools.database`, without the rest of cantools, which would load python-can.
+    """Import `cantools.database` without the rest of cantools, which would load python-can.
 
-    That is 12 MiB (of the 50 that a daemon may take) and 45 ms. Whoever imports cantools later
-    gets it whole. What its log warns of (double names) is told here, with a remedy.
+    This saves 12 MiB (a daemon may use 50 MiB) and 45 ms. A later import of cantools loads all of
+    it. Warnings in its log about duplicate names are reported by this module, with a remedy.
     """
     logging.getLogger("cantools").setLevel(logging.ERROR)
     spec = importlib.util.find_spec("cantools")
@@ -110,14 +110,15 @@ def _cantools() -> Any:
 
 
 def _is_out_of_memory(error: Exception) -> bool:
-    """Whether this is, or cantools made it of, a lack of memory."""
+    """Whether an error is a MemoryError, or cantools raised it because of a MemoryError."""
     behind = (error, error.__cause__, error.__context__, *vars(error).values())
     return any(isinstance(one, MemoryError) for one in behind) or "MemoryError" in str(error)
 
 
 def _reason(error: Exception) -> str:
-    """One line of a parser's error, without the other formats' complaints; no longer than a person
-    reads, for the parser quotes the whole line of the file."""
+    """Return one line of a parser's error, without the errors of the other formats.
+
+    It is shortened, because the parser quotes the whole line of the file."""
     if isinstance(error, RecursionError):
         return "nested too deeply"
     return _cut(" ".join(str(error).split()) or type(error).__name__)
@@ -161,8 +162,8 @@ def _join_doubles(
     found: Any,
     source: str,
 ) -> None:
-    """Signals of one name: in several groups of a multiplexer they are one, where their bits are
-    the same; else the last is taken, and `choices` says so."""
+    """Join signals of one name. In several groups of a multiplexer they are one signal if their
+    bits are the same. Otherwise the last signal is used, and `choices` states this."""
     by_name: dict[str, list[Signal]] = {}
     for one in every:
         by_name.setdefault(one.name, []).append(one)
@@ -185,7 +186,7 @@ def _join_doubles(
 def _signal(found: Any, by_name: Mapping[str, Any]) -> Signal:
     low, high = _number_or_none(found.minimum), _number_or_none(found.maximum)
     if low is not None and high is not None and not low < high:
-        low = high = None  # [0|0] and the like say nothing
+        low = high = None  # [0|0] and similar ranges have no meaning
     return Signal(
         name=found.name,
         start=found.start,
@@ -212,7 +213,7 @@ def _plain_number(value: Any) -> int | float:
 
 
 def _number_or_none(value: Any) -> int | float | None:
-    """A finite number, whole ones as int; None for anything else that an attribute may hold."""
+    """Return a finite number (an integral one as int); None for any other attribute value."""
     if not isinstance(value, (int, float)) or not math.isfinite(value):
         return None
     return int(value) if float(value).is_integer() else float(value)
@@ -225,7 +226,7 @@ def _selectors(found: Any, by_name: Mapping[str, Any]) -> tuple[tuple[str, froze
         parent = found.multiplexer_signal
         chain.append((parent, frozenset(found.multiplexer_ids or ())))
         if parent in seen or parent not in by_name:
-            break  # a broken chain; compiling the signal says so
+            break  # a broken chain; compiling the signal reports it
         seen.add(parent)
         found = by_name[parent]
     return tuple(reversed(chain))

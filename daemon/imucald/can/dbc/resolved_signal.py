@@ -1,9 +1,10 @@
-"""A signal resolved for coding: its bits, its scaling and the multiplexers above it.
+"""A signal prepared for coding: its bits, its scaling and the multiplexers above it.
 
-Scaling is as cantools does it, for one number and for columns: `raw * scale + offset`, in integers
-where scale and offset are whole and the signal is no float, else in doubles. The result here is
-always a double. Where a double holds every product exactly, both are computed in doubles; the few
-54-to-64-bit signals where it would not are computed in Python's integers, in columns too.
+The scaling `raw * scale + offset` is that of cantools, for one number and for columns. cantools
+computes in integers if scale and offset are integers and the signal is not a float, else in
+doubles. The result here is always a double. If a double holds every product exactly, this module
+computes in doubles. For the few signals of 54 to 64 bits where a double would round, it computes in
+Python's integers, also for columns.
 """
 
 from __future__ import annotations
@@ -20,25 +21,26 @@ from imucald.can.dbc.message import Message, Signal
 from imucald.core.errors import DatabaseError
 
 MAX_MULTIPLEXER_VALUE = 2**63
-"""Multiplexer values are compared as signed 64-bit integers in columns."""
+"""Limit of multiplexer values, because columns compare them as signed 64-bit integers."""
 
 EXACT_IN_DOUBLE = 2**53
-"""Whole numbers up to here are doubles without rounding."""
+"""Integers up to this value are exact in a double."""
 
 MAX_SIGNAL_BITS = 64
-"""Longest signal taken as a number."""
+"""Longest signal that is treated as a number [bits]."""
 
 FLOAT_CODES = {16: "e", 32: "f", 64: "d"}
-"""struct's letter for a float of so many bits."""
+"""The letter of module struct for a float, by its number of bits."""
 
 MAX_PHYSICAL = 1e300
-"""A scale that reaches beyond this is no physical one, and would overflow."""
+"""Largest physical value. A scale that exceeds it has no physical meaning and would overflow."""
 
 
 class Scaling(Struct, frozen=True):
-    """Linear scaling of integers in doubles: ``raw * scale + offset``. Other kinds differ in that.
+    """Linear scaling of integers in doubles: ``raw * scale + offset``. Subclasses compute it
+    differently.
 
-    `expression`: Python text of one number, in which ``{r}`` is the raw value.
+    `expression`: Python expression for one number, in which ``{r}`` is the raw value.
     """
 
     scale: int | float
@@ -48,11 +50,11 @@ class Scaling(Struct, frozen=True):
 
     @property
     def expression(self) -> str:
-        """Python text of the physical value; ``{r}`` stands for the raw one."""
+        """Python expression for the physical value; ``{r}`` is the raw value."""
         return f"({{r}} * {float(self.scale)!r} + {float(self.offset)!r})"
 
     def column(self, raw: NDArray[Any]) -> NDArray[np.float64]:
-        """Physical (N,) float64 of raw (N,) values."""
+        """Convert raw values (N,) to physical values, float64 (N,)."""
         values = raw.astype(np.float64)
         values *= float(self.scale)
         values += float(self.offset)
@@ -60,7 +62,7 @@ class Scaling(Struct, frozen=True):
 
 
 class FloatScaling(Scaling, frozen=True):
-    """Scaling of floats, which carry anything: overflow and NaN are judged by the caller."""
+    """Scaling of floats. They may overflow or be NaN; the caller checks this."""
 
     def column(self, raw: NDArray[Any]) -> NDArray[np.float64]:
         """See `Scaling`."""
@@ -69,7 +71,7 @@ class FloatScaling(Scaling, frozen=True):
 
 
 class NoScaling(Scaling, frozen=True):
-    """Scale 1, offset 0: integers become doubles."""
+    """Scale 1, offset 0: integers are converted to doubles."""
 
     is_identity = True
 
@@ -84,7 +86,7 @@ class NoScaling(Scaling, frozen=True):
 
 
 class NoFloatScaling(NoScaling, frozen=True):
-    """Scale 1, offset 0: floats stay what they are."""
+    """Scale 1, offset 0: floats are not changed."""
 
     @property
     def expression(self) -> str:
@@ -93,7 +95,7 @@ class NoFloatScaling(NoScaling, frozen=True):
 
 
 class IntegerScaling(Scaling, frozen=True):
-    """Scaling in Python's integers, where doubles would round."""
+    """Scaling in Python's integers, for signals for which doubles would round."""
 
     @property
     def expression(self) -> str:
@@ -107,7 +109,7 @@ class IntegerScaling(Scaling, frozen=True):
 
 
 def scaling_of(signal: Signal, place: str) -> Scaling:
-    """Scaling of a signal; DatabaseError (with `place`) where it is no number."""
+    """Return the scaling of a signal. Raises DatabaseError (with `place`) if it is no number."""
     _check(signal, place)
     scale, offset = signal.scale, signal.offset
     if scale == 1 and offset == 0:
@@ -131,7 +133,7 @@ def raw_limits(signal: Signal) -> tuple[int, int]:
 
 
 class ResolvedSignal(Struct, frozen=True):
-    """One signal, resolved: its bits, its conversion and the multiplexers above it."""
+    """One prepared signal: its bits, its conversion and the multiplexers above it."""
 
     signal: Signal
     field: Field
@@ -140,7 +142,7 @@ class ResolvedSignal(Struct, frozen=True):
 
 
 def resolve(message: Message, name: str) -> ResolvedSignal:
-    """Bits, conversion and multiplexers of a signal; DatabaseError where they make no sense."""
+    """Return bits, conversion and multiplexers of a signal. Raises DatabaseError if impossible."""
     signal = message.signal(name)
     place = f"{message.source}: {message.name}.{name}"
     scaling = scaling_of(signal, place)
@@ -166,7 +168,7 @@ def _is_whole(value: int | float) -> bool:
 
 
 def _short(number: float) -> str:
-    """A number of a file, that may have any number of digits."""
+    """Format a number of a file shortly, because it may have any number of digits."""
     try:
         return f"{number:g}"
     except OverflowError:

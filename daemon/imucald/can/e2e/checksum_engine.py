@@ -1,7 +1,7 @@
-"""A table-driven CRC over a message's bytes (or their XOR), for one frame and for whole columns.
+"""A table-driven CRC (or XOR) over the bytes of a message, for one frame and for whole columns.
 
-All checksums of `checksums` are this one scheme: bytes are fed in the order prefix, payload without
-the checksum's own bytes, suffix; prefix and suffix may depend on the alive counter. One frame and
+All checksums of `checksums` use the same scheme. The CRC runs over the prefix, the payload without
+the checksum bytes, and the suffix. Prefix and suffix may depend on the alive counter. One frame and
 columns give the same number.
 """
 
@@ -19,13 +19,13 @@ from imucald.core.errors import ConfigError
 
 
 class ChecksumSpec(Struct, frozen=True):
-    """Where a checksum lies and over what it runs.
+    """The position of a checksum and the bytes that it covers.
 
-    `size`: bytes of the message that are covered; longer frames are covered up to there.
+    `size`: number of covered bytes; in a longer frame, later bytes are not covered.
     `position`: first byte of the checksum; `width`: 1 or 2 bytes, in `byte_order`. `polynomial`:
-    0 is XOR. `prefixes`, `suffixes`: bytes fed before and after the payload; one entry, or one for
-    each counter value (then `counter` says where the counter is). `fixed`: a field that must hold
-    a value (the data id's nibble of profiles 1 and 11).
+    0 means XOR. `prefixes`, `suffixes`: bytes before and after the payload; either one entry, or
+    one entry per counter value (`counter` is then the position of the counter). `fixed`: a field
+    that must hold a fixed value (the nibble of the data id in profiles 1 and 11).
     """
 
     size: int
@@ -59,7 +59,7 @@ class ChecksumSpec(Struct, frozen=True):
                 )
 
     def bytes_at(self) -> list[tuple[int, int]]:
-        """By how many bits each byte of the checksum is shifted, and where it stands."""
+        """The shift [bits] and the position of each byte of the checksum."""
         places = range(self.position, self.position + self.width)
         if self.byte_order == "big":
             places = places[::-1]
@@ -83,11 +83,11 @@ class Checksum:
 
     @property
     def tables(self) -> tuple[tuple[int, ...], tuple[int, ...], tuple[bytes, ...]]:
-        """The table of bytes; by counter value what the CRC starts from, and bytes fed last."""
+        """The byte table, and for each counter value the start of the CRC and the last bytes."""
         return self._table, self._starts, self._suffixes
 
     def compute(self, data: bytes | bytearray) -> int:
-        """Checksum that a frame of at least `size` bytes should have."""
+        """Return the correct checksum for a frame of at least `size` bytes."""
         spec = self.spec
         index = 0
         if self._many > 1 and spec.counter is not None:
@@ -96,7 +96,7 @@ class Checksum:
         return self._feed(self._starts[index], covered) ^ spec.final_xor
 
     def is_right(self, data: bytes | bytearray) -> bool:
-        """Whether a frame of at least `size` bytes carries its checksum (and data id nibble)."""
+        """Whether checksum (and data id nibble) of a frame of at least `size` bytes are right."""
         spec = self.spec
         if spec.fixed is not None and read_bits(data, spec.fixed[0]) != spec.fixed[1]:
             return False
@@ -104,7 +104,7 @@ class Checksum:
         return stored == self.compute(data)
 
     def compute_columns(self, data: Columns) -> NDArray[np.uint16]:
-        """The same for (N, W) frames, W at least `size`."""
+        """Return the correct checksums for frames (N, W), W at least `size`."""
         spec = self.spec
         index = self._indices(data)
         crc = np.array(self._starts, self._table_array.dtype)[index]
@@ -117,7 +117,7 @@ class Checksum:
         return crc.astype(np.uint16) ^ np.uint16(spec.final_xor)
 
     def are_right(self, data: Columns) -> NDArray[np.bool_]:
-        """The same as `is_right` for (N, W) frames, W at least `size`."""
+        """Do the check of `is_right` for frames (N, W), W at least `size`."""
         stored = np.zeros(len(data), np.uint16)
         for shift, place in self.spec.bytes_at():
             stored |= data[:, place].astype(np.uint16) << np.uint16(shift)

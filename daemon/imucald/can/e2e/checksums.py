@@ -1,11 +1,12 @@
-"""Every kind of checksum that a message may carry: XOR, CRC-8, CRC-16, AUTOSAR E2E profiles.
+"""All kinds of checksums of messages: XOR, CRC-8, CRC-16, AUTOSAR E2E profiles.
 
-A new one (another CRC-8 or CRC-16) is added in this file alone: a function that gives its
-`ChecksumSpec`, and a line in `KINDS`, by whose names configurations ask for it.
+To add a kind (another CRC-8 or CRC-16), change only this file: add a function that returns its
+`ChecksumSpec`, and a line in `KINDS`. Configurations use the names in `KINDS`.
 
 Source: AUTOSAR PRS "E2E Protocol Specification" (profiles 1, 2, 5, 11) and SWS "CRC Library".
-Profiles 1 and 11 start their CRC-8 SAE J1850 at 0 and do not invert it: PRS calls the routine with
-the XOR value as start value and inverts the result again, to stay with the profile's first release.
+Profiles 1 and 11 start their CRC-8 SAE J1850 at 0 and do not invert it. The PRS calls the routine
+with the XOR value as start value and inverts the result again. This keeps the profile compatible
+with its first release.
 """
 
 from __future__ import annotations
@@ -39,50 +40,51 @@ DataIdMode = Literal["both", "alternating", "low", "nibble"]
 
 
 class ChecksumOptions(Protocol):
-    """What a configuration says of a message's checksum; a kind reads what concerns it."""
+    """The settings of a message's checksum. Each kind reads only the settings that it needs."""
 
     @property
     def signal(self) -> str | None:
-        """Signal that holds it."""
+        """The signal that holds the checksum."""
 
     @property
     def id_bytes(self) -> int:
-        """Bytes of the CAN identifier that go in first."""
+        """Number of bytes of the CAN identifier at the start of the checksum's input."""
 
     @property
     def offset(self) -> int:
-        """First byte of an E2E header."""
+        """Index of the first byte of an E2E header."""
 
     @property
     def data_id(self) -> int | tuple[int, ...] | None:
-        """E2E data id; sixteen of them for profile 2."""
+        """The E2E data id; profile 2 has sixteen of them."""
 
     @property
     def data_id_mode(self) -> DataIdMode:
-        """How the data id goes in."""
+        """How the data id enters the checksum."""
 
 
 class HeaderCounter(Struct, frozen=True):
-    """The alive counter that an E2E header brings: bit behind its start, bits, values."""
+    """The alive counter in an E2E header: bit offset in the header, number of bits, of values."""
 
     bit: int
     length: int
     modulus: int
 
     def at(self, header_bit: int, max_jump: int | None = None) -> CounterSpec:
-        """Return the counter of a header that starts at a bit."""
+        """Return the counter of a header that starts at bit `header_bit`."""
         field = Field(header_bit + self.bit, self.length, "little_endian")
         return CounterSpec(field, self.modulus, max_jump)
 
 
 SignalChecksum = Callable[[int, int, bytes], ChecksumSpec]
-"""Bytes of the message, first byte of the checksum, identifier bytes that go in first."""
+"""Function with the arguments: size of the message [bytes], index of the checksum's first byte,
+identifier bytes at the start of the input."""
 
 
 class ChecksumKind(Struct, frozen=True):
-    """How a kind becomes a message's checksum (ConfigError where it cannot), and its counter.
+    """One kind of checksum: how to make a message's checksum (may raise ConfigError), its counter.
 
-    in_signal: of a kind that stands in a signal of its own, over identifier bytes and payload.
+    in_signal: function of a kind that has its own signal and covers identifier bytes and payload.
     """
 
     make: Callable[[Message, ChecksumOptions], ChecksumSpec]
@@ -120,7 +122,7 @@ def e2e_profile_1(
 ) -> ChecksumSpec:
     """E2E profile 1 (variant 1A: mode both; 1B: alternating; 1C: nibble) [PRS_E2E_00195...].
 
-    Offsets are AUTOSAR's, in bits: the CRC's a multiple of 8, the others of 4.
+    Offsets are in bits as in AUTOSAR. The CRC's is a multiple of 8, the others are multiples of 4.
     """
     low, high = _id_bytes(data_id)
     prefixes: tuple[bytes, ...]
@@ -146,7 +148,8 @@ def e2e_profile_1(
 
 
 def e2e_profile_2(size: int, data_ids: Sequence[int], crc_bit: int = 0) -> ChecksumSpec:
-    """E2E profile 2: CRC-8H2F, then the data id that the counter (next byte's low nibble) picks."""
+    """E2E profile 2: CRC-8H2F. The last input is the data id that the counter selects (the low
+    nibble of the next byte)."""
     if len(data_ids) != E2E_COUNTER_VALUES:
         raise ConfigError(
             f"E2E profile 2 needs {E2E_COUNTER_VALUES} data ids; {len(data_ids)} are given"
@@ -179,14 +182,14 @@ def e2e_profile_11(
     counter_bit: int = 8,
     nibble_bit: int = 12,
 ) -> ChecksumSpec:
-    """E2E profile 11 (variant 11A: mode both; 11C: nibble): profile 1's, two modes only."""
+    """E2E profile 11 (variant 11A: mode both; 11C: nibble). As profile 1, with only two modes."""
     if mode not in ("both", "nibble"):
         raise ConfigError(f"{mode!r} is not a data id mode of E2E profile 11")
     return e2e_profile_1(size, data_id, mode, crc_bit, counter_bit, nibble_bit)
 
 
 def in_signal(function: SignalChecksum) -> ChecksumKind:
-    """A kind that stands in a signal of the database, over identifier bytes and payload."""
+    """Make a kind that has its own signal and covers identifier bytes and payload."""
 
     def made(message: Message, options: ChecksumOptions) -> ChecksumSpec:
         if options.signal is None:
@@ -231,7 +234,7 @@ E2E_COUNTERS: Mapping[int, HeaderCounter] = {
     5: HeaderCounter(16, 8, 256),
     11: HeaderCounter(8, 4, 15),
 }
-"""Alive counters of the AUTOSAR E2E profiles (1 and 11 leave 15 out)."""
+"""Alive counters of the AUTOSAR E2E profiles. Profiles 1 and 11 do not use the value 15."""
 
 KINDS: dict[str, ChecksumKind] = {
     "xor": in_signal(xor_checksum),
@@ -242,17 +245,17 @@ KINDS: dict[str, ChecksumKind] = {
     "e2e_p5": ChecksumKind(_p5, E2E_COUNTERS[5]),
     "e2e_p11": ChecksumKind(_p11, E2E_COUNTERS[11]),
 }
-"""Kinds by the name that configurations use."""
+"""Kinds by their name in configurations."""
 
 ONE_BYTE_KINDS: Mapping[str, SignalChecksum] = {
     name: kind.in_signal
     for name, kind in KINDS.items()
     if kind.in_signal is not None and kind.in_signal(8, 0, b"").width == 1
 }
-"""Those of one byte over identifier and payload: what imucald's own frames may carry."""
+"""Kinds of one byte over identifier and payload. imucald's own frames may use them."""
 
 NO_CHECKSUM = "none"
-"""The name of none at all."""
+"""The name for no checksum."""
 
 
 def _one_id(options: ChecksumOptions) -> int:
@@ -274,7 +277,7 @@ def _byte_of(bit: int) -> int:
 
 
 def _nibble(bit: int) -> Field:
-    """Four bits at an AUTOSAR bit offset: a multiple of 4, low nibble first."""
+    """Return the nibble at an AUTOSAR bit offset (a multiple of 4, low nibble first)."""
     if bit < 0 or bit % 4:
         raise ConfigError(
             "the counter and the data id nibble must start at a multiple of 4 "

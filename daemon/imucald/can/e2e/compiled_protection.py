@@ -1,4 +1,4 @@
-"""The judgement of protected frames by the compiled part, see `MessageChecker.check_columns`."""
+"""The check of protected frames in compiled code, see `MessageChecker.check_columns`."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from imucald.can.e2e.schedule import Past
 from imucald.core.compiled import Kernels
 
 _MOST_VALUES = 1 << 32
-"""Counters of more values are judged one by one; as many as in `core/kernels/frames.c`."""
+"""Counters with more values are checked one by one. Same limit as in `core/kernels/frames.c`."""
 _MOST_INDEX_BITS = 15
 
 
@@ -23,7 +23,7 @@ def _places(field: Field | None) -> list[int]:
 
 
 class CompiledJudge:
-    """A message's protection, as numbers and tables (see `core/kernels/frames.c`)."""
+    """The protection of a message as numbers and tables (see `core/kernels/frames.c`)."""
 
     def __init__(self, spec: ProtectionSpec, checksum: Checksum | None) -> None:
         counter, crc = spec.counter, spec.checksum
@@ -64,7 +64,7 @@ class CompiledJudge:
         data: Columns,
         length: NDArray[np.uint8],
     ) -> NDArray[np.uint8]:
-        """Codes (N,) of frames; `past` goes on to their end."""
+        """Return the reason codes (N,) of frames, and update `past` to the last frame."""
         codes = np.empty(len(length), np.uint8)
         state = np.array(
             [past.counter, past.missed, past.distrust, past.lost, len(past.data) or -1,

@@ -1,24 +1,31 @@
-"""The check on protected frames that come in: length, checksum, counter, time.
+"""Check received protected frames: length, checksum, counter, time.
 
-A frame that fails is dropped whole, with one counted reason. After a fault the next `recovery`
-good frames are dropped too ("untrusted"). One frame at a time (`check`) and columns
-(`check_columns`) give the same reasons and leave the same state, in any mixture. What only
-concerns one signal (not available, implausible) is judged in `quantities`.
+A frame that fails is dropped completely, and one reason is counted. After a fault, the next
+`recovery` good frames are dropped too ("untrusted"). Single frames (`check`) and columns
+(`check_columns`) give the same reasons and the same state, in any mixture. Problems of a single
+signal (not available, implausible) are checked in `quantities`.
 
-The order of judgement: "short_frame", "long_frame" (only where there is a checksum: such frames
-have the length that their profile states, or the next that CAN FD can carry), "checksum" (with the
-data id), "counter_invalid": such a frame says nothing, and its counter is not read. Then the
-counter against that of the last good frame: "counter_repeated" (stuck, or a frame sent again),
-"counter_reversed" (an old frame), "counter_jump". A lost frame is no fault: a step forward that
-the time has room for (see `schedule`) is counted as lost frames, unless a largest step is stated.
-Frames dropped for a wrong checksum or length are known to be missing and widen that step. Last,
-"too_early": one frame more than a sender of this cycle has sent by now. After a silence the counter
-starts again, at no cost.
+Order of the checks:
 
-"doubled" goes before what the counter says: the frame before once more, every bit and the time
-stamp. No bus carries two frames at once, so a gateway or a logger has made a copy; it is dropped
-and says nothing of the sender. A third one is "counter_repeated". Only a counter shows a copy:
-without one the next frame may well look the same.
+1. "short_frame".
+2. "long_frame", only with a checksum: such a frame has the length of its profile, or the next
+   length that CAN FD can carry.
+3. "checksum" (with the data id).
+4. "counter_invalid". After a failure of 1 to 4, the counter of the frame is not used.
+5. The counter compared with the last good frame: "counter_repeated" (a stuck counter or a frame
+   sent again), "counter_reversed" (an old frame), "counter_jump".
+6. "too_early": the sender cannot have sent one more frame yet, with its cycle.
+
+A lost frame is not a fault. If the time is long enough for a step of the counter (see `schedule`),
+the step is counted as lost frames, unless a largest step is stated. Frames dropped for a wrong
+checksum or length are known to be missing, so they increase the allowed step. After a silence, the
+counter may start at any value.
+
+"doubled" is checked before the counter: the frame is equal to the previous one, in every bit and in
+the time stamp. A bus cannot carry two frames at the same time, so a gateway or a logger has made
+the copy. It is dropped and does not count as a fault of the sender. A third copy is
+"counter_repeated". Copies are detected only in messages with a counter; without a counter, the next
+frame may have the same content.
 """
 
 from __future__ import annotations
@@ -48,7 +55,7 @@ REASONS = (
     "untrusted",
     "doubled",
 )
-"""Text of each reason code; code 0 is an accepted frame."""
+"""The text of each reason code. Code 0 means an accepted frame."""
 
 OK, SHORT, LONG, CHECKSUM, INVALID, EARLY, REPEATED, REVERSED, JUMP, UNTRUSTED, COPY = range(11)
 
@@ -57,10 +64,10 @@ TOO_EARLY = REASONS[EARLY]
 
 
 class MessageChecker:
-    """Judges the frames of one message, in order. The very first good frame is trusted."""
+    """Checks the frames of one message, in order. The first good frame is trusted."""
 
     reasons = REASONS
-    """Text of the codes that `check_columns` gives."""
+    """The texts of the codes that `check_columns` returns."""
 
     def __init__(self, spec: ProtectionSpec) -> None:
         self.spec = spec
@@ -72,27 +79,27 @@ class MessageChecker:
         self._timeout = math.inf if spec.timeout is None else spec.timeout
         self._counts = [0] * len(REASONS)
         self.past = Past()
-        """What the next frame is held against."""
+        """The state with which the next frame is compared."""
         if spec.cycle_time is not None and self._is_protected:
             self.past.expect(spec.cycle_time, IN_FORCE if spec.cycle_is_sure else TRIAL)
 
     @property
     def lost(self) -> int:
-        """Frames that the counter shows to be lost."""
+        """Number of lost frames, according to the counter."""
         return self.past.lost
 
     @property
     def accepted(self) -> int:
-        """Frames accepted so far."""
+        """Number of frames accepted so far."""
         return self._counts[OK]
 
     @property
     def rejected(self) -> dict[str, int]:
-        """Frames dropped so far, by reason; only reasons that occurred."""
+        """Number of frames dropped so far, by reason; only reasons that occurred."""
         return {REASONS[i]: n for i, n in enumerate(self._counts) if i != OK and n}
 
     def check(self, t: float, data: bytes | bytearray) -> str | None:
-        """Judge one frame received at `t` [s]: None where it is good, else the reason."""
+        """Check one frame received at `t` [s]. Return None if it is good, else the reason."""
         code = self._judge(t, data)
         self._counts[code] += 1
         return REASONS[code] or None
@@ -127,7 +134,7 @@ class MessageChecker:
         return code
 
     def _sequence(self, t: float, value: int, data: bytes | bytearray) -> int:
-        """Counter and time of a frame that is good in itself."""
+        """Check counter and time of a frame with correct length and checksum."""
         past = self.past
         since = t - past.t
         if not 0.0 <= since <= self._timeout:  # the first, or after a silence
@@ -146,7 +153,7 @@ class MessageChecker:
             back = modulus // 2 + 1 if most is None else modulus - most
             is_bad = distance > (back - 1 if most is None else most) + past.missed
             if most is None and past.cycle:
-                # an old frame is late, and that is no credit
+                # an old frame is late, but gives no credit
                 origin = past.t + EARLIEST * past.cycle if distance >= back else earliest
                 is_ahead = origin + AHEAD * past.cycle * (distance - 1) > t
                 is_bad = is_ahead and (is_bad or past.phase == IN_FORCE)
@@ -166,7 +173,10 @@ class MessageChecker:
     def check_columns(
         self, t: NDArray[np.float64], data: Columns, length: NDArray[np.uint8]
     ) -> NDArray[np.uint8]:
-        """Judge (N,) frames in order: t [s], data (N, W), length; reason codes (N,), 0 is good."""
+        """Check N frames in order and return their reason codes (N,); code 0 is a good frame.
+
+        t: (N,) [s]. data: (N, W). length: (N,).
+        """
         if compiled.kernels is not None and self._compiled.can_judge:
             codes = self._compiled.judge(compiled.kernels, self.past, t, data, length)
         else:

@@ -1,4 +1,4 @@
-"""How a message is protected: length, alive counter, checksum, cycle time."""
+"""The protection of a message: length, alive counter, checksum, cycle time."""
 
 from __future__ import annotations
 
@@ -10,22 +10,23 @@ from imucald.can.e2e.checksum_engine import ChecksumSpec
 from imucald.core.errors import ConfigError
 
 DEFAULT_RECOVERY = 3
-"""Good frames in a row after a fault before a message is trusted again."""
+"""Number of consecutive good frames after a fault until a message is trusted again."""
 
 DEFAULT_TIMEOUT_CYCLES = 10.0
-"""Silence, in cycle times, after which the counter starts again."""
+"""Silence, in cycle times, after which the counter may start at any value."""
 
 COUNTER_BITS = 56
-"""Sums of longer ones' steps over a chunk of frames do not fit 64 bits. AUTOSAR's have 32."""
+"""Largest counter [bits]. With more bits, the sum of steps in a chunk of frames does not fit 64
+bits. AUTOSAR counters have at most 32 bits."""
 
 _FD_LENGTHS = (8, 12, 16, 20, 24, 32, 48, 64)
-"""Payloads that CAN FD has besides those of classic CAN [bytes] (ISO 11898-1)."""
+"""Payload lengths of CAN FD from 8 bytes on [bytes] (ISO 11898-1)."""
 
 
 class CounterSpec(Struct, frozen=True):
     """An alive counter: its bits, its number of values, the largest step accepted.
 
-    max_jump: None, every step forward that the time since the last frame has room for.
+    max_jump: None accepts every step forward that is possible in the time since the last frame.
     """
 
     field: Field
@@ -47,10 +48,10 @@ class CounterSpec(Struct, frozen=True):
 
 
 class ProtectionSpec(Struct, frozen=True):
-    """How one message is protected.
+    """The protection of one message.
 
-    size: bytes it has. cycle_time [s]: None, no time-out. cycle_is_sure: whether the cycle is held
-    against the very first frames, or tried first.
+    size: length [bytes]. cycle_time [s]: None means no time-out. cycle_is_sure: if True, the cycle
+    is checked from the first frames on; if False, it is tried first.
     """
 
     size: int
@@ -75,7 +76,7 @@ class ProtectionSpec(Struct, frozen=True):
 
     @property
     def longest(self) -> int:
-        """Bytes of the longest frame that is taken: what lies beyond a checksum, nobody checks."""
+        """Longest accepted frame [bytes], because bytes after the checked range are unprotected."""
         if self.checksum is None:
             return MAX_FRAME_BYTES
         if self.size <= _FD_LENGTHS[0]:
@@ -84,12 +85,12 @@ class ProtectionSpec(Struct, frozen=True):
 
     @property
     def timeout(self) -> float | None:
-        """Silence after which the counter starts again [s]; None: the cycle time is not known."""
+        """Silence after which the counter may restart [s]; None if the cycle time is not known."""
         return None if self.cycle_time is None else self.cycle_time * self.timeout_cycles
 
 
 def counter_of(
     signal: Signal, modulus: int | None = None, max_jump: int | None = None
 ) -> CounterSpec:
-    """Alive counter in a signal's bits; it wraps at the bits' end unless `modulus` is given."""
+    """Make an alive counter from a signal. It wraps at its largest value or at `modulus`."""
     return CounterSpec(field_of(signal), modulus or 1 << signal.length, max_jump)

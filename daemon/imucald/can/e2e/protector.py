@@ -1,4 +1,4 @@
-"""Protection of the frames that go out: alive counter, data id, checksum."""
+"""Protect sent frames: alive counter, data id, checksum."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ from imucald.core.errors import EncodeError
 
 
 class MessageProtector:
-    """Puts alive counter, data id and checksum into the encoded frames of one message.
+    """Writes alive counter, data id and checksum into the encoded frames of one message.
 
-    The counter starts at 0 and goes up by one with each frame, one by one or in columns.
+    The counter starts at 0 and increases by 1 per frame, for single frames and for columns.
     """
 
     def __init__(self, spec: ProtectionSpec) -> None:
@@ -23,11 +23,11 @@ class MessageProtector:
         self._checksum = None if spec.checksum is None else Checksum(spec.checksum)
 
     def go_on_from(self, before: MessageProtector) -> None:
-        """Count on from the last frame of the message's protector before."""
+        """Continue the counter of the previous protector of this message."""
         self._next = before._next
 
     def protect(self, data: bytes | bytearray) -> bytes:
-        """Return the frame with its protection; EncodeError where it is too short for it."""
+        """Return the protected frame. Raises EncodeError if the frame is too short."""
         self._refuse_short(len(data))
         payload = bytearray(data)
         counter = self.spec.counter
@@ -44,7 +44,7 @@ class MessageProtector:
         return bytes(payload)
 
     def protect_columns(self, data: Columns) -> Columns:
-        """Return (N, W) frames with their protection; the same bytes as one by one."""
+        """Return the protected frames (N, W). The bytes are the same as for single frames."""
         count, width = data.shape
         self._refuse_short(width)
         out = np.zeros((count, -(-width // 8) * 8), np.uint8)

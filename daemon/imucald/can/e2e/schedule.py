@@ -1,19 +1,20 @@
-"""When the frames of a cyclic sender are due: what a gap has room for, and what is one too many.
+"""Compute when the frames of a cyclic sender are due, to detect lost frames and extra frames.
 
-A sender that counts its frames and sends one each cycle is on a schedule: after `step` counts the
-next frame is due `step` cycles later. A frame may be late: by jitter, in a batch of a gateway, by a
-coarse stamp, behind a queue that stood. What is late is a credit from which frames that follow
-closely are paid, and the credit fades. A frame without that credit that comes before 0.4 of its
-cycle has passed was not sent by this sender, and a counter that is further ahead than twice what
-the time has room for is none of it.
+A cyclic sender follows a schedule: after `step` counts, the next frame is due `step` cycles later.
+A frame may be late because of jitter, a gateway that sends batches, a coarse time stamp, or a
+blocked queue. The lateness is stored as a credit. The credit allows the next frames to follow
+closely, and it decreases with time. A frame without credit that arrives before 0.4 cycles have
+passed is not from this sender. The same holds for a counter that is more than twice as far ahead as
+the elapsed time allows.
 
-The cycle is learnt from the counts and the times (`LEARN_S`), then tried for as long: a sender
-that is on no schedule (frames on change) is judged by its counter alone. Until then the mean so
-far says whether a counter that is far ahead is an old frame or a hole. A stated cycle counts like
-one seen for `REMEMBERED_S`, so that frames of others at the start do not change it; that of a
-database counts as `LEARN_STEPS` cycles and is tried for as many first, as some state one that
-nobody keeps. A sender whose frames come early more often than not has another cycle now, which is
-learnt again.
+The cycle is learnt from counters and times during `LEARN_S`, and then tried for the same time. A
+sender without a schedule (frames on change) is checked only by its counter. Until the cycle is
+known, the mean cycle so far decides whether a counter far ahead is an old frame or a gap.
+
+A stated cycle has the weight of a cycle observed for `REMEMBERED_S`, so foreign frames at the start
+do not change it. A cycle from a database has the weight of `LEARN_STEPS` cycles and is tried for as
+many cycles first, because some databases state a wrong cycle. If most frames of a sender are early,
+its cycle has changed and is learnt again.
 """
 
 from __future__ import annotations
@@ -25,37 +26,42 @@ from msgspec import Struct
 LEARN, TRIAL, IN_FORCE = range(3)
 
 EARLIEST = 0.4
-"""Share of a cycle after which the next frame may come."""
+"""Share of a cycle after which the next frame may arrive."""
 AHEAD = 0.5
-"""Each lost frame needs this share of a cycle to have passed: stamps are not exact."""
+"""Minimum time per lost frame, as a share of a cycle, because time stamps are not exact."""
 CREDIT_S = 2.0
-"""So much late at most [s]: stamps of whole seconds, and queues that stood for as long."""
+"""Largest credit [s]. It covers time stamps of whole seconds and queues blocked for this time."""
 FADES_S = 2.0
-"""In about this time a credit fades [s]."""
+"""Time in which a credit decreases to zero [s]."""
 BATCH = 0.03
-"""A pause brings this share of itself as extra credit: of two batches, one has a frame more."""
+"""Extra credit after a pause, as a share of the pause. Of two batches, one may have one frame
+more."""
 LEARN_S, LEARN_STEPS = 5.0, 50
-"""Time [s] and cycles in which a cycle is learnt, and so many without an early frame prove it."""
+"""Time [s] and number of cycles for learning a cycle. The same time and number without an early
+frame confirm it."""
 REMEMBERED_S = 600.0
-"""The cycle is the mean of this time at most [s]: clocks warm up; stamps of a second need it."""
+"""Longest averaging time of the cycle [s]. It is limited because clocks drift while they warm up.
+It is this long because of time stamps in whole seconds."""
 MOST_EARLY = 50
-"""So many more early frames than others, times the values of the counter, and the cycle is learnt
-again: bursts of who counts along do not change what is learnt."""
+"""The cycle is learnt again if early frames exceed other frames by this number times the number of
+counter values. Bursts from another sender that uses the same counter do not change the cycle."""
 OWN, WAITS = 3, 1.5
-"""So many early frames more were the sender's own than another's: it has another cycle. Within that
-many cycles its own frame comes where the early one was another's."""
+"""OWN: the cycle has changed if the sender's own early frames exceed foreign ones by this number.
+WAITS: after a foreign early frame, the sender's own frame arrives within this number of cycles."""
 LONGER, MOST_TRIALS = 4.0, 6
-"""Each time that this happens the next trial takes so many times as long, at most so often."""
+"""LONGER: factor of the duration of the next trial after each such change. MOST_TRIALS: largest
+number of times that the factor is applied."""
 
 
 class Past(Struct):
-    """What the next frame of a message is held against.
+    """The state of a message with which its next frame is compared.
 
-    t: stamp of the last frame that counted [s]; counter: its counter, -1 for none; data: its bytes,
-    if its counter was new. missed: frames known to be missing since. distrust: good frames still to
-    be dropped. lost: frames that the counter showed to be lost. due: when the last frame was due,
-    never after t [s]. cycle: the mean since begun [s], of so many steps; 0: nothing is known.
-    tried: the last early frame of phase TRIAL [s]. early: early frames, see `MOST_EARLY`.
+    t: time stamp of the last counted frame [s]. counter: its counter, -1 if none. data: its bytes,
+    if its counter was new. missed: frames known to be missing since then. distrust: number of good
+    frames still to be dropped. lost: number of lost frames according to the counter. due: time when
+    the last frame was due [s], not after t. cycle: mean cycle [s] over `steps` steps since `begun`;
+    0 if not known. tried: time of the last early frame in phase TRIAL [s]. early: number of early
+    frames, see `MOST_EARLY`.
     """
 
     t: float = math.nan
@@ -78,12 +84,12 @@ class Past(Struct):
     tried: float = 0.0
 
     def expect(self, cycle: float, phase: int) -> None:
-        """A cycle [s] that is stated, before the first frame; phase: TRIAL, others may be right."""
+        """Set a stated cycle [s] before the first frame. phase: TRIAL if it may be wrong."""
         self.phase, self.cycle = phase, cycle
         self.steps = float(LEARN_STEPS) if phase == TRIAL else REMEMBERED_S / cycle
 
     def begin(self, t: float, since: float) -> None:
-        """The first frame, or one after a silence: what was held back may follow."""
+        """Process the first frame, or one after a silence. Delayed frames may follow closely."""
         if math.isnan(since) and self.phase != LEARN:
             self.due = t - 0.5 * CREDIT_S
             self.begun = t - self.steps * self.cycle
@@ -96,13 +102,13 @@ class Past(Struct):
             self._learn(t)
 
     def due_after(self, since: float) -> float:
-        """When the last frame was due, less what of its lateness has faded since [s]."""
+        """Return when the last frame was due [s], with its lateness reduced by the time since."""
         return self.t - (self.t - self.due) * max(0.0, 1.0 - since / FADES_S)
 
     def refuse_early(self, t: float, counter: int, modulus: int) -> None:
-        """Take note of a frame that came too early; the next is not held against it.
+        """Register a frame that arrived too early. The next frame is not compared with it.
 
-        counter: its value of so many (`modulus`); -1 of 1 where it has none.
+        counter: its value, below `modulus`. Without a counter: -1, with modulus 1.
         """
         if self.early_counter < 0:
             self.early_counter, self.chain, self.early_t = counter, counter, t
@@ -111,7 +117,7 @@ class Past(Struct):
             self._learn(t)
 
     def attribute_early(self, t: float, counter: int, modulus: int) -> None:
-        """See by the counter of a frame whose the early one was."""
+        """Decide by a frame's counter whether the early frame was from the same sender."""
         if self.early_counter < 0:
             return
         goes_on = counter == (self.chain + 1) % modulus
@@ -129,9 +135,10 @@ class Past(Struct):
             self.chain = counter
 
     def go_on(self, t: float, since: float, due: float, step: int) -> None:
-        """Take a frame so many counts after the last one that counted; due: see `due_after`.
+        """Process a frame `step` counts after the last counted frame; due: see `due_after`.
 
-        step: 0, its counter is a fault. Nothing is learnt from it then, nor of a silence.
+        step: 0 means that the counter is faulty. The cycle is then not learnt from this frame. It
+        is also not learnt from a frame after a silence.
         """
         counts = step or 1
         due += counts * self.cycle - BATCH * max(0.0, since - (counts + 1) * self.cycle)
@@ -157,7 +164,7 @@ class Past(Struct):
             self.phase = IN_FORCE
 
     def take(self, t: float, counter: int, data: bytes | bytearray) -> None:
-        """Hold the next frame against this one."""
+        """Store this frame for the comparison with the next frame."""
         self.data = b"" if counter < 0 or counter == self.counter else bytes(data)
         self.t, self.counter, self.missed = t, counter, 0
 

@@ -1,1 +1,1 @@
-"""A live CAN bus: opened, filtered, received from, sent to, lost and regained."""
+"""A live CAN bus: open, filter, receive, send, detect a loss and reconnect."""

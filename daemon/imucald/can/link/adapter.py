@@ -1,17 +1,16 @@
-"""Any interface that python-can knows, with the verbs of a SocketCAN socket.
+"""Any interface of python-can, with the same methods as the SocketCAN socket.
 
-Adapters for USB, serial lines, remote buses, and the virtual bus of the demo. What SocketCAN does
-in the kernel (filters, counted losses, interface states) an adapter may not do at all; ids are
-therefore filtered again by the link, and only an error shows that the adapter has gone.
+Examples are adapters for USB, serial lines, remote buses, and the virtual bus of the demo. An
+adapter may lack functions that SocketCAN has in the kernel (filters, counted losses, interface
+states). So the link filters ids again, and only an error shows that the adapter is gone.
 
-What a driver makes of damaged data is not python-can's to say: one raises CanError, another
-ValueError, a third hands out a frame whose id is no number. None of it ends a link, and a frame
-that nobody can understand does not close it: only a driver that does nothing but fail has gone.
+python-can does not define how drivers handle damaged data. One driver raises CanError, another
+raises ValueError, and a third returns a frame whose id is not a number. Such errors and invalid
+frames do not close the link. A driver counts as gone only if it fails all the time.
 
-Which received frames are our own, on a bus that hands them back to their sender.
-
-Multicast gives a frame to every socket of the group, the sender's too, and does not say whose it
-was. Taken for another node's it would be an alarm by oneself.
+This module also finds our own frames on a bus that returns frames to their sender. Multicast sends
+a frame to every socket of the group, including the sender's, without a mark. Without this filter,
+our own frames would look like frames of another node and raise an alarm.
 """
 
 from __future__ import annotations
@@ -42,25 +41,25 @@ from imucald.core.errors import LinkError
 from imucald.core.libraries import how_to_install
 
 ECHO_S = 0.5
-"""An echo comes within this time [s]: the network stack returns it at once, a busy loop reads late.
-Another node's frame is taken for ours only if it has our id, counter, checksum and values."""
+"""Largest delay of an echo [s]. The network stack returns it at once, but a busy loop reads late.
+A frame of another node is mistaken for ours only if id, counter, checksum and values are equal."""
 MAX_WAITING = 4096
-"""Frames waited for; beyond that the oldest are given up."""
+"""Largest number of expected echoes. Beyond it, the oldest are dropped."""
 
 
 class Echoes:
-    """Remembers what was sent until it has come back once. clock: monotonic [s]."""
+    """Remembers each sent frame until its echo has arrived. clock: monotonic [s]."""
 
     def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
         self._clock = clock
         self._sent: deque[tuple[float, int, bytes]] = deque(maxlen=MAX_WAITING)
 
     def sent(self, can_id: int, data: bytes) -> None:
-        """Take note of a frame that was sent."""
+        """Register a frame that was sent."""
         self._sent.append((self._clock(), can_id, data))
 
     def is_own(self, can_id: int, data: bytes) -> bool:
-        """Whether a received frame is the echo of one that was sent; each sent one counts once."""
+        """Whether a received frame is an echo of a sent frame. Each sent frame has one echo."""
         oldest = self._clock() - ECHO_S
         while self._sent and self._sent[0][0] < oldest:
             self._sent.popleft()
@@ -72,45 +71,47 @@ class Echoes:
 
 
 SEND_WAIT = 0.002
-"""An adapter may block so long when its transmit queue is full [s]."""
+"""Longest time that an adapter may block when its transmit queue is full [s]."""
 
 FAILING_S = 0.2
-"""A driver that does nothing but fail for so long has gone [s]. One damaged frame, or a burst, is
-over sooner: the next attempt gives a good frame (an accelerometer sends ten a second at least) or
-says that nothing waits. As long as a silent SocketCAN interface takes to be looked at."""
+"""A driver that fails all the time for this long counts as gone [s]. A damaged frame or a burst of
+them ends sooner: the next attempt returns a good frame (an accelerometer sends at least ten per
+second) or reports that no frame waits. The value equals the check period of a silent SocketCAN
+interface."""
 
 MAX_FAILURES = 32
-"""Attempts in one call, one after the other, that may fail."""
+"""Largest number of consecutive failed attempts in one call."""
 
 FAILURE_PAUSE_S = 0.002
-"""Pause after that many [s]: a driver that has gone fails at once, and shall not take a core."""
+"""Pause after that many failures [s]. A driver that is gone fails at once and would use a whole
+core."""
 
 MAX_STAMP = 2**53 / 1e6
-"""Up to there a float holds whole microseconds [s]: until the year 2255."""
+"""Largest time stamp at which a float is exact to the microsecond [s]: the year 2255."""
 
 MULTICAST = "udp_multicast"
 IP_MULTICAST_ALL, IPV6_MULTICAST_ALL = 49, 29
-"""Of linux/in.h and linux/in6.h; Python does not name them."""
+"""Constants of linux/in.h and linux/in6.h that Python does not define."""
 
 ECHOING = (MULTICAST,)
-"""Interfaces of python-can that hand back what we sent without a mark."""
+"""Interfaces of python-can that return our own frames without a mark."""
 
-_IN_MEMORY = ("virtual",)  # no filter of their own; the link's is quicker than python-can's
+_IN_MEMORY = ("virtual",)  # they have no filter; the link's is faster than python-can's
 
 
 class Adapter:
-    """One open python-can bus. Its failures come out as OSError, as those of a socket do.
+    """One open python-can bus. Its failures are raised as OSError, like those of a socket.
 
-    Raises LinkError when python-can does not know the interface or its options, OSError when the
+    Raises LinkError if python-can does not know the interface or its options. Raises OSError if the
     device cannot be opened now.
     """
 
-    lost = 0  # an adapter does not say what it dropped
+    lost = 0  # an adapter does not report dropped frames
     receive_buffer = 0
     rejected = 0
-    """Frames, or records of the driver, that could not be understood."""
+    """Number of frames, or records of the driver, that could not be understood."""
     why_rejected = ""
-    """Of the last of them."""
+    """The reason for the last rejected frame."""
 
     def __init__(
         self,
@@ -124,7 +125,7 @@ class Adapter:
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
         self._clock = clock
-        self._failures = 0  # of the driver, since it last worked
+        self._failures = 0  # failures of the driver since it last worked
         self._failing_since = 0.0
         self._reason = ""
         self._echoes = Echoes() if interface in ECHOING else None
@@ -140,7 +141,7 @@ class Adapter:
         except (can.CanInterfaceNotImplementedError, ImportError, TypeError) as error:
             remedy = f"; it needs {how_to_install('live')}" * ("msgpack" in str(error))
             if interface not in can.VALID_INTERFACES:
-                import difflib  # noqa: PLC0415 - for a mistake alone
+                import difflib  # noqa: PLC0415 - for errors only
 
                 near = difflib.get_close_matches(interface, can.VALID_INTERFACES, 1)
                 remedy = f" (did you mean {near[0]!r}?)" if near else ""
@@ -148,41 +149,41 @@ class Adapter:
             raise LinkError(f"interface {interface!r}: {error}{remedy}") from None
         except OSError:
             raise
-        except Exception as error:  # CanError, ValueError, or what else a driver knows
+        except Exception as error:  # CanError, ValueError, or any other of a driver
             text = f"interface {interface!r}, channel {channel!r}: {_reason(error)}"
             raise OSError(text) from error
         if interface == MULTICAST and sys.platform == "linux":
             _hear_own_group_only(self._bus.fileno())
 
     def fileno(self) -> int | None:
-        """Return a descriptor that is readable when frames wait, None where there is none."""
+        """Return a descriptor that is readable when frames wait; None if there is none."""
         try:
             number = self._bus.fileno()
-        except Exception:  # NotImplementedError, or of an adapter that has gone
+        except Exception:  # NotImplementedError, or the adapter is gone
             return None
         return number if number >= 0 else None
 
     def close(self) -> None:
-        """Close the bus; an adapter that was pulled out may fail at that, and is gone anyway."""
+        """Close the bus. Errors of an unplugged adapter are ignored."""
         try:
             self._bus.shutdown()
         except Exception:
             return
 
     def give_up(self) -> None:
-        """Nothing: an adapter does not say what it still has."""
+        """Do nothing, because an adapter does not report its waiting frames."""
 
     def receive(self, timeout: float) -> list[Frame]:
-        """Wait up to `timeout` [s] for a frame, then take all that wait (bounded).
+        """Wait up to `timeout` [s] for a frame, then return all waiting frames (bounded).
 
-        Raises OSError when the driver has done nothing but fail for `FAILING_S`.
+        Raises OSError if the driver has failed all the time for `FAILING_S`.
         """
         frames: list[Frame] = []
         receive, wait, failed = self._bus.recv, timeout, 0
         for _ in range(MAX_BATCH):
             try:
                 message = receive(wait)
-            except Exception as error:  # CanError, or what else a driver makes of damaged data
+            except Exception as error:  # CanError, or any other for damaged data
                 if self._has_gone(error):
                     if frames:
                         break
@@ -203,7 +204,7 @@ class Adapter:
         return frames
 
     def _has_gone(self, error: Exception) -> bool:
-        """Take in that the driver failed; whether it has done so for too long."""
+        """Register a failure of the driver. Return whether it has failed for too long."""
         now = self._clock()
         if not self._failures:
             self._failing_since = now
@@ -212,15 +213,15 @@ class Adapter:
         return now - self._failing_since > FAILING_S
 
     def _works(self) -> None:
-        """The driver has not gone: what it failed at were records that it did not understand."""
+        """Register that the driver works. Its failures before were unreadable records."""
         self.rejected += self._failures
         self.why_rejected = self._reason
         self._failures = 0
 
     def _taken(self, message: can.Message) -> Frame | None:
-        """Return the frame; None where it is our own, or cannot be understood."""
+        """Return the frame; None if it is our own or cannot be understood."""
         try:
-            if not message.is_rx:  # some hand back what we sent
+            if not message.is_rx:  # some drivers return our own frames
                 return None
             frame = _frame(message)
         except Exception as error:
@@ -233,8 +234,8 @@ class Adapter:
     def send(self, can_id: int, data: bytes, bitrate_switch: bool) -> None:
         """Send one frame, as CAN FD when it is longer than 8 bytes.
 
-        Raises OSError EIO when the adapter does not take it, for whatever reason: whether it has
-        gone is reported by receiving.
+        Raises OSError EIO if the adapter does not accept the frame, for any reason. `receive`
+        reports whether the adapter is gone.
         """
         fd = len(data) > CLASSIC_BYTES
         message = can.Message(
@@ -252,16 +253,17 @@ class Adapter:
             self._echoes.sent(can_id, data)
 
     def is_same_interface(self) -> bool:
-        """Whether the adapter is still there: only an error would show it."""
+        """Whether the adapter is still there. Always true, since only an error shows a loss."""
         return True
 
     def is_up(self) -> bool:
-        """Whether the interface is up: adapters are, while open."""
+        """Whether the interface is up. An open adapter is always up."""
         return True
 
 
 def _hear_own_group_only(descriptor: int) -> None:
-    """Linux gives every socket of a port the datagrams of all groups that anybody joined."""
+    """Receive only datagrams of our own group. By default, Linux delivers the datagrams of all
+    joined groups to every socket of a port."""
     with socket.socket(fileno=os.dup(descriptor)) as same:
         if same.family == socket.AF_INET6:
             same.setsockopt(socket.IPPROTO_IPV6, IPV6_MULTICAST_ALL, 0)
@@ -276,9 +278,10 @@ def _filter(match: IdMatch) -> Any:
 
 
 def _frame(message: can.Message) -> Frame:
-    """Return stamp, id and data, each of the type and within the range that all else relies on.
+    """Return time stamp, id and data, with their types and ranges checked.
 
-    Raises TypeError or ValueError: python-can looks at a message only where its driver asks for it.
+    Raises TypeError or ValueError for a wrong type or range. python-can checks a message only if
+    its driver requests it.
     """
     can_id, data = message.arbitration_id, message.data
     if not isinstance(can_id, int) or isinstance(can_id, bool):
@@ -303,7 +306,7 @@ def _flagged(can_id: int, message: can.Message) -> int:
 
 
 def _stamp(message: can.Message) -> float:
-    """Return the stamp [s] in whole microseconds, as a written log has it."""
+    """Return the time stamp [s] rounded to microseconds, as in a written log."""
     stamp = message.timestamp or time.time()
     if not isinstance(stamp, int | float):
         raise TypeError(f"its time stamp is {stamp!r:.40}")
@@ -313,7 +316,7 @@ def _stamp(message: can.Message) -> float:
 
 
 def _reason(error: Exception) -> str:
-    """What is to be said of an error; with its kind where only that tells what it is about."""
+    """Return the text of an error, with its type if the text alone is not clear."""
     text = str(error)
     if text and isinstance(error, can.CanError | OSError):
         return text

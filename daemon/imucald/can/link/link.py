@@ -1,14 +1,16 @@
-"""A CAN bus that is always there: opened, filtered, received from, sent to, lost and regained.
+"""A CAN bus that reconnects by itself: open, filter, receive, send, detect a loss, reconnect.
 
-`Link` never raises for what happens on a bus. An interface that goes down, is deleted and made
-again, a controller that is bus-off, a full send queue, a pulled adapter: each is a state, a counter
-and an event, and `receive` returns what there is. It keeps no thread: healing happens inside
-`receive`, so a loop that calls it at least every half second regains a bus within one second.
+`Link` never raises an error for events on a bus. Such events are: an interface goes down or is
+deleted and created again, a controller is bus-off, the send queue is full, an adapter is unplugged.
+Each event sets a state, a counter and a `LinkEvent`, and `receive` returns the available frames.
+There is no thread; `receive` reconnects. A loop that calls `receive` at least every half second is
+connected again within one second after the bus returns.
 
-Of the frames on the bus only those asked for come out, and those that another node sends under our
-own output ids are counted and announced (a conflict: two calibrators, or a wrong configuration).
+`receive` returns only the wanted frames. Frames that another node sends with our own output ids are
+counted and reported as a conflict (two calibrators, or a wrong configuration).
 
-What a bus link reports: state, counters, events for the log, and their texts with the remedy.
+This module also defines the reports of a link: state, counters, events for the log, and the texts
+with remedies.
 """
 
 from __future__ import annotations
@@ -40,15 +42,16 @@ from imucald.core.errors import LinkError
 from imucald.core.text import counted
 
 EVENT_PERIOD = 5.0
-"""Events that may come with every frame are reported this often at most, with their count [s]."""
+"""Shortest time between reports of events that may occur with every frame [s]. A report states
+their number."""
 
 
 MAX_REASON = 200
-"""Characters of a driver's text that are shown."""
+"""Largest number of characters of a driver's text that are shown."""
 
 
 class LinkState(enum.StrEnum):
-    """How the bus is, as far as the interface shows."""
+    """The state of the bus, as far as the interface shows it."""
 
     UP = "up"
     DOWN = "down"  # the interface exists and is set down
@@ -57,9 +60,10 @@ class LinkState(enum.StrEnum):
 
 
 class LinkEvent(Struct, frozen=True):
-    """Something worth a line in the log. `kind` is for programs, `text` for people.
+    """An event for the log. `kind` is for programs, `text` is for people.
 
-    Kinds: the values of `LinkState` when it changes; conflict, lost, queue_full, rejected (seldom).
+    Kinds: the new value of `LinkState` after a change; conflict, lost, queue_full, rejected (these
+    are reported with a limited rate).
     """
 
     kind: str
@@ -68,16 +72,16 @@ class LinkEvent(Struct, frozen=True):
 
 @dataclass(slots=True)
 class LinkCounters:
-    """What has passed since the start.
+    """Numbers of frames and events since the start.
 
-    received: frames handed out. lost: frames of ours that the kernel dropped unread (SocketCAN).
-    late: frames handed out that had waited too long to be corrected, counted by who takes them.
-    sent: frames the interface took. send_errors: frames not sent, by reason (absent, down,
-    queue_full, bus_off, refused, too_long, adapter). conflicts: frames of other nodes under our
-    output ids. foreign: frames not asked for that got past the filter. error_frames, bus_off:
-    error frames, and how often the controller left the bus. went_down, reopened: how often the
-    interface was set down, and how often it was opened again after it had gone. rejected: frames
-    and records of a python-can driver that could not be understood.
+    received: frames returned by `receive`. lost: wanted frames that the kernel dropped before we
+    read them (SocketCAN). late: returned frames that had waited too long to be corrected; the
+    caller counts them. sent: frames that the interface accepted. send_errors: frames not sent, by
+    reason (absent, down, queue_full, bus_off, refused, too_long, adapter). conflicts: frames of
+    other nodes with our output ids. foreign: unwanted frames that passed the filter. error_frames:
+    error frames. bus_off: how often the controller left the bus. went_down: how often the interface
+    was set down. reopened: how often it was opened again after a loss. rejected: frames and records
+    of a python-can driver that could not be understood.
     """
 
     received: int = 0
@@ -99,7 +103,7 @@ class LinkCounters:
 
 
 class Announcer:
-    """Hands events on; those of a kind that may flood only now and then."""
+    """Passes events on. Frequent kinds of events are passed on at a limited rate."""
 
     def __init__(
         self, on_event: Callable[[LinkEvent], None] | None, clock: Callable[[], float]
@@ -109,12 +113,12 @@ class Announcer:
         self._last: dict[str, tuple[float, int]] = {}
 
     def announce(self, kind: str, text: str) -> None:
-        """Hand on an event."""
+        """Pass on an event."""
         if self._on_event is not None:
             self._on_event(LinkEvent(kind, text))
 
     def announce_seldom(self, kind: str, text: str) -> None:
-        """Hand on at once, then at most every `EVENT_PERIOD`, saying how often it was meanwhile."""
+        """Pass on the first event at once, later ones at most every `EVENT_PERIOD` with a count."""
         last, unannounced = self._last.get(kind, (-math.inf, 0))
         now = self._clock()
         if now - last < EVENT_PERIOD:
@@ -154,7 +158,7 @@ def bus_off_text(channel: str) -> str:
 
 
 def conflict_text(channel: str, can_id: int) -> str:
-    """Return the text for a frame of another node under one of our output ids."""
+    """Return the text for a frame of another node with one of our output ids."""
     digits = 8 if can_id & CAN_EFF_FLAG else 3
     return (
         f"another node on {channel} sends our output id {can_id & CAN_EFF_MASK:0{digits}X}: "
@@ -163,14 +167,14 @@ def conflict_text(channel: str, can_id: int) -> str:
 
 
 def rejected_text(channel: str, reason: str) -> str:
-    """Return the text for frames of an adapter that make no sense."""
+    """Return the text for invalid frames of an adapter."""
     return (
         f"a frame on {channel} was rejected, since it cannot be understood ({reason[:MAX_REASON]})"
     )
 
 
 def queue_full_text(channel: str) -> str:
-    """Return the text for frames dropped because the interface does not take them."""
+    """Return the text for frames dropped because the interface does not accept them."""
     return (
         f"the send queue of {channel} is full and frames are dropped: no other node "
         f"acknowledges them, or the queue is too short (ip link set {channel} txqueuelen 100)"
@@ -180,16 +184,17 @@ def queue_full_text(channel: str) -> str:
 __all__ = ["Frame", "Link", "LinkCounters", "LinkEvent", "LinkState"]
 
 MIN_RETRY = 0.05
-"""First pause before a lost interface is opened again [s]; doubled each time."""
+"""First pause before a lost interface is opened again [s]. It doubles after each attempt."""
 
 MAX_RETRY = 0.2
-"""Longest such pause [s]: frames shall resume within 1 s, on a busy machine too."""
+"""Longest such pause [s]. Frames must resume within 1 s, also on a busy machine."""
 
 CHECK_PERIOD = 0.2
-"""A silent bus is asked this often whether its interface is still there and up [s]."""
+"""Period of the check that the interface of a silent bus still exists and is up [s]."""
 
 RECEIVE_BUFFER = 4 << 20
-"""Asked of the kernel [bytes]: some 4,000 frames with its overhead, seconds of a busy bus."""
+"""Requested size of the kernel's receive buffer [bytes]. With overhead it holds about 4,000 frames,
+some seconds of a busy bus."""
 
 FLUSH_PERIOD = 0.001
 """Pause between attempts to send while the send queue is full [s]."""
@@ -200,22 +205,23 @@ SEND_REASONS = {
     errno.EMSGSIZE: "refused",
     errno.EIO: "adapter",  # see adapter.py
 }
-"""Why a frame was not sent; any other error means that the interface has gone."""
+"""The reason why a frame was not sent, by error number. Any other error means that the interface is
+gone."""
 
 
 class Link:
-    """A bus of any python-can interface that heals itself.
+    """A bus of any python-can interface that reconnects by itself.
 
-    interface, channel: as python-can names them ("socketcan", "can0").
-    receive: the ids wanted; those meant for another channel are left out.
-    own_ids: ids that we send (with `CAN_EFF_FLAG` for 29-bit ones), watched for other senders.
-    fd: take and send CAN FD frames too. bitrate_switch: send their payload at the data rate.
-    bitrate, options: handed to python-can; a SocketCAN interface has its bit rate from `ip link`.
-    receive_buffer: asked of the kernel [bytes]. wait: an interface that is not there yet is no
-    error. on_event: called with each `LinkEvent`. clock: seconds, monotone.
+    interface, channel: the names of python-can ("socketcan", "can0").
+    receive: filters of the wanted ids; filters for other channels are ignored.
+    own_ids: ids that we send (with `CAN_EFF_FLAG` for 29 bits); other senders of them are reported.
+    fd: receive and send CAN FD frames too. bitrate_switch: send their payload at the data rate.
+    bitrate, options: passed to python-can; for SocketCAN, `ip link` sets the bit rate.
+    receive_buffer: requested from the kernel [bytes]. wait: if True, a missing interface is not an
+    error. on_event: called with each `LinkEvent`. clock: monotonic [s].
 
-    Raises LinkError (text with remedy) when the interface is not there and `wait` is false, or
-    cannot be healed by time (unknown to python-can, not a CAN interface).
+    Raises LinkError (text with remedy) if the interface is missing and `wait` is false. It is also
+    raised if waiting cannot help (unknown to python-can, not a CAN interface).
     """
 
     def __init__(
@@ -241,7 +247,7 @@ class Link:
         self.counters = LinkCounters()
         self.state = LinkState.ABSENT
         self.is_empty = True
-        """Whether the last `receive` took all that waited."""
+        """Whether the last `receive` returned all waiting frames."""
         self._fd = fd
         self._bitrate = bitrate
         self._options = options
@@ -251,7 +257,7 @@ class Link:
         self._announced_state: LinkState | None = None
         self._port: Port | None = None
         self._opened_before = False
-        self._lost_before = 0  # what earlier sockets had lost
+        self._lost_before = 0  # losses of earlier sockets
         self._rejected_before = 0
         self._id_filter = LinkIdFilter(receive, own_ids, channel)
         self._outbox = Outbox(bitrate_switch, clock, self._frame_sent, self._queue_full)
@@ -262,10 +268,10 @@ class Link:
     # ---- receiving ----------------------------------------------------------------------------
 
     def receive(self, timeout: float) -> list[Frame]:
-        """Wait up to `timeout` [s] for frames of ours; return all that wait, oldest first.
+        """Wait up to `timeout` [s] for wanted frames; return all waiting frames, oldest first.
 
-        Each is (t [s], can_id with `CAN_EFF_FLAG` for 29 bits, data). Empty after the time-out, or
-        whenever the bus is not there. Never raises for what happens on the bus.
+        Each frame is (t [s], can_id with `CAN_EFF_FLAG` for 29 bits, data). The list is empty after
+        the time-out or if the bus is absent. Events on the bus never raise an error.
         """
         end = self._clock() + timeout
         while True:
@@ -280,7 +286,7 @@ class Link:
                 return []
 
     def _receive_once(self, port: Port, left: float) -> list[Frame]:
-        """Wait once, no longer than until the next check or attempt to send is due."""
+        """Wait once, at most until the next check or the next attempt to send."""
         try:
             if self._outbox:
                 self._flush(port)
@@ -300,9 +306,9 @@ class Link:
         return []
 
     def _sorted(self, port: Port, frames: list[Frame]) -> list[Frame]:
-        """Return the frames that are wanted; count the others and report what they mean."""
+        """Return the wanted frames; count the others and report events for them."""
         if self.state is LinkState.DOWN:
-            self._check(port)  # frames from before it went down may still come
+            self._check(port)  # frames from before the loss may still arrive
         wanted = []
         classes = self._id_filter
         for frame in frames:
@@ -318,7 +324,7 @@ class Link:
         self.counters.received += len(wanted)
         self._count_losses(port)
         if self.state is LinkState.BUS_OFF and frames[-1][1] & CAN_ERR_FLAG == 0:
-            self._is_up_again()  # we hear the bus: some drivers do not report the restart
+            self._is_up_again()  # frames arrive; some drivers do not report the restart
         return wanted
 
     def _conflict(self, can_id: int) -> None:
@@ -348,10 +354,11 @@ class Link:
     # ---- sending ------------------------------------------------------------------------------
 
     def send(self, can_id: int, data: bytes) -> bool:
-        """Send one frame, at once or (with a full send queue) within some milliseconds.
+        """Send one frame, at once or (if the send queue is full) within some milliseconds.
 
         can_id: with `CAN_EFF_FLAG` for 29 bits; data: up to 8 bytes, 64 with CAN FD. Returns
-        whether it was accepted; what is not sent is counted by reason. Never blocks.
+        whether the frame was accepted. Frames that are not sent are counted by reason. Never
+        blocks.
         """
         port = self._port
         if port is None or len(data) > (FD_BYTES if self._fd else CLASSIC_BYTES):
@@ -366,7 +373,7 @@ class Link:
         return True
 
     def _flush(self, port: Port) -> None:
-        """Send what is held; OSError when that shows that the interface is down or gone."""
+        """Send the held frames. Raises OSError if the interface is down or gone."""
         try:
             self._outbox.flush(port)
         except OSError as error:
@@ -374,7 +381,7 @@ class Link:
                 raise
 
     def _failed_to_send(self, error: OSError) -> bool:
-        """Count a frame that was not sent; whether the interface is to blame, not the frame."""
+        """Count a frame that was not sent. Return whether the interface is the cause."""
         reason = SEND_REASONS.get(error.errno or 0, "absent")
         self.counters.not_sent(reason)
         return reason in ("absent", "down")
@@ -389,7 +396,7 @@ class Link:
     # ---- losing and regaining -----------------------------------------------------------------
 
     def _open(self, required: bool) -> Port | None:
-        """Try to open the interface. With `required`, failing raises LinkError."""
+        """Try to open the interface. With `required`, a failure raises LinkError."""
         try:
             port = self._new_port()
         except OSError as error:
@@ -416,12 +423,12 @@ class Link:
         return open_port(*bus, filters, self._fd, self._bitrate, self._options, self._buffer)
 
     def _reopened(self) -> Port | None:
-        """Open again when the pause since the last attempt is over."""
+        """Try to open again if the pause since the last attempt is over."""
         if self._clock() < self._next_try:
             return None
         try:
             port = self._open(required=False)
-        except LinkError as error:  # something else has taken the name; it may go again
+        except LinkError as error:  # another interface has the name, maybe temporarily
             port = None
             self._enter(LinkState.ABSENT, f"{error}; waiting")
         if port is None:
@@ -430,7 +437,7 @@ class Link:
         return port
 
     def _failed(self, port: Port, error: OSError) -> None:
-        """Take in what the interface reported: down (it is kept) or gone (opened again later)."""
+        """Handle an error of the interface: down (it stays open) or gone (reopened later)."""
         if error.errno == errno.ENETDOWN and port.is_same_interface():
             self._went_down()
             self._check(port)  # it may be up again already
@@ -438,7 +445,7 @@ class Link:
             self._let_go(port, error.strerror or str(error))
 
     def _check(self, port: Port) -> None:
-        """Ask the system how the interface is: it may have been replaced without a word."""
+        """Ask the system for the interface's state. It may have been replaced without an error."""
         self._next_check = self._clock() + CHECK_PERIOD
         if not port.is_same_interface():
             self._let_go(port, "deleted or replaced")
@@ -470,7 +477,7 @@ class Link:
         self._enter(LinkState.UP, f"{self.channel} is up again")
 
     def _enter(self, state: LinkState, text: str) -> None:
-        """Change the state, and report it if it is another one."""
+        """Set the state, and report it if it has changed."""
         self.state = state
         if state is not self._announced_state:
             self._announced_state = state
@@ -480,15 +487,15 @@ class Link:
 
     @property
     def receive_buffer(self) -> int:
-        """What the kernel granted for frames that wait to be read [bytes]; 0 when not known."""
+        """Size of the kernel's receive buffer [bytes]; 0 if not known."""
         return self._port.receive_buffer if self._port else 0
 
     def fileno(self) -> int | None:
-        """Return the open bus's descriptor (another one after a loss), None where there is none."""
+        """Return the descriptor of the open bus (it changes after a loss); None if not open."""
         return self._port.fileno() if self._port else None
 
     def close(self) -> None:
-        """Close the bus; frames that the interface has not taken yet are given up."""
+        """Close the bus. Frames that the interface has not accepted yet are dropped."""
         if self._port is not None:
             self._port.close()
             self._port = None

@@ -1,8 +1,8 @@
-"""Sending without waiting: a short memory for the moments when the interface's queue is full.
+"""Send without blocking: a short buffer for times when the interface's queue is full.
 
-A classic CAN interface queues ten frames by default. A burst of ours on a busy bus overruns that
-for some milliseconds, which is no reason to lose frames; a queue that stays full is one, because a
-corrected sample is worth nothing later.
+A classic CAN interface queues ten frames by default. A burst of our frames on a busy bus exceeds
+this for some milliseconds; then no frame should be lost. If the queue stays full, frames are
+dropped, because a corrected sample is useless when it is late.
 """
 
 from __future__ import annotations
@@ -13,26 +13,27 @@ from collections.abc import Callable
 from typing import Protocol
 
 HELD_FRAMES = 32
-"""Frames kept while the queue is full: a burst, not a backlog."""
+"""Largest number of frames held while the queue is full. It is enough for a burst."""
 
 MAX_HOLD = 0.05
-"""A frame that could not be sent for so long is stale and dropped [s]."""
+"""A frame that could not be sent for this time is dropped as too old [s]."""
 
 _FULL = (errno.ENOBUFS, errno.EAGAIN)
 
 
 class SendingPort(Protocol):
-    """Where frames are sent; raises OSError, ENOBUFS or EAGAIN when its queue is full."""
+    """A port for sending frames. Raises OSError; ENOBUFS or EAGAIN mean that its queue is full."""
 
     def send(self, can_id: int, data: bytes, bitrate_switch: bool) -> None:
         """Send one frame."""
 
 
 class Outbox:
-    """Frames in the order they came, sent as soon as the port takes them.
+    """Held frames in their order. They are sent as soon as the port accepts them.
 
-    on_sent, on_dropped: called for each frame that was taken, or given up.
-    Every OSError that does not say "full" is let through; the frame it concerns is no longer here.
+    on_sent, on_dropped: called for each frame that was sent or dropped.
+    Every OSError that does not mean a full queue is raised to the caller. The frame that caused it
+    is removed.
     """
 
     def __init__(
@@ -52,7 +53,7 @@ class Outbox:
         return len(self._held)
 
     def send(self, port: SendingPort, can_id: int, data: bytes) -> None:
-        """Send a frame after those that are held, or hold it too."""
+        """Send a frame after the held frames, or hold it too."""
         if self._held:
             self.flush(port)
         if self._held or not self._taken(port, can_id, data):
@@ -62,7 +63,7 @@ class Outbox:
             self._held.append((self._clock(), can_id, data))
 
     def flush(self, port: SendingPort) -> None:
-        """Send what is held, in order, and drop what is stale."""
+        """Send the held frames in order, and drop frames that are too old."""
         now = self._clock()
         while self._held:
             since, can_id, data = self._held.popleft()
@@ -73,13 +74,13 @@ class Outbox:
                 return
 
     def clear(self) -> int:
-        """Forget what is held; how many frames that were."""
+        """Remove the held frames, and return their number."""
         count = len(self._held)
         self._held.clear()
         return count
 
     def _taken(self, port: SendingPort, can_id: int, data: bytes) -> bool:
-        """Whether the port took the frame; False when its queue is full."""
+        """Try to send a frame. Return False if the port's queue is full."""
         try:
             port.send(can_id, data, self._bitrate_switch)
         except OSError as error:

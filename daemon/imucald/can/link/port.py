@@ -1,4 +1,4 @@
-"""What `Link` needs of an open interface, and how one is opened."""
+"""The functions of an open interface that `Link` needs, and the function that opens one."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from imucald.can.link.socketcan import Frame, SocketCan
 
 
 class Port(SendingPort, Protocol):
-    """What `Link` needs of an open interface; failures are OSError."""
+    """An open interface, with the functions that `Link` needs. Failures raise OSError."""
 
     lost: int
     receive_buffer: int
@@ -25,16 +25,16 @@ class Port(SendingPort, Protocol):
         """Close it."""
 
     def receive(self, timeout: float) -> list[Frame]:
-        """Wait for a frame, then take all that wait."""
+        """Wait for a frame, then return all waiting frames."""
 
     def give_up(self) -> None:
-        """Count in `lost` what waits and will not be read any more."""
+        """Count the waiting frames in `lost`, because they will not be read."""
 
     def is_same_interface(self) -> bool:
-        """Whether what was opened is still there."""
+        """Whether the opened interface still exists."""
 
     def is_up(self) -> bool:
-        """Whether it is set up."""
+        """Whether the interface is up."""
 
 
 def open_port(
@@ -46,7 +46,7 @@ def open_port(
     options: Mapping[str, Any] | None,
     receive_buffer: int,
 ) -> Port:
-    """Open an interface; parameters as of `Link`. Failures are OSError, or LinkError for ever."""
+    """Open an interface; parameters as in `Link`. Raises OSError, or LinkError if hopeless."""
     if interface == "socketcan":
         return SocketCan(channel, filters, fd=fd, receive_buffer=receive_buffer)
     from imucald.can.link.adapter import Adapter  # noqa: PLC0415  (SocketCAN needs no python-can)

@@ -1,15 +1,15 @@
 """A raw SocketCAN socket, read in batches: kernel filters, kernel time stamps, counted losses.
 
-python-can serves every other interface (see link.py). Here the socket is our own, because that is
-what makes a gateway's bus cheap and exact: filters are set before the socket is bound, so nothing
-foreign is ever queued; `SO_RXQ_OVFL` says how many of our frames the kernel had to drop; and a read
-costs one system call and no object but a tuple.
+python-can is used for every other interface (see link.py). Our own socket is cheaper and more exact
+on a gateway's bus. Filters are set before the socket is bound, so unwanted frames are never queued.
+`SO_RXQ_OVFL` gives the number of our frames that the kernel dropped. A read costs one system call
+and creates only a tuple.
 
-Facts about the kernel that the code rests on (net/can/raw.c): a socket bound to an interface that
-goes down gets ENETDOWN once and stays bound, so frames resume by themselves; one whose interface is
-deleted gets ENODEV, is bound to nothing from then on, and stays silent for ever, also when an
-interface of the same name returns. The error comes before frames that wait, and the drops since the
-last frame would have come with the next one: both are asked for when a socket is given up.
+The code uses these facts about the kernel (net/can/raw.c). If the interface goes down, its socket
+gets ENETDOWN once and stays bound, so frames resume without action. If the interface is deleted,
+the socket gets ENODEV and is no longer bound. It then receives nothing, even if an interface of the
+same name is created. The error is reported before the waiting frames. The number of dropped frames
+would be reported only with the next frame. So both are read when a socket is abandoned.
 """
 
 from __future__ import annotations
@@ -28,28 +28,28 @@ from imucald.core.errors import LinkError
 
 try:
     import fcntl
-except ImportError:  # Windows, where logs are read, too
+except ImportError:  # on Windows, which can only read logs
     fcntl = None  # type: ignore[assignment]
 
 Frame = tuple[float, int, bytes]
-"""Kernel stamp [s, whole microseconds], id with the kernel's flags, payload."""
+"""Kernel time stamp [s, whole microseconds], id with the kernel's flags, payload."""
 
 CAN_ERR_BUSOFF = 0x0000_0040
 CAN_ERR_RESTARTED = 0x0000_0100
 CAN_ERR_CONTROLLER = 0x0000_0004
 
 MAX_FILTERS = 512
-"""CAN_RAW_FILTER_MAX of the kernel; with more ids than that all frames are taken."""
+"""CAN_RAW_FILTER_MAX of the kernel. With more ids, all frames are received."""
 
 MAX_BATCH = 1024
-"""Frames taken at one go, so that a flooded bus does not starve the sending side."""
+"""Largest number of frames read in one call, so that a flooded bus does not block sending."""
 
 _SO_RXQ_OVFL = 40
 _SO_RCVBUFFORCE = 33
 _SO_TIMESTAMPNS = 35
 _SO_MEMINFO = 55
 _MEMINFO = struct.Struct("@9I")
-"""Of linux/sock_diag.h; the last one is what the kernel dropped, as in `SO_RXQ_OVFL`."""
+"""Layout in linux/sock_diag.h. The last number is the drops of the kernel, as in `SO_RXQ_OVFL`."""
 _CAN_RAW_ERR_FILTER = 2
 _CAN_RAW_FD_FRAMES = 5
 _SIOCGIFFLAGS = 0x8913
@@ -66,10 +66,10 @@ _FD_LENGTHS = (8, 12, 16, 20, 24, 32, 48, FD_BYTES)
 
 
 class SocketCan:
-    """One bound raw socket. Every `OSError` of the kernel is let through; the link heals.
+    """One bound raw socket. Every `OSError` of the kernel is raised; the link handles it.
 
-    Raises LinkError when opened in a way that time cannot heal (no CAN in the kernel, not a CAN
-    interface), OSError with ENODEV when there is no such interface now.
+    Raises LinkError if opening can never work (no CAN in the kernel, not a CAN interface). Raises
+    OSError with ENODEV if there is no such interface now.
     """
 
     def __init__(
@@ -83,8 +83,8 @@ class SocketCan:
         self._channel = channel
         self.index = _interface_index(channel)
         self.lost = 0
-        """Frames of ours that nobody read in time: dropped by the kernel, or given up with it."""
-        self.rejected, self.why_rejected = 0, ""  # the kernel hands out sound frames only
+        """Number of unread frames: dropped by the kernel or lost with the abandoned socket."""
+        self.rejected, self.why_rejected = 0, ""  # the kernel returns only valid frames
         self._drops = 0
         self._fault: OSError | None = None
         self._socket = _raw_socket()
@@ -97,7 +97,7 @@ class SocketCan:
                 raise LinkError(f"{channel} is not a CAN interface (see: ip -d link)") from None
             raise
         self.receive_buffer = self._socket.getsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF)
-        """What the kernel granted [bytes, its own overhead included]."""
+        """Size of the kernel's receive buffer [bytes, including overhead]."""
         self._poll = select.poll()
         self._poll.register(self._socket, select.POLLIN)
 
@@ -114,7 +114,7 @@ class SocketCan:
         if fd:
             sock.setsockopt(socket.SOL_CAN_RAW, _CAN_RAW_FD_FRAMES, 1)
         if receive_buffer:
-            try:  # beyond the system's limit where we have the right to
+            try:  # exceeds the system's limit if we have the right
                 sock.setsockopt(socket.SOL_SOCKET, _SO_RCVBUFFORCE, receive_buffer)
             except OSError:
                 sock.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, receive_buffer)
@@ -128,10 +128,10 @@ class SocketCan:
         self._socket.close()
 
     def receive(self, timeout: float) -> list[Frame]:
-        """Wait up to `timeout` [s] for a frame, then take all that wait (bounded).
+        """Wait up to `timeout` [s] for a frame, then return all waiting frames (bounded).
 
-        Raises OSError when the interface has gone down or away. The kernel says so once; frames
-        that were taken in the same batch are returned first.
+        Raises OSError if the interface is down or gone. The kernel reports this once. Frames that
+        were read in the same batch are returned first.
         """
         if self._fault is not None:
             fault, self._fault = self._fault, None
@@ -155,10 +155,10 @@ class SocketCan:
         return frames
 
     def _stamp(self, ancillary: list[tuple[int, int, bytes]]) -> float:
-        """Return the kernel's stamp [s], and count the drops it announces.
+        """Return the kernel's time stamp [s], and count the drops that it reports.
 
-        Cut to microseconds and divided once, so that the double is the one that reading
-        candump's record of the same frame gives.
+        The stamp is cut to microseconds and divided once. The double is then equal to the one from
+        candump's record of the same frame.
         """
         stamp = 0.0
         for _, kind, content in ancillary:
@@ -176,8 +176,8 @@ class SocketCan:
         self._drops = drops
 
     def give_up(self) -> None:
-        """Count as lost what waits, and what the kernel dropped and could not tell any more."""
-        for _ in range(self.receive_buffer // _CLASSIC.size):  # more than it can hold
+        """Count as lost the waiting frames and the drops that the kernel has not reported."""
+        for _ in range(self.receive_buffer // _CLASSIC.size):  # more than the buffer holds
             try:
                 self._socket.recv(_FD.size)
             except BlockingIOError:
@@ -185,14 +185,14 @@ class SocketCan:
             except OSError:  # told once
                 continue
             self.lost += 1
-        with suppress(OSError, struct.error):  # Linux before 4.12 does not tell
+        with suppress(OSError, struct.error):  # not supported before Linux 4.12
             memory = self._socket.getsockopt(socket.SOL_SOCKET, _SO_MEMINFO, _MEMINFO.size)
             self._count_drops(_MEMINFO.unpack(memory)[-1])
 
     def send(self, can_id: int, data: bytes, bitrate_switch: bool) -> None:
-        """Hand one frame to the kernel, as CAN FD when it is longer than 8 bytes.
+        """Pass one frame to the kernel, as CAN FD if it is longer than 8 bytes.
 
-        Raises OSError: ENOBUFS or EAGAIN with a full transmit queue, ENETDOWN, ENODEV, ENXIO.
+        Raises OSError: ENOBUFS or EAGAIN if the transmit queue is full, ENETDOWN, ENODEV, ENXIO.
         """
         if len(data) <= CLASSIC_BYTES:
             self._socket.send(_CLASSIC.pack(can_id, len(data), data))
@@ -202,14 +202,14 @@ class SocketCan:
         self._socket.send(_FD.pack(can_id, length, flags, data))
 
     def is_same_interface(self) -> bool:
-        """Whether the interface we are bound to is still the one of that name."""
+        """Whether the interface of our socket is still the one with this name."""
         try:
             return _interface_index(self._channel) == self.index
         except OSError:
             return False
 
     def is_up(self) -> bool:
-        """Whether the interface is set up (an ioctl on our own socket: needs no other family)."""
+        """Whether the interface is up. The ioctl uses our socket; no other family is needed."""
         request = _FLAGS_REQUEST.pack(os.fsencode(self._channel), 0)
         try:
             answer = fcntl.ioctl(self._socket, _SIOCGIFFLAGS, request)
@@ -219,9 +219,10 @@ class SocketCan:
 
 
 def packed_filters(matches: Sequence[IdMatch]) -> bytes:
-    """Return the kernel's filter list for data frames of these ids; no id, no frames.
+    """Return the kernel's filter list for data frames with these ids. Without ids, no frame passes.
 
-    Remote frames carry no data and are left out; more ids than the kernel takes means no filter.
+    Remote frames carry no data and are excluded. With more ids than the kernel accepts, all frames
+    pass.
     """
     if len(matches) > MAX_FILTERS:
         return _FILTER.pack(0, 0)
@@ -240,7 +241,7 @@ def _unpacked(raw: bytes) -> tuple[int, bytes]:
 
 
 def _interface_index(channel: str) -> int:
-    """Return the kernel's number of the interface; OSError ENODEV when there is none."""
+    """Return the kernel's index of the interface. Raises OSError ENODEV if there is none."""
     try:
         return socket.if_nametoindex(channel)
     except OSError:

@@ -1,4 +1,4 @@
-"""Whether a BLF file is whole: python-can's reader ends without a word where the file does.
+"""Check whether a BLF file is complete. python-can's reader does not report a cut file.
 
 Layout: Vector's "Binary Logging Format", as python-can (can/io/blf.py) reads and writes it.
 """
@@ -18,12 +18,12 @@ _OBJECT: Final = struct.Struct("<4sHHLL")
 _SIGNATURE: Final = b"LOBJ"
 _CONTAINER: Final = 10
 _CONTAINER_HEAD: Final = struct.Struct("<H14x")
-"""How a container is packed; its contents follow."""
+"""The compression of a container; its contents follow."""
 _DEFLATED: Final = 2
 
 
 def blf_bomb(path: Path) -> str | None:
-    """Which container of a BLF file unpacks to more than memory should hold; None: none."""
+    """Return which container of a BLF file unpacks to too much memory; None if none."""
     size = path.stat().st_size
     with path.open("rb") as file:
         header = file.read(_FILE_HEADER.size)
@@ -49,7 +49,7 @@ def blf_bomb(path: Path) -> str | None:
 
 
 def blf_end(path: Path) -> str | None:
-    """Why a BLF file ends too soon; None where it is whole."""
+    """Return why a BLF file is incomplete; None if it is complete."""
     size = path.stat().st_size
     with path.open("rb") as file:
         header = file.read(_FILE_HEADER.size)
@@ -73,6 +73,6 @@ def blf_end(path: Path) -> str | None:
             at += length + length % 4
         else:
             return None
-    if 0 <= size - at < 4:  # python-can may leave out the filling behind the last object
+    if 0 <= size - at < 4:  # python-can may omit the padding after the last object
         return None
     return f"the file is cut: it ends within the block at byte {at}"

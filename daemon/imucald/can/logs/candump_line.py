@@ -1,4 +1,4 @@
-"""One line of a candump log, strictly: the judge of every line, and the giver of reasons.
+"""Parse one line of a candump log strictly, and give a reason for each rejected line.
 
 The grammar is what ``candump -L`` writes (can-utils, lib.c and candump.c)::
 
@@ -8,10 +8,10 @@ The grammar is what ``candump -L`` writes (can-utils, lib.c and candump.c)::
     (1600000000.000000) can0 200#R4                     remote frame
     (1600000000.000000)  can0 20000080#0000000000000000 error frame (id bit 29)
 
-with any number of digits around the point, spaces that line channels up, ``_9`` .. ``_F`` (raw
-length code) behind eight bytes, a closing `` R`` or `` T`` (received, sent), and CR LF line ends.
-Digits of both cases are read. Other programs write tabs between the fields, and blanks before the
-seconds, as old ones of candump did.
+The following variants are accepted: any number of digits before and after the point, spaces that
+align channels, ``_9`` .. ``_F`` (raw length code) after eight bytes, a final `` R`` or `` T``
+(received, sent), CR LF line ends, hexadecimal digits in upper and lower case. Also accepted are
+tabs between the fields (other programs) and blanks before the seconds (old versions of candump).
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from typing import Final, NamedTuple
 from imucald.can.columns import CAN_EFF_FLAG
 
 MAX_LINE_BYTES: Final = 4096
-"""No line is longer: the longest (CAN XL apart) has about 220 bytes."""
+"""Longest line [bytes]. A real line has at most about 220 bytes (except CAN XL)."""
 
 REASONS: Final[dict[str, str]] = {
     "cut_line": "the line is cut",
@@ -41,7 +41,7 @@ REASONS: Final[dict[str, str]] = {
     "line_too_long": f"the line is longer than {MAX_LINE_BYTES} bytes",
     "too_many_channels": "more than 255 channels",
 }
-"""Every reason for which a line is rejected, with its text."""
+"""All reasons for rejecting a line, with their texts."""
 
 _LINE = re.compile(
     rb"""\((?P<pad>[ \t]{0,32})(?P<t>(?P<sec>[0-9]{1,19})\.(?P<frac>[0-9]{1,19}))\)
@@ -68,7 +68,7 @@ _HEX = re.compile(rb"[0-9A-Fa-f]*")
 
 
 class Line(NamedTuple):
-    """A valid line. kind: data, remote_frame, error_frame or xl_frame; the rest is for data."""
+    """A valid line. kind: data, remote_frame, error_frame or xl_frame. Other fields: data only."""
 
     kind: str
     t: float
@@ -77,12 +77,12 @@ class Line(NamedTuple):
     data: bytes
     fd: bool
     layout: tuple[int, int, int] | None
-    """Digits before and behind the point, spaces behind the time stamp; None where the line is not
-    laid out as candump does it today."""
+    """Digits before the point, digits after it, spaces after the time stamp. None if the line does
+    not have the layout of current candump versions."""
 
 
 def words_of(reason: str) -> str:
-    """A reason in words, of any format."""
+    """Return the text of a reason of any log format."""
     return (
         REASONS["negative_timestamp"]
         if reason == "negative_timestamp"
@@ -91,9 +91,9 @@ def words_of(reason: str) -> str:
 
 
 def parse_line(text: bytes) -> Line | str | None:
-    """Return the frame of one line (without its newline), else the reason's name.
+    """Return the frame of one line (without its newline), or the name of the reason.
 
-    None for a blank line, which says nothing and is no mistake.
+    Returns None for a blank line, which is not an error.
     """
     if len(text) > MAX_LINE_BYTES:
         return "line_too_long"
@@ -115,7 +115,7 @@ def parse_line(text: bytes) -> Line | str | None:
 
 
 def _reason(text: bytes) -> str:
-    """Say why a line that is not valid is not."""
+    """Return why an invalid line is not valid."""
     if b"\0" in text:
         return "nul_bytes"
     stamp = _STAMP.match(text)
@@ -157,5 +157,5 @@ def _frame_reason(frame: bytes) -> str:
 
 
 def shown(text: bytes) -> str:
-    """Return a line as it can be shown in a message: short, printable."""
+    """Return a short, printable form of a line for messages."""
     return repr(text[:60])[2:-1] + ("..." if len(text) > 60 else "")

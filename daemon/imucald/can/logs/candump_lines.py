@@ -1,7 +1,8 @@
-"""Blocks of candump text by the compiled part, which goes through their bytes once.
+"""Read blocks of candump text in compiled code, which reads each byte once.
 
-What it takes is what the strict reader (`candump_line`) takes too: that is what is used without it,
-and what it is held against. All other lines are left to that one.
+The compiled code accepts only lines that the strict reader (`candump_line`) accepts too. All other
+lines are passed to the strict reader. Without the compiled code, the strict reader reads all lines.
+It is also the reference in tests.
 """
 
 from __future__ import annotations
@@ -21,24 +22,24 @@ from imucald.core.compiled import Kernels
 Index = NDArray[np.int64]
 
 PADDING: Final = 16
-"""Bytes by which a block must be longer than its text: the kernel reads words."""
+"""Extra bytes of a block after its text, because the compiled code reads whole words."""
 LEAST_LINE: Final = len("(0.0) a 1#\n")
-"""Bytes of the shortest line of a frame."""
+"""Length of the shortest line with a frame [bytes]."""
 ODD_LINES: Final = 4096
-"""Odd lines handed back at once."""
+"""Largest number of odd lines that one call returns."""
 _NAME_BYTES: Final = 32
 _IDS: Final = 16**3
 _NEW_CHANNEL, _ODD_IS_FULL, _LONG_FRAME = 1, 2, 3
-"""Why the kernel stopped before the end."""
+"""Reasons why the compiled code stopped before the end."""
 _PLACE, _NUMBER, _FRAMES, _ODD, _AS_TEXT, _ANY_FD = range(6)
-"""What it counts."""
+"""Indices of the counters of the compiled code."""
 
 
 class Lines(Struct, frozen=True):
-    """What a block held.
+    """The contents of a block.
 
-    frames: wanted ones, each with the place of its line (N,). odd: number and place of each line
-    that is left to the strict reader (M, 2). count: of all lines.
+    frames: wanted frames, with the position of each line (N,). odd: number and position of each
+    line for the strict reader (M, 2). count: number of all lines.
     """
 
     frames: FrameColumns
@@ -48,7 +49,7 @@ class Lines(Struct, frozen=True):
 
 
 def line_at(buf: Bytes, start: int, size: int) -> bytes:
-    """The line of `buf[:size]` that begins at a place, without its newline."""
+    """Return the line of `buf[:size]` that begins at index `start`, without its newline."""
     length = 256
     while (end := (text := buf[start : min(start + length, size)].tobytes()).find(b"\n")) < 0:
         length *= 4
@@ -56,7 +57,7 @@ def line_at(buf: Bytes, start: int, size: int) -> bytes:
 
 
 class _Known(Struct, frozen=True):
-    """The filters of the channels met so far, as arrays (see `core/kernels/candump.c`)."""
+    """The filters of the channels found so far, as arrays (see `core/kernels/candump.c`)."""
 
     names: Bytes
     verdicts: Bytes
@@ -88,8 +89,8 @@ class _Known(Struct, frozen=True):
 class LineReader:
     """Reads the blocks of one recording.
 
-    index_of: takes a line that begins with a channel not met so far; gives it a number where the
-    line is one, and there is room.
+    index_of: called with a line of a new channel. Returns the channel's index if the line is valid
+    and there are not too many channels, else None.
     """
 
     def __init__(
@@ -105,7 +106,7 @@ class LineReader:
         self._make(0)
 
     def _make(self, most: int) -> None:
-        """Columns for so many frames."""
+        """Make columns for `most` frames."""
         self._columns: tuple[NDArray[Any], ...] = (
             np.empty(most),
             np.empty(most, np.uint32),
@@ -117,7 +118,7 @@ class LineReader:
         )
 
     def read(self, kernels: Kernels, buf: Bytes, size: int) -> Lines:
-        """Read `buf[:size]`, whole lines; `buf` must be at least `PADDING` longer."""
+        """Read the complete lines in `buf[:size]`. `buf` must be at least `PADDING` longer."""
         if len(self._columns[0]) < size // LEAST_LINE + 1:
             self._make(size // LEAST_LINE + 1)
         odd = [self._odd[:0]]
@@ -142,7 +143,7 @@ class LineReader:
     def _go_on(
         self, kernels: Kernels, buf: Bytes, size: int, found: list[Index], counts: Index
     ) -> bool:
-        """Read on until something is to be done; whether there is more."""
+        """Read until an action is needed. Return whether there are more lines."""
         if self._known is None:
             self._known = _Known.of(self._channels, self._filter_of)
         counts[_ODD] = 0
@@ -167,7 +168,7 @@ class LineReader:
         return stopped != 0
 
     def _meet(self, buf: Bytes, size: int, found: list[Index], counts: Index) -> None:
-        """Take the line that the kernel stopped at, with a channel that is not known."""
+        """Handle the line with an unknown channel at which the compiled code stopped."""
         start = int(counts[_PLACE])
         text = line_at(buf, start, size)
         if self._index_of(text) is not None:

@@ -1,8 +1,8 @@
-"""Candump text to columns, a block of lines at a time.
+"""Convert candump text to columns, one block of lines at a time.
 
-The compiled part reads the lines that are as candump writes them (`candump_lines`), at some ten
-million a second; any other goes to the strict reader of single lines (`candump_line`), which
-decides. Without the compiled part that one reads all of them.
+The compiled code (`candump_lines`) reads the lines in candump's usual layout, about ten million per
+second. Any other line is passed to the strict reader of single lines (`candump_line`). Without the
+compiled code, the strict reader reads all lines.
 """
 
 from __future__ import annotations
@@ -25,22 +25,22 @@ from imucald.core import compiled
 from imucald.core.errors import LogError
 
 CHUNK_FRAMES: Final = 32_768
-"""Frames gathered from blocks before they are passed on: what follows has costs per chunk."""
+"""Number of frames collected before they are passed on, since later steps have costs per chunk."""
 
 CHUNK_BLOCKS: Final = 8
-"""Blocks after which they are passed on however few they are, so that progress shows."""
+"""Frames are passed on at the latest after this number of blocks, so that progress is visible."""
 
 PIECE_LINES: Final = 64
-"""Lines of a damaged file that are parsed at once."""
+"""Number of lines of a damaged file that are parsed together."""
 
 NEWLINE: Final = 0x0A
 
 KEPT_BYTES: Final = 16 << 20
-"""Freed memory that the C library may keep for reuse, above the arrays of one block (about 6 MiB
-with their copies)."""
+"""Freed memory that the C library may keep for reuse [bytes]. It is more than the arrays of one
+block (about 6 MiB with their copies)."""
 
 Place = tuple[str, int]
-"""File name, number of lines before."""
+"""File name, number of lines before this place."""
 
 _LOG_LINE: Final = re.compile(
     rb"^\([ \t]{0,32}\d{1,19}\.\d{1,19}\)[ \t]{1,32}\S{1,32}[ \t]{1,32}[0-9A-Fa-f]{3,8}#", re.M
@@ -48,7 +48,7 @@ _LOG_LINE: Final = re.compile(
 
 
 class CandumpParser:
-    """Turns blocks of candump text into columns; keeps what it learned from block to block."""
+    """Converts blocks of candump text to columns. It keeps its state from block to block."""
 
     def __init__(self, filters: IdFilters, channels: Channels, statistics: ReadStatistics) -> None:
         self._filters = filters
@@ -57,9 +57,9 @@ class CandumpParser:
         self._lines = LineReader(channels, filters.of, self._index_of)
 
     def parse(self, buf: Bytes, size: int, place: Place) -> tuple[FrameColumns, int]:
-        """Return the wanted frames of `buf[:size]`, whole lines, and the number of lines.
+        """Return the wanted frames in the complete lines `buf[:size]`, and the number of lines.
 
-        `buf` is (size + PADDING,) or longer. Raises LogError at a bad line of a strict reading.
+        `buf` is (size + PADDING,) or longer. In strict mode, a bad line raises LogError.
         """
         if compiled.kernels is None:
             texts = buf[:size].tobytes().split(b"\n")[:-1]
@@ -81,14 +81,14 @@ class CandumpParser:
         return frames.take(np.argsort(np.concatenate(places))), found.count
 
     def parse_rest(self, text: bytes, place: Place) -> FrameColumns:
-        """Return the frame (or none) of a file's last line, which lacks its newline.
+        """Return the frame (or none) of a file's last line without newline.
 
-        It counts only where it is whole; else it was cut.
+        The line counts only if it is complete. Otherwise it was cut.
         """
         return self._columns([self.judge(text, place, last=True)])
 
     def judge(self, text: bytes, place: Place, last: bool = False) -> Line | None:
-        """Read one line strictly and count it; return it if it is a wanted data frame."""
+        """Parse one line strictly and count it. Return it if it is a wanted data frame."""
         line: Line | str | None = parse_line(text)
         if line is None:
             return None
@@ -108,7 +108,7 @@ class CandumpParser:
         return line if self._filters.of(line.channel).wanted(line.can_id) else None
 
     def _stamp_first(self, lines: Iterable[bytes]) -> None:
-        """Find the log's first frame, wanted or not."""
+        """Find the time stamp of the log's first frame, wanted or not."""
         for text in lines:
             line = parse_line(text)
             if isinstance(line, Line):
@@ -116,8 +116,8 @@ class CandumpParser:
                 return
 
     def _index_of(self, text: bytes) -> int | None:
-        """The index of a line's channel; None where it is no line as candump lays it out, or there
-        are too many."""
+        """Return the index of a line's channel. None if the line does not have candump's layout, or
+        if there are too many channels."""
         line = parse_line(text)
         if not isinstance(line, Line) or line.layout is None:
             return None
@@ -141,7 +141,7 @@ class CandumpReader:
 
     @staticmethod
     def begins(head: bytes) -> bool:
-        """Whether one of the first lines is `(seconds) channel id#...`."""
+        """Whether one of the first lines has the form `(seconds) channel id#...`."""
         return _LOG_LINE.search(head) is not None
 
     def __init__(self, filters: IdFilters, channels: Channels, statistics: ReadStatistics) -> None:
@@ -151,7 +151,7 @@ class CandumpReader:
     def read(
         self, path: Path | str | OpenLog, report: Callable[[int], None]
     ) -> Iterator[FrameColumns]:
-        """Yield the wanted frames of one file in chunks, as `LogFormat.read` says."""
+        """Yield the wanted frames of one file in chunks, see `LogFormat.read`."""
         _keep_freed_memory()
         return _gathered(_blocks(path, self._parser, self._statistics, report))
 
@@ -178,7 +178,7 @@ def _blocks(
         if blocks.damage and not lines:
             raise LogError(f"{name}: cannot be read: {blocks.damage}")
         if blocks.damage:
-            # The last line is cut with the file, even where what is left of it can be read.
+            # In a cut file, the last line is cut too, even if its remaining text is a valid line.
             where = f"{name}:{lines + 1}"
             statistics.reject("damaged_file", f"{where}: reading ends here: {blocks.damage}")
         elif blocks.rest:
@@ -188,7 +188,7 @@ def _blocks(
 def _cautiously(
     parser: CandumpParser, statistics: ReadStatistics, buf: Bytes, size: int, place: Place
 ) -> Iterator[tuple[FrameColumns, int]]:
-    """Parse a damaged file's block in small pieces: one with a sign of it is left out whole."""
+    """Parse a block of a damaged file in small pieces. A damaged piece is dropped completely."""
     start, lines = 0, place[1]
     ends = np.flatnonzero(buf[:size] == NEWLINE)[PIECE_LINES - 1 :: PIECE_LINES] + 1
     for end in [*ends.tolist(), size]:
@@ -207,16 +207,17 @@ def _cautiously(
 
 
 def _keep_freed_memory() -> None:
-    """Let glibc reuse freed memory, instead of giving it back and faulting it in for each block.
+    """Make glibc keep freed memory for reuse, instead of returning it to the system each time.
 
-    It sets its threshold for that to the largest block it has seen freed. The array is never
-    touched, so it costs nothing; reading takes less than half the time. Elsewhere: no effect.
+    glibc sets its threshold to the largest block that was freed. The array here is never written,
+    so it costs no memory. Reading then takes less than half the time. Without glibc, this has no
+    effect.
     """
     np.empty(KEPT_BYTES, np.uint8)
 
 
 def _gathered(blocks: Iterator[FrameColumns]) -> Iterator[FrameColumns]:
-    """Yield what several blocks hold as one, since rare frames make small columns."""
+    """Join the frames of several blocks, since rare frames make small columns."""
     parts: list[FrameColumns] = []
     count = frames = 0
     for part in blocks:

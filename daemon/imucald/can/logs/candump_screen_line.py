@@ -1,4 +1,4 @@
-"""One line that candump prints on a screen, strictly: the judge of every line, giver of reasons."""
+"""Parse one line of candump's screen output strictly; give a reason for each rejected line."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from imucald.can.columns import CAN_EFF_FLAG, CAN_SFF_MASK, CLASSIC_BYTES, FD_BY
 from imucald.can.logs.candump_line import REASONS, Line, parse_line
 
 ERROR_ID: Final = 0x2000_0000
-"""Printed ids of 8 digits from here are error frames."""
+"""Printed ids of 8 digits from this value on are error frames."""
 
 PRINTED: Final = re.compile(
     rb"""[ ]*(?:\((?P<stamp>[0-9][0-9 .:-]{4,30})\)[ ]+)?
@@ -31,16 +31,17 @@ class ScreenFrame(NamedTuple):
 
 
 class LineFault(NamedTuple):
-    """Why a line cannot be used: the reason's name, and words."""
+    """Why a line cannot be used: the name of the reason, and its text."""
 
     reason: str
     text: str
 
 
 def frame_of_line(line: bytes, match: re.Match[bytes] | None) -> ScreenFrame | LineFault | str:
-    """The frame of a line, why it has none, or the kind of frame that carries no data.
+    """Return the frame of a line, or the reason why it has none, or the kind of a frame without
+    data.
 
-    match: of `PRINTED`, None where the line is not printed by candump.
+    match: of the pattern `PRINTED`; None if the line does not have candump's form.
     """
     return _as_cansend(line) if match is None else _as_printed(match)
 
@@ -75,11 +76,11 @@ def _as_cansend(line: bytes) -> ScreenFrame | LineFault | str:
 
 
 def _data(rest: bytes, length: int) -> bytes | None:
-    """The bytes of a frame, printed in one of four ways; None where there are not so many."""
+    """Return the bytes of a frame, printed in one of four forms; None if the number is wrong."""
     if not length:
         return b""
     end = 3 * length - 1
-    if rest[2:end:3] == b" " * (length - 1) and rest[end : end + 1] in b" ":  # the usual way
+    if rest[2:end:3] == b" " * (length - 1) and rest[end : end + 1] in b" ":  # the usual form
         try:
             data = bytes.fromhex(rest[:end].decode("ascii"))
         except ValueError:

@@ -1,13 +1,14 @@
-"""What candump prints on a screen (not -L or -l), and what people copy from there.
+"""Read candump's screen output (without -L or -l), also if copied from a terminal.
 
     (1436509052.249713)  can0  044   [5]  2A 36 6C 2B BA      -t a
     (2015-07-10 08:17:32.249713)  can0  044   [5]  ...        -t A, taken as UTC
     (000.010250)  can0  044   [5]  ...                        -t z since the start, -t d differences
     can0  TX B -  200  [12]  11 22 ...                        -x; [two digits] is CAN FD
 
-With -a (text), -c (colours), -i (binary digits) and -S (last byte first) too. Without time stamps,
-and as cansend takes it (044#2A366C2BBA), time is counted from a message whose cycle is stated;
-where no such message comes, the file is refused with a remedy.
+The options -a (text), -c (colours), -i (binary digits) and -S (last byte first) are accepted too.
+Lines without time stamps and lines in cansend's form (044#2A366C2BBA) are accepted. Time is then
+counted from a message with a stated cycle. If no such message is in the file, the file is refused
+with a remedy.
 """
 
 from __future__ import annotations
@@ -36,7 +37,7 @@ from imucald.core.errors import LogError
 REMEDY: Final = "record with: candump -l can0"
 
 LOOK_LINES: Final = 200
-"""First lines by which differences are separated from times since the start."""
+"""Number of first lines used to distinguish time differences from times since the start."""
 
 _COLOUR: Final = re.compile(rb"\x1b\[[0-9;]*m")
 
@@ -48,7 +49,7 @@ class CandumpScreenReader:
 
     @staticmethod
     def begins(head: bytes) -> bool:
-        """Whether one of the first lines is printed by candump, or is as cansend takes it."""
+        """Whether one of the first lines has the form of candump's output or of cansend's input."""
         lines = _COLOUR.sub(b"", head).splitlines()
         return any(
             PRINTED.fullmatch(line.rstrip()) or AS_CANSEND.match(line) for line in lines[:50]
@@ -64,8 +65,8 @@ class CandumpScreenReader:
     def read(
         self, path: Path | str | OpenLog, report: Callable[[int], None]
     ) -> Iterator[FrameColumns]:
-        """Yield the wanted frames of one file in batches, as `LogFormat.read` says."""
-        self._time = None  # another file's stamps may differ
+        """Yield the wanted frames of one file in batches, see `LogFormat.read`."""
+        self._time = None  # each file may have another form of stamps
         yield from read_lines(path, self._batches, self._statistics, report, self._take)
         if isinstance(self._time, CountedTimes):
             self._add_counted(self._time, self._time.end())
@@ -76,7 +77,7 @@ class CandumpScreenReader:
         if self._time is None:
             self._time = self._look(lines[:LOOK_LINES], name)
         for number, line in enumerate(lines, before + 1):
-            if line and not line.startswith(b"\t"):  # what -e explains about an error frame
+            if line and not line.startswith(b"\t"):  # explanation of an error frame (-e)
                 fault = self._line(self._time, line, name, number)
                 if fault is not None:
                     reason, words = ("cut_line", "the line is cut") if last else fault
@@ -85,7 +86,7 @@ class CandumpScreenReader:
     def _line(
         self, time: StampedTimes | CountedTimes, line: bytes, name: str, number: int
     ) -> LineFault | None:
-        """Take one line; why it cannot be used, if so."""
+        """Process one line. Return why it cannot be used, or None."""
         match, t = PRINTED.fullmatch(line), None
         words = "the time stamp is missing, or is not one of candump"
         if isinstance(time, StampedTimes) and match is not None and match["stamp"] is not None:
@@ -120,7 +121,10 @@ class CandumpScreenReader:
             self._batches.add(t, frame.can_id, frame.data, frame.channel, frame.fd)
 
     def _look(self, first: list[bytes], name: str) -> StampedTimes | CountedTimes:
-        """How a file's stamps are meant. Raises LogError where it has none, and nothing counts."""
+        """Find the form of a file's time stamps.
+
+        Raises LogError if it has no time stamps and no message to count time from.
+        """
         lines = [line.rstrip() for line in first]
         matches = [PRINTED.fullmatch(line) for line in lines]
         stamps = [m["stamp"] for m in matches if m is not None and m["stamp"] is not None]

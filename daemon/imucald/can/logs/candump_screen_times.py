@@ -1,4 +1,4 @@
-"""When the frames of candump's screen output were: by their stamps, or counted from a message."""
+"""Times of the frames in candump's screen output: from time stamps, or counted from a message."""
 
 from __future__ import annotations
 
@@ -13,18 +13,19 @@ from imucald.can.logs.recorder_clock import DELTA_SHARE
 from imucald.core.errors import LogError
 
 SECONDS_DIGITS: Final = 10
-"""Digits before the point with which candump prints seconds since 1970 (``%010llu``), also those of
-a clock that was never set; others have three, or as many as they need."""
+"""Number of digits before the point in candump's seconds since 1970 (``%010llu``), also if the
+clock was never set. Other forms have three digits, or as many as needed."""
 OTHER_LINES: Final = 64
-"""So many lines in a row with stamps of another form are no damage: another recording follows."""
+"""This number of consecutive lines with another form of stamps means another recording, not
+damage."""
 
 
 class StampedTimes:
     """Time stamps [s] of one file: absolute, since the start, or differences."""
 
     def __init__(self, first: list[bytes]) -> None:
-        """first: the first stamps of the file."""
-        # One of three may be damaged.
+        """Find the form of the stamps. first: the first stamps of the file."""
+        # One of the three may be damaged.
         self._are_absolute = sorted(_is_absolute(stamp) for stamp in first[:3])[len(first[:3]) // 2]
         small = [float(s) for s in first if re.fullmatch(rb"[0-9]{1,9}\.[0-9]+", s)]
         back = sum(b < a for a, b in itertools.pairwise(small))
@@ -35,13 +36,13 @@ class StampedTimes:
         self._days: dict[bytes, int] = {}
 
     def fits(self, stamp: bytes) -> bool:
-        """Whether a stamp has the form of the file's first ones: time of day, or not."""
+        """Whether a stamp has the form of the file's first stamps: time of day, or not."""
         return _is_absolute(stamp) == self._are_absolute
 
     def other(self, name: str, line: int) -> None:
-        """Take note of a line whose stamp does not fit. Raises LogError where all do from one on.
+        """Register a line with another form of stamp. Raises LogError if too many follow in a row.
 
-        name: of the file; line: its number.
+        name: the file's name. line: the line's number.
         """
         self._others = self._others + 1 if line == self._last_other + 1 else 1
         self._last_other = line
@@ -55,9 +56,9 @@ class StampedTimes:
             )
 
     def time(self, stamp: bytes) -> float | None:
-        """When a line was printed [s]; None where its stamp is neither a number nor a date.
+        """Return the time of a line [s]; None if its stamp is neither a number nor a date.
 
-        Differences count whatever else the line holds.
+        A time difference is added even if the rest of the line is not used.
         """
         value = self._value(stamp)
         if value is None or not self._are_steps:
@@ -66,7 +67,7 @@ class StampedTimes:
         return self._now
 
     def _value(self, text: bytes) -> float | None:
-        """The number or the date [s] that a stamp spells."""
+        """Convert a stamp (a number or a date) to seconds."""
         whole, _, part = text.partition(b".")
         if b":" not in text:
             try:
@@ -79,7 +80,7 @@ class StampedTimes:
         return date + (float(b"0." + part) if part.isdigit() else 0.0)
 
     def _date(self, text: bytes) -> int | None:
-        """Seconds since 1970 of a date and time of day, in UTC; None where it is none."""
+        """Convert a date with time of day (UTC) to seconds since 1970; None if it is invalid."""
         if text not in self._days:
             try:
                 self._days = {text: timegm(strptime(text.decode(), "%Y-%m-%d %H:%M:%S"))}
@@ -94,9 +95,9 @@ def _is_absolute(stamp: bytes) -> bool:
 
 
 class CountedTimes:
-    """Time counted from the frames of one message that comes in cycles [s].
+    """Time counted from the frames of one cyclic message [s].
 
-    The frames between two of them are spread over the cycle that the second one ends.
+    The frames between two frames of this message are spread evenly over the cycle between them.
     """
 
     def __init__(self, can_id: int, channel: str, cycle: float) -> None:
@@ -106,10 +107,10 @@ class CountedTimes:
         self._cycles = self._open = 0
         self._waiting: list[tuple[int, ScreenFrame]] = []
         self.first: float | None = None
-        """Of the first frame of all [s], once its cycle has ended."""
+        """Time of the first frame in the file [s], known once its cycle has ended."""
 
     def take(self, frame: ScreenFrame, is_wanted: bool) -> list[tuple[float, ScreenFrame]]:
-        """Take the next frame; return the wanted ones whose time is known now, with it."""
+        """Process the next frame. Return the wanted frames whose time is now known, with times."""
         self._open += 1
         if is_wanted:
             self._waiting.append((self._open, frame))
@@ -117,7 +118,7 @@ class CountedTimes:
         return self.end() if is_end else []
 
     def end(self) -> list[tuple[float, ScreenFrame]]:
-        """All wanted frames that wait, with their times: their cycle ends."""
+        """End the last cycle, and return its wanted frames with their times."""
         start, step = self._cycles * self._cycle, self._cycle / max(self._open, 1)
         if self._open and self.first is None:
             self.first = step

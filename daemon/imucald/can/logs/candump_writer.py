@@ -1,7 +1,8 @@
-"""Writes frames as candump text, as ``candump -L`` does and canplayer reads it.
+"""Write frames as candump text, in the format of ``candump -L`` and canplayer.
 
-Columns are written in a few array operations: frames of equal form (id width, CAN FD or not,
-length, channel) have lines of equal length, which are filled as a table and put into their places.
+Columns are written with a few array operations. Frames of the same form (id width, CAN FD or not,
+length, channel) have lines of equal length. These lines are filled as a table and then put into
+their order.
 """
 
 from __future__ import annotations
@@ -31,17 +32,17 @@ from imucald.can.columns import (
 from imucald.core.errors import LogError
 
 MAX_SECONDS: Final = 2**32
-"""Times are written below this (year 2106): up to there a double holds the microsecond."""
+"""Limit of written times [s] (year 2106). Below it, a double is exact to the microsecond."""
 
 MICROSECONDS: Final = 1_000_000
 ROWS: Final = 32_768
-"""Frames formatted at once, so that memory stays bounded and near the core."""
+"""Number of frames formatted together, so that memory is bounded and fits the cache."""
 
 GZIP_LEVEL: Final = 3
-"""Twice as fast as the default, a tenth larger."""
+"""Compression level of gzip: twice as fast as the default, and 10 % larger."""
 
 CANFD_BRS: Final = 1
-"""CAN FD flag: data phase at the higher bit rate, as is usual in vehicles."""
+"""Flag of a CAN FD frame: data phase at the higher bit rate, as usual in vehicles."""
 
 _CLASSIC: Final = CLASSIC_BYTES
 _STAMP_BYTES: Final = len("(1600000000.000000) ")
@@ -50,13 +51,13 @@ _STAMP_BYTES: Final = len("(1600000000.000000) ")
 class CandumpWriter:
     """Writes candump text to a file, a gzip file (``.gz``) or standard output ("-").
 
-    Usable as a context manager. All methods raise LogError where the file cannot be written (a
-    regular file is removed then: it would keep a full disk full) or a frame cannot be put into
-    words.
+    Usable as a context manager. All methods raise LogError if the file cannot be written or a frame
+    cannot be expressed as text. A regular file that cannot be written is removed, because it would
+    fill a full disk.
     """
 
     def __init__(self, path: Path | str, fd_flags: int = CANFD_BRS) -> None:
-        """fd_flags: the flags digit of CAN FD frames (1: bit rate switch, 2: error state)."""
+        """Open the file. fd_flags: digit for CAN FD frames (1: bit rate switch, 2: error state)."""
         self.frames_written = 0
         self._name = str(path)
         self._fd_flags = fd_flags & 0xF
@@ -69,7 +70,7 @@ class CandumpWriter:
             raise self._failed(error) from error
 
     def write_columns(self, frames: FrameColumns) -> None:
-        """Write frames in their order. One without `fd` is CAN FD where longer than 8 bytes."""
+        """Write frames in order. If `fd` is None, frames longer than 8 bytes are CAN FD."""
         for start in range(0, len(frames), ROWS):
             part = frames.take(slice(start, start + ROWS))
             self._put(_formatted(part, self._fd_flags, self._name), len(part))
@@ -77,8 +78,8 @@ class CandumpWriter:
     def write(
         self, t: float, can_id: int, data: bytes, channel: str = "can0", fd: bool | None = None
     ) -> None:
-        """Write one frame. t: seconds. can_id: with `CAN_EFF_FLAG` for 29 bits. fd: CAN FD; None:
-        where longer than 8 bytes.
+        """Write one frame. t: time [s]. can_id: with `CAN_EFF_FLAG` for 29 bits. fd: whether it is
+        CAN FD; None means: if longer than 8 bytes.
         """
         fd = len(data) > _CLASSIC if fd is None else fd
         bare = can_id & ~CAN_EFF_FLAG
@@ -97,14 +98,14 @@ class CandumpWriter:
         self._put(text.encode("ascii"), 1)
 
     def flush(self) -> None:
-        """Hand everything written so far to the operating system."""
+        """Pass all data written so far to the operating system."""
         try:
             self._file.flush()
         except OSError as error:
             raise self._failed(error) from error
 
     def close(self) -> None:
-        """Write what is left and close; standard output stays open."""
+        """Write the remaining data and close the file. Standard output stays open."""
         try:
             self._file.flush()
             if self._name != "-":
@@ -150,12 +151,12 @@ def _no_frame(name: str, t: float, can_id: int, length: int) -> LogError:
 
 def _open(name: str) -> BufferedIOBase:
     if name == "-":
-        stdout = getattr(sys.stdout, "buffer", None)  # a notebook's takes text alone
+        stdout = getattr(sys.stdout, "buffer", None)  # a notebook's stdout accepts only text
         if stdout is None:
             raise LogError("standard output cannot take bytes here: name a file")
         return cast("BufferedIOBase", stdout)
     if name.endswith(".gz"):
-        import gzip  # noqa: PLC0415 - replay writes most often nothing
+        import gzip  # noqa: PLC0415 - replay seldom writes
 
         return gzip.open(name, "wb", GZIP_LEVEL)
     return Path(name).open("wb")
@@ -198,7 +199,7 @@ def _formatted(frames: FrameColumns, fd_flags: int, name: str) -> bytes:
 
 
 def _stamps(t: NDArray[np.float64]) -> NDArray[np.uint8]:
-    """Return (N, 20) characters: ``(seconds.microseconds) ``, ten and six digits."""
+    """Return characters (N, 20): ``(seconds.microseconds) ``, with ten and six digits."""
     micros = np.rint(t * MICROSECONDS).astype(np.int64)
     seconds, micros = np.divmod(micros, MICROSECONDS)
     high, low = np.divmod(seconds, 10_000)
@@ -220,7 +221,7 @@ def _digits(number: NDArray[np.int64]) -> NDArray[np.uint8]:
 
 
 class _Form:
-    """The lines of frames that differ in digits only."""
+    """Lines of frames of the same form. They differ only in their digits."""
 
     def __init__(self, channel: bytes, id_digits: int, mark: bytes, length: int) -> None:
         self.size = _STAMP_BYTES + len(channel) + id_digits + len(mark) + 2 * length + 1
@@ -232,7 +233,7 @@ class _Form:
     def lines(
         self, stamps: NDArray[np.uint8], can_id: NDArray[np.uint32], data: NDArray[np.uint8]
     ) -> NDArray[np.uint8]:
-        """Return (N, size) characters."""
+        """Return the lines as characters (N, size)."""
         count, at = len(stamps), _STAMP_BYTES
         rows = np.empty((count, self.size), np.uint8)
         rows[:, :at] = stamps
@@ -249,7 +250,7 @@ class _Form:
 
 
 def _hex(data: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """Return (N, 2 L) characters for (N, L) bytes."""
+    """Return hexadecimal characters (N, 2 L) for bytes (N, L)."""
     return _hex_pairs().take(data).view(np.uint8).reshape(len(data), -1)
 
 
@@ -267,5 +268,5 @@ def _hex_pairs() -> NDArray[np.uint16]:
 
 
 def _channel(name: str) -> str:
-    """Return a channel's name as one word of ASCII: other log formats know others."""
+    """Return a channel's name as one ASCII word. Other log formats allow other names."""
     return re.sub(r'[^!"$-~]', "_", name)[:32] or "can0"

@@ -1,4 +1,4 @@
-"""What the first frames of a recording's files show: the same file twice, stamps not in seconds."""
+"""Detect errors from the first frames of each file: the same file twice, stamps not in seconds."""
 
 from __future__ import annotations
 
@@ -16,8 +16,8 @@ from imucald.core.arrays import median
 from imucald.core.errors import LogError
 
 MIN_FRAMES: Final = 64
-"""Fewer frames show nothing. So many with the same times and payloads, noise of sensors among them,
-are never recorded twice."""
+"""Smallest number of frames for a comparison. This number of frames with the same times and
+payloads (including sensor noise) never occurs in two recordings."""
 
 UNITS: Final = {
     1e3: "milliseconds",
@@ -26,29 +26,30 @@ UNITS: Final = {
     1e-3: "milliseconds where the format has microseconds",
     1e-6: "seconds where the format has microseconds",
 }
-"""What stamps are that are so many times too large."""
+"""The unit of time stamps, by the factor by which they are too large."""
 YEAR_10000: Final = 253_402_300_800.0
-"""Seconds since 1970: later than any recording, and earlier than this century in milliseconds."""
+"""The year 10000 in seconds since 1970. It is later than any recording. A time stamp of this
+century in milliseconds is larger."""
 YEAR_2100: Final = 4_102_444_800.0
 TOLERANCE: Final = 1.5
-"""A message's cycle may be so many times longer or shorter than stated, as for `check`."""
+"""Accepted factor between a message's cycle and the stated cycle, as in `check`."""
 IS_THE_SAME: Final = "is the same recording as"
 MIN_MESSAGES: Final = 2
-"""One message alone may be stated wrongly."""
+"""Smallest number of messages as evidence, since the stated cycle of one may be wrong."""
 
 Log = Path | str | OpenLog
 
 
 def refuse_same_files(paths: Iterable[Log]) -> None:
-    """Raise LogError where a file is named twice: the same evidence would count twice."""
+    """Raise LogError if a file is named twice, because its evidence would count twice."""
     seen: dict[tuple[int, int], Log] = {}
     for path in paths:
         if isinstance(path, OpenLog) or is_read_once(path):
             continue
         try:
-            found = os.stat(path)  # noqa: PTH116 - a name or a path
+            found = os.stat(path)  # noqa: PTH116 - a str or a Path
         except OSError:
-            continue  # whoever opens it says why
+            continue  # opening it reports the reason
         key = found.st_dev, found.st_ino
         if key in seen:
             raise same_recording(path, seen[key])
@@ -56,16 +57,16 @@ def refuse_same_files(paths: Iterable[Log]) -> None:
 
 
 class FirstFrames:
-    """Takes the first chunk of each file of a recording."""
+    """Checks the first chunk of each file of a recording."""
 
     def __init__(self, cycles: Cycles) -> None:
-        """cycles: messages with their stated cycle time [s]."""
+        """Prepare the checks. cycles: messages with their stated cycle time [s]."""
         self._cycles = cycles
         self._seen: dict[bytes, Log] = {}
 
     def of(self, path: Log, chunks: Iterable[FrameColumns]) -> Iterator[FrameColumns]:
-        """Yield a file's chunks that are not empty. Raises LogError where an earlier file began
-        with the same frames at the same times, or the time stamps are not in seconds."""
+        """Yield the chunks of a file that are not empty. Raises LogError if an earlier file began
+        with the same frames at the same times, or if the time stamps are not in seconds."""
         begins = True
         for frames in chunks:
             if len(frames):
@@ -96,7 +97,7 @@ class FirstFrames:
         self._seen[key] = path
 
     def _by_cycles(self, frames: FrameColumns) -> float | None:
-        """How many times too large every interval between frames of a message is."""
+        """Return the factor by which all intervals between frames of a message are too large."""
         found: list[float] = []
         for match, cycle in self._cycles:
             ours = np.flatnonzero(((frames.can_id ^ match.can_id) & match.full_mask) == 0)
@@ -112,13 +113,13 @@ class FirstFrames:
 
 
 def _by_date(t: float) -> float | None:
-    """By how much a stamp [s] must be divided to be one of this century, where it is none."""
+    """Return the divisor that gives a stamp of this century; None if the stamp already is one."""
     if t < YEAR_10000:
         return None
     return next((f for f in UNITS if f > 1.0 and t / f < YEAR_2100), None)
 
 
 def same_recording(log: Log, other: Log) -> LogError:
-    """The error for a recording that is given under two names."""
+    """Return the error for a recording that is given with two names."""
     text = f"{log}: {IS_THE_SAME} {other}: it would count twice; leave one of them out"
     return LogError(text)

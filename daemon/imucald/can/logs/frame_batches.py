@@ -1,4 +1,4 @@
-"""Frames that come one by one, counted, filtered and gathered to columns."""
+"""Count and filter single frames, and collect them in columns."""
 
 from __future__ import annotations
 
@@ -16,17 +16,18 @@ from imucald.can.logs.text_blocks import OpenLog, TextBlocks, open_source
 from imucald.core.errors import LogError
 
 BATCH_FRAMES: Final = 8192
-"""Frames of ours gathered before they are passed on."""
+"""Number of wanted frames collected before they are passed on."""
 
 MAX_IDS: Final = 65_536
-"""Ids whose verdict is remembered; a log with more is damaged, and is forgotten now and then."""
+"""Largest number of ids with a cached result. A log with more ids is damaged; the cache is then
+cleared from time to time."""
 
 GatheredFrame = tuple[float, int, bytes, int, bool]
 """Time [s], id with flag, payload, channel index, CAN FD."""
 
 
 class FrameBatches:
-    """Takes valid data frames; `columns` gives the wanted ones."""
+    """Collects valid data frames. `columns` returns the wanted frames."""
 
     def __init__(self, filters: IdFilters, channels: Channels, statistics: ReadStatistics) -> None:
         self._filters = filters
@@ -37,11 +38,11 @@ class FrameBatches:
 
     @property
     def is_full(self) -> bool:
-        """Whether it is time to take the columns."""
+        """Whether the batch is full, so that `columns` should be called."""
         return len(self._batch) >= BATCH_FRAMES
 
     def add(self, t: float, can_id: int, data: bytes, channel: str, fd: bool) -> bool:
-        """Count a valid frame, keep it where it is wanted. False: there are too many channels."""
+        """Count a valid frame and keep it if it is wanted. False if there are too many channels."""
         index = self._channels.index(channel)
         if index is None:
             return False
@@ -54,7 +55,7 @@ class FrameBatches:
         return True
 
     def is_wanted(self, index: int, can_id: int, channel: str) -> bool:
-        """Whether frames of an id on a channel are asked for."""
+        """Whether frames with this id on this channel are wanted."""
         key = index, can_id
         if key not in self._verdicts:
             if len(self._verdicts) == MAX_IDS:
@@ -63,7 +64,7 @@ class FrameBatches:
         return self._verdicts[key]
 
     def columns(self) -> FrameColumns:
-        """The frames gathered so far, which start again."""
+        """Return the frames collected so far, and start a new batch."""
         batch, self._batch = self._batch, []
         return columns_of_frames(batch, self._channels.names)
 
@@ -77,8 +78,8 @@ def read_lines(
 ) -> Iterator[FrameColumns]:
     """Yield the frames that `take` adds to the batches from the lines of a text.
 
-    take: gets lines, the file's name, how many lines were before, and whether they are the last
-    one, which has no newline. Raises LogError for a file that cannot be read at all.
+    take: called with lines, the file's name, the number of lines before, and whether this is the
+    last line without a newline. Raises LogError for a file that cannot be read at all.
     """
     name, number = str(path), 0
     with statistics.until_damage(path), open_source(path) as source:
@@ -101,7 +102,7 @@ def read_lines(
 
 
 def columns_of_frames(batch: list[GatheredFrame], channels: tuple[str, ...]) -> FrameColumns:
-    """Frames, perhaps none, as columns."""
+    """Convert frames (the list may be empty) to columns."""
     t, can_id, data, channel, fd = zip(*batch, strict=True) if batch else ((),) * 5
     length = [len(payload) for payload in data]
     width = CLASSIC_BYTES if max(length, default=0) <= CLASSIC_BYTES else FD_BYTES

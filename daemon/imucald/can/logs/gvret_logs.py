@@ -1,9 +1,9 @@
-"""CSV of SavvyCAN and other programs that speak GVRET: the columns are known by their headings.
+"""CSV of SavvyCAN and other GVRET programs. The headings identify the columns.
 
     Time Stamp,ID,Extended,Dir,Bus,LEN,D1,D2,D3,D4,D5,D6,D7,D8
     166064000,0000021A,false,Rx,0,8,FE,36,12,FE,69,05,07,AD,
 
-Time stamps are microseconds, ids and bytes hexadecimal; older files have no direction.
+Time stamps are in microseconds; ids and bytes are hexadecimal. Older files have no direction.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ class GvretReader:
 
     @staticmethod
     def begins(head: bytes) -> bool:
-        """Whether the first line is SavvyCAN's."""
+        """Whether the first line is the heading of SavvyCAN."""
         return _HEADING.match(head) is not None
 
     def __init__(self, filters: IdFilters, channels: Channels, statistics: ReadStatistics) -> None:
@@ -52,7 +52,7 @@ class GvretReader:
     def read(
         self, path: Path | str | OpenLog, report: Callable[[int], None]
     ) -> Iterator[FrameColumns]:
-        """Yield the wanted frames of one file in batches, as `LogFormat.read` says."""
+        """Yield the wanted frames of one file in batches, see `LogFormat.read`."""
         self._places = {}
         return read_lines(path, self._batches, self._statistics, report, self._take)
 
@@ -68,7 +68,7 @@ class GvretReader:
                 self._statistics.reject(reason, text)
 
     def _line(self, line: bytes) -> str:
-        """Take one line; the reason why it cannot be used, or nothing."""
+        """Process one line. Return the reason why it cannot be used; empty if it is good."""
         words = line.strip().split(b",")
         if words == [b""]:
             return ""
@@ -94,7 +94,7 @@ class GvretReader:
 
 
 def _places(line: bytes, name: str) -> dict[str, int]:
-    """Where each column stands. Raises LogError where one that is needed is missing."""
+    """Return the position of each column. Raises LogError if a required column is missing."""
     words = line.decode("utf-8-sig", "replace").strip().lower().split(",")
     places = {word.strip(): i for i, word in enumerate(words)}
     missing = [word for word in (*_NEEDED, "d1") if word not in places]

@@ -1,8 +1,8 @@
-"""What every log format is: a reader of files that begin in a certain way, and what it counts.
+"""The interface of all log formats, and the statistics of a reader.
 
-A new format is a new file of this folder whose name ends with `_logs` and which has a `LogFormat`
-under the name FORMAT: `log_reader` finds it. One that python-can reads needs only its ending in
-`python_can_logs`.
+To add a format, add a file to this folder whose name ends with `_logs`. It must define a
+`LogFormat` with the name FORMAT; `log_reader` finds it. For a format that python-can reads, only
+add its suffix in `python_can_logs`.
 """
 
 from __future__ import annotations
@@ -20,22 +20,22 @@ from imucald.can.logs.unpacking import damage_within
 from imucald.core.errors import LogError
 
 MAX_PROBLEMS: Final = 20
-"""Texts kept: enough to see what is wrong, and bounded whatever the file holds."""
+"""Largest number of stored texts. It is enough to see the problem and bounded for any file."""
 
 FOREIGN_LINE: Final = "not_candump"
-"""The reason of lines that have nothing in common with a frame's."""
+"""The reason for lines that do not look like a frame at all."""
 
 DAMAGED_STEP: Final = 10.0
-"""Where bytes are known to be damaged, stamps further apart are a sign of it [s]; as much as stream
-time bridges."""
+"""In a damaged file, a larger step of time stamps is a sign of damage [s]. The value is equal to
+the longest gap that stream time bridges."""
 
 
 class DamageError(Exception):
-    """The first sign of damage in a file that is known to be damaged; with its place."""
+    """The first sign of damage in a damaged file, with its place."""
 
 
 class _ForeignLines:
-    """A run of lines that are not of a file's format; problem: its place among the problems."""
+    """A run of lines that do not have the file's format. problem: its index in the problems."""
 
     def __init__(self, name: str, line: int, text: str, problem: int | None) -> None:
         self.name, self.text, self.problem = name, text, problem
@@ -46,7 +46,7 @@ class ReadStatistics:
     """Counts over all files of one reader."""
 
     def __init__(self, strict: bool) -> None:
-        """strict: raise LogError at the first rejection instead of counting it."""
+        """Start counting. strict: the first rejection raises LogError instead of being counted."""
         self.strict = strict
         self.frames_read = 0
         self.first_stamp: float | None = None
@@ -55,13 +55,14 @@ class ReadStatistics:
         self.rejected: Counter[str] = Counter()
         self.problems: list[str] = []
         self.damage = ""
-        """Why the file that is being read cannot be trusted, where that is known."""
+        """Why the current file cannot be trusted; empty if no damage is known."""
         self._last_stamp: float | None = None
         self._foreign: _ForeignLines | None = None
 
     @contextlib.contextmanager
     def until_damage(self, path: Path | str | OpenLog) -> Iterator[None]:
-        """Where a compressed file is damaged, its first bad line or step of time ends the body."""
+        """Context for reading one file. In a damaged compressed file, the first bad line or time
+        step ends the body."""
         self.damage = "" if isinstance(path, OpenLog) else damage_within(Path(path))
         self._last_stamp = None
         try:
@@ -73,15 +74,15 @@ class ReadStatistics:
             self.damage = ""
 
     def follows(self, t: float, place: str) -> None:
-        """Take a stamp [s] of a damaged file; raises DamageError where it does not follow."""
+        """Check a time stamp [s] of a damaged file. Raises DamageError if its step is too large."""
         if self._last_stamp is not None and not abs(t - self._last_stamp) <= DAMAGED_STEP:
             raise DamageError(f"{place}: the time stamps step from {self._last_stamp} to {t}")
         self._last_stamp = t
 
     def reject(self, reason: str, text: str) -> None:
-        """Count one rejection; `text` begins with its place. Raises LogError where strict.
+        """Count one rejection; `text` begins with its place. In strict mode, it raises LogError.
 
-        DamageError where the file is known to be damaged before.
+        Raises DamageError if the file is already known to be damaged.
         """
         if self.strict:
             raise LogError(text)
@@ -92,8 +93,8 @@ class ReadStatistics:
             self.problems.append(text)
 
     def reject_line(self, reason: str, name: str, number: int, words: str) -> None:
-        """As `reject`, of a text's line. Lines in a row that are not of the format at all, such as
-        a header or comments, blank ones among them, are one problem with their count."""
+        """Reject a line of a text, see `reject`. Consecutive lines without the file's format (such
+        as a header or comments, including blank lines) are one problem with a count."""
         text = f"{name}:{number}: {words}"
         run = self._foreign
         if reason != FOREIGN_LINE or self.strict or self.damage:
@@ -111,19 +112,19 @@ class ReadStatistics:
             self._foreign = _ForeignLines(name, number, text, problem)
 
     def note(self, text: str) -> None:
-        """Report something that limits what a log is worth. Raises LogError where strict, which
-        says that this, and no bad line, is the reason."""
+        """Report something that reduces the value of a log. In strict mode it raises LogError,
+        which states that this, and not a bad line, is the reason."""
         if self.strict:
             raise LogError(f"{text} (with --strict, such a log is refused)")
         self.problems.append(text)
 
     def stamp(self, t: float) -> None:
-        """Take note of a valid frame's time stamp [s]: the first one is kept."""
+        """Register the time stamp [s] of a valid frame. The first one is stored."""
         if self.first_stamp is None:
             self.first_stamp = t
 
     def ignore(self, kind: str) -> None:
-        """Count one valid frame that carries no data (remote, error) or is not for us (XL)."""
+        """Count one valid frame without data (remote, error) or of an unused kind (XL)."""
         self.frames_read += 1
         self.ignored[kind] += 1
 
@@ -134,7 +135,7 @@ Cycles = Sequence[tuple[IdMatch, float]]
 
 @runtime_checkable
 class CountsTime(Protocol):
-    """A format that may lack time stamps, and counts cycles of a known message instead."""
+    """A format that may lack time stamps. It then counts cycles of a known message."""
 
     cycles: Cycles
 
@@ -143,12 +144,12 @@ class LogFormat(Protocol):
     """A reader of one recording's files, which share filters, channels and statistics."""
 
     endings: ClassVar[tuple[str, ...]]
-    """Of file names, in small letters; ``.gz`` and the like behind them do not count. They decide
-    where the first bytes do not."""
+    """Suffixes of file names in lower case, without ``.gz`` and similar ones. They are used if the
+    first bytes do not identify the format."""
 
     @staticmethod
     def begins(head: bytes) -> bool:
-        """Whether a file with these first plain bytes (4 KiB, less where it is shorter) is one."""
+        """Whether a file with these first uncompressed bytes (up to 4 KiB) has this format."""
         ...
 
     def __init__(
@@ -158,7 +159,8 @@ class LogFormat(Protocol):
     def read(
         self, path: Path | str | OpenLog, report: Callable[[int], None]
     ) -> Iterator[FrameColumns]:
-        """Yield a file's wanted frames, empty chunks among them; `report` gets the bytes read.
+        """Yield a file's wanted frames. Chunks may be empty. `report` is called with bytes read.
 
-        Raises LogError for a file that is no log at all; what is bad in one goes to statistics.
+        Raises LogError for a file that is not a log. Bad parts of a log are counted in the
+        statistics.
         """

@@ -1,9 +1,9 @@
-"""Recorded logs, one after another, as columns of frames.
+"""Read recorded logs, one after another, as columns of frames.
 
-A file's first bytes show its format and its compression (gzip, xz, bzip2, Zstandard); its name
-counts where they do not. "-" is standard input. Several files are read in the order given and as
-one recording: where a later file begins at an earlier time, so do its frames, and whoever makes
-stream time of it meets a discontinuity.
+A file's first bytes identify its format and its compression (gzip, xz, bzip2, Zstandard). If they
+do not, its name is used. "-" is standard input. Several files are read in the given order as one
+recording. The times of frames are not changed: if a later file begins at an earlier time, there is
+a discontinuity.
 """
 
 from __future__ import annotations
@@ -32,11 +32,11 @@ __all__ = ["CAN_EFF_FLAG", "CandumpWriter", "FrameColumns", "IdMatch", "LogReade
 
 
 FIRST_FORMAT: Final = "candump_logs"
-"""What most logs are: the other formats are loaded (5 ms) where a log is not that."""
+"""The most frequent format. The other formats are loaded (5 ms) only if a log does not have it."""
 
 
 def find_formats() -> Iterator[type[LogFormat]]:
-    """Every format that can be read: FORMAT of each module of this folder named `..._logs`."""
+    """Find all formats: FORMAT in each module of this folder with a name `..._logs`."""
     yield _format(FIRST_FORMAT)
     import pkgutil  # noqa: PLC0415 - see FIRST_FORMAT
 
@@ -50,12 +50,12 @@ def _format(name: str) -> type[LogFormat]:
 
 
 CANDUMP_ENDING: Final = ".log"
-"""Of candump text, which an empty file is read as."""
+"""Suffix of candump text. An empty file is read as candump text."""
 
 CSV_ENDING: Final = ".csv"
 
 _MAY_BE_CANDUMP: Final = re.compile(rb"^\(\d", re.MULTILINE)
-"""A line of a damaged candump log, of which no whole line is among the first."""
+"""Beginning of a line in a damaged candump log that has no complete line in its first bytes."""
 
 OTHER_PROGRAMS: Final = {
     "Microchip's CAN BUS Analyzer": re.compile(rb"(?://-+\s+)?Microchip Technology"),
@@ -63,22 +63,22 @@ OTHER_PROGRAMS: Final = {
     "BUSMASTER": re.compile(rb"\*+ ?BUSMASTER"),
     "OVMS (CRTD)": re.compile(rb"\d+\.\d+ +\d?C[A-Z]{2} "),
 }
-"""Programs whose logs are named rather than read, with how these begin."""
+"""Programs whose logs cannot be read, with the beginning of such logs. Errors name the program."""
 
 HEAD_BYTES: Final = 4096
-"""First plain bytes by which a format is known."""
+"""Number of first uncompressed bytes that identify a format."""
 
 Progress = Callable[[int, int | None], None]
-"""Called with bytes read and bytes in all (None where standard input is among the files)."""
+"""Callback for progress. Arguments: bytes read, and total bytes (None with standard input)."""
 
 
 class LogReader:
     """Iterate over the wanted data frames of recorded logs, in recorded order.
 
-    Bad lines are counted in `rejected` by reason and skipped; `problems` has the first of them as
-    "file:line: reason". With strict the first one raises LogError, as does always a file that
-    cannot be opened, is no log at all, has stamps that are not seconds or is the same recording as
-    one before it. Each iteration reads, and counts, from the start.
+    Bad lines are skipped and counted by reason in `rejected`. `problems` has the first of them as
+    "file:line: reason". With strict, the first bad line raises LogError. A file always raises
+    LogError if it cannot be opened, is not a log, has time stamps that are not in seconds, or is
+    the same recording as an earlier file. Each iteration reads and counts from the start.
     """
 
     def __init__(
@@ -89,8 +89,8 @@ class LogReader:
         progress: Progress | None = None,
         cycles: Cycles = (),
     ) -> None:
-        """keep: which frames are wanted; None for all. cycles: for logs without time stamps, and
-        for stamps that are not seconds."""
+        """Prepare reading. keep: filters of the wanted frames; None for all. cycles: stated cycles,
+        for logs without time stamps and to detect stamps that are not in seconds."""
         self._paths = list(paths)
         self._keep = keep
         self._progress = progress
@@ -102,7 +102,7 @@ class LogReader:
 
     @property
     def share(self) -> float | None:
-        """Part of all bytes that has been read; None where standard input is among the files."""
+        """Share of all bytes that has been read; None if standard input is among the files."""
         return self._bytes_read / self._bytes_total if self._bytes_total else None
 
     @property
@@ -117,7 +117,7 @@ class LogReader:
 
     @property
     def ignored(self) -> dict[str, int]:
-        """Return how many of them are remote_frame, error_frame, xl_frame: never passed on."""
+        """Return the numbers of remote_frame, error_frame, xl_frame, which are never passed on."""
         return dict(self._statistics.ignored)
 
     @property
@@ -132,11 +132,11 @@ class LogReader:
 
     @property
     def overlaps(self) -> list[str]:
-        """Return which files so far share some time, or are in the wrong order, in words."""
+        """Return texts about files so far that overlap in time or are in the wrong order."""
         return list(self._overlaps.texts())
 
     def __iter__(self) -> Iterator[FrameColumns]:
-        """Yield chunks of bounded size, none of them empty. Raises LogError."""
+        """Yield chunks of bounded size that are not empty. Raises LogError, see the class."""
         self._statistics = ReadStatistics(self._statistics.strict)
         self._overlaps = Overlaps()
         self._bytes_before = self._bytes_read = 0
@@ -161,7 +161,7 @@ class LogReader:
 
 
 class _Readers:
-    """A reader of each format, made when it is asked for."""
+    """A reader for each format. It is made at its first use."""
 
     def __init__(
         self, filters: IdFilters, channels: Channels, statistics: ReadStatistics, cycles: Cycles
@@ -180,7 +180,7 @@ class _Readers:
 
 
 def _reader_for(readers: Iterable[LogFormat], head: bytes, path: Path | str | OpenLog) -> LogFormat:
-    """The reader of a file with these first plain bytes. Raises LogError where it is no log."""
+    """Return the reader for a file with these first bytes. Raises LogError if it is not a log."""
     found = next((r for r in readers if r.begins(head)), None)
     if found is not None:
         return found

@@ -1,12 +1,12 @@
-"""Whether an MF4 file is whole and asammdf can bear it: it says of a cut one that it cannot seek.
+"""Check whether an MF4 file is complete and safe for asammdf, before asammdf opens it.
 
-asammdf's compiled part believes what a channel says of its place: one beyond the record makes it
-write where it may not, and the process ends later, somewhere else. It goes round for ever where a
-list leads back into itself.
+For a cut file, asammdf only reports that it cannot seek. Its compiled code trusts the stated
+position of a channel. A position outside the record makes it write to wrong memory, and the process
+crashes later. A list that links back to itself causes an endless loop.
 
-Layout: ASAM MDF 4: an identification of 64 bytes, then blocks, each with its length and links to
-others. A file that its recorder did not finish (UnFinMF) does not state all lengths: what it lacks
-is no fault of it, what it unpacks to and where its channels lie is judged all the same.
+Layout of ASAM MDF 4: an identification of 64 bytes, then blocks, each with its length and links to
+other blocks. A file that its recorder did not finish (UnFinMF) does not state all lengths. Its
+missing parts are not an error, but its unpacked size and the positions of its channels are checked.
 """
 
 from __future__ import annotations
@@ -20,22 +20,22 @@ from imucald.can.logs.unpacking import FREE_BYTES, MOST_TIMES, unpacks_to_too_mu
 _BLOCK: Final = struct.Struct("<4s4xQQ")
 """Kind, length, number of links; the links follow."""
 _DEFLATED: Final = struct.Struct("<2sBxIQQ")
-"""Of a ##DZ block behind its links: kind, way, parameter, bytes unpacked, bytes that follow."""
+"""Data of a ##DZ block after its links: kind, method, parameter, unpacked bytes, packed bytes."""
 _GROUP: Final = struct.Struct("<24xII")
-"""Of a ##CG block behind its links: bytes of a record, and of its invalidation bits."""
+"""Data of a ##CG block after its links: bytes of a record, bytes of its invalidation bits."""
 _CHANNEL: Final = struct.Struct("<3xBII")
-"""Of a ##CN block behind its links: first bit, first byte, bits."""
+"""Data of a ##CN block after its links: first bit, first byte, number of bits."""
 _FIRST: Final = 64
 MAX_BLOCKS: Final = 1_000_000
 _OWN_LINKS: Final = {
     b"##HD": 5, b"##DG": 3, b"##CG": 2, b"##CN": 2, b"##CA": 1, b"##HL": 1, b"##DL": None,
     b"##LD": None, b"##FH": 1, b"##CH": 1, b"##AT": 1, b"##EV": 1,
 }  # fmt: skip
-"""First links of a block that name what is a part of it, or the next in its list; None: all."""
+"""Number of first links that point to parts of the block or to the next block; None: all links."""
 
 
 class _Structure:
-    """Blocks of a file: whether each has one place, and each channel lies within its record."""
+    """The blocks of a file. Checks that no block is used twice and that channels fit the record."""
 
     def __init__(self) -> None:
         self._placed, self._twice = {_FIRST}, 0
@@ -43,7 +43,7 @@ class _Structure:
         self._channels: dict[int, tuple[int, int, int]] = {}  # next, composition, end [bytes]
 
     def take(self, at: int, kind: bytes, links: tuple[int, ...], data: bytes) -> None:
-        """Take a block; data: what follows its links."""
+        """Register a block; data: the bytes after its links."""
         for link in filter(None, links[: _OWN_LINKS.get(kind, 0)]):
             if link in self._placed:
                 self._twice = self._twice or link
@@ -55,7 +55,7 @@ class _Structure:
             self._channels[at] = links[0], links[1], byte + (bit + bits + 7) // 8
 
     def damage(self) -> str | None:
-        """What is wrong; None: nothing."""
+        """Return what is wrong, or None."""
         if self._twice:
             return f"the file is damaged: the block at byte {self._twice} is in two places"
         for first, record in self._groups:
@@ -73,7 +73,7 @@ class _Structure:
 
 
 def mf4_end(path: Path) -> str | None:
-    """Why an MF4 file ends too soon or cannot be read; None where all that it names is there."""
+    """Return why an MF4 file is incomplete or unreadable; None if all linked blocks are there."""
     size = path.stat().st_size
     unpacked = 0
     structure = _Structure()

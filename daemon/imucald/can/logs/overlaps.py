@@ -1,4 +1,4 @@
-"""Files of one recording that hold the same seconds, or come in the wrong order."""
+"""Find files of one recording that overlap in time or are in the wrong order."""
 
 from __future__ import annotations
 
@@ -10,32 +10,32 @@ from imucald.can.columns import FrameColumns
 from imucald.can.logs.text_blocks import OpenLog
 
 CLOCK_SET_S: Final = 946_684_800.0
-"""Year 2000: a log that begins earlier has no time of day, it counts from its own start."""
+"""The year 2000 [s]. A log that begins earlier has no time of day; it counts from its start."""
 
 Log = Path | str | OpenLog
 
 
 def overlap_words(later: object, earlier: object, seconds: float, shorter_s: float) -> str:
-    """Two logs that share some time; shorter_s: length of the shorter one."""
+    """Return the text for two logs that overlap; shorter_s: length of the shorter one."""
     if seconds >= shorter_s:
         return f"{later} and {earlier} overlap completely in time; are their clocks right?"
     return f"{later} begins {seconds:.1f} s before {earlier} ends"
 
 
 class Overlaps:
-    """First and last time stamp of each file, of the frames that are wanted."""
+    """The first and last time stamp of the wanted frames of each file."""
 
     def __init__(self) -> None:
         self._spans: dict[str, tuple[float, float]] = {}
 
     def take(self, log: Log, frames: FrameColumns) -> None:
-        """Take frames of a file, at least one."""
+        """Register frames of a file (at least one)."""
         first, last = float(frames.t.min()), float(frames.t.max())
         before = self._spans.get(str(log), (first, last))
         self._spans[str(log)] = min(before[0], first), max(before[1], last)
 
     def texts(self) -> Iterator[str]:
-        """What is odd, in words; nothing of files without a time of day."""
+        """Yield a text for each problem. Files without a time of day are ignored."""
         latest: tuple[str, float, float] | None = None
         for log, (first, last) in self._spans.items():
             if first < CLOCK_SET_S:

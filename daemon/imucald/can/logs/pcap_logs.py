@@ -1,8 +1,9 @@
 """Captures of Wireshark and tcpdump (PCAP, PCAPNG) of a CAN interface, through dpkt.
 
-Link types: LINKTYPE_CAN_SOCKETCAN (one interface) and LINKTYPE_LINUX_SLL, SLL2 ("any"). The frame
-in them is Linux's struct canfd_frame with its id in network order (tcpdump.org/linktypes). Some
-programs write it in the order of a PC: the first packets show in which of both their ids are ids.
+Link types: LINKTYPE_CAN_SOCKETCAN (one interface) and LINKTYPE_LINUX_SLL, SLL2 ("any"). A packet
+holds Linux's struct canfd_frame with the id in network byte order (tcpdump.org/linktypes). Some
+programs write the id in little-endian order. The reader tests which of the two orders gives valid
+ids in the first packets.
 """
 
 from __future__ import annotations
@@ -38,7 +39,7 @@ _PCAP: Final = (
 )  # fmt: skip
 SOCKETCAN, SLL, SLL2 = 227, 113, 276
 _CAN_PROTOCOLS: Final = (0x000C, 0x000D)
-"""Classic CAN and CAN FD in a cooked capture (linux/if_ether.h)."""
+"""Protocol numbers of classic CAN and CAN FD in a cooked capture (linux/if_ether.h)."""
 OTHER_LINKS: Final = {
     1: "Ethernet",
     101: "IP",
@@ -49,9 +50,9 @@ OTHER_LINKS: Final = {
     212: "LIN",
     220: "USB",
 }
-"""Link types that are named (tcpdump.org/linktypes)."""
+"""Names of other link types, for error texts (tcpdump.org/linktypes)."""
 VOTERS: Final = 64
-"""First packets that show the order of the bytes of ids."""
+"""Number of first packets used to find the byte order of ids."""
 FD_MARK: Final = 0x04
 """CANFD_FDF in the frame's flags."""
 
@@ -73,7 +74,7 @@ class PcapReader:
     def read(
         self, path: Path | str | OpenLog, report: Callable[[int], None]
     ) -> Iterator[FrameColumns]:
-        """Yield the wanted frames of one file in batches, as `LogFormat.read` says."""
+        """Yield the wanted frames of one file in batches, see `LogFormat.read`."""
         if isinstance(path, OpenLog):
             raise LogError(f"{path}: this format is read from a file by its name, not from a pipe")
         with plain_file(Path(path)) as (plain, damage), plain.open("rb") as file:
@@ -104,7 +105,7 @@ class PcapReader:
                     yield self._batches.columns()
         except LogError:
             raise
-        # dpkt's errors on damaged captures are its own, struct's and ValueError
+        # for damaged captures, dpkt raises its own errors, struct's and ValueError
         except Exception as error:
             text = f"{name}: cannot be read: {error or type(error).__name__}"
             if not number:
@@ -113,7 +114,7 @@ class PcapReader:
             return
 
     def _packet(self, t: float, packet: bytes, link: int, order: str) -> str:
-        """Take one packet; the reason why it is no frame, or nothing."""
+        """Process one packet. Return the reason why it is not a frame; empty if it is one."""
         protocol, packet = _unwrapped(packet, link)
         if protocol not in _CAN_PROTOCOLS:
             self._statistics.ignore("other_protocol")
@@ -139,7 +140,7 @@ class PcapReader:
 
 
 def _unwrapped(packet: bytes, link: int) -> tuple[int, bytes]:
-    """The protocol of a packet, and its frame."""
+    """Return the protocol of a packet, and its frame."""
     if link == SLL:
         return int.from_bytes(packet[14:16], "big"), packet[16:]
     if link == SLL2:
@@ -148,12 +149,12 @@ def _unwrapped(packet: bytes, link: int) -> tuple[int, bytes]:
 
 
 def _is_id(word: int) -> bool:
-    """Whether a word with its flags can be an id: of 11 bits only where the flag says so."""
+    """Whether a word can be an id with flags. Without the 29-bit flag it must fit 11 bits."""
     return bool(word & (CAN_EFF_FLAG | CAN_ERR_FLAG)) or word & CAN_EFF_MASK <= CAN_SFF_MASK
 
 
 def _order_of_ids(packets: list[bytes], link: int) -> str:
-    """The byte order (of struct) in which more packets have an id; network order where equal."""
+    """Return the byte order (of struct) that gives more valid ids; network order if equal."""
     frames = [
         frame
         for protocol, frame in (_unwrapped(p, link) for p in packets)

@@ -38,16 +38,16 @@ from imucald.core.errors import LogError
 from imucald.core.libraries import how_to_install
 
 PROGRESS_FRAMES: Final = 20_000
-"""Frames between two reports of progress."""
+"""Number of frames between two reports of progress."""
 
 SPACED_FORMATS: Final = (".asc", ".trc")
-"""Formats that write data bytes apart, two digits each."""
+"""Formats that write data bytes separated by spaces, with two digits each."""
 
 LAST_BYTES: Final = 1024
-"""The last line of such a file is shorter."""
+"""Bytes read at the end of such a file. Its last line is shorter."""
 
 MIN_TOKENS: Final = 6
-"""Words of its lines before the first data byte."""
+"""Smallest number of words in a line before the first data byte."""
 
 _BEGINNINGS: Final = {
     ".blf": re.compile(rb"LOGG"),
@@ -60,7 +60,7 @@ _BEGINNINGS: Final = {
     ".trc": re.compile(rb"\s*;"),
     ".csv": re.compile(rb"(?:\xef\xbb\xbf)?timestamp,arbitration_id,", re.IGNORECASE),
 }
-"""How files of each kind begin."""
+"""The beginning of files of each kind."""
 
 _BYTE_OR_LENGTH: Final = re.compile(rb"[0-9A-Fa-f]{2}|[1-9]")
 
@@ -69,15 +69,15 @@ HEAD_BYTES: Final = 4096
 _RELATIVE: Final = re.compile(r"\s*base\s+\w+\s+timestamps\s+relative", re.IGNORECASE)
 _STAMP: Final = re.compile(r"\s*\d+\.\d+(?=\s)")
 _COMMA: Final = re.compile(r"^(\s*\d+),(\d+\s)")
-"""A stamp as it is written where the comma is decimal; python-can skips such a line in silence."""
+"""A time stamp with a decimal comma. python-can skips such a line without an error."""
 _NAME: Final = re.compile(
     r"\s*\d+\.\d+\s+\d+\s+(?![0-9A-F]+x?\s)([A-Z_]\w*)\s+(?:Rx|Tx|TxRq)\s+d\s", re.IGNORECASE
 )
-"""A line of ASC with the name of a message for its id."""
+"""A line of ASC with the name of a message instead of its id."""
 
 
 class PythonCanReader:
-    """Reads files of other formats than candump's into columns."""
+    """Reads files of formats that python-can supports into columns."""
 
     endings: ClassVar[tuple[str, ...]] = (".asc", ".blf", ".trc", ".csv", ".mf4", ".db")
 
@@ -95,10 +95,11 @@ class PythonCanReader:
     def read(
         self, path: Path | str | OpenLog, report: Callable[[int], None]
     ) -> Iterator[FrameColumns]:
-        """Yield the wanted frames of one file in batches; `report` gets the bytes read so far.
+        """Yield the wanted frames of one file in batches; `report` is called with the bytes read.
 
-        A file that cannot be read at all raises LogError. One that fails after some frames counts
-        as one rejection ("unreadable") and ends there, since python-can's readers cannot resume.
+        A file that cannot be read at all raises LogError. If a file fails after some frames, one
+        rejection ("unreadable") is counted and reading ends, since python-can's readers cannot
+        resume.
         """
         if isinstance(path, OpenLog):
             raise LogError(f"{path}: this format is read from a file by its name, not from a pipe")
@@ -111,7 +112,7 @@ class PythonCanReader:
     def _read(
         self, path: Path, plain: Path, report: Callable[[int], None]
     ) -> Iterator[FrameColumns]:
-        """Read the plain file that stands for one of a name."""
+        """Read the uncompressed file `plain`; `path` is its original name."""
         before = self._statistics.frames_read
         kind = _kind(plain, path)
         cut = _ends_in_half_a_byte(plain, kind)
@@ -127,7 +128,7 @@ class PythonCanReader:
                     frame = self._judge(message, path, number)
                     if frame is not None:
                         batch.append(frame)
-                    # The last one stays here: it may have to be taken back.
+                    # The last frame is held back, because it may have to be removed.
                     if len(batch) > BATCH_FRAMES:
                         yield columns_of_frames(batch[:-1], self._channels.names)
                         batch = batch[-1:]
@@ -137,7 +138,7 @@ class PythonCanReader:
                 self._take_back(batch, frame, path)
         except LogError:
             raise
-        # What python-can's readers raise on damaged files is not documented, and is anything.
+        # python-can's readers may raise any exception for damaged files; it is not documented.
         except Exception as error:
             text = getattr(reader, "file", None)
             words = text.words() if isinstance(text, _AnyText) else str(error)
@@ -152,14 +153,14 @@ class PythonCanReader:
             yield columns_of_frames(batch, self._channels.names)
 
     def _heard(self, reader: Iterable[Any], path: Path) -> Iterator[Any]:
-        """The messages of a reader. What it warns of, it has left out: that is rejected."""
+        """Yield the messages of a reader. Its warnings are about skipped data: rejections."""
         warned: list[str] = []
         handler = logging.Handler(logging.WARNING)
         handler.emit = lambda record: warned.append(record.getMessage())  # type: ignore[method-assign]
-        handler.addFilter(lambda record: record.name != "can.io.asc")  # that frame it hands on
+        handler.addFilter(lambda record: record.name != "can.io.asc")  # its frames are not skipped
         logger, messages = logging.getLogger("can"), iter(reader)
         while True:
-            logger.addHandler(handler)  # only meanwhile: several logs may be read by turns
+            logger.addHandler(handler)  # temporary: several logs may be read alternately
             try:
                 message = next(messages, None)
             finally:
@@ -172,7 +173,7 @@ class PythonCanReader:
             yield message
 
     def _so_far(self, before: int) -> str:
-        """What was read of this file, for messages."""
+        """Describe how much of this file was read, for messages."""
         first, last = self._statistics.first_stamp, self._last
         seconds = "" if first is None or last is None else f", {last - first:.1f} s"
         return f"{self._statistics.frames_read - before} frames were read{seconds}"
@@ -213,7 +214,7 @@ class PythonCanReader:
 
 
 def _kind(plain: Path, named: Path) -> str:
-    """The ending that a file's first bytes call for; its own where they call for none."""
+    """Return the suffix that fits a file's first bytes; its own suffix if they are unknown."""
     with plain.open("rb") as file:
         head = file.read(HEAD_BYTES)
     found = next((ending for ending, begins in _BEGINNINGS.items() if begins.match(head)), None)
@@ -221,7 +222,7 @@ def _kind(plain: Path, named: Path) -> str:
 
 
 def _why_unreadable(plain: Path, kind: str) -> str | None:
-    """Why no reader is let at a file; None: it is for the reader to say."""
+    """Return why a file must not be passed to a reader; None if the reader may try."""
     if kind == ".blf" and (why := blf_bomb(plain)):
         return f"{why}, as no recording does"
     judges = {".mf4": mf4_end, ".db": why_not_stored}
@@ -245,7 +246,7 @@ def _open(path: Path, kind: str, named: Path) -> Any:
 
 def _opened_blf(can: Any, path: Path) -> Any:
     class Bounded(can.BLFReader):  # type: ignore[misc]
-        """python-can keeps what an object in a container lacks, however long it says it is."""
+        """A BLF reader with a limit, because python-can stores incomplete objects of any length."""
 
         def _parse_container(self, data: bytes) -> Iterator[Any]:
             yield from super()._parse_container(data)
@@ -262,10 +263,10 @@ def _opened_database(can: Any, path: Path) -> Any:
 
 
 class _AnyText:
-    """The lines of a text in any encoding (the frames are ASCII), none longer than a frame's.
+    """The lines of a text in any encoding (frames are ASCII), with a limited line length.
 
-    Stamps that ASC states as relative count from the line before, as can-utils' asc2log reads them.
-    Raises ValueError at a line that is too long.
+    Relative time stamps in ASC count from the previous line, as in asc2log of can-utils. Raises
+    ValueError for a line that is too long.
     """
 
     def __init__(self, path: Path, named: Path, kind: str) -> None:
@@ -279,7 +280,7 @@ class _AnyText:
         self._line = ""
 
     def words(self) -> str:
-        """Why the reader of a kind of files stopped here."""
+        """Return why the reader stopped at this place."""
         if len(self._line) > MAX_LINE_BYTES:
             return f"line {self._number} is longer than {MAX_LINE_BYTES} bytes"
         line = shown(self._line.strip().encode("utf-8", "replace"))
@@ -317,8 +318,8 @@ class _AnyText:
 
 
 def _ends_in_half_a_byte(path: Path, kind: str) -> bool:
-    """Say whether a text log was cut within its last data byte: python-can's readers take the
-    digit that is left for the byte. Any other cut makes the data too short.
+    """Return whether a text log was cut within its last data byte. python-can's readers read the
+    remaining digit as the whole byte. Any other cut makes the data too short.
     """
     if kind not in SPACED_FORMATS:
         return False
@@ -328,12 +329,12 @@ def _ends_in_half_a_byte(path: Path, kind: str) -> bool:
     tokens = last_line.split()
     if len(tokens) <= MIN_TOKENS or not last_line.endswith(tokens[-1]):
         return False
-    # Behind anything but another byte or the length, one digit is the length of an empty frame.
+    # One digit that does not follow a byte or the length is the length of an empty frame.
     return len(tokens[-1]) == 1 and _BYTE_OR_LENGTH.fullmatch(tokens[-2]) is not None
 
 
 def _fault(message: Any) -> str:
-    """Return why a message cannot have been a frame, or nothing."""
+    """Return why a message cannot be a real frame; empty if it can."""
     if not math.isfinite(message.timestamp):
         return "bad_timestamp"
     if message.timestamp < 0:
@@ -359,7 +360,7 @@ def _channel_name(channel: object) -> str:
 
 
 def _position(reader: Any) -> int:
-    """Return how far the reader's file has been read, 0 where it does not say."""
+    """Return the position of the reader in its file; 0 if not known."""
     file: Any = getattr(reader, "file", None)
     try:
         return int(getattr(file, "buffer", file).tell())

@@ -1,13 +1,13 @@
-"""What the time stamps of a file are worth: the clock of its recorder, as a model.
+"""Correct the time stamps of a file with a model of the recorder's clock.
 
-A recorder reads a clock at the end of each frame. Three things happen to that reading, and each
-shows in the frames themselves:
+A recorder reads a clock at the end of each frame. Three faults of the clock can be detected from
+the frames:
 
-- it begins again (a clock printed without its higher digits): the same step back again and again;
-- it is coarse, or the frames are handed over in bursts: frames of one sender, which come cycles
-  apart, lie closer together than frames can follow each other on a bus. They were sent since the
-  burst before, so they are spread evenly over that time, in their order;
-- it is no clock in seconds: more frames than any bus carries in that time.
+- The clock restarts (its higher digits are not printed): the same step back occurs repeatedly.
+- The clock is coarse, or frames are delivered in bursts: frames of one cyclic sender are closer
+  together than a bus allows. They were sent after the previous burst, so they are spread evenly
+  over the time since then, in their order.
+- The clock is not in seconds: there are more frames than any bus can carry in the time.
 """
 
 from __future__ import annotations
@@ -30,40 +30,42 @@ Log = Path | str | OpenLog
 Times = NDArray[np.float64]
 
 BIT_S: Final = 1e-6
-"""A bit of classic CAN, and of the head of a CAN FD frame, at the fastest [s]."""
+"""Shortest bit of classic CAN and of the header of a CAN FD frame [s]."""
 FD_BIT_S: Final = BIT_S / 8
-"""A bit of CAN FD's data at the fastest [s]."""
+"""Shortest bit of CAN FD data [s]."""
 HEAD_BITS, FD_HEAD_BITS, FD_TAIL_BITS, LONG_ID_BITS = 47, 30, 28, 20
-"""Bits of a frame besides its data, with the gap behind it and without stuff bits (ISO 11898-1)."""
+"""Bits of a frame without its data: with the gap after it, without stuff bits (ISO 11898-1)."""
 LEAST_GAP: Final = 0.9
-"""Part of a frame's own time on the bus by which its end is later than that of the one before: all
-of it, but for the resolution of the stamps."""
+"""Smallest distance of the ends of two frames, as a share of the second frame's time on the bus. It
+would be 1 without the limited resolution of the stamps."""
 SAME_ID_SHARE: Final = 0.25
-"""Part of the frames that lie in one run with another one of their id, where stamps are coarse."""
+"""Time stamps are coarse if at least this share of frames has another frame of the same id in the
+same run."""
 
 BACKLOG_S: Final = 2.0
-"""Traffic that a recorder may hold back and stamp at once [s]."""
+"""Longest traffic that a recorder may hold back and stamp with one time [s]."""
 MIN_LOOPS: Final = 5
-"""A step back that comes so often, always as large, is the clock's own."""
+"""If the same step back occurs at least this number of times, the clock restarts."""
 LOOP_TOLERANCE: Final = 0.1
-"""Part of it by which such steps differ at most: by the gaps between frames."""
+"""Largest relative difference of such steps, caused by the gaps between frames."""
 ROOM_PART: Final = 100
-"""One of so many gaps between frames is longer than the one taken for the gap at the seam."""
+"""One of this number of gaps between frames is longer than the assumed gap at the restart."""
 DELTA_SHARE: Final = 0.2
-"""Part of the steps that go back from which stamps are differences: of differences half do."""
+"""If at least this share of steps goes back, the stamps are time differences. For differences,
+half of the steps go back."""
 MIN_FRAMES: Final = 64
-"""Fewer frames show no resolution."""
+"""Smallest number of frames for finding the resolution."""
 MAX_STEP: Final = 1.5
-"""A gap of more usual steps than this is a hole: its frames belong to its last step."""
+"""A longer gap (in usual steps) is a hole. The frames after it belong to the last step."""
 
 
 def by_the_clock(
     log: Log, chunks: Iterator[FrameColumns], statistics: ReadStatistics
 ) -> Iterator[FrameColumns]:
-    """Yield a file's frames with the times at which they were sent, as far as that can be known.
+    """Yield a file's frames with the times at which they were sent, as far as known.
 
-    What was done to them is a note of the statistics. Raises LogError where no bus carries so many
-    frames in the time that the stamps say.
+    The corrections are reported in a note of the statistics. Raises LogError if no bus can carry so
+    many frames in the time of the stamps.
     """
     bus, loop, bursts = _BusTime(log), None, None
     for chunk in chunks:
@@ -98,7 +100,7 @@ def _steps_back(t: Times) -> Times:
 
 
 def _loop_length(t: Times) -> float:
-    """After how many seconds the first stamps of a file begin again; 0 where they do not."""
+    """Return the period after which the first stamps of a file restart [s]; 0 if they do not."""
     back = _steps_back(t)
     if len(back) < MIN_LOOPS:
         return 0.0
@@ -108,10 +110,10 @@ def _loop_length(t: Times) -> float:
         return 0.0
     steps = np.diff(t)
     if steps.max() > 0.5 * length:
-        return 0.0  # stamps jump to and fro: they are damaged
+        return 0.0  # stamps jump back and forth: they are damaged
     gaps = steps[steps >= 0.0]
     room = float(np.partition(gaps, -len(gaps) // ROOM_PART)[-len(gaps) // ROOM_PART])
-    # The clock's own length is a round number: the first that a gap at the end leaves room for.
+    # The clock's period is a round number: the first one that fits with the gap at the end.
     for digits in range(1, 6):
         unit = 10.0 ** (math.floor(math.log10(length)) + 1 - digits)
         round_one = math.ceil(length / unit) * unit
@@ -121,7 +123,7 @@ def _loop_length(t: Times) -> float:
 
 
 class _Loop:
-    """Counts on where the clock begins again; length [s], 0 where it does not."""
+    """Makes continuous times from a clock that restarts. length: its period [s], 0 if none."""
 
     def __init__(self, length: float) -> None:
         self.length = length
@@ -129,10 +131,10 @@ class _Loop:
         self._turns = 0
 
     def times(self, t: Times) -> Times:
-        """Times [s] of the next frames, (N,)."""
+        """Return the continuous times [s] of the next frames, (N,)."""
         before = t[0] if self._last is None else self._last
         steps = np.diff(t, prepend=before)
-        # A frame that is out of order at the seam belongs to the turn before.
+        # A frame out of order at the restart belongs to the previous period.
         half = 0.5 * self.length
         over = (steps < -half).astype(np.int64) - (steps > half).astype(np.int64)
         turns = self._turns + np.cumsum(over)
@@ -141,7 +143,7 @@ class _Loop:
 
 
 class _BusTime:
-    """How long the frames of a file take on a bus at the fastest, and the time of its stamps."""
+    """Compares the shortest bus time of a file's frames with the time of its stamps."""
 
     def __init__(self, log: Log) -> None:
         self._log = log
@@ -153,7 +155,7 @@ class _BusTime:
         self._first, self._end, self._last = math.inf, -math.inf, math.nan
 
     def take(self, frames: FrameColumns) -> None:
-        """Take the next frames. Raises LogError where there are too many for their stamps."""
+        """Add the next frames. Raises LogError if there are too many for their stamps."""
         t = frames.t
         if t[0] < self._last - DAMAGED_STEP or _steps_back(t).max(initial=0.0) > DAMAGED_STEP:
             self._begin()  # the clock was set back, or another recording follows
@@ -182,7 +184,7 @@ class _BusTime:
 
 
 def _bus_seconds(frames: FrameColumns) -> Times:
-    """How long each frame is on a bus at the fastest [s], (N,)."""
+    """Return the shortest time of each frame on a bus [s], (N,)."""
     bits = frames.length * 8.0
     seconds = (bits + HEAD_BITS) * BIT_S
     if frames.fd is not None:
@@ -193,7 +195,7 @@ def _bus_seconds(frames: FrameColumns) -> Times:
 
 
 class _HandedOver(NamedTuple):
-    """Frames that lie closer together than a bus allows: each run's first frame, and its stamp."""
+    """Runs of frames closer together than a bus allows: first frame and time stamp of each run."""
 
     start: NDArray[np.intp]
     t: Times
@@ -206,10 +208,10 @@ def _runs(frames: FrameColumns) -> _HandedOver:
 
 
 def _burst_step(frames: FrameColumns) -> float:
-    """The usual time between bursts [s]; 0 where frames have their own stamps.
+    """Return the usual time between bursts [s]; 0 if each frame has its own stamp.
 
-    Many frames lie in one run with another frame of the same id: no sender is that fast, and no
-    bus. A copy, as a gateway or logger makes it, is no frame of its own.
+    In bursts, many frames are in one run with another frame of the same id. No sender and no bus is
+    that fast. Copies made by a gateway or logger are not counted.
     """
     frames = frames.take(~_is_copy(frames))
     count = len(frames)
@@ -229,13 +231,13 @@ def _burst_step(frames: FrameColumns) -> float:
     if np.count_nonzero(steps <= 0.0) > LOOP_TOLERANCE * len(steps):
         return 0.0  # no clock
     step = median(steps)
-    # Spread, they must be as far apart as a bus takes for them.
+    # After spreading, the distance of frames must be possible on a bus.
     fits = step * len(runs.start) > np.bincount(frames.channel, _bus_seconds(frames)).max()
     return step if fits else 0.0
 
 
 def _is_copy(frames: FrameColumns) -> NDArray[np.bool_]:
-    """Which frames (N,) are the one before once more; of many alike, each second one."""
+    """Return which frames (N,) copy the previous frame; of many equal ones, every second one."""
     same = np.zeros(len(frames), dtype=bool)
     same[1:] = (np.diff(frames.t) == 0.0) & (frames.data[1:] == frames.data[:-1]).all(axis=1)
     for column in (frames.can_id, frames.length, frames.channel):
@@ -247,7 +249,7 @@ def _is_copy(frames: FrameColumns) -> NDArray[np.bool_]:
 
 
 class _Bursts:
-    """Spreads the frames of a burst over the time since the one before; step [s] between them."""
+    """Spreads the frames of a burst over the time since the previous burst. step: period [s]."""
 
     def __init__(self, step: float) -> None:
         self.step = max(step, 0.0)
@@ -255,7 +257,7 @@ class _Bursts:
         self._open: FrameColumns | None = None
 
     def take(self, frames: FrameColumns) -> FrameColumns:
-        """The frames whose burst has ended, with their times."""
+        """Add frames. Return the frames of completed bursts, with their times."""
         if self._open is not None:
             frames = concatenate([self._open, frames])
         last = int(_runs(frames).start[-1])
@@ -263,7 +265,7 @@ class _Bursts:
         return self._spread(frames.take(slice(0, last)))
 
     def rest(self) -> FrameColumns:
-        """The frames of the last burst, with their times."""
+        """Return the frames of the last burst, with their times."""
         assert self._open is not None
         return self._spread(self._open)
 
@@ -279,6 +281,6 @@ class _Bursts:
         since[~((since >= 0.0) & (since <= MAX_STEP * self.step))] = self.step
         run = np.repeat(np.arange(len(count)), count)
         left = np.cumsum(count)[run] - 1 - np.arange(len(frames))
-        # One step later than handed over: where a clock is read too coarsely it is the true time,
-        # and no time is earlier than the first stamp.
+        # Times are one step late: this is the true time for a clock that is read too coarsely,
+        # and no time is before the first stamp.
         return frames.at(runs.t[run] + self.step - since[run] * left / count[run])

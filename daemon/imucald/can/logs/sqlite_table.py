@@ -1,7 +1,7 @@
-"""Whether the messages of a database log are rows that are there.
+"""Check whether the messages of an SQLite log are stored rows.
 
-A view, a virtual table or a generated column is worked out while it is read: a file of 4 kB can
-have rows without end, or one of a gigabyte.
+A view, a virtual table or a generated column is computed while it is read. A file of 4 kB can then
+produce endless rows, or one row of a gigabyte.
 """
 
 from __future__ import annotations
@@ -11,12 +11,12 @@ import sqlite3
 from pathlib import Path
 
 _TABLE = "messages"
-"""As python-can's SqliteWriter names it."""
+"""The table's name, as python-can's SqliteWriter writes it."""
 
 
 def why_not_stored(path: Path) -> str | None:
-    """Why a database's messages cannot be read; None where they are a plain table, or where it is
-    for the reader to say what is missing."""
+    """Return why the messages cannot be read. None if they are a plain table, or if something is
+    missing that the reader reports."""
     with contextlib.closing(sqlite3.connect(f"{path.resolve().as_uri()}?mode=ro", uri=True)) as db:
         try:
             found = db.execute(

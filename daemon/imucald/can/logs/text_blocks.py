@@ -1,4 +1,4 @@
-"""A text, plain or compressed, a file or standard input, as whole lines in bounded memory."""
+"""Read a text (plain or compressed, file or standard input) as complete lines in bounded memory."""
 
 from __future__ import annotations
 
@@ -26,16 +26,16 @@ from imucald.core.errors import LogError
 Bytes = NDArray[np.uint8]
 
 BLOCK_BYTES: Final = 1 << 20
-"""Text read at once: the arrays made of it stay within a core's caches."""
+"""Size of a block of text [bytes]. The arrays made from it fit the processor's caches."""
 
 STDIN: Final = "-"
 
 LOOK_BYTES: Final = 1 << 14
-"""First bytes that are looked at to know a format."""
+"""Number of first bytes used to find the format."""
 
 
 class OpenLog(Struct, frozen=True):
-    """A log that somebody else has opened, and closes; name: for messages, and its ending."""
+    """A log that the caller has opened and will close. name: for messages, and for its suffix."""
 
     source: ByteSource
     name: str
@@ -45,7 +45,7 @@ class OpenLog(Struct, frozen=True):
 
 
 def folder_error(path: object) -> LogError:
-    """What to say of a folder where one log is wanted."""
+    """Return the error for a folder that is given instead of a log."""
     return LogError(f"{path}: this is a folder; name one of its logs")
 
 
@@ -64,21 +64,21 @@ def open_source(path: Path | str | OpenLog) -> AbstractContextManager[ByteSource
 
 
 class _Looked:
-    """Something open whose first bytes were read already."""
+    """An open source whose first bytes were already read."""
 
     def __init__(self, head: bytes, source: ByteSource) -> None:
         self._head = head
         self._source = source
 
     def read(self, size: int, /) -> bytes | None:
-        """Read up to so many bytes."""
+        """Read up to `size` bytes."""
         if not self._head:
             return self._source.read(size)
         given, self._head = self._head[:size], self._head[size:]
         return given
 
     def readinto(self, buffer: memoryview, /) -> int | None:
-        """Fill a buffer as far as bytes are there."""
+        """Fill a buffer with the available bytes; return their number."""
         if not self._head:
             return self._source.readinto(buffer)
         given = self.read(len(buffer)) or b""
@@ -90,16 +90,17 @@ class _Looked:
 def looked_at(
     path: Path | str | OpenLog,
 ) -> Iterator[tuple[bytes, Path | str | OpenLog]]:
-    """The first bytes of a log as they are stored, and what is to be read in its place.
+    """Return the first stored bytes of a log, and the source to read instead of it.
 
-    What can be read only once (a pipe, standard input) is handed on open, and closed at the end: a
-    second opening of its name would lack its beginning. An open log is asked once: what it holds
-    is enough, and waiting for more might take for ever. Raises LogError where it cannot be opened.
+    A source that can be read only once (a pipe, standard input) is returned open, because a second
+    opening would lack its beginning. It is closed at the end. An open log is read once for its
+    first bytes; waiting for more bytes could take forever. Raises LogError if the log cannot be
+    opened.
     """
     with open_source(path) as opened:
         source: ByteSource = opened
         if once := not isinstance(path, OpenLog) and is_read_once(path):
-            # the first bytes of a pipe may come in pieces: a buffer gathers them
+            # a pipe may deliver its first bytes in pieces: a buffer collects them
             source = io.BufferedReader(opened) if isinstance(opened, io.FileIO) else opened
         try:
             head = source.read(LOOK_BYTES) or b""
@@ -112,7 +113,7 @@ def looked_at(
 
 
 def is_read_once(path: Path | str) -> bool:
-    """Whether a name is that of a pipe, a device or standard input."""
+    """Whether a path is a pipe, a device or standard input."""
     if str(path) == STDIN:
         return True
     try:
@@ -122,7 +123,7 @@ def is_read_once(path: Path | str) -> bool:
 
 
 class _Plain:
-    """Bytes as they are, after those already read to know the format."""
+    """Uncompressed bytes: first the bytes already read to find the format, then the rest."""
 
     def __init__(self, source: ByteSource, head: bytes) -> None:
         self.bytes_read = len(head)
@@ -130,7 +131,7 @@ class _Plain:
         self._head = head
 
     def readinto(self, view: memoryview) -> int:
-        """Read what there is, up to the view's length; 0 at the end."""
+        """Read the available bytes, up to the view's length. Return their number; 0 at the end."""
         if self._head:
             count = len(self._head)
             view[:count] = self._head
@@ -142,34 +143,34 @@ class _Plain:
 
 
 class TextBlocks:
-    """Iterate over the blocks of a text; afterwards `rest` and `damage` say how it ended."""
+    """Iterate over the blocks of a text. Afterwards, `rest` and `damage` show how it ended."""
 
     def __init__(self, source: ByteSource, padding: int, longest_line: int) -> None:
-        """padding: bytes kept free behind each block. longest_line: see `__iter__`."""
+        """Prepare reading. padding: free bytes after each block. longest_line: see `__iter__`."""
         self.rest = b""
-        """The last line where it has no newline."""
+        """The last line, if it has no newline."""
         self.damage = ""
-        """Why reading stopped before the end of the file, if it did."""
+        """Why reading stopped before the end of the file; empty if it did not."""
         self._longest = longest_line
         self._store = bytearray(BLOCK_BYTES + padding)
         self._view = memoryview(self._store)[:BLOCK_BYTES]
         self._filled = 0
         head = b""
         while len(head) < MAGIC_BYTES and (more := source.read(MAGIC_BYTES - len(head))):
-            head += more  # a pipe may give less than asked for
+            head += more  # a pipe may return less than requested
         member = packed_as(head)
         self._stream = _Plain(source, head) if member is None else Unpacked(source, head, member)
 
     @property
     def bytes_read(self) -> int:
-        """Return how much of the file (as it is stored) has been read."""
+        """Return the number of stored bytes of the file that have been read."""
         return self._stream.bytes_read
 
     def __iter__(self) -> Iterator[tuple[Bytes, int]]:
-        """Yield (buffer, size): whole lines, valid until the next block is asked for.
+        """Yield (buffer, size) with complete lines. They are valid until the next block.
 
-        A line longer than `longest_line` may lose bytes behind that length, so that memory stays
-        bounded, but it remains one line and too long.
+        A line longer than `longest_line` may lose bytes after that length, so that memory is
+        bounded. It stays one line that is too long.
         """
         buf = np.frombuffer(self._store, np.uint8)
         while self._fill():
@@ -183,7 +184,7 @@ class TextBlocks:
         self.rest = bytes(self._view[: self._filled])
 
     def _fill(self) -> bool:
-        """Read until the block is full or the text ends; say whether anything came."""
+        """Read until the block is full or the text ends. Return whether any bytes were read."""
         before = self._filled
         try:
             while self._filled < BLOCK_BYTES:

@@ -1,4 +1,4 @@
-"""Compressed logs (gzip, xz, bzip2, Zstandard): known by their first bytes, unpacked in pieces."""
+"""Unpack compressed logs (gzip, xz, bzip2, Zstandard) in pieces. First bytes show the format."""
 
 from __future__ import annotations
 
@@ -15,51 +15,51 @@ from imucald.core.errors import LogError
 from imucald.core.libraries import how_to_install
 
 COMPRESSED_BYTES: Final = 1 << 18
-"""Compressed bytes read at once."""
+"""Number of compressed bytes per read."""
 
 PLAIN_BYTES: Final = 1 << 20
-"""Bytes unpacked at once."""
+"""Number of bytes that are unpacked in one step."""
 
 _GZIP_FORMAT: Final = 31
-"""What zlib calls a gzip header with the largest window."""
+"""The code of zlib for a gzip header with the largest window."""
 
 DAMAGE: Final = (OSError, EOFError, zlib.error, ValueError)
-"""What damaged compressed data raise (bzip2: OSError; xz, Zstandard: made a ValueError here)."""
+"""Errors for damaged compressed data (bzip2: OSError; xz, Zstandard: converted to ValueError)."""
 
 
 class ByteSource(Protocol):
-    """Something open that gives bytes."""
+    """An open source of bytes."""
 
     def read(self, size: int, /) -> bytes | None:
-        """Read up to so many bytes."""
+        """Read up to `size` bytes."""
         ...
 
     def readinto(self, buffer: Any, /) -> int | None:
-        """Fill a buffer as far as bytes are there."""
+        """Fill a buffer with the available bytes; return their number."""
         ...
 
 
 class Member(Protocol):
-    """What all decompressors have in common: one compressed piece of a file, of perhaps several."""
+    """The interface of all decompressors. Each unpacks one member; a file may have several."""
 
     @property
     def eof(self) -> bool:
-        """Whether it has ended."""
+        """Whether the member has ended."""
 
     @property
     def unused_data(self) -> bytes:
-        """Bytes behind its end."""
+        """The bytes after the end of the member."""
 
     @property
     def needs_input(self) -> bool:
-        """Whether nothing more comes without further bytes."""
+        """Whether more input is needed for more output."""
 
     def decompress(self, data: bytes, max_length: int, /) -> bytes:
-        """Take bytes, give at most so many."""
+        """Unpack `data`; return at most `max_length` bytes."""
 
 
 class _Inner:
-    """What a module's decompressor says itself."""
+    """Properties passed on from a module's decompressor."""
 
     _inner: Any
 
@@ -73,7 +73,7 @@ class _Inner:
 
 
 class _Zlib(_Inner):
-    """A gzip member in the shape of the other modules' decompressors."""
+    """A gzip member with the interface of the other modules' decompressors."""
 
     def __init__(self) -> None:
         self._inner = zlib.decompressobj(_GZIP_FORMAT)
@@ -93,7 +93,7 @@ def _bzip2() -> Member:
 
 
 class _Xz(_Inner):
-    """An xz member, whose error becomes a ValueError."""
+    """An xz member. Its errors are converted to ValueError."""
 
     def __init__(self) -> None:
         import lzma  # noqa: PLC0415 - few logs need it
@@ -113,7 +113,7 @@ class _Xz(_Inner):
 
 
 class _Zstd(_Inner):
-    """A Zstandard frame in the same shape; one call gives what its input makes."""
+    """A Zstandard frame with the same interface. One call returns all output of its input."""
 
     def __init__(self) -> None:
         try:
@@ -156,33 +156,33 @@ _MEMBERS: Final[Mapping[bytes, Callable[[], Member]]] = {
     b"\x28\xb5\x2f\xfd": _Zstd,
 }
 MAGIC_BYTES: Final = max(map(len, _MEMBERS))
-"""First bytes by which compressed files are known."""
+"""Number of first bytes that identify compressed files."""
 _ZSTD_PIECE: Final = 1 << 8
-"""Zstandard gives all at once what its input makes: so little makes 8 MiB at most."""
+"""Bytes of input per call of Zstandard. It returns all output at once, at most 8 MiB for these."""
 FREE_BYTES: Final = 64 << 20
-"""So much a file may always unpack to."""
+"""Size up to which every file may unpack [bytes]."""
 MOST_TIMES: Final = 1000
-"""Beyond it a file unpacks to at most so many times its own size: a frame's stamp alone keeps
-recordings far below, even of a bus that repeats itself."""
+"""Above `FREE_BYTES`, a file may unpack to at most this many times its size. Real recordings are
+far below because of the time stamps, even if all frames are equal."""
 KEPT_SHARE: Final = 0.05
 KEPT_BYTES: Final = 1 << 30
-"""Temporary files leave that share of their disk free, or so much where that is less."""
+"""Temporary files leave this share of the disk free, or this many bytes if that is less."""
 
 MOST_OF_A_BYTE: Final = 1032
-"""So many bytes deflate makes of one at most."""
+"""Largest number of bytes that deflate unpacks from one byte."""
 
 
 class InPieces:
-    """An open file for a reader of another library, which believes the lengths that stand in it.
+    """An open file for a reader of another library, which trusts the lengths stated in the file.
 
-    Raises ValueError where it asks for more than `FREE_BYTES` at once.
+    Raises ValueError if the reader requests more than `FREE_BYTES` at once.
     """
 
     def __init__(self, file: BinaryIO) -> None:
         self._file = file
 
     def read(self, size: int = -1) -> bytes:
-        """Read up to so many bytes; below zero: all."""
+        """Read up to `size` bytes; a negative size means all bytes."""
         if not 0 <= size <= FREE_BYTES:
             length = f"{size} bytes" if size > 0 else "all of it"
             raise ValueError(f"{length} at once are more than {FREE_BYTES >> 20} MiB")
@@ -193,8 +193,8 @@ class InPieces:
 
 
 def unpacks_to_too_much(file: Any, size: int) -> bool:
-    """Whether the next bytes of an open file, deflated (zlib), make more than `FREE_BYTES`: a
-    reader of another library takes such a block whole."""
+    """Whether the next `size` bytes of an open file (zlib) unpack to more than `FREE_BYTES`. A
+    reader of another library would unpack such a block as a whole."""
     if size * MOST_OF_A_BYTE <= FREE_BYTES:
         return False
     member, made, left = zlib.decompressobj(), 0, size
@@ -203,12 +203,12 @@ def unpacks_to_too_much(file: Any, size: int) -> bool:
             left -= len(data)
             made += len(member.decompress(data))
     except zlib.error:
-        return False  # it is damaged, which its reader says
+        return False  # it is damaged; the reader reports this
     return made > FREE_BYTES
 
 
 def packed_as(head: bytes) -> Callable[[], Member] | None:
-    """What unpacks a file that begins so; None where it is not compressed."""
+    """Return the decompressor for a file with these first bytes; None if not compressed."""
     return next((m for magic, m in _MEMBERS.items() if head.startswith(magic)), None)
 
 
@@ -216,13 +216,14 @@ PACKED_ENDINGS: Final = (".gz", ".xz", ".bz2", ".zst")
 
 
 def plain_ending(path: Path) -> str:
-    """The ending of a file's name in small letters, without that of its compression."""
+    """Return the suffix of a file's name in lower case, without the suffix of its compression."""
     packed = path.suffix.lower() in PACKED_ENDINGS
     return Path(path.stem if packed else path.name).suffix.lower()
 
 
 class Unpacked:
-    """Bytes of a compressed file of one or more members (the modules' files read small pieces)."""
+    """The unpacked bytes of a compressed file with one or more members. (The file classes of the
+    standard modules read pieces that are too small.)"""
 
     def __init__(self, source: ByteSource, head: bytes, member: Callable[[], Member]) -> None:
         self.bytes_read = len(head)
@@ -234,13 +235,13 @@ class Unpacked:
         self._at_once = _ZSTD_PIECE if isinstance(self._member, _Zstd) else COMPRESSED_BYTES
 
     def readinto(self, view: memoryview) -> int:
-        """Read what there is, up to the view's length; 0 at the end.
+        """Read the available bytes, up to the view's length. Return their number; 0 at the end.
 
-        Raises one of DAMAGE; EOFError where the file ends within a member.
+        Raises one of DAMAGE for damaged data; EOFError if the file ends within a member.
         """
         while True:
             if self._member.eof:
-                # Zeros behind a member are padding of tapes and disks, as for the gzip module.
+                # Zeros after a member are padding of tapes and disks, as in the gzip module.
                 self._input = self._member.unused_data.lstrip(b"\0") or self._more().lstrip(b"\0")
                 if not self._input:
                     return 0
@@ -268,10 +269,10 @@ class Unpacked:
 
 
 def damage_within(path: Path) -> str:
-    """Why the bytes of a compressed file cannot be trusted; "" where they can, or it is only cut.
+    """Return why a compressed file cannot be trusted; "" if it can, or if it is only cut.
 
-    It is unpacked once to its checksum, which stands behind the data and comes too late for who
-    reads on the way. Nothing is known of what can be read only once.
+    The file is unpacked once to check its checksum. The checksum is after the data, too late for a
+    reader that uses the data at once. A source that can be read only once is not checked.
     """
     if not path.is_file():
         return ""
@@ -292,7 +293,7 @@ def damage_within(path: Path) -> str:
 
 
 def first_bytes(head: bytes, count: int) -> bytes:
-    """The first plain bytes of a file that begins so; nothing where that is damaged."""
+    """Unpack the first bytes of a file from its beginning; empty if they are damaged."""
     member = packed_as(head)
     if member is None:
         return head[:count]
@@ -304,9 +305,9 @@ def first_bytes(head: bytes, count: int) -> bytes:
 
 @contextlib.contextmanager
 def plain_file(path: Path) -> Iterator[tuple[Path, str]]:
-    """A file, unpacked into a temporary one where it is compressed, and why it ends too soon.
+    """Return a file (unpacked to a temporary file if compressed), and why it is cut, if so.
 
-    Raises LogError where it cannot be opened.
+    Raises LogError if the file cannot be opened.
     """
     try:
         source = path.open("rb", buffering=0)
@@ -318,7 +319,7 @@ def plain_file(path: Path) -> Iterator[tuple[Path, str]]:
         if member is None:
             yield path, ""
             return
-        import tempfile  # noqa: PLC0415 - what reads text needs no other file
+        import tempfile  # noqa: PLC0415 - not needed for text logs
 
         with tempfile.NamedTemporaryFile(prefix="imucald-") as plain:
             damage = _unpack(Unpacked(source, head, member), plain, path)
@@ -344,9 +345,9 @@ def _unpack(stream: Unpacked, plain: Any, path: Path) -> str:
 
 
 def keep_disk_free(path: str | os.PathLike[str]) -> None:
-    """Raise OSError where a temporary file takes what its disk is to keep free.
+    """Raise OSError if a temporary file uses disk space that must stay free.
 
-    The disk is what all processes share, so this bounds all of them together.
+    All processes share the disk, so this limits all of them together.
     """
     disk = shutil.disk_usage(path)
     kept = min(KEPT_SHARE * disk.total, KEPT_BYTES)
