@@ -367,7 +367,7 @@ def test_an_mf4_whose_list_leads_back_into_itself_is_refused(
     whole[at + 24 : at + 32] = at.to_bytes(8, "little")
     whole[:8] = begins
     path.write_bytes(whole)
-    with pytest.raises(LogError, match=f"the block at byte {at} is in two places"):
+    with pytest.raises(LogError, match=f"two links point to the block at byte {at}"):
         list(LogReader([path]))
 
 

@@ -243,7 +243,7 @@ def test_ctrl_c_finishes_what_runs_and_says_how_to_go_on(tmp_path: Path, log: Pa
         os.kill(run.pid, signal.SIGINT)
         text += read_until(terminal, None)
     assert run.returncode == 130
-    assert "finishing the logs that run" in text
+    assert "finishing the logs that are being evaluated" in text
     assert "Run the same command to continue" in text
     rows = pq.read_table(out / "drives").num_rows
     assert 0 < rows < 24

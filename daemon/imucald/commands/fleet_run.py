@@ -162,7 +162,7 @@ class _Stopping:
         if self.work is None or self.work.counts.stopping:
             interrupt(number, frame)
             return
-        text = "finishing the logs that run; press Ctrl-C again to stop at once"
+        text = "finishing the logs that are being evaluated; press Ctrl-C again to stop at once"
         print(f"\nimucald: {text}", file=sys.stderr)
         self.work.stop()
 

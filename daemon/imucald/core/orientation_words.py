@@ -1,7 +1,7 @@
 """Words for how a sensor sits: where each of its axes points in the vehicle.
 
-Words stay correct where angles do not. Near 90 deg of pitch, roll and yaw are one angle, but "x
-points up, 5 deg back" is valid for every mount.
+Roll and yaw cannot be told apart near 90 deg of pitch. Words such as "x points up, 5 deg back" are
+clear for every mount.
 """
 
 from __future__ import annotations

@@ -179,8 +179,8 @@ def _with_neighbours(over: Array) -> Array:
 
 
 def changes(series: list[ScoreSeries], spans: NDArray[np.int64]) -> tuple[Array, Array]:
-    """Return the changes over the last spans from each source (S, sources) [rad], and their
-    variances.
+    """Return by how much each source has changed over each of the last S spans, (S, sources) [rad],
+    and the variances of these changes.
 
     A level before the change, a nuisance and the change are fitted to each source.
     """

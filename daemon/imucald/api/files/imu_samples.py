@@ -30,7 +30,11 @@ _SECOND_DIFFERENCE = 6.0
 
 
 class ImuSamples(NamedTuple):
-    """times (N,) [us]; force, rate (N, 3), rate is NaN if there is none; covariances (N, 9)."""
+    """Samples of both sensors.
+
+    times: (N,) [us]. force: (N, 3) [m/s^2]. rate: (N, 3) [rad/s], NaN without a gyroscope. The
+    covariances of either are (N, 9): matrices of 3 by 3, row by row.
+    """
 
     times: Array
     force: Array

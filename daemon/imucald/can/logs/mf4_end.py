@@ -57,7 +57,7 @@ class _Structure:
     def damage(self) -> str | None:
         """Return what is wrong, or None."""
         if self._twice:
-            return f"the file is damaged: the block at byte {self._twice} is in two places"
+            return f"the file is damaged: two links point to the block at byte {self._twice}"
         for first, record in self._groups:
             waiting, seen = [first], set()
             while waiting:

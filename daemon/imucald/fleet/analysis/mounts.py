@@ -25,7 +25,8 @@ NORMAL_95 = 1.959964
 @dataclass(frozen=True)
 class Segments:
     """k segments. rotation: their mounts. V: (k, 3, 3) covariance without the crown [deg^2].
-    crown: (k,) its standard deviation [deg]. vehicle, first, last: index of vehicle and drives.
+    crown: (k,) its standard deviation [deg]. vehicle: (k,) index of
+    the vehicle. first, last: (k,) indices of the first and the last drive.
     """
 
     rotation: Rotation
