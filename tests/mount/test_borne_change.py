@@ -173,11 +173,11 @@ def test_a_change_that_is_none_yet_widens_the_interval_as_far_as_it_is_probable(
     seen = [0.0]
     for excess in (0.5, 0.8, 0.95):
         known = solver(0.2, shift(PITCH, 3.0, excess))
-        assert watched.small(known, thoroughly=True, is_good=True) is None
+        assert watched.small(known) is None
         seen.append(float(watched.variance(known, 100)[PITCH]))
     assert seen == sorted(seen)
     assert math.degrees(math.sqrt(seen[-1])) < 1.5
-    watched.small(solver(0.2), thoroughly=True, is_good=True)
+    watched.small(solver(0.2))
     assert not watched.variance(solver(0.2), 100).any()
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import os
 from collections import Counter
 from collections.abc import Callable, Collection, Hashable, Iterable, Iterator, Sequence
 from typing import TypeVar
@@ -70,7 +71,8 @@ def load_databases(loaded: LoadedConfig) -> list[LoadedDatabase]:
         try:
             database = load_database([path])
         except DatabaseError as error:
-            remedy = "" if path.exists() else "; paths are relative to the configuration file"
+            is_there = os.path.exists(path)  # noqa: PTH110 - False too of a name no file can have
+            remedy = "" if is_there else "; paths are relative to the configuration file"
             raise loaded.error(place, f"{error}{remedy}") from None
         found.append(LoadedDatabase(entry, database, place))
     return found
