@@ -149,7 +149,7 @@ def test_an_ended_daemon_and_a_silent_one_are_named_with_the_time_of_the_last_an
     ended = f"the daemon has ended; its last answer was at {clock}"
     assert no_answer(gone, 1.6e9) == ended
     assert no_answer(silent, 1.6e9) == ended.replace("has ended", "does not answer")
-    assert no_answer(gone, None) == "the daemon has ended: /run/x.sock: refused"
+    assert no_answer(gone, None) == "/run/x.sock: refused", "it may never have run"
 
 
 def test_a_low_terminal_shows_what_is_wrong_with_events_and_foot(status):
