@@ -166,7 +166,7 @@ def test_the_file_of_look_alikes_says_that_it_may_hold_the_wrong_one(
     asked["answer"] = replace(made.ambiguous(), model_after=made.AFTER)
     _, out, _ = diagnosed(log, "--write-model", model)
     assert "for prediction only: it holds one of several causes that fit equally well" in out
-    assert "ambiguous: mount rotation. The sensor is turned" in out
+    assert "ambiguous: mount rotation. The mount of the sensor differs" in out
     assert (
         "# For prediction only: one of several causes that fit equally well.\n" in model.read_text()
     )
