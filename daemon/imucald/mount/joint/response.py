@@ -87,6 +87,27 @@ def left_of(rows: Array, vector: Array, packing: Packing) -> Array:
     return np.asarray(np.maximum(made, 1e-12 * rows[..., 0] + 1e-15))
 
 
+def trust_of_last(rows: Array, old: int, last: Responses, noise: Array, packing: Packing) -> Array:
+    """Return the weight (F, n) of windows by an earlier result; the `old` first ones have theirs in
+    their sums.
+    """
+    trust = np.ones(rows.shape[:2])
+    trust[:, old:] = trust_in(left_of(rows[:, old:], last.vector, packing), noise)
+    return trust
+
+
+def segments_of(old: int, rows: int) -> NDArray[np.int_]:
+    """Return the road segment (rows,) of each row, the first `old` of which are segments."""
+    return np.concatenate([np.arange(old), old + np.arange(rows - old) // SEGMENTS[0]])
+
+
+def grown(ratio: Array, segments: Array | int) -> Array:
+    """Return by how much a variance grows, for a measured ratio of variances of some segments."""
+    return np.asarray(
+        (PRIOR_SEGMENTS * PRIOR_RATIO + segments * ratio) / (PRIOR_SEGMENTS + segments)
+    )
+
+
 def respond(
     rows: Array,
     counts: Array,
@@ -114,7 +135,7 @@ def respond(
     trust = np.ones(rows.shape[:2])
     if last is not None:
         noise = np.where(bands & np.isfinite(last.noise), last.noise, usual)
-        trust[:, old:] = trust_in(left_of(rows[:, old:], last.vector, packing), noise)
+        trust = trust_of_last(rows, old, last, noise, packing)
     values = 2.0 * bins.sum() / OVERLAP
     one = np.ones((fits, 1))
     for _ in range(PASSES if last is None else MORE_PASSES):
@@ -134,9 +155,8 @@ def respond(
     covariances = inverse(information)
     model = covariances[:, :keep, :keep]
     variance = np.diagonal(model, axis1=1, axis2=2)
-    windows = old * SEGMENTS[0] + np.arange(rows.shape[1] - old)
-    segment = np.concatenate([np.arange(old), windows // SEGMENTS[0]])
-    made = old * SEGMENTS[0] + len(windows)
+    segment = segments_of(old, rows.shape[1])
+    made = old * SEGMENTS[0] + rows.shape[1] - old
     sandwich = np.zeros((fits, keep))
     for length in SEGMENTS:
         s = _by_place(scores, segment * SEGMENTS[0] // length, made // length + 1)
@@ -150,8 +170,8 @@ def respond(
         sandwich = np.maximum(sandwich, enough * spread_out)
     segments = _effective_segments(each, covariances[:, :keep], packing, segment)
     ratio = np.clip(sandwich / variance, 0.1, 100.0)
-    grow = (PRIOR_SEGMENTS * PRIOR_RATIO + segments * ratio) / (PRIOR_SEGMENTS + segments)
-    grow = np.maximum(grow, 1.0) * (1.0 + 12.0 / (PRIOR_SEGMENTS + segments) ** 2)  # Student, about
+    student = 1.0 + 12.0 / (PRIOR_SEGMENTS + segments) ** 2  # about
+    grow = np.maximum(grown(ratio, segments), 1.0) * student
     root = np.sqrt(grow)
     covariance = np.asarray(model * root[:, :, None] * root[:, None], dtype=float)
     return Responses(np.asarray(beta[:, :keep], float), covariance, segments, vector, noise)

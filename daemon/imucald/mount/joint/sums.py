@@ -15,14 +15,15 @@ from imucald.core.arrays import Array, inverse
 from imucald.drive import windows as wd
 from imucald.drive.windows import OVERLAP
 from imucald.mount.joint.response import (
-    PRIOR_RATIO,
-    PRIOR_SEGMENTS,
     SEGMENTS,
     Packing,
     Responses,
+    grown,
     left_of,
     respond,
+    segments_of,
     trust_in,
+    trust_of_last,
 )
 
 Complex = NDArray[np.complex128]
@@ -115,9 +116,7 @@ class FitSums:
         """
         last, keep, pack = self._last, self._fits.keep, self._packing
         assert last is not None
-        recent = self._rows[:, self._old :]
-        trust = np.ones(self._rows.shape[:2])
-        trust[:, self._old :] = trust_in(left_of(recent, last.vector, pack), last.noise)
+        trust = trust_of_last(self._rows, self._old, last, last.noise, pack)
         weight = (2.0 / OVERLAP) * trust[:, :, None] / last.noise[:, None]
         G = pack.matrices((weight[:, :, None] @ self._rows)[:, :, 0])
         total = G.sum(axis=1)
@@ -147,22 +146,18 @@ class FitSums:
         seen = C[:, None] @ G[:, :, 1:]
         scores = seen[..., :1] - seen[..., 1:] @ off[:, None].swapaxes(2, 3)  # (F, n, keep, S)
         expected = (seen[..., 1:] * C[:, None]).sum(axis=3)
-        segment = np.concatenate(
-            [np.arange(self._old), self._old + np.arange(n - self._old) // SEGMENTS[0]]
-        )
+        segment = segments_of(self._old, n)
         grow = np.ones((len(G), len(spans), C.shape[1]))
         for length in SEGMENTS:
             place = segment * SEGMENTS[0] // length
             starts = np.flatnonzero(np.diff(place, prepend=-1))
             square = np.square(np.add.reduceat(scores, starts, axis=1)).cumsum(axis=1)
             usual = np.add.reduceat(expected, starts, axis=1).cumsum(axis=1)
-            for k, span in enumerate(spans.tolist()):
-                whole = int(np.searchsorted(starts, n - span, side="right")) - 1
-                if whole < 1:
-                    continue
-                ratio = square[:, whole - 1, :, k] / np.maximum(usual[:, whole - 1], NOTHING)
-                part = (PRIOR_SEGMENTS * PRIOR_RATIO + whole * ratio) / (PRIOR_SEGMENTS + whole)
-                grow[:, k] = np.maximum(grow[:, k], part)
+            whole = np.searchsorted(starts, n - spans, side="right") - 1  # segments before each
+            k = np.flatnonzero(whole > 0)
+            of_span = square[:, whole[k] - 1, :, k].swapaxes(0, 1)
+            ratio = of_span / np.maximum(usual[:, whole[k] - 1], NOTHING)
+            grow[:, k] = np.maximum(grow[:, k], grown(ratio, whole[k, None]))
         return grow
 
     def respond(self, bands: NDArray[np.bool_]) -> Responses:
