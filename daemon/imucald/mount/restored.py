@@ -155,8 +155,8 @@ class RestoredEstimator:
     itself.
 
     is_held: that mount stays, whatever the drive shows. phase: how far the drive has already
-    confirmed it, CONFIRMED or RESTORED; without it, not at all. held_until: what ends the hold, in
-    words.
+    confirmed it, CONFIRMED or RESTORED; without it, not at all. by_configuration: the configuration
+    holds the mount, and no order.
     """
 
     def __init__(
@@ -165,13 +165,13 @@ class RestoredEstimator:
         stored: StoredMount,
         is_held: bool = False,
         phase: Phase = Phase.RESTORED,
-        held_until: str = HELD,
+        by_configuration: bool = False,
     ) -> None:
         self.inner = inner
         self._judges = inner if isinstance(inner, JudgesSignals) else None
         self.stored = stored
         self.is_held = is_held
-        self.held_until = held_until
+        self.by_configuration = by_configuration
         self.phase = Phase.DOUBTED if stored.doubted else phase
         self.distance = math.nan
         """Result of the last comparison, as a chi-square with 3 degrees of freedom."""
@@ -261,7 +261,7 @@ class RestoredEstimator:
             deviations=self.stored.sent,
         )
         if self.is_held and self.phase is Phase.CONFIRMED:
-            return _waiting_for_release(served, self.held_until)
+            return _waiting_for_release(served, self.by_configuration)
         if self._is_statement_wrong and not new.faults:
             return self._against_statement(served)
         return served
@@ -426,12 +426,12 @@ class RestoredEstimator:
             self.phase, self._turned = Phase.NEW, None
 
 
-def _waiting_for_release(served: MountEstimate, held_until: str) -> MountEstimate:
+def _waiting_for_release(served: MountEstimate, by_configuration: bool) -> MountEstimate:
     """Return what a held mount waits for to be *fine*: only that learning continues."""
     if served.state is MountState.FINE:
         return served
     return replace(
         served,
-        waiting_for=dict.fromkeys(ANGLES, held_until),
+        waiting_for=dict.fromkeys(ANGLES, HELD_BY_CONFIGURATION if by_configuration else HELD),
         missing=dict.fromkeys(ANGLES, Missing.LEARNING_FROZEN),
     )

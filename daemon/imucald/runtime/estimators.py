@@ -41,15 +41,10 @@ def estimator_for(
     learning = learning_estimator(config, compensation, stated)
     if (mount := config.calibration.mount) is None:
         return learning
-    from imucald.mount.restored import (  # noqa: PLC0415 - few state one
-        HELD,
-        HELD_BY_CONFIGURATION,
-        RestoredEstimator,
-    )
+    from imucald.mount.restored import RestoredEstimator  # noqa: PLC0415 - few state one
 
     stored = known_mount(mount, learning.estimate().targets)
-    until = HELD_BY_CONFIGURATION if mount.hold else HELD
-    return RestoredEstimator(learning, stored, is_held=mount.hold, held_until=until)
+    return RestoredEstimator(learning, stored, is_held=mount.hold, by_configuration=mount.hold)
 
 
 def learning_estimator(

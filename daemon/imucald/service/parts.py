@@ -21,7 +21,7 @@ from imucald.config import LoadedConfig
 from imucald.mount.estimate import MountEstimator
 from imucald.mount.estimator import FullEstimator
 from imucald.mount.mount_in_force import mount_in_force, without_stored
-from imucald.mount.restored import HELD, HELD_BY_CONFIGURATION, RestoredEstimator
+from imucald.mount.restored import RestoredEstimator
 from imucald.runtime.consumer import ChecksSensors
 from imucald.runtime.engine import Engine
 from imucald.runtime.input_health import LinkHealth
@@ -332,12 +332,11 @@ def behind_the_known(old: MountEstimator, new: MountEstimator) -> MountEstimator
     stored = mount_in_force(old)
     if stored is None:
         return new
-    front = old if isinstance(old, RestoredEstimator) and old.is_held else None
-    by_order = front is not None and front.held_until != HELD_BY_CONFIGURATION
-    by_configuration = isinstance(new, RestoredEstimator) and new.is_held
-    until = HELD_BY_CONFIGURATION if by_configuration else HELD
-    is_held = by_order or by_configuration
-    return RestoredEstimator(without_stored(new), stored, is_held, held_until=until)
+    in_front = old if isinstance(old, RestoredEstimator) else None
+    by_order = in_front is not None and in_front.is_held and not in_front.by_configuration
+    configured = isinstance(new, RestoredEstimator) and new.is_held
+    is_held = by_order or configured
+    return RestoredEstimator(without_stored(new), stored, is_held, by_configuration=configured)
 
 
 def repeat_check(engine: Engine) -> bool:
