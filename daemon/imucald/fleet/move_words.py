@@ -6,7 +6,7 @@ from collections.abc import Iterable, Mapping
 from datetime import datetime
 from typing import Any
 
-from imucald.core.text import counted
+from imucald.core.text import clock, counted
 from imucald.fleet.analysis.remounts import LEAST_PAIRS
 
 NAMED = 5
@@ -30,8 +30,7 @@ def when_moved(row: Row) -> str:
     before = time_text(row["before"], row["before_log_key"])
     if row["found_s"] is None:
         return f"between {before} and {time_text(row['after'], row['after_log_key'])}"
-    minutes, seconds = divmod(round(row["found_s"]), 60)
-    return f"within the drive of {before}, found after {minutes}:{seconds:02}"
+    return f"within the drive of {before}, found after {clock(row['found_s'])}"
 
 
 def why_not_known(vehicles: Iterable[Row]) -> str:

@@ -148,9 +148,9 @@ class MountChanges:
     def small(self, solver: MountSolver) -> Shift | None:
         """Return a small change in the last minutes."""
         found = solver.largest_change()
-        self._doubted[:] = 0.0
-        self.is_near = found is not None and found.excess > NEAR_SHIFT
+        self.forget_doubt()
         if found is not None:
+            self.is_near = found.excess > NEAR_SHIFT
             self._doubted[found.axis] = found.size
             self._probability[found.axis] = probability(found.excess)
         return None if found is None or found.excess < 1.0 else found
@@ -225,6 +225,10 @@ class MountChanges:
     def _follow(self) -> None:
         """Note that another solver takes over."""
         self._large.restart()
+        self.forget_doubt()
+
+    def forget_doubt(self) -> None:
+        """Forget a small change that was not certain."""
         self.is_near = False
         self._doubted[:] = 0.0
 

@@ -28,7 +28,7 @@ HARD_TICKS = 5
 
 
 _LEVELS = np.array([HARD_ACCEL, HARD_ACCEL, HARD_TURN, HARD_TURN])
-_COUNT, _RUN, _OVER = range(3)
+_COUNT, _RUN = 0, 1
 
 
 class Manoeuvres:

@@ -272,7 +272,7 @@ class JointEstimator(FullEstimator):
         """Look for a small change with the joint solution, if it is served and has a gyroscope."""
         if self._signals.without_speed or not self._joint.signals.gyro:
             return super()._small_change(is_turn)
-        self._changes.is_near = False  # of the solver's rotation, which decides nothing here
+        self._changes.forget_doubt()  # about the solver's rotation, which decides nothing here
         if self._signals.blocks % ASKED:
             return None
         try:
