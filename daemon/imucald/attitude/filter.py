@@ -102,7 +102,7 @@ HEADING_SPACING_S = 0.5
 HEADING_ERRORS_S = 60.0
 """Duration of an error of a source; all headings within it count as one [s].
 
-A fused heading drifts, and steel beside the road persists. Rests therefore have more weight in the
+A fused heading drifts, and steel near the road persists. Rests therefore have more weight in the
 gyroscope's zero error.
 """
 
@@ -194,8 +194,8 @@ class AttitudeFilter:
     def _turned_unseen(self, seconds: float) -> None:
         """Note that the vehicle turned unmeasured for this time [s]; the attitude is older.
 
-        If the attitude was not available meanwhile, it begins anew. A heading that counts from the
-        start also begins anew. After a shorter time the attitude continues, and its deviation
+        If the attitude was not available meanwhile, it restarts. A heading that counts from the
+        start also restarts. After a shorter time the attitude continues, and its deviation
         contains the possible turn.
         """
         if self.running and seconds <= max(STALE_S, self.settings.filter.longest_step):

@@ -2,7 +2,7 @@
 
 Everything works without it, with the same bits, but slowly. Frames and samples are then taken one
 by one in Python. Tests compare the kernels with this Python version. `setup.py` builds the library
-from `core/kernels`, and only this module loads it. Each kernel has its Python version beside the
+from `core/kernels`, and only this module loads it. Each kernel has its Python version next to the
 call::
 
     kernels = compiled.kernels
@@ -11,7 +11,7 @@ call::
         return ...
 
 `kernels` is None in four cases: the library is missing, it cannot be loaded, it was built from
-other sources than those beside it, or the environment has IMUCALD_COMPILED=0.
+other sources than those next to it, or the environment has IMUCALD_COMPILED=0.
 
 A kernel takes numpy arrays directly and checks their types and shapes itself. It raises ValueError
 where one does not fit. It keeps no array after the call.
@@ -43,7 +43,7 @@ class Kernels:
     """The functions of the library.
 
     The letters below are the arguments of each function: o an array, i a whole number, d a float.
-    `core/kernels` documents their meaning beside each function.
+    `core/kernels` documents their meaning at each function.
     """
 
     candump: Kernel

@@ -30,8 +30,8 @@ def write_file(path: Path, data: bytes, mode: int | None = None) -> None:
 
     mode: its permissions, if they differ from those of new files.
 
-    The new file is written beside the old one, forced to the disk, and renamed. The folder is
-    forced to the disk too. At every instant the file is the old one or the new one.
+    The new file is written to the folder of the old one, forced to the disk, and renamed. The
+    folder is forced to the disk too. At every instant the file is the old one or the new one.
     """
     unfinished = write_beside(path, data)
     if mode is not None:
@@ -97,7 +97,7 @@ def split_checksum(data: bytes) -> tuple[bytes, bytes, bool]:
 
 
 def free_name(path: Path, word: str) -> Path:
-    """Return a name beside the file for something set aside: a free name, or that of the oldest."""
+    """Return a name in the file's folder for something set aside: a free one, or the oldest's."""
     names = [path.with_name(f"{path.name}.{word}.{n}") for n in range(1, MAX_ASIDE + 1)]
     ages = {}
     for name in names:

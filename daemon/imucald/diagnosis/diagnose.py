@@ -241,7 +241,7 @@ def _signals(
     held: bool = False,
 ) -> list[DriveSignals]:
     """Each drive's signals without the samples that faults and lost readings make invalid. held: at
-    a rail, leave out only the samples on the rail, because the sequence of the samples beside it is
+    a rail, leave out only the samples on the rail, because the sequence of its neighbours is
     tested."""
     bad = [invalid_spans(*each, held) for each in zip(faults, drives, lost, strict=True)]
     return [drive_of(s, b) for s, b in zip(drives, bad, strict=True)]

@@ -28,7 +28,7 @@ from imucald.diagnosis.search.state import State
 from imucald.diagnosis.search.trials import Trial
 
 BESIDE = (NOT_PLAUSIBLE, WANDERS, LOUDER, COARSER, CHANGES_OTHERWISE)
-"""Structure that biases no value: causes that a fit names beside it may stand."""
+"""Structure that biases no value: causes that a fit names as well may stand."""
 NO_STEP = (GOES_WITH_ANOTHER, GOES_WITH_LEVEL, FOLLOWS_OTHERWISE, TOO_MUCH)
 """Structure that a turned sensor does not cause. A turn by 10 deg makes zeros and gains seem to
 wander, because the fit follows it only to first order and to the nearest segment."""

@@ -2,7 +2,7 @@
 
 `SignalHealth` takes block after block of ticks, online and pure. Every fault is found by signal
 and, where an axis can fail alone, by axis. Estimators leave out the ticks of all faults together;
-reports read `found`. `physical_limits` and `stuck` define each fault beside its limits. The ticks
+reports read `found`. `physical_limits` and `stuck` define each fault with its limits. The ticks
 of every fault are counted. A flagged tick is left out; knowledge from earlier ticks stays.
 `FaultsInForce` decides how long a fault that was seen lasts.
 """

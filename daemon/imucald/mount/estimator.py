@@ -7,7 +7,7 @@ Order of the steps:
 2. `MountSolver.add` takes the block. The gyroscope carries the vertical through it. The force minus
    this vertical goes to windows in the frequency domain and to the mean of gravity.
 3. `SignalChecks` compares the signals with one another: a contradiction that begins or ends makes
-   the solver begin anew. `ForceLevel` compares the size of gravity with its own past.
+   the solver restart. `ForceLevel` compares the size of gravity with its own past.
 4. `MountSolver.fit` turns all evidence so far into one rotation with variances, as soon as enough
    has come since the last one (`RestartableSolver.is_turn`).
 5. Once gyro bias and rotation are known, `RestartableSolver` goes through the first minutes again.

@@ -72,7 +72,7 @@ def known_sensor(estimator: MountEstimator) -> KnownSensor | None:
 def held(estimator: MountEstimator) -> RestoredEstimator | None:
     """Return the mount that an estimator serves, held; None: it serves none.
 
-    The estimator that found the mount continues beside it, because it knows best when the drive
+    The estimator that found the mount continues as well, because it knows best when the drive
     contradicts the mount.
     """
     stored = mount_in_force(estimator)

@@ -1,6 +1,6 @@
 """The solver in use, and how another solver replaces it.
 
-A solver begins anew in five ways. `begin_without_rotation` uses no hint. A change between known and
+A solver restarts in five ways. `begin_without_rotation` uses no hint. A change between known and
 unknown speed begins a new solver. `look_again` reads the first minutes a second time.
 `begin_after_change` uses the data after a change of the mount. `begin_beside` does the same next to
 the old solver, which stays in use until the new one knows enough. The last three read stored
@@ -83,7 +83,7 @@ anyway. While a small change is near, every block is followed by a fit again (`m
 
 
 class RestartableSolver:
-    """A `MountSolver` that can begin anew.
+    """A `MountSolver` that can restart.
 
     now: the solver in use. kept: the last blocks (350 s). driven: manoeuvres from which its
     rotation is found. has_looked_again: it has read its first minutes twice, or need not.
@@ -199,7 +199,7 @@ class RestartableSolver:
         self.kept.clear()
 
     def begin_without_rotation(self, blocks: Iterable[SignalBlock] = ()) -> None:
-        """Begin anew from these blocks, without the rotation so far even as a hint."""
+        """Restart from these blocks, without the rotation so far even as a hint."""
         self.now = self._new(self.now.response.without_speed)
         self._refit = self._beside = None
         self.has_looked_again = True
@@ -208,7 +208,7 @@ class RestartableSolver:
             self.driven.add(*self.now.add(p))
 
     def begin_after_change(self, blocks: Iterable[SignalBlock], offsets: Offsets) -> None:
-        """Begin anew from the blocks after a small change of the mount."""
+        """Restart from the blocks after a small change of the mount."""
         self.now.past_drives = None  # it is about the mount before
         self.has_looked_again = True
         self.driven = Manoeuvres()

@@ -1,7 +1,7 @@
 """Warm start: the mount of an earlier drive serves until this drive's own estimate takes over.
 
 It wraps any estimator. The stored rotation is usable at once, as *restored*. The estimator inside
-begins anew, so its results are new evidence. If it agrees, the stored rotation is confirmed and
+restarts, so its results are new evidence. If it agrees, the stored rotation is confirmed and
 stays in use until the new one is as certain. If it contradicts, the stored rotation becomes
 *suspect* until the new one can be used, and then changes slowly to the new one.
 

@@ -7,7 +7,7 @@
    settings.
 4. `consumer` is the interface for other users of corrected samples; `consumers` has the existing
    ones.
-5. `output` encodes: `output_frames` and the modules beside it, each made of `output_message`.
+5. `output` encodes: `output_frames` and the modules of its folder, each made of `output_message`.
 
 `replay` runs recorded logs through an engine, and `summary` gives the result of a run. Nothing here
 opens a bus or reads a clock, except for a replay in real time. The running daemon is

@@ -1,4 +1,4 @@
-"""Consumers: calculations beside the mount calibration on the same samples.
+"""Consumers: calculations that run along with the mount calibration on the same samples.
 
 A consumer takes samples one by one, in the same order live and in replay, and returns frames at the
 ends of ticks. The engine knows consumers only by this protocol; `consumers` has the existing ones.
@@ -6,8 +6,8 @@ ends of ticks. The engine knows consumers only by this protocol; `consumers` has
 `ConsumerGroup` holds the consumers of one engine, which are fed sample by sample, live and in
 replay.
 
-They run beside the calibration and must not stop it. If numbers from the bus make a calculation
-fail, the failure is counted and that consumer begins anew. It sends *not available* until it has a
+They run along with the calibration and must not stop it. If numbers from the bus make a calculation
+fail, the failure is counted and that consumer restarts. It sends *not available* until it has a
 result again. Any other exception is a mistake of the program and is not caught.
 """
 

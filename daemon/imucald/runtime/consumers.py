@@ -191,11 +191,11 @@ class AttitudeConsumer:
         )
 
     def gap(self) -> None:
-        """Begin the attitude anew, because time jumped."""
+        """Restart the attitude, because time jumped."""
         self.filter.reset()
 
     def begin_anew(self) -> None:
-        """Begin anew after a failed calculation; the sensor check is forgotten too, because its
+        """Restart after a failed calculation; the sensor check is forgotten too, because its
         numbers may be the cause.
         """
         self.filter = self._new_filter()
@@ -312,7 +312,7 @@ class TravelConsumer:
         self.travel.gap()
 
     def begin_anew(self) -> None:
-        """Begin anew after a failed calculation; counts are kept."""
+        """Restart after a failed calculation; counts are kept."""
         before, self.travel = self.travel, TravelDirection(self._settings)
         self.travel.cycles.steps = before.cycles.steps
         self.travel.rejected = before.rejected

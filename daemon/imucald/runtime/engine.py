@@ -96,7 +96,7 @@ class Engine:
 
     @property
     def consumers(self) -> tuple[Consumer, ...]:
-        """Consumers beside the calibration."""
+        """Consumers that run along with the calibration."""
         return self._group.all
 
     @property
@@ -113,7 +113,7 @@ class Engine:
     ) -> None:
         """Take the place of another engine between two frames.
 
-        Only what depends on changed inputs begins anew.
+        Only what depends on changed inputs restarts.
 
         estimator: continues from here; it may be the former engine's only if all inputs are the
         same. keeps_consumers: whether the former engine's consumers equal those that this engine

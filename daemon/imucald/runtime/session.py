@@ -86,7 +86,10 @@ def make_engine(
 
 
 def _consumers(loaded: LoadedConfig, output: OutputFrames, gyro_step: float) -> list[Consumer]:
-    """Return the consumers beside the calibration. Raises ConfigError if an input is missing."""
+    """Return the consumers that run along with the calibration.
+
+    Raises ConfigError if an input is missing.
+    """
     if output.attitude is None and output.travel is None:
         return []
     from imucald.runtime.consumers import consumers_for  # noqa: PLC0415 - few switch one on

@@ -105,7 +105,7 @@ def _connect(connection: socket.socket, path: str, end: float) -> None:
 
 
 def control_socket(status_socket: Path) -> Path:
-    """Return the path of the control socket, beside the status socket."""
+    """Return the path of the control socket, in the folder of the status socket."""
     if status_socket.name == "status.sock":
         return status_socket.with_name("control.sock")
     return status_socket.with_name(f"{status_socket.name}.control")

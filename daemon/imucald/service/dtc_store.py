@@ -1,7 +1,7 @@
-"""Keeps the DTCs over restarts: one small file beside the saved state.
+"""Keeps the DTCs over restarts: one small file in the folder of the saved state.
 
 The codes only tell a workshop what to examine; no function depends on them. One generation is
-therefore enough. An invalid file is set aside and begun anew.
+therefore enough. An invalid file is set aside and started from nothing.
 """
 
 from __future__ import annotations

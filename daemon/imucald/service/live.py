@@ -144,7 +144,7 @@ class Daemon:
         self._next_heartbeat = clock()
 
     def serve(self, extra: Extra | None) -> None:
-        """Serve this beside the engine from now on, in place of the previous one."""
+        """Serve this along with the engine from now on, in place of the previous one."""
         self._extra = extra
         self._extra_ids = frozenset[int]() if extra is None else extra.ids
 

@@ -304,8 +304,8 @@ def keeps_estimator(
 def keeps_consumers(
     old: LoadedConfig, new: LoadedConfig, old_engine: Engine, new_engine: Engine
 ) -> bool:
-    """Return whether the consumers beside the calibration equal those that the new configuration
-    would make.
+    """Return whether the consumers that run along with the calibration equal those that the new
+    configuration would make.
     """
     a, b = (
         (c.attitude, c.travel_direction, c.signals, c.output.ids, c.output.checksum)

@@ -46,7 +46,7 @@ SECOND_S = 1.0
 
 
 class Companion(Protocol):
-    """A process that serves beside this one and ends with it."""
+    """A process that serves along with this one and ends with it."""
 
     def poll(self) -> bool:
         """Return whether the process has just ended by itself."""

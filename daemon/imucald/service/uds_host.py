@@ -177,7 +177,7 @@ class LiveHost:
         )
 
     def begin_calibration(self) -> None:
-        """Begin anew and keep the former estimator for a return."""
+        """Restart and keep the former estimator for a return."""
         self._service.orders.begin(TESTER)
 
     def return_to_former(self) -> bool:
@@ -198,7 +198,7 @@ class LiveHost:
         return self._service.sensors_checked
 
     def forget(self) -> None:
-        """Begin anew and forget all that was saved."""
+        """Restart and forget all that was saved."""
         self._service.orders.reset(TESTER)
 
     @property

@@ -50,7 +50,7 @@ def random_model(
         return float(rng.uniform(low, high))
 
     crown = float(np.clip(rng.normal(CROWN_MEAN, CROWN_SPREAD), -0.005, 0.03))
-    # The wandering part has the rest of the rms beside the mean and its spread.
+    # The wandering part has the rest of the rms after the mean and its spread.
     wander = math.sqrt(SLOPE_RMS**2 - CROWN_MEAN**2 - CROWN_SPREAD**2)
     upside = bool(rng.random() < UPSIDE_DOWN_SHARE)
     standing = bool(rng.random() < 0.5)

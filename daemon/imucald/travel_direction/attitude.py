@@ -65,7 +65,7 @@ class TerminalAttitude:
     def gyro(self, t: float, raw: Vector) -> None:
         """Take an angular rate [rad/s].
 
-        P begins anew after a time in which the terminal's turn was not measured.
+        P restarts after a time in which the terminal's turn was not measured.
         """
         dt = t - self._t_gyro
         is_lost = 0.0 <= dt < math.inf and self._lost_time.take(dt) > 0.0

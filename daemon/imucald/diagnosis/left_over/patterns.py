@@ -61,8 +61,8 @@ SHAKEN_S = (1.0, 3.0, 10.0)
 LATE = "late"
 TURNING = "turning"
 """Shape of a speed error equal to a length times the absolute yaw rate (RESET with another input's
-even part; Ramsey 1969). A point beside the vehicle's middle has an error by the signed yaw rate,
-which is odd."""
+even part; Ramsey 1969). A point left or right of the vehicle's middle has an error by
+the signed yaw rate, which is odd."""
 BESIDE_M = PARAMETERS["mount.lever_arm_m.1"].tolerance
 """Allowed lateral offset, in a correct file, of the point to which the speed belongs [m]."""
 DELAY_S = dict.fromkeys(ASKED, PARAMETERS["accel.delay_s"].tolerance) | {
@@ -165,7 +165,7 @@ def _gram(parts: Sequence[ShapeRows]) -> Grams:
     Z = np.concatenate([p.tilt for p in parts])
     A = without_tilt(A, Z)
     squares = np.sum(A**2, axis=1) / parts[0].rows
-    # The residual beside the linear columns counts as noise.
+    # What the linear columns leave over counts as noise.
     linear = A[:, :, : 1 + LINEAR]
     line = _solved(np.einsum("bki,bkj->ij", linear, linear))
     left = A[:, :, 0] - linear[:, :, 1:] @ line

@@ -30,7 +30,7 @@ def asked_again(state: State, trial: Trial) -> Trial:
 
 
 def let_go(state: State) -> list[str]:
-    """Put back causes that no longer help beside later ones; returns their parameters."""
+    """Put back causes that no longer help once later ones are in; returns their parameters."""
     if len(state.named) < 2:
         return []
     problem = state.evaluated()
@@ -141,8 +141,9 @@ def _drop(state: State, less: State, trial: Trial) -> None:
 
 
 def demote(state: State) -> None:
-    """Drop causes that would not be named again beside all others, and causes that may be beyond
-    their plausible range. The latter are reported as implausible: something else explains them."""
+    """Drop causes that would not be named again together with all others, and causes that may be
+    beyond their plausible range. The latter are reported as implausible: something else explains
+    them."""
     for trial in list(state.named):
         if trial.hypothesis.pattern is None:
             again = asked_again(state, trial)

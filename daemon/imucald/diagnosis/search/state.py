@@ -50,7 +50,7 @@ class State:
     doubtful: list[Trial] = field(default_factory=list)
     """Causes that were named for a while and do not stand."""
     last: list[Trial] = field(default_factory=list)
-    """All trials beside the findings, for the possible size of each cause."""
+    """All trials except the findings, for the possible size of each cause."""
     shift: FittedShift | None = None
     doubtful_shift: FittedShift | None = None
     """A moved mount that does not stand."""
