@@ -262,7 +262,7 @@ def test_an_mf4_whose_list_leads_back_into_itself_is_reported(tmp_path, folder, 
     whole[at + 24 : at + 32] = at.to_bytes(8, "little")
     path = tmp_path / "other.mf4"
     path.write_bytes(whole)
-    with pytest.raises(imucald.ImucaldError, match="in two places"):
+    with pytest.raises(imucald.ImucaldError, match="two links point to the block"):
         imucald.open_result(path)
 
 

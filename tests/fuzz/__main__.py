@@ -9,6 +9,7 @@ With --native the compiled part is there with coverage and sanitizers of its own
 from __future__ import annotations
 
 import argparse
+import contextlib
 import math
 import os
 import shlex
@@ -61,14 +62,19 @@ Target = Callable[[bytes], None]
 
 
 def load() -> dict[str, Target]:
-    """Import what is fuzzed, with coverage; it takes some 15 s."""
+    """Import what is fuzzed, with coverage; it takes some 15 s.
+
+    With --native the coverage is that of the compiled part: traced Python would take most of the
+    time that one input may take.
+    """
     import atheris
 
     sys.path.insert(0, str(HERE))
     sys.path.insert(0, str(HERE.parent))
-    with atheris.instrument_imports(include=["imucald"]):
+    folder = os.environ.get(native.FOLDER)
+    with contextlib.nullcontext() if folder else atheris.instrument_imports(include=["imucald"]):
         from targets import TARGETS
-    if folder := os.environ.get(native.FOLDER):
+    if folder:
         native.use(Path(folder))
     return TARGETS
 
