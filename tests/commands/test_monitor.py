@@ -615,7 +615,7 @@ def test_a_real_browser_draws_the_page(status, tmp_path: Path):
         'id="flow" role="status" class="good">corrected frames flow, marked usable<' in done.stdout
     )
     assert '<b id="state">usable</b>' in done.stdout
-    assert '<p id="angles">roll +14.40° ±1.1' in done.stdout
+    assert '<p id="angles"><span class="whole">roll +14.40° ±1.1' in done.stdout
     assert status["mount"]["sits"] in done.stdout
     assert "fine below ±0.60°" in done.stdout
     assert done.stdout.count('class="sits"') == 3

@@ -13,6 +13,7 @@ from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
 from imucald.commands.fleet_view import print_analysis
+from imucald.fleet import page
 from imucald.fleet.analysis.analyse import analysed
 from imucald.fleet.analysis.components import between_drives, between_vehicles
 from imucald.fleet.analysis.segments import candidates
@@ -212,6 +213,10 @@ def test_an_angle_of_a_type_that_two_vehicles_do_not_show_is_stated_not_to_be_kn
     line = next(row for row in text.splitlines() if row.startswith(f"{kind['vehicle_type']} "))
     assert "not known" in line
     assert f"{kind['ci95_z_deg']:.2f}" not in line
+    assert f"{kind['tau_z_deg']:.2f}" not in line
+    assert "Give each design a type" in " ".join(text.split())
+    assert not page._pictures({**dict.fromkeys(("groups", "never_usable"), ()), "types": [kind],
+                               "vehicles": rows["analysis/vehicles"]})["vehicles"]  # fmt: skip
 
 
 def test_the_interval_of_an_angle_is_its_own_where_the_sensor_is_turned_by_90_deg() -> None:

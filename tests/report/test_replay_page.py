@@ -104,6 +104,8 @@ def test_the_page_says_how_the_sensor_sits_and_what_happened(page):
     )
     assert moved
     assert float(moved[1]) == pytest.approx(SHIFT_DEG, abs=1.0)
+    verdict = text.partition('<section class="verdict')[2].partition("</section>")[0]
+    assert moved[0] in verdict, "a sensor that moved is said before any table"
     for state in ("levelled", "usable", "suspect", "recalibrating"):
         assert re.search(rf"\b{state}: ", words), state
     for axis, angle in zip("xyz", ("roll", "pitch", "yaw"), strict=True):

@@ -8,11 +8,9 @@ from typing import Any
 from rich.table import Table
 from rich.text import Text
 
-from imucald.commands.terminal import plain_console
+from imucald.commands.terminal import PIPED_WIDTH, plain_console
 from imucald.core.text import counted, one_line
 
-WIDE = 130
-"""Smallest terminal width [columns] for long names on one line. Below, they break at their dot."""
 LONG_NAME = 18
 _STYLES = {"error": "bold red", "warning": "yellow", "note": "cyan", "ok": "green"}
 
@@ -31,7 +29,12 @@ def print_report(report: Mapping[str, Any], strict: bool = False) -> None:
     console.print()
     console.print(_messages(report["messages"]))
     console.print()
-    console.print(_quantities(report["quantities"], console.width < WIDE, console.is_terminal))
+    whole = _quantities(report["quantities"], False, console.is_terminal)
+    unlimited = console.options.update_width(PIPED_WIDTH)
+    is_narrow = console.measure(whole, options=unlimited).maximum > console.width
+    console.print(
+        _quantities(report["quantities"], True, console.is_terminal) if is_narrow else whole
+    )
     console.print()
     console.print(_findings(report["findings"]))
     console.print()
@@ -80,7 +83,10 @@ def _messages(rows: list[dict[str, Any]]) -> Table:
 
 
 def _quantities(rows: list[dict[str, Any]], narrow: bool, stacked: bool) -> Table:
-    """Make the table of quantities. stacked: cells may have two lines; else one line per row."""
+    """Make the table of quantities.
+
+    narrow: long names break at their dot. stacked: cells may have two lines; else one line per row.
+    """
     table = Table(box=None, pad_edge=False, padding=(0, 1, 0, 0 if narrow else 1))
     table.add_column("quantity", overflow="fold")
     table.add_column("from", overflow="fold")

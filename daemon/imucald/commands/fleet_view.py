@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 from imucald.commands.terminal import plain_console, plain_where_needed
 from imucald.core.text import counted
 from imucald.fleet.move_words import time_text, unordered_words, when_moved, why_not_known
-from imucald.fleet.reading import present_mounts
+from imucald.fleet.reading import present_mounts, spread_words
 from imucald.mount.estimate import ANGLES
 from imucald.mount.mount_words import CONVENTION, UNKNOWN_HALF_DEG
 
@@ -123,11 +123,10 @@ def _types(rows: Sequence[dict[str, Any]]) -> Table:
     from rich.table import Table
 
     table = Table(box=None, pad_edge=False)
-    for title in ("type", "vehicles", "drives", "roll", "pitch", "yaw", "between vehicles x y z"):
+    for title in ("type", "vehicles", "drives", "roll", "pitch", "yaw", "spread x, y, z [deg]"):
         table.add_column(title, overflow="fold")
     for row in rows:
-        spread = " ".join(f"{row[f'tau_{axis}_deg']:.2f}" for axis in "xyz")
         angles = (_angle(row[f"{a}_deg"], row[f"ci95_{a}_deg"]) for a in ANGLES)
         counts = (str(row["vehicles"]), str(row["drives"]))
-        table.add_row(row["vehicle_type"], *counts, *angles, f"{spread} deg")
+        table.add_row(row["vehicle_type"], *counts, *angles, spread_words(row))
     return table

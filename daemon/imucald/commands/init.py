@@ -141,23 +141,23 @@ def _require_matches(
 
 
 def _outcome(proposal: Proposal, options: argparse.Namespace) -> str:
-    """Return a text about the results and the next steps with the same log or bus."""
+    """Return lines about the results and the next step with the same log or bus."""
     count = len(proposal.choices)
     unsure = sum(not choice.is_sure for choice in proposal.choices)
-    found = f"{counted(count, 'quantity', 'quantities')}, {unsure} of them unsure; "
+    found = f"{counted(count, 'quantity', 'quantities')}, {unsure} of them unsure\n"
     if proposal.missing:
         missing = (
             n.replace("_", " ") + (f" ({why})" if why else "")
             for n, why in proposal.missing.items()
         )
-        found += f"not found: {', '.join(missing)}; "
+        found += f"not found: {', '.join(missing)}\n"
     accelerometer = proposal.choice("accelerometer")
     if accelerometer is None:
         return found + (
             "no accelerometer was found, and nothing works without one: write it into the "
             "file by hand"
         )
-    doubt = f"the accelerometer is unsure ({accelerometer.doubt}); " if accelerometer.doubt else ""
+    doubt = f"the accelerometer is unsure ({accelerometer.doubt})\n" if accelerometer.doubt else ""
     arguments = ["--config", options.out, *options.logs]
     if not options.logs and options.interface:
         arguments += ["--interface", options.interface]

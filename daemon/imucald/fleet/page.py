@@ -20,7 +20,7 @@ from imucald.fleet.move_words import (
     when_moved,
     why_not_known,
 )
-from imucald.fleet.reading import present_mounts, read_analysis
+from imucald.fleet.reading import has_common_mount, present_mounts, read_analysis, spread_words
 from imucald.fleet.store import Store
 from imucald.mount.mount_words import UNKNOWN_HALF_DEG
 from imucald.report.page import address_of, environment, require_libraries
@@ -49,12 +49,13 @@ def fleet_page(store: Store) -> str:
     design = [c for c in analysis["causes"] if c["verdict"] == "design"]
     unknown = why_not_known(analysis["vehicles"])
     hours = (pc.sum(drives.column("duration_s")).as_py() or 0.0) / 3600.0
+    kinds = counted(len(analysis["types"]), "type")
     return environment().get_template("fleet.html").render(
         place=store.url,
         made=f"{datetime.now(UTC):%Y-%m-%d %H:%M} UTC, imucald {__version__}",
         headline=_headline(found, analysis["outliers"], bad, design),
         figures=[
-            ("Vehicles", f"{len(analysis['vehicles'])}", f"of {len(analysis['types'])} types"),
+            ("Vehicles", str(len(analysis["vehicles"])), f"of {kinds}"),
             ("Drives", f"{len(drives)}", f"{hours:.0f} h of driving"),
             (
                 "Moved sensors",
@@ -69,6 +70,7 @@ def fleet_page(store: Store) -> str:
         more_mounts=max(0, len(analysis["vehicles"]) - MAX_ROWS),
         types=analysis["types"][:MAX_ROWS],
         unknown_half=UNKNOWN_HALF_DEG,
+        spread=spread_words,
         remounts_not_known=unknown,
         unordered=unordered_words(analysis["vehicles"]),
         when_moved=when_moved,
@@ -132,12 +134,14 @@ def _drawing() -> ModuleType:
 
 def _pictures(analysis: dict[str, Rows]) -> dict[str, str]:
     draw, found = _drawing(), dict[str, str]()
-    vehicles = analysis["vehicles"]
+    types = [row for row in analysis["types"] if has_common_mount(row)]
+    names = {row["vehicle_type"] for row in types}
+    vehicles = [v for v in analysis["vehicles"] if v["vehicle_type"] in names]
     if vehicles:
         step = -(-len(vehicles) // MAX_PICTURED)
         shown = [v for i, v in enumerate(vehicles) if i % step == 0 or v["outlier"]]
         found["vehicles"] = draw.vehicles_picture(shown)
-        found["types"] = draw.types_picture(analysis["types"])
+        found["types"] = draw.types_picture(types)
     if any(g["p"] is not None for g in analysis["groups"]):
         found["groups"] = draw.groups_picture(analysis["groups"])
     if analysis["never_usable"]:

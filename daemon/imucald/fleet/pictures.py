@@ -31,6 +31,7 @@ def vehicles_picture(vehicles: Sequence[Row]) -> str:
     kinds = [v["vehicle_type"] for v in ordered]
     begins = [i for i, k in enumerate(kinds) if i == 0 or kinds[i - 1] != k]
     odd = np.array([bool(v["outlier"]) for v in ordered])
+    is_few = len(ordered) <= MAX_LINES
 
     def draw(figure: Figure) -> None:
         axes = figure.subplots(3, 1, sharex=True)
@@ -40,15 +41,20 @@ def vehicles_picture(vehicles: Sequence[Row]) -> str:
             ax.axhline(0.0, color="#888888", linewidth=0.7)
             for begin in begins[1:]:
                 ax.axvline(begin - 0.5, color="#BBBBBB", linewidth=0.7)
-            size = 10.0 if len(ordered) < 400 else 4.0
+            size = 26.0 if is_few else 10.0 if len(ordered) < 400 else 4.0
             ax.scatter(at[~odd], value[~odd], s=size, color=AFTER, linewidths=0)
             ax.scatter(at[odd], value[odd], s=26.0, color=BEFORE, marker="D", linewidths=0)
             ax.set_ylabel(f"{AXES[axis]} [deg]")
         ends = [*begins[1:], len(ordered)]
         centres = [(b + e - 1) / 2 for b, e in zip(begins, ends, strict=True)]
         named = len(begins) <= MAX_LINES
-        axes[-1].set_xticks(centres if named else [], [kinds[b] for b in begins] if named else [])
-        axes[-1].set_xlabel("vehicles by type")
+        if is_few:
+            axes[-1].set_xticks(at, [v["vehicle"] for v in ordered])
+        else:
+            axes[-1].set_xticks(
+                centres if named else [], [kinds[b] for b in begins] if named else []
+            )
+        axes[-1].set_xlabel("vehicles" if is_few else "vehicles by type")
 
     return drawn(draw, (9.6, 5.4))
 
@@ -80,9 +86,10 @@ def types_picture(types: Sequence[Row]) -> str:
             ax.set_xlim(0.0, 3.0 * max(max(most, default=0.0), 0.1))
             ax.set_xlabel(title)
         _labelled(axes[0], [t["vehicle_type"] for t in shown])
-        axes[-1].legend(loc="lower right")
+        names = axes[-1].get_legend_handles_labels()
+        figure.legend(*names, ncols=3, loc="outside upper center")
 
-    return drawn(draw, (9.6, 1.3 + 0.34 * len(shown)))
+    return drawn(draw, (9.6, 1.6 + 0.34 * len(shown)))
 
 
 def _intervals(

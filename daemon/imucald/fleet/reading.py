@@ -17,6 +17,7 @@ from imucald.fleet.columns import TABLES
 from imucald.fleet.compaction import read_tables
 from imucald.fleet.store import Store
 from imucald.fleet.tables import as_parquet, main_file, read_file, table_of
+from imucald.mount.mount_words import UNKNOWN_HALF_DEG
 
 NEEDED = (
     *("log_key", "vehicle", "vehicle_type", "sensor_serial", "sensor_batch", "firmware"),
@@ -64,6 +65,23 @@ def read_analysis(store: Store) -> dict[str, pa.Table]:
             f"{store.url}: there is no analysis yet; run 'imucald fleet analyse' first"
         )
     return {name: read_file(store, main_file(name), ANALYSIS[name]) for name in ANALYSIS}
+
+
+def has_common_mount(row: Mapping[str, Any]) -> bool:
+    """Whether the vehicles of a type sit alike. row: of `analysis/types`.
+
+    False where several vehicles leave a turn of the type's mount unknown: then their mounts differ
+    by design, and neither a spread nor a difference from the type says anything.
+    """
+    halves = [row[f"ci95_{axis}_deg"] for axis in "xyz"]
+    return row["vehicles"] < 2 or all(h is not None and h < UNKNOWN_HALF_DEG for h in halves)
+
+
+def spread_words(row: Mapping[str, Any]) -> str:
+    """Spread between the vehicles of a type about x, y, z [deg]. row: of `analysis/types`."""
+    if not has_common_mount(row):
+        return "mounts differ by design? Give each design a type"
+    return ", ".join(f"{row[f'tau_{axis}_deg']:.2f}" for axis in "xyz")
 
 
 def present_mounts(

@@ -69,6 +69,7 @@ def replay_page(
             result=result,
             angles=angles_line(result["mount"]) or "The mount is not known",
             headline=_headline(result, history.lead),
+            moves=[(clock(e.event.t), e.event.text) for e in events if e.event.kind == "moved"],
             lead=duration(history.lead) if history.lead >= SNAPSHOT_S else "",
             meaning=STATE_WORDS.get(result["state"], ""),
             waiting=reasons_line(result["waiting_for"]),
@@ -188,4 +189,4 @@ def _sources(details: Mapping[str, Any]) -> list[tuple[str, str, list[tuple[str,
         angle = name.rpartition("_")[0] if kind else name.replace("_", " ")
         alone = "says nothing yet" if half_width(std) is None else plus_minus(std)
         rows.append((f"{angle}, from {kind}" if kind else angle, alone, parts))
-    return rows
+    return sorted(rows, key=lambda row: row[0].partition(",")[0])

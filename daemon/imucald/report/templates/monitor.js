@@ -42,11 +42,11 @@ function chart(svg, from, panels) {
     out += `<line class="grid" x1="${x(s)}" x2="${x(s)}" y1="${top}" y2="${bottom}"/>` + (x(s) > width - 34 ? "" : `<text x="${x(s)}" y="${bottom + 16}" text-anchor="middle">${timeOfDay(s)}</text>`);
   from.forEach((r, i) => { if (i && r[1] !== from[i - 1][1]) out += `<line class="mark" x1="${x(r[0])}" x2="${x(r[0])}" y1="${top}" y2="${bottom}"><title>${timeOfDay(r[0])} ${r[1]}</title></line>`; });
   panels.forEach((panel, p) => {
-    const base = top + p * row, inner = row - 18, half = panel.half || t.map(() => 0), edges = [];
+    const base = top + p * row + 14, inner = row - 32, half = panel.half || t.map(() => 0), edges = [];
     for (const [, values] of panel.lines)
       values.forEach((v, i) => { if (v !== null && (!panel.half || i >= values.length / 3 || values.length < 9)) edges.push(v - half[i], v + half[i]); });
-    const name = `<text class="name" x="${left + 6}" y="${base + 12}">${panel.name} [${panel.unit}]</text>`;
-    if (!edges.length) { out += `${name}<text x="${left + 6}" y="${base + 40}">not known yet</text>`; return; }
+    const name = `<text class="name" x="${left + 6}" y="${base - 4}">${panel.name} [${panel.unit}]</text>`;
+    if (!edges.length) { out += `${name}<text x="${left + 6}" y="${base + 26}">not known yet</text>`; return; }
     const least = Math.max(panel.least - (Math.max(...edges) - Math.min(...edges)), 0) / 2;
     const low = Math.min(...edges) - least, high = Math.max(...edges) + least;
     const y = (v) => (base + inner - ((Math.min(Math.max(v, low), high) - low) / (high - low)) * inner).toFixed(1);
@@ -108,7 +108,7 @@ function show(live) {
   const reached = ["usable", "fine"].filter((n) => live[`first_${n}_s`] !== null).map((n) => `${n} after ${clock(live[`first_${n}_s`])}`);
   byId("reached").textContent = [`${live.version}, ${live.vehicle}, up ${clock(live.uptime_s)}`, ...reached].join(", ");
   byId("sent").textContent = live.sent && `Sent: ${live.sent}`;
-  byId("angles").textContent = live.angles;
+  byId("angles").innerHTML = live.angles.split(", ").map((angle) => `<span class="whole">${escaped(angle)}</span>`).join(", ");
   byId("sits").textContent = live.sits || "How the sensor sits is not known yet.";
   byId("steep").textContent = [live.steep, live.mirrored].filter(Boolean).join(" ");
   const views = live.views.join("");
