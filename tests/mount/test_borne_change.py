@@ -58,18 +58,19 @@ def solver(std_deg: float, found: Shift | None = None, own_gyro: bool = True) ->
     [(0.9, 0.1, True), (1.1, 0.1, False), (-1.1, 0.3, True), (-1.3, 0.3, False)],
 )
 def test_a_change_within_a_degree_or_four_deviations_misleads_nobody(degrees, std, bearable):
-    assert changes().is_bearable(shift(YAW, degrees), solver(std), 70) is bearable
+    assert changes().is_bearable(shift(YAW, degrees), solver(std), std * DEG) is bearable
 
 
 def test_a_sudden_tilt_that_may_be_a_stepped_zero_is_not_borne():
     """No deviation of the mount covers an accelerometer that is wrong; a shift shows slowly."""
-    wide = solver(2.0)
+    std, wide = 2.0 * DEG, solver(2.0)
     for sudden in (GravityStep(PITCH, 3.0 * DEG, 9.0, 5), LargeChange(PITCH, 3.0 * DEG, 9.0, 5)):
-        assert not changes().is_bearable(sudden, wide, 70)
-        assert changes().is_bearable(sudden, solver(2.0, own_gyro=False), 70), "nobody could tell"
-    assert changes().is_bearable(GravityStep(PITCH, 2.0 * DEG, 9.0, 5), wide, 70), "within a zero's"
-    assert changes().is_bearable(LargeChange(YAW, 3.0 * DEG, 9.0, 5), wide, 70)
-    assert changes().is_bearable(shift(PITCH, 3.0), wide, 70)
+        assert not changes().is_bearable(sudden, wide, std)
+        assert changes().is_bearable(sudden, solver(2.0, own_gyro=False), std), "nobody could tell"
+    within = GravityStep(PITCH, 2.0 * DEG, 9.0, 5)
+    assert changes().is_bearable(within, wide, std), "within a zero's"
+    assert changes().is_bearable(LargeChange(YAW, 3.0 * DEG, 9.0, 5), wide, std)
+    assert changes().is_bearable(shift(PITCH, 3.0), wide, std)
 
 
 def test_what_comes_after_a_step_leaves_out_the_blocks_that_may_hold_it():

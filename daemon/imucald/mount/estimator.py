@@ -278,9 +278,9 @@ class FullEstimator:
         """Handle a moved sensor: only the blocks after the move count."""
         after = blocks_since(found, self._solvers.kept)
         changes, block, good = self._changes, self._signals.blocks, self._good_mount()
-        std = changes.stated(self._solver, block)[found.axis]
+        std = self._misleading()[found.axis]
         changes.end_of_mounting(good)
-        if self.state in GOOD and changes.is_bearable(found, self._solver, block):
+        if self.state in GOOD and changes.is_bearable(found, self._solver, std):
             if changes.bear(found, block, std, good):
                 self._ask_for_zero(found, after)
                 self._solvers.begin_beside(after, self._signals.offsets)
@@ -393,7 +393,17 @@ class FullEstimator:
             return None
         if R is not None:
             good = Correction.turning(R)
-        return GoodMount(good.rotation, self._changes.stated(self._solver, self._signals.blocks))
+        return GoodMount(good.rotation, self._stated())
+
+    def _stated(self) -> tuple[float, ...]:
+        """Return the deviations (3,) of the housing's angles, without a change in doubt [rad]."""
+        return self._changes.stated(self._solver, self._signals.blocks)
+
+    def _misleading(self) -> tuple[float, ...]:
+        """Return the deviations (3,) of what a consumer gets, as angles, without a change in doubt
+        [rad].
+        """
+        return self._stated()
 
     def _moving(self) -> Array:
         return self._changes.variance(self._solver, self._signals.blocks)

@@ -155,20 +155,19 @@ class MountChanges:
             self._probability[found.axis] = probability(found.excess)
         return None if found is None or found.excess < 1.0 else found
 
-    def is_bearable(self, found: MountChange, solver: MountSolver, blocks: int) -> bool:
-        """Whether the applied correction misleads no consumer after a change, with the deviation
-        stated now.
+    def is_bearable(self, found: MountChange, solver: MountSolver, std: float) -> bool:
+        """Whether the applied correction misleads no consumer after a change.
 
-        The deviation that the same change added while it was in doubt does not count. A sudden tilt
-        may be a step of the zero, which no deviation of the mount covers (`zero_step`).
+        std: stated deviation of the changed angle [rad], without the part that the same change
+        added while it was in doubt. A sudden tilt may be a step of the zero, which no deviation of
+        the mount covers (`zero_step`).
         """
-        if solver.fused is None or self._may_be_stepped_zero(found, solver):
+        if not math.isfinite(std) or self._may_be_stepped_zero(found, solver):
             return False
-        stated = ALERT_DEVIATIONS * self.stated(solver, blocks)[found.axis]
-        return abs(found.size) <= max(ALERT_LIMIT, stated)
+        return abs(found.size) <= max(ALERT_LIMIT, ALERT_DEVIATIONS * std)
 
     def stated(self, solver: MountSolver, blocks: int) -> tuple[float, ...]:
-        """Return the stated deviations (3,) [rad] without the part that a change in doubt adds."""
+        """Return the solver's deviations (3,) [rad] without the part that a change in doubt adds."""
         if solver.fused is None:
             return (math.inf, math.inf, math.inf)
         variance = solver.fused.variance + self._variance(solver, blocks, self._of_borne())

@@ -72,7 +72,7 @@ class JointAcceptance(Acceptance, frozen=True):
     works.
 
     A move that is too small to show at once is rare. Waiting for minutes in every drive would cost
-    more than it is worth. Waiting for minutes in every drive would cost more than it is worth.
+    more than it is worth.
     are_signs_known: an earlier drive saw the signs agree, and nothing shows a change since. *Fine*
     still waits for all signs.
     """
@@ -302,6 +302,17 @@ class JointEstimator(FullEstimator):
     def _wide(self) -> float:
         """Deviation of a rotation that is tolerated or not certain [rad]."""
         return math.hypot(self._widened, self._doubt)
+
+    def _stated(self) -> tuple[float, ...]:
+        if self.solution is None:
+            return super()._stated()
+        own = self.solution.covariance[PHI, PHI].diagonal() + self._widened**2
+        return tuple(np.sqrt(own).tolist())
+
+    def _misleading(self) -> tuple[float, ...]:
+        if self.solution is None:
+            return super()._misleading()
+        return _as_angles(self.solution.sent(self._widened))
 
     def _is_usable(self, solution: Solution | None) -> bool:
         if solution is None:
