@@ -8,10 +8,8 @@ are also fitted by a level that changes at a steady rate, as materials do under 
 (secondary creep; Ashby and Jones, Engineering Materials 1, ch. 20). The models are local level and
 local linear trend with a Kalman filter (Durbin and Koopman, Time Series Analysis by State Space
 Methods, 2012, ch. 2 and 3). Each model has the probability that its likelihood and its prior give.
-The constant has the prior `P_CONSTANT`. The others are believed only if the data of a drive favour
-them twenty times, which happens in fewer than one of twenty drives without creep (Markov's
-inequality on the likelihood ratio). The served angle and its interval are means over all models,
-weighted by their probabilities.
+The models that move share a prior. The served angle and its interval are means over all
+models, weighted by their probabilities.
 """
 
 from __future__ import annotations
@@ -37,10 +35,9 @@ RATES: Array = np.concatenate([[0.0], 0.0 * SIZES, SIZES])
 """Rate of each hypothesis: zero for the constant and the walks, then creep, whose rate wanders by a
 fifth per segment.
 """
-P_CONSTANT = 0.5
-"""Prior probability that the mount does not move; the other models share the rest."""
-P_CONSTANT_AGAIN = 0.2
-"""The same prior once a shift was found in the drive."""
+SHIFT_RATIO = 4.0
+"""A mount that creeps is found to have shifted so many times as often as a fixed one (assumption).
+"""
 BELIEVED = 0.995
 """Probability from which creep is reported."""
 MOST = 20
@@ -94,11 +91,16 @@ class Creep(Struct, frozen=True):
 
 
 def creep(
-    series: list[ScoreSeries], sources: Mapping[str, AngleEvidence], p_constant: float = P_CONSTANT
+    series: list[ScoreSeries],
+    sources: Mapping[str, AngleEvidence],
+    chance: float = 0.5,
+    shifts: int = 0,
 ) -> Creep | None:
     """Fit walks and rates to the residuals of the series from constants; None: too little data.
 
     sources: the same evidence. Its variances show by which factor the informations are too large.
+    chance: prior probability that the mount creeps, before any shift was found. shifts: number of
+    shifts found.
     """
     n = max((len(one.score) for one in series), default=0)
     if n < FEWEST:
@@ -120,8 +122,8 @@ def creep(
     each = np.diff(np.append(joined, n)).astype(np.float64)
     left, known = np.add.reduceat(left, joined, axis=1), np.add.reduceat(known, joined, axis=1)
     log, mean, variance = _filtered(left, known, each)
-    prior = np.full(len(WALKS), (1.0 - p_constant) / (len(WALKS) - 1))
-    prior[0] = p_constant
+    prior = np.full(len(WALKS), chance * SHIFT_RATIO**shifts / (len(WALKS) - 1))
+    prior[0] = 1.0 - chance
     weight = prior * np.exp(log - log.max(axis=1, keepdims=True))
     weight /= weight.sum(axis=1, keepdims=True)
     probability = 1.0 - weight[:, 0]

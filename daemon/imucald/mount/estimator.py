@@ -201,7 +201,7 @@ class FullEstimator:
         if (is_turn or solvers.is_young) and solvers.fit():
             self._checks.forget_forces()  # the forces showed another rotation
         self._take_beside()
-        solvers.follow_creep(has_shifted=bool(changes.history))
+        solvers.follow_creep(len(changes.history))
         if self._look_for_large_change(p, turned) or is_refitting:
             return
         if not solvers.has_looked_again:

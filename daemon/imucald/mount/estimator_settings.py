@@ -105,6 +105,9 @@ class EstimatorSettings(MountSettings, frozen=True):
         fine_tilt=math.radians(0.7),
     )
 
+    CREEP_CHANCE: ClassVar[float] = 0.5
+    """Prior probability that the mount creeps (assumption)."""
+
     slope_std: float = SLOPE_STD
     """Road slope along and (about its mean) across the vehicle, rms tangent."""
     slope_length: float = SLOPE_LENGTH

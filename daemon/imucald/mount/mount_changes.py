@@ -167,7 +167,7 @@ class MountChanges:
         return abs(found.size) <= max(ALERT_LIMIT, ALERT_DEVIATIONS * std)
 
     def stated(self, solver: MountSolver, blocks: int) -> tuple[float, ...]:
-        """Return the solver's deviations (3,) [rad] without the part that a change in doubt adds."""
+        """Return the solver's deviations (3,) [rad] without those that a change in doubt adds."""
         if solver.fused is None:
             return (math.inf, math.inf, math.inf)
         variance = solver.fused.variance + self._variance(solver, blocks, self._of_borne())

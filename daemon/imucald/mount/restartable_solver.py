@@ -20,7 +20,6 @@ from collections.abc import Iterable
 import numpy as np
 
 from imucald.core.arrays import Array
-from imucald.mount.creep import P_CONSTANT, P_CONSTANT_AGAIN
 from imucald.mount.estimator_settings import EstimatorSettings, Limits
 from imucald.mount.evidence_response import GROUP
 from imucald.mount.offsets import Offsets
@@ -180,15 +179,11 @@ class RestartableSolver:
             self.beside.fit()
         return self.now.starts > starts
 
-    def follow_creep(self, has_shifted: bool) -> None:
-        """Test once a road segment whether the mount creeps.
-
-        has_shifted: the mount has shifted in this drive.
-        """
+    def follow_creep(self, shifts: int) -> None:
+        """Test once a road segment whether the mount creeps. shifts: found in this drive."""
         if self.now.response.segment != self._segment:
             self._segment = self.now.response.segment
-            self.now.p_constant = P_CONSTANT_AGAIN if has_shifted else P_CONSTANT
-            self.now.follow_creep()
+            self.now.follow_creep(shifts)
 
     def gap(self) -> None:
         """Note a jump of time."""

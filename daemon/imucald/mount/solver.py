@@ -19,7 +19,7 @@ from imucald.core.rotations import (
 from imucald.core.samples import GRAVITY
 from imucald.mount.block_sums import BlockMotion
 from imucald.mount.common_errors import common_errors
-from imucald.mount.creep import P_CONSTANT, Creep, creep
+from imucald.mount.creep import Creep, creep
 from imucald.mount.cross_axis import CrossAxisFusion, ForceSeen
 from imucald.mount.delay import DelaySearch, LeverArm
 from imucald.mount.estimator_settings import DelayPrior, EstimatorSettings
@@ -94,7 +94,6 @@ class MountSolver:
         self._cross_axis = CrossAxisFusion(settings)
         self.past_drives: PastDrives | None = None
         self.creep: Creep | None = None
-        self.p_constant = P_CONSTANT
         self._tilt_bias = (0.0, 0.0)
         self._began: deque[int] = deque([0], maxlen=int(SPANS[-1]))  # blocks, of road segments
         self.response.delays = (self.delay_speed.value, 0.0)
@@ -285,8 +284,8 @@ class MountSolver:
         found = [one.variance for name, one in self.sources.items() if name.startswith("yaw_")]
         return math.sqrt(min(found, default=math.inf))
 
-    def follow_creep(self) -> None:
-        """Test whether the mount creeps; once a road segment."""
+    def follow_creep(self, shifts: int) -> None:
+        """Test whether the mount creeps; once a road segment. shifts: found in this drive."""
         if self.R is None or self.bias is None or not self.yaw_known:
             return
         series = self.response.series
@@ -297,7 +296,7 @@ class MountSolver:
             if name in sources:  # the bias is the same in all segments
                 one = sources[name]
                 sources[name] = replace(one, variance=one.variance - bias)
-        self.creep = found = creep(series, sources, self.p_constant)
+        self.creep = found = creep(series, sources, self._settings.CREEP_CHANCE, shifts)
         if found is not None:
             self.response.follow_drift(found.probability * found.rate, found.since_middle)
 

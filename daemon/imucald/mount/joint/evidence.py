@@ -208,13 +208,13 @@ class Solution(NamedTuple):
         terms[EPS] = *tilted[:2, 2], self.turn
         return KnownSensor.found(self.housing, terms, self.covariance, priors)
 
-    def sent(self, wide: float = 0.0, zero: Array = NO_ZERO) -> SentDeviations:
+    def sent(self, turned: Array | float = 0.0, zero: Array = NO_ZERO) -> SentDeviations:
         """Return the deviations of the data that a consumer gets.
 
-        wide: further deviation of a rotation of both sensors [rad]. zero: variance (3,) of a zero
-        that has changed [(m/s^2)^2].
+        turned: variance (3,) of a further rotation of both sensors [rad^2]. zero: variance (3,) of
+        a zero that has changed [(m/s^2)^2].
         """
-        made = sent_deviations(self.covariance, wide)
+        made = sent_deviations(self.covariance, turned)
         x, y, _ = np.sqrt(zero).tolist()
         return replace(made, zero_x=math.hypot(made.zero_x, x), zero_y=math.hypot(made.zero_y, y))
 

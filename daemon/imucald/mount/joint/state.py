@@ -169,13 +169,13 @@ def level_row(i: int) -> Array:
     return row
 
 
-def sent_deviations(covariance: Array, wide: float = 0.0) -> SentDeviations:
+def sent_deviations(covariance: Array, turned: Array | float = 0.0) -> SentDeviations:
     """Return the deviations from the unknowns' covariance.
 
-    wide: additional deviation of a rotation of both sensors [rad].
+    turned: variance (3,) of a further rotation of both sensors [rad^2].
     """
     variance = ((_SENT @ covariance) * _SENT).sum(axis=1)
-    std = np.sqrt(np.maximum(variance, 0.0) + wide**2)
+    std = np.sqrt(np.maximum(variance, 0.0) + np.square(_SENT[:, PHI]) @ (turned * np.ones(3)))
     std[4:6] *= GRAVITY
     return SentDeviations(*std.tolist())
 
