@@ -63,10 +63,7 @@ class JointSettings(EstimatorSettings, frozen=True):
         fine_tilt=LEVEL[1] / GRAVITY,
     )
     CREEP_CHANCE = 0.05
-    """One sensor in twenty is held by tape or a soft holder (assumption).
-
-    The full estimator's half would double the time until a sound sensor is *fine*.
-    """
+    """One sensor in twenty is held by tape or a soft holder (assumption)."""
 
     @classmethod
     def of(cls, settings: EstimatorSettings) -> JointSettings:
