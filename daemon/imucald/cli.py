@@ -83,7 +83,7 @@ GROUPS = {
         "hold": "let a running daemon keep its mount and learn nothing",
         "release": "let a running daemon learn again after a hold",
         "set-mount": "give a known mount to a running daemon",
-        "feed": "send what a running daemon finds to MQTT or KUKSA",
+        "feed": "send what a running daemon finds to MQTT, KUKSA or Foxglove",
         "metrics": "write or serve the metrics of the running daemons for Prometheus",
     },
     "look closer": {

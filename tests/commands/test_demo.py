@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import html
 import math
 import os
 import pty
+import re
 import select
 import signal
 import subprocess
@@ -27,6 +29,7 @@ from imucald.simulation import random_model, simulate
 from imucald.simulation.drive import Drive
 from imucald.traffic.can_log import write_log
 from imucald.traffic.drive_encoder import BusEncoder, example_config
+from paths import ROOT
 
 MOUNT_DEG = (-20.0, 8.0, 120.0)
 
@@ -146,6 +149,27 @@ def test_the_command_prints_lines_and_the_result(
     assert "-5.00°" in text
     assert "imucald check" in text
     assert svg.read_text().startswith("<svg")
+
+
+@pytest.mark.slow
+def test_the_picture_of_the_readme_is_todays_and_ends_fine(tmp_path: Path) -> None:
+    """Its own command makes it again; last digits and bars may differ from machine to machine."""
+    kept = (ROOT / "docs" / "demo.svg").read_text("utf-8")
+    (command,) = re.findall(r"<metadata>imucald (.*) FILE</metadata>", kept)
+    made = tmp_path / "demo.svg"
+    assert cli.main([*command.split(), str(made)]) == 0
+
+    def texts(svg: str) -> list[str]:
+        found = re.findall(r"<text [^>]*>(.*?)</text>", svg)
+        return [text for text in map(html.unescape, found) if not set(text) & set("▁▂▃▄▅▆▇█")]
+
+    number = re.compile(r"[+-]?\d+\.\d+")
+    ours, theirs = texts(kept), texts(made.read_text("utf-8"))
+    remake = f"made again by: imucald {command} docs/demo.svg"
+    assert [number.sub("#", t) for t in ours] == [number.sub("#", t) for t in theirs], remake
+    values = [[float(x) for t in found for x in number.findall(t)] for found in (ours, theirs)]
+    assert values[0] == pytest.approx(values[1], abs=0.02), remake
+    assert "fine" in ours
 
 
 @pytest.mark.parametrize(

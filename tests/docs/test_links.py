@@ -7,7 +7,6 @@ from pathlib import Path
 
 import pytest
 
-from imucald.cli import main
 from paths import ROOT
 
 PAGES = [
@@ -74,14 +73,3 @@ def test_every_picture_names_the_command_that_makes_it() -> None:
     for picture in pictures:
         (command,) = re.findall(r"<metadata>(.*?)</metadata>", picture.read_text())
         assert re.match(r"imucald (draw|demo) |python -m benchmarks\.", command), picture.name
-
-
-@pytest.mark.parametrize(
-    ("name", "options"),
-    [("axes.svg", ["--axes"]), ("sits.svg", ["--mount", "14,28.5,-10.5"])],
-)
-def test_the_drawings_are_those_that_their_command_makes(
-    name: str, options: list[str], tmp_path: Path
-) -> None:
-    assert main(["draw", *options, "--out", str(tmp_path / name)]) == 0
-    assert (tmp_path / name).read_text() == (ROOT / "docs" / name).read_text()

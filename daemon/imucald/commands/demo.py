@@ -124,6 +124,6 @@ def _as_fast_as_it_goes(options: argparse.Namespace, minutes: float) -> int:
         waited = time.monotonic() - began
         print_result(demonstration, waited)
         if options.svg:
-            write_svg(demonstration, picture, waited, options.svg, _command(options, minutes))
+            write_svg(demonstration, picture, options.svg, _command(options, minutes))
         usable = demonstration.engine.pipeline.first_usable is not None
     return 0 if usable else 1

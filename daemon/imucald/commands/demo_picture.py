@@ -70,7 +70,7 @@ class Picture:
                 (1, 0, 0, 0),
             ),
             Padding(_acceleration_table(demo), (1, 0)),
-            _traffic_line(demo, time.monotonic() - self._began),
+            _traffic_line(demo, time.monotonic() - self._began if steady else None),
         )
 
     def _angle_table(self, demo: Demonstration) -> Table:
@@ -125,11 +125,13 @@ def _acceleration_table(demo: Demonstration) -> Table:
     return table
 
 
-def _traffic_line(demo: Demonstration, waited: float) -> Text:
+def _traffic_line(demo: Demonstration, waited: float | None) -> Text:
     now = max(demo.now, 1e-9)
     rejected = demo.engine.router.rejected.total()
     text = f"{demo.sent / now:.0f} frames/s in, {demo.engine.sent / now:.0f}/s out"
-    text += f", {rejected} rejected, {now / max(waited, 1e-9):.0f} times real time"
+    text += f", {rejected} rejected"
+    if waited is not None:
+        text += f", {now / max(waited, 1e-9):.0f} times real time"
     return Text(text, style="dim")
 
 

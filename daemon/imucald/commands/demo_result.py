@@ -28,12 +28,11 @@ from imucald.mount.mount_words import (
 SVG_COLUMNS = 82
 
 
-def write_svg(
-    demo: Demonstration, picture: Picture, waited: float, path: Path, command: str
-) -> None:
+def write_svg(demo: Demonstration, picture: Picture, path: Path, command: str) -> None:
     """Write the last picture and the result as SVG. Raises ImucaldError if that fails.
 
-    command: the command line of the demo, for the picture's metadata.
+    command: the command line of the demo, for the picture's metadata. The same command writes the
+    same file again, so no time of the machine is in it.
     """
     console = Console(
         record=True,
@@ -44,7 +43,7 @@ def write_svg(
         markup=False,
     )
     console.print(picture.draw(demo, steady=False))
-    print_result(demo, waited, console)
+    print_result(demo, None, console)
     form = re.sub(r"@font-face \{\{.*?\}\}", "", CONSOLE_SVG_FORMAT, flags=re.DOTALL)
     try:
         svg = console.export_svg(title="imucald demo", code_format=form)
@@ -53,8 +52,11 @@ def write_svg(
         raise ImucaldError(f"{path}: cannot be written: {error.strerror or error}") from None
 
 
-def print_result(demo: Demonstration, waited: float, console: Console | None = None) -> None:
-    """Print estimate and truth, the comparison of the frames, and the next steps."""
+def print_result(demo: Demonstration, waited: float | None, console: Console | None = None) -> None:
+    """Print estimate and truth, the comparison of the frames, and the next steps.
+
+    waited: real time that the drive took [s]; None: not printed.
+    """
     console = console or plain_console()
     angles = angles_beside(demo.estimate(), demo.truth)
     console.print()
@@ -73,9 +75,7 @@ def print_result(demo: Demonstration, waited: float, console: Console | None = N
     console.print()
     console.print("Next, with a database and a log of your vehicle:")
     console.print("  imucald init --database car.dbc --out car.yaml drive.log   proposes car.yaml")
-    console.print(
-        "  imucald check  --config car.yaml drive.log   shows what it decodes, and what is wrong"
-    )
+    console.print("  imucald check  --config car.yaml drive.log   finds what is wrong in it")
     console.print("  imucald replay --config car.yaml drive.log   finds the mount")
 
 
@@ -98,7 +98,7 @@ def _result_table(angles: list[Angle]) -> Table:
     return table
 
 
-def _result_lines(demo: Demonstration, waited: float) -> list[str]:
+def _result_lines(demo: Demonstration, waited: float | None) -> list[str]:
     pipeline, listener = demo.engine.pipeline, demo.listener
     first, best = pipeline.first_usable, pipeline.first_fine
     name = demo.estimate().state.name.lower()
@@ -108,8 +108,9 @@ def _result_lines(demo: Demonstration, waited: float) -> list[str]:
     if best is None and targets is not None:
         x, y, z = (plus_minus(s * DEG_PER_RAD, 1) for s in targets.fine)
         fine = f"; fine below {x}, {y}, {z} about the forward, left and up axis"
+    took = "" if waited is None else f" in {waited:.0f} s"
     lines = [
-        f"{clock(demo.now)} min driven in {waited:.0f} s. State {name}: {usable}{fine}.",
+        f"{clock(demo.now)} min driven{took}. State {name}: {usable}{fine}.",
         f"{demo.sent} frames received, {demo.engine.router.rejected.total()} rejected; "
         f"{listener.frames} corrected frames came back, {listener.damaged} damaged.",
     ]
@@ -121,5 +122,5 @@ def _result_lines(demo: Demonstration, waited: float) -> list[str]:
         f"Acceleration over the last {min(LAST_S, demo.now):.0f} s, rms distance from the truth:",
         f"  as the sensor sends it    {found.measured:6.2f} m/s²",
         f"  as received from imucald  {found.corrected:6.2f} m/s²",
-        f"  with the true mount       {found.known_mount:6.2f} m/s² (noise, vibration, bias)",
+        f"  with the true mount alone {found.known_mount:6.2f} m/s² (the sensor's own errors stay)",
     ]
