@@ -25,10 +25,13 @@ import tempfile
 from collections.abc import Iterator
 from pathlib import Path
 
-import help_files
-from packaging.requirements import Requirement
+try:
+    import help_files
+    from packaging.requirements import Requirement
 
-from imucald.core import compiled
+    from imucald.core import compiled
+except ModuleNotFoundError as missing:
+    sys.exit(f"{missing}; run it with the developers' packages: ./try python deb/build_deb.py")
 
 ROOT = Path(__file__).resolve().parents[1]
 LIBRARY = "usr/lib/imucald"

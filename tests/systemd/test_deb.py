@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import io
 import json
 import shutil
 import subprocess
 import sys
+import tarfile
 from pathlib import Path
 
 import pytest
@@ -68,6 +70,31 @@ def test_it_installs_runs_upgrades_and_goes_without_a_trace(package, run_under_s
     assert facts["REMOVED"] == "inactive"
     assert "NOTHING LEFT" in text
     assert "CONFIGURATION KEPT" in text
+
+
+def listed(package: Path) -> set[str]:
+    command = ["dpkg-deb", "--fsys-tarfile", str(package)]
+    archive = subprocess.run(command, capture_output=True, check=True).stdout
+    with tarfile.open(fileobj=io.BytesIO(archive)) as found:
+        return {member.name.removeprefix("./") for member in found if member.isfile()}
+
+
+def test_the_workbench_brings_what_the_vehicles_package_leaves_out(package: Path) -> None:
+    (workbench,) = package.parent.glob("imucald-workbench_*.deb")
+    ours, theirs = listed(package), listed(workbench)
+    for name in ("scipy", "matplotlib", "jinja2", "aiohttp"):
+        place = f"usr/lib/imucald/{name}/__init__.py"
+        assert place in theirs
+        assert place not in ours
+    assert not ours & theirs, "two packages cannot install one file"
+
+
+def test_without_the_developers_packages_it_says_how_to_run() -> None:
+    command = [sys.executable, "-I", "-S", str(ROOT / "deb/build_deb.py"), "--help"]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert done.returncode == 1
+    assert "./try python deb/build_deb.py" in done.stderr
+    assert "Traceback" not in done.stderr
 
 
 def test_it_brings_the_man_page_and_the_completions(package: Path) -> None:

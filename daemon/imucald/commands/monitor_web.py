@@ -44,7 +44,7 @@ from imucald.mount.mount_words import (
     plus_minus,
     reasons,
     sent_words,
-    target,
+    target_words,
 )
 from imucald.report.drawing import STYLE, view_drawings
 from imucald.runtime.flow import flow
@@ -171,12 +171,11 @@ def _angle(status: Mapping[str, Any], i: int) -> dict[str, Any]:
     mount, name, axis = status["mount"], ANGLES[i], "xyz"[i]
     value, spread = angle_cells(mount, name)
     std = judged_std(mount, axis)
-    goal, limit = target(mount, axis, status.get("progress"))
+    words, is_reached = target_words(status, axis)
     return {
         "name": name, "value": value, "spread": spread,
         "turn": VEHICLE_AXES[i], "left": plus_minus(std),
-        "target": f"{goal} below {plus_minus(limit)}" if limit else "",
-        "reached": std is not None and limit is not None and std < limit and not is_stale(status),
+        "target": words, "reached": is_reached and not is_stale(status),
     }  # fmt: skip
 
 

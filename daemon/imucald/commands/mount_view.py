@@ -21,7 +21,7 @@ from imucald.mount.mount_words import (
     plus_minus,
     reasons,
     sent_words,
-    target,
+    target_words,
 )
 
 BAR = 24
@@ -37,7 +37,7 @@ def mount_parts(
     is_stale: no frames flow now, so no target is shown as reached.
     """
     mount, progress = result["mount"], result.get("progress")
-    yield _table(mount, progress, is_stale)
+    yield _table(result, is_stale)
     for key, style in (("sits", ""), ("steep", "yellow"), ("mirrored", "yellow")):
         if mount.get(key):
             yield Text(mount[key], style=style)
@@ -68,7 +68,8 @@ def _gates(progress: Mapping[str, Any], bar: int) -> Table:
     return table
 
 
-def _table(mount: Mapping[str, Any], progress: Mapping[str, Any] | None, is_stale: bool) -> Table:
+def _table(result: Mapping[str, Any], is_stale: bool) -> Table:
+    mount = result["mount"]
     table = Table(box=None, pad_edge=False)
     table.add_column("mount", min_width=6)
     table.add_column("angle", justify="right", min_width=8)
@@ -79,9 +80,7 @@ def _table(mount: Mapping[str, Any], progress: Mapping[str, Any] | None, is_stal
     table.add_column("target")
     for angle, axis, turn in zip(ANGLES, "xyz", VEHICLE_AXES, strict=True):
         std = judged_std(mount, axis)
-        goal, limit = target(mount, axis, progress)
-        reached = std is not None and limit is not None and std < limit
-        text = Text(f"{goal} below {plus_minus(limit)}" if limit else "")
-        text.style = "dim" if is_stale else "green" if reached else ""
+        words, is_reached = target_words(result, axis)
+        text = Text(words, style="dim" if is_stale else "green" if is_reached else "")
         table.add_row(angle, *angle_cells(mount, angle), "", turn, plus_minus(std), text)
     return table

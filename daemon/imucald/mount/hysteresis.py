@@ -12,6 +12,11 @@ GOOD = frozenset({MountState.USABLE, MountState.FINE})
 BAD = frozenset({MountState.SUSPECT, MountState.RECALIBRATING})
 """States in which a mount is served but doubted."""
 
+SLACK = 1.4
+"""A reached state is left only beyond its limit times this factor; frames are still sent with the
+stated deviation.
+"""
+
 
 class Level(NamedTuple):
     """A good state and its conditions.

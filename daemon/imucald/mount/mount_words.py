@@ -12,6 +12,7 @@ from imucald.core.angles import DEG_PER_RAD
 from imucald.core.orientation_words import leaning_words, sits_words, steep_words
 from imucald.mount.contradictions import WORDS
 from imucald.mount.estimate import ANGLES, MountEstimate
+from imucald.mount.hysteresis import SLACK
 
 SD_95 = 2.0
 """Half of a 95 % interval in standard deviations, everywhere that people read "±"."""
@@ -115,22 +116,27 @@ def judged_std(mount: Mapping[str, Any], axis: str) -> float | None:
     return found
 
 
-def target(
-    mount: Mapping[str, Any], axis: str, progress: Mapping[str, Any] | None
-) -> tuple[str, float | None]:
-    """Return the next state and the deviation [deg] about an axis from which it is reached.
+def target_words(result: Mapping[str, Any], axis: str) -> tuple[str, bool]:
+    """Return the limit for the deviation about an axis in words, and whether it holds.
 
-    mount, progress: as in docs/json.md. Without progress, the next state is the first whose limit
-    the deviation has not reached.
+    result: as in docs/json.md, or a status. The limit is that of the next state: without progress,
+    of the first whose limit the deviation has not reached. Where *fine* is kept beyond its limit,
+    it is the limit at which it ends.
     """
+    mount, progress = result["mount"], result.get("progress")
     targets = mount.get("target_std_deg")
     if targets is None:
-        return "", None
-    std, usable = judged_std(mount, axis), float(targets["usable"][axis])
-    goal = "usable" if std is None or std >= usable else "fine"
+        return "", False
+    std, is_fine = judged_std(mount, axis), result["state"] == "fine"
+    is_open = std is None or std >= targets["usable"][axis]
+    goal = "usable" if is_open and not is_fine else "fine"
     if progress is not None:
         goal = progress["goal"]
-    return goal, float(targets[goal][axis])
+    limit = float(targets[goal][axis])
+    is_reached = std is not None and std < limit
+    if is_fine and not is_reached:
+        return f"fine up to {plus_minus(SLACK * limit)}", True
+    return f"{goal} below {plus_minus(limit)}", is_reached
 
 
 def percent(share: float) -> str:

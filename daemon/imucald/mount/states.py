@@ -16,7 +16,7 @@ from imucald.core.arrays import Array
 from imucald.mount.alternatives import NO_TURNS
 from imucald.mount.estimate import Missing, MountState, Targets
 from imucald.mount.estimator_settings import EstimatorSettings
-from imucald.mount.hysteresis import GOOD, Level, best_level
+from imucald.mount.hysteresis import GOOD, SLACK, Level, best_level
 from imucald.mount.mount_words import SD_95, UNKNOWN_STD_DEG, VEHICLE_AXES
 
 HARD_ACCEL = 1.0
@@ -80,9 +80,8 @@ class Manoeuvres:
         return int(self._state[3, _COUNT])
 
 
-SLACK, YOUNG_SLACK = 1.4, 2.0
-"""A reached state is left only beyond its limit times this factor; frames are still sent with the
-stated deviation. A young *usable* state without past drives rests on half a dozen pieces of
+YOUNG_SLACK = 2.0
+"""`SLACK` of a young *usable* state without past drives, which rests on half a dozen pieces of
 evidence. They give a deviation to 29 % (1 / sqrt(2 n)), so twice the limit lies 3.5 such errors
 above the limit, more than chance makes in a mount that nothing contradicts. The factor was chosen
 after a look at the drives of `benchmarks.integrity` from 700,000 on, and judged on those from
