@@ -16,6 +16,15 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     items.sort(key=lambda i: "systemd" not in i.path.parts and "sanitizers" not in i.name)
 
 
+@pytest.fixture(autouse=True, scope="module")
+def drives_of_a_file_are_let_go(request: pytest.FixtureRequest) -> Iterator[None]:
+    """A file's cached drives and results are of no use to another file, and take gigabytes."""
+    yield
+    for value in vars(request.module).values():
+        if getattr(value, "__module__", "") == request.module.__name__:
+            getattr(value, "cache_clear", lambda: None)()
+
+
 @pytest.fixture(autouse=True, scope="session")
 def own_cache_folder(tmp_path_factory: pytest.TempPathFactory) -> None:
     os.environ["CACHE_DIRECTORY"] = str(tmp_path_factory.mktemp("cache"))
