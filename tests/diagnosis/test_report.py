@@ -142,6 +142,7 @@ def test_unknown_says_where_the_structure_lives():
     assert "spectral peak 41.0 at 0.62 Hz, while cornering" in text
     assert "nothing to gain" not in Page(whole("found")).text
     assert "nothing to gain" in text
+    assert "Residual reduced" not in text, "nothing was fitted"
 
 
 def test_nothing_found_claims_nothing():

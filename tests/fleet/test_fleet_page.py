@@ -8,6 +8,7 @@ from pathlib import Path
 
 from fleet_files import CONFIG
 
+from imucald.fleet.drive_row import _causes
 from imucald.fleet.fleet_file import load_fleet
 from imucald.fleet.listing import list_logs
 from imucald.fleet.reading import present_mounts
@@ -36,6 +37,15 @@ def test_the_page_names_every_way_in_which_a_log_can_fail() -> None:
     text = (ROOT / "docs" / "fleet.md").read_text()
     failing = text.partition("or in `failures` as ")[2].partition(". ")[0]
     assert set(re.findall(r"`(\w+)`", failing)) == set(FAILURES)
+
+
+def test_a_change_within_its_interval_is_no_fault_of_a_drive() -> None:
+    shift: dict[str, float | None] = {"within_deg": 1.0}
+    result = {"signal_health": {"events": []}, "details": {"shifts": [shift]},
+              "frames": {"used": 1, "rejected": {}}}  # fmt: skip
+    assert list(_causes(result)) == []
+    shift["within_deg"] = None
+    assert list(_causes(result)) == ["mount moved in the drive"]
 
 
 def test_the_mount_of_a_vehicle_is_that_since_its_sensor_was_last_moved() -> None:

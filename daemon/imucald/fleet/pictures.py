@@ -21,6 +21,8 @@ COLOURS = {"x": BEFORE, "y": "#009E73", "z": AFTER}
 """Colours that are distinguishable with any colour blindness (Okabe and Ito)."""
 MAX_LINES = 20
 """Largest number of batches or types in a picture."""
+COLUMNS = 90
+"""Characters that fit side by side below a picture of the page's width."""
 SHOWN = 98.0
 """Percentile of the size that sets an axis if outliers are much larger."""
 
@@ -38,6 +40,7 @@ def vehicles_picture(vehicles: Sequence[Row]) -> str:
         at = np.arange(len(ordered))
         for ax, axis in zip(axes, AXES, strict=True):
             value = np.array([v[f"d_{axis}_deg"] for v in ordered], dtype=float)
+            ax.set_axisbelow(True)
             ax.axhline(0.0, color="#888888", linewidth=0.7)
             for begin in begins[1:]:
                 ax.axvline(begin - 0.5, color="#BBBBBB", linewidth=0.7)
@@ -49,7 +52,9 @@ def vehicles_picture(vehicles: Sequence[Row]) -> str:
         centres = [(b + e - 1) / 2 for b, e in zip(begins, ends, strict=True)]
         named = len(begins) <= MAX_LINES
         if is_few:
-            axes[-1].set_xticks(at, [v["vehicle"] for v in ordered])
+            names = [v["vehicle"] for v in ordered]
+            fits = sum(map(len, names)) < COLUMNS
+            axes[-1].set_xticks(at, names, rotation=0.0 if fits else 60.0)
         else:
             axes[-1].set_xticks(
                 centres if named else [], [kinds[b] for b in begins] if named else []
@@ -129,7 +134,7 @@ def history_picture(drives: Sequence[Row], cuts: Sequence[str]) -> str:
 
     def draw(figure: Figure) -> None:
         ax = figure.add_subplot()
-        at = np.arange(len(drives))
+        at = np.arange(1, len(drives) + 1)
         for k, axis in enumerate(AXES):
             variance = np.array([d[f"cov_{axis}{axis}_deg2"] for d in drives], dtype=float)
             if axis == "x":  # the crown is the same in all drives
@@ -137,7 +142,7 @@ def history_picture(drives: Sequence[Row], cuts: Sequence[str]) -> str:
             width = 1.96 * np.sqrt(np.maximum(variance, 0.0))
             ax.errorbar(at + 0.08 * (k - 1), e[:, k], yerr=width, fmt="o", markersize=3.5,
                         color=COLOURS[axis], linewidth=0.9, label=AXES[axis])  # fmt: skip
-        for i, d in enumerate(drives):
+        for i, d in enumerate(drives, start=1):
             if d["log_key"] in cuts:
                 ax.axvline(i - 0.5, color=FLOOR, linestyle="--", linewidth=1.0)
         ax.set_xlabel("drive")
