@@ -22,7 +22,14 @@ from rich.text import Text
 from imucald.commands.live_events import LiveEvents
 from imucald.commands.monitor_view import input_health, monitor_picture
 from imucald.commands.status import exit_status
-from imucald.commands.status_view import headline, no_answer, picture, short, waits_for
+from imucald.commands.status_view import (
+    headline,
+    no_answer,
+    picture,
+    print_status,
+    short,
+    waits_for,
+)
 from imucald.core.errors import LinkError
 from imucald.mount.contradictions import WORDS, StandingFault
 from imucald.mount.estimate import ANGLES
@@ -162,6 +169,15 @@ def test_a_low_terminal_shows_what_is_wrong_with_events_and_foot(status):
     assert lines[-1].strip() == "the foot"
     assert "now     another node sends our ids" in "\n".join(lines)
     assert events.events[-1].clock in "\n".join(lines)
+
+
+@pytest.mark.parametrize(("height", "is_repeated"), [(24, True), (60, False)])
+def test_a_status_longer_than_the_terminal_ends_with_its_first_line(status, height, is_repeated):
+    file = io.StringIO()
+    print_status(Console(width=80, height=height, file=file, force_terminal=True), status)
+    lines = [Text.from_ansi(line).plain for line in file.getvalue().splitlines()]
+    assert lines[0] == "corrected frames flow, marked usable"
+    assert (lines[-1] == lines[0]) == is_repeated
 
 
 def test_an_input_that_is_not_checked_is_not_green(status):

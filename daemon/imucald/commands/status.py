@@ -84,11 +84,11 @@ def run(options: argparse.Namespace) -> int:
 
         print(short(status))
     elif not options.quiet:
-        from imucald.commands.status_view import picture
+        from imucald.commands.status_view import print_status
         from imucald.commands.terminal import plain_console, plain_where_needed
 
         plain_where_needed()
-        plain_console().print(picture(status))
+        print_status(plain_console(), status)
     return exit_status(status)
 
 

@@ -6,7 +6,7 @@ import time
 from collections.abc import Collection, Mapping
 from typing import Any
 
-from rich.console import Group
+from rich.console import Console, Group
 from rich.padding import Padding
 from rich.table import Table
 from rich.text import Text
@@ -83,19 +83,32 @@ def picture(status: Mapping[str, Any]) -> Group:
     return Group(headline(status), Padding(mount, (1, 0)), facts(status))
 
 
+def print_status(console: Console, status: Mapping[str, Any]) -> None:
+    """Print the complete status. Its first line is repeated where it has scrolled away."""
+    whole = picture(status)
+    console.print(whole)
+    if console.is_terminal and len(console.render_lines(whole)) >= console.height:
+        console.print(_first_line(status))
+
+
+def _first_line(status: Mapping[str, Any]) -> Text:
+    """Return whether corrected frames flow now."""
+    now = flow(status)
+    return Text(now.text, style=FLOW_STYLES[now.kind])
+
+
 def headline(status: Mapping[str, Any], trouble: str = "") -> Text:
     """Return the first lines: whether corrected frames flow now, the daemon, the mount's state.
 
     trouble: why the daemon does not answer; the rest is then its last status. The state has its
     colour only while frames flow, because a known mount is useless without frames.
     """
-    link, state, now = status["link"], status["state"], flow(status)
-    text = Text()
+    link, state, text = status["link"], status["state"], Text()
     if trouble:
-        text.append(f"NO ANSWER: {trouble}\n", style=FLOW_STYLES[FlowKind.NONE])
+        text.append(f"NO ANSWER: {trouble}", style=FLOW_STYLES[FlowKind.NONE])
     else:
-        text.append(f"{now.text}\n", style=FLOW_STYLES[now.kind])
-    text.append("imucald ", style="bold")
+        text.append(_first_line(status))
+    text.append("\nimucald ", style="bold")
     text.append(f"{status['version']} on {link['channel']}")
     is_grey = is_stale(status, trouble)
     up = "dim" if is_grey else "green"
