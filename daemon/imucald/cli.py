@@ -66,7 +66,9 @@ GROUPS = {
     },
     "begin with your bus": {
         "init": "propose a configuration from a database and a recording or a bus",
-        "check": "show what a configuration decodes, from a log or a live bus, and what is wrong",
+        "check": (
+            "check a configuration on a log or a live bus: show what it decodes, and what is wrong"
+        ),
         "replay": "find the mount in recorded logs, as the live daemon would",
         "draw": "draw how a sensor sits, from its angles",
     },
@@ -83,11 +85,11 @@ GROUPS = {
         "hold": "let a running daemon keep its mount and learn nothing",
         "release": "let a running daemon learn again after a hold",
         "set-mount": "give a known mount to a running daemon",
-        "feed": "send what a running daemon finds to MQTT, KUKSA or Foxglove",
+        "feed": "send the results of a running daemon to MQTT, KUKSA or Foxglove",
         "metrics": "write or serve the metrics of the running daemons for Prometheus",
     },
     "look closer": {
-        "diagnose": "find what a simulation gets wrong compared with measured drives, and why",
+        "diagnose": "compare a simulation with measured drives, and find the causes of differences",
         "fleet": "evaluate thousands of logs of many vehicles together",
         "walk": "find the direction of travel of a carried terminal, in recorded logs",
         "schema": "print the JSON schema of the configuration",

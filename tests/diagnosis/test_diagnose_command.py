@@ -90,7 +90,7 @@ def test_a_time_limit_is_handed_on(asked, diagnosed, log):
 
 
 @pytest.mark.parametrize(("verdict", "words"), [
-    ("ambiguous", "a drive that would show which:"),
+    ("ambiguous", "a drive that would separate them:"),
     ("ambiguous", "ambiguous: accelerometer bias. "),
     ("unknown", "at 0.62 Hz, while cornering"),
     ("nothing", "Nothing found in "),

@@ -174,7 +174,7 @@ def test_a_factor_in_place_of_a_gain_error_is_refused_with_the_remedy(tmp_path, 
     assert main(["simulate", "--out", str(out), "--set", change]) == 1
     error = capsys.readouterr().err
     assert f"{change.partition('=')[0]} is " in error
-    assert "0.04 stands for values that are 4 % too large" in error
+    assert "0.04 means values that are 4 % too large" in error
     assert not out.exists()
 
 

@@ -48,7 +48,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--strict", action="store_true", help="warnings give exit status 1 too")
     parser.add_argument("--json", action="store_true", help="print the result as JSON")
-    add_quiet(parser, "no progress, no report: the exit status gives the result")
+    add_quiet(parser, "print no progress and no report; the exit status gives the result")
 
 
 def run(options: argparse.Namespace) -> int:

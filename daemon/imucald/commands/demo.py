@@ -31,7 +31,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         type=int,
         default=1,
         metavar="N",
-        help="draws car, road, drive and mount (default: 1)",
+        help="number from which car, road, drive and mount are drawn (default: 1)",
     )
     parser.add_argument(
         "--minutes",
@@ -43,7 +43,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--mount", metavar="R,P,Y", help="mount angles in degrees (default: drawn from the seed)"
     )
     parser.add_argument(
-        "--quick", action="store_true", help=f"a drive of {QUICK_MINUTES:g} minutes only"
+        "--quick", action="store_true", help=f"simulate only {QUICK_MINUTES:g} minutes"
     )
     parser.add_argument(
         "--live",
@@ -57,9 +57,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="with --live: python-can interface of the bus, such as udp_multicast, which other "
         "programs can join (default: virtual)",
     )
-    parser.add_argument("--channel", help="with --live: its channel")
+    parser.add_argument("--channel", help="with --live: channel of this interface")
     parser.add_argument(
-        "--speed", type=float, default=1.0, metavar="X", help="with --live: X times real time"
+        "--speed",
+        type=float,
+        default=1.0,
+        metavar="X",
+        help=("with --live: run X times as fast as real time"),
     )
     parser.add_argument(
         "--svg", type=Path, metavar="FILE", help="write the last picture and the result as SVG"

@@ -109,7 +109,8 @@ def _state_line(demo: Demonstration) -> Text:
     text.append(estimate.state.name.lower(), style=_STYLES.get(estimate.state, "yellow"))
     times = (("usable", pipeline.first_usable), ("fine", pipeline.first_fine))
     reached = [f"{name} after {clock(t)}" for name, t in times if t is not None]
-    text.append("   " + ", ".join(reached) if reached else "   nothing is sent as available yet")
+    none = "all corrected frames say 'not available' so far"
+    text.append("   " + (", ".join(reached) or none))
     return text
 
 

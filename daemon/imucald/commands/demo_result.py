@@ -107,7 +107,7 @@ def _result_lines(demo: Demonstration, waited: float | None) -> list[str]:
     targets = demo.estimate().targets
     if best is None and targets is not None:
         x, y, z = (plus_minus(s * DEG_PER_RAD, 1) for s in targets.fine)
-        fine = f"; fine below {x}, {y}, {z} about the forward, left and up axis"
+        fine = f"; fine needs ± below {x}, {y}, {z} about the forward, left and up axis"
     took = "" if waited is None else f" in {waited:.0f} s"
     lines = [
         f"{clock(demo.now)} min driven{took}. State {name}: {usable}{fine}.",

@@ -18,9 +18,9 @@ if TYPE_CHECKING:
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options of `diagnose`."""
     parser.epilog = (
-        "Several logs must be drives of one vehicle, with the sensor at the same place. "
-        "Whole drives are then kept out of the fit and test it. Exit status: 0 whatever the "
-        "verdict, 1 nothing could be diagnosed."
+        "Several logs must be drives of one vehicle, with the sensor at the same place. Some "
+        "whole drives are then excluded from the fit and used to test it. Exit status: 0 "
+        "whatever the verdict, 1 nothing could be diagnosed."
     )
     parser.add_argument(
         "logs",
@@ -49,18 +49,20 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--write-model",
         metavar="FILE",
-        help="write the extended model file. 'simulate --model' and the key 'model:' of a "
-        "configuration take it",
+        help=(
+            "write the extended model file. Use it with 'simulate --model', or with the key "
+            "'model:' of a configuration"
+        ),
     )
     parser.add_argument(
         "--time-limit",
         type=float,
         metavar="S",
-        help="processor time after which the search ends with what it found so far (default: 40 "
+        help="processor time after which the search ends with the causes found so far (default: 40 "
         "s for each hour of driving, at least 10 s)",
     )
     parser.add_argument("--strict", action="store_true", help="stop at the first bad line")
-    add_quiet(parser, "no progress, no summary")
+    add_quiet(parser, "print no progress and no summary")
 
 
 def run(options: argparse.Namespace) -> int:

@@ -109,7 +109,7 @@ def _print_open(console: Console, diagnosis: Diagnosis) -> None:
     for group_titles, group in words.look_alike_groups(diagnosis).items():
         console.print(f"cannot be distinguished: {words.in_series(group_titles, 'or')}")
         if ways := words.ways_apart(group):
-            console.print("a drive that would show which:")
+            console.print("a drive that would separate them:")
         for way in ways:
             console.print(f"  {way}")
     if not diagnosis.structure:

@@ -29,7 +29,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     targets = parser.add_subparsers(dest="target", metavar="TARGET", required=True, help="to whom")
     for name, text in TARGETS.items():
         sub = targets.add_parser(
-            name, help=text, description=f"Hand what a running daemon finds on {text}."
+            name, help=text, description=f"Send the results of a running daemon {text}."
         )
         _add_source(sub)
         {"mqtt": _add_mqtt, "kuksa": _add_kuksa, "foxglove": _add_foxglove}[name](sub)
@@ -60,15 +60,19 @@ def _add_kuksa(parser: argparse.ArgumentParser) -> None:
         metavar="HOST[:PORT]",
         help=f"default: localhost:{KUKSA_PORT}",
     )
-    parser.add_argument("--token", type=Path, metavar="FILE", help="its access token")
     parser.add_argument(
-        "--server-name", metavar="NAME", help="host name that stands in the server's certificate"
+        "--token", type=Path, metavar="FILE", help=("file with the access token of the databroker")
+    )
+    parser.add_argument(
+        "--server-name", metavar="NAME", help="host name in the server's certificate"
     )
     _add_ca(parser)
 
 
 def _add_ca(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--ca", type=Path, metavar="FILE", help="certificates to trust: use TLS")
+    parser.add_argument(
+        "--ca", type=Path, metavar="FILE", help=("use TLS, and trust the certificates of this file")
+    )
 
 
 def _add_foxglove(parser: argparse.ArgumentParser) -> None:
@@ -76,8 +80,10 @@ def _add_foxglove(parser: argparse.ArgumentParser) -> None:
         "--listen",
         default="127.0.0.1",
         metavar="HOST[:PORT]",
-        help=f"address to listen on (default: 127.0.0.1:{FOXGLOVE_PORT}). With another "
-        "address, everybody who reaches it can read the data",
+        help=(
+            f"address to listen on (default: 127.0.0.1:{FOXGLOVE_PORT}). With another address, "
+            "everybody who can connect to it can read the data"
+        ),
     )
     parser.set_defaults(ca=None)
 
@@ -88,8 +94,10 @@ def _add_source(parser: argparse.ArgumentParser) -> None:
     add_socket_argument(parser)
     parser.add_argument(
         "--rate", type=positive, default=10.0, metavar="HZ",
-        help="corrected values per second; each is the mean since the value before (default: "
-             "10)",
+        help=(
+            "corrected values per second; each value is the mean of the samples since the "
+            "previous value (default: 10)"
+        ),
     )  # fmt: skip
     parser.add_argument(
         "--accept", choices=("fine", "usable", "restored"), default="usable",
@@ -104,12 +112,14 @@ def _add_source(parser: argparse.ArgumentParser) -> None:
         "--config",
         type=Path,
         metavar="FILE",
-        help="database of the daemon's frames, where the path that the daemon uses does not "
-        "exist here",
+        help=(
+            "database of the daemon's frames; needed if the daemon's path to it does not exist "
+            "on this machine"
+        ),
     )
     parser.epilog = (
-        "It runs until Ctrl-C or SIGTERM. If the daemon or the receiver is not there, it "
-        "says so and waits. docs/feeds.md lists what it sends."
+        "The feed runs until Ctrl-C or SIGTERM. If the daemon or the receiver is absent, the "
+        "feed reports this and waits. docs/feeds.md lists the values that it sends."
     )
 
 

@@ -15,10 +15,10 @@ LIBRARIES = ("pyarrow", "fsspec")
 ACTIONS = {
     "run": "evaluate the logs that were not evaluated yet",
     "retry": "evaluate the new logs and those that failed before",
-    "status": "show the progress of the runs and what failed",
+    "status": "show the progress of the runs and the failed logs",
     "why": "show everything that is known about one log",
-    "analyse": "read all drives together: vehicles, types, batches, remounts, outliers",
-    "report": "write what the analysis found as one HTML page",
+    "analyse": "analyse all drives together: vehicles, types, batches, remounts, outliers",
+    "report": "write the results of the analysis as one HTML page",
 }
 
 
@@ -37,7 +37,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
             "--fleet",
             type=Path,
             metavar="FILE",
-            help="fleet.yaml, where the options of the storage stand",
+            help="fleet.yaml with the options of the storage",
         )
         if name == "why":
             sub.add_argument(
@@ -51,8 +51,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
                 action="append",
                 default=[],
                 metavar="COLUMN",
-                help="columns of the drives table: vehicles of one type are compared by them "
-                "(default: sensor_batch and firmware)",
+                help=(
+                    "columns of the drives table; vehicles of one type are compared by their "
+                    "values (default: sensor_batch and firmware)"
+                ),
             )
         elif name == "report":
             sub.add_argument("--html", type=Path, metavar="FILE", required=True, help="the page")
@@ -63,10 +65,15 @@ def _add_run(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--logs",
         metavar="GLOB|LIST",
-        help="logs to evaluate; those in fleet.yaml are then not used",
+        help="logs to evaluate, in place of those in fleet.yaml",
     )
     where = parser.add_mutually_exclusive_group()
-    where.add_argument("--workers", type=int, metavar="N", help="processes here (default: cores)")
+    where.add_argument(
+        "--workers",
+        type=int,
+        metavar="N",
+        help=("number of processes on this machine (default: its cores)"),
+    )
     where.add_argument(
         "--scheduler", metavar="URL", help="Dask: tcp://HOST:PORT or tls://HOST:PORT"
     )
@@ -93,7 +100,7 @@ def _add_run(parser: argparse.ArgumentParser) -> None:
                                                 "configuration or version, or all")  # fmt: skip
     parser.add_argument("--limit", type=int, metavar="N", help="evaluate N logs at most")
     parser.add_argument(
-        "--dry-run", action="store_true", help="show what would be done, and do nothing"
+        "--dry-run", action="store_true", help="only show which logs would be evaluated"
     )
     add_quiet(parser, "no progress")
 

@@ -26,8 +26,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options of `init`."""
     parser.epilog = (
         "The recording should be a drive with stops and bends: two minutes at least, better ten. "
-        "Without a recording the proposal uses names and units only. Then: imucald check --config "
-        "FILE LOG."
+        "Without a recording the proposal uses names and units only. Check the result with: "
+        "imucald check --config FILE LOG."
     )
     parser.add_argument("logs", nargs="*", metavar="LOG", help=LOG_HELP)
     parser.add_argument(
@@ -44,7 +44,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="FILE",
         help="write the configuration here (default: standard output)",
     )
-    parser.add_argument("--force", action="store_true", help="overwrite FILE where it exists")
+    parser.add_argument("--force", action="store_true", help="overwrite FILE if it exists")
     parser.add_argument(
         "--driving-side",
         choices=("left", "right", "unknown"),

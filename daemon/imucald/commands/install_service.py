@@ -38,7 +38,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options of `install-service`."""
     parser.epilog = (
         "Writing to the system needs root: sudo imucald install-service. The program must not "
-        "stand under /home, /root or /tmp, since systemd hides these folders from the units."
+        "be installed under /home, /root or /tmp, since systemd hides these folders from the "
+        "units."
     )
     parser.add_argument(
         "--prefix",

@@ -31,13 +31,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     way.add_argument(
         "--listen",
         metavar="HOST:PORT",
-        help="serve the metrics at http://HOST:PORT/metrics until Ctrl-C; an example is "
-        "127.0.0.1:8131",
+        help=(
+            "serve the metrics at http://HOST:PORT/metrics until Ctrl-C, for example at "
+            "127.0.0.1:8131"
+        ),
     )
     parser.epilog = (
         "Without a channel, the metrics of all daemons on this machine are written, with the "
-        "label 'bus'. A daemon that does not answer has imucald_up 0. Exit status: 0, also "
-        "where no daemon runs."
+        "label 'bus'. A daemon that does not answer has imucald_up 0. The exit status is 0 even "
+        "if no daemon runs."
     )
 
 

@@ -79,4 +79,4 @@ def refuse_log_and_bus(options: argparse.Namespace) -> None:
 def add_bus(parser: argparse.ArgumentParser) -> None:
     """Add the options for a bus that replaces the configured one."""
     parser.add_argument("--interface", help="python-can interface (default: the configuration's)")
-    parser.add_argument("--channel", help="its channel, such as can0")
+    parser.add_argument("--channel", help="channel of this interface, such as can0")

@@ -15,7 +15,7 @@ from imucald.core.errors import ImucaldError, LinkError
 
 WHO = (
     "Orders are accepted from root and from the user that the daemon runs as. Log and events "
-    "show each order with who gave it. Exit status: 0 done, 1 refused (the text says why), 3 "
+    "show each order and who gave it. Exit status: 0 done, 1 refused (the text says why), 3 "
     "no daemon runs, 8 the daemon does not answer."
 )
 NOT_RUNNING = 3

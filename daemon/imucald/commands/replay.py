@@ -28,7 +28,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.epilog = (
         "Several logs are several drives, each replayed on its own. Logs that overlap in time and "
         "mounts that differ from drive to drive are reported. With --joined the logs are pieces of "
-        "one recording. A frame that two pieces hold counts twice, and this is reported. "
+        "one recording. A frame that is in two pieces counts twice, and this is reported. "
         "Exit status: 0 done (whatever the state reached), 1 a log could not be read or has no "
         "frame that can be used.\n\n"
         "  imucald replay --config car.yaml drive.log\n"
@@ -58,8 +58,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--quantities",
         metavar="NAMES",
-        help="with --write: which tables, such as accel,gyro,raw/speed. 'raw' is all samples as "
-        "they came (default: all tables but 'raw')",
+        help=(
+            "with --write: names of the tables, such as accel,gyro,raw/speed. 'raw' means all "
+            "samples as they came (default: all tables but 'raw')"
+        ),
     )
     parser.add_argument(
         "--json", metavar="FILE", help="write the result as JSON ('-': standard output)"
@@ -84,7 +86,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--interface", help="with --speed: python-can interface of the bus to send on"
     )
     parser.add_argument("--channel", help="with --speed: channel of the bus to send on")
-    add_quiet(parser, "no progress, no table")
+    add_quiet(parser, "print no progress and no table")
 
 
 def run(options: argparse.Namespace) -> int:

@@ -27,7 +27,7 @@ NO_SOCKET = (
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options of `run`."""
     parser.epilog = (
-        "Ctrl-C or SIGTERM stops it. SIGHUP makes it read the configuration again. Exit "
+        "Ctrl-C or SIGTERM stops it. After SIGHUP the daemon reads the configuration again. Exit "
         "status: 0 stopped, 1 an error (for example: the interface does not exist), 78 the "
         "configuration is wrong.\n\n  imucald run --config car.yaml\n  imucald run --config "
         "car.yaml --channel can0 --state-dir state"
@@ -65,8 +65,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--metrics-listen",
         metavar="HOST:PORT",
-        help="serve metrics at http://HOST:PORT/metrics from a process of its own; an example is "
-        "127.0.0.1:8131",
+        help=(
+            "serve metrics at http://HOST:PORT/metrics from a separate process, for example at "
+            "127.0.0.1:8131"
+        ),
     )
     parser.add_argument("--json", metavar="FILE", help="write the result as JSON at the end")
     parser.add_argument(

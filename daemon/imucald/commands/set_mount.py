@@ -24,11 +24,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     deviation.add_argument(
         "--within",
         metavar="DEG",
-        help="how far the mount may be off (95 %%), as the ± that 'imucald status' shows: one "
-        "number, or three with commas about the vehicle's forward, left and up axis",
+        help=(
+            "uncertainty of the mount (95 %%), as the ± of 'imucald status': one number, or "
+            "three with commas about the vehicle's forward, left and up axis"
+        ),
     )
     deviation.add_argument(
-        "--std", metavar="DEG", help="the same as standard deviation, half of --within"
+        "--std",
+        metavar="DEG",
+        help=("uncertainty of the mount as one standard deviation, half of --within"),
     )
     parser.add_argument("--hold", action="store_true", help="keep this mount and learn nothing")
 

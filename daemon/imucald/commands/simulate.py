@@ -87,7 +87,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="write the frames of other units too, about 2300/s",
     )
     parser.add_argument("--interface", help="send the drive onto a bus: its python-can interface")
-    parser.add_argument("--channel", help="its channel, such as vcan0")
+    parser.add_argument("--channel", help="channel of this interface, such as vcan0")
     parser.add_argument(
         "--speed",
         type=float,
@@ -236,8 +236,9 @@ def _check_scales(model: VehicleModel) -> None:
         for x in scale if isinstance(scale, (list, tuple)) else (scale,):
             if abs(x) > MAX_SCALE:
                 raise ConfigError(
-                    f"{section}.scale is {x:g}: it is an error as a fraction, of which 0 is right "
-                    f"and {MAX_SCALE:g} the most; 0.04 stands for values that are 4 % too large"
+                    f"{section}.scale is {x:g}: this key is a relative error. 0 means no error, "
+                    f"0.04 means values that are 4 % too large, and {MAX_SCALE:g} is the largest "
+                    "error"
                 )
 
 

@@ -42,8 +42,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     form.add_argument(
         "--short", "-s", action="store_true", help="print one line, for scripts and prompts"
     )
-    form.add_argument("--json", action="store_true", help="everything, as JSON")
-    form.add_argument("--metrics", action="store_true", help="as Prometheus text")
+    form.add_argument("--json", action="store_true", help="print everything as JSON")
+    form.add_argument("--metrics", action="store_true", help="print the metrics as Prometheus text")
     form.add_argument(
         "--quiet", "-q", action="store_true", help="print nothing; the exit status gives the state"
     )
@@ -52,7 +52,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "waiting, levelled), 6 suspect or recalibrating, 7 a fault (bus not up, an input "
         "missing or faulty, frames not sent, another sender of our identifiers), 3 no daemon "
         "runs, 8 the daemon does not answer, 1 any other error. With --metrics: 0, 3 or 8. "
-        "If there is a fault, 7 is given whatever the state of the mount is."
+        "A fault gives 7 in every state of the mount."
     )
 
 
@@ -63,7 +63,7 @@ def add_socket_argument(
     parser.add_argument(
         "channel",
         nargs="?",
-        help="interface of the daemon, such as can0: needed where several daemons run",
+        help="interface of the daemon, such as can0; needed if several daemons run",
     )
     parser.add_argument("--socket", type=Path, metavar="PATH", help=socket_help)
 

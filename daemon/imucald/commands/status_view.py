@@ -222,7 +222,7 @@ def _evidence(details: Mapping[str, Any]) -> str:
         restored = details["restored"]
         whose = "stated mount" if restored.get("given") else "mount of an earlier drive"
         turned = restored.get("turned_deg")
-        off = "" if turned is None else f", {turned:.0f} deg away from what this drive shows"
+        off = "" if turned is None else f", {turned:.0f} deg from the mount of this drive"
         parts.append(f"{whose}: {restored['phase'].replace('_', ' ')}{off}")
     if details.get("not_checked"):
         parts.append(f"not checked: {'; '.join(details['not_checked'])}")

@@ -26,7 +26,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="write every step as JSON (without FILE: standard output)",
     )
     parser.add_argument("--strict", action="store_true", help="stop at the first bad line")
-    add_quiet(parser, "no progress, no table")
+    add_quiet(parser, "print no progress and no table")
 
 
 def run(options: argparse.Namespace) -> int:

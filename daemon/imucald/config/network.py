@@ -14,10 +14,9 @@ class DatabaseSettings(Settings, frozen=True):
 
     path: str
     channel: str | None = None
-    """Bus of a recording whose frames it describes; every bus when absent."""
+    """Bus that the database describes, in a recording of several buses; default: every bus."""
     j1939: bool | None = None
-    """Match 29-bit ids by PGN, whatever the source address; default: as the database says. An
-    11-bit id has no PGN."""
+    """True: 29-bit ids match by PGN, with any source address; default: as the database says."""
 
 
 Databases = Annotated[tuple[DatabaseSettings, ...], Meta(min_length=1)]
@@ -28,43 +27,43 @@ class Counter(Settings, frozen=True):
 
     signal: str
     modulus: Annotated[int, Meta(ge=2, le=65536)] | None = None
-    """Number of values before it wraps; default: all that its bits hold."""
+    """Number of values before the counter wraps; default: as many as its bits hold."""
     max_step: Annotated[int, Meta(ge=1, le=255)] | None = None
-    """Largest step that is still believed; default: what the time that passed has room for."""
+    """Largest accepted step; default: the largest that fits the time since the last frame."""
 
 
 class ChecksumSettings(Settings, frozen=True):
     """Checksum of a message."""
 
     kind: str
-    """"none" or a kind that `can.e2e.checksums` knows; judged where the message is known."""
+    """Kind of the checksum: "none" or a kind of `can.e2e.checksums`."""
     signal: str | None = None
-    """Where it stands; E2E profiles have their own places."""
+    """Signal of the checksum; E2E profiles have fixed places."""
     data_id: int | tuple[int, ...] | None = None
     """E2E data id; profile 2: a list of sixteen."""
     data_id_mode: Literal["both", "alternating", "low", "nibble"] = "both"
     id_bytes: Annotated[int, Meta(ge=0, le=4)] = 0
-    """For kinds that stand in a signal: bytes of the CAN identifier that go in first."""
+    """XOR and CRCs: number of bytes of the CAN identifier that precede the data."""
     offset: Annotated[int, Meta(ge=0, le=63)] = 0
     """E2E: first byte of the header in the frame."""
 
 
 class MessageProtection(Settings, frozen=True):
-    """What is known about a message's cycle and protection."""
+    """Cycle and protection of a message."""
 
     cycle_time: Positive | None = None
-    """[s]; default: GenMsgCycleTime of the database, else none is assumed."""
+    """Cycle [s]; default: GenMsgCycleTime of the database, else none."""
     timeout_cycles: Annotated[float, Meta(ge=1.5, le=1000)] = 10.0
     counter: Counter | None = None
     checksum: ChecksumSettings | None = None
     recover_after: Annotated[int, Meta(ge=0, le=1000)] = 3
-    """Good frames in a row after a fault before the message is believed again."""
+    """Good frames in a row after a fault before the message is used again."""
     source_address: SourceAddress | None = None
-    """J1939: the frames of this sender only, for all sources that name none themselves."""
+    """J1939: only frames of this sender are used, for all sources that name no other sender."""
 
 
 class BusSettings(Settings, frozen=True):
-    """The bus that `imucald run` listens and sends on."""
+    """The bus on which `imucald run` receives and sends."""
 
     interface: str = "socketcan"
     channel: str = "can0"
@@ -103,40 +102,41 @@ class OutputIds(Settings, frozen=True):
 
 
 class Output(Settings, frozen=True):
-    """What is sent."""
+    """Frames that imucald sends."""
 
     ids: OutputIds = OutputIds()
     status_rate: Literal[1, 2, 5, 10] = 1
     """Status frames per second."""
     checksum: str = "crc8_j1850"
-    """"none" or a kind of one byte that `can.e2e.checksums` knows."""
+    """Kind of the checksum: "none" or a kind of one byte of `can.e2e.checksums`."""
 
 
 KeyFunctionName = Annotated[str, Meta(pattern=r"^[A-Za-z_][\w.]*:[A-Za-z_]\w*$", max_length=200)]
 
 
 class SecurityAccess(Settings, frozen=True):
-    """Who may start routines."""
+    """Access of a tester to routines."""
 
     key_function: KeyFunctionName | None = None
-    """`module:function` that turns a seed (bytes) into its key (bytes); none: nobody is let in."""
+    """`module:function` that computes the key (bytes) of a seed (bytes). Without it no tester gets
+    access."""
     attempts: Annotated[int, Meta(ge=1, le=10)] = 3
     """Wrong keys before the delay."""
     delay: Positive = 10.0
-    """How long no key is taken then [s]."""
+    """Time without access after these wrong keys [s]."""
 
 
 class Uds(Settings, frozen=True):
-    """An ISO 14229 server over ISO-TP."""
+    """Server of ISO 14229 (UDS) over ISO-TP."""
 
     enabled: bool = False
-    """Whether requests are answered; needs the extra `diagnostics`."""
+    """True: requests are answered. This needs the extra `diagnostics`."""
     request_id: CanId = 0x7B0
-    """Requests to us."""
+    """Identifier of requests to imucald."""
     response_id: CanId = 0x7B8
-    """Our responses."""
+    """Identifier of the responses of imucald."""
     functional_id: CanId | None = 0x7DF
-    """Requests to all nodes; null: these are not listened to."""
+    """Identifier of requests to all nodes; null ignores these."""
     security: SecurityAccess = SecurityAccess()
 
     def __post_init__(self) -> None:

@@ -28,9 +28,9 @@ class RawSource(Settings, frozen=True, kw_only=True):
 
     id: CanId
     extended: bool = False
-    """29-bit identifier; set by itself when the id needs one."""
+    """True: the identifier has 29 bits. Larger ids always have 29 bits."""
     when: str | None = None
-    """Condition on data[i] and length; frames that fail it are not this signal."""
+    """Condition on data[i] and length; frames that do not meet it are ignored."""
     value: str
     """Expression on data[i]."""
 
@@ -41,51 +41,50 @@ class RawSource(Settings, frozen=True, kw_only=True):
 
 
 class ValidWhen(Settings, frozen=True):
-    """A signal of the same message that says whether the sensor can be believed."""
+    """Status signal of the same message: it shows whether the sensor's values are valid."""
 
     signal: str
-    """Its name, without that of the message."""
+    """Name of the status signal, without the message."""
     equals: tuple[float, ...] | float
-    """The physical value, or values, at which it can."""
+    """Physical value, or values, of the status signal at which the sensor is valid."""
 
     @property
     def values(self) -> tuple[float, ...]:
-        """All values at which it can."""
+        """All values of the status signal at which the sensor is valid."""
         return _all_of(self.equals)
 
 
 class SourceSettings(Settings, frozen=True):
-    """Where one number comes from: ``MESSAGE.SIGNAL`` alone, or a mapping with more."""
+    """Source of one number: ``MESSAGE.SIGNAL`` alone, or a mapping with further keys."""
 
     signal: Annotated[str, Meta(extra_json_schema={"pattern": MESSAGE_SIGNAL})] | None = None
-    """``MESSAGE.SIGNAL``; another form is refused by the database, which knows what to write."""
+    """Signal in a database, as ``MESSAGE.SIGNAL``."""
     raw: RawSource | None = None
-    """Instead of `signal`: bytes and an expression."""
+    """Bytes of a frame and an expression, in place of `signal`."""
     sign_signal: Annotated[str, Meta(extra_json_schema={"pattern": MESSAGE_SIGNAL})] | None = None
-    """``MESSAGE.SIGNAL`` of the same message, one bit: 1 where the value is negative. For a signal
-    that is a magnitude alone."""
+    """Sign bit of a magnitude, as ``MESSAGE.SIGNAL`` of the same message. 1 means negative."""
     source_address: SourceAddress | None = None
-    """J1939: takes the frames of this sender only; default: that of the sensor or the message."""
+    """J1939: only frames of this sender are used; default: that of the sensor or the message."""
     unit: str | None = None
-    """Overrides the unit in the database."""
+    """Unit that replaces the unit in the database."""
     sign: Literal[-1, 1] = 1
     offset: float = 0.0
     """Added to the physical value, in its unit, before the sign."""
     channel: str | None = None
-    """Bus of a recording with several; without effect on a live bus."""
+    """Bus of the signal, in a recording of several buses; no effect on a live bus."""
     range: tuple[float, float] | None = None
     """Plausible physical values, in the source's unit, before offset and sign."""
     not_available: tuple[int, ...] = ()
     """Raw values that mean 'not available'."""
     value_table: bool = True
-    """Raw values that the database's value table calls SNA, not available, invalid, error or init
-    mean 'not available' too."""
+    """True: raw values with the name SNA, not available, invalid, error or init in the database's
+    value table also mean 'not available'."""
     valid_when: ValidWhen | None = None
-    """The sensor's own status; what it does not vouch for is rejected."""
+    """The sensor's own status; values that this status marks invalid are rejected."""
     equals: tuple[float, ...] | float | None = None
-    """For on/off quantities: on when the physical value is (one of) this."""
+    """On/off quantities: on when the physical value equals this value, or one of these values."""
     above: float | None = None
-    """For on/off quantities: on when the physical value is larger."""
+    """On/off quantities: on when the physical value is larger."""
 
     def __post_init__(self) -> None:
         if (self.signal is None) == (self.raw is None):
@@ -106,7 +105,7 @@ class SourceSettings(Settings, frozen=True):
 
     @property
     def on_values(self) -> tuple[float, ...] | None:
-        """All physical values at which an on/off quantity is on; None: not given as values."""
+        """All physical values at which an on/off quantity is on; None without `equals`."""
         return None if self.equals is None else _all_of(self.equals)
 
 
@@ -115,7 +114,7 @@ Sources = Annotated[tuple[SourceSettings, ...], Meta(min_length=1)]
 
 
 class TriadSettings(Settings, frozen=True):
-    """Three axes of one sensor, in its own axes; an accelerometer may lack z (planar)."""
+    """Three axes of one sensor, as the sensor defines them; an accelerometer may lack z."""
 
     x: SourceSettings
     y: SourceSettings
@@ -145,9 +144,9 @@ class Wheels(Settings, frozen=True):
 
 
 class ParallelSensor(Settings, frozen=True):
-    """Another sensor whose axes are parallel to the accelerometer's; gets the same correction.
+    """Another sensor with axes parallel to the accelerometer's; it gets the same correction.
 
-    Without z it is a level sensor of two axes: only with an accelerometer that counts as level.
+    A sensor without z must be level. It needs an accelerometer that counts as level.
     """
 
     name: Annotated[str, Meta(pattern=r"^[A-Za-z][A-Za-z0-9_]{0,31}$(?!\n)")]
@@ -155,14 +154,14 @@ class ParallelSensor(Settings, frozen=True):
     x: SourceSettings
     y: SourceSettings
     id: CanId
-    """Identifier of the frame with its corrected values."""
+    """Identifier of the frame with the corrected values."""
     z: SourceSettings | None = None
     source_address: SourceAddress | None = None
     """J1939: all axes come from this sender."""
 
 
 class Signals(Settings, frozen=True):
-    """Which signal is which quantity."""
+    """Signals of the bus by quantity."""
 
     accelerometer: Triads
     gyroscope: Triads | None = None

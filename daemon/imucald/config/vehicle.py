@@ -12,31 +12,31 @@ from imucald.core import default_vehicle
 
 
 class ModelFile(Settings, frozen=True):
-    """The model file of the vehicle: what it knows is taken out of the signals."""
+    """Model file of the vehicle: the sensor errors that it states are removed from the signals."""
 
     path: str
-    """Relative to the configuration file."""
+    """Path of the model file, relative to the configuration file."""
     compensate_suspension: bool = True
-    """The body's squat, dive and roll are taken out of the corrected signals."""
+    """True: the body's squat, dive and roll are removed from the corrected signals."""
 
 
 class VehicleSettings(Settings, frozen=True):
-    """What is known about the vehicle."""
+    """Known properties of the vehicle."""
 
     id: Annotated[str, Meta(max_length=64)] = "vehicle"
-    """Identity; a saved state is used for the same vehicle only."""
+    """Identity of the vehicle; a saved state is used only for the same vehicle."""
     driving_side: Literal["left", "right", "unknown"] = "unknown"
-    """Side of the road it drives on: the road's crown leans the vehicle towards the kerb."""
+    """Side of the road on which the vehicle drives. The crown leans it towards the kerb."""
     crown_percent: Annotated[float, Meta(ge=0, le=5)] = 1.2
-    """Mean cross slope of the roads it uses, towards the kerb."""
+    """Mean cross slope of the roads, towards the kerb [%]."""
     crown_spread_percent: Annotated[float, Meta(gt=0, le=5)] = 0.65
-    """Spread of that mean from drive to drive."""
+    """Spread of the mean cross slope from drive to drive [%]."""
     wheelbase: Annotated[float, Meta(ge=0.5, le=15)] = default_vehicle.WHEELBASE
-    """[m]; turns the steering angle into a yaw rate where there is no other."""
+    """Wheelbase [m]. It converts the steering angle into a yaw rate if there is no other."""
     steering_ratio: Annotated[float, Meta(ge=1, le=100)] = default_vehicle.STEERING_RATIO
-    """Steering-wheel angle over road-wheel angle."""
+    """Ratio of steering-wheel angle to road-wheel angle."""
     track: Annotated[float, Meta(ge=0.5, le=5)] = default_vehicle.TRACK
-    """[m]; how much the wheels may differ in a curve."""
+    """Distance between left and right wheels [m]."""
 
     crown_mean = Part("crown_percent")
     crown_spread = Part("crown_spread_percent")
