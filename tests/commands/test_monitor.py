@@ -324,10 +324,10 @@ def test_what_is_not_learnt_from_is_a_row_where_there_is_something(status):
     def text() -> str:
         return "\n".join(drawn(lambda c: monitor_picture(status, [], c, Text("")), 120, 50))
 
-    assert "not learnt from" not in text()
+    assert "not used" not in text()
     left_out = {"signal": "speed", "cause": "stuck", "seconds": 12.0}
     status["details"]["not_learnt_from"] = [left_out]
-    assert "not learnt from  speed stuck 12 s" in text()
+    assert "not used  speed stuck 12 s" in text()
 
 
 def test_inputs_say_what_is_wrong_with_them(status):

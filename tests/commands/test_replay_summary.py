@@ -54,7 +54,7 @@ def test_a_sensor_that_sticks_is_reported_with_its_time(
     lines = replayed(capsys, tmp_path, STICKS_AT)
     assert the_one_event(lines).startswith("at 1:4")
     text = " ".join(line.strip() for line in lines)
-    left_out = text.partition("not learnt from")[2]
+    left_out = text.partition("not used for the mount")[2]
     assert "accelerometer no valid samples" in left_out
     assert "accelerometer stuck" in left_out
 

@@ -58,7 +58,7 @@ def test_what_no_road_of_the_next_class_leaves_is_reported_with_its_size():
     (one,) = found(3, 10.0)
     assert (one.signal, one.kind) == ("accel_z", LOUDER)
     assert one.size == pytest.approx(5.0, rel=0.5)
-    assert "times what the model file states" in one.text
+    assert "times the residual that the model file states" in one.text
 
 
 def test_what_the_road_does_not_shake_is_held_more_sharply():

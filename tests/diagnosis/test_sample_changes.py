@@ -66,7 +66,7 @@ def test_an_axis_that_is_shaken_otherwise_is_reported_with_its_ratio(times, word
     assert {(s.signal, s.kind) for s in left} >= {("accel_y", CHANGES_OTHERWISE)}
     one = next(s for s in left if s.signal == "accel_y")
     assert one.size == pytest.approx(max(times, 1 / times) / 2**0.5, rel=0.15)
-    assert "model file states" in one.text
+    assert "in the drives of the model file" in one.text
 
 
 def test_a_sensor_that_is_turned_is_held_against_the_vehicles_axes():

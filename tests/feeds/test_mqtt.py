@@ -81,7 +81,7 @@ def test_a_broker_that_comes_late_or_goes_is_waited_for(tmp_path, broker):
                     wait_until(lambda heard=heard: "acceleration" in heard, 20.0)
                     assert heard["online"] == "1"
                 broker.stop()
-            wait_until(lambda: any("is gone" in text for text in messages))
+            wait_until(lambda: any("has closed the connection" in text for text in messages))
     broker.start()
 
 
@@ -137,7 +137,7 @@ def test_a_wrong_password_is_reported_and_a_right_one_is_taken(tmp_path, monkeyp
             settings = MqttSettings("127.0.0.1", broker.port, "car", user="car")
             receiver = MqttReceiver(settings, messages.append)
             receiver.connect()
-            expected = {"wrong": "refuses us", "right": "takes car/#"}[password]
+            expected = {"wrong": "refuses the connection", "right": "takes car/#"}[password]
             wait_until(lambda expected=expected: any(expected in text for text in messages))
             receiver.close()
     finally:

@@ -85,7 +85,7 @@ def test_only_a_steep_mount_has_the_note():
 
 
 def test_only_a_mount_upside_down_and_backwards_that_nothing_confirmed_has_a_note():
-    unconfirmed = {"not_checked": ["whether all signs of the accelerometer are inverted"]}
+    unconfirmed = {"not_checked": ["inverted signs of the whole accelerometer"]}
     for angles in ((5, 180, -10), (-150, 14, -174), (180, 0, 170)):
         note = mirror_note(estimate(angles, details=unconfirmed))
         assert note is not None, angles

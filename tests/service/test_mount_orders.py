@@ -345,7 +345,7 @@ def test_a_control_socket_that_others_cannot_open_names_sudo(bench, capsys, monk
 @pytest.mark.parametrize("std", [1e-300, 1e-6, 0.0099])
 def test_a_mount_that_is_stated_finer_than_any_is_known_is_refused(tmp_path, std):
     service = Bench(tmp_path).service()
-    with pytest.raises(OrderError, match=r"no mount is known so well: it must be 0.01 deg"):
+    with pytest.raises(OrderError, match=r"too small for any mount: it must be 0.01 deg"):
         service.orders.set_mount(KnownMount(0.0, 0.0, 40.0, std), "root (pid 7)")
     assert "±0.02" in service.orders.set_mount(KnownMount(0.0, 0.0, 40.0, 0.01), "root (pid 7)")
     service.close()

@@ -184,7 +184,10 @@ def test_a_bus_before_that_cannot_be_closed_is_reported_and_the_reload_is_done(b
     assert bench.service.link is not before
     assert "not reloaded" not in bench.log.getvalue()
     assert "was read again" in bench.log.getvalue()
-    assert "what ran before the reload could not be stopped (RuntimeError" in bench.log.getvalue()
+    assert (
+        "the tasks from before the reload could not be stopped (RuntimeError"
+        in bench.log.getvalue()
+    )
     monkeypatch.undo()
     before.close()
 

@@ -124,7 +124,7 @@ def test_a_forged_file_with_a_right_checksum_is_set_aside_and_stops_no_start(cha
     forged(tmp_path, **changes)
     loaded = StateStore(tmp_path, KEY).load()
     assert loaded.state is None
-    assert "makes no sense" in loaded.problems[0]
+    assert "is not valid" in loaded.problems[0]
     assert len(list(tmp_path.glob("*.corrupt.1"))) == 1
 
 

@@ -220,7 +220,7 @@ def test_what_a_tester_did_is_in_the_log_and_the_status(bench, client):
     journal = bench.log.getvalue()
     for text in (
         "the calibration is started again",
-        "the former calibration is in force again",
+        "the former calibration is in use again",
         "the learnt mount is forgotten",
     ):
         assert re.search(rf"{text}.*\(by a tester on the bus\)", journal), text

@@ -22,7 +22,7 @@ LEAST_EVENTS = 3
 LONG_BAR = 60
 """Width of a bar [columns] if there is enough space."""
 FACTS = ("now", "losses", "rejected", "process")
-LEFT_OUT = "not learnt from"
+LEFT_OUT = "not used"
 """Title of a row that is shown only if it has content."""
 KIND_STYLES = {
     "alarm": "red",

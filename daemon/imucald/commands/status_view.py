@@ -169,7 +169,7 @@ def _rows(status: Mapping[str, Any]) -> dict[str, str | Text]:
         "signals": ", ".join(rates) or "none yet",
         "evidence": _evidence(status["details"]),
         "weights": _weights(status["details"]),
-        "not learnt from": left_out_words(status["details"]) or "nothing so far",
+        "not used": left_out_words(status["details"]) or "nothing so far",
         "frames": f"{frames['used']} used, {status['frames_given_out']} sent",
         "now": Text(wrong or well or "nothing wrong", style="red" if wrong else ""),
         "sensors": _sensors(status),

@@ -34,7 +34,7 @@ def by_names(candidates: Sequence[SeenSignal], found: set[str]) -> Iterator[Choi
     }
     if "wheel_speeds" not in found and set(wheels) == set(WHEELS):
         sources = {wheel: source_of(wheels[wheel]) for wheel in WHEELS}
-        yield Choice("wheel_speeds", sources, "four speeds, named so", WHY)
+        yield Choice("wheel_speeds", sources, "four speeds with names of wheels", WHY)
     if "speed" not in found:
         used = {c.path for c in wheels.values()}
         others = [c for c in candidates if c.path not in used]

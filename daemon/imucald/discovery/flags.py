@@ -50,7 +50,7 @@ def find_reverse(reference: KnownMotion, candidates: Sequence[SeenSignal]) -> Ch
             best = named_ones[0]
         text = (
             f"when it is {best.level:g}, accelerometer and change of speed have opposite "
-            f"signs (correlation {best.correlation:+.2f}); it never is above "
+            f"signs (correlation {best.correlation:+.2f}); it is never on above "
             f"{REVERSE_SPEED:g} m/s"
         )
         others = [

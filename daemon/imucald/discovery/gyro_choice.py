@@ -76,7 +76,7 @@ def _open_question(triad: Triad, fit: GyroFit) -> str:
     if signs[0] < 0 and not is_decided(fit, [o for o in orders if o[1] != signs]):
         return "the sign is not certain"
     if not triad.names_axes and not is_decided(fit, orders):
-        return "which axis is which is not certain"
+        return "the axis of each signal is not certain"
     return ""
 
 
@@ -95,8 +95,6 @@ def _evidence(triad: Triad, fit: GyroFit) -> str:
     if fit.order[1][0] < 0:
         words.append("its signs are opposite to those of the accelerometer axes")
     words.append(
-        "axes as named"
-        if triad.names_axes
-        else "which axis is which follows from turns and gravity"
+        "axes as named" if triad.names_axes else "turns and gravity show the axis of each signal"
     )
     return "; ".join(words)

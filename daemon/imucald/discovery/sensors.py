@@ -214,7 +214,7 @@ class Sensors:
         best = found[0]
         self.taken |= {m.path for m in best.members}
         text = f"{1e6 * best.size:.0f} uT"
-        doubt = "" if best.names_axes else "which axis is which is guessed from their order"
+        doubt = "" if best.names_axes else "the axes are guessed from the order of the signals"
         if not EARTH_FIELD[0] / 2.0 < best.size < EARTH_FIELD[1] * 2.0:
             doubt = "the magnetic field of the earth has 22 to 67 uT"
         return Choice("magnetometer", axes_of(best, best.unit.name), text, doubt)

@@ -128,7 +128,7 @@ def _by_turns(
         return (
             [0, 1, 2, 3],
             "the wheels are in the order of their bits",
-            "which is which wheel is not known",
+            "the wheel of each signal is not known",
         )
     front_left, rear_left, sure_left = _front_first(left, further)
     front_right, rear_right, sure_right = _front_first(right, further)
@@ -140,7 +140,7 @@ def _by_turns(
     left.sort()
     right.sort()
     order = [left[0], right[0], left[1], right[1]]
-    return order, text, "which wheels are the front ones is guessed from their order"
+    return order, text, "the front wheels are guessed from the order of the signals"
 
 
 def _front_first(pair: list[int], further: _Ends) -> tuple[int, int, bool]:

@@ -129,7 +129,7 @@ class DaemonSource:
             self._link = _opened(loaded, matches, str(link["interface"]), str(link["channel"]))
         except ImucaldError as error:
             self._wants_frames = False
-            self._say(f"{error}; only the status is sent on. Name the configuration with --config")
+            self._say(f"{error}; only the status is sent. Name the configuration with --config")
             return
         self._frames = frames
         self._say(f"listening on {link['channel']} for {', '.join(frames.names)}")

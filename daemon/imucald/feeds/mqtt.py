@@ -127,7 +127,7 @@ class MqttReceiver:
 
     def _connected(self, _client: Any, _user: Any, _flags: Any, code: Any, _more: Any) -> None:
         if code.is_failure:
-            self._report(f"refuses us: {code}")
+            self._report(f"refuses the connection: {code}")
             return
         self._reported = ""
         self._connected_at = time.monotonic()
@@ -138,7 +138,7 @@ class MqttReceiver:
         if code.is_failure:
             self._pause = next_pause(self._pause, time.monotonic() - self._connected_at)
             client.reconnect_delay_set(int(self._pause), int(LONGEST_PAUSE_S))
-            self._report(f"is gone: {code}")
+            self._report(f"has closed the connection: {code}")
 
     @property
     def _broker(self) -> str:

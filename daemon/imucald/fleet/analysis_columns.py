@@ -62,7 +62,7 @@ ANALYSIS: Final[dict[str, tuple[Column, ...]]] = {
         *floats("deg", "the same shrunk to the type", *(f"shrunk_{name}" for name in _ANGLES)),
         *_xyz("deg", "half of its 95 % interval, crown included", "shrunk_ci95_{}_deg"),
         *_xyz("", "weight of the vehicle's own data; 1: not shrunk", "weight_{}"),
-        *_xyz("deg", "first segment compared with its type, found batches taken out", "d_{}_deg"),
+        *_xyz("deg", "first segment compared with its type, without bad batches", "d_{}_deg"),
         *_TEST,
         Column("outlier", "flag", "", "differs clearly from its type"),
         *_CI95_OF_ANGLES,
@@ -102,7 +102,7 @@ ANALYSIS: Final[dict[str, tuple[Column, ...]]] = {
         *_xyz("deg", "turn about the vehicle's axes", "d_{}_deg"),
         *floats("deg", "its angle", "size_deg"),
         *_TEST,
-        Column("found", "flag", "", "q is at most 5 %, or the drive found it itself"),
+        Column("found", "flag", "", "true if q is at most 5 %, or a drive found the move"),
         *floats("s", "within a drive: from its log's first frame until it was found", "found_s"),
     ),
     "analysis/groups": (
@@ -116,7 +116,7 @@ ANALYSIS: Final[dict[str, tuple[Column, ...]]] = {
     ),
     "analysis/outliers": (
         *texts(vehicle="name", vehicle_type="as in drives", sensor_batch="as in drives"),
-        *_xyz("deg", "first segment compared with its type, found batches taken out", "d_{}_deg"),
+        *_xyz("deg", "first segment compared with its type, without bad batches", "d_{}_deg"),
         *floats("deg", "its angle", "size_deg"),
         *_TEST,
     ),

@@ -37,7 +37,7 @@ PAIRS: Final = ("xx", "xy", "xz", "yy", "yz", "zz")
 """Suffixes of the six elements of a symmetric matrix."""
 
 _VEHICLE = texts(
-    vehicle="as the rules of fleet.yaml say",
+    vehicle="by the rules of fleet.yaml",
     vehicle_type="model of the vehicle; all sensors of a type should have the same mount",
     sensor_serial="serial number",
     sensor_batch="batch of production",
@@ -61,11 +61,12 @@ TABLES: Final[dict[str, tuple[Column, ...]]] = {
         ),
         *_VEHICLE,
         *texts(
-            sources="addresses of the log, a JSON list", date="day of the log, or as the rules say"
+            sources="addresses of the log, a JSON list",
+            date=("day of the log, or of the rules of fleet.yaml"),
         ),
         Column("start", "time", "", "first frame, UTC; null where the log has no absolute time"),
-        Column("end", "time", "", "last frame of ours, UTC"),
-        *floats("s", "from the first frame of ours to the last", "duration_s"),
+        Column("end", "time", "", "last configured frame, UTC"),
+        *floats("s", "from the first configured frame to the last", "duration_s"),
         *floats("m", "by the speed", "distance_m"),
         *texts(state="state of the calibration at the end"),
         *floats("s", "from the log's first frame", "first_usable_s", "first_fine_s"),

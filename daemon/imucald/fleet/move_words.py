@@ -40,8 +40,8 @@ def why_not_known(vehicles: Iterable[Row]) -> str:
     if pairs >= LEAST_PAIRS:
         return ""
     return (
-        f"too few drives: {pairs} of the {LEAST_PAIRS} pairs (two drives of a vehicle in turn with "
-        "a known mount) that show what drives differ by without a move"
+        f"too few drives: {pairs} of the {LEAST_PAIRS} pairs of successive drives of a vehicle "
+        "(with known mounts) that show how drives differ without a move"
     )
 
 

@@ -68,12 +68,12 @@ with a speed error of 0.25 m/s.
 TURNS_IN_A_BLOCK = 1.0
 """Independent heading values per block: a block holds one turn at most."""
 NOT_CHECKED = (
-    "whether all signs of the accelerometer are inverted: this needs a yaw rate, steering angle, "
+    "inverted signs of the whole accelerometer: this check needs a yaw rate, steering angle, "
     "lateral acceleration or heading, or 'calibration: {orientation: {up: ...}}'"
 )
 NOT_CONFIRMED = (
-    "whether all signs of the accelerometer are inverted: a yaw rate, steering angle or lateral "
-    "acceleration with 'sign: -1' cannot show it; state the axis that reads +1 g at rest: "
+    "inverted signs of the whole accelerometer: a yaw rate, steering angle or lateral "
+    "acceleration with 'sign: -1' cannot show them. State the axis that reads +1 g at rest: "
     "'calibration: {orientation: {up: ...}}'"
 )
 

@@ -107,8 +107,10 @@ class StandingFault(enum.StrEnum):
 WORDS = {
     StandingFault.TURN_YAW_RATE: "the gyroscope contradicts the vehicle's yaw rate: one of "
     "them has a wrong sign, or axes of the gyroscope or accelerometer are exchanged",
-    StandingFault.TURN_STEERING: "the vehicle does not turn the way it is steered: the "
-    "steering angle or the sensor has a wrong sign, or it reverses without a reverse signal",
+    StandingFault.TURN_STEERING: (
+        "the vehicle turns against the steering angle: the steering angle or the sensor has a "
+        "wrong sign, or the vehicle reverses without a reverse signal"
+    ),
     StandingFault.FORCE_TURNS: "the lateral force does not match speed times turn rate: the "
     "accelerometer or gyroscope has a wrong sign or exchanged axes, or the sensor moves",
     StandingFault.FORCE_SPEED: "the forward force does not follow the change of speed",

@@ -18,7 +18,8 @@ SD_95 = 2.0
 """Half of a 95 % interval in standard deviations, everywhere that people read "±"."""
 CONVENTION = "± is 95 % (two standard deviations)"
 ABOUT = (
-    f"{CONVENTION}; states are judged by what is left in corrected samples, as turns about an axis"
+    f"{CONVENTION}; the state depends on the error left in corrected samples, as turns about an "
+    "axis"
 )
 """Text that stands once on each screen that shows a mount."""
 VEHICLE_AXES = ("forward axis", "left axis", "up axis")

@@ -63,7 +63,7 @@ CLEAR_STD = math.radians(20.0)
 """An angle with a larger deviation does not show how far a stated mount is off [rad]."""
 HELD = "the end of the hold (imucald release)"
 HELD_BY_CONFIGURATION = (
-    "the end of the hold by the configuration ('calibration: mount: hold: true')"
+    "the end of the hold in the configuration ('calibration: mount: hold: true')"
 )
 """Text: what a held mount waits for."""
 

@@ -227,13 +227,13 @@ def saved_from(content: object) -> SavedInformation:
     """
     try:
         if not isinstance(content, Mapping) or not isinstance(content["without_speed"], bool):
-            raise TypeError("not of our making")
+            raise TypeError("not written by imucald")
         R = np.array(_numbers(content["rotation"], 9)).reshape(3, 3)
         if np.abs(orthonormalised(R) - R).max() > ROTATION_TOLERANCE or np.linalg.det(R) < 0.0:
             raise ValueError("no rotation")
         sources = {str(name): _source(str(name), p) for name, p in content["kinds"].items()}
     except (KeyError, TypeError, ValueError, AttributeError, np.linalg.LinAlgError) as error:
-        raise EstimateError(f"kept evidence makes no sense ({error})") from None
+        raise EstimateError(f"the saved evidence cannot be used ({error})") from None
     return SavedInformation(R, content["without_speed"], sources)
 
 

@@ -209,10 +209,7 @@ def _advice(diagnosis: Diagnosis) -> str:
         return f" The extended model file is not recommended: it predicts {names} worse."
     if not diagnosis.gain.was_fitted:
         return " The model file does not change."
-    return (
-        " The extended model file is not recommended: it does not predict data better that "
-        "were not fitted."
-    )
+    return " The extended model file is not recommended: it does not predict held-out data better."
 
 
 def advice_in_short(diagnosis: Diagnosis) -> tuple[str, str]:

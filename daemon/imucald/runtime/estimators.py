@@ -91,9 +91,7 @@ def known_mount(mount: KnownMount, targets: Targets | None) -> StoredMount:
 
     std, state = np.array(mount.std), MountState.USABLE
     if (finest := std.min()) < FINEST_STATED:
-        text = (
-            f"{math.degrees(finest):.3g} deg is too small, no mount is known so well: it must be "
-        )
+        text = f"{math.degrees(finest):.3g} deg is too small for any mount: it must be "
         raise EstimateError(f"{text}{math.degrees(FINEST_STATED):g} deg or more")
     if targets is not None:
         for s, limit, axis in zip(std, targets.usable, "xyz", strict=True):

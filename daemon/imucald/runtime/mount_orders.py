@@ -153,7 +153,7 @@ class MountOrders:
         pipeline = self._service.engine.pipeline
         pipeline.first_usable, pipeline.first_fine = first
         self._former = None
-        self._logged(who, "the former calibration is in force again")
+        self._logged(who, "the former calibration is in use again")
         return True
 
     def accept(self) -> None:
@@ -196,8 +196,8 @@ def _not_on_the_disk(reason: str) -> str:
     if not reason:
         return ""
     return (
-        f"; NOT SAVED YET ({reason}): a restart would bring the former mount back. Removing "
-        "the saved state is tried every 10 s"
+        f"; NOT SAVED YET ({reason}): a restart would bring the former mount back. imucald tries "
+        "to remove the saved state every 10 s"
     )
 
 
@@ -206,5 +206,6 @@ def _not_saved(reason: str) -> str:
     if not reason:
         return ""
     return (
-        f"; NOT SAVED YET ({reason}): a restart would undo this order. Saving is tried every 10 s"
+        f"; NOT SAVED YET ({reason}): a restart would undo this order. imucald tries to save it "
+        "every 10 s"
     )

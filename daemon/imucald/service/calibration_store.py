@@ -44,7 +44,7 @@ STOP_WAIT_S = 0.6
 """Longest wait for the disk at a stop [s]; a stop has one second in all."""
 
 BACK_AFTER_START = (
-    "this is tried again until it works; a restart before then would bring the old state back"
+    "imucald tries again until it succeeds; a restart before then would bring the old state back"
 )
 """Text for a reset that the disk does not take."""
 

@@ -230,7 +230,9 @@ class Service:
             try:
                 end()
             except Exception as error:  # of a driver, say
-                text = f"what ran before the reload could not be stopped ({type(error).__name__}"
+                text = (
+                    f"the tasks from before the reload could not be stopped ({type(error).__name__}"
+                )
                 self.journal.say(f"{text}: {error})", WARNING)
 
     def close(self) -> None:

@@ -251,7 +251,7 @@ class StateStore:
         generation, key, state = decoded(read_regular(path, MAX_BYTES))
         if key != self.key:
             word = "vehicle" if key.vehicle != self.key.vehicle else "sensor"
-            raise _NotBelievedError(f"other-{word}", f"it is of another {word}")
+            raise _NotBelievedError(f"other-{word}", f"it belongs to another {word}")
         return generation, state
 
     def _set_aside(self, path: Path, reason: _NotBelievedError) -> str:
@@ -317,7 +317,7 @@ def decoded(data: bytes) -> tuple[int, StateKey, SavedState]:
             raise ValueError("generation")
         return generation, key, _state_from(content)
     except Exception as error:  # whatever a file holds: without it the start goes on
-        text = f"its content makes no sense ({type(error).__name__}: {error})"
+        text = f"its content is not valid ({type(error).__name__}: {error})"
         raise _NotBelievedError("corrupt", text) from None
 
 

@@ -32,7 +32,7 @@ class Dtc:
 
 FAULTS: Final = {
     "saturated": (0x22, "many of its values are at the end of its range"),
-    "stuck": (0x2A, "it, or one of its axes, repeats the same value"),
+    "stuck": (0x2A, "one or more of its axes repeat the same value"),
     "implausible": (0x64, "its values are impossible for a road vehicle, or its unit is wrong"),
 }
 """Faults of sensors: failure type (signal amplitude above its maximum, signal stuck in range,
@@ -51,7 +51,7 @@ FAULTY: Final = {
     )
 }
 """The DTC of each fault, by sensor or signal."""
-NOT_CALIBRATED = Dtc(0x5A1054, "not_calibrated", "no correction is in force", NOT_CALIBRATED_S)
+NOT_CALIBRATED = Dtc(0x5A1054, "not_calibrated", "there is no correction", NOT_CALIBRATED_S)
 SENSOR_MOVED = Dtc(0x5A1176, "sensor_moved", "the sensor seems to have been moved")
 ACCELEROMETER_MISSING = Dtc(0x5A1287, "accelerometer_missing", "no good sample for a second")
 GYROSCOPE_MISSING = Dtc(0x5A1387, "gyroscope_missing", "no good sample for a second")

@@ -131,8 +131,8 @@ def _row(name: str, i: int) -> FamilyRow:
         rougher,
         lambda middle, more: (
             f"in half of the segments its changes over {lag} at {rate} Hz are {middle:.2g} times "
-            f"those of the other axes and more, {np.exp(more):.2g} times what the model file "
-            "states of its own drives; a road shakes all axes, and each at most "
+            f"those of the other axes or more. That is {np.exp(more):.2g} times as much as in "
+            "the drives of the model file. A road shakes all axes, and one axis at most "
             f"{ROUGHER:.2g} times as much as another"
         ),
         start=rougher,
@@ -177,9 +177,9 @@ def _missing(signal: Numbers) -> Iterator[Question]:
     k = int(np.argmin(chance))
     many, size = int(all_[k]), float(half[k] * step)
     text = (
-        f"of {many} changes by up to {2.0 * size:.2g} {signal.unit} from one sample to the "
-        f"next {100.0 * below[k] / max(many, 1):.2g} % are below {size:.2g}; of any motion it "
-        "would be a third or more. The signal keeps a value until it is wrong by that much"
+        f"{many} changes from one sample to the next are at most {2.0 * size:.2g} {signal.unit}. "
+        f"{100.0 * below[k] / max(many, 1):.2g} % of them are below {size:.2g}; with any motion, "
+        "a third or more would be. The signal keeps a value until its error is that large"
     )
     p = min(1.0, float(chance[k]) * len(half))
     # Below the noise, the steps of a coarse converter show instead.

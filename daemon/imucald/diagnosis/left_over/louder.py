@@ -66,10 +66,10 @@ def _row(name: str, band: int) -> FamilyRow:
     return FamilyRow(
         road,
         lambda middle, more: (
-            f"between {low:g} and {high:g} Hz half of the segments leave {middle:.2g} "
-            f"{UNITS[name]} and more, {np.exp(more):.2g} times what the model file states of its "
-            f"own drives, where a road of the next class leaves {ROAD_CLASS:g} times as much: "
-            "something acts there that the file does not know"
+            f"between {low:g} and {high:g} Hz the residual of half of the segments is at least "
+            f"{middle:.2g} {UNITS[name]}. That is {np.exp(more):.2g} times the residual that the "
+            f"model file states. A road of the next class gives {ROAD_CLASS:g} times as much. "
+            "Something acts there that the model file does not contain"
         ),
         start=road * is_shaken,
     )

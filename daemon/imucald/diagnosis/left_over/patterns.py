@@ -241,7 +241,7 @@ def _asked(name: str, gram: Grams) -> Iterator[Question]:
             limit = _gain(name) * float(np.sqrt(squares[:, 1].mean()))
         is_large = abs(value) * unit > limit
         size = abs(value) * (rms if shape in (LATE, TURNING) else unit)
-        text = f"what is left {SHAPES[shape]}: {size:.2g} {UNITS[name]}, {sigma:.1f} deviations"
+        text = f"the residual {SHAPES[shape]}: {size:.2g} {UNITS[name]}, {sigma:.1f} deviations"
         rare = chance_of_large(limit, abs(value) * unit / max(sigma, 1e-300), free, 0.0)
         structure = Structure(name, kind, sigma, text)
         yield Question(p, gain > SINGLE_NATS and is_large, structure, rare)

@@ -32,8 +32,8 @@ CHANCE = 0.01
 """Chance that by noise alone more than one segment in fifteen exceeds the assumed noise."""
 OF_MEDIAN = 2.0 / np.pi
 """Ratio of the variances of mean and median for normal variables."""
-SHARES = {15: "one segment in fifteen leaves", 4: "one segment in four leaves",
-          2: "half of the segments leave"}  # fmt: skip
+SHARES = {15: "one segment in fifteen has", 4: "one segment in four has",
+          2: "half of the segments have"}  # fmt: skip
 FLAT = ("accel_x", "longitudinal_accel", "gyro_z", "yaw_rate", "speed")
 """Equations that contain no unevenness of the road."""
 FAR = 6.0
@@ -73,8 +73,8 @@ def uneven(problem: Problem, drift: Hypothesis | None) -> list[Structure]:
         size = float(over[n - few - 1])
         if size > 1.0:
             text = (
-                f"one segment in fifteen leaves {np.sqrt(size):.2g} times the residual of a "
-                "correct file, not counting noise: something acts only in these segments"
+                f"one segment in fifteen has {np.sqrt(size):.2g} times the residual of a correct "
+                "file, noise not counted: something acts only in these segments"
             )
             found.append(Structure(name, UNEVEN, float(np.sqrt(size)), text))
     return found
@@ -118,10 +118,10 @@ def _of_equation(name: str, rms: Array, file: Leaves) -> Iterator[Question]:
         own = max(float(spread[i] * stdtrit(known[i], 1.0 - k / (n + 1.0))), 0.0)
         text = (
             f"between {low:g} and {high:g} Hz {counted[k]} at least {np.exp(x):.2g} times the "
-            "median residual of the drives of the model file. In those drives, as many "
-            f"segments leave {np.exp(own):.2g} times the median, and a road of the next class "
-            f"makes {ROAD_CLASS:g} times as much. Something acts there that the model file "
-            "does not contain"
+            "median residual of the drives of the model file. In those drives, the same share of "
+            f"segments has {np.exp(own):.2g} times the median. A road of the next class gives "
+            f"{ROAD_CLASS:g} times as much. Something acts there that the model file does not "
+            "contain"
         )
         structure = Structure(name, LOUDER, float(np.exp(x - own)) / ROAD_CLASS, text)
         is_large = bool(x - own - lasting[i] > np.log(ROAD_CLASS))

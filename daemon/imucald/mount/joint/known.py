@@ -148,11 +148,11 @@ class KnownSensor(NamedTuple):
         """
         R = self.rotation
         if np.abs(R_vehicle_from_sensor - R).max() > APART:
-            raise EstimateError("what was kept of the sensor is about another mount")
+            raise EstimateError("the saved data of the sensor belong to another mount")
         mean, _ = self._about(R, Priors())
         mixed, tilted = own_matrices(mean)
         if not are_of_a_sensor(mixed, tilted):
-            raise EstimateError("what was kept of the sensor is that of no sensor")
+            raise EstimateError("the saved data of the sensor are impossible for a sensor")
         zero = np.concatenate([mean[ZERO] * GRAVITY, [0.0]])
         force = solved(mixed, R)
         rate = solved(tilted, R)
@@ -180,7 +180,7 @@ def known_from(content: object) -> KnownSensor:
     """
     try:
         if not isinstance(content, Mapping):
-            raise TypeError("not of our making")
+            raise TypeError("not written by imucald")
         rotation = _numbers(content["rotation"], 9).reshape(3, 3)
         mean = _numbers(content["mean"], TERMS)
         covariance = np.zeros((TERMS, TERMS))
@@ -194,7 +194,7 @@ def known_from(content: object) -> KnownSensor:
         if np.diag(covariance).min() <= 0.0:
             raise ValueError("known without an error")
     except (KeyError, TypeError, ValueError, AttributeError, np.linalg.LinAlgError) as error:
-        raise EstimateError(f"what was kept of the sensor makes no sense ({error})") from None
+        raise EstimateError(f"the saved data of the sensor cannot be used ({error})") from None
     return KnownSensor(rotation, mean, np.asarray((axes * np.maximum(values, 0.0)) @ axes.T))
 
 

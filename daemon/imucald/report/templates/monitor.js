@@ -123,7 +123,7 @@ function show(live) {
   byId("inputs").innerHTML = live.inputs.map(inputRow).join("");
   const f = live.frames, rejected = Object.entries(live.rejected).map(([k, n]) => `${k.replace(/_/g, " ")} ${n}`).join(", ") || "none";
   byId("frames").className = f.conflicts ? "bad" : "";
-  byId("frames").textContent = `${f.used} frames used, ${f.given_out} given out, ${f.lost} lost, ${f.not_sent} not sent, ${f.conflicts} in conflict; rejected: ${rejected}${live.left_out ? `; not learnt from: ${live.left_out}` : ""}`;
+  byId("frames").textContent = `${f.used} frames used, ${f.given_out} given out, ${f.lost} lost, ${f.not_sent} not sent, ${f.conflicts} in conflict; rejected: ${rejected}${live.left_out ? `; not used for the mount: ${live.left_out}` : ""}`;
   byId("eventrows").innerHTML = [...live.events].reverse().map((e) => `<tr><td class="n">${e.at}</td><td>${e.kind}</td><td>${escaped(e.text)}</td></tr>`).join("");
   byId("note").textContent = live.note;
   showHistory(live.history);
