@@ -10,6 +10,7 @@ import pytest
 from msgspec.structs import replace
 
 from imucald.mount.acceptance import WHY_GRAVITY_MOVED
+from imucald.mount.alternatives import NO_TURNS
 from imucald.mount.estimate import ANGLES, Missing, MountState
 from imucald.mount.estimator_settings import EstimatorSettings
 from imucald.mount.explanation import waiting_reasons
@@ -73,6 +74,11 @@ def test_reasons_are_those_of_the_next_state():
 def test_the_larger_cross_talk_says_what_to_drive(xy, yx, text, code):
     found = waiting_for(level(0.3, xy, yx), SETTINGS, MountState.LEVELLED)
     assert found == {"yaw": (f"{text} (up axis ±3 deg, usable below ±2 deg)", code)}
+
+
+def test_no_bend_is_asked_for_where_no_signal_shows_turns():
+    found = waiting_for(replace(level(0.3, 1.5, 0.2), turning=False), SETTINGS)
+    assert found["yaw"] == (NO_TURNS, Missing.TURNS)
 
 
 def test_a_level_zero_that_may_drift_waits_for_bends():

@@ -275,15 +275,23 @@ def _yaw_reason(known: MountKnowledge, goal: _Goal, s: EstimatorSettings) -> tup
         return text, Missing.ACCELERATION
     far = goal.far(2, known.std[2])
     if known.cross_talk is not None:
-        xy, yx = known.cross_talk
-        if math.isinf(xy):
-            return f"{_hard()}, and bends", Missing.ACCELERATION
-        return (f"bends{far}", Missing.TURNS) if xy >= yx else (_hard() + far, Missing.ACCELERATION)
+        return _cross_talk_reason(known, *known.cross_talk, far)
     if known.yaw_seen < goal.yaw < known.cross_axis and known.driven_s > LONG_S:
         return _mixed_axes(known), Missing.OTHER
     if goal.state is MountState.USABLE:
         return f"more {_hard()} ({known.straight} seen)", Missing.ACCELERATION
     return f"more driving{far}", Missing.MORE_DRIVING
+
+
+def _cross_talk_reason(
+    known: MountKnowledge, xy: float, yx: float, far: str
+) -> tuple[str, Missing]:
+    """Return what reduces the larger cross-talk: bends show xy, changes of speed show yx."""
+    if math.isinf(xy):
+        return f"{_hard()}, and bends", Missing.ACCELERATION
+    if xy < yx:
+        return _hard() + far, Missing.ACCELERATION
+    return f"bends{far}" if known.turning else NO_TURNS, Missing.TURNS
 
 
 def _mixed_axes(known: MountKnowledge) -> str:
