@@ -236,7 +236,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def _limit_words(error: Exception) -> str | None:
-    """Which limit of this process is reached, and what to do; None where it is none."""
+    """Which limit of this process is reached, and what to do; None if it is none."""
     number = error.errno if isinstance(error, OSError) else None
     if number in TOO_MANY_FILES:
         return "too many open files: raise the limit of this process (ulimit -n)"

@@ -57,7 +57,7 @@ class DriveStream:
 
     @property
     def ended(self) -> bool:
-        """Whether the last part was yielded. If True, `result` is available."""
+        """True if the last part was yielded. If True, `result` is available."""
         return self._result is not None
 
     @property

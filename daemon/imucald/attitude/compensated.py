@@ -29,7 +29,7 @@ class CompensatedAttitude:
         self.settings = settings or AttitudeSettings()
         self.motion_compensation = MotionCompensation(self.settings.compensation)
         self.checked = False
-        """Whether the gyroscope's zero error has been measured at rest."""
+        """True if the gyroscope's zero error has been measured at rest."""
         self._rest = RestingGyro(self.settings.filter)
         self._lost_time = LostTime()
         self._carried = CarriedAngles(
@@ -57,7 +57,7 @@ class CompensatedAttitude:
 
     @property
     def running(self) -> bool:
-        """Whether an attitude is available."""
+        """True if an attitude is available."""
         return self._last is not None
 
     @property

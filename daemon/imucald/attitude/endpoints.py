@@ -39,7 +39,7 @@ class EndpointMaker:
         self._recent: deque[AverageSpeed] = deque(maxlen=MAX_ENDPOINTS)
         self._piece: IntegralSnapshot | None = None
         self.has_pieces = False
-        """Whether pieces were taken within the open interval or the one that has just closed."""
+        """True if pieces were taken within the open interval or the one that has just closed."""
         self._sign = 1.0
 
     def speed(self, t: float, speed: float) -> None:

@@ -29,7 +29,7 @@ class AttitudeState(enum.IntEnum):
 
 @dataclass(frozen=True)
 class AttitudeEstimate:
-    """The attitude at the newest gyroscope sample; vehicle axes, radians; NaN where not known.
+    """The attitude at the newest gyroscope sample; vehicle axes, radians; NaN if not known.
 
     roll (left side up), pitch (nose down), heading (clockwise from north, or from the start where
     `state` says so), and std of the three. rate: (x, y, z) without bias [rad/s], with rate_std.

@@ -119,7 +119,7 @@ class AttitudeFilter:
         self.constant_accel_error: Vector = (0.0, 0.0, 0.0)
         """ds of the publication [m/s^2], right-forward-up axes."""
         self.checked = False
-        """Whether the sensor check has been made."""
+        """True if the sensor check has been made."""
         self._check_is_restored = False  # since then the gyroscope has been off, or has warmed up
         self._propagator = Propagator(
             of_filter.longest_step, rfu_from_vehicle(*compensation.lever_arm)
@@ -289,7 +289,7 @@ class AttitudeFilter:
 
     @property
     def heading_is_doubted(self) -> bool:
-        """Whether the source of heading contradicts the gyroscope, or did so and is not accepted
+        """True if the source of heading contradicts the gyroscope, or did so and is not accepted
         again.
         """
         return self._source.doubt > 0.0

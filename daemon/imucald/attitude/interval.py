@@ -53,7 +53,7 @@ class Interval(NamedTuple):
 
 
 class Endpoint(NamedTuple):
-    """An end of an interval: the integrals there and the speed [m/s], NaN where unknown.
+    """An end of an interval: the integrals there and the speed [m/s], NaN if unknown.
 
     age: age of the speed, if it is older than this instant [s].
     """

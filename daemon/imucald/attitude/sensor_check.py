@@ -29,7 +29,7 @@ class CheckResult(NamedTuple):
 
     @property
     def is_believable(self) -> bool:
-        """Whether these are errors of working sensors; larger errors, or NaN, mean a broken one."""
+        """True if these are errors of working sensors; larger errors, or NaN, mean a broken one."""
         return all(
             abs(c) <= limit
             for values, limit in ((self.rate, LARGEST_RATE), (self.force, LARGEST_FORCE))
@@ -58,7 +58,7 @@ class CheckResult(NamedTuple):
 
     @classmethod
     def from_saved(cls, data: object) -> CheckResult | None:
-        """Return the check in a saved state; None where it is not a check of a working sensor."""
+        """Return the check in a saved state; None if it is not a check of a working sensor."""
         if not isinstance(data, Mapping):
             return None
         rate, force = data.get("rate"), data.get("force")

@@ -71,7 +71,7 @@ class Angle:
 
     @property
     def inside(self) -> bool:
-        """Whether the truth is within the 95 % interval."""
+        """True if the truth is within the 95 % interval."""
         return abs(self.error) <= SD_95 * self.std
 
 

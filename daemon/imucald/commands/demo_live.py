@@ -64,7 +64,7 @@ class SimulatedBus:
         self._thread.start()
 
     def is_over(self) -> bool:
-        """Whether the last frame was sent. A busy machine needs longer than the drive."""
+        """True if the last frame was sent. A busy machine needs longer than the drive."""
         return not self._thread.is_alive()
 
     def close(self) -> None:

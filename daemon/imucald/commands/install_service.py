@@ -106,7 +106,7 @@ def _write(path: Path, text: str) -> None:
 
 
 def _refuse_hidden(programs: Iterable[str]) -> None:
-    """Raise ConfigError where a unit could not see one of these files, or what it links to."""
+    """Raise ConfigError if a unit could not see one of these files, or what it links to."""
     for program in map(Path, filter(os.path.isabs, programs)):
         for path in (program, program.resolve()):
             if hiding := [str(folder) for folder in HIDDEN if path.is_relative_to(folder)]:

@@ -104,7 +104,7 @@ class LiveState:
 
     @property
     def is_begun(self) -> bool:
-        """Whether a daemon has answered."""
+        """True if a daemon has answered."""
         return self._status is not None
 
     def fail(self, error: Exception) -> None:

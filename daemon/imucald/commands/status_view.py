@@ -124,7 +124,7 @@ def headline(status: Mapping[str, Any], trouble: str = "") -> Text:
 
 
 def is_stale(status: Mapping[str, Any], trouble: str = "") -> bool:
-    """Whether no frames flow now, so nothing may be shown as good; trouble: see `headline`."""
+    """True if no frames flow now, so nothing may be shown as good; trouble: see `headline`."""
     return bool(trouble) or flow(status).kind in SILENT
 
 

@@ -36,7 +36,7 @@ class RawSource(Settings, frozen=True, kw_only=True):
 
     @property
     def is_extended(self) -> bool:
-        """Whether the identifier has 29 bits."""
+        """True if the identifier has 29 bits."""
         return self.extended or self.id > STANDARD_ID_MAX
 
 

@@ -100,7 +100,7 @@ def impossible(config: Keys) -> Iterator[tuple[Place, str]]:
 
 
 def _is_level(config: Keys) -> bool:
-    """Whether the accelerometer and its parallel sensors count as level."""
+    """True if the accelerometer and its parallel sensors count as level."""
     calibration = config.calibration
     published = calibration.estimator == "published"
     planar = config.signals.accelerometer[0].z is None

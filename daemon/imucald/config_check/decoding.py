@@ -97,7 +97,7 @@ class Decoding:
     announced: Mapping[tuple[str, int], int] = field(default_factory=dict)
     """Length [bytes] of each message announced by J1939 transport frames, by (channel, id)."""
     drives: bool = False
-    """Whether the vehicle drives for at least a minute. In this time, every sensor axis changes."""
+    """True if the vehicle drives for at least a minute. In this time, every sensor axis changes."""
 
     def findings(self) -> Iterator[Finding]:
         """Yield all findings, in no particular order."""
@@ -361,7 +361,7 @@ def counts_text(reasons: Counter[str]) -> str:
 
 
 def never_changes(source: QuantitySource) -> bool:
-    """Whether an axis of accelerometer or gyroscope always has the same value."""
+    """True if an axis of accelerometer or gyroscope always has the same value."""
     values = source.statistics.si
     is_sensor = source.wanted.channel in ("accel", "gyro")
     return is_sensor and values.count >= MIN_EQUAL_VALUES and values.least == values.largest

@@ -48,7 +48,7 @@ class Finding:
 
 
 def is_beyond(gain: float, limit: float) -> bool:
-    """Whether the size of a gain (ideally 1) is above a limit or below its inverse."""
+    """True if the size of a gain (ideally 1) is above a limit or below its inverse."""
     return not 1.0 / limit < abs(gain) < limit
 
 

@@ -235,7 +235,7 @@ def _constant_speed(motion: Motion) -> Iterator[Finding]:
 
 
 def _is_driven_both_ways(motion: Motion) -> bool:
-    """Whether the force varies along two horizontal directions by more than slopes cause.
+    """True if the force varies along two horizontal directions by more than slopes cause.
 
     Bends change the force along one direction. Only a change of speed or a slope changes it along
     the other.
@@ -337,7 +337,7 @@ def _at_rest(motion: Motion, unit_advice: str | None) -> Iterator[Finding]:
 
 
 def _lacks_gravity(accel: Array, size: float) -> bool:
-    """Whether readings (n, 3) usually change by more than the size of their mean. No unit can make
+    """True if readings (n, 3) usually change by more than the size of their mean. No unit can make
     such readings those of a vehicle.
 
     A wrong unit changes mean and variation by the same factor. So the vehicle would have an average

@@ -152,7 +152,7 @@ class Motion:
 
     @property
     def drives(self) -> bool:
-        """Whether the vehicle drives for at least a minute, according to its speed."""
+        """True if the vehicle drives for at least a minute, according to its speed."""
         if self.speed is None:
             return False
         return int(np.count_nonzero(np.abs(self.speed) > DRIVING_SPEED)) >= DRIVEN_TICKS

@@ -53,16 +53,16 @@ class Relation:
 
     @property
     def is_believed(self) -> bool:
-        """Whether the two are certainly related, if selected among all signals of a bus."""
+        """True if the two are certainly related, if selected among all signals of a bus."""
         return self.is_believed_of(MANY)
 
     def is_believed_of(self, comparisons: int) -> bool:
-        """Whether the two are certainly related, if they are the best of `comparisons` pairs."""
+        """True if the two are certainly related, if they are the best of `comparisons` pairs."""
         return self.z >= believed_z(comparisons)
 
     @property
     def is_same_motion(self) -> bool:
-        """Whether most of the motion in both is certainly the same (the daemon's criterion)."""
+        """True if most of the motion in both is certainly the same (the daemon's criterion)."""
         return abs(self.correlation) >= LIKE and self.is_believed_of(1)
 
     @property
@@ -87,7 +87,7 @@ def believed_z(comparisons: int) -> float:
 
 
 def is_better(a: Relation, b: Relation) -> bool:
-    """Whether one relation is stronger than another beyond chance (Fisher's z, z = 2)."""
+    """True if one relation is stronger than another beyond chance (Fisher's z, z = 2)."""
     if a.independent <= 4.0 or b.independent <= 4.0:
         return a.z > b.z
     spread = math.sqrt(1.0 / (a.independent - 3.0) + 1.0 / (b.independent - 3.0))

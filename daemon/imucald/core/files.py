@@ -26,7 +26,7 @@ MAX_ASIDE = 8
 def write_file(path: Path, data: bytes, mode: int | None = None) -> None:
     """Replace a file by one that is safely on the disk.
 
-    Raises OSError where that fails; nothing is lost then.
+    Raises OSError if that fails; nothing is lost then.
 
     mode: its permissions, if they differ from those of new files.
 
@@ -47,7 +47,7 @@ def write_file(path: Path, data: bytes, mode: int | None = None) -> None:
 def put_in_place(unfinished: Path, path: Path) -> None:
     """Give a finished file its final name; a folder of that name is set aside.
 
-    Raises OSError where that fails; the unfinished file is then removed.
+    Raises OSError if that fails; the unfinished file is then removed.
     """
     try:
         try:

@@ -188,7 +188,7 @@ def extended(
 
 
 def _is_plain(model: VehicleModel, key: str) -> bool:
-    """Whether a key stands for a single number of the file, or for the wheels' scale."""
+    """True if a key stands for a single number of the file, or for the wheels' scale."""
     if key.endswith("delay_s"):
         return False
     section, _, name = key.partition(".")

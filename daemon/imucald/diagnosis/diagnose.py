@@ -262,7 +262,7 @@ def _odd(parts: Sequence[DriveSignals], model: VehicleModel) -> list[Structure]:
 
 
 def _is_owed(fault: Fault, odd: Sequence[Structure]) -> bool:
-    """Whether other structure in the same signal may explain a fault. Rails, constant values and
+    """True if other structure in the same signal may explain a fault. Rails, constant values and
     repeated frames are found from the sequence of samples. They prove nothing if something between
     sensor and log has changed that sequence."""
     if fault.cause not in READ_FROM_VALUES:
@@ -274,7 +274,7 @@ def _is_owed(fault: Fault, odd: Sequence[Structure]) -> bool:
 def _is_recommended(
     causes: Sequence[FoundCause], gain: Gain, left: Sequence[Structure], changes: bool
 ) -> bool:
-    """Whether the written file predicts data outside its fit better, or states directly read facts.
+    """True if the written file predicts data outside its fit better, or states directly read facts.
     In both cases the fit must also be trustworthy."""
     if not (causes and changes) or any(s.kind in UNBELIEVED for s in left):
         return False
@@ -368,7 +368,7 @@ def _is_off(rest: Rest, model: VehicleModel) -> bool:
 
 
 def _shows_zero(left: Sequence[Structure]) -> bool:
-    """Whether the gyroscope's mean at stops is its zero for the whole drive. It is not if that mean
+    """True if the gyroscope's mean at stops is its zero for the whole drive. It is not if that mean
     may be a value that the sensor shows for all small rates, or if the zero changes during the
     drive."""
     gyro = [s for s in left if s.signal.startswith("gyro") or s.parameter.startswith("gyro.bias")]

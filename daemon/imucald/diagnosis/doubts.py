@@ -116,7 +116,7 @@ def unexplained(left: Sequence[Structure]) -> set[str]:
 
 
 def _may_be_a_low_pass(table: Table | None, trial: Trial, delays: Mapping[str, float]) -> bool:
-    """Whether a found gain may be the amplitude loss of a low-pass that also shows as a found delay
+    """True if a found gain may be the amplitude loss of a low-pass that also shows as a found delay
     x. At frequency w such a filter leaves 1/sqrt(1 + (w x)^2), so about (w x)^2/2 is missing. w^2
     is the ratio of the delay column's energy to the gain column's energy, both with all parameters
     that move with them, over the equations in which the gain shows."""

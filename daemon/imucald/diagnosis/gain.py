@@ -89,7 +89,7 @@ def _weighted_losses(before: Table, after: Table) -> Array:
 
 
 def _is_worse(before: Table, after: Table, name: str, x: Array) -> bool:
-    """Whether an equation is worse by two standard errors of the difference over blocks, and by
+    """True if an equation is worse by two standard errors of the difference over blocks, and by
     more than 1 %."""
     z = np.concatenate([np.ones((after.blocks, 1)), -x], axis=1)
     new = np.einsum("bi,bkij,bj->b", z, after.plain[name], z)

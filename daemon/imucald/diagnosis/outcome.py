@@ -357,7 +357,7 @@ def of_signal(
 
 
 def _is_of(signal: str, equation: str) -> bool:
-    """Whether an equation predicts this signal, or one of its axes."""
+    """True if an equation predicts this signal, or one of its axes."""
     measured = TAKES[equation] if equation == "speed" else TAKES[equation][:1]
     return signal == equation or (signal not in TAKES and signal.startswith(measured))
 

@@ -95,7 +95,7 @@ def read_samples(
 
 
 def is_same_recording(one: Recording, other: Recording) -> bool:
-    """Whether two recordings begin with the same samples of the accelerometer.
+    """True if two recordings begin with the same samples of the accelerometer.
 
     Names, interfaces, time stamps, formats and ends of the logs do not count.
     """

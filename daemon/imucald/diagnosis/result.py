@@ -237,7 +237,7 @@ class Diagnosis:
     recommended: bool = False
     """True: the extended model predicts held-out data better, and no signal worse."""
     complete: bool = True
-    """False where the time limit ended the search."""
+    """False if the time limit ended the search."""
 
     def as_json(self) -> dict[str, Any]:
         """Return the output for tools: plain numbers, lists and texts, without infinite values."""

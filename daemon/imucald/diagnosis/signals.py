@@ -97,7 +97,7 @@ class Channel:
         return np.asarray(inside + before * ends[0] + after * ends[-1])
 
     def present(self, t: Array) -> Mask:
-        """Whether the signal was present and outside bad intervals."""
+        """True if the signal was present and outside bad intervals."""
         gap = max(GAP_PERIODS * self.period_s, SHORTEST_GAP_S)
         after = np.searchsorted(self.t, t)
         left = self.t[np.clip(after - 1, 0, len(self.t) - 1)]
@@ -128,7 +128,7 @@ class DriveSignals:
         return float(len(self.t) * STEP_S)
 
     def has(self, name: str) -> bool:
-        """Whether the drive has a channel."""
+        """True if the drive has a channel."""
         return name in self.channels
 
 

@@ -82,25 +82,25 @@ class SeenSignal:
 
     @property
     def has_no_unit(self) -> bool:
-        """Whether the database states no unit."""
+        """True if the database states no unit."""
         return self.unit.casefold() in _NO_UNIT
 
     @property
     def is_constant(self) -> bool:
-        """Whether the signal never changed."""
+        """True if the signal never changed."""
         return self.least == self.largest
 
     @property
     def is_switch(self) -> bool:
-        """Whether the signal had only two values and has no unit (on or off)."""
+        """True if the signal had only two values and has no unit (on or off)."""
         return 0 < len(self.levels) <= 2 and self.has_no_unit
 
     def may_be(self, dimension: str) -> bool:
-        """Whether its unit allows the dimension: it names the dimension, or it is unknown."""
+        """True if its unit allows the dimension: it names the dimension, or it is unknown."""
         return self.has_no_unit or self.states(dimension) or not is_unit(self.unit)
 
     def states(self, dimension: str) -> bool:
-        """Whether its unit names the dimension."""
+        """True if its unit names the dimension."""
         return not self.has_no_unit and factor_of(self.unit, dimension) is not None
 
 
@@ -184,7 +184,7 @@ def messages_in(
 
 
 def _says_something(one: Traffic) -> bool:
-    """Whether any byte differs from 0xFF ("not available" in J1939)."""
+    """True if any byte differs from 0xFF ("not available" in J1939)."""
     rows, at = np.arange(one.data.shape[1]), one.length[:, np.newaxis]
     return bool(((one.data != NOT_AVAILABLE_BYTE) & (rows < at)).any())
 
@@ -229,7 +229,7 @@ def candidates_of(one: MessageTraffic, ticks: int) -> Iterator[SeenSignal]:
 
 
 def _changes_sign_at_zero(values: Array) -> bool:
-    """Whether values change their sign only when small. If so, the bit is a sign bit."""
+    """True if values change their sign only when small. If so, the bit is a sign bit."""
     at = np.flatnonzero(np.signbit(values[1:]) != np.signbit(values[:-1]))
     usual = float(np.abs(values).mean()) if len(values) else 0.0
     return len(at) > 0 and float(np.abs(values[at]).mean()) < SMALL_AT_SIGN * usual
@@ -345,7 +345,7 @@ def obd_speeds(traffic: Sequence[Traffic], ticks: int) -> Iterator[SeenSignal]:
 
 
 def _is_obd_answer(can_id: int) -> bool:
-    """Whether an identifier is for answers according to ISO 15765-4."""
+    """True if an identifier is for answers according to ISO 15765-4."""
     return 0x7E8 <= can_id <= 0x7EF or can_id & ~0xFF == 0x98DAF100
 
 

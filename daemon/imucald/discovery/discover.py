@@ -213,7 +213,7 @@ def used_messages(choices: Sequence[Choice]) -> list[str]:
 
 
 def _is_described(databases: Mapping[str, Database], one: Traffic) -> bool:
-    """Whether a database has a message with signals for this identifier."""
+    """True if a database has a message with signals for this identifier."""
     return any(
         message.signals and not message.unsupported and message.can_id == one.can_id
         for database in databases.values()

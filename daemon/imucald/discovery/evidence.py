@@ -55,7 +55,7 @@ class UnitChoice:
 
     @property
     def is_sure(self) -> bool:
-        """Whether no other unit fits."""
+        """True if no other unit fits."""
         return self.is_stated or not self.others
 
 

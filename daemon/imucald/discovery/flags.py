@@ -224,7 +224,7 @@ def _brake_by_name(candidates: Sequence[SeenSignal]) -> Choice | None:
 
 
 def _is_an_engine(c: SeenSignal) -> bool:
-    """Whether a temperature gets as high as an engine's. A sensor's limit is 85 degC."""
+    """True if a temperature gets as high as an engine's. A sensor's limit is 85 degC."""
     unit = find_unit(c.unit, "temperature")
     return c.largest * unit.factor + unit.offset > ENGINE_WARM
 

@@ -57,7 +57,7 @@ class GyroFit:
 
     @property
     def is_believed(self) -> bool:
-        """Whether the rates are certainly related to the accelerometer."""
+        """True if the rates are certainly related to the accelerometer."""
         return self.turning.is_believed or self.carried.is_believed
 
 
@@ -193,5 +193,5 @@ def _integrated(rate: Array) -> Array:
 
 
 def is_decided(fit: GyroFit, orders: list[Order]) -> bool:
-    """Whether the order is certainly more likely than the given others."""
+    """True if the order is certainly more likely than the given others."""
     return fit.ahead(orders) >= BELIEVED_NATS

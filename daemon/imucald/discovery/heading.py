@@ -55,16 +55,16 @@ class HeadingFit:
     relation: Relation
     delay: int
     is_reversed: bool = False
-    """Whether the accelerometer was reversed because of the heading."""
+    """True if the accelerometer was reversed because of the heading."""
 
     @property
     def is_named(self) -> bool:
-        """Whether its name is that of a compass."""
+        """True if its name is that of a compass."""
         return hint("heading", self.candidate) is not None
 
     @property
     def is_like_a_compass(self) -> bool:
-        """Whether its name is a compass's or it counts from 0 to 360, without negative values."""
+        """True if its name is a compass's or it counts from 0 to 360, without negative values."""
         return self.is_named or self.candidate.least >= 0.0
 
 

@@ -98,7 +98,7 @@ _OF_ANOTHER = frozenset((
 
 
 def is_of_another(name: str) -> bool:
-    """Whether a name is that of a requested or allowed value, or of another vehicle's value."""
+    """True if a name is that of a requested or allowed value, or of another vehicle's value."""
     return not _OF_ANOTHER.isdisjoint(words(name))
 
 
@@ -117,6 +117,6 @@ def named_so(quantity: str, name: str) -> str | None:
 
 
 def same_family(a: str, b: str) -> bool:
-    """Whether two message names begin with the same word, as INS_Acc_02 and INS_Temp."""
+    """True if two message names begin with the same word, as INS_Acc_02 and INS_Temp."""
     first, second = words(a), words(b)
     return bool(first and second) and first[0] == second[0] and len(first[0]) > 1

@@ -74,7 +74,7 @@ class Choice:
 
     @property
     def is_sure(self) -> bool:
-        """Whether there is no doubt."""
+        """True if there is no doubt."""
         return not self.doubt
 
 

@@ -108,7 +108,7 @@ def speed_groups(fields: Sequence[SeenSignal]) -> list[list[SeenSignal]]:
 
 
 def _rests_at_its_least(c: SeenSignal) -> bool:
-    """Whether a field is never far below its first percentile. An angle goes in both directions."""
+    """True if a field is never far below its first percentile. An angle goes in both directions."""
     known = c.x[np.isfinite(c.x)]
     return bool(len(known)) and c.least <= 0.1 * c.largest
 

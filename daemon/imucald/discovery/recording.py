@@ -39,7 +39,7 @@ class GatheredFrames:
         self._parts: list[FrameColumns] = []
         self._frames = 0
         self.is_full = False
-        """Whether more frames came than could be collected."""
+        """True if more frames came than could be collected."""
 
     @classmethod
     def of(cls, chunks: Iterable[FrameColumns]) -> GatheredFrames:

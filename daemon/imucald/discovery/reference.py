@@ -46,7 +46,7 @@ class SpeedFit:
 
     @property
     def is_believed(self) -> bool:
-        """Whether its changes certainly show in the accelerometer."""
+        """True if its changes certainly show in the accelerometer."""
         return self.relation.is_believed
 
     @property

@@ -127,7 +127,7 @@ def _of_key(key: str, value: Any) -> str:
 
 
 def _is_plain(text: str) -> bool:
-    """Whether YAML reads a text unchanged without quotes, also in a list."""
+    """True if YAML reads a text unchanged without quotes, also in a list."""
     words = {"y", "n", "yes", "no", "on", "off", "true", "false", "null", "~"}
     if not text or text.lower() in words or text != text.strip():
         return False

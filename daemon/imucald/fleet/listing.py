@@ -111,7 +111,7 @@ def _unix(value: object) -> float | None:
 
 
 def is_since(log: Log, day: str | None, since: str) -> bool:
-    """Whether a log is from day `since` (ISO) or later, by the day in its address, else by its last
+    """True if a log is from day `since` (ISO) or later, by the day in its address, else by its last
     change."""
     if day is None and log.changed is not None:
         day = datetime.fromtimestamp(log.changed, UTC).date().isoformat()

@@ -68,9 +68,9 @@ def read_analysis(store: Store) -> dict[str, pa.Table]:
 
 
 def has_common_mount(row: Mapping[str, Any]) -> bool:
-    """Whether the vehicles of a type sit alike. row: of `analysis/types`.
+    """True if the vehicles of a type sit alike. row: of `analysis/types`.
 
-    False where several vehicles leave a turn of the type's mount unknown: then their mounts differ
+    False if several vehicles leave a turn of the type's mount unknown: then their mounts differ
     by design, and neither a spread nor a difference from the type says anything.
     """
     halves = [row[f"ci95_{axis}_deg"] for axis in "xyz"]

@@ -94,7 +94,7 @@ class Store:
         return found
 
     def exists(self, name: str) -> bool:
-        """Whether a file exists."""
+        """True if a file exists."""
         self._system.invalidate_cache()
         return bool(self._system.exists(self._place(name)))
 

@@ -56,14 +56,14 @@ class CompiledTap:
         return (values[0] if len(values) == 1 else values.T), codes
 
     def can_take(self, frames: FrameColumns | Payloads) -> bool:
-        """Whether the compiled code supports these signals and all are within the frames."""
+        """True if the compiled code supports these signals and all are within the frames."""
         if not self._is_plain or frames.data.shape[1] < self._size:
             return False
         return not self._may_be_cut or not len(frames) or int(frames.length.min()) >= self._size
 
 
 def _is_plain(signal: ResolvedSignal) -> bool:
-    """Whether a signal is always present, and is an integer that doubles scale exactly enough."""
+    """True if a signal is always present, and is an integer that doubles scale exactly enough."""
     is_other = signal.signal.is_float or isinstance(signal.scaling, IntegerScaling)
     is_large = not signal.signal.is_signed and signal.field.length == WORD_BITS
     return not (is_other or is_large or signal.selectors)

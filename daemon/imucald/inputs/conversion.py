@@ -113,7 +113,7 @@ class Conversion(Struct, frozen=True):
         return values, codes
 
     def _takes_all(self, physical: NDArray[np.float64]) -> bool:
-        """Whether no value is rejected for its size. It is enough to check the extreme values."""
+        """True if no value is rejected for its size. It is enough to check the extreme values."""
         if not len(physical):
             return True
         ends = np.minimum.reduce(physical), np.maximum.reduce(physical)  # NaN if any is NaN

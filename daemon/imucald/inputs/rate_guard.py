@@ -42,7 +42,7 @@ Rows = NDArray[np.int64]
 
 
 def _is_of_another(reason: str) -> bool:
-    """Whether this reason of rejection can come from a second sender."""
+    """True if this reason of rejection can come from a second sender."""
     return reason.startswith("counter") or reason == TOO_EARLY
 
 
@@ -138,7 +138,7 @@ class RateGuard:
         return {reason: np.concatenate(rows) for reason, rows in refused.items()}
 
     def _is_usual(self, first: int, seen: Sequence[int]) -> bool:
-        """Whether no frame can be refused in these seconds, as all seconds have few frames."""
+        """True if no frame can be refused in these seconds, as all seconds have few frames."""
         open_second = self._seen + (seen[0] if first == self._second else 0)
         most = max(*seen, open_second, *(before for before, _ in self._before))
         return most <= TWO_SENDERS * self._usual < math.inf and first > self._distrusted_until
@@ -192,7 +192,7 @@ class Spaced:
         self._next = -math.inf
 
     def passes(self, t: float) -> bool:
-        """Whether an event at t [s] is accepted. Times must not decrease."""
+        """True if an event at t [s] is accepted. Times must not decrease."""
         if t < self._next - self.EARLY * self.cycle:
             return False
         self._next = max(self._next, t) + 0.95 * self.cycle

@@ -211,7 +211,7 @@ class Router:
         )
 
     def _selects(self, t: float, tap: Tap) -> bool:
-        """Whether a tap's samples would be used now. If not, a rejection loses nothing."""
+        """True if a tap's samples would be used now. If not, a rejection loses nothing."""
         selector = self._selectors.get(tap.channel)
         return selector is None or selector.selects(t, tap.rank)
 

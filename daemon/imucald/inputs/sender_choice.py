@@ -56,11 +56,11 @@ class SenderChoice:
         return [address for address, count in self._counts.items() if count >= least]
 
     def is_settled(self, t: float) -> bool:
-        """Whether the choice is final at t [s]."""
+        """True if the choice is final at t [s]."""
         return t > self._end
 
     def takes(self, t: float, can_id: int, data: bytes) -> bool:
-        """Whether a frame at t [s] is from the chosen sender."""
+        """True if a frame at t [s] is from the chosen sender."""
         address = can_id & J1939_ADDRESS_MASK
         if not self.is_settled(t) and data.count(NOT_AVAILABLE) < len(data):
             self._end = min(self._end, t + SENDER_SETTLING)

@@ -34,7 +34,7 @@ _NO = re.compile(r"^(no|kein|keine|not in|without)\b")
 
 
 def is_no_value(name: str) -> bool:
-    """Whether an entry of a value table means "no value", such as "SNA" or "NotAvailable"."""
+    """True if an entry of a value table means "no value", such as "SNA" or "NotAvailable"."""
     words = re.sub(r"(?<=[a-z])(?=[A-Z])", " ", name)
     words = re.sub(r"[\W_]+", " ", words).strip().lower()
     return bool(_NAMES.search(words)) and not _NO.match(words)

@@ -38,7 +38,7 @@ class SourceSelector:
         return self.selects(t, rank)
 
     def selects(self, t: float, rank: int) -> bool:
-        """Whether this source would be selected at t [s]."""
+        """True if this source would be selected at t [s]."""
         return all(t - self._last[better] > SOURCE_HOLD for better in range(rank))
 
     def begin_chunk(self) -> None:

@@ -137,7 +137,7 @@ def find_unit(text: str, dimension: str) -> Unit:
 
 
 def is_unit(text: str) -> bool:
-    """Whether a text is any unit, of motion or not. "counts" and "" are not units."""
+    """True if a text is any unit, of motion or not. "counts" and "" are not units."""
     name = text.strip()
     return bool(name) and (
         any((d, name.casefold()) in _FOLDED for d in DIMENSIONS if d != "flag")

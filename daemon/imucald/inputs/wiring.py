@@ -105,7 +105,7 @@ def compile_router(loaded: LoadedConfig) -> Router:
 
 
 def _signed_speed(groups: Iterable[_MessageSignals]) -> bool:
-    """Whether a speed signal can be negative. If so, its sign shows reverse."""
+    """True if a speed signal can be negative. If so, its sign shows reverse."""
     return any(
         w.channel == "speed" and (g.message.signal(g.names[i]).is_signed or i in g.signs)
         for g in groups

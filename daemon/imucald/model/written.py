@@ -55,12 +55,12 @@ class WrittenModel:
         return list(self._data)
 
     def has(self, section: str, *keys: str) -> bool:
-        """Whether the file has a section and, if keys are given, at least one of them."""
+        """True if the file has a section and, if keys are given, at least one of them."""
         found = self._data.get(section)
         return found is not None and (not keys or any(key in found for key in keys))
 
     def is_set(self, section: str, key: str) -> bool:
-        """Whether the key has a value that is not zero, empty or off. The value is not
+        """True if the key has a value that is not zero, empty or off. The value is not
         validated."""
         return bool(self._data.get(section, {}).get(key))
 

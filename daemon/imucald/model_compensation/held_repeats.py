@@ -36,7 +36,7 @@ class HeldRepeats:
         self._raw = None
 
     def known(self, raw: Sequence[float]) -> bool:
-        """Whether a raw sample (3,) repeats the last one, whose result is `result`."""
+        """True if a raw sample (3,) repeats the last one, whose result is `result`."""
         if self._raw is None:
             return False
         if not self._tolerance:

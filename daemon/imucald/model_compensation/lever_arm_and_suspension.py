@@ -41,7 +41,7 @@ class Corrected:
     """Corrected samples of one channel in columns.
 
     order: (N,) order of arrival, never decreasing; equal numbers came in one frame. t: (N,) [s].
-    values: (N, 3) vehicle axes; NaN where the mount is not known.
+    values: (N, 3) vehicle axes; NaN if the mount is not known.
     """
 
     order: NDArray[np.int64] | Array
@@ -69,7 +69,7 @@ class VehicleCorrection:
 
     @property
     def neutral(self) -> bool:
-        """Whether it changes nothing."""
+        """True if it changes nothing."""
         return not (self._levers or self._leans)
 
     def gap(self) -> None:

@@ -40,7 +40,7 @@ class PreprocessingChain:
     notes: tuple[str, ...]
 
     def is_like(self, other: PreprocessingChain) -> bool:
-        """Whether both change the same signals in the same way."""
+        """True if both change the same signals in the same way."""
         mine = self.name, self.estimate_key, self.used, self.notes
         return mine == (other.name, other.estimate_key, other.used, other.notes)
 

@@ -41,7 +41,7 @@ class TriadTerms:
 
     @property
     def neutral(self) -> bool:
-        """Whether it changes nothing."""
+        """True if it changes nothing."""
         return self == TriadTerms()
 
 
@@ -74,7 +74,7 @@ class SuspensionTerms:
 
     @property
     def neutral(self) -> bool:
-        """Whether the body does not lean."""
+        """True if the body does not lean."""
         return self.squat == 0.0 and self.dive == 0.0 and self.roll == 0.0
 
 

@@ -314,12 +314,12 @@ class Rail:
 
     @property
     def changed(self) -> bool:
-        """Whether the surprise must be computed again."""
+        """True if the surprise must be computed again."""
         return self._changed
 
     @property
     def is_clear(self) -> bool:
-        """Whether there is no evidence of a rail, so that a hop's value only needs `reached`."""
+        """True if there is no evidence of a rail, so that a hop's value only needs `reached`."""
         return not (self._changed or self.found) and self.value == math.inf
 
     def stick(self, value: float) -> None:

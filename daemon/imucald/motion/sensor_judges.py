@@ -188,7 +188,7 @@ class StuckAxis:
 
 
 class Lasting:
-    """Whether a condition has lasted for a number of hops in a row."""
+    """True if a condition has lasted for a number of hops in a row."""
 
     def __init__(self, hops: int) -> None:
         self._hops, self._run = hops, 0
@@ -243,7 +243,7 @@ class UnitChange:
     def step(self, level: Array, changes: Counts, other: Array, moving: Flags) -> Flags:
         """Take the mean changes from sample to sample of hops (H, axes), and the number of changes.
 
-        other: (H, 2) both figures of the other sensor, 0 where there is none. moving: (H,) whether
+        other: (H, 2) both figures of the other sensor, 0 if there is none. moving: (H,) whether
         the vehicle moved during the whole hop. Returns whether the unit differs from the first one.
         """
         sizes = [
@@ -329,7 +329,7 @@ def _within_five(moved: Array) -> tuple[Array, Array]:
 
 
 def _ratio(level: Array) -> Array:
-    """Return the ratio of two hops to two earlier ones, with one hop between; 0 where there is no
+    """Return the ratio of two hops to two earlier ones, with one hop between; 0 if there is no
     level.
     """
     early = level[:-4] + level[1:-3]

@@ -167,7 +167,7 @@ class SignalHealth:
         return self._note_stuck(signal, self._sensors[signal].flags(rows))
 
     def stuck_speed(self, rows: Array, seen: SeenForward | None) -> Flags:
-        """Return the ticks (N,) at which the speed is stuck. seen: None where no mount is known."""
+        """Return the ticks (N,) at which the speed is stuck. seen: None if no mount is known."""
         leaving = self._new.stop - self._new.start
         witness = None if seen is None else by_force(seen, rows, leaving)
         driving = latest_speed(rows) > DRIVING_SPEED

@@ -22,7 +22,7 @@ HISTORY_TICKS = 64
 
 
 class SpeedInterval(NamedTuple):
-    """Motion over an interval: means over it, NaN where unknown.
+    """Motion over an interval: means over it, NaN if unknown.
 
     t0, t1: accelerometer time [s]; fx, fy, fz: specific force, sensor axes [m/s^2];
     speed [m/s], negative in reverse; dvdt [m/s^2]; yaw_rate [rad/s]; clean: no rejected sample.

@@ -72,7 +72,7 @@ class ZeroOffset:
 
     @property
     def known(self) -> bool:
-        """Whether the signal was seen at rest for long enough (a second)."""
+        """True if the signal was seen at rest for long enough (a second)."""
         return self._n >= 10
 
 
@@ -103,7 +103,7 @@ class YawRateSource:
 
     @property
     def steering(self) -> float:
-        """Steering-wheel angle [rad], or NaN where it is not known now."""
+        """Steering-wheel angle [rad], or NaN if it is not known now."""
         return self._steering if self._steering_age <= MAX_HOLD_TICKS else NAN
 
     def step(

@@ -102,7 +102,7 @@ class UsualRuns:
 
     @property
     def known(self) -> bool:
-        """Whether enough runs have ended to know the usual length."""
+        """True if enough runs have ended to know the usual length."""
         return self._ended >= MIN_RUNS
 
     def repeated(self, share: float, times: float) -> float:
@@ -282,7 +282,7 @@ class OtherSignal(Struct, frozen=True):
     """Evidence of another signal about one that may be stuck, for the ticks (N,) in use.
 
     said: (2, N) how far the signal should have risen, and fallen, up to each tick, in its unit,
-    beyond its own change; NaN where the other signal says nothing. least: change from which the
+    beyond its own change; NaN if the other signal says nothing. least: change from which the
     signal is stuck; it must also exceed `steps` of its own changes. origin: (2,) value from which
     the next call counts. since: number of ticks before a run that show from which value it begins.
     """

@@ -98,7 +98,7 @@ LONGITUDINAL_ACCEL = SignalColumns(32, 33)
 WHEEL_SPREAD = SignalColumns(34, 35)
 """Mean over samples of fastest minus slowest wheel [m/s]."""
 REVERSE, BRAKE, HEADING, TEMPERATURE = range(36, 40)
-"""Last value in the tick: 0 or 1, 0 or 1, [rad], [degC]; NaN where there is none."""
+"""Last value in the tick: 0 or 1, 0 or 1, [rad], [degC]; NaN if there is none."""
 COLUMNS = 40
 """Length of a row."""
 

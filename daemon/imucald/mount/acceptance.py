@@ -77,7 +77,7 @@ class Acceptance(Struct, frozen=True):
         return found
 
     def may_be_fine(self) -> bool:
-        """Whether every test is active, the signals were seen to agree, and few changes were found.
+        """True if every test is active, the signals were seen to agree, and few changes were found.
 
         All three are needed for *fine*.
         """
@@ -100,15 +100,15 @@ class Acceptance(Struct, frozen=True):
 
     @property
     def can_become_fine(self) -> bool:
-        """Whether more driving can make the estimate *fine*, whatever its deviations are now."""
+        """True if more driving can make the estimate *fine*, whatever its deviations are now."""
         return not (self.changes.is_loose or self.has_no_sides)
 
     @property
     def is_armed(self) -> bool:
-        """Whether the tests would notice a sensor that was moved by a small angle."""
+        """True if the tests would notice a sensor that was moved by a small angle."""
         return self.solver.armed
 
     @property
     def has_no_sides(self) -> bool:
-        """Whether no signal of this vehicle distinguishes the drive from its mirror image."""
+        """True if no signal of this vehicle distinguishes the drive from its mirror image."""
         return bool(self.checks.not_checked)

@@ -82,7 +82,7 @@ NO_TURNS = "a gyroscope, a yaw rate or a steering angle: no other signal shows t
 
 
 class Alternatives:
-    """Whether the data have spoken against every wrong sign and exchange of axes."""
+    """True if the data have spoken against every wrong sign and exchange of axes."""
 
     def __init__(self, settings: EstimatorSettings) -> None:
         self._settings = settings
@@ -228,7 +228,7 @@ class Alternatives:
             self._gyro.add(_gyro_ratios(p, R, force, gains) if ratios is None else ratios)
 
     def are_seen(self, least: float) -> bool:
-        """Whether every alternative that the signals can show is ruled out by a log ratio of
+        """True if every alternative that the signals can show is ruled out by a log ratio of
         `least`.
         """
         return not self.missing(least)
@@ -289,7 +289,7 @@ class Alternatives:
 
     @property
     def is_mirror_excluded(self) -> bool:
-        """Whether any evidence has ruled out the mirror image of this drive."""
+        """True if any evidence has ruled out the mirror image of this drive."""
         return self.mirror_share >= 1.0
 
     @property
@@ -315,7 +315,7 @@ class Alternatives:
 
     @property
     def gyro_accused(self) -> bool:
-        """Whether an alternative for gyroscope and accelerometer fits much better than the
+        """True if an alternative for gyroscope and accelerometer fits much better than the
         configuration.
         """
         return self._gyro.is_accused

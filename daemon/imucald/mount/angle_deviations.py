@@ -27,7 +27,7 @@ then act as one angle.
 def angle_deviations(
     R_vehicle_from_sensor: Matrix3, covariance: Sequence[Sequence[float]]
 ) -> Vector:
-    """Standard deviations [rad] of roll, pitch and yaw; inf where an angle is not known.
+    """Standard deviations [rad] of roll, pitch and yaw; inf if an angle is not known.
 
     R_vehicle_from_sensor: (3, 3). covariance: (3, 3) of the rotation vector about the vehicle's
     axes [rad^2]. First order, by the kinematics of intrinsic Z-Y-X angles. With c and s the cosine

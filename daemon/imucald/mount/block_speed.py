@@ -55,7 +55,7 @@ class BlockSpeed:
         self._is_rolling = False  # when the speed was last known, or while it is stuck
 
     def restart(self) -> None:
-        """Time jumped."""
+        """Restart after a jump of time."""
         self._rest_run = 0
         self._is_rolling = False
 
@@ -116,13 +116,13 @@ class BlockSpeed:
         return speed, ok, is_even
 
     def _hides_step(self, rows: Array, driven: Driven | None) -> bool:
-        """Whether the speed of a block does not show the step that the signal is known to have."""
+        """True if the speed of a block does not show the step that the signal is known to have."""
         if driven is None or driven.knots.step >= self._step:
             return False
         return comes_in(self._step, rows[:, tk.SPEED.mean], rows[:, tk.SPEED.n])
 
     def silence_parked(self, speed: Array, ok: Flags, force: Array, rate: Array | None) -> bool:
-        """Set the speed to zero where it is noise and the sensor is as still as in a parked
+        """Set the speed to zero if it is noise and the sensor is as still as in a parked
         vehicle.
 
         Returns whether it changed the speed. Wheel sensors may be silent when wheels turn this

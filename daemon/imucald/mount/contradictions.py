@@ -167,12 +167,12 @@ class PairWatch:
 
     @property
     def last_unlike(self) -> bool:
-        """Whether the last piece contradicts the pair."""
+        """True if the last piece contradicts the pair."""
         return bool(self._pieces) and self._is_wrong(*self._pieces[-1])
 
     @property
     def agreed(self) -> bool:
-        """Whether the pair was seen to show the same motion and no later piece contradicts it."""
+        """True if the pair was seen to show the same motion and no later piece contradicts it."""
         if self.accused or self.odd_gain or not self._pieces:
             return False
         correlation, gain = self._pieces[-1]
@@ -336,7 +336,7 @@ class Contradictions:
 
     @property
     def doubtful(self) -> bool:
-        """Whether the last piece of any pair contradicts it.
+        """True if the last piece of any pair contradicts it.
 
         The mount does not become good at such a time.
         """
@@ -344,7 +344,7 @@ class Contradictions:
 
     @property
     def agreed(self) -> bool:
-        """Whether every pair that could be checked was seen to agree, at least the pair of turns.
+        """True if every pair that could be checked was seen to agree, at least the pair of turns.
 
         Slope and a speed with few samples may hide dv/dt. The absence of a contradiction is enough
         in that case.

@@ -63,12 +63,12 @@ class DelaySearch:
 
     @property
     def is_known(self) -> bool:
-        """Whether the delay is known well enough to compare the shifted signal with the force."""
+        """True if the delay is known well enough to compare the shifted signal with the force."""
         return self.std < KNOWN_STD and not self.is_beyond
 
     @property
     def is_beyond(self) -> bool:
-        """Whether the best delay is the largest one searched: the signal may well be later."""
+        """True if the best delay is the largest one searched: the signal may well be later."""
         is_sought = self._prior.std > SEARCHED_STD and self.std < self._prior.std
         return is_sought and self._best >= float(self._taus[-1]) - STEP
 
@@ -133,7 +133,7 @@ class LeverArm:
         return self._is_long
 
     def restart(self) -> None:
-        """Time jumped."""
+        """Restart after a jump of time."""
         self._last_rate = None
 
     def force(self, p: SignalBlock, R: Matrix3) -> Array:

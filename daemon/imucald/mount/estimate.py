@@ -138,7 +138,7 @@ class Correction(Struct, frozen=True):
 
     @property
     def is_rotation(self) -> bool:
-        """Whether the correction of both sensors is a rotation and nothing else."""
+        """True if the correction of both sensors is a rotation and nothing else."""
         is_one = self.force == self.rotation and self.rate == self.rotation
         return is_one and self.force_offset == NO_OFFSET and self.rate_offset == NO_OFFSET
 
@@ -222,8 +222,8 @@ class MountEstimate(Struct, frozen=True, dict=True):
     evidence in words; no entry where nothing is missing. missing: the same as codes for the bus.
     faults: contradictions between signals that stand now, by the names of
     `contradictions.StandingFault`. While there is any, no data are sent as good. targets: limits
-    for `judged_std`; None where the estimator states none. progress: progress to the next state;
-    None where driving does not lead there. judged_as: (3,) deviations that are judged instead of
+    for `judged_std`; None if the estimator states none. progress: progress to the next state;
+    None if driving does not lead there. judged_as: (3,) deviations that are judged instead of
     those of the housing's rotation [rad]; None: `std` itself is judged. matrices: correction that
     will be applied once the transition is over, where it is more than the rotation. deviations:
     deviations that this correction leaves in the samples; None: `sent` follows from the covariance.
@@ -285,7 +285,7 @@ class MountEstimate(Struct, frozen=True, dict=True):
 
     @cached_property
     def angle_std(self) -> tuple[float, float, float] | None:
-        """Standard deviations [rad] of roll, pitch and yaw themselves; inf where not known."""
+        """Standard deviations [rad] of roll, pitch and yaw themselves; inf if not known."""
         if self.R_vehicle_from_sensor is None or self.covariance is None:
             return None
         return angle_deviations(self.R_vehicle_from_sensor, self.covariance.tolist())

@@ -222,7 +222,7 @@ class FullEstimator:
 
     @property
     def _is_rotation_good(self) -> bool:
-        """Whether the solver's rotation is good enough to compare gravity with it."""
+        """True if the solver's rotation is good enough to compare gravity with it."""
         return self.state in GOOD
 
     def _known_mount(self) -> MountSoFar | None:
@@ -478,7 +478,7 @@ class FullEstimator:
         return self._solvers.contradiction
 
     def saved_information(self) -> SavedInformation | None:
-        """Information of all evidence, for the next start; None where there is too little."""
+        """Information of all evidence, for the next start; None if there is too little."""
         return self._solvers.saved_information()
 
     def join_information(self, kept: SavedInformation) -> None:

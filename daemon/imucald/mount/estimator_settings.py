@@ -133,9 +133,9 @@ class EstimatorSettings(MountSettings, frozen=True):
     understeer: float = UNDERSTEER
     """K in r = v * delta / (n * L * (1 + K v^2 / L)) [rad/(m/s^2)]."""
     uses_steering: bool = False
-    """Whether the angle of the steering wheel may stand for the yaw rate."""
+    """True if the angle of the steering wheel may stand for the yaw rate."""
     are_sides_turned: bool = False
-    """Whether the configuration turns signals that tell left from right.
+    """True if the configuration turns signals that tell left from right.
 
     The accelerometer may just as well be mirrored (`mirror`), so these signals do not confirm it.
     """

@@ -81,7 +81,7 @@ class Driven(Struct, frozen=True):
 
     speed: (N + 2,) [m/s], ok: (N + 2,), see `PART`; accel: (N,) dv/dt [m/s^2]. least: the least
     speed between two other speeds [m/s]. rolls: all speeds show a rolling vehicle. moves: no speed
-    is zero. runs: None where a speed may be stuck. calm: no tick's force, rate, speed or wheels are
+    is zero. runs: None if a speed may be stuck. calm: no tick's force, rate, speed or wheels are
     implausible. knots: when the speed is known.
     """
 
@@ -101,7 +101,7 @@ class EvenBlock(Struct, frozen=True):
 
     force, rate: (N + 2, 3), ok_force, ok_rate: (N + 2,). repeats: two ticks in a row have the same
     mean, as with a stuck sensor. rate_seldom: some ticks may have no gyroscope sample of their own.
-    steering, yaw_rate, lateral: (N + 2,), present if all ticks have them. yaw_runs: None where the
+    steering, yaw_rate, lateral: (N + 2,), present if all ticks have them. yaw_runs: None if the
     yaw rate may be stuck. has_heading, has_reverse: whether any tick has one; is_reverse: whether
     any is in reverse.
     """
@@ -124,7 +124,7 @@ class EvenBlock(Struct, frozen=True):
 
 
 def bridged_blocks(at: Array, times: Array, values: Array, longest: float) -> tuple[Array, Flags]:
-    """Interpolate samples (B, M) or (B, M, w) at times (B, N); False where the hole is too long.
+    """Interpolate samples (B, M) or (B, M, w) at times (B, N); False if the hole is too long.
 
     at: middles of ticks [s].
     """
@@ -150,7 +150,7 @@ def bridged_blocks(at: Array, times: Array, values: Array, longest: float) -> tu
 
 
 def bridged(at: Array, times: Array, values: Array, longest: float) -> tuple[Array, Flags]:
-    """Interpolate samples (M,) or (M, w) at times (N,); False where the hole is too long."""
+    """Interpolate samples (M,) or (M, w) at times (N,); False if the hole is too long."""
     if len(times) < 1:
         return np.zeros((len(at), *values.shape[1:])), np.zeros(len(at), dtype=bool)
     out, ok = bridged_blocks(at[None], times[None], values[None], longest)
@@ -199,7 +199,7 @@ def times_of(end: Array) -> Array:
 
 
 def even_blocks(rows: Array, health: SignalHealth) -> list[EvenBlock | None]:
-    """Return the blocks of ticks (KEEP + B * BLOCK_TICKS, COLUMNS); None where force or rate has a
+    """Return the blocks of ticks (KEEP + B * BLOCK_TICKS, COLUMNS); None if force or rate has a
     hole.
 
     Impossible numbers must have been removed, see `SignalHealth.drop_impossible`.

@@ -131,7 +131,7 @@ class GravityEvidence:
 
     @property
     def known(self) -> bool:
-        """Whether there is any direction of gravity."""
+        """True if there is any direction of gravity."""
         return self._weight > 0.0
 
     def mean_force(self) -> Array:

@@ -245,7 +245,7 @@ class ResponseEvidence:
         return self._sources()
 
     def apart(self, one: str, other: str) -> AngleEvidence | None:
-        """Return the difference between two sources of an angle; None where one is missing or
+        """Return the difference between two sources of an angle; None if one is missing or
         uncertain.
         """
         found = {series.kind: series for series in self.series}

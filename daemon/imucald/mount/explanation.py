@@ -165,7 +165,7 @@ def change_details(one: TakenChange, turn: tuple[Array, Array] | None) -> dict[s
     """Return the details of a change of the mount, with its present size (`TakenChange.turn`).
 
     within_deg: half of the 95 % interval [deg] of the change, if the interval includes no change;
-    None where the sensor was moved. If within_deg is not None, the mount stays in use and its
+    None if the sensor was moved. If within_deg is not None, the mount stays in use and its
     interval covers the change.
     """
     half, is_within = max(SD_95 * one.std, abs(one.change.size)), one.is_borne
@@ -242,7 +242,7 @@ class ProgressWatch:
         self._lately.append((t, shares))
 
     def after(self, state: MountState, known: MountKnowledge, can_be_fine: bool) -> Progress | None:
-        """Return the gates of the next state; None where driving does not lead to another state."""
+        """Return the gates of the next state; None if driving does not lead to another state."""
         goal = MountState.FINE if state is MountState.USABLE else MountState.USABLE
         if not self._lately or state is MountState.FINE:
             return None
@@ -257,7 +257,7 @@ class ProgressWatch:
         return Progress(goal, tuple(gates))
 
     def _left(self, goal: MountState, name: str, now: float, share: float) -> float | None:
-        """Return the driving time that a gate still takes [s]; None where it cannot be
+        """Return the driving time that a gate still takes [s]; None if it cannot be
         predicted.
         """
         if share >= 1.0:

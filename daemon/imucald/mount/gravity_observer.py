@@ -106,12 +106,12 @@ class GravityObserver:
 
     @property
     def seeking(self) -> bool:
-        """Whether the vertical was lost and is being found again."""
+        """True if the vertical was lost and is being found again."""
         return self._seeking > 0
 
     @property
     def is_held(self) -> bool:
-        """Whether the force has held the vertical lately.
+        """True if the force has held the vertical lately.
 
         A coarse gyroscope alone tilts it by 0.5 deg/s.
         """
@@ -278,7 +278,7 @@ class MotionWindow:
         self._mask = np.zeros(WINDOW, dtype=bool)
 
     def restart(self) -> None:
-        """Time jumped."""
+        """Restart after a jump of time."""
         self._values[:] = 0.0
         self._mask[:] = False
 
@@ -309,7 +309,7 @@ class MotionWindow:
         m[new] = learn
 
     def spectra(self, keep_mean: bool, needs_motion: bool) -> Spectra | None:
-        """Return the spectra (BINS, MEASURED) of the window; None where it cannot be used.
+        """Return the spectra (BINS, MEASURED) of the window; None if it cannot be used.
 
         keep_mean: the means of the columns count as well. needs_motion: a window without motion by
         the speed is not used.

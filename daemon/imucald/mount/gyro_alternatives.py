@@ -87,7 +87,7 @@ class GyroAlternatives:
         self._late = _held(self._late + held, -HELD, 0.0)
 
     def is_seen(self, least: float) -> bool:
-        """Whether all alternatives are ruled out so far, or were searched long enough without
+        """True if all alternatives are ruled out so far, or were searched long enough without
         result.
         """
         return is_seen(float(self._sums.min()), self.blocks, least)
@@ -98,7 +98,7 @@ class GyroAlternatives:
 
     @property
     def is_accused(self) -> bool:
-        """Whether one of the alternatives fits much better."""
+        """True if one of the alternatives fits much better."""
         return float(np.minimum(self._sums, self._late).min()) < -TO_ACCUSE
 
 

@@ -24,7 +24,7 @@ def sampling_walk(times: Array, rates: Array, longest: float) -> Array:
     """Return the growth of the angle's variance (3, 3) [rad^2/s] from samples (M, 3) [rad/s] at
     times (M,).
 
-    Zero where samples come at least once a tick. longest: longer holes are not bridged [s].
+    Zero if samples come at least once a tick. longest: longer holes are not bridged [s].
     """
     if len(times) < 3:
         return np.zeros((3, 3))

@@ -35,7 +35,7 @@ class Level(NamedTuple):
 def best_level(
     levels: Iterable[Level], before: MountState, yaw_std: float, tilt_std: float
 ) -> MountState | None:
-    """Return the first state whose limits hold, None where none does.
+    """Return the first state whose limits hold, None if none does.
 
     levels: the best state first. before: the state so far. The limits of this state, and of lesser
     states, are multiplied by their slack.

@@ -43,7 +43,7 @@ for.
 
 
 def is_seen(ratio: float, blocks: int, least: float) -> bool:
-    """Whether a log ratio rules an alternative out, or a long search found nothing for it."""
+    """True if a log ratio rules an alternative out, or a long search found nothing for it."""
     return ratio > least or (blocks > ENOUGH and ratio > -TO_BE_GOOD)
 
 
@@ -79,7 +79,7 @@ class Mirrored:
         self.blocks += 1
 
     def is_seen(self, least: float) -> bool:
-        """Whether the hypothesis holds: the opposite is excluded, or a long search found nothing
+        """True if the hypothesis holds: the opposite is excluded, or a long search found nothing
         for it.
         """
         return is_seen(self.sum, self.blocks, least)
@@ -90,5 +90,5 @@ class Mirrored:
 
     @property
     def is_opposite(self) -> bool:
-        """Whether the opposite sign fits much better."""
+        """True if the opposite sign fits much better."""
         return self.sum < -TO_BE_GOOD

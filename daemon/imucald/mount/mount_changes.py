@@ -69,7 +69,7 @@ class TakenChange(Struct):
 
     block: its number in the drive. change: result of the test, for one angle. std: stated deviation
     of that angle at that time [rad]. before, after: the good mount before the change, and the good
-    mount when the next change came; None where there was none. is_borne: the change misleads no
+    mount when the next change came; None if there was none. is_borne: the change misleads no
     consumer, and the rotation stayed in use.
     """
 
@@ -84,7 +84,7 @@ class TakenChange(Struct):
         """Return the rotation of the mount since the change, or None.
 
         The result is a rotation vector (3,) about the vehicle's axes and the larger deviation (3,)
-        [rad] of both mounts; None where one mount is not known.
+        [rad] of both mounts; None if one mount is not known.
 
         now: the mount that is good now, if no other change has come.
         """
@@ -156,7 +156,7 @@ class MountChanges:
         return None if found is None or found.excess < 1.0 else found
 
     def is_bearable(self, found: MountChange, solver: MountSolver, std: float) -> bool:
-        """Whether the applied correction misleads no consumer after a change.
+        """True if the applied correction misleads no consumer after a change.
 
         std: stated deviation of the changed angle [rad], without the part that the same change
         added while it was in doubt. A sudden tilt may be a step of the zero, which no deviation of
@@ -233,7 +233,7 @@ class MountChanges:
 
     @property
     def is_loose(self) -> bool:
-        """Whether the mount moved more often than a fixed mount does."""
+        """True if the mount moved more often than a fixed mount does."""
         return len(self.history) > SHIFTS_ALLOWED
 
     def shifted_again(self) -> list[float]:

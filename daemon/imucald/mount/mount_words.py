@@ -183,7 +183,7 @@ def how_it_sits(estimate: MountEstimate) -> str | None:
 
 
 def steep_note(estimate: MountEstimate) -> str | None:
-    """Return the note that the angles of a steep mount need; None where it is not steep."""
+    """Return the note that the angles of a steep mount need; None if it is not steep."""
     angles, quaternion = estimate.angles, estimate.quaternion
     if angles is None or quaternion is None:
         return None
@@ -216,7 +216,7 @@ def reasons(waiting_for: Mapping[str, str]) -> Iterator[tuple[str, str]]:
 
 
 def is_trouble(text: str) -> bool:
-    """Whether a reason is one that more driving does not solve."""
+    """True if a reason is one that more driving does not solve."""
     return text.startswith("the mount ") or any(words in text for words in WORDS.values())
 
 
@@ -262,7 +262,7 @@ def left_out_words(details: Mapping[str, Any]) -> str:
 
 
 def is_move(shift: Mapping[str, Any]) -> bool:
-    """Whether an item of `details.shifts` is a moved sensor and not a change within its
+    """True if an item of `details.shifts` is a moved sensor and not a change within its
     interval.
     """
     return shift.get("within_deg") is None

@@ -32,7 +32,7 @@ _COS = math.cos(MAX_OFF_VERTICAL)
 
 
 def is_off_vertical(p: SignalBlock, R: Matrix3, turn: Array) -> bool:
-    """Whether gravity, through R, points further from the vertical than any road does.
+    """True if gravity, through R, points further from the vertical than any road does.
 
     Gravity must be off the vertical both as measured and with the motion removed, so that neither
     hard driving nor a wrong speed or turn rate triggers the limit. While the vehicle drives and no
@@ -60,7 +60,7 @@ class PlumbLine:
         self._standing = False
         self._clear()
         self.is_off = False
-        """Whether gravity was off the vertical when its direction was last known."""
+        """True if gravity was off the vertical when its direction was last known."""
 
     def _clear(self) -> None:
         self._n, self._x, self._y, self._z = 0, 0.0, 0.0, 0.0

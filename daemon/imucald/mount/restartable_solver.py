@@ -42,7 +42,7 @@ class Refit:
 
     @property
     def is_behind(self) -> bool:
-        """Whether blocks are waiting."""
+        """True if blocks are waiting."""
         return bool(self._queue)
 
     def push(self, p: SignalBlock) -> None:
@@ -101,17 +101,17 @@ class RestartableSolver:
 
     @property
     def is_refitting(self) -> bool:
-        """Whether another solver reads stored blocks and will replace this one."""
+        """True if another solver reads stored blocks and will replace this one."""
         return self._refit is not None
 
     @property
     def is_catching_up(self) -> bool:
-        """Whether another solver still has stored blocks to read at the next tick."""
+        """True if another solver still has stored blocks to read at the next tick."""
         return self._refit is not None or (self._beside is not None and self._beside.is_behind)
 
     @property
     def has_beside(self) -> bool:
-        """Whether a change is tolerated while another solver learns from the data after it."""
+        """True if a change is tolerated while another solver learns from the data after it."""
         return self._beside is not None
 
     @property
@@ -122,12 +122,12 @@ class RestartableSolver:
 
     @property
     def is_outdated(self) -> bool:
-        """Whether the solver in use still describes the mount before a change."""
+        """True if the solver in use still describes the mount before a change."""
         return self._refit is not None and self._follows_change
 
     @property
     def can_compare(self) -> bool:
-        """Whether new blocks can be compared with a rotation."""
+        """True if new blocks can be compared with a rotation."""
         return self.now.R is not None and self.now.yaw_known and not self.is_outdated
 
     def take(self, p: SignalBlock, without_speed: bool) -> None:
@@ -158,11 +158,11 @@ class RestartableSolver:
 
     @property
     def is_young(self) -> bool:
-        """Whether each block is a large part of the evidence so far."""
+        """True if each block is a large part of the evidence so far."""
         return self.now.blocks <= EAGER_BLOCKS
 
     def is_turn(self, block: int, is_fine: bool) -> bool:
-        """Whether enough evidence has come since the last fit for a new fit.
+        """True if enough evidence has come since the last fit for a new fit.
 
         block: its number in the drive. is_fine: no better state is possible.
         """
@@ -260,7 +260,7 @@ class RestartableSolver:
         return None if past is None else past.contradiction
 
     def saved_information(self) -> SavedInformation | None:
-        """Information of all evidence, for the next start; None where there is too little."""
+        """Information of all evidence, for the next start; None if there is too little."""
         return None if self.is_outdated or self.has_beside else self.now.kept()
 
     def join(self, kept: SavedInformation) -> None:

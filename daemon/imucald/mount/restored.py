@@ -178,7 +178,7 @@ class RestoredEstimator:
         self._turned: float | None = None  # of the drive's own mount against it, contradicted [rad]
         self._contradicted: Contradicted | None = None
         self.joined = False
-        """Whether the stored evidence is joined with the new."""
+        """True if the stored evidence is joined with the new."""
         self._has_left = False
         if stored.is_given and isinstance(inner, TakesStatedMount):
             inner.take_stated_mount(stored.R_vehicle_from_sensor)
@@ -193,7 +193,7 @@ class RestoredEstimator:
 
     @property
     def serves_stored(self) -> bool:
-        """Whether the stored mount is served, and not this drive's own or a transition to it."""
+        """True if the stored mount is served, and not this drive's own or a transition to it."""
         return self.phase not in (Phase.HANDING_OVER, Phase.NEW)
 
     @property
@@ -272,7 +272,7 @@ class RestoredEstimator:
 
     @property
     def _is_shown_wrong(self) -> bool:
-        """Whether this drive shows that the mount in front is wrong.
+        """True if this drive shows that the mount in front is wrong.
 
         Doubt about the drive's own mount does not show it.
         """

@@ -111,7 +111,7 @@ class SavesInformation(Protocol):
         ...
 
     def saved_information(self) -> SavedInformation | None:
-        """Information of all evidence, for the next start; None where there is too little."""
+        """Information of all evidence, for the next start; None if there is too little."""
         ...
 
     def join_information(self, kept: SavedInformation) -> None:

@@ -57,12 +57,12 @@ class ServedMount:
 
     @property
     def has_arrived(self) -> bool:
-        """Whether the applied correction equals the one that was found last."""
+        """True if the applied correction equals the one that was found last."""
         return self._slewed.has_arrived
 
     @property
     def is_turning(self) -> bool:
-        """Whether the next tick changes the applied correction."""
+        """True if the next tick changes the applied correction."""
         return self._slewed.is_moving
 
     def judge(

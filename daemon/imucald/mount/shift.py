@@ -106,7 +106,7 @@ def largest_change(
     unevenness: tuple[float, float] = (1.0, 1.0),
     fresh: int | None = None,
 ) -> Shift | None:
-    """Return the most significant change of an angle; None where too little is known.
+    """Return the most significant change of an angle; None if too little is known.
 
     steps: (S, 2, 2) size of a step in gravity at the beginning of each span, in roll and pitch: the
     largest and the smallest, signed, in standard deviations. unevenness: ratio of the roads'

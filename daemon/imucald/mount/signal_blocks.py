@@ -125,7 +125,7 @@ class SignalBlockMaker:
         self._rows = empty_rows(ROWS)
         self._n = KEEP
         self._begins = True
-        """Whether the next block includes ticks before the first one; no data were lost there."""
+        """True if the next block includes ticks before the first one; no data were lost there."""
         self._expected: deque[tuple[float, EvenBlock | None]] = deque()  # of the ticks to come
         self.offsets = Offsets()
         self.steering_offset = 0.0
@@ -147,7 +147,7 @@ class SignalBlockMaker:
 
     @property
     def without_speed(self) -> bool:
-        """Whether there has been no speed signal for long enough to work without speed."""
+        """True if there has been no speed signal for long enough to work without speed."""
         return self.blocks > BLOCKS_WITHOUT_SPEED and "speed" not in self.seen
 
     def push(self, tick: TickRow) -> bool:

@@ -94,7 +94,7 @@ class SignalChecks:
 
     @property
     def is_motion_accused(self) -> bool:
-        """Whether the force contradicts dv/dt or v r now.
+        """True if the force contradicts dv/dt or v r now.
 
         Such signals are no evidence of a direction of the mount, nor of a move.
         """
@@ -147,7 +147,7 @@ class SignalChecks:
 
     @property
     def have_agreed(self) -> bool:
-        """Whether all signals were seen to agree, as certainly as *fine* needs."""
+        """True if all signals were seen to agree, as certainly as *fine* needs."""
         return self._contradictions.agreed and self._alternatives.are_seen(TO_BE_FINE)
 
     def share(self, is_fine: bool) -> float:
@@ -162,7 +162,7 @@ class SignalChecks:
 
     @property
     def is_mirror_excluded(self) -> bool:
-        """Whether any evidence has ruled out the mirror image of this drive."""
+        """True if any evidence has ruled out the mirror image of this drive."""
         return self._alternatives.is_mirror_excluded
 
     @property

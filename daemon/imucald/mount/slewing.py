@@ -43,7 +43,7 @@ class SlewedCorrection:
 
     @property
     def has_arrived(self) -> bool:
-        """Whether the target is applied, up to `NEAR`."""
+        """True if the target is applied, up to `NEAR`."""
         target, now = self._target, self.correction
         if target is None or now is None:
             return False
@@ -52,7 +52,7 @@ class SlewedCorrection:
 
     @property
     def is_moving(self) -> bool:
-        """Whether the next tick changes the applied correction."""
+        """True if the next tick changes the applied correction."""
         target, now = self._target, self.correction
         return target is not None and now is not None and target is not now
 

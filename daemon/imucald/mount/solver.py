@@ -119,7 +119,7 @@ class MountSolver:
         self._lever_arm.restart()
 
     def add(self, p: SignalBlock) -> tuple[Array, Array]:
-        """Take a block; return dv/dt and v r (N,), zero where they are not trusted."""
+        """Take a block; return dv/dt and v r (N,), zero if they are not trusted."""
         self.blocks += 1
         R = self.R if self.yaw_known else None
         if R is not None and self._lever_arm:
@@ -162,7 +162,7 @@ class MountSolver:
         return self._motion
 
     def sure(self) -> bool:
-        """Whether yaw is known well enough to learn the bias from the rest of the force.
+        """True if yaw is known well enough to learn the bias from the rest of the force.
 
         The part of yaw's variance that no driving reduces does not count: half of the squared
         cross-axis error.
@@ -302,7 +302,7 @@ class MountSolver:
 
     @property
     def armed(self) -> bool:
-        """Whether a change of each angle would be seen: enough road before it, and after it."""
+        """True if a change of each angle would be seen: enough road before it, and after it."""
         return self._armed_share(self.response.segment) >= 1.0
 
     @property

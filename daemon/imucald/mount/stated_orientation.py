@@ -54,11 +54,11 @@ class StatedOrientation:
         return None
 
     def confirms_up(self, R: Matrix3) -> bool:
-        """Whether a person stated the same direction up."""
+        """True if a person stated the same direction up."""
         return self._confirms(R, UP)
 
     def confirms_forward(self, R: Matrix3) -> bool:
-        """Whether a person stated the same direction forward."""
+        """True if a person stated the same direction forward."""
         return self._confirms(R, FORWARD)
 
     def _confirms(self, R: Matrix3, row: int) -> bool:

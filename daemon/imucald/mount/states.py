@@ -45,7 +45,7 @@ class Manoeuvres:
         """
 
     def add(self, accel: Array, turn: Array) -> None:
-        """Take a block of dv/dt and v r, zero where they are not trusted."""
+        """Take a block of dv/dt and v r, zero if they are not trusted."""
         for k, values in enumerate((accel, -accel, turn, -turn)):
             self._feed(self._state[k], values, float(_LEVELS[k]))
 
@@ -121,11 +121,11 @@ class MountKnowledge(Struct, frozen=True):
     yaw_seen: float = math.inf
     """Deviation of the best single source of yaw, without the common errors of the sensor."""
     has_past: bool = False
-    """Whether evidence of past drives is included."""
+    """True if evidence of past drives is included."""
     cross_axis: float = 0.0
     """Cross-axis error of the accelerometer that is assumed (part)."""
     turning: bool = True
-    """Whether any signal shows turns."""
+    """True if any signal shows turns."""
     speed_hz: float = 0.0
     """Ticks per second with a speed in the last minute."""
     driven_s: float = 0.0
@@ -169,7 +169,7 @@ def targets_in_force(known: MountKnowledge, before: MountState, s: EstimatorSett
 
 
 def _is_rest_hidden(known: MountKnowledge, before: MountState, s: EstimatorSettings) -> bool:
-    """Whether only the part that cross-axis errors hide is left in yaw.
+    """True if only the part that cross-axis errors hide is left in yaw.
 
     Mounts below the usual limit are then only those whose visible parts of the error are small by
     chance, while their hidden part is unaffected. The limit would select the mounts that are wrong

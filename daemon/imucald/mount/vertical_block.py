@@ -52,11 +52,11 @@ class Carried(Struct, frozen=True):
     """Result of a block.
 
     lone: (N, 3) specific force minus gravity along the vertical, and minus the effect of the bias
-    [m/s^2]. up: (3,) vertical at the last tick. state: (3, 4) at the end, None where there is none
+    [m/s^2]. up: (3,) vertical at the last tick. state: (3, 4) at the end, None if there is none
     yet. end: (3, 3) remaining effect of the initial state at the end. answer: size of the largest
     response to a bias. left: (3,) sum of the unexplained force. of_bias: (4, 3) information of a
     bias and, below it, the score. of_steps: (7, 6) the same for (I - B, remaining effect of the
-    initial state). These are zero where no motion is known.
+    initial state). These are zero if no motion is known.
     """
 
     lone: Array

@@ -196,7 +196,7 @@ class ZeroStep:
             self.cause = GravityMoved.STEPPED if is_stepped else GravityMoved.UNKNOWN
 
     def _is_off_in_bends(self, up: Array, before: SeenOver, change: Array) -> bool:
-        """Whether gravity was off where the axis was visible, by more than half of the change.
+        """True if gravity was off where the axis was visible, by more than half of the change.
 
         Half is the middle between a zero that stepped and a straight grade behind the vehicle.
         """

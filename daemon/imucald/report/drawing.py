@@ -217,7 +217,7 @@ def _axes(view: View, R: Matrix3) -> list[str]:
 
 
 def _is_end_on(view: View, v: Array) -> bool:
-    """Whether the reader looks along the axis; then it is drawn as a ring."""
+    """True if the reader looks along the axis; then it is drawn as a ring."""
     (x0, y0), (x1, y1) = CENTRE, view.place(AXIS_LENGTH * v)
     return math.hypot(x1 - x0, y1 - y0) < END_ON * AXIS_LENGTH
 

@@ -89,7 +89,7 @@ class ChecksSensors(Protocol):
 
     @property
     def checked(self) -> bool:
-        """Whether the check has been made, or is known from an earlier drive."""
+        """True if the check has been made, or is known from an earlier drive."""
         ...
 
     def check_sensors(self) -> None:

@@ -135,7 +135,7 @@ class AttitudeConsumer:
 
     @property
     def checked(self) -> bool:
-        """Whether the sensor check has been made, or is known from an earlier drive."""
+        """True if the sensor check has been made, or is known from an earlier drive."""
         return self.filter.checked
 
     def saved_check(self) -> Mapping[str, Any] | None:

@@ -195,7 +195,7 @@ class Engine:
     def _turned(
         self, t: float, samples: Sequence[Sample], correction: Correction | None
     ) -> dict[str, Turned]:
-        """Return the samples of one frame in vehicle axes, by channel; None where there is no
+        """Return the samples of one frame in vehicle axes, by channel; None if there is no
         correction.
         """
         triads, planar = self.output.triads, self.output.planar

@@ -1,4 +1,4 @@
-"""Whether corrected frames flow now: the first line of a daemon's status.
+"""True if corrected frames flow now: the first line of a daemon's status.
 
 The module gives the alarms of the health frame in words, and those that mean that no good data are
 sent.

@@ -65,7 +65,7 @@ class MountOrders:
 
     @property
     def is_held(self) -> bool:
-        """Whether the mount is held and nothing is learnt."""
+        """True if the mount is held and nothing is learnt."""
         return self._held is not None
 
     @property

@@ -62,7 +62,7 @@ class Snapshot(Struct, frozen=True):
     k: int
     estimate: MountEstimate
     usable: bool
-    """Whether a correction is in force from this tick on."""
+    """True if a correction is in force from this tick on."""
     faults: Mapping[str, Faults] = field(default_factory=dict)
     """For each channel, the faults of sensors and signals that are not fit to be used."""
 
@@ -101,7 +101,7 @@ class TickCorrections(Struct, frozen=True, dict=True):
     def by_tick(self, channel: str) -> NDArray[np.float64]:
         """Return, for each tick, matrix by rows and offset for a channel's samples (n, 12), SI.
 
-        NaN where nothing is applied; `Correction.of` selects the matrix.
+        NaN if nothing is applied; `Correction.of` selects the matrix.
         """
         spells = np.diff(self._spells[1], append=len(self.corrections))
         return np.repeat(self._rows(channel), spells, axis=0)

@@ -23,8 +23,8 @@ if TYPE_CHECKING:
 class CorrectedSamples(Struct, frozen=True, eq=False):
     """Samples of a sensor in vehicle axes, as sent, before rounding into frames.
 
-    t: (N,) stream time [s]. values: (N, 3) SI, NaN where there is no correction. row: (N,) rows of
-    the segment's frames. quality: (N,) as on the bus, 0 where values are NaN.
+    t: (N,) stream time [s]. values: (N, 3) SI, NaN if there is no correction. row: (N,) rows of
+    the segment's frames. quality: (N,) as on the bus, 0 if values are NaN.
     """
 
     t: NDArray[np.float64]
@@ -57,7 +57,7 @@ def corrected_samples(
     output: OutputFrames,
     preprocessing: PreprocessingChain | None,
 ) -> dict[str, CorrectedSamples]:
-    """Return corrected samples by channel; NaN where there is no correction.
+    """Return corrected samples by channel; NaN if there is no correction.
 
     ticks: (N,) ticks of the segment's frames. preprocessing: knowledge of a model about corrected
     samples.

@@ -68,7 +68,7 @@ def _after(t: float | None, lead: float) -> float | None:
 
 
 def mount_dict(estimate: MountEstimate) -> dict[str, Any]:
-    """Return angles, quaternion, deviations and covariance; None where there is none yet."""
+    """Return angles, quaternion, deviations and covariance; None if there is none yet."""
     angles, quaternion, std = estimate.angles, estimate.quaternion, estimate.std
     result: dict[str, Any] = {
         f"{name}_deg": None if angles is None else round(angles[i] * DEG_PER_RAD, 4)

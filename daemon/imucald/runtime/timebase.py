@@ -62,7 +62,7 @@ class TimeBase:
         """Number of discontinuities."""
         self.started = False
         self.is_live = False
-        """Whether single stamps come from a live bus: from one clock, in the order received."""
+        """True if single stamps come from a live bus: from one clock, in the order received."""
         self._offset = 0.0
         self._newest = -math.inf  # stamp
         self._highest = -math.inf  # stamp, of all segments

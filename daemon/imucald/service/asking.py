@@ -19,7 +19,7 @@ RETRY_S = 0.02
 
 
 def default_socket(channel: str, environment: Mapping[str, str] | None = None) -> Path | None:
-    """Return the path of the status socket, or None where there is no folder for it.
+    """Return the path of the status socket, or None if there is no folder for it.
 
     Root has one even if its environment names none, as in a container, under sudo or cron.
     """

@@ -362,7 +362,7 @@ def saved_state(
     shifts: Sequence[Mapping[str, Any]] = (),
     stored: StoredMount | None = None,
 ) -> SavedState | None:
-    """Return the saved form of an estimator's estimate; None where it cannot be saved.
+    """Return the saved form of an estimator's estimate; None if it cannot be saved.
 
     stored: the mount to save, if it is not the estimate's. A held mount is saved as it was at the
     beginning of the hold, so it does not become less certain.

@@ -91,7 +91,7 @@ class RecentHistory:
         self._ticks.clear()
 
     def _means(self) -> list[float]:
-        """Return forces, dv/dt and speed times turn rate of the ticks; NaN where not known."""
+        """Return forces, dv/dt and speed times turn rate of the ticks; NaN if not known."""
         if not self._ticks:
             self._ended = None
             return [math.nan] * 8

@@ -305,7 +305,7 @@ class Service:
 
     @property
     def state_corrupt(self) -> bool | None:
-        """Whether an invalid saved state was found, and none was saved since."""
+        """True if an invalid saved state was found, and none was saved since."""
         store = self.parts.calibration_store
         return None if store is None else bool(store.problems) and not store.writer.saves
 
@@ -320,7 +320,7 @@ class Service:
 
     @property
     def sensors_checked(self) -> bool:
-        """Whether the sensor check has been made."""
+        """True if the sensor check has been made."""
         return is_checked(self.engine)
 
     def ask_sensor_check(self) -> None:
@@ -334,7 +334,7 @@ class Service:
 
     @property
     def state_forgotten(self) -> bool:
-        """Whether no forgotten state would return at another start."""
+        """True if no forgotten state would return at another start."""
         store = self.parts.calibration_store
         return store is None or store.store.is_forgotten
 

@@ -131,7 +131,7 @@ class StateStore:
         self.generation = 0
         """Generation of the newest state that was saved, loaded or forgotten."""
         self.is_empty = True
-        """Whether nothing is saved: nothing was saved, or all was forgotten since."""
+        """True if nothing is saved: nothing was saved, or all was forgotten since."""
         self.era = 0
         """Counter that increases when all saved states are forgotten; a save of an earlier era is
         ignored.
@@ -240,7 +240,7 @@ class StateStore:
 
     @property
     def is_forgotten(self) -> bool:
-        """Whether another start would load no forgotten state."""
+        """True if another start would load no forgotten state."""
         return not self._forgotten
 
     def sync(self) -> None:

@@ -53,12 +53,12 @@ class RunningService(Protocol):
 
     @property
     def state_corrupt(self) -> bool | None:
-        """Whether an invalid saved state was found; None if no state is kept."""
+        """True if an invalid saved state was found; None if no state is kept."""
         ...
 
     @property
     def state_forgotten(self) -> bool:
-        """Whether no forgotten state would return at another start."""
+        """True if no forgotten state would return at another start."""
         ...
 
     @property
@@ -72,7 +72,7 @@ class RunningService(Protocol):
 
     @property
     def sensors_checked(self) -> bool:
-        """Whether the sensor check has been made."""
+        """True if the sensor check has been made."""
         ...
 
     def log_tester(self, text: str) -> None:
@@ -106,7 +106,7 @@ class LiveHost:
 
     @property
     def standing(self) -> bool | None:
-        """Whether the vehicle stands, by a speed at most two seconds old."""
+        """True if the vehicle stands, by a speed at most two seconds old."""
         pipeline = self._service.engine.pipeline
         if pipeline.speed is None:
             return None
@@ -194,7 +194,7 @@ class LiveHost:
 
     @property
     def sensors_checked(self) -> bool:
-        """Whether the sensor check has been made."""
+        """True if the sensor check has been made."""
         return self._service.sensors_checked
 
     def forget(self) -> None:
@@ -203,7 +203,7 @@ class LiveHost:
 
     @property
     def is_forgotten(self) -> bool:
-        """Whether no forgotten state would return at another start."""
+        """True if no forgotten state would return at another start."""
         return self._service.state_forgotten
 
 

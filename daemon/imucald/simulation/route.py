@@ -56,7 +56,7 @@ class RouteBuilder:
 
     @property
     def is_empty(self) -> bool:
-        """Whether the route is still empty."""
+        """True if the route is still empty."""
         return not self._columns[0]
 
     def uniform(self, low: float, high: float) -> float:

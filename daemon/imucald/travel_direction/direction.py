@@ -62,7 +62,7 @@ class TravelState(enum.IntEnum):
 class Step:
     """One step cycle and its headings [rad, clockwise from north]; None: not known.
 
-    heading: by the configured method. compass: heading of the terminal's y axis, None where that is
+    heading: by the configured method. compass: heading of the terminal's y axis, None if that is
     vertical. deviation: standard deviation of the alternative [rad]; ahead: probability that the
     alternative is not 180 deg wrong.
     """
@@ -78,7 +78,7 @@ class Step:
     deviation: float | None = None
     ahead: float | None = None
     ambiguous: bool = False
-    """Whether the heading comes from the alternative and may be 180 deg wrong."""
+    """True if the heading comes from the alternative and may be 180 deg wrong."""
 
 
 class TravelDirection:

@@ -74,7 +74,7 @@ def y_angle(mean: Array) -> float | None:
     """Return the clockwise angle from the level frame's y axis to the projection of the terminal's
     y axis.
 
-    mean: acceleration (3,). Returns None where the terminal's y axis is (nearly) vertical.
+    mean: acceleration (3,). Returns None if the terminal's y axis is (nearly) vertical.
     """
     x, y, _ = projected(np.array([0.0, 1.0, 0.0]), *levelling_angles(mean))
     return math.atan2(float(x), float(y)) if math.hypot(x, y) >= MIN_HORIZONTAL else None
@@ -83,7 +83,7 @@ def y_angle(mean: Array) -> float | None:
 def level_heading(field: Array, mean: Array) -> float | None:
     """Return the clockwise angle from magnetic north to the level frame's y axis [0, 2 pi).
 
-    field, mean: magnetic field and acceleration (3,). Returns None where the field is vertical.
+    field, mean: magnetic field and acceleration (3,). Returns None if the field is vertical.
     """
     x, y, _ = projected(field, *levelling_angles(mean))
     return math.atan2(-float(x), float(y)) % TWO_PI if x != 0.0 or y != 0.0 else None
@@ -96,7 +96,7 @@ def correlation_angle(accel: Array) -> float | None:
     Range: [0, 2 pi). accel: (POINTS, 3) over one cycle, reading +g upwards. R_hz(tau) = sum h(t)
     z(t + tau), over the cycle as if it repeated. The difference R(+tau) - R(-tau) (*reconstructed*)
     is positive for the direction of travel: the body is braked after its lowest point, where z is
-    largest. Returns None where no lag shows a direction.
+    largest. Returns None if no lag shows a direction.
     """
     waves = projected(accel, *levelling_angles(accel.mean(axis=0)))
     waves = waves - waves.mean(axis=0)
@@ -119,7 +119,7 @@ class PublishedResult(NamedTuple):
     """Headings of one cycle [rad, clockwise from north], the choice between the two, and whether
     there was a turn.
 
-    compass and tilt_heading are None where the terminal's y axis is vertical.
+    compass and tilt_heading are None if the terminal's y axis is vertical.
     """
 
     heading: float | None

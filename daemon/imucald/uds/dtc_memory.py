@@ -206,7 +206,7 @@ class DtcMemory:
         return self._rates[dtc.number].judge(now, total, alive)
 
     def _is_alive(self, now: float, used: int) -> bool:
-        """Whether good frames arrived within the last second."""
+        """True if good frames arrived within the last second."""
         if used != self._used:
             self._used, self._alive_at = used, now
         return now - self._alive_at < 1.0

@@ -70,7 +70,7 @@ class Host(Protocol):
 
     @property
     def standing(self) -> bool | None:
-        """Whether the vehicle stands; None if its speed is not known."""
+        """True if the vehicle stands; None if its speed is not known."""
         ...
 
     @property
@@ -104,7 +104,7 @@ class Host(Protocol):
 
     @property
     def sensors_checked(self) -> bool:
-        """Whether the sensor check is complete."""
+        """True if the sensor check is complete."""
         ...
 
     def forget(self) -> None:
@@ -113,5 +113,5 @@ class Host(Protocol):
 
     @property
     def is_forgotten(self) -> bool:
-        """Whether the deletion is stored on disk, so that a restart cannot restore anything."""
+        """True if the deletion is stored on disk, so that a restart cannot restore anything."""
         ...

@@ -144,7 +144,7 @@ class IsoTpChannel:
         return self._taken()
 
     def _is_allowed(self) -> bool:
-        """Whether one more frame may be processed now."""
+        """True if one more frame may be processed now."""
         now = self._clock()
         earned = (now - self._counted_at) * FRAMES_PER_SECOND
         self._allowance = min(self._allowance + earned, FRAMES_AT_ONCE)

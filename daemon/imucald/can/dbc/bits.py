@@ -37,7 +37,7 @@ class Field(Struct, frozen=True):
 
     @property
     def is_big(self) -> bool:
-        """Whether the byte order is Motorola."""
+        """True if the byte order is Motorola."""
         return self.byte_order == "big_endian"
 
     @property

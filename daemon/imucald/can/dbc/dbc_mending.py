@@ -143,7 +143,7 @@ class MendedText:
             self._bad.append((one.start, one.end))
 
     def _is_unfinished(self, one: _Statement, following: _Statement) -> bool:
-        """Whether the parser stopped because of a statement, not of the keyword after it."""
+        """True if the parser stopped because of a statement, not of the keyword after it."""
         if one.keyword in {"BO_", "SG_"}:
             return True
         if following.keyword == "SG_" or one.keyword in {"BU_", "BS_", "NS_", "VERSION"}:

@@ -59,14 +59,14 @@ class Message(Struct, frozen=True, omit_defaults=True):
     source: str = ""
     unsupported: str = ""
     has_own_address: bool = False
-    """Whether another J1939 message of the database has the same PGN. The source address then
+    """True if another J1939 message of the database has the same PGN. The source address then
     distinguishes the messages."""
     left_out: Mapping[str, str] = msgspec.field(default_factory=dict)
     """Signals that were left out or changed: place (file:line), reason, remedy."""
 
     @property
     def is_multiplexed(self) -> bool:
-        """Whether some signals are present only for certain values of a multiplexer."""
+        """True if some signals are present only for certain values of a multiplexer."""
         return any(signal.is_multiplexer for signal in self.signals.values())
 
     def signal(self, name: str) -> Signal:

@@ -110,7 +110,7 @@ def _cantools() -> Any:
 
 
 def _is_out_of_memory(error: Exception) -> bool:
-    """Whether an error is a MemoryError, or cantools raised it because of a MemoryError."""
+    """True if an error is a MemoryError, or cantools raised it because of a MemoryError."""
     behind = (error, error.__cause__, error.__context__, *vars(error).values())
     return any(isinstance(one, MemoryError) for one in behind) or "MemoryError" in str(error)
 

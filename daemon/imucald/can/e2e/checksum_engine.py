@@ -96,7 +96,7 @@ class Checksum:
         return self._feed(self._starts[index], covered) ^ spec.final_xor
 
     def is_right(self, data: bytes | bytearray) -> bool:
-        """Whether checksum (and data id nibble) of a frame of at least `size` bytes are right."""
+        """True if checksum (and data id nibble) of a frame of at least `size` bytes are right."""
         spec = self.spec
         if spec.fixed is not None and read_bits(data, spec.fixed[0]) != spec.fixed[1]:
             return False

@@ -59,7 +59,7 @@ class Echoes:
         self._sent.append((self._clock(), can_id, data))
 
     def is_own(self, can_id: int, data: bytes) -> bool:
-        """Whether a received frame is an echo of a sent frame. Each sent frame has one echo."""
+        """True if a received frame is an echo of a sent frame. Each sent frame has one echo."""
         oldest = self._clock() - ECHO_S
         while self._sent and self._sent[0][0] < oldest:
             self._sent.popleft()
@@ -253,11 +253,11 @@ class Adapter:
             self._echoes.sent(can_id, data)
 
     def is_same_interface(self) -> bool:
-        """Whether the adapter is still there. Always true, since only an error shows a loss."""
+        """True if the adapter is still there. Always true, since only an error shows a loss."""
         return True
 
     def is_up(self) -> bool:
-        """Whether the interface is up. An open adapter is always up."""
+        """True if the interface is up. An open adapter is always up."""
         return True
 
 

@@ -247,7 +247,7 @@ class Link:
         self.counters = LinkCounters()
         self.state = LinkState.ABSENT
         self.is_empty = True
-        """Whether the last `receive` returned all waiting frames."""
+        """True if the last `receive` returned all waiting frames."""
         self._fd = fd
         self._bitrate = bitrate
         self._options = options

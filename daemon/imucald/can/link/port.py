@@ -31,10 +31,10 @@ class Port(SendingPort, Protocol):
         """Count the waiting frames in `lost`, because they will not be read."""
 
     def is_same_interface(self) -> bool:
-        """Whether the opened interface still exists."""
+        """True if the opened interface still exists."""
 
     def is_up(self) -> bool:
-        """Whether the interface is up."""
+        """True if the interface is up."""
 
 
 def open_port(

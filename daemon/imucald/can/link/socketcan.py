@@ -202,14 +202,14 @@ class SocketCan:
         self._socket.send(_FD.pack(can_id, length, flags, data))
 
     def is_same_interface(self) -> bool:
-        """Whether the interface of our socket is still the one with this name."""
+        """True if the interface of our socket is still the one with this name."""
         try:
             return _interface_index(self._channel) == self.index
         except OSError:
             return False
 
     def is_up(self) -> bool:
-        """Whether the interface is up. The ioctl uses our socket; no other family is needed."""
+        """True if the interface is up. The ioctl uses our socket; no other family is needed."""
         request = _FLAGS_REQUEST.pack(os.fsencode(self._channel), 0)
         try:
             answer = fcntl.ioctl(self._socket, _SIOCGIFFLAGS, request)

@@ -141,7 +141,7 @@ class CandumpReader:
 
     @staticmethod
     def begins(head: bytes) -> bool:
-        """Whether one of the first lines has the form `(seconds) channel id#...`."""
+        """True if one of the first lines has the form `(seconds) channel id#...`."""
         return _LOG_LINE.search(head) is not None
 
     def __init__(self, filters: IdFilters, channels: Channels, statistics: ReadStatistics) -> None:

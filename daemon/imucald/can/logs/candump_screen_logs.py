@@ -49,7 +49,7 @@ class CandumpScreenReader:
 
     @staticmethod
     def begins(head: bytes) -> bool:
-        """Whether one of the first lines has the form of candump's output or of cansend's input."""
+        """True if one of the first lines has the form of candump's output or of cansend's input."""
         lines = _COLOUR.sub(b"", head).splitlines()
         return any(
             PRINTED.fullmatch(line.rstrip()) or AS_CANSEND.match(line) for line in lines[:50]

@@ -36,7 +36,7 @@ class StampedTimes:
         self._days: dict[bytes, int] = {}
 
     def fits(self, stamp: bytes) -> bool:
-        """Whether a stamp has the form of the file's first stamps: time of day, or not."""
+        """True if a stamp has the form of the file's first stamps: time of day, or not."""
         return _is_absolute(stamp) == self._are_absolute
 
     def other(self, name: str, line: int) -> None:
@@ -90,7 +90,7 @@ class StampedTimes:
 
 
 def _is_absolute(stamp: bytes) -> bool:
-    """Whether a stamp is a date or counts from 1970."""
+    """True if a stamp is a date or counts from 1970."""
     return b":" in stamp or len(stamp.partition(b".")[0]) >= SECONDS_DIGITS
 
 

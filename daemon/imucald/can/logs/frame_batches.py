@@ -38,7 +38,7 @@ class FrameBatches:
 
     @property
     def is_full(self) -> bool:
-        """Whether the batch is full, so that `columns` should be called."""
+        """True if the batch is full, so that `columns` should be called."""
         return len(self._batch) >= BATCH_FRAMES
 
     def add(self, t: float, can_id: int, data: bytes, channel: str, fd: bool) -> bool:
@@ -55,7 +55,7 @@ class FrameBatches:
         return True
 
     def is_wanted(self, index: int, can_id: int, channel: str) -> bool:
-        """Whether frames with this id on this channel are wanted."""
+        """True if frames with this id on this channel are wanted."""
         key = index, can_id
         if key not in self._verdicts:
             if len(self._verdicts) == MAX_IDS:

@@ -41,7 +41,7 @@ class GvretReader:
 
     @staticmethod
     def begins(head: bytes) -> bool:
-        """Whether the first line is the heading of SavvyCAN."""
+        """True if the first line is the heading of SavvyCAN."""
         return _HEADING.match(head) is not None
 
     def __init__(self, filters: IdFilters, channels: Channels, statistics: ReadStatistics) -> None:

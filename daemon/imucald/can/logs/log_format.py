@@ -149,7 +149,7 @@ class LogFormat(Protocol):
 
     @staticmethod
     def begins(head: bytes) -> bool:
-        """Whether a file with these first uncompressed bytes (up to 4 KiB) has this format."""
+        """True if a file with these first uncompressed bytes (up to 4 KiB) has this format."""
         ...
 
     def __init__(

@@ -64,7 +64,7 @@ class PcapReader:
 
     @staticmethod
     def begins(head: bytes) -> bool:
-        """Whether the first four bytes are those of a capture."""
+        """True if the first four bytes are those of a capture."""
         return head[:4] == _PCAPNG or head[:4] in _PCAP
 
     def __init__(self, filters: IdFilters, channels: Channels, statistics: ReadStatistics) -> None:
@@ -149,7 +149,7 @@ def _unwrapped(packet: bytes, link: int) -> tuple[int, bytes]:
 
 
 def _is_id(word: int) -> bool:
-    """Whether a word can be an id with flags. Without the 29-bit flag it must fit 11 bits."""
+    """True if a word can be an id with flags. Without the 29-bit flag it must fit 11 bits."""
     return bool(word & (CAN_EFF_FLAG | CAN_ERR_FLAG)) or word & CAN_EFF_MASK <= CAN_SFF_MASK
 
 

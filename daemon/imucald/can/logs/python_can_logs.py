@@ -83,7 +83,7 @@ class PythonCanReader:
 
     @staticmethod
     def begins(head: bytes) -> bool:
-        """Whether the first bytes are those of one of these formats."""
+        """True if the first bytes are those of one of these formats."""
         return any(begins.match(head) for begins in _BEGINNINGS.values())
 
     def __init__(self, filters: IdFilters, channels: Channels, statistics: ReadStatistics) -> None:

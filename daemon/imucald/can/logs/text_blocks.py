@@ -113,7 +113,7 @@ def looked_at(
 
 
 def is_read_once(path: Path | str) -> bool:
-    """Whether a path is a pipe, a device or standard input."""
+    """True if a path is a pipe, a device or standard input."""
     if str(path) == STDIN:
         return True
     try:

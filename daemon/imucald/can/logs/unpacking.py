@@ -44,7 +44,7 @@ class Member(Protocol):
 
     @property
     def eof(self) -> bool:
-        """Whether the member has ended."""
+        """True if the member has ended."""
 
     @property
     def unused_data(self) -> bytes:
@@ -52,7 +52,7 @@ class Member(Protocol):
 
     @property
     def needs_input(self) -> bool:
-        """Whether more input is needed for more output."""
+        """True if more input is needed for more output."""
 
     def decompress(self, data: bytes, max_length: int, /) -> bytes:
         """Unpack `data`; return at most `max_length` bytes."""
@@ -193,7 +193,7 @@ class InPieces:
 
 
 def unpacks_to_too_much(file: Any, size: int) -> bool:
-    """Whether the next `size` bytes of an open file (zlib) unpack to more than `FREE_BYTES`. A
+    """True if the next `size` bytes of an open file (zlib) unpack to more than `FREE_BYTES`. A
     reader of another library would unpack such a block as a whole."""
     if size * MOST_OF_A_BYTE <= FREE_BYTES:
         return False

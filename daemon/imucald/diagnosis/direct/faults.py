@@ -145,7 +145,7 @@ def _rail(x: Array, still: Mask) -> float | None:
 
 
 def _is_thickest_there(x: Array, top: float, near: float) -> bool:
-    """Whether values do not become rarer from the median to the largest. A rail cuts off a tail. A
+    """True if values do not become rarer from the median to the largest. A rail cuts off a tail. A
     naturally limited signal, such as an axis of a vector of constant length, is most frequent at
     its limit."""
     middle = float(np.median(x))
@@ -158,7 +158,7 @@ def _is_thickest_there(x: Array, top: float, near: float) -> bool:
 
 
 def _is_crowded(x: Array, top: float, near: float) -> bool:
-    """Whether a value occurs more often than the levels below it. Without clipping, the end of a
+    """True if a value occurs more often than the levels below it. Without clipping, the end of a
     range is rarer."""
     at = x >= top - near
     below = x[~at]
@@ -175,7 +175,7 @@ def _is_crowded(x: Array, top: float, near: float) -> bool:
 
 
 def _is_held(x: Array, at: Mask) -> bool:
-    """Whether a signal stays longer at its highest values than at its other turning points. Of n
+    """True if a signal stays longer at its highest values than at its other turning points. Of n
     samples in k stays there, n - k are repeats; their number is binomial with the share of repeats
     elsewhere. The longest stay does not count, because a single stop must not decide."""
     first = np.flatnonzero(np.concatenate([[True], np.diff(x) != 0.0]))
@@ -263,7 +263,7 @@ def _timed(name: str, series: Series, model: VehicleModel) -> Iterator[Fault]:
 
 
 def _has_other_rate(steps: Array) -> bool:
-    """Whether wide steps follow each other, as when a sender changes its rate without losing
+    """True if wide steps follow each other, as when a sender changes its rate without losing
     frames. After most random or burst losses a step of one cycle follows. steps: (N,) cycles."""
     wide = steps > 1.0
     return bool(wide[:-1].sum() > 0 and wide[1:][wide[:-1]].mean() > 0.5)

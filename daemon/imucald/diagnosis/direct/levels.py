@@ -116,7 +116,7 @@ def step_of(levels: Array) -> float:
 
 
 def is_one_grid(levels: Array, step: float) -> bool:
-    """Whether all levels lie on one grid from end to end. Readings that were rotated after rounding
+    """True if all levels lie on one grid from end to end. Readings that were rotated after rounding
     lie in clusters: their gaps are equal, but do not add up to a grid."""
     code = np.cumsum(np.round(np.diff(levels, prepend=levels[0]) / step))
     slope, start = np.polyfit(code, levels, 1)
@@ -128,7 +128,7 @@ def is_one_grid(levels: Array, step: float) -> bool:
 
 
 def coarser(drives: Sequence[DriveSignals], stated: VehicleModel) -> list[Question]:
-    """Whether signals have coarser steps than in the file's drives, or show 0 up to a higher
+    """True if signals have coarser steps than in the file's drives, or show 0 up to a higher
     value."""
     asked: list[Question] = []
     for drive in drives:

@@ -96,6 +96,6 @@ def lost_readings(series: Series, signals: int) -> Lost | None:
 
 
 def _ends_both_ways(runs: Array, jumps: NDArray[np.intp]) -> bool:
-    """Whether jumps lead repeatedly to both ends of the range: then they are shocks beyond the
+    """True if jumps lead repeatedly to both ends of the range: then they are shocks beyond the
     range. A sensor falls back to one value only. runs: (N,) of a signal with one component."""
     return all(int((runs[jumps] == end).sum()) > 1 for end in (runs.min(), runs.max()))

@@ -1,4 +1,4 @@
-"""Whether a signal stays at one value longer than it normally does.
+"""True if a signal stays at one value longer than it normally does.
 
 At constant speed a signal stays longer than in town, so the lengths of its stays have a heavier
 tail than a geometric distribution. Therefore each stay has its own probability of going on, drawn

@@ -148,12 +148,12 @@ CHANGES = Family(CHANGES_OTHERWISE, _row)
 
 
 def changes_missing(drives: Sequence[DriveSignals]) -> list[Question]:
-    """Whether signals stay constant until they change by a large amount."""
+    """True if signals stay constant until they change by a large amount."""
     return [q for drive in drives for signal in signals_of(drive) for q in _missing(signal)]
 
 
 def stays_until_off(name: str, channel: Channel) -> bool:
-    """Whether a signal is sent on change: then a constant value is not stuck."""
+    """True if a signal is sent on change: then a constant value is not stuck."""
     asked = [q for signal in numbers_of(name, channel) for q in _missing(signal)]
     return bool(beyond_chance(asked))
 
@@ -188,7 +188,7 @@ def _missing(signal: Numbers) -> Iterator[Question]:
 
 
 def jumps_alone(drives: Sequence[DriveSignals]) -> list[Question]:
-    """Whether signals jump repeatedly, with small changes before and after each jump."""
+    """True if signals jump repeatedly, with small changes before and after each jump."""
     return [q for drive in drives for signal in signals_of(drive) for q in _alone(signal)]
 
 

@@ -32,7 +32,7 @@ class Clock:
     steps: Array
     """(N - 1,) cycles between frames."""
     is_steady: bool
-    """Whether stamps follow the cycle over the whole drive. Lost frames show even if the logger's
+    """True if stamps follow the cycle over the whole drive. Lost frames show even if the logger's
     clock wanders."""
 
 
@@ -65,7 +65,7 @@ def clock_of(t: Array) -> Clock | None:
 
 
 def _adds_up(steps: Array, cycle: float) -> bool:
-    """Whether delays add up from frame to frame: then no clock triggers the frames, and the mean
+    """True if delays add up from frame to frame: then no clock triggers the frames, and the mean
     step is no clock's cycle. steps: (N,) [s]."""
     late = steps - cycle * np.maximum(np.round(steps / cycle), 1.0)
     late = late[np.abs(late) < NEAR_SHARE * cycle]

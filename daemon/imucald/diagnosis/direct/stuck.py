@@ -139,7 +139,7 @@ def _usual_of(values: Array, length: Array, k: int) -> float:
 
 
 def _is_shown_often(t: Array, table: Array, first: Index, span: tuple[float, float]) -> bool:
-    """Whether most other stays of a sensor have the same value as this span: then it is a dead zone
+    """True if most other stays of a sensor have the same value as this span: then it is a dead zone
     and no stuck sensor. first: rows at which a stay begins."""
     inside = (t >= span[0]) & (t <= span[1])
     value = table[inside][0]
@@ -178,7 +178,7 @@ def _chances(t: Array, x: Array, last: Index, length: Array, asked: Index, felt:
 
 
 def _others_move(name: str, samples: Samples, span: tuple[float, float]) -> bool:
-    """Whether related signals go on moving in an interval of time."""
+    """True if related signals go on moving in an interval of time."""
     if name == "speed":
         partner = samples["accel"]
     else:

@@ -10,7 +10,7 @@ from imucald.motion.rail_evidence import PILE
 
 
 def visited_too_often(is_there: Mask, beside: int, levels: int, chance: float) -> bool:
-    """Whether k visits to a value are too many for m samples in n levels next to it.
+    """True if k visits to a value are too many for m samples in n levels next to it.
 
     If all levels are equally likely, k of k + m is binomial with p <= 1/(n + 1). Visits are counted
     instead of samples, since a slow signal stays at any value for several samples.

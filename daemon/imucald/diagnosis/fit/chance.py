@@ -21,7 +21,7 @@ class Question:
 
     p: float
     is_large: bool
-    """Whether the effect is larger than a correct model file may leave."""
+    """True if the effect is larger than a correct model file may leave."""
     structure: Structure
     may_be_large: float = 1.0
     """Upper limit of the chance that the effect looks large if nothing is wrong. An accurately

@@ -47,7 +47,7 @@ class Hypothesis:
 
     @property
     def is_plain(self) -> bool:
-        """Whether only the keys are freed, in all blocks."""
+        """True if only the keys are freed, in all blocks."""
         return not self.directions and self.pattern is None
 
 

@@ -139,7 +139,7 @@ def asked_of(
 
 
 def _can_be_asked(error: Error, condition: str) -> bool:
-    """Whether an error can be tested with a condition. A tyre responds after a distance, not a time
+    """True if an error can be tested with a condition. A tyre responds after a distance, not a time
     (relaxation length, Pacejka, ch. 5), so in every vehicle the delay in turns depends on the
     speed. A zero that depends on its own signal is a gain."""
     if error.kind == ZERO and error.signal == "speed" and condition == SPEEDS[0]:

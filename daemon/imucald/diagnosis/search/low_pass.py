@@ -75,7 +75,7 @@ class _Filter:
     more: Array
     """(B,) nats by which it explains blocks better, with fits that did not use their fold."""
     is_apart: bool
-    """Whether its difference from a delay exceeds the equations' error in a delay."""
+    """True if its difference from a delay exceeds the equations' error in a delay."""
 
 
 def _compare(state: State, trial: Trial, name: str, late: Mapping[str, float]) -> None:

@@ -74,7 +74,7 @@ def search(state: State, tick: Tick, late: Callable[[], bool], skip: Sequence[st
 
 
 def _is_ended(state: State) -> bool:
-    """Whether the findings so far end the search."""
+    """True if the findings so far end the search."""
     drifts = any(t.hypothesis.pattern is not None for t in state.named)
     return drifts or state.shift is not None or bool(state.implausible)
 
@@ -193,7 +193,7 @@ def _winner(trials: Sequence[Trial]) -> Trial | None:
 
 
 def _is_form_of(t: Trial, best: Trial) -> bool:
-    """Whether it is the same cause, or frees only some of the same parameters."""
+    """True if it is the same cause, or frees only some of the same parameters."""
     one, all_of = t.hypothesis, best.hypothesis
     is_part = one.is_plain and all_of.is_plain and set(one.keys) < set(all_of.keys)
     return one.name == all_of.name or is_part

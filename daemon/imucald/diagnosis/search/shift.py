@@ -50,7 +50,7 @@ class FittedShift:
 
     @property
     def named(self) -> bool:
-        """Whether the shift exceeds chance, including the search over times."""
+        """True if the shift exceeds chance, including the search over times."""
         beyond = np.abs(self.turn) > LEAST_TURN + SEARCH * self.quantile * self.se
         return bool(np.any(beyond) and self.shown > LEAST_NATS)
 

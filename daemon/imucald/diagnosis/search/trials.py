@@ -58,12 +58,12 @@ class Trial:
 
     @property
     def outside(self) -> bool:
-        """Whether it leaves the box of correct files by more than chance."""
+        """True if it leaves the box of correct files by more than chance."""
         return self.is_beyond and self.estimate.pull > self.estimate.quantile
 
     @property
     def is_beyond(self) -> bool:
-        """Whether a value exceeds its tolerance by at least one standard deviation."""
+        """True if a value exceeds its tolerance by at least one standard deviation."""
         beyond = np.abs(self.estimate.value) > self.tolerance + self.estimate.se
         return bool(np.any(beyond[: self.hypothesis.lead or len(beyond)]))
 
@@ -74,7 +74,7 @@ class Trial:
 
     @property
     def is_plausible(self) -> bool:
-        """Whether all values beyond their tolerances are plausible for a vehicle or a sensor."""
+        """True if all values beyond their tolerances are plausible for a vehicle or a sensor."""
         v, tau = self.estimate.value, self.tolerance
         low, high = self.plausible.T
         return bool(np.all((np.abs(v) <= tau) | ((v >= low) & (v <= high))))
@@ -93,20 +93,20 @@ class Trial:
 
     @property
     def is_testable(self) -> bool:
-        """Whether the data determine its parameters better than the plausible range does."""
+        """True if the data determine its parameters better than the plausible range does."""
         e = self.estimate
         return bool(np.all(e.quantile * e.se < 0.5 * (self.plausible[:, 1] - self.plausible[:, 0])))
 
     @property
     def could_be(self) -> bool:
-        """Whether it may be a rival: it improves the prediction, with a value beyond its tolerance.
+        """True if it may be a rival: it improves the prediction, with a value beyond its tolerance.
         A rival need not be significant by itself."""
         far = (np.abs(self.estimate.value) > self.reach)[: self.hypothesis.lead or None]
         return self.shown > SINGLE_NATS and bool(np.any(far)) and self.is_testable
 
     @property
     def named(self) -> bool:
-        """Whether it passes all tests of a single hypothesis."""
+        """True if it passes all tests of a single hypothesis."""
         return self.shown > self.needed and self.outside and self.is_testable
 
 

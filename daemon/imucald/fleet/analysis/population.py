@@ -147,7 +147,7 @@ freedom."""
 
 
 def _has_others(units: Units, offset: Array, odd: Flags) -> Flags:
-    """Whether a vehicle's type has other vehicles that neither stand out nor belong to a found
+    """True if a vehicle's type has other vehicles that neither stand out nor belong to a found
     batch."""
     plain = ~odd & (offset == 0.0).all(axis=1)
     count = _sum(plain[:, None].astype(float), units.kind, units.kinds)[:, 0]

@@ -140,7 +140,7 @@ class Drift(NamedTuple):
 
     @property
     def is_named(self) -> bool:
-        """Whether a drift is certain, and large enough for a fault."""
+        """True if a drift is certain, and large enough for a fault."""
         return self.log_odds > 0.0 and float(np.linalg.norm(self.size)) > NAMED
 
     def variance(self) -> Array:

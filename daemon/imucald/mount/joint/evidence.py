@@ -196,7 +196,7 @@ class Solution(NamedTuple):
 
     @property
     def is_of_sensors(self) -> bool:
-        """Whether the gains of both matrices along all directions are possible for this unit."""
+        """True if the gains of both matrices along all directions are possible for this unit."""
         return are_of_a_sensor(self.force, self.rate)
 
     def sensor(self, priors: Priors) -> KnownSensor:
@@ -286,7 +286,7 @@ class Evidence:
 
     @property
     def compares_with_before(self) -> bool:
-        """Whether one of the hypotheses is that nothing has changed."""
+        """True if one of the hypotheses is that nothing has changed."""
         return self.known is not None and not self.is_moved
 
     def gap(self) -> None:
@@ -371,7 +371,7 @@ class Evidence:
             first = stop
 
     def _is_up_to(self, made: int) -> bool:
-        """Whether all blocks that can be made into windows have been made."""
+        """True if all blocks that can be made into windows have been made."""
         return made >= len(self._blocks) - 1
 
     def _follow_drift(self) -> None:
@@ -503,7 +503,7 @@ class Evidence:
 
         For long evidence, one call makes only some of the windows again; the next calls continue.
 
-        Raises LinAlgError where the signals contradict one another so that no sensor fits them.
+        Raises LinAlgError if the signals contradict one another so that no sensor fits them.
         """
         if self._axes is None and not self._find_first_axes():
             return self.solution
@@ -645,7 +645,7 @@ class Evidence:
     def move(self) -> Move | None:
         """Return the most likely rotation of the sensor in the last minutes.
 
-        Returns None where too little is known or no gyroscope carries the vertical.
+        Returns None if too little is known or no gyroscope carries the vertical.
         """
         spans = SPANS[len(self._sums) - LEAST_BEFORE >= SPANS]
         if self.solution is None or not self._sums.has_fitted or not len(spans):

@@ -143,7 +143,7 @@ class KnownSensor(NamedTuple):
     def correction(self, R_vehicle_from_sensor: Matrix3) -> Correction:
         """Return the correction for the earlier mount, whose rotation is given for the housing.
 
-        Raises EstimateError where rotation and matrix are not of one mount, or no sensor has such
+        Raises EstimateError if rotation and matrix are not of one mount, or no sensor has such
         terms.
         """
         R = self.rotation

@@ -75,7 +75,7 @@ class Move(Struct, frozen=True):
 
     @property
     def is_certain(self) -> bool:
-        """Whether the sensor was moved."""
+        """True if the sensor was moved."""
         return self.log_odds > 0.0
 
     @property

@@ -111,7 +111,7 @@ class Priors(NamedTuple):
 
 
 def are_of_a_sensor(force: Matrix3, rate: Matrix3) -> bool:
-    """Whether the gains of both matrices (3, 3) along all directions are possible for their
+    """True if the gains of both matrices (3, 3) along all directions are possible for their
     unit.
     """
     gains = np.linalg.svd(np.stack([force, rate]), compute_uv=False)

@@ -181,7 +181,7 @@ class WindowSums:
 
     @property
     def has_fitted(self) -> bool:
-        """Whether a fit used these windows, or most of them."""
+        """True if a fit used these windows, or most of them."""
         return all(fit.has_fitted for fit in self._fits)
 
     def restart(self) -> None:

@@ -28,7 +28,7 @@ class ManoeuvreCollector:
         """Manoeuvres for which speed shows which way is forward."""
         self.unsigned = ManoeuvreBook(MANOEUVRES_KEPT)
         self.gear_known = False
-        """Whether a signal shows when the vehicle is in reverse."""
+        """True if a signal shows when the vehicle is in reverse."""
         self._open: Manoeuvre | None = None
 
     def drop(self) -> None:
@@ -36,7 +36,7 @@ class ManoeuvreCollector:
         self._open = None
 
     def take(self, interval: SpeedInterval, f: Vector, along: float, lateral: float) -> bool:
-        """Take an interval with speed; return True where a manoeuvre has ended and is kept.
+        """Take an interval with speed; return True if a manoeuvre has ended and is kept.
 
         f: force less offset, sensor axes; along, lateral: dv/dt and v r less their offsets [m/s^2].
         """

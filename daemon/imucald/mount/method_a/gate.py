@@ -58,7 +58,7 @@ class WanderingOffset:
 
     @property
     def ready(self) -> bool:
-        """Whether the mean comes from enough straight motion."""
+        """True if the mean comes from enough straight motion."""
         return self._weight >= min(OFFSET_SETTLED_S, 0.6 * self._tau)
 
     def mean(self) -> list[float]:
@@ -132,7 +132,7 @@ class StraightGate:
         return False
 
     def is_turning(self, interval: SpeedInterval) -> bool:
-        """Whether an interval is well beyond the limits of yaw rate and lateral acceleration."""
+        """True if an interval is well beyond the limits of yaw rate and lateral acceleration."""
         s = self._limits
         lateral = abs(interval.speed * interval.yaw_rate)
         if lateral > TURN_FACTOR * s.lateral_limit > 0.0:
@@ -161,7 +161,7 @@ class StraightGate:
         return self._unexplained(interval, level) <= limit + UNEXPLAINED_NOISE
 
     def _unexplained(self, interval: SpeedInterval, level: Matrix3) -> float:
-        """Return the horizontal force that dv/dt does not explain [m/s^2]; 0 where dv/dt is not
+        """Return the horizontal force that dv/dt does not explain [m/s^2]; 0 if dv/dt is not
         known.
         """
         if isnan(interval.dvdt) or not self._offset.ready:

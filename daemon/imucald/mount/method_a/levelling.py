@@ -122,7 +122,7 @@ class LongRunLevel:
         self.seconds += seconds
 
     def tilt(self) -> Tilt | None:
-        """Return the tilt from the whole drive, or None where nothing was added."""
+        """Return the tilt from the whole drive, or None if nothing was added."""
         norm = math.sqrt(self._x**2 + self._y**2 + self._z**2)
         if self.seconds <= 0.0 or norm <= 0.0:
             return None

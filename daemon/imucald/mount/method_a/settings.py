@@ -24,7 +24,7 @@ class PublishedSettings(MountSettings, frozen=True):
 
     @property
     def is_level(self) -> bool:
-        """Whether the accelerometer counts as level, so that nothing is levelled."""
+        """True if the accelerometer counts as level, so that nothing is levelled."""
         return self.planar or not self.calibration.method_a.level
 
     def to_the_letter(self) -> PublishedSettings:
@@ -81,7 +81,7 @@ class PublishedSettings(MountSettings, frozen=True):
     robust: bool = True
     """A manoeuvre that disagrees with the others gets less weight (Huber)."""
     use_speed: bool = True
-    """Whether dv/dt from a speed is used for gate, sign and weight (beyond the publication for gate
+    """True if dv/dt from a speed is used for gate, sign and weight (beyond the publication for gate
     and weight).
     """
     speed_timeout: float = 2.5

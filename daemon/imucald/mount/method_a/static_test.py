@@ -62,7 +62,7 @@ class StandstillDetector:
     def step(self, tick: TickRow, stopped: bool | None) -> StaticWindow | None:
         """Take a tick; return a window that has just been confirmed static.
 
-        stopped: whether speed says that the vehicle stands; None where speed is not known.
+        stopped: whether speed says that the vehicle stands; None if speed is not known.
         """
         if stopped is False or tick[ACCEL.bad] > 0.0:
             self.restart()

@@ -141,7 +141,7 @@ class CombinedAngle(NamedTuple):
 
 
 def combined(pointers: Pointers, turns: float = 1.0, robust: bool = True) -> CombinedAngle | None:
-    """Combine pointers (N,) robustly into one angle; None where there is nothing to combine.
+    """Combine pointers (N,) robustly into one angle; None if there is nothing to combine.
 
     turns: how many times a pointer goes round while the angle goes round once (2 for an axis).
 
