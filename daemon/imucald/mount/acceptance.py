@@ -22,15 +22,15 @@ NO_SIDES = (
     "{up: z}}' with the axis that points up: without one of them an upside-down sensor looks like "
     "one with inverted signs"
 )
-"""Text: what keeps a sufficiently certain estimate from being *fine* when no signal tells left from
-right.
+"""Text of the reason why a certain estimate is not *fine*: no signal distinguishes left from right.
 """
 TURNED_SIDES = (
     "'calibration: {orientation: {up: z}}' with the axis that points up: the yaw rate, steering "
     "angle or lateral acceleration has 'sign: -1', so it cannot show that the accelerometer's "
     "signs are right"
 )
-"""Text for the case that such a signal exists but the configuration turns its sign."""
+"""Text for a signal that distinguishes left from right, but has its sign inverted by the
+configuration."""
 WHY_GRAVITY_MOVED = (
     "more bends: gravity has another direction in the sensor. Bends show whether the sensor "
     "was turned or the zero of its accelerometer has changed"
@@ -44,7 +44,7 @@ LATE_SPEED = (
 
 
 class Acceptance(Struct, frozen=True):
-    """Checks of an estimate, with what is known now."""
+    """Checks of an estimate with the present evidence."""
 
     solver: MountSolver
     checks: SignalChecks
@@ -52,7 +52,8 @@ class Acceptance(Struct, frozen=True):
     has_speed: bool
 
     def missing_to_be_good(self) -> str | None:
-        """Say in words what an estimate with small enough deviations still lacks to be good."""
+        """Return the missing conditions, in words, for an estimate with small deviations to become
+        good."""
         if not self.has_speed:
             return None
         if self.solver.delay_speed.is_beyond:
@@ -88,7 +89,8 @@ class Acceptance(Struct, frozen=True):
         return not self.has_speed or self.checks.have_agreed
 
     def missing_to_be_fine(self) -> str:
-        """Say in words what an estimate with small enough deviations still lacks to be *fine*."""
+        """Return the missing conditions, in words, for an estimate with small deviations to become
+        *fine*."""
         if self.changes.is_loose:
             times = counted(len(self.changes.history), "time")
             return f"a firmly fixed sensor (it moved {times} in this drive)"

@@ -1,18 +1,19 @@
 """Check the signals for wrong signs and exchanged axes.
 
-The check comes before any mount is called good. A wrong sign leads to a mount that fits well enough
-to be believed for a while. A mount is therefore not good until the data have ruled out every such
-alternative. Each alternative is compared with the configuration in blocks of 6.4 s (`log_ratios`).
-One kind of alternative concerns pairs of signals that show the same motion. The other kind concerns
-the axes of the gyroscope against those of the accelerometer (`gyro_alternatives`).
+The check comes before any mount is called good. With a wrong sign the estimator finds a wrong
+mount, which fits the data of the first minutes. A mount is therefore not good until the data have
+ruled out every such alternative. Each alternative is compared with the configuration in blocks of
+6.4 s (`log_ratios`). One kind of alternative concerns pairs of signals that show the same motion.
+The other kind concerns the axes of the gyroscope against those of the accelerometer
+(`gyro_alternatives`).
 
-The second kind cannot see that all signs of the accelerometer are turned: force and rate are then
-those of the mirror image of the drive, which obeys the same physics. It also cannot see a vehicle
-that always drives backwards. Only a signal that tells left from right shows these two cases: the
-yaw rate of the vehicle, the steering angle, or the lateral acceleration. A heading also shows the
-first case. A person can also state which axis of the sensor points up or forward. The speed also
-shows the second case: no road vehicle drives backwards as fast as `MAX_REVERSE`, or for most of its
-way. The estimate does not become *fine* before something has ruled out the mirror image.
+The second kind cannot detect an accelerometer with all signs inverted: force and rate then show the
+mirror image of the drive, which obeys the same physics. It also cannot detect a vehicle that always
+drives backwards. Only a signal that distinguishes left from right shows these two cases: the yaw
+rate of the vehicle, the steering angle, or the lateral acceleration. A heading also shows the first
+case. A person can also state which axis of the sensor points up or forward. The speed also shows
+the second case: no road vehicle drives backwards as fast as `MAX_REVERSE`, or for most of its way.
+The estimate becomes *fine* only after evidence has ruled out the mirror image.
 """
 
 from __future__ import annotations
@@ -36,7 +37,7 @@ from imucald.mount.stated_orientation import Stated, StatedOrientation
 Flags = NDArray[np.bool_]
 
 RATE_FLOOR, FORCE_FLOOR = 0.01, 0.3
-"""Smallest noise that is assumed for a signal [rad/s], [m/s^2]: smaller values count as noise."""
+"""Smallest assumed noise of a rate [rad/s] and of a force [m/s^2]."""
 YOUNG = 24
 """Up to this many blocks (150 s), all blocks are weighed again, because the rotation still changes
 much.
@@ -82,7 +83,7 @@ NO_TURNS = "a gyroscope, a yaw rate or a steering angle: no other signal shows t
 
 
 class Alternatives:
-    """True if the data have spoken against every wrong sign and exchange of axes."""
+    """Evidence of the data against each wrong sign and each exchange of axes."""
 
     def __init__(self, settings: EstimatorSettings) -> None:
         self._settings = settings
@@ -125,9 +126,8 @@ class Alternatives:
         seen: set[str],
         steering_offset: float,
     ) -> None:
-        """Take the last of the kept blocks. R, bias, gains: as known now.
-
-        seen: the signals received so far.
+        """Take the last of the kept blocks. R, bias, gains: present estimates. seen: names of the
+        signals received so far.
         """
         p = kept[-1]
         speed = p.speed[p.ok_speed]
@@ -234,9 +234,7 @@ class Alternatives:
         return not self.missing(least)
 
     def missing(self, least: float) -> str | None:
-        """Say in words which driving is still needed before all signals are seen to agree; None:
-        none.
-        """
+        """Return in words the driving that is still needed to see all signals agree; None: none."""
         beside = (self._lateral, self._heading)
         if self._taken > YOUNG and not (self._turns.blocks or self._gyro.blocks):
             return NO_TURNS
@@ -258,7 +256,7 @@ class Alternatives:
         return None
 
     def share(self, least: float) -> float:
-        """Share (0 to 1) of the driving that `missing` asks for that has been seen."""
+        """Share (0 to 1) of the driving named by `missing` that has been done."""
         shares = [pair.share(least) for pair in self._asked]
         shares += [self._gyro.share(least)] if self._gyro.blocks else []
         shares += [] if self._knows_forward else [self._fastest / MAX_REVERSE]
@@ -306,7 +304,8 @@ class Alternatives:
 
     @property
     def not_checked(self) -> tuple[str, ...]:
-        """Say in words what no signal of this vehicle can show and no person has stated."""
+        """Return in words the properties that no signal of this vehicle shows and no person has
+        stated."""
         if self._settings.are_sides_turned:
             has_heading = "heading" in self._signals
             return () if has_heading or self.is_mirror_excluded else (NOT_CONFIRMED,)

@@ -32,7 +32,8 @@ from imucald.mount.even_signals import (
 Flags = NDArray[np.bool_]
 
 REST_TICKS = 12
-"""The speed must have been zero for this many ticks to count as rest: the jerk of braking dies out.
+"""The vehicle rests once the speed has been zero for this many ticks: the jerk of braking is then
+over.
 """
 
 
@@ -70,8 +71,8 @@ class BlockSpeed:
         """Return the speed (N + 2,) of a block, where it is known, and whether it equals the one in
         `even`.
 
-        rows: (ROWS, COLUMNS) with their ends t; at: (N + 2,) times of the speed [s]. forward: what
-        the accelerometer says about the speed of all ticks, computed on demand.
+        rows: (ROWS, COLUMNS) with their ends t; at: (N + 2,) times of the speed [s]. forward:
+        function that computes the speed changes by the accelerometer, for all ticks.
         """
         driven = None if even is None else even.driven
         runs = None if driven is None else driven.runs
@@ -116,7 +117,7 @@ class BlockSpeed:
         return speed, ok, is_even
 
     def _hides_step(self, rows: Array, driven: Driven | None) -> bool:
-        """True if the speed of a block does not show the step that the signal is known to have."""
+        """True if the known step of the signal does not show in the speed of a block."""
         if driven is None or driven.knots.step >= self._step:
             return False
         return comes_in(self._step, rows[:, tk.SPEED.mean], rows[:, tk.SPEED.n])
@@ -168,7 +169,7 @@ class BlockSpeed:
         return out
 
     def no_rest(self) -> Flags:
-        """Take a block (N,) without any rest."""
+        """Follow a block (N,) that contains no rest."""
         self._rest_run = 0
         return np.zeros(BLOCK_TICKS, dtype=bool)
 

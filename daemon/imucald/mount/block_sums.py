@@ -41,7 +41,7 @@ class BlockSums(NamedTuple):
 
 
 def driven(p: SignalBlock) -> Flags:
-    """Return the ticks (N,) that may be learnt from and have a known driving speed."""
+    """Return the usable ticks (N,) with a known driving speed."""
     return p.learn & (p.ok_speed | p.rest)
 
 
@@ -104,8 +104,8 @@ The deviation of the yaw is 6 deg there.
 """
 
 FOLLOWED = 0.5
-"""A force that answers by less than this share of the motion says nothing about direction: only the
-gyroscope was turned, or the speed was not that of the vehicle.
+"""Smallest ratio of force to motion for which a block shows a direction. With a smaller ratio only
+the gyroscope was turned, or the speed was not that of the vehicle.
 """
 
 
@@ -150,7 +150,7 @@ _PAIRS = np.array(
         (3, 5), (3, 6),
     ]
 )  # fmt: skip
-"""Pairs for the products of force ahead and across, dv/dt, v r, r^2, and the slopes of r and of
+"""Pairs of factors for the products: force ahead and across, dv/dt, v r, r^2, derivatives of r and
 dv/dt.
 """
 

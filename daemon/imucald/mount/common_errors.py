@@ -13,9 +13,9 @@ def common_errors(settings: EstimatorSettings) -> tuple[CommonError, ...]:
     """Return the errors of the sensor itself that the spread of the data cannot show.
 
     Scale errors s of a sensor that is turned against the vehicle act as a symmetric cross-axis
-    error of s / sqrt(5) (mean over all mounts). This error has opposite signs in e_z from dv/dt and
-    in e_z from v r. It also has opposite signs in e_y from dv/dt and in gravity, which counts it as
-    bias.
+    error of s / sqrt(5) (mean over all mounts). Such an error has opposite signs in e_z from dv/dt
+    and in e_z from v r. In e_y it has opposite signs from dv/dt and from gravity, where it acts as
+    a bias.
     """
     scale = settings.accel_scale_std / math.sqrt(5.0)
     cross = settings.calibration.cross_axis

@@ -156,7 +156,7 @@ class PairWatch:
         self.odd_gain = False
 
     def forget(self) -> None:
-        """Forget all pieces. A fault that stands remains until new pieces acquit the pair."""
+        """Forget all pieces. A present fault remains until new pieces of the pair agree."""
         self._sums, self._blocks = NOTHING, 0
         self._pieces.clear()
 
@@ -275,8 +275,7 @@ class Contradictions:
     ) -> None:
         """Take a block. turn_rate: (N,) the yaw rate that the estimator uses [rad/s].
 
-        late: lateness of the speed against the force [s]. None: unknown, so the force is not
-        checked.
+        late: delay of the speed against the force [s]. None: unknown, so the force is not checked.
         """
         self.reverse.add(p.speed, p.ok_speed)
         walk = 0.0
@@ -308,7 +307,7 @@ class Contradictions:
 
     @property
     def faults(self) -> tuple[StandingFault, ...]:
-        """Faults that stand now."""
+        """Present faults."""
         if self.reverse.accused:  # other contradictions follow from it
             return (StandingFault.REVERSE,)
         found = []
@@ -379,8 +378,7 @@ def _sums_of_pairs(
     each is checked.
 
     vehicle: steering ratio, wheelbase and understeer. R: the mount. walk: noise of the turn rate
-    [rad/s] that the rate itself does not show. late: lateness of the speed against the force
-    [ticks].
+    [rad/s] that the rate itself does not show. late: delay of the speed against the force [ticks].
     """
     found: list[_Sums] = [_NOTHING_SEEN] * 5
     moving = p.ok_speed & (np.abs(p.speed) > MOVING)

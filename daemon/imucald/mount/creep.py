@@ -2,13 +2,13 @@
 
 Random walks and steady creep are compared with a constant, weighted by the evidence. A soft holder,
 or tape in the sun, lets the mount turn slowly all the time. A constant that is fitted to such a
-mount is a mean over the drive. Its deviation shrinks although the mount has moved. The residuals of
-the road segments from the constant are therefore also fitted by random walks of several sizes. They
-are also fitted by a level that changes at a steady rate, as materials do under a steady load
-(secondary creep; Ashby and Jones, Engineering Materials 1, ch. 20). The models are local level and
-local linear trend with a Kalman filter (Durbin and Koopman, Time Series Analysis by State Space
-Methods, 2012, ch. 2 and 3). Each model has the probability that its likelihood and its prior give.
-The models that move share a prior. The served angle and its interval are means over all
+mount is a mean over the drive. The deviation of this mean shrinks although the mount has moved. The
+residuals of the road segments from the constant are therefore also fitted by random walks of
+several sizes. They are also fitted by a level that changes at a steady rate, as materials do under
+a steady load (secondary creep; Ashby and Jones, Engineering Materials 1, ch. 20). The models are
+local level and local linear trend with a Kalman filter (Durbin and Koopman, Time Series Analysis by
+State Space Methods, 2012, ch. 2 and 3). Each model has the probability that its likelihood and its
+prior give. The models that move share a prior. The served angle and its interval are means over all
 models, weighted by their probabilities.
 """
 
@@ -36,7 +36,7 @@ RATES: Array = np.concatenate([[0.0], 0.0 * SIZES, SIZES])
 fifth per segment.
 """
 SHIFT_RATIO = 4.0
-"""A mount that creeps is found to have shifted so many times as often as a fixed one (assumption).
+"""Ratio of shifts found in a creeping mount to shifts found in a fixed mount (assumption).
 """
 BELIEVED = 0.995
 """Probability from which creep is reported."""
@@ -44,10 +44,8 @@ MOST = 20
 """Road segments are joined until at most this many remain."""
 FEWEST = 3
 LATE = 0.5
-"""Age of a reported segment, in segments.
-
-Its value holds for the middle of a window, half a segment ago, and is served until the next segment
-ends.
+"""Age of a reported segment, in segments. The value holds for the middle of a window, half a
+segment ago, and is reported until the next segment ends.
 """
 PRIOR_SEGMENTS = 6.0
 """Weight, in segments, of the source's own value as the prior for the spread between segments."""
@@ -56,7 +54,7 @@ HIDDEN = 0.4
 
 An angle far from the mean looks like noise, so its windows count less, most of all where the drift
 shows most. In simulated drives with 72 deg/h (seeds 500,000 to 500,011), 0.6 of the level is found
-after weighing about the drift (`evidence_response`), and 0.5 before.
+with weights about the drift (`evidence_response`), and 0.5 with weights about the mean.
 """
 EVEN = frozenset({"yaw_dvdt", "yaw_turn", "pitch_dvdt"})
 """Sources that hardly depend on the road (`UNEVEN_STD` in `shift`).
@@ -97,8 +95,7 @@ def creep(
     shifts: int = 0,
 ) -> Creep | None:
     """Fit walks and rates to the residuals of the series from constants; None: too little data.
-
-    sources: the same evidence. Its variances show by which factor the informations are too large.
+    sources: the same evidence. Their variances show by which factor the informations are too large.
     chance: prior probability that the mount creeps, before any shift was found. shifts: number of
     shifts found.
     """

@@ -48,7 +48,7 @@ from imucald.mount.priors import (
 from imucald.mount.road_segments import AngleEvidence
 
 SEEN_SHARE = 1.0
-"""The data on a bias are used once their information reaches this share of the prior's."""
+"""Ratio of the data's information on a bias to the prior's, from which the data are used."""
 SHOWN = {
     "yaw_dvdt": (-1.0, 1, 0),
     "yaw_turn": (1.0, 0, 1),
@@ -67,9 +67,9 @@ _OFF_ROW, _OFF_COLUMN = np.nonzero(~np.eye(3, dtype=bool))
 class ForceSeen(Struct, frozen=True):
     """Results from the force besides the sources of angles; sensor axes, SI.
 
-    mean: (3,) mean force of the drive. bias: (3,) of the accelerometer, bias_cov: (3, 3). gains:
-    gains of the response to dv/dt and to turns; None without a gyroscope, because the leaning of
-    the body is then not removed. responses: sources from the responses before any of them is
+    mean: (3,) mean force of the drive. bias: (3,) of the accelerometer, bias_cov: (3, 3). gains: of
+    the response to dv/dt and to turns. They are None without a gyroscope, because the lean of the
+    body is then not removed. responses: sources from the responses, before their variances are
     widened. turning: difference between roll from turns and roll from the axis of turns. Both
     contain the same pitch rate of the road.
     """
@@ -163,7 +163,7 @@ def _answers(
 ) -> dict[str, Array]:
     """Return the response of each source (6,) to the six terms.
 
-    left: what the bias leaves of the level parts of gravity.
+    left: share of the level parts of gravity that remains after the fit of a bias.
     """
     found = {}
     for name in sources:

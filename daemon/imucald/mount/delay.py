@@ -1,12 +1,11 @@
 """Delay of a vehicle signal against the accelerometer, from the phase of their spectra.
 
-A signal x that is late by tau has the spectrum X(w) exp(-i w tau). The response of the force to x
+If a signal x has the delay tau, its spectrum is X(w) exp(-i w tau). The response of the force to x
 is real. The right tau therefore maximises the real parts of the cross-spectrum, summed along the
 direction of response (generalised cross-correlation; Knapp and Carter, IEEE Trans. ASSP 24, 1976).
 Each bin is weighted by the inverse of the force's power.
 
-`LeverArm` is the force that a sensor feels because it sits away from the point whose motion is
-computed.
+`LeverArm` computes the force at a sensor that is away from the point whose motion is computed.
 """
 
 from __future__ import annotations
@@ -34,8 +33,7 @@ KNOWN_STD = 0.2
 correlates.
 """
 SEARCHED_STD = 0.1
-"""A prior with at most this deviation [s] states the delay: the search is limited to four
-deviations.
+"""Deviation [s] up to which a prior counts as a stated delay: only four deviations are searched.
 """
 
 
@@ -68,7 +66,7 @@ class DelaySearch:
 
     @property
     def is_beyond(self) -> bool:
-        """True if the best delay is the largest one searched: the signal may well be later."""
+        """True if the best delay is the largest searched delay: the true delay may be larger."""
         is_sought = self._prior.std > SEARCHED_STD and self.std < self._prior.std
         return is_sought and self._best >= float(self._taus[-1]) - STEP
 

@@ -1,4 +1,4 @@
-"""Output of a mount estimator: rotation, uncertainty, state, and what it waits for."""
+"""Output of a mount estimator: rotation, uncertainty, state, missing evidence."""
 
 from __future__ import annotations
 
@@ -73,7 +73,7 @@ class Targets(Struct, frozen=True):
 
 
 class Gate(Struct, frozen=True):
-    """One condition that an estimate waits for.
+    """One condition of the next state.
 
     share: fraction that is met (0 to 1). left: time of driving until it is met [s], at the pace of
     the last minutes; None: not known.
@@ -97,7 +97,7 @@ def _rows(matrix: Matrix3) -> Rows:
 
 
 HOUSING = ""
-"""Stands in place of a channel for the rotation alone, see `Correction.of`."""
+"""Name in place of a channel: the rotation alone, see `Correction.of`."""
 NO_OFFSET: Vector = (0.0, 0.0, 0.0)
 
 
@@ -220,13 +220,13 @@ class MountEstimate(Struct, frozen=True, dict=True):
     rotation-vector error about the vehicle's axes [rad^2]: R_true = exp(skew(e)) @
     R_vehicle_from_sensor with e ~ (0, covariance). waiting_for: for each angle, the missing
     evidence in words; no entry where nothing is missing. missing: the same as codes for the bus.
-    faults: contradictions between signals that stand now, by the names of
-    `contradictions.StandingFault`. While there is any, no data are sent as good. targets: limits
-    for `judged_std`; None if the estimator states none. progress: progress to the next state;
-    None if driving does not lead there. judged_as: (3,) deviations that are judged instead of
-    those of the housing's rotation [rad]; None: `std` itself is judged. matrices: correction that
-    will be applied once the transition is over, where it is more than the rotation. deviations:
-    deviations that this correction leaves in the samples; None: `sent` follows from the covariance.
+    faults: present contradictions between signals, by the names of `contradictions.StandingFault`.
+    While a fault is present, no data are sent as good. targets: limits for `judged_std`; None if
+    the estimator states none. progress: progress to the next state; None if driving cannot reach
+    this state. judged_as: (3,) deviations that are judged instead of those of the housing's
+    rotation [rad]; None: `std` itself is judged. matrices: correction that will be applied once the
+    transition is over, where it is more than the rotation. deviations: deviations that this
+    correction leaves in the samples; None: `sent` follows from the covariance.
     """
 
     state: MountState
@@ -315,7 +315,7 @@ class MountEstimator(Protocol):
         ...
 
     def gap(self) -> None:
-        """Note a jump of time: no value from before may be differenced with a later one."""
+        """Note a jump of time: no difference is taken between values before and after it."""
         ...
 
     def estimate(self) -> MountEstimate:
@@ -325,7 +325,7 @@ class MountEstimator(Protocol):
 
 @runtime_checkable
 class JudgesSignals(Protocol):
-    """Interface of an estimator that finds stuck vehicle signals and leaves them out."""
+    """Interface of an estimator that finds stuck vehicle signals and does not use them."""
 
     @property
     def stuck_signals(self) -> Mapping[str, bool]:

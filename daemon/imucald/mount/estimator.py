@@ -1,9 +1,9 @@
-"""The full mount estimator: roll, pitch and yaw of the sensor with a covariance that holds.
+"""The full mount estimator: roll, pitch and yaw of the sensor with their covariance.
 
 Order of the steps:
 
 1. Every tick goes to `SignalBlockMaker`; every 6.4 s it gives a block of even signals, each tick
-   flagged by whether it may be learnt from (`motion.signal_health`).
+with a flag that says whether it is usable (`motion.signal_health`).
 2. `MountSolver.add` takes the block. The gyroscope carries the vertical through it. The force minus
    this vertical goes to windows in the frequency domain and to the mean of gravity.
 3. `SignalChecks` compares the signals with one another: a contradiction that begins or ends makes
@@ -63,8 +63,8 @@ FAILED_BLOCKS = 14
 """Numbers out of range stay reported as a fault for this many blocks after the last of them (90 s).
 """
 MINUTE_BLOCKS = 10
-"""The last minute decides what an estimate waits for: a condition that a single block lacks usually
-returns.
+"""Blocks (a minute) that decide which conditions are missing. A condition that fails in a single
+block usually returns.
 """
 TURNING = frozenset({"yaw_rate", "steering"})
 FROZEN_TICKS = 40
@@ -318,7 +318,7 @@ class FullEstimator:
         self._begin_afresh(blocks)
 
     def _begin_afresh(self, blocks: Iterable[SignalBlock]) -> None:
-        """Begin again from these blocks, and continue to check what moved gravity."""
+        """Begin again from these blocks. The check of the cause of the gravity change continues."""
         self._served.has_moved = True
         self._changes.restart()
         self._checks.restart()
@@ -396,13 +396,12 @@ class FullEstimator:
         return GoodMount(good.rotation, self._stated())
 
     def _stated(self) -> tuple[float, ...]:
-        """Return the deviations (3,) of the housing's angles, without a change in doubt [rad]."""
+        """Return the deviations (3,) of the housing's angles, without an unconfirmed change
+        [rad]."""
         return self._changes.stated(self._solver, self._signals.blocks)
 
     def _misleading(self) -> tuple[float, ...]:
-        """Return the deviations (3,) of what a consumer gets, as angles, without a change in doubt
-        [rad].
-        """
+        """Return the deviations (3,) of sent data as angles, without an unconfirmed change [rad]."""
         return self._stated()
 
     def _moving(self) -> Array:

@@ -1,6 +1,6 @@
 """Settings of the full estimator about sensor, vehicle and road: priors, limits, delays.
 
-The intervals rely on every figure here, as a prior or as a promise. `priors` gives the source of
+Every figure here is a prior or a limit on which the intervals rely. `priors` gives the source of
 each.
 """
 
@@ -26,7 +26,7 @@ from imucald.mount.priors import (
 
 
 class DelayPrior(Struct, frozen=True):
-    """Lateness of a vehicle signal against the accelerometer before any data [s].
+    """Prior of the delay of a vehicle signal against the accelerometer [s].
 
     Positive: the signal arrives late. The delay is searched within the configurable range. A stated
     delay (`delay.SEARCHED_STD`) is also searched only within mean +- 4 std.
@@ -57,8 +57,8 @@ class Limits(NamedTuple):
 
 
 class MountSettings(Struct, frozen=True, dict=True):
-    """Settings that both estimators take from the configuration or, where it knows better, from a
-    model file.
+    """Settings that both estimators take from the configuration or, if it has them, from the model
+    file.
 
     crown_mean: mean lean of the roads towards the kerb (tangent); None: that of the configuration.
     """
@@ -128,7 +128,7 @@ class EstimatorSettings(MountSettings, frozen=True):
     )
     lever_arm: tuple[float, float, float] = (0.0, 0.0, 0.0)
     """Lever arm of the sensor from the body's centre of rotation, vehicle axes [m], where a model
-    knows it. The rest is estimated as a nuisance.
+    knows it. The remaining lever arm is estimated as a nuisance.
     """
     understeer: float = UNDERSTEER
     """K in r = v * delta / (n * L * (1 + K v^2 / L)) [rad/(m/s^2)]."""

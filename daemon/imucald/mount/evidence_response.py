@@ -6,10 +6,10 @@ q, r) = R w_s. To first order:
     F_x = gx A + e_z gy V      F_y = gy V - e_z gx A      F_z = e_y gx A - e_x gy V - v q
     p = p_road - e_y r         q = q_road + e_x r,
 
-Noise in A itself therefore reduces the gain but turns no angle. Small terms are fitted as nuisances
-with priors: lever arm (r^2; heave of a pitching body, w^2 A), squat and body roll to second order
-(A^2, V^2, A r, V r), sideslip (r^2, V^2, A V). The fit gives six sources: e_z and e_y from A, e_z
-and e_x from V, e_x and e_y from the axis of rotation in turns.
+Noise in A itself therefore reduces the gain but does not change an angle. Small terms are fitted as
+nuisances with priors: lever arm (r^2; heave of a pitching body, w^2 A), squat and body roll to
+second order (A^2, V^2, A r, V r), sideslip (r^2, V^2, A V). The fit gives six sources: e_z and e_y
+from A, e_z and e_x from V, e_x and e_y from the axis of rotation in turns.
 
 The noise has a different spectrum on each axis: slopes have low frequencies, rough roads and the
 rounding of a speed have high frequencies. Each band and axis has its own noise level, learnt from
@@ -62,7 +62,7 @@ FOLD = 16
 MAX_GROUPS = 2000
 """Number of groups stored separately (14 h); beyond it, neighbours are joined."""
 GROUP = WINDOW // BLOCK_TICKS
-"""Hops per segment of the sandwich: 25.6 s, one window's length."""
+"""Blocks per segment of the sandwich: 25.6 s, one window's length."""
 AFRESH = 8
 """All stored windows are weighed again once in this many blocks."""
 YOUNG = 20

@@ -2,7 +2,7 @@
 
 The tables give the weighted sums that the regressions need, for all rows and windows at once.
 
-They state once which products of signals, with which gains, go into which sum. A fit then needs a
+They define the products of signals and the gains in each sum. A fit then needs a
 few large sums instead of some hundred small ones.
 """
 
@@ -21,7 +21,7 @@ X_ROW, Y_ROW, PITCH_ROW, ROLL_ROW, P_ROW, Q_ROW = range(6)
 
 
 class Row(Struct, frozen=True):
-    """One regression: the answering row and its regressors; the first regressor carries the angle.
+    """One regression: the dependent row and its regressors; the first regressor contains the angle.
 
     share, few: the variance is increased by this share, and by `few` divided by the number of road
     segments, because a few segments hide their own spread. Both were tuned on simulated drives so

@@ -1,9 +1,9 @@
-"""Explanation of an estimate: what each angle still waits for, its progress, and the details.
+"""Explanation of an estimate: missing evidence of each angle, progress, and details.
 
 Troubles come first, then tests, then more driving. The information about an angle, 1 / variance,
-grows about evenly with driving. A limit asks for a certain information. The share of it that has
-come, (limit / deviation)^2, is therefore a percentage that grows evenly. Its recent growth shows
-how long the rest takes. The log ratios of signs grow evenly too.
+grows about evenly with driving. A limit on the deviation is a limit on the information. The ratio
+(limit / deviation)^2 is therefore the share of the needed information, and it grows evenly. Its
+recent growth predicts the remaining time. The log ratios of signs grow evenly too.
 """
 
 from __future__ import annotations
@@ -73,8 +73,8 @@ def mount_troubles(
     """Return, per angle, the problems that more driving does not solve: contradictions, and a mount
     that moves.
 
-    creeping: see `creep_details`. shifted: change of roll, pitch, yaw [rad] where they were found
-    to have shifted again, else 0. level: change in the size of gravity, where that is a fault.
+    creeping: see `creep_details`. shifted: change of roll, pitch, yaw [rad] after repeated shifts,
+    else 0. level: change in the size of gravity, where that is a fault.
     """
     if state is MountState.FINE:
         return {}

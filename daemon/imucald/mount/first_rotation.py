@@ -11,7 +11,7 @@ from imucald.mount.evidence_gravity import GravityEvidence
 from imucald.mount.evidence_response import ResponseEvidence
 
 SIGN_SURE = 0.3
-"""Correlation of lateral force and turning above which forward and backward can be told apart."""
+"""Correlation of lateral force and turning above which forward and backward are distinguished."""
 MIN_WINDOWS, MIN_WINDOWS_WITHOUT_SPEED = 2, 6
 MIN_POWER = 20.0
 """Motion [(m/s^2)^2], summed over the windows, that a direction needs."""

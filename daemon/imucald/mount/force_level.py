@@ -7,8 +7,8 @@ do not show in it, and a vehicle keeps its height on average. Only errors of the
 change this level. Temperature moves a zero by 1 mg/K and a gain by 0.03 %/K (BMI160 data sheet):
 slowly. A change within a minute is therefore a fault of the sensor.
 
-This argument needs a vertical that the force holds. Where no speed shows which part of the force is
-motion, only the gyroscope carries the vertical. A gyroscope that is off by 0.4 deg/s tilts the
+This argument needs a vertical that the force corrects. Where no speed shows which part of the force
+is motion, only the gyroscope carries the vertical. A gyroscope that is off by 0.4 deg/s tilts the
 vertical by 18 deg in 45 s; the force along it is then 9.3. Such blocks are skipped
 (`GravityObserver.is_held`).
 
@@ -16,7 +16,7 @@ Each of the last blocks is tried as the time of a change: the mean before is com
 after, as in `large_change`. A rotated sensor shows another mixture of the zeros of its axes, so a
 change must exceed the effect of such a rotation.
 
-A change across the vertical shows as a tilt, and not here.
+A change across the vertical shows as a tilt, and not in this test.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ REMEMBERED = 60
 LEAST_BEFORE = 10
 """Smallest number of blocks before a change (64 s)."""
 AFTER = range(4, 10)
-"""Numbers of blocks since the change that are tried (26 to 58 s)."""
+"""Numbers of blocks after a change that are tested (26 to 58 s)."""
 LEAST = 0.3
 """Smallest change [m/s^2], 30 mg: 1 mg/K over 30 K, within five minutes."""
 ZEROS = 0.5
@@ -75,7 +75,7 @@ class LevelChange(Struct, frozen=True):
 class ForceLevel:
     """The level of the force along the vertical, block by block.
 
-    change: the change that stands, until the level is back; None without a change.
+    change: the present change, until the level has returned; None without a change.
     """
 
     def __init__(self) -> None:

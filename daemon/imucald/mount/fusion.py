@@ -34,7 +34,8 @@ latter is not better (Gauss and Markov).
 
 
 class CommonError(Struct, frozen=True):
-    """An error that several sources share: its standard deviation [rad] and each one's sign."""
+    """An error that several sources share: its standard deviation [rad], and its sign in each
+    source."""
 
     std: float
     signs: Mapping[str, float]
@@ -165,8 +166,8 @@ def weighed_scales(
     answers: Mapping[str, Array],
     seen: Seen,
 ) -> list[tuple[float, float]]:
-    """Return scales of the scaled errors with their probabilities, judged by how far sources
-    contradict.
+    """Return scales of the scaled errors with their probabilities, from the contradictions of the
+    sources.
 
     candidates: scales and their prior probabilities. Each scale is weighed by the likelihood of all
     sources and of the other measurements, with the three angles free (restricted maximum

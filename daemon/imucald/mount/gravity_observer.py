@@ -81,7 +81,7 @@ class GravityObserver:
         self._open_ticks = 0
         self.drift = np.zeros(3)
         self.taken: Array = np.zeros(TAKEN)
-        """Part of each term of the motion that the vertical has followed."""
+        """Share of each motion term that the vertical has followed."""
         self.use: Flags = np.zeros(BLOCK_TICKS, dtype=bool)
         self.pull = _PULL[False]
         """Ticks of the last block in which the vertical followed the force (N,), and the gain of

@@ -4,10 +4,10 @@ vehicle.
 The vertical that the gyroscope carries (`gravity_observer`) follows every slope and every lean of
 the body. If the sensor is moved between two samples, gravity points elsewhere in sensor axes from
 then on, as if a bias d had begun. The innovation responds by C(t) d = (I - B(t)) d, where B starts
-at zero at that time and follows the equation of the vertical. For each beginning of the last blocks
+at zero at that time and follows the equation of the vertical. For each of the last block beginnings
 as the time of the step, d is fitted by least squares (a generalised likelihood ratio test, Willsky
-and Jones, IEEE Trans. Autom. Control 21, 1976). The size of d without any step is learnt from the
-drive itself, for every age and axis.
+and Jones, IEEE Trans. Autom. Control 21, 1976). The usual size of d without a step is estimated
+from the drive, for every age and axis.
 
 With a gyroscope that sends seldom, the vertical walks at random (`gyro_walk`), and d walks with it.
 The vertical walks by q per second and is pulled back with the time constant T, so its error has the
@@ -26,7 +26,8 @@ from imucald.core.rotations import Matrix3, applied
 from imucald.core.samples import GRAVITY
 
 AGES = 10
-"""Hops since the step that are tried (64 s). The pull makes a step disappear in 16 s."""
+"""Numbers of blocks since the step that are tested (64 s). The pull makes a step disappear in 16
+s."""
 FIRST_AGE = 4
 """Smallest age of a candidate: in younger ones, a gust or a bad road looks like a step."""
 SPREAD_PRIOR, SPREAD_WEIGHT = 0.05, 20.0
@@ -34,9 +35,9 @@ SPREAD_PRIOR, SPREAD_WEIGHT = 0.05, 20.0
 blocks.
 """
 SPREAD_MEMORY = 600.0
-"""Hops over which the spread is learnt (an hour)."""
+"""Blocks over which the spread is estimated (an hour)."""
 SETTLED = 45
-"""Hops after which the drive has shown its own spread.
+"""Blocks after which the drive has shown its own spread.
 
 Until then, a step is found only while the rotation is good, and must be large:
 """
@@ -51,7 +52,7 @@ OTHER_AXIS = 0.25
 across.
 """
 HISTORY_BLOCKS = 96
-"""Hops that are remembered (10 min), because road segments may have pauses between them."""
+"""Blocks that are remembered (10 min), because road segments may have pauses between them."""
 AROUND = 6
 """A road segment begins with a window of the three blocks before it and may show a change late."""
 MIN_SIZE = 0.15

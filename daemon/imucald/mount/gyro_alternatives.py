@@ -25,7 +25,7 @@ from imucald.mount.log_ratios import (
 from imucald.mount.signal_blocks import BLOCK_TICKS
 
 TILT_FLOOR = 0.003
-"""Smallest noise of the level parts [rad]: smaller values count as noise."""
+"""Smallest assumed noise of the level parts [rad]."""
 LEAST_ENERGY = BLOCK_TICKS * TILT_FLOOR**2
 AROUND = 5
 """Means cover this many ticks on both sides: a second."""
@@ -60,8 +60,8 @@ LEAST_TURN = 0.02
 class GyroAlternatives:
     """The evidence against each signed permutation of the gyroscope's axes, summed over blocks.
 
-    A fault that begins in mid-drive has all earlier evidence against it. A second sum therefore
-    restarts wherever it favours the axes as they are (Page's test; Basseville and Nikiforov,
+    All earlier evidence speaks against a fault that begins in mid-drive. A second sum therefore
+    restarts at zero whenever it favours the configured axes (Page's test; Basseville and Nikiforov,
     Detection of Abrupt Changes, 1993, ch. 2.2: e^h blocks to a false alarm, if blocks are
     independent).
     """

@@ -5,8 +5,8 @@ vibration faster than half of the sample rate then looks like slow turning (alia
 add up: the angle walks by the sum of h_i e_i. Here e_i is the part of a sample that is independent
 of its neighbours, and h_i is the time for which the sample stands. The samples themselves show the
 size of e. A sample differs from the line between its neighbours by r_i = e_i - a e_(i-1) - b
-e_(i+1), a + b = 1, so that E[r r'] = (1 + a^2 + b^2) E[e e']. Real quick turning counts as well, so
-the walk is rather too large than too small.
+e_(i+1), a + b = 1, so that E[r r'] = (1 + a^2 + b^2) E[e e']. Real quick turning is included, so
+the walk is estimated too large rather than too small.
 """
 
 from __future__ import annotations

@@ -8,9 +8,9 @@ from typing import NamedTuple
 from imucald.mount.estimate import MountState
 
 GOOD = frozenset({MountState.USABLE, MountState.FINE})
-"""States in which a mount is served without reserve."""
+"""States in which a mount counts as good."""
 BAD = frozenset({MountState.SUSPECT, MountState.RECALIBRATING})
-"""States in which a mount is served but doubted."""
+"""States in which a mount is used although evidence contradicts it."""
 
 SLACK = 1.4
 """A reached state is left only beyond its limit times this factor; frames are still sent with the

@@ -72,7 +72,8 @@ class Witness(Struct, frozen=True):
 
 
 DEVIATIONS = 6.0
-"""Standard deviations from which a rotation counts: 2e-9 of a normal variable, two-sided."""
+"""Number of standard deviations from which a rotation counts: chance 2e-9 for a normal variable,
+two-sided."""
 YAW_RATE = Witness(math.radians(3.0), 0.1)
 """Offsets of 0.3 deg/s in both signals make 1.2 deg in that time."""
 FORCE = Witness(math.radians(6.0), 0.3)
@@ -133,7 +134,7 @@ LEAST_BEFORE = (5, 5, 3)
 In yaw, few blocks are enough to show a change of this size.
 """
 MOST_AFTER = 12
-"""Blocks since the change that are tried (77 s)."""
+"""Largest number of blocks since a tested change (77 s)."""
 LEAST_TICKS = 32
 """Smallest number of good ticks in a usable block: half of them."""
 TILT_NOISE = math.radians(0.5)
@@ -141,7 +142,7 @@ TILT_NOISE = math.radians(0.5)
 PRIOR_BLOCKS = 10.0
 """Weight of the prior for the spread, in blocks."""
 CLIP = 4.5
-"""Largest deviation with which one block widens the spread in yaw, where one bend may be odd."""
+"""Largest deviation with which one block widens the spread in yaw: a single bend may be unusual."""
 LIMITS = (6.0, 6.0, 6.0)
 """Standard deviations from which a change in roll, pitch, yaw counts.
 
@@ -164,12 +165,12 @@ CLEAR, CLEAR_BLOCKS = 3.0, 2
 The second number is how many blocks must be clear.
 """
 STANDING_TURN = math.radians(3.0)
-"""Angle [rad] by which a standing vehicle cannot turn or tilt; people getting in make half a
+"""Angle [rad] by which a standing vehicle cannot turn or tilt. People who get in tilt it by half a
 degree.
 """
 BACKWARDS = math.radians(150.0)
-"""A yaw change larger than this [rad] is a vehicle in reverse, if no signal shows reverse and the
-speed is one of reverse gear. Sensors are seldom turned by just half a turn.
+"""If no signal shows reverse and the speed is possible in reverse gear, a yaw change larger than
+this [rad] means reverse driving. Sensors are seldom turned by exactly half a turn.
 """
 LEAST_RADIUS = 4.0
 """Smallest radius of the circle of a car's rear axle middle [m]; turning circles are 10 to 11 m
@@ -179,11 +180,11 @@ deg/s.
 STANDING_TICKS = 12
 """Ticks of standing from which the tilt of a vehicle is known."""
 REST_WINDOW = 32
-"""Most ticks for the mean of the present tilt: the motion that a silent speed hides then adds up to
-less.
+"""Largest number of ticks for the mean of the present tilt. It limits the motion that a silent
+speed hides.
 """
 LATE_TICKS = 28
-"""A vehicle that moves off is felt before its speed shows it.
+"""The accelerometer shows the start of motion before the speed does.
 
 The wait covers the longest delay of a speed (`MAX_SPEED_DELAY`, 1.8 s) and the time for which wheel
 sensors are silent (up to 1 m/s, `standstill`, at 1 m/s^2). The last ticks of standing are therefore
@@ -342,7 +343,7 @@ class LargeChangeDetector:
     def while_driving(
         self, p: SignalBlock, R: Matrix3, motion: BlockMotion, has_yaw_rate: bool
     ) -> LargeChange | None:
-        """Return a rotation of the sensor that the vehicle did not make with it."""
+        """Return a rotation of the sensor without the vehicle."""
         if has_yaw_rate:
             ok, vehicle, by = p.ok_yaw, p.yaw_rate, YAW_RATE
         else:

@@ -6,7 +6,7 @@ For each block, the residual energies of both hypotheses are compared, E_k and E
 
 This is the likelihood ratio of normal variables with unknown spread (profile likelihood; Davison,
 Statistical Models, 2003, ch. 4.5). n is the number of independent values in the block. One block
-counts for at most `MOST`, so that one odd block decides nothing.
+counts for at most `MOST`, so that a single unusual block decides nothing.
 """
 
 from __future__ import annotations
@@ -35,10 +35,10 @@ MOST, HELD = 3.0, 40.0
 INDEPENDENT = 5.0
 """Independent values of a signal in a block: slopes and motion are correlated for a second."""
 LEAST_TICKS = 60
-"""A block with fewer ticks that may be learnt from is not counted."""
+"""Smallest number of usable ticks in a block that counts."""
 ENOUGH = 60
-"""Blocks (6 min of driving) after which an alternative without a clear result is no longer waited
-for.
+"""Blocks (6 min of driving) after which the mount no longer waits for a clear result of an
+alternative.
 """
 
 

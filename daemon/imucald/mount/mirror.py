@@ -1,11 +1,12 @@
-"""Decide whether the accelerometer is mirrored or the other signals are, by how often each occurs.
+"""Decide whether the accelerometer is mirrored or the other signals are, from the frequency of each
+case.
 
 If an accelerometer shows minus the specific force, all signals that tell left from right need the
 other sign: yaw rate, steering angle, lateral acceleration, the wheels. A gyroscope does not need
 it: it fits such a sensor as one that sits upside down and backwards. If the axes of the
 accelerometer are a left-handed set, the gyroscope needs the other sign too. The other signals may
 also have the other sign themselves, each for its own reason, or all together in a vehicle that
-counts to the right. The drive is the same in all these cases, but some of them are much more
+counts to the right. The data are the same in all these cases, but some cases are much more
 frequent.
 """
 
@@ -18,8 +19,8 @@ MINUS = 0.1
 logs, half of them telephones.
 """
 LEFT_HANDED, LEFT_HANDED_BY_PLACES = 0.01, 0.05
-"""Fraction of the sensors whose axes are a left-handed set: where names give the order, and where
-places give it.
+"""Fraction of the sensors whose axes are a left-handed set: if names give the order, and if places
+in the message give it.
 """
 GYRO_TURNED = 0.05
 """Fraction of the gyroscopes that have all signs turned while the accelerometer is correct;
@@ -53,8 +54,8 @@ def probability(turned: Mapping[str, bool], by_places: bool = False) -> float:
 
     turned: for each quantity ("gyroscope", SIDED, "wheel_speeds"), whether it needs the other sign
     with the accelerometer as it is. Quantities with a separate sign bit are left out, because the
-    bit means left in one vehicle and right in the next. by_places: whether no names say which axis
-    is which.
+    bit means left in one vehicle and right in the next. by_places: True if no names identify the
+    axes.
     """
     gyro = turned.get("gyroscope")
     own = 1.0 if gyro is None else GYRO_TURNED if gyro else 1.0 - GYRO_TURNED

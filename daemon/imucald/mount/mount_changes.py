@@ -31,18 +31,17 @@ from imucald.mount.zero_step import LEAST_TILT, ZeroStep
 MountChange = Shift | GravityStep | LargeChange | Move
 
 NEAR_SHIFT = 0.7
-"""While a change reaches this share of the threshold, every block is followed by a fit.
-
-Its deviations grow as the root of the number of road segments that show it. A smaller change
-therefore does not reach the threshold within the next segment: from one to two, it grows by
+"""While a change reaches this share of the threshold, every block is followed by a fit. The
+significance of a change grows as the root of the number of road segments that show it. A smaller
+change therefore does not reach the threshold within the next segment: from one to two, it grows by
 sqrt(2).
 """
 SHIFTS_ALLOWED = 1
-"""Number of shifts in one drive above which the mount is called loose."""
+"""Number of shifts in one drive above which the mount counts as loose."""
 ALERT_LIMIT = math.radians(1.0)
-"""An angle with a smaller error misleads no consumer [rad], ..."""
+"""Error of an angle [rad] below which no consumer is misled."""
 ALERT_DEVIATIONS = 4.0
-"""... nor does an angle whose error is less than so many stated deviations
+"""Number of stated deviations below which the error of an angle misleads no consumer
 (records/integrity.md).
 """
 COVERING = 0.5
@@ -159,15 +158,16 @@ class MountChanges:
         """True if the applied correction misleads no consumer after a change.
 
         std: stated deviation of the changed angle [rad], without the part that the same change
-        added while it was in doubt. A sudden tilt may be a step of the zero, which no deviation of
-        the mount covers (`zero_step`).
+        added before it was confirmed. A sudden tilt may be a step of the zero. No deviation of the
+        mount includes such a step (`zero_step`).
         """
         if not math.isfinite(std) or self._may_be_stepped_zero(found, solver):
             return False
         return abs(found.size) <= max(ALERT_LIMIT, ALERT_DEVIATIONS * std)
 
     def stated(self, solver: MountSolver, blocks: int) -> tuple[float, ...]:
-        """Return the solver's deviations (3,) [rad] without those that a change in doubt adds."""
+        """Return the solver's deviations (3,) [rad] without the part that an unconfirmed change
+        adds."""
         if solver.fused is None:
             return (math.inf, math.inf, math.inf)
         variance = solver.fused.variance + self._variance(solver, blocks, self._of_borne())
@@ -222,7 +222,7 @@ class MountChanges:
         self._follow()
 
     def _follow(self) -> None:
-        """Note that another solver takes over."""
+        """Note that another solver replaces the present one."""
         self._large.restart()
         self.forget_doubt()
 
@@ -300,7 +300,7 @@ def probability(excess: float) -> float:
 
 
 def blocks_since(change: MountChange, kept: Sequence[SignalBlock]) -> list[SignalBlock]:
-    """Return those of the kept blocks that came after a change."""
+    """Return the stored blocks after a change."""
     if isinstance(change, Shift):
         after = change.segments * GROUP
     elif isinstance(change, Move):

@@ -1,4 +1,4 @@
-"""Take over the mount that an estimator serves: hold it, release it, or save it."""
+"""Hold, release or save the mount that an estimator reports."""
 
 from __future__ import annotations
 
@@ -14,8 +14,8 @@ from imucald.mount.saved_information import SavedInformation, SavesInformation
 
 
 def mount_in_force(estimator: MountEstimator) -> StoredMount | None:
-    """Return the mount that an estimator serves now, in a form that another can continue from;
-    None: no mount.
+    """Return the mount that an estimator reports now, in a form from which another estimator can
+    continue. None: no mount.
     """
     correction = estimator.correction
     if correction is None:
@@ -56,23 +56,23 @@ def doubt_of(estimator: MountEstimator) -> str:
 
 
 def saved_information(estimator: MountEstimator) -> SavedInformation | None:
-    """Return the information from which an estimator can continue later, if it keeps any."""
+    """Return the information from which an estimator can continue later, if it stores any."""
     if isinstance(estimator, RestoredEstimator | SavesInformation):
         return estimator.saved_information()
     return None
 
 
 def known_sensor(estimator: MountEstimator) -> KnownSensor | None:
-    """Return what an estimator knows about the sensor itself, if it finds that."""
+    """Return an estimator's knowledge about the sensor itself, if it has any."""
     if isinstance(estimator, RestoredEstimator | KnowsSensor):
         return estimator.known_sensor()
     return None
 
 
 def held(estimator: MountEstimator) -> RestoredEstimator | None:
-    """Return the mount that an estimator serves, held; None: it serves none.
+    """Return the reported mount of an estimator, held; None: no mount.
 
-    The estimator that found the mount continues as well, because it knows best when the drive
+    The estimator that found the mount continues as well, because it detects best when the drive
     contradicts the mount.
     """
     stored = mount_in_force(estimator)

@@ -1,5 +1,5 @@
-"""Texts about an estimate for people: one convention for "±", how the sensor sits, what is
-missing.
+"""Texts about an estimate for people: the convention for "±", the position of the sensor, the
+missing evidence.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ ABOUT = (
     f"{CONVENTION}; the state depends on the error left in corrected samples, as turns about an "
     "axis"
 )
-"""Text that stands once on each screen that shows a mount."""
+"""Text that appears once on each screen with a mount."""
 VEHICLE_AXES = ("forward axis", "left axis", "up axis")
 """Names of the axes about which rotations are stated.
 
@@ -153,7 +153,7 @@ def driving_left(seconds: float | None) -> str:
 
 
 def progress_words(progress: Mapping[str, Any] | None) -> str:
-    """Return the gate that takes longest: "to fine: up axis 34 %, about 2 min of driving"; or
+    """Return the condition that takes longest: "to fine: up axis 34 %, about 2 min of driving"; or
     "".
     """
     waiting = [gate for gate in (progress or {}).get("gates", ()) if gate["share"] < 1.0]
@@ -243,14 +243,12 @@ def contradicted_words(turned_deg: float | None, is_given: bool = True) -> str:
 
 
 def doubt_words(waiting_for: Mapping[str, str]) -> str:
-    """Return what is wrong, out of all that an estimate waits for; "" where nothing is."""
+    """Return the contradictions among the reasons for which an estimate waits; "" without any."""
     return "; ".join(text for _, text in reasons(waiting_for) if is_trouble(text))
 
 
 def left_out_words(details: Mapping[str, Any]) -> str:
-    """Return the data that were not learnt from, by signal, cause and time; "" where they are under
-    a second.
-    """
+    """Return the data that were not used, by signal, cause and time; "" for less than a second."""
     parts = []
     for one in details.get("not_learnt_from", ()):
         if one["seconds"] >= LEAST_LEFT_OUT_S:
@@ -277,7 +275,7 @@ def change_words(shift: Mapping[str, Any]) -> str:
 
 
 def moved_words(shift: Mapping[str, Any]) -> str:
-    """Return what is known of a moved sensor. shift: an item of `details.shifts`.
+    """Return a sentence about a moved sensor. shift: an item of `details.shifts`.
 
     A change that lies within the stated interval is no move: it widens the interval. The test that
     finds a change looks at one angle, and may see the rotation about another axis there. The mount

@@ -21,11 +21,11 @@ MAX_STEP = 0.02
 GUESS_TICKS = 250
 """Ticks of driving from which a gyro bias can be guessed without a rest."""
 MAX_TURNS = 250
-"""Hops behind such a guess at most: half an hour."""
+"""Blocks behind such a guess at most: half an hour."""
 
 
 class Offsets:
-    """Gyro bias (3,) and yaw-rate offset [rad/s], with the number of ticks at rest behind each."""
+    """Gyro bias (3,) and yaw-rate offset [rad/s], each with its number of ticks at rest."""
 
     def __init__(self) -> None:
         self.gyro_bias: Array = np.zeros(3)
@@ -44,8 +44,7 @@ class Offsets:
     def doubt_gyro(self) -> None:
         """Search the bias again because the sensor was moved or exchanged.
 
-        The old bias is used until then. Keeping a bias that is 0.4 deg/s off would hold the
-        vertical off by 6 deg.
+        The old bias is used until then. A wrong bias of 0.4 deg/s would tilt the vertical by 6 deg.
         """
         self._is_old = self._is_old or self.gyro_ticks > 0.0 or self._moving >= GUESS_TICKS
         self.gyro_ticks = 0.0

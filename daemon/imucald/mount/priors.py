@@ -1,6 +1,6 @@
 """Assumptions of the full estimator before any data: figures of sensors, roads, vehicles.
 
-The intervals rely on every figure, so the source of each is stated. No figure may come from the
+The intervals rely on every figure, so each has its source. No figure may come from the
 simulation alone, because the simulation also judges the estimator. Its generator (`simulation`)
 draws from the same sources. A figure that was fitted to simulated errors says so and gives the
 command. The reasons for figures that a user can set (accelerometer bias, crown, cross-axis error)

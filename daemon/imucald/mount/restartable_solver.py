@@ -1,10 +1,10 @@
-"""The solver in use, and how another solver replaces it.
+"""The solver in use, and its replacement by another solver.
 
-A solver restarts in five ways. `begin_without_rotation` uses no hint. A change between known and
-unknown speed begins a new solver. `look_again` reads the first minutes a second time.
-`begin_after_change` uses the data after a change of the mount. `begin_beside` does the same next to
-the old solver, which stays in use until the new one knows enough. The last three read stored
-blocks, a few per tick, while the old solver stays in use.
+A solver restarts in five ways. `begin_without_rotation` uses no earlier rotation. A change between
+known and unknown speed begins a new solver. `look_again` reads the first minutes a second time.
+`begin_after_change` uses the data after a change of the mount. `begin_beside` does the same in a
+second solver, while the old one stays in use. The last three read stored blocks, a few per tick,
+while the old solver stays in use.
 
 `Refit` feeds stored blocks into a new solver, a few per tick.
 
@@ -29,7 +29,7 @@ from imucald.mount.solver import MountSolver
 from imucald.mount.states import Manoeuvres
 
 KEPT_BLOCKS = 55
-"""Hops that are stored: 350 s."""
+"""Blocks that are stored: 350 s."""
 
 
 class Refit:
@@ -63,8 +63,8 @@ KNOWN_REST_TICKS = 25.0
 FIRST_LOOK_BLOCKS = 14
 """Smallest number of blocks for the second look (90 s)."""
 LAST_LOOK_BLOCKS = 28
-"""Largest number of blocks before the second look, if there was no rest to measure the gyro bias (3
-min).
+"""Blocks (3 min) after which the second look begins even without a rest that measures the gyro
+bias.
 """
 EAGER_BLOCKS = 20
 """Up to this many blocks (128 s), each block is followed by a fit, because it is 5 % of the
@@ -85,7 +85,7 @@ class RestartableSolver:
     """A `MountSolver` that can restart.
 
     now: the solver in use. kept: the last blocks (350 s). driven: manoeuvres from which its
-    rotation is found. has_looked_again: it has read its first minutes twice, or need not.
+    rotation is found. has_looked_again: it has read its first minutes twice, or does not need to.
     """
 
     def __init__(self, settings: EstimatorSettings) -> None:

@@ -1,4 +1,4 @@
-"""Warm start: the mount of an earlier drive serves until this drive's own estimate takes over.
+"""Warm start: the mount of an earlier drive is used until this drive's own estimate replaces it.
 
 It wraps any estimator. The stored rotation is usable at once, as *restored*. The estimator inside
 restarts, so its results are new evidence. If it agrees, the stored rotation is confirmed and
@@ -10,7 +10,7 @@ result is then at once as certain as before. Both are compared all the time. A s
 moved by too little for the first agreement to show it. The comparison finds the move once the new
 evidence is certain enough, and the stored evidence is then dropped again.
 
-A *held* mount never gives way: the drive may confirm or doubt it, and changes nothing.
+A *held* mount stays: the drive may confirm or contradict it, but does not change it.
 """
 
 from __future__ import annotations
@@ -52,20 +52,20 @@ AGREEMENT = 11.3
 CONTRADICTION = 16.3
 """The same for 99.9 %: more is contradiction."""
 DOUBTS = 8
-"""Number of contradictions in a row (8 s, so from two fits) that makes the stored mount
-suspect ...
+"""Number of contradictions in a row (8 s, so from two fits) that makes the stored mount suspect.
 """
 CONTRADICTIONS = 15
-"""... and number that ends it: one bad road is no remount."""
+"""Number of contradictions in a row after which the stored mount is dropped: one bad road is no
+remount."""
 HAND_OVER_RATE = math.radians(1.0)
 """Rate at which the applied correction moves to the new estimate [rad/s]."""
 CLEAR_STD = math.radians(20.0)
-"""An angle with a larger deviation does not show how far a stated mount is off [rad]."""
+"""Largest deviation of an angle [rad] that can show the error of a stated mount."""
 HELD = "the end of the hold (imucald release)"
 HELD_BY_CONFIGURATION = (
     "the end of the hold in the configuration ('calibration: mount: hold: true')"
 )
-"""Text: what a held mount waits for."""
+"""Text of the condition for which a held mount waits."""
 
 NONE_JUDGED: Mapping[str, bool] = {}
 
@@ -141,7 +141,7 @@ class Contradicted(Struct, frozen=True):
 
 
 class Phase(enum.StrEnum):
-    """Which mount is served, and why."""
+    """The mount in use, and the reason."""
 
     RESTORED = "restored"  # the stored mount; no evidence against or for it
     CONFIRMED = "confirmed"  # the stored mount; new evidence agrees
@@ -151,12 +151,11 @@ class Phase(enum.StrEnum):
 
 
 class RestoredEstimator:
-    """An estimator with the mount of an earlier drive in front of it; it is a `MountEstimator`
-    itself.
+    """A `MountEstimator` that uses the mount of an earlier drive in place of its inner estimator's
+    mount.
 
-    is_held: that mount stays, whatever the drive shows. phase: how far the drive has already
-    confirmed it, CONFIRMED or RESTORED; without it, not at all. by_configuration: the configuration
-    holds the mount, and no order.
+    is_held: that mount stays. phase: CONFIRMED or RESTORED, if the drive has already confirmed it
+    or not. by_configuration: the configuration holds the mount, not an order.
     """
 
     def __init__(
@@ -193,7 +192,7 @@ class RestoredEstimator:
 
     @property
     def serves_stored(self) -> bool:
-        """True if the stored mount is served, and not this drive's own or a transition to it."""
+        """True if the stored mount is in use, and not this drive's own or a transition to it."""
         return self.phase not in (Phase.HANDING_OVER, Phase.NEW)
 
     @property
@@ -272,20 +271,19 @@ class RestoredEstimator:
 
     @property
     def _is_shown_wrong(self) -> bool:
-        """True if this drive shows that the mount in front is wrong.
-
-        Doubt about the drive's own mount does not show it.
+        """True if this drive shows that the stored mount is wrong. A contradiction to the drive's
+        own mount does not show this.
         """
         return self._turned is not None or self._plumb_line.is_off
 
     def _against_statement(self, served: MountEstimate) -> MountEstimate:
-        """Return what contradicts the mount that a person stated, in words."""
+        """Return the contradiction to the mount that a person stated, in words."""
         turned = None if self._turned is None else math.degrees(self._turned)
         words = dict.fromkeys(ANGLES, contradicted_words(turned))
         return replace(served, waiting_for=words, missing=dict.fromkeys(ANGLES, Missing.OTHER))
 
     def saved_information(self) -> SavedInformation | None:
-        """Return the information behind the estimate that is served."""
+        """Return the information of the estimate in use."""
         if self.joined or not self.serves_stored:
             return (
                 self.inner.saved_information() if isinstance(self.inner, SavesInformation) else None
@@ -317,9 +315,7 @@ class RestoredEstimator:
         }
 
     def _remember_contradiction(self) -> None:
-        """Remember that the mount in front was wrong, even after this drive's own mount is
-        served.
-        """
+        """Remember that the stored mount was wrong, even after this drive's own mount is used."""
         if self.phase is Phase.CONFIRMED:
             self._contradicted = None
         if not self._is_shown_wrong or self.phase not in (Phase.DOUBTED, Phase.HANDING_OVER):
@@ -381,7 +377,7 @@ class RestoredEstimator:
         return found
 
     def _judge(self) -> None:
-        """Decide which mount is served from now on."""
+        """Decide which mount is used from now on."""
         usable = self.inner.state in GOOD
         if self._plumb_line.is_off and not usable:
             return
@@ -427,7 +423,7 @@ class RestoredEstimator:
 
 
 def _waiting_for_release(served: MountEstimate, by_configuration: bool) -> MountEstimate:
-    """Return what a held mount waits for to be *fine*: only that learning continues."""
+    """Return the condition for a held mount to become *fine*: the end of the hold."""
     if served.state is MountState.FINE:
         return served
     return replace(

@@ -57,7 +57,7 @@ class ScoreSeries(Struct, frozen=True, dict=True):
         return _axis_of(self.kind)
 
     def behind(self, score: Array, information: Array) -> ScoreSeries:
-        """Return this series behind earlier segments (E,), which show the angle alone."""
+        """Return this series after earlier segments (E,), which show only the angle."""
         both = np.concatenate([score, self.score]), np.concatenate([information, self.information])
         fit = self.fit
         if fit is None:
@@ -223,7 +223,7 @@ def apart(one: ScoreSeries, other: ScoreSeries) -> AngleEvidence | None:
     """Return the difference between the angles of two sources over the same segments; None without
     fits.
 
-    Noise that both see, such as the road's, cancels. The variance therefore comes from the
+    Noise that is in both, such as that of the road, cancels. The variance therefore comes from the
     segments' shares in the difference itself. For n segments it is Student's, n / (n - 2) times
     that.
     """

@@ -169,8 +169,8 @@ def saved_sources(
 
 
 def together(before: SavedInformation | None, now: SavedInformation) -> SavedInformation:
-    """Return both as one, about the present rotation; earlier sources are widened by the changes
-    between drives.
+    """Return past and present evidence as one, about the present rotation. The variances of earlier
+    sources are widened by the changes between drives.
 
     The change is the same for all kinds of an angle, but here each kind has its own. The sum is
     therefore slightly too certain, by less than the widening at the next start.
@@ -335,7 +335,8 @@ class PastDrives:
 
 
 def _behind(one: ScoreSeries, kept: SavedSource, part: float) -> ScoreSeries:
-    """Return a series behind the saved one, which counts in part; its spread stays the same."""
+    """Return a series after the saved series, which has a smaller weight; its spread stays the
+    same."""
     mean = kept.information * (kept.score.sum() / max(float(kept.information.sum()), 1e-12))
     score = part * mean + math.sqrt(part) * (kept.score - mean)
     return one.behind(score, part * kept.information)

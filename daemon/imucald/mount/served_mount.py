@@ -1,4 +1,4 @@
-"""The state that is reported for a mount, and the correction that is applied under it.
+"""The reported state of a mount, and the applied correction.
 
 `ReportedRotation` is the reported rotation: the solver's without the road's crown, and its
 covariance.
@@ -35,7 +35,7 @@ class ServedMount:
     """Judges the knowledge after each block, and follows a good correction tick by tick.
 
     state: the reported state. has_moved: the mount has moved, and no good correction was applied
-    since. step: moves on by one tick.
+    since. step: follows the correction by one tick.
     """
 
     def __init__(self, settings: EstimatorSettings) -> None:

@@ -10,9 +10,10 @@ and hills the test becomes less sensitive and does not raise false alarms.
 The ratio of the likelihoods with and without the change shows how far the sources of an angle agree
 on one change. In yaw, wind and rough roads disturb only the evidence from dv/dt, while lever arm
 and sideslip disturb only the evidence from turns, both now and then by much. The tails are
-therefore heavy: one source alone must stand out very far, while two sources that agree need not. In
-roll and pitch, roads that lean in a bend show in all sources, but make no step in gravity (`step`).
-Such a step at the time of the change is therefore independent evidence, and is added.
+therefore heavy: one source alone needs a very large change, while two sources that agree need a
+smaller one. In roll and pitch, the lean of a road in bends shows in all sources, but causes no step
+in gravity (`step`). Such a step at the time of the change is therefore independent evidence, and is
+added.
 """
 
 from __future__ import annotations
@@ -51,9 +52,10 @@ TAILS = np.array((1e6, 1e6, 8.0))
 LEAST_SIZES = np.array((0.026, 0.026, 0.013))
 """Smallest change that is tested [rad]: 1.5, 1.5 and 0.75 deg."""
 STEP_MIN, STEP_MAX = 2.0, 5.5
-"""Standard deviations from which a step in gravity counts, and largest number that counts, ..."""
+"""Number of standard deviations from which a step in gravity counts, and the largest number that
+counts."""
 STEP_FROM = 2.5
-"""... if the road segments alone reach this many."""
+"""Number of standard deviations that the road segments alone must reach for a step to count."""
 NO_STEP = 1.15
 """Factor on the thresholds for roll and pitch without a step."""
 WITHOUT_STEP = np.array((NO_STEP, NO_STEP, 1.0))
@@ -179,8 +181,8 @@ def _with_neighbours(over: Array) -> Array:
 
 
 def changes(series: list[ScoreSeries], spans: NDArray[np.int64]) -> tuple[Array, Array]:
-    """Return by how much each source has changed over each of the last S spans, (S, sources) [rad],
-    and the variances of these changes.
+    """Return the change of each source over each of the last S spans, (S, sources) [rad], and the
+    variances of these changes.
 
     A level before the change, a nuisance and the change are fitted to each source.
     """
@@ -202,9 +204,8 @@ def changes(series: list[ScoreSeries], spans: NDArray[np.int64]) -> tuple[Array,
 
 
 def _uneven(series: list[ScoreSeries], variances: Array, times: float) -> Array:
-    """Add to the variances what roads make sources differ by.
-
-    Of sources that see the same noise, only the better one counts.
+    """Add the differences between sources that roads cause to the variances. Of sources with the
+    same noise, only the better one counts.
     """
     variances = variances + np.array([(times * UNEVEN_STD[one.kind]) ** 2 for one in series])
     same_noise = [k for k, one in enumerate(series) if one.kind in SAME_NOISE]
@@ -257,7 +258,7 @@ def likeliest(sizes: Array, variances: Array, tail: Array, least: Array) -> tupl
 
 
 def _step_for(ratio: Array, size: Array, steps: Array) -> Array:
-    """Return what steps in gravity (S, 2) add to changes (S,) of the same sign [standard
+    """Return the contribution of steps in gravity (S, 2) to changes (S,) of the same sign [standard
     deviations].
     """
     step = np.where(size > 0.0, steps[:, 0], -steps[:, 1])

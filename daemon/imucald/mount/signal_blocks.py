@@ -1,8 +1,8 @@
 """Convert ticks to even signals: force, rate, speed, dv/dt and yaw rate on one 10 Hz grid.
 
 The work is done in blocks of `BLOCK_TICKS` ticks, `LAG` ticks late, so that signals slower than the
-grid can be interpolated between samples on both sides. Every tick is flagged by whether it may be
-learnt from.
+grid can be interpolated between samples on both sides. Every tick has a flag that says whether it
+is usable.
 """
 
 from __future__ import annotations
@@ -62,7 +62,7 @@ Flags = NDArray[np.bool_]
 BLOCK_S = BLOCK_TICKS * TICK_S
 MISSING = "no valid samples"
 NEIGHBOUR_TICKS = 2
-"""Ticks around a stuck tick that also have no value or no slope."""
+"""Number of ticks around a stuck tick that also have no value or no slope."""
 YAW_GAP = 0.5
 NOMINAL_SPEED = 12.0
 """Speed that is used for v r where there is no speed signal [m/s]; the gain of v r is free."""
@@ -71,7 +71,7 @@ DRIFT, DRIFT_NO_GYRO = 0.3, 1.0
 without one, as roads climb by 10 %.
 """
 BLOCKS_WITHOUT_SPEED = 4
-"""Hops without any speed after which the estimator works without speed (26 s)."""
+"""Blocks without any speed after which the estimator works without speed (26 s)."""
 
 
 class SignalBlock(Struct):
@@ -137,7 +137,7 @@ class SignalBlockMaker:
         self.blocks = 0
         self._mount: MountSoFar | None = None
         self.left_out: Counter[tuple[str, str]] = Counter()
-        """Ticks that were not learnt from, by signal and cause."""
+        """Ticks that were not used, by signal and cause."""
         self.stuck: Mapping[str, bool] = {}
         """For each vehicle signal, whether any tick of the last block was stuck."""
 
@@ -271,7 +271,7 @@ class SignalBlockMaker:
         return knots[(knots >= 0.0) & (knots < BLOCK_TICKS)]
 
     def _note_left_out(self, p: SignalBlock) -> None:
-        """Count the ticks that are not learnt from, by signal and cause."""
+        """Count the ticks that are not used, by signal and cause."""
         open_ticks = ~(p.learn & p.ok_force & p.ok_speed)
         if self._begins:
             open_ticks[: KEEP - BEFORE] = False
@@ -337,7 +337,7 @@ class SignalBlockMaker:
         return t[has] - rows[has, columns.age], rows[has, columns.x : columns.z + 1]
 
     def _seen_forward(self) -> SeenForward | None:
-        """Return what the accelerometer says about the speed, in all ticks."""
+        """Return the speed changes by the accelerometer, in all ticks."""
         known = self._mount
         if known is None:
             return None

@@ -1,9 +1,9 @@
-"""Checks of the signals against one another: contradictions that stand, and signals that agree.
+"""Checks of the signals against one another: present contradictions, and agreement.
 
-`contradictions` accuses pairs of signals. `alternatives` rules out wrong signs and exchanged axes.
-This module combines both block by block and decides what follows for the rotation. A rotation that
-was found under a contradiction is useless once the contradiction has ended, or when the
-contradiction is new.
+`contradictions` finds pairs of signals that contradict each other. `alternatives` rules out wrong
+signs and exchanged axes. This module combines both block by block and decides whether the rotation
+must be searched again. The rotation is wrong in two cases: a contradiction is new, or the rotation
+was found during a contradiction that has ended.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ STUCK_BLOCKS = 40
 move.
 """
 FOUND_ANEW = frozenset({StandingFault.FORCE_TURNS, StandingFault.FORCE_SPEED})
-"""Faults that end through a rotation that was found while they stood: that rotation stays."""
+"""Faults that end when a new rotation is found during the fault: that rotation stays."""
 
 AGAINST_A_PERSON: dict[Stated, StandingFault] = {
     "up": StandingFault.ORIENTATION,
@@ -46,7 +46,7 @@ OF_NO_PAIR = frozenset(
 class SignalChecks:
     """Compares the signals of a drive with one another.
 
-    standing: contradictions that stand now. history: all contradictions that ever began, each with
+    standing: present contradictions. history: all contradictions that ever began, each with
     the number of its first block.
     """
 
@@ -96,7 +96,7 @@ class SignalChecks:
     def is_motion_accused(self) -> bool:
         """True if the force contradicts dv/dt or v r now.
 
-        Such signals are no evidence of a direction of the mount, nor of a move.
+        Such signals are no evidence of the mount or of a move.
         """
         return not FOUND_ANEW.isdisjoint(self.standing)
 
@@ -121,7 +121,7 @@ class SignalChecks:
             self.history.append((block, fault))
 
     def forget_forces(self) -> None:
-        """Forget what the forces showed, because it was about another rotation."""
+        """Forget the evidence of the forces, because it was about another rotation."""
         self._contradictions.forget_forces()
 
     def restart(self) -> None:
@@ -136,12 +136,12 @@ class SignalChecks:
         self._alternatives.take_mount(R)
 
     def missing_to_be_good(self) -> str | None:
-        """Say in words what must be seen before an estimate may become good; None: nothing."""
+        """Return in words the evidence that an estimate needs to become good; None: nothing."""
         return self.doubt or self._alternatives.missing(TO_BE_GOOD)
 
     @property
     def doubt(self) -> str | None:
-        """Say the same where signs and places of the signals are already known."""
+        """Return the same for signals with known signs and places."""
         is_doubtful = self._contradictions.doubtful
         return "more bends: some signals contradict each other" if is_doubtful else None
 
@@ -167,5 +167,6 @@ class SignalChecks:
 
     @property
     def not_checked(self) -> tuple[str, ...]:
-        """Say in words what no signal of this vehicle can show and no person has stated."""
+        """Return in words the properties that no signal of this vehicle shows and no person has
+        stated."""
         return self._alternatives.not_checked

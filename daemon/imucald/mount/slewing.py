@@ -13,11 +13,11 @@ from imucald.motion.ticks import TICK_S
 from imucald.mount.estimate import Correction
 
 ANOTHER_ANSWER = math.radians(30.0)
-"""A target further away than this [rad] is applied at once: the sign was wrong, and so are all
-rotations between the two.
+"""A target further away than this [rad] is applied at once. The sign was wrong, so all rotations in
+between are wrong too.
 """
 NEAR = math.radians(0.2)
-"""A target nearer than this [rad] counts as reached, because it moves a little with each fit."""
+"""A target nearer than this [rad] counts as reached: each fit moves the target a little."""
 
 
 class SlewedCorrection:

@@ -56,8 +56,8 @@ much.
 DELAY_AFTER, DELAY_AGAIN = (4, 6, 8, 12, 16), 32
 """Numbers of windows after which the delay is searched at first, and the interval afterwards."""
 START_AGAIN = 0.3
-"""Largest change of the delay [s], equal to its prior deviation, that keeps the sums made with the
-old delay. At a wrong delay, the response to dv/dt may point anywhere, even backwards.
+"""Largest change of the delay [s], equal to its prior deviation, after which sums with the old
+delay stay in use. At a wrong delay, the response to dv/dt may point anywhere, even backwards.
 """
 SURE_STD = 0.035
 """Deviation of yaw [rad] below which little of the motion remains in the force."""
@@ -162,7 +162,7 @@ class MountSolver:
         return self._motion
 
     def sure(self) -> bool:
-        """True if yaw is known well enough to learn the bias from the rest of the force.
+        """True if yaw is known well enough to estimate the bias from the residual force.
 
         The part of yaw's variance that no driving reduces does not count: half of the squared
         cross-axis error.
@@ -245,7 +245,8 @@ class MountSolver:
         bias_cov: Array,
         responses: Mapping[str, AngleEvidence],
     ) -> dict[str, AngleEvidence]:
-        """Return what responses and gravity say about the error of R, each separately."""
+        """Return the evidence of responses and of gravity on the error of R, as separate
+        sources."""
         s, without_speed = self._settings, self.response.without_speed
         sources: dict[str, AngleEvidence] = {}
         gains, missed = (0.0, 0.0), 1.0
@@ -302,7 +303,8 @@ class MountSolver:
 
     @property
     def armed(self) -> bool:
-        """True if a change of each angle would be seen: enough road before it, and after it."""
+        """Return, for each angle, whether a change would be detected: this needs enough road before
+        and after it."""
         return self._armed_share(self.response.segment) >= 1.0
 
     @property

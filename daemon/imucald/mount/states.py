@@ -1,4 +1,4 @@
-"""States of the full estimator with their hysteresis, and what each angle still waits for.
+"""States of the full estimator with their hysteresis, and the missing evidence of each angle.
 
 `Manoeuvres` counts what was driven so far: launches, brakings, turns to either side.
 """
@@ -81,14 +81,14 @@ class Manoeuvres:
 
 
 YOUNG_SLACK = 2.0
-"""`SLACK` of a young *usable* state without past drives, which rests on half a dozen pieces of
-evidence. They give a deviation to 29 % (1 / sqrt(2 n)), so twice the limit lies 3.5 such errors
-above the limit, more than chance makes in a mount that nothing contradicts. The factor was chosen
-after a look at the drives of `benchmarks.integrity` from 700,000 on, and judged on those from
-720,000. With past drives, only a contradiction increases a deviation.
+"""`SLACK` of a young *usable* state without past drives, which is based on six pieces of evidence.
+Their deviation is known to 29 % (1 / sqrt(2 n)), so twice the limit lies 3.5 such errors above the
+limit. Chance does not exceed this. The factor was chosen after a look at the drives of
+`benchmarks.integrity` from 700,000 on, and judged on those from 720,000. With past drives, only a
+contradiction increases a deviation.
 """
 HIDDEN_SLACK = 2.8
-"""Factor on the limit of *usable* where only the hidden part of a cross-axis error is left in yaw.
+"""Factor on the limit of *usable* if yaw is limited only by the hidden part of a cross-axis error.
 
 The hidden part of 4 % is 1.6 deg. Its size is estimated from the three to five other errors that
 show. A limit selects mounts whose errors seem small. Among the mounts below 2 deg, a 95 % interval
@@ -99,7 +99,7 @@ NEEDED = 3
 """Launches or brakings that are needed before yaw can be usable."""
 NO_SAMPLES = "valid accelerometer samples: none in the last minute (missing, faulty or too slow)"
 LONG_S = 1200.0
-"""An accelerometer is named as the reason only after this much driving."""
+"""Driving time [s] after which the accelerometer may be named as the reason."""
 
 
 class MountKnowledge(Struct, frozen=True):
@@ -160,7 +160,7 @@ def judged(known: MountKnowledge, before: MountState, s: EstimatorSettings) -> M
 
 
 def targets_in_force(known: MountKnowledge, before: MountState, s: EstimatorSettings) -> Targets:
-    """Return the limits that deviations must fall below now. before: the reported state."""
+    """Return the present limits of the deviations. before: the reported state."""
     targets = s.targets
     if not _is_rest_hidden(known, before, s):
         return targets
@@ -169,7 +169,7 @@ def targets_in_force(known: MountKnowledge, before: MountState, s: EstimatorSett
 
 
 def _is_rest_hidden(known: MountKnowledge, before: MountState, s: EstimatorSettings) -> bool:
-    """True if only the part that cross-axis errors hide is left in yaw.
+    """True if only the hidden part of cross-axis errors limits yaw.
 
     Mounts below the usual limit are then only those whose visible parts of the error are small by
     chance, while their hidden part is unaffected. The limit would select the mounts that are wrong
@@ -295,7 +295,7 @@ def _cross_talk_reason(
 
 
 def _mixed_axes(known: MountKnowledge) -> str:
-    """Return what hides the rest of yaw, once more driving has not reduced it."""
+    """Return the text about the hidden error of yaw, once more driving has not reduced it."""
     return (
         f"more driving; the accelerometer's axes seem {100.0 * known.cross_axis:.1f} % mixed: if "
         "its data sheet states less, set 'cross_axis' and 'accelerometer_bias'"

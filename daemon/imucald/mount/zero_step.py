@@ -9,10 +9,10 @@ change of gravity's direction (tangent plane of u) and x the part of the axis' c
     sensor turned: x = |c|,    zero stepped: x = 0,
 
 This is a test of two simple hypotheses (Neyman and Pearson, Phil. Trans. R. Soc. A 231, 1933).
-Neither is accepted until its likelihood is large enough. A rotation that the gyroscope felt while
-gravity moved is evidence for the first hypothesis. No rotation felt is little evidence, because the
-gyroscope may have slept. A straight grade moves gravity and shows no axis. A zero is therefore
-accepted only if gravity is off in bends too.
+Neither is accepted until its likelihood is large enough. A rotation that the gyroscope measured
+while gravity moved is evidence for the first hypothesis. The absence of a measured rotation is weak
+evidence, because the gyroscope may have been off. A straight grade moves gravity and shows no axis.
+A zero is therefore accepted only if gravity is off in bends too.
 
 The axis is found as follows: in a block the vehicle turns by the vector w. The part of w along u is
 the turn. The rest is the difference of slope and lean of road and body between the block's
@@ -60,11 +60,12 @@ BELIEVED = math.log(20.0)
 probable.
 """
 FELT_BLOCKS = 3
-"""A rotation that the gyroscope felt lies within this many blocks, up to the first block after
-it.
+"""Number of blocks, up to the first block after a change, in which the gyroscope may have measured
+the rotation.
 """
 FELT_PART = 0.5
-"""Fraction of rotated sensors that are rotated while the bus is awake: one half (assumption)."""
+"""Fraction of all rotations of a sensor that happen while the bus is awake: one half
+(assumption)."""
 STANDING_METRES = 0.3
 """Road [m] for which a block of standing counts: it sees one place."""
 
@@ -116,9 +117,7 @@ class ZeroStep:
         self.cause = GravityMoved.NOTHING
 
     def restart(self) -> None:
-        """Restart: later blocks are unrelated to the last ones. A question that is open stays
-        open.
-        """
+        """Restart: later blocks are unrelated to the last ones. An open question stays open."""
         self._rows = NO_ROWS
 
     def ask(self, since: float) -> None:
@@ -206,7 +205,7 @@ class ZeroStep:
         return bool(there @ change > 0.5 * change @ change)
 
     def _felt_ratio(self, up: Array, along: Array, size: float, before: SeenOver) -> float:
-        """Return what a felt rotation adds to the log of the ratio.
+        """Return the contribution of a measured rotation to the log of the ratio.
 
         The change of gravity has a size [rad] along a direction (3,). A sensor with this change
         turns about along x up.

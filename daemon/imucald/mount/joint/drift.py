@@ -2,12 +2,12 @@
 
 A Kalman filter on means of 0.8 s carries the vertical by the gyroscope and compares it with the
 force less motion, in the working axes. In bends a zero turns with the vehicle and a slope does not.
-This tells a zero from a slope, and a creeping mount from both. In a drive without faults,
-everything is constant except the vertical and the slow walks of both sensors' zeros:
+This difference separates a zero from a slope, and a creeping mount from both. In a drive without
+faults, everything is constant except the vertical and the slow walks of both sensors' zeros:
 
     left = g u + b + v (0, -z_r, z_q) + B (dv/dt, v r, dr/dt, r^2) + noise
     u'   = r u_y - q, p - r u_x        (p, q, r) = rate - z - e r
-    u    = m + slope, another one every `SLOPE_M` metres
+    u = m + slope, a new slope every `SLOPE_M` metres
 
 u: level part of the vertical (2). z: zero of the rate (3). e: tilt of the gyroscope (2). m: tilt of
 the working axes (2). b: zero of the force (3). B: responses to motion that remain in the axes (3 by
@@ -49,7 +49,7 @@ LEVEL_RATES = slice(2, 4)
 ONSET_BLOCKS, ONSETS = 10, 24
 """A drift may begin every 64 s; onsets in the last 26 minutes are tested."""
 FALSE_ALARM_H = 300.0
-"""One false alarm in so many hours: the budget of docs/integrity.md for one fault."""
+"""Hours of driving for one false alarm: the limit of docs/integrity.md for one fault."""
 NAMED = 0.3
 """A drift is reported as a fault from this size on [m/s^2]; a smaller one only widens the
 deviation.
@@ -57,7 +57,7 @@ deviation.
 _LOG_ONSETS = math.log(FALSE_ALARM_H * 3600.0 / (ONSET_BLOCKS * STEPS * STEP_S))
 _ONE, _AXES = np.eye(3), np.arange(3)
 _UNTIL = np.vstack([np.tril(np.ones((STEPS, STEPS)), -1) + 0.5 * np.eye(STEPS), np.ones(STEPS)])
-"""Share of each step that has passed in the middle of each step, and at the end."""
+"""Shares of a step at which the vertical is computed: its middle, and its end."""
 
 
 class Drifts(NamedTuple):
@@ -73,7 +73,7 @@ class Drifts(NamedTuple):
     """[m/s^2 a root second].
 
     This gives 0.007 m/s^2 in 10 min, as with 0.07 mg/K and a warm-up by 10 K (assumption). A larger
-    change is a drift and enters the deviation as such.
+    change counts as a drift and is part of the deviation.
     """
     rate_zero: float = MAX_GYRO_BIAS
     """Zero of the rate before a rest [rad/s].
@@ -88,11 +88,11 @@ class Drifts(NamedTuple):
     examined for this value and judges nothing here).
     """
     up: float = 0.05
-    """Vertical while nothing carries it [rad]."""
+    """Vertical while no gyroscope carries it [rad]."""
     up_walk: float = 1e-3
     """Vertical while it is carried [rad a root second]: noise and gain of the gyroscope."""
     lost: float = 0.01
-    """Vertical for each tick that is not to be used [rad]."""
+    """Vertical for each unused tick [rad]."""
     gyro: float = 0.036
     """Tilt of the gyroscope's axes (`state.Priors.gyro`) and of its working axes (`tilt`)."""
     tilt: float = 0.03
@@ -101,7 +101,7 @@ class Drifts(NamedTuple):
     noise: float = 0.1
     """Initial noise of a mean [m/s^2]; it is learnt axis by axis."""
     loudness: float = 4.0
-    """Degrees of freedom of a block's noise about the learnt noise."""
+    """Degrees of freedom of a block's noise relative to the estimated noise."""
 
 
 ANSWERS: Final = np.array([[0.03, 0.03, 1.5, 3.0], [0.03, 0.03, 3.0, 1.5], [0.03, 0.03, 0.3, 0.3]])
@@ -118,8 +118,8 @@ class Drift(NamedTuple):
     """Knowledge about a drift.
 
     log_odds: log of the statistic over its threshold. Above zero there is a drift; a false alarm
-    comes once in `FALSE_ALARM_H`. size: (3,) change of the zero [m/s^2], working axes, if it
-    drifts. covariance: (3, 3) of that change. rate, rate_covariance: rate of the drift [m/s^2 a
+    comes once in `FALSE_ALARM_H`. size: (3,) change of the zero [m/s^2] in working axes, if there
+    is a drift. covariance: (3, 3) of that change. rate, rate_covariance: rate of the drift [m/s^2 a
     second].
     """
 
@@ -169,7 +169,7 @@ class ZeroDrift:
 
     State: mean and covariance (STATES) of the model without drift. For each onset: the shift of the
     mean for a rate of one, the information (3, 3) on the rate, its score (3,), and the drift of the
-    zero before. past: a drift before the first block, in the working axes. It may continue, and it
+    zero before. past: a drift before the first block, in the working axes. It may continue, so it
     is the first onset.
     """
 
@@ -207,8 +207,8 @@ class ZeroDrift:
     ) -> None:
         """Take a block of N = 64 ticks in the working axes, in parts.
 
-        Random walks are added at the start of a part. The effect of hidden ticks must be added
-        before the rest.
+        Random walks are added at the start of a part. The effect of unused ticks must be added
+        before the other ticks.
 
         left: (N, 3) force less motion. rate: (N, 3), from which rate_zero (3,) has been taken.
         speed, accel, use: (N,).
@@ -285,7 +285,7 @@ class ZeroDrift:
             self._past = None
 
     def _go_on_from(self, past: Drift) -> None:
-        """Make an earlier drift the first onset: its prior is what was known of the rate."""
+        """Make an earlier drift the first onset: its prior is the former estimate of the rate."""
         prior, information = self._drifts.rate**2, inverse(past.rate_covariance)
         self._information[0] = information - _ONE / prior
         self._score[0] = information @ past.rate

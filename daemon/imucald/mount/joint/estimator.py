@@ -39,9 +39,8 @@ from imucald.mount.states import NEEDED, MountKnowledge
 SOLUTIONS_KEPT = 32
 """Number of solutions kept: those of the first three minutes; later ones are further apart."""
 MOVE_UNSEEN_S = 60.0
-"""The time of a move is found to a block or two, and later for a slow move.
-
-Blocks within this time before it may therefore contain some of the move.
+"""The found time of a move is exact to one or two blocks, and too late for a slow move. Blocks
+within this time before it may therefore contain a part of the move.
 """
 LEVEL = (0.2, 0.1)
 """Level zero below which an estimate is usable, and fine [m/s^2]."""
@@ -72,13 +71,12 @@ class JointSettings(EstimatorSettings, frozen=True):
 
 
 class JointAcceptance(Acceptance, frozen=True):
-    """Acceptance as in the full estimator, but *fine* does not wait until the test for a small move
-    works.
+    """Acceptance as in the full estimator, except that *fine* does not wait for the test for a
+    small move.
 
-    A move that is too small to show at once is rare. Waiting for minutes in every drive would cost
-    more than it is worth.
-    are_signs_known: an earlier drive saw the signs agree, and nothing shows a change since. *Fine*
-    still waits for all signs.
+    A move that is too small to show at once is rare. A wait of minutes in every drive is not
+    justified. are_signs_known: an earlier drive saw the signs agree, and nothing shows a change
+    since. *Fine* still waits for all signs.
     """
 
     are_signs_known: bool = False
@@ -181,9 +179,7 @@ class JointEstimator(FullEstimator):
         self._joint = self._new_evidence(self._known_before, is_moved)
 
     def _known_until(self, t: float) -> KnownSensor | None:
-        """Return the knowledge about the sensor from long enough before a time that it contains no
-        move.
-        """
+        """Return the knowledge about the sensor from a time early enough to contain no move."""
         for end, solution in reversed(self._lately_known):
             if end <= t - MOVE_UNSEEN_S:
                 return solution.sensor(self.priors)
@@ -226,7 +222,7 @@ class JointEstimator(FullEstimator):
             self._forget_moves()
 
     def _follow_signals(self) -> None:
-        """Use the last blocks again with the signals that are available by now."""
+        """Use the last blocks again with all signals that have come since."""
         former, kept = self._next or self._joint, list(self._solvers.kept)[:-1]
         made = self._new_evidence(former.known, former.is_moved)
         for p in kept[max(len(kept) - former.blocks, 0) :]:
@@ -248,7 +244,7 @@ class JointEstimator(FullEstimator):
         self._forget_moves()
 
     def _filled(self, blocks: list[SignalBlock], since: int = 0) -> Evidence:
-        """Evidence of what came after a move. since: blocks after it, where fewer are kept."""
+        """Return the evidence after a move. since: number of blocks after it, if fewer are kept."""
         began = float(blocks[0].t[0]) if blocks else self._now
         if since > len(blocks):
             began = min(began, self._now - since * BLOCK_S)
@@ -338,7 +334,7 @@ class JointEstimator(FullEstimator):
 
     @property
     def _is_rotation_good(self) -> bool:
-        """With a known sensor, the state is good before the solver's own rotation is.
+        """With a known sensor, the state becomes good before the solver's own rotation is good.
 
         The test for a step in gravity then waits until it knows the usual spread of this drive.
         """

@@ -1,4 +1,4 @@
-"""Evidence of a drive, and the one solve on it.
+"""Evidence of a drive, and its solution.
 
 Ticks are stored as received, in sensor axes. Windows are made in the working axes when a solve is
 due. When the axes have moved too far for a linear solve, all windows are made again from the stored
@@ -76,14 +76,15 @@ are not corrected.
 MOST_BLOCKS, KEPT_BLOCKS = 640, 480
 """Of a long drive, the last 50 to 70 minutes count: more data do not reduce any deviation."""
 LEAST_USED, LEAST_MOVING = 0.5, 0.1
-"""Smallest shares of a window's ticks that count, and that are driven."""
+"""Smallest share of usable ticks in a window, and smallest share of driven ticks."""
 MOST_LEFT = 0.01
 """Windows are made again when the axes have moved by this angle [rad] since."""
 MOST_LATE = 0.03
 """Windows are made again when the speed's delay has changed by this time [s]."""
 DELAYS: Final = np.arange(MIN_SPEED_DELAY, MAX_SPEED_DELAY + 0.001, 0.02)
 FOLLOWS = 0.8
-"""A band counts while the force follows dv/dt with at least this share of the slow bands' gain."""
+"""A band is used if the gain of the force on dv/dt is at least this share of the slow bands'
+gain."""
 USUAL_NOISE: Final = np.array(
     [
         [0.2, 0.4, 0.3, 0.2, 0.2, 0.2, 0.3, 0.4],
@@ -144,7 +145,7 @@ ALL_BANDS: Final = np.ones(wd.BANDS, dtype=bool)
 
 ALL_SIGNALS: Final = OtherSignals()
 LEVEL: Final = np.array([0.0, 0.0, 1.0])
-"""The vertical where no gyroscope carries it."""
+"""The vertical without a gyroscope: level."""
 NO_ZERO: Final = np.zeros(3)
 NO_AXES: Final = np.eye(3), np.eye(3), NO_ZERO
 MIDDLES: Final = np.linspace(0.5, BLOCK_TICKS - 0.5, BLOCK_TICKS)
@@ -158,7 +159,7 @@ class Block(NamedTuple):
 
     Without a gyroscope, the rate is that of the vehicle, about its z alone.
 
-    speed: (64,) [m/s], negative in reverse. use: (64,) ticks that may be learnt from. rate_zero:
+    speed: (64,) [m/s], negative in reverse. use: (64,) True for usable ticks. rate_zero:
     (3,) zero that was subtracted from the rate [rad/s]; is_rate_known: whether it was measured.
     knots: (K,) times at which the speed is known [ticks since the block began]. least_speed:
     smallest speed that its sender shows [m/s].
@@ -181,7 +182,8 @@ class Solution(NamedTuple):
     force in vehicle axes [m/s^2], to be subtracted. covariance: (UNKNOWNS, UNKNOWNS) of the
     remaining errors. delay: delay of the speed [s]. unfinished: angle by which the axes have just
     moved [rad]. housing: R_vehicle_from_sensor (3, 3). turn: rotation of the gyroscope about z
-    against the accelerometer [rad]. same: probability that sensor and mount are those of before.
+    against the accelerometer [rad]. same: probability that sensor and mount have not changed since
+    the last drive.
     """
 
     force: Matrix3
@@ -209,7 +211,7 @@ class Solution(NamedTuple):
         return KnownSensor.found(self.housing, terms, self.covariance, priors)
 
     def sent(self, turned: Array | float = 0.0, zero: Array = NO_ZERO) -> SentDeviations:
-        """Return the deviations of the data that a consumer gets.
+        """Return the deviations of sent data.
 
         turned: variance (3,) of a further rotation of both sensors [rad^2]. zero: variance (3,) of
         a zero that has changed [(m/s^2)^2].
@@ -315,7 +317,7 @@ class Evidence:
             self._rework(*self._axes)
 
     def _forget(self, count: int) -> None:
-        """Drop the first blocks: knowledge covers the last hour."""
+        """Drop the first blocks: the solution covers the last hour."""
         if self._axes is not None:
             self._extend()
             if self.signals.gyro:
@@ -360,9 +362,8 @@ class Evidence:
             self._done = stop
 
     def _joined_since(self, first: int) -> Iterator[tuple[int, int]]:
-        """Return first and last block and one of the new joined blocks, some at a time.
-
-        There are at most `MADE_AT_ONCE` in all.
+        """Yield the new blocks, joined and in groups, each with the places of its first and last
+        block. There are at most `MADE_AT_ONCE` blocks in all.
         """
         end = min(len(self._blocks) - 1, first + MADE_AT_ONCE)
         while first < end:
@@ -371,7 +372,7 @@ class Evidence:
             first = stop
 
     def _is_up_to(self, made: int) -> bool:
-        """True if all blocks that can be made into windows have been made."""
+        """True if all complete windows have been made."""
         return made >= len(self._blocks) - 1
 
     def _follow_drift(self) -> None:
@@ -503,7 +504,7 @@ class Evidence:
 
         For long evidence, one call makes only some of the windows again; the next calls continue.
 
-        Raises LinAlgError if the signals contradict one another so that no sensor fits them.
+        Raises LinAlgError if no sensor could give these signals.
         """
         if self._axes is None and not self._find_first_axes():
             return self.solution
@@ -628,7 +629,7 @@ class Evidence:
         return self._applied(theta, covariance, same)
 
     def _answer_rows(self) -> Iterator[tuple[list[int], Array]]:
-        """Return the responses that each axis of the force should not have to dv/dt and v r.
+        """Return the responses to dv/dt and v r that each axis of the force should not have.
 
         Each response is a row in the unknowns (places, UNKNOWNS).
         """
@@ -779,8 +780,7 @@ def mean_slope(blocks: Array, slope: float) -> tuple[Array, Array]:
 
 
 def without_bend(blocks: Array, variance: float, bend: float) -> tuple[float, float]:
-    """Return the mean slope across, and its variance, for a path whose curvature has a zero of its
-    own.
+    """Return the mean slope across, and its variance, for a path whose curvature has a zero error.
 
     blocks: (n, 5) as in `mean_slope`, and the weighted squares of the speed over g. variance: of
     that mean. bend: deviation of the zero of the curvature [1/m].

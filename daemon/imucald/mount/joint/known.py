@@ -51,9 +51,9 @@ PROBABLY_MOVED: Final = ((0.1, 0.005), (FREE, 0.005))
 sensor (assumption; one start in a hundred).
 """
 AS_BEFORE = 0
-"""Place of the hypothesis that nothing has changed ..."""
+"""Index of the hypothesis that nothing has changed."""
 CHANCE_AS_BEFORE = (1.0 - PROBABLY_OTHER) * (1.0 - sum(chance for _, chance in PROBABLY_MOVED))
-"""... and its probability at the start."""
+"""Probability, at the start, that nothing has changed."""
 LARGEST = 1.0
 """Largest value of any term and of its deviation: no real sensor exceeds it."""
 APART = 0.2
@@ -80,9 +80,7 @@ class KnownSensor(NamedTuple):
     def found(
         cls, rotation: Matrix3, mean: Array, covariance: Array, priors: Priors
     ) -> KnownSensor:
-        """Return the knowledge from the unknowns (UNKNOWNS,) about the axes that the housing has by
-        now.
-        """
+        """Return the knowledge from the unknowns (UNKNOWNS,) about the present axes of the housing."""
         place = np.zeros((TERMS, UNKNOWNS))
         place[TURN, PHI] = np.eye(3)
         for k, (i, j) in enumerate(OFF):
@@ -101,7 +99,8 @@ class KnownSensor(NamedTuple):
         return cls(rotation, turned @ place @ mean, turned @ whole @ turned.T)
 
     def away(self) -> KnownSensor:
-        """Return the same with wider deviations after parking: cold sensor, another load."""
+        """Return the same knowledge with the wider deviations after parking: cold sensor, another
+        load."""
         wider = np.zeros(TERMS)
         wider[TURN] = np.square(BETWEEN_DRIVES_STD)
         wider[BIAS] = (BIAS_DRIFT_STD / GRAVITY) ** 2

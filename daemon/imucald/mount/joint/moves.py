@@ -4,7 +4,7 @@ The data after each possible time of a move are compared with the data before it
 sensors by one angle about an axis of the vehicle. The rotation changes the responses of the force
 to motion, the axis of turning and the level force. The terms of the sensor itself stay the same.
 For each possible beginning in the last minutes, the change of every entry is fitted together with
-all that does not change (`FitSums.changes`). The likelihoods of all sizes of a rotation about an
+all constant coefficients (`FitSums.changes`). The likelihoods of all sizes of a rotation about an
 axis, each entry with heavy tails, give one ratio against no rotation. The sum of these ratios over
 the beginnings is the statistic of Shiryaev and Roberts, as in `drift`.
 """
@@ -24,14 +24,15 @@ from imucald.mount.even_signals import BLOCK_TICKS
 from imucald.mount.joint.drift import FALSE_ALARM_H
 
 SPANS: Final = np.array((4, 8, 12, 16, 20, 24, 32, 40, 52, 64))
-"""Windows since a move (26 s to 7 min of driving); `sums` stores all of them one by one."""
+"""Numbers of windows since a move that are tested (26 s to 7 min of driving). `sums` stores these
+windows one by one."""
 _HALF: Final = np.radians(np.geomspace(1.0, 30.0, 18))
 SIZES: Final = np.concatenate([-_HALF[::-1], _HALF])
 """Rotations that are tested, with equal probabilities [rad]: a rotation of less than 1 deg misleads
 no consumer.
 """
 ANSWER_TAIL, ROAD_TAIL = 8.0, 30.0
-"""Degrees of freedom of the errors in responses to motion, and in what roads show.
+"""Degrees of freedom of the errors in responses to motion, and in evidence that depends on roads.
 
 Wind comes in stretches; the variance already contains the length of stretches of road.
 """

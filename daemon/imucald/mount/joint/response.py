@@ -17,9 +17,9 @@ from imucald.drive.windows import BAND, BANDS, OVERLAP
 SEGMENTS: Final = (4, 16)
 """Windows of a road segment, for both lengths: 26 s and 102 s."""
 HEAVY = 3.0
-"""A window gets less weight from this ratio of its power to its noise on."""
+"""Ratio of a window's power to its noise from which the window gets less weight."""
 PASSES, MORE_PASSES = 4, 2
-"""Passes of a fit from nothing, and from the previous solution."""
+"""Number of iterations of a fit from nothing, and of a fit from the previous solution."""
 NOISE_WINDOWS = 3.0
 """Weight of the usual noise, in windows."""
 PRIOR_SEGMENTS, PRIOR_RATIO = 5.0, 2.0
@@ -88,8 +88,8 @@ def left_of(rows: Array, vector: Array, packing: Packing) -> Array:
 
 
 def trust_of_last(rows: Array, old: int, last: Responses, noise: Array, packing: Packing) -> Array:
-    """Return the weight (F, n) of windows by an earlier result; the `old` first ones have theirs in
-    their sums.
+    """Return the weight (F, n) of windows from an earlier result. The sums of the `old` first
+    windows already contain their weights.
     """
     trust = np.ones(rows.shape[:2])
     trust[:, old:] = trust_in(left_of(rows[:, old:], last.vector, packing), noise)
@@ -102,7 +102,7 @@ def segments_of(old: int, rows: int) -> NDArray[np.int_]:
 
 
 def grown(ratio: Array, segments: Array | int) -> Array:
-    """Return by how much a variance grows, for a measured ratio of variances of some segments."""
+    """Return the factor on a variance for a measured ratio of the variances of some segments."""
     return np.asarray(
         (PRIOR_SEGMENTS * PRIOR_RATIO + segments * ratio) / (PRIOR_SEGMENTS + segments)
     )

@@ -187,4 +187,4 @@ _SENT: Final = np.array(
         *(rate_entry(i, 2) for i in range(2)),
     ]
 )
-"""Rows of the deviations that a consumer gets, in the order of SentDeviations."""
+"""Rows of the deviations of sent data, in the order of SentDeviations."""

@@ -1,7 +1,7 @@
 """Windows of a drive: the latest are stored one by one, earlier ones as sums per road segment.
 
-A fit weighs each window by its loudness. The weight of an old window does not change any more. Four
-old windows are therefore summed to one Gram matrix, which is all that later fits need.
+A fit gives loud windows less weight. The weight of an old window stays constant. Four old windows
+are therefore summed to one Gram matrix, which is enough for later fits.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ RECENT = 64
 ROUND = SEGMENTS[-1]
 """Windows that are summed at a time: whole road segments of either length."""
 NOTHING = 1e-9
-"""Information that is only rounding: an entry that no rotation changes was not driven."""
+"""Information that is only rounding error: no motion of the drive showed this entry."""
 MAIN: Final = slice(wd.FIRST_X, wd.FIRST_X + len(wd.MAIN))
 TURNED: Final = slice(len(wd.NAMES) - len(wd.TURNED), len(wd.NAMES))
 
@@ -110,7 +110,7 @@ class FitSums:
         """Return changes (F, S, keep) of the coefficients over the last so many windows (S,), and
         their variances.
 
-        Each change is fitted together with all coefficients that stay.
+        Each change is fitted together with all constant coefficients.
 
         Noise and weights are those of the last fit; later windows are included too.
         """
@@ -207,7 +207,8 @@ class WindowSums:
         self._shared = np.concatenate([self._shared, shared])
 
     def forget(self, blocks: int) -> None:
-        """Forget the windows that end in the first so many blocks, and count blocks from there."""
+        """Forget the windows that end in the first blocks (this many), and count blocks from
+        there."""
         gone = int(np.searchsorted(self._blocks, blocks))
         for fit in self._fits:
             fit.drop(gone)
@@ -216,7 +217,7 @@ class WindowSums:
         self._shared = self._shared[gone:]
 
     def began(self, spans: NDArray[np.int_]) -> NDArray[np.int_]:
-        """Return the first block (S,) of the last so many windows."""
+        """Return the first block (S,) of the last windows, for each number of windows (S,)."""
         return np.asarray(self._blocks[len(self._blocks) - spans] - (wd.WINDOW // wd.BLOCK - 1))
 
     @property

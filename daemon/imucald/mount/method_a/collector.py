@@ -12,7 +12,7 @@ from imucald.mount.method_a.settings import PublishedSettings
 from imucald.mount.method_a.target_angle import Manoeuvre, ManoeuvreBook
 
 MANOEUVRES_KEPT = 150
-"""Most manoeuvres that are kept (about an hour of city); the oldest is dropped first."""
+"""Largest number of stored manoeuvres (about an hour of city); the oldest is dropped first."""
 MAX_MANOEUVRE_S = 8.0
 """A longer manoeuvre counts as several [s]."""
 MANOEUVRE_HOLE = 1.5

@@ -174,11 +174,11 @@ class StraightGate:
         return math.sqrt(max(x * x + y * y - along * along, 0.0))
 
     def _window_agrees(self, level: Matrix3) -> bool:
-        """Recogniser 3: whether the angles of the last window agree, smoothed and without the
-        offset.
+        """Recogniser 3: return whether the smoothed angles of the last window agree, with the
+        offset removed.
 
-        Motion that does not vary has no angle. It counts as straight so that the offset can be
-        learnt, and it is too weak to give a target angle.
+        Constant motion has no angle. It counts as straight, so that the offset can be estimated; it
+        is too weak to give a target angle.
         """
         n = self._smoothing
         if len(self._recent) <= n:

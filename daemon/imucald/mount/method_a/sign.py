@@ -14,7 +14,7 @@ from imucald.motion.speed import SpeedInterval
 
 VOTES_KEPT = 60
 VOTES_NEEDED = 3
-"""Lead in votes that one direction needs: a single pull-off may have been in reverse."""
+"""Lead in votes that one direction needs: a single start may have been in reverse."""
 AGREEMENT = 0.7
 """Part of all votes that must agree."""
 ALIGNED = 0.7

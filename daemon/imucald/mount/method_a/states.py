@@ -1,4 +1,4 @@
-"""States of method A with their hysteresis, and what each angle still waits for."""
+"""States of method A with their hysteresis, and the missing evidence of each angle."""
 
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ from imucald.mount.method_a.target_angle import CombinedAngle
 
 @dataclass(frozen=True)
 class TiltAndAngle:
-    """Present knowledge: tilt, target angle, whether its sign is known, and the counts behind
-    them.
+    """Present estimate: tilt, target angle, whether its sign is known, and the numbers of stops and
+    manoeuvres.
     """
 
     tilt: Tilt | None = None
@@ -29,7 +29,7 @@ def judged(known: TiltAndAngle, before: MountState, s: PublishedSettings) -> Mou
 
     A state that was reached is left only beyond its limit times the hysteresis.
 
-    A calibration that was usable and is no longer usable becomes suspect. It is still applied.
+    When a usable calibration stops being usable, it becomes suspect but is still applied.
     """
     state = _good(known, before, s)
     if state is not None:
