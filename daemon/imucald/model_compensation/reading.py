@@ -1,7 +1,7 @@
 """Read a model file for use while driving: its terms, and a line for each part that is not used.
 
 The schema knows the keys, their types and their ranges (`imucald.model`). This module defines the
-use of each key, and the largest values that are still worth correcting.
+use of each key, and the largest values that are corrected.
 """
 
 from __future__ import annotations
@@ -48,9 +48,8 @@ RANGES: Mapping[str, tuple[float, float]] = {
     "bank_rms": (0.0, 0.5),
     "grade_rms": (0.0, 0.5),
 }
-"""Allowed ranges, in the unit of the key; no real sensor, vehicle or road that is worth correcting
-lies outside. They are tighter than the schema's ranges, because a simulated drive may use any
-value."""
+"""Allowed ranges, in the unit of the key; every usable sensor, vehicle and road lies inside. They
+are tighter than the schema's ranges, because a simulated drive may use any value."""
 SCALE_RANGE = (-0.8, 4.0)
 """Limits for a signal with one component, and for a wheel speed (which has no upper limit)."""
 MAX_LEVER_M = 30.0

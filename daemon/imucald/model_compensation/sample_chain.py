@@ -1,4 +1,4 @@
-"""A chain is a list of callables. Each takes a sample and changes or refuses it."""
+"""A chain is a list of callables. Each callable takes a sample and changes or refuses it."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Remove the terms that need no mount, so that every sample is as its sensor should have given it.
+"""Remove the terms that need no mount. The result is the sample of an error-free sensor.
 
 In one frame the temperature is processed first, then the accelerometer, then the gyroscope (whose
 g-sensitivity needs the force). Columns follow the same rule by their order numbers. Single samples
@@ -228,8 +228,8 @@ def _rank(sample: Sample) -> int:
 
 
 def _before(order: Order, others: Order) -> NDArray[np.int64]:
-    """For each sample, the number of other samples that had arrived before it, including those of
-    the same frame."""
+    """Return, for each sample, the number of other samples that had arrived before it, including
+    those of the same frame."""
     return np.searchsorted(others, order, side="right").astype(np.int64)
 
 

@@ -78,7 +78,7 @@ class SuspensionFilter:
         self.attitude = UPRIGHT
 
     def at(self, t: float) -> SuspensionAttitude:
-        """The lean at t [s]; upright if the newest force is too old."""
+        """Return the lean at t [s]; zero if the newest force is too old."""
         return self.attitude if t - self.t <= GAP_S else UPRIGHT
 
     def push(self, t: float, x: float, y: float) -> SuspensionAttitude:

@@ -1,8 +1,8 @@
 """The terms of a model file that can be removed from signals while driving.
 
-Every term is the inverse of the same term in the simulation: there the model turns the true value
-into the sensor's reading, here the reading into the true value. SI units, ISO 8855 axes; neutral
-values change nothing.
+Every term is the inverse of the same term in the simulation. The simulation converts the true value
+into the sensor's reading; this package converts the reading into the true value. SI units, ISO 8855
+axes; neutral values change nothing.
 """
 
 from __future__ import annotations
@@ -133,7 +133,7 @@ def inverse_gain(scale: Vector3, cross_axis: tuple[float, ...]) -> Matrix9 | Non
 
 
 MIN_GAIN = 0.2
-"""A sensor that shows less than a fifth of the true value is not worth correcting."""
+"""Smallest gain of a sensor that is corrected: a fifth of the true value."""
 
 
 def saved_text(terms: Terms) -> str:

@@ -3,8 +3,8 @@ lean.
 
 If a body rolls more in left turns than in right ones, or squats more than it dives, its mean
 attitude biases the mount estimate. The current mount is accurate enough to remove the lean; before
-there is one, ticks stay unchanged. The lever arm is not removed here: the estimator does so itself,
-with rates before and after the tick; the later ones are not known here yet.
+there is one, ticks stay unchanged. The lever arm is not removed here. The estimator removes it with
+the rates before and after the tick; the later rates are not known here yet.
 """
 
 from __future__ import annotations
@@ -53,8 +53,9 @@ class TickPreprocessing:
     def row(self, row: Sequence[float], correction: Correction | None) -> Sequence[float]:
         """Return the row of a tick for the estimator.
 
-        correction: in force during the tick. The lean comes from the corrected force. It rotates
-        the samples in the axes of the housing, so that their own errors stay the same.
+        correction: the correction that is applied during the tick. The lean comes from the
+        corrected force. It rotates the samples in the axes of the housing, so that their own errors
+        stay the same.
         """
         if self._time_alignment is not None:
             row = self._time_alignment.row(row)
@@ -65,11 +66,11 @@ class TickPreprocessing:
     def _upright(
         self, suspension: SuspensionFilter, row: Sequence[float], correction: Correction | None
     ) -> Sequence[float]:
-        """Force and rate of a tick as they would be with a stiff suspension.
+        """Return force and rate of a tick as with a stiff suspension.
 
-        The change of the lean since its last removal is subtracted from the rate. So force and rate
-        stay consistent also over a gap in the force, in which the gyroscope measures the leaning
-        body.
+        The change of the lean since its last removal is subtracted from the rate. Force and rate
+        therefore stay consistent over a gap in the force, in which the gyroscope measures the
+        leaning body.
         """
         if correction is None:
             suspension.restart()

@@ -1,9 +1,9 @@
 """Align signals of different age, tick by tick, before they reach the estimator.
 
 Each channel is held back until the latest channel has arrived: whole ticks by storing rows, the
-rest by the age that a tick states for its samples. So a known delay need not be estimated, and does
-not disturb parts that know no delays. Only the estimator waits; samples are corrected when they
-arrive.
+rest by the age that a tick states for its samples. A known delay is therefore not estimated again,
+and does not disturb parts that cannot handle delays. Only the estimator waits; samples are
+corrected when they arrive.
 """
 
 from __future__ import annotations

@@ -2,9 +2,9 @@
 
 Second-order observer of (rate, its derivative) with both poles damped by 0.7. The corner was chosen
 on simulated drives: with 3 to 5 Hz the error of dr/dt times a lever arm of 1.5 m is smallest, 0.035
-of 0.11 m/s^2 rms; lower corners lag behind the driver, higher ones pass the gyroscope's noise. The
-body's pitch and roll on a rough road are too fast for any causal filter with such noise. Removing
-their acceleration made the force worse at every corner, so it is not removed.
+of 0.11 m/s^2 rms; a lower corner lags behind the driver, a higher corner passes the gyroscope's
+noise. The body's pitch and roll on a rough road are too fast for any causal filter with such noise.
+Removing their acceleration made the force worse at every corner, so it is not removed.
 """
 
 from __future__ import annotations

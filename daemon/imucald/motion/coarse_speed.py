@@ -22,7 +22,7 @@ SAME_SPEED = 1e-6
 COARSE = 0.02
 """Smallest step that counts as coarse [m/s].
 
-Within two ticks, finer steps make less noise of dv/dt than a road makes of the force.
+Finer steps cause less noise in dv/dt over two ticks than a road causes in the force.
 """
 SMALL = 0.15
 """A change of less than this share of the step is not a step, except for the first or last of ten

@@ -1,9 +1,10 @@
-"""Hops: figures of one sensor's samples over half a second, axis by axis, for its health.
+"""A hop is half a second of one sensor's samples. This module computes its figures, axis by axis,
+for the sensor's health.
 
 Figures are counts and comparisons of single samples, without smoothing: runs of equal values, the
-largest value, and how often it came. Live, a hop is computed when it is over; in replay, many hops
-are computed together. Both use `hop_rows`, so they give the same bits. The compiled part and
-`_count_axis` do the same.
+largest value, and how often this value came. Live, a hop is computed when it is over; in replay,
+many hops are computed together. Both use `hop_rows`, so they give the same bits. The compiled part
+and `_count_axis` do the same.
 """
 
 from __future__ import annotations
@@ -27,7 +28,7 @@ HOP_TICKS = 5
 HOP_S = HOP_TICKS * TICK_S
 
 SIDES = 2
-"""Both the upper and the lower extreme of each axis are watched."""
+"""Number of extremes of each axis that are watched: the upper and the lower."""
 
 
 class Carry(Struct):

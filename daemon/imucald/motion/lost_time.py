@@ -1,9 +1,9 @@
-"""Lost time of a stream: its samples continued while its clock stood still.
+"""Lost time of a stream: time in which samples came but the clock stood still.
 
 Stream time never goes back. If the clock of the stamps is set back a little, stream time stands
 until the stamps have caught up. An integral of a rate over stream time misses the rotation
-meanwhile. Time also stands for samples that come late or in batches, but then it makes a longer
-step before or after. Only time that no longer step makes up for is lost.
+meanwhile. Time also stands still for samples that come late or in batches, but then a longer step
+comes before or after. Only time without such a longer step is lost.
 """
 
 from __future__ import annotations
@@ -18,13 +18,13 @@ by a cycle.
 """
 TOLERATED_CYCLES = 1.5
 MADE_UP_S = 1.0
-"""A long step makes up for samples that come together within about this time [s], such as late
-ones.
+"""A long step compensates for samples that came together within about this time [s], such as late
+samples.
 """
 USUAL_SAMPLES = 200
-"""The cycle is the mean step over about this many samples ..."""
+"""The cycle is the mean step over about this many samples."""
 MIN_SAMPLES = 100
-"""... and known after this many."""
+"""Number of samples after which the cycle is known."""
 LONGEST_CYCLES = 4.0
 """A longer step counts as this many cycles: a silence is not a cycle."""
 
@@ -70,7 +70,7 @@ class LostTime:
 
     @property
     def standing(self) -> float:
-        """Time that will have been lost [s] if time moves on now."""
+        """Time [s] that is lost if the clock continues now."""
         samples = self._together * self._cycle
         return self._beyond_tolerance(samples - self._passed - self._ahead) if samples else 0.0
 

@@ -1,4 +1,4 @@
-"""Physical limits of sensors and road vehicles: those of mount, attitude and motion side by side.
+"""Physical limits of sensors and road vehicles, for mount, attitude and motion.
 
 There are three kinds of limits. A number that no sensor of the kind can have measured is
 *impossible*: it is dropped before any use. A motion that no road vehicle makes is *implausible*: a
@@ -59,11 +59,11 @@ def is_plausible(channel: str, values: Sequence[float]) -> bool:
 # implausible on a road ---------------------------------------------------------------------
 
 ROAD_FORCE = (0.5 * GRAVITY, 1.7 * GRAVITY)
-"""Sizes of the mean specific force of a tick [m/s^2] from which the full estimator learns: gravity,
+"""Range of the mean specific force of a tick [m/s^2] that the full estimator uses: gravity,
 with at most 1 g of tyre grip across (a size of 1.41 g) and some of the road's waves.
 """
 ROAD_FORCE_WIDE = (0.3 * GRAVITY, 3.0 * GRAVITY)
-"""The same sizes for method A.
+"""The same range for method A.
 
 Method A keeps its intervals apart and reduces the weight of outliers by itself. Potholes and kerbs
 are therefore allowed, and only forces that no drive makes are refused.

@@ -1,10 +1,10 @@
-"""Evidence for a value on which an axis stays exactly: the end of its range, or the value to which
+"""Evidence for a value at which an axis stays exactly: the end of its range, or the value to which
 a loose contact jumps.
 
-A loose contact jumps to a value, stays exactly on it, and jumps back. Its stays are shorter than
-those that count as stuck. A run of equal values that noise never makes may also come from a sender
-that repeats a value because the next one is late. Such a value is a usual one of the drive, so the
-axis does not jump to it and away from it.
+A loose contact jumps to a value, stays exactly on it, and jumps back. The stays of a loose contact
+are shorter than those of a stuck sensor. A run of equal values that noise never makes may also come
+from a sender that repeats a value because the next one is late. Such a value is usual in the drive,
+so the axis does not jump to it and away from it.
 """
 
 from __future__ import annotations

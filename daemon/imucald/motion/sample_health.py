@@ -1,4 +1,4 @@
-"""Decide from every sample which sensors are fit to be used, for sending and for learning.
+"""Decide from every sample which sensors are usable, for sending and for learning.
 
 `SampleHealth` uses hops of half a second (`hops`), live and by columns, with equal bits. A fault
 counts from the end of the hop that shows it until the sensor has had no fault for a while

@@ -27,14 +27,14 @@ SHORTEST_HOPS = 2
 MIN_RUNS = 50
 """Number of runs after which their lengths are known."""
 LEAST_TIMES = 3.0
-"""A stuck run is at least this many times longer than the longest run before, however many there
-were. If the step of an axis is coarser than its noise, its runs last as long as its motion is
+"""A stuck run is at least this many times longer than the longest run before, for any number of
+runs. If the step of an axis is coarser than its noise, its runs last as long as its motion is
 small. On a straight road the runs are longer than in town. The factor allows the scale to grow to
 three times.
 """
 FINE_STEP = 0.6
-"""At rest an axis is judged only if its step is at most this share of the noise: it leaves room for
-a sensor 1.7 times quieter.
+"""At rest an axis is judged only if its step is at most this share of the noise. The margin allows
+a sensor that is 1.7 times quieter.
 """
 DEAD_HOPS = 40
 """An axis that never changed is dead after this many hops of driving (20 s): no road is so smooth,
@@ -48,9 +48,10 @@ RATE_HOPS = 3
 turn.
 """
 UNIT_HOPS = 5
-"""Two hops are compared with two earlier ones. The unit may have changed in the one between."""
+"""Two hops are compared with two earlier hops. The unit may have changed in the hop between
+them."""
 UNIT_LEEWAY = 2.2
-"""Factor by which the noise of a second may be off: 1.3 with 10 samples, and the effect of the
+"""Possible error of the noise of a second, as a factor: 1.3 with 10 samples, and the effect of the
 road.
 """
 UNIT_CHANGES = 8
@@ -64,8 +65,8 @@ OTHER_CHANGE = 4.0
 same.
 """
 SOME_CHANGES = 3
-"""Number of changes that an axis which became quieter must still have: a single change is that of a
-sender that had stopped.
+"""Smallest number of changes of an axis that became quieter. A single change comes from a sender
+that had stopped.
 """
 USUAL_HOPS = 20
 """Hops of driving (10 s) whose mean noise identifies a unit.
@@ -84,7 +85,7 @@ class Runs:
     def add(self, count: int, longest: int, samples: int) -> None:
         """Take a number of runs that ended, the longest of them, and all samples in them.
 
-        A sensor's first sample ends a run of none, which does not count.
+        A sensor's first sample ends an empty run, which does not count.
         """
         if not samples:
             return
@@ -223,7 +224,7 @@ class UnitChange:
 
     factor: that factor, such as 57.3 of deg/s for rad/s. The other sensor also feels a motion of
     the vehicle, but not a change of unit. The fault lasts until the opposite change is seen, or
-    until the noise of driving is as before: a sensor that somebody only took in hand still has its
+    until the noise of driving is as before. A sensor that was only taken into a hand still has its
     unit.
     """
 

@@ -1,10 +1,10 @@
-"""Signal health for all users: which ticks of which signal are not trusted, and why.
+"""Signal health for all users: untrusted ticks of each signal, and the reasons.
 
 `SignalHealth` takes block after block of ticks, online and pure. Every fault is found by signal
-and, where an axis can fail alone, by axis. Estimators leave out the ticks of all faults together;
-reports read `found`. `physical_limits` and `stuck` define each fault with its limits. The ticks
-of every fault are counted. A flagged tick is left out; knowledge from earlier ticks stays.
-`FaultsInForce` decides how long a fault that was seen lasts.
+and, where an axis can fail alone, by axis. Estimators do not use a tick with any fault; reports
+read `found`. `physical_limits` and `stuck` define each fault with its limits. The ticks of every
+fault are counted. A flagged tick is not used; knowledge from earlier ticks stays. `FaultsInForce`
+decides how long a fault that was seen lasts.
 """
 
 from __future__ import annotations
@@ -66,7 +66,7 @@ HOLD_TICKS: Mapping[SignalFault, int] = {
     SignalFault.WHEEL_SLIP: 10,
     SignalFault.SPEED_JUMP: 10,
 }
-"""Ticks around a fault that are not learnt from either, in the order in which faults are
+"""Numbers of ticks around a fault that are not used either, in the order in which faults are
 counted.
 """
 
@@ -221,7 +221,7 @@ class SignalHealth:
         ok_speed: Flags,
         turning: Array,
     ) -> Flags:
-        """Return the ticks (N,) that must not be learnt from.
+        """Return the ticks (N,) that must not be used.
 
         rows: (N, COLUMNS). force: (N, 3) [m/s^2] and speed: (N,) [m/s], with flags where they are
         known. turning: (N,) size of the yaw rate [rad/s].
@@ -300,7 +300,7 @@ class SignalHealth:
 SOUND_S = 10.0
 """A sensor is used again after this time without a fault [s].
 
-It is longer than the pauses of a loose contact, each of which costs two seconds at most.
+It is longer than the pauses of a loose contact, each of which causes a loss of two seconds at most.
 """
 EVENTS = 50
 """Number of faults that are remembered for the report."""

@@ -1,4 +1,5 @@
-"""dv/dt from a speed signal that may be slow, coarse and late, paired with the accelerometer.
+"""Compute dv/dt from a speed signal that may be slow, coarse and late, and pair it with the
+accelerometer.
 
 Between two speed samples, (v1 - v0) / (t1 - t0) is exactly the mean of dv/dt over that interval,
 whatever the rates. No smoothing is therefore needed. The accelerometer is averaged over the same
@@ -52,8 +53,8 @@ class _Sums(NamedTuple):
 class SpeedIntervalMaker:
     """Cuts the ticks into intervals: at speed samples, or by time where there is no speed.
 
-    block_s: shortest interval [s]; delay: how late the speed is against the accelerometer [s]
-    (negative: it leads); timeout: time without speed [s] after which speed is unknown.
+    block_s: shortest interval [s]; delay: delay of the speed against the accelerometer [s]
+    (negative: the speed leads); timeout: time without speed [s] after which speed is unknown.
     """
 
     def __init__(self, block_s: float, delay: float, timeout: float) -> None:

@@ -51,7 +51,7 @@ of force [m/s^2] and rate [rad/s]. A smooth road at steady speed changes a tick'
 engine at idle by less.
 """
 STEADY_TICKS = 32
-"""... over parts of a block of this many ticks."""
+"""Ticks in each part of a block in which these limits are tested."""
 PARKED_SAMPLE_STD = 0.05
 PARKED_GRAVITY = 0.1
 """The same for the attitude, which uses samples over a second.
@@ -65,8 +65,8 @@ IDLE_RATE = 0.05
 [rad/s]: an engine runs and people get in.
 """
 TIMES_NOISE = 4.0
-"""... or within this many times a force's noise from tick to tick, so that a noisy sensor can rest
-as well (4 standard deviations: 1 of 16,000 normal samples).
+"""Alternative to the limit of the force: this many times its noise from tick to tick, so that a
+noisy sensor can rest too (4 standard deviations: 1 of 16,000 normal samples).
 """
 
 # Whether a mean rate at rest is an error of the gyroscope ------------------------------------

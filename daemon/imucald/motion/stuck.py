@@ -158,14 +158,15 @@ band by two.
 SMOOTH = np.full(10, 0.1)
 """The other yaw rate is used as means over a second, because vibration is not a turn."""
 SPLIT, JUMPS = 0.1, 1.5
-"""Share of the changes that are finer than the signal's step: means over ticks split steps.
+"""Share of changes that may be finer than the signal's step, because means over ticks split a step.
 
 Most changes of a sender that repeats its values are larger than this many steps.
 """
 LARGE = 0.9
-"""Quantile of the changes by which a signal may be off: means over ticks split steps."""
+"""Quantile of the changes that is taken as the possible error of a signal: means over ticks split
+steps."""
 GAINED = 1.5
-"""... and by this much more [m/s]: the response of the body and of the vertical to hard braking."""
+"""Additional possible error [m/s]: the response of the body and of the vertical to hard braking."""
 HARD, DEVIATIONS = 2.0, 3.0
 """While the delay of the speed is not known, braking with this deceleration [m/s^2] may come
 earlier by this many deviations of the delay.

@@ -401,7 +401,7 @@ class FullEstimator:
         return self._changes.stated(self._solver, self._signals.blocks)
 
     def _misleading(self) -> tuple[float, ...]:
-        """Return the deviations (3,) of sent data as angles, without an unconfirmed change [rad]."""
+        """Return the deviations (3,) of sent data, as angles, without an unconfirmed change."""
         return self._stated()
 
     def _moving(self) -> Array:

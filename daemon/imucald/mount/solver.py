@@ -303,8 +303,8 @@ class MountSolver:
 
     @property
     def armed(self) -> bool:
-        """Return, for each angle, whether a change would be detected: this needs enough road before
-        and after it."""
+        """True if a change of each angle would be detected. This needs enough road before and after
+        it."""
         return self._armed_share(self.response.segment) >= 1.0
 
     @property

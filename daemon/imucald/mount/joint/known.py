@@ -80,7 +80,7 @@ class KnownSensor(NamedTuple):
     def found(
         cls, rotation: Matrix3, mean: Array, covariance: Array, priors: Priors
     ) -> KnownSensor:
-        """Return the knowledge from the unknowns (UNKNOWNS,) about the present axes of the housing."""
+        """Return the knowledge from the unknowns (UNKNOWNS,) about the housing's present axes."""
         place = np.zeros((TERMS, UNKNOWNS))
         place[TURN, PHI] = np.eye(3)
         for k, (i, j) in enumerate(OFF):
