@@ -127,18 +127,19 @@ def _print_open(console: Console, diagnosis: Diagnosis) -> None:
 
 def _print_signals(console: Console, diagnosis: Diagnosis) -> None:
     table = _table()
-    table.add_column("residual of", overflow="fold")
+    table.add_column("residual of", min_width=len("accelerometer"))
     table.add_column("verdict")
     for title in ("rms before", "after", "change", "floor"):
         table.add_column(title, justify="right")
     table.add_column("unit")
-    table.add_column("what is left", overflow="fold")
     for name, s in diagnosis.signals.items():
         cells = [numbers.number(x) for x in (s.rms_before, s.rms_after, s.noise_floor)]
         cells.insert(2, words.less(s))
-        left = numbers.typographic(s.left)
-        table.add_row(titles.signal_title(name), s.verdict, *cells, numbers.unit_text(s.unit), left)
+        table.add_row(titles.signal_title(name), s.verdict, *cells, numbers.unit_text(s.unit))
     console.print(table)
+    for name, s in diagnosis.signals.items():
+        if s.left:
+            console.print(f"left in {titles.signal_title(name)}: {numbers.typographic(s.left)}")
 
 
 def _print_candidates(console: Console, diagnosis: Diagnosis) -> None:
