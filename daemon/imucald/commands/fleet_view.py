@@ -104,9 +104,11 @@ def _mounts(rows: Sequence[dict[str, Any]]) -> Table:
     from rich.table import Table
 
     table = Table(box=None, pad_edge=False)
-    for title in ("vehicle", "drives", *ANGLES, "last drive", "since", "moves found"):
-        is_text = title in ("vehicle", "last drive", "since")
-        table.add_column(title, justify="left" if is_text else "right", overflow="fold")
+    for title in ("vehicle", "drives", *ANGLES, "state", "since", "moves"):
+        is_text = title in ("vehicle", "state", "since")
+        whole = {"since": len("2026-05-01")}.get(title)  # a date breaks before its time only
+        side: Any = "left" if is_text else "right"
+        table.add_column(title, justify=side, overflow="fold", min_width=whole)
     for row in rows:
         table.add_row(
             row["vehicle"],
