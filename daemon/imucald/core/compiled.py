@@ -81,7 +81,7 @@ class Kernels:
 kernels: Kernels | None = None
 """The compiled part, or None."""
 state = ""
-"""True if the compiled part is used, in words: "in use", or the reason why not."""
+"""State of the compiled part in words: "in use", or the reason why not."""
 
 
 def slow_words() -> str:

@@ -29,7 +29,7 @@ RATES = (
     "longitudinal_accel", "temperature",
 )  # fmt: skip
 LARGEST_STD_DEG = 4.0
-"""If the mount is less certain than this, no comparison is possible."""
+"""Largest standard deviation of the mount [deg] with which a comparison is possible."""
 SLOWEST_HZ, FASTEST_HZ = 0.2, 1000.0
 
 
@@ -75,10 +75,10 @@ def _rates(recordings: Sequence[Recording]) -> Mapping[str, float]:
 def _mount(loaded: LoadedConfig, drives: Sequence[Samples]) -> dict[str, float]:
     """Mount angles [deg] by the daemon's estimator, which takes the drives one after another.
 
-    A model file has one rotation; errors of the axes stand apart from it, and the diagnosis finds
-    them itself. So the estimator of one rotation is used, even if the configured daemon estimates
-    matrices. If the mount is not known at the end (for example when the sensor swayed and the
-    search started again), the most certain estimate of the drive counts.
+    A model file has one rotation, and the diagnosis finds the errors of the axes separately. The
+    estimator of one rotation is therefore used, even if the configured daemon estimates matrices.
+    If the mount is not known at the end (for example when the sensor swayed and the search started
+    again), the most certain estimate of the drive counts.
     """
     config = loaded.config
     if config.calibration.estimator == "joint":

@@ -91,7 +91,8 @@ def mount_of(model: VehicleModel) -> Matrix3:
 
 
 def age(model: VehicleModel, name: str) -> float:
-    """Age of a signal when its frame comes [s]: its delay plus the delay of its low-pass."""
+    """Age of a signal when its frame arrives [s]: the delay of the signal plus the delay of its
+    low-pass."""
     message = getattr(model, name)
     seconds = float(message.delay_s)
     cut_off = getattr(message, "lowpass_hz", None)
@@ -155,8 +156,8 @@ def model_error(model: VehicleModel, key: str) -> float:
 def extended(
     model: VehicleModel, changes: Changes, known_to: Mapping[str, float] | None = None
 ) -> VehicleModel:
-    """Return the model file with changes applied. known_to: half width by key within which the
-    number is now known."""
+    """Return the model file with changes applied. known_to: by key, the half width of the interval
+    in which the number now lies."""
     made: dict[str, Any] = {}
     R = mount_of(model)
     for name in TRIADS:
@@ -229,8 +230,8 @@ def _at_one_g(model: VehicleModel, name: str, changes: Changes, R: Matrix3) -> A
 
 
 def level_effect(model: VehicleModel, key: str) -> dict[str, float]:
-    """Zero error along the vehicle that an accelerometer gain makes from one g, per unit of the
-    gain."""
+    """Zero error along the vehicle's axes that a gain error of the accelerometer causes at one g,
+    per unit of the gain."""
     R = mount_of(model)
     change = sensor_of(model, "accel", {key: 1.0}).gain - sensor_of(model, "accel", {}).gain
     offset = R @ change @ R.T @ np.array([0.0, 0.0, GRAVITY])
@@ -238,8 +239,8 @@ def level_effect(model: VehicleModel, key: str) -> dict[str, float]:
 
 
 def _delays(model: VehicleModel, changes: Changes) -> dict[str, Any]:
-    """Return the delays, none of them negative. If one signal would be younger than zero, all
-    others become older instead.
+    """Return the delays, none of them negative. If the age of one signal would be negative, the
+    ages of all others are increased instead.
 
     Delays are limited to the range of the file, because a fit of data that no delay explains
     diverges.

@@ -3,7 +3,7 @@
 Each parameter has one row: its unit; its `tolerance` (half width of the error that a correct model
 file may have) with the source; its `plausible` range for a real vehicle or sensor; and the signals
 that it needs. Each cause has one row: its parameters and its texts. The fitter reads the rows and
-treats no cause specially by name.
+has no special case for any cause.
 
 Parameters are keys of the model file. Vectors are along the vehicle's axes (`.x .y .z`), because a
 drive separates these. Vectors that belong to the sensor's own axes have an index instead. A key
@@ -35,12 +35,12 @@ class Parameter:
     needs: tuple[str, ...] = ()
     """Signals that are needed to see the parameter."""
     relative: bool = False
-    """True: the numbers above are shares of the model file's value."""
+    """True: the numbers above are relative to the model file's value."""
 
 
 @dataclass(frozen=True)
 class Cause:
-    """A name for parameters that are wrong together. Each of `variants` is tried separately."""
+    """A named set of parameters that are wrong together. Each of `variants` is tried separately."""
 
     name: str
     variants: tuple[tuple[str, ...], ...]
@@ -52,17 +52,17 @@ class Cause:
     together: tuple[str, ...] = ()
     """Parameters that are also tried with one common value."""
     with_it: tuple[tuple[str, float], ...] = ()
-    """One more form of the cause: key and factor of parameters that move with it."""
+    """Keys and factors of parameters that move with the cause, as one more form of it."""
     drift: bool = False
     """True: tried as a linear growth over the drive."""
     lead: int = 0
-    """The name holds only if at least one of this many first parameters is wrong; 0: any parameter
-    is enough."""
+    """Number of leading parameters of which at least one must be wrong; 0: any parameter is
+    enough."""
     joins: bool = False
     """True: variants are also tried together, as long as each one improves the prediction."""
     form_of: str = ""
-    """Another cause with the same parameters. If that cause is found, this one may be the true
-    one."""
+    """Name of another cause with the same parameters. If that cause is found, the present one may
+    be the true cause."""
 
 
 def _axes(key: str, unit: str, tolerance: float, source: str, plausible: float,

@@ -91,11 +91,11 @@ GYRO_BIAS = tuple(f"gyro.bias.{axis}" for axis in "xyz")
 LEAST_BLOCKS = 4
 LITTLE_MIN = 10.0
 UNBELIEVED = (GOES_AGAINST, TOO_MUCH)
-"""If structure of these kinds is found, no fit is trusted."""
+"""Kinds of structure after which no fit is trusted."""
 NOT_AS_STATED = (
     LOUDER, COARSER, VALUES_MISSING, CHANGES_OTHERWISE, JUMPS_ALONE, FOLLOWS_OTHERWISE,
 )  # fmt: skip
-"""If structure of these kinds is found, the file keeps its statements about its own drives."""
+"""Kinds of structure after which the file's statements about its own drives are not updated."""
 READ_FROM_VALUES = ("saturation", "stuck_signal", "duplicated_frames")
 """Faults that are found from the sequence of a signal's values."""
 ONE_SENSOR = ("accel", "gyro")
@@ -105,8 +105,8 @@ MOVES = (WANDERS, DIFFERS, GOES_WITH_ANOTHER)
 BETWEEN = (FOLLOWS_OTHERWISE, VALUES_MISSING, CHANGES_MISSING, JUMPS_ALONE)
 """Structure of raw values that arises between sensor and log."""
 HALF = 0.5
-"""The written half width of a number (`known_to`) is at least this share of its tolerance, because
-all parts of one drive share temperature, load and weather."""
+"""Smallest ratio of a written half width (`known_to`) to the tolerance. All parts of one drive
+share temperature, load and weather."""
 
 
 def diagnose(
@@ -241,15 +241,15 @@ def _signals(
     held: bool = False,
 ) -> list[DriveSignals]:
     """Each drive's signals without the samples that faults and lost readings make invalid. held: at
-    a rail, leave out only the samples on the rail, because the sequence of its neighbours is
+    a rail, remove only the samples on the rail, because the sequence of the neighbouring samples is
     tested."""
     bad = [invalid_spans(*each, held) for each in zip(faults, drives, lost, strict=True)]
     return [drive_of(s, b) for s, b in zip(drives, bad, strict=True)]
 
 
 def _odd(parts: Sequence[DriveSignals], model: VehicleModel) -> list[Structure]:
-    """Structure in raw values, without faults, that no healthy signal shows. These questions need
-    no fit and share a false-discovery rate of their own."""
+    """Structure in raw values that no healthy signal shows, apart from faults. These questions need
+    no fit and have their own false-discovery rate."""
     return beyond_chance(
         [
             *coarser(parts, model),
@@ -329,7 +329,7 @@ def _silent(share: float, text: str) -> None:
 
 @dataclass
 class _Late:
-    """Callable that says whether the time is over; it remembers if it was called too late."""
+    """Callable that returns whether the time limit has passed. It remembers if this was ever so."""
 
     until: float
     was: bool = False
@@ -368,15 +368,15 @@ def _is_off(rest: Rest, model: VehicleModel) -> bool:
 
 
 def _shows_zero(left: Sequence[Structure]) -> bool:
-    """True if the gyroscope's mean at stops is its zero for the whole drive. It is not if that mean
-    may be a value that the sensor shows for all small rates, or if the zero changes during the
+    """True if the gyroscope's mean at stops is its zero for the whole drive. It is False if that
+    mean may be a value that the sensor shows for all small rates, or if the zero changes during the
     drive."""
     gyro = [s for s in left if s.signal.startswith("gyro") or s.parameter.startswith("gyro.bias")]
     return not any(s.kind in (VALUE_HELD, *MOVES) for s in gyro)
 
 
 def _zero_of(rest: Rest, state: State, model: VehicleModel) -> Rest:
-    """Return the zero at stops without the part that a found g-sensitivity makes from one g."""
+    """Return the zero at stops without the effect of a found g-sensitivity at one g."""
     R = mount_of(model)
     net = R @ (np.array(state.model.gyro.bias) - np.array(state.stated.gyro.bias))
     return replace(rest, rate=net)

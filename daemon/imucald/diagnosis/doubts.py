@@ -1,4 +1,5 @@
-"""Withdraw named causes that other findings may explain: they then count only as not ruled out."""
+"""Withdraw named causes that other findings may explain. Withdrawn causes count only as not ruled
+out."""
 
 from __future__ import annotations
 
@@ -28,7 +29,7 @@ from imucald.diagnosis.search.state import State
 from imucald.diagnosis.search.trials import Trial
 
 BESIDE = (NOT_PLAUSIBLE, WANDERS, LOUDER, COARSER, CHANGES_OTHERWISE)
-"""Structure that biases no value: causes that a fit names as well may stand."""
+"""Kinds of structure that bias no value: causes from a fit stay named."""
 NO_STEP = (GOES_WITH_ANOTHER, GOES_WITH_LEVEL, FOLLOWS_OTHERWISE, TOO_MUCH)
 """Structure that a turned sensor does not cause. A turn by 10 deg makes zeros and gains seem to
 wander, because the fit follows it only to first order and to the nearest segment."""
@@ -101,8 +102,8 @@ def doubt(state: State, left: Sequence[Structure], faults: Sequence[Sequence[Fau
 
 
 def unexplained(left: Sequence[Structure]) -> set[str]:
-    """Equations that use a signal which may cause the left-over structure. Every signal of an
-    affected equation may cause it. The speed is used by most equations, so it counts only in
+    """Return the equations that use a signal which may cause the left-over structure. Every signal
+    of an affected equation may cause it. The speed is used by most equations, so it counts only in
     comparisons with another speed."""
     signals: set[str] = set()
     for s in left:

@@ -1,8 +1,7 @@
-"""The gain of the written model file by itself: nothing else is fitted here.
-
-*After* is the residual of these drives with the written file; anyone who compares them again finds
-the same. The value of the file is measured on data outside the fit (cross-validation): the found
-parameters are fitted without one fold, and that fold is predicted with these parameters alone.
+"""The gain of the written model file alone, without a further fit. *After* is the residual of these
+drives with the written file; a new comparison gives the same residual. The value of the file is
+measured on data outside the fit (cross-validation): the found parameters are fitted without one
+fold, and that fold is predicted with these parameters alone.
 """
 
 from __future__ import annotations

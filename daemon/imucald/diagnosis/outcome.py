@@ -145,7 +145,8 @@ def first_signal(table: Table | None, keys: Sequence[str]) -> str:
 
 
 def _against(state: State, trial: Trial) -> list[str]:
-    """Arguments against a cause: single blocks, a wandering value, rivals, a fit at its bound."""
+    """Return the arguments against a cause: single blocks, a wandering value, rivals, a fit at its
+    bound."""
     texts = []
     e, gain = trial.estimate, trial.gain
     worse = float((gain < 0.0).mean())

@@ -32,16 +32,17 @@ uses the same for frames. A sensor that shows one constant value at standstill p
 
 @dataclass(frozen=True)
 class Recording:
-    """One drive as a log holds it. Times are stream time: seconds from the first frame of ours."""
+    """One drive as a log holds it. Times are stream time: seconds from the first configured
+    frame."""
 
     name: str
     """The log's file name; if the recording has several logs, the name of the first one."""
     samples: Samples
     """By channel (see `imucald.core.samples`), SI; a channel that never came is absent."""
     duration_s: float
-    """Stream time of the last frame of ours [s]."""
+    """Stream time of the last configured frame [s]."""
     frames_read: int
-    """All valid frames of the log, ours or not."""
+    """Number of all valid frames of the log, configured or not."""
     rejected: Mapping[str, int]
     """Bad lines, frames and samples by reason."""
     gaps: tuple[float, ...] = ()

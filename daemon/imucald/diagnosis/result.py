@@ -94,7 +94,7 @@ class Candidate:
     key: str = ""
     """The parameter with the largest departure, relative to its standard deviation."""
     off: float = math.nan
-    """Its departure, in `unit`; the next two have the same unit."""
+    """Departure of this parameter, in `unit`; the next two values have the same unit."""
     std: float = math.nan
     shows_from: float = math.nan
     """Size from which these drives would have shown it."""

@@ -97,7 +97,7 @@ class Channel:
         return np.asarray(inside + before * ends[0] + after * ends[-1])
 
     def present(self, t: Array) -> Mask:
-        """True if the signal was present and outside bad intervals."""
+        """Return, for each time, whether the signal was present and outside bad intervals."""
         gap = max(GAP_PERIODS * self.period_s, SHORTEST_GAP_S)
         after = np.searchsorted(self.t, t)
         left = self.t[np.clip(after - 1, 0, len(self.t) - 1)]
@@ -133,7 +133,7 @@ class DriveSignals:
 
 
 def inside_of(t: Array, spans: Spans, margin: float = 0.0) -> Mask:
-    """Which times lie in the intervals, extended by a margin [s] at both ends."""
+    """Return which times lie in the intervals, extended by a margin [s] at both ends."""
     if not spans:
         return np.zeros(len(t), dtype=bool)
     start, stop = np.sort(np.array(spans), axis=0).T

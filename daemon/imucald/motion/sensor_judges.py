@@ -189,7 +189,7 @@ class StuckAxis:
 
 
 class Lasting:
-    """True if a condition has lasted for a number of hops in a row."""
+    """Detects that a condition has lasted for a number of hops in a row."""
 
     def __init__(self, hops: int) -> None:
         self._hops, self._run = hops, 0

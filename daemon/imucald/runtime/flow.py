@@ -1,4 +1,4 @@
-"""True if corrected frames flow now: the first line of a daemon's status.
+"""Text and kind of the first line of a daemon's status: do corrected frames flow now?
 
 The module gives the alarms of the health frame in words, and those that mean that no good data are
 sent.

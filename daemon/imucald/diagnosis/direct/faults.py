@@ -3,9 +3,9 @@ signals, lost or doubled frames, wrong cycle.
 
 Each is direct evidence. The samples that a fault makes invalid are kept out of the fit.
 `motion.rails` and `motion.sensor_judges` look for the same faults while driving, with the past
-samples only; here the whole recording is known. Three cases must be kept apart with all values of a
-signal: a third of a recording may lie on a rail; an axis of a vector of constant length is most
-often near its largest value; a dead zone may repeat itself.
+samples only; here the whole recording is known. Three cases must be distinguished by all values of
+a signal. A third of a recording may lie on a rail. An axis of a vector of constant length is most
+often near its largest value. A dead zone may repeat itself.
 """
 
 from __future__ import annotations
@@ -43,11 +43,11 @@ INVALID_S = 0.3
 LOST_TOLERANCE, LOST_FEWEST = 0.003, 8
 """Share and number of frames that a bus and a logger may lose without a fault."""
 PAUSE_S = 10.0
-"""Everywhere in this program, a longer gap begins a new segment."""
+"""A longer gap [s] begins a new segment, everywhere in this program."""
 DOUBLED_TOLERANCE, DOUBLED_FEWEST = 0.001, 5
 CLOCK_PPM, CLOCK_UNKNOWN_PPM = 200.0, 10_000.0
-"""First: two crystals of +-100 ppm over temperature and age. Second: if the rate differs by more
-than 1 %, the model file states another rate, which is no fault."""
+"""The first limit is that of two crystals of +-100 ppm over temperature and age. Beyond the second
+limit (1 %) the model file states another rate, which is no fault."""
 
 
 def find_faults(
@@ -55,7 +55,7 @@ def find_faults(
 ) -> list[Fault]:
     """Find all faults of samples and stamps that the model file does not state.
 
-    lost: invalid readings by signal (`lost_readings`); these are no end of a range.
+    lost: invalid readings by signal (`lost_readings`), which are not the end of a range.
     """
     moving, none = _moving(samples), lost or {}
     found: list[Fault] = []

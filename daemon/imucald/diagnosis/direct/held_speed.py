@@ -1,10 +1,10 @@
 """Find a constant speed signal while the inertial sensors show that the speed changes.
 
-The speed is predicted from accelerometer and gyroscope. Its residual is noise and the road, and has
-about the same size throughout a drive. If the speed signal is held instead of measured, the
-residual is as large as the hidden change. The mount is not known here, so the relation between the
-speed, the three axes and the gravity that the gyroscope turns into them is fitted to the drive
-itself.
+The speed is predicted from accelerometer and gyroscope. The residual contains noise and the road's
+effect, and has about the same size throughout a drive. If the speed signal is held instead of
+measured, the residual is as large as the hidden change. The mount is not known here, so the
+relation between the speed, the three axes and the gravity that the gyroscope turns into them is
+fitted to the drive itself.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ MOVING_MPS = 2.0
 LEAST_WINDOWS = 8
 """Fewest windows of the same length with which a span is compared."""
 APART = 4
-"""If a window contains a stop, the next one is tried after 1/APART of its length."""
+"""If a window contains a stop, the next window begins 1/APART of a length later."""
 
 
 def chances_of_sensors(samples: Samples, spans: Spans) -> Array:

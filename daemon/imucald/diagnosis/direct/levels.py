@@ -34,11 +34,12 @@ SIGNALS = (
 OF_WHEELS = ("speed", "wheel_speeds")
 """Signals that show 0 below some speed."""
 NEAR_STEPS, OFF_STEP, ON_STEPS = 5.5, 0.1, 0.9
-"""Levels belong to a converter if, among gaps of up to NEAR_STEPS steps, the share ON_STEPS are
-whole numbers of steps within OFF_STEP. Of gaps with random widths only a fifth are."""
+"""Levels belong to a converter if the share ON_STEPS of the gaps of up to NEAR_STEPS steps are
+whole numbers of steps, within OFF_STEP. With random gaps this share is a fifth."""
 LEAST_GAPS = 10
 SAME = 1e-9
-"""Share of a signal's largest value: levels closer than that are one level, rounded twice."""
+"""Distance of two levels, relative to the signal's largest value, below which they are one level
+that was rounded twice."""
 GAIN = 1.0 + max(row.plausible[1] for key, row in PARAMETERS.items() if ".scale" in key)
 """Largest factor by which a plausible wrong gain may change a step."""
 OBD_STEP = 1.0 / 3.6
@@ -128,7 +129,7 @@ def is_one_grid(levels: Array, step: float) -> bool:
 
 
 def coarser(drives: Sequence[DriveSignals], stated: VehicleModel) -> list[Question]:
-    """True if signals have coarser steps than in the file's drives, or show 0 up to a higher
+    """Test whether signals have coarser steps than in the file's drives, or show 0 up to a higher
     value."""
     asked: list[Question] = []
     for drive in drives:
@@ -194,10 +195,10 @@ def holes(drives: Sequence[DriveSignals]) -> list[Question]:
 
 def _hole(signal: Numbers) -> Iterator[Question]:
     """Find the hole that the signal jumps over most often. A change from sample to sample is rarer
-    the larger it is. So from a place below a hole, at most one hole width away, landing inside the
-    hole is at least as likely as landing above it at most one width away: each such jump has a
-    chance of at most a half. A standing vehicle that sets off is an exception, so speeds are tested
-    from 1 km/h on."""
+    the larger it is. From a value up to one hole width below a hole, a change into the hole is
+    therefore at least as likely as a change to a value up to one width above it. Each such jump has
+    a chance of at most a half. A standing vehicle that sets off is an exception, so speeds are
+    tested from 1 km/h on."""
     levels = levels_of(signal.values)
     step = step_of(levels)
     if step == 0.0 or not is_one_grid(levels, step):
@@ -263,7 +264,7 @@ def _stated(signal: Numbers, duration_s: float) -> Leaves | None:
 
 
 def _closer(a: Leaves, b: Leaves) -> Leaves:
-    """The entry with the finer levels, with the smaller least value of both."""
+    """Return the entry with the finer levels, and the smaller of both least values."""
     chosen = a if a.rms[0] <= b.rms[0] else b
     low = min(a.speeds_mps[0], b.speeds_mps[0])
     return msgspec.structs.replace(chosen, speeds_mps=(low, max(low, chosen.speeds_mps[1])))

@@ -1,5 +1,5 @@
-"""Find invalid readings: the value that a sensor falls back to when a connector opens, or a
-default.
+"""Find invalid readings: the value to which a sensor falls back when a connector opens, or a
+default value.
 
 A true signal reaches a value through neighbouring values. A lost reading jumps to its value and
 back from anywhere, without values in between.
@@ -22,7 +22,7 @@ LEAST_ROWS = 100
 CHANCE = 0.01
 """Chance of a false finding in one drive, divided among its signals."""
 RARE = 0.01
-"""Share of a sensor's own steps that are as large as a jump."""
+"""Largest share of a sensor's usual steps that may be as large as a jump."""
 PASSES_HALF = 0.25
 """When a signal comes within half its usual distance of a value, it reaches the value in at most
 this share of the cases: the tails of a distribution with a variance fall faster than 1/x^2
@@ -64,8 +64,8 @@ def as_structure(name: str, lost: Lost) -> Structure:
 
 
 def lost_readings(series: Series, signals: int) -> Lost | None:
-    """Find the value that a sensor falls back to; None without one. signals: number of signals
-    tested."""
+    """Find the value to which a sensor falls back; None without such a value. signals: number of
+    signals tested."""
     table = series.values.reshape(len(series.t), -1)
     first = np.flatnonzero(np.concatenate([[True], (np.diff(table, axis=0) != 0.0).any(axis=1)]))
     if len(first) < 3:

@@ -1,11 +1,12 @@
 """Statistics of successive samples that do not depend on road and driver.
 
-Each segment of a drive gives six numbers without a unit. They describe how often a value repeats
-the one before, and how often it continues the straight line of the two before, both beyond chance
-for a sensor with this step and noise; the tails of its changes; and how much of a change the next
-change reverses. A road of the next roughness class makes all changes larger and leaves these
-numbers the same. A model file holds the medians over the segments of its drives. A change between
-sensor and log, such as a filter, a filled gap or a held value, shows here and in no equation.
+Each segment of a drive gives six numbers without a unit. Two of them describe how often a value
+repeats the previous value, or continues the straight line of the two previous values, beyond chance
+for this step and noise. The others describe the tails of the changes, and the share of a change
+that the next change reverses. A road of the next roughness class makes all changes larger and
+leaves these numbers the same. A model file holds the medians over the segments of its drives. A
+change between sensor and log, such as a filter, a filled gap or a held value, shows here and in no
+equation.
 """
 
 from __future__ import annotations
@@ -78,8 +79,8 @@ TRAITS = (
 
 
 def traits_of(drives: Sequence[DriveSignals]) -> dict[float, Left]:
-    """By segment length [s] and name: (B,) mean speed of each segment, 0 if speed does not matter,
-    and (B, 6) exponentials of the numbers."""
+    """Return, by segment length [s] and name, the mean speed of each segment (B,), 0 if speed does
+    not matter, and the exponentials of the numbers (B, 6)."""
     made: dict[float, dict[str, list[tuple[Array, Array]]]] = {}
     for drive in drives:
         for signal in signals_of(drive):
@@ -154,9 +155,9 @@ def follows(drives: Sequence[DriveSignals], stated: VehicleModel) -> Family:
 
 
 def _on_the_files_grid(drives: Sequence[DriveSignals], stated: VehicleModel) -> set[str]:
-    """Signals whose levels have the same spacing as in the file's drives, up to a gain, or lie on
-    no grid in both. A signal with other levels, for example a rotated one, has another rate of
-    repeats."""
+    """Select the signals whose levels have the same spacing as in the file's drives, up to a gain.
+    Signals without a grid in both are also selected. A signal with other levels, for example a
+    rotated one, has another rate of repeats."""
     same: set[str] = set()
     for drive in drives:
         for signal in signals_of(drive):

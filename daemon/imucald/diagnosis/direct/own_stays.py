@@ -1,4 +1,4 @@
-"""True if a signal stays at one value longer than it normally does.
+"""Test whether a signal stays at one value longer than it normally does.
 
 At constant speed a signal stays longer than in town, so the lengths of its stays have a heavier
 tail than a geometric distribution. Therefore each stay has its own probability of going on, drawn
@@ -17,7 +17,7 @@ from imucald.core.arrays import Array
 
 Steps = NDArray[np.intp]
 FEW_STAYS = 20
-"""If there are fewer stays, the longest ones are no measure of a tail."""
+"""Fewest stays from which the longest stays measure a tail."""
 LONGEST = 0.1
 """Share of the stays that shows the tail by itself (peaks over a threshold, Pickands 1975)."""
 _GRID = (np.arange(40) + 0.5) / 40.0
@@ -45,7 +45,8 @@ def number_as_long(own: Steps, length: int) -> float:
 
 
 def _beyond(more: Steps, length: int) -> float:
-    """The same for the part of the stays beyond a threshold, by the posterior of a and b.
+    """Return the expected number as in `number_as_long`, for the part of the stays beyond a
+    threshold, by the posterior of a and b.
 
     P(L >= n) = B(a + n, b)/B(a, b), P(L = n) = B(a + n, b + 1)/B(a, b).
     """

@@ -55,7 +55,8 @@ All other motions have more."""
 LEAST_CHANGES, LEAST_CODES, MOST_CODES = 30, 2, 1000
 BESIDE = np.array([1.0] * 6 + [0.0] * 5 + [1.0] * 6)
 """Changes with which one change is compared: the third to the eighth before and after it. The two
-nearest on each side are left out, because a wrong value and a filter behind it affect them."""
+nearest changes on each side are not used, because a wrong value and a filter after it affect
+them."""
 LEVELS = (4.0, 8.0, 16.0, 32.0, 64.0, 128.0)
 """Sizes of a change in multiples of the rms of the neighbouring changes, in octaves. In normal
 noise, with the rms of twelve changes, one in 500 exceeds the first level (Student)."""
@@ -112,7 +113,8 @@ def _along_vehicle(t: Array, table: Array, model: VehicleModel) -> Array:
 
 
 def _sizes(t: Array, table: Array, good: Mask, period: float) -> Array:
-    """(W, lags) rms change of a table (N, W) over each lag; 0 if few changes are usable."""
+    """Return the rms change (W, lags) of a table (N, W) over each lag; 0 if few changes are
+    usable."""
     made = np.zeros((table.shape[1], len(LAGS)))
     for k, lag in enumerate(LAGS):
         there = (t[lag:] - t[:-lag] < (lag + 0.5) * period) & good[lag:] & good[:-lag]
@@ -122,8 +124,8 @@ def _sizes(t: Array, table: Array, good: Mask, period: float) -> Array:
 
 
 def _row(name: str, i: int) -> FamilyRow:
-    """One number of the family: tested in both directions, beyond the effect of a road on one
-    axis."""
+    """Return the row of one number. It is tested in both directions, beyond the effect of a road on
+    one axis."""
     _, _, _, _, rate, _ = name.split()
     lag = counted(LAGS[i], "sample")
     rougher = float(np.log(ROUGHER))
@@ -148,7 +150,7 @@ CHANGES = Family(CHANGES_OTHERWISE, _row)
 
 
 def changes_missing(drives: Sequence[DriveSignals]) -> list[Question]:
-    """True if signals stay constant until they change by a large amount."""
+    """Test whether signals stay constant until they change by a large amount."""
     return [q for drive in drives for signal in signals_of(drive) for q in _missing(signal)]
 
 
@@ -188,7 +190,7 @@ def _missing(signal: Numbers) -> Iterator[Question]:
 
 
 def jumps_alone(drives: Sequence[DriveSignals]) -> list[Question]:
-    """True if signals jump repeatedly, with small changes before and after each jump."""
+    """Test whether signals jump repeatedly, with small changes before and after each jump."""
     return [q for drive in drives for signal in signals_of(drive) for q in _alone(signal)]
 
 

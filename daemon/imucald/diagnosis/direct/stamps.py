@@ -16,8 +16,8 @@ ADDED_UP = 0.5
 and MacKinlay 1988). The ratio is 1 if each step begins when the one before ends (a new request
 after each answer), and near 0 if a clock triggers the frames."""
 LOCKS, NEIGHBOURS = 4, 50
-"""Number of stamps that share a phase: over these, a cycle known to 1 % moves the phase by half a
-cycle at most."""
+"""Number of neighbouring stamps with a common phase. Over these, an error of 1 % in the cycle moves
+the phase by at most half a cycle."""
 PARTS = 8
 """Number of parts of a drive; the scatter of their slopes gives the accuracy of the whole slope."""
 

@@ -24,8 +24,8 @@ from imucald.diagnosis.signals import Mask, Spans
 Index = NDArray[np.intp]
 MOVING_MPS = 2.0
 STUCK_S, STUCK_SLOW_S, STUCK_RUNS = 0.5, 8.0, 4.0
-"""Shortest time that counts as stuck for a quick and for a slow sensor. It must also be STUCK_RUNS
-times the usual stay, or too long for chance (`own_stays`)."""
+"""Shortest time that counts as stuck for a quick and for a slow sensor. The time must also be
+STUCK_RUNS times the usual stay, or too long for chance (`own_stays`)."""
 FEW_OTHERS = 3
 CHANCE = 0.01
 """Chance of a false finding for each slow signal of a drive without faults."""
@@ -113,8 +113,8 @@ def stuck(
 def _on_a_rail(
     name: str, t: Array, table: Array, first: Index, last: Index, piled: Sequence[Fault]
 ) -> Mask:
-    """Which intervals lie on a rail that was found; for a signal with one component, at either
-    end."""
+    """Return which intervals lie on a rail that was found; for a signal with one component, at
+    either end."""
     hit = np.zeros(len(first), dtype=bool)
     for fault in piled:
         for low, high in fault.spans:
@@ -126,15 +126,15 @@ def _on_a_rail(
 
 
 def _usual(length: Array) -> float:
-    """Length of stay that 99 % of the stays do not exceed. If there are few stays, the longest is
-    no measure of it."""
+    """Return the length of stay that 99 % of the stays do not exceed. Few stays give no measure of
+    this length."""
     length = length[length > 0.0]
     return float(np.quantile(length, 0.99, method="lower")) if len(length) > FEW_STAYS else 0.0
 
 
 def _usual_of(values: Array, length: Array, k: int) -> float:
-    """The same for stays at the held value only. A value that a sensor shows repeatedly for some
-    time (a dead zone, a default) is no sign of a stuck sensor."""
+    """Return the same length for stays at the held value only. A value that a sensor shows
+    repeatedly for some time (a dead zone, a default) is no sign of a stuck sensor."""
     return _usual(length[(values == values[k]).all(axis=1)])
 
 

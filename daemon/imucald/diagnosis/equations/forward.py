@@ -3,7 +3,7 @@
 Each equation (see `motion`) is a residual, measured minus predicted, on the grid. A column of a fit
 is the change of the residual with a parameter, found by another evaluation. For columns, the slope
 of the speed is the best mean of speed and accelerometer, and the sideways force is the predicted
-one. So no column correlates with the noise in its own equation.
+one. No column therefore correlates with the noise of its own equation.
 """
 
 from __future__ import annotations
@@ -166,7 +166,7 @@ class Forward(Reader):
         return age(self.model, name) if hasattr(getattr(self.model, name, None), "delay_s") else 0.0
 
     def _knots_inside(self) -> Mask:
-        """Which rows lie between two knots of the speed in the same block."""
+        """Return which rows lie between two knots of the speed in the same block."""
         late = age(self.model, "speed") + self.model.speed.delay_rate * self.knots
         knots = self.knots - late
         index = np.searchsorted(knots, self.t)
@@ -180,8 +180,8 @@ class Forward(Reader):
         return np.asarray(inside & (left >= start - slack) & (right <= stop + slack))
 
     def _starts_or_stops(self) -> Mask:
-        """Rows in which the speed leaves or reaches zero by a jump. Speeds below about 0.3 m/s are
-        not measured (dead band), and such a jump is no acceleration of the vehicle."""
+        """Return the rows in which the speed leaves or reaches zero by a jump. Speeds below about
+        0.3 m/s are not measured (dead band), and such a jump is no acceleration of the vehicle."""
         speed = self.drive.channels["speed"]
         size = np.abs(speed.values)
         stands, step = size < STANDING_MPS, np.abs(np.diff(size))

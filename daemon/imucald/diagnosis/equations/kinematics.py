@@ -54,7 +54,7 @@ def _cross(a: Axes, b: Axes | tuple[float, float, float]) -> Axes:
 
 
 def sideways(v: Array, r: Array, t: Array, kappa: float, chassis: Chassis) -> Array:
-    """Speed sideways."""
+    """Lateral speed of the reference point."""
     slip = kappa * np.abs(v)
     late = slip_delay(v, slip, chassis)
     return np.asarray(chassis.cg_to_rear_m * r - slip * v * np.interp(t - late, t, r))
@@ -123,19 +123,19 @@ def pitching(along: Array, t: Array, squat: float, dive: float, late: float) -> 
 
 
 def later(x: Array, t: Array, late: float) -> Array:
-    """Delay of the body, which follows like a damped spring: 2 zeta / omega well below its natural
-    frequency."""
+    """Return a quantity with the delay of the body, which follows like a damped spring: 2 zeta /
+    omega well below its natural frequency."""
     return np.asarray(np.interp(t - late, t, x))
 
 
 def slow(x: Array) -> Array:
-    """x smoothed over `SMOOTH_STEPS` steps."""
+    """Return x smoothed over `SMOOTH_STEPS` steps."""
     return np.asarray(np.convolve(x, SMOOTHER, "same"))
 
 
 def beside_wheels(v: Array, shown: Array, own: tuple[float, ...], scale: float) -> Array:
-    """Speed minus the mean of the rear wheels. shown: (N, 4). scale: of the rear wheels in addition
-    to the file's own."""
+    """Speed minus the mean of the rear wheels. shown: (N, 4). scale: scale error of the rear
+    wheels, in addition to that of the file."""
     wheels = shown / (1.0 + np.array(own))
     return np.asarray(np.abs(v) - wheels[:, 2:].mean(axis=1) / scale)
 

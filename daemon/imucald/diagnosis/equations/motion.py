@@ -99,7 +99,8 @@ class VehicleMotion:
     # operators -----------------------------------------------------------------------------------
 
     def _mean_slopes(self, x: Array) -> Array:
-        """Mean of x between each two knots of the speed, as the speed shows an acceleration."""
+        """Mean of x between each two knots of the speed, because a speed shows the mean
+        acceleration between its knots."""
         return self.once(kinematics.between_knots, x, self.knots, self.f.t)
 
     def held(self, slopes: Array) -> Array:
@@ -278,8 +279,8 @@ class VehicleMotion:
     def _leaning(self) -> Array:
         """Sideways force from the road's lean [m/s^2].
 
-        It acts through the understeer gradient, which is not known to 10 %. So zeros and the mount
-        change it, but gains must not be estimated from it.
+        It acts through the understeer gradient, which is not known to 10 %. Zeros and the mount
+        therefore change it, but gains must not be estimated from it.
         """
         if self.settled is None:
             return self.once(kinematics.left_of_turn, self.force[1], self.v, self.r)

@@ -17,8 +17,8 @@ Known = dict[tuple[Any, ...], tuple[tuple[Any, ...], Any]]
 class Once:
     """Calls a function, unless its result for these inputs is already known.
 
-    Inputs are the same if arrays are the same objects and all other inputs are equal. So the
-    function must depend on its inputs alone, and kept arrays must not change: they are made
+    Inputs are the same if arrays are the same objects and all other inputs are equal. The function
+    must therefore depend on its inputs alone. Stored arrays must not change, so they are made
     read-only. keeps: True keeps new results in `known`, False only as long as this object lives.
     """
 

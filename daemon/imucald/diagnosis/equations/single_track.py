@@ -1,4 +1,4 @@
-"""How the yaw rate follows the steering angle: linear single-track model with tyre relaxation.
+"""Response of the yaw rate to the steering angle: linear single-track model with tyre relaxation.
 
 With S_k = a^k C_f + (-b)^k C_r, and tyres whose force builds up with h = 1 + s sigma/v:
 

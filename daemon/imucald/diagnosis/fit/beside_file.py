@@ -1,4 +1,4 @@
-"""Compare segments of a drive with those that a model file was made from.
+"""Compare segments of a drive with the segments from which a model file was made.
 
 A model file holds, for several kinds of numbers, the median over the segments of its own drives and
 the scatter between segments. This module makes, writes and compares such entries for any kind of
@@ -36,7 +36,7 @@ Left = dict[str, tuple[Array, Array]]
 
 @dataclass(frozen=True)
 class FamilyRow:
-    """How one number of a family is compared with the file's."""
+    """Comparison of one number of a family with that of the file."""
 
     limit: float
     """Largest difference of the logarithms between two correct drives."""

@@ -17,8 +17,8 @@ CLOSE = 1e-9
 def box_fit(H: Array, c: Array, low: Array, high: Array, start: Array | None = None) -> Array:
     """Minimise x'Hx/2 - c'x within low <= x <= high: (Q,).
 
-    Primal active-set method (Nocedal and Wright, ch. 16): go along a Newton step to the first
-    bound, and release one bound at a time, the one with the largest multiplier.
+    Primal active-set method (Nocedal and Wright, ch. 16): take a Newton step up to the first bound,
+    and release one bound at a time, that with the largest multiplier.
     """
     scale = 0.5 * (high - low)
     H = H * np.outer(scale, scale)

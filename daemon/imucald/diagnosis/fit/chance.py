@@ -25,7 +25,7 @@ class Question:
     structure: Structure
     may_be_large: float = 1.0
     """Upper limit of the chance that the effect looks large if nothing is wrong. An accurately
-    known value never looks large, whatever its own chance."""
+    known value never looks large."""
 
 
 def chance_of_large(limit: float, se: float, free: float, beside: float = 1.0) -> float:

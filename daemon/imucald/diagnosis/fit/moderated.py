@@ -1,12 +1,12 @@
-"""Standard deviations of many questions about one drive, each from few segments: the questions
+"""Standard deviations of many questions about one drive, each from few segments. The questions
 share information about their scatter.
 
 The scatter of segments beyond the noise (over-dispersion) is known for each question only from its
 own segments, often fewer than ten. With so few, Student's t requires six standard deviations and
 more. But a hundred questions about the same segments have over-dispersions from one common
-distribution, which can be estimated from all of them. So each question uses a mean of its own
-over-dispersion and the common one (moderated t; Smyth, Linear models and empirical Bayes methods
-for assessing differential expression, 2004).
+distribution, which can be estimated from all of them. Each question therefore uses a mean of its
+own over-dispersion and the common one (moderated t; Smyth, Linear models and empirical Bayes
+methods for assessing differential expression, 2004).
 """
 
 from __future__ import annotations

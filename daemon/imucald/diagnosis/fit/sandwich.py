@@ -30,7 +30,8 @@ def between_quarters(score: Array) -> Array:
     """Scatter of the quarters' scores about their mean (cluster-robust; Cameron and Miller 2015).
 
     A parameter that drifts between quarters counts by its effect on the whole fit. If a quarter has
-    little information on a parameter, its own value may be far off, but it hardly moves the whole.
+    little information on a parameter, its own value may be very wrong, but it hardly changes the
+    fit of all quarters.
     """
     if len(score) < 2 * QUARTERS:
         return np.zeros((score.shape[1], score.shape[1]))

@@ -34,11 +34,12 @@ class Hypothesis:
     directions: tuple[Mapping[str, float], ...] = ()
     """For each key, the parameters that move with it and their factors; empty: the keys alone."""
     lead: int = 0
-    """Number of first keys of which one must leave its tolerance; 0: any key is enough."""
+    """Number of leading keys of which at least one must leave its tolerance; 0: any key is
+    enough."""
     pattern: Array | None = None
     """(B,) factor on the parameters in each block; None: everywhere."""
     error: float | None = None
-    """Error of the equations in this hypothesis; None: that of the best known of its parameters."""
+    """Error of the equations in this hypothesis; None: the error of its best known parameter."""
 
     @property
     def moved(self) -> set[str]:

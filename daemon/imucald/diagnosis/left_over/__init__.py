@@ -4,5 +4,5 @@ Each module tests one property of the residual: size (`adequacy`, `louder`), fre
 `orders`), other signals (`pairs`, `patterns`), or change from segment to segment (`stability`,
 `between_segments`, `even_growth`, `uneven_segments`). The answers are `Structure`s, or `Question`s
 that `fit.chance` judges together. Modules here call `search`, `fit` and `equations`, and change
-nothing there. The room above calls them.
+nothing there.
 """

@@ -90,8 +90,8 @@ def goes_against(forwards: Sequence[Forward]) -> list[Structure]:
 
 
 def too_much(problem: Problem, state: State) -> list[Structure]:
-    """Report a residual of the sideways force larger than that of any measured car. Then a cause is
-    missing, and no fit without it can be trusted."""
+    """Report a residual of the sideways force larger than that of any measured car. Such a residual
+    means that a cause is missing, and no fit without this cause can be trusted."""
     name = "accel_y"
     if not {name, "gyro_x"} <= set(problem.table.plain):
         return []
@@ -251,7 +251,7 @@ def left_of_known(z: Spectra, known: Spectra) -> Spectra:
 def cut_offs(changes: Mapping[str, float]) -> list[tuple[str, float, float]]:
     """Signals, and frequency ranges [Hz] in which a low-pass may leave a peak if it was fitted as a
     delay x. The range is one octave about its cut-off: 1/(2 pi x) for first order, sqrt 2/(2 pi x)
-    for second. Below that a delay fits as well; above it there is no motion."""
+    for second. Below this range a delay fits equally well; above it there is no motion."""
     made = []
     for key, x in changes.items():
         if key.endswith("delay_s") and abs(x) > PARAMETERS[key].tolerance:

@@ -23,7 +23,8 @@ TO_ONE_SIDE = ("the side it turns to", "the last strong turning")
 """Conditions that change sign when left and right are exchanged; a vehicle is symmetric to that."""
 ENDS = (0.05, 0.95)
 BEYOND = 0.5
-"""How far a condition is followed beyond the two percentiles, as a share of their distance."""
+"""Distance to which a condition is followed beyond the two percentiles, relative to their
+distance."""
 
 
 def conditions(f: Forward) -> dict[str, Array]:

@@ -1,10 +1,10 @@
-"""Test the speed's delay over a drive: does it follow the stamps, or does it step?
+"""Test whether the speed's delay follows the time stamps, or steps, during a drive.
 
 A model file states one delay, or one that grows linearly. A cyclic sender gives cyclic stamps. If
 stamps leave the cycle, either the sender left it or the stamping clock is wrong. The forward force
 separates the two cases: its integral is a speed without these stamps, and compared with it a wrong
-stamp shows as a delay of the same size. Speeds are compared as speeds. So the column of a delay,
-which is the force, contains none of the noise of the comparison (see `forward`).
+stamp shows as a delay of the same size. Speeds are compared as speeds. The column of a delay is the
+force, so it contains none of the noise of the comparison (see `forward`).
 """
 
 from __future__ import annotations
@@ -41,8 +41,8 @@ noise. Standard deviations come from the scatter between segments and do not dep
 LEAST_SAMPLES, LEAST_BLOCKS, LEAST_COUNT = 10, 6, 3.0
 """Fewest samples in a segment, fewest segments, and fewest segments that carry the information."""
 FURTHEST_S, EDGE_S = 1.0, 0.5
-"""Largest delay beyond the model's that is followed, and the rest of a segment that is left
-then."""
+"""Largest delay beyond that of the model that is followed, and the length at both ends of a segment
+that is then not used."""
 STEPS = 3
 MANY_S = 1000.0
 ENDS = (0.05, 0.95)

@@ -24,10 +24,10 @@ from imucald.model.leaves import BANDS_HZ
 
 SHAKEN_FROM_HZ = {"accel_y": 0.4, "lateral_accel": 0.4, "accel_z": 0.0, "gyro_x": 0.0,
                   "gyro_y": 0.0}  # fmt: skip
-"""Equations that contain the road's unevenness, and the frequency from which they do; there, the
-chance is computed beyond a road of the next class. Well below its resonances (1 Hz and more;
-Rajamani, ch. 10) the body follows the road. Its tilt is then the only lateral effect of the road,
-and the gyroscope carries it."""
+"""Equations that contain the road's unevenness, with the lowest frequency of this effect. From this
+frequency on, the chance is computed beyond a road of the next class. Well below its resonances (1
+Hz and more; Rajamani, ch. 10) the body follows the road. Its tilt is then the only lateral effect
+of the road, and the gyroscope carries it."""
 
 
 def left_of(problem: Problem, state: State) -> dict[float, Left]:
@@ -58,8 +58,8 @@ def _by_band(y: Array, mask: Mask) -> Array:
 
 
 def _row(name: str, band: int) -> FamilyRow:
-    """One number of the family: where roads shake the vehicle, the chance is computed beyond one
-    road class."""
+    """Return the row of one number. If roads shake the vehicle at this frequency, the chance is
+    computed beyond one road class."""
     low, high = BANDS_HZ[band : band + 2]
     road = float(np.log(ROAD_CLASS))
     is_shaken = low >= SHAKEN_FROM_HZ.get(name, np.inf)

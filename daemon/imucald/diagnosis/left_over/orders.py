@@ -2,10 +2,10 @@
 
 Order analysis (Fyfe and Munck, Analysis of computed order tracking, 1997): an effect of the wheel
 is periodic in distance, not in time. Between two samples a wheel may turn several times, and
-aliasing moves the oscillation to any frequency. So the waves are evaluated at the samples' own
-positions. The distance from the speed itself keeps its phase within a segment; between segments the
-phase is free. A road may be periodic with 4 m and more (concrete slabs), so such wavelengths are
-not tested.
+aliasing moves the oscillation to any frequency. The waves are therefore evaluated at the positions
+of the samples. The distance from the speed itself keeps its phase within a segment; between
+segments the phase is free. A road may be periodic with 4 m and more (concrete slabs), so such
+wavelengths are not tested.
 """
 
 from __future__ import annotations
@@ -39,12 +39,12 @@ SLOW_TERMS = 6
 FREE = 4.0
 """Fewest coefficients of the residual beyond the fitted ones."""
 FINE = 2.0
-"""Number of tested waves, relative to those that a segment's length resolves."""
+"""Ratio of the number of tested waves to the number that a segment's length resolves."""
 
 
 @dataclass(frozen=True)
 class Stretch:
-    """Consecutive knots of a speed within a segment, (n,) each."""
+    """Consecutive speed samples (knots) of a segment; arrays (n,)."""
 
     way: Array
     """Travelled distance [m]."""

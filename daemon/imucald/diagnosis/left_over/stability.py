@@ -42,14 +42,15 @@ ORDERS, KEPT = 1000, 100
 """Permutations of the segments drawn at each level, and how many of them must reach the next
 level."""
 MOST_LEVELS = 8
-"""This reaches a chance of 1e-8, less than any family of questions needs."""
+"""Largest number of levels. It reaches a chance of 1e-8, less than any family of questions
+needs."""
 LEAST_WAVES = 3
 """Slower oscillations within a drive count as wandering."""
 LEAST_BLOCKS = 8
 EVENLY = 3.0**-0.5
 """Standard deviation of a uniform distribution within a tolerance, over the tolerance."""
 EITHER_SIDE = 2.0
-"""Width of the allowed range of a correct file, in tolerances."""
+"""Width of the allowed range of a correct file, as a multiple of the tolerance."""
 PARTS = 4
 """Independent parts of a segment: a manoeuvre lasts some seconds."""
 EDGE = 1e-6

@@ -49,8 +49,9 @@ def uneven(problem: Problem, drift: Hypothesis | None) -> list[Structure]:
     The noise is the median residual of the segments plus the scatter of single segments about it
     (Fisher's F, because the median of few segments is inaccurate). The limit is such that more than
     one segment in fifteen exceeds it with a chance of 1 % (binomial). In addition a segment may
-    contain the effect of parameters that are wrong by their tolerances. One segment in fifteen must
-    not decide. drift: a named drift, which has no place in the model file; it is fitted too.
+    contain the effect of parameters that are wrong by their tolerances. A single segment in fifteen
+    must not decide the result. drift: a named drift, which has no place in the model file; it is
+    fitted too.
     """
     table, z = problem.table, what_leaves(problem, drift)
     found: list[Structure] = []

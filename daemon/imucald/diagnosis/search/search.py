@@ -135,8 +135,8 @@ def _grown(
 
 def _beside_rivals(state: State, late: Callable[[], bool]) -> None:
     """Drop named causes that may only be the residual of a wrong look-alike. Any of several
-    look-alikes may be the true one. If another look-alike alone predicts as well and needs no
-    further cause, the further cause does not stand."""
+    look-alikes may be the true one. If another look-alike alone predicts equally well and needs no
+    further cause, the further cause is dropped."""
     for first in list(state.named):
         if first.hypothesis.pattern is not None:
             continue
@@ -176,7 +176,7 @@ def _trials(problem: Problem, state: State, skip: Sequence[str]) -> list[Trial]:
 
 def _winner(trials: Sequence[Trial]) -> Trial | None:
     """The trial with the largest gain of those that pass. Among the forms of one cause, or causes
-    that are part of it, the simplest one that passes is taken: a growing delay is named only if its
+    that are part of it, the simplest that passes is chosen: a growing delay is named only if its
     growth improves the prediction by itself."""
     passing = [t for t in trials if t.named]
     if not passing:
@@ -238,8 +238,8 @@ def _is_near(best: Trial, other: Trial) -> bool:
 
 def _alike(best: Trial, trials: Sequence[Trial]) -> list[Trial]:
     """Other causes that are equal within two standard errors, or behind by fewer nats on unseen
-    data than a cause needs to be named. So causes are ruled out with the same error rate as they
-    are named. Only one form of each cause is returned."""
+    data than a cause needs to be named. Causes are therefore ruled out with the same error rate as
+    they are named. Only one form of each cause is returned."""
     found: dict[str, Trial] = {}
     for t in sorted(trials, key=lambda t: -t.gain.sum()):
         name = t.hypothesis.name
@@ -252,8 +252,8 @@ def _alike(best: Trial, trials: Sequence[Trial]) -> list[Trial]:
 
 
 def _behind(best: Trial, trials: Sequence[Trial]) -> list[Trial]:
-    """Causes that pass with at least half the gain of an implausible explanation: they are tried
-    instead of it."""
+    """Return the causes that pass with at least half the gain of an implausible explanation. They
+    are tried in its place."""
     if best.is_plausible:
         return []
     passing = [t for t in trials if t.named and t.gain.sum() > 0.5 * best.gain.sum()]
@@ -261,7 +261,8 @@ def _behind(best: Trial, trials: Sequence[Trial]) -> list[Trial]:
 
 
 def _take(state: State, problem: Problem, chosen: Trial) -> None:
-    """Move the model by a named hypothesis; a direction is evaluated once more at the new place."""
+    """Change the model by a named hypothesis. The derivative along a direction is evaluated again
+    at the new point."""
     h = chosen.hypothesis
     if not h.directions:
         state.apply(_changes(problem, h, beyond(chosen)))

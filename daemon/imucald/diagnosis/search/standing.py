@@ -30,7 +30,7 @@ def asked_again(state: State, trial: Trial) -> Trial:
 
 
 def let_go(state: State) -> list[str]:
-    """Put back causes that no longer help once later ones are in; returns their parameters."""
+    """Remove causes that no longer help after later causes were added; return their parameters."""
     if len(state.named) < 2:
         return []
     problem = state.evaluated()
@@ -53,8 +53,8 @@ def let_go(state: State) -> list[str]:
 
 
 def put_back(problem: Problem, state: State, keys: Sequence[str]) -> Problem:
-    """The same problem with these parameters in the box about the stated file; the model has moved
-    from there."""
+    """Return the same problem with these parameters limited to the box about the stated file, from
+    which the model has moved."""
     low, high = problem.low.copy(), problem.high.copy()
     for key in keys:
         i, x = problem.table.keys.index(key), state.changes.get(key, 0.0)
@@ -133,7 +133,8 @@ def without(state: State, trial: Trial) -> State:
 
 
 def _drop(state: State, less: State, trial: Trial) -> None:
-    """Remove a cause that does not stand with the others. less: the state of these."""
+    """Remove a cause that fails the test together with the others. less: the state of the
+    others."""
     state.named.remove(trial)
     state.doubtful.append(trial)
     state.changes, state.held, state.bounds = less.changes, less.held, less.bounds
@@ -164,8 +165,8 @@ def set_aside(state: State, trial: Trial) -> None:
 
 
 def leave_out(state: State, equations: Collection[str], stands: Sequence[Trial]) -> None:
-    """Fit the other equations alone. Of the causes that rest on them (`stands`), only those stay
-    that would be named again."""
+    """Fit the other equations alone. Of the causes that depend on these (`stands`), only those that
+    would be named again stay."""
     state.leave_out(equations, stands)
     if stands:
         refit(state)

@@ -34,7 +34,7 @@ class State:
     stated: VehicleModel
     """The model file that is tested."""
     model: VehicleModel
-    """The same with all found departures."""
+    """The model file with all found departures."""
     bounds: dict[str, tuple[float, float]]
     """Bounds from direct evidence, as departures from `model`."""
     at_rest: dict[str, float] = field(default_factory=dict)
@@ -48,12 +48,12 @@ class State:
     implausible: list[Trial] = field(default_factory=list)
     likely: list[Trial] = field(default_factory=list)
     doubtful: list[Trial] = field(default_factory=list)
-    """Causes that were named for a while and do not stand."""
+    """Causes that were named first and withdrawn later."""
     last: list[Trial] = field(default_factory=list)
     """All trials except the findings, for the possible size of each cause."""
     shift: FittedShift | None = None
     doubtful_shift: FittedShift | None = None
-    """A moved mount that does not stand."""
+    """A moved mount that was withdrawn."""
     left_out: frozenset[str] = frozenset()
     """Equations that no fit uses, because their residuals are unexplained."""
     table: Table | None = None

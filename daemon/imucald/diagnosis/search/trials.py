@@ -198,7 +198,7 @@ def tried(
 
 def joined(problem: Problem, trials: Sequence[Trial], base: Array) -> list[Trial]:
     """Combine variants of one cause: each one joins if it improves the prediction of unseen data
-    beside those before it. Three elements of a gain are wrong together as easily as one. Each
+    beside those before it. Three elements of a gain may well be wrong together. Each
     combination counts as one more question."""
     made, asked = [], len(trials)
     for cause in CAUSES:

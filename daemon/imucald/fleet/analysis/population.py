@@ -147,8 +147,8 @@ freedom."""
 
 
 def _has_others(units: Units, offset: Array, odd: Flags) -> Flags:
-    """True if a vehicle's type has other vehicles that neither stand out nor belong to a found
-    batch."""
+    """Return, for each vehicle, whether its type has other vehicles that are neither outliers nor
+    in a bad batch."""
     plain = ~odd & (offset == 0.0).all(axis=1)
     count = _sum(plain[:, None].astype(float), units.kind, units.kinds)[:, 0]
     return np.asarray(count[units.kind] >= LEAST_PLAIN)
