@@ -1,8 +1,8 @@
 """The command line: `imucald COMMAND`. Thin: every command lives in a module of its own.
 
-Modules are imported when their command is asked for, so that `imucald run` starts without what it
-does not need. Exit status: 0 done, 1 an error that the text on stderr explains, 2 wrong usage, 78 a
-wrong configuration of `run`, 130 Ctrl-C.
+Modules are imported when their command is asked for, so that `imucald run` starts without unneeded
+modules. Exit status: 0 done, 1 an error that the text on stderr explains, 2 wrong usage, 78 a wrong
+configuration of `run`, 130 Ctrl-C.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ SIGNALS = (
     (signal.SIGTERM, signal.SIG_DFL, terminate),
     *([(signal.SIGHUP, signal.SIG_DFL, terminate)] if hasattr(signal, "SIGHUP") else []),
 )
-"""What a signal does by default, and what it does here; Windows has no SIGHUP."""
+"""Default action of each signal, and its action here; Windows has no SIGHUP."""
 FULL = (errno.ENOSPC, errno.EDQUOT, errno.EIO)
 """What writing gives where a disk is full or broken."""
 
@@ -125,7 +125,8 @@ class _ByGroups(_Help):
 
 
 class _Parser(argparse.ArgumentParser):
-    """Takes whole options only: what is short for one today may be short for two tomorrow."""
+    """Accepts only complete option names: an abbreviation may become ambiguous in a later
+    version."""
 
     def __init__(self, **given: Any) -> None:
         super().__init__(**{"formatter_class": _formatter, "allow_abbrev": False, **given})
@@ -196,7 +197,7 @@ def _unknown_command(name: str) -> str:
 
 
 def _parsed(parser: argparse.ArgumentParser, arguments: list[str]) -> argparse.Namespace:
-    """The options; what is not known is reported with the usage of its command."""
+    """Return the options; unknown options are reported with the usage of their command."""
     options, unknown = parser.parse_known_args(arguments)
     if unknown:
         (commands,) = parser._subparsers._group_actions  # type: ignore[union-attr]
@@ -251,7 +252,7 @@ def _limit_words(error: Exception) -> str | None:
 
 
 def _done(argv: Sequence[str] | None) -> int:
-    """Do what the arguments ask for; the exit status."""
+    """Run the command of the arguments; return the exit status."""
     gc.set_threshold(GC_THRESHOLD)
     atexit.register(gc.freeze)  # what ends with the process need not be searched for cycles
     arguments = list(sys.argv[1:] if argv is None else argv)

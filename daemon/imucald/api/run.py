@@ -81,7 +81,7 @@ class Watcher(Protocol):
         """Return the receiver for the frames that the daemon would send."""
 
     def begins(self, lead: float, /) -> None:
-        """Receive the time [s] from the begin of the log to our first frame."""
+        """Receive the time [s] from the begin of the log to the first configured frame."""
 
 
 class ReplayRun:

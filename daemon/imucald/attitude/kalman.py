@@ -146,7 +146,7 @@ class NineStateFilter:
         return float(x[0]), float(x[1]), float(x[2])
 
     def _take(self, x: Array, h: Array, z: float, variance: float, gated: bool) -> None:
-        """Add to x what the measurement z = h . x + noise shows.
+        """Correct x by the measurement z = h . x + noise.
 
         If z is far outside its expected spread, its variance is increased until it is inside. The
         step is then bounded, and the covariance does not shrink as it would for a z that fits.

@@ -31,7 +31,8 @@ BAR = 24
 def mount_parts(
     result: Mapping[str, Any], bar: int = BAR, is_stale: bool = False
 ) -> Iterator[Table | Text]:
-    """Yield the table, the sensor's orientation, the remaining driving, what is missing, and "±".
+    """Yield the table, the sensor's orientation, the remaining driving, the missing evidence, and
+    "±".
 
     result: as in docs/json.md, or a status (also of an older daemon). bar: width of bars [columns].
     is_stale: no frames flow now, so no target is shown as reached.

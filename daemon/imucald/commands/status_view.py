@@ -61,12 +61,12 @@ _SILENT = frozenset({"accelerometer_missing", "gyroscope_missing"})
 
 
 def waits_for(status: Mapping[str, Any]) -> str:
-    """Return one line: which frames flow, and what the daemon waits for."""
+    """Return one line: the frames that flow, and the missing evidence."""
     return "; ".join([flow(status).text, *_still_missing(status)])
 
 
 def short(status: Mapping[str, Any]) -> str:
-    """Return the status as one line: frames that flow, angles, what the daemon waits for."""
+    """Return the status as one line: frames that flow, angles, missing evidence."""
     angles = angles_line(status["mount"])
     return "; ".join([flow(status).text, *([angles] if angles else []), *_still_missing(status)])
 

@@ -337,8 +337,8 @@ def _at_rest(motion: Motion, unit_advice: str | None) -> Iterator[Finding]:
 
 
 def _lacks_gravity(accel: Array, size: float) -> bool:
-    """True if readings (n, 3) usually change by more than the size of their mean. No unit can make
-    such readings those of a vehicle.
+    """True if readings (n, 3) usually change by more than the size of their mean. No unit makes
+    such readings possible for a vehicle.
 
     A wrong unit changes mean and variation by the same factor. So the vehicle would have an average
     acceleration of 1 g or more. "Usually" means the median: half of the changes are within 0.67

@@ -71,7 +71,7 @@ def find(text: str, source: str, kind: type[Message]) -> list[Message] | None:
 
 
 def keep(text: str, source: str, messages: list[Message], kind: type[Message]) -> None:
-    """Cache what was parsed from a text, if possible."""
+    """Cache the result of parsing a text, if possible."""
     if _Cache.folder is None or len(text) > MAX_TEXT:
         return
     try:

@@ -56,7 +56,7 @@ def sits_words(R_vehicle_from_sensor: Matrix3) -> str:
 
 
 def leaning_words(R_vehicle_from_sensor: Matrix3) -> str:
-    """Return what is known before the direction of travel: how each axis lies against the
+    """Return the words for a mount of unknown forward direction: the angle of each axis against the
     horizontal.
     """
     parts = []

@@ -57,7 +57,7 @@ def _why(
     seen: Mapping[str, SeenSignal],
     announced: Mapping[int, int],
 ) -> str:
-    """Return what the recording shows about a signal with the name of a quantity."""
+    """Return the finding of the recording on a signal with the name of a quantity."""
     path = f"{message.name}.{name}"
     if path in seen:
         if seen[path].is_constant:

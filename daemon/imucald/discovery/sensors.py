@@ -118,7 +118,7 @@ class Sensors:
         self._found += [gyro, self._magnetometer(), speed]
 
     def _speed_for(self, triad: Triad) -> float:
-        """Return how well the best speed explains a triad; store the fits."""
+        """Return the quality of the best speed's fit to a triad; store the fits."""
         up = direction_up(triad)
         members = {m.path for m in triad.members}
         fits = [

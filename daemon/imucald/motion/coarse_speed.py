@@ -70,7 +70,7 @@ def step_of(values: Array) -> float:
 
 
 def comes_in(step: float, values: Array, counts: Array) -> bool:
-    """Return whether mean speeds (N,) of so many samples (N,) each come from a signal with this
+    """Return whether mean speeds (N,) of this many samples (N,) each come from a signal with this
     step [m/s].
 
     The sum of a tick's samples is then a whole number of steps.

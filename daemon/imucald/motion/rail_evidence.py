@@ -167,8 +167,8 @@ class Pile(Struct):
 
 
 def _more_often(stays: int, of: int, rate: float) -> float:
-    """Return -log of the chance that so many of so many samples stay, where a share exp(-rate) does
-    [nats].
+    """Return -log of the chance of this many stays among the samples, if each sample stays with the
+    chance exp(-rate) [nats].
 
     It is Chernoff's bound of the binomial's tail; 0 if they do not stay more often than that.
     """

@@ -79,8 +79,8 @@ class _Sensor(FaultsInForce):
             self._unit.restart()
 
     def rows(self, hops: int, more: _More | None) -> HopRows | None:
-        """Return the figures of so many hops, from pending samples, which are in the first hop, and
-        new ones.
+        """Return the figures of this many hops, from pending samples, which are in the first hop,
+        and new ones.
         """
         pending, self.pending = self.pending, []
         values, hop = more if more is not None else (np.zeros((0, 3)), np.zeros(0, np.int64))
@@ -171,7 +171,7 @@ class SampleHealth:
     def go_on_from(
         self, former: SampleHealth, same: Collection[str], now: float, with_signals: bool = True
     ) -> None:
-        """Continue from another object: take over its faults in force and the usual behaviour of
+        """Continue from another object: take over its present faults and the usual behaviour of
         each sensor.
 
         same: channels that come from the same sources. The other channels start without knowledge,
@@ -229,7 +229,7 @@ class SampleHealth:
     def columns(self, samples: Samples, first: int, last: int) -> list[Mapping[str, Faults]]:
         """Take all samples of ticks `first` to `last`; the last tick stays open.
 
-        Returns the faults in force after each hop that ended.
+        Returns the present faults after each hop that ended.
         """
         begin = first // HOP_TICKS
         hops = last // HOP_TICKS - begin

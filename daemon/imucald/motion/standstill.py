@@ -121,7 +121,7 @@ def is_terminal_at_rest(spread: float, mean: Vector) -> bool:
 
 
 def keeps_steady(x: Array, limit: float, ticks: int) -> Flags:
-    """Return where signals (N, axes) stay within a standard deviation, for parts of so many
+    """Return where signals (N, axes) stay within a standard deviation, for parts of this many
     ticks.
     """
     spread = x.reshape(-1, ticks, x.shape[1]).std(axis=1).max(axis=1)

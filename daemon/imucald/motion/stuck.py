@@ -109,8 +109,8 @@ class UsualRuns:
         """Return the duration of a run of a sender that repeats its values, with more weight on
         long ones; 0: it does not repeat.
 
-        A sender repeats if most of its changes are larger than so many times its step. The step is
-        the change that a share of all changes does not exceed.
+        A sender repeats if most of its changes are larger than this many times its step. The step
+        is the change that a share of all changes does not exceed.
         """
         lasted, change = self._runs[: self._ended].T
         is_jump = change > times * self.change(share)

@@ -1,6 +1,6 @@
 """States of the full estimator with their hysteresis, and the missing evidence of each angle.
 
-`Manoeuvres` counts what was driven so far: launches, brakings, turns to either side.
+`Manoeuvres` counts the manoeuvres so far: launches, brakings, turns to either side.
 """
 
 from __future__ import annotations

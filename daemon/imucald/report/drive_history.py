@@ -69,10 +69,10 @@ class DriveHistory:
 
     def __post_init__(self) -> None:
         self.duration_s = 0.0
-        """Stream time of the last frame of ours [s]."""
+        """Stream time of the last configured frame [s]."""
         self.lead = 0.0
-        """Time from the start of the log to our first frame [s]; stream time begins at that
-        frame."""
+        """Time from the start of the log to the first configured frame [s]; stream time begins at
+        that frame."""
         self._parts: dict[str, list[Series]] = {}
         self._rejected: dict[str, list[Array]] = {}
         self._corrected: dict[str, list[Series]] = {}
@@ -97,7 +97,7 @@ class DriveHistory:
         self.moments.append(Moment(snapshot.t, snapshot.estimate))
 
     def begins(self, lead: float) -> None:
-        """Take the time from the start of the log to our first frame [s]."""
+        """Take the time from the start of the log to the first configured frame [s]."""
         self.lead = lead
 
     def sink(self, engine: Engine) -> Callable[[FrameColumns], None]:

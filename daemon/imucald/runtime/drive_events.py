@@ -52,7 +52,7 @@ class StateChanges:
         self._since = 0.0
 
     def take(self, t: float, state: str, waiting_for: Mapping[str, str]) -> Event | None:
-        """Take time [s], state and what it waits for; return the new events."""
+        """Take time [s], state and missing evidence; return the new events."""
         waiting = reasons_line(waiting_for)
         reason = without_numbers(waiting)
         if reason != self._newest:
@@ -69,7 +69,7 @@ class StateChanges:
 
 
 def state_changes(states: Iterable[tuple[float, str, Mapping[str, str]]]) -> Iterator[Event]:
-    """Return the events of a list of time [s], state and what it waits for."""
+    """Return the events of a list of times [s], states and missing evidence."""
     changes = StateChanges()
     yield from filter(None, (changes.take(*one) for one in states))
 

@@ -154,8 +154,8 @@ class Engine:
 
         stamp: reception time [s], wall clock. can_id with the flag for 29 bits. late: if the frame
         is too old to be corrected, the present time by a clock that is never set [s]. A late frame
-        is learnt from. For a burst of late frames, only as much is sent as in the same time
-        otherwise: *not available*, and the newest status.
+        is learnt from. During a burst of late frames, the number of sent frames a second stays the
+        same: frames *not available*, and the newest status.
         """
         t, gap = self.timebase.stream_time(stamp)
         out: list[OutFrame] = []
@@ -233,7 +233,8 @@ class Engine:
         return [output.corrected(channel, None, 0) for channel in due]
 
     def idle(self, elapsed: float) -> list[OutFrame]:
-        """Close the ticks that have passed, because no frame of ours came for `elapsed` seconds."""
+        """Close the ticks that have passed, because no configured frame came for `elapsed`
+        seconds."""
         k = tick_index(self.timebase.idle(elapsed))
         out = self._advance(k, False)
         self.sent += len(out)
@@ -407,8 +408,8 @@ class Engine:
     # status --------------------------------------------------------------------------------
 
     def health(self) -> Health:
-        """Return the content of a health frame now; before the first frame of ours, all inputs are
-        missing.
+        """Return the content of a health frame now; before the first configured frame, all inputs
+        are missing.
         """
         link, rejecting = self._link_health(), self._watch.is_recent(self.pipeline.k)
         if not self.timebase.started:

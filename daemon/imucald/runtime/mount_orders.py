@@ -40,7 +40,7 @@ class OrderedService(Protocol):
 
     @property
     def loaded(self) -> LoadedConfig:
-        """The configuration in force."""
+        """The present configuration."""
         ...
 
     def forget_state(self) -> str:
@@ -48,11 +48,11 @@ class OrderedService(Protocol):
         ...
 
     def save_state(self) -> str:
-        """Save the mount in force, held or not; return why the disk does not take it, or ""."""
+        """Save the present mount, held or not; return why the disk does not take it, or ""."""
         ...
 
     def log_order(self, who: str, text: str) -> None:
-        """Log what was done, and by whom."""
+        """Log the order, and the person who gave it."""
         ...
 
 
@@ -89,7 +89,7 @@ class MountOrders:
         return self._logged(who, text + _not_on_the_disk(not_yet))
 
     def hold(self, who: str) -> str:
-        """Keep the mount in force and learn nothing. Raises OrderError without a mount."""
+        """Keep the present mount and learn nothing. Raises OrderError without a mount."""
         if self.is_held:
             raise OrderError("the mount is held already")
         kept = held(self._estimator)
@@ -116,7 +116,7 @@ class MountOrders:
         return self._logged(who, "release: the mount is learnt again" + _not_saved(not_yet))
 
     def set_mount(self, mount: KnownMount, who: str) -> str:
-        """Put a known mount in force. Raises OrderError if it is too vague."""
+        """Use a known mount. Raises OrderError if it is too vague."""
         self._refuse_where_configured()
         calibration = self._service.loaded.config.calibration
         if (text := against_orientation(mount, calibration)) is not None:

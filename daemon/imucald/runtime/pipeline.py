@@ -62,7 +62,7 @@ class Snapshot(Struct, frozen=True):
     k: int
     estimate: MountEstimate
     usable: bool
-    """True if a correction is in force from this tick on."""
+    """True if a correction is applied from this tick on."""
     faults: Mapping[str, Faults] = field(default_factory=dict)
     """For each channel, the faults of sensors and signals that are not fit to be used."""
 
@@ -73,7 +73,7 @@ class Snapshot(Struct, frozen=True):
 
 
 class TickCorrections(Struct, frozen=True, dict=True):
-    """The corrections in force during ticks `first`, `first` + 1, ..., and their qualities.
+    """The corrections applied during ticks `first`, `first` + 1, ..., and their qualities.
 
     The arrays are made on first use, because not every replay needs them. unfit: for each channel,
     the ticks (n,) in which its sensor is not fit to be used; absent: always fit.
@@ -139,7 +139,7 @@ class TickPreprocessor(Protocol):
     """Changes the rows of ticks before the estimator sees them."""
 
     def row(self, row: TickRow, correction: Correction | None) -> TickRow:
-        """Return the tick for the estimator. correction: the one in force during it."""
+        """Return the tick for the estimator. correction: the correction applied during the tick."""
         ...
 
     def gap(self) -> None:
@@ -328,7 +328,7 @@ class Pipeline:
     def _close(
         self, row: TickRow, snapshots: list[Snapshot] | None, faults: Mapping[str, Faults]
     ) -> None:
-        """Close a tick. faults: those in force from its end on."""
+        """Close a tick. faults: the present faults from its end on."""
         estimator = self.estimator
         if faults:
             row = emptied(row, faults)
@@ -347,8 +347,8 @@ class Pipeline:
             snapshots.append(Snapshot(self.k - 1, estimator.estimate(), self.quality > 0, unfit))
 
     def _take_signals(self) -> None:
-        """Pass to the health what the estimator found about the vehicle's signals in a new
-        block.
+        """Pass the estimator's findings on the vehicle's signals in a new block to the signal
+        health.
         """
         if self._judges is None:
             return

@@ -63,7 +63,7 @@ class Replay(Struct):
 
     @property
     def span(self) -> tuple[float, float] | None:
-        """Earliest and latest stamp of our frames so far [s]; None without frames.
+        """Earliest and latest stamp of configured frames so far [s]; None without frames.
 
         Pieces of a log may come in the wrong order, and clocks are set back.
         """
@@ -71,7 +71,7 @@ class Replay(Struct):
 
     @property
     def lead(self) -> float:
-        """Time from the beginning of the log to our first frame [s]."""
+        """Time from the beginning of the log to the first configured frame [s]."""
         start = self.reader.first_stamp
         return 0.0 if self._first is None or start is None else max(self._first - start, 0.0)
 

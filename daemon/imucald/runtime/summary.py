@@ -32,7 +32,8 @@ def summary(
 ) -> dict[str, Any]:
     """Return the result of a run, with the keys documented in docs/json.md.
 
-    duration: seconds of driving. lead: time from the beginning of the log to our first frame [s].
+    duration: seconds of driving. lead: time from the beginning of the log to the first configured
+    frame [s].
     """
     estimate = engine.pipeline.estimator.estimate()
     pipeline = engine.pipeline

@@ -1,5 +1,5 @@
-"""Convert recorded or received time stamps to stream time: seconds from our first frame, never
-backwards.
+"""Convert recorded or received time stamps to stream time: seconds from the first configured frame,
+never backwards.
 
 Stamps are wall-clock times. They may be slightly out of order, stand still, or step when a person
 sets the clock. Small disorder is flattened. A step (or a long hole) begins a new segment at the

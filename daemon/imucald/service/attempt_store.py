@@ -46,7 +46,7 @@ class AttemptStore:
             self._writer.report()
 
     def close(self) -> None:
-        """Write what is still waiting; waits for the disk, but not for long."""
+        """Write pending data. The method waits for the disk, but not for long."""
         if self._writer is not None:
             self._writer.close(CLOSE_WAIT_S)
             self._writer.report()

@@ -164,7 +164,7 @@ class CalibrationStore:
             return None
 
     def _sensor(self, saved: SavedState) -> KnownSensor | None:
-        """Return what was saved about the sensor itself; without it the mount can still be used."""
+        """Return the saved data of the sensor itself; without them the mount can still be used."""
         kept = saved.evidence.get(SENSOR)
         if kept is None:
             return None
@@ -259,7 +259,7 @@ class CalibrationStore:
         return same and bool(moved < SAME_ANGLE and firmer < SAME_VARIANCE)
 
     def forget(self) -> str:
-        """Forget all that was saved: it is set aside and not loaded again.
+        """Forget the saved state: its files are renamed and not loaded again.
 
         The call does not wait for the disk. A file that is being written now never gets its name,
         and the writing thread forces the new names to the disk. Returns why the disk does not take
@@ -279,7 +279,7 @@ class CalibrationStore:
         return reason
 
     def save_order(self, estimator: MountEstimator, driven_s: float) -> str:
-        """Save the mount in force at once, in any state, because a person ordered it.
+        """Save the present mount at once, in any state, because a person ordered it.
 
         Returns why the disk does not take it now, empty if it does; the save is tried again.
         """

@@ -51,7 +51,7 @@ class ReleaseOrder(Order, tag="release"):
 
 
 class SetMountOrder(Order, tag="set-mount"):
-    """Put a known mount in force."""
+    """Use a known mount."""
 
     mount: KnownMount | None = None
 

@@ -52,7 +52,7 @@ def _up(answers: Mapping[str, int]) -> str:
 
 
 def merged(texts: Iterable[str]) -> str:
-    """Return several texts as one: each family once, with the lines of all."""
+    """Return several texts as one: each metric family appears once, with the lines of all texts."""
     heads: dict[str, str] = {}
     lines: dict[str, list[str]] = {}
     for text in texts:

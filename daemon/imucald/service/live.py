@@ -1,8 +1,8 @@
 """The live daemon: one loop that receives, calibrates, corrects and sends. No threads.
 
 Received frames are handled at once. Without frames, the clock closes ticks, so that status frames
-continue and missing inputs are found. Before the first frame of ours, a heartbeat reports that. A
-frame that waited too long is no longer corrected. This happens if the loop was blocked or is too
+continue and missing inputs are found. Before the first configured frame, a heartbeat reports that.
+A frame that waited too long is no longer corrected. This happens if the loop was blocked or is too
 slow.
 """
 

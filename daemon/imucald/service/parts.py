@@ -1,7 +1,7 @@
 """Parts of a service that depend on its configuration, made at the start and at each reload.
 
-A reload replaces all parts or none: a failure leaves the running ones unchanged. The functions that
-carry parts over a reload are here too, and those for the sensor check of the attitude.
+A reload replaces all parts or none: after a failure the running parts stay unchanged. The functions
+that carry parts over a reload are here too, and those for the sensor check of the attitude.
 
 `UdsDiagnostics` are the diagnostics (UDS) of a service: the server on the bus, and the data that
 survive the process.
@@ -209,7 +209,8 @@ class PartsMaker:
     def _estimator_after(
         self, parts: Parts, loaded: LoadedConfig, engine: Engine, same_bus: bool
     ) -> tuple[MountEstimator, CalibrationStore | None]:
-        """Return the running estimator if it can stay, else a new one behind what is known.
+        """Return the running estimator if it can stay. Else return a new estimator that continues
+        from the present knowledge.
 
         Also return the store that saves it.
         """

@@ -46,7 +46,7 @@ SECOND_S = 1.0
 
 
 class Companion(Protocol):
-    """A process that serves along with this one and ends with it."""
+    """A child process that runs as long as the daemon."""
 
     def poll(self) -> bool:
         """Return whether the process has just ended by itself."""
@@ -164,7 +164,7 @@ class Service:
 
     @property
     def loaded(self) -> LoadedConfig:
-        """The configuration in force. A reload replaces it, as all `parts`."""
+        """The present configuration. A reload replaces it, as all `parts`."""
         return self.parts.loaded
 
     @property
@@ -339,14 +339,14 @@ class Service:
         return store is None or store.store.is_forgotten
 
     def save_state(self) -> str:
-        """Save the mount in force, held or not; return why the disk does not take it, or ""."""
+        """Save the present mount, held or not; return why the disk does not take it, or ""."""
         store, engine = self.parts.calibration_store, self.engine
         if store is None:
             return ""
         return store.save_order(engine.pipeline.estimator, engine.timebase.now)
 
     def log_order(self, who: str, text: str) -> None:
-        """Log what was done to the mount, and by whom."""
+        """Log the order, and the person who gave it."""
         if who == TESTER:  # may go on without end
             self.log_tester(f"{text} (by {who})")
         else:

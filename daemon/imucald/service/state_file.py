@@ -57,7 +57,7 @@ LARGEST_VARIANCE = 4.0
 LARGEST_NUMBER = 2**53
 """Largest number in a file: up to there a float holds every integer."""
 LONGEST_DOUBT = 2000
-"""Largest length of the text about what was wrong: all existing texts at once."""
+"""Largest length of the text of the doubt: all existing texts together."""
 STATES = ("usable", "fine")
 ORDERED = ("held", "given")
 """Keys that are in a file only if they are true: orders of people."""

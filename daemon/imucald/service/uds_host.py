@@ -43,7 +43,7 @@ class RunningService(Protocol):
 
     @property
     def loaded(self) -> LoadedConfig:
-        """The configuration in force."""
+        """The present configuration."""
         ...
 
     @property
@@ -101,7 +101,7 @@ class LiveHost:
 
     @property
     def quality(self) -> int:
-        """Quality of the correction in force."""
+        """Quality of the present correction."""
         return self._service.engine.pipeline.quality
 
     @property
@@ -208,7 +208,7 @@ class LiveHost:
 
 
 def configuration_identity(loaded: LoadedConfig) -> bytes:
-    """Return 32 bytes (SHA-256) over the settings in force and the databases that they name.
+    """Return 32 bytes (SHA-256) over the present settings and the databases that they name.
 
     Defaults count as if they were written in the file; comments and the order of keys do not count.
     """

@@ -90,7 +90,7 @@ class GyroStepAxis:
     def _swing(self, cycle: StepCycle) -> tuple[complex, complex, complex]:
         """Return amplitudes at the step's frequency, in x, y, up.
 
-        They are the mean of this step and the one before it. Sway at half the frequency leaks into
+        They are the mean of this step and the previous step. Sway at half the frequency leaks into
         both with opposite signs, because one is the left foot's step and the other the right
         foot's.
         """

@@ -16,7 +16,8 @@ from imucald.can.columns import CAN_EFF_FLAG, CAN_SFF_MASK
 from imucald.core.libraries import standing_in
 
 MAX_REQUEST: Final = 128
-"""Longest request [bytes]: twice the longest valid one. Longer ones get the answer "overflow"."""
+"""Longest request [bytes]: twice the longest valid one. Longer requests get the answer
+"overflow"."""
 FRAMES_PER_SECOND: Final = 500.0
 """Largest average rate of processed frames [1/s]. It is much more than a tester sends."""
 FRAMES_AT_ONCE: Final = 200.0

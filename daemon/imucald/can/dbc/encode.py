@@ -5,7 +5,7 @@ One frame and whole columns give the same bytes, equal to those of cantools: raw
 that the signal cannot represent (outside its range or bits, NaN, None) becomes the not-available
 raw value. If the signal has no such value, EncodeError is raised.
 
-One signal of an encode plan: what it can say, and the bits that say it.
+One signal of an encode plan: its possible values, and its bits.
 """
 
 from __future__ import annotations

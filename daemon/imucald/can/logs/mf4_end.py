@@ -55,7 +55,7 @@ class _Structure:
             self._channels[at] = links[0], links[1], byte + (bit + bits + 7) // 8
 
     def damage(self) -> str | None:
-        """Return what is wrong, or None."""
+        """Return the damage in words, or None."""
         if self._twice:
             return f"the file is damaged: two links point to the block at byte {self._twice}"
         for first, record in self._groups:

@@ -61,7 +61,7 @@ class Reader:
         self.reference: Reference | None = None
 
     def forget(self) -> None:
-        """Delete what was read, to free memory; it is read again when needed."""
+        """Delete the signals to free memory; they are read again when needed."""
         self._read.clear()
         self.known.clear()
         self.reference = None

@@ -81,9 +81,9 @@ def response_at(n: int, level: int, chassis: Chassis, gradient: float) -> Comple
 def slip_delay(speed: Array, slip: Array, chassis: Chassis) -> Array:
     """(N,) delay of the rear tyres' slip behind speed times yaw rate [s].
 
-    The rear axle's force balances m l_f (v r + v_y') - I r', with v_y' = (l_r - slip v) r', and is
-    itself behind the slip by the relaxation length. slip: kappa v, sideslip a sideways acceleration
-    [s].
+    The rear axle's force balances m l_f (v r + v_y') - I r', with v_y' = (l_r - slip v) r', and the
+    force itself follows the slip with the delay of the relaxation length. slip: kappa v, sideslip a
+    sideways acceleration [s].
     """
     c = chassis
     inertia = c.yaw_inertia_kgm2 / (c.mass_kg * c.cg_to_front_m)

@@ -197,9 +197,9 @@ def tried(
 
 
 def joined(problem: Problem, trials: Sequence[Trial], base: Array) -> list[Trial]:
-    """Combine variants of one cause: each one joins if it improves the prediction of unseen data
-    beside those before it. Three elements of a gain may well be wrong together. Each
-    combination counts as one more question."""
+    """Combine variants of one cause: each variant is added if it improves the prediction of unseen
+    data in addition to the variants before it. Three elements of a gain may well be wrong together.
+    Each combination counts as one more question."""
     made, asked = [], len(trials)
     for cause in CAUSES:
         own = [t for t in trials if cause.joins and t.hypothesis.name == cause.name]
