@@ -1,4 +1,5 @@
-"""The Python API behind `import imucald`. It takes settings and returns results; it never prints.
+"""The Python API behind `import imucald`. The package takes settings and returns results; it never
+prints.
 
 `configuration` loads a configuration. `replaying` runs logs through the engine. `drive` holds the
 result of one drive, with its `tables` (one per rate) and its `mount`. The public names are listed

@@ -14,9 +14,9 @@ R = TypeVar("R")
 def on_one_thread(function: Callable[P, R]) -> Callable[P, R]:
     """Make a function run with one BLAS thread.
 
-    Its matrices are small, so several threads would only wait for each other. The last bit of a
-    sum would also depend on the number of threads. The command line sets one thread for its whole
-    process. In a notebook, only this function is limited.
+    The matrices of these functions are small, so several threads would only wait for each other.
+    The last bit of a sum would also depend on the number of threads. The command line sets one
+    thread for its whole process. In a notebook, only this function is limited.
     """
 
     @wraps(function)

@@ -17,7 +17,7 @@ PathLike = str | os.PathLike[str]
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Configuration:
-    """A configuration file, read and checked. Create it with `load`. It can be pickled.
+    """A configuration file, read and checked. Create it with `load`. A `Config` can be pickled.
 
     path: the file. databases: absolute paths of the CAN databases in use.
     warnings: one line for each key without effect, with its place in the file and the reason.

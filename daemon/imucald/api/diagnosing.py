@@ -63,7 +63,7 @@ class DiagnosisResult:
         }
 
     def model_text(self) -> str:
-        """Return the extended model file (YAML). Its header states its origin."""
+        """Return the extended model file (YAML). The header of the text states its origin."""
         found = self.diagnosis
         head = [f"VehicleModel file written by imucald diagnose {__version__} from:"]
         head += [
@@ -178,7 +178,8 @@ def diagnosis_of(
 
 
 def _refuse_same(logs: Sequence[str], recordings: Sequence[Recording]) -> None:
-    """Raise LogError if two logs hold the same drive. It would count as evidence twice."""
+    """Raise LogError if two logs hold the same drive. Such a recording would count as evidence
+    twice."""
     drives = list(zip(logs, recordings, strict=True))
     for (one, first), (other, second) in itertools.combinations(drives, 2):
         if is_same_recording(first, second):

@@ -1,4 +1,5 @@
-"""A table of samples that grows segment by segment. Its rows are never stored twice."""
+"""A table of samples that grows segment by segment. The rows of the table are never stored
+twice."""
 
 from __future__ import annotations
 

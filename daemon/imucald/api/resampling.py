@@ -15,8 +15,8 @@ WINDOW_PERIODS = 4.0
 """Length of the Hann window in periods of the new rate. The first zero of its spectrum is at
 2 / length, half the new rate. Above it, the level is below -31 dB (Harris, Proc. IEEE 66, 1978)."""
 HOLE_PERIODS = 2.5
-"""Smallest distance of two samples that counts as a hole, in usual periods. It corresponds to two
-lost samples minus some jitter."""
+"""Smallest distance of two samples that counts as a hole, in usual periods. The limit corresponds
+to two lost samples minus some jitter."""
 MAX_ROWS = 50_000_000
 """Largest number of rows. More rows mean that the rate is a mistake."""
 SKIPPED = ("t_s", "time", "quality")

@@ -1,7 +1,7 @@
 """Method B alone, with the interface of the filter: corrected samples in, roll and pitch out.
 
 The angles come directly from the force less motion, with its noise, and have no memory besides that
-of method B. It serves for comparison, and for users who filter themselves.
+of method B. The result serves for comparison, and for users who filter themselves.
 """
 
 from __future__ import annotations

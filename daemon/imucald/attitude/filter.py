@@ -58,8 +58,8 @@ START_REST_STD = math.radians(10.0)
 START_MOVING_STD = math.radians(15.0)
 """Tilt error that is assumed at the start.
 
-It is so large that the first interval counts its result as tilt, and not as an accelerometer error
-that would be forgotten slowly.
+The deviation is so large that the first interval counts its result as tilt, and not as an
+accelerometer error that would be forgotten slowly.
 """
 UNSEEN_YAW_RATE = 0.8
 """Standard deviation of a yaw rate without measurement [rad/s].

@@ -1,13 +1,13 @@
 """Decide whether a source of heading may be followed: it is compared with the gyroscope.
 
 A difference beyond the gate is not followed, because the gyroscope's heading cannot be that wrong.
-It is not known which of the two is wrong. From `LOST_AFTER` on, the source counts as lost, and the
-heading gets a doubt equal to the largest difference since. A source proves itself if it agrees with
-the gyroscope, up to a constant, for a minute and over a turn. The turn must be one that a frozen,
-mirrored or wrongly scaled source could not have followed. A proved source is followed again if it
-shows the same north as before, or if it had not proved the earlier north. If two different norths
-were both proved, one of them is wrong and nothing shows which, so the doubt stays. No I/O, no
-clock.
+The module cannot decide which of the two is wrong. From `LOST_AFTER` on, the source counts as lost,
+and the heading gets a doubt equal to the largest difference since. A source proves itself if it
+agrees with the gyroscope, up to a constant, for a minute and over a turn. The turn must be one that
+a frozen, mirrored or wrongly scaled source could not have followed. A proved source is followed
+again if it shows the same north as before, or if it had not proved the earlier north. If two
+different norths were both proved, one of them is wrong and nothing shows which, so the doubt stays.
+No I/O, no clock.
 """
 
 from __future__ import annotations

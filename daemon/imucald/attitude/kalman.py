@@ -88,7 +88,8 @@ class NineStateFilter:
         """Turn all attitude about up by this angle [rad], for example when the first heading is
         taken.
 
-        Its errors about level axes turn with it: C_true = R exp(e) C = exp(R e) R C.
+        The errors about level axes are turned by the same rotation: C_true = R exp(e) C = exp(R e)
+        R C.
         """
         T = np.eye(STATES)
         s, c = math.sin(angle), math.cos(angle)
@@ -132,9 +133,9 @@ class NineStateFilter:
     def update(self, measurements: Sequence[Measurement]) -> Vector:
         """Measurement update; return the attitude error to correct [rad], about east, north, up.
 
-        All measurements are of one instant. Those with independent noise are applied one after
-        another, which gives the same result as together and needs no inverse. Joseph's form keeps P
-        a valid covariance.
+        All measurements are of one instant. Measurements with independent noise are applied one
+        after another, which gives the same result as together and needs no inverse. Joseph's form
+        keeps P a valid covariance.
         """
         x = np.zeros(STATES)
         for h, z, variance, gated in measurements:

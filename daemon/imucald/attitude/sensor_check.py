@@ -1,7 +1,7 @@
 """The sensor check of method C: constant errors that a rest shows.
 
-One position shows the gyroscope's zero error. It shows the accelerometer's error along gravity, and
-all of it only if the sensor is known to be level.
+One position shows the gyroscope's zero error. The check shows the accelerometer's error along
+gravity, and the whole error only if the sensor is known to be level.
 """
 
 from __future__ import annotations

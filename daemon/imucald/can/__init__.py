@@ -1,1 +1,2 @@
-"""A CAN library: links, logs, databases, end-to-end protection. It contains no calibration code."""
+"""A CAN library: links, logs, databases, end-to-end protection. The package contains no calibration
+code."""

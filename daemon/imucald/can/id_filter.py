@@ -67,7 +67,7 @@ class IdFilter:
 
 
 class IdFilters:
-    """The filter of each channel. It is made at the first frame of the channel."""
+    """The filter of each channel. The filter is made at the first frame of the channel."""
 
     def __init__(self, keep: Sequence[IdMatch] | None) -> None:
         self._keep = keep
@@ -90,7 +90,7 @@ class FrameClass(enum.Enum):
 
 
 class LinkIdFilter(dict[int, FrameClass]):
-    """The class of each id with the flags of the kernel. It is computed once per id.
+    """The class of each id with the flags of the kernel. The class is computed once per id.
 
     This class decides about a frame. Filters in the kernel or adapter only reduce the work.
     """

@@ -2,8 +2,8 @@
 
 The car sends its frames in slices, with time stamps in simulated time. After each slice, the daemon
 works until its queue is empty. So a drive runs as fast as the machine allows, and always gives the
-same numbers. A listener represents the control unit that uses the corrected frames. It knows only
-``imucald_out.dbc``, and accepts a frame only with a correct counter and checksum.
+same numbers. A listener represents the control unit that uses the corrected frames. The consumer
+knows only ``imucald_out.dbc``, and accepts a frame only with a correct counter and checksum.
 """
 
 from __future__ import annotations
@@ -91,7 +91,7 @@ class Comparison:
 
 
 class Listener:
-    """Another unit on the bus. It decodes imucald's corrected acceleration."""
+    """Another unit on the bus. The listener decodes imucald's corrected acceleration."""
 
     def __init__(self) -> None:
         place = Path(str(resources.files("imucald"))) / "data" / "listener.yaml"

@@ -1,9 +1,9 @@
 """`imucald monitor --web`: the monitor as a web page, only for this machine.
 
 The server reads the daemon's status socket once per second, keeps its history for the charts, and
-answers GET requests on 127.0.0.1. It accepts no orders. A page of another site cannot read it: the
-host name in the request must be this machine's (against DNS rebinding), and other origins are not
-allowed.
+answers GET requests on 127.0.0.1. The page accepts no orders. A page of another site cannot read
+it: the host name in the request must be this machine's (against DNS rebinding), and other origins
+are not allowed.
 """
 
 from __future__ import annotations
@@ -308,7 +308,7 @@ class Connections:
 
 
 def application(state: LiveState, connections: Connections | None = None) -> web.Application:
-    """Return the server. It has only `/`, `/monitor.js` and `/live`, all read-only."""
+    """Return the server. The server has only `/`, `/monitor.js` and `/live`, all read-only."""
     from aiohttp import web
 
     pages = resources.files("imucald.report") / "templates"

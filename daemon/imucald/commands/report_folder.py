@@ -1,4 +1,5 @@
-"""The folder of option `--report`. It is checked before the work, and made and filled after it."""
+"""The folder of option `--report`. The folder is checked before the work, and made and filled after
+it."""
 
 from __future__ import annotations
 

@@ -14,7 +14,8 @@ if TYPE_CHECKING:
     from imucald.service.listening import ServingProcess
 
 WRONG_CONFIGURATION = 78
-"""Exit status (EX_CONFIG of sysexits.h). It tells systemd not to start the daemon again."""
+"""Exit status (EX_CONFIG of sysexits.h). This exit status tells systemd not to start the daemon
+again."""
 LOG_LEVELS = ("error", "warning", "notice", "info")
 """Log levels, as in `service.journal`, which is loaded later."""
 NO_SOCKET = (

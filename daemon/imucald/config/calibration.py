@@ -30,7 +30,8 @@ class StaticTestSettings(Settings, frozen=True):
     threshold: tuple[Positive, Positive, Positive] = (0.4, 0.4, 0.4)
     """Largest max - min per axis [m/s^2] if the speed is unknown."""
     threshold_at_zero_speed: tuple[Positive, Positive, Positive] = (1.2, 1.2, 1.2)
-    """The same if the speed is zero: a running engine shakes the sensor."""
+    """Largest max - min per axis [m/s^2] if the speed is zero: a running engine shakes the
+    sensor."""
     standstill_speed: Positive = 0.3
     """The vehicle stands up to this speed [m/s]: one step of an OBD-II speed is 0.28 m/s."""
     average_stops: bool = True
@@ -67,7 +68,8 @@ class StraightMotionSettings(Settings, frozen=True):
     min_speed: Positive = 1.0
     """Nothing is learnt below this speed [m/s]: clutch, manoeuvring, dead zone of the signal."""
     min_speed_without_reverse: Positive = 2.0
-    """The same without a reverse signal [m/s]: drivers do not reverse faster for long."""
+    """Nothing is learnt below this speed without a reverse signal [m/s]: drivers do not reverse
+    faster for long."""
     consistency_window: Annotated[int, Meta(ge=2, le=1000)] = 15
     """Number of successive angles, ten a second, that must agree."""
     consistency_range_deg: Positive = 25.0

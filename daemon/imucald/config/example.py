@@ -1,4 +1,4 @@
-"""The configuration of the example bus. It is part of the package."""
+"""The configuration of the example bus. The file is part of the package."""
 
 from __future__ import annotations
 

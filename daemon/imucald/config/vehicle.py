@@ -32,7 +32,8 @@ class VehicleSettings(Settings, frozen=True):
     crown_spread_percent: Annotated[float, Meta(gt=0, le=5)] = 0.65
     """Spread of the mean cross slope from drive to drive [%]."""
     wheelbase: Annotated[float, Meta(ge=0.5, le=15)] = default_vehicle.WHEELBASE
-    """Wheelbase [m]. It converts the steering angle into a yaw rate if there is no other."""
+    """Wheelbase [m]. The wheelbase converts the steering angle into a yaw rate if there is no
+    other."""
     steering_ratio: Annotated[float, Meta(ge=1, le=100)] = default_vehicle.STEERING_RATIO
     """Ratio of steering-wheel angle to road-wheel angle."""
     track: Annotated[float, Meta(ge=0.5, le=5)] = default_vehicle.TRACK

@@ -44,8 +44,8 @@ MIN_REPORTED_DELAY = 2
 MIN_ACROSS = 0.15
 """Smallest standard deviation of the force in turns [m/s^2]: twice the effect of the road."""
 LATEST = 2.5
-"""Largest delay of the speed at which its scale is judged [s]. It occurs if a receiver smooths, is
-asked once per second, and its answer waits."""
+"""Largest delay of the speed at which its scale is judged [s]. Such a delay occurs if a receiver
+smooths, is asked once per second, and its answer waits."""
 _DELAYS = range(round(MIN_SPEED_DELAY / TICK_S), round(LATEST / TICK_S) + 1)
 """[ticks]"""
 

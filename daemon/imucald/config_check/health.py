@@ -111,7 +111,7 @@ def health_findings(events: Iterable[FaultEvent]) -> Iterator[Finding]:
 
 
 def jumping_finding(left_out: Sequence[Mapping[str, Any]], duration: float) -> Iterator[Finding]:
-    """Report a speed that jumps in most of a log. It is not the speed of one vehicle.
+    """Report a speed that jumps in most of a log. Such a signal is not the speed of one vehicle.
 
     duration: of the log [s].
     """

@@ -212,7 +212,7 @@ def _stated_axis(
 def _constant_speed(motion: Motion) -> Iterator[Finding]:
     """Report a speed that never changes. Cruise control can cause this with whole km/h.
 
-    It is an error if the accelerometer shows that the vehicle's speed changes.
+    The finding is an error if the accelerometer shows that the vehicle's speed changes.
     """
     if not motion.drives:
         return
@@ -251,7 +251,8 @@ def _is_driven_both_ways(motion: Motion) -> bool:
 
 
 def _speed_against_wheels(motion: Motion, unit_advice: str | None) -> Iterator[Finding]:
-    """Compare speed and wheel speeds. They agree within a few per cent unless a unit is wrong."""
+    """Compare speed and wheel speeds. Speed and wheel speeds agree within a few per cent unless a
+    unit is wrong."""
     if motion.speed is None or "wheel_speeds" not in motion.grid:
         return
     wheels = np.abs(smooth(motion.grid["wheel_speeds"])).mean(axis=1)

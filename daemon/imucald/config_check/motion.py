@@ -14,11 +14,13 @@ from imucald.motion.standstill import DRIVING_SPEED, ZERO_SPEED_SMOOTHED
 from imucald.motion.ticks import TICK_RATE
 
 MAX_TICKS = 72_000
-"""Largest number of ticks (two hours). It is enough to judge a sign, and it bounds the memory."""
+"""Largest number of ticks (two hours). This number is enough to judge a sign, and bounds the
+memory."""
 MAX_HOLE = 25
 """Longest gap that is bridged [ticks]. A speed over OBD-II comes once per second."""
 SMOOTH = 11
-"""Length of the moving mean [ticks], 1.1 s. It reduces the effect of delays and road bumps."""
+"""Length of the moving mean [ticks], 1.1 s. The mean reduces the effect of delays and road
+bumps."""
 DRIVEN_TICKS = 600
 """Driving time in which every signal of a vehicle changes [ticks]: a minute."""
 MIN_STANDING_TICKS = 20
@@ -216,7 +218,7 @@ class Motion:
 
 def less(x: Array, known: Array) -> Array:
     """Return the residual of x (n,) or (n, w) after a least-squares fit with columns (n, k) and a
-    constant. It is NaN if any input is NaN."""
+    constant. The result is NaN if any input is NaN."""
     rows = np.isfinite(x).reshape(len(x), -1).all(axis=1) & np.isfinite(known).all(axis=1)
     left = np.full_like(x, np.nan)
     if rows.any():

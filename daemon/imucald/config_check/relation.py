@@ -32,7 +32,7 @@ class Relation:
     """The relation of a signal to a reference.
 
     correlation: with sign. independent: number of independent values. low, high: limits of the
-    gain (signal divided by reference). They are the least-squares gains of the signal on the
+    gain (signal divided by reference). Both are least-squares gains of the signal on the
     reference and of the reference on the signal; with noise, the truth is between them. error:
     relative standard error.
     """

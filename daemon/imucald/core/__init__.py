@@ -1,1 +1,2 @@
-"""Foundation of the package: rotations, samples, errors, files. It imports no other room."""
+"""Foundation of the package: rotations, samples, errors, files. `core` imports no other package of
+imucald."""

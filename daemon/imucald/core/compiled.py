@@ -13,8 +13,8 @@ call::
 `kernels` is None in four cases: the library is missing, it cannot be loaded, it was built from
 other sources than those next to it, or the environment has IMUCALD_COMPILED=0.
 
-A kernel takes numpy arrays directly and checks their types and shapes itself. It raises ValueError
-where one does not fit. It keeps no array after the call.
+A kernel takes numpy arrays directly and checks their types and shapes itself. A function raises
+ValueError if an array does not fit. A function keeps no array after the call.
 """
 
 from __future__ import annotations

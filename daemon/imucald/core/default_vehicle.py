@@ -1,7 +1,7 @@
 """The compact passenger car that is assumed for an unknown vehicle.
 
 The values are assumptions about cars of the C segment (wheelbase 2.6 to 2.7 m, track about 1.5 m,
-steering ratio 14 to 17). They are also the defaults of `vehicle:` and of the model file.
+steering ratio 14 to 17). These values are also the defaults of `vehicle:` and of the model file.
 """
 
 WHEELBASE = 2.68

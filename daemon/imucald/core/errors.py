@@ -1,7 +1,8 @@
 """All errors that imucald raises on purpose. Each class states when it is raised.
 
-Any other exception that escapes is a defect. Texts of `ImucaldError` are made for people. They name
-the place (file, line, key, message) and the remedy. The command line prints them without a trace.
+Any other exception that escapes is a defect. Texts of `ImucaldError` are made for people. The
+errors name the place (file, line, key, message) and the remedy. The command line prints them
+without a trace.
 """
 
 from __future__ import annotations

@@ -23,7 +23,7 @@ has today.
 def allowed_memory(own_group: Path = Path("/proc/self/cgroup"), groups: Path = _GROUPS) -> int:
     """Return the allowed memory [bytes].
 
-    It is the smallest of physical memory, the process's limits of address space and data
+    The result is the smallest of physical memory, the process's limits of address space and data
     (`ulimit`), and MemoryMax of the surrounding groups (cgroup v2).
     """
     if resource is None:

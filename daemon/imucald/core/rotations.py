@@ -186,9 +186,9 @@ def quaternion_from_rotation(R: ArrayLike) -> Quaternion:
 def levelling_rotation(gravity_sensor: ArrayLike) -> Matrix3:
     """Return the shortest rotation that turns the specific force at rest (3,) to (0, 0, |J|).
 
-    It is the tilt of method A, step 3: afterwards the sensor's x and y lie in the horizontal plane.
-    The rotation is about the horizontal axis by atan2(hypot(Jx, Jy), Jz). For a sensor exactly
-    upside down that axis is undefined; x is used.
+    This rotation is the tilt of method A, step 3: afterwards the sensor's x and y lie in the
+    horizontal plane. The rotation is about the horizontal axis by atan2(hypot(Jx, Jy), Jz). For a
+    sensor exactly upside down that axis is undefined; x is used.
     """
     up = np.asarray(gravity_sensor, dtype=float)
     ux, uy, uz = up / np.sqrt(up @ up)

@@ -1,7 +1,7 @@
 """The model file that a diagnosis starts from if the user gives none.
 
-It describes an ordinary car: the defaults of the simulation, the vehicle data of the configuration,
-the rates of the logs, and the mount that the daemon's own estimator finds in them.
+The model file describes an ordinary car: the defaults of the simulation, the vehicle data of the
+configuration, the rates of the logs, and the mount that the daemon's own estimator finds in them.
 """
 
 from __future__ import annotations

@@ -102,8 +102,8 @@ def age(model: VehicleModel, name: str) -> float:
 
 
 def value(model: VehicleModel, key: str) -> float:
-    """A number of the model file. It is 0 if the key has no place in the file or is a component of
-    a vector."""
+    """A number of the model file. The value is 0 if the key has no place in the file or is a
+    component of a vector."""
     place: Any = model
     for part in key.split("."):
         if part.isdigit() and isinstance(place, tuple):

@@ -178,16 +178,17 @@ MODEL_ERROR: dict[str, float] = {
     "mount.lever_arm_m": 0.05, "suspension.roll_gradient": 0.0015,
     "suspension.squat_gradient": 0.0003, "suspension.dive_gradient": 0.0004,
 }  # fmt: skip
-"""Error of the equations themselves, one standard deviation, by key or beginning of a key. It is
-the rms of the fitted value when the model file is exactly right (ten drives of the second
-generator, seeds 1,160,000 to 1,160,009, which are not used for evaluation). It was measured while
-slope and cross fall were modelled as noise of a block; without that model the numbers agree to 7 %.
-The lever arm's 0.012 m is not used: a tenth of a car's rear tyre slip, 0.0004 s^2/m, moves the
-point without sideways speed by 0.05 m at 40 km/h. This error does not shrink in longer drives, so
-every deviation includes it. In a measured log, the comparison with GNSS speed gave the same error
-again for the speed's gain."""
+"""Error of the equations themselves, one standard deviation, by key or beginning of a key. The
+error is the rms of the fitted value when the model file is exactly right (ten drives of the second
+generator, seeds 1,160,000 to 1,160,009, which are not used for evaluation). The error was measured
+while slope and cross fall were modelled as noise of a block; without that model the numbers agree
+to 7 %. The lever arm's 0.012 m is not used: a tenth of a car's rear tyre slip, 0.0004 s^2/m, moves
+the point without sideways speed by 0.05 m at 40 km/h. This error does not shrink in longer drives,
+so every deviation includes it. In a measured log, the comparison with GNSS speed gave the same
+error again for the speed's gain."""
 LEVEL_GYRO_GAIN_ERROR = 0.018
-"""The same for a gyroscope gain about a horizontal axis: only slopes of the road show it."""
+"""Error of the equations in a gyroscope gain about a horizontal axis: only slopes of the road show
+such a gain."""
 
 
 def _keys(prefix: str, names: str = "xyz") -> tuple[str, ...]:

@@ -20,7 +20,8 @@ Flags = NDArray[np.bool_]
 
 GENTLE = 0.5
 """Acceleration [m/s^2] with which a stopping or starting vehicle at least passes the speeds that
-its sender does not show. It is a quarter of the 2 m/s^2 that ISO 15622 allows a speed control.
+its sender does not show. The limit is a quarter of the 2 m/s^2 that ISO 15622 allows a speed
+control.
 """
 SURE = 0.99
 """A speed below this fraction of the smallest shown speed is the mean of a tick that is partly

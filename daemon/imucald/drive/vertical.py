@@ -23,7 +23,7 @@ PULL_S = 30.0
 FIRST_PULL_S = 3.0
 """Time constant of the pull at the start [s].
 
-It grows with the time for which the vertical has been carried.
+The pull grows with the time for which the vertical has been carried.
 """
 FIRST_TICKS = 64
 """The first vertical is the mean of the pull over this many ticks."""

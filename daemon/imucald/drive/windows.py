@@ -1,10 +1,10 @@
 """Windows of driving as Gram matrices by frequency band.
 
-A window consists of four blocks of even signals. Its columns are the force less gravity, and the
-quantities from which the equations of the drive predict that force. All columns are in body axes.
-Each column goes through the same taper, the same removal of mean and slope, and a Fourier
-transform. The products of all columns are kept for each frequency band. Every fit works on these
-products alone.
+A window consists of four blocks of even signals. The columns of a window are the force less
+gravity, and the quantities from which the equations of the drive predict that force. All columns
+are in body axes. Each column goes through the same taper, the same removal of mean and slope, and a
+Fourier transform. The products of all columns are kept for each frequency band. Every fit works on
+these products alone.
 
     y     = f - g u + (0, 0, v q)           u: the carried vertical
     y_i   = h_i1 dv/dt + h_i2 v r + nuisances

@@ -37,7 +37,7 @@ class Source(Protocol):
 
 
 class Receiver(Protocol):
-    """A receiver of readings. Its methods raise ReceiverError."""
+    """A receiver of readings. The methods of a receiver raise ReceiverError."""
 
     def connect(self) -> None:
         """Connect to the receiver."""

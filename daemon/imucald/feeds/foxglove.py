@@ -67,7 +67,7 @@ class FoxgloveSettings:
 
 
 class FoxgloveReceiver:
-    """A server with foxglove-sdk. Its threads handle the connections."""
+    """A server with foxglove-sdk. Threads of the server handle the connections."""
 
     def __init__(self, settings: FoxgloveSettings, say: Say) -> None:
         import foxglove  # noqa: PLC0415 - an extra

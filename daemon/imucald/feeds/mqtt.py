@@ -41,7 +41,7 @@ class MqttSettings:
 
 
 class MqttReceiver:
-    """Publishes with paho-mqtt. Its thread keeps the connection and reconnects."""
+    """Publishes with paho-mqtt. A thread of paho keeps the connection and reconnects."""
 
     def __init__(self, settings: MqttSettings, say: Say) -> None:
         from paho.mqtt.client import Client  # noqa: PLC0415 - an extra
@@ -49,7 +49,7 @@ class MqttReceiver:
 
         class BoundedClient(Client):
             """A client with a limit of the packet length, because paho stores packets of any
-            length. It also survives invalid packets, which would end paho's thread."""
+            length. The client also survives invalid packets, which would end paho's thread."""
 
             def _sock_recv(self, bufsize: int) -> bytes:
                 if bufsize > PACKET_MAX:

@@ -2,8 +2,8 @@
 run.
 
 Paths are not valid on another machine. So a bundle holds the bytes of the configuration, its
-databases and its model file. Its name is their hash, which also identifies the configuration that a
-drive was evaluated with.
+databases and its model file. The name of a bundle is the hash of these bytes, which also identifies
+the configuration that a drive was evaluated with.
 """
 
 from __future__ import annotations

@@ -28,8 +28,8 @@ WORKERS_S = 60.0
 TRIES, AGAIN_S = 5, 1.0
 """Number of tries, and pause between them, to prepare the workers of a changing cluster."""
 GONE = ("closed", "closing", "failed", "connecting")
-"""States of a client that has lost its scheduler. It would wait for a new scheduler, which does not
-know the tasks."""
+"""States of a client that has lost its scheduler. The client would wait for a new scheduler, which
+does not know the tasks."""
 SCHEDULER_GONE = (
     "the Dask scheduler has ended; start it again, then run the same command to continue"
 )

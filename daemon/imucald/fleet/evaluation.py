@@ -29,8 +29,8 @@ def evaluate(task: Task, also: Also | None = None) -> Outcome:
 
     also: gives more columns of the drive.
 
-    The row depends only on the log's content, the configuration and the code. It does not depend on
-    the vehicle's other drives, the order of the logs or the machine.
+    The row depends only on the log's content, the configuration and the code. The result does not
+    depend on the vehicle's other drives, the order of the logs or the machine.
     """
     if task.code and task.code != code_hash():
         return Outcome(OTHER_CODE)

@@ -18,8 +18,8 @@ from imucald.fleet.process_limits import FOR_CHILDREN
 from imucald.fleet.task import Outcome, Task, encoded
 
 STARTING_S = 120.0
-"""Longest wait for a template's start. Its imports take less than a second, but packages in a
-shared folder may be slow."""
+"""Longest wait for a template's start. The imports of the process take less than a second, but
+packages in a shared folder may be slow."""
 
 
 class Template:

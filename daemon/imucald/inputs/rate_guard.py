@@ -182,7 +182,7 @@ class RateGuard:
 
 
 class Spaced:
-    """Accepts one event per cycle [s] on average. It is used for *not available* frames."""
+    """Accepts one event per cycle [s] on average. `Spaced` is used for *not available* frames."""
 
     EARLY = 0.6
     """An event may be early by this share of a cycle, because of jitter."""

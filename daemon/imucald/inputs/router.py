@@ -1,7 +1,8 @@
 """Convert frames to samples. A router is compiled from the configuration and the databases.
 
-A `Router` receives single frames (live) or columns of frames (replay). It returns samples by
-channel (see `samples`), which are the same in both cases. It counts rejections by reason.
+A `Router` receives single frames (live) or columns of frames (replay). The router returns samples
+by channel (see `samples`), which are the same in both cases. The router counts rejections by
+reason.
 """
 
 from __future__ import annotations

@@ -56,7 +56,7 @@ class SignalRoute(Protocol):
 
     @property
     def frame_key(self) -> Hashable:
-        """A key of the accepted frames. It is equal for routes that accept the same frames."""
+        """A key of the accepted frames. The key is equal for routes that accept the same frames."""
 
     def source_of(self, tap: Tap) -> Hashable:
         """Return a key of the settings that determine a tap's values. Equal keys: same source.

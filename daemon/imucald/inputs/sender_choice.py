@@ -19,14 +19,15 @@ from imucald.can.columns import FrameColumns
 from imucald.can.dbc.decode import J1939_ADDRESS_MASK
 
 SENDER_SETTLING = 1.5
-"""Time after the first frame in which candidate addresses are collected [s]. It covers several
-cycles of any sensor. So all messages of a sensor, and each start of the program, make the same
-choice."""
+"""Time after the first frame in which candidate addresses are collected [s]. The time covers
+several cycles of any sensor. So all messages of a sensor, and each start of the program, make the
+same choice."""
 AS_OFTEN = 2
 """A candidate must send at least 1 / AS_OFTEN of the frames of the most frequent one. A single
 frame of a unit that starts does not count."""
 NOT_AVAILABLE = 0xFF
-"""A payload with only this byte holds no data (J1939-71, 5.1.4). It is ignored in the choice."""
+"""A payload with only this byte holds no data (J1939-71, 5.1.4). Such a payload is ignored in the
+choice."""
 
 Rows = NDArray[np.int64]
 Flags = NDArray[np.bool_]

@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 from imucald.inputs.taps import Tap
 
 SOURCE_HOLD = 1.5
-"""A less preferred source is selected after the preferred sources were silent for this time [s]. It
-is longer than the cycle of any vehicle speed and shorter than a manoeuvre."""
+"""A less preferred source is selected after the preferred sources were silent for this time [s].
+The time is longer than the cycle of any vehicle speed and shorter than a manoeuvre."""
 
 Times = NDArray[np.float64]
 Rows = NDArray[np.int64]

@@ -15,7 +15,7 @@ ABSENT = -1
 """Code of a value that is not in the frame (because of the multiplexer)."""
 
 PLANAR_Z = GRAVITY
-"""The assumed z value of a planar accelerometer [m/s^2]. It is declared as level."""
+"""The assumed z value of a planar accelerometer [m/s^2]. The missing axis is declared as level."""
 
 Raw = Sequence[int | float | None]
 Physical = Sequence[float | None]

@@ -1,4 +1,4 @@
-"""Sections of the model file. They are immutable, and unknown keys are errors."""
+"""Sections of the model file. Sections are immutable, and unknown keys are errors."""
 
 from __future__ import annotations
 

@@ -192,7 +192,7 @@ class ModelCompensation:
     def published_settings(
         self, settings: PublishedSettings, stated: Collection[str] = ()
     ) -> PublishedSettings:
-        """The same for method A."""
+        """Return the settings of method A with the model's values."""
         calibration = settings.calibration
         if "speed" in self.terms.latency:
             calibration = structs.replace(calibration, speed_delay=0.0)

@@ -49,7 +49,7 @@ class PreprocessingChain:
         return f"model {self.name}: corrects {', '.join(self.used) or 'nothing'}"
 
     def summary(self) -> dict[str, Any]:
-        """The same as plain data for JSON."""
+        """Model and removed terms as plain data for JSON."""
         return {
             "file": self.name,
             "taken_out": list(self.used),

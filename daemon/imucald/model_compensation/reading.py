@@ -48,8 +48,8 @@ RANGES: Mapping[str, tuple[float, float]] = {
     "bank_rms": (0.0, 0.5),
     "grade_rms": (0.0, 0.5),
 }
-"""Allowed ranges, in the unit of the key; every usable sensor, vehicle and road lies inside. They
-are tighter than the schema's ranges, because a simulated drive may use any value."""
+"""Allowed ranges, in the unit of the key; every usable sensor, vehicle and road lies inside. These
+ranges are tighter than the schema's ranges, because a simulated drive may use any value."""
 SCALE_RANGE = (-0.8, 4.0)
 """Limits for a signal with one component, and for a wheel speed (which has no upper limit)."""
 MAX_LEVER_M = 30.0

@@ -54,8 +54,8 @@ class TickPreprocessing:
         """Return the row of a tick for the estimator.
 
         correction: the correction that is applied during the tick. The lean comes from the
-        corrected force. It rotates the samples in the axes of the housing, so that their own errors
-        stay the same.
+        corrected force. The lean rotates the samples in the axes of the housing, so that their own
+        errors stay the same.
         """
         if self._time_alignment is not None:
             row = self._time_alignment.row(row)

@@ -1,10 +1,10 @@
 """Convert a speed in coarse steps to the times at which it passed the middle between two steps.
 
-A signal that is rounded to steps s keeps a value while the true speed is within s / 2 of it. It
-changes to the next value when the true speed passes the middle. Used directly, the values make
-dv/dt zero for most of the time with a spike now and then, which no force follows. Straight lines
-between the passages are wrong by at most s / 2, and exact at the passages. Noise makes the signal
-alternate around a passage. The passage is where most samples of a tick have passed.
+A signal that is rounded to steps s keeps a value while the true speed is within s / 2 of it. The
+signal changes to the next value when the true speed passes the middle. Used directly, the values
+make dv/dt zero for most of the time with a spike now and then, which no force follows. Straight
+lines between the passages are wrong by at most s / 2, and exact at the passages. Noise makes the
+signal alternate around a passage. The passage is where most samples of a tick have passed.
 """
 
 from __future__ import annotations

@@ -31,7 +31,7 @@ MAX_SAMPLE: Mapping[str, float] = {
     "reverse": 1.0,
 }
 """Largest values of single samples by channel, SI: 5,700 deg/s, 100 g, a hundred times the earth's
-field. They also hold for a terminal that a person carries and drops.
+field. The limits also hold for a terminal that a person carries and drops.
 """
 MAX_TICK: tuple[tuple[int, slice, float], ...] = (
     (ACCEL.n, slice(ACCEL.x, ACCEL.z + 1), 400.0),
@@ -43,7 +43,7 @@ MAX_TICK: tuple[tuple[int, slice, float], ...] = (
     (STEERING.n, slice(STEERING.mean, STEERING.mean + 1), 100.0),
     (YAW_RATE.n, slice(YAW_RATE.mean, YAW_RATE.mean + 1), 20.0),
 )
-"""Largest means over a tick in a vehicle. They are lower because a mean evens out shocks.
+"""Largest means over a tick in a vehicle. These limits are lower, because a mean evens out shocks.
 
 Each entry has the column of the count, the columns, and the largest size in SI (40 g, 3,400 deg/s,
 540 km/h, 16 turns of the steering wheel).
@@ -63,7 +63,7 @@ ROAD_FORCE = (0.5 * GRAVITY, 1.7 * GRAVITY)
 with at most 1 g of tyre grip across (a size of 1.41 g) and some of the road's waves.
 """
 ROAD_FORCE_WIDE = (0.3 * GRAVITY, 3.0 * GRAVITY)
-"""The same range for method A.
+"""Range of the mean specific force of a tick [m/s^2] that method A uses.
 
 Method A keeps its intervals apart and reduces the weight of outliers by itself. Potholes and kerbs
 are therefore allowed, and only forces that no drive makes are refused.

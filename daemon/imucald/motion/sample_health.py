@@ -164,7 +164,8 @@ class SampleHealth:
         self.faults: Mapping[str, Faults] = {}
         """For each channel, the faults of sensors that are not fit to be used now."""
         self.signals: Mapping[str, Faults] = {}
-        """The same for the vehicle's signals, which the estimator judges block by block."""
+        """The present faults of the vehicle's signals, which the estimator judges block by
+        block."""
         self._signals: dict[str, FaultsInForce] = {}
         self._signals_at = 0.0
 

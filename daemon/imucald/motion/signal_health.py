@@ -300,7 +300,8 @@ class SignalHealth:
 SOUND_S = 10.0
 """A sensor is used again after this time without a fault [s].
 
-It is longer than the pauses of a loose contact, each of which causes a loss of two seconds at most.
+The time is longer than the pauses of a loose contact, each of which causes a loss of two seconds at
+most.
 """
 EVENTS = 50
 """Number of faults that are remembered for the report."""

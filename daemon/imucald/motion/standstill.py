@@ -25,7 +25,7 @@ Flags = NDArray[np.bool_]
 ZERO_SPEED = 0.05
 """A speed below this is standstill [m/s] where speeds are interpolated.
 
-It is finer than the step of any bus, so only zero and its rounding pass.
+The limit is finer than the step of any bus, so only zero and its rounding pass.
 """
 ZERO_SPEED_SMOOTHED = 0.1
 """The limit [m/s] for a speed that was averaged over its neighbours.
@@ -54,7 +54,7 @@ STEADY_TICKS = 32
 """Ticks in each part of a block in which these limits are tested."""
 PARKED_SAMPLE_STD = 0.05
 PARKED_GRAVITY = 0.1
-"""The same for the attitude, which uses samples over a second.
+"""Limits of a parked vehicle for the attitude, which uses samples over a second.
 
 Limits: standard deviation of the force, all axes together, and difference of the size of its mean
 from gravity [m/s^2].

@@ -298,8 +298,8 @@ class OtherSignal(Struct, frozen=True):
 def by_force(seen: SeenForward, rows: Array, leaving: int) -> OtherSignal:
     """Return the force as evidence about the speed [m/s] of ticks (N, COLUMNS).
 
-    It is the integral of the force, less its possible error and less the change of the speed
-    signal.
+    The evidence is the integral of the force, less its possible error and less the change of the
+    speed signal.
     """
     n = len(seen.accel)
     gained = np.concatenate([[0.0], np.cumsum(seen.accel) * TICK_S])
@@ -465,8 +465,8 @@ def _changes(witness: OtherSignal, part: slice, run: _OpenRun) -> tuple[Array, f
 def _begins_from(witness: OtherSignal, at: Places, stuck: Flags) -> Array:
     """Return the value (2,) from which a run begins.
 
-    It is the highest evidence of the ticks before it that have a sample (M,), so that no single
-    value disturbs the next ones; NaN: no evidence.
+    The value is the highest evidence of the ticks before it that have a sample (M,), so that no
+    single value disturbs the next ones; NaN: no evidence.
     """
     near = at[at >= at[-1] - witness.since] if len(at) and witness.since else at[:0]
     near = near[~stuck[near]]

@@ -53,7 +53,7 @@ The ratio of reverse is about that of first gear: 13 overall with the axle, whic
 WAY_AHEAD = 100.0
 """Distance [m] after which a reverse signal shows which direction is ahead.
 
-It is longer than the way out of a yard in reverse.
+The distance is longer than the way out of a yard in reverse.
 """
 MOSTLY_AHEAD = 2.0
 """The way ahead must be this many times the way in reverse.

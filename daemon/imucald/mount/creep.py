@@ -4,12 +4,12 @@ Random walks and steady creep are compared with a constant, weighted by the evid
 or tape in the sun, lets the mount turn slowly all the time. A constant that is fitted to such a
 mount is a mean over the drive. The deviation of this mean shrinks although the mount has moved. The
 residuals of the road segments from the constant are therefore also fitted by random walks of
-several sizes. They are also fitted by a level that changes at a steady rate, as materials do under
-a steady load (secondary creep; Ashby and Jones, Engineering Materials 1, ch. 20). The models are
-local level and local linear trend with a Kalman filter (Durbin and Koopman, Time Series Analysis by
-State Space Methods, 2012, ch. 2 and 3). Each model has the probability that its likelihood and its
-prior give. The models that move share a prior. The served angle and its interval are means over all
-models, weighted by their probabilities.
+several sizes. The residuals are also fitted by a level that changes at a steady rate, as materials
+do under a steady load (secondary creep; Ashby and Jones, Engineering Materials 1, ch. 20). The
+models are local level and local linear trend with a Kalman filter (Durbin and Koopman, Time Series
+Analysis by State Space Methods, 2012, ch. 2 and 3). Each model has the probability that its
+likelihood and its prior give. The models that move share a prior. The served angle and its interval
+are means over all models, weighted by their probabilities.
 """
 
 from __future__ import annotations

@@ -1,8 +1,9 @@
 """Fuse sources when the accelerometer has a cross-axis error, configured or found while driving.
 
-A configured cross-axis error is one of the errors that sources share. Otherwise the error is
-estimated. Let E be the six terms in sensor axes and C = R E R^T the terms in the vehicle's axes.
-The force is then (1 + C) f, and each source shows one entry of C in addition to its angle:
+A configured cross-axis error is one of the errors that sources share. Without a configured error,
+the error is estimated. Let E be the six terms in sensor axes and C = R E R^T the terms in the
+vehicle's axes. The force is then (1 + C) f, and each source shows one entry of C in addition to its
+angle:
 
     yaw from dv/dt -C_yx, yaw from turns +C_xy, pitch from dv/dt +C_zx, roll from turns -C_zy,
     level parts of gravity C_xz, C_yz (they look mostly like a bias and are subtracted with it).

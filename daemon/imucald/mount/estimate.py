@@ -64,8 +64,8 @@ class Missing(enum.IntEnum):
 class Targets(Struct, frozen=True):
     """Standard deviations [rad] about the vehicle's x, y, z below which a state is reached.
 
-    They are compared with `MountEstimate.judged_std`, whose value about x contains the road's
-    crown.
+    The targets are compared with `MountEstimate.judged_std`, whose value about x contains the
+    road's crown.
     """
 
     usable: tuple[float, float, float]
@@ -199,10 +199,10 @@ class SentDeviations(Struct, frozen=True):
         """Return the deviations if a rotation alone is applied, from its own about the vehicle's
         axes [rad].
 
-        They describe the angle of the housing. A rotation with the error e leaves E = -skew(e). One
-        angle is then in several entries, which are not independent. Cross-axis errors of the
-        sensors are included only as far as the covariance was widened for them. The deviation about
-        x contains the crown of roads, so zy and zero_y contain it too.
+        The deviations describe the angle of the housing. A rotation with the error e leaves E =
+        -skew(e). One angle is then in several entries, which are not independent. Cross-axis errors
+        of the sensors are included only as far as the covariance was widened for them. The
+        deviation about x contains the crown of roads, so zy and zero_y contain it too.
 
         zero: the estimated zero of the accelerometer, level part in vehicle axes [m/s^2]. The
         rotation does not remove this zero, so it stays in the force on level ground. An error of
@@ -295,7 +295,7 @@ class MountEstimator(Protocol):
     """Interface of every mount estimator. Pure: no I/O, no clock.
 
     The pipeline calls `step` once per closed tick (10 Hz, see `motion.ticks`), in time order,
-    without holes. It calls `gap` when time jumps before the next tick. The pipeline reads
+    without holes. The pipeline calls `gap` when time jumps before the next tick. The pipeline reads
     `correction` after each step and applies it to all samples of the next tick; None means not
     usable.
     """

@@ -2,7 +2,7 @@
 
 The tables give the weighted sums that the regressions need, for all rows and windows at once.
 
-They define the products of signals and the gains in each sum. A fit then needs a
+The tables define the products of signals and the gains in each sum. A fit then needs a
 few large sums instead of some hundred small ones.
 """
 
@@ -197,7 +197,7 @@ _SCALE = np.where(_GAIN_ROW < P_ROW, 4.0, 400.0)[:, None]
 def renewed_gains(P: Array, weight: Array) -> Array:
     """Return gains per band (gains, BANDS).
 
-    They are free, because squat, body roll and noise in dv/dt change them.
+    The gains are free, because squat, body roll and noise in dv/dt change them.
     """
     w = weight[_GAIN_ROW]
     power = (w * P[_GAIN_POWER]).sum(axis=1) + _SCALE
@@ -223,7 +223,7 @@ def put_scores(
 ) -> None:
     """Write the scores of windows into (rows, N, most) from place `first` on.
 
-    Their normal matrices go into (rows, N, most, most).
+    The normal matrices go into (rows, N, most, most).
 
     P: (pairs, n, BANDS) in vehicle axes; weight: (rows, n, BANDS).
     """

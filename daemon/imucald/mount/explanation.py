@@ -2,8 +2,8 @@
 
 Troubles come first, then tests, then more driving. The information about an angle, 1 / variance,
 grows about evenly with driving. A limit on the deviation is a limit on the information. The ratio
-(limit / deviation)^2 is therefore the share of the needed information, and it grows evenly. Its
-recent growth predicts the remaining time. The log ratios of signs grow evenly too.
+(limit / deviation)^2 is therefore the share of the needed information, and it grows evenly. The
+recent growth of this share predicts the remaining time. The log ratios of signs grow evenly too.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ def waiting_reasons(
     """Return one reason per angle in words, and as a code; no entry where nothing is missing.
 
     known, state: the knowledge from the evidence, and the state that is reported for it. troubles:
-    problems that more driving does not solve, see `mount_troubles`. They come before any other
+    problems that more driving does not solve, see `mount_troubles`. Troubles come before any other
     reason.
     """
     if state is MountState.FINE:

@@ -46,7 +46,8 @@ ZEROS = 0.5
 NOISE, NOISE_BLOCKS = 0.05, 10.0
 """Prior noise of a block's level [m/s^2], and its weight in blocks.
 
-It stands for 0.3 m/s of vertical speed gained or lost over a block, as over the crest of a hill.
+The noise corresponds to 0.3 m/s of vertical speed gained or lost over a block, as over the crest of
+a hill.
 """
 DEVIATIONS = 6.0
 """Limit of a change in deviations.

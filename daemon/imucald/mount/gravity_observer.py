@@ -8,10 +8,10 @@ innovation is the rest of the force:
 
     e = f_s - g u - R^T m,
 
-It responds to an accelerometer bias b by (I - B) b, where B follows the same equation as u. In a
-turn, the true vertical rotates against the sensor and a bias does not, which separates the two (the
-alignment of inertial navigation; Groves, Principles of GNSS, Inertial and Multisensor Integrated
-Navigation Systems, ch. 14).
+The innovation responds to an accelerometer bias b by (I - B) b, where B follows the same equation
+as u. In a turn, the true vertical rotates against the sensor and a bias does not, which separates
+the two (the alignment of inertial navigation; Groves, Principles of GNSS, Inertial and Multisensor
+Integrated Navigation Systems, ch. 14).
 
 `MotionWindow` holds the last ticks of force and motion as one window for the frequency domain.
 

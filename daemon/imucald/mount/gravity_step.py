@@ -133,7 +133,7 @@ class GravityStepDetector:
     def follow_walk(self, walked: Array) -> None:
         """Take the random walk of the vertical until it is pulled back (3, 3) [rad^2], sensor axes.
 
-        It is the mean over the blocks that a step may have been in.
+        The walk is the mean over the blocks that a step may have been in.
         """
         self._walked += (walked - self._walked) / AGES
 

@@ -1,13 +1,13 @@
 """Detect a large rotation of the sensor. The test runs in every block, from the first minutes on.
 
 `shift` finds small changes, once enough road has been driven to know what is usual. A rotation by
-several degrees shows in single blocks. It shows in the direction of gravity without the motion, in
-the direction in which the force responds to dv/dt and v r, and in any rotation while the vehicle
-stands. Each block of the last minutes is tried as the time of a change: the mean before is compared
-with the mean after (a generalised likelihood ratio test; Basseville and Nikiforov, Detection of
-Abrupt Changes, 1993, ch. 2.4). The road's slope is a Gauss-Markov process over the distance driven,
-as in `evidence_gravity`. `block_sums` gives the yaw that a block shows. The spread of both starts
-at a prior and is learnt.
+several degrees shows in single blocks. Such a rotation shows in the direction of gravity without
+the motion, in the direction in which the force responds to dv/dt and v r, and in any rotation while
+the vehicle stands. Each block of the last minutes is tried as the time of a change: the mean before
+is compared with the mean after (a generalised likelihood ratio test; Basseville and Nikiforov,
+Detection of Abrupt Changes, 1993, ch. 2.4). The road's slope is a Gauss-Markov process over the
+distance driven, as in `evidence_gravity`. `block_sums` gives the yaw that a block shows. The spread
+of both starts at a prior and is learnt.
 
 `TurnedAlone` detects a sensor that turns about the vertical while the vehicle does not.
 

@@ -25,10 +25,10 @@ CROSS_AXIS = ((0.001, 0.12), (0.005, 0.18), (0.01, 0.2), (0.02, 0.22), (0.04, 0.
 
 Hardly more than the order of magnitude is known, so sizes from 0.5 % to 4 % are about equally
 probable. Data sheets of bare parts state 2 % (MPU-6050, 6.2; ICM-20948, DS-000189, 3.2) and 3 %
-(ADXL350, table 1). They do not say whether that is a usual or a largest value. One unit in eight
-was calibrated at the end of its line to a tenth of 1 %; others are soldered, glued and bent to
-several times as much. The largest size is twice the largest usual one, so that 4 % lies well within
-the assumed range. The evidence decides the rest (`cross_axis`).
+(ADXL350, table 1). The data sheets do not say whether this is a usual or a largest value. One unit
+in eight was calibrated at the end of its line to a tenth of 1 %; others are soldered, glued and
+bent to several times as much. The largest size is twice the largest usual one, so that 4 % lies
+well within the assumed range. The evidence decides the rest (`cross_axis`).
 """
 SPEED_SCALE_STD = 0.02
 """Scale error of a speed (part).

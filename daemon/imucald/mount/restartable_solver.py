@@ -8,8 +8,8 @@ while the old solver stays in use.
 
 `Refit` feeds stored blocks into a new solver, a few per tick.
 
-It has two uses. Once gyro bias and rotation are known, the first minutes are read again. After a
-shift, only the last minutes count.
+`Refit` has two uses. Once gyro bias and rotation are known, the first minutes are read again. After
+a shift, only the last minutes count.
 """
 
 from __future__ import annotations

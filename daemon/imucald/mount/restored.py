@@ -1,9 +1,9 @@
 """Warm start: the mount of an earlier drive is used until this drive's own estimate replaces it.
 
-It wraps any estimator. The stored rotation is usable at once, as *restored*. The estimator inside
-restarts, so its results are new evidence. If it agrees, the stored rotation is confirmed and
-stays in use until the new one is as certain. If it contradicts, the stored rotation becomes
-*suspect* until the new one can be used, and then changes slowly to the new one.
+The warm start wraps any estimator. The stored rotation is usable at once, as *restored*. The
+estimator inside restarts, so its results are new evidence. If it agrees, the stored rotation is
+confirmed and stays in use until the new one is as certain. If it contradicts, the stored rotation
+becomes *suspect* until the new one can be used, and then changes slowly to the new one.
 
 The stored evidence is joined with the new evidence only when the new evidence agrees by itself. The
 result is then at once as certain as before. Both are compared all the time. A sensor may have been
@@ -50,7 +50,7 @@ COMPARE_TICKS = 10
 AGREEMENT = 11.3
 """Chi-square with 3 degrees of freedom, 99 %: less is agreement."""
 CONTRADICTION = 16.3
-"""The same for 99.9 %: more is contradiction."""
+"""Chi-square with 3 degrees of freedom, 99.9 %: more is contradiction."""
 DOUBTS = 8
 """Number of contradictions in a row (8 s, so from two fits) that makes the stored mount suspect.
 """

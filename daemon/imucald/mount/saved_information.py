@@ -1,12 +1,12 @@
 """Evidence in few numbers: saved when the daemon stops, for the next start.
 
 Each kind of evidence (the rows of `evidence_rows`, and gravity) has a value about the rotation of
-that time and a variance. It also has scores and informations per road segment, which the test for
-shifts needs. Old segments are joined, so the size is bounded.
+that time and a variance. Each kind also has scores and informations per road segment, which the
+test for shifts needs. Old segments are joined, so the size is bounded.
 
 The evidence of past drives is fused with that of this drive, but the two are stored separately.
 
-They stay separate while the daemon runs. Every fit can then tell whether they contradict one
+Both stay separate while the daemon runs. Every fit can then tell whether they contradict one
 another, and the past evidence can be dropped again. Common errors are counted once: the sensor's
 own errors, and the accelerometer's bias as far as neither drive showed it. Changes between drives
 (load, springs) are an error that all earlier evidence of an angle shares.

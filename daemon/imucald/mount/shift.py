@@ -240,7 +240,7 @@ def likeliest(sizes: Array, variances: Array, tail: Array, least: Array) -> tupl
 
     sizes, variances: (A, S, sources), from each source. tail (A,): degrees of freedom of Student's
     t. least (A,): smallest change that is searched. The maximum is searched among the weighted
-    means of all subsets of sources. It lies near such a mean wherever some sources agree.
+    means of all subsets of sources. The maximum lies near such a mean wherever some sources agree.
     """
     weight, tail = 1.0 / variances, tail[:, None, None]
     subset = _subsets(sizes.shape[2])

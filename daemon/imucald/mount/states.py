@@ -90,10 +90,10 @@ contradiction increases a deviation.
 HIDDEN_SLACK = 2.8
 """Factor on the limit of *usable* if yaw is limited only by the hidden part of a cross-axis error.
 
-The hidden part of 4 % is 1.6 deg. Its size is estimated from the three to five other errors that
-show. A limit selects mounts whose errors seem small. Among the mounts below 2 deg, a 95 % interval
-then holds in 87, 89 and 91 % (three, four, five errors that show; Student's distribution, cut off).
-Below 2.8 deg it holds in 93 to 94 %, and without a limit in 95 %.
+The hidden part of 4 % is 1.6 deg. The size of the hidden part is estimated from the three to five
+other errors that show. A limit selects mounts whose errors seem small. Among the mounts below 2
+deg, a 95 % interval then holds in 87, 89 and 91 % (three, four, five errors that show; Student's
+distribution, cut off). Below 2.8 deg it holds in 93 to 94 %, and without a limit in 95 %.
 """
 NEEDED = 3
 """Launches or brakings that are needed before yaw can be usable."""

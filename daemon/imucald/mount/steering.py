@@ -1,6 +1,6 @@
 """Zero offset of the steering angle, estimated together with the mount.
 
-It gates straight-line detection.
+The offset is needed for straight-line detection.
 
 Steady cornering: delta = n (L + K v^2) r / v + offset. Let delta be the steering-wheel angle, r the
 yaw rate and v the speed. The equation is linear in (1, r / v, r v), so three coefficients are

@@ -15,8 +15,8 @@ from matplotlib.figure import Figure
 from imucald.report.pointed_values import pointed_values
 
 LAYOUT_FONT = "DejaVu Sans"
-"""This font comes with matplotlib, so the layout of pictures is the same everywhere. It is a wide
-font."""
+"""This font comes with matplotlib, so the layout of pictures is the same everywhere. DejaVu Sans is
+a wide font."""
 READERS_FONTS = "'Helvetica Neue', Arial, 'Liberation Sans', 'DejaVu Sans'"
 METADATA = ("Date", "Creator", "Format", "Type")
 PATH = re.compile(r'( d=")([^"]*)"')

@@ -6,9 +6,9 @@ ends of ticks. The engine knows consumers only by this protocol; `consumers` has
 `ConsumerGroup` holds the consumers of one engine, which are fed sample by sample, live and in
 replay.
 
-They run along with the calibration and must not stop it. If numbers from the bus make a calculation
-fail, the failure is counted and that consumer restarts. It sends *not available* until it has a
-result again. Any other exception is a mistake of the program and is not caught.
+Consumers run along with the calibration and must not stop it. If numbers from the bus make a
+calculation fail, the failure is counted and that consumer restarts. It sends *not available* until
+it has a result again. Any other exception is a mistake of the program and is not caught.
 """
 
 from __future__ import annotations
@@ -60,7 +60,7 @@ class Consumer(Protocol):
     def mounted(self, estimate: MountEstimate) -> None:
         """Take a snapshot of the mount.
 
-        It comes before the tick at whose end it was taken.
+        The call comes before the tick at whose end the snapshot was taken.
         """
         ...
 

@@ -1,4 +1,5 @@
-"""The pipeline: time-stamped samples in, corrections out. It opens nothing and reads no clock.
+"""The pipeline: time-stamped samples in, corrections out. The pipeline opens nothing and reads no
+clock.
 
 Samples are gathered into ticks. At the end of each tick the estimator learns from it and gives the
 correction for the next tick. The live daemon adds samples one by one (`add`), replay adds whole

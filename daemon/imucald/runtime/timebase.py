@@ -1,14 +1,14 @@
 """Convert recorded or received time stamps to stream time: seconds from the first configured frame,
 never backwards.
 
-Stamps are wall-clock times. They may be slightly out of order, stand still, or step when a person
-sets the clock. Small disorder is flattened. A step (or a long hole) begins a new segment at the
-next tick, and all parts that difference over time are informed. A hole lasts at most `FORWARD_STEP`
-of stream time. A live bus has no disorder, so a small step back is seen as well, and stream time
-continues. A jump forward to stamps that were reached before is not a hole: a shuffled log takes one
-tick for each of its jumps, not the hundred of a hole. All holes together last at most `HOLE_SHARE`
-times as long as the time between them. Stamps that jump ahead at every frame therefore do not take
-hours.
+Stamps are wall-clock times. The stamps may be slightly out of order, stand still, or step when a
+person sets the clock. Small disorder is flattened. A step (or a long hole) begins a new segment at
+the next tick, and all parts that difference over time are informed. A hole lasts at most
+`FORWARD_STEP` of stream time. A live bus has no disorder, so a small step back is seen as well, and
+stream time continues. A jump forward to stamps that were reached before is not a hole: a shuffled
+log takes one tick for each of its jumps, not the hundred of a hole. All holes together last at most
+`HOLE_SHARE` times as long as the time between them. Stamps that jump ahead at every frame therefore
+do not take hours.
 """
 
 from __future__ import annotations

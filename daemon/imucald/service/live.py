@@ -34,8 +34,8 @@ STRIDE = 16
 MAX_AGE_S = 2.0 * MAX_HOLD
 """A frame that has waited for longer is no longer corrected [s].
 
-It is twice the time that a corrected frame waits to be sent, and twice `WAIT_S`. A loop that is
-fast enough finds the bus empty far more often.
+The age is twice the time that a corrected frame waits to be sent, and twice `WAIT_S`. A loop that
+is fast enough finds the bus empty far more often.
 """
 HEARTBEAT_S = 1.0
 """Period of status frames while the bus is silent [s]."""

@@ -91,7 +91,7 @@ class BusUds:
 
     @property
     def matches(self) -> list[IdMatch]:
-        """The same ids in the form for the bus link."""
+        """The ids of the tester's frames in the form for the bus link."""
         return [
             IdMatch(i, CAN_EFF_MASK if i & CAN_EFF_FLAG else CAN_SFF_MASK) for i in sorted(self.ids)
         ]

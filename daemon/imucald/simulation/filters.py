@@ -111,8 +111,8 @@ def gauss_markov(rng: np.random.Generator, n: int, step: float, length: float) -
 
 
 def smoothed(x: Array, rate: float, width_s: float) -> Array:
-    """Apply two running means of width_s each, with zero phase. They keep the integral and limit
-    the jerk."""
+    """Apply two running means of width_s each, with zero phase. The means keep the integral and
+    limit the jerk."""
     n = max(1, round(width_s * rate)) | 1
     for _ in range(2):
         half = n // 2

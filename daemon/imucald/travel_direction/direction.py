@@ -232,8 +232,8 @@ class TravelDirection:
     def _level_heading(self, cycle: StepCycle) -> float | None:
         """Return the heading of the cycle's level frame, clockwise from north.
 
-        It comes from the mean field in that frame, otherwise from the newest heading of the
-        terminal's y axis.
+        The heading comes from the mean field in that frame, otherwise from the newest heading of
+        the terminal's y axis.
         """
         mean = cycle.accel.mean(axis=0)
         field = self._mean_field(cycle)

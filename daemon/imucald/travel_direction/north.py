@@ -26,7 +26,7 @@ FIELD_STD = 50.0
 ZERO_ERROR_STD = math.radians(0.5)
 """Gyroscope zero error without a rest [rad/s]."""
 RESTED_STD = math.radians(0.05)
-"""The same after a rest [rad/s]."""
+"""Deviation of the zero error after a rest [rad/s]."""
 NOISE = 35.0
 """[uT] per 0.2 s: it represents 5 uT of disturbance that lasts some ten seconds (steel, cables)."""
 HARD_IRON_WALK = 0.03

@@ -135,7 +135,8 @@ class StepCycles:
     def _threshold(self, dt: float, vertical: float) -> float:
         """Return the threshold.
 
-        It is lower while a person walks softly: a swinging arm takes from every other step.
+        The threshold is lower while a person walks softly: a swinging arm takes from every other
+        step.
         """
         top = self.settings.threshold
         part = 1.0 - math.exp(-dt / self.settings.gravity_time)

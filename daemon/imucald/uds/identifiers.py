@@ -16,7 +16,7 @@ from imucald.uds.codes import Answer, Nrc
 from imucald.uds.host import Host
 
 MAX_IDENTIFIERS = 16
-"""Largest number of identifiers in a request. It limits the work and the response."""
+"""Largest number of identifiers in a request. The limit bounds the work and the response."""
 MAX_RESPONSE = 512
 """Longest response [bytes]. A request for a longer one is refused."""
 VIN_BYTES = 17
@@ -64,7 +64,8 @@ def _angle(value: float) -> int:
 
 
 def _deviations(host: Host) -> bytes:
-    """Return the deviations, also before a correction is usable. They show the progress."""
+    """Return the deviations, also before a correction is usable. The deviations show the
+    progress."""
     std = host.estimate().std
     raw = (DEVIATION_NOT_KNOWN,) * 3 if std is None else [_deviation(s) for s in std]
     return struct.pack(">3H", *raw)

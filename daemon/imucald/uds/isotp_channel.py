@@ -19,12 +19,13 @@ MAX_REQUEST: Final = 128
 """Longest request [bytes]: twice the longest valid one. Longer requests get the answer
 "overflow"."""
 FRAMES_PER_SECOND: Final = 500.0
-"""Largest average rate of processed frames [1/s]. It is much more than a tester sends."""
+"""Largest average rate of processed frames [1/s]. The limit is much more than a tester sends."""
 FRAMES_AT_ONCE: Final = 200.0
 """Largest burst of processed frames."""
 SEND_WINDOW_S: Final = 0.05
 FRAMES_PER_WINDOW: Final = 16
-"""Frames sent per window. They fit the interface's queue together with the corrected frames."""
+"""Frames sent per window. These frames fit the interface's queue together with the corrected
+frames."""
 PADDING: Final = 0xCC
 """Byte that fills frames up to 8 bytes (ISO 15765-2)."""
 LONGEST_RESPONSE_S: Final = 10.0
@@ -156,7 +157,8 @@ class IsoTpChannel:
         return True
 
     def _take_functional(self, data: bytes) -> None:
-        """Process a request to all nodes. It must be a single frame; others are not answered."""
+        """Process a request to all nodes. Such a request must be a single frame; others are not
+        answered."""
         length = data[0] if data else 0
         if not 1 <= length <= SINGLE_FRAME_BYTES or len(data) <= length:
             self.counters["not_a_functional_request"] += 1

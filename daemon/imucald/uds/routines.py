@@ -21,7 +21,7 @@ RESULTS: Final = 0x03
 CALIBRATE: Final = 0xF010
 """Start a new supervised calibration. Stopping it restores the former calibration."""
 RESET: Final = 0xF011
-"""Delete the calibration and the saved state. It acts at once and cannot be undone.
+"""Delete the calibration and the saved state. The reset acts at once and cannot be undone.
 
 The routine runs until the deletion is stored on disk. Until then, a restart would restore the saved
 state.
@@ -59,7 +59,8 @@ class Routines:
         }
 
     def poll(self) -> None:
-        """Check whether the calibration is complete. It is also called before each request."""
+        """Check whether the calibration is complete. The method is also called before each
+        request."""
         if self._runs(CALIBRATE) and self._host.quality in GOOD_QUALITIES:
             self._status[CALIBRATE] = RoutineStatus.COMPLETED
             self._host.accept_calibration()

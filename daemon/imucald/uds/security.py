@@ -15,12 +15,12 @@ SEED_BYTES = 16
 MAX_KEY_BYTES = 64
 
 KeyFunction = Callable[[bytes], bytes]
-"""Function that computes the key from the seed. It runs in the daemon's loop, so it must be fast
-and must not block."""
+"""Function that computes the key from the seed. The function runs in the daemon's loop, so it must
+be fast and must not block."""
 
 
 class Security:
-    """The lock of the server. It opens if a tester sends the correct key for a seed.
+    """The lock of the server. The lock opens if a tester sends the correct key for a seed.
 
     key_function: None refuses every tester. random: returns the given number of random bytes.
     attempts: number of wrong keys before the delay. delay: [s]. clock: monotonic [s].
@@ -93,7 +93,8 @@ class Security:
         return self._wrong_key()
 
     def _expected(self, seed: bytes) -> bytes:
-        """Return the correct key. It is empty if the function fails; then every key is refused."""
+        """Return the correct key. The key is empty if the function fails; then every key is
+        refused."""
         if self._key_function is None:
             return b""
         try:

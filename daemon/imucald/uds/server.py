@@ -41,7 +41,7 @@ S3_S: Final = 5.0
 P2_MS: Final = 50
 """Longest time until a response starts [ms]: at most one cycle of the daemon's loop."""
 P2_STAR_10MS: Final = 500
-"""The same time after "response pending" [10 ms]. "Response pending" is never sent."""
+"""Longest time to a response after "response pending" [10 ms]. "Response pending" is never sent."""
 
 NOT_ANSWERED_TO_ALL: Final = frozenset(
     {

@@ -1,10 +1,10 @@
 """MCAP of ROS 2, for `ros2 bag play`, Foxglove and PlotJuggler.
 
-Each table is a topic. Its messages have the table's columns, and imucald reads the table again from
-this topic. A player that does not know these message definitions skips them. The file also contains
-standard ROS messages: corrected and raw samples as sensor_msgs/Imu, the mount as a static
-transform, events as rcl_interfaces/Log. As defined by sensor_msgs/Imu, a covariance of zeros is not
-known, and a covariance that begins with -1 means that the quantity is not measured.
+Each table is a topic. The messages of this topic have the table's columns, and imucald reads the
+table again from this topic. A player that does not know these message definitions skips them. The
+file also contains standard ROS messages: corrected and raw samples as sensor_msgs/Imu, the mount as
+a static transform, events as rcl_interfaces/Log. As defined by sensor_msgs/Imu, a covariance of
+zeros is not known, and a covariance that begins with -1 means that the quantity is not measured.
 """
 
 from __future__ import annotations

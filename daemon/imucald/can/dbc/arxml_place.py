@@ -18,7 +18,7 @@ NO_PACKAGES = (
 )
 MISSING = "an element that the standard requires is missing"
 PYTHONS_OWN = (AttributeError, TypeError, KeyError, IndexError)
-"""Errors that a missing element causes. Their texts do not name the element."""
+"""Errors that a missing element causes. The texts of these errors do not name the element."""
 
 
 def why_refused(error: Exception, text: str) -> str:

@@ -91,8 +91,8 @@ class Database:
 def load_database(paths: Sequence[Path], shared_ids: bool = False) -> Database:
     """Read one or several database files of one bus.
 
-    Raises DatabaseError with file and reason for a file that cannot be read. It is also raised if
-    two files describe one name or (unless `shared_ids`) one identifier differently.
+    Raises DatabaseError with file and reason for a file that cannot be read. DatabaseError is also
+    raised if two files describe one name or (unless `shared_ids`) one identifier differently.
     """
     messages: list[Message] = []
     ambiguous: dict[str, str] = {}

@@ -120,13 +120,12 @@ class DecodedColumns(Struct, frozen=True):
 class DecodePlan:
     """Decodes the requested signals of one message, in the requested order.
 
-    `size`: length of the message [bytes]. `least`: shortest accepted frame [bytes]. It is less than
-    `size` if frames may be cut; signals outside the frame are then absent. `ends`: for each signal,
-    the frame length [bytes] that is needed to hold it.
-    `decode_raw(data)`: returns raw values; None if the signal is absent because of the multiplexer
-    or of a cut frame. `scale(raw)`: converts raw values to physical values. `decode(data)`: does
-    both steps. `decode_raw` and `decode` raise DecodeError ("short_frame"). Infinite and NaN floats
-    are returned unchanged.
+    `size`: length of the message [bytes]. `least`: shortest accepted frame [bytes]. `least` is less
+    than `size` if frames may be cut; signals outside the frame are then absent. `ends`: for each
+    signal, the frame length [bytes] that is needed to hold it. `decode_raw(data)`: returns raw
+    values; None if the signal is absent because of the multiplexer or of a cut frame. `scale(raw)`:
+    converts raw values to physical values. `decode(data)`: does both steps. `decode_raw` and
+    `decode` raise DecodeError ("short_frame"). Infinite and NaN floats are returned unchanged.
     """
 
     def __init__(
@@ -317,7 +316,7 @@ def _generated(
 
 @lru_cache(maxsize=256)
 def _compiled(text: str) -> CodeType:
-    """Compile the code of a plan. It is cached, because several drives use the same plan."""
+    """Compile the code of a plan. The code is cached, because several drives use the same plan."""
     return compile(text, "<decode plan>", "exec")
 
 

@@ -128,7 +128,7 @@ def _integer_limits(signal: Signal) -> tuple[int, int]:
 
 
 def _float_limits(signal: Signal) -> tuple[float, float]:
-    """Stated physical range. It is finite, so it excludes infinity."""
+    """Stated physical range. The limit is finite, so it excludes infinity."""
     low = -MAX_DOUBLE if signal.minimum is None else signal.minimum
     high = MAX_DOUBLE if signal.maximum is None else signal.maximum
     return low, high

@@ -118,7 +118,7 @@ def _is_out_of_memory(error: Exception) -> bool:
 def _reason(error: Exception) -> str:
     """Return one line of a parser's error, without the errors of the other formats.
 
-    It is shortened, because the parser quotes the whole line of the file."""
+    The text is shortened, because the parser quotes the whole line of the file."""
     if isinstance(error, RecursionError):
         return "nested too deeply"
     return _cut(" ".join(str(error).split()) or type(error).__name__)

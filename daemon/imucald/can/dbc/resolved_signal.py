@@ -62,7 +62,7 @@ class Scaling(Struct, frozen=True):
 
 
 class FloatScaling(Scaling, frozen=True):
-    """Scaling of floats. They may overflow or be NaN; the caller checks this."""
+    """Scaling of floats. The values may overflow or be NaN; the caller checks this."""
 
     def column(self, raw: NDArray[Any]) -> NDArray[np.float64]:
         """See `Scaling`."""

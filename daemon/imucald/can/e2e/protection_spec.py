@@ -92,5 +92,6 @@ class ProtectionSpec(Struct, frozen=True):
 def counter_of(
     signal: Signal, modulus: int | None = None, max_jump: int | None = None
 ) -> CounterSpec:
-    """Make an alive counter from a signal. It wraps at its largest value or at `modulus`."""
+    """Make an alive counter from a signal. The counter wraps at its largest value or at
+    `modulus`."""
     return CounterSpec(field_of(signal), modulus or 1 << signal.length, max_jump)

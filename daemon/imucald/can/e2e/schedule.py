@@ -30,7 +30,8 @@ EARLIEST = 0.4
 AHEAD = 0.5
 """Minimum time per lost frame, as a share of a cycle, because time stamps are not exact."""
 CREDIT_S = 2.0
-"""Largest credit [s]. It covers time stamps of whole seconds and queues blocked for this time."""
+"""Largest credit [s]. The credit covers time stamps of whole seconds and queues blocked for this
+time."""
 FADES_S = 2.0
 """Time in which a credit decreases to zero [s]."""
 BATCH = 0.03
@@ -40,8 +41,8 @@ LEARN_S, LEARN_STEPS = 5.0, 50
 """Time [s] and number of cycles for learning a cycle. The same time and number without an early
 frame confirm it."""
 REMEMBERED_S = 600.0
-"""Longest averaging time of the cycle [s]. It is limited because clocks drift while they warm up.
-It is this long because of time stamps in whole seconds."""
+"""Longest averaging time of the cycle [s]. The time is limited because clocks drift while they warm
+up. The time is this long because of time stamps in whole seconds."""
 MOST_EARLY = 50
 """The cycle is learnt again if early frames exceed other frames by this number times the number of
 counter values. Bursts from another sender that uses the same counter do not change the cycle."""
@@ -137,8 +138,8 @@ class Past(Struct):
     def go_on(self, t: float, since: float, due: float, step: int) -> None:
         """Process a frame `step` counts after the last counted frame; due: see `due_after`.
 
-        step: 0 means that the counter is faulty. The cycle is then not learnt from this frame. It
-        is also not learnt from a frame after a silence.
+        step: 0 means that the counter is faulty. The cycle is then not learnt from this frame. A
+        frame after a silence is also not used for the cycle.
         """
         counts = step or 1
         due += counts * self.cycle - BATCH * max(0.0, since - (counts + 1) * self.cycle)

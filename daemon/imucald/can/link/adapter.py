@@ -100,7 +100,8 @@ _IN_MEMORY = ("virtual",)  # they have no filter; the link's is faster than pyth
 
 
 class Adapter:
-    """One open python-can bus. Its failures are raised as OSError, like those of a socket.
+    """One open python-can bus. The failures of an adapter are raised as OSError, like those of a
+    socket.
 
     Raises LinkError if python-can does not know the interface or its options. Raises OSError if the
     device cannot be opened now.
@@ -213,7 +214,7 @@ class Adapter:
         return now - self._failing_since > FAILING_S
 
     def _works(self) -> None:
-        """Register that the driver works. Its failures before were unreadable records."""
+        """Register that the driver works. The earlier failures were unreadable records."""
         self.rejected += self._failures
         self.why_rejected = self._reason
         self._failures = 0

@@ -184,7 +184,7 @@ def queue_full_text(channel: str) -> str:
 __all__ = ["Frame", "Link", "LinkCounters", "LinkEvent", "LinkState"]
 
 MIN_RETRY = 0.05
-"""First pause before a lost interface is opened again [s]. It doubles after each attempt."""
+"""First pause before a lost interface is opened again [s]. The pause doubles after each attempt."""
 
 MAX_RETRY = 0.2
 """Longest such pause [s]. Frames must resume within 1 s, also on a busy machine."""
@@ -220,8 +220,8 @@ class Link:
     receive_buffer: requested from the kernel [bytes]. wait: if True, a missing interface is not an
     error. on_event: called with each `LinkEvent`. clock: monotonic [s].
 
-    Raises LinkError (text with remedy) if the interface is missing and `wait` is false. It is also
-    raised if waiting cannot help (unknown to python-can, not a CAN interface).
+    Raises LinkError (text with remedy) if the interface is missing and `wait` is false. LinkError
+    is also raised if waiting cannot help (unknown to python-can, not a CAN interface).
     """
 
     def __init__(
@@ -445,7 +445,8 @@ class Link:
             self._let_go(port, error.strerror or str(error))
 
     def _check(self, port: Port) -> None:
-        """Ask the system for the interface's state. It may have been replaced without an error."""
+        """Ask the system for the interface's state. The interface may have been replaced without an
+        error."""
         self._next_check = self._clock() + CHECK_PERIOD
         if not port.is_same_interface():
             self._let_go(port, "deleted or replaced")

@@ -13,7 +13,7 @@ from collections.abc import Callable
 from typing import Protocol
 
 HELD_FRAMES = 32
-"""Largest number of frames held while the queue is full. It is enough for a burst."""
+"""Largest number of frames held while the queue is full. This number is enough for a burst."""
 
 MAX_HOLD = 0.05
 """A frame that could not be sent for this time is dropped as too old [s]."""
@@ -29,7 +29,7 @@ class SendingPort(Protocol):
 
 
 class Outbox:
-    """Held frames in their order. They are sent as soon as the port accepts them.
+    """Held frames in their order. Stored frames are sent as soon as the port accepts them.
 
     on_sent, on_dropped: called for each frame that was sent or dropped.
     Every OSError that does not mean a full queue is raised to the caller. The frame that caused it

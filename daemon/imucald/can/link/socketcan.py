@@ -7,9 +7,10 @@ and creates only a tuple.
 
 The code uses these facts about the kernel (net/can/raw.c). If the interface goes down, its socket
 gets ENETDOWN once and stays bound, so frames resume without action. If the interface is deleted,
-the socket gets ENODEV and is no longer bound. It then receives nothing, even if an interface of the
-same name is created. The error is reported before the waiting frames. The number of dropped frames
-would be reported only with the next frame. So both are read when a socket is abandoned.
+the socket gets ENODEV and is no longer bound. The socket then receives nothing, even if an
+interface of the same name is created. The error is reported before the waiting frames. The number
+of dropped frames would be reported only with the next frame. So both are read when a socket is
+abandoned.
 """
 
 from __future__ import annotations

@@ -2,7 +2,7 @@
 
 The compiled code accepts only lines that the strict reader (`candump_line`) accepts too. All other
 lines are passed to the strict reader. Without the compiled code, the strict reader reads all lines.
-It is also the reference in tests.
+This reader is also the reference in tests.
 """
 
 from __future__ import annotations

@@ -36,8 +36,8 @@ PIECE_LINES: Final = 64
 NEWLINE: Final = 0x0A
 
 KEPT_BYTES: Final = 16 << 20
-"""Freed memory that the C library may keep for reuse [bytes]. It is more than the arrays of one
-block (about 6 MiB with their copies)."""
+"""Freed memory that the C library may keep for reuse [bytes]. The limit is more than the arrays of
+one block (about 6 MiB with their copies)."""
 
 Place = tuple[str, int]
 """File name, number of lines before this place."""
@@ -48,7 +48,8 @@ _LOG_LINE: Final = re.compile(
 
 
 class CandumpParser:
-    """Converts blocks of candump text to columns. It keeps its state from block to block."""
+    """Converts blocks of candump text to columns. The parser keeps its state from block to
+    block."""
 
     def __init__(self, filters: IdFilters, channels: Channels, statistics: ReadStatistics) -> None:
         self._filters = filters

@@ -28,7 +28,7 @@ UNITS: Final = {
 }
 """The unit of time stamps, by the factor by which they are too large."""
 YEAR_10000: Final = 253_402_300_800.0
-"""The year 10000 in seconds since 1970. It is later than any recording. A time stamp of this
+"""The year 10000 in seconds since 1970. The year is later than any recording. A time stamp of this
 century in milliseconds is larger."""
 YEAR_2100: Final = 4_102_444_800.0
 TOLERANCE: Final = 1.5

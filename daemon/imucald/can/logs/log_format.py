@@ -1,6 +1,6 @@
 """The interface of all log formats, and the statistics of a reader.
 
-To add a format, add a file to this folder whose name ends with `_logs`. It must define a
+To add a format, add a file to this folder whose name ends with `_logs`. The module must define a
 `LogFormat` with the name FORMAT; `log_reader` finds it. For a format that python-can reads, only
 add its suffix in `python_can_logs`.
 """
@@ -20,7 +20,8 @@ from imucald.can.logs.unpacking import damage_within
 from imucald.core.errors import LogError
 
 MAX_PROBLEMS: Final = 20
-"""Largest number of stored texts. It is enough to see the problem and bounded for any file."""
+"""Largest number of stored texts. This number is enough to see the problem and bounded for any
+file."""
 
 FOREIGN_LINE: Final = "not_candump"
 """The reason for lines that do not look like a frame at all."""
@@ -135,7 +136,7 @@ Cycles = Sequence[tuple[IdMatch, float]]
 
 @runtime_checkable
 class CountsTime(Protocol):
-    """A format that may lack time stamps. It then counts cycles of a known message."""
+    """A format that may lack time stamps. The reader then counts cycles of a known message."""
 
     cycles: Cycles
 
@@ -144,8 +145,8 @@ class LogFormat(Protocol):
     """A reader of one recording's files, which share filters, channels and statistics."""
 
     endings: ClassVar[tuple[str, ...]]
-    """Suffixes of file names in lower case, without ``.gz`` and similar ones. They are used if the
-    first bytes do not identify the format."""
+    """Suffixes of file names in lower case, without ``.gz`` and similar ones. Endings are used if
+    the first bytes do not identify the format."""
 
     @staticmethod
     def begins(head: bytes) -> bool:

@@ -161,7 +161,7 @@ class LogReader:
 
 
 class _Readers:
-    """A reader for each format. It is made at its first use."""
+    """A reader for each format. Each reader is made at its first use."""
 
     def __init__(
         self, filters: IdFilters, channels: Channels, statistics: ReadStatistics, cycles: Cycles

@@ -1,8 +1,8 @@
 """Check whether an MF4 file is complete and safe for asammdf, before asammdf opens it.
 
-For a cut file, asammdf only reports that it cannot seek. Its compiled code trusts the stated
-position of a channel. A position outside the record makes it write to wrong memory, and the process
-crashes later. A list that links back to itself causes an endless loop.
+For a cut file, asammdf only reports that it cannot seek. The compiled code of asammdf trusts the
+stated position of a channel. A position outside the record makes it write to wrong memory, and the
+process crashes later. A list that links back to itself causes an endless loop.
 
 Layout of ASAM MDF 4: an identification of 64 bytes, then blocks, each with its length and links to
 other blocks. A file that its recorder did not finish (UnFinMF) does not state all lengths. Its

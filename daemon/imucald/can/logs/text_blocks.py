@@ -167,7 +167,7 @@ class TextBlocks:
         return self._stream.bytes_read
 
     def __iter__(self) -> Iterator[tuple[Bytes, int]]:
-        """Yield (buffer, size) with complete lines. They are valid until the next block.
+        """Yield (buffer, size) with complete lines. The bytes are valid until the next block.
 
         A line longer than `longest_line` may lose bytes after that length, so that memory is
         bounded. It stays one line that is too long.

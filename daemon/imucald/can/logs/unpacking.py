@@ -93,7 +93,7 @@ def _bzip2() -> Member:
 
 
 class _Xz(_Inner):
-    """An xz member. Its errors are converted to ValueError."""
+    """An xz member. Errors of the library are converted to ValueError."""
 
     def __init__(self) -> None:
         import lzma  # noqa: PLC0415 - few logs need it

@@ -2,8 +2,9 @@
 
 At constant speed a signal stays longer than in town, so the lengths of its stays have a heavier
 tail than a geometric distribution. Therefore each stay has its own probability of going on, drawn
-from a beta distribution. The lengths are then beta-geometric (Waring's distribution; Weinberg
-and Gladen 1986) with a tail n^-b. It is nearly geometric if the log shows no heavier tail.
+from a beta distribution. The lengths are then beta-geometric (Waring's distribution; Weinberg and
+Gladen 1986) with a tail n^-b. The distribution is nearly geometric if the log shows no heavier
+tail.
 """
 
 from __future__ import annotations

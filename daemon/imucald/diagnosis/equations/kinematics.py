@@ -158,8 +158,8 @@ def single_track(
 
 
 def slope(x: Array) -> Array:
-    """Slope of x (N,) on the grid [1/s], to fourth order. It is exact to 0.5 % up to 1 Hz; a simple
-    difference of two neighbours loses 6.5 % there."""
+    """Slope of x (N,) on the grid [1/s], to fourth order. The slope is exact to 0.5 % up to 1 Hz; a
+    simple difference of two neighbours loses 6.5 % there."""
     padded = np.concatenate([x[:1], x[:1], x, x[-1:], x[-1:]])
     near, far = padded[3:-1] - padded[1:-3], padded[4:] - padded[:-4]
     return np.asarray((8.0 * near - far) / (12.0 * STEP_S))

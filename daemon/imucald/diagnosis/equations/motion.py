@@ -279,8 +279,8 @@ class VehicleMotion:
     def _leaning(self) -> Array:
         """Sideways force from the road's lean [m/s^2].
 
-        It acts through the understeer gradient, which is not known to 10 %. Zeros and the mount
-        therefore change it, but gains must not be estimated from it.
+        The lean acts through the understeer gradient, which is not known to 10 %. Zeros and the
+        mount therefore change it, but gains must not be estimated from it.
         """
         if self.settled is None:
             return self.once(kinematics.left_of_turn, self.force[1], self.v, self.r)

@@ -161,7 +161,7 @@ class Reader:
         return np.asarray(turned @ sensor_of(self.model, name, {}).gain.T)
 
     def _level(self, name: str) -> Array:
-        """The same for one g upright."""
+        """Reading of a triad for one g upright."""
         return Once(self.known, True)(self._level_in_sensor, name)
 
     def _level_in_sensor(self, name: str) -> Array:

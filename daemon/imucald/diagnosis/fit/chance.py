@@ -41,8 +41,8 @@ def chance_of_both(by_parts: float, free: float, by_rows: float) -> float:
 
 
 def beyond_chance(asked: Sequence[Question]) -> list[Structure]:
-    """Return the structures to report: large effects whose chance is at most a certain level. It is
-    the largest level at which the expected number of false reports is 1 % of all reports at that
+    """Return the structures to report: large effects whose chance is at most a certain level. The
+    level is the largest at which the expected number of false reports is 1 % of all reports at that
     level. Of each signal and kind only the largest is reported.
 
     At a level a, the chance of a false report of the i-th question is at most min(a, its chance to

@@ -45,7 +45,7 @@ def gains_apart(problem: Problem, state: State, drift: Hypothesis | None) -> lis
 
 
 def named_apart(problem: Problem, state: State, drift: Hypothesis | None) -> list[Structure]:
-    """Named gains that are not constant. They share an error rate of 1 % of their own, because
+    """Named gains that are not constant. These questions have their own error rate of 1 %, because
     readers take a named gain as valid for the whole drive."""
     table = problem.table
     if table.blocks < LEAST_BLOCKS:

@@ -89,7 +89,7 @@ class Followed:
 
     value: float
     sigma: float
-    """Its size in standard deviations."""
+    """Size of the amount in standard deviations."""
     p: float
     even: Array
     """(3,) the linear parts fitted with it."""
@@ -292,9 +292,9 @@ def followed(course: Course, column: list[Array], before: float) -> Followed | N
     """Estimate a column's value together with a linear delay. before: its value so far, which is
     added.
 
-    Its chance comes from the scatter between segments (sandwich) and from the noise of all rows.
-    The degrees of freedom are the effective number of segments with information on it (Carter,
-    Schnepel and Steigerwald 2017).
+    The chance of the value comes from the scatter between segments (sandwich) and from the noise of
+    all rows. The degrees of freedom are the effective number of segments with information on it
+    (Carter, Schnepel and Steigerwald 2017).
     """
     if not course.y:
         return None

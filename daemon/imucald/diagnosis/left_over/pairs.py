@@ -148,8 +148,8 @@ def _can_be_asked(error: Error, condition: str) -> bool:
 
 
 def may_be(error: Error, condition: str, model: VehicleModel) -> float:
-    """Error that a correct file may have, including that of the equations. The latter is left out
-    for conditions in which only an asymmetric vehicle would cause it."""
+    """Error that a correct file may have, including that of the equations. The error of the
+    equations is left out for conditions in which only an asymmetric vehicle would cause it."""
     if not error.key:
         # A delayed speed is wrong by the delay times the acceleration.
         late = tolerance(model, DELAY) + SD_95 * model_error(model, DELAY)
@@ -266,7 +266,7 @@ class PairTest:
 
     value: float
     by_rows: float
-    """Its size in standard deviations by the noise of all rows."""
+    """Size of the effect in standard deviations, by the noise of all rows."""
     over: float
     free: float
     gain: float

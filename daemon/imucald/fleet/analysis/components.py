@@ -98,8 +98,8 @@ def robust_variance(squares: Array, known: Array) -> float:
     median.
 
     squares: (n,) [deg^2], each the square of a normal variable with variance D + known. If a tenth
-    of the values are gross errors, the result changes by about a tenth. It is used only as a start
-    value.
+    of the values are gross errors, the result changes by about a tenth. The result is used only as
+    a start value.
     """
     if not len(squares):
         return 0.0

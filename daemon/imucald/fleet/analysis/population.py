@@ -3,8 +3,8 @@ out.
 
 Rotation vectors are relative to the type's mount, in the vehicle's axes [deg]. Each vehicle counts
 once, with its first segment, as delivered. The road crown is the same in every vehicle; it cancels
-in all differences. It enters the intervals of mounts once and is not divided by the number of
-vehicles.
+in all differences. The crown enters the intervals of mounts once and is not divided by the number
+of vehicles.
 """
 
 from __future__ import annotations

@@ -169,8 +169,8 @@ class ZeroDrift:
 
     State: mean and covariance (STATES) of the model without drift. For each onset: the shift of the
     mean for a rate of one, the information (3, 3) on the rate, its score (3,), and the drift of the
-    zero before. past: a drift before the first block, in the working axes. It may continue, so it
-    is the first onset.
+    zero before. past: a drift before the first block, in the working axes. This drift may continue,
+    so it is the first onset.
     """
 
     def __init__(self, past: Drift | None = None, drifts: Drifts | None = None) -> None:

@@ -1,11 +1,11 @@
 """The joint estimator: the response of both sensors to the vehicle's motion, with a matrix each.
 
-It takes the same blocks of even signals as the full estimator, and the same detectors of faults and
-of large moves, and the same models of a mount that creeps. It finds smaller moves itself
-(`moves`). The applied correction, the stated
-deviations and the time when it is good come from the joint solution (`evidence`). Without a
-gyroscope, that solution uses the vehicle's yaw rate or steering angle. Without a speed there is no
-joint solution, and the full estimator's own is served.
+The joint estimator takes the same blocks of even signals as the full estimator, and the same
+detectors of faults and of large moves, and the same models of a mount that creeps. The joint
+estimator finds smaller moves itself (`moves`). The applied correction, the stated deviations and
+the time when it is good come from the joint solution (`evidence`). Without a gyroscope, that
+solution uses the vehicle's yaw rate or steering angle. Without a speed there is no joint solution,
+and the full estimator's own is served.
 """
 
 from __future__ import annotations

@@ -25,7 +25,7 @@ NOISE_WINDOWS = 3.0
 PRIOR_SEGMENTS, PRIOR_RATIO = 5.0, 2.0
 """Prior for the spread of few segments: a variance ratio of 2, worth five segments.
 
-It was set on the drives that `state.Priors` names.
+The prior was set on the drives that `state.Priors` names.
 """
 _BINS = np.bincount(BAND, minlength=BANDS).astype(float)
 

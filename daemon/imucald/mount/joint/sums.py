@@ -138,7 +138,7 @@ class FitSums:
         """Return the factor (F, S, keep) by which the spread between road segments exceeds the
         expected one.
 
-        It is computed from windows (F, n, columns, columns) before each span.
+        The factor is computed from windows (F, n, columns, columns) before each span.
 
         C: (F, keep, p) rows of the covariance. off: (F, S, p) the coefficients at that time.
         """

@@ -28,7 +28,7 @@ class PublishedSettings(MountSettings, frozen=True):
         return self.planar or not self.calibration.method_a.level
 
     def to_the_letter(self) -> PublishedSettings:
-        """The same settings without the additions to the publication."""
+        """Return these settings without the additions to the publication."""
         c = self.calibration
         calibration = replace(
             c,

@@ -17,9 +17,9 @@ from imucald.runtime.output.output_message import (
 DEVIATION_MAX = 327.67
 """Largest deviation that its signals can hold [deg]."""
 GRADE_DEVIATION_MAX = 655.34
-"""The same for the grade [%]."""
+"""Largest deviation of the grade that is sent [%]."""
 RATE_DEVIATION_MAX = 6.5534
-"""The same for the rates [deg/s]."""
+"""Largest deviation of the rates that is sent [deg/s]."""
 HEADING_LSB = 0.01
 
 

@@ -88,7 +88,7 @@ class OutputMessage:
     def values(self, payload: bytes) -> list[float | None]:
         """Return the values in a frame, in the message's units; None is not available.
 
-        It is the inverse of `frame`. Raises DecodeError if the frame is too short.
+        The method is the inverse of `frame`. Raises DecodeError if the frame is too short.
         """
         raw = self._reading.decode_raw(payload)
         known = [
