@@ -1,9 +1,10 @@
 """The demonstration: a simulated car and the real daemon on one virtual bus, in one process.
 
 The car sends its frames in slices, with time stamps in simulated time. After each slice, the daemon
-works until its queue is empty. So a drive runs as fast as the machine allows, and always gives the
-same numbers. A listener represents the control unit that uses the corrected frames. The consumer
-knows only ``imucald_out.dbc``, and accepts a frame only with a correct counter and checksum.
+works until its queue is empty. Therefore a drive runs as fast as the machine allows, and always
+gives the same numbers. A listener represents the control unit that uses the corrected frames. The
+consumer knows only ``imucald_out.dbc``, and accepts a frame only with a correct counter and
+checksum.
 """
 
 from __future__ import annotations

@@ -3,7 +3,7 @@
 The daemon is that of `imucald run`, in its own thread. The monitor reads the daemon's status
 socket, as for any other daemon. python-can's virtual bus needs no installation. Before that,
 `imucald simulate` writes the drive to a log in a separate process. The log is read while it is
-played. So the memory for the simulation is free again when the daemon starts.
+played. Therefore the memory for the simulation is free again when the daemon starts.
 """
 
 from __future__ import annotations
@@ -43,7 +43,8 @@ CHANNELS = {"virtual": "imucald-live", "udp_multicast": "239.74.163.2", "socketc
 class SimulatedBus:
     """Sends the frames of a drive's log at their times, in a thread.
 
-    On the virtual bus, time stamps are those of the drive. So it may run faster than real time.
+    On the virtual bus, time stamps are those of the drive. Therefore it may run faster than real
+    time.
     """
 
     def __init__(self, log: Path, interface: str, channel: str, speed: float) -> None:

@@ -39,8 +39,8 @@ class LiveEvent:
 class LiveEvents:
     """Collects events in `events`, oldest first.
 
-    Events that the daemon reports from earlier times get the time of the daemon's clock. So a
-    monitor that is started late shows them too.
+    Events that the daemon reports from earlier times get the time of the daemon's clock. Therefore
+    a monitor that is started late shows them too.
     """
 
     def __init__(self) -> None:

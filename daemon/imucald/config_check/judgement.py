@@ -87,7 +87,7 @@ def judge(
 ) -> Iterator[Finding]:
     """Yield all findings that the motion shows about units, signs and axes.
 
-    A wrong scale of accelerometer or speed is reported once and then corrected. So it is not
+    A wrong scale of accelerometer or speed is reported once and then corrected. Therefore it is not
     reported again for every signal that is compared with them. stated: the orientation of the
     sensor that the user states. unit_advice: advice for quantities with a stated unit (see
     `unit_advice`). turned: by quantity, whether the configuration reverses the signs of all its
@@ -341,9 +341,9 @@ def _lacks_gravity(accel: Array, size: float) -> bool:
     """True if readings (n, 3) usually change by more than the size of their mean. No unit makes
     such readings possible for a vehicle.
 
-    A wrong unit changes mean and variation by the same factor. So the vehicle would have an average
-    acceleration of 1 g or more. "Usually" means the median: half of the changes are within 0.67
-    deviations (normal distribution), and single spikes do not count.
+    A wrong unit changes mean and variation by the same factor. Therefore the vehicle would have an
+    average acceleration of 1 g or more. "Usually" means the median: half of the changes are within
+    0.67 deviations (normal distribution), and single spikes do not count.
     """
     known = accel[np.isfinite(accel).all(axis=1)]
     if len(known) < MIN_TICKS:

@@ -1,7 +1,7 @@
 """Measure whether two signals show the same motion, and how certain that is (`check`, `init`).
 
-Neighbouring values of a smoothed signal are not independent. So each comparison uses the number of
-independent values (Bartlett's formula, summed up to the first negative product of the
+Neighbouring values of a smoothed signal are not independent. Therefore each comparison uses the
+number of independent values (Bartlett's formula, summed up to the first negative product of the
 autocorrelations, after Geyer 1992). A relation is accepted if noise would give it in at most one of
 a thousand recordings. This counts all comparisons of a search together (Bonferroni).
 """

@@ -17,8 +17,8 @@ LONGEST_PAUSE_S = 60.0
 def next_pause(pause: float, lasted: float) -> float:
     """Return the next pause [s]. pause: the last pause (0: none). lasted: time connected [s].
 
-    A connection shorter than the longest pause does not count as success. So the pauses increase
-    for a receiver that accepts connections and drops them.
+    A connection shorter than the longest pause does not count as success. Therefore the pauses
+    increase for a receiver that accepts connections and drops them.
     """
     is_first = pause == 0.0 or lasted > LONGEST_PAUSE_S
     return FIRST_PAUSE_S if is_first else min(2.0 * pause, LONGEST_PAUSE_S)

@@ -1,7 +1,7 @@
 """A configuration with the content of all files it refers to; it is sent to each worker once per
 run.
 
-Paths are not valid on another machine. So a bundle holds the bytes of the configuration, its
+Paths are not valid on another machine. Therefore a bundle holds the bytes of the configuration, its
 databases and its model file. The name of a bundle is the hash of these bytes, which also identifies
 the configuration that a drive was evaluated with.
 """

@@ -1,7 +1,8 @@
 """Workers that evaluate logs: this machine, any `concurrent.futures.Executor`, or a Dask cluster.
 
 A task never raises, hangs or kills its worker: it runs in its own child process, and its result is
-an `Outcome`. So all kinds of workers behave the same, and each failure belongs to exactly one log.
+an `Outcome`. Therefore all kinds of workers behave the same, and each failure belongs to exactly
+one log.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
 """Limit the rate of an input, and detect a second sender.
 
-Frames are counted in whole seconds of stream time. So a burst after a stall is accepted, and single
-frames and columns give the same result. The usual rate is learnt from the first seconds. If a
-stated cycle is faster, it is used instead. No frame is refused before the usual rate is known.
+Frames are counted in whole seconds of stream time. Therefore a burst after a stall is accepted, and
+single frames and columns give the same result. The usual rate is learnt from the first seconds. If
+a stated cycle is faster, it is used instead. No frame is refused before the usual rate is known.
 """
 
 from __future__ import annotations

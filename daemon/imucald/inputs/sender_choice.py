@@ -1,8 +1,8 @@
 """Choose one of several senders of a J1939 message, if no sender is configured.
 
 Two sensors may send the same message, each with its own address. Their samples must not be mixed.
-The accelerometer of one sensor must not be combined with the gyroscope of the other either. So an
-address that sends more of the sensor's messages is preferred.
+The accelerometer of one sensor must not be combined with the gyroscope of the other either.
+Therefore an address that sends more of the sensor's messages is preferred.
 """
 
 from __future__ import annotations
@@ -20,8 +20,8 @@ from imucald.can.dbc.decode import J1939_ADDRESS_MASK
 
 SENDER_SETTLING = 1.5
 """Time after the first frame in which candidate addresses are collected [s]. The time covers
-several cycles of any sensor. So all messages of a sensor, and each start of the program, make the
-same choice."""
+several cycles of any sensor. Therefore all messages of a sensor, and each start of the program,
+make the same choice."""
 AS_OFTEN = 2
 """A candidate must send at least 1 / AS_OFTEN of the frames of the most frequent one. A single
 frame of a unit that starts does not count."""

@@ -115,7 +115,8 @@ class TriadAssembler:
     """Assembles one sample (a triad, four wheel speeds) from values of several frames.
 
     If a value arrives again before the sample is complete, the next sample begins. In this case,
-    another part was lost or has a lower rate. So no part is older than a cycle of the others.
+    another part was lost or has a lower rate. Therefore no part is older than a cycle of the
+    others.
     """
 
     def __init__(self, width: int) -> None:

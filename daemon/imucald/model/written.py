@@ -1,8 +1,8 @@
 """A model file as it was written: only its own keys count, without defaults.
 
 A simulated drive needs every parameter and uses defaults for missing keys. In a real vehicle this
-is not allowed: a missing number is unknown. So each key is read separately; the schema gives its
-type, its range and the text of a mistake.
+is not allowed: a missing number is unknown. Therefore each key is read separately; the schema gives
+its type, its range and the text of a mistake.
 """
 
 from __future__ import annotations

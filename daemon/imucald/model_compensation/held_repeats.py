@@ -2,7 +2,8 @@
 as stuck.
 
 Terms that change from sample to sample (bias by temperature, effect of force on a gyroscope) would
-make a stuck sensor seem to change. So a sample that repeats the one before it gets the same result.
+make a stuck sensor seem to change. Therefore a sample that repeats the one before it gets the same
+result.
 """
 
 from __future__ import annotations

@@ -1,9 +1,8 @@
 """Even signals of blocks of ticks without holes, for many blocks at once.
 
 Live, each block is computed when it is complete; in replay, all blocks of a chunk are computed
-together. Both use `even_blocks`, so they give the same bits. Both use `even_signals`, so they give
-the same bits. A block that has a hole or may be stuck is marked. `signal_blocks` treats such blocks
-one by one.
+together. Both use `even_blocks`, so they give the same bits.  A block that has a hole or may be
+stuck is marked. `signal_blocks` treats such blocks one by one.
 """
 
 from __future__ import annotations

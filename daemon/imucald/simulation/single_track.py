@@ -9,8 +9,8 @@ States: lateral velocity v_y of the centre of gravity and yaw rate r, in road ax
 
 (Rajamani, Vehicle Dynamics and Control, ch. 2; the tyre is a smooth curve with the slope C and the
 limit D.) A minute of driving is solved at once by second-order backward differences, Newton's
-method for the tyre, and one banded system per iteration. So the stiff equations at low speed need
-no small steps.
+method for the tyre, and one banded system per iteration. Therefore the stiff equations at low speed
+need no small steps.
 """
 
 from __future__ import annotations

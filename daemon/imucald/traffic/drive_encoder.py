@@ -1,8 +1,8 @@
 """Encode samples to frames with the configuration that decodes them.
 
 The routes of `inputs.wiring` define the signal, unit, counter and checksum of each quantity. This
-module uses the same routes in the reverse direction. So a simulated log can be written in the
-frames of any vehicle that has a configuration.
+module uses the same routes in the reverse direction. Therefore a simulated log can be written in
+the frames of any vehicle that has a configuration.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
 """ISO-TP (ISO 15765-2) in the daemon's loop: process frames without a thread, with limits.
 
-The package `can-isotp` handles the segments. Every received frame may be hostile. So the number of
-processed frames, the length of requests and responses, and their duration are limited. Refused
-frames and requests are counted.
+The package `can-isotp` handles the segments. Every received frame may be hostile. Therefore the
+number of processed frames, the length of requests and responses, and their duration are limited.
+Refused frames and requests are counted.
 """
 
 from __future__ import annotations

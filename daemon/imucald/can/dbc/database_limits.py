@@ -68,8 +68,8 @@ def refuse_heavy(text: str, database_format: str, source: str) -> None:
 def _refuse_long_messages(text: str, source: str) -> None:
     """Refuse a message of a DBC that is too long.
 
-    The parser accepts a message without a space between identifier and name. So the text before the
-    colon is not analysed, and each part of the text is read only once.
+    The parser accepts a message without a space between identifier and name. Therefore the text
+    before the colon is not analysed, and each part of the text is read only once.
     """
     starts = [match.start() for match in _MESSAGE.finditer(text)]
     for at, end in itertools.pairwise([*starts, len(text)]):

@@ -2,7 +2,7 @@
 
 Examples are adapters for USB, serial lines, remote buses, and the virtual bus of the demo. An
 adapter may lack functions that SocketCAN has in the kernel (filters, counted losses, interface
-states). So the link filters ids again, and only an error shows that the adapter is gone.
+states). Therefore the link filters ids again, and only an error shows that the adapter is gone.
 
 python-can does not define how drivers handle damaged data. One driver raises CanError, another
 raises ValueError, and a third returns a frame whose id is not a number. Such errors and invalid

@@ -9,8 +9,8 @@ The code uses these facts about the kernel (net/can/raw.c). If the interface goe
 gets ENETDOWN once and stays bound, so frames resume without action. If the interface is deleted,
 the socket gets ENODEV and is no longer bound. The socket then receives nothing, even if an
 interface of the same name is created. The error is reported before the waiting frames. The number
-of dropped frames would be reported only with the next frame. So both are read when a socket is
-abandoned.
+of dropped frames would be reported only with the next frame. Therefore both are read when a socket
+is abandoned.
 """
 
 from __future__ import annotations

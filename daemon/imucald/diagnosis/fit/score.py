@@ -218,8 +218,8 @@ def paired(first: Array, second: Array, own: NDArrayInt, other: NDArrayInt) -> t
     """Difference of two losses (B,) and (C,), summed over blocks, and its standard error.
 
     own, other: indices of their blocks (`Table.number`). A table leaves out blocks without
-    information, and these may differ between models, for example with another delay. So only blocks
-    that both tables have are compared.
+    information, and these may differ between models, for example with another delay. Therefore only
+    blocks that both tables have are compared.
     """
     if not np.array_equal(own, other):
         _, one, two = np.intersect1d(own, other, assume_unique=True, return_indices=True)

@@ -216,8 +216,8 @@ def _share_of_orders(s: Array, image: Array, size_of: Callable[[Array], Array]) 
 
     Subset simulation (Au and Beck 2001): levels are set so that a tenth of the permutations at one
     level reach the next. New permutations are made from these by exchanging two places; an exchange
-    that would fall below the level is rejected. So a share of 1e-6 takes six times as many draws as
-    a share of a tenth, not 1e5 times.
+    that would fall below the level is rejected. Therefore a share of 1e-6 takes six times as many
+    draws as a share of a tenth, not 1e5 times.
     """
     rng, rows, share = np.random.default_rng(0), np.arange(ORDERS), 1.0
     x = s[np.argsort(rng.random((ORDERS, len(s))), axis=1)]

@@ -1,7 +1,7 @@
 """Find segments with larger residuals than others, of this drive or of the model file's drives.
 
-If most of a drive is bad, the median residual of its segments is no measure of noise. So a model
-file may state the residuals of its own drives, and the scatter between their segments.
+If most of a drive is bad, the median residual of its segments is no measure of noise. Therefore a
+model file may state the residuals of its own drives, and the scatter between their segments.
 """
 
 from __future__ import annotations

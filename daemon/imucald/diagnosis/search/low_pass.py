@@ -3,13 +3,13 @@
 A delay x has the phase w x and the gain 1. A low-pass of first order has the phase atan(w T) and
 the gain 1/sqrt(1 + (w T)^2), a Butterworth filter of second order arctan(w T/(1 - (w T)^2/2)) and
 1/sqrt(1 + (w T)^4/4): all have the delay x = T well below the cut-off, and differ by (w T)^2/2, or
-by (w T)^3/6. So a found delay is compared with filters of about the same delay. The model with the
-delay gets a further column: the difference between filter and delay, with a factor of 0 (delay) or
-about 1 (filter). All delays are free in both cases, so only the shape counts. One alternative is
-ruled out if it is worse by two standard errors and by the nats that name a cause, and if the
-difference in shape exceeds the error of the equations. Otherwise both remain possible. A delay of
-the speed is never ruled out: its unit counts, averages and holds, which has the shape of a filter
-(`css_canmod_164`, delayed artificially by 0.2 s, was called a low-pass).
+by (w T)^3/6. Therefore a found delay is compared with filters of about the same delay. The model
+with the delay gets a further column: the difference between filter and delay, with a factor of 0
+(delay) or about 1 (filter). All delays are free in both cases, so only the shape counts. One
+alternative is ruled out if it is worse by two standard errors and by the nats that name a cause,
+and if the difference in shape exceeds the error of the equations. Otherwise both remain possible. A
+delay of the speed is never ruled out: its unit counts, averages and holds, which has the shape of a
+filter (`css_canmod_164`, delayed artificially by 0.2 s, was called a low-pass).
 """
 
 from __future__ import annotations

@@ -27,8 +27,8 @@ OWN_FREEDOM = 20
 FREEDOMS = (5.0, 6.0, 8.0, 10.0, 14.0, 20.0, 30.0)
 """Degrees of freedom of the null distribution that are tried. A few hundred pairs of drives cannot
 separate a t distribution with 30 degrees of freedom from a normal one, but the difference matters
-at thresholds of p = 0.002. So normal tails are never assumed. Chosen on simulated fleets (seeds
-from 1000) by `python -m benchmarks.fleet --only statistics`."""
+at thresholds of p = 0.002. Therefore normal tails are never assumed. Chosen on simulated fleets
+(seeds from 1000) by `python -m benchmarks.fleet --only statistics`."""
 
 
 @dataclass(frozen=True)
