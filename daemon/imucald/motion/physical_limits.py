@@ -96,8 +96,8 @@ def is_saturated(tick: TickRow, full_scale: float) -> bool:
 
 
 def saturated_axes(rows: Array, full_scale: float) -> Flags:
-    """Return the same for ticks (..., COLUMNS), axis by axis (..., 3); a rejected sample counts for
-    all axes.
+    """Return which axes (..., 3) of ticks (..., COLUMNS) came close to the full scale. A rejected
+    sample counts for all axes.
     """
     high = rows[..., ACCEL.max_x : ACCEL.max_z + 1]
     low = rows[..., ACCEL.min_x : ACCEL.min_z + 1]

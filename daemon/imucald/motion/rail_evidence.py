@@ -3,8 +3,8 @@ a loose contact jumps.
 
 A loose contact jumps to a value, stays exactly on it, and jumps back. The stays of a loose contact
 are shorter than those of a stuck sensor. A run of equal values that noise never makes may also come
-from a sender that repeats a value because the next one is late. Such a value is usual in the drive,
-so the axis does not jump to it and away from it.
+from a sender that repeats a value because the next value is late. Such a value is usual in the
+drive, so the axis does not jump to it and away from it.
 """
 
 from __future__ import annotations

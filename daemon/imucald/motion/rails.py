@@ -34,7 +34,8 @@ LONG_STAY = 4
 TAIL_HOPS = 120
 """Hops of driving (a minute) whose largest values form the tail of an axis."""
 REMEMBERED = 64
-"""Values stored that nothing has exceeded since; they decrease, so there are few of them."""
+"""Largest number of stored values that no later value has exceeded. Each is below the one before
+it, so few are needed."""
 
 
 class Top(Struct):
@@ -269,10 +270,10 @@ deviations of noise); a contact that closes again jumps.
 class Rail:
     """Decides whether the largest value of one side of an axis is the end of its range.
 
-    Peaks that meet in one step of a tail, and samples that stay there while other axes move, are
-    improbable without a rail and usual on a rail. Every value that nothing has exceeded since is
-    watched, so that a value reached before the rail existed does not hide it. Only driving counts.
-    The rail is dropped when a value lies beyond it, or when driving no longer reaches it.
+    Without a rail, it is improbable that the peaks of a tail meet in one step, or that samples stay
+    there while other axes move. On a rail both are usual. Every value that nothing has exceeded
+    since is watched, so that a value reached before the rail existed does not hide it. Only driving
+    counts. The rail is dropped when a value lies beyond it, or when driving no longer reaches it.
 
     surprise: -log of the chance of the data without a rail [nats]. Only stays that have ended
     count: an axis that sticks is not a rail, and counts as one arrival when the sticking ends.

@@ -139,7 +139,8 @@ Flags = NDArray[np.bool_]
 STUCK_TICKS = 12
 """Number of identical means of a sensor that make a stuck signal: noise always changes values."""
 BEFORE_RUN = 12
-"""Ticks before a run whose speeds show from which value it begins."""
+"""Number of ticks before a run. The speeds of these ticks show the value from which the run
+begins."""
 STUCK_MOVING_TICKS = 5
 """Number of identical means that is enough while the vehicle rolls."""
 HELD_TICKS = 10

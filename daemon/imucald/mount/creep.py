@@ -8,8 +8,8 @@ several sizes. The residuals are also fitted by a level that changes at a steady
 do under a steady load (secondary creep; Ashby and Jones, Engineering Materials 1, ch. 20). The
 models are local level and local linear trend with a Kalman filter (Durbin and Koopman, Time Series
 Analysis by State Space Methods, 2012, ch. 2 and 3). Each model has the probability that its
-likelihood and its prior give. The models that move share a prior. The served angle and its interval
-are means over all models, weighted by their probabilities.
+likelihood and its prior give. The models that move share a prior. The reported angle and its
+interval are means over all models, weighted by their probabilities.
 """
 
 from __future__ import annotations

@@ -307,7 +307,8 @@ class MountEstimator(Protocol):
 
     @property
     def state(self) -> MountState:
-        """The present state. Reading it is cheap; it is read after each step."""
+        """The present state. The pipeline reads this property after each step, so it must be
+        cheap."""
         ...
 
     def step(self, tick: TickRow) -> None:

@@ -53,15 +53,15 @@ COLOUR, COLOUR_SEGMENTS = 25.0, 4.0
 is not white.
 """
 MAX_ALONE, MAX_BLIND = 120, 10
-"""Numbers of ticks after which no step is searched: the gyroscope alone carried the vertical, or
-nothing carried it in a block ...
+"""Limits in ticks: the gyroscope alone carried the vertical, or nothing carried it in a block.
+Beyond a limit, steps in gravity are not tested for a while.
 """
 SETTLING_BLOCKS = 8
-"""... for this many blocks, three time constants of the pull."""
+"""Number of blocks without this test: three time constants of the pull."""
 SEEKING_BLOCKS = 3
 """Blocks in which the vertical is found again after nothing carried it.
 
-Nothing relies on it meanwhile.
+During these blocks the vertical is not used.
 """
 DRIFT_S = 150.0
 """Time constant with which a drifting gyro bias is followed while driving [s]."""

@@ -39,10 +39,10 @@ SPREAD_MEMORY = 600.0
 SETTLED = 45
 """Blocks after which the drive has shown its own spread.
 
-Until then, a step is found only while the rotation is good, and must be large:
+Until then, a step is found only while the rotation is good, and must be large.
 """
 YOUNG_SIZE = 8.0 * SPREAD_PRIOR
-"""at least this size [m/s^2], and beyond `LIMIT` of the prior's spread."""
+"""Smallest step [m/s^2] until then. The step must also exceed `LIMIT` times the prior's spread."""
 LIMIT = 7.5
 """A single step must exceed this many spreads; smaller steps count together with other evidence
 (`shift`).

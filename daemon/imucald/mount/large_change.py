@@ -44,8 +44,8 @@ Flags = NDArray[np.bool_]
 APART = 20
 """Ticks between the two times (2 s): a knock is shorter, and a move by hand takes a second."""
 STILL_RATE = 0.05
-"""Rate below which both count as hardly turning [rad/s]: with 0.2 s between them that is 0.6
-deg.
+"""Rate [rad/s] below which gyroscope and vehicle count as not turning. If they are compared 0.2 s
+apart, the error is 0.6 deg.
 """
 MIN_SPEED = 10.0
 """Speed from which the force shows a turn [m/s]: a turn by 6 deg in 2 s takes 0.5 m/s^2 there."""
@@ -180,8 +180,8 @@ deg/s.
 STANDING_TICKS = 12
 """Ticks of standing from which the tilt of a vehicle is known."""
 REST_WINDOW = 32
-"""Largest number of ticks for the mean of the present tilt. It limits the motion that a silent
-speed hides.
+"""Largest number of ticks for the mean of the present tilt. The limit bounds the motion that a
+silent speed hides.
 """
 LATE_TICKS = 28
 """The accelerometer shows the start of motion before the speed does.

@@ -3,11 +3,11 @@ case.
 
 If an accelerometer shows minus the specific force, all signals that tell left from right need the
 other sign: yaw rate, steering angle, lateral acceleration, the wheels. A gyroscope does not need
-it: it fits such a sensor as one that sits upside down and backwards. If the axes of the
-accelerometer are a left-handed set, the gyroscope needs the other sign too. The other signals may
-also have the other sign themselves, each for its own reason, or all together in a vehicle that
-counts to the right. The data are the same in all these cases, but some cases are much more
-frequent.
+the other sign: with it, such a sensor looks like a correct one that sits upside down and backwards.
+If the axes of the accelerometer are a left-handed set, the gyroscope needs the other sign too. The
+other signals may also have the other sign themselves, each for its own reason, or all together in a
+vehicle that counts to the right. The data are the same in all these cases, but some cases are much
+more frequent.
 """
 
 from __future__ import annotations

@@ -317,7 +317,7 @@ class PastDrives:
         return fuse({**now, **named}, sharing)
 
     def series(self, now: Mapping[str, ScoreSeries], R: Matrix3) -> list[ScoreSeries]:
-        """Return the series of this drive about R, each behind those of past drives.
+        """Return the series of this drive about R, each after the series of past drives.
 
         The weight of past series is limited by the changes between drives.
         """

@@ -125,7 +125,7 @@ class SignalBlockMaker:
         self._rows = empty_rows(ROWS)
         self._n = KEEP
         self._begins = True
-        """True if the next block includes ticks before the first one; no data were lost there."""
+        """True if the next block includes ticks before the first tick; no data were lost there."""
         self._expected: deque[tuple[float, EvenBlock | None]] = deque()  # of the ticks to come
         self.offsets = Offsets()
         self.steering_offset = 0.0

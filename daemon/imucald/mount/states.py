@@ -20,9 +20,9 @@ from imucald.mount.hysteresis import GOOD, SLACK, Level, best_level
 from imucald.mount.mount_words import SD_95, UNKNOWN_STD_DEG, VEHICLE_AXES
 
 HARD_ACCEL = 1.0
-"""Acceleration or braking of that size [m/s^2] counts as a manoeuvre."""
+"""Acceleration or braking [m/s^2] from which a manoeuvre counts."""
 HARD_TURN = 0.8
-"""A turn of that lateral acceleration [m/s^2] counts."""
+"""Lateral acceleration [m/s^2] from which a turn counts."""
 HARD_TICKS = 5
 """Shortest duration of a manoeuvre in ticks."""
 

@@ -28,7 +28,7 @@ from imucald.model.model import VehicleModel
 AddedRows = Sequence[tuple[Rows, Array]]
 """For one equation, drive by drive: its rows, and the columns (B, K, E) of the added errors."""
 Added = Callable[[Forward], Iterable[tuple[Mapping[str, Array], float]]]
-"""For a drive: the added error by signal, and its factor over the column's unit."""
+"""For a drive: by signal, the added error and its factor relative to the column's unit."""
 
 
 def level_of(f: Forward, signal: str) -> Array:

@@ -32,10 +32,10 @@ OWN = 3
 
 
 def gains_apart(problem: Problem, state: State, drift: Hypothesis | None) -> list[Question]:
-    """Questions for each gain, named or not. Zeros are not tested, because a segment's own zero
-    absorbs the effect of its road. Delays, lever arm and springs are not tested, because they
-    absorb errors of the tyre equations. drift: a named drift, which has no place in the model file;
-    it is fitted too."""
+    """Questions for each gain, whether or not it was named as a cause. Zeros are not tested,
+    because a segment's own zero absorbs the effect of its road. Delays, lever arm and springs are
+    not tested, because they absorb errors of the tyre equations. drift: a named drift, which has no
+    place in the model file; it is fitted too."""
     table = problem.table
     if table.blocks < LEAST_BLOCKS:
         return []

@@ -1,7 +1,7 @@
 """Test a residual for a nonlinear dependence on its own signal: bent, one-sided, or with memory.
 
-A model that is linear in its errors leaves no residual that depends on the level, the direction or
-the last large value of a signal, with any parameters. Such a residual therefore has no cause in the
+If a model is linear in its errors, its residual does not depend on the level, the direction or the
+last large value of a signal, for any parameters. Such a residual therefore has no cause in the
 catalogue.
 
 Everything linear in the signal is fitted together with a shape (as in the test of Lee, White and

@@ -83,8 +83,8 @@ class State:
         self.apply({})
 
     def leave_out(self, equations: Collection[str], stands: Sequence[Trial]) -> None:
-        """Fit nothing to some equations. Of the named causes, `stands` stay with their parameters;
-        the others are reduced to "not ruled out"."""
+        """Exclude some equations from all fits. Of the named causes, `stands` stay with their
+        parameters; the others are reduced to "not ruled out"."""
         keys = {key for t in stands for key in t.hypothesis.moved}
         self.doubtful = [*(t for t in self.named if not any(t is s for s in stands)),
                          *self.doubtful]  # fmt: skip

@@ -62,7 +62,8 @@ class JointSettings(EstimatorSettings, frozen=True):
         fine_tilt=LEVEL[1] / GRAVITY,
     )
     CREEP_CHANCE = 0.05
-    """One sensor in twenty is held by tape or a soft holder (assumption)."""
+    """Probability that the mount creeps: one sensor in twenty is held by tape or a soft holder
+    (assumption)."""
 
     @classmethod
     def of(cls, settings: EstimatorSettings) -> JointSettings:
