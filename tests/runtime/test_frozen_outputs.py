@@ -2,7 +2,8 @@
 
 Hashes of the frames and of the result, by case, in tests/data/frozen_outputs.json. They were made
 by the code, so they judge nothing; they show that a change which should change nothing does so.
-`PYTHONPATH=tests python tests/runtime/test_frozen_outputs.py` writes new ones.
+`PYTHONPATH=tests python tests/runtime/test_frozen_outputs.py` writes new ones, and the
+picture of the demo, which shows results too.
 """
 
 from __future__ import annotations
@@ -19,6 +20,7 @@ import pytest
 
 from imucald.can.columns import FrameColumns
 from imucald.can.logs.log_reader import LogReader
+from imucald.cli import main as imucald
 from imucald.config import LoadedConfig
 from imucald.runtime.session import make_engine, open_config
 from imucald.runtime.summary import RunCounts, as_json, summary
@@ -203,6 +205,7 @@ def main() -> None:
         if (other := second_world(name)) is not None:
             found[name] = dict(zip(("frames", "result"), in_columns(*other), strict=True))
     FROZEN.write_text(json.dumps(found, indent=2) + "\n")
+    imucald(["demo", "--seed", "1", "--minutes", "6", "--svg", str(ROOT / "docs" / "demo.svg")])
 
 
 if __name__ == "__main__":
