@@ -86,7 +86,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         default=False,
         help="write the frames of other units too, about 2300/s",
     )
-    parser.add_argument("--interface", help="send the drive onto a bus: its python-can interface")
+    parser.add_argument("--interface", help="python-can interface of the bus that gets the drive")
     parser.add_argument("--channel", help="channel of this interface, such as vcan0")
     parser.add_argument(
         "--speed",

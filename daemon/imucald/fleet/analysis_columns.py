@@ -71,8 +71,8 @@ ANALYSIS: Final[dict[str, tuple[Column, ...]]] = {
             "drives_unordered",
             "integer",
             "",
-            "of `drives`: overlap in time with an earlier "
-            "one, or have no time; no move is looked for before them",
+            "part of `drives` that overlap an earlier drive in time, or have no time: moves "
+            "before them are not tested",
         ),
     ),
     "analysis/segments": (

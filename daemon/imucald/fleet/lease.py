@@ -57,7 +57,7 @@ class Lease:
         else:
             raise ImucaldError(
                 f"{self._store.url}: another run has started in this folder at the "
-                "same time; wait for it, or give this one another --out"
+                "same time; wait for it, or give this run another --out"
             )
         self._check()
         return self

@@ -22,7 +22,7 @@ from imucald.fleet.task import Outcome, Task
 from imucald.fleet.template_client import close_templates, template_for
 
 NO_UTF8 = "a file or folder name in it is not UTF-8; rename it"
-DEATHS = "its worker ended several times while this log was evaluated or waited"
+DEATHS = "its worker process ended several times while this log was evaluated or waiting"
 
 
 def run_one_log(task: Task) -> Outcome:

@@ -18,9 +18,9 @@ _LINK_COUNTERS = {
     "sent": "Frames that the interface accepted.",
     "conflicts": "Frames of other nodes under our identifiers.",
     "error_frames": "Error frames.",
-    "bus_off": "Times the controller left the bus.",
-    "went_down": "Times the interface was set down.",
-    "reopened": "Times the interface was opened again.",
+    "bus_off": "Number of times that the controller left the bus.",
+    "went_down": "Number of times that the interface was set down.",
+    "reopened": "Number of times that the interface was opened again.",
     "rejected": "Frames from the driver of the interface that could not be understood.",
 }
 
@@ -69,11 +69,11 @@ def _families(status: Mapping[str, Any]) -> Iterator[tuple[str, str, str, list[_
     errors = [({"reason": r}, n) for r, n in link["send_errors"].items()]
     yield "link_send_errors_total", "counter", "Frames not sent.", list(errors)
     yield "link_up", "gauge", "1 while the interface is up.", [(none, int(link["state"] == "up"))]
-    yield "state_saves_total", "counter", "Times the state was saved.", [(none, saved["saves"])]
+    yield "state_saves_total", "counter", "Number of saves of the state.", [(none, saved["saves"])]
     moved = [(none, saved["remounts"])]
-    yield "remounts", "gauge", "Times that the sensor was found moved, from the saved state.", moved
+    yield "remounts", "gauge", "Number of detected moves of the sensor.", moved
     failures = [(none, saved["failures"])]
-    yield "state_save_failures_total", "counter", "Times the state could not be saved.", failures
+    yield "state_save_failures_total", "counter", "Number of failed saves of the state.", failures
     sent = [(none, status["frames_given_out"])]
     yield "frames_given_out_total", "counter", "Frames handed to the bus.", sent
     yield "uptime_seconds", "gauge", "Time since the start.", [(none, status["uptime_s"])]

@@ -518,7 +518,7 @@ class Evidence:
                 break
             found = self._solve_once()
             if not found.is_of_sensors:  # contradicting signals: each step leads further away
-                raise np.linalg.LinAlgError("the matrices are those of no sensor")
+                raise np.linalg.LinAlgError("no sensor could have these matrices")
             self.solution = found
             if found.unfinished < MOST_LEFT:
                 break
