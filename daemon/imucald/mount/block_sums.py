@@ -4,8 +4,10 @@
 its information.
 
 Gravity is subtracted as the gyroscope carries it (`gravity_observer`), so the force contains no
-slopes. The delay of the speed is corrected. The variance includes a lever arm, a tyre slip that
-acts like one, and the residual force of the block itself, for example from a gust or a bad road.
+slopes. The delay of the speed is corrected. Where the speed is known at some times only, means
+between these times are compared (`drive.speed_knots`). The variance includes a lever arm, a tyre
+slip that acts like one, and the residual force of the block itself, for example from a gust or a
+bad road.
 """
 
 from __future__ import annotations
@@ -18,6 +20,7 @@ from msgspec import Struct
 from numpy.typing import NDArray
 
 from imucald.core.arrays import Array
+from imucald.drive.speed_knots import means_between
 from imucald.motion.signal_health import slope
 from imucald.motion.ticks import TICK_S
 from imucald.mount.signal_blocks import SignalBlock
@@ -113,7 +116,8 @@ class BlockMotion(Struct, frozen=True):
     """The force of a block and the motion with which it is compared.
 
     force: (N, 3) without gravity, in vehicle axes. accel, turn: (N,) dv/dt and v r, with their
-    gains. turn_rate: (N,) r [rad/s]. delay, delay_std: of the speed against the force [s].
+    gains. turn_rate: (N,) r [rad/s]. delay, delay_std: of the speed against the force [s]. knots:
+    (K,) times at which the vehicle had a known speed [ticks since the block began]; None: in each.
     """
 
     force: Array
@@ -122,12 +126,21 @@ class BlockMotion(Struct, frozen=True):
     turn_rate: Array
     delay: float
     delay_std: float
+    knots: Array | None = None
 
 
 def block_yaw(m: BlockMotion, use: Flags) -> tuple[float, float]:
     """Return the angle about z by which the sensor is turned from R [rad] and its information
     [1/rad^2].
     """
+    together = TOGETHER
+    if m.knots is not None:
+        if len(m.knots) < 2:
+            return 0.0, 0.0
+        first, last = m.knots[0], m.knots[-1]  # outside, no mean of dv/dt is known
+        middles = np.arange(len(use)) + 0.5
+        use = use & (first < middles) & (middles < last)
+        together = max(TOGETHER, (last - first) / (len(m.knots) - 1.0))
     n, s00, s11, s20, s21, s22, s24, s25, s30, s31, s33, s34, s35, s36 = _sums(m, use)
     power = s22 + s33
     if power < LEAST_MOTION:
@@ -141,7 +154,7 @@ def block_yaw(m: BlockMotion, use: Flags) -> tuple[float, float]:
     ahead, aside = s34 + s25, s35 - s24
     late = (m.delay_std * m.delay_std + DELAY_STD**2) * s36**2
     turned2 = (ARM * ARM * (ahead * ahead + aside * aside) + late) / (power * power)
-    return math.atan2(across, along), 1.0 / (TOGETHER * noise / power + turned2 + FLOOR**2)
+    return math.atan2(across, along), 1.0 / (together * noise / power + turned2 + FLOOR**2)
 
 
 _PAIRS = np.array(
@@ -168,7 +181,10 @@ def _sums(m: BlockMotion, use: Flags) -> list[float]:
             m.force[:, 0], m.force[:, 1], accel, m.turn, m.turn_rate * m.turn_rate,
             slope(m.turn_rate), slope(accel),
         ]
-    ).compress(use, axis=1)  # fmt: skip
+    )  # fmt: skip
+    if m.knots is not None:
+        each = means_between(each.T, m.knots, use).T
+    each = each.compress(use, axis=1)
     count = each.shape[1]
     if count:
         each -= each.sum(axis=1, keepdims=True) / count

@@ -17,6 +17,7 @@ from imucald.core.rotations import (
     rotation_from_vector,
 )
 from imucald.core.samples import GRAVITY
+from imucald.motion.ticks import TICK_S
 from imucald.mount.block_sums import BlockMotion
 from imucald.mount.common_errors import common_errors
 from imucald.mount.creep import Creep, creep
@@ -158,7 +159,8 @@ class MountSolver:
             turn = gains[1] * p.speed * self.turn_rate
             force, ahead = self.lone @ R.T, gains[0] * p.accel
             of_delay = delay.value, delay.std
-            self._motion = BlockMotion(force, ahead, turn, self.turn_rate, *of_delay)
+            knots = None if p.speed_knots is None else p.speed_knots - delay.value / TICK_S
+            self._motion = BlockMotion(force, ahead, turn, self.turn_rate, *of_delay, knots)
         return self._motion
 
     def sure(self) -> bool:

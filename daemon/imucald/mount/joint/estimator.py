@@ -159,7 +159,10 @@ class JointEstimator(FullEstimator):
 
     def known_sensor(self) -> KnownSensor | None:
         """Knowledge about the sensor itself, independent of the mount."""
-        return self._joint.known_sensor
+        known, creep = self._joint.known_sensor, self._solver.creep
+        if known is None or creep is None or self.solution is None:
+            return known
+        return known.turned(creep.level, creep.variance)
 
     def as_before(self) -> float | None:
         """Probability that sensor and mount are those of the earlier drive; None: no earlier drive

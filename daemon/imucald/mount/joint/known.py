@@ -19,7 +19,12 @@ import numpy as np
 
 from imucald.core.arrays import Array, solved
 from imucald.core.errors import EstimateError
-from imucald.core.rotations import Matrix3, orthonormalised, vector_from_rotation
+from imucald.core.rotations import (
+    Matrix3,
+    orthonormalised,
+    rotation_from_vector,
+    vector_from_rotation,
+)
 from imucald.core.samples import GRAVITY
 from imucald.mount.estimate import BETWEEN_DRIVES_STD, Correction, SentDeviations
 from imucald.mount.joint.state import (
@@ -97,6 +102,16 @@ class KnownSensor(NamedTuple):
         turned = _turned(rotation.T)
         whole = place @ covariance @ place.T + np.diag(unseen)
         return cls(rotation, turned @ place @ mean, turned @ whole @ turned.T)
+
+    def turned(self, by: Array, variance: Array) -> KnownSensor:
+        """Return the knowledge of a housing that has turned since by a vector (3,) about the
+        vehicle's axes [rad], with its variance (3,).
+        """
+        covariance = self.covariance.copy()
+        covariance[TURN, TURN] += np.diag(variance)
+        return self._replace(
+            rotation=rotation_from_vector(by) @ self.rotation, covariance=covariance
+        )
 
     def away(self) -> KnownSensor:
         """Return the same knowledge with the wider deviations after parking: cold sensor, another
