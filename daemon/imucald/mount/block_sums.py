@@ -133,7 +133,7 @@ def block_yaw(m: BlockMotion, use: Flags) -> tuple[float, float]:
     """Return the angle about z by which the sensor is turned from R [rad] and its information
     [1/rad^2].
     """
-    together = TOGETHER
+    together, fitted = TOGETHER, 0.0
     if m.knots is not None:
         if len(m.knots) < 2:
             return 0.0, 0.0
@@ -141,6 +141,7 @@ def block_yaw(m: BlockMotion, use: Flags) -> tuple[float, float]:
         middles = np.arange(len(use)) + 0.5
         use = use & (first < middles) & (middles < last)
         together = max(TOGETHER, (last - first) / (len(m.knots) - 1.0))
+        fitted = 2.0 * together  # of few means, the mean and the yaw itself take up two
     n, s00, s11, s20, s21, s22, s24, s25, s30, s31, s33, s34, s35, s36 = _sums(m, use)
     power = s22 + s33
     if power < LEAST_MOTION:
@@ -150,7 +151,7 @@ def block_yaw(m: BlockMotion, use: Flags) -> tuple[float, float]:
     if shown < FOLLOWED * power:
         return 0.0, 0.0
     left = s00 + s11 + power - 2.0 * shown  # by the motion, turned
-    noise = (PRIOR_TICKS * FORCE_NOISE**2 + 0.5 * left) / (PRIOR_TICKS + n)
+    noise = (PRIOR_TICKS * FORCE_NOISE**2 + 0.5 * left) / (PRIOR_TICKS + max(n - fitted, 0.0))
     ahead, aside = s34 + s25, s35 - s24
     late = (m.delay_std * m.delay_std + DELAY_STD**2) * s36**2
     turned2 = (ARM * ARM * (ahead * ahead + aside * aside) + late) / (power * power)
