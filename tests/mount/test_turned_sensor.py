@@ -67,6 +67,29 @@ def test_a_gust_makes_a_block_unsure() -> None:
     assert block_yaw(gust, ALL)[1] < 0.2 * block_yaw(sure, ALL)[1]
 
 
+@pytest.mark.parametrize("every", [10, 20])
+def test_a_speed_of_one_or_two_seconds_turns_no_block_beyond_its_deviation(every: int) -> None:
+    """In whole km/h; dv/dt is known as a mean between two samples only."""
+    rng = np.random.default_rng(3)
+    off = []
+    for _ in range(300):
+        waves = rng.normal(0.0, 1.0, 4), rng.uniform(0.3, 3.0, 4), rng.uniform(0.0, 6.3, 4)
+        a, w, phase = (x[:, None] for x in waves)
+        speed = 15.0 + (a / w * np.sin(w * T + phase)).sum(axis=0)
+        accel = (a * np.cos(w * T + phase)).sum(axis=0)
+        knots = np.arange(rng.integers(every), BLOCK_TICKS, every) + 0.5
+        known = np.interp(knots - 0.5, np.arange(BLOCK_TICKS), np.rint(3.6 * speed) / 3.6)
+        coarse = np.gradient(np.interp(np.arange(BLOCK_TICKS), knots - 0.5, known), 0.1)
+        turn = 1.5 * np.sin(0.5 * T + rng.uniform(0.0, 6.3))
+        force = np.stack([accel, turn, NONE], axis=1) + rng.normal(0.0, 0.06, (BLOCK_TICKS, 3))
+        angle, information = block_yaw(BlockMotion(force, coarse, turn, NONE, 0.0, 0.0, knots), ALL)
+        if information:
+            off.append(angle * math.sqrt(information))
+    assert len(off) > 100
+    assert np.abs(off).max() < 4.0
+    assert np.std(off) > 0.2
+
+
 def test_what_a_lever_arm_turns_is_within_the_deviation() -> None:
     """A tight bend, the sensor a metre ahead of and beside the axle: no noise, the arm alone."""
     rate = 0.5 * np.exp(-((T - 3.0) ** 2))
