@@ -137,5 +137,5 @@ def test_a_file_whose_terms_no_sensor_has_is_refused(cross: float) -> None:
     content = known().plain()
     content["rotation"] = np.eye(3).ravel().tolist()
     content["mean"][4] = content["mean"][6] = cross  # xy and yx of the accelerometer
-    with pytest.raises(EstimateError, match="no sensor"):
+    with pytest.raises(EstimateError, match="impossible for a sensor"):
         known_from(content).correction(np.eye(3))
