@@ -258,7 +258,8 @@ class AttitudeFilter:
     def turned(self, old: Sequence[float], new: Sequence[float]) -> None:
         """Note that the mount's rotation (9 numbers, row by row) changes from here on.
 
-        The sensor has not moved. The vehicle's axes are known better now, and turn in the sensor.
+        The sensor has not moved. Take a better mount: the vehicle's axes turn relative to the
+        sensor.
         """
         before, after = np.array(old).reshape(3, 3), np.array(new).reshape(3, 3)
         A = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])  # text from vehicle

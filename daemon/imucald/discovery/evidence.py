@@ -44,7 +44,8 @@ def in_counts(dimension: str, low: float, high: float) -> UnitChoice:
 class UnitChoice:
     """A unit and whether the database states it.
 
-    others: other units that also fit. is_counts: whether it is raw counts with a scale from data.
+    others: other units that also fit. is_counts: True for raw counts whose scale comes from the
+    data.
     """
 
     name: str

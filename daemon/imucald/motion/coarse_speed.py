@@ -38,8 +38,8 @@ ONE_STEP = 1.5
 
 
 def stays(values: Array) -> Flags:
-    """Return whether any of speeds (B, M) stays from one tick to the next, not counting standstill
-    (B,).
+    """Return whether any of speeds (B, M) stays equal from one tick to the next, apart from
+    standstill (B,).
     """
     same = np.abs(values[:, 1:] - values[:, :-1]) <= SAME_SPEED
     return np.asarray((same & (np.abs(values[:, 1:]) > SAME_SPEED)).any(axis=1))

@@ -121,8 +121,8 @@ class _Sensor(FaultsInForce):
     def _judge_axis(
         self, axis: int, rows: HopRows, entries: Array, moving: Flags
     ) -> tuple[list[bool], list[bool]]:
-        """Return at the end of which hops an axis is stuck, and at the end of which it is on a
-        rail; False without samples.
+        """Return two flags for each hop: the axis is stuck at its end, and the axis is on a rail at
+        its end. Both are False without samples.
         """
         judge, rails, contact = self.stuck[axis], self.rails[axis], self.contacts[axis]
         counts = rows.count, rows.ended[:, axis], rows.longest[:, axis], rows.run[:, axis]

@@ -33,7 +33,7 @@ MIN_WEIGHT = 20.0
 ROAD_SHARE = {"roll_gravity": 1.7, "pitch_gravity": 1.5}
 """Factors by which superelevation, squat and leaning of the body widen the spread of slopes."""
 SHARE = 0.1
-"""Possible relative error of the motion. It reduces the weight of ticks of hard driving."""
+"""Possible relative error of the motion. This error reduces the weight of ticks of hard driving."""
 STILL = 0.15
 """Motion force that is small enough to ignore [m/s^2]."""
 

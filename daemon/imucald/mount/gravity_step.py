@@ -9,7 +9,7 @@ as the time of the step, d is fitted by least squares (a generalised likelihood 
 and Jones, IEEE Trans. Autom. Control 21, 1976). The usual size of d without a step is estimated
 from the drive, for every age and axis.
 
-With a gyroscope that sends seldom, the vertical walks at random (`gyro_walk`), and d walks with it.
+If the gyroscope has few samples, the vertical walks at random (`gyro_walk`), and d walks with it.
 The vertical walks by q per second and is pulled back with the time constant T, so its error has the
 covariance q T / 2 exp(-|t - s| / T). A fit of d exp(-t / T) to this error has the variance q T if
 it is longer than T, and less if it is shorter. The spread of d therefore includes g^2 q T besides
@@ -131,7 +131,8 @@ class GravityStepDetector:
         self.history = GravityStepHistory()
 
     def follow_walk(self, walked: Array) -> None:
-        """Take the random walk of the vertical until it is pulled back (3, 3) [rad^2], sensor axes.
+        """Take the covariance (3, 3) [rad^2] of the vertical's random walk until the pull removes
+        it, sensor axes.
 
         The walk is the mean over the blocks that a step may have been in.
         """

@@ -237,7 +237,7 @@ class MountChanges:
         return len(self.history) > SHIFTS_ALLOWED
 
     def shifted_again(self) -> list[float]:
-        """Movement of each angle [rad] where it was found to have shifted again; else 0."""
+        """Change of each angle [rad] that has shifted repeatedly; 0 for the others."""
         every = [one.change for one in self.history]
         by_axis = [[change.size for change in every if change.axis == axis] for axis in range(3)]
         return [math.fsum(x) if len(x) > SHIFTS_ALLOWED else 0.0 for x in by_axis]

@@ -207,8 +207,8 @@ def _shortened(kept: SavedInformation) -> SavedInformation:
 
 
 def _fewer(x: Array) -> Array:
-    """Return the same in at most `MAX_SEGMENTS` rows: neighbours are summed, equally many in each
-    row.
+    """Return the series with at most `MAX_SEGMENTS` rows: neighbours are summed, equally many in
+    each row.
     """
     if len(x) <= MAX_SEGMENTS:
         return x

@@ -67,7 +67,7 @@ SUSPECT = 4
 
 
 class FlowKind(StrEnum):
-    """What a receiver on the bus gets now."""
+    """Kind of data that a receiver on the bus gets now."""
 
     GOOD = "good"
     STARTING = "starting"

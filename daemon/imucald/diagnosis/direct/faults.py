@@ -87,8 +87,8 @@ def invalid_spans(
 
 
 def _moving(samples: Samples) -> tuple[Array, Array]:
-    """Times and speed; 0 while the speed signal is stuck, because then nothing shows that the
-    vehicle moves."""
+    """Return times and speeds. The speed is 0 while its signal is stuck, because nothing then shows
+    that the vehicle moves."""
     speed = samples["speed"]
     values = np.where(np.isfinite(speed.values), speed.values, 0.0)
     if len(speed.t) >= LEAST_ROWS:

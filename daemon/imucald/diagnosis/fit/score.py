@@ -205,7 +205,8 @@ def what_leaves(problem: Problem, drift: Hypothesis | None) -> Array:
 
 
 def one_in_fifteen(blocks: int) -> int:
-    """Number of blocks that must not decide a question: one in fifteen, at least one."""
+    """Return the number of blocks that must not decide a question alone: one in fifteen, at least
+    one."""
     return max(1, round(blocks / 15))
 
 

@@ -200,7 +200,7 @@ def _is_form_of(t: Trial, best: Trial) -> bool:
 
 
 def _where_it_leads(problem: Problem, state: State) -> Trial | None:
-    """Test a cause again at the end of its step, if it leaves its tolerance but does not pass from
+    """Test a cause again at the end of its step, if it leaves its tolerance but fails the test at
     the stated file. A column is a derivative and holds for small steps only: 0.002 of understeer at
     20 m/s changes its own column by a fifth, and a speed delayed by 0.2 s differs much where it
     changes fast. The likelihood ratio must be that of the best value, not that of one linear

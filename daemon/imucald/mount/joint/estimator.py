@@ -1,11 +1,11 @@
 """The joint estimator: the response of both sensors to the vehicle's motion, with a matrix each.
 
-The joint estimator takes the same blocks of even signals as the full estimator, and the same
-detectors of faults and of large moves, and the same models of a mount that creeps. The joint
-estimator finds smaller moves itself (`moves`). The applied correction, the stated deviations and
-the time when it is good come from the joint solution (`evidence`). Without a gyroscope, that
-solution uses the vehicle's yaw rate or steering angle. Without a speed there is no joint solution,
-and the full estimator's own is served.
+The joint estimator uses the same blocks of even signals, the same detectors of faults and of large
+moves, and the same models of a creeping mount as the full estimator. The joint estimator finds
+smaller moves itself (`moves`). The applied correction, the stated deviations and the time when it
+is good come from the joint solution (`evidence`). Without a gyroscope, that solution uses the
+vehicle's yaw rate or steering angle. Without a speed there is no joint solution, and the full
+estimator's own is served.
 """
 
 from __future__ import annotations
@@ -76,7 +76,7 @@ class JointAcceptance(Acceptance, frozen=True):
     small move.
 
     A move that is too small to show at once is rare. A wait of minutes in every drive is not
-    justified. are_signs_known: an earlier drive saw the signs agree, and nothing shows a change
+    justified. are_signs_known: an earlier drive proved the signs, and no evidence shows a change
     since. *Fine* still waits for all signs.
     """
 

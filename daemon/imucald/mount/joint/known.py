@@ -5,8 +5,8 @@ them. Terms that no drive can see, among them the gains, have their prior deviat
 housing they become cross-axis terms.
 
 The result of the previous drive is one hypothesis. The others are that the sensor was moved since,
-and that it is another sensor. Each hypothesis is a prior and gets the probability that the data
-give it. A hypothesis that contradicts the data loses its weight.
+and that it is another sensor. Each hypothesis is a prior; the data determine its probability. A
+hypothesis that contradicts the data loses its weight.
 """
 
 from __future__ import annotations
