@@ -38,7 +38,7 @@ class AxisHops(Struct, frozen=True, dict=True):
     runs: runs of equal values of the axis. For each hop, how many runs ended before it and the
     length of the longest. levels, steps: level and step of each hop (H,), as in `HopRows`; entries:
     of the rows. top_values, top_counts: (2, H), top and on_top as in `HopRows`, first of the upper,
-    then of the lower side. Their lists are made on first use.
+    then of the lower side. Python lists of these arrays are made when they are first used.
     """
 
     axis: int

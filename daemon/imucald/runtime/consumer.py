@@ -113,8 +113,9 @@ def in_order(samples: Sequence[Sample]) -> Sequence[Sample]:
 def events_of(
     samples: Mapping[str, ColumnSamples], wanted: Collection[str]
 ) -> list[tuple[int, float, str, Sequence[float]]]:
-    """Return row, time, channel and values of the wanted channels' samples, in the order of
-    `in_order`.
+    """Return (row in the chunk, time, channel, values) of the wanted channels' samples, by row.
+
+    The samples of a row have the order of `in_order`.
     """
     found: list[tuple[int, int, float, str, Sequence[float]]] = []
     for channel, series in samples.items():
