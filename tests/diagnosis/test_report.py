@@ -95,7 +95,7 @@ def test_what_is_likely_stands_apart():
         made.found(causes=(made.BIAS,), likely=(replace(made.ROLL, certainty="likely"),))
     ).text
     assert "Likely, but not written into the file: body roll." in text
-    assert text.index("Certain") < text.index("Likely by its own test")
+    assert text.index("Certain") < text.index("Likely causes pass a weaker test")
 
 
 def test_the_extended_model_is_shown_as_a_diff_and_in_full(found):
