@@ -19,6 +19,9 @@ likelihood ratio in closed form (Willsky and Jones, IEEE Trans. Automatic Contro
 of these ratios over the onsets is the statistic of Shiryaev and Roberts. In drives without faults
 its mean grows by one per onset, so it passes A at most once in A onsets (Pollak, Ann. Statistics
 13, 1985).
+
+A sensor that warms up drifts a little in any drive. This is a ramp with a smaller prior rate. Its
+statistic counts for a sound sensor, so a warm-up that is certain makes no fault likely.
 """
 
 from __future__ import annotations
@@ -50,11 +53,15 @@ ONSET_BLOCKS, ONSETS = 10, 24
 """A drift may begin every 64 s; onsets in the last 26 minutes are tested."""
 FALSE_ALARM_H = 300.0
 """Hours of driving for one false alarm: the limit of docs/integrity.md for one fault."""
-NAMED = 0.3
+DOUBT_H = 15.0
+"""Hours of driving for one drift, as the deviation assumes: it grows before a drift misleads."""
+NAMED = 0.2
 """A drift is reported as a fault from this size on [m/s^2]; a smaller one only widens the
 deviation.
 """
 _LOG_ONSETS = math.log(FALSE_ALARM_H * 3600.0 / (ONSET_BLOCKS * STEPS * STEP_S))
+NEVER = 700.0
+"""Log odds against what can't be; its exponential is still a number."""
 _ONE, _AXES = np.eye(3), np.arange(3)
 _UNTIL = np.vstack([np.tril(np.ones((STEPS, STEPS)), -1) + 0.5 * np.eye(STEPS), np.ones(STEPS)])
 """Shares of a step at which the vertical is computed: its middle, and its end."""
@@ -64,9 +71,13 @@ class Drifts(NamedTuple):
     """Deviations before any data, and deviations of the random part of a step."""
 
     rate: float = 0.002
-    """Rate of a drifting zero [m/s^2 a second], each axis (assumption): ten times the effect of 1
-    mg/K (BMI160) in a warm-up by 10 K in 10 min.
+    """Rate of a zero that drifts by a fault [m/s^2 a second], each axis (assumption): ten times
+    that of a warm-up.
     """
+    warming: float = 0.0002
+    """Rate in a warm-up, each axis: 1 mg/K (BMI160) and 10 K in 10 min."""
+    warmed: float = 0.1
+    """Change of the zero by a whole warm-up [m/s^2], each axis."""
     zero: float = 0.5
     """Zero of the force in the working axes, including gravity's part from their tilt [m/s^2]."""
     zero_walk: float = 3e-4
@@ -117,10 +128,11 @@ HEAVY = 9.0
 class Drift(NamedTuple):
     """Knowledge about a drift.
 
-    log_odds: log of the statistic over its threshold. Above zero there is a drift; a false alarm
-    comes once in `FALSE_ALARM_H`. size: (3,) change of the zero [m/s^2] in working axes, if there
-    is a drift. covariance: (3, 3) of that change. rate, rate_covariance: rate of the drift [m/s^2 a
-    second].
+    log_odds: log of the statistic of a fault over its threshold, against a sound sensor that may
+    warm up. Above zero there is a fault; a false alarm comes once in `FALSE_ALARM_H`. size: (3,)
+    change of the zero [m/s^2], working axes, if it is a fault. covariance: (3, 3) of that change.
+    rate, rate_covariance: rate of the drift [m/s^2 a second]. usual: (3, 3) mean square of the
+    change if it is none.
     """
 
     log_odds: float
@@ -128,6 +140,7 @@ class Drift(NamedTuple):
     covariance: Array
     rate: Array = np.zeros(3)
     rate_covariance: Array = 4e-6 * np.eye(3)
+    usual: Array = np.zeros((3, 3))
 
     def turned(self, matrix: Array) -> Drift:
         """Return the same drift in the axes that a matrix (3, 3) leads to."""
@@ -136,7 +149,9 @@ class Drift(NamedTuple):
             return np.asarray(matrix @ covariance @ matrix.T)
 
         size, rate = matrix @ self.size, matrix @ self.rate
-        return Drift(self.log_odds, size, both(self.covariance), rate, both(self.rate_covariance))
+        squares = self.covariance, self.rate_covariance, self.usual
+        covariance, rate_covariance, usual = map(both, squares)
+        return Drift(self.log_odds, size, covariance, rate, rate_covariance, usual)
 
     @property
     def is_named(self) -> bool:
@@ -147,8 +162,10 @@ class Drift(NamedTuple):
         """(3,) variance of the present zero about the past one, weighted by the probability of a
         drift.
         """
-        share = 1.0 / (1.0 + math.exp(min(-self.log_odds, 700.0)))
-        return np.asarray(share * (np.diag(self.covariance) + self.size**2))
+        odds = self.log_odds + math.log(FALSE_ALARM_H / DOUBT_H)
+        share = 1.0 / (1.0 + math.exp(min(-odds, NEVER)))
+        drifted = np.diag(self.covariance) + self.size**2
+        return np.asarray(share * drifted + (1.0 - share) * np.diag(self.usual))
 
 
 NONE = Drift(-math.inf, np.zeros(3), np.zeros((3, 3)))
@@ -191,7 +208,7 @@ class ZeroDrift:
         self._shift = np.zeros((STATES, 0))
         self._information = np.zeros((0, 3, 3))
         self._score = np.zeros((0, 3))
-        self._log = np.zeros(0)
+        self._log = np.zeros((2, 0))
         self._before = np.zeros((0, 3))
 
     def restart(self) -> None:
@@ -238,27 +255,43 @@ class ZeroDrift:
         """Return the present knowledge of a drift: its probability and its size."""
         if not len(self._onsets):
             return NONE
-        prior = self._drifts.rate**2
-        information = self._information + _ONE / prior
+        d, since = self._drifts, (self._steps - self._onsets) * STEP_S
+        log_usual, _, usual = self._moments(
+            np.minimum(d.warming, d.warmed / np.maximum(since, STEP_S)), self._log[0], since
+        )
+        log, means, squares = self._moments(np.full(len(since), d.rate), self._log[1], since)
+        return Drift(
+            log - float(np.logaddexp(0.0, log_usual)),
+            means[0],
+            squares[0] - _squares(means[0]),
+            means[1],
+            squares[1] - _squares(means[1]),
+            usual[0] / (1.0 + math.exp(min(-log_usual, NEVER))),
+        )
+
+    def _moments(self, prior: Array, log: Array, since: Array) -> tuple[float, Array, Array]:
+        """Return the log odds of a drift of one kind, and the moments of its size and rate.
+
+        prior: (T,) deviations of the rate for each onset. log: (T,) what came before. since: (T,)
+        seconds since each onset. The moments are (2, 3) means and (2, 3, 3) mean squares.
+        """
+        variance = np.square(prior)[:, None, None]
+        information = self._information + _ONE / variance
         covariance = np.linalg.inv(information)
         rate = np.einsum("tij,tj->ti", covariance, self._score)
-        log = 0.5 * np.einsum("ti,ti->t", rate, self._score)
-        log += self._log - 0.5 * np.linalg.slogdet(information * prior)[1]
+        log = log + 0.5 * np.einsum("ti,ti->t", rate, self._score)
+        log -= 0.5 * np.linalg.slogdet(information * variance)[1]
         share = np.exp(log - log.max())
         total = float(log.max()) + math.log(float(share.sum()))
         share /= share.sum()
-        since = (self._steps - self._onsets) * STEP_S
         sizes = self._before + rate * since[:, None]
-        size, mean = share @ sizes, share @ rate
-        each = covariance * (since**2)[:, None, None] + _squares(sizes - size)
-        rates = covariance + _squares(rate - mean)
-        return Drift(
-            total - _LOG_ONSETS,
-            size,
-            np.einsum("t,tij->ij", share, each),
-            mean,
-            np.einsum("t,tij->ij", share, rates),
-        )
+        each = covariance * np.square(since)[:, None, None]
+        means = np.array([share @ sizes, share @ rate])
+        squares = [
+            np.einsum("t,tij->ij", share, own + _squares(of))
+            for own, of in ((each, sizes), (covariance, rate))
+        ]
+        return total - _LOG_ONSETS, means, np.array(squares)
 
     def axis_of_turning(self) -> tuple[Array, Array]:
         """Return the tilt of the gyroscope's axis of turning against the vertical.
@@ -278,7 +311,7 @@ class ZeroDrift:
         self._shift = np.hstack([self._shift, np.zeros((STATES, 3))])[:, 3 * first :]
         self._information = np.concatenate([self._information, np.zeros((1, 3, 3))])[first:]
         self._score = np.concatenate([self._score, np.zeros((1, 3))])[first:]
-        self._log = np.append(self._log, 0.0)[first:]
+        self._log = np.hstack([self._log, np.zeros((2, 1))])[:, first:]
         self._before = np.concatenate([self._before, np.zeros((1, 3))])[first:]
         if self._past is not None:
             self._go_on_from(self._past)
@@ -290,7 +323,7 @@ class ZeroDrift:
         self._information[0] = information - _ONE / prior
         self._score[0] = information @ past.rate
         known = 0.5 * (past.rate @ self._score[0] - np.linalg.slogdet(information * prior)[1])
-        self._log[0] = past.log_odds + _LOG_ONSETS - known
+        self._log[:, 0] = -NEVER, past.log_odds + _LOG_ONSETS - known
         self._before[0] = past.size
 
     # the filter ----------------------------------------------------------------------------------
@@ -425,7 +458,7 @@ def _as_matrices(values: Complex) -> Array:
 
 
 def _squares(rows: Array) -> Array:
-    return np.asarray(rows[:, :, None] * rows[:, None, :])
+    return np.asarray(rows[..., :, None] * rows[..., None, :])
 
 
 def _root(matrix: Array) -> Array:
