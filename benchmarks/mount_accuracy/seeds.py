@@ -31,10 +31,14 @@ TUNING_SEEDS = (
     range(142000, 142160),
     range(143000, 143080),
     range(920000, 920003),
+    range(955015, 955016),
     range(970000, 970020),
     range(978000, 978006),
+    range(978400, 978420),
     range(980000, 980001),
     range(991000, 991040),
+    range(994000, 994010),
+    range(1003000, 1003022),
 )
 
 SHIFTS_AT, SHIFTS_APART, BOUND_AT, LONG_AT, QUIET_AT = 300, 100, 1200, 2000, 3000
