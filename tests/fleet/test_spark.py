@@ -1,4 +1,4 @@
-"""The Spark recipe of docs/fleet.md gives the rows that `fleet run` gives."""
+"""The recipe of `imucald.fleet.spark` gives the rows that `fleet run` gives."""
 
 from __future__ import annotations
 

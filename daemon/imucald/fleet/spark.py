@@ -1,9 +1,12 @@
 """The rows of `drives` in Spark, for users with a Spark cluster and without Dask.
 
     fleet = imucald.fleet.spark.SparkFleet.load("fleet.yaml")
+    paths = spark.createDataFrame([("/lake/raw/car-1/1.mf4",)], "source STRING")
     rows = paths.repartition(200).mapInPandas(fleet.map_frame, schema=fleet.schema)
+    rows.write.parquet("/lake/drives")
 
-The same function in the same kind of child process gives the same rows. Spark writes the rows
+The rows are those of `drives`, with source, outcome and message. Set `spark.sql.session.timeZone` to
+`UTC`. The same function in the same kind of child process gives the same rows. Spark writes the rows
 itself, so resuming, keys and the order of rows depend on Spark.
 """
 
