@@ -5,9 +5,9 @@
     rows = paths.repartition(200).mapInPandas(fleet.map_frame, schema=fleet.schema)
     rows.write.parquet("/lake/drives")
 
-The rows are those of `drives`, with source, outcome and message. Set `spark.sql.session.timeZone` to
-`UTC`. The same function in the same kind of child process gives the same rows. Spark writes the rows
-itself, so resuming, keys and the order of rows depend on Spark.
+The rows are those of `drives`, with source, outcome and message. Set the option
+`spark.sql.session.timeZone` to `UTC`. The same function in the same kind of child process gives the
+same rows. Spark writes the rows itself, so resuming, keys and the order of rows depend on Spark.
 """
 
 from __future__ import annotations
