@@ -27,8 +27,9 @@ def print_analysis(tables: Mapping[str, pa.Table]) -> None:
     console = plain_console()
     rows = {name.rpartition("/")[2]: table.to_pylist() for name, table in tables.items()}
     mounts = present_mounts(rows["vehicles"], rows["segments"], rows["remounts"])
+    unknown = why_not_known(rows["vehicles"])
     if mounts:
-        console.print(_mounts(mounts[:SHOWN]))
+        console.print(_mounts(mounts[:SHOWN], are_moves_known=not unknown))
         if len(mounts) > SHOWN:
             console.print(f"and {len(mounts) - SHOWN} more")
         console.print()
@@ -40,7 +41,6 @@ def print_analysis(tables: Mapping[str, pa.Table]) -> None:
     console.print(
         f"{counted(len(rows['vehicles']), 'vehicle')}, {counted(len(rows['segments']), 'segment')}"
     )
-    unknown = why_not_known(rows["vehicles"])
     _list(
         console,
         "moves of sensors",
@@ -99,7 +99,7 @@ def _angle(value: float, half: float | None) -> str:
     return f"{value:+.2f}° ±{half:.2f}°" if known else "not known"
 
 
-def _mounts(rows: Sequence[dict[str, Any]]) -> Table:
+def _mounts(rows: Sequence[dict[str, Any]], are_moves_known: bool) -> Table:
     """Make the table of vehicles with their present mounts, see `present_mounts`."""
     from rich.table import Table
 
@@ -116,7 +116,7 @@ def _mounts(rows: Sequence[dict[str, Any]]) -> Table:
             *(_angle(row[f"{angle}_deg"], row[f"ci95_{angle}_deg"]) for angle in ANGLES),
             row["last_state"] or "",
             time_text(row["start"], row["first_log_key"]),
-            str(row["moves"]),
+            str(row["moves"]) if row["moves"] or are_moves_known else "not known",
         )
     return table
 

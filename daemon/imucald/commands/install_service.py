@@ -78,7 +78,7 @@ def run(options: argparse.Namespace) -> int:
             for place_before in ("  ", "ExecStart=", "ExecReload="):
                 text = text.replace(f"{place_before}{_PACKAGED} ", f"{place_before}{command} ")
         _write(base / place, text)
-    print("next: put a configuration in /etc/imucald/can0.yaml, then")
+    print("next: put the configuration in /etc/imucald/can0.yaml, its databases next to it, then")
     print("  systemctl daemon-reload && systemctl enable --now imucald@can0")
     return 0
 

@@ -206,7 +206,8 @@ def cause_of_rest(rest: Rest, model: VehicleModel) -> FoundCause:
     return FoundCause(
         "gyro_bias", parameters, ("gyro_x", "gyro_y", "gyro_z"),
         {"held_out_nats": min(0.5 * sigma**2, 1e6), "sigma": sigma, "quantile": rest.quantile},
-        f"The zero of the gyroscope is off, as {counted(rest.stops, 'stop')} show.", "certain", few,
+        f"The zero of the gyroscope is off, measured in {counted(rest.stops, 'stop')}.",
+        "certain", few,
     )  # fmt: skip
 
 
