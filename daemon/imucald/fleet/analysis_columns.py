@@ -102,7 +102,9 @@ ANALYSIS: Final[dict[str, tuple[Column, ...]]] = {
         *_xyz("deg", "turn about the vehicle's axes", "d_{}_deg"),
         *floats("deg", "its angle", "size_deg"),
         *_TEST,
-        Column("found", "flag", "", "true if q is at most 5 %, or a drive found the move"),
+        Column(
+            "found", "flag", "", "true if q is at most 5 %, or if the move was found within a drive"
+        ),
         *floats("s", "within a drive: from its log's first frame until it was found", "found_s"),
     ),
     "analysis/groups": (

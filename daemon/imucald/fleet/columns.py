@@ -62,7 +62,7 @@ TABLES: Final[dict[str, tuple[Column, ...]]] = {
         *_VEHICLE,
         *texts(
             sources="addresses of the log, a JSON list",
-            date=("day of the log, or of the rules of fleet.yaml"),
+            date="day of the log, or the day that a rule of fleet.yaml gives",
         ),
         Column("start", "time", "", "first frame, UTC; null where the log has no absolute time"),
         Column("end", "time", "", "last configured frame, UTC"),

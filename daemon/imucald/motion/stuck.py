@@ -69,8 +69,8 @@ def short_runs(
     """Return the runs in each row of values (B, N) that end among its first `leaving`.
 
     The first result (B,) is whether all of a row's runs are short and none continues beyond the
-    first `leaving`. For each run (M,), the others are its row, the places of its first and last
-    value, and the size of the change after it.
+    first `leaving`. The other four results have one entry for each run (M,): the run's row, the
+    places of its first and last value, and the size of the change that ends the run.
     """
     change = np.abs(values[:, 1:] - values[:, :-1])
     is_over = change > same

@@ -67,7 +67,7 @@ class SavedInformation(Struct, frozen=True):
     sources: Mapping[str, SavedSource]
 
     def about(self, R: Matrix3) -> SavedInformation:
-        """Return the same evidence about another rotation near by, to first order."""
+        """Return the same evidence, linearised at another rotation near by (first order)."""
         e = vector_from_rotation(R @ self.R.T)
         turned = {
             name: SavedSource(

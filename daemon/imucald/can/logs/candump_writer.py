@@ -146,7 +146,9 @@ class CandumpWriter:
 
 
 def _no_frame(name: str, t: float, can_id: int, length: int) -> LogError:
-    return LogError(f"{name}: no frame: time {t} s, id {can_id:X}, {length} bytes")
+    return LogError(
+        f"{name}: no CAN frame has these values: time {t} s, id {can_id:X}, {length} bytes"
+    )
 
 
 def _open(name: str) -> BufferedIOBase:

@@ -135,8 +135,11 @@ def what_is_left(problem: Problem, state: State, spectra: Mapping[str, Spectra])
 
 
 def spectra_of(problem: Problem, forwards: Sequence[Forward]) -> Mapping[str, Spectra]:
-    """Spectra (B, F) of each equation's residual while driving, in its unit; NaN rows if it was not
-    present. The inputs `_steering` and `_turning`, which move the vehicle, are included.
+    """Return the spectra (B blocks, F frequencies) of each equation's residual, in the residual's
+    unit.
+
+    The row of a block with too few samples or too little driving is NaN. The inputs `_steering` and
+    `_turning`, which move the vehicle, are included.
 
     All parameters are fitted within their tolerances.
     """

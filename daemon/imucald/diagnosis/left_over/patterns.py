@@ -116,9 +116,9 @@ class Grams:
 def patterns(problem: Problem, forwards: Sequence[Forward]) -> list[Question]:
     """Test for residuals that depend nonlinearly on their own signal.
 
-    Each shape is fitted together with value, first and second derivative, and the block's tilt. An
-    effect is large if it exceeds the zero error or the delay that a correct file may have, and does
-    not come from a single block.
+    Each shape is fitted together with the signal, its first and second derivative, and a tilt of
+    each block. An effect is large if it exceeds the zero error or the delay that a correct file may
+    have, and does not come from a single block.
     """
     changes = problem.fitted_changes()
     parts: dict[str, list[ShapeRows]] = {}

@@ -244,8 +244,8 @@ def questions(trials: Sequence[Trial]) -> dict[str, Trial]:
 
 
 def likeliest(trials: Sequence[Trial]) -> list[Trial]:
-    """Causes that are right in four of five cases, among all questions at once and against all
-    rivals.
+    """Return the causes of which at most one in five is expected to be false, over all questions
+    together, each cause tested against all rivals.
 
     A likelihood ratio on unseen data is an e-value, so if the k largest of M values exceed M/(k
     share), at most that share of them is false, for any dependence between them (e-BH; Wang and

@@ -84,7 +84,10 @@ def _waiting_for_yaw(known: TiltAndAngle, s: PublishedSettings) -> tuple[str, Mi
         text = "a turn, a start from rest or the brake switch: these separate forward from backward"
         return text, Missing.DIRECTION_OF_TRAVEL
     if angle.std > s.limits.usable_yaw:
-        return f"manoeuvres that agree better ({count} seen)", Missing.AGREEMENT
+        return (
+            f"manoeuvres that agree better in yaw: the {count} seen scatter too much",
+            Missing.AGREEMENT,
+        )
     if count < s.fine_manoeuvres or angle.std > s.limits.fine_yaw:
         return f"more {what} ({count} seen)", Missing.ACCELERATION
     return None
