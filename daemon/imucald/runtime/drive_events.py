@@ -16,7 +16,7 @@ STATE_WORDS: Mapping[str, str] = {
     "usable": "corrected frames are marked usable",
     "fine": "every axis is within its target",
     "suspect": "the drive contradicts the mount, or signals contradict each other",
-    "recalibrating": "the sensor seems to have moved; the mount is being determined again",
+    "recalibrating": "after a move or a contradiction, the mount is being determined again",
     "restored": "a saved or stated mount is in use; this drive has not confirmed it yet",
 }
 
