@@ -214,9 +214,9 @@ def test_a_log_is_written_where_standard_output_has_no_bytes(
 )
 def test_what_is_no_frame_is_not_written(tmp_path: Path, frame: Frame) -> None:
     with CandumpWriter(tmp_path / "a.log") as writer:
-        with pytest.raises(LogError, match=r"a\.log: no frame"):
+        with pytest.raises(LogError, match=r"a\.log: no CAN frame"):
             writer.write(*frame)
-        with pytest.raises(LogError, match=r"a\.log: no frame"):
+        with pytest.raises(LogError, match=r"a\.log: no CAN frame"):
             writer.write_columns(columns([Frame(1.0, 1, b"", "can0", False), frame]))
     assert (tmp_path / "a.log").read_bytes() == b""
 

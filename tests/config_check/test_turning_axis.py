@@ -100,7 +100,7 @@ def test_a_straight_drive_says_nothing_of_the_axis_of_turning():
 
 @pytest.mark.slow
 def test_without_left_and_right_signs_are_not_checked_until_the_axis_that_points_up_is_stated():
-    asked = "all signs of the accelerometer"
+    asked = "inverted signs of the whole accelerometer"
     assert any(asked in f.text for f in findings() if f.level == "note")
     assert not any(asked in f.text for f in findings("z"))
     assert any("points up, as" in f.text for f in findings("z") if f.level == "ok")
