@@ -72,6 +72,26 @@ def test_frames_sent_as_good_keep_no_more_of_the_other_axes_than_stated(accel: n
 
 
 @pytest.mark.slow
+def test_a_mount_is_fine_only_while_a_speed_would_show_that_the_sensor_turns() -> None:
+    made, lost, back = drive(976_001), 270.0, 360.0
+    samples = dict(made.samples)
+    for name in ("speed", "wheel_speeds"):
+        series = samples[name]
+        kept = (series.t < lost) | (series.t > back)
+        samples[name] = Series(series.t[kept], series.values[kept])
+    joint, states, reasons = estimator(), [], set()
+    for k, row in enumerate(ticks_from_samples(samples, 0, int(MINUTES * 600)).tolist()):
+        joint.step(row)
+        states.append(joint.state)
+        if lost + 75.0 < 0.1 * k < back:
+            reasons.update(joint.estimate().waiting_for.values())
+    assert states[int(10 * lost) - 1] is MountState.FINE
+    assert set(states[int(10 * (lost + 75.0)) : int(10 * back)]) == {MountState.USABLE}
+    assert any(reason.startswith("a speed") for reason in reasons)
+    assert states[-1] is MountState.FINE
+
+
+@pytest.mark.slow
 def test_a_sensor_that_is_turned_is_told_and_found_again() -> None:
     made, at = drive(976_001), 240.0
     samples = dict(made.samples)

@@ -20,7 +20,7 @@ from msgspec.structs import replace
 from imucald.core.arrays import Array
 from imucald.core.rotations import orthonormalised, rotation_from_vector
 from imucald.core.samples import GRAVITY
-from imucald.mount.acceptance import Acceptance
+from imucald.mount.acceptance import WATCH, Acceptance
 from imucald.mount.contradictions import StandingFault
 from imucald.mount.creep import Creep
 from imucald.mount.estimate import Correction, MountEstimate, SentDeviations
@@ -48,6 +48,8 @@ STEERING_ZERO = math.radians(2.0)
 """Zero error of an angle of the steering wheel that nothing has measured (assumption)."""
 ASKED = 2
 """The test for a moved sensor runs once in this many blocks (13 s)."""
+NO_SPEED = "a speed: without one, a turn of the sensor would not be noticed"
+"""Text of the reason why a mount that lost its speed is not *fine*."""
 REMEMBERED = 240
 """Blocks (26 min) for which the knowledge of a drift is kept."""
 
@@ -77,18 +79,30 @@ class JointAcceptance(Acceptance, frozen=True):
 
     A move that is too small to show at once is rare. A wait of minutes in every drive is not
     justified. are_signs_known: an earlier drive proved the signs, and no evidence shows a change
-    since. *Fine* still waits for all signs.
+    since. *Fine* still waits for all signs. has_speed_now: a speed came in the last minute. Without
+    a speed nothing shows that the sensor turns in yaw, so the mount is *usable* at most.
     """
 
     are_signs_known: bool = False
+    has_speed_now: bool = True
 
     def _missing_of_signals(self) -> str | None:
         return self.checks.doubt if self.are_signs_known else super()._missing_of_signals()
 
+    def shares(self, is_fine: bool) -> dict[str, float]:
+        """Return the shares as in the full estimator; no test has to become active."""
+        found = super().shares(is_fine)
+        found.pop(WATCH, None)
+        return found
+
+    def missing_to_be_fine(self) -> str:
+        """Return the missing conditions as in the full estimator, and a missing speed."""
+        return super().missing_to_be_fine() if self.is_armed else NO_SPEED
+
     @property
     def is_armed(self) -> bool:
-        """Always true: no test keeps an estimate from being *fine*."""
-        return True
+        """True while a sensor that turns would be noticed."""
+        return self.has_speed_now
 
 
 class JointEstimator(FullEstimator):
@@ -370,7 +384,8 @@ class JointEstimator(FullEstimator):
             return own
         is_as_before = solution.same >= CHANCE_AS_BEFORE
         parts = own.solver, own.checks, own.changes, own.has_speed
-        return JointAcceptance(*parts, are_signs_known=is_as_before)
+        has_speed = self._known.speed
+        return JointAcceptance(*parts, are_signs_known=is_as_before, has_speed_now=has_speed)
 
     def _found_correction(self) -> Correction:
         solution = self.solution
