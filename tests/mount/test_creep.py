@@ -17,6 +17,8 @@ TIMES = 3.6
 """By how much more the mean over all is stated to vary, before any data."""
 SEGMENTS = 28
 """Twelve minutes of driving."""
+CHANCE = 0.5
+"""Probability of creep before any data."""
 DRAWS = 200
 
 
@@ -30,14 +32,14 @@ def road(rng: np.random.Generator, std: float, goes_on: float) -> Array:
     return lean
 
 
-def found(lean: Array, rate: float) -> Creep:
-    """rate: of the mount [rad/segment]."""
+def found(lean: Array, rate: float, shifts: int = 0) -> Creep:
+    """rate: of the mount [rad/segment]. shifts: found before."""
     value = lean + rate * (np.arange(SEGMENTS) + 0.5)
     known = np.full(SEGMENTS, 1.0 / STATED**2)
     mean = float(value.mean())
     series = ScoreSeries("roll_gravity", known * (value - mean), known)
     source = AngleEvidence(0.0, TIMES * STATED**2 / SEGMENTS, SEGMENTS)
-    fit = creep([series], {"roll_gravity": source})
+    fit = creep([series], {"roll_gravity": source}, CHANCE, shifts)
     assert fit is not None
     return fit
 
@@ -78,3 +80,11 @@ def test_the_interval_holds_while_it_is_open_whether_the_mount_creeps(
         own = TIMES * STATED**2 / SEGMENTS
         held += abs(true - fit.level[0]) <= 3.0 * np.sqrt(fit.variance[0] + own)
     assert held / DRAWS > 0.98
+
+
+def test_shifts_speak_for_a_creeping_mount_however_many_a_loose_sensor_makes() -> None:
+    lean = road(np.random.default_rng(3), np.radians(1.1), 0.0)
+    few, many = found(lean, 0.0, 2), found(lean, 0.0, 2000)
+    assert found(lean, 0.0).probability[0] < few.probability[0] < many.probability[0]
+    assert np.isfinite(many.level).all()
+    assert np.isfinite(many.variance).all()

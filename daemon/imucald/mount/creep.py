@@ -36,8 +36,7 @@ RATES: Array = np.concatenate([[0.0], 0.0 * SIZES, SIZES])
 fifth per segment.
 """
 SHIFT_RATIO = 4.0
-"""Ratio of shifts found in a creeping mount to shifts found in a fixed mount (assumption).
-"""
+"""Ratio of shifts found in a creeping mount to shifts found in a fixed mount (assumption)."""
 BELIEVED = 0.995
 """Probability from which creep is reported."""
 MOST = 20
@@ -91,8 +90,8 @@ class Creep(Struct, frozen=True):
 def creep(
     series: list[ScoreSeries],
     sources: Mapping[str, AngleEvidence],
-    chance: float = 0.5,
-    shifts: int = 0,
+    chance: float,
+    shifts: int,
 ) -> Creep | None:
     """Fit walks and rates to the residuals of the series from constants; None: too little data.
     sources: the same evidence. Their variances show by which factor the informations are too large.
@@ -119,9 +118,11 @@ def creep(
     each = np.diff(np.append(joined, n)).astype(np.float64)
     left, known = np.add.reduceat(left, joined, axis=1), np.add.reduceat(known, joined, axis=1)
     log, mean, variance = _filtered(left, known, each)
-    prior = np.full(len(WALKS), chance * SHIFT_RATIO**shifts / (len(WALKS) - 1))
-    prior[0] = 1.0 - chance
-    weight = prior * np.exp(log - log.max(axis=1, keepdims=True))
+    log_prior = np.full(len(WALKS), math.log(chance / (len(WALKS) - 1)))
+    log_prior += shifts * math.log(SHIFT_RATIO)
+    log_prior[0] = math.log(1.0 - chance)
+    log = log + log_prior
+    weight = np.exp(log - log.max(axis=1, keepdims=True))
     weight /= weight.sum(axis=1, keepdims=True)
     probability = 1.0 - weight[:, 0]
     level = (weight * mean).sum(axis=1)
