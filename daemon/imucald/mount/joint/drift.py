@@ -67,6 +67,11 @@ _UNTIL = np.vstack([np.tril(np.ones((STEPS, STEPS)), -1) + 0.5 * np.eye(STEPS), 
 """Shares of a step at which the vertical is computed: its middle, and its end."""
 
 
+def probability(log_odds: float) -> float:
+    """Return the probability with these log odds."""
+    return 1.0 / (1.0 + math.exp(min(-log_odds, NEVER)))
+
+
 class Drifts(NamedTuple):
     """Deviations before any data, and deviations of the random part of a step."""
 
@@ -163,7 +168,7 @@ class Drift(NamedTuple):
         drift.
         """
         odds = self.log_odds + math.log(FALSE_ALARM_H / DOUBT_H)
-        share = 1.0 / (1.0 + math.exp(min(-odds, NEVER)))
+        share = probability(odds)
         drifted = np.diag(self.covariance) + self.size**2
         return np.asarray(share * drifted + (1.0 - share) * np.diag(self.usual))
 
@@ -266,7 +271,7 @@ class ZeroDrift:
             squares[0] - _squares(means[0]),
             means[1],
             squares[1] - _squares(means[1]),
-            usual[0] / (1.0 + math.exp(min(-log_usual, NEVER))),
+            usual[0] * probability(log_usual),
         )
 
     def _moments(self, prior: Array, log: Array, since: Array) -> tuple[float, Array, Array]:

@@ -21,7 +21,7 @@ from msgspec import Struct
 from imucald.core.arrays import Array
 from imucald.motion.ticks import TICK_S
 from imucald.mount.even_signals import BLOCK_TICKS
-from imucald.mount.joint.drift import FALSE_ALARM_H
+from imucald.mount.joint.drift import FALSE_ALARM_H, probability
 
 SPANS: Final = np.array((4, 8, 12, 16, 20, 24, 32, 40, 52, 64))
 """Numbers of windows since a move that are tested (26 s to 7 min of driving). `sums` stores these
@@ -82,7 +82,7 @@ class Move(Struct, frozen=True):
     @property
     def doubt(self) -> float:
         """Additional deviation while the move is not certain, weighted by its probability [rad]."""
-        return abs(self.size) / math.sqrt(1.0 + math.exp(min(-self.log_odds, 700.0)))
+        return abs(self.size) * math.sqrt(probability(self.log_odds))
 
 
 def likeliest_move(entries: Sequence[EntryChange], blocks: Sequence[int]) -> Move:
