@@ -270,7 +270,7 @@ def test_the_target_is_that_of_the_state_that_is_waited_for(status):
 
 
 def test_a_mount_that_stays_fine_beyond_its_limit_shows_how_long(status):
-    """Yaw ±0.70° beside 'fine below ±0.60°' would contradict the state."""
+    """Yaw ±0.70° next to 'fine below ±0.60°' would contradict the state."""
     text = "\n".join(drawn(picture(status | {"state": "fine", "quality": 3}), 100))
     assert "±0.70°  fine up to ±0.84°" in text
     assert "fine below ±0.60°" not in text

@@ -41,6 +41,7 @@ from imucald.mount.joint.state import (
     CROSS,
     CROWN,
     EPS,
+    NO_TURN,
     OFF,
     PHI,
     SLOPE_M,
@@ -210,7 +211,7 @@ class Solution(NamedTuple):
         terms[EPS] = *tilted[:2, 2], self.turn
         return KnownSensor.found(self.housing, terms, self.covariance, priors)
 
-    def sent(self, turned: Array | float = 0.0, zero: Array = NO_ZERO) -> SentDeviations:
+    def sent(self, turned: Array = NO_TURN, zero: Array = NO_ZERO) -> SentDeviations:
         """Return the deviations of sent data.
 
         turned: variance (3,) of a further rotation of both sensors [rad^2]. zero: variance (3,) of

@@ -27,6 +27,7 @@ TURN: Final = {
 }  # fmt: skip
 """Axis and sign of the rotation phi at each place of [phi x]."""
 PHI, CROSS, ZERO, EPS, CROWN = slice(0, 3), slice(3, 9), slice(9, 11), slice(11, 14), 14
+NO_TURN: Final = np.zeros(3)
 UNKNOWNS = 15
 MOST_GAIN = 1.45
 """Largest gain of a sensor's matrix along any direction: four deviations of cross-axis terms of 8
@@ -169,13 +170,13 @@ def level_row(i: int) -> Array:
     return row
 
 
-def sent_deviations(covariance: Array, turned: Array | float = 0.0) -> SentDeviations:
+def sent_deviations(covariance: Array, turned: Array = NO_TURN) -> SentDeviations:
     """Return the deviations from the unknowns' covariance.
 
     turned: variance (3,) of a further rotation of both sensors [rad^2].
     """
     variance = ((_SENT @ covariance) * _SENT).sum(axis=1)
-    std = np.sqrt(np.maximum(variance, 0.0) + np.square(_SENT[:, PHI]) @ (turned * np.ones(3)))
+    std = np.sqrt(np.maximum(variance, 0.0) + np.square(_SENT[:, PHI]) @ turned)
     std[4:6] *= GRAVITY
     return SentDeviations(*std.tolist())
 
