@@ -37,8 +37,11 @@ TUNING_SEEDS = (
     range(978400, 978420),
     range(980000, 980001),
     range(991000, 991040),
+    range(992100, 992103),
     range(994000, 994010),
     range(1003000, 1003022),
+    range(1200000, 1200004),
+    range(1200010, 1200012),
 )
 
 SHIFTS_AT, SHIFTS_APART, BOUND_AT, LONG_AT, QUIET_AT = 300, 100, 1200, 2000, 3000
