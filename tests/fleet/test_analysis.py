@@ -214,9 +214,22 @@ def test_an_angle_of_a_type_that_two_vehicles_do_not_show_is_stated_not_to_be_kn
     assert "not known" in line
     assert f"{kind['ci95_z_deg']:.2f}" not in line
     assert f"{kind['tau_z_deg']:.2f}" not in line
-    assert "Give each design a type" in " ".join(text.split())
+    assert line.split()[-1] == "-", "a column of numbers holds numbers or a dash"
+    assert f"no spread: {kind['vehicle_type']}: the mounts" in " ".join(text.split())
     assert not page._pictures({**dict.fromkeys(("groups", "never_usable"), ()), "types": [kind],
                                "vehicles": rows["analysis/vehicles"]})["vehicles"]  # fmt: skip
+
+
+def test_a_type_with_one_vehicle_has_no_spread_between_vehicles_and_no_complaint(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    rows = analysed(columns_of(1, 3))
+    (kind,) = rows["analysis/types"]
+    print_analysis({name: table_of(name, rows[name], ANALYSIS[name]) for name in ANALYSIS})
+    text = capsys.readouterr().out
+    line = next(row for row in text.splitlines() if row.startswith(f"{kind['vehicle_type']} "))
+    assert line.split()[-1] == "-"
+    assert "no spread" not in text
 
 
 def test_the_interval_of_an_angle_is_its_own_where_the_sensor_is_turned_by_90_deg() -> None:

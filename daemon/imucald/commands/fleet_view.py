@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 from imucald.commands.terminal import plain_console, plain_where_needed
 from imucald.core.text import counted
 from imucald.fleet.move_words import time_text, unordered_words, when_moved, why_not_known
-from imucald.fleet.reading import present_mounts, spread_words
+from imucald.fleet.reading import no_common_mount_words, present_mounts, spread_text
 from imucald.mount.estimate import ANGLES
 from imucald.mount.mount_words import CONVENTION, UNKNOWN_HALF_DEG
 
@@ -35,6 +35,8 @@ def print_analysis(tables: Mapping[str, pa.Table]) -> None:
         console.print()
     console.print(_types(rows["types"]))
     console.print(CONVENTION)
+    if differ := no_common_mount_words(rows["types"]):
+        console.print(differ)
     found = [row for row in rows["remounts"] if row["found"]]
     bad = [row for row in rows["groups"] if row["verdict"] == "bad"]
     design = [row for row in rows["causes"] if row["verdict"] == "design"]
@@ -130,5 +132,5 @@ def _types(rows: Sequence[dict[str, Any]]) -> Table:
     for row in rows:
         angles = (_angle(row[f"{a}_deg"], row[f"ci95_{a}_deg"]) for a in ANGLES)
         counts = (str(row["vehicles"]), str(row["drives"]))
-        table.add_row(row["vehicle_type"], *counts, *angles, spread_words(row))
+        table.add_row(row["vehicle_type"], *counts, *angles, spread_text(row))
     return table

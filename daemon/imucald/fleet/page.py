@@ -20,7 +20,13 @@ from imucald.fleet.move_words import (
     when_moved,
     why_not_known,
 )
-from imucald.fleet.reading import has_common_mount, present_mounts, read_analysis, spread_words
+from imucald.fleet.reading import (
+    has_common_mount,
+    no_common_mount_words,
+    present_mounts,
+    read_analysis,
+    spread_text,
+)
 from imucald.fleet.store import Store
 from imucald.mount.mount_words import UNKNOWN_HALF_DEG
 from imucald.report.page import address_of, environment, require_libraries
@@ -70,7 +76,8 @@ def fleet_page(store: Store) -> str:
         more_mounts=max(0, len(analysis["vehicles"]) - MAX_ROWS),
         types=analysis["types"][:MAX_ROWS],
         unknown_half=UNKNOWN_HALF_DEG,
-        spread=spread_words,
+        spread=spread_text,
+        no_common_mount=no_common_mount_words(analysis["types"]),
         remounts_not_known=unknown,
         unordered=unordered_words(analysis["vehicles"]),
         when_moved=when_moved,

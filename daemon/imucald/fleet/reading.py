@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 import pyarrow as pa
@@ -68,20 +68,37 @@ def read_analysis(store: Store) -> dict[str, pa.Table]:
 
 
 def has_common_mount(row: Mapping[str, Any]) -> bool:
-    """True if the vehicles of a type sit alike. row: of `analysis/types`.
+    """True if the sensors of a type's vehicles have the same mount. row: of `analysis/types`.
 
-    False if several vehicles leave a turn of the type's mount unknown: then their mounts differ
+    False if several vehicles leave an angle of the type's mount unknown: then their mounts differ
     by design, and neither a spread nor a difference from the type says anything.
     """
     halves = [row[f"ci95_{axis}_deg"] for axis in "xyz"]
     return row["vehicles"] < 2 or all(h is not None and h < UNKNOWN_HALF_DEG for h in halves)
 
 
-def spread_words(row: Mapping[str, Any]) -> str:
-    """Spread between the vehicles of a type about x, y, z [deg]. row: of `analysis/types`."""
-    if not has_common_mount(row):
-        return "mounts differ by design? Give each design a type"
+def spread_text(row: Mapping[str, Any]) -> str:
+    """Spread between the vehicles of a type about x, y, z [deg]; "-" if there is none.
+
+    row: of `analysis/types`.
+    """
+    if row["vehicles"] < 2 or not has_common_mount(row):
+        return "-"
     return ", ".join(f"{row[f'tau_{axis}_deg']:.2f}" for axis in "xyz")
+
+
+def no_common_mount_words(types: Iterable[Mapping[str, Any]]) -> str:
+    """Text about the types whose vehicles have no common mount; "" if all have one.
+
+    types: rows of `analysis/types`.
+    """
+    names = ", ".join(row["vehicle_type"] for row in types if not has_common_mount(row))
+    if not names:
+        return ""
+    return (
+        f"no spread: {names}: the mounts of the vehicles differ too much. If they differ by "
+        "design, give each design its own type (column 'type' of the list of vehicles)"
+    )
 
 
 def present_mounts(
