@@ -124,6 +124,11 @@ def test_the_example_bus_is_found_and_check_accepts_it(drive, tmp_path, capsys):
     assert cli.main(["check", "--config", str(out), str(drive)]) == 0
 
 
+def test_the_product_of_wheelbase_and_steering_ratio_is_stated_once(drive):
+    written = as_yaml(proposed(EXAMPLE, drive), [str(EXAMPLE)])
+    assert len(re.findall(r"[\d.]+ m\b(?!/)", written.replace("wheelbase of 2.7 m", ""))) == 1
+
+
 def test_signals_that_turn_the_other_way_get_their_sign(drive, tmp_path):
     """The database is rewritten: what is positive to the left becomes positive to the right."""
     text = EXAMPLE.read_text()
@@ -547,6 +552,37 @@ def test_without_a_database_bytes_of_speed_and_steering_are_offered():
     assert 0x077 in offers["speed"]
     assert 0x085 in offers["steering_wheel_angle"]
     assert not any(choice.is_sure for choice in proposal.choices)
+
+
+def test_bytes_of_a_described_j1939_message_are_not_offered_as_bytes_that_no_database_describes(
+    drive,
+):
+    """Its frames come with another priority than in the database, its rates have an offset as in
+    J1939, and the bytes of one of them follow the bends."""
+    number, sent = 0x98F02AE2, 0x88F02AE2
+    text = EXAMPLE.read_text().replace("BO_ 513 IMU_Gyro", f"BO_ {number} IMU_Gyro")
+    text = re.sub(r"^(?!BO_ |BU_).*\b513\b.*$", "", text, flags=re.M)
+    text = re.sub(r"(SG_ Rate. .*)1- \(0.01,0\)", r"\g<1>1+ (0.01,-327.68)", text)
+    text += (
+        'BA_DEF_ BO_ "VFrameFormat" ENUM "StandardCAN","ExtendedCAN","reserved","J1939PG";\n'
+        f'BA_ "VFrameFormat" BO_ {number} 3;\n'
+    )
+    frames = concatenate(list(LogReader([drive])))
+    frames = frames.take(frames.can_id != 0xC2)  # without the steering angle
+    can_id = np.where(frames.can_id == 0x201, sent, frames.can_id).astype(frames.can_id.dtype)
+    data = frames.data.copy()
+    data[np.ix_(frames.can_id == 0x201, (1, 3, 5))] ^= 0x80
+    recording = GatheredFrames.of([structs.replace(frames, can_id=can_id, data=data)])
+    proposal = discover({"car.dbc": load_database_text(text, "dbc")}, recording)
+    assert proposal.choice("gyroscope").sources["z"].signal == "IMU_Gyro.RateZ"
+    offered = [
+        source.raw["id"]
+        for choice in proposal.choices
+        for other in choice.alternatives
+        for source in other.sources.values()
+        if source.raw
+    ]
+    assert sent & 0x1FFFFFFF not in offered
 
 
 @pytest.mark.parametrize(

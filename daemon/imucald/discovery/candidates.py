@@ -128,17 +128,22 @@ def stated_cycles(databases: Mapping[str, Database]) -> Iterator[tuple[IdMatch, 
                 yield id_match(message), message.cycle_time
 
 
-def messages_in(
-    database: Database, traffic: Sequence[Traffic], channel: str | None
-) -> Iterator[MessageTraffic]:
-    """Yield each decodable message on a channel (None: any channel), with its frames."""
+def readable_messages(database: Database) -> Iterator[tuple[Message, IdMatch]]:
+    """Yield each message with signals that can be decoded, and the identifiers that carry it."""
     for message in database.messages.values():
         if message.unsupported or not message.signals:
             continue
         try:
-            match = id_match(message)
+            yield message, id_match(message)
         except DatabaseError:
             continue
+
+
+def messages_in(
+    database: Database, traffic: Sequence[Traffic], channel: str | None
+) -> Iterator[MessageTraffic]:
+    """Yield each decodable message on a channel (None: any channel), with its frames."""
+    for message, match in readable_messages(database):
         parts = [
             one
             for one in traffic

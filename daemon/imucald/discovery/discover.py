@@ -12,6 +12,7 @@ from imucald.can.j1939_transport import announced_messages
 from imucald.can.lost_frames import dropping_recorder, lost_share
 from imucald.config.network import OutputIds
 from imucald.config_check.finding import cut_frames
+from imucald.core.text import counted
 from imucald.discovery.by_names import by_names
 from imucald.discovery.candidates import (
     MessageTraffic,
@@ -19,6 +20,7 @@ from imucald.discovery.candidates import (
     candidates_of,
     messages_in,
     obd_speeds,
+    readable_messages,
     silent_candidates,
 )
 from imucald.discovery.flags import (
@@ -148,9 +150,9 @@ def _notes(
     names = {c.message.name for c in candidates}
     known = sum(bool(m.signals) for d in databases.values() for m in d.messages.values())
     yield (
-        f"The recording has {recording.frames} frames in {recording.seconds:.0f} s. It "
-        f"contains {len(names)} of the {known} messages in the database, with "
-        f"{len({c.path for c in candidates})} signals."
+        f"The recording has {counted(recording.frames, 'frame')} in {recording.seconds:.0f} s. It "
+        f"contains {len(names)} of the {counted(known, 'message')} in the database, with "
+        f"{counted(len({c.path for c in candidates}), 'signal')}."
     )
     if recording.is_full:
         yield "The recording is longer than that: only its beginning was used."
@@ -215,9 +217,9 @@ def used_messages(choices: Sequence[Choice]) -> list[str]:
 def _is_described(databases: Mapping[str, Database], one: Traffic) -> bool:
     """True if a database has a message with signals for this identifier."""
     return any(
-        message.signals and not message.unsupported and message.can_id == one.can_id
+        match.matches(one.can_id, one.channel)
         for database in databases.values()
-        for message in database.messages.values()
+        for _, match in readable_messages(database)
     )
 
 

@@ -172,8 +172,7 @@ def _words(found: Relation) -> str:
 def _gain_words(quantity: ScalarQuantity, match: Match) -> str:
     if match.unit is None:
         return ""
-    size = match.relation.gain * match.unit.factor
-    if quantity is STEERING:
-        return f", wheelbase times steering ratio is {size:.0f} m"
-    stated = "stated" if match.unit.is_stated else "found"
-    return f", gain {size:.2f} in {match.unit.name} ({stated})"
+    unit = f"in {match.unit.name} ({'stated' if match.unit.is_stated else 'found'})"
+    if quantity is STEERING:  # its gain is under 'vehicle', from a fit with understeer
+        return f", {unit}"
+    return f", gain {match.relation.gain * match.unit.factor:.2f} {unit}"
