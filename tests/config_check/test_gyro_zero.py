@@ -54,7 +54,7 @@ def of_the_gyroscope(seed: int, signs: tuple[int, int, int], zero: np.ndarray) -
 @pytest.mark.parametrize("zero", [0.0 * ZERO, ZERO], ids=["no zero error", "zero error"])
 def test_right_signs_are_not_accused_and_wrong_ones_are(seed, zero):
     assert "error" not in {f.level for f in of_the_gyroscope(seed, (1, 1, 1), zero)}
-    for signs in ((1, -1, 1), (-1, 1, 1)):
+    for signs, axis in (((1, -1, 1), "y"), ((-1, 1, 1), "x")):
         (found,) = of_the_gyroscope(seed, signs, zero)
         assert found.level == "error"
-        assert "does not tilt as the accelerometer does" in found.text
+        assert f"wrong sign of its {axis} axis" in found.text

@@ -92,12 +92,17 @@ def best_response(motion: Motion, rates: Mapping[str, Array]) -> Response | None
     """
     if motion.change is None or motion.accel is None or motion.speed is None:
         return None
-    name = next((name for name, r in rates.items() if spread(r) > MIN_TURNING), None)
+    name = _shows_turns(rates)
     turn = np.zeros_like(motion.speed) if name is None else motion.speed * rates[name]
     zero = motion.turn_zero if name == "gyroscope" else motion.turn_zero[:, :0]
     fits = [_response(motion.accel, motion.change, turn, zero, delay) for delay in _DELAYS]
     best = max((fit for fit in fits if fit is not None), key=lambda f: f.explained, default=None)
     return best if best is not None and best.explained >= LIKE**2 else None
+
+
+def _shows_turns(rates: Mapping[str, Array]) -> str | None:
+    """Return the quantity from which turns are taken; None if no signal shows a turn."""
+    return next((name for name, rate in rates.items() if spread(rate) > MIN_TURNING), None)
 
 
 def speed_findings(response: Response, unit_advice: Mapping[str, str]) -> Iterator[Finding]:
@@ -134,41 +139,41 @@ def speed_findings(response: Response, unit_advice: Mapping[str, str]) -> Iterat
         yield Finding("note", "speed", text)
 
 
-def axes_findings(
-    motion: Motion, rates: Mapping[str, Array], unit_advice: Mapping[str, str]
-) -> Iterator[Finding]:
+def axes_findings(motion: Motion, rates: Mapping[str, Array]) -> Iterator[Finding]:
     """Check whether accelerometer and gyroscope have the same right-handed axes."""
     up = motion.up
     if up is None:
         return
     yield from _rotation_axis(motion, rates, up)
     response = best_response(motion, rates)
-    if list(rates) == ["gyroscope"]:
-        yield from _turn_gain(motion, rates["gyroscope"], up, unit_advice, response is not None)
     if response is None or np.linalg.norm(response.across) < LEAST_ACROSS:
         return
     yield from _gyro_axes(motion, response, up)
     along, across = response.along, response.across
     handed = float(np.cross(along, across) @ up / np.linalg.norm(along) / np.linalg.norm(across))
     if handed < -HANDED:
+        turns = _shows_turns(rates)
         text = (
             "its axes are left-handed: one axis has the wrong sign, two axes are exchanged, "
-            "or the turn rate has the wrong sign"
+            f"or {turns} has the wrong sign"
         )
         yield Finding("error", "accelerometer", text)
     elif handed > HANDED:
         yield Finding("ok", "accelerometer", "its axes are right-handed")
 
 
-def _turn_gain(
-    motion: Motion, rate: Array, up: Array, unit_advice: Mapping[str, str], knows_speed: bool
+def turn_gain_findings(
+    motion: Motion, rates: Mapping[str, Array], unit_advice: Mapping[str, str]
 ) -> Iterator[Finding]:
-    """Compare speed times yaw rate with the lateral force, if no other signal shows turns.
-
-    knows_speed: the unit of the speed was confirmed by its changes, or it was corrected.
-    """
+    """Compare speed times yaw rate with the lateral force, if only the gyroscope shows turns."""
+    up = motion.up
+    if list(rates) != ["gyroscope"] or up is None:
+        return
     if motion.speed is None or motion.accel is None or motion.gravity is None:
         return
+    rate = rates["gyroscope"]
+    # the unit of the speed was confirmed by its changes, or it was corrected
+    knows_speed = best_response(motion, rates) is not None
     n = min(len(rate), len(motion.speed), len(motion.accel))
     turn = motion.speed[:n] * rate[:n]
     level = (motion.accel[:n] - motion.gravity) @ (np.eye(3) - np.outer(up, up))

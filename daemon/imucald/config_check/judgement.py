@@ -20,6 +20,7 @@ from imucald.config_check.axes import (
     axes_findings,
     best_response,
     speed_findings,
+    turn_gain_findings,
 )
 from imucald.config_check.finding import (
     MIN_TICKS,
@@ -31,8 +32,9 @@ from imucald.config_check.finding import (
 )
 from imucald.config_check.motion import Motion, smooth
 from imucald.config_check.relation import relation
+from imucald.config_check.single_fault import explained
 from imucald.config_check.turning_axis import turning_axis_findings
-from imucald.config_check.yaw_rate_check import MIN_TURNING, yaw_rate_findings
+from imucald.config_check.yaw_rate_check import MIN_TURNING, gain_findings, sign_findings
 from imucald.core.arrays import Array
 from imucald.core.samples import GRAVITY
 from imucald.mount.alternatives import NOT_CHECKED
@@ -87,11 +89,12 @@ def judge(
 ) -> Iterator[Finding]:
     """Yield all findings that the motion shows about units, signs and axes.
 
-    A wrong scale of accelerometer or speed is reported once and then corrected. Therefore it is not
-    reported again for every signal that is compared with them. stated: the orientation of the
-    sensor that the user states. unit_advice: advice for quantities with a stated unit (see
-    `unit_advice`). turned: by quantity, whether the configuration reverses the signs of all its
-    axes. never_negative: by quantity that was never negative, the signals that may hold its sign.
+    A wrong scale of accelerometer or speed, or a single wrong sign, is reported once and then
+    corrected. Therefore it is not reported again for every signal that is compared with them.
+    stated: the orientation of the sensor that the user states. unit_advice: advice for quantities
+    with a stated unit (see `unit_advice`). turned: by quantity, whether the configuration reverses
+    the signs of all its axes. never_negative: by quantity that was never negative, the signals that
+    may hold its sign.
     """
     yield from _at_rest(motion, unit_advice.get("accelerometer"))
     yield from _constant_speed(motion)
@@ -117,15 +120,17 @@ def judge(
                 motion = motion.scaled(speed=gain)
                 is_scaled = True
     rates = motion.turn_rates(vehicle)
-    of_turns = list(yaw_rate_findings(rates, unit_advice, turned))
-    yield from of_turns
+    of_signs = list(_signs_and_axes(motion, rates, turned))
+    named, motion = explained(of_signs, motion, lambda m: _signs_and_axes(m, m.turn_rates(vehicle)))
+    yield from named
+    rates = motion.turn_rates(vehicle)
+    yield from gain_findings(rates, unit_advice)
     yield from _magnitudes(rates, never_negative)
     if stated == NOT_STATED and "heading" not in motion.grid and not motion.planar:
-        yield from _mirrored(of_turns, turned)
+        yield from _mirrored(of_signs, turned)
     yield from _along(motion, unit_advice)
     if not motion.planar:
-        yield from axes_findings(motion, rates, unit_advice)
-        yield from turning_axis_findings(motion)
+        yield from turn_gain_findings(motion, rates, unit_advice)
     yield from (
         f
         for f in _speed_against_wheels(motion, unit_advice.get("speed"))
@@ -133,6 +138,18 @@ def judge(
     )
     yield from _brake(motion)
     yield from _not_checked(motion, rates, stated)
+
+
+def _signs_and_axes(
+    motion: Motion,
+    rates: Mapping[str, Array],
+    turned: Mapping[str, bool] = MappingProxyType({}),
+) -> Iterator[Finding]:
+    """Yield all findings about signs and exchanged axes, from turns, slopes and gravity."""
+    yield from sign_findings(rates, turned)
+    if not motion.planar:
+        yield from turning_axis_findings(motion)
+        yield from axes_findings(motion, rates)
 
 
 def _magnitudes(rates: Mapping[str, Array], never_negative: Mapping[str, str]) -> Iterator[Finding]:

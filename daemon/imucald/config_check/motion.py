@@ -129,6 +129,12 @@ class Motion:
         grid = {name: values * factors.get(name, 1.0) for name, values in self.grid.items()}
         return Motion(grid, self.planar)
 
+    def turned(self, channel: str, matrix: Array) -> Motion:
+        """Return the motion with the axes of one channel multiplied by a matrix (w, w)."""
+        values = self.grid[channel]
+        table = values.reshape(len(values), -1) @ matrix.T
+        return Motion({**self.grid, channel: table.reshape(values.shape)}, self.planar)
+
     def without(self, channel: str) -> Motion:
         """Return the motion without one channel."""
         grid = {name: values for name, values in self.grid.items() if name != channel}

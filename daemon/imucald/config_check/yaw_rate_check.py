@@ -22,34 +22,28 @@ not stated. For trucks they are up to 1.3 times and twice those of a car."""
 _STEERING = "steering_wheel_angle"
 
 
-def yaw_rate_findings(
-    rates: Mapping[str, Array],
-    unit_advice: Mapping[str, str],
-    turned: Mapping[str, bool] = MappingProxyType({}),
+def sign_findings(
+    rates: Mapping[str, Array], turned: Mapping[str, bool] = MappingProxyType({})
 ) -> Iterator[Finding]:
-    """Compare all measurements of the yaw rate with the first one that shows turns.
+    """Compare the signs of all measurements of the yaw rate with the first one that shows turns.
 
     turned: by quantity, whether the configuration reverses the signs of all its axes.
     """
-    names = [name for name, rate in rates.items() if spread(rate) > MIN_TURNING]
-    if len(names) < 2:
-        return
-    reference, *others = names
-    gains = {reference: 1.0}
-    for name in others:
-        found = relation(rates[reference], rates[name])
-        if found.is_same_motion:
-            gains[name] = found.sign * found.gain
-        elif abs(found.correlation) < UNLIKE and spread(rates[reference]) > MIN_TURNING_TO_FOLLOW:
+    gains = _gains(rates)
+    reference = next(iter(gains), "")
+    for name, rate in rates.items():
+        if name in gains or spread(rate) <= MIN_TURNING or not reference:
+            continue
+        found = relation(rates[reference], rate)
+        if abs(found.correlation) < UNLIKE and spread(rates[reference]) > MIN_TURNING_TO_FOLLOW:
             text = f"hardly follows {reference} in turns (correlation {found.correlation:+.2f})"
             yield Finding("error", name, text)
     yield from _signs(gains, turned)
-    yield from _gains(gains, unit_advice)
 
 
-def _gains(gains: Mapping[str, float], unit_advice: Mapping[str, str]) -> Iterator[Finding]:
+def gain_findings(rates: Mapping[str, Array], unit_advice: Mapping[str, str]) -> Iterator[Finding]:
     """Check the gains. With three or more measurements the median is right; with two, the first."""
-    sizes = {name: abs(gain) for name, gain in gains.items()}
+    sizes = {name: abs(gain) for name, gain in _gains(rates).items()}
     middle = float(np.median(list(sizes.values()))) if len(sizes) > 2 else 1.0
     for name, size in sizes.items():
         if is_beyond(size / middle, OTHER_RATIO if name == _STEERING else WRONG_UNIT):
@@ -57,6 +51,17 @@ def _gains(gains: Mapping[str, float], unit_advice: Mapping[str, str]) -> Iterat
             guess = gain_guess(size / middle, unit_advice.get(name))
             text = f"compared with {', '.join(others)} in turns {guess}"
             yield Finding("error", name, text, others)
+
+
+def _gains(rates: Mapping[str, Array]) -> dict[str, float]:
+    """Return the gain of each measurement that follows the first one that shows turns."""
+    reference, *others = [n for n, rate in rates.items() if spread(rate) > MIN_TURNING] or [""]
+    gains = {reference: 1.0} if reference else {}
+    for name in others:
+        found = relation(rates[reference], rates[name])
+        if found.is_same_motion:
+            gains[name] = found.sign * found.gain
+    return gains
 
 
 def _signs(gains: Mapping[str, float], turned: Mapping[str, bool]) -> Iterator[Finding]:
