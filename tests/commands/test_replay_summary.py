@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import subprocess
+import sys
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -72,7 +74,40 @@ def test_a_sensor_that_sticks_before_the_mount_is_known_is_what_it_waits_for(
 def test_a_sound_drive_has_no_such_line(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     lines = replayed(capsys, tmp_path, None)
     assert lines[0].startswith("state:")
-    assert not [line for line in lines if line.startswith("at ")]
+    assert not [line for line in lines if line.startswith(("at ", "likely cause"))]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("signal", "cause"),
+    [
+        ("IMU_Gyro.RateY", "gyroscope: wrong sign of its y axis"),
+        ("ESC_Dynamics.YawRate", "yaw_rate: wrong sign"),
+    ],
+)
+def test_a_wrong_sign_is_named_in_the_second_line_and_on_the_page(
+    signal: str, cause: str, capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    drive = simulate(random_model(6, standing_first=True), 6, 4.0)
+    log, car = tmp_path / "drive.log", tmp_path / "car.yaml"
+    with CandumpWriter(log) as writer:
+        for chunk in bus_frames(drive, BusEncoder(example_config())):
+            writer.write_columns(chunk)
+    example = EXAMPLE.read_text().replace("../../dbc", str(ROOT / "dbc"))
+    assert f": {signal}" in example
+    car.write_text(example.replace(f": {signal}", f": {{signal: {signal}, sign: -1}}"))
+    said = f"likely cause (imucald check): {cause}"
+    page = tmp_path / "page"
+    cli.main(["replay", "--config", str(car), str(log), "--report", str(page)])
+    lines = capsys.readouterr().out.splitlines()
+    assert lines[1].startswith(said)
+    assert said.lower() in (page / "index.html").read_text().lower()
+    with log.open("rb") as piped:  # it cannot be read twice
+        done = subprocess.run(
+            [sys.executable, "-m", "imucald", "replay", "--config", str(car), "-"],
+            stdin=piped, capture_output=True, text=True, check=True,
+        )  # fmt: skip
+    assert f"run 'imucald check --config {car} LOG'" in " ".join(done.stdout.split())
 
 
 def test_a_stated_mount_that_is_wrong_is_reported_also_after_the_new_one_took_over(

@@ -109,21 +109,25 @@ def run(options: argparse.Namespace) -> int:
 def _one(options: argparse.Namespace, config: Configuration, logs: Sequence[str]) -> int:
     from imucald.api.run import is_unused, require_frames
     from imucald.commands.files import STANDARD, write_text
+    from imucald.commands.replay_causes import causes
     from imucald.runtime.summary import as_json
 
     page = _page(options, logs, options.report)  # checked before a file is opened
     with _sink(options, config) as sink:
         drive, written = _replayed(options, config, logs, options.write, sink, page)
     _print_problems(options, drive)
+    result = drive.to_dict()
     if options.json:
-        write_text(options.json, as_json(drive.to_dict()))
+        write_text(options.json, as_json(result))
     require_frames(drive)
+    is_shown = STANDARD not in (options.json, options.out) and not options.quiet
+    why = causes(options, config, logs, result) if is_shown or page is not None else []
     if page is not None:
-        page.write(drive.to_dict(), drive.problems)
-    if STANDARD not in (options.json, options.out) and not options.quiet:
+        page.write(result, drive.problems, why)
+    if is_shown:
         from imucald.commands.terminal import print_summary
 
-        print_summary(drive.to_dict())
+        print_summary(result, why)
         _print_written(written)
     return 1 if is_unused(drive) else 0
 
@@ -134,10 +138,12 @@ def _several(options: argparse.Namespace, config: Configuration, logs: Sequence[
     from imucald.api.drives import DriveSet
     from imucald.api.run import is_unused, require_frames
     from imucald.commands.files import STANDARD, write_text
+    from imucald.commands.replay_causes import causes
     from imucald.core.errors import LogError
     from imucald.runtime.summary import as_json
 
     drives, written, failed, folders = [], list[Path](), False, list[str]()
+    explained = list[str]()
     places = zip(_paths(options.write, logs), _folders(options.report, logs), strict=True)
     for log, (path, folder) in zip(logs, places, strict=True):
         try:
@@ -145,8 +151,10 @@ def _several(options: argparse.Namespace, config: Configuration, logs: Sequence[
             drive, files = _replayed(options, config, [log], path, None, page)
             _print_problems(options, drive)
             require_frames(drive)
+            why = causes(options, config, [log], drive.to_dict())
+            explained += (f"{log}: {text}" for text in why)
             if page is not None:
-                page.write(drive.to_dict(), drive.problems)
+                page.write(drive.to_dict(), drive.problems, why)
         except LogError as error:
             if options.strict:
                 raise
@@ -171,7 +179,7 @@ def _several(options: argparse.Namespace, config: Configuration, logs: Sequence[
     if options.json != STANDARD and not options.quiet:
         from imucald.commands.terminal import print_drives
 
-        print_drives(found.rows(), found.notes)
+        print_drives(found.rows(), [*explained, *found.notes])
         _print_written(written)
     return 1 if failed else 0
 

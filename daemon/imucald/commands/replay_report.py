@@ -32,11 +32,13 @@ class ReplayReport:
         self.history = DriveHistory()
         self._options, self._logs, self._folder = options, logs, folder
 
-    def write(self, result: Mapping[str, Any], problems: Sequence[str]) -> None:
-        """Write the page. Raises ImucaldError if that fails."""
+    def write(
+        self, result: Mapping[str, Any], problems: Sequence[str], causes: Sequence[str]
+    ) -> None:
+        """Write the page. causes: see `replay_causes`. Raises ImucaldError if that fails."""
         options = self._options
         about = about_now(self._logs, options.config, model="")
-        file = write_page(self._folder, replay_page(self.history, result, problems, about))
+        file = write_page(self._folder, replay_page(self.history, result, problems, about, causes))
         if not options.quiet:
             print(f"imucald: written: {file}", file=sys.stderr)
 

@@ -128,8 +128,8 @@ def plain_where_needed() -> None:
         stdout.reconfigure(errors="replace")
 
 
-def print_summary(result: Mapping[str, Any]) -> None:
-    """Print the result of a replay as tables."""
+def print_summary(result: Mapping[str, Any], causes: Sequence[str] = ()) -> None:
+    """Print the result of a replay as tables. causes: see `replay_causes`."""
     from rich.text import Text
 
     from imucald.commands.mount_view import mount_parts
@@ -138,6 +138,8 @@ def print_summary(result: Mapping[str, Any]) -> None:
     plain_where_needed()
     console = plain_console()
     console.print(Text.assemble("state: ", (result["state"], "bold"), _since(result)))
+    for text in causes:
+        console.print(f"likely cause (imucald check): {text}", style="bold red")
     for part in mount_parts(result):
         console.print(part)
     frames = result["frames"]

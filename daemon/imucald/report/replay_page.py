@@ -42,10 +42,16 @@ SNAPSHOT_S = 1.0
 
 
 def replay_page(
-    history: DriveHistory, result: Mapping[str, Any], problems: Sequence[str], about: About
+    history: DriveHistory,
+    result: Mapping[str, Any],
+    problems: Sequence[str],
+    about: About,
+    causes: Sequence[str] = (),
 ) -> str:
-    """Return the page as HTML text; result: as in docs/json.md, problems: bad lines of the log.
+    """Return the page as HTML text.
 
+    result: as in docs/json.md. problems: bad lines of the log. causes: likely causes of the
+    contradictions between signals.
     Raises ImucaldError if a library is missing.
     """
     require_libraries()
@@ -73,6 +79,7 @@ def replay_page(
             lead=duration(history.lead) if history.lead >= SNAPSHOT_S else "",
             meaning=STATE_WORDS.get(result["state"], ""),
             waiting=reasons_line(result["waiting_for"]),
+            causes=causes,
             left_out=left_out_words(result["details"]),
             drawing_style=STYLE,
             views=view_drawings(_rotation(last)),
