@@ -19,7 +19,7 @@ import pytest
 from rich.console import Console
 from rich.text import Text
 
-from imucald.commands.live_events import LiveEvents
+from imucald.commands.live_events import LiveEvent, LiveEvents
 from imucald.commands.monitor_view import input_health, monitor_picture
 from imucald.commands.status import exit_status
 from imucald.commands.status_view import (
@@ -252,6 +252,30 @@ def test_each_gate_has_a_bar_with_its_share_and_the_driving_that_is_left(status)
     assert forward.split()[-2:] == ["100", "%"]
     assert up.rstrip().endswith("34 %  about 3 min of driving")
     assert signs.rstrip().endswith("70 %")
+
+
+def test_a_low_terminal_keeps_the_progress_and_the_newest_event(status):
+    """As one line, and cut, where the bars and the whole text do not fit."""
+    status["progress"] = PROGRESS
+    status["waiting_for"] = {"roll": "word " * 30, "pitch": "other " * 25, "yaw": "more " * 30}
+    events = [LiveEvent(1.6e9, "state", "an event of many lines " * 20)]
+    lines = drawn(lambda c: monitor_picture(status, events, c, Text("the foot")), 80, 24)
+    assert len(lines) <= 24
+    assert "to fine: check of the signs 70 %" in lines
+    assert sum("an event of many lines" in line for line in lines) == 1
+
+
+def test_a_contradiction_of_signals_names_the_next_command(status):
+    status["waiting_for"] = {"yaw": f"{WORDS[StandingFault.TURN_YAW_RATE]}; other"}
+    for part in (picture(status), lambda c: monitor_picture(status, [], c, Text(""))):
+        assert "run 'imucald check'" in " ".join("\n".join(drawn(part, 100)).split())
+    status["waiting_for"] = {"yaw": "bends"}
+    assert "imucald check" not in "\n".join(drawn(picture(status), 100))
+
+
+def test_time_that_is_left_is_in_seconds_below_a_minute(status):
+    status["progress"] = {"goal": "usable", "gates": [{"gate": "g", "share": 0.2, "left_s": 26}]}
+    assert short(status).endswith("to usable: g 20 %, about 30 s of driving")
 
 
 def test_one_line_has_the_gate_that_takes_longest(status):

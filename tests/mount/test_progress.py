@@ -30,7 +30,8 @@ def progress(*stds: float, state: MountState = MountState.USABLE, **more: Any) -
     watch, asked = ProgressWatch(), Asked()
     known = MountKnowledge()
     for i, std in enumerate(stds, start=1):
-        known = MountKnowledge(gravity=True, std=(1e-4, 1e-4, std), straight=9, **more)
+        tilt = min(std, 1e-4) if math.isfinite(std) else std
+        known = MountKnowledge(gravity=True, std=(tilt, tilt, std), straight=9, **more)
         watch.take(i * BLOCK_S, known, state, SETTINGS, asked)  # type: ignore[arg-type]
     return watch.after(state, known, can_be_fine=True)
 
@@ -55,6 +56,17 @@ def test_nothing_is_said_of_the_time_while_no_information_comes():
     frozen = progress(3.0 * limit, 2.0 * limit, frozen=True)
     assert frozen is not None
     assert frozen.gates[2].left is None
+
+
+def test_until_there_is_a_first_solution_its_part_that_has_come_is_shown():
+    """A bar of 0 % for half a minute would say that nothing happens."""
+    shares = []
+    for blocks in range(1, 7):
+        found = progress(*[math.inf] * blocks, state=MountState.LEVELLED)
+        assert found is not None
+        shares.append([(gate.name, gate.share) for gate in found.gates])
+    assert shares[:4] == [[("first 32 s", pytest.approx(n / 5))] for n in range(1, 5)]
+    assert [name for name, _ in shares[5]][:3] == ["forward axis", "left axis", "up axis"]
 
 
 def test_a_fine_mount_waits_for_no_gate():

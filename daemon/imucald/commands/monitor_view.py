@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 from rich.console import Console, Group, RenderableType
@@ -13,11 +14,13 @@ from rich.text import Text
 from imucald.commands.live_events import LiveEvent
 from imucald.commands.mount_view import BAR, mount_parts
 from imucald.commands.status_view import facts, headline, is_stale, wrong_now
-from imucald.mount.mount_words import left_out_words
+from imucald.mount.mount_words import left_out_words, progress_words
 
 BESIDE = 120
 """Smallest width [columns] for inputs and events side by side."""
 BESIDE_INPUTS = 66
+CLOCK_WIDTH = 11
+"""Width of the column of times with its gap [columns]."""
 LEAST_EVENTS = 3
 LONG_BAR = 60
 """Width of a bar [columns] if there is enough space."""
@@ -65,8 +68,10 @@ def monitor_picture(
         wrong = wrong_now(status)
         below = [*([Text(f"now     {wrong}", style="red")] if wrong else []), foot]
         inputs = Text(_short(status))
+        progress = [Text(words) for words in [progress_words(status.get("progress"))] if words]
         while True:
-            top = [headline(status, trouble), Group(*mount)]
+            line = [] if any(isinstance(part, Table) for part in mount[1:]) else progress
+            top = [headline(status, trouble), Group(*mount, *line)]
             left = height - _lines(console, *top, inputs, *below) - 1
             if left >= LEAST_EVENTS or len(mount) == 1:
                 break
@@ -82,10 +87,17 @@ def _lines(console: Console, *parts: RenderableType) -> int:
 def _fitting(
     console: Console, events: Sequence[LiveEvent], rows: int, width: int
 ) -> list[LiveEvent]:
-    """Return the newest events that fit a table of at most `rows` rows."""
+    """Return the newest events that fit a table of at most `rows` rows.
+
+    The newest event is cut to one row if it does not fit.
+    """
     options = console.options.update(width=width)
-    shown = list(events)[-rows:] if rows > 0 else []
+    shown = list(events)[-rows:] if rows > 1 else []
     while shown and len(console.render_lines(events_table(shown), options)) > rows:
+        if len(shown) == 1:
+            text = Text(shown[0].text)
+            text.truncate(max(width - CLOCK_WIDTH, 1), overflow="ellipsis")
+            return [replace(shown[0], text=text.plain)]
         del shown[0]
     return shown
 

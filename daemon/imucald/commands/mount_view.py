@@ -9,6 +9,7 @@ from rich.progress_bar import ProgressBar
 from rich.table import Table
 from rich.text import Text
 
+from imucald.mount.contradictions import WORDS
 from imucald.mount.estimate import ANGLES
 from imucald.mount.mount_words import (
     ABOUT,
@@ -28,29 +29,37 @@ BAR = 24
 """Width of a bar [columns]."""
 
 
+TRY_CHECK = "run 'imucald check' on this bus or on a log: it names a wrong sign, axis or unit"
+"""Text for a contradiction between signals, which more driving does not solve."""
+
+
 def mount_parts(
-    result: Mapping[str, Any], bar: int = BAR, is_stale: bool = False
+    result: Mapping[str, Any], bar: int = BAR, is_stale: bool = False, is_checked: bool = False
 ) -> Iterator[Table | Text]:
-    """Yield the table, the sensor's orientation, the remaining driving, the missing evidence, and
-    "±".
+    """Yield the table, the sensor's orientation, the missing evidence, the remaining driving, the
+    errors left in corrected frames, and "±": the least useful last.
 
     result: as in docs/json.md, or a status (also of an older daemon). bar: width of bars [columns].
-    is_stale: no frames flow now, so no target is shown as reached.
+    is_stale: no frames flow now, so no target is shown as reached. is_checked: the reader has the
+    result of `check`.
     """
     mount, progress = result["mount"], result.get("progress")
     yield _table(result, is_stale)
     for key, style in (("sits", ""), ("steep", "yellow"), ("mirrored", "yellow")):
         if mount.get(key):
             yield Text(mount[key], style=style)
-    if left := sent_words(result.get("correction")):
-        yield Text(f"sent         {left}")
     for names, text in reasons(result["waiting_for"]):
         if is_trouble(text):
             yield Text(f"trouble      {text}", style="bold red")
         else:
             yield Text(f"waiting for  {names}: {text}", style="yellow")
+    contradict = any(w in text for text in result["waiting_for"].values() for w in WORDS.values())
+    if contradict and not is_checked:
+        yield Text(f"next         {TRY_CHECK}", style="yellow")
     if progress is not None:
         yield _gates(progress, bar)
+    if left := sent_words(result.get("correction")):
+        yield Text(f"errors left in corrected frames: {left}")
     yield Text(ABOUT, style="dim")
 
 

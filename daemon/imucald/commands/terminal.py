@@ -140,7 +140,7 @@ def print_summary(result: Mapping[str, Any], causes: Sequence[str] = ()) -> None
     console.print(Text.assemble("state: ", (result["state"], "bold"), _since(result)))
     for text in causes:
         console.print(f"likely cause (imucald check): {text}", style="bold red")
-    for part in mount_parts(result):
+    for part in mount_parts(result, is_checked=bool(causes)):
         console.print(part)
     frames = result["frames"]
     signals = ", ".join(

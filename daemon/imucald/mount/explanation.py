@@ -15,6 +15,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from imucald.core.arrays import Array
+from imucald.drive import windows as wd
 from imucald.motion.ticks import TICK_S
 from imucald.mount.acceptance import Acceptance
 from imucald.mount.contradictions import WORDS, StandingFault
@@ -213,6 +214,9 @@ REMEMBERED = 29
 LONGEST_S = 3600.0
 """A longer time is not reported [s]: the evidence has almost stopped growing."""
 GOALS = (MountState.USABLE, MountState.FINE)
+FIRST_S = (wd.WINDOW + wd.BLOCK) * TICK_S
+"""Signals that a first solution needs [s]: two windows."""
+FIRST = f"first {FIRST_S:.0f} s"
 
 
 class ProgressWatch:
@@ -250,6 +254,8 @@ class ProgressWatch:
             return None
         is_learning = known.accelerometer and not known.frozen
         now, shares = self._lately[-1]
+        if now < FIRST_S and not any(shares[goal][axis] for axis in VEHICLE_AXES):
+            return Progress(goal, (Gate(FIRST, now / FIRST_S, FIRST_S - now),))
         gates = [
             Gate(name, share, self._left(goal, name, now, share) if is_learning else None)
             for name, share in shares[goal].items()

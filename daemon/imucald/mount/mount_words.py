@@ -40,6 +40,8 @@ EVIDENCE_KINDS = {
 """Meaning of the last part of an evidence's name."""
 SENSOR_NAMES = {"accel": "accelerometer", "gyro": "gyroscope"}
 """Channels for which people use another name."""
+SHOWN_AS_SECONDS = 45.0
+"""Shortest time that is shown in minutes [s]."""
 LEAST_LEFT_OUT_S = 1.0
 LEAST_SHOWN_DEG = 0.1
 """A smaller rotation is not shown as a number, because it would be rounded to zero."""
@@ -149,7 +151,9 @@ def driving_left(seconds: float | None) -> str:
     """Return how much driving a gate still takes; "" where it takes none or the time is unknown."""
     if not seconds:
         return ""
-    return f"about {max(round(seconds / 60.0), 1)} min of driving"
+    if seconds < SHOWN_AS_SECONDS:
+        return f"about {max(round(seconds, -1), 10.0):.0f} s of driving"
+    return f"about {round(seconds / 60.0)} min of driving"
 
 
 def progress_words(progress: Mapping[str, Any] | None) -> str:
