@@ -30,7 +30,7 @@ _OTHER_SIDE = np.eye(4)[[1, 0, 3, 2]]
 
 
 @dataclass(frozen=True)
-class Fault:
+class SingleFault:
     """One possible fault. matrix: (w, w), what undoes it in the channel. remedy: what to change."""
 
     quantity: str
@@ -52,7 +52,7 @@ def explained(
     """
     if all(finding.level != "error" for finding in found):
         return list(found), motion
-    possible: list[Fault] = []
+    possible: list[SingleFault] = []
     most = 0
     for fault in _faults(motion):
         agree = _agreeing(judge(motion.turned(fault.channel, fault.matrix)))
@@ -83,15 +83,15 @@ def _agreeing(found: Iterable[Finding]) -> int | None:
     return count
 
 
-def _faults(motion: Motion) -> Iterator[Fault]:
+def _faults(motion: Motion) -> Iterator[SingleFault]:
     """Yield all single faults that the signals may have."""
     for quantity, channel in _SIDED.items():
         if channel in motion.grid:
             remedy = f"left turns must be positive; {TURN_SIGN}"
-            yield Fault(quantity, "wrong sign", remedy, channel, -np.eye(1))
+            yield SingleFault(quantity, "wrong sign", remedy, channel, -np.eye(1))
     if "wheel_speeds" in motion.grid:
         text = "left and right exchanged"
-        yield Fault("wheel_speeds", text, "exchange their lines", "wheel_speeds", _OTHER_SIDE)
+        yield SingleFault("wheel_speeds", text, "exchange their lines", "wheel_speeds", _OTHER_SIDE)
     if motion.planar:
         return
     for quantity, channel in (("accelerometer", "accel"), ("gyroscope", "gyro")):
@@ -100,9 +100,11 @@ def _faults(motion: Motion) -> Iterator[Fault]:
         eye = np.eye(3)
         for i, axis in enumerate("xyz"):
             text = f"wrong sign of its {axis} axis"
-            yield Fault(quantity, text, TURN_SIGN, channel, eye - 2.0 * np.outer(eye[i], eye[i]))
+            yield SingleFault(
+                quantity, text, TURN_SIGN, channel, eye - 2.0 * np.outer(eye[i], eye[i])
+            )
         for order, axes in (([1, 0, 2], "x and y"), ([2, 1, 0], "x and z"), ([0, 2, 1], "y and z")):
             text = f"exchanged axes {axes}"
-            yield Fault(quantity, text, "exchange their lines", channel, eye[order])
+            yield SingleFault(quantity, text, "exchange their lines", channel, eye[order])
         remedy = f"{AT_REST}; {TURN_SIGN}" if channel == "accel" else TURN_SIGN
-        yield Fault(quantity, "wrong sign of all its axes", remedy, channel, -eye)
+        yield SingleFault(quantity, "wrong sign of all its axes", remedy, channel, -eye)
