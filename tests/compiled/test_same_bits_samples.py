@@ -12,8 +12,6 @@ from msgspec.structs import replace
 from recorded_calls import needs_kernels
 
 from both_ways import agree, spiked
-from imucald.api.recorder import microseconds
-from imucald.can.columns import CAN_EFF_FLAG, FrameColumns, IdMatch
 from imucald.can.dbc.bits import Field
 from imucald.can.e2e.checksums import (
     E2E_COUNTERS,
@@ -26,16 +24,11 @@ from imucald.can.e2e.checksums import (
 from imucald.can.e2e.protection import MessageChecker
 from imucald.can.e2e.protection_spec import CounterSpec, ProtectionSpec
 from imucald.can.e2e.protector import MessageProtector
-from imucald.core import compiled
 from imucald.core.samples import Series
-from imucald.inputs.route_rows import RouteRows
 from imucald.motion.column_ticks import ticks_from_samples
 from imucald.motion.hops import Carry, hop_rows
 from imucald.motion.rail_evidence import AxisHops
 from imucald.motion.rails import AxisRails
-from imucald.mount.estimate import Correction
-from imucald.runtime.pipeline import TickCorrections
-from imucald.runtime.timebase import TimeBase
 
 pytestmark = [needs_kernels, pytest.mark.slow]
 
@@ -105,68 +98,6 @@ def test_ticks_of_columns_of_samples(seed: int) -> None:
             t = np.sort(t)
         samples[channel] = Series(t, spiked(rng, rng.normal(size=(n, *shape)), share_of(rng)))
     agree(ticks_from_samples, samples, first, first + ticks, errors="ignore")
-
-
-@SEEDS
-@MANY
-def test_samples_are_turned_and_times_are_rounded(seed: int) -> None:
-    rng = np.random.default_rng(seed)
-    ticks, n = int(rng.integers(1, 60)), int(rng.integers(0, 200))
-    rows = [None]
-    for _ in range(3):
-        matrices, offsets = rng.normal(size=(3, 3, 3)), rng.normal(size=(2, 3))
-        rows.append(Correction.with_matrices(*matrices, *offsets))
-    channel = str(rng.choice(["accel", "gyro", "mag"]))
-    which = np.sort(rng.integers(0, len(rows), ticks)).tolist()
-    values = spiked(rng, rng.normal(size=(n, 3)), share_of(rng), finite=False)
-    at = np.sort(rng.integers(0, ticks, n))
-
-    def turned() -> object:
-        held = TickCorrections(5, [rows[k] for k in which], [0] * ticks)
-        return held.turned(channel, at, values)
-
-    agree(turned, errors="ignore")
-    stamps = spiked(rng, rng.uniform(-1e10, 1e10, n), share_of(rng), finite=False)
-    agree(microseconds, stamps, errors="ignore")
-
-
-@SEEDS
-@MANY
-def test_stream_times_of_stamps_that_step(seed: int) -> None:
-    rng = np.random.default_rng(seed)
-    n = int(rng.integers(0, 500))
-    steps = np.where(rng.random(n) < 0.02, rng.choice([-30.0, -0.5, 5.0, 60.0], n), 0.01)
-    stamps = 1.6e9 + np.cumsum(steps + 0.002 * rng.normal(size=n))
-
-    def segments() -> object:
-        base, found = TimeBase(), []
-        for part in np.array_split(stamps, 4):
-            found += list(base.segments(part))
-        return found, vars(base)
-
-    agree(segments, errors="ignore")
-
-
-@SEEDS
-@MANY
-def test_rows_of_routes(seed: int) -> None:
-    rng = np.random.default_rng(seed)
-    few = rng.integers(0, 2**11, 6).tolist() + (rng.integers(0, 2**29, 6) + CAN_EFF_FLAG).tolist()
-    masks = [0x7FF, 0x1FFFFFFF, 0x3FFFF00, 0x700, 0]
-    chosen = rng.choice(few, int(rng.integers(0, 7)), replace=False).tolist()
-    matches = [IdMatch(i, int(rng.choice(masks, p=[0.5, 0.3, 0.1, 0.07, 0.03]))) for i in chosen]
-    n = int(rng.integers(0, 300))
-    frames = FrameColumns(
-        np.zeros(n), rng.choice(few, n).astype(np.uint32), np.zeros(n, np.uint8),
-        np.zeros((n, 8), np.uint8), np.zeros(n, np.uint8), ("can0",),
-    )  # fmt: skip
-    rows, is_disjoint = RouteRows(matches).of(frames)
-    with compiled.left_out():
-        expected, _ = RouteRows(matches).of(frames)
-    assert [one.tolist() for one in rows] == [one.tolist() for one in expected]
-    if is_disjoint:
-        together = np.concatenate([np.zeros(0, np.int64), *rows])
-        assert len(set(together.tolist())) == len(together)
 
 
 @pytest.mark.parametrize("bits", [31, 32, 33, 56])

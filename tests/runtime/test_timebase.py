@@ -36,6 +36,19 @@ def test_columns_and_single_stamps_give_the_same_bits(steps, chunk):
     assert gaps == [g for _, g in one]
 
 
+@pytest.mark.parametrize("share", [0.0, 0.002, 0.2])
+def test_long_columns_and_single_stamps_give_the_same_bits(share):
+    rng = np.random.default_rng(5)
+    steps = np.where(rng.random(20_000) < share, rng.choice([-30.0, -0.5, 5.0, 60.0], 20_000), 0.01)
+    stamps = 1.6e9 + np.cumsum(steps + 0.002 * rng.normal(size=20_000))
+    single, whole = TimeBase(), TimeBase()
+    one = [single.stream_time(float(s)) for s in stamps]
+    found = [segment for part in np.split(stamps, 4) for segment in whole.segments(part)]
+    assert np.concatenate([segment.t for segment in found]).tolist() == [t for t, _ in one]
+    assert sum(segment.gap for segment in found) == sum(gap for _, gap in one)
+    assert vars(whole) == vars(single)
+
+
 @given(STEPS)
 def test_stream_time_never_goes_backwards(steps):
     base = TimeBase()

@@ -19,7 +19,6 @@ from imucald.api.columns import (
     raw_columns,
 )
 from imucald.api.growing_table import GrowingTable
-from imucald.core import compiled
 from imucald.core.angles import DEG_PER_RAD
 from imucald.core.arrays import Array
 from imucald.motion.ticks import TICK_RATE
@@ -220,10 +219,6 @@ def _by_axis(values: Array) -> Array:
 
 def microseconds(stamps: Array) -> NDArray[np.int64]:
     """Convert time stamps [s] to whole microseconds."""
-    if compiled.kernels is not None:
-        found = np.empty(stamps.shape, np.int64)
-        if compiled.kernels.microseconds(stamps, found) == 0:
-            return found
     exact = stamps * 1e6
     np.rint(exact, out=exact)
     return np.clip(exact, -LATEST_US, LATEST_US, out=exact).astype(np.int64)

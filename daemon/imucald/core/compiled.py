@@ -49,25 +49,15 @@ class Kernels:
     candump: Kernel
     hop_figures: Kernel
     judge_frames: Kernel
-    match_frames: Kernel
-    microseconds: Kernel
     rail_hops: Kernel
-    signal_column: Kernel
-    stream_times: Kernel
     tick_sums: Kernel
-    turn_samples: Kernel
 
     ARGUMENTS: Final = {
         "candump": "oi" + 16 * "o",
         "hop_figures": 13 * "o",
         "judge_frames": "ooood" + 7 * "o",
-        "match_frames": 6 * "o",
-        "microseconds": "oo",
         "rail_hops": "oi" + 11 * "o",
-        "signal_column": 8 * "o",
-        "stream_times": "oioo",
         "tick_sums": "oooido",
-        "turn_samples": 5 * "o",
     }
 
     def __init__(self, library: ctypes.PyDLL) -> None:

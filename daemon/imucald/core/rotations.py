@@ -53,8 +53,7 @@ def times_columns(rows: NDArray[np.float64], v: NDArray[np.float64]) -> NDArray[
     """
     x, y, z = v[:, 0], v[:, 1], v[:, 2]
     r = rows.T
-    out = [r[3 * i] * x + r[3 * i + 1] * y + r[3 * i + 2] * z for i in range(3)]
-    return np.stack(out, axis=1)
+    return np.array([r[3 * i] * x + r[3 * i + 1] * y + r[3 * i + 2] * z for i in range(3)]).T
 
 
 def times_level(m: Rows, v: Sequence[float]) -> Vector:

@@ -22,9 +22,9 @@ from imucald.inputs.column_samples import (
     assembled,
     guarded,
     joined,
+    rows_of,
 )
 from imucald.inputs.conversion import REASONS
-from imucald.inputs.route_rows import RouteRows
 from imucald.inputs.routes import Carried, SignalRoute
 from imucald.inputs.sender_choice import Asked, taken
 from imucald.inputs.sender_choice import joined as joined_senders
@@ -57,7 +57,6 @@ class Router:
         derive_reverse: bool = False,
     ) -> None:
         self.routes = tuple(routes)
-        self._rows = RouteRows([route.match for route in self.routes])
         self.rejected: Counter[str] = Counter()
         """Number of rejected frames and samples, by reason."""
         self.used = 0
@@ -276,8 +275,8 @@ class Router:
 
     def columns(self, t: NDArray[np.float64], frames: FrameColumns) -> Routed:
         """Return the samples of a chunk of frames; t: (N,) stream times of the frames [s]."""
-        found, is_disjoint = self._rows.of(frames)
-        used = np.zeros(0 if is_disjoint else len(frames), dtype=bool)
+        found = [rows_of(route.match, frames) for route in self.routes]
+        used = np.zeros(len(frames), dtype=bool)
         parts: dict[str, list[TapSamples]] = {}
         refused: list[tuple[Tap, Rows]] = []
         values: list[tuple[Tap, Rows]] = []
@@ -298,10 +297,7 @@ class Router:
                 refused += [(tap, rows[bad]) for tap in route.taps]
             if not ok.all():
                 rows, times, chosen = rows[ok], times[ok], chosen.take(ok)  # noqa: PLW2901
-            if is_disjoint:
-                self.used += len(rows)
-            else:
-                used[rows] = True
+            used[rows] = True
             self._take_columns(route, times, rows, chosen, parts, values, events)
         self.used += int(np.count_nonzero(used))
         samples = {c: self._joined(c, of, refused, values) for c, of in parts.items()}

@@ -13,8 +13,6 @@ from numpy.typing import NDArray
 from imucald.can.columns import CAN_EFF_FLAG, FrameColumns, IdMatch, Payloads
 from imucald.can.dbc.decode import J1939_ADDRESS_MASK, DecodePlan
 from imucald.can.e2e.protection import OK, REASONS, SHORT, MessageChecker
-from imucald.core import compiled
-from imucald.inputs.compiled_tap import CompiledTap
 from imucald.inputs.expression import Expression
 from imucald.inputs.rate_guard import JudgesRate, RateGuard
 from imucald.inputs.sender_choice import SenderChoice
@@ -107,8 +105,6 @@ class MessageRoute:
         self.stated_cycle = checker.spec.cycle_time or plan.message.cycle_time
         self.guard: JudgesRate = RateGuard(self.stated_cycle, checker.spec.counter is not None)
         self.signs = dict(signs)
-        has_sign = [any(c.index in signs for c in tap.components) for tap in self.taps]
-        self._compiled = [] if any(has_sign) else [CompiledTap(plan, tap) for tap in self.taps]
         is_sensor = any(tap.channel.partition("/")[0] in _SENSORS for tap in self.taps)
         is_any_sender = (
             bool(self.match.can_id & CAN_EFF_FLAG) and not self.match.mask & J1939_ADDRESS_MASK
@@ -188,15 +184,8 @@ class MessageRoute:
         return columns
 
     def tap_columns(self, frames: Carried) -> TapColumns:
-        """Decode, scale and check values, in compiled code if it supports the signals."""
-        kernels = compiled.kernels
-        if (
-            kernels is None
-            or not self._compiled
-            or not all(one.can_take(frames) for one in self._compiled)
-        ):
-            return arrays_of(self.taps, self.number_columns(frames))
-        return [one.array(kernels, frames) for one in self._compiled]
+        """Decode, scale and check values."""
+        return arrays_of(self.taps, self.number_columns(frames))
 
 
 class RawRoute:

@@ -87,10 +87,10 @@ class Tap(Struct, frozen=True):
         """Return values (N,) or (N, k) in SI and codes (N,). The first fault of a row counts."""
         n = len(columns[self.components[0].index][1])
         codes = np.zeros(n, dtype=np.int8)
-        values = np.empty((n, len(self.components) + (self.third is not None)))
+        values = np.empty((len(self.components) + (self.third is not None), n))
         for i, component in enumerate(self.components):
             raw, physical, present = columns[component.index]
-            values[:, i], found = component.conversion.array(raw, physical)
+            values[i], found = component.conversion.array(raw, physical)
             if present is not None:
                 found = np.where(present, found, ABSENT)
             if found.any():
@@ -102,8 +102,8 @@ class Tap(Struct, frozen=True):
                 good &= present
             codes[(codes == 0) & ~good] = STATUS
         if self.third is not None:
-            values[:, -1] = self.third
-        return (values[:, 0] if values.shape[1] == 1 else values), codes
+            values[-1] = self.third
+        return (values[0] if len(values) == 1 else values.T), codes
 
 
 def arrays_of(taps: Sequence[Tap], columns: Columns) -> TapColumns:

@@ -18,7 +18,6 @@ import numpy as np
 from msgspec import Struct, field
 from numpy.typing import NDArray
 
-from imucald.core import compiled
 from imucald.core.rotations import times_columns
 from imucald.core.samples import Samples, Series
 from imucald.motion.column_ticks import ticks_from_samples
@@ -113,12 +112,8 @@ class TickCorrections(Struct, frozen=True, dict=True):
         """Return samples (N, 3) of a channel in ticks (N,), counted from `first`, in vehicle
         axes.
         """
-        if compiled.kernels is None:
-            rows = self.rows_in(channel, ticks)
-            return times_columns(rows, values) - rows[:, 9:]
-        out = np.empty((3, len(ticks)))
-        compiled.kernels.turn_samples(values, ticks, self._rows(channel), self._spells[1], out)
-        return out.T
+        rows = self.rows_in(channel, ticks)
+        return times_columns(rows, values) - rows[:, 9:]
 
     def rows_in(self, channel: str, ticks: NDArray[np.int64]) -> NDArray[np.float64]:
         """Return the same as `by_tick` during ticks (N,), counted from `first`: (N, 12).

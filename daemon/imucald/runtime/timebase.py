@@ -20,7 +20,6 @@ import numpy as np
 from msgspec import Struct
 from numpy.typing import NDArray
 
-from imucald.core import compiled
 from imucald.motion.ticks import TICK_RATE
 
 BACKWARD_STEP = 1.0
@@ -30,7 +29,6 @@ FORWARD_STEP = 10.0
 [s]. Among stamps that were reached before, one that is newer by more than `BACKWARD_STEP` is a
 step.
 """
-_STEPS = BACKWARD_STEP, FORWARD_STEP
 
 SET_BACK = 0.05
 """Largest disorder on a live bus [s].
@@ -38,6 +36,10 @@ SET_BACK = 0.05
 If all stamps for this long are further behind, the clock was set back. A step of more than
 `BACKWARD_STEP` is seen at the first stamp.
 """
+
+FIRST_LOOK = 256
+"""Stamps that are searched for a step at first, so that a log with a step in each row takes no more
+than its length."""
 
 HOLE_SHARE = 10.0
 """After the first hole, each whole hole needs a second of frames: more holes are no drive."""
@@ -132,28 +134,25 @@ class TimeBase:
         """Split a column of stamps (N,) into segments without discontinuity, with stream times."""
         start, n = 0, len(stamps)
         while start < n:
-            first, gap = self.stream_time(float(stamps[start]))
-            t = self._times(stamps, start, first)
+            _, gap = self.stream_time(float(stamps[start]))
+            t = self._times(stamps[start:])
             yield TimeSegment(start, start + len(t), t, gap)
             start += len(t)
 
-    def _times(self, stamps: NDArray[np.float64], start: int, first: float) -> NDArray[np.float64]:
-        """Return stream times of a segment that begins at row `start`, at `first`, up to the next
-        step.
-        """
-        if compiled.kernels is not None:
-            numbers = np.array([self._offset, self._now, self._newest, self._highest, *_STEPS])
-            times = np.empty(len(stamps) - start)
-            stop = compiled.kernels.stream_times(stamps, start, numbers, times)
-            self._now, self._newest = self._frame, _ = numbers[1:3].tolist()
-            return times[: stop - start]
-        found = [first]
-        for row in range(start + 1, len(stamps)):
-            stamp = float(stamps[row])
-            if self._is_step(stamp):
-                break
-            found.append(self.stream_time(stamp)[0])
-        return np.array(found)
+    def _times(self, stamps: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return the stream times of stamps up to the next step; the first was just taken."""
+        size, is_step = FIRST_LOOK, np.zeros(0, bool)
+        while not is_step.any() and len(is_step) + 1 < len(stamps):
+            newest = np.maximum.accumulate(np.append(self._newest, stamps[1:size]))
+            later, ahead = stamps[1:size], stamps[1:size] - newest[:-1]
+            limit = np.where(later > self._highest, FORWARD_STEP, BACKWARD_STEP)
+            is_step = ~((ahead >= -BACKWARD_STEP) & (ahead <= limit))
+            size *= 16
+        n = 1 + (int(is_step.argmax()) if is_step.any() else len(is_step))
+        t = np.maximum.accumulate(np.append(self._now, stamps[1:n] - self._offset))
+        self._now = self._frame = float(t[-1])
+        self._newest = max(self._newest, float(stamps[1:n].max(initial=-math.inf)))
+        return t
 
     def _begin_segment(self, stamp: float) -> None:
         self.steps += 1
