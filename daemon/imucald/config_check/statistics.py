@@ -22,7 +22,7 @@ from imucald.inputs.conversion import REASONS, Conversion
 from imucald.inputs.rate_guard import JudgesRate, Rows
 from imucald.inputs.routes import Carried, MessageRoute, SignalRoute
 from imucald.inputs.sender_choice import SenderChoice
-from imucald.inputs.taps import Columns, Physical, Raw, Tap, TapColumns, arrays_of
+from imucald.inputs.taps import Columns, Physical, Raw, Tap
 
 CYCLE_FRAMES = 5000
 """Largest number of frames for the median that gives the observed cycle."""
@@ -303,7 +303,3 @@ class Probe:
                     raw, physical = raw[present], physical[present]
                 self.signals[tap.channel, tap.rank, slot].add(raw, physical)
         return columns
-
-    def tap_columns(self, frames: Carried) -> TapColumns:
-        """As the route; ranges are taken."""
-        return arrays_of(self.route.taps, self.number_columns(frames))

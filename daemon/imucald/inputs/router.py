@@ -348,7 +348,9 @@ class Router:
         refused: list[tuple[Tap, Rows]],
         events: list[Rows],
     ) -> None:
-        for tap, (values, codes) in zip(route.taps, route.tap_columns(frames), strict=True):
+        columns = route.number_columns(frames)
+        for tap in route.taps:
+            values, codes = tap.array(columns)
             part = TapSamples(tap, times, rows, values, codes)
             if not codes.any():
                 parts.setdefault(tap.channel, []).append(part)

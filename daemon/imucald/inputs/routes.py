@@ -16,7 +16,7 @@ from imucald.can.e2e.protection import OK, REASONS, SHORT, MessageChecker
 from imucald.inputs.expression import Expression
 from imucald.inputs.rate_guard import JudgesRate, RateGuard
 from imucald.inputs.sender_choice import SenderChoice
-from imucald.inputs.taps import Columns, Physical, Raw, Tap, TapColumns, arrays_of
+from imucald.inputs.taps import Columns, Physical, Raw, Tap
 
 Carried = FrameColumns | Payloads
 """Frames (N,). A route reads only their payloads."""
@@ -78,9 +78,6 @@ class SignalRoute(Protocol):
 
     def number_columns(self, frames: Carried) -> Columns:
         """Return raw and physical values of good frames, one entry per signal."""
-
-    def tap_columns(self, frames: Carried) -> TapColumns:
-        """Return the values of each tap for good frames (see `Tap.array`), in the taps' order."""
 
 
 class MessageRoute:
@@ -183,10 +180,6 @@ class MessageRoute:
             columns[index] = raw, np.where(bit != 0, -values, values), present
         return columns
 
-    def tap_columns(self, frames: Carried) -> TapColumns:
-        """Decode, scale and check values."""
-        return arrays_of(self.taps, self.number_columns(frames))
-
 
 class RawRoute:
     """The route of a configured raw expression."""
@@ -263,7 +256,3 @@ class RawRoute:
         """Return the values."""
         numbers = self._value.numbers(frames.data, frames.length)
         return [(numbers, numbers, None)]
-
-    def tap_columns(self, frames: Carried) -> TapColumns:
-        """Return the values of the tap."""
-        return arrays_of(self.taps, self.number_columns(frames))

@@ -23,10 +23,6 @@ Columns = Sequence[tuple[NDArray[np.generic], NDArray[np.float64], NDArray[np.bo
 """Raw values, physical values and presence (None: always present) of each signal."""
 
 
-TapColumns = Sequence[tuple[NDArray[np.float64], NDArray[np.int8]]]
-"""Values and codes of each tap."""
-
-
 class Component(Struct, frozen=True):
     """One number of a tap: index in the route's signals, and conversion."""
 
@@ -104,8 +100,3 @@ class Tap(Struct, frozen=True):
         if self.third is not None:
             values[-1] = self.third
         return (values[0] if len(values) == 1 else values.T), codes
-
-
-def arrays_of(taps: Sequence[Tap], columns: Columns) -> TapColumns:
-    """Return the values of each tap from decoded columns."""
-    return [tap.array(columns) for tap in taps]

@@ -1,19 +1,15 @@
-"""Decode plans: a message and the requested signals, compiled once.
+"""Decode plans: a message and the requested signals, prepared once.
 
-A small generated function decodes one frame, with a few integer operations per signal. numpy
-decodes whole columns. Both give the same doubles as cantools. The values of multiplexers are
-compared as raw values. `encode` is the reverse; `database` reads databases. The text of the
-generated functions contains only numbers of checked type and positions, never names from a
-database.
+`decode` takes one frame; it is the specification. `decode_columns` does the same for many frames,
+with numpy. Both give the same doubles as cantools. The values of multiplexers are compared as raw
+values. `encode` is the reverse; `database` reads databases.
 """
 
 from __future__ import annotations
 
 import struct
 from collections.abc import Callable, Mapping, Sequence
-from functools import lru_cache
-from types import CodeType
-from typing import Any, NoReturn
+from typing import Any
 
 import numpy as np
 from msgspec import Struct
@@ -26,7 +22,7 @@ from imucald.can.dbc.bits import (
     signed_column,
     words_of,
 )
-from imucald.can.dbc.message import Message, Selectors, Signal
+from imucald.can.dbc.message import Message, Selectors
 from imucald.can.dbc.resolved_signal import FLOAT_CODES, ResolvedSignal, resolve
 from imucald.core.errors import DatabaseError, DecodeError
 
@@ -42,9 +38,6 @@ J1939_PDU2_MASK = 0x03FF_FF00
 FEW_VALUES = 8
 """Up to this number of multiplexer values, comparing with each value is faster than a search."""
 
-_STRUCT_CODES = {8: "b", 16: "h", 32: "i", 64: "q"}
-"""The letter of module struct for a signed integer, by its number of bits."""
-
 J1939_ADDRESS_MASK = 0xFF
 """Mask of the sender's address."""
 J1939_NO_ADDRESS = 0xFE
@@ -52,6 +45,8 @@ J1939_NO_ADDRESS = 0xFE
 (SAE J1939-81)."""
 
 Raw = int | float | None
+Words = tuple[int, int]
+"""A frame as one integer, little-endian and big-endian."""
 RawColumn = NDArray[np.int64] | NDArray[np.uint64] | NDArray[np.float64]
 
 
@@ -147,18 +142,35 @@ class DecodePlan:
             for s in signals
         ]
         self.least = min(self.ends, default=self.size) if may_be_cut else self.size
-        names = _generated(
-            self.size, self.least, self.ends, signals, multiplexers, self.raise_short
-        )
         self.is_cut = any(end > self.least for end in self.ends)
-        self.decode_raw: Callable[[bytes | bytearray], tuple[Raw, ...]] = names["decode_raw"]
-        self.scale: Callable[[Sequence[Raw]], tuple[float | None, ...]] = names["scale"]
-        self.decode: Callable[[bytes | bytearray], tuple[float | None, ...]] = names["decode"]
+        self._values = [s.scaling.value for s in signals]
+        self._reads: list[Callable[[Words], Raw]] = [_reader(s, self.size) for s in signals]
+        self._selecting = {name: _reader(s, self.size) for name, s in multiplexers.items()}
 
-    def raise_short(self, length: int) -> NoReturn:
-        """Raise DecodeError for a frame that is shorter than its message."""
-        text = f"{self.message.name}: {length} of {self.least} bytes"
-        raise DecodeError("short_frame", text)
+    def decode_raw(self, data: bytes | bytearray) -> tuple[Raw, ...]:
+        """Return the raw values of one frame."""
+        length = len(data)
+        if length < self.least:
+            text = f"{self.message.name}: {length} of {self.least} bytes"
+            raise DecodeError("short_frame", text)
+        data = data[: self.size].ljust(self.size, b"\0")
+        words = int.from_bytes(data, "little"), int.from_bytes(data, "big")
+        found = [read(words) for read in self._reads]
+        if self.multiplexers or length < self.size:
+            selected = {name: read(words) for name, read in self._selecting.items()}
+            for i, s in enumerate(self.signals):
+                if length < self.ends[i] or any(selected[n] not in ids for n, ids in s.selectors):
+                    found[i] = None
+        return tuple(found)
+
+    def scale(self, raw: Sequence[Raw]) -> tuple[float | None, ...]:
+        """Convert raw values to physical values."""
+        pairs = zip(self._values, raw, strict=True)
+        return tuple([None if r is None else value(r) for value, r in pairs])
+
+    def decode(self, data: bytes | bytearray) -> tuple[float | None, ...]:
+        """Return the physical values of one frame."""
+        return self.scale(self.decode_raw(data))
 
     def decode_columns(self, data: Columns, length: NDArray[np.uint8]) -> DecodedColumns:
         """Decode payloads (N, W) with lengths (N,). No frame content raises an error."""
@@ -242,6 +254,21 @@ def compile_decode(
     return DecodePlan(message, signals, multiplexers, match, may_be_cut)
 
 
+def _reader(s: ResolvedSignal, size: int) -> Callable[[Words], int | float]:
+    """Return a function that gives the raw value of a signal in a frame of `size` bytes."""
+    at, shift, mask = int(s.field.is_big), s.field.shift(size), s.field.mask
+    if s.signal.is_float:
+        unpack, length = (
+            struct.Struct("<" + FLOAT_CODES[s.field.length]).unpack,
+            s.field.length // 8,
+        )
+        return lambda words: unpack((words[at] >> shift & mask).to_bytes(length, "little"))[0]
+    if not s.signal.is_signed:
+        return lambda words: words[at] >> shift & mask
+    top = 1 << s.field.length - 1
+    return lambda words: ((words[at] >> shift & mask) ^ top) - top
+
+
 def _present(
     signal: ResolvedSignal, selected: Mapping[str, NDArray[np.int64]], ok: NDArray[np.bool_]
 ) -> NDArray[np.bool_] | None:
@@ -287,139 +314,3 @@ def float_column(bits: NDArray[np.uint64], length: int) -> NDArray[np.float64]:
     narrow: NDArray[Any] = bits.astype(unsigned).view(floating)
     with np.errstate(invalid="ignore"):  # a frame may hold signalling NaNs
         return narrow.astype(np.float64)
-
-
-def _generated(
-    size: int,
-    least: int,
-    ends: Sequence[int],
-    signals: Sequence[ResolvedSignal],
-    multiplexers: Mapping[str, ResolvedSignal],
-    short: Callable[[int], NoReturn],
-) -> dict[str, Any]:
-    """Make `decode_raw(data)`, `scale(raw)` and `decode(data)` for frames of `size` bytes.
-
-    short: called with the length of a frame that has less than `least` bytes; it raises an error.
-    ends: frame length [bytes] that each signal needs.
-    """
-    body, scope = _reading_lines(size, least, ends, signals, multiplexers)
-    scope["short"] = short
-    raw = [f"r{i}" for i in range(len(signals))]
-    physical = [_physical_expression(s, f"r{i}", ends[i] > least) for i, s in enumerate(signals)]
-    lines = ["def decode_raw(data):", *body, f"    return ({_listing(raw)})"]
-    lines += ["def decode(data):", *body, f"    return ({_listing(physical)})"]
-    lines += ["def scale(raw):", *([f"    ({_listing(raw)}) = raw"] if raw else [])]
-    lines += [f"    return ({_listing(physical)})"]
-    exec(_compiled("\n".join(lines)), scope)
-    return scope
-
-
-@lru_cache(maxsize=256)
-def _compiled(text: str) -> CodeType:
-    """Compile the code of a plan. The code is cached, because several drives use the same plan."""
-    return compile(text, "<decode plan>", "exec")
-
-
-def _reading_lines(
-    size: int,
-    least: int,
-    ends: Sequence[int],
-    signals: Sequence[ResolvedSignal],
-    multiplexers: Mapping[str, ResolvedSignal],
-) -> tuple[list[str], dict[str, Any]]:
-    """Return the lines that set r0, r1, ... from `data`, and the names that they use."""
-    scope: dict[str, Any] = {"from_bytes": int.from_bytes}
-    lines = [
-        "    length = len(data)",
-        f"    if length != {size}:",
-        f"        if length < {least}: short(length)",
-        f"        data = data[:{size}]",
-    ]
-    if least < size:
-        lines.append(f"        data = data + bytes({size} - len(data))")
-    wanted = [(f"m{i}", s) for i, s in enumerate(multiplexers.values())]
-    wanted += [(f"r{i}", s) for i, s in enumerate(signals)]
-    grouped, loose = _split_aligned(wanted)
-    for order, group in grouped.items():
-        text, targets = _struct_group(order, group)
-        scope[f"unpack_{order}"] = struct.Struct(text).unpack_from
-        lines.append(f"    ({_listing(targets)}) = unpack_{order}(data)")
-    for order, short_name in (("little_endian", "little"), ("big_endian", "big")):
-        if any(s.field.byte_order == order for _, s in loose):
-            lines.append(f"    {short_name} = from_bytes(data, {short_name!r})")
-    for target, s in loose:
-        lines.append(f"    {target} = {_loose_expression(s, size, scope)}")
-    multiplexer_names = {name: f"m{i}" for i, name in enumerate(multiplexers)}
-    for i, s in enumerate(signals):
-        tests = []
-        for j, (name, ids) in enumerate(s.selectors):
-            if len(ids) == 1:
-                tests.append(f"{multiplexer_names[name]} != {next(iter(ids))}")
-            else:
-                scope[f"ids_{i}_{j}"] = ids
-                tests.append(f"{multiplexer_names[name]} not in ids_{i}_{j}")
-        if ends[i] > least:
-            tests.append(f"length < {ends[i]}")
-        if tests:
-            lines.append(f"    if {' or '.join(tests)}: r{i} = None")
-    return lines, scope
-
-
-def _physical_expression(s: ResolvedSignal, raw: str, may_be_cut: bool) -> str:
-    """Return the Python expression for the physical value of a raw variable."""
-    text = s.scaling.expression.format(r=raw)
-    return f"None if {raw} is None else {text}" if s.selectors or may_be_cut else text
-
-
-def _listing(names: Sequence[str]) -> str:
-    return "".join(f"{name}, " for name in names)
-
-
-def _split_aligned(
-    wanted: Sequence[tuple[str, ResolvedSignal]],
-) -> tuple[dict[str, list[tuple[str, ResolvedSignal]]], list[tuple[str, ResolvedSignal]]]:
-    """Split the signals: those that module struct can read, by byte order, and all others."""
-    grouped: dict[str, list[tuple[str, ResolvedSignal]]] = {}
-    loose = []
-    ends = {"little_endian": 0, "big_endian": 0}
-    for target, s in sorted(wanted, key=lambda item: item[1].field.first_bit):
-        codes = FLOAT_CODES if s.signal.is_float else _STRUCT_CODES
-        order, first = s.field.byte_order, s.field.first_bit
-        if first % 8 == 0 and s.field.length in codes and first >= ends[order]:
-            grouped.setdefault(order, []).append((target, s))
-            ends[order] = first + s.field.length
-        else:
-            loose.append((target, s))
-    return grouped, loose
-
-
-def _struct_group(order: str, group: Sequence[tuple[str, ResolvedSignal]]) -> tuple[str, list[str]]:
-    text = ">" if order == "big_endian" else "<"
-    at = 0
-    for _, s in group:
-        gap = s.field.first_bit // 8 - at
-        text += f"{gap}x" if gap else ""
-        text += _code(s.signal)
-        at = s.field.end_byte
-    return text, [target for target, _ in group]
-
-
-def _code(signal: Signal) -> str:
-    if signal.is_float:
-        return FLOAT_CODES[signal.length]
-    code = _STRUCT_CODES[signal.length]
-    return code if signal.is_signed else code.upper()
-
-
-def _loose_expression(s: ResolvedSignal, size: int, scope: dict[str, Any]) -> str:
-    source = "big" if s.field.is_big else "little"
-    shift = s.field.shift(size)
-    text = f"{source} >> {shift} & {s.field.mask}" if shift else f"{source} & {s.field.mask}"
-    if s.signal.is_float:
-        code = FLOAT_CODES[s.field.length]
-        scope[f"float_{code}"] = struct.Struct("<" + code).unpack
-        return f"float_{code}(({text}).to_bytes({s.field.length // 8}, 'little'))[0]"
-    if s.signal.is_signed:
-        top = 1 << s.field.length - 1
-        return f"({text} ^ {top}) - {top}"
-    return text

@@ -1,4 +1,4 @@
-"""Encode plans: convert physical values to the bits of a message, compiled once.
+"""Encode plans: convert physical values to the bits of a message, prepared once.
 
 One frame and whole columns give the same bytes, equal to those of cantools: raw is
 `round((value - offset) / scale)`, with halves rounded to even. Values are never clipped. A value
@@ -13,8 +13,8 @@ from __future__ import annotations
 import math
 import struct
 import sys
-from collections.abc import Callable, Mapping, Sequence
-from typing import Any, Literal
+from collections.abc import Mapping, Sequence
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -45,26 +45,10 @@ class SignalEncoder:
         self._is_identity = s.scaling.is_identity
         self.low, self.high = _float_limits(s.signal)
         self.lowest, self.highest = (0, 0) if self.is_float else _integer_limits(s.signal)
+        self._mask = s.field.mask
         self._absent = None
         if not_available is not None:
             self._absent = _not_available_bits(s.signal, not_available, self.place)
-
-    def generate(self, i: int, scope: dict[str, Any]) -> list[str]:
-        """Return lines of Python that set the bits ``b{i}`` from the value ``v{i}``."""
-        raw = f"v{i}"
-        if not self._is_identity:
-            raw = f"(v{i} - {self._offset!r}) / {self._scale!r}"
-        scope[f"bits_{i}"] = self.bits
-        if self.is_float:
-            scope[f"pack_{i}"] = struct.Struct("<" + FLOAT_CODES[self.field.length]).pack
-            test = (
-                f"{self.low!r} <= v{i} <= {self.high!r} and {-MAX_DOUBLE!r} <= x <= {MAX_DOUBLE!r}"
-            )
-            packed = f"from_bytes(pack_{i}(x), 'little')"
-            return [f"    x = {raw}", f"    b{i} = {packed} if {test} else bits_{i}(v{i})"]
-        test = f"{self.lowest} <= b{i} <= {self.highest}"
-        mask = f" & {self.field.mask}" if self.lowest < 0 else ""
-        return [f"    b{i} = round({raw})", f"    b{i} = b{i}{mask} if {test} else bits_{i}(v{i})"]
 
     def bits(self, value: float | None) -> int:
         """Return the bits of one value. Raises EncodeError if it cannot be encoded."""
@@ -75,8 +59,8 @@ class SignalEncoder:
                     found = float_bits(raw, self.field.length)
                     if found is not None:
                         return found
-            elif math.isfinite(raw) and self.lowest <= round(raw) <= self.highest:
-                return round(raw) & self.field.mask
+            elif math.isfinite(raw) and self.lowest <= (number := round(raw)) <= self.highest:
+                return number & self._mask
         if self._absent is None:
             raise EncodeError(f"{self.place}: {value} is out of its range")
         return self._absent
@@ -198,21 +182,23 @@ class EncodePlan:
         self._encoders = [
             SignalEncoder(message, s, not_available.get(s.signal.name)) for s in signals
         ]
+        self._places = [(e, e.field.is_big, e.field.shift(self.size)) for e in self._encoders]
         self.start_bytes = self._start_bytes()
-        self._encode = self._generate()
 
     def encode(self, values: Sequence[float | None]) -> bytes:
         """Return the payload of one frame. Raises EncodeError if a value cannot be encoded."""
-        try:
-            return self._encode(values)
-        except (TypeError, ValueError, OverflowError):
-            if len(values) != len(self._encoders):
-                text = f"{len(values)} values for {len(self._encoders)} signals"
-                raise EncodeError(f"{self.message.name}: {text}") from None
-        payload = bytearray(self.start_bytes)
-        for encoder, value in zip(self._encoders, values, strict=True):
-            write_bits(payload, encoder.field, encoder.bits(value))
-        return bytes(payload)
+        if len(values) != len(self._encoders):
+            text = f"{len(values)} values for {len(self._encoders)} signals"
+            raise EncodeError(f"{self.message.name}: {text}")
+        little, big = int.from_bytes(self.start_bytes, "little"), 0
+        for (encoder, is_big, shift), value in zip(self._places, values, strict=True):
+            if is_big:
+                big |= encoder.bits(value) << shift
+            else:
+                little |= encoder.bits(value) << shift
+        if big:
+            little |= int.from_bytes(big.to_bytes(self.size, "big"), "little")
+        return little.to_bytes(self.size, "little")
 
     def encode_columns(self, columns: Sequence[ArrayLike]) -> Columns:
         """Return payloads (N, size). Raises EncodeError if a value cannot be encoded."""
@@ -251,28 +237,6 @@ class EncodePlan:
             if self.multiplexer.get(name, start) not in ids:
                 return False
         return True
-
-    def _generate(self) -> Callable[[Sequence[float | None]], bytes]:
-        """Make the function for the normal case. Other cases raise and take the slow path."""
-        scope: dict[str, Any] = {"from_bytes": int.from_bytes}
-        parts: dict[bool, list[str]] = {False: [], True: []}
-        names = "".join(f"v{i}, " for i in range(len(self._encoders)))
-        lines = ["def encode(values):"] + ([f"    ({names}) = values"] if names else [])
-        for i, encoder in enumerate(self._encoders):
-            lines += encoder.generate(i, scope)
-            shift = encoder.field.shift(self.size)
-            parts[encoder.field.is_big].append(f"b{i} << {shift}" if shift else f"b{i}")
-        order: Literal["little", "big"] = "little"
-        if parts[True] and not parts[False]:
-            order = "big"
-        elif parts[True]:
-            turned = f"({' | '.join(parts[True])}).to_bytes({self.size}, 'big')"
-            parts[False].append(f"from_bytes({turned}, 'little')")
-        terms = [*parts[order == "big"], str(int.from_bytes(self.start_bytes, order))]
-        lines.append(f"    return ({' | '.join(terms)}).to_bytes({self.size}, {order!r})")
-        exec("\n".join(lines), scope)
-        function: Callable[[Sequence[float | None]], bytes] = scope["encode"]
-        return function
 
 
 def compile_encode(

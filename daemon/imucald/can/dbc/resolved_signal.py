@@ -39,8 +39,6 @@ MAX_PHYSICAL = 1e300
 class Scaling(Struct, frozen=True):
     """Linear scaling of integers in doubles: ``raw * scale + offset``. Subclasses compute it
     differently.
-
-    `expression`: Python expression for one number, in which ``{r}`` is the raw value.
     """
 
     scale: int | float
@@ -48,16 +46,15 @@ class Scaling(Struct, frozen=True):
 
     is_identity = False
 
-    @property
-    def expression(self) -> str:
-        """Python expression for the physical value; ``{r}`` is the raw value."""
-        return f"({{r}} * {float(self.scale)!r} + {float(self.offset)!r})"
+    def value(self, raw: int | float) -> float:
+        """Convert a raw value to the physical value."""
+        return raw * self.scale + self.offset
 
     def column(self, raw: NDArray[Any]) -> NDArray[np.float64]:
         """Convert raw values (N,) to physical values, float64 (N,)."""
         values = raw.astype(np.float64)
-        values *= float(self.scale)
-        values += float(self.offset)
+        values *= self.scale
+        values += self.offset
         return values
 
 
@@ -71,41 +68,29 @@ class FloatScaling(Scaling, frozen=True):
 
 
 class NoScaling(Scaling, frozen=True):
-    """Scale 1, offset 0: integers are converted to doubles."""
+    """Scale 1, offset 0: integers are converted to doubles, floats are not changed."""
 
     is_identity = True
 
-    @property
-    def expression(self) -> str:
+    def value(self, raw: int | float) -> float:
         """See `Scaling`."""
-        return "({r} + 0.0)"
+        return float(raw)
 
     def column(self, raw: NDArray[Any]) -> NDArray[np.float64]:
         """See `Scaling`."""
         return raw.astype(np.float64)
 
 
-class NoFloatScaling(NoScaling, frozen=True):
-    """Scale 1, offset 0: floats are not changed."""
-
-    @property
-    def expression(self) -> str:
-        """See `Scaling`."""
-        return "{r}"
-
-
 class IntegerScaling(Scaling, frozen=True):
     """Scaling in Python's integers, for signals for which doubles would round."""
 
-    @property
-    def expression(self) -> str:
+    def value(self, raw: int | float) -> float:
         """See `Scaling`."""
-        return f"float({{r}} * {self.scale!r} + {self.offset!r})"
+        return float(raw * self.scale + self.offset)
 
     def column(self, raw: NDArray[Any]) -> NDArray[np.float64]:
         """See `Scaling`."""
-        scale, offset = self.scale, self.offset
-        return np.array([float(r * scale + offset) for r in raw.tolist()], dtype=np.float64)
+        return np.array([self.value(r) for r in raw.tolist()], dtype=np.float64)
 
 
 def scaling_of(signal: Signal, place: str) -> Scaling:
@@ -113,16 +98,18 @@ def scaling_of(signal: Signal, place: str) -> Scaling:
     _check(signal, place)
     scale, offset = signal.scale, signal.offset
     if scale == 1 and offset == 0:
-        return (NoFloatScaling if signal.is_float else NoScaling)(scale, offset)
+        return NoScaling(scale, offset)
     if signal.is_float:
-        return FloatScaling(scale, offset)
+        return FloatScaling(float(scale), float(offset))
     largest = max(abs(limit) for limit in raw_limits(signal))
     if _is_whole(scale) and _is_whole(offset):
         scale, offset = int(scale), int(offset)
         is_exact = largest * abs(scale) + abs(offset) <= EXACT_IN_DOUBLE
     else:
         is_exact = not isinstance(scale, int) or largest * abs(scale) <= EXACT_IN_DOUBLE
-    return (Scaling if is_exact else IntegerScaling)(scale, offset)
+    if is_exact:
+        return Scaling(float(scale), float(offset))
+    return IntegerScaling(scale, offset)
 
 
 def raw_limits(signal: Signal) -> tuple[int, int]:
