@@ -7,9 +7,18 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from types import ModuleType
 
+PACKAGED = "/usr/lib/imucald/"
+"""Folder of the Debian packages."""
+IN_WORKBENCH = ("live", "report")
+"""Extras that the package imucald-workbench has."""
+
 
 def how_to_install(extra: str) -> str:
     """Return the command that installs an extra of pyproject.toml, as words for a message."""
+    if __file__.startswith(PACKAGED):
+        if extra in IN_WORKBENCH:
+            return "install the Debian package imucald-workbench"
+        return f"no Debian package contains it; in a Python environment: pip install '.[{extra}]'"
     return f"pip install '.[{extra}]' in imucald's checkout"
 
 
