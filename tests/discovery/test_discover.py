@@ -71,6 +71,21 @@ def test_a_level_sensor_has_both_axes_in_one_message(drive, tmp_path):
     assert len({s.signal.partition(".")[0] for s in accelerometer.sources.values()}) == 1
 
 
+def test_only_the_part_before_or_after_a_move_of_the_sensor_is_used(tmp_path, capsys):
+    log, out = tmp_path / "drive.log", tmp_path / "car.yaml"
+    arguments = ["--minutes", "6", "--seed", "6", "--shift", "140,0,60,20"]
+    assert cli.main(["simulate", "--out", str(log), *arguments]) == 0
+    assert cli.main(["init", "--database", str(EXAMPLE), str(log), "--out", str(out)]) == 0
+    assert "imucald: the sensor was moved between" in capsys.readouterr().err
+    text = out.read_text()
+    assert "# The sensor was moved between" in text
+    proposal = proposed(EXAMPLE, log)
+    for quantity in ("accelerometer", "gyroscope", "speed", "yaw_rate"):
+        choice = proposal.choice(quantity)
+        assert choice is not None
+        assert choice.is_sure, quantity
+
+
 @pytest.mark.parametrize("share", [0.0, 0.05])
 def test_a_recorder_that_drops_frames_is_named(drive, share):
     frames = concatenate(list(LogReader([drive])))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import numpy as np
@@ -46,6 +47,38 @@ def test_each_quantity_that_is_not_found_has_a_line_with_its_reason(recorded):
     lines = as_yaml(proposal, ["car.dbc"]).splitlines()
     assert "  # temperature: not found" in lines
     assert "  # yaw_rate: not found: ESC_Dynamics.YawRate never changes" in lines
+
+
+def test_a_signed_signal_that_is_unsigned_in_the_database_is_named_with_the_remedy(recorded):
+    text = re.sub(r"(SG_ (?:YawRate|Rate.) .*@[01])-", r"\1+", EXAMPLE)
+    assert text != EXAMPLE
+    proposal = proposed(text, recorded)
+    assert "yaw_rate" in proposal.missing
+    said = proposal.missing["yaw_rate"]
+    assert said.startswith("ESC_Dynamics.YawRate is signed according to its values, but unsigned")
+    assert "change '+' to '-'" in said
+    assert not proposed(EXAMPLE, recorded).missing.get("yaw_rate")
+
+
+def test_a_signal_that_does_not_follow_the_motion_is_not_said_to_have_no_motion(recorded):
+    """Its sign is in another message, where `init` does not look for it."""
+    data = recorded.data.copy()
+    rows = of_message(recorded, "ESC_Dynamics")
+    at = next(x for x in EXAMPLE.splitlines() if "SG_ YawRate" in x).partition(": ")[2]
+    byte = int(at.partition("|")[0]) // 8
+    raw = data[rows, byte : byte + 2].copy().view(">i2")
+    data[rows, byte : byte + 2] = np.abs(raw).astype(">i2").view(np.uint8)
+    choice = proposed(EXAMPLE, structs.replace(recorded, data=data)).choice("yaw_rate")
+    assert choice.doubt == "chosen by unit and name only: it does not follow the yaw rate"
+
+
+def test_a_gyroscope_without_a_stated_unit_is_unsure_where_no_speed_comes(recorded):
+    """In a vehicle the tilt of the body in bends adds to gravity, and shows no unit."""
+    silent = recorded.take(~(of_message(recorded, "ESC_Speed") | of_message(recorded, "ESC_Wheel")))
+    text = re.sub(r"(SG_ Rate. .*@1-) \(0.01,0\)(.*)\"deg/s\"", r'\1 (0.1,0)\2""', EXAMPLE)
+    assert text != EXAMPLE
+    choice = proposed(text, silent).choice("gyroscope")
+    assert choice is None or not choice.is_sure
 
 
 def test_nothing_that_was_found_is_called_missing(recorded):

@@ -99,8 +99,7 @@ def run(options: argparse.Namespace) -> int:
     _require_matches(options, recording, proposal)
     proposal.driving_side = options.driving_side
     write_yaml(options.out, as_yaml(proposal, list(databases)), CONFIGURATION)
-    if proposal.loss:
-        print(f"imucald: {proposal.loss}", file=sys.stderr)
+    print_problems(text for text in (proposal.loss, proposal.move) if text)
     if out:
         print(f"{options.out}: {_outcome(proposal, options)}", file=sys.stderr)
     return 0
@@ -144,7 +143,7 @@ def _outcome(proposal: Proposal, options: argparse.Namespace) -> str:
     """Return lines about the results and the next step with the same log or bus."""
     count = len(proposal.choices)
     unsure = sum(not choice.is_sure for choice in proposal.choices)
-    found = f"{counted(count, 'quantity', 'quantities')}, {unsure} of them unsure\n"
+    found = f"{counted(count, 'quantity', 'quantities')}, {unsure or 'none'} unsure\n"
     if proposal.missing:
         missing = (
             n.replace("_", " ") + (f" ({why})" if why else "")

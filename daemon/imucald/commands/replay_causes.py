@@ -36,8 +36,10 @@ def causes(
     if STDIN in logs:
         return [f"two signals contradict each other: save the log, then run '{command}'"]
     found = check(config, logs).findings
-    errors = [f"{f['quantity']}: {f['text']}" for f in found if f["level"] == "error"]
-    return errors or [
+    for level in ("error", "warning"):
+        if texts := [f"{f['quantity']}: {f['text']}" for f in found if f["level"] == level]:
+            return texts
+    return [
         "not known: two signals contradict each other in a part of the drive, but over the whole "
         f"drive no sign, axis or unit is wrong. The sensor may move in its holder. '{command}' "
         "shows every signal"

@@ -14,7 +14,7 @@ from imucald.config import LoadedConfig
 from imucald.config_check.finding import Finding, cut_frames
 from imucald.config_check.source import QuantitySource, configured_name, id_text, stated_cycle
 from imucald.config_check.statistics import Probe
-from imucald.core.text import clock
+from imucald.core.text import clock, counted
 from imucald.inputs.router import OF_SENSOR
 from imucald.inputs.routes import MessageRoute
 from imucald.mount.signal_blocks import ACCEL_GAP, SPEED_GAP
@@ -237,9 +237,8 @@ class Decoding:
             text = f"some lines cannot be used: {counts_text(self.bad_lines)}"
             yield Finding("warning", "log", text)
         if self.steps:
-            text = (
-                f"the time stamps jump {self.steps} times: frames are missing, or the clock was set"
-            )
+            jumps = counted(self.steps, "jump")
+            text = f"the time stamps have {jumps}: frames are missing, or the clock was set"
             yield Finding("note", "", text)
 
     def _too_slow(self) -> Iterator[Finding]:

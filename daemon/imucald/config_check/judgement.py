@@ -31,6 +31,7 @@ from imucald.config_check.finding import (
     spread,
 )
 from imucald.config_check.motion import Motion, smooth
+from imucald.config_check.moved_sensor import sensor_move
 from imucald.config_check.relation import relation
 from imucald.config_check.single_fault import explained
 from imucald.config_check.turning_axis import turning_axis_findings
@@ -96,6 +97,12 @@ def judge(
     the signs of all its axes. never_negative: by quantity that was never negative, the signals that
     may hold its sign.
     """
+    if (move := sensor_move(motion)) is not None:
+        text = f"{move.words}. Check a log from before or after: this log compares two mounts"
+        yield Finding("warning", "accelerometer", text)
+        yield from _speed_against_wheels(motion, unit_advice.get("speed"))
+        yield from _reverse(motion)
+        return
     yield from _at_rest(motion, unit_advice.get("accelerometer"))
     yield from _constant_speed(motion)
     of_up: list[Finding] = []
@@ -161,14 +168,11 @@ def _magnitudes(rates: Mapping[str, Array], never_negative: Mapping[str, str]) -
         turning = np.nan_to_num(np.abs(rate)) > TURNING
         turns = np.count_nonzero(np.diff(turning.astype(np.int8)) > 0)
         if turns >= ONE_SIDED_TURNS:
-            where = (
-                f"in {bits}"
-                if bits
-                else "in another signal? Or does the database miss that the signal is signed"
-            )
+            where = f"in {bits}" if bits else "in another signal"
             text = (
-                f"it is never negative in {turns} turns. Is its sign {where}? If so, name "
-                "that signal with 'sign_signal:'"
+                f"it is never negative in {turns} turns. If its sign is {where}, name that signal "
+                "with 'sign_signal:'. If the database misses that the signal is signed, correct "
+                "the database (in a DBC: '-' in place of '+' behind '@0' or '@1')"
             )
             yield Finding("warning", name, text)
 

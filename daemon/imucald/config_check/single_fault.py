@@ -46,14 +46,14 @@ def explained(
     """Replace the errors by the single faults that explain all of them.
 
     judge: yields the findings about a motion with one fault undone. Of the faults that leave no
-    error, those count after which most pairs of signals agree. If there is none, or there are too
-    many, the errors stay as they are. Returns the findings, and the motion without the fault if it
-    is only one.
+    error, those count after which most pairs of signals agree, and more than before. If there is
+    none, or there are too many, the errors stay as they are. Returns the findings, and the motion
+    without the fault if it is only one.
     """
     if all(finding.level != "error" for finding in found):
         return list(found), motion
     possible: list[SingleFault] = []
-    most = 0
+    most = 1 + sum(finding.level == "ok" for finding in found)
     for fault in _faults(motion):
         agree = _agreeing(judge(motion.turned(fault.channel, fault.matrix)))
         if agree is not None and agree >= most:

@@ -37,6 +37,11 @@ SMALL_AT_SIGN = 0.3
 not its sign changes at the mean size."""
 NOT_AVAILABLE_BYTE = 0xFF
 """The fill byte of a J1939 message without values."""
+WRAPPED, JOINED = 0.9, 0.5
+"""Sizes of a step, relative to the range of the raw value: a signed number that is read as unsigned
+steps by nearly the whole range where it changes its sign, and read as signed by less than half."""
+CODES = 8
+"""Largest number of raw values that may be codes ('not available', 'error') at the upper end."""
 _NO_UNIT = frozenset({"", "-", "1", "none", "unit", "raw", "bit", "bits", "unitless"})
 
 
@@ -249,6 +254,8 @@ def _candidate(
     ticks: int,
 ) -> SeenSignal | None:
     signal = one.message.signal(name)
+    if misses_sign(signal, raw[good]):
+        return None
     named = list(no_values(signal.choices))
     if isinstance(signal.invalid_raw, int):
         named.append(signal.invalid_raw)
@@ -308,6 +315,19 @@ def _unavailable(signal: Signal, raw: NDArray[np.generic]) -> tuple[int, ...]:
         if float(np.abs(others - code).min()) > max(2.0 * usual, 0.1 * (high - low)):
             found.append(int(code))
     return tuple(found)
+
+
+def misses_sign(signal: Signal, raw: NDArray[np.generic]) -> bool:
+    """True if a signal is signed according to its values (n,), but unsigned in the database."""
+    if signal.is_signed or signal.is_float or signal.length < SNA_BITS:
+        return False
+    size = float(2**signal.length)
+    values = raw.astype(np.float64)
+    if len(np.unique(values[values >= WRAPPED * size])) <= CODES:
+        return False
+    joined = np.where(values >= 0.5 * size, values - size, values)
+    steps = (float(np.abs(np.diff(x)).max(initial=0.0)) for x in (values, joined))
+    return next(steps) > WRAPPED * size and next(steps) < JOINED * size
 
 
 def silent_candidates(database: Database) -> Iterator[SeenSignal]:

@@ -12,7 +12,9 @@ from imucald.can.j1939_transport import announced_messages
 from imucald.can.lost_frames import dropping_recorder, lost_share
 from imucald.config.network import OutputIds
 from imucald.config_check.finding import cut_frames
-from imucald.core.text import counted
+from imucald.config_check.motion import Motion
+from imucald.config_check.moved_sensor import sensor_move
+from imucald.core.text import clock, counted
 from imucald.discovery.by_names import by_names
 from imucald.discovery.candidates import (
     MessageTraffic,
@@ -43,12 +45,45 @@ from imucald.discovery.triads import of_another_size
 from imucald.discovery.turning import Turning
 from imucald.motion.ticks import TICK_RATE
 
+LEAST_PART_S = 60.0
+"""Shortest part of a recording in which the sensor was moved that is used [s]."""
 LEAST_LOSS = 0.05
 """Smallest share of lost frames [%] that is shown. A smaller one would be shown as 0.0."""
 
 
 def discover(databases: Mapping[str, Database], recording: GatheredFrames) -> Proposal:
-    """Propose a configuration. databases: keys are the paths for the configuration."""
+    """Propose a configuration. databases: keys are the paths for the configuration.
+
+    If the sensor is moved in the recording, only the longer part before or after is used.
+    """
+    proposal, reference = _discovered(databases, recording)
+    move = None if reference.accelerometer is None else sensor_move(_motion_of(reference))
+    if move is None:
+        return proposal
+    is_later = recording.seconds - move.after > move.before
+    first, last = (move.after, recording.seconds) if is_later else (0.0, move.before)
+    part = recording.between(first, last)
+    what_is_used = "nothing here is certain: give a recording without a move"
+    if part.seconds >= LEAST_PART_S:
+        proposal, _ = _discovered(databases, part)
+        what_is_used = f"only {clock(first)} to {clock(last)} of the recording is used"
+    proposal.move = f"{move.words}; {what_is_used}"
+    proposal.notes.append(f"{proposal.move[:1].upper()}{proposal.move[1:]}.")
+    return proposal
+
+
+def _motion_of(reference: KnownMotion) -> Motion:
+    """Return the motion of the accelerometer and the speed that were found."""
+    assert reference.accelerometer is not None, "asked before"
+    grid = {"accel": reference.accelerometer.ticks}
+    if (speed := reference.speed) is not None:
+        grid["speed"] = speed.candidate.x * speed.unit.factor
+    return Motion(grid, planar=False)
+
+
+def _discovered(
+    databases: Mapping[str, Database], recording: GatheredFrames
+) -> tuple[Proposal, KnownMotion]:
     traffic = recording.traffic()
     ticks = int(recording.seconds * TICK_RATE) + 1
     proposal = Proposal()
@@ -99,7 +134,7 @@ def discover(databases: Mapping[str, Database], recording: GatheredFrames) -> Pr
         accelerometer.doubt = of_another_size(candidates) or accelerometer.doubt
     if recording.frames and not any(c.quantity == "reverse" for c in proposal.choices):
         proposal.notes += unseen_reverse(candidates)
-    return proposal
+    return proposal, reference
 
 
 def _lost(shares: Mapping[str, float | None]) -> list[str]:

@@ -6,6 +6,7 @@ from imucald.discovery.evidence import UnitChoice, choose_unit, in_counts
 from imucald.discovery.gyro_axes import GyroFit, Order, is_decided, right_handed_orders
 from imucald.discovery.proposal import Alternative, Choice, Proposed, source_of
 from imucald.discovery.reference import GAIN_TOLERANCE
+from imucald.discovery.scalars import SAME_MOTION
 from imucald.discovery.triads import Triad
 from imucald.inputs.units import is_unit
 
@@ -48,7 +49,9 @@ def _unit(triad: Triad, fit: GyroFit) -> tuple[UnitChoice, str]:
     """Return the unit from turns or gravity, and why it is not sure."""
     found = fit.turning if fit.turning.is_believed else fit.carried
     unit = triad.unit
-    if found.is_believed and found.low > 0.0:
+    # In a vehicle, lateral forces tilt the body and add to gravity, so the gain of a weak relation
+    # to gravity shows no unit. In a hand, the relation is strong.
+    if found.is_believed and found.low > 0.0 and found.explained >= SAME_MOTION:
         size = unit.factor  # the relation was taken in this unit
         low, high = size * found.low / GAIN_TOLERANCE, size * found.high * GAIN_TOLERANCE
         first = triad.members[0]
@@ -57,9 +60,8 @@ def _unit(triad: Triad, fit: GyroFit) -> tuple[UnitChoice, str]:
             counts = in_counts("angular_rate", low, high)
             return counts, RAW_COUNTS.format(" or ".join((counts.name, *counts.others)))
         return (unit, "its size does not fit any unit") if fitting is None else (fitting, "")
-    if unit.is_stated:
-        return unit, "the recording has no turn, so unit and sign are unknown"
-    return unit, "the database states no unit"
+    what = "sign" if unit.is_stated else "unit and sign"
+    return unit, f"no speed confirms it in turns, so its {what} may be wrong"
 
 
 def _contradiction(fit: GyroFit) -> str:

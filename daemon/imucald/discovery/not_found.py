@@ -10,7 +10,7 @@ from imucald.can.dbc.message import Message
 from imucald.can.j1939_transport import in_transport
 from imucald.core.errors import DatabaseError
 from imucald.core.samples import QUANTITIES
-from imucald.discovery.candidates import MessageTraffic, SeenSignal
+from imucald.discovery.candidates import MessageTraffic, SeenSignal, misses_sign
 from imucald.discovery.names import named_so
 
 LOOKED_FOR = tuple(row.key for row in QUANTITIES.values() if row.channel != "mag")
@@ -62,12 +62,12 @@ def _why(
     if path in seen:
         if seen[path].is_constant:
             return f"{path} never changes"
-        return (
-            f"{path} does not follow the motion, or its unit '{seen[path].unit}' is not one "
-            "of this quantity"
+        unit = seen[path].unit
+        return f"{path} does not follow the motion in any unit of this quantity" + (
+            f" (its unit is '{unit}')" if unit else ""
         )
     try:
-        compile_decode(message, [name])
+        plan = compile_decode(message, [name])
         id_match(message)
     except DatabaseError as error:
         return f"{path} cannot be read: {error}"
@@ -81,5 +81,11 @@ def _why(
         return (
             f"the frames of {message.name} have {longest} bytes, but the database says "
             f"{message.length}"
+        )
+    decoded = plan.decode_columns(traffic.data, traffic.length)
+    if misses_sign(message.signal(name), decoded.raw[0][decoded.ok]):
+        return (
+            f"{path} is signed according to its values, but unsigned in the database: in a DBC, "
+            "change '+' to '-' behind '@0' or '@1' of its line"
         )
     return f"{path} has no usable value"

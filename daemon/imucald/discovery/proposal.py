@@ -102,6 +102,8 @@ class Proposal:
     notes: list[str] = field(default_factory=list)
     loss: str | None = None
     """A text about a recorder that dropped frames, or None."""
+    move: str | None = None
+    """A text about a sensor that was moved in the recording, or None."""
     missing: Mapping[str, str] = field(default_factory=dict)
     """Quantities that were not found, each with the reason if it is known."""
     driving_side: str = "unknown"

@@ -67,6 +67,13 @@ class GatheredFrames:
             if len(timed):
                 self._parts.append(timed)
 
+    def between(self, first: float, last: float) -> GatheredFrames:
+        """Return the frames of a part of the recording; times [s] count from its first frame."""
+        made = GatheredFrames()
+        for part in self._parts:
+            made.add(part.take((part.t >= first) & (part.t < last)))
+        return made
+
     @property
     def frames(self) -> int:
         """Number of collected frames."""

@@ -97,7 +97,8 @@ def find_scalar(
             matches.append(Match(c, found, unit))
     matches = _ranked(matches, quantity)
     if not matches:
-        return by_unit_and_name(quantity.name, quantity.dimension, usable)
+        why = f"chosen by unit and name only: it does not follow {quantity.words}"
+        return by_unit_and_name(quantity.name, quantity.dimension, usable, why)
     best = matches[0]
     unit = best.unit or stated_unit(best.candidate, quantity.dimension)
     if unit is None:
