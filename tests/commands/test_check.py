@@ -762,6 +762,20 @@ def test_smallest_and_largest_beside_each_other_are_of_one_sample(
         assert f"{row['in_unit'][end]:.3g} = {row['in_si'][other]:.3g}" in line
 
 
+def test_a_narrow_table_keeps_the_names_of_quantities_and_breaks_sources_at_their_dot(
+    frames: Frames, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """In a pipe too, if COLUMNS is set."""
+    monkeypatch.setenv("COLUMNS", "80")
+    print_report(checked(frames))
+    lines = capsys.readouterr().out.splitlines()
+    assert any(x.startswith("steering_wheel_angle ") for x in lines)
+    (at,) = (i for i, x in enumerate(lines) if x.startswith("accelerometer.x "))
+    assert lines[at].split()[1] == "IMU_Accel."
+    assert lines[at + 1].split()[0] == "AccelX"
+    assert not any(". =" in x for x in lines)
+
+
 def test_frames_that_were_not_used_are_counted(
     frames: Frames, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -11,7 +11,8 @@ from rich.text import Text
 from imucald.commands.terminal import PIPED_WIDTH, plain_console
 from imucald.core.text import counted, one_line
 
-LONG_NAME = 18
+LONG_QUANTITY, LONG_SOURCE = 18, 12
+"""Lengths above which names are broken at their dot on a narrow terminal [columns]."""
 _STYLES = {"error": "bold red", "warning": "yellow", "note": "cyan", "ok": "green"}
 
 
@@ -32,9 +33,7 @@ def print_report(report: Mapping[str, Any], strict: bool = False) -> None:
     whole = _quantities(report["quantities"], False, console.is_terminal)
     unlimited = console.options.update_width(PIPED_WIDTH)
     is_narrow = console.measure(whole, options=unlimited).maximum > console.width
-    console.print(
-        _quantities(report["quantities"], True, console.is_terminal) if is_narrow else whole
-    )
+    console.print(_quantities(report["quantities"], True, True) if is_narrow else whole)
     console.print()
     console.print(_findings(report["findings"]))
     console.print()
@@ -88,7 +87,7 @@ def _quantities(rows: list[dict[str, Any]], narrow: bool, stacked: bool) -> Tabl
     narrow: long names break at their dot. stacked: cells may have two lines; else one line per row.
     """
     table = Table(box=None, pad_edge=False, padding=(0, 1, 0, 0 if narrow else 1))
-    table.add_column("quantity", overflow="fold")
+    table.add_column("quantity", no_wrap=stacked)
     table.add_column("from", overflow="fold")
     table.add_column("samples", justify="right")
     for name in ("min", "mean", "max"):
@@ -111,8 +110,8 @@ def _quantities(rows: list[dict[str, Any]], narrow: bool, stacked: bool) -> Tabl
         if not same and row["factor"] < 0:
             unit += " (sign -1)"
         line = [
-            _broken(row["quantity"], narrow) + rank,
-            _broken(one_line(row["source"]), narrow) + rejected,
+            _broken(row["quantity"], LONG_QUANTITY if narrow else None) + rank,
+            _broken(one_line(row["source"]), LONG_SOURCE if narrow else None) + rejected,
             str(row["samples"]),
             *cells,
             unit,
@@ -121,9 +120,9 @@ def _quantities(rows: list[dict[str, Any]], narrow: bool, stacked: bool) -> Tabl
     return table
 
 
-def _broken(name: str, narrow: bool) -> str:
-    """Break a long dotted name into two lines on a narrow terminal."""
-    return name.replace(".", ".\n", 1) if narrow and len(name) > LONG_NAME else name
+def _broken(name: str, most: int | None) -> str:
+    """Break a dotted name that is longer than `most` into two lines; None: keep it."""
+    return name if most is None or len(name) <= most else name.replace(".", ".\n", 1)
 
 
 def _findings(rows: list[dict[str, Any]]) -> Table:
