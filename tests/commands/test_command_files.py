@@ -142,7 +142,7 @@ def test_of_several_logs_one_of_other_frames_fails_the_command_too(run_main, log
     other.write_text("(1600000000.000000) can0 7F0#00\n")
     status, text = run_main(*replay(log), str(other))
     assert status == 1
-    assert "no usable frame of this configuration" in text
+    assert f"{other}: the log has no usable frame of this configuration" in text
 
 
 @pytest.mark.parametrize("speed", ["0", "-1", "nan", "inf"])

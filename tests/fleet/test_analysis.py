@@ -215,7 +215,8 @@ def test_an_angle_of_a_type_that_two_vehicles_do_not_show_is_stated_not_to_be_kn
     assert f"{kind['ci95_z_deg']:.2f}" not in line
     assert f"{kind['tau_z_deg']:.2f}" not in line
     assert line.split()[-1] == "-", "a column of numbers holds numbers or a dash"
-    assert f"no spread: {kind['vehicle_type']}: the mounts" in " ".join(text.split())
+    assert line.split()[3:9] == ["not", "known"] * 3, "roll, pitch and yaw of no common mount"
+    assert f"no common mount for {kind['vehicle_type']}: the" in " ".join(text.split())
     assert not page._pictures({**dict.fromkeys(("groups", "never_usable"), ()), "types": [kind],
                                "vehicles": rows["analysis/vehicles"]})["vehicles"]  # fmt: skip
 
@@ -229,7 +230,7 @@ def test_a_type_with_one_vehicle_has_no_spread_between_vehicles_and_no_complaint
     text = capsys.readouterr().out
     line = next(row for row in text.splitlines() if row.startswith(f"{kind['vehicle_type']} "))
     assert line.split()[-1] == "-"
-    assert "no spread" not in text
+    assert "no common mount" not in text
 
 
 def test_the_interval_of_an_angle_is_its_own_where_the_sensor_is_turned_by_90_deg() -> None:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 from imucald.commands.terminal import plain_console, plain_where_needed
 from imucald.core.text import counted
 from imucald.fleet.move_words import time_text, unordered_words, when_moved, why_not_known
-from imucald.fleet.reading import no_common_mount_words, present_mounts, spread_text
+from imucald.fleet.reading import no_common_mount_words, present_mounts, shown_types, spread_text
 from imucald.mount.estimate import ANGLES
 from imucald.mount.mount_words import CONVENTION, UNKNOWN_HALF_DEG
 
@@ -33,7 +33,7 @@ def print_analysis(tables: Mapping[str, pa.Table]) -> None:
         if len(mounts) > SHOWN:
             console.print(f"and {len(mounts) - SHOWN} more")
         console.print()
-    console.print(_types(rows["types"]))
+    console.print(_types(shown_types(rows["types"])))
     console.print(CONVENTION)
     if differ := no_common_mount_words(rows["types"]):
         console.print(differ)

@@ -149,7 +149,7 @@ def _several(options: argparse.Namespace, config: Configuration, logs: Sequence[
         try:
             page = _page(options, [log], folder)
             drive, files = _replayed(options, config, [log], path, None, page)
-            _print_problems(options, drive)
+            _print_problems(options, drive, f"{log}: ")
             require_frames(drive)
             why = causes(options, config, [log], drive.to_dict())
             explained += (f"{log}: {text}" for text in why)
@@ -170,7 +170,9 @@ def _several(options: argparse.Namespace, config: Configuration, logs: Sequence[
         from imucald.commands.replay_report import write_index
 
         file = write_index(
-            options.report, list(zip(folders, found.rows(), strict=True)), found.notes
+            options.report,
+            list(zip(folders, found.rows(), strict=True)),
+            [*explained, *found.notes],
         )
         if not options.quiet:
             print(f"imucald: written: {file}", file=sys.stderr)
@@ -260,11 +262,15 @@ def _page(
     return ReplayReport(options, logs, folder)
 
 
-def _print_problems(options: argparse.Namespace, drive: DriveResult) -> None:
+def _print_problems(options: argparse.Namespace, drive: DriveResult, log: str = "") -> None:
+    """Print the problems, which name their log, and the notes, behind the name of one of several
+    logs.
+    """
     from imucald.api.run import UNUSED
 
     print_problems(drive.problems)
-    print_problems(text for text in drive.notes if text == UNUSED or not options.quiet)
+    notes = (text for text in drive.notes if text == UNUSED or not options.quiet)
+    print_problems(f"{log}{text}" for text in notes)
 
 
 def _print_written(files: Sequence[Path]) -> None:

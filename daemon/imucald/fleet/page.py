@@ -25,6 +25,7 @@ from imucald.fleet.reading import (
     no_common_mount_words,
     present_mounts,
     read_analysis,
+    shown_types,
     spread_text,
 )
 from imucald.fleet.store import Store
@@ -60,13 +61,15 @@ def fleet_page(store: Store) -> str:
         place=store.url,
         made=f"{datetime.now(UTC):%Y-%m-%d %H:%M} UTC, imucald {__version__}",
         headline=_headline(found, analysis["outliers"], bad, design),
+        is_calm=not (found or analysis["outliers"] or bad or design),
+        not_known="moves between drives are not known" if unknown else "",
         figures=[
             ("Vehicles", str(len(analysis["vehicles"])), f"of {kinds}"),
-            ("Drives", f"{len(drives)}", f"{hours:.0f} h of driving"),
+            ("Drives", f"{len(drives)}", f"{hours:.{0 if hours >= 10.0 else 1}f} h of driving"),
             (
                 "Moved sensors",
                 f"{len(found) or ('not known' if unknown else 0)}",
-                "at most 5 % of those between drives false",
+                "of those between drives, at most 5 % are false",
             ),
             ("Differ clearly from their type", f"{len(analysis['outliers'])}", "vehicles"),
             ("Bad batches", f"{len(bad)}", f"of {len(analysis['groups'])}"),
@@ -74,7 +77,7 @@ def fleet_page(store: Store) -> str:
         ],
         mounts=_mounts(analysis)[:MAX_ROWS],
         more_mounts=max(0, len(analysis["vehicles"]) - MAX_ROWS),
-        types=analysis["types"][:MAX_ROWS],
+        types=shown_types(analysis["types"][:MAX_ROWS]),
         unknown_half=UNKNOWN_HALF_DEG,
         spread=spread_text,
         no_common_mount=no_common_mount_words(analysis["types"]),

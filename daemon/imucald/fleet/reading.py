@@ -17,6 +17,7 @@ from imucald.fleet.columns import TABLES
 from imucald.fleet.compaction import read_tables
 from imucald.fleet.store import Store
 from imucald.fleet.tables import as_parquet, main_file, read_file, table_of
+from imucald.mount.estimate import ANGLES
 from imucald.mount.mount_words import UNKNOWN_HALF_DEG
 
 NEEDED = (
@@ -77,6 +78,12 @@ def has_common_mount(row: Mapping[str, Any]) -> bool:
     return row["vehicles"] < 2 or all(h is not None and h < UNKNOWN_HALF_DEG for h in halves)
 
 
+def shown_types(types: Iterable[Mapping[str, Any]]) -> list[dict[str, Any]]:
+    """Return rows of `analysis/types`, without intervals where a type has no common mount."""
+    no_interval = {f"ci95_{angle}_deg": None for angle in ANGLES}
+    return [{**row, **({} if has_common_mount(row) else no_interval)} for row in types]
+
+
 def spread_text(row: Mapping[str, Any]) -> str:
     """Spread between the vehicles of a type about x, y, z [deg]; "-" if there is none.
 
@@ -96,7 +103,7 @@ def no_common_mount_words(types: Iterable[Mapping[str, Any]]) -> str:
     if not names:
         return ""
     return (
-        f"no spread: {names}: the mounts of the vehicles differ too much. If they differ by "
+        f"no common mount for {names}: the vehicles' mounts differ too much. If they differ by "
         "design, give each design its own type (column 'type' of the list of vehicles)"
     )
 
