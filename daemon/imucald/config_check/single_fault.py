@@ -1,8 +1,8 @@
 """Name the one wrong sign or exchange of axes that explains all contradictions of the signals.
 
 One wrong sign contradicts several other signals, so it gives several findings, and some of them
-accuse signals that are right. Therefore each possible single fault is undone in turn, and the same
-judgement is asked again. A fault without which no contradiction is left explains all of them.
+accuse signals that are right. Therefore each possible single fault is undone in turn, and all
+signals are compared again. If no contradiction is left, this fault explains all of them.
 """
 
 from __future__ import annotations

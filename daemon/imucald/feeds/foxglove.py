@@ -158,8 +158,8 @@ def _vector(values: Triple | None, factor: float) -> dict[str, float | None]:
 def transforms(reading: Reading) -> dict[tuple[str, str], tuple[float, float, float, float]]:
     """Return the quaternion w, x, y, z of a child frame in its parent, by (parent, child).
 
-    If the mount is known: sensor in the vehicle. If the attitude is known: vehicle in level axes
-    (heading 0 if it is not known).
+    The sensor in the vehicle is included if the mount is known, the vehicle in level axes if the
+    attitude is known (heading 0 if it is not known).
     """
     found: dict[tuple[str, str], tuple[float, float, float, float]] = {}
     if reading.is_new and reading.status is not None:

@@ -58,8 +58,12 @@ ANALYSIS: Final[dict[str, tuple[Column, ...]]] = {
         Column("drives_unknown", "integer", "", "with a mount that is not known"),
         Column("segments", "integer", "", "between remounts"),
         *_MOUNT,
-        *floats("", "the same shrunk to the type", *(f"shrunk_{name}" for name in _QUATERNION)),
-        *floats("deg", "the same shrunk to the type", *(f"shrunk_{name}" for name in _ANGLES)),
+        *floats(
+            "", "mount, drawn towards that of the type", *(f"shrunk_{name}" for name in _QUATERNION)
+        ),
+        *floats(
+            "deg", "mount, drawn towards that of the type", *(f"shrunk_{name}" for name in _ANGLES)
+        ),
         *_xyz("deg", "half of its 95 % interval, crown included", "shrunk_ci95_{}_deg"),
         *_xyz("", "weight of the vehicle's own data; 1: not shrunk", "weight_{}"),
         *_xyz("deg", "first segment compared with its type, without bad batches", "d_{}_deg"),

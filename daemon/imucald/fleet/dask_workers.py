@@ -114,7 +114,7 @@ class DaskWorkers:
                 self._prepare(address, bundles)
             except OSError as error:  # Dask's CommClosedError is one
                 if left == 0:
-                    text = f"{address}: no worker stays long enough to be prepared: {error}"
+                    text = f"{address}: every worker left before it was prepared: {error}"
                     raise ImucaldError(text) from None
                 time.sleep(AGAIN_S)
             else:

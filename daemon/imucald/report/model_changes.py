@@ -24,7 +24,7 @@ class Change:
 def model_changes(before: VehicleModel, after: VehicleModel) -> list[Change]:
     """Return every key whose value differs, in the file's order. Lists count as one value.
 
-    Residuals of drives (`leaves`) are no parameters and are not listed.
+    The residuals of drives (`leaves`) are not listed: they are no parameters.
     """
     old, new = (dict(_flat({**model.dump(), "leaves": {}})) for model in (before, after))
     return [

@@ -145,8 +145,8 @@ def _angle(moment: Moment, angle: int) -> tuple[float, float]:
 
 
 def _size(off: Array, half: Array) -> float:
-    """Half height [deg] of a picture: it shows the last three quarters fully, and the first quarter
-    as far as it fits."""
+    """Half of the height of a picture [deg]: the last three quarters of the drive fit, the first
+    quarter may be cut."""
     late = slice(len(off) // 4, None)
     edge = np.abs(off[late]) + half[late]
     if not np.isfinite(edge).any():
