@@ -17,7 +17,7 @@ import imucald
 from imucald import cli
 from imucald.can.columns import FrameColumns, concatenate
 from imucald.can.dbc.database import load_database, load_database_text
-from imucald.can.logs.log_reader import LogReader
+from imucald.can.logs.log_reader import CandumpWriter, LogReader
 from imucald.can.python_can import can
 from imucald.config import load_config, parse_config
 from imucald.discovery import GatheredFrames, Proposal, as_yaml, discover
@@ -598,6 +598,46 @@ def test_bytes_of_a_described_j1939_message_are_not_offered_as_bytes_that_no_dat
         if source.raw
     ]
     assert sent & 0x1FFFFFFF not in offered
+
+
+def test_j1939_messages_of_a_database_that_does_not_say_so_are_found_by_their_pgn(drive, tmp_path):
+    number, sent = 0x98F02AE2, 0x98F02A33
+    text = EXAMPLE.read_text().replace("BO_ 513 IMU_Gyro", f"BO_ {number} IMU_Gyro")
+    text = re.sub(r"^(?!BO_ |BU_).*\b513\b.*$", "", text, flags=re.M)
+    frames = concatenate(list(LogReader([drive])))
+    can_id = np.where(frames.can_id == 0x201, sent, frames.can_id).astype(frames.can_id.dtype)
+    database = tmp_path / "car.dbc"
+    database.write_text(text)
+    recording = GatheredFrames.of([structs.replace(frames, can_id=can_id)])
+    proposal = discover({"car.dbc": load_database([database])}, recording)
+    assert proposal.choice("gyroscope").sources["z"].signal == "IMU_Gyro.RateZ"
+    out = tmp_path / "car.yaml"
+    out.write_text(as_yaml(proposal, ["car.dbc"]))
+    assert "database: {path: car.dbc, j1939: true}" in out.read_text()
+    with CandumpWriter(tmp_path / "sent.log") as writer:
+        writer.write_columns(structs.replace(frames, can_id=can_id))
+    report = imucald.check(out, tmp_path / "sent.log")
+    assert report.usable, report.findings
+
+
+def test_of_two_accelerometers_the_one_that_belongs_to_the_gyroscope_is_taken_and_unsure(drive):
+    """The other one sits otherwise, and shows the changes of speed as well."""
+    frames = GatheredFrames.of([copied(concatenate(list(LogReader([drive]))), {0x200: 0x180})])
+    text = EXAMPLE.read_text()
+    axes = re.findall(r" SG_ Accel[XYZ] : .*\n", text)
+    turned = [a.replace(f"Accel{x}", f"Accel{y}") for a, x, y in zip(axes, "XYZ", "YZX", strict=True)]
+    head = next(x for x in text.splitlines() if x.startswith("BO_ 512"))
+    other = head.replace("512 IMU_Accel", "384 TCU_Accel")
+    text = text.replace(head, f"{other}\n{''.join(turned)}\n{head}")
+    proposal = discover({"car.dbc": load_database_text(text, "dbc")}, frames)
+    accelerometer, gyroscope = proposal.choice("accelerometer"), proposal.choice("gyroscope")
+    assert accelerometer.sources["x"].signal == "IMU_Accel.AccelX"
+    assert "TCU_Accel has an accelerometer too" in accelerometer.doubt
+    assert gyroscope.is_sure
+    for quantity in ("lateral_acceleration", "longitudinal_acceleration"):
+        choice = proposal.choice(quantity)
+        of_another = choice is not None and choice.sources[""].signal.startswith("TCU_Accel")
+        assert not (of_another and choice.is_sure), quantity
 
 
 @pytest.mark.parametrize(

@@ -9,9 +9,10 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
+from msgspec import structs
 from numpy.typing import NDArray
 
-from imucald.can.columns import CAN_EFF_MASK, IdMatch
+from imucald.can.columns import CAN_EFF_FLAG, CAN_EFF_MASK, IdMatch
 from imucald.can.dbc.database import Database
 from imucald.can.dbc.decode import J1939_ADDRESS_MASK, compile_decode, id_match
 from imucald.can.dbc.message import Message, Signal
@@ -142,6 +143,26 @@ def readable_messages(database: Database) -> Iterator[tuple[Message, IdMatch]]:
             yield message, id_match(message)
         except DatabaseError:
             continue
+
+
+def compared_by_pgn(database: Database, traffic: Sequence[Traffic]) -> Database | None:
+    """Return the database with J1939 messages, if its 29-bit identifiers come only so; else None.
+
+    Many J1939 databases do not say that they are J1939. Their messages then come with another
+    source address or priority than in the database.
+    """
+    here = [m for m, _ in readable_messages(database) if m.can_id & CAN_EFF_FLAG]
+
+    def come(j1939: bool | None) -> bool:
+        matches = [id_match(message, j1939) for message in here]
+        return any(m.matches(one.can_id, one.channel) for m in matches for one in traffic)
+
+    if come(None) or not come(True):
+        return None
+    messages = database.messages.values()
+    is_29_bit = (bool(m.can_id & CAN_EFF_FLAG) for m in messages)
+    changed = zip(messages, is_29_bit, strict=True)
+    return Database([structs.replace(m, is_j1939=m.is_j1939 or e) for m, e in changed], {})
 
 
 def messages_in(

@@ -20,6 +20,7 @@ from imucald.discovery.candidates import (
     MessageTraffic,
     SeenSignal,
     candidates_of,
+    compared_by_pgn,
     messages_in,
     obd_speeds,
     readable_messages,
@@ -87,6 +88,9 @@ def _discovered(
     traffic = recording.traffic()
     ticks = int(recording.seconds * TICK_RATE) + 1
     proposal = Proposal()
+    by_pgn = {path: compared_by_pgn(d, traffic) for path, d in databases.items()}
+    databases = {path: by_pgn[path] or database for path, database in databases.items()}
+    proposal.by_pgn = frozenset(path for path, found in by_pgn.items() if found is not None)
     messages: dict[str, MessageTraffic] = {}
     channels: dict[str, str] = {}
     for path, database in databases.items():

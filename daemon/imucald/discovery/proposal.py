@@ -99,6 +99,8 @@ class Proposal:
     """Keys of the vehicle, each with value and evidence."""
     channels: Mapping[str, str] = field(default_factory=dict)
     """Channel of each database by its path, if the recording has several channels."""
+    by_pgn: frozenset[str] = frozenset()
+    """Paths of the databases whose messages are matched by PGN, although they do not say so."""
     notes: list[str] = field(default_factory=list)
     loss: str | None = None
     """A text about a recorder that dropped frames, or None."""

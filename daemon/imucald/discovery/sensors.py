@@ -29,6 +29,7 @@ from imucald.discovery.reference import (
     speed_candidates,
     stated_unit,
 )
+from imucald.discovery.scalars import SAME_MOTION
 from imucald.discovery.speeds import (
     NEAR_WHEELS,
     apart_from,
@@ -53,6 +54,10 @@ RAW_COUNTS = (
     "the accelerometer is in raw counts, since the database states no scale; 1 g is "
     "{size:.0f} counts: 'unit: g/{one:.6g}'"
 )
+ANOTHER_ONE = (
+    "{} has an accelerometer too: the accelerometer and the gyroscope must be of the sensor to "
+    "calibrate"
+)
 BY_PLACES = "the axes are in the order of their bits"
 
 
@@ -67,6 +72,8 @@ class Sensors:
         self.reference = KnownMotion()
         self.wheels = next(iter(wheel_sets(candidates)), None)
         self.taken: set[str] = {c.path for c in self.wheels or ()}
+        self.other_axes: set[str] = set()
+        """Axes of other accelerometers on the bus, whose mounts are not known."""
         self.heading: HeadingFit | None = None
         self._found: list[Choice | None] = []
         self._speeds: list[SpeedFit] = []
@@ -94,8 +101,10 @@ class Sensors:
     def _set_accelerometer(self, triads: list[Triad]) -> None:
         stated = [t for t in triads if t.unit.is_stated]
         tried = stated or triads[:MAX_TRIADS]
-        best = max(tried, key=self._speed_for) if len(tried) > 1 else tried[0]
+        best = self._best_of(tried) if len(tried) > 1 else tried[0]
         self._speed_for(best)
+        rivals = [t for t in stated if t is not best]
+        self.other_axes = {m.path for t in rivals for m in t.members}
         reference = KnownMotion(best, direction_up(best))
         self.reference = reference
         self.taken |= {m.path for m in best.members}
@@ -107,6 +116,8 @@ class Sensors:
         heading = fit_heading(reference, self._free())
         self.heading = hold_against_heading(reference, accelerometer, heading)
         doubt_what_is_turned(accelerometer, gyro, self.heading)
+        if rivals and not accelerometer.doubt:
+            accelerometer.doubt = ANOTHER_ONE.format(rivals[0].messages[0])
         if best.unit.is_counts:
             one = GRAVITY / best.unit.factor
             accelerometer.doubt = RAW_COUNTS.format(size=one * best.size / GRAVITY, one=one)
@@ -116,6 +127,23 @@ class Sensors:
                 "is stated and no motion confirms them"
             )
         self._found += [gyro, self._magnetometer(), speed]
+
+    def _best_of(self, triads: list[Triad]) -> Triad:
+        """Return the accelerometer to which a gyroscope of the bus belongs, else the one that shows
+        the changes of speed best.
+        """
+        explained = [self._speed_for(t) for t in triads]
+        showing = [t for t, e in zip(triads, explained, strict=True) if e >= SAME_MOTION]
+        gyros = gyroscopes(self.candidates)
+        if not (showing and gyros):
+            return triads[explained.index(max(explained))]
+
+        def fit(triad: Triad) -> float:
+            reference = KnownMotion(triad, direction_up(triad))
+            fits = [fit_gyroscope(g, reference, [AS_IT_IS]) for g in gyros]
+            return max((f.nats[AS_IT_IS] for f in fits if f is not None), default=0.0)
+
+        return max(showing, key=fit)
 
     def _speed_for(self, triad: Triad) -> float:
         """Return the quality of the best speed's fit to a triad; store the fits."""

@@ -22,6 +22,7 @@ from imucald.discovery.scalars import (
 from imucald.discovery.sensors import Sensors
 from imucald.discovery.wheels import find_wheels
 
+OTHER_AXIS = "it is an axis of another accelerometer, which need not be an axis of the vehicle"
 WHEELBASE = 2.7
 """Default wheelbase of the configuration [m]."""
 
@@ -47,8 +48,14 @@ class Turning:
         speed, turn = reference.speed, reference.turn
         lateral = None if speed is None or turn is None else speed.moving * turn
         change = None if speed is None or not speed.relation.independent else speed.change
-        yield find_scalar(LATERAL, lateral, free, reference.sides_from)
-        yield find_scalar(LONGITUDINAL, change, free, "speed")
+        yield self._of_the_vehicle(find_scalar(LATERAL, lateral, free, reference.sides_from))
+        yield self._of_the_vehicle(find_scalar(LONGITUDINAL, change, free, "speed"))
+
+    def _of_the_vehicle(self, choice: Choice | None) -> Choice | None:
+        """Mark an acceleration that is an axis of another accelerometer."""
+        if choice is not None and choice.sources[""].signal in self._sensors.other_axes:
+            choice.doubt = choice.doubt or OTHER_AXIS
+        return choice
 
     def _yaw_rate(self, free: Sequence[SeenSignal]) -> Choice | None:
         """Find the yaw rate by comparison with the gyroscope. Without a gyroscope, speed times yaw

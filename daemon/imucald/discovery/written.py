@@ -73,7 +73,11 @@ def _databases(proposal: Proposal, databases: Sequence[str]) -> Iterator[str]:
     entries: list[Any] = []
     for path in databases:
         channel = proposal.channels.get(path)
-        entries.append(path if channel is None else {"path": path, "channel": channel})
+        more: dict[str, Any] = {} if channel is None else {"channel": channel}
+        if path in proposal.by_pgn:
+            more["j1939"] = True
+            yield "# its messages come from other source addresses, so PGNs are compared (J1939)"
+        entries.append({"path": path, **more} if more else path)
     if entries:
         yield f"database: {_flow(entries[0] if len(entries) == 1 else entries)}"
     else:
@@ -112,6 +116,8 @@ def _flow(value: Any) -> str:
         return "{" + ", ".join(f"{k}: {_of_key(k, v)}" for k, v in value.items()) + "}"
     if isinstance(value, list | tuple):
         return "[" + ", ".join(_flow(v) for v in value) + "]"
+    if isinstance(value, bool):
+        return str(value).lower()
     if isinstance(value, str):
         return value if _is_plain(value) else json.dumps(value, ensure_ascii=False)
     if isinstance(value, float) and value.is_integer():
