@@ -625,7 +625,8 @@ def test_of_two_accelerometers_the_one_that_belongs_to_the_gyroscope_is_taken_an
     frames = GatheredFrames.of([copied(concatenate(list(LogReader([drive]))), {0x200: 0x180})])
     text = EXAMPLE.read_text()
     axes = re.findall(r" SG_ Accel[XYZ] : .*\n", text)
-    turned = [a.replace(f"Accel{x}", f"Accel{y}") for a, x, y in zip(axes, "XYZ", "YZX", strict=True)]
+    order = zip(axes, "XYZ", "YZX", strict=True)
+    turned = [line.replace(f"Accel{x}", f"Accel{y}") for line, x, y in order]
     head = next(x for x in text.splitlines() if x.startswith("BO_ 512"))
     other = head.replace("512 IMU_Accel", "384 TCU_Accel")
     text = text.replace(head, f"{other}\n{''.join(turned)}\n{head}")
