@@ -23,6 +23,8 @@ by 14 deg; steeper streets are rare."""
 ONE_MOVE = 0.75
 """Smallest share of the changes of gravity that the move explains. A loose sensor moves all the
 time, and no single move explains that."""
+LEAST_GRAVITY = 0.75
+"""Smallest size of gravity relative to the usual force. Turns and braking add little."""
 PART_TICKS = 300
 """Length of the parts of a drive without stops that are compared [ticks]: half a minute."""
 
@@ -54,7 +56,9 @@ def sensor_move(motion: Motion) -> SensorMove | None:
     found = _split(force, stops if len(stops) > 1 else _parts(0, ticks))
     if found is None or found[0] < MOVED_DEG:
         return None
-    angle, before, after = found
+    angle, before, after, size = found
+    if size < LEAST_GRAVITY * float(np.nanmedian(np.linalg.norm(force, axis=1))):
+        return None  # gravity is removed from the readings
     closer = _split(force, _parts(before - PART_TICKS, after + PART_TICKS))
     if closer is not None and len(stops) > 1:
         before, after = max(before, closer[1]), min(after, closer[2])
@@ -68,9 +72,10 @@ def _parts(first: int, stop: int) -> list[tuple[int, int]]:
     return [(t, t + PART_TICKS) for t in range(max(first, 0), stop - PART_TICKS + 1, PART_TICKS)]
 
 
-def _split(force: Array, parts: Sequence[tuple[int, int]]) -> tuple[float, int, int] | None:
+def _split(force: Array, parts: Sequence[tuple[int, int]]) -> tuple[float, int, int, float] | None:
     """Return the angle [deg] of gravity between the parts before and after the best split, the end
-    of the last part before it, and the beginning of the first part after it.
+    of the last part before it, the beginning of the first part after it, and the smaller size of
+    gravity.
 
     force: (n, 3). The best split leaves the least squared distance from the two means. None if no
     split explains the changes.
@@ -94,8 +99,12 @@ def _split(force: Array, parts: Sequence[tuple[int, int]]) -> tuple[float, int, 
     if best is None or best[0] < ONE_MOVE * total:
         return None
     _, i, first, second = best
-    cosine = float(first @ second) / float(np.linalg.norm(first) * np.linalg.norm(second))
-    return math.degrees(math.acos(min(max(cosine, -1.0), 1.0))), known[i - 1][1], known[i][0]
+    sizes = float(np.linalg.norm(first)), float(np.linalg.norm(second))
+    if min(sizes) <= 0.0:
+        return None
+    cosine = float(first @ second) / (sizes[0] * sizes[1])
+    angle = math.degrees(math.acos(min(max(cosine, -1.0), 1.0)))
+    return angle, known[i - 1][1], known[i][0], min(sizes)
 
 
 def _stops(motion: Motion) -> list[tuple[int, int]]:
