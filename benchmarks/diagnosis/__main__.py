@@ -144,6 +144,10 @@ def _report(
     ):
         yield from judged.drives(by_part[part], what)
         yield ""
+    yield "### Measured logs without a model file"
+    yield ""
+    yield from judged.plain(by_part["plain"], by_part["plain_nulls"])
+    yield ""
     yield "### In sum"
     yield ""
     for part, own in by_part.items():

@@ -9,9 +9,11 @@ from benchmarks.diagnosis.judged import (
     LONG_MIN,
     Line,
     asked_of,
+    driven,
     fair_outside,
     file_alone,
     intervals,
+    is_long,
     is_right,
     is_wrong_alone,
     long_logs,
@@ -32,6 +34,8 @@ ASKED: Mapping[str, float] = {
 GYRO_BIAS_WITHOUT_STOPS, STOP_S = 0.3 * DEG, 10.0
 """A mean over 10 s knows the zero to 0.002 deg/s (BMI160 data sheet: 0.007 deg/s a root Hz)."""
 NEW = "the last twelve, none of which was run before this judge"
+PLAIN_LEVEL = 2
+"""Size at which a diagnosis without a model file is judged: the third."""
 PER_HOUR_S, MIDDLE_S, MIB = 60.0, 30.0, 1024.0
 
 
@@ -48,6 +52,7 @@ def bars(by_part: Mapping[str, Sequence[Line]]) -> Iterator[str]:
         beyond = [f"{k} in {x['key']}" for x in everything for k in x.get("implausible", ())]
         yield _line(2, "found beyond the plausible range", len(beyond), "none", not beyond)
     yield from _simulated(of)
+    yield from _plain(driven(of["plain"]))
     yield from _calibrated(everything)
     if of["outside"]:
         yield from _outside(of["outside"], nulls)
@@ -90,6 +95,22 @@ def _hidden(lines: Sequence[Line], nulls: Sequence[Line]) -> Iterator[str]:
     absent = [name for name in ASKED if name not in found]
     if absent:
         yield f"- 1, not tested in a log of {LONG_MIN:.0f} min: {', '.join(absent)}."
+
+
+def _plain(lines: Sequence[Line]) -> Iterator[str]:
+    at = [x for x in lines if x["level"] == PLAIN_LEVEL]
+    for what, own, bar in (
+        ("8 min and more", at, 0.6), ("15 min and more", [x for x in at if is_long(x)], 0.85)
+    ):  # fmt: skip
+        if own:
+            good = sum(map(is_right, own))
+            yield _line(8, f"without a model file, size 3 named in {what}",
+                        _part_of(good, len(own)), f"{100 * bar:.0f} %",
+                        good >= bar * len(own))  # fmt: skip
+    if lines:
+        wrong = sum(map(is_wrong_alone, lines))
+        yield _line(8, "without a model file, a wrong name alone", _part_of(wrong, len(lines)),
+                    "2 %", wrong <= 0.02 * len(lines))  # fmt: skip
 
 
 def _asked(effect: str) -> str:

@@ -14,12 +14,19 @@ from hidden import CAUSES
 from hidden import OUTSIDE as GENERATED_OUTSIDE
 
 PARTS = ("nulls", "measured", "outside", "second_world", "generated", "generated_nulls",
-         "generated_outside")  # fmt: skip
-OF_LOGS = PARTS[:4]
+         "generated_outside", "plain", "plain_nulls")  # fmt: skip
+"""The generator's seeds count by this order."""
+OF_LOGS = (*PARTS[:4], *PARTS[-2:])
 """Parts that need the measured drives."""
 FIRST_SEED = 1_200_000
 """Far from the seeds that were looked at (below 1,000,000)."""
 MINUTES = 20.0
+PLAIN = (("kingston_2008", 2), ("css_canmod_164", 2), ("kingston_2008", 6), ("css_canmod_164", 4),
+         ("vehsense_2018_08_04", 1))  # fmt: skip
+"""Logs and the number of their pieces that `diagnose` gets without a model file: 29, 20, 10, 10 and
+10 min."""
+NOT_PLAIN = ("turned",)
+"""Without a model file the mount is the one that the drive shows, so no turn of it is hidden."""
 
 
 @dataclass(frozen=True)
@@ -57,6 +64,16 @@ def cases(part: str, draws: range, first_seed: int = FIRST_SEED) -> Iterator[Cas
         for draw, effect in product(draws, OUTSIDE):
             yield from (Case(part, log, effect, 1, draw, 2, draw % 2)
                             for log in filter(is_here, LOGS))  # fmt: skip
+    elif part == "plain_nulls":
+        for log, pieces in PLAIN:
+            if is_here(log):
+                yield from (Case(part, log, "", 0, 0, pieces, i) for i in range(pieces))
+    elif part == "plain":
+        hidden = [effect for effect in EFFECTS if effect not in NOT_PLAIN]
+        for draw, level, (i, effect) in product(draws, (2, 1), enumerate(hidden)):
+            for log, pieces in PLAIN:
+                if is_here(log):
+                    yield Case(part, log, effect, level, draw, pieces, (i + level + draw) % pieces)
     elif part == "second_world":
         folder = DATA / "second_world"
         if folder.is_dir():

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.diagnosis.measured_logs import KNOWN
+from benchmarks.diagnosis.measured_logs import KNOWN, REPEATED
 from benchmarks.diagnosis.outside_effects import NOT_RUN
 from benchmarks.diagnosis.real_effects import EFFECTS
 from imucald.diagnosis.causes import PARAMETERS
@@ -62,6 +62,8 @@ def zero_is_true(line: Line) -> bool:
 def wrong_names(line: Line) -> list[str]:
     """Names that are neither hidden nor true of the log as it is, nor in a set with either."""
     known = set(KNOWN.get(line["log"], ())) | ({"gyro_bias"} if zero_is_true(line) else set())
+    if line.get("part", "").startswith("plain"):
+        known |= set(REPEATED.get(line["log"], ()))
     right = set(line["right"]) | known
     alike = {n for g in line["sets"] if right & set(g) for n in g}
     return [n for n in line["said"] if n not in right | alike]
@@ -162,6 +164,31 @@ def intervals(lines: Sequence[Line], null_lines: Sequence[Line]) -> tuple[int, i
 
 def _piece(line: Line) -> str:
     return str(line["key"].rpartition("/")[2])
+
+
+def plain(lines: Sequence[Line], null_lines: Sequence[Line]) -> Iterator[str]:
+    """Effects hidden in logs that are diagnosed without a model file, in whole pieces."""
+    said = {(x["log"], _piece(x)): names_of(x) for x in null_lines}
+    yield _row("effect", "15 min and more", "8 to 15 min", "shows as it is", "wrong names")
+    yield _row(*["---"] * 5)
+    for name, effect in EFFECTS.items():
+        own = [x for x in driven(lines) if x["effect"] == name]
+        if own:
+            long, short = ([x for x in own if is_long(x) == of] for of in (True, False))
+            already = sum(bool({*effect.right} & said.get((x["log"], _piece(x)), set()))
+                          for x in own)  # fmt: skip
+            bad = _counted([n for x in own for n in wrong_names(x)])
+            yield _row(name, _share(long), _share(short), f"{already} of {len(own)}", bad)
+
+
+def driven(lines: Sequence[Line]) -> list[Line]:
+    """Without the pieces in which the vehicle hardly drives."""
+    return [x for x in asked_of(lines) if "refused" not in x]
+
+
+def is_long(line: Line) -> bool:
+    """Whether a piece lasts long enough for most causes."""
+    return bool(line.get("minutes", 0.0) >= LONG_MIN)
 
 
 def outside(lines: Sequence[Line], null_lines: Sequence[Line]) -> Iterator[str]:

@@ -86,10 +86,11 @@ def outcome(case: Case) -> dict[str, Any]:
             for c in d.candidates for key, p in c.parameters.items()
         },
     }  # fmt: skip
-    if case.part in {"measured", "outside"} and "gyro_bias" in result["said"]:
+    if case.part in {"measured", "outside", "plain"} and "gyro_bias" in result["said"]:
         result["at_rest"] = zero_at_rest(samples, model)
-    if case.part == "measured" and truth and truth["key"]:
-        result["own"] = _named_as_it_is(case.log, case.pieces, case.piece).get(truth["key"])
+    if case.part in {"measured", "plain"} and truth and truth["key"]:
+        own = _named_as_it_is(case.part, case.log, case.pieces, case.piece)
+        result["own"] = own.get(truth["key"])
     if case.part in {"measured", "nulls"} and d.causes:
         result["file"] = _file_alone(d, samples)
     return result
@@ -133,18 +134,19 @@ def _at_stops(samples: Samples) -> np.ndarray:
 
 
 @lru_cache(32)
-def _named_as_it_is(log: str, pieces: int, piece: int) -> Mapping[str, list[float]]:
+def _named_as_it_is(part: str, log: str, pieces: int, piece: int) -> Mapping[str, list[float]]:
     """What is named in a piece without an effect, beside the same file: value, deviation."""
-    case = Case("nulls", log, pieces=pieces, piece=piece)
+    without = "plain_nulls" if part == "plain" else "nulls"
+    samples, model, *_ = _prepared(Case(without, log, pieces=pieces, piece=piece))
     try:
-        d = diagnose([read_log(log).pieces(pieces)[piece]], piece_model(case))
+        d = diagnose([samples], model)
     except EstimateError:
         return {}
     return {key: x[:2] for key, x in values_of(d).items()}
 
 
 def _prepared(case: Case) -> tuple[Samples, VehicleModel, tuple[str, ...], Any]:
-    if case.part in {"nulls", "measured", "outside"}:
+    if case.part in {"nulls", "measured", "outside", "plain", "plain_nulls"}:
         return _measured(case)
     if case.part == "second_world":
         folder = DATA / "second_world" / case.log
@@ -163,8 +165,9 @@ def _measured(case: Case) -> tuple[Samples, VehicleModel, tuple[str, ...], Any]:
     """A piece with an effect, and the model that the other pieces gave."""
     log = read_log(case.log)
     pieces = log.pieces(case.pieces)
-    model = piece_model(case)
+    plain = case.part.startswith("plain")
     samples = pieces[case.piece]
+    model = log.plain(samples) if plain else piece_model(case)
     rng, R = rng_of(case), mount_of(model)
     if case.part == "outside":
         made = of_medium_size(case)
@@ -180,6 +183,8 @@ def _measured(case: Case) -> tuple[Samples, VehicleModel, tuple[str, ...], Any]:
     if not all(name in samples for name in effect.needs):
         return {}, model, effect.right, None
     changed, x = with_effect(samples, case.effect, effect.sizes[case.level], rng, R)
+    if plain:
+        model = log.plain(changed)
     return changed, model, effect.right, {"key": effect.key, "value": x}
 
 

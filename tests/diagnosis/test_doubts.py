@@ -7,12 +7,13 @@ import pytest
 
 from hidden import Effect, hidden_drive
 from imucald.core.samples import Samples, Series
-from imucald.diagnosis.cause_keys import with_shifts
+from imucald.diagnosis.cause_keys import mount_of, with_shifts
 from imucald.diagnosis.diagnose import diagnose
 from imucald.diagnosis.doubts import _may_be_a_low_pass, doubt, unexplained
 from imucald.diagnosis.fit.blocks import TAKES, Table
 from imucald.diagnosis.fit.intervals import Estimate
 from imucald.diagnosis.fit.score import Hypothesis
+from imucald.diagnosis.outcome import signals_of
 from imucald.diagnosis.result import (
     DIFFERS,
     GOES_WITH_ANOTHER,
@@ -22,10 +23,12 @@ from imucald.diagnosis.result import (
     Diagnosis,
     Structure,
 )
+from imucald.diagnosis.search.search import search
 from imucald.diagnosis.search.shift import FittedShift
 from imucald.diagnosis.search.standing import unsettle
 from imucald.diagnosis.search.state import State, shift_steps
 from imucald.diagnosis.search.trials import Trial
+from imucald.diagnosis.signals import drive_of
 from imucald.model.model import VehicleModel, model_from_mapping
 
 SEED = 160_031
@@ -184,6 +187,24 @@ def test_what_is_certain_of_the_speed_stays_certain_where_the_accelerometer_is_u
 )  # fmt: skip
 def test_what_is_unexplained_leaves_the_equations_that_do_not_take_it(signal, rest):
     assert set(TAKES) - unexplained([Structure(signal, UNEVEN, 2.0, "")]) == rest
+
+
+@pytest.mark.slow
+def test_a_cause_that_other_equations_show_by_themselves_stands_beside_an_unexplained_speed():
+    made = hidden_drive(SEED, (Effect("gyro_bias", "large"),), MINUTES)
+    samples = {k: s for k, s in made.samples.items() if k in ("accel", "gyro", "speed")}
+    model = model_from_mapping(dict(made.model), "b")
+    state = State([drive_of(samples)], model, model, {})
+    search(state, lambda _: None, lambda: False)
+    assert {t.hypothesis.name for t in state.named} == {"gyro_bias"}
+    assert signals_of(state.table, ["gyro.bias.x"]) == ("accel_x", "accel_y")
+    true = mount_of(model) @ [made.truth["gyro_bias"][f"gyro.bias.{i}"] for i in range(3)]
+    doubt(state, [Structure("speed", GOES_WITH_ANOTHER, 2.0, "")], [])
+    assert {t.hypothesis.name for t in state.named} == {"gyro_bias"}
+    assert [state.model.gyro.bias @ mount_of(model)[i] for i in (0, 1)] == pytest.approx(
+        true[:2], abs=1e-3
+    )
+    assert "gyro.bias.z" not in state.changes, "only forces show it"
 
 
 KEYS = ("accel.scale.0", "accel.scale.1", "speed.delay_s")

@@ -127,10 +127,13 @@ def _vector_value(model: VehicleModel, key: str) -> float:
 def tolerance(model: VehicleModel, key: str) -> float:
     """Allowed error of the model file: its own statement (`known_to`), or the catalogue's
     tolerance."""
-    row = PARAMETERS[key]
     stated = model.known_to.get(key)
-    if stated is not None:
-        return stated
+    return usual_tolerance(model, key) if stated is None else stated
+
+
+def usual_tolerance(model: VehicleModel, key: str) -> float:
+    """Error that a correct model file may have if it does not state its accuracy."""
+    row = PARAMETERS[key]
     return row.tolerance * (abs(value(model, key)) if row.relative else 1.0)
 
 
@@ -139,6 +142,11 @@ def plausible(model: VehicleModel, key: str) -> tuple[float, float]:
     row = PARAMETERS[key]
     size = abs(value(model, key)) if row.relative else 1.0
     return row.plausible[0] * size, row.plausible[1] * size
+
+
+def is_unstated(model: VehicleModel, key: str) -> bool:
+    """True if the model file allows every plausible value of a parameter (`known_to`)."""
+    return model.known_to.get(key, 0.0) >= max(map(abs, plausible(model, key)))
 
 
 def model_error(model: VehicleModel, key: str) -> float:

@@ -21,6 +21,7 @@ from imucald.diagnosis import outcome
 from imucald.diagnosis.cause_keys import (
     extended,
     mount_of,
+    usual_tolerance,
     with_delay_rate,
     with_low_passes,
     with_shifts,
@@ -78,7 +79,12 @@ from imucald.diagnosis.result import (
 )
 from imucald.diagnosis.search.low_pass import low_passes
 from imucald.diagnosis.search.search import search
-from imucald.diagnosis.search.state import State, final_estimates, shift_steps
+from imucald.diagnosis.search.state import (
+    State,
+    estimate_unstated,
+    final_estimates,
+    shift_steps,
+)
 from imucald.diagnosis.signals import DriveSignals, drive_of, require
 from imucald.model.model import VehicleModel
 
@@ -230,6 +236,7 @@ def _begun(
     rest = rest_of(parts, model_now, len(GYRO_BIAS))
     state = _started(parts, model_now, rest)
     report(0.12, "forward model and residuals")
+    estimate_unstated(state)
     _refuse_short(state.evaluated().table, faults)
     return lost, faults, odd, parts, rest, state
 
@@ -437,12 +444,11 @@ def _written(state: State, problem: Problem) -> VehicleModel:
     """Return the extended model file, with the accuracy (`known_to`) of the numbers found."""
     known: dict[str, float] = {}
     table, q = problem.table, quantile(problem.table.blocks, 1)
-    for key in state.free:
+    for key in (*state.free, *state.unstated):
         if key in table.keys:
             e = estimate(problem, Hypothesis("", (key,)), 1)
-            tau = float(table.tolerance[table.keys.index(key)])
-            known[key] = max(float(q * e.se[0]), HALF * tau)
-    if not state.changes and not state.at_rest and state.shift is None:
+            known[key] = max(float(q * e.se[0]), HALF * usual_tolerance(state.stated, key))
+    if not (state.changes or state.at_rest or state.unstated) and state.shift is None:
         return state.stated
     changes = {**state.at_rest}
     for key, x in state.changes.items():

@@ -95,9 +95,9 @@ def doubt(state: State, left: Sequence[Structure], faults: Sequence[Sequence[Fau
         (state.doubtful if weak else state.likely).append(trial)
     if moving := [s for s in left if s.kind not in BESIDE]:
         # A cause is missing, and the fit distributes its effect over the known causes. Only causes
-        # shown by other equations stand.
-        stands = [t for t in state.named if not rests_on(t, moving)]
-        leave_out(state, unexplained(moving), stands)
+        # that the other equations show by themselves stand.
+        asked = [t for t in state.named if t.hypothesis.pattern is None or not rests_on(t, moving)]
+        leave_out(state, unexplained(moving), asked)
     unsettle(state, is_doubtful)
 
 

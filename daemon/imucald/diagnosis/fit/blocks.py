@@ -123,6 +123,12 @@ class Table:
         return replace(self, gram=gram, by_equation=others)
 
     @property
+    def shown(self) -> set[str]:
+        """Parameters that change any residual."""
+        size = np.diagonal(self.gram, axis1=1, axis2=2).sum(axis=0)[1:]
+        return {key for key, x in zip(self.keys, size, strict=True) if x > 0.0}
+
+    @property
     def blocks(self) -> int:
         """Number of blocks."""
         return len(self.gram)

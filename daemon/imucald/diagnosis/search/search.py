@@ -115,7 +115,9 @@ def _grown(
             break
         name = chosen.hypothesis.name
         tick(f"found {name.replace('_', ' ')}, looking further")
-        state.rivals[name] = [t for t in alike if t is not chosen and t.is_plausible]
+        state.rivals.setdefault(name, []).extend(
+            t for t in alike if t is not chosen and t.is_plausible
+        )
         if best is not chosen and best.is_plausible:
             state.rivals[name].append(best)
         state.named.append(chosen)
@@ -168,7 +170,7 @@ def _beside_rivals(state: State, late: Callable[[], bool]) -> None:
 
 
 def _trials(problem: Problem, state: State, skip: Sequence[str]) -> list[Trial]:
-    asked = hypotheses(problem.table, state.model, [*state.changes, *skip])
+    asked = hypotheses(problem.table, state.model, [*state.found, *state.unstated, *skip])
     base = held_out(problem)
     made = [tried(problem, h, base, len(asked)) for h in asked]
     return [*made, *joined(problem, made, base)]
@@ -266,6 +268,7 @@ def _take(state: State, problem: Problem, chosen: Trial) -> None:
     h = chosen.hypothesis
     if not h.directions:
         state.apply(_changes(problem, h, beyond(chosen)))
+        state.held -= {*beyond(chosen)}
         return
     freed = set(state.free)
     for _ in range(2):

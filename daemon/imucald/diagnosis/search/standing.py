@@ -165,12 +165,12 @@ def set_aside(state: State, trial: Trial) -> None:
 
 
 def leave_out(state: State, equations: Collection[str], stands: Sequence[Trial]) -> None:
-    """Fit the other equations alone. Of the causes that depend on these (`stands`), only those that
-    would be named again stay."""
+    """Fit the other equations alone. Of some causes (`stands`), only those that would be named
+    again stay."""
     state.leave_out(equations, stands)
-    if stands:
+    if state.named:
         refit(state)
-    for trial in stands:
+    for trial in list(state.named):
         if trial.hypothesis.pattern is None and not asked_again(state, trial).named:
             set_aside(state, trial)
 

@@ -8,7 +8,15 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from imucald.core.arrays import Array
-from imucald.diagnosis.cause_keys import Changes, extended, with_delay_rate, with_shifts
+from imucald.diagnosis.cause_keys import (
+    Changes,
+    extended,
+    is_unstated,
+    plausible,
+    tolerance,
+    with_delay_rate,
+    with_shifts,
+)
 from imucald.diagnosis.causes import PARAMETERS
 from imucald.diagnosis.equations.forward import Forward
 from imucald.diagnosis.fit.blocks import Table
@@ -54,6 +62,9 @@ class State:
     shift: FittedShift | None = None
     doubtful_shift: FittedShift | None = None
     """A moved mount that was withdrawn."""
+    unstated: tuple[str, ...] = ()
+    """Parameters for which the model file allows every plausible value. They are estimated, and are
+    no causes."""
     left_out: frozenset[str] = frozenset()
     """Equations that no fit uses, because their residuals are unexplained."""
     table: Table | None = None
@@ -68,6 +79,16 @@ class State:
     def free(self) -> list[str]:
         """Parameters that were found to be wrong; they are fitted with all others."""
         return [key for key in self.changes if key not in self.held]
+
+    @property
+    def found(self) -> list[str]:
+        """Parameters that were found to be wrong. A zero error that a gain moves by less than its
+        tolerance may still be wrong by itself."""
+        return [
+            key
+            for key, x in self.changes.items()
+            if key not in self.held or abs(x) > tolerance(self.stated, key)
+        ]
 
     def evaluated(self) -> Problem:
         """Compare the drives with the present model."""
@@ -85,7 +106,11 @@ class State:
     def leave_out(self, equations: Collection[str], stands: Sequence[Trial]) -> None:
         """Exclude some equations from all fits. Of the named causes, `stands` stay with their
         parameters; the others are reduced to "not ruled out"."""
-        keys = {key for t in stands for key in t.hypothesis.moved}
+        self.evaluated()
+        assert self.whole is not None
+        shown = self.whole.without(equations).shown
+        stands = [t for t in stands if t.hypothesis.moved & shown]
+        keys = {key for t in stands for key in t.hypothesis.moved} & shown
         self.doubtful = [*(t for t in self.named if not any(t is s for s in stands)),
                          *self.doubtful]  # fmt: skip
         self.named = list(stands)
@@ -107,6 +132,23 @@ class State:
         self.model = extended(self.stated, with_delay_rate(every, middle))
         if self.shift is not None:
             self.model = with_shifts(self.model, shift_steps(self.shift))
+
+
+def estimate_unstated(state: State) -> None:
+    """Move the stated model to the likeliest values of what the file does not state."""
+    keys = state.evaluated().table.keys
+    state.unstated = tuple(k for k in keys if is_unstated(state.stated, k))
+    state.bounds |= {k: plausible(state.stated, k) for k in state.unstated}
+    for _ in range(REFITS if state.unstated else 0):
+        x = state.evaluated().fit()
+        moves = {k: float(x[keys.index(k)]) for k in state.unstated}
+        state.stated = extended(state.stated, moves)
+        for key, move in moves.items():
+            low, high = state.bounds[key]
+            state.bounds[key] = (low - move, high - move)
+        state.apply({})
+        if all(abs(v) < SMALL_STEP * PARAMETERS[k].tolerance for k, v in moves.items()):
+            break
 
 
 def refit(state: State) -> None:

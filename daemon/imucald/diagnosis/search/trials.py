@@ -111,7 +111,8 @@ class Trial:
 
 
 def hypotheses(table: Table, model: VehicleModel, skip: Sequence[str]) -> list[Hypothesis]:
-    """Hypotheses for the catalogue's causes whose signals are present."""
+    """Hypotheses for the catalogue's causes whose signals are present. skip: parameters that are
+    not asked. The other components of their vector are."""
     made = []
     for cause in CAUSES:
         if cause.drift and f"{cause.name}!" in skip:
@@ -119,12 +120,11 @@ def hypotheses(table: Table, model: VehicleModel, skip: Sequence[str]) -> list[H
         for whole in (*cause.variants, *([cause.together] if cause.together else [])):
             if not all(key in table.keys for key in whole):
                 continue
-            # Parameters after the leading ones may be free already, so only the leading ones are
-            # checked.
-            keys = whole[: cause.lead] + tuple(
-                k for k in whole[cause.lead :] if not cause.lead or k not in skip
-            )
-            if (set(keys) & set(skip) and not cause.drift) or not any(
+            # A component that was within its tolerance when the others were found may leave it
+            # later. Leading parameters, common values and drifts are asked as a whole.
+            fixed = whole if cause.drift or whole == cause.together else whole[: cause.lead]
+            keys = fixed + tuple(k for k in whole[len(fixed) :] if k not in skip)
+            if (set(fixed) & set(skip) and not cause.drift) or not any(
                 _shows(table, key) for key in keys
             ):
                 continue
