@@ -64,16 +64,8 @@ def cases(part: str, draws: range, first_seed: int = FIRST_SEED) -> Iterator[Cas
         for draw, effect in product(draws, OUTSIDE):
             yield from (Case(part, log, effect, 1, draw, 2, draw % 2)
                             for log in filter(is_here, LOGS))  # fmt: skip
-    elif part == "plain_nulls":
-        for log, pieces in PLAIN:
-            if is_here(log):
-                yield from (Case(part, log, "", 0, 0, pieces, i) for i in range(pieces))
-    elif part == "plain":
-        hidden = [effect for effect in EFFECTS if effect not in NOT_PLAIN]
-        for draw, level, (i, effect) in product(draws, (2, 1), enumerate(hidden)):
-            for log, pieces in PLAIN:
-                if is_here(log):
-                    yield Case(part, log, effect, level, draw, pieces, (i + level + draw) % pieces)
+    elif part in ("plain", "plain_nulls"):
+        yield from _plain(part, draws)
     elif part == "second_world":
         folder = DATA / "second_world"
         if folder.is_dir():
@@ -81,6 +73,16 @@ def cases(part: str, draws: range, first_seed: int = FIRST_SEED) -> Iterator[Cas
                 yield Case(part, path.name, path.name.partition("_")[2])
     else:
         yield from _generated(part, draws, first_seed)
+
+
+def _plain(part: str, draws: range) -> Iterator[Case]:
+    logs = [(log, pieces) for log, pieces in PLAIN if is_here(log)]
+    if part == "plain_nulls":
+        yield from (Case(part, log, "", 0, 0, n, i) for log, n in logs for i in range(n))
+        return
+    effects = enumerate(effect for effect in EFFECTS if effect not in NOT_PLAIN)
+    for draw, level, (i, effect), (log, n) in product(draws, (2, 1), effects, logs):
+        yield Case(part, log, effect, level, draw, n, (i + level + draw) % n)
 
 
 def _generated(part: str, draws: range, first_seed: int) -> Iterator[Case]:

@@ -185,8 +185,8 @@ def _winner(trials: Sequence[Trial]) -> Trial | None:
         return None
     best = max(passing, key=lambda t: t.gain.sum())
     if len(best.hypothesis.directions) > 1:
-        # Several joined elements can imitate one single other cause.
-        fewer = [t for t in passing if len(t.hypothesis.keys) < len(best.hypothesis.keys)]
+        # Several joined elements can imitate one other cause.
+        fewer = [t for t in passing if len(t.hypothesis.directions) < 2]
         best = max((t for t in fewer if _is_near(best, t)), default=best,
                    key=lambda t: t.gain.sum())  # fmt: skip
     same = [t for t in passing if _is_form_of(t, best)]

@@ -106,11 +106,12 @@ class State:
     def leave_out(self, equations: Collection[str], stands: Sequence[Trial]) -> None:
         """Exclude some equations from all fits. Of the named causes, `stands` stay with their
         parameters; the others are reduced to "not ruled out"."""
-        self.evaluated()
-        assert self.whole is not None
-        shown = self.whole.without(equations).shown
-        stands = [t for t in stands if t.hypothesis.moved & shown]
-        keys = {key for t in stands for key in t.hypothesis.moved} & shown
+        keys = {key for t in stands for key in t.hypothesis.moved}
+        if stands:
+            self.evaluated()
+            assert self.whole is not None
+            keys &= self.whole.without(equations).shown
+            stands = [t for t in stands if t.hypothesis.moved & keys]
         self.doubtful = [*(t for t in self.named if not any(t is s for s in stands)),
                          *self.doubtful]  # fmt: skip
         self.named = list(stands)
