@@ -26,6 +26,7 @@ from imucald.diagnosis.cause_keys import (
     with_low_passes,
     with_shifts,
 )
+from imucald.diagnosis.causes import family
 from imucald.diagnosis.direct.direct import Rest, rest_of
 from imucald.diagnosis.direct.faults import find_faults, invalid_spans
 from imucald.diagnosis.direct.held_values import held_values
@@ -190,7 +191,7 @@ def diagnose(
         ),
         candidates=outcome.other_candidates(state),
         structure=left,
-        notes=tuple(_notes(parts, problem.table, late)),
+        notes=tuple(_notes(parts, problem.table, late, state.unstated)),
         pictures=pictures_of(forwards_before, state.forwards),
         model_before=model,
         model_after=written,
@@ -459,8 +460,13 @@ def _written(state: State, problem: Problem) -> VehicleModel:
     return written if state.shift is None else with_shifts(written, shift_steps(state.shift))
 
 
-def _notes(parts: Sequence[DriveSignals], table: Table, late: _Late) -> list[str]:
+def _notes(
+    parts: Sequence[DriveSignals], table: Table, late: _Late, unstated: Sequence[str]
+) -> list[str]:
     notes = []
+    if unstated:
+        names = ", ".join(dict.fromkeys(map(family, unstated)))
+        notes.append(f"Estimated from these drives, because nothing states them: {names}.")
     if not parts[0].has("gyro"):
         notes.append(
             "There is no gyroscope, so slopes of the road cannot be removed. Only faults, "
