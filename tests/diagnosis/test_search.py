@@ -89,3 +89,18 @@ def test_what_no_file_states_is_estimated_and_is_no_cause():
     searching.search(state, lambda _: None, lambda: False)
     assert state.named == []
     assert not any(t.hypothesis.name == "lever_arm" for t in state.last)
+
+
+def test_a_late_speed_stays_found_where_one_step_from_the_file_explains_little():
+    """Each cause is asked again beside the others alone, of 0.5 s from where its step leads."""
+    drive = hidden_drive(23, (Effect("gyro_bias", "large"),), MINUTES)
+    stated = model_from_mapping(dict(drive.model), "b")
+    speed = drive.samples["speed"]
+    late = {
+        "accel": drive.samples["accel"], "gyro": drive.samples["gyro"],
+        "speed": Series(speed.t + 0.5, np.round(speed.values * 3.6) / 3.6),
+    }  # fmt: skip
+    state = State([drive_of(late)], stated, stated, {})
+    searching.search(state, lambda _: None, lambda: False)
+    assert [t.hypothesis.name for t in state.named if "speed.delay_s" in t.hypothesis.keys]
+    assert state.changes["speed.delay_s"] > 0.25

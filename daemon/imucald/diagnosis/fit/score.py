@@ -7,7 +7,7 @@ would outweigh a Gaussian prior of that width. A hypothesis frees its own parame
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -163,6 +163,18 @@ class Problem:
         if h.is_plain:
             return self.table.index(h.keys)
         return list(range(len(self.table.keys), len(self.table.keys) + len(h.keys)))
+
+    def moves(self, h: Hypothesis, only: Sequence[str] = ()) -> dict[str, float]:
+        """Departures of a hypothesis' own parameters and of those that move with them. only: the
+        parameters to move; the others are fitted within their tolerance and not moved."""
+        if only:
+            h = replace(h, keys=tuple(only))
+        x, own = self.fit(h), self.own(h)
+        made: dict[str, float] = {}
+        for k, key in enumerate(h.keys):
+            for name, factor in (h.directions[k] if h.directions else {key: 1.0}).items():
+                made[name] = made.get(name, 0.0) + factor * float(x[own[k]])
+        return made
 
 
 def folds(blocks: int) -> Array:

@@ -16,7 +16,7 @@ import numpy as np
 
 from imucald.diagnosis.cause_keys import with_shifts
 from imucald.diagnosis.causes import family
-from imucald.diagnosis.fit.score import Hypothesis, Problem, held_out, paired
+from imucald.diagnosis.fit.score import Problem, held_out, paired
 from imucald.diagnosis.search.low_pass import delay_or_low_pass
 from imucald.diagnosis.search.shift import find_shift
 from imucald.diagnosis.search.standing import (
@@ -26,6 +26,7 @@ from imucald.diagnosis.search.standing import (
     let_go,
     set_aside,
     simplify,
+    where_it_leads,
     without,
 )
 from imucald.diagnosis.search.state import State, refit, shift_steps
@@ -202,17 +203,11 @@ def _is_form_of(t: Trial, best: Trial) -> bool:
 
 
 def _where_it_leads(problem: Problem, state: State) -> Trial | None:
-    """Test a cause again at the end of its step, if it leaves its tolerance but fails the test at
-    the stated file. A column is a derivative and holds for small steps only: 0.002 of understeer at
-    20 m/s changes its own column by a fifth, and a speed delayed by 0.2 s differs much where it
-    changes fast. The likelihood ratio must be that of the best value, not that of one linear
-    step."""
+    """The best of the causes that pass where their step leads, but fail at the stated file."""
     found = []
     for t in state.last:
-        if t.is_beyond and t.is_testable and t.is_plausible and t.hypothesis.is_plain:
-            there = replace(state, changes=dict(state.changes), table=None)
-            there.apply(_changes(problem, t.hypothesis))
-            found.append(asked_again(there, t))
+        if t.may_lead:
+            found.append(where_it_leads(state, problem, t))
     passing = [t for t in found if t.named and t.is_plausible]
     return max(passing, key=lambda t: t.gain.sum(), default=None)
 
@@ -223,7 +218,7 @@ def _from_the_edge(problem: Problem, state: State, best: Trial) -> tuple[Trial, 
     trial, and the step to the tested place; no step if this did not help."""
     if best.is_plausible or not best.hypothesis.is_plain:
         return best, {}
-    table, step = problem.table, _changes(problem, best.hypothesis)
+    table, step = problem.table, problem.moves(best.hypothesis)
     for key, x in step.items():
         low, high = table.plausible[table.keys.index(key)]
         step[key] = float(np.clip(x, low, high))
@@ -267,12 +262,12 @@ def _take(state: State, problem: Problem, chosen: Trial) -> None:
     at the new point."""
     h = chosen.hypothesis
     if not h.directions:
-        state.apply(_changes(problem, h, beyond(chosen)))
+        state.apply(problem.moves(h, beyond(chosen)))
         state.held -= {*beyond(chosen)}
         return
     freed = set(state.free)
     for _ in range(2):
-        state.apply(_changes(problem, h))
+        state.apply(problem.moves(h))
         state.held |= {k for d in h.directions for k in d} - freed
         problem = state.evaluated()
     half = chosen.estimate.quantile * chosen.estimate.se
@@ -289,18 +284,3 @@ def beyond(trial: Trial) -> tuple[str, ...]:
     far = sure > min(trial.single, float(sure.max()) * 0.999)
     far |= np.arange(len(h.keys)) < h.lead
     return tuple(k for k, is_far in zip(h.keys, far, strict=True) if is_far)
-
-
-def _changes(problem: Problem, h: Hypothesis, only: Sequence[str] = ()) -> dict[str, float]:
-    """Departures of a hypothesis' own parameters and of those that move with them. only: the
-    parameters to move; the others are fitted within their tolerance and not moved."""
-    if only:
-        h = replace(h, keys=tuple(only))
-    x = problem.fit(h)
-    own = problem.own(h)
-    changes: dict[str, float] = {}
-    for k, key in enumerate(h.keys):
-        moved = h.directions[k] if h.directions else {key: 1.0}
-        for name, factor in moved.items():
-            changes[name] = changes.get(name, 0.0) + factor * float(x[own[k]])
-    return changes

@@ -29,6 +29,16 @@ def asked_again(state: State, trial: Trial) -> Trial:
                    plausible=trial.plausible[index], reach=trial.reach[index])  # fmt: skip
 
 
+def where_it_leads(state: State, problem: Problem, trial: Trial) -> Trial:
+    """Test a cause again at the end of its step. A column is a derivative and holds for small steps
+    only: 0.002 of understeer at 20 m/s changes its own column by a fifth, and a speed delayed by
+    0.2 s differs much where it changes fast. The likelihood ratio must be that of the best value,
+    not that of one linear step."""
+    there = replace(state, changes=dict(state.changes), table=None)
+    there.apply(problem.moves(trial.hypothesis))
+    return asked_again(there, trial)
+
+
 def let_go(state: State) -> list[str]:
     """Remove causes that no longer help after later causes were added; return their parameters."""
     if len(state.named) < 2:
@@ -110,6 +120,8 @@ def eliminate(state: State, late: Callable[[], bool]) -> None:
         less = without(state, trial)
         problem = less.evaluated()
         again = tried(problem, trial.hypothesis, held_out(problem), max(len(state.last), 1))
+        if not again.named and again.may_lead:
+            again = where_it_leads(less, problem, again)
         if again.named and again.is_plausible:
             continue
         _drop(state, less, trial)

@@ -98,6 +98,13 @@ class Trial:
         return bool(np.all(e.quantile * e.se < 0.5 * (self.plausible[:, 1] - self.plausible[:, 0])))
 
     @property
+    def may_lead(self) -> bool:
+        """True if it leaves its tolerance, so that its step is worth following."""
+        return (
+            self.is_beyond and self.is_testable and self.is_plausible and self.hypothesis.is_plain
+        )
+
+    @property
     def could_be(self) -> bool:
         """True if it may be a rival: it improves the prediction, with a value beyond its tolerance.
         A rival need not be significant by itself."""
