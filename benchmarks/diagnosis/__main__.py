@@ -108,7 +108,7 @@ def _chosen(some: Iterable[Case], options: argparse.Namespace) -> Iterator[Case]
             and (options.effects is None or case.effect in options.effects)
             and (options.logs is None or case.log in options.logs)
         )
-        if is_asked or case.part == "nulls":
+        if is_asked or case.part in ("nulls", "plain_nulls"):
             yield case
 
 
