@@ -119,6 +119,8 @@ ANY = st.one_of(
     NUMBER,
     st.tuples(TRUTH, st.sampled_from(["and", "or"]), TRUTH).map(lambda x: f"{x[0]} {x[1]} {x[2]}"),
     TRUTH.map(lambda x: f"not {x}"),
+    st.tuples(TRUTH, st.sampled_from(["+", "-", "*"]), TRUTH).map(" ".join),
+    TRUTH.map(lambda x: f"-{x}"),
 )
 
 

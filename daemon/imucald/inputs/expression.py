@@ -2,8 +2,8 @@
 
 An OBD-II answer to service 01 PID 0x0D is ``when: "data[1] == 0x41 and data[2] == 0x0D"`` and
 ``value: "data[3]"``. The language is Python's arithmetic and comparison on ``data[i]`` (one byte),
-``length`` and integers. Nothing else can be used in it. The same expression tree is evaluated for
-one frame with Python integers and for columns with int64. The results are equal.
+``length`` and integers. Nothing else can be used in it. One function evaluates it for one frame
+with Python integers and for columns with int64. The results are equal.
 """
 
 from __future__ import annotations
@@ -11,6 +11,7 @@ from __future__ import annotations
 import ast
 import math
 from collections.abc import Callable, Sequence
+from functools import reduce
 from typing import Any
 
 import numpy as np
@@ -48,10 +49,7 @@ class Expression:
             raise ConfigError(f"the expression {text!r} cannot be read: {error}") from None
         self.needs = 0
         self._check(tree.body)
-        scalar = ast.Expression(_Scalar().visit(tree.body))
-        self._scalar = _compiled(scalar, "data", "length")
-        columns = ast.Expression(_Columns().visit(ast.parse(text.strip(), mode="eval").body))
-        self._columns = _compiled(columns, "data", "length", "_and", "_or", "_not")
+        self._value = _compiled(_TruthAsNumbers().visit(tree.body), "data", "length")
 
     def _check(self, node: ast.expr) -> float:
         """Refuse nodes outside the language. Return an upper bound of the value's magnitude."""
@@ -128,11 +126,11 @@ class Expression:
 
     def number(self, data: Sequence[int]) -> float:
         """Evaluate the expression for one frame. The caller must check `needs` first."""
-        return float(self._scalar(data, len(data)))
+        return float(self._value(data, len(data)))
 
     def holds(self, data: Sequence[int]) -> bool:
         """Evaluate the condition for one frame. The caller must check `needs` first."""
-        return bool(self._scalar(data, len(data)))
+        return bool(self._value(data, len(data)))
 
     def numbers(self, data: NDArray[np.uint8], length: NDArray[np.uint8]) -> NDArray[np.float64]:
         """Evaluate the expression for N frames: bytes (N, W), lengths (N,)."""
@@ -143,10 +141,7 @@ class Expression:
         return np.broadcast_to(self._on_columns(data, length), (len(data),)).astype(np.bool_)
 
     def _on_columns(self, data: NDArray[np.uint8], length: NDArray[np.uint8]) -> Any:
-        byte = _ByteColumns(data)
-        return self._columns(
-            byte, length.astype(np.int64), np.logical_and, np.logical_or, np.logical_not
-        )
+        return self._value(_ByteColumns(data), length.astype(np.int64))
 
 
 class _ByteColumns:
@@ -159,40 +154,35 @@ class _ByteColumns:
         return self._data[:, i].astype(np.int64)
 
 
-class _Scalar(ast.NodeTransformer):
-    """Make ``and`` and ``or`` return truth values, so that both evaluations agree."""
+class _TruthAsNumbers(ast.NodeTransformer):
+    """Make comparisons, ``and``, ``or`` and ``not`` the numbers 0 and 1, in the same way for
+    integers and arrays."""
+
+    def visit_Compare(self, node: ast.Compare) -> ast.expr:
+        self.generic_visit(node)
+        return ast.BinOp(node, ast.Mult(), ast.Constant(1))
 
     def visit_BoolOp(self, node: ast.BoolOp) -> ast.expr:
         self.generic_visit(node)
-        return ast.BoolOp(
-            op=node.op,
-            values=[ast.UnaryOp(ast.Not(), ast.UnaryOp(ast.Not(), v)) for v in node.values],
-        )
-
-
-class _Columns(ast.NodeTransformer):
-    """Replace ``and``, ``or``, ``not`` by calls of numpy's element-wise functions."""
-
-    def visit_BoolOp(self, node: ast.BoolOp) -> ast.expr:
-        self.generic_visit(node)
-        name = "_and" if isinstance(node.op, ast.And) else "_or"
-        result = node.values[0]
-        for value in node.values[1:]:
-            result = ast.Call(ast.Name(name, ast.Load()), [result, value], [])
-        return result
+        bits = ast.BitAnd() if isinstance(node.op, ast.And) else ast.BitOr()
+        terms = [_compared(value, ast.NotEq()) for value in node.values]
+        return reduce(lambda one, other: ast.BinOp(one, bits, other), terms)
 
     def visit_UnaryOp(self, node: ast.UnaryOp) -> ast.expr:
         self.generic_visit(node)
-        if isinstance(node.op, ast.Not):
-            return ast.Call(ast.Name("_not", ast.Load()), [node.operand], [])
-        return node
+        return _compared(node.operand, ast.Eq()) if isinstance(node.op, ast.Not) else node
 
 
-def _compiled(tree: ast.Expression, *names: str) -> Callable[..., Any]:
+def _compared(value: ast.expr, how: ast.cmpop) -> ast.expr:
+    """Return the comparison of a value with 0, as the number 0 or 1."""
+    return ast.BinOp(ast.Compare(value, [how], [ast.Constant(0)]), ast.Mult(), ast.Constant(1))
+
+
+def _compiled(tree: ast.expr, *names: str) -> Callable[..., Any]:
     arguments = ast.arguments(
         posonlyargs=[], args=[ast.arg(n) for n in names], kwonlyargs=[], kw_defaults=[], defaults=[]
     )
-    function = ast.Expression(ast.Lambda(arguments, tree.body))
+    function = ast.Expression(ast.Lambda(arguments, tree))
     ast.fix_missing_locations(function)
     code = compile(function, "<expression>", "eval")
     result: Callable[..., Any] = eval(code, {"__builtins__": {}})

@@ -15,7 +15,6 @@ from contextlib import suppress
 from functools import cache
 from io import BufferedIOBase
 from pathlib import Path
-from types import TracebackType
 from typing import Final, Self, cast
 
 import numpy as np
@@ -120,12 +119,7 @@ class CandumpWriter:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.close()
 
     def _put(self, text: bytes, frames: int) -> None:
