@@ -12,6 +12,8 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 """An array of floats; each use states its shape."""
+Flags = NDArray[np.bool_]
+Index = NDArray[np.int64]
 
 
 def solved(matrix: Array, right: Array) -> Array:

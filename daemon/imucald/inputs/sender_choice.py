@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from imucald.can.columns import FrameColumns
 from imucald.can.dbc.decode import J1939_ADDRESS_MASK
+from imucald.core.arrays import Flags
 
 SENDER_SETTLING = 1.5
 """Time after the first frame in which candidate addresses are collected [s]. The time covers
@@ -30,7 +31,6 @@ NOT_AVAILABLE = 0xFF
 choice."""
 
 Rows = NDArray[np.int64]
-Flags = NDArray[np.bool_]
 
 
 class SenderChoice:

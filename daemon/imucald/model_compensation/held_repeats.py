@@ -11,13 +11,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
-from imucald.core.arrays import Array
+from imucald.core.arrays import Array, Flags
 from imucald.model.section import Vector3
 from imucald.model_compensation.sample_chain import Stage, through
-
-Flags = NDArray[np.bool_]
 
 
 class HeldRepeats:

@@ -5,13 +5,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
-from imucald.core.arrays import Array
+from imucald.core.arrays import Array, Flags
 from imucald.inputs.conversion import LIMITS
 from imucald.model_compensation.terms import ScalarTerms
-
-Flags = NDArray[np.bool_]
 
 
 class ScalarCompensator:

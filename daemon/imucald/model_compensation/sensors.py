@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from imucald.core.arrays import Array
+from imucald.core.arrays import Array, Flags
 from imucald.core.samples import QUANTITIES, Series
 from imucald.inputs.conversion import LIMITS
 from imucald.model.section import Vector3
@@ -25,7 +25,6 @@ from imucald.model_compensation.terms import ScalarTerms, Terms, TriadTerms
 from imucald.model_compensation.triads import TriadCompensator
 
 Order = NDArray[np.int64] | NDArray[np.float64]
-Flags = NDArray[np.bool_]
 
 Sample = tuple[str, Sequence[float]]
 

@@ -10,12 +10,9 @@ signal alternate around a passage. The passage is where most samples of a tick h
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
-from imucald.core.arrays import Array
+from imucald.core.arrays import Array, Flags
 from imucald.motion.ticks import TICK_S
-
-Flags = NDArray[np.bool_]
 
 SAME_SPEED = 1e-6
 """Difference by rounding between means over different numbers of equal speeds [m/s]."""

@@ -18,10 +18,8 @@ from msgspec import Struct
 from numpy.typing import NDArray
 
 from imucald.core import compiled
-from imucald.core.arrays import Array
+from imucald.core.arrays import Array, Index
 from imucald.motion.ticks import TICK_S
-
-Index = NDArray[np.int64]
 
 HOP_TICKS = 5
 """Ticks of a hop: half a second, so that three are over before a fault is two seconds old."""

@@ -12,13 +12,10 @@ import math
 from collections.abc import Mapping, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
-from imucald.core.arrays import Array
+from imucald.core.arrays import Array, Flags
 from imucald.core.samples import GRAVITY
 from imucald.motion.ticks import ACCEL, GYRO, SPEED, STEERING, TICK_S, YAW_RATE, TickRow
-
-Flags = NDArray[np.bool_]
 
 # impossible --------------------------------------------------------------------------------
 

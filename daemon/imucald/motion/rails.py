@@ -17,17 +17,12 @@ from collections.abc import Sequence
 
 import numpy as np
 from msgspec import Struct
-from numpy.typing import NDArray
 
 from imucald.core import compiled
-from imucald.core.arrays import Array
+from imucald.core.arrays import Array, Flags, Index
 from imucald.core.compiled import Kernel
 from imucald.motion.hops import SIDES
 from imucald.motion.rail_evidence import LEAST_AT_EXTREME, AxisHops, Pile
-
-Flags = NDArray[np.bool_]
-
-Index = NDArray[np.int64]
 
 LONG_STAY = 4
 """Smallest number of samples on a value that is reached for the first time; fewer are ignored."""

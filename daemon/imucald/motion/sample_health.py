@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from imucald.core.angles import DEG_PER_RAD
-from imucald.core.arrays import Array
+from imucald.core.arrays import Array, Flags
 from imucald.core.samples import Samples, Series
 from imucald.motion.hops import HOP_S, HOP_TICKS, Carry, HopRows, hop_rows
 from imucald.motion.rail_evidence import AxisHops, LostContact
@@ -50,7 +50,6 @@ WATCHED = ("accel", "gyro", "mag")
 AXES = "xyz"
 _UNITS = {"gyro": DEG_PER_RAD}
 
-Flags = NDArray[np.bool_]
 _More = tuple[Array, NDArray[np.int64]]
 """Samples and their hops."""
 

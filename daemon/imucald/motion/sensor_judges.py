@@ -11,11 +11,10 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from imucald.core.arrays import Array
+from imucald.core.arrays import Array, Flags
 from imucald.motion.hops import HOP_S
 from imucald.motion.physical_limits import ROAD_FORCE
 
-Flags = NDArray[np.bool_]
 Counts = NDArray[np.int64]
 
 SURPRISE = 25.0

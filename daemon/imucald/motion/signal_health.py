@@ -17,9 +17,8 @@ from typing import Any
 
 import numpy as np
 from msgspec import Struct
-from numpy.typing import NDArray
 
-from imucald.core.arrays import Array
+from imucald.core.arrays import Array, Flags
 from imucald.motion.coarse_speed import SAME_SPEED
 from imucald.motion.physical_limits import (
     MAX_ROAD_DVDT,
@@ -40,8 +39,6 @@ from imucald.motion.stuck import (
     zero_while_wheels_turn,
 )
 from imucald.motion.ticks import ACCEL, GYRO, SPEED, STEERING, TICK_S, WHEEL_SPREAD, YAW_RATE
-
-Flags = NDArray[np.bool_]
 
 SPREAD_FLOOR, SPREAD_SLOPE = 0.6, 0.03
 """Wheel speeds may differ by this [m/s] and this share of the speed, beyond the curve."""

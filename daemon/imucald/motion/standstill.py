@@ -12,13 +12,10 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
-from imucald.core.arrays import Array
+from imucald.core.arrays import Array, Flags
 from imucald.core.rotations import Vector
 from imucald.core.samples import GRAVITY
-
-Flags = NDArray[np.bool_]
 
 # What a speed signal says ------------------------------------------------------------------
 

@@ -20,7 +20,7 @@ from msgspec import Struct
 from msgspec.structs import replace
 from numpy.typing import NDArray
 
-from imucald.core.arrays import Array, true_runs
+from imucald.core.arrays import Array, Flags, true_runs
 from imucald.core.rotations import Vector
 from imucald.motion import ticks as tk
 from imucald.motion.coarse_speed import SAME_SPEED
@@ -133,8 +133,6 @@ def quantile(values: Array, share: float) -> float:
     high = min(low + 1, len(ordered) - 1)
     return float(ordered[low] + (place - low) * (ordered[high] - ordered[low]))
 
-
-Flags = NDArray[np.bool_]
 
 STUCK_TICKS = 12
 """Number of identical means of a sensor that make a stuck signal: noise always changes values."""

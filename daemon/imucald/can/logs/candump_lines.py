@@ -17,9 +17,8 @@ from numpy.typing import NDArray
 from imucald.can.columns import CLASSIC_BYTES, FD_BYTES, Channels, FrameColumns
 from imucald.can.id_filter import IdFilter
 from imucald.can.logs.text_blocks import Bytes
+from imucald.core.arrays import Index
 from imucald.core.compiled import Kernels
-
-Index = NDArray[np.int64]
 
 PADDING: Final = 16
 """Extra bytes of a block after its text, because the compiled code reads whole words."""

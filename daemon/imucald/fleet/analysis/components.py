@@ -12,13 +12,10 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import brentq, minimize_scalar
 from scipy.stats import chi2
 
-from imucald.core.arrays import Array
-
-Index = NDArray[np.int64]
+from imucald.core.arrays import Array, Index
 
 MEDIAN_CHI2 = float(chi2.median(1))
 WITHIN_95 = float(chi2.ppf(0.95, 1))

@@ -6,15 +6,12 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.stats import f as f_distribution
 from scipy.stats import false_discovery_control
 
-from imucald.core.arrays import Array
+from imucald.core.arrays import Array, Flags, Index
 from imucald.fleet.analysis.units import MAX_Q, Units, t_quantile, t_weights
 
-Index = NDArray[np.int64]
-Flags = NDArray[np.bool_]
 Codes = Mapping[str, tuple[list[str], Index]]
 """By column: the names of its groups, and the group index of each vehicle (-1: not known)."""
 

@@ -11,9 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from imucald.core.arrays import Array
-
-Index = NDArray[np.int64]
+from imucald.core.arrays import Array, Index
 
 KNOWN = ("usable", "fine")
 """States of drives whose mount is used; in other states the mount is not known or is moving."""

@@ -6,17 +6,14 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from imucald.core.arrays import Array
+from imucald.core.arrays import Array, Index
 from imucald.fleet.analysis.known_drives import KnownDrives, between, turned
 from imucald.fleet.analysis.population import Population
 from imucald.fleet.analysis.remounts import Remounts, weights
 from imucald.fleet.analysis.segments import means
 from imucald.fleet.analysis.units import Units, t_quantile
-
-Index = NDArray[np.int64]
 
 NORMAL_95 = 1.959964
 """Half width of a 95 % interval in standard deviations."""

@@ -13,12 +13,11 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 from scipy.stats import f as f_distribution
 from scipy.stats import false_discovery_control
 
-from imucald.core.arrays import Array
+from imucald.core.arrays import Array, Flags, Index
 from imucald.fleet.analysis.components import VarianceComponent, between_vehicles, robust_variance
 from imucald.fleet.analysis.groups import (
     GroupEffect,
@@ -29,9 +28,6 @@ from imucald.fleet.analysis.groups import (
 from imucald.fleet.analysis.known_drives import between, turned
 from imucald.fleet.analysis.moderation import moderated
 from imucald.fleet.analysis.units import MAX_Q, T_FREEDOM, Units, t_weights
-
-Index = NDArray[np.int64]
-Flags = NDArray[np.bool_]
 
 ROUNDS = 12
 RESTARTS = 4

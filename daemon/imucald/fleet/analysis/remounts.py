@@ -10,13 +10,11 @@ from numpy.typing import NDArray
 from scipy.stats import f as f_distribution
 from scipy.stats import false_discovery_control
 
-from imucald.core.arrays import Array
+from imucald.core.arrays import Array, Index
 from imucald.fleet.analysis.components import VarianceComponent, between_drives, robust_variance
 from imucald.fleet.analysis.known_drives import KnownDrives, between
 from imucald.fleet.analysis.segments import candidates, means
 from imucald.fleet.analysis.units import MAX_Q
-
-Index = NDArray[np.int64]
 
 ROUNDS = 3
 LEAST_PAIRS = 3

@@ -13,9 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import chi2
 
-from imucald.core.arrays import Array
-
-Index = NDArray[np.int64]
+from imucald.core.arrays import Array, Index
 
 CANDIDATE_P = 0.05
 """Chance that a vehicle without a remount gets a candidate."""

@@ -5,13 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 from scipy.stats import t as t_distribution
 
-from imucald.core.arrays import Array
-
-Index = NDArray[np.int64]
+from imucald.core.arrays import Array, Index
 
 MAX_Q = 0.05
 """Expected share of false findings among those reported (Benjamini, Hochberg 1995)."""
