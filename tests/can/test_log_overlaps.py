@@ -8,6 +8,7 @@ import numpy as np
 
 from imucald.can.columns import FrameColumns
 from imucald.can.logs.candump_writer import CandumpWriter
+from imucald.can.logs.frame_batches import columns_of_frames
 from imucald.can.logs.log_reader import LogReader
 from imucald.can.logs.overlaps import CLOCK_SET_S
 
@@ -17,9 +18,9 @@ TODAY = CLOCK_SET_S + 8e8
 def recorded(path: Path, start: float, seconds: float) -> Path:
     """Ten frames a second."""
     t = start + 0.1 * np.arange(round(10 * seconds) + 1)
+    frames = [(float(x), 0x120, bytes(8), 0, False) for x in t]
     with CandumpWriter(path) as writer:
-        for x in t:
-            writer.write(float(x), 0x120, bytes(8))
+        writer.write_columns(columns_of_frames(frames, ("can0",)))
     return path
 
 

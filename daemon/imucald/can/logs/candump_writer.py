@@ -74,28 +74,6 @@ class CandumpWriter:
             part = frames.take(slice(start, start + ROWS))
             self._put(_formatted(part, self._fd_flags, self._name), len(part))
 
-    def write(
-        self, t: float, can_id: int, data: bytes, channel: str = "can0", fd: bool | None = None
-    ) -> None:
-        """Write one frame. t: time [s]. can_id: with `CAN_EFF_FLAG` for 29 bits. fd: whether it is
-        CAN FD; None means: if longer than 8 bytes.
-        """
-        fd = len(data) > _CLASSIC if fd is None else fd
-        bare = can_id & ~CAN_EFF_FLAG
-        extended = bare != can_id
-        if not (
-            0 <= t < MAX_SECONDS
-            and 0 <= bare <= (CAN_EFF_MASK if extended else CAN_SFF_MASK)
-            and len(data) <= (FD_BYTES if fd else _CLASSIC)
-        ):
-            raise _no_frame(self._name, t, can_id, len(data))
-        seconds, micros = divmod(round(t * MICROSECONDS), MICROSECONDS)
-        number = f"{bare:08X}" if extended else f"{bare:03X}"
-        mark = f"##{self._fd_flags:X}" if fd else "#"
-        stamp = f"({seconds:010d}.{micros:06d})"
-        text = f"{stamp} {_channel(channel)} {number}{mark}{data.hex().upper()}\n"
-        self._put(text.encode("ascii"), 1)
-
     def flush(self) -> None:
         """Pass all data written so far to the operating system."""
         try:
