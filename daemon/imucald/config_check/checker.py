@@ -74,7 +74,7 @@ class Check:
         self.router = compile_router(loaded)
         self.compensation = open_compensation(loaded)
         self.probes = [Probe(route) for route in self.router.routes]
-        self.router.routes = tuple(self.probes)
+        self.router.watchers = self.probes
         self.output = OutputFrames(loaded.config)
         self.ids: Counter[tuple[str, int]] = Counter()
         """Frames by (channel, id with the flag for 29 bits)."""

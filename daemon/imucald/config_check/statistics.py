@@ -1,28 +1,26 @@
 """Collect counts and ranges of the decoded values of routes, for `imucald check`.
 
-A `Probe` replaces a route in a router. It passes everything on unchanged and collects statistics:
-frames, cycle, rejections by reason, and the range of each signal in its own unit and in SI.
+A `Probe` watches a route of a router and collects statistics: frames, cycle, rejections by reason,
+and the range of each signal in its own unit and in SI.
 """
 
 from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Hashable, Mapping
+from collections.abc import Mapping
 
 import numpy as np
 from numpy.typing import NDArray
 
-from imucald.can.columns import FD_BYTES, IdMatch
+from imucald.can.columns import FD_BYTES
 from imucald.can.dbc.message import Message, Selectors
 from imucald.can.e2e.protection import DOUBLED
 from imucald.can.lost_frames import lost_share
-from imucald.core.arrays import Array
+from imucald.core.arrays import Array, Flags, Index
 from imucald.inputs.conversion import REASONS, Conversion
-from imucald.inputs.rate_guard import JudgesRate, Rows
 from imucald.inputs.routes import Carried, MessageRoute, SignalRoute
-from imucald.inputs.sender_choice import SenderChoice
-from imucald.inputs.taps import Columns, Physical, Raw, Tap
+from imucald.inputs.taps import Columns, Tap
 
 CYCLE_FRAMES = 5000
 """Largest number of frames for the median that gives the observed cycle."""
@@ -88,27 +86,6 @@ class SignalStatistics:
             self.rejected[REASONS[code]] += int(np.count_nonzero(codes == code))
 
 
-class _CountingGuard:
-    """Wraps the guard of a route, and counts its rejections by reason."""
-
-    def __init__(self, guard: JudgesRate, refused: Counter[str]) -> None:
-        self._guard = guard
-        self._refused = refused
-
-    def judge(self, t: float, reason: str) -> str:
-        """Call the guard; not counted."""
-        return self._guard.judge(t, reason)
-
-    def judge_columns(
-        self, t: Array, good: NDArray[np.bool_], reasons: Mapping[str, Rows]
-    ) -> dict[str, Rows]:
-        """Call the guard, and count its rejections."""
-        found = self._guard.judge_columns(t, good, reasons)
-        for reason, rows in found.items():
-            self._refused[reason] += len(rows)
-        return found
-
-
 class _Times:
     """The times of the frames of one kind."""
 
@@ -140,17 +117,18 @@ class _Times:
 
 
 class Probe:
-    """A route that collects statistics of its frames (only for columns)."""
+    """Statistics of the frames of a route."""
 
     def __init__(self, route: SignalRoute) -> None:
         self.route = route
+        self.name, self.match, self.taps = route.name, route.match, route.taps
+        self.sender, self.stated_cycle = route.sender, route.stated_cycle
         self.frames = 0
         """Number of frames of this kind, good or not."""
         self.shortest = FD_BYTES
         """Length of the shortest frame [bytes]."""
         self.rejected: Counter[str] = Counter()
         """Number of completely rejected frames, by reason."""
-        self.guard: JudgesRate = _CountingGuard(route.guard, self.rejected)
         self.signals = {
             (tap.channel, tap.rank, slot): SignalStatistics(component.conversion)
             for tap in route.taps
@@ -161,44 +139,6 @@ class Probe:
         """Times of the frames of each multiplexer group, because each group has its own cycle."""
         self.addresses: set[int] = set()
         """J1939 source addresses with accepted frames. Each sender has its own cycle."""
-
-    @property
-    def name(self) -> str:
-        """The route's name."""
-        return self.route.name
-
-    @property
-    def match(self) -> IdMatch:
-        """The route's frames."""
-        return self.route.match
-
-    @property
-    def taps(self) -> tuple[Tap, ...]:
-        """The route's taps."""
-        return self.route.taps
-
-    @property
-    def sender(self) -> SenderChoice | None:
-        """The route's choice among senders."""
-        return self.route.sender
-
-    @property
-    def stated_cycle(self) -> float | None:
-        """The route's cycle [s], as stated."""
-        return self.route.stated_cycle
-
-    @property
-    def frame_key(self) -> Hashable:
-        """The route's frame key."""
-        return self.route.frame_key
-
-    def source_of(self, tap: Tap) -> Hashable:
-        """Call the route's method."""
-        return self.route.source_of(tap)
-
-    def go_on_from(self, former: SignalRoute) -> None:
-        """Call the route's method; the statistics are kept."""
-        self.route.go_on_from(former)
 
     @property
     def refused(self) -> Counter[str]:
@@ -263,43 +203,36 @@ class Probe:
             shares.append(checker.lost / (checker.lost + self.frames))
         return max((share for share in shares if share is not None), default=None)
 
-    def check(self, t: float, data: bytes) -> str | None:
-        """As the route; not counted."""
-        return self.route.check(t, data)
-
-    def numbers(self, data: bytes) -> tuple[Raw, Physical]:
-        """As the route; not counted."""
-        return self.route.numbers(data)
-
-    def check_columns(
-        self, t: Array, frames: Carried
-    ) -> tuple[NDArray[np.bool_], Mapping[str, NDArray[np.int64]]]:
-        """Call the route's method, and count frames and rejections."""
-        ok, reasons = self.route.check_columns(t, frames)
-        for reason, rows in reasons.items():
+    def see_frames(
+        self,
+        t: Array,
+        frames: Carried,
+        good: Flags,
+        bad: Mapping[str, Index],
+        rejected: Mapping[str, Index],
+    ) -> None:
+        """Count frames and rejections."""
+        for reason, rows in rejected.items():
             self.rejected[reason] += len(rows)
-        ours = ok.copy()
-        for rows in reasons.values():
+        ours = good.copy()
+        for rows in bad.values():
             ours[rows] = True
         self.frames += int(np.count_nonzero(ours))
         if len(frames) and ours.any():
             self.shortest = min(self.shortest, int(frames.length[ours].min()))
-        if DOUBLED in reasons:  # the original frame has the same time
-            ours[reasons[DOUBLED]] = False
+        if DOUBLED in bad:  # the original frame has the same time
+            ours[bad[DOUBLED]] = False
         self._times.add(t[ours])
         if isinstance(self.route, MessageRoute):
             presence = self.route.plan.presence(frames.data, frames.length)
             for selectors, present in presence.items():
                 self._of_groups.setdefault(selectors, _Times()).add(t[ours & present])
-        return ok, reasons
 
-    def number_columns(self, frames: Carried) -> Columns:
-        """As the route; ranges are taken."""
-        columns = self.route.number_columns(frames)
-        for tap in self.route.taps:
+    def see_values(self, columns: Columns) -> None:
+        """Add values to the ranges of the signals."""
+        for tap in self.taps:
             for component, slot in zip(tap.components, tap.slots, strict=True):
                 raw, physical, present = columns[component.index]
                 if present is not None:
                     raw, physical = raw[present], physical[present]
                 self.signals[tap.channel, tap.rank, slot].add(raw, physical)
-        return columns

@@ -10,7 +10,6 @@ from __future__ import annotations
 import math
 from collections import deque
 from collections.abc import Collection, Mapping, Sequence
-from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -44,20 +43,6 @@ Rows = NDArray[np.int64]
 def _is_of_another(reason: str) -> bool:
     """True if this reason of rejection can come from a second sender."""
     return reason.startswith("counter") or reason == TOO_EARLY
-
-
-class JudgesRate(Protocol):
-    """The rate check that a route needs, see `RateGuard`."""
-
-    def judge(self, t: float, reason: str) -> str:
-        """Check one frame."""
-        ...
-
-    def judge_columns(
-        self, t: NDArray[np.float64], good: NDArray[np.bool_], reasons: Mapping[str, Rows]
-    ) -> dict[str, Rows]:
-        """Check many frames."""
-        ...
 
 
 class RateGuard:

@@ -8,7 +8,8 @@ reason.
 from __future__ import annotations
 
 from collections import Counter, deque
-from collections.abc import Collection, Hashable, Iterable, Sequence
+from collections.abc import Collection, Hashable, Iterable, Mapping, Sequence
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,7 +30,7 @@ from imucald.inputs.routes import Carried, SignalRoute
 from imucald.inputs.sender_choice import Asked, taken
 from imucald.inputs.sender_choice import joined as joined_senders
 from imucald.inputs.source_selector import SourceSelector, TapSamples, TriadAssembler
-from imucald.inputs.taps import Physical, Raw, Tap
+from imucald.inputs.taps import Columns, Physical, Raw, Tap
 
 MAX_KNOWN_IDS = 4096
 """Largest number of cached identifiers. A J1939 bus has few sources; an attacker may send many."""
@@ -40,6 +41,24 @@ OF_SENSOR = frozenset(("accel", "gyro", "mag"))
 Sample = tuple[str, Sequence[float]]
 """Channel and values."""
 Rows = NDArray[np.int64]
+
+
+class RouteWatcher(Protocol):
+    """Sees the frames and values of a route in columns, for statistics."""
+
+    def see_frames(
+        self,
+        t: NDArray[np.float64],
+        frames: Carried,
+        good: NDArray[np.bool_],
+        bad: Mapping[str, Rows],
+        rejected: Mapping[str, Rows],
+    ) -> None:
+        """See frames and what `check_columns` says of them; rejected: bad ones, and those that come
+        too often."""
+
+    def see_values(self, columns: Columns) -> None:
+        """See the values of accepted frames."""
 
 
 class Router:
@@ -57,6 +76,8 @@ class Router:
         derive_reverse: bool = False,
     ) -> None:
         self.routes = tuple(routes)
+        self.watchers: Sequence[RouteWatcher] = ()
+        """One for each route, or none."""
         self.rejected: Counter[str] = Counter()
         """Number of rejected frames and samples, by reason."""
         self.used = 0
@@ -283,12 +304,14 @@ class Router:
         events: list[Rows] = []
         for selector in self._selectors.values():
             selector.begin_chunk()
-        for route, rows in zip(self.routes, self._chosen(t, frames, found), strict=True):
+        for k, rows in enumerate(self._chosen(t, frames, found)):
             if not len(rows):
                 continue
-            times, chosen = t.take(rows), frames.payloads(rows)
-            ok, reasons = route.check_columns(times, chosen)
-            ok, reasons = guarded(route, times, ok, reasons)
+            route, times, chosen = self.routes[k], t.take(rows), frames.payloads(rows)
+            passed = route.check_columns(times, chosen)
+            ok, reasons = guarded(route, times, *passed)
+            if self.watchers:
+                self.watchers[k].see_frames(times, chosen, *passed, reasons)
             for reason, bad in reasons.items():
                 self.rejected[reason] += len(bad)
                 events.append(rows[bad])
@@ -298,7 +321,10 @@ class Router:
             if not ok.all():
                 rows, times, chosen = rows[ok], times[ok], chosen.take(ok)  # noqa: PLW2901
             used[rows] = True
-            self._take_columns(route, times, rows, chosen, parts, values, events)
+            columns = route.number_columns(chosen)
+            if self.watchers:
+                self.watchers[k].see_values(columns)
+            self._take_columns(route, times, rows, columns, parts, values, events)
         self.used += int(np.count_nonzero(used))
         samples = {c: self._joined(c, of, refused, values) for c, of in parts.items()}
         self._finish_columns(samples)
@@ -343,12 +369,11 @@ class Router:
         route: SignalRoute,
         times: NDArray[np.float64],
         rows: Rows,
-        frames: Carried,
+        columns: Columns,
         parts: dict[str, list[TapSamples]],
         refused: list[tuple[Tap, Rows]],
         events: list[Rows],
     ) -> None:
-        columns = route.number_columns(frames)
         for tap in route.taps:
             values, codes = tap.array(columns)
             part = TapSamples(tap, times, rows, values, codes)

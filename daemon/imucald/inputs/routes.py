@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Hashable, Mapping, Sequence
 from types import MappingProxyType
-from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,7 +13,7 @@ from imucald.can.columns import CAN_EFF_FLAG, FrameColumns, IdMatch, Payloads
 from imucald.can.dbc.decode import J1939_ADDRESS_MASK, DecodePlan
 from imucald.can.e2e.protection import OK, REASONS, SHORT, MessageChecker
 from imucald.inputs.expression import Expression
-from imucald.inputs.rate_guard import JudgesRate, RateGuard
+from imucald.inputs.rate_guard import RateGuard
 from imucald.inputs.sender_choice import SenderChoice
 from imucald.inputs.taps import Columns, Physical, Raw, Tap
 
@@ -23,61 +22,6 @@ Carried = FrameColumns | Payloads
 
 _SENSORS = frozenset({"accel", "gyro", "mag", "parallel"})
 """Channels of mounted sensors. The sensors of two senders have different mounts."""
-
-
-class SignalRoute(Protocol):
-    """The conversion of frames of one kind to numbers."""
-
-    @property
-    def name(self) -> str:
-        """A readable name."""
-
-    @property
-    def match(self) -> IdMatch:
-        """The filter of the frames."""
-
-    @property
-    def taps(self) -> tuple[Tap, ...]:
-        """The values in the frames, one tap per channel."""
-
-    @property
-    def guard(self) -> JudgesRate:
-        """The check of the frame rate."""
-
-    @property
-    def sender(self) -> SenderChoice | None:
-        """The choice among several senders; None if no choice is needed."""
-
-    @property
-    def stated_cycle(self) -> float | None:
-        """The cycle [s] of the frames, as stated in the configuration or the database."""
-
-    @property
-    def frame_key(self) -> Hashable:
-        """A key of the accepted frames. The key is equal for routes that accept the same frames."""
-
-    def source_of(self, tap: Tap) -> Hashable:
-        """Return a key of the settings that determine a tap's values. Equal keys: same source.
-
-        Limits of plausible values are not part of the key.
-        """
-
-    def go_on_from(self, former: SignalRoute) -> None:
-        """Take over the sender's state from a route with equal `frame_key`, as far as it fits."""
-
-    def check(self, t: float, data: bytes) -> str | None:
-        """Check a frame at stream time t [s]. Return "" if good, None if other kind, or reason."""
-
-    def numbers(self, data: bytes) -> tuple[Raw, Physical]:
-        """Return raw and physical values of a good frame."""
-
-    def check_columns(
-        self, t: NDArray[np.float64], frames: Carried
-    ) -> tuple[NDArray[np.bool_], Mapping[str, NDArray[np.int64]]]:
-        """Return which frames (N,) are good, and the rows of bad frames by reason."""
-
-    def number_columns(self, frames: Carried) -> Columns:
-        """Return raw and physical values of good frames, one entry per signal."""
 
 
 class MessageRoute:
@@ -100,7 +44,7 @@ class MessageRoute:
         self.checker = checker
         self.taps = tuple(sorted(taps, key=lambda tap: tap.rank))
         self.stated_cycle = checker.spec.cycle_time or plan.message.cycle_time
-        self.guard: JudgesRate = RateGuard(self.stated_cycle, checker.spec.counter is not None)
+        self.guard = RateGuard(self.stated_cycle, checker.spec.counter is not None)
         self.signs = dict(signs)
         is_sensor = any(tap.channel.partition("/")[0] in _SENSORS for tap in self.taps)
         is_any_sender = (
@@ -200,7 +144,7 @@ class RawRoute:
         self.message, self.checker = message, checker
         self.sender = None
         self.stated_cycle: float | None = None
-        self.guard: JudgesRate = RateGuard()
+        self.guard = RateGuard()
         self._when = when
         self._value = value
 
@@ -256,3 +200,7 @@ class RawRoute:
         """Return the values."""
         numbers = self._value.numbers(frames.data, frames.length)
         return [(numbers, numbers, None)]
+
+
+SignalRoute = MessageRoute | RawRoute
+"""Both have the same attributes and methods."""
