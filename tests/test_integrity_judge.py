@@ -342,7 +342,7 @@ def test_frames_say_the_state_and_the_rotation_that_the_pipeline_holds(base):
     routed = compile_router(loaded).columns(stream, bus)
     held, _ = pipeline.run(routed.samples, {}, float(stream[-1]))
     middle = np.floor((np.arange(base.seconds) + 0.5 - bus.t[0]) * 10.0).astype(int)
-    applied = held.by_tick(HOUSING)[middle, :9].reshape(-1, 3, 3)
+    applied = held.rows_in(HOUSING, middle)[:, :9].reshape(-1, 3, 3)
     good = np.isfinite(applied).all(axis=(1, 2))
     assert 30 < good.sum() < base.seconds
     for k in np.flatnonzero(good):

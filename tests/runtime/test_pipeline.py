@@ -71,7 +71,9 @@ def test_columns_give_the_ticks_and_corrections_of_single_samples(seed, status_t
     assert columns.estimator.rows == single.estimator.rows
     assert [(s.k, s.usable) for s in found] == [(s.k, s.usable) for s in snapshots]
     assert corrections.first == 0
-    for k, row in enumerate(corrections.by_tick(HOUSING)):
+    ticks = np.arange(len(corrections.corrections))
+    rows = np.broadcast_to(corrections.rows_in(HOUSING, ticks), (len(ticks), 12))
+    for k, row in enumerate(rows):
         correction, quality = by_tick[k]
         assert corrections.quality[k] == quality
         assert np.isnan(row).all() if correction is None else tuple(row[:9]) == correction.rotation

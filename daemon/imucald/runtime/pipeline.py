@@ -98,14 +98,6 @@ class TickCorrections(Struct, frozen=True, dict=True):
         of = [None if c is None else c.of(channel) for c in self._spells[0]]
         return np.array([(math.nan,) * 12 if c is None else (*c[0], *c[1]) for c in of])
 
-    def by_tick(self, channel: str) -> NDArray[np.float64]:
-        """Return, for each tick, matrix by rows and offset for a channel's samples (n, 12), SI.
-
-        NaN if nothing is applied; `Correction.of` selects the matrix.
-        """
-        spells = np.diff(self._spells[1], append=len(self.corrections))
-        return np.repeat(self._rows(channel), spells, axis=0)
-
     def turned(
         self, channel: str, ticks: NDArray[np.int64], values: NDArray[np.float64]
     ) -> NDArray[np.float64]:
@@ -116,7 +108,8 @@ class TickCorrections(Struct, frozen=True, dict=True):
         return times_columns(rows, values) - rows[:, 9:]
 
     def rows_in(self, channel: str, ticks: NDArray[np.int64]) -> NDArray[np.float64]:
-        """Return the same as `by_tick` during ticks (N,), counted from `first`: (N, 12).
+        """Return matrix by rows and offset for a channel's samples in ticks (N,), counted from
+        `first`: (N, 12), SI; NaN if nothing is applied. `Correction.of` selects the matrix.
 
         The shape is (1, 12) if the correction is the same in all n ticks, as most of the time.
         """

@@ -24,6 +24,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from imucald.core.errors import ImucaldError
 from imucald.core.files import (
     UNFINISHED,
@@ -374,29 +376,17 @@ def _nine(values: Any) -> tuple[float, ...]:
     return tuple(_finite(v) for v in values)
 
 
-def _is_rotation(r: tuple[float, ...]) -> bool:
-    rows = (r[0:3], r[3:6], r[6:9])
-    for i in range(3):
-        for j in range(3):
-            product = sum(a * b for a, b in zip(rows[i], rows[j], strict=True))
-            if abs(product - (i == j)) > ROTATION_TOLERANCE:
-                return False
-    a, b, c, d, e, f, g, h, i9 = r
-    return a * (e * i9 - f * h) - b * (d * i9 - f * g) + c * (d * h - e * g) > 0.0
+def _is_rotation(rotation: tuple[float, ...]) -> bool:
+    r = np.reshape(rotation, (3, 3))
+    error = np.abs(r @ r.T - np.eye(3)).max()
+    return bool(error <= ROTATION_TOLERANCE and np.linalg.det(r) > 0.0)
 
 
-def _is_covariance(c: tuple[float, ...]) -> bool:
-    """Return whether a covariance is symmetric, positive definite (leading minors), and not too
-    large.
-    """
-    xx, xy, xz, yx, yy, yz, zx, zy, zz = c
-    symmetric = all(abs(a - b) <= 1e-12 for a, b in ((xy, yx), (xz, zx), (yz, zy)))
-    minors = (
-        xx,
-        xx * yy - xy * yx,
-        xx * (yy * zz - yz * zy) - xy * (yx * zz - yz * zx) + xz * (yx * zy - yy * zx),
-    )
-    return symmetric and all(m > 0.0 for m in minors) and max(xx, yy, zz) <= LARGEST_VARIANCE
+def _is_covariance(covariance: tuple[float, ...]) -> bool:
+    """Return whether a covariance is symmetric, positive definite, and not too large."""
+    c = np.reshape(covariance, (3, 3))
+    is_symmetric = np.abs(c - c.T).max() <= 1e-12 and np.diag(c).max() <= LARGEST_VARIANCE
+    return bool(is_symmetric and all(np.linalg.det(c[:n, :n]) > 0.0 for n in (1, 2, 3)))
 
 
 LOCK_FILE = ".lock"
