@@ -38,8 +38,6 @@ _T = TypeVar("_T")
 Progress = Callable[[int, int | None], None]
 """Callback for progress. Arguments: bytes read, and total bytes (None if not known)."""
 
-_KINDS = {"acceleration": "accel", "angular_rate": "gyro", "magnetic_field": "mag"}
-
 UNUSED = "the log has no usable frame of this configuration; 'imucald check' shows more"
 
 
@@ -122,9 +120,7 @@ class ReplayRun:
             sink = seen if sink is None else _both(seen, sink)
         self._replay = Replay(self.engine, self._reader, sink, speed)
         self._watcher = watcher
-        self._kinds = {
-            f"parallel/{p.name}": _KINDS[p.kind] for p in config.loaded.config.signals.parallel
-        }
+        self._kinds = self.engine.output.sensor_of
 
     def chunks(self) -> Iterator[None]:
         """Yield after each chunk of frames. With strict, the first bad line raises LogError."""

@@ -24,6 +24,12 @@ FD_BYTES = 64
 """Payload of a CAN FD frame [bytes]."""
 
 
+FD_LENGTHS = (8, 12, 16, 20, 24, 32, 48, FD_BYTES)
+"""Payload lengths of CAN FD from 8 bytes on [bytes] (ISO 11898-1)."""
+
+CANFD_BRS = 1
+"""Flag of a CAN FD frame: data phase at the higher bit rate, as usual in vehicles."""
+
 MAX_CHANNELS = 255
 """Largest number of channels, because an index is one byte. A log with more is not genuine."""
 

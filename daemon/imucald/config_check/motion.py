@@ -116,9 +116,7 @@ class Motion:
         self.speed = self.change = None
         if "speed" in grid:
             self.speed = smooth(self._direction() * grid["speed"])
-            half = SMOOTH // 2
-            ahead, behind = shifted(self.speed, half), shifted(self.speed, -half)
-            self.change = (ahead - behind) * (TICK_RATE / (2 * half))
+            self.change = change_of(self.speed)
         self.accel = smooth(grid["accel"]) if "accel" in grid else None
         self.standing = self._standing()
         self.gravity = self._gravity()
@@ -244,3 +242,9 @@ def shifted(x: Array, ticks: int) -> Array:
     else:
         result[-ticks:] = x[:ticks]
     return result
+
+
+def change_of(speed: Array) -> Array:
+    """Return the derivative of a smoothed speed (n,), over the length of its window."""
+    half = SMOOTH // 2
+    return (shifted(speed, half) - shifted(speed, -half)) * (TICK_RATE / (2 * half))

@@ -6,6 +6,7 @@ import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+from imucald.config_check.motion import change_of
 from imucald.config_check.relation import Relation, relation
 from imucald.core.arrays import Array
 from imucald.discovery.candidates import SeenSignal
@@ -15,7 +16,6 @@ from imucald.discovery.proposal import Alternative, Choice, source_of
 from imucald.discovery.reference import (
     KnownMotion,
     SpeedFit,
-    change_of,
     speed_candidates,
     stated_unit,
     unit_for,

@@ -12,13 +12,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from imucald.config_check.motion import SMOOTH, shifted
+from imucald.config_check.motion import change_of, shifted
 from imucald.config_check.relation import Relation, relation
 from imucald.core.arrays import Array
 from imucald.discovery.candidates import SeenSignal
 from imucald.discovery.evidence import COMMON_UNITS, UnitChoice, choose_unit, factor_of
 from imucald.discovery.triads import Triad
-from imucald.motion.ticks import TICK_RATE
 
 DELAYS = range(-6, 26)
 """Possible delays of speed and course [ticks]. OBD-II causes up to 1.5 s. A receiver causes up to
@@ -106,12 +105,6 @@ class KnownMotion:
 def moving(speed: Array) -> Array:
     """Return a speed (n,) [m/s] if it is above MOVING, else NaN."""
     return np.where(np.abs(speed) > MOVING, speed, np.nan)
-
-
-def change_of(speed: Array) -> Array:
-    """Return the derivative of a smoothed speed (n,), over the length of its window."""
-    half = SMOOTH // 2
-    return (shifted(speed, half) - shifted(speed, -half)) * (TICK_RATE / (2 * half))
 
 
 def direction_up(accelerometer: Triad) -> Array:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from msgspec import Struct
 
+from imucald.can.columns import FD_LENGTHS
 from imucald.can.dbc.bits import MAX_FRAME_BYTES, Field, field_of
 from imucald.can.dbc.message import Signal
 from imucald.can.e2e.checksum_engine import ChecksumSpec
@@ -18,9 +19,6 @@ DEFAULT_TIMEOUT_CYCLES = 10.0
 COUNTER_BITS = 56
 """Largest counter [bits]. With more bits, the sum of steps in a chunk of frames does not fit 64
 bits. AUTOSAR counters have at most 32 bits."""
-
-_FD_LENGTHS = (8, 12, 16, 20, 24, 32, 48, 64)
-"""Payload lengths of CAN FD from 8 bytes on [bytes] (ISO 11898-1)."""
 
 
 class CounterSpec(Struct, frozen=True):
@@ -79,9 +77,9 @@ class ProtectionSpec(Struct, frozen=True):
         """Longest accepted frame [bytes], because bytes after the checked range are unprotected."""
         if self.checksum is None:
             return MAX_FRAME_BYTES
-        if self.size <= _FD_LENGTHS[0]:
+        if self.size <= FD_LENGTHS[0]:
             return self.size
-        return next(length for length in _FD_LENGTHS if length >= self.size)
+        return next(length for length in FD_LENGTHS if length >= self.size)
 
     @property
     def timeout(self) -> float | None:

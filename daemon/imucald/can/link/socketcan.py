@@ -24,7 +24,14 @@ import time
 from collections.abc import Sequence
 from contextlib import suppress
 
-from imucald.can.columns import CAN_ERR_FLAG, CAN_RTR_FLAG, CLASSIC_BYTES, FD_BYTES, IdMatch
+from imucald.can.columns import (
+    CAN_ERR_FLAG,
+    CAN_RTR_FLAG,
+    CANFD_BRS,
+    CLASSIC_BYTES,
+    FD_LENGTHS,
+    IdMatch,
+)
 from imucald.core.errors import LinkError
 
 try:
@@ -61,9 +68,7 @@ _FD = struct.Struct("=IBBxx64s")
 _TIMESPEC = struct.Struct("@ll")
 _DROPS = struct.Struct("@I")
 _FLAGS_REQUEST = struct.Struct("@16sH14x")
-_CANFD_BRS = 0x01
 _CANFD_FDF = 0x04
-_FD_LENGTHS = (8, 12, 16, 20, 24, 32, 48, FD_BYTES)
 
 
 class SocketCan:
@@ -198,8 +203,8 @@ class SocketCan:
         if len(data) <= CLASSIC_BYTES:
             self._socket.send(_CLASSIC.pack(can_id, len(data), data))
             return
-        length = next(size for size in _FD_LENGTHS if size >= len(data))
-        flags = _CANFD_FDF | (_CANFD_BRS if bitrate_switch else 0)
+        length = next(size for size in FD_LENGTHS if size >= len(data))
+        flags = _CANFD_FDF | (CANFD_BRS if bitrate_switch else 0)
         self._socket.send(_FD.pack(can_id, length, flags, data))
 
     def is_same_interface(self) -> bool:

@@ -24,6 +24,7 @@ from imucald.can.columns import (
     CAN_EFF_FLAG,
     CAN_EFF_MASK,
     CAN_SFF_MASK,
+    CANFD_BRS,
     CLASSIC_BYTES,
     FD_BYTES,
     FrameColumns,
@@ -39,9 +40,6 @@ ROWS: Final = 32_768
 
 GZIP_LEVEL: Final = 3
 """Compression level of gzip: twice as fast as the default, and 10 % larger."""
-
-CANFD_BRS: Final = 1
-"""Flag of a CAN FD frame: data phase at the higher bit rate, as usual in vehicles."""
 
 _CLASSIC: Final = CLASSIC_BYTES
 _STAMP_BYTES: Final = len("(1600000000.000000) ")
