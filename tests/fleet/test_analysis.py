@@ -233,6 +233,14 @@ def test_a_type_with_one_vehicle_has_no_spread_between_vehicles_and_no_complaint
     assert "no common mount" not in text
 
 
+def test_the_headline_of_the_page_says_where_moves_are_not_known() -> None:
+    assert page._headline([], [], [], [], are_moves_known=True) == "Nothing stands out"
+    unknown = page._headline([], [], [], [], are_moves_known=False)
+    assert unknown == "Nothing stands out; moves between drives are not known"
+    found = page._headline([{"vehicle": "a"}], [], [], [], are_moves_known=False)
+    assert found == "1 move of a sensor (a)"
+
+
 def test_the_interval_of_an_angle_is_its_own_where_the_sensor_is_turned_by_90_deg() -> None:
     centre = Rotation.from_euler("ZYX", (90.0, 0.0, 0.0), degrees=True)
     (kind,) = analysed(columns_of(12, 3, centre=centre))["analysis/types"]

@@ -39,6 +39,7 @@ MAX_HISTORIES = 6
 MAX_PICTURED = 4000
 """Largest number of vehicles in one picture. If there are more, only a sample is drawn of those
 that do not stand out."""
+CALM = "Nothing stands out"
 PICTURES = ("vehicles", "types", "groups", "never")
 Rows = list[dict[str, Any]]
 
@@ -60,9 +61,7 @@ def fleet_page(store: Store) -> str:
     return environment().get_template("fleet.html").render(
         place=store.url,
         made=f"{datetime.now(UTC):%Y-%m-%d %H:%M} UTC, imucald {__version__}",
-        headline=_headline(found, analysis["outliers"], bad, design),
-        is_calm=not (found or analysis["outliers"] or bad or design),
-        not_known="moves between drives are not known" if unknown else "",
+        headline=_headline(found, analysis["outliers"], bad, design, are_moves_known=not unknown),
         figures=[
             ("Vehicles", str(len(analysis["vehicles"])), f"of {kinds}"),
             ("Drives", f"{len(drives)}", f"{hours:.{0 if hours >= 10.0 else 1}f} h of driving"),
@@ -101,7 +100,7 @@ def _by_p(group: dict[str, Any]) -> float:
     return 2.0 if group["p"] is None else float(group["p"])
 
 
-def _headline(found: Rows, outliers: Rows, bad: Rows, design: Rows) -> str:
+def _headline(found: Rows, outliers: Rows, bad: Rows, design: Rows, are_moves_known: bool) -> str:
     named = [
         (len(bad), "bad batch", "bad batches", ", ".join(g["name"] for g in bad)),
         (len(design), "fault of many vehicles", "faults of many vehicles", ""),
@@ -113,7 +112,9 @@ def _headline(found: Rows, outliers: Rows, bad: Rows, design: Rows) -> str:
         for n, one, many, names in named
         if n
     ]
-    return ", ".join(parts) if parts else "Nothing stands out"
+    if parts:
+        return ", ".join(parts)
+    return CALM if are_moves_known else f"{CALM}; moves between drives are not known"
 
 
 def _mounts(analysis: dict[str, Rows]) -> Rows:
