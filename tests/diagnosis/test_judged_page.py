@@ -71,6 +71,21 @@ def test_a_zero_that_plain_means_at_stops_confirm_beyond_its_tolerance_is_no_wro
     assert wrong_names(said) == ["gyro_bias"]
 
 
+def test_what_disjoint_pieces_show_beside_a_plain_car_is_no_wrong_name():
+    said = {**line("css_canmod_164", "accel_bias"), "right": ["gyro_scale"], "values": {}}
+    assert wrong_names({**said, "part": "plain"}) == []
+    assert wrong_names({**said, "part": "measured"}) == ["accel_bias"]
+
+
+def test_without_a_model_file_the_third_size_and_pieces_that_drive_are_judged():
+    nothing = dict.fromkeys(PARTS, ())
+    own = [hidden("lost", 2, draw, draw < 9, minutes=10.0 + draw) for draw in range(10)]
+    own += [hidden("lost", 1, 0, False), hidden("lost", 2, 0, False, refused="3 segments")]
+    told = "\n".join(bars({**nothing, "plain": own}))
+    assert "named in 8 min and more: 9 of 10 (90.0 %) (bar 60 %): met" in told
+    assert "named in 15 min and more: 4 of 5 (80.0 %) (bar 85 %): NOT MET" in told
+
+
 def test_a_short_log_does_not_count_for_what_is_asked_of_long_ones():
     assert found_at_or_below([hidden("lost", 2, 17, True, minutes=14.0)]) == {}
 
