@@ -14,7 +14,7 @@ from imucald.model_compensation.compensation import ModelCompensation
 from imucald.model_compensation.lever_arm_and_suspension import Corrected
 from imucald.motion.ticks import TICK_RATE
 from imucald.mount.estimate import MountEstimate
-from imucald.mount.estimator import FullEstimator
+from imucald.mount.estimator import JointEstimator
 from imucald.mount.estimator_settings import EstimatorSettings
 from imucald.runtime.pipeline import Pipeline, Snapshot
 
@@ -53,9 +53,9 @@ def corrected_drive(
     ticks = None
     if compensation is not None:
         samples = compensation.samples(samples)
-        settings = compensation.full_settings(settings)
+        settings = compensation.joint_settings(settings)
         ticks = compensation.tick_preprocessing()
-    pipeline = Pipeline(FullEstimator(settings), preprocessor=ticks)
+    pipeline = Pipeline(JointEstimator(settings), preprocessor=ticks)
     t_last = max((float(s.t[-1]) for s in samples.values() if len(s.t)), default=0.0)
     corrections, snapshots = pipeline.run(samples, {}, t_last)
 

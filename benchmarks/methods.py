@@ -51,7 +51,6 @@ def method_a() -> None:
     forms = {
         "published, to the letter": f"{{{known}, method_a: {{to_the_letter: true}}}}",
         "published": f"{{{known}}}",
-        "full": "{estimator: full}",
         "joint": "{estimator: joint}",
     }
     for name, keys in forms.items():

@@ -1,6 +1,6 @@
 """Every measured drive with its shipped configuration: what comes out beside what is known.
 
-    python -m benchmarks.real_drives [--estimator joint|full|published] [--only NAME]
+    python -m benchmarks.real_drives [--estimator joint|published] [--only NAME]
 
 The drives lie beside the project (../shared/data); those that are absent are named.
 """
@@ -34,7 +34,7 @@ from imucald.runtime.replay import Replay
 from imucald.runtime.session import make_engine, open_config
 from imucald.runtime.timebase import TimeBase
 
-ESTIMATORS = ("joint", "full", "published")
+ESTIMATORS = ("joint", "published")
 KINGSTON_FORWARD = np.array([0.0039, 0.9998, 0.0155])
 """Forward in sensor axes, from the INS."""
 GRID_S = 0.2

@@ -1,7 +1,6 @@
 """Frames of another node, and an accelerometer that drifts: is anything good and wrong for long?
 
     python -m benchmarks.spoofing [--variant NAME ...] [--first SEED] [--drives N] [--jobs N]
-                                  [--estimator joint|full]
 
 Drives of 15 min. From 300 s on, for 120 s, another node that knows counter and checksum puts frames
 in right behind true ones; or from 250 s on an axis drifts to the end. The judge is that of
@@ -100,10 +99,10 @@ class Found:
     ended: float
 
 
-def judged(variant: Variant, estimator: str, seed: int) -> Found:
+def judged(variant: Variant, seed: int) -> Found:
     """A drive of the variant through the daemon's engine."""
     base = SIMULATED(seed, MINUTES)
-    loaded = configuration(frozenset(base.samples), True, base.side, estimator=estimator)
+    loaded = configuration(frozenset(base.samples), True, base.side)
     model = random_model(seed)
     if variant.burst:
         bus = frames(base.samples, base.duration_s, loaded, model, seed)
@@ -201,7 +200,6 @@ def main() -> int:
     parser.add_argument("--first", type=int, default=FIRST_SEED, help="first seed")
     parser.add_argument("--drives", type=int, default=20)
     parser.add_argument("--jobs", type=int, default=1)
-    parser.add_argument("--estimator", choices=("joint", "full"), default="joint")
     options = parser.parse_args()
     seeds = list(range(options.first, options.first + options.drives))
     if tuned := tuned_on(seeds):
@@ -217,7 +215,7 @@ def main() -> int:
     for variant in VARIANTS:
         if not variant.name.startswith(prefixes):
             continue
-        found = list(_each(partial(judged, variant, options.estimator), seeds, options.jobs))
+        found = list(_each(partial(judged, variant), seeds, options.jobs))
         wrong = np.array([one.wrong for one in found])
         bare = np.array([one.not_covered for one in found])
         ended = np.array([one.ended for one in found])

@@ -1,20 +1,20 @@
-"""Warm start on simulated drives: what saved evidence is worth, and whether a moved sensor shows.
+"""Warm start on simulated drives: what a known sensor is worth, and whether a moved one shows.
 
     python -m benchmarks.warm_start [--seeds 20] [--first 20] [--minutes 12] [--from 0]
 
 Each vehicle drives twice on different roads. Its state of the first drive is saved and serves in
-the second, with the evidence in it and without; before the second drive load and springs turn the
-body by a random amount (`BETWEEN_DRIVES_STD`). In some cases somebody moves the sensor as well,
-about a random axis, before the drive or in it (`TURNED_AT_S`). Told are when the mount was
+the second, with what it found of the sensor and without; before the second drive load and springs
+turn the body by a random amount (`BETWEEN_DRIVES_STD`). In some cases somebody moves the sensor as
+well, about a random axis, before the drive or in it (`TURNED_AT_S`). Told are when the mount was
 confirmed, when its yaw was as certain as before the restart again, when it was called suspect,
 rightly or wrongly, and errors on the way.
 
     python -m benchmarks.warm_start --sensor [--seeds 6] [--from 979000] [--first 20] [--minutes 8]
 
-The same of the joint estimator, with what it keeps of the sensor itself (cross-axis terms of 2 %):
-when it is *usable* from nothing, after a restart with the rotation alone and with the sensor, and
-in a new mount, where the old mount is still in front and where it was forgotten. Told are the
-times, and cross-talk xy and yx there over the stated deviation.
+The same with cross-axis terms of 2 %: when the mount is *usable* from nothing, after a restart with
+the rotation alone and with the sensor, and in a new mount, where the old mount is still in front
+and where it was forgotten. Told are the times, and cross-talk xy and yx there over the stated
+deviation.
 """
 
 from __future__ import annotations
@@ -34,11 +34,10 @@ from numpy.typing import NDArray
 from imucald.core.rotations import rotation_from_vector, vector_from_rotation
 from imucald.motion.column_ticks import ticks_from_samples
 from imucald.mount.estimate import BETWEEN_DRIVES_STD, MountEstimator, MountState
-from imucald.mount.joint.estimator import JointEstimator
+from imucald.mount.estimator import JointEstimator
 from imucald.mount.joint.known import known_from
 from imucald.mount.mount_in_force import mount_in_force
 from imucald.mount.restored import Phase, RestoredEstimator, StoredMount
-from imucald.mount.saved_information import SavesInformation, saved_from
 from imucald.runtime.estimators import estimator_for
 from imucald.runtime.session import open_config
 from imucald.simulation import Drive, VehicleModel, random_model, simulate
@@ -82,25 +81,10 @@ def stored_after(estimator: MountEstimator, rows: list[list[float]]) -> StoredMo
     """What the first drive leaves; None where it ends without a good mount."""
     for row in rows:
         estimator.step(row)
-    found = estimator.estimate()
-    assert isinstance(estimator, SavesInformation)
-    kept = estimator.saved_information()
-    R, covariance = found.R_vehicle_from_sensor, found.covariance
-    if found.state not in GOOD or R is None or covariance is None or kept is None:
+    stored = mount_in_force(estimator)
+    if estimator.state not in GOOD or stored is None or stored.sensor is None:
         return None
-    return StoredMount(R, covariance, found.state, evidence=saved_from(kept.plain()))
-
-
-def moved(stored: StoredMount, turn: NDArray[np.float64]) -> StoredMount:
-    """The same as if the sensor had been turned by -turn [rad] since, about vehicle axes."""
-    R = rotation_from_vector(turn)
-    kept = stored.evidence
-    assert kept is not None
-    return replace(
-        stored,
-        R_vehicle_from_sensor=R @ stored.R_vehicle_from_sensor,
-        evidence=replace(kept, R=R @ kept.R),
-    )
+    return replace(stored, sensor=known_from(json.loads(json.dumps(stored.sensor.plain()))))
 
 
 def turned_while_driving(model: VehicleModel, axis: NDArray[np.float64]) -> VehicleModel:
@@ -145,7 +129,7 @@ def main() -> int:
     parser.add_argument("--from", type=int, default=0, dest="start", metavar="SEED")
     parser.add_argument("--first", type=float, default=20.0, metavar="MIN")
     parser.add_argument("--minutes", type=float, default=12.0)
-    parser.add_argument("--sensor", action="store_true", help="the joint estimator's known sensor")
+    parser.add_argument("--sensor", action="store_true", help="when it is usable")
     options = parser.parse_args()
     if options.sensor:
         seeds = range(options.start, options.start + options.seeds)
@@ -172,16 +156,15 @@ def main() -> int:
                 if (degrees == WHILE_DRIVING) == (driven is model):
                     continue
                 parked = 0.0 if degrees == WHILE_DRIVING else math.radians(degrees)
-                then = moved(stored, load + parked * axis)
-                if not kept:
-                    then = replace(then, evidence=None)
+                then = stored if kept else replace(stored, sensor=None, applied=None, sent=None)
+                then = turned_by(then, rotation_from_vector(load + parked * axis))
                 begin = TURNED_AT_S if degrees == WHILE_DRIVING else 0.0
                 restored = RestoredEstimator(estimator_for(config), then)
                 courses.append(course(restored, rows, truth, begin))
     for (degrees, kept), courses in found.items():
         what = f"moved {degrees:g} deg" if degrees != WHILE_DRIVING else TURNED
         looks = range(len(LOOKS_S)) if degrees == 0.0 else [len(LOOKS_S) - 1]
-        print(f"{what}, evidence {'kept' if kept else 'left'}: {told(courses, looks)}")
+        print(f"{what}, sensor {'known' if kept else 'unknown'}: {told(courses, looks)}")
     return 0
 
 
@@ -194,19 +177,15 @@ CASES = ("from nothing", "restarted, rotation alone", "restarted, sensor known",
 
 def known_sensors(seeds: Sequence[int], first: float, minutes: float) -> int:
     """When the joint estimator is usable, by what it knows at the start."""
-    loaded = open_config(CONFIG).config
-    config = replace(loaded, calibration=replace(loaded.calibration, estimator="joint"))
+    config = open_config(CONFIG).config
     found: dict[str, list[tuple[float, float]]] = {case: [] for case in CASES}
     for seed in seeds:
         model = random_model(seed, cross_axis=CROSS_AXIS)
-        before = estimator_for(config)
-        for row in rows_of(simulate(model, seed, first), first):
-            before.step(row)
-        stored = mount_in_force(before)
-        if stored is None or stored.sensor is None:
+        rows = rows_of(simulate(model, seed, first), first)
+        stored = stored_after(estimator_for(config), rows)
+        if stored is None:
             print(f"seed {seed}: the first drive leaves no state")
             continue
-        stored = replace(stored, sensor=known_from(json.loads(json.dumps(stored.sensor.plain()))))
         alone = replace(stored, sensor=None, applied=None, sent=None)
         load = rotation_from_vector(np.random.default_rng(seed).normal(0.0, BETWEEN_DRIVES_STD))
         same = simulate(model, seed + SECOND_ROADS, minutes)
@@ -240,9 +219,7 @@ def turned_by(stored: StoredMount, R: NDArray[np.float64]) -> StoredMount:
     kept = stored.sensor
     if kept is not None:
         kept = kept._replace(rotation=R @ kept.rotation)
-    return replace(
-        stored, R_vehicle_from_sensor=R @ stored.R_vehicle_from_sensor, sensor=kept, evidence=None
-    )
+    return replace(stored, R_vehicle_from_sensor=R @ stored.R_vehicle_from_sensor, sensor=kept)
 
 
 def usable_from(estimator: MountEstimator, drive: Drive, minutes: float) -> tuple[float, float]:

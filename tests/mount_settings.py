@@ -20,7 +20,7 @@ NONE: Keys = {}
 
 
 def full(calibration: Keys = NONE, vehicle: Keys = NONE, **own: Any) -> EstimatorSettings:
-    """The full estimator's, on roads whose traffic keeps right."""
+    """The joint estimator's, on roads whose traffic keeps right."""
     return EstimatorSettings(
         CalibrationSettings(**calibration),
         VehicleSettings(**{"driving_side": "right", **vehicle}),

@@ -25,8 +25,7 @@ from imucald.core.yaml_lines import read_yaml
 from imucald.fleet.fleet_file import FleetSettings
 from imucald.inputs.wiring import compile_router
 from imucald.mount.estimate import MountState
-from imucald.mount.joint.estimator import JointSettings
-from imucald.runtime.estimators import full_settings
+from imucald.runtime.estimators import joint_settings
 from imucald.runtime.output.output_frames import OutputFrames, output_database
 from imucald.runtime.session import make_engine
 from imucald.runtime.summary import RunCounts, summary
@@ -263,7 +262,7 @@ def test_value_tables_are_those_of_the_database() -> None:
 def test_the_limits_of_usable_and_fine_are_those_of_the_default_estimator() -> None:
     text = (DOCS / "output-frames.md").read_text()
     config = load_config(ROOT / "config" / "imucald.yaml").config
-    limits = JointSettings.of(full_settings(config)).limits
+    limits = joint_settings(config).limits
     assert config.calibration.estimator == "joint"
     for words, yaw_std, tilt_std in (
         ("cross-talk `XY`, `YX` {yaw} deg, level zero {zero} m/s²",

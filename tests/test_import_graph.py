@@ -108,7 +108,6 @@ LAZY_MODULES: Mapping[str, str] = {
     "report.replay_page.replay_page: report.replay_plots": "loads matplotlib",
     "runtime.estimators.estimator_for: mount.restored": "1 ms: few state a mount",
     "runtime.estimators.known_mount: mount.restored": "with it",
-    "runtime.estimators.learning_estimator: mount.joint.estimator": "3 ms: few use it",
     "runtime.estimators.learning_estimator: mount.method_a.estimator": "4 ms, 0.4 MiB: few use it",
     "runtime.output.output_frames._attitude_frames: runtime.output.attitude_frames": "1 ms",
     "runtime.output.output_frames._travel_frames: runtime.output.travel_frames": "4 ms, 0.3 MiB",

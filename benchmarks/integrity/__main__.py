@@ -52,7 +52,6 @@ def main() -> int:
         return USAGE
     if options.row:
         wanted = [case for case in wanted if case.row in options.row]
-    wanted = [replace(case, estimator=options.estimator) for case in wanted]
     if options.base:
         wanted = [case for case in wanted if case.base in options.base]
     path = options.results or FOLDER / f"integrity-{state()}.jsonl"
@@ -87,7 +86,6 @@ def _options() -> argparse.Namespace:
                         help="of " + ", ".join(PARTS))  # fmt: skip
     parser.add_argument("--row", nargs="+", help="only these faults, as the table names them")
     parser.add_argument("--base", nargs="+", help="only these seeds or logs")
-    parser.add_argument("--estimator", choices=("joint", "full"), default="joint")
     parser.add_argument("--drives", type=int, help="simulated drives a fault")
     parser.add_argument("--hours", type=int, help="of driving without a fault")
     parser.add_argument("--logs", type=int, help="how many of the measured logs")

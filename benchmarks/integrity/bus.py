@@ -73,7 +73,6 @@ def configuration(
     cycles: bool,
     side: str = "right",
     gyro_factor: float = 1.0,
-    estimator: str = "full",
 ) -> LoadedConfig:
     """The bus of a drive with these channels.
 
@@ -81,7 +80,7 @@ def configuration(
     database multiplies the gyroscope's values by, beside what is right.
     """
     text = _yaml(channels, side, _database(cycles, gyro_factor))
-    return parse_config(f"{text}\ncalibration: {{estimator: {estimator}}}\n")
+    return parse_config(text)
 
 
 def _database(cycles: bool, gyro_factor: float) -> Path:

@@ -146,14 +146,12 @@ _NAMED = {row.name: row for row in (*ROWS, QUIET, AS_RECORDED)}
 
 @dataclass(frozen=True)
 class Case:
-    """One drive to judge. base: a seed, or the name of a measured log. number: of the fault's.
-    estimator: as the configuration names it."""
+    """One drive to judge. base: a seed, or the name of a measured log. number: of the fault's."""
 
     row: str
     base: str
     number: int
     minutes: float
-    estimator: str = "full"
 
     @property
     def fault(self) -> Row:
@@ -163,8 +161,7 @@ class Case:
     @property
     def key(self) -> str:
         """Names it in the file of results."""
-        own = "" if self.estimator == "full" else f"/{self.estimator}"
-        return f"{self.fault.part}/{self.row}/{self.base}/{self.number}/{self.minutes:g}{own}"
+        return f"{self.fault.part}/{self.row}/{self.base}/{self.number}/{self.minutes:g}"
 
 
 @dataclass(frozen=True)

@@ -58,7 +58,7 @@ def outcome(case: Case) -> dict[str, Any] | None:
     channels = frozenset(base.samples) - faulty.left_out
     is_simulated = base.seed is not None
     writes = configuration(channels, is_simulated, base.side)
-    reads = configuration(channels, is_simulated, base.side, faulty.gyro_factor, case.estimator)
+    reads = configuration(channels, is_simulated, base.side, faulty.gyro_factor)
     model = random_model(base.seed) if base.seed is not None else None
     bus = frames(faulty.samples, base.duration_s, writes, model, base.seed or 0)
     found = sent(bus, reads, base.seconds)

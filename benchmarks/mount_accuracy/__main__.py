@@ -45,7 +45,7 @@ from benchmarks.mount_accuracy.seeds import (
 )
 from benchmarks.mount_accuracy.tables import bars, force_table, quantiles, table
 from imucald.motion import ticks as tk
-from imucald.mount.estimator import FullEstimator
+from imucald.mount.estimator import JointEstimator
 
 PAGE = ROOT / "benchmarks" / "records" / "mount-accuracy.md"
 TIMES = (2.0, 5.0, 10.0, 40.0)
@@ -212,7 +212,7 @@ def shifts(size: Size) -> list[str]:
     return lines
 
 
-def _reported(estimator: FullEstimator) -> list[float]:
+def _reported(estimator: JointEstimator) -> list[float]:
     """Times of the shifts that were reported [s], those that mislead nobody too."""
     shifts = estimator.estimate().details["shifts"]
     assert isinstance(shifts, list)

@@ -15,7 +15,7 @@ import numpy as np
 
 from benchmarks.mount_accuracy.drives import FULL, Drive, run
 from imucald.motion.column_ticks import ticks_from_samples
-from imucald.mount.estimator import FullEstimator
+from imucald.mount.estimator import JointEstimator
 from imucald.simulation import random_model, simulate
 
 NOISE_DENSITY = 0.2
@@ -69,5 +69,5 @@ def error_and_bound(seed: int, minutes: float) -> tuple[float, float]:
     bound = math.degrees(math.sqrt(float(np.linalg.inv(information)[2, 2])))
     rows = ticks_from_samples(made.samples, 0, int(minutes * 600))
     R = truth.R_vehicle_from_sensor()
-    said = run(FullEstimator(FULL), Drive(seed, rows, R, 0.0), [minutes]).said
+    said = run(JointEstimator(FULL), Drive(seed, rows, R, 0.0), [minutes]).said
     return float(said[minutes].error[2]), bound

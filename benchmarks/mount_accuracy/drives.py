@@ -21,9 +21,8 @@ from imucald.core.rotations import Matrix3, rotation_from_vector, vector_from_ro
 from imucald.motion import ticks as tk
 from imucald.motion.column_ticks import ticks_from_samples
 from imucald.mount.estimate import MountEstimator, MountState
-from imucald.mount.estimator import FullEstimator
+from imucald.mount.estimator import JointEstimator
 from imucald.mount.estimator_settings import EstimatorSettings
-from imucald.mount.joint.estimator import JointEstimator, JointSettings
 from imucald.mount.method_a.estimator import PublishedEstimator
 from imucald.mount.method_a.settings import PublishedSettings
 from imucald.simulation import random_model, simulate
@@ -100,7 +99,7 @@ class Said:
 
 KEEPS_RIGHT = VehicleSettings(driving_side="right")
 FULL = EstimatorSettings(vehicle=KEEPS_RIGHT)
-"""The full estimator knows on which side traffic keeps, as the configuration would say."""
+"""The joint estimator knows on which side traffic keeps, as the configuration would say."""
 METHOD_A = PublishedSettings(
     CalibrationSettings(accelerometer_bias=0.098),
     VehicleSettings(crown_percent=0.0, crown_spread_percent=1.34),
@@ -124,14 +123,13 @@ def estimators(cross_axis: float = 0.0) -> dict[str, MountEstimator]:
     settings = EstimatorSettings(CalibrationSettings(cross_axis=cross_axis), KEEPS_RIGHT)
     return {
         "joint": usual_estimator(settings),
-        "full": FullEstimator(settings),
         "published": PublishedEstimator(METHOD_A),
     }
 
 
 def usual_estimator(settings: EstimatorSettings) -> JointEstimator:
     """The one that a configuration has where it names none."""
-    return JointEstimator(JointSettings.of(settings))
+    return JointEstimator(settings)
 
 
 def run(estimator: MountEstimator, made: Drive, minutes: Sequence[float]) -> Trace:
@@ -188,7 +186,7 @@ def _said(estimator: MountEstimator, made: Drive) -> Said | None:
     if R is None or std is None:
         return None
     error = np.degrees(vector_from_rotation(made.R_vehicle_from_sensor @ R.T))
-    expected = KEEPS_RIGHT.crown_mean if isinstance(estimator, FullEstimator) else 0.0
+    expected = KEEPS_RIGHT.crown_mean if isinstance(estimator, JointEstimator) else 0.0
     turned = rotation_from_vector([made.crown - expected, 0.0, 0.0]) @ made.R_vehicle_from_sensor
     beyond = float(np.degrees(vector_from_rotation(turned @ R.T))[0])
     shares = estimate.details.get("evidence_share", {})

@@ -3,7 +3,6 @@
     python -m benchmarks.signal_forms [--form TEXT ...] [--drives N] [--first SEED] [--jobs N]
                                       [--group simulated second_world measured] [--check]
                                       [--json FILE] [--table FILE ...] [--causes]
-                                      [--estimator joint|full]
 
 Each form (`forms`) is put on sound drives: ten simulated ones that nothing was chosen on, each as
 drivers drive and with constant cruising, with the sensor in any rotation; another simulator's
@@ -25,7 +24,6 @@ import json
 import sys
 import time
 from collections.abc import Iterator
-from dataclasses import replace
 from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
@@ -66,10 +64,7 @@ def main() -> int:
 
 
 def _run(options: argparse.Namespace, wanted: tuple[str, ...]) -> list[dict[str, Any]]:
-    puts = [
-        replace(put, estimator=options.estimator)
-        for put in drives(options.drives, options.first, tuple(options.group))
-    ]
+    puts = drives(options.drives, options.first, tuple(options.group))
     absent = [p.name for p in puts if p.group != "simulated" and not is_here(p.name)]
     if absent:
         print(f"absent from {DATA}, not judged: {', '.join(absent)}")
@@ -123,7 +118,6 @@ def _options() -> argparse.Namespace:
     parser.add_argument("--drives", type=int, default=DRIVES, help="simulated drives")
     parser.add_argument("--first", type=int, default=FIRST_SEED, help="first seed")
     parser.add_argument("--group", nargs="+", choices=GROUPS, default=list(GROUPS))
-    parser.add_argument("--estimator", choices=("joint", "full"), default="joint")
     parser.add_argument("--jobs", type=int, default=1)
     parser.add_argument("--check", action="store_true", help="ask `check` of every form, not only "
                         "of those that cannot carry the information")  # fmt: skip

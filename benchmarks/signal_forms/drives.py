@@ -35,16 +35,12 @@ CONSTANT = {"route.speed_wander": 0.0}
 
 @dataclass(frozen=True)
 class Put:
-    """A drive that forms are put on. group: simulated, second_world or measured.
-
-    estimator: `calibration: estimator` of its configuration.
-    """
+    """A drive that forms are put on. group: simulated, second_world or measured."""
 
     name: str
     group: str
     is_constant: bool = False
     minutes: float = MINUTES
-    estimator: str = "full"
 
     @property
     def key(self) -> str:

@@ -130,9 +130,7 @@ def run(base: Base, put: Put, form: Form, with_check: bool = False) -> dict[str,
         with CandumpWriter(log) as writer:
             for piece in pieces(frames, PIECE_S):
                 writer.write_columns(piece)
-        text = bus.configuration(form.counters)
-        text += f"calibration: {{estimator: {put.estimator}}}\n"
-        config.write_text(text, "utf-8")
+        config.write_text(bus.configuration(form.counters), "utf-8")
         try:
             loaded = load_config(config)
             found = replayed(base, loaded, log)

@@ -74,7 +74,7 @@ def written(path: str, default: Any) -> Any:
     return list(default) if isinstance(default, tuple) else default
 
 
-@pytest.mark.parametrize("estimator", ["full", "published"])
+@pytest.mark.parametrize("estimator", ["joint", "published"])
 @pytest.mark.parametrize(("path", "default"), ALL, ids=[path for path, _ in ALL])
 def test_every_key_is_read_by_the_estimator_or_reported(
     path: str, default: Any, estimator: str
@@ -88,7 +88,7 @@ def test_every_key_is_read_by_the_estimator_or_reported(
     if path in BEHIND_ANOTHER:
         assert text
     elif part in READ_BY_METHOD_A:
-        assert bool(text) == (estimator == "full"), text
+        assert bool(text) == (estimator == "joint"), text
         assert (
             not text or f"calibration.{part}: has no effect without 'estimator: published'" in text
         )
@@ -127,7 +127,7 @@ IDLE_WITH_FILTER = {
 
 def test_the_place_and_the_reason_are_reported() -> None:
     text = (
-        "database: bus.dbc\nsignals: {accelerometer: {x: A.X, y: A.Y, z: A.Z}}\n"
+        "database: bus.dbc\nsignals: {accelerometer: {x: A.X, y: A.Y, z: A.Z}, speed: A.V}\n"
         "calibration:\n  straight: {steering_limit_deg: 0.001}\n"
     )
     (line,) = parse_config(text).idle_keys()

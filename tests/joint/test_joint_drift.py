@@ -12,8 +12,9 @@ from imucald.core.samples import Series
 from imucald.motion.column_ticks import ticks_from_samples
 from imucald.mount.contradictions import StandingFault
 from imucald.mount.estimate import MountState
+from imucald.mount.estimator import JointEstimator
+from imucald.mount.estimator_settings import LEVEL
 from imucald.mount.joint.drift import NAMED, NONE, Drift
-from imucald.mount.joint.estimator import LEVEL, JointEstimator, JointSettings
 from imucald.mount.joint.evidence import Block, Evidence
 from imucald.mount.joint.state import Priors
 from imucald.simulation import random_model, simulate
@@ -190,7 +191,7 @@ def test_no_value_is_good_while_a_drifting_zero_has_made_it_wrong(axis: int, rat
     values = series.values.copy()
     values[:, axis] += rate * np.maximum(series.t - FROM_S, 0.0)
     samples["accel"] = Series(series.t, values)
-    joint, was_good = JointEstimator(JointSettings.of(full())), False
+    joint, was_good = JointEstimator(full()), False
     reasons: set[str] = set()
     for k, row in enumerate(ticks_from_samples(samples, 0, 7200).tolist()):
         joint.step(row)
@@ -212,7 +213,7 @@ def test_a_drift_is_named_before_the_next_bend_makes_a_move_of_it() -> None:
     t, values = samples["accel"].t, samples["accel"].values.copy()
     values[:, 0] += 0.002 * np.maximum(t - 250.0, 0.0)
     samples["accel"] = Series(t, values)
-    joint, was_good = JointEstimator(JointSettings.of(full())), False
+    joint, was_good = JointEstimator(full()), False
     for k, row in enumerate(ticks_from_samples(samples, 0, 6000).tolist()):
         joint.step(row)
         was_good = was_good or (joint.state in GOOD and k > 3000)

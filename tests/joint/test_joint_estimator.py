@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import math
 from functools import cache
 from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -12,8 +14,10 @@ from scipy.spatial.transform import Rotation
 
 from imucald.core.samples import GRAVITY, Series
 from imucald.motion.column_ticks import ticks_from_samples
+from imucald.mount.acceptance import Acceptance
 from imucald.mount.estimate import MountState
-from imucald.mount.joint.estimator import JointAcceptance, JointEstimator, JointSettings
+from imucald.mount.estimator import JointEstimator
+from imucald.mount.estimator_settings import EstimatorSettings
 from imucald.mount.joint.evidence import Evidence
 from imucald.simulation import random_model, simulate
 from imucald.simulation.drive import Drive
@@ -32,7 +36,7 @@ def drive(seed: int) -> Drive:
 
 
 def estimator() -> JointEstimator:
-    return JointEstimator(JointSettings.of(full()))
+    return JointEstimator(full())
 
 
 @pytest.mark.slow
@@ -180,22 +184,31 @@ def test_arithmetic_that_fails_on_the_evidence_ends_nothing(
 
 
 @pytest.mark.slow
-def test_without_a_speed_the_full_estimator_is_served() -> None:
+def test_without_a_speed_only_gravity_is_known() -> None:
     made = drive(976_001)
     samples = {name: series for name, series in made.samples.items() if "speed" not in name}
     joint = estimator()
     for row in ticks_from_samples(samples, 0, int(MINUTES * 600)).tolist():
         joint.step(row)
     assert joint.solution is None
-    found = joint.estimate().correction
-    assert found is not None
-    assert found.is_rotation
+    found = joint.estimate()
+    assert found.state is MountState.LEVELLED
+    assert found.std is not None
+    assert math.degrees(found.std[2]) > 90.0
+    assert found.waiting_for["yaw"] == "a speed"
 
 
-def test_fine_waits_for_no_test_of_small_moves_and_says_no_such_reason() -> None:
-    checks = SimpleNamespace(is_mirror_excluded=True, have_agreed=False, not_checked=())
-    parts = SimpleNamespace(armed=False), checks, SimpleNamespace(is_loose=False)
-    acceptance = JointAcceptance(*parts, has_speed=True)
+def test_fine_waits_until_the_signals_agree() -> None:
+    checks: Any = SimpleNamespace(is_mirror_excluded=True, have_agreed=False, not_checked=())
+    changes: Any = SimpleNamespace(is_loose=False)
+    acceptance = Acceptance(
+        checks,
+        changes,
+        is_delay_beyond=False,
+        has_speed=True,
+        has_speed_now=True,
+        are_signs_known=False,
+    )
     assert "agree" in acceptance.missing_to_be_fine()
     assert not acceptance.may_be_fine()
     checks.have_agreed = True
@@ -203,7 +216,7 @@ def test_fine_waits_for_no_test_of_small_moves_and_says_no_such_reason() -> None
 
 
 def test_gravity_is_the_unit_of_the_levels_limits() -> None:
-    limits = JointSettings().limits
+    limits = EstimatorSettings().limits
     assert limits.usable_tilt * GRAVITY == pytest.approx(0.2)
     assert limits.fine_tilt * GRAVITY == pytest.approx(0.1)
 
@@ -218,9 +231,7 @@ def test_gravity_is_the_unit_of_the_levels_limits() -> None:
 )
 def test_what_a_data_sheet_states_is_the_prior(calibration, entry, is_wider) -> None:
     """On one window little but the prior is known of the sensor."""
-    usual, stated = (
-        Evidence(JointEstimator(JointSettings.of(full(c))).priors) for c in ({}, calibration)
-    )
+    usual, stated = (Evidence(JointEstimator(full(c)).priors) for c in ({}, calibration))
     for block in blocks(1.2, Sensor(), bends=0.3):
         for evidence in (usual, stated):
             evidence.add(block)
@@ -265,7 +276,7 @@ def test_without_a_gyroscope_a_mixed_sensor_is_corrected_by_what_the_bus_says_of
     chassis = model.chassis
     vehicle = {"steering_ratio": chassis.steering_ratio, "wheelbase": chassis.wheelbase_m}
     steers = {"uses_steering": turning == "steering", "vehicle": vehicle}
-    joint = JointEstimator(JointSettings.of(full(understeer=chassis.understeer_gradient, **steers)))
+    joint = JointEstimator(full(understeer=chassis.understeer_gradient, **steers))
     for row in ticks_from_samples(samples, 0, int(MINUTES * 600)).tolist():
         joint.step(row)
     assert joint.state in GOOD

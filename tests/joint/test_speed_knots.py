@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from imucald.drive.speed_knots import known_times, means_between
 from imucald.motion.coarse_speed import passages
-from imucald.mount.joint.estimator import _block
+from imucald.mount.estimator import _block
 from imucald.mount.joint.evidence import Block, Evidence, Solution
 from imucald.mount.joint.state import OtherSignals, Priors
 from joint.planar_drive import Sensor, blocks, cross_talk

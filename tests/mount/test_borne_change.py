@@ -13,13 +13,14 @@ from scipy.spatial.transform import Rotation
 from imucald.core.rotations import rotation_from_angles, vector_from_rotation
 from imucald.motion.column_ticks import ticks_from_samples
 from imucald.mount.estimate import MountState
-from imucald.mount.estimator import FullEstimator
+from imucald.mount.estimator import JointEstimator
 from imucald.mount.explanation import change_details
 from imucald.mount.gravity_step import GravityStep
+from imucald.mount.hysteresis import BAD
+from imucald.mount.joint.moves import Move
 from imucald.mount.large_change import LargeChange
-from imucald.mount.mount_changes import GoodMount, MountChanges, blocks_since, probability
+from imucald.mount.mount_changes import GoodMount, MountChanges, blocks_since
 from imucald.mount.mount_words import change_words, is_move
-from imucald.mount.shift import Shift
 from imucald.mount.signal_blocks import BLOCK_S
 from imucald.simulation import random_model, simulate
 from mount_settings import full
@@ -33,24 +34,13 @@ def changes() -> MountChanges:
     return MountChanges(full())
 
 
-def shift(axis: int, degrees: float, excess: float = 1.1) -> Shift:
-    return Shift(axis, degrees * DEG, math.copysign(5.0, degrees), 4, excess)
+def shift(axis: int, degrees: float) -> Move:
+    return Move(axis, degrees * DEG, math.copysign(5.0, degrees), 16, 1.0)
 
 
-def variance(std_deg: float) -> Any:
-    return np.full(3, (std_deg * DEG) ** 2)
-
-
-def solver(std_deg: float, found: Shift | None = None, own_gyro: bool = True) -> Any:
-    """What is asked of a solver: its deviations, and a change that it sees."""
-    return SimpleNamespace(
-        own_gyro=own_gyro,
-        creep=None,
-        blocks=100,
-        fused=SimpleNamespace(variance=variance(std_deg)),
-        step=lambda _: None,
-        largest_change=lambda: found,
-    )
+def carried(own_gyro: bool = True) -> Any:
+    """What is asked of the carried force."""
+    return SimpleNamespace(own_gyro=own_gyro)
 
 
 @pytest.mark.parametrize(
@@ -58,15 +48,15 @@ def solver(std_deg: float, found: Shift | None = None, own_gyro: bool = True) ->
     [(0.9, 0.1, True), (1.1, 0.1, False), (-1.1, 0.3, True), (-1.3, 0.3, False)],
 )
 def test_a_change_within_a_degree_or_four_deviations_misleads_nobody(degrees, std, bearable):
-    assert changes().is_bearable(shift(YAW, degrees), solver(std), std * DEG) is bearable
+    assert changes().is_bearable(shift(YAW, degrees), carried(), std * DEG) is bearable
 
 
 def test_a_sudden_tilt_that_may_be_a_stepped_zero_is_not_borne():
     """No deviation of the mount covers an accelerometer that is wrong; a shift shows slowly."""
-    std, wide = 2.0 * DEG, solver(2.0)
+    std, wide = 2.0 * DEG, carried()
     for sudden in (GravityStep(PITCH, 3.0 * DEG, 9.0, 5), LargeChange(PITCH, 3.0 * DEG, 9.0, 5)):
         assert not changes().is_bearable(sudden, wide, std)
-        assert changes().is_bearable(sudden, solver(2.0, own_gyro=False), std), "nobody could tell"
+        assert changes().is_bearable(sudden, carried(own_gyro=False), std), "nobody could tell"
     within = GravityStep(PITCH, 2.0 * DEG, 9.0, 5)
     assert changes().is_bearable(within, wide, std), "within a zero's"
     assert changes().is_bearable(LargeChange(YAW, 3.0 * DEG, 9.0, 5), wide, std)
@@ -80,21 +70,6 @@ def test_what_comes_after_a_step_leaves_out_the_blocks_that_may_hold_it():
     assert [p.t[0] for p in after] == [p.t[0] for p in kept[-3:]]
     after = blocks_since(LargeChange(PITCH, 3.0 * DEG, 9.0, 5), kept)
     assert [p.t[0] for p in after] == [p.t[0] for p in kept[-4:]]
-
-
-def test_the_interval_of_95_percent_reaches_from_the_old_angle_to_the_new_one():
-    watched, known = changes(), solver(0.1)
-    assert watched.bear(shift(YAW, 0.9), 70, 0.1 * DEG, None)
-    std = np.degrees(np.sqrt(known.fused.variance + watched.variance(known, 100)))
-    assert 1.96 * std[YAW] >= 0.88
-    assert std[PITCH] == pytest.approx(0.1)
-    assert [one.block for one in watched.history] == [70]
-
-
-def test_a_deviation_that_covers_a_change_already_is_left_alone():
-    watched, known = changes(), solver(1.0)
-    watched.bear(shift(PITCH, 1.5), 70, 1.0 * DEG, None)
-    assert watched.variance(known, 100)[PITCH] == 0.0
 
 
 def good(R: Any, std_deg: float = 0.5) -> GoodMount:
@@ -162,45 +137,27 @@ def test_the_same_change_is_reported_once_and_the_way_back_again():
     assert len(watched.history) == 2
 
 
-def test_a_change_is_the_more_probable_the_nearer_it_is_to_its_threshold():
-    assert probability(1.0) == pytest.approx(0.5)
-    assert probability(2.0) == pytest.approx(0.5), "a change that is one is taken, not doubted"
-    assert 0.01 < probability(0.8) < 0.1
-    assert probability(0.4) < 1e-3
-
-
-def test_a_change_that_is_none_yet_widens_the_interval_as_far_as_it_is_probable():
-    watched = changes()
-    seen = [0.0]
-    for excess in (0.5, 0.8, 0.95):
-        known = solver(0.2, shift(PITCH, 3.0, excess))
-        assert watched.small(known) is None
-        seen.append(float(watched.variance(known, 100)[PITCH]))
-    assert seen == sorted(seen)
-    assert math.degrees(math.sqrt(seen[-1])) < 1.5
-    watched.small(solver(0.2))
-    assert not watched.variance(solver(0.2), 100).any()
-
-
 @pytest.mark.slow
-def test_a_mount_that_slips_a_little_is_reported_stays_good_and_is_right_again():
+def test_a_mount_that_slips_by_a_degree_is_reported_and_right_again_within_half_a_minute():
     seed, start, slip = 580_001, 700.0, 0.9
     changed = {"mount.shifts": [{"t_s": start, "yaw_deg": slip}]}
     made = simulate(random_model(seed, standing_first=True).with_changes(changed), seed, 25.0)
-    estimator = FullEstimator(full())
+    estimator = JointEstimator(full())
     before = made.truth.R_vehicle_from_sensor(0.0)
     after = made.truth.R_vehicle_from_sensor(start + 1.0)
     assert np.degrees(np.abs(vector_from_rotation(after @ before.T))).max() == pytest.approx(slip)
-    for k, row in enumerate(ticks_from_samples(made.samples, 0, 15_000).tolist()):
+    bad = 0
+    for row in ticks_from_samples(made.samples, 0, 15_000).tolist():
         estimator.step(row)
-        if 0.1 * k > start and k % 100 == 0:
-            assert estimator.state in (MountState.USABLE, MountState.FINE), 0.1 * k
+        bad += estimator.state in BAD
+    assert 0.1 * bad < 30.0
+    assert estimator.state is MountState.FINE
     estimate = estimator.estimate()
     shifts = estimate.details["shifts"]
     assert isinstance(shifts, list)
-    assert [one["angle"] for one in shifts if is_move(one)] == ["yaw"]
+    assert [one["angle"] for one in shifts] == ["yaw"]
     assert estimate.R_vehicle_from_sensor is not None
     assert estimate.std is not None
     left = after @ estimate.R_vehicle_from_sensor.T
     assert abs(vector_from_rotation(left)[YAW]) < 3.0 * estimate.std[YAW]
-    assert math.degrees(estimate.std[YAW]) < 0.4
+    assert math.degrees(estimate.std[YAW]) < 0.5

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from imucald.mount.creep import BELIEVED, Creep, creep
-from imucald.mount.road_segments import AngleEvidence, ScoreSeries
+from imucald.mount.creep import BELIEVED, Creep, SegmentSeries, creep
 
 Array = NDArray[np.float64]
 
@@ -37,9 +36,9 @@ def found(lean: Array, rate: float, shifts: int = 0) -> Creep:
     value = lean + rate * (np.arange(SEGMENTS) + 0.5)
     known = np.full(SEGMENTS, 1.0 / STATED**2)
     mean = float(value.mean())
-    series = ScoreSeries("roll_gravity", known * (value - mean), known)
-    source = AngleEvidence(0.0, TIMES * STATED**2 / SEGMENTS, SEGMENTS)
-    fit = creep([series], {"roll_gravity": source}, CHANCE, shifts)
+    own = TIMES * STATED**2 / SEGMENTS
+    series = SegmentSeries("roll_gravity", known * (value - mean), known, own)
+    fit = creep([series], CHANCE, shifts)
     assert fit is not None
     return fit
 

@@ -9,9 +9,10 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from imucald.config.vehicle import VehicleSettings
+from imucald.core.samples import GRAVITY
 from imucald.mount.contradictions import WORDS, StandingFault
 from imucald.mount.estimate import MountEstimate, MountState
-from imucald.mount.estimator_settings import EstimatorSettings
+from imucald.mount.estimator_settings import LEVEL, EstimatorSettings
 from imucald.mount.explanation import mount_troubles
 from imucald.mount.force_level import LevelChange
 from imucald.mount.mount_words import (
@@ -56,16 +57,18 @@ def test_roll_has_the_roads_crown_in_interval_and_target():
     settings = EstimatorSettings(vehicle=VehicleSettings(driving_side="right"))
     x, y, z = settings.targets.fine
     assert (y, z) == (settings.limits.fine_tilt, settings.limits.fine_yaw)
-    assert math.degrees(x) == pytest.approx(math.hypot(0.7, math.degrees(0.0065)), rel=1e-3)
+    assert math.degrees(x) == pytest.approx(
+        math.hypot(math.degrees(LEVEL[1] / GRAVITY), math.degrees(0.0065)), rel=1e-3
+    )
 
 
 def test_the_json_has_words_targets_and_the_deviations_as_before():
-    found = mount_dict(estimate(targets=EstimatorSettings().targets))
+    found = mount_dict(estimate(targets=EstimatorSettings().limits.about_axes()))
     assert found["sits"] == "x points forward; y points left; z points up"
     assert found["steep"] is None
     assert found["std_deg"] == {"x": 0.5, "y": 0.4, "z": 0.3}
     assert found["target_std_deg"]["fine"]["z"] == pytest.approx(0.3)
-    assert found["target_std_deg"]["usable"]["y"] == pytest.approx(2.0)
+    assert found["target_std_deg"]["usable"]["y"] == pytest.approx(1.1685)
     assert mount_dict(MountEstimate(MountState.WAITING))["sits"] is None
 
 

@@ -8,7 +8,7 @@ from test_estimator import GOOD
 
 from imucald.core.samples import Series
 from imucald.motion.column_ticks import ticks_from_samples
-from imucald.mount.estimator import FullEstimator
+from imucald.mount.estimator import JointEstimator
 from imucald.simulation import random_model, simulate
 from mount_settings import full
 
@@ -26,7 +26,7 @@ def test_ten_minutes_of_it_move_no_sensor_and_leave_the_mount_good(kind):
     values = {"signed": noisy, "cut off": np.maximum(noisy, 0.0), "size": np.abs(noisy)}[kind]
     samples["speed"] = Series(speed.t, values)
     assert np.abs(speed.values[speed.t > 60.0 * MINUTES - STANDING_S + 10.0]).max() < 0.1
-    estimator = FullEstimator(full())
+    estimator = JointEstimator(full())
     for k, row in enumerate(ticks_from_samples(samples, 0, int(600 * MINUTES)).tolist()):
         estimator.step(row)
         assert k < 5_500 or estimator.state in GOOD

@@ -31,8 +31,8 @@ def progress(*stds: float, state: MountState = MountState.USABLE, **more: Any) -
     known = MountKnowledge()
     for i, std in enumerate(stds, start=1):
         tilt = min(std, 1e-4) if math.isfinite(std) else std
-        known = MountKnowledge(gravity=True, std=(tilt, tilt, std), straight=9, **more)
-        watch.take(i * BLOCK_S, known, state, SETTINGS, asked)  # type: ignore[arg-type]
+        known = MountKnowledge(gravity=True, std=(tilt, tilt, std), cross_talk=(std, std), **more)
+        watch.take(i * BLOCK_S, known, SETTINGS, asked)  # type: ignore[arg-type]
     return watch.after(state, known, can_be_fine=True)
 
 

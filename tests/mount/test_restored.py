@@ -24,7 +24,6 @@ from imucald.mount.estimate import (
 from imucald.mount.method_a.estimator import PublishedEstimator
 from imucald.mount.mount_in_force import mount_in_force
 from imucald.mount.restored import HAND_OVER_RATE, Phase, RestoredEstimator, StoredMount
-from imucald.mount.saved_information import SavedInformation
 from imucald.runtime.drive_events import reported_events
 from imucald.runtime.estimators import estimator_for
 from published_drive import Drive
@@ -280,95 +279,6 @@ def test_a_new_estimate_that_fails_while_taking_over_is_left_again():
     assert estimator.correction is not None
 
 
-class Keeping(Scripted):
-    """One whose evidence outlives the process."""
-
-    def __init__(self) -> None:
-        super().__init__()
-        self.contradiction: float | None = None
-        self.calls: list[str] = []
-
-    def saved_information(self) -> SavedInformation | None:
-        return KEPT
-
-    def join_information(self, kept: SavedInformation) -> None:
-        assert kept is KEPT
-        self.contradiction = 0.0
-        self.calls.append("joined")
-
-    def drop_information(self) -> None:
-        self.contradiction = None
-        self.calls.append("left")
-
-
-KEPT = SavedInformation(STORED.as_matrix(), False, {})
-
-
-def keeping() -> tuple[RestoredEstimator, Keeping]:
-    inner = Keeping()
-    covariance = np.eye(3) * math.radians(0.3) ** 2
-    stored = StoredMount(STORED.as_matrix(), covariance, MountState.FINE, evidence=KEPT)
-    return RestoredEstimator(inner, stored), inner
-
-
-def test_stored_evidence_joins_only_what_agrees_by_itself():
-    estimator, inner = keeping()
-    inner.say(MountState.LEVELLED, turned(0.2), 1.0)
-    run(estimator, 60.0)
-    inner.say(MountState.LEVELLED, turned(8.0), 1.0)
-    run(estimator, 20.0)
-    inner.say(MountState.USABLE, turned(8.0), 1.0)
-    run(estimator, 30.0)
-    assert estimator.phase is Phase.NEW
-    assert inner.calls == []
-    estimator, inner = keeping()
-    inner.say(MountState.USABLE, turned(0.2), 1.0)
-    run(estimator, 20.0)
-    assert inner.calls == ["joined"], "once"
-
-
-def test_evidence_that_joined_is_left_again_when_it_contradicts_later():
-    estimator, inner = keeping()
-    inner.say(MountState.FINE, turned(0.2), 0.1)
-    run(estimator, 20.0)
-    assert estimator.phase is Phase.NEW
-    inner.contradiction = 30.0
-    run(estimator, 7.0)
-    assert estimator.state is MountState.FINE  # one bad road is no remount
-    run(estimator, 2.0)
-    assert estimator.state is estimator.estimate().state is MountState.SUSPECT
-    assert inner.calls == ["joined"]
-    run(estimator, 10.0)
-    assert inner.calls == ["joined", "left"]
-    assert estimator.state is MountState.FINE
-    run(estimator, 60.0)
-    assert inner.calls == ["joined", "left"], "for good"
-
-
-def test_a_doubt_that_passes_leaves_the_evidence_in():
-    estimator, inner = keeping()
-    inner.say(MountState.FINE, turned(0.2), 0.1)
-    run(estimator, 20.0)
-    inner.contradiction = 30.0
-    run(estimator, 10.0)
-    inner.contradiction = 3.0
-    run(estimator, 2.0)
-    assert estimator.state is MountState.FINE
-    assert inner.calls == ["joined"]
-
-
-def test_an_estimator_that_leaves_the_evidence_by_itself_is_no_contradiction():
-    estimator, inner = keeping()
-    inner.say(MountState.FINE, turned(0.2), 0.1)
-    run(estimator, 20.0)
-    inner.contradiction = None  # it found a remount
-    inner.say(MountState.SUSPECT, turned(0.2), 0.1)
-    run(estimator, 20.0)
-    assert not estimator.joined
-    assert inner.calls == ["joined"]
-    assert estimator.state is MountState.SUSPECT
-
-
 def test_a_gap_is_passed_on():
     estimator, inner = restored()
     estimator.gap()
@@ -423,12 +333,13 @@ def test_on_a_drive_with_the_full_estimator(moved_deg: float):
 
 
 class KnowingTheSensor(Scripted):
-    """One that says how probable it is that all is as before."""
+    """One that compares the mount with that of the earlier drive."""
 
-    before: float | None = None
+    contradiction: float | None = None
+    was_left = False
 
-    def as_before(self) -> float | None:
-        return self.before
+    def leave_mount(self) -> None:
+        self.was_left, self.contradiction = True, None
 
     def known_sensor(self) -> None:
         return None
@@ -437,16 +348,38 @@ class KnowingTheSensor(Scripted):
         pass
 
 
+def knowing() -> tuple[RestoredEstimator, KnowingTheSensor]:
+    inner = KnowingTheSensor()
+    stored = StoredMount(STORED.as_matrix(), np.eye(3) * math.radians(0.3) ** 2, MountState.FINE)
+    return RestoredEstimator(inner, stored), inner
+
+
 @pytest.mark.parametrize(
-    ("before", "phase"), [(None, Phase.CONFIRMED), (0.9, Phase.CONFIRMED), (1e-4, Phase.DOUBTED)]
+    ("distance", "phase"),
+    [(None, Phase.CONFIRMED), (9.0, Phase.CONFIRMED), (30.0, Phase.DOUBTED)],
 )
 def test_an_estimator_that_knows_the_sensor_says_whether_all_is_as_before(
-    before: float | None, phase: Phase
+    distance: float | None, phase: Phase
 ) -> None:
-    inner = KnowingTheSensor()
-    inner.before = before
-    stored = StoredMount(STORED.as_matrix(), np.eye(3) * math.radians(0.3) ** 2, MountState.FINE)
-    estimator = RestoredEstimator(inner, stored)
+    estimator, inner = knowing()
+    inner.contradiction = distance
     inner.say(MountState.USABLE, turned(0.5), 1.0)  # both may share an error: they seem to agree
     run(estimator, 9.0)
     assert estimator.phase is phase
+
+
+def test_a_mount_that_is_contradicted_only_after_the_new_one_serves_is_suspect_and_then_left() -> (
+    None
+):
+    estimator, inner = knowing()
+    inner.contradiction = 5.0
+    inner.say(MountState.USABLE, turned(0.5), 0.1)
+    run(estimator, 9.0)
+    assert estimator.phase is Phase.NEW
+    inner.contradiction = 30.0
+    run(estimator, 9.0)
+    assert estimator.state is MountState.SUSPECT
+    assert not inner.was_left, "one bad road is no remount"
+    run(estimator, 9.0)
+    assert inner.was_left
+    assert estimator.state is MountState.USABLE

@@ -94,7 +94,7 @@ def seldom_sampled(
             force = force @ R_moved
         walk = sampling_walk(times, samples, ACCEL_GAP) if is_stated else np.zeros((3, 3))
         p = block(0.1 * BLOCK_TICKS * k, force=force, rate=rate, rate_walk=walk)
-        tracker.advance(p, np.zeros((BLOCK_TICKS, 3)), None, sure=True)
+        tracker.advance(p, np.zeros((BLOCK_TICKS, 3)), np.zeros(3), sure=True)
         found.append(tracker.steps.found(np.eye(3)))
     return found
 

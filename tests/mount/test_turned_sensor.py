@@ -11,7 +11,7 @@ from imucald.core.samples import GRAVITY, Samples, Series
 from imucald.motion.column_ticks import ticks_from_samples
 from imucald.mount.block_sums import ARM, FLOOR, BlockMotion, block_yaw
 from imucald.mount.estimate import MountState
-from imucald.mount.estimator import FullEstimator
+from imucald.mount.estimator import JointEstimator
 from imucald.mount.large_change import (
     FORCE,
     LATE_TICKS,
@@ -286,7 +286,7 @@ def turned(drive: Drive, start: float, degrees: float) -> Samples:
 
 def bad_at(samples: Samples, seconds: float) -> list[float]:
     """When the mount became suspect [s]."""
-    estimator = FullEstimator()
+    estimator = JointEstimator()
     times, before = [], MountState.WAITING
     for k, row in enumerate(ticks_from_samples(samples, 0, int(10 * seconds)).tolist()):
         estimator.step(row)
@@ -326,7 +326,7 @@ def test_a_sensor_that_is_turned_again_before_it_is_good_again_is_never_wrong_as
             [np.cos(a) * x + np.sin(a) * y, np.cos(a) * y - np.sin(a) * x, z], axis=1
         )
         samples[channel] = Series(one.t, turned_by @ R)
-    estimator = FullEstimator()
+    estimator = JointEstimator()
     good_after = False
     for k, row in enumerate(ticks_from_samples(samples, 0, 7200).tolist()):
         estimator.step(row)

@@ -26,9 +26,7 @@ BEFORE, AFTER = 40, 30
 GRADE = 18
 BEND = 1.2
 """Of each third block, left and right in turn [rad]."""
-SOLVER: Any = SimpleNamespace(
-    R=np.eye(3), gains=lambda: (1.0, 1.0), turn_rate=np.zeros(BLOCK_TICKS)
-)
+SOLVER: Any = SimpleNamespace(R=np.eye(3), gains=(1.0, 1.0), turn_rate=np.zeros(BLOCK_TICKS))
 """It knows the mount, and that nothing turns."""
 
 
@@ -129,9 +127,9 @@ def test_what_came_before_a_gap_is_not_compared_with_what_comes_after_it():
 
 def test_nothing_is_good_while_it_is_not_known_what_moved_gravity():
     agreed: Any = SimpleNamespace(missing_to_be_good=lambda: None)
-    solver: Any = SimpleNamespace(delay_speed=SimpleNamespace(is_beyond=False))
     changes = MountChanges(full())
-    question = Acceptance(solver, agreed, changes, has_speed=True)
+    flags = {"is_delay_beyond": False, "has_speed": True, "has_speed_now": True}
+    question = Acceptance(agreed, changes, are_signs_known=False, **flags)
     for now in GravityMoved:
         changes.zero.cause = now
         missing = question.missing_to_be_good()

@@ -10,10 +10,10 @@ import pytest
 import yaml
 
 from imucald.config import Config, parse_config
-from imucald.mount.estimator import FullEstimator
+from imucald.mount.estimator import JointEstimator
 from imucald.mount.estimator_settings import EstimatorSettings, MountSettings
 from imucald.mount.method_a.estimator import PublishedEstimator
-from imucald.runtime.estimators import estimator_for, full_settings, published_settings
+from imucald.runtime.estimators import estimator_for, joint_settings, published_settings
 
 BASE: dict[str, Any] = {
     "database": "bus.dbc",
@@ -21,6 +21,7 @@ BASE: dict[str, Any] = {
     "signals": {
         "accelerometer": {"x": "A.X", "y": "A.Y", "z": "A.Z"},
         "steering_wheel_angle": "S.A",
+        "speed": "S.V",
     },
 }
 
@@ -37,7 +38,7 @@ def config(changes: dict[str, Any] | None = None) -> Config:
     return parse_config(yaml.safe_dump(data)).config
 
 
-@pytest.mark.parametrize("settings", [published_settings, full_settings])
+@pytest.mark.parametrize("settings", [published_settings, joint_settings])
 def test_the_estimator_reads_the_configuration_itself(
     settings: Callable[[Config], MountSettings],
 ) -> None:
@@ -49,7 +50,7 @@ def test_the_estimator_reads_the_configuration_itself(
 @pytest.mark.parametrize(("side", "roll"), [("right", 0.02), ("left", -0.02), ("unknown", 0.0)])
 def test_the_crown_leans_the_vehicle_towards_the_kerb(side: str, roll: float) -> None:
     keys = {"vehicle.driving_side": side, "vehicle.crown_percent": 2.0}
-    found = full_settings(config({**keys, "vehicle.crown_spread_percent": 1.5}))
+    found = joint_settings(config({**keys, "vehicle.crown_spread_percent": 1.5}))
     assert found.crown == pytest.approx(roll, abs=1e-15)
     # with an unknown side the mean of 0.02 lies to either: sqrt(0.02^2 + 0.015^2) = 0.025
     spread = 0.025 if side == "unknown" else 0.015
@@ -58,7 +59,7 @@ def test_the_crown_leans_the_vehicle_towards_the_kerb(side: str, roll: float) ->
 
 def test_limits_of_the_states_are_the_configured_ones_else_the_estimators_own() -> None:
     plain, given = (
-        full_settings(config(c)).limits for c in ({}, {"calibration.states.fine_yaw_deg": 0.9})
+        joint_settings(config(c)).limits for c in ({}, {"calibration.states.fine_yaw_deg": 0.9})
     )
     assert given.fine_yaw == pytest.approx(0.9 * math.pi / 180.0)
     assert given[:2] == plain[:2]
@@ -69,14 +70,14 @@ def test_two_axes_are_planar_and_a_steering_signal_is_used() -> None:
     assert not published_settings(config()).planar
     planar = config({"signals.accelerometer": {"x": "A.X", "y": "A.Y"}})
     assert published_settings(planar).planar
-    assert full_settings(config()).uses_steering
+    assert joint_settings(config()).uses_steering
     signals = {"accelerometer": BASE["signals"]["accelerometer"]}
-    assert not full_settings(config({"signals": signals})).uses_steering
+    assert not joint_settings(config({"signals": signals})).uses_steering
 
 
 def test_a_stated_delay_of_speed_is_taken_for_almost_certain() -> None:
     free, stated = (
-        full_settings(config(c)).delays["speed"] for c in ({}, {"calibration.speed_delay": 0.25})
+        joint_settings(config(c)).delays["speed"] for c in ({}, {"calibration.speed_delay": 0.25})
     )
     assert stated.mean == 0.25
     assert stated.std < free.std
@@ -84,9 +85,16 @@ def test_a_stated_delay_of_speed_is_taken_for_almost_certain() -> None:
 
 
 def test_the_estimator_is_the_one_asked_for() -> None:
-    assert isinstance(estimator_for(config()), FullEstimator)
+    assert isinstance(estimator_for(config()), JointEstimator)
     published = config({"calibration.estimator": "published"})
     assert isinstance(estimator_for(published), PublishedEstimator)
+    earlier = config({"calibration.estimator": "full"})
+    assert isinstance(estimator_for(earlier), JointEstimator)
+
+
+def test_without_a_speed_method_a_finds_the_mount() -> None:
+    silent = config({"signals": {k: v for k, v in BASE["signals"].items() if k != "speed"}})
+    assert isinstance(estimator_for(silent), PublishedEstimator)
 
 
 @pytest.mark.parametrize(
@@ -106,4 +114,4 @@ def test_a_turned_yaw_rate_beside_an_accelerometer_as_it_is_confirms_nothing(cha
     for path, value in without.items():
         data["signals"][path.partition(".")[2]] = value
     data["signals"] = {key: value for key, value in data["signals"].items() if value is not None}
-    assert full_settings(parse_config(yaml.safe_dump(data)).config).are_sides_turned == are_turned
+    assert joint_settings(parse_config(yaml.safe_dump(data)).config).are_sides_turned == are_turned

@@ -46,18 +46,17 @@ LEVEL = """  parallel:
     - {name: flat, kind: angular_rate, id: 0x700, x: IMU_Gyro.RateX, y: IMU_Gyro.RateY}
 """
 CASES = (
-    *("full", "full with gaps", "joint with gaps", "published with gaps", "level with gaps"),
-    *("all", "stated mount"),
+    *("joint", "joint with gaps", "published with gaps", "level with gaps", "all"),
+    "stated mount",
 )
-LIVE = ("full with gaps", "joint with gaps", "level with gaps", "all")
+LIVE = ("joint with gaps", "level with gaps", "all")
 
 
 def config_of(case: str, folder: Path) -> LoadedConfig:
     """The simulated bus, and what the case adds."""
     text = CONFIG.read_text().replace("../../", f"{ROOT}/")
-    named = case.split(maxsplit=1)[0]
-    other = "published" if named == "level" else "full"
-    more = [f"estimator: {named if named in {'joint', 'published'} else other}"]
+    is_published = case.startswith(("published", "level"))
+    more = [f"estimator: {'published' if is_published else 'joint'}"]
     if case == "all":
         (folder / "car.yaml").write_text(drive(minutes=MINUTES).model.to_yaml())
         text = text.replace("messages:\n", PARALLEL + "messages:\n", 1) + WITH_ALL

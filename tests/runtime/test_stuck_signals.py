@@ -13,8 +13,7 @@ from imucald.config_check.health import LogHealth, health_findings
 from imucald.core.samples import Samples, Series
 from imucald.motion.sample_health import SampleHealth
 from imucald.mount.estimate import MountState
-from imucald.mount.estimator import FullEstimator
-from imucald.mount.joint.estimator import JointEstimator
+from imucald.mount.estimator import JointEstimator
 from imucald.runtime.flow import alarms_of
 from imucald.runtime.input_health import LinkHealth, health_at
 from imucald.runtime.pipeline import Pipeline, Snapshot
@@ -43,7 +42,7 @@ def stuck(channel: str) -> Samples:
 
 
 def taken(samples: Samples) -> tuple[Pipeline, list[Snapshot]]:
-    pipeline = Pipeline(FullEstimator(), health=SampleHealth(AXES))
+    pipeline = Pipeline(JointEstimator(), health=SampleHealth(AXES))
     _, snapshots = pipeline.run(samples, {}, 60.0 * MINUTES)
     return pipeline, snapshots
 
@@ -70,7 +69,7 @@ def test_a_stuck_signal_is_reported_for_as_long_as_it_lasts(channel: str) -> Non
 @pytest.mark.parametrize("channel", ALARMS)
 def test_live_and_by_columns_a_stuck_signal_is_reported_equally(channel: str) -> None:
     whole, _ = taken(stuck(channel))
-    parts = Pipeline(FullEstimator(), health=SampleHealth(AXES))
+    parts = Pipeline(JointEstimator(), health=SampleHealth(AXES))
     for low in np.arange(0.0, 60.0 * MINUTES, 7.3):
         piece = {}
         for name, series in stuck(channel).items():

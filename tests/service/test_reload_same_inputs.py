@@ -12,7 +12,7 @@ import pytest
 
 from imucald.can.dbc.decode import compile_decode
 from imucald.can.logs.log_reader import LogReader
-from imucald.mount.estimator import FullEstimator
+from imucald.mount.estimator import JointEstimator
 from imucald.mount.mount_in_force import without_stored
 from imucald.runtime.output.output_frames import output_database
 from imucald.service.journal import Journal
@@ -226,7 +226,7 @@ def test_a_reload_of_the_estimation_keeps_what_is_usual_for_the_vehicles_signals
 
     def usual_speed() -> object:
         made = without_stored(service.engine.pipeline.estimator)
-        assert isinstance(made, FullEstimator)
+        assert isinstance(made, JointEstimator)
         return made._signals.health._signals["speed"]._ended
 
     before, estimator = usual_speed(), service.engine.pipeline.estimator

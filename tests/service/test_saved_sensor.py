@@ -12,8 +12,8 @@ import pytest
 from imucald.core.rotations import rotation_from_vector
 from imucald.motion.column_ticks import ticks_from_samples
 from imucald.mount.estimate import MountEstimator, MountState
+from imucald.mount.estimator import JointEstimator
 from imucald.mount.hysteresis import GOOD
-from imucald.mount.joint.estimator import JointEstimator, JointSettings
 from imucald.mount.restored import RestoredEstimator
 from imucald.service.calibration_store import SENSOR
 from imucald.service.state_file import StateStore
@@ -26,7 +26,7 @@ SEED, SECOND_ROADS = 976_003, 500_000
 
 
 def joint() -> JointEstimator:
-    return JointEstimator(JointSettings.of(full()))
+    return JointEstimator(full())
 
 
 def ticks(seed: int, minutes: float) -> list[Any]:

@@ -123,8 +123,7 @@ class MethodASettings(Settings, frozen=True):
 class StateLimits(Settings, frozen=True):
     """Limits of standard deviations for a state. A state ends at 1.4 times or twice its limit.
 
-    Each estimator has its own defaults. If only invisible cross-axis errors limit yaw, the full
-    estimator uses 2.8 times its `usable_yaw_deg`.
+    Each estimator has its own defaults.
     """
 
     usable_yaw_deg: Positive | None = None
@@ -170,8 +169,8 @@ class CalibrationSettings(Settings, frozen=True):
     """Settings of the mount estimators."""
 
     estimator: Literal["joint", "full", "published"] = "joint"
-    """Estimator: "joint" finds a matrix and a zero for each sensor; "full" combines all evidence to
-    one rotation; "published" is method A alone."""
+    """Estimator: "joint" finds a matrix and a zero for each sensor; "published" is method A alone,
+    which is also used without a speed. "full" of earlier versions means "joint"."""
     accelerometer_bias: Positive = 0.0981
     """Standard deviation of the accelerometer's zero error [m/s^2]. The default of 10 mg assumes a
     sensor whose offset was set at the factory. Uncalibrated consumer parts have typically 20 to 50
@@ -179,7 +178,8 @@ class CalibrationSettings(Settings, frozen=True):
     accelerometer_range: Positive | None = None
     """Full scale of the accelerometer [m/s^2]; nothing is learnt from values close to it."""
     cross_axis: Annotated[float, Meta(ge=0, le=0.05)] = 0.0
-    """Cross-axis error of the accelerometer (fraction); it widens the intervals."""
+    """Cross-axis error of the accelerometer (fraction). With 0, six sizes are weighed by the
+    data."""
     speed_delay: SpeedDelay | None = None
     """Delay of the speed against the accelerometer [s]; estimated by default."""
     mount: KnownMount | None = None

@@ -59,6 +59,13 @@ class Config(Settings, frozen=True, kw_only=True):
         attitude = msgspec.structs.replace(attitude, compensation=compensation, filter=of_filter)
         msgspec.structs.force_setattr(self, "attitude", attitude)
 
+    @property
+    def uses_method_a(self) -> bool:
+        """True if method A alone finds the mount: as configured, or because there is no speed."""
+        signals = self.signals
+        has_speed = signals.speed is not None or signals.wheel_speeds is not None
+        return self.calibration.estimator == "published" or not has_speed
+
 
 class LoadedConfig:
     """A configuration with its origin.

@@ -41,6 +41,11 @@ class Keys(Protocol):
         """The settings of method D."""
         ...
 
+    @property
+    def uses_method_a(self) -> bool:
+        """True if method A alone finds the mount."""
+        ...
+
 
 FILTER_ONLY = ("speed_noise", "speed_scale", "creep_speed", "lever_uncertainty")
 """Keys of `attitude.compensation` that increase the noise of the filter."""
@@ -102,15 +107,15 @@ def impossible(config: Keys) -> Iterator[tuple[Place, str]]:
 def _is_level(config: Keys) -> bool:
     """True if the accelerometer and its parallel sensors count as level."""
     calibration = config.calibration
-    published = calibration.estimator == "published"
+    published = config.uses_method_a
     planar = config.signals.accelerometer[0].z is None
     return planar or (published and not calibration.method_a.level)
 
 
 def _calibration(config: Keys) -> Iterator[Rule]:
-    calibration = config.calibration
-    at = "calibration"
-    published = calibration.estimator == "published"
+    at, published, estimator = "calibration", config.uses_method_a, config.calibration.estimator
+    yield (at, "estimator"), estimator == "full", "any more: 'joint' takes its place"
+    yield (at, "estimator"), published and estimator == "joint", "without a speed: method A is used"
     for section in ("static", "straight", "target_angle", "method_a"):
         yield (
             (at, section),
@@ -118,14 +123,13 @@ def _calibration(config: Keys) -> Iterator[Rule]:
             "without 'estimator: published' (only method A reads it)",
         )
     for key in ("cross_axis", "orientation"):
-        yield (at, key), published, "with estimator: published"
+        yield (at, key), published, "with method A (estimator: published, or no speed)"
     yield from _method_a(config)
 
 
 def _method_a(config: Keys) -> Iterator[Rule]:
     calibration, signals, at = config.calibration, config.signals, "calibration"
-    published = calibration.estimator == "published"
-    if not published:
+    if not config.uses_method_a:
         return
     letter = calibration.method_a.to_the_letter
     why = "with 'method_a: to_the_letter', which does not use it"

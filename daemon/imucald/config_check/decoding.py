@@ -330,7 +330,7 @@ class Decoding:
                 text = f"missing: turns are taken from {configured_name(channel)}; {_NO_GYRO}"
                 return Finding("note", "gyroscope", text)
         missing = f"missing, and {_NO_TURNS}: "
-        if self.loaded.config.calibration.estimator == "published":
+        if self.loaded.config.uses_method_a:
             return Finding("note", "gyroscope", f"{missing}{_STEADY}; {_NO_GYRO}")
         return Finding("warning", "gyroscope", missing + _NEVER)
 

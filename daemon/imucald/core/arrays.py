@@ -28,18 +28,6 @@ def inverse(matrix: Array) -> Array:
     return np.asarray(np.linalg.inv(matrix), dtype=float)
 
 
-def summed_in_order(terms: Array) -> Array:
-    """Return the sums from left to right over the last dimension of terms (..., n), n > 0.
-
-    numpy sums longer arrays in pairs. A library's products use any order, which differs between
-    processors.
-    """
-    total: Array = terms[..., 0].copy()
-    for k in range(1, terms.shape[-1]):
-        total += terms[..., k]
-    return total
-
-
 def median(values: Iterable[float]) -> float:
     """Return the median; for an even number of values, the mean of the middle two.
 

@@ -224,25 +224,6 @@ def _turns_right(R: Matrix3) -> bool:
     return bool(sum(a * b for a, b in zip(x, cross(y, z), strict=True)) >= 0.0)
 
 
-def inverse_of_symmetric(A: ArrayLike) -> Matrix3:
-    """Return the inverse of a symmetric, positive definite matrix (3, 3), by elimination.
-
-    Plain numbers take a third of the time for such a small matrix.
-    """
-    (xx, xy, xz), (_, yy, yz), (_, _, zz) = np.asarray(A, dtype=float).tolist()
-    a, b = xy / xx, xz / xx
-    second, below = yy - a * xy, yz - a * xz
-    c = below / second
-    third = zz - b * xz - c * below
-    last = 1.0 / third
-    up, ahead = -c * last, (a * c - b) * last  # the last column of the inverse
-    middle = 1.0 / second - c * up
-    beside = -a * middle - b * up
-    first = 1.0 / xx - a * beside - b * ahead
-    found: Matrix3 = np.array([[first, beside, ahead], [beside, middle, up], [ahead, up, last]])
-    return found
-
-
 def quaternion_from_vector(x: float, y: float, z: float) -> Quaternion:
     """Return the unit quaternion of a rotation vector [rad]."""
     square = x * x + y * y + z * z

@@ -12,7 +12,6 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
-from msgspec.structs import replace
 
 from imucald.config import LoadedConfig
 from imucald.core.errors import EstimateError
@@ -85,15 +84,11 @@ def _rates(recordings: Sequence[Recording]) -> Mapping[str, float]:
 def _mount(loaded: LoadedConfig, drives: Sequence[Samples]) -> dict[str, float]:
     """Mount angles [deg] by the daemon's estimator, which takes the drives one after another.
 
-    A model file has one rotation, and the diagnosis finds the errors of the axes separately. The
-    estimator of one rotation is therefore used, even if the configured daemon estimates matrices.
-    If the mount is not known at the end (for example when the sensor swayed and the search started
-    again), the most certain estimate of the drive counts.
+    A model file has one rotation, that of the housing; the diagnosis finds the errors of the axes
+    separately. If the mount is not known at the end (for example when the sensor swayed and the
+    search started again), the most certain estimate of the drive counts.
     """
-    config = loaded.config
-    if config.calibration.estimator == "joint":
-        config = replace(config, calibration=replace(config.calibration, estimator="full"))
-    pipeline = Pipeline(estimator_for(config))
+    pipeline = Pipeline(estimator_for(loaded.config))
     start = 0.0
     surest: MountEstimate | None = None
     for samples in drives:

@@ -168,7 +168,7 @@ class ModelCompensation:
 
     # settings of the estimators ---------------------------------------------------------------
 
-    def full_settings(
+    def joint_settings(
         self, settings: EstimatorSettings, stated: Collection[str] = ()
     ) -> EstimatorSettings:
         """Settings with the model's values. stated: keys of `vehicle` that the user gave."""

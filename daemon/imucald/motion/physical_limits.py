@@ -56,7 +56,7 @@ def is_plausible(channel: str, values: Sequence[float]) -> bool:
 # implausible on a road ---------------------------------------------------------------------
 
 ROAD_FORCE = (0.5 * GRAVITY, 1.7 * GRAVITY)
-"""Range of the mean specific force of a tick [m/s^2] that the full estimator uses: gravity,
+"""Range of the mean specific force of a tick [m/s^2] that the joint estimator uses: gravity,
 with at most 1 g of tyre grip across (a size of 1.41 g) and some of the road's waves.
 """
 ROAD_FORCE_WIDE = (0.3 * GRAVITY, 3.0 * GRAVITY)

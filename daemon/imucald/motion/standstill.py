@@ -69,7 +69,7 @@ noisy sensor can rest too (4 standard deviations: 1 of 16,000 normal samples).
 # Whether a mean rate at rest is an error of the gyroscope ------------------------------------
 
 MAX_GYRO_BIAS = 0.1
-"""Limit of the full estimator: 5.7 deg/s.
+"""Limit of the joint estimator: 5.7 deg/s.
 
 Beyond it [rad/s] the vehicle itself turns: a speed stuck at zero is no rest. Zero-rate offsets of
 consumer gyroscopes are some deg/s (BMI160: 3 deg/s).

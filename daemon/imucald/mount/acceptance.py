@@ -14,7 +14,6 @@ from imucald.core.text import counted
 from imucald.mount.alternatives import NOT_CONFIRMED
 from imucald.mount.mount_changes import MountChanges
 from imucald.mount.signal_checks import SignalChecks
-from imucald.mount.solver import MountSolver
 from imucald.mount.zero_step import GravityMoved
 
 NO_SIDES = (
@@ -36,7 +35,8 @@ WHY_GRAVITY_MOVED = (
     "was turned or the zero of its accelerometer has changed"
 )
 SIGNS = "check of the signs"
-WATCH = "moved-sensor watch"
+NO_SPEED = "a speed: without one, a turn of the sensor would not be noticed"
+"""Text of the reason why a mount that lost its speed is not *fine*."""
 LATE_SPEED = (
     f"a speed with less delay: it seems to be more than {MAX_SPEED_DELAY:g} s behind the "
     "accelerometer"
@@ -44,26 +44,36 @@ LATE_SPEED = (
 
 
 class Acceptance(Struct, frozen=True):
-    """Checks of an estimate with the present evidence."""
+    """Checks of an estimate with the present evidence.
 
-    solver: MountSolver
+    is_delay_beyond: the delay of the speed may be larger than any that is searched. has_speed: a
+    speed came in this drive and was not lost for good. has_speed_now: one came in the last minute.
+    Without a speed nothing shows that the sensor turns in yaw, so the mount is *usable* at most.
+    are_signs_known: an earlier drive proved the signs, and no evidence shows a change since. *Fine*
+    still waits for all signs. *Fine* does not wait until a small move would show: such a move is
+    rare, and a wait of minutes in every drive is not justified.
+    """
+
     checks: SignalChecks
     changes: MountChanges
+    is_delay_beyond: bool
     has_speed: bool
+    has_speed_now: bool
+    are_signs_known: bool
 
     def missing_to_be_good(self) -> str | None:
         """Return the missing conditions, in words, for an estimate with small deviations to become
         good."""
         if not self.has_speed:
             return None
-        if self.solver.delay_speed.is_beyond:
+        if self.is_delay_beyond:
             return LATE_SPEED
         if self.changes.zero.cause is GravityMoved.UNKNOWN:
             return WHY_GRAVITY_MOVED
         return self._missing_of_signals()
 
     def _missing_of_signals(self) -> str | None:
-        return self.checks.missing_to_be_good()
+        return self.checks.doubt if self.are_signs_known else self.checks.missing_to_be_good()
 
     def shares(self, is_fine: bool) -> dict[str, float]:
         """Return the share of each condition that is met (0 to 1), by name.
@@ -73,16 +83,15 @@ class Acceptance(Struct, frozen=True):
         found = {}
         if self.has_speed and (is_fine or self._missing_of_signals() is not None):
             found[SIGNS] = self.checks.share(is_fine)
-        if is_fine and not self.is_armed:
-            found[WATCH] = self.solver.armed_share
         return found
 
     def may_be_fine(self) -> bool:
-        """True if every test is active, the signals were seen to agree, and few changes were found.
+        """True if a moved sensor would be noticed, the signals were seen to agree, and few changes
+        were found.
 
         All three are needed for *fine*.
         """
-        if self.changes.is_loose or not self.is_armed:
+        if self.changes.is_loose or not self.has_speed_now:
             return False
         if not self.checks.is_mirror_excluded:
             return False
@@ -91,24 +100,19 @@ class Acceptance(Struct, frozen=True):
     def missing_to_be_fine(self) -> str:
         """Return the missing conditions, in words, for an estimate with small deviations to become
         *fine*."""
+        if not self.has_speed_now:
+            return NO_SPEED
         if self.changes.is_loose:
             times = counted(len(self.changes.history), "time")
             return f"a firmly fixed sensor (it moved {times} in this drive)"
         if self.has_no_sides:
             return TURNED_SIDES if NOT_CONFIRMED in self.checks.not_checked else NO_SIDES
-        if not self.is_armed:
-            return "more driving, so that a small move of the sensor would be noticed"
         return "more turns and changes of speed, to check that the signals agree"
 
     @property
     def can_become_fine(self) -> bool:
         """True if more driving can make the estimate *fine*, whatever its deviations are now."""
         return not (self.changes.is_loose or self.has_no_sides)
-
-    @property
-    def is_armed(self) -> bool:
-        """True if the tests would notice a sensor that was moved by a small angle."""
-        return self.solver.armed
 
     @property
     def has_no_sides(self) -> bool:

@@ -121,7 +121,7 @@ class Alternatives:
         self,
         kept: Sequence[SignalBlock],
         R: Matrix3 | None,
-        bias: Array | None,
+        bias: Array,
         gains: tuple[float, float],
         seen: set[str],
         steering_offset: float,
@@ -139,10 +139,9 @@ class Alternatives:
         if R is None:
             return
         self._ask_the_person(R)
-        known_bias = np.zeros(3) if bias is None else bias
         ratios = None
         if self._blocks > YOUNG:
-            ratios = self._look_for_late_change(p, R, known_bias, gains)
+            ratios = self._look_for_late_change(p, R, bias, gains)
         is_seen = self.are_seen(TO_BE_FINE) and self.is_mirror_excluded
         if is_seen and self._blocks % RARELY:
             return
@@ -154,7 +153,7 @@ class Alternatives:
             for pair in self._pairs:
                 pair.forget()
         for one in blocks:
-            self._take(one, R, known_bias, gains, steering_offset, ratios)
+            self._take(one, R, bias, gains, steering_offset, ratios)
 
     def _look_for_late_change(
         self, p: SignalBlock, R: Matrix3, bias: Array, gains: tuple[float, float]
@@ -171,20 +170,6 @@ class Alternatives:
         ratios = _gyro_ratios(p, R, (p.force - bias) @ R.T, gains)
         self._gyro.add_late(ratios)
         return ratios
-
-    def add_without_speed(self, p: SignalBlock, R: Matrix3 | None, seen: set[str]) -> None:
-        """Take a block of a vehicle without a known speed: only its direction of turning is
-        checked.
-        """
-        self._signals = frozenset(seen)
-        if R is None:
-            return
-        self._ask_the_person(R)
-        use = p.learn & p.ok_rate & ~p.rest
-        rate = p.rate @ R[2]
-        if "yaw_rate" in self._signals:
-            self._yaw_rate.add(p.yaw_rate, rate, use & p.ok_yaw)
-        self._add_heading(p, rate, use)
 
     def _ask_the_person(self, R: Matrix3) -> None:
         self._is_up_stated = self._stated.confirms_up(R)

@@ -15,14 +15,13 @@ interval are means over all models, weighted by their probabilities.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Sequence
 
 import numpy as np
 from msgspec import Struct
 from numpy.typing import NDArray
 
 from imucald.core.arrays import Array
-from imucald.mount.road_segments import AngleEvidence, ScoreSeries
 
 Flags = NDArray[np.bool_]
 
@@ -53,22 +52,43 @@ HIDDEN = 0.4
 
 An angle far from the mean looks like noise, so its windows count less, most of all where the drift
 shows most. In simulated drives with 72 deg/h (seeds 500,000 to 500,011), 0.6 of the level is found
-with weights about the drift (`evidence_response`), and 0.5 with weights about the mean.
+with weights about the drift, and 0.5 with weights about the mean.
 """
 EVEN = frozenset({"yaw_dvdt", "yaw_turn", "pitch_dvdt"})
-"""Sources that hardly depend on the road (`UNEVEN_STD` in `shift`).
+"""Sources that hardly depend on the road.
 
 If their spread about the mean is larger than the spread between segments, the mount drifts. The
 lean of roads, in contrast, persists over segments.
 """
+YAW = frozenset({"yaw_dvdt", "yaw_turn"})
+"""Sources of the same angle."""
+TOGETHER = 7
+"""Segments whose means are compared between both (3 min)."""
 LEANING = "roll_gravity"
 """The persistence of the lean of roads differs from road to road, so it is estimated from the
 segments themselves.
 """
 SILENT = frozenset({"pitch_gravity", "pitch_axis"})
-"""Sources that differ too much between town and motorway to separate creep from the road
-(`UNEVEN_STD` in `shift`).
-"""
+"""Sources that differ too much between town and motorway to separate creep from the road."""
+
+
+class SegmentSeries(Struct, frozen=True):
+    """Evidence about one angle from one source, by road segment.
+
+    kind: the source; the name begins with the angle. left: (G,) residual scores about the constant
+    angle. known: (G,) informations [1/rad^2]. variance: variance of the constant from all segments,
+    with their spread [rad^2].
+    """
+
+    kind: str
+    left: Array
+    known: Array
+    variance: float
+
+    @property
+    def axis(self) -> int:
+        """The angle it is about: 0 roll, 1 pitch, 2 yaw."""
+        return ("roll", "pitch", "yaw").index(self.kind.partition("_")[0])
 
 
 class Creep(Struct, frozen=True):
@@ -87,33 +107,24 @@ class Creep(Struct, frozen=True):
     since_middle: Array
 
 
-def creep(
-    series: list[ScoreSeries],
-    sources: Mapping[str, AngleEvidence],
-    chance: float,
-    shifts: int,
-) -> Creep | None:
+def creep(series: Sequence[SegmentSeries], chance: float, shifts: int) -> Creep | None:
     """Fit walks and rates to the residuals of the series from constants; None: too little data.
-    sources: the same evidence. Their variances show by which factor the informations are too large.
-    chance: prior probability that the mount creeps, before any shift was found. shifts: number of
-    shifts found.
+
+    The variance of a series shows by which factor its informations are too large. chance: prior
+    probability that the mount creeps, before any shift was found. shifts: number of shifts found.
     """
-    n = max((len(one.score) for one in series), default=0)
+    n = max((len(one.left) for one in series), default=0)
     if n < FEWEST:
         return None
     left, known = np.zeros((3, n)), np.zeros((3, n))
+    apart = _apart(series)
     for one in series:
-        fit, source = one.fitted(), sources.get(one.kind)
-        if fit is None or source is None or one.kind in SILENT:
+        if one.kind in SILENT:
             continue
-        times = max(source.variance * float(fit.rows[:, 0].sum()), 1.0)
-        if one.kind in EVEN:
-            times = min(times, _scatter(fit.left, fit.rows[:, 0]))
-        elif one.kind == LEANING:
-            times = _lean(fit.left, fit.rows[:, 0], times)
-        m = len(fit.left)
-        left[one.axis, n - m :] += fit.left / times
-        known[one.axis, n - m :] += fit.rows[:, 0] / times
+        times = _times(one) * (apart if one.kind in YAW else 1.0)
+        m = len(one.left)
+        left[one.axis, n - m :] += one.left / times
+        known[one.axis, n - m :] += one.known / times
     joined = np.arange(min(n, MOST)) * n // min(n, MOST)
     each = np.diff(np.append(joined, n)).astype(np.float64)
     left, known = np.add.reduceat(left, joined, axis=1), np.add.reduceat(known, joined, axis=1)
@@ -130,6 +141,32 @@ def creep(
     extra = (weight * (variance + hidden + (mean - level[:, None]) ** 2)).sum(axis=1)
     rate, moved, since_middle = _trend(left, known, each)
     return Creep(level, extra, probability, rate, moved, since_middle)
+
+
+def _times(one: SegmentSeries) -> float:
+    """Return the factor by which the informations of a series are too large."""
+    times = max(one.variance * float(one.known.sum()), 1.0)
+    if one.kind in EVEN:
+        return min(times, _scatter(one.left, one.known))
+    return _lean(one.left, one.known, times) if one.kind == LEANING else times
+
+
+def _apart(series: Sequence[SegmentSeries]) -> float:
+    """Return the factor by which the two sources of yaw differ more than their deviations say.
+
+    A mount that creeps moves both alike, so their difference shows errors that last for minutes.
+    """
+    both = [one for one in series if one.kind in YAW]
+    if len(both) < len(YAW) or len(both[0].left) != len(both[1].left):
+        return 1.0
+    minutes = np.arange(0, len(both[0].left), TOGETHER)
+    (a, n), (b, m) = (
+        (np.add.reduceat(x, minutes) / _times(one) for x in (one.left, one.known)) for one in both
+    )
+    use = (n > 0.0) & (m > 0.0)
+    a, n, b, m = (x[use] for x in (a, n, b, m))
+    squares = float(np.square(a / n - b / m) @ (1.0 / (1.0 / n + 1.0 / m)))
+    return max((PRIOR_SEGMENTS + squares) / (PRIOR_SEGMENTS + len(n)), 1.0)
 
 
 def _scatter(left: Array, known: Array) -> float:

@@ -1,22 +1,22 @@
-"""The full mount estimator: roll, pitch and yaw of the sensor with their covariance.
+"""The mount estimator: the response of both sensors to the vehicle's motion, with a matrix each.
 
 Order of the steps:
 
 1. Every tick goes to `SignalBlockMaker`; every 6.4 s it gives a block of even signals, each tick
 with a flag that says whether it is usable (`motion.signal_health`).
-2. `MountSolver.add` takes the block. The gyroscope carries the vertical through it. The force minus
-   this vertical goes to windows in the frequency domain and to the mean of gravity.
+2. `CarriedForce` carries the vertical through the block and removes it from the force.
 3. `SignalChecks` compares the signals with one another: a contradiction that begins or ends makes
-   the solver restart. `ForceLevel` compares the size of gravity with its own past.
-4. `MountSolver.fit` turns all evidence so far into one rotation with variances, as soon as enough
-   has come since the last one (`RestartableSolver.is_turn`).
-5. Once gyro bias and rotation are known, `RestartableSolver` goes through the first minutes again.
-6. After that `MountChanges` compares every block with what was known before it. If the sensor was
-   moved, the mount becomes suspect and the solver starts again with the data after the change. If
-   the change misleads no consumer, it is reported, and the interval covers it until a second solver
-   knows the new mount.
-7. `ServedMount` gives the state, with hysteresis, and follows a good rotation without a jump.
+   the search start again. `ForceLevel` compares the size of gravity with its own past.
+4. `Evidence` takes the block and, when enough has come, solves for all unknowns (`joint.state`).
+5. `MountChanges` and `joint.moves` compare the block with what was known before it. If the sensor
+   was moved, the mount becomes suspect and the evidence begins again with the data after the move.
+   If the move misleads no consumer, it is reported, and the deviation covers it until the evidence
+   after it is enough.
+6. `ServedMount` gives the state, with hysteresis, and follows a good correction without a jump.
    `MountEstimate` reports all of it, and what each angle waits for.
+
+Without a gyroscope, the evidence uses the vehicle's yaw rate or steering angle. A vehicle without a
+speed is left to method A (`runtime.estimators`).
 """
 
 from __future__ import annotations
@@ -29,10 +29,13 @@ import numpy as np
 from msgspec.structs import replace
 
 from imucald.core.arrays import Array
-from imucald.core.rotations import Matrix3
+from imucald.core.rotations import Matrix3, orthonormalised, rotation_from_vector
+from imucald.core.samples import GRAVITY
 from imucald.motion.ticks import TickRow
 from imucald.mount.acceptance import Acceptance
+from imucald.mount.carried_force import CarriedForce
 from imucald.mount.contradictions import StandingFault
+from imucald.mount.creep import Creep
 from imucald.mount.estimate import Correction, MountEstimate, MountState, SentDeviations
 from imucald.mount.estimator_settings import EstimatorSettings
 from imucald.mount.explanation import (
@@ -46,19 +49,24 @@ from imucald.mount.explanation import (
 )
 from imucald.mount.force_level import ForceLevel
 from imucald.mount.hysteresis import GOOD
+from imucald.mount.joint.drift import NONE as NO_DRIFT
+from imucald.mount.joint.drift import Drift
+from imucald.mount.joint.evidence import MIDDLES, Block, Evidence, Solution
+from imucald.mount.joint.known import CHANCE_AS_BEFORE, KnownSensor
+from imucald.mount.joint.moves import Move
+from imucald.mount.joint.state import PHI, OtherSignals, Priors
 from imucald.mount.large_change import LargeChange
 from imucald.mount.mount_changes import GoodMount, MountChange, MountChanges, blocks_since
 from imucald.mount.off_vertical_limit import is_off_vertical
-from imucald.mount.restartable_solver import RestartableSolver
-from imucald.mount.saved_information import SavedInformation
-from imucald.mount.served_mount import ReportedRotation, ServedMount
+from imucald.mount.served_mount import ServedMount
 from imucald.mount.signal_blocks import BLOCK_S, MountSoFar, SignalBlock, SignalBlockMaker
 from imucald.mount.signal_checks import SignalChecks
-from imucald.mount.solver import MountSolver
-from imucald.mount.states import MountKnowledge, targets_in_force
+from imucald.mount.states import Manoeuvres, MountKnowledge
 from imucald.mount.steering import SteeringOffsetEstimator
 from imucald.mount.zero_step import GravityMoved
 
+KEPT_BLOCKS = 55
+"""Blocks that are stored: 350 s."""
 FAILED_BLOCKS = 14
 """Numbers out of range stay reported as a fault for this many blocks after the last of them (90 s).
 """
@@ -69,43 +77,79 @@ block usually returns.
 TURNING = frozenset({"yaw_rate", "steering"})
 FROZEN_TICKS = 40
 """Learning counts as frozen when at least this many ticks of a block are not trusted."""
+SOLUTIONS_KEPT = 32
+"""Number of solutions kept: those of the first three minutes; later ones are further apart."""
+MOVE_UNSEEN_S = 60.0
+"""The found time of a move is exact to one or two blocks, and too late for a slow move. Blocks
+within this time before it may therefore contain a part of the move.
+"""
+STEERING_ZERO = math.radians(2.0)
+"""Zero error of an angle of the steering wheel that nothing has measured (assumption)."""
+ASKED = 2
+"""The test for a moved sensor runs once in this many blocks (13 s)."""
+REMEMBERED = 240
+"""Blocks (26 min) for which the knowledge of a drift is kept."""
+CREEP_CHANCE = 0.05
+"""Probability that the mount creeps: one sensor in twenty is held by tape or a soft holder
+(assumption).
+"""
+UNKNOWN_YAW = (math.pi / math.sqrt(3.0)) ** 2
+"""Variance of an unknown direction [rad^2]."""
 
 
-class FullEstimator:
-    """Estimate the mount from all evidence; see the steps in the module docstring.
+class JointEstimator:
+    """Estimate the response of both sensors; see the steps in the module docstring.
 
-    State: `_signals` (ticks, offsets, signal health), `_solvers` (the evidence and its rotation),
-    `_checks` and `_changes` (evidence against that rotation), `_known` (knowledge by which the
-    state is judged), `_served` (the state and the applied correction).
+    `_signals`: ticks, offsets, signal health. `_joint`: the evidence since the last move of the
+    sensor, with the earlier knowledge of the sensor itself (`known`). `_carried`: the vertical in
+    the same time. `_checks`, `_changes`: evidence against the rotation. `_known`: knowledge by
+    which the state is judged. `_served`: the state and the applied correction. After a move that
+    misleads no consumer, the earlier solution is served with deviations widened by the move, until
+    `_next` is usable.
     """
 
     def __init__(self, settings: EstimatorSettings | None = None) -> None:
         self._settings = settings or EstimatorSettings()
         self._signals = SignalBlockMaker(self._settings)
+        self._kept: deque[SignalBlock] = deque(maxlen=KEPT_BLOCKS)
         self._steering = SteeringOffsetEstimator()
-        self._solvers = RestartableSolver(self._settings)
-        self._is_catching_up = False  # as of the solvers, which each tick would have to ask
+        self._carried, self._driven = CarriedForce(self._settings), Manoeuvres()
         self._checks = SignalChecks(self._settings)
         self._changes = MountChanges(self._settings)
         self._level = ForceLevel()
         self._lately: deque[tuple[int, ...]] = deque(maxlen=MINUTE_BLOCKS)
-        self._off_vertical = 0
-        self._failed_for = 0
+        self._off_vertical = self._failed_for = 0
+        self._known_before: KnownSensor | None = None
+        self._has_zero = self._has_gyro = self._fits_no_sensor = False
+        self._lately_known: deque[tuple[float, Solution]] = deque(maxlen=SOLUTIONS_KEPT)
+        self._joint = self._new_evidence()
+        self._next: Evidence | None = None
+        self._doubt = np.zeros(3)
+        self._creep: Creep | None = None
+        self._crept = 0  # road segment of the last test
+        self._taken_until = self._now = -math.inf
+        self._corrected: tuple[Solution, Creep | None, Correction] | None = None  # the last one
+        self._drift, self._has_drifted = NO_DRIFT, False
+        self._drifts: deque[tuple[float, Drift]] = deque(maxlen=REMEMBERED)
         self._known = MountKnowledge(begun=False, accelerometer=False)
-        self._rotation = ReportedRotation(self._settings)
         self._served = ServedMount(self._settings)
         self._progress = ProgressWatch()
         self._estimate: MountEstimate | None = None
 
     @property
     def correction(self) -> Correction | None:
-        """The rotation to apply now, or None."""
+        """The correction to apply now, or None."""
         return self._served.correction
 
     @property
     def state(self) -> MountState:
         """The present state."""
         return self._served.state
+
+    @property
+    def solution(self) -> Solution | None:
+        """Response of both sensors to motion, as known now; None before it is known."""
+        return self._joint.solution
 
     @property
     def faults(self) -> tuple[str, ...]:
@@ -117,7 +161,7 @@ class FullEstimator:
         """For each vehicle signal, whether it is stuck, see `mount.estimate.JudgesSignals`."""
         return self._signals.stuck
 
-    def take_usual_signals(self, former: FullEstimator, channels: Collection[str]) -> None:
+    def take_usual_signals(self, former: JointEstimator, channels: Collection[str]) -> None:
         """Take over, from another estimator, how long the vehicle's signals usually keep a value.
 
         channels: those that come from the same sources in both. Nothing is taken from a signal that
@@ -125,23 +169,14 @@ class FullEstimator:
         """
         self._signals.health.take_usual(former._signals.health, channels)
 
-    @property
-    def _solver(self) -> MountSolver:
-        return self._solvers.now
-
     # tick by tick ---------------------------------------------------------------------------
 
     def step(self, tick: TickRow) -> None:
         """Take one tick."""
         self._served.step()
-        if self._is_catching_up:
-            self._solvers.step()
-            self._is_catching_up = self._solvers.is_catching_up
-            self._estimate = None
         if self._signals.push(tick):
             self._signals.take_mount(self._known_mount())
             self._take_block(self._signals.block())
-            self._is_catching_up = self._solvers.is_catching_up
             self._estimate = None
 
     def expect(self, ticks: Array) -> None:
@@ -150,9 +185,7 @@ class FullEstimator:
 
     def quiet_ticks(self) -> int:
         """Number of next ticks that are only stored, see `mount.estimate.KeepsTicks`."""
-        if self._is_catching_up or self._served.is_turning:
-            return 0
-        return self._signals.until_block - 1
+        return 0 if self._served.is_turning else self._signals.until_block - 1
 
     def keep_quiet(self, ticks: Array) -> None:
         """Take ticks (n, COLUMNS), at most `quiet_ticks`."""
@@ -161,11 +194,84 @@ class FullEstimator:
     def gap(self) -> None:
         """Note a jump of time: signals before it are not joined with those after it."""
         self._signals.restart()
-        self._solvers.gap()
-        self._is_catching_up = self._solvers.is_catching_up
+        self._kept.clear()
+        self._carried.gap()
         self._level.gap()
         self._changes.zero.restart()
+        self._taken_until = -math.inf
+        self._joint.gap()
+        if self._next is not None:
+            self._next.gap()
         self._estimate = None
+
+    def _new_evidence(
+        self, known: KnownSensor | None = None, is_moved: bool = False, past: Drift | None = None
+    ) -> Evidence:
+        s = self._settings
+        vehicle = self._signals_now(), s.delays["speed"], s.lever_arm
+        return Evidence(self.priors, known, is_moved, past, *vehicle)
+
+    def _signals_now(self) -> OtherSignals:
+        """Return the signals that are available besides the accelerometer by now."""
+        if self._has_gyro:
+            return OtherSignals()
+        s = self._settings
+        if "yaw_rate" in self._signals.seen:
+            return OtherSignals(gyro=False, late=s.delays["yaw_rate"].mean)
+        if not (s.uses_steering and "steering" in self._signals.seen):
+            return OtherSignals(gyro=False, turns=False)
+        path = s.vehicle.steering_ratio * s.vehicle.wheelbase
+        return OtherSignals(gyro=False, bend=STEERING_ZERO / path)
+
+    @property
+    def priors(self) -> Priors:
+        """Assumptions before any data, with what the configuration states."""
+        s = self._settings
+        configured = s.calibration.cross_axis
+        usual = Priors()
+        return Priors(
+            cross_axis=((configured, 1.0),) if configured else usual.cross_axis,
+            zero=max(usual.zero, s.calibration.accelerometer_bias),
+            crown=(s.crown, s.vehicle.crown_std),
+        )
+
+    # what is the sensor's own -------------------------------------------------------------------
+
+    def known_sensor(self) -> KnownSensor | None:
+        """Knowledge about the sensor itself, independent of the mount."""
+        known, creep = self._joint.known_sensor, self._creep
+        if known is None or creep is None or self.solution is None:
+            return known
+        return known.turned(creep.level, creep.variance)
+
+    @property
+    def contradiction(self) -> float | None:
+        """Chi-square (3) of the mount against that of an earlier drive; None: none is compared."""
+        return None if self.solution is None else self.solution.contradiction
+
+    def leave_mount(self) -> None:
+        """Use the earlier knowledge of the sensor for another mount: it was moved since."""
+        self._joint.is_moved = True
+        if self._joint.solution is not None:
+            self._joint.solve()
+        self._estimate = None
+
+    def take_known_sensor(self, known: KnownSensor, is_moved: bool) -> None:
+        """Begin with what an earlier drive found of the sensor.
+
+        This is ignored once the present drive has begun.
+        """
+        if self._joint.seconds:
+            return
+        self._known_before = known.away()
+        self._joint = self._new_evidence(self._known_before, is_moved)
+
+    def _solution_until(self, t: float) -> Solution | None:
+        """Return the solution from a time early enough to contain no move at t [s]."""
+        for end, solution in reversed(self._lately_known):
+            if end <= t - MOVE_UNSEEN_S:
+                return solution
+        return None
 
     # block by block -------------------------------------------------------------------------
 
@@ -184,63 +290,111 @@ class FullEstimator:
         self._judge(p)
 
     def _learn_from(self, p: SignalBlock) -> None:
-        """Steps 2 to 6."""
-        solvers, signals, changes = self._solvers, self._signals, self._changes
-        solvers.take(p, signals.without_speed)
+        """Steps 2 to 5."""
+        carried, signals, changes = self._carried, self._signals, self._changes
+        self._now = float(p.t[-1])
+        self._kept.append(p)
+        self._driven.add(*carried.add(p))
         self._follow_steering(p)
-        vertical = solvers.now.vertical
-        if (solvers.can_compare and vertical.is_held) or p.rest.all():  # it is free of the motion
+        vertical = carried.vertical
+        if (carried.is_sure and vertical.is_held) or p.rest.all():  # it is free of the motion
             self._level.add(p, vertical.up)
-        turned = changes.at_once(p, solvers.now, signals) if solvers.can_compare else None
+        turned = changes.at_once(p, carried, signals) if carried.R is not None else None
         if turned is not None:  # moved by hand: no sign and no unit is contradicted
             self._checks.forget_forces()
-        elif self._checks.add(p, solvers.now, signals, solvers.kept):
+        elif self._checks.add(p, carried, signals, self._kept, self._fits_no_sensor):
             self._begin_without_rotation([p])
-        is_refitting = solvers.is_refitting
-        is_turn = changes.is_near or solvers.is_turn(signals.blocks, self.state is MountState.FINE)
-        if (is_turn or solvers.is_young) and solvers.fit():
+        self._solve_with(p)
+        self._follow_creep()
+        if not self._look_for_large_change(p, turned):
+            change: MountChange | None = self._carried.step(self._is_rotation_good)
+            if change is None and not self._checks.is_motion_accused:
+                change = self._small_change()
+            if change is not None:
+                self._take_change(change)
+        self._drift = self._joint.drift
+        self._drifts.append((self._now, self._joint.in_sensor_axes(self._drift)))
+
+    def _solve_with(self, p: SignalBlock) -> None:
+        self._has_gyro = self._has_gyro or bool(p.had_rate.any())
+        if self._joint.signals != self._signals_now():
+            self._follow_signals()
+        block = _block(p, self._joint.signals)
+        known = bool(p.ok_rate.any())
+        target = self._next or self._joint
+        if known and not self._has_zero:
+            target.subtract_rate_zero(p.gyro_bias)
+        self._has_zero = self._has_zero or known
+        if self._now <= self._taken_until:  # after a move it was among those that count
+            return
+        target.add(block)
+        if self._signals.without_speed:
+            return
+        try:
+            target.solve_when_due()
+        except np.linalg.LinAlgError:  # the signals contradict one another; `_checks` shows which
+            self._fits_no_sensor = True
+            self._lately_known.clear()
+            self._begin_again([])
+            return
+        if target is self._joint:
+            self._remember(self._now)
+        elif self._is_usable(target.solution):
+            self._joint, self._next = target, None
+            self._forget_moves()
+            self._changes.know_borne()
+        if self._carried.follow(self._joint):
             self._checks.forget_forces()  # the forces showed another rotation
-        self._take_beside()
-        solvers.follow_creep(len(changes.history))
-        if self._look_for_large_change(p, turned) or is_refitting:
-            return
-        if not solvers.has_looked_again:
-            solvers.look_again(signals.offsets)
-            return
-        change: MountChange | None = solvers.now.step(self._is_rotation_good)
-        if change is None and not self._checks.is_motion_accused:
-            change = self._small_change(is_turn)
-        if change is not None:
-            self._take_change(change)
 
-    def _small_change(self, is_turn: bool) -> MountChange | None:
-        """Look for a small move of the sensor in the last minutes.
+    def _follow_signals(self) -> None:
+        """Use the last blocks again with all signals that have come since."""
+        former, kept = self._next or self._joint, list(self._kept)[:-1]
+        made = self._new_evidence(former.known, former.is_moved)
+        for p in kept[max(len(kept) - former.blocks, 0) :]:
+            made.add(_block(p, made.signals))
+        self._joint, self._next = made, None
+        self._forget_moves()
+        self._lately_known.clear()
 
-        is_turn: the rotation was fitted now.
-        """
-        return self._changes.small(self._solvers.now) if is_turn else None
+    def _forget_moves(self) -> None:
+        self._doubt = np.zeros(3)
+        self._creep, self._crept = None, 0
+
+    def _follow_creep(self) -> None:
+        """Test once a road segment whether the mount creeps."""
+        if self._joint.segment != self._crept:
+            self._crept = self._joint.segment
+            self._creep = self._joint.creep(CREEP_CHANCE, len(self._changes.history))
+
+    def _remember(self, t: float) -> None:
+        solution, lately = self.solution, self._lately_known
+        if solution is not None and (not lately or lately[-1][1] is not solution):
+            lately.append((t, solution))
 
     @property
     def _is_rotation_good(self) -> bool:
-        """True if the solver's rotation is good enough to compare gravity with it."""
-        return self.state in GOOD
+        """True if gravity can be compared with the rotation.
+
+        With a known sensor, the state becomes good early. The test for a step in gravity then waits
+        until it knows the usual spread of this drive.
+        """
+        return self.state in GOOD and self._known_before is None
 
     def _known_mount(self) -> MountSoFar | None:
         """Return the mount that is used to check a speed that stays constant."""
-        solver = self._solver
-        up = solver.vertical.up
-        if solver.R is None or up is None or not self._solvers.can_compare or not solver.sure():
+        carried = self._carried
+        up = carried.vertical.up
+        if carried.R is None or up is None or not carried.is_sure:
             return None
-        delay = solver.delay_speed
-        return MountSoFar(solver.R[0], up, delay.value, delay.std)
+        return MountSoFar(carried.R[0], up, *carried.delay)
 
     def _follow_steering(self, p: SignalBlock) -> None:
         """Find the steering offset from the measured yaw rate; steering alone shows no offset."""
-        measured = self._solver.own_gyro or "yaw_rate" in self._signals.seen
+        measured = self._carried.own_gyro or "yaw_rate" in self._signals.seen
         if not measured or not np.count_nonzero(p.ok_steering) or self._signals.without_speed:
             return
         use = p.ok_steering & p.ok_speed & p.learn
-        self._steering.add(p.steering, p.speed, self._solver.turn_rate, use)
+        self._steering.add(p.steering, p.speed, self._carried.turn_rate, use)
         fitted = self._steering_fitted()
         if fitted is not None:
             self._signals.steering_offset = fitted[0]
@@ -255,35 +409,53 @@ class FullEstimator:
         turned: result of the block alone. Returns True if there was a change, which is then
         handled.
         """
-        solver, changes = self._solver, self._changes
-        if solver.R is None or not self._solvers.can_compare:
+        carried, changes = self._carried, self._changes
+        if carried.R is None:
             changes.skip()
             return False
-        if is_off_vertical(p, solver.R, p.speed * solver.turn_rate):
+        if is_off_vertical(p, carried.R, p.speed * carried.turn_rate):
             self._off_vertical += 1
             self._begin_without_rotation([p])
             return True
-        changes.add(p, solver, self._signals)
+        changes.add(p, carried, self._signals)
         if self.state not in GOOD:  # nothing is served as good; the fit is young
             if turned is not None:
                 self._begin_without_rotation()
                 self._served.has_moved = self.correction is not None
             return turned is not None
-        found = changes.large(solver) if turned is None else turned
+        found = changes.large(carried) if turned is None else turned
         if found is not None:
             self._take_change(found)
         return found is not None
 
+    def _small_change(self) -> Move | None:
+        """Return a small move of the sensor in the last minutes that is certain."""
+        if self._signals.without_speed or self._signals.blocks % ASKED:
+            return None
+        try:
+            found = (self._next or self._joint).move()
+        except np.linalg.LinAlgError:  # windows that say nothing yet of one of the answers
+            found = None
+        self._doubt = np.zeros(3)
+        if found is None:
+            return None
+        self._doubt[found.axis] = found.doubt
+        return found if found.is_certain else None
+
     def _take_change(self, found: MountChange) -> None:
         """Handle a moved sensor: only the blocks after the move count."""
-        after = blocks_since(found, self._solvers.kept)
+        after = blocks_since(found, self._kept)
+        since = found.blocks if isinstance(found, Move) else 0
         changes, block, good = self._changes, self._signals.blocks, self._good_mount()
+        before = self._solution_until(self._began(after, since))
+        if good is not None and before is not None:  # what is served may have followed the move
+            good = GoodMount(Correction.turning(before.housing).rotation, good.std)
         std = self._misleading()[found.axis]
         changes.end_of_mounting(good)
-        if self.state in GOOD and changes.is_bearable(found, self._solver, std):
+        if self.state in GOOD and changes.is_bearable(found, self._carried, std):
             if changes.bear(found, block, std, good):
                 self._ask_for_zero(found, after)
-                self._solvers.begin_beside(after, self._signals.offsets)
+            self._next, self._doubt = self._filled(after, since), np.zeros(3)  # no doubt any more
             return
         self._ask_for_zero(found, after)
         if isinstance(found, LargeChange):  # of one axis; nobody knows about the others
@@ -291,25 +463,28 @@ class FullEstimator:
         else:
             self._served.has_moved = True
             changes.restart()
-            self._solvers.begin_after_change(after, self._signals.offsets)
+            self._carry(after, self._carried)
+            self._begin_again(after, since)
         changes.take(found, block, std, good)
+
+    def _carry(self, blocks: Iterable[SignalBlock], before: CarriedForce | None = None) -> None:
+        """Carry the vertical through these blocks alone.
+
+        before: begin with its rotation, which is nearly the present one.
+        """
+        self._carried, self._driven = CarriedForce(self._settings), Manoeuvres()
+        if before is not None:
+            self._carried.start_from(before)
+        for p in blocks:
+            self._driven.add(*self._carried.add(p))
 
     def _ask_for_zero(self, found: MountChange, after: list[SignalBlock]) -> None:
         """Check for a step of the accelerometer's zero, which looks like a tilt; the gyroscope
         tells them apart.
         """
-        if found.axis < 2 and self._solver.own_gyro:
-            end = float(self._solvers.kept[-1].t[0]) + BLOCK_S
+        if found.axis < 2 and self._carried.own_gyro:
+            end = float(self._kept[-1].t[0]) + BLOCK_S
             self._changes.zero.ask(float(after[0].t[0]) if after else end)
-
-    def _take_beside(self) -> None:
-        """Switch to the second solver, which uses the data after a harmless change, once it knows
-        the mount.
-        """
-        if not self._solvers.has_beside and self._served.has_arrived:
-            self._changes.borne[:] = 0.0  # the applied mount is now the present one
-        if self._solvers.take_beside(self._settings.limits):
-            self._changes.know_borne()
 
     def _begin_without_rotation(self, blocks: Iterable[SignalBlock] = ()) -> None:
         """Begin again from these blocks, without the rotation so far even as a hint."""
@@ -319,97 +494,159 @@ class FullEstimator:
 
     def _begin_afresh(self, blocks: Iterable[SignalBlock]) -> None:
         """Begin again from these blocks. The check of the cause of the gravity change continues."""
+        kept = list(blocks)
         self._served.has_moved = True
         self._changes.restart()
         self._checks.restart()
         self._signals.offsets.doubt_gyro()
-        self._solvers.begin_without_rotation(blocks)
+        self._carry(kept)
+        self._begin_again(kept)
+
+    def _begin_again(self, blocks: list[SignalBlock], since: int = 0) -> None:
+        self._joint, self._next, self._drift = self._filled(blocks, since), None, NO_DRIFT
+        self._forget_moves()
+
+    def _began(self, blocks: list[SignalBlock], since: int) -> float:
+        """Return the time [s] from which the blocks after a move are. since: as in `_filled`."""
+        began = float(blocks[0].t[0]) if blocks else self._now
+        return min(began, self._now - since * BLOCK_S) if since > len(blocks) else began
+
+    def _filled(self, blocks: list[SignalBlock], since: int = 0) -> Evidence:
+        """Return the evidence after a move. since: number of blocks after it, if fewer are kept."""
+        began = self._began(blocks, since)
+        if (before := self._solution_until(began)) is not None:
+            self._known_before = before.sensor(self.priors)
+        self._lately_known.clear()
+        drifts = [drift for end, drift in self._drifts if end < began]  # later blocks count again
+        past = drifts[-1] if drifts else None
+        made = self._new_evidence(self._known_before, is_moved=True, past=past)
+        for p in blocks:
+            made.add(_block(p, made.signals))
+            self._taken_until = float(p.t[-1])
+        return made
 
     # judging, and saying what is known --------------------------------------------------------
 
     def _judge(self, p: SignalBlock) -> None:
-        checks, solver = self._checks, self._solver
+        """Judge the state. A drifted zero stays at its new, unknown value until the end of the
+        drive.
+        """
+        checks, block = self._checks, self._signals.blocks
+        self._fits_no_sensor &= not self._is_usable(self.solution)
+        self._has_drifted |= self._drift.is_named and self._is_usable(self.solution)
+        if self._has_drifted:
+            checks.accuse_lasting(StandingFault.ACCEL_DRIFT, block)
         if self._failed_for:
             checks.accuse(StandingFault.NUMERICS)
-        checks.hold_against_orientation(solver, self._signals.blocks)
+        self._hold_against_orientation()
         if self._level.change is not None:
-            checks.accuse_lasting(StandingFault.ACCEL_LEVEL, self._signals.blocks)
+            checks.accuse_lasting(StandingFault.ACCEL_LEVEL, block)
         if self._changes.zero.cause is GravityMoved.STEPPED:
-            checks.accuse_lasting(StandingFault.ACCEL_ZERO, self._signals.blocks)
+            checks.accuse_lasting(StandingFault.ACCEL_ZERO, block)
         self._known = self._knowledge(p)
-        self._served.judge(
-            self._known,
-            self._acceptance(),
-            has_faults=bool(checks.standing),
-            is_refitting=self._solvers.is_refitting,
-            found_correction=self._found_correction,
-        )
-        t = self._signals.blocks * BLOCK_S
-        self._progress.take(t, self._known, self.state, self._settings, self._acceptance())
+        acceptance = self._acceptance()
+        self._served.judge(self._known, acceptance, bool(checks.standing), self._found_correction)
+        self._progress.take(block * BLOCK_S, self._known, self._settings, acceptance)
 
-    def _found_correction(self) -> Correction:
-        """Return the correction that the evidence so far asks for."""
-        found = self._rotation.of(self._solver, self._moving(), self._is_yaw_known)
-        return Correction.turning(found[0])
+    def _hold_against_orientation(self) -> None:
+        """Compare what a person states of the sensor's axes with the rotation, or with gravity."""
+        R, is_yaw_known = self._carried.R, True
+        if R is None:
+            level = self._carried.levelled(self.priors.zero)
+            if level is None:
+                return
+            R, is_yaw_known = level[0], False
+        self._checks.hold_against_orientation(R, is_yaw_known, self._signals.blocks)
 
-    @property
-    def _is_yaw_known(self) -> bool:
-        return self._solver.yaw_known and not self._checks.is_motion_accused
-
-    def _knowledge(self, p: SignalBlock) -> MountKnowledge:
-        """Return the knowledge after a block."""
-        solver, driven, fused = self._solver, self._solvers.driven, self._solver.fused
-        frozen = ~p.learn & p.ok_force
-        self._lately.append(tuple(map(np.count_nonzero, (p.ok_force, p.ok_speed, frozen))))
-        lately = self._lately
-        std = (math.inf, math.inf, math.inf)
-        if fused is not None:
-            x, y, z = (math.sqrt(v) for v in (fused.variance + self._moving()).tolist())
-            std = (x, y, z if self._is_yaw_known else math.inf)
-        return MountKnowledge(
-            gravity=fused is not None,
-            std=std,
-            straight=driven.straight,
-            lefts=driven.lefts,
-            rights=driven.rights,
-            stops=solver.gravity.stops,
-            accelerometer=any(ok for ok, _, _ in lately),
-            speed=not self._signals.without_speed and any(ok for _, ok, _ in lately),
-            frozen=lately[-1][2] >= FROZEN_TICKS,
-            yaw_seen=solver.yaw_seen,
-            has_past=solver.past_drives is not None,
-            cross_axis=solver.cross_axis_std,
-            turning=solver.own_gyro or bool(self._signals.seen & TURNING),
-            speed_hz=0.0
-            if self._signals.without_speed
-            else math.fsum(ok for _, ok, _ in lately) / (len(lately) * BLOCK_S),
-            driven_s=solver.blocks * BLOCK_S,
-        )
-
-    def _good_mount(self, R: Matrix3 | None = None) -> GoodMount | None:
-        """Return the mount that is good now. R: known rotation where it is not applied yet."""
+    def _good_mount(self) -> GoodMount | None:
+        """Return the mount that is good now."""
         good = self._served.good
-        if good is None:
-            return None
-        if R is not None:
-            good = Correction.turning(R)
-        return GoodMount(good.rotation, self._stated())
+        return None if good is None else GoodMount(good.rotation, self._stated())
+
+    def _sent(self, solution: Solution) -> SentDeviations:
+        return solution.sent(self._turned(), self._drift.variance())
+
+    def _turned(self) -> Array:
+        """Return the variance (3,) of a rotation that is tolerated or not certain, and of creep
+        [rad^2].
+        """
+        variance = self._changes.borne**2 + self._doubt**2
+        return variance if self._creep is None else variance + self._creep.variance
 
     def _stated(self) -> tuple[float, ...]:
         """Return the deviations (3,) of the housing's angles, without an unconfirmed change
         [rad]."""
-        return self._changes.stated(self._solver, self._signals.blocks)
+        if self.solution is None:
+            return (math.inf,) * 3
+        own = self.solution.covariance[PHI, PHI].diagonal() + self._changes.borne**2
+        return tuple(np.sqrt(own).tolist())
 
     def _misleading(self) -> tuple[float, ...]:
         """Return the deviations (3,) of sent data, as angles, without an unconfirmed change."""
-        return self._stated()
+        if self.solution is None:
+            return (math.inf,) * 3
+        return _as_angles(self.solution.sent(self._changes.borne**2))
 
-    def _moving(self) -> Array:
-        return self._changes.variance(self._solver, self._signals.blocks)
+    def _is_usable(self, solution: Solution | None) -> bool:
+        if solution is None:
+            return False
+        roll, pitch, yaw = _as_angles(solution.sent())
+        limits = self._settings.limits
+        return yaw < limits.usable_yaw and max(roll, pitch) < limits.usable_tilt
+
+    def _knowledge(self, p: SignalBlock) -> MountKnowledge:
+        """Return the knowledge after a block."""
+        frozen = ~p.learn & p.ok_force
+        self._lately.append(tuple(map(np.count_nonzero, (p.ok_force, p.ok_speed, frozen))))
+        lately, has_speed = self._lately, not self._signals.without_speed
+        hz = math.fsum(ok for _, ok, _ in lately) / (len(lately) * BLOCK_S)
+        carried, driven = self._carried, self._driven
+        known = MountKnowledge(
+            gravity=carried.gravity.known,
+            straight=driven.straight,
+            lefts=driven.lefts,
+            rights=driven.rights,
+            stops=carried.gravity.stops,
+            accelerometer=any(ok for ok, _, _ in lately),
+            speed=has_speed and any(ok for _, ok, _ in lately),
+            speed_hz=hz if has_speed else 0.0,
+            frozen=lately[-1][2] >= FROZEN_TICKS,
+            turning=carried.own_gyro or bool(self._signals.seen & TURNING),
+            has_gyro=self._joint.signals.gyro,
+        )
+        solution = self.solution
+        if solution is None:
+            return known
+        sent = self._sent(solution)
+        return replace(
+            known,
+            gravity=True,
+            std=_as_angles(sent),
+            cross_talk=(sent.xy, sent.yx),
+            std_without_drift=_as_angles(solution.sent(self._turned())),
+        )
 
     def _acceptance(self) -> Acceptance:
-        has_speed = not self._signals.without_speed
-        return Acceptance(self._solver, self._checks, self._changes, has_speed)
+        solution = self.solution
+        return Acceptance(
+            self._checks,
+            self._changes,
+            is_delay_beyond=self._carried.delay.is_beyond,
+            has_speed=not self._signals.without_speed,
+            has_speed_now=self._known.speed,
+            are_signs_known=solution is not None and solution.same >= CHANCE_AS_BEFORE,
+        )
+
+    def _found_correction(self) -> Correction:
+        """Return the correction that the solution so far asks for."""
+        solution, last, creep = self.solution, self._corrected, self._creep
+        assert solution is not None
+        if last is None or last[0] is not solution or last[1] is not creep:
+            turn = np.eye(3) if creep is None else rotation_from_vector(creep.level)
+            made = turn @ solution.force, turn @ solution.rate, turn @ solution.zero
+            housing = orthonormalised(made[0])
+            self._corrected = last = solution, creep, Correction.with_matrices(housing, *made)
+        return last[2]
 
     def estimate(self) -> MountEstimate:
         """Return the present state of knowledge; the object stays the same until something was
@@ -420,31 +657,24 @@ class FullEstimator:
         return self._estimate
 
     def _new_estimate(self) -> MountEstimate:
-        solver, state, changes, checks = self._solver, self.state, self._changes, self._checks
-        creeping = creep_details(solver.creep)
-        troubles = mount_troubles(
-            state, checks.standing, creeping, changes.shifted_again(), self._level.change
-        )
-        words, codes = waiting_reasons(
-            self._known, state, self._settings, self._acceptance(), troubles
-        )
-        if solver.fused is None:
-            R = covariance = None
-            details: dict[str, object] = {}
-        else:
-            R, covariance = self._rotation.of(solver, self._moving(), self._is_yaw_known)
-            steering = self._steering_fitted()
-            details = estimate_details(
-                solver, self._signals, self._known, changes, checks, steering, self._good_mount(R)
-            )
-            details["gravity_change"] = level_details(self._level.change)
+        state, changes, checks = self.state, self._changes, self._checks
+        acceptance, solution, creep = self._acceptance(), self.solution, self._creep
+        moved, level = changes.shifted_again(), self._level.change
+        troubles = mount_troubles(state, checks.standing, creep_details(creep), moved, level)
+        words, codes = waiting_reasons(self._known, state, self._settings, acceptance, troubles)
+        R, covariance = self._housing()
+        details: dict[str, object] = {}
+        if R is not None:
+            found = self._known, changes, checks, self._steering_fitted(), self._good_mount(), creep
+            details = estimate_details(self._carried, self._signals, *found)
+            details["gravity_change"] = level_details(level)
         details["not_learnt_from"] = left_out_details(self._signals)
         if self._off_vertical:
             details["off_vertical"] = self._off_vertical
-        targets = targets_in_force(self._known, state, self._settings)
-        can_be_fine = self._acceptance().can_become_fine
+        can_be_fine = acceptance.can_become_fine
         progress = None if troubles else self._progress.after(state, self._known, can_be_fine)
-        made = MountEstimate(
+        sent = None if solution is None else self._sent(solution)
+        return MountEstimate(
             state,
             R,
             covariance,
@@ -452,15 +682,29 @@ class FullEstimator:
             codes,
             details,
             self.faults,
-            targets,
+            self._settings.limits.about_axes(),
+            matrices=None if solution is None else self._found_correction(),
+            deviations=sent,
+            judged_as=None if sent is None else _as_angles(sent),
             progress=progress,
         )
-        if R is None or made.std is None or solver.bias is None:
-            return made
-        along, across, _ = (R @ solver.bias).tolist()
-        return replace(made, deviations=SentDeviations.of_rotation(*made.std, zero=(along, across)))
 
-    # what a person says, and what outlives the process; see `mount.restored` ------------------
+    def _housing(self) -> tuple[Matrix3 | None, Array | None]:
+        """Return R_vehicle_from_sensor (3, 3) and its covariance (3, 3), as far as they are known.
+
+        The covariance is too small if the cross-axis errors are antisymmetric: these look like a
+        rotation, and their size is judged by the symmetric ones.
+        """
+        if self.solution is not None:
+            covariance = self.solution.covariance[PHI, PHI] + np.diag(self._turned())
+            if self._checks.is_motion_accused:
+                covariance[2] = covariance[:, 2] = 0.0
+                covariance[2, 2] = UNKNOWN_YAW
+            return self._found_correction().matrix(), covariance
+        level = self._carried.levelled(self.priors.zero)
+        if level is None:
+            return None, None
+        return level[0], np.diag([*level[1], UNKNOWN_YAW])
 
     def take_stated_mount(self, R: Matrix3) -> None:
         """Take the mount that a person states.
@@ -469,23 +713,24 @@ class FullEstimator:
         """
         self._checks.take_mount(R)
 
-    @property
-    def contradiction(self) -> float | None:
-        """Chi-square (3) of this drive's evidence against that of past drives; None without past
-        drives.
-        """
-        return self._solvers.contradiction
 
-    def saved_information(self) -> SavedInformation | None:
-        """Information of all evidence, for the next start; None if there is too little."""
-        return self._solvers.saved_information()
+def _as_angles(sent: SentDeviations) -> tuple[float, float, float]:
+    """Return level zero y and x as tilts, and the larger of cross-talk xy and yx as a yaw [rad]."""
+    return sent.zero_y / GRAVITY, sent.zero_x / GRAVITY, max(sent.xy, sent.yx)
 
-    def join_information(self, kept: SavedInformation) -> None:
-        """Add the information that past drives found."""
-        self._solvers.join(kept)
-        self._estimate = None
 
-    def drop_information(self) -> None:
-        """Continue with the evidence of this drive alone."""
-        self._solvers.drop_past_drives()
-        self._estimate = None
+def _block(p: SignalBlock, signals: OtherSignals) -> Block:
+    """Return the part of a block that the joint solution uses, for the signals that the vehicle
+    has.
+    """
+    use = p.ok_force & p.ok_speed & p.learn
+    knots = MIDDLES if p.speed_knots is None else p.speed_knots
+    if signals.gyro:
+        use &= p.had_rate
+        known = bool(p.ok_rate.any())
+        return Block(p.force, p.rate, p.speed, use, known, p.gyro_bias, knots, p.least_speed)
+    if signals.turns:
+        use &= p.ok_yaw
+    rate = np.zeros_like(p.rate)
+    rate[:, 2] = p.yaw_rate * p.ok_yaw
+    return Block(p.force, rate, p.speed, use, knots=knots, least_speed=p.least_speed)

@@ -1,4 +1,4 @@
-"""Settings of the full estimator about sensor, vehicle and road: priors, limits, delays.
+"""Settings of the joint estimator about sensor, vehicle and road: priors, limits, delays.
 
 Every figure here is a prior or a limit on which the intervals rely. `priors` gives the source of
 each.
@@ -16,24 +16,19 @@ from msgspec import Struct, field
 from imucald.config.calibration import CalibrationSettings
 from imucald.config.vehicle import VehicleSettings
 from imucald.core.default_vehicle import UNDERSTEER
+from imucald.core.samples import GRAVITY
 from imucald.mount.estimate import Targets
-from imucald.mount.priors import (
-    ACCEL_SCALE_STD,
-    GYRO_MISALIGNMENT_STD,
-    SLOPE_LENGTH,
-    SLOPE_STD,
-)
+from imucald.mount.priors import SLOPE_LENGTH, SLOPE_STD
 
 
 class DelayPrior(Struct, frozen=True):
     """Prior of the delay of a vehicle signal against the accelerometer [s].
 
-    Positive: the signal arrives late. The delay is searched within the configurable range. A stated
-    delay (`delay.SEARCHED_STD`) is also searched only within mean +- 4 std.
+    Positive: the signal arrives late. The default allows every delay that can be configured.
     """
 
     mean: float = 0.1
-    std: float = 0.3
+    std: float = 0.5
 
 
 class Limits(NamedTuple):
@@ -95,18 +90,20 @@ class MountSettings(Struct, frozen=True, dict=True):
         return self.limits.about_axes(self.vehicle.crown_std)
 
 
+LEVEL = (0.2, 0.1)
+"""Level zero below which an estimate is usable, and fine [m/s^2]."""
+
+
 class EstimatorSettings(MountSettings, frozen=True):
     """Settings by the user, settings by a model file, and fixed priors. SI units, rad."""
 
     OWN_LIMITS = Limits(
         usable_yaw=math.radians(1.0),
-        usable_tilt=math.radians(2.0),
+        usable_tilt=LEVEL[0] / GRAVITY,
         fine_yaw=math.radians(0.3),
-        fine_tilt=math.radians(0.7),
+        fine_tilt=LEVEL[1] / GRAVITY,
     )
-
-    CREEP_CHANCE: ClassVar[float] = 0.5
-    """Prior probability that the mount creeps (assumption)."""
+    """Limits of the cross-talk xy and yx as yaw, and of the level zero as tilt."""
 
     slope_std: float = SLOPE_STD
     """Road slope along and (about its mean) across the vehicle, rms tangent."""
@@ -116,15 +113,8 @@ class EstimatorSettings(MountSettings, frozen=True):
     """Factors on `slope_std` for the tangents across and along the road, where a model says that
     roads are more uneven. The tests for a moved sensor use them.
     """
-    accel_scale_std: float = ACCEL_SCALE_STD
-    """Scale error of each axis of the accelerometer (part).
-
-    In a tilted sensor it acts as a cross-axis error.
-    """
-    gyro_misalignment_std: float = GYRO_MISALIGNMENT_STD
-    """Rotation of the gyroscope's triad against the accelerometer's [rad]."""
     delays: Mapping[str, DelayPrior] = field(
-        default_factory=lambda: {"speed": DelayPrior(0.1, 0.3), "yaw_rate": DelayPrior(0.05, 0.1)}
+        default_factory=lambda: {"speed": DelayPrior(), "yaw_rate": DelayPrior(0.05, 0.1)}
     )
     lever_arm: tuple[float, float, float] = (0.0, 0.0, 0.0)
     """Lever arm of the sensor from the body's centre of rotation, vehicle axes [m], where a model

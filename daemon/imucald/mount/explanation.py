@@ -18,19 +18,19 @@ from imucald.core.arrays import Array
 from imucald.drive import windows as wd
 from imucald.motion.ticks import TICK_S
 from imucald.mount.acceptance import Acceptance
+from imucald.mount.carried_force import CarriedForce
 from imucald.mount.contradictions import WORDS, StandingFault
 from imucald.mount.creep import BELIEVED, Creep
 from imucald.mount.estimate import ANGLES, Gate, Missing, MountState, Progress
 from imucald.mount.estimator_settings import EstimatorSettings
-from imucald.mount.evidence_response import GROUP
 from imucald.mount.force_level import LevelChange
 from imucald.mount.hysteresis import BAD, GOOD
+from imucald.mount.joint.response import SEGMENTS
 from imucald.mount.mount_changes import GoodMount, MountChanges, TakenChange
 from imucald.mount.mount_words import SD_95, VEHICLE_AXES
 from imucald.mount.signal_blocks import BLOCK_S, SignalBlockMaker
 from imucald.mount.signal_checks import SignalChecks
-from imucald.mount.solver import MountSolver
-from imucald.mount.states import NEEDED, MountKnowledge, targets_in_force, waiting_for
+from imucald.mount.states import NEEDED, MountKnowledge, waiting_for
 
 
 def waiting_reasons(
@@ -100,57 +100,67 @@ def mount_troubles(
     }
 
 
-SEGMENTS_PER_H = 3600.0 / (GROUP * BLOCK_S)
+SEGMENTS_PER_H = 3600.0 / (SEGMENTS[0] * BLOCK_S)
 """Road segments in an hour of driving."""
 
 
 def estimate_details(
-    solver: MountSolver,
+    carried: CarriedForce,
     signals: SignalBlockMaker,
     known: MountKnowledge,
     changes: MountChanges,
     checks: SignalChecks,
     steering: tuple[float, float] | None,
     good: GoodMount | None,
+    creep: Creep | None,
 ) -> dict[str, object]:
     """Return the details of an estimate.
 
     steering: zero offset of the steering-wheel angle and its deviation [rad], if known. good: the
     mount that is good now.
     """
-    fused, bias, counts = solver.fused, solver.bias, signals.health.counts
+    counts = signals.health.counts
     return {
-        "evidence_share": {} if fused is None else fused.shares,
+        "evidence_share": _shares_of(carried.variances),
         "evidence_std_deg": {
-            name: math.degrees(math.sqrt(source.variance))
-            for name, source in solver.sources.items()
+            name: math.degrees(math.sqrt(variance)) for name, variance in carried.variances.items()
         },
-        "accel_bias": [] if bias is None else bias.tolist(),
+        "accel_bias": carried.bias.tolist(),
         "gyro_bias": signals.offsets.gyro_bias.tolist(),
         "yaw_rate_offset": signals.offsets.yaw_rate,
         "steering_offset": None if steering is None else steering[0],
         "steering_offset_std": None if steering is None else steering[1],
-        "speed_delay": solver.delay_speed.value,
-        "speed_delay_std": solver.delay_speed.std,
-        "gain_dvdt": solver.gains()[0],
-        "gain_turn": solver.gains()[1],
+        "speed_delay": carried.delay.value,
+        "speed_delay_std": carried.delay.std,
+        "gain_dvdt": carried.gains[0],
+        "gain_turn": carried.gains[1],
         "launches_and_brakings": known.straight,
         "left_turns": known.lefts,
         "right_turns": known.rights,
         "stops": known.stops,
-        "distance": solver.gravity.metres,
+        "distance": carried.gravity.metres,
         "shifts": [
             change_details(one, turn)
             for one, turn in zip(changes.history, changes.turns(good), strict=True)
         ],
-        "creep": creep_details(solver.creep),
-        "cross_axis_std": solver.cross_axis_std,
+        "creep": creep_details(creep),
         "faults": [{"t": block * BLOCK_S, "fault": fault.value} for block, fault in checks.history],
         "not_checked": list(checks.not_checked),
         "frozen_ticks": {
             signal: {fault.value: n for (of, fault), n in counts.items() if of == signal}
             for signal in dict.fromkeys(of for of, _ in counts)
         },
+    }
+
+
+def _shares_of(variances: Mapping[str, float]) -> dict[str, dict[str, float]]:
+    """Return the share of each kind of evidence in the information about its angle."""
+    found: dict[str, dict[str, float]] = {}
+    for name, variance in variances.items():
+        found.setdefault(name.partition("_")[0], {})[name] = 1.0 / variance
+    return {
+        angle: {name: known / math.fsum(of.values()) for name, known in of.items()}
+        for angle, of in found.items()
     }
 
 
@@ -229,16 +239,13 @@ class ProgressWatch:
         self,
         t: float,
         known: MountKnowledge,
-        state: MountState,
         settings: EstimatorSettings,
         acceptance: Acceptance,
     ) -> None:
-        """Take the knowledge after a block that ended at t [s]. state: the state reported for
-        it.
-        """
+        """Take the knowledge after a block that ended at t [s]."""
         shares: dict[MountState, Shares] = {
             goal: {
-                **_of_angles(known, state, settings, goal),
+                **_of_angles(known, settings, goal),
                 **acceptance.shares(goal is MountState.FINE),
             }
             for goal in GOALS
@@ -279,17 +286,17 @@ class ProgressWatch:
 
 
 def _of_angles(
-    known: MountKnowledge, state: MountState, settings: EstimatorSettings, goal: MountState
+    known: MountKnowledge, settings: EstimatorSettings, goal: MountState
 ) -> dict[str, float]:
     limits = settings.limits
     if goal is MountState.FINE:
         tilt, yaw = limits.fine_tilt, limits.fine_yaw
     else:
-        tilt, yaw = limits.usable_tilt, targets_in_force(known, state, settings).usable[2]
+        tilt, yaw = limits.usable_tilt, limits.usable_yaw
     shares = {
         axis: min((limit / std) ** 2, 1.0) if std else 1.0
         for axis, limit, std in zip(VEHICLE_AXES, (tilt, tilt, yaw), known.std, strict=True)
     }
-    if known.straight < NEEDED:
+    if math.isinf(known.cross_talk[0]) and known.straight < NEEDED:
         shares["launches and brakings"] = known.straight / NEEDED
     return shares

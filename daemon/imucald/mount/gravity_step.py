@@ -44,17 +44,11 @@ Until then, a step is found only while the rotation is good, and must be large.
 YOUNG_SIZE = 8.0 * SPREAD_PRIOR
 """Smallest step [m/s^2] until then. The step must also exceed `LIMIT` times the prior's spread."""
 LIMIT = 7.5
-"""A single step must exceed this many spreads; smaller steps count together with other evidence
-(`shift`).
-"""
+"""A step must exceed this many spreads."""
 OTHER_AXIS = 0.25
 """Share of the other axis in the squared spread: a road that is rough along is also rough
 across.
 """
-HISTORY_BLOCKS = 96
-"""Blocks that are remembered (10 min), because road segments may have pauses between them."""
-AROUND = 6
-"""A road segment begins with a window of the three blocks before it and may show a change late."""
 MIN_SIZE = 0.15
 """Smallest step [m/s^2]: 0.9 deg."""
 
@@ -72,39 +66,6 @@ _SIGNS = np.array([1.0, -1.0])
 _PRIOR = 1.0 / (4.0 * SPREAD_PRIOR) ** 2
 
 
-class GravityStepHistory:
-    """Size of a step in spreads at each of the last blocks, in roll and in pitch, in both
-    directions.
-    """
-
-    def __init__(self) -> None:
-        self.both = np.zeros((HISTORY_BLOCKS, 2, 2))
-        """Axes: age; roll, pitch; largest, smallest."""
-
-    def go_on(self) -> None:
-        """Move on by one block."""
-        self.both[1:] = self.both[:-1].copy()
-        self.both[0] = 0.0
-
-    def add(self, spreads: Array) -> None:
-        """Take the present sizes of steps in spreads, from `FIRST_AGE` blocks ago on (ages, 2)."""
-        part = self.both[FIRST_AGE - 1 : FIRST_AGE - 1 + len(spreads)]
-        np.maximum(part[:, :, 0], spreads, out=part[:, :, 0])
-        np.minimum(part[:, :, 1], spreads, out=part[:, :, 1])
-
-    def near(self, ages: list[int]) -> Array:
-        """Return the largest and the smallest (n, roll and pitch, 2) around each of these ages in
-        blocks.
-        """
-        newest = np.maximum(np.array(ages, dtype=np.int64) - 1 - AROUND, 0)
-        oldest = np.minimum(np.array(ages, dtype=np.int64) - 2 + AROUND, HISTORY_BLOCKS - 1)
-        places = newest[:, None] + np.arange(2 * AROUND)
-        part = self.both[np.minimum(places, oldest[:, None])]  # the oldest may come twice
-        found = np.stack([part[..., 0].max(axis=1), part[..., 1].min(axis=1)], axis=2)
-        found[newest > oldest] = 0.0
-        return found
-
-
 class GravityStepDetector:
     """Fits of d for the beginnings of the last blocks, renewed block by block."""
 
@@ -116,7 +77,6 @@ class GravityStepDetector:
         self._walked = np.zeros((3, 3))
         self._blocks = 0
         self._seen = 0
-        self.history = GravityStepHistory()
 
     def start_from(self, other: GravityStepDetector) -> None:
         """Begin with the usual spread that another detector has learnt, but without its
@@ -128,7 +88,6 @@ class GravityStepDetector:
     def restart(self) -> None:
         """Restart because the vertical starts again: no candidate may be older."""
         self._blocks = 0
-        self.history = GravityStepHistory()
 
     def follow_walk(self, walked: Array) -> None:
         """Take the covariance (3, 3) [rad^2] of the vertical's random walk until the pull removes
@@ -164,7 +123,6 @@ class GravityStepDetector:
         is_good: the rotation is served as good. A young rotation that is still wrong leaves motion
         in the force. Only the drive's own spread then tells such motion from a step.
         """
-        self.history.go_on()
         ages = min(self._blocks, AGES)
         if ages == 0:
             return None
@@ -172,18 +130,17 @@ class GravityStepDetector:
         part = 1.0 / min(SPREAD_WEIGHT + self._seen, SPREAD_MEMORY)
         is_young = self._seen < SETTLED
         least = YOUNG_SIZE if is_young else MIN_SIZE
-        found = self._largest(R_vehicle_from_sensor, ages, part, least, not is_young)
+        found = self._largest(R_vehicle_from_sensor, ages, part, least)
         if found is None or (is_young and not is_good) or abs(found[3]) < LIMIT:
             return None
         age, axis, turned, spreads = found
         return GravityStep(axis, turned / GRAVITY, spreads, age + 1)
 
     def _largest(
-        self, R: Matrix3, ages: int, part: float, least: float, is_kept: bool
+        self, R: Matrix3, ages: int, part: float, least: float
     ) -> tuple[int, int, float, float] | None:
         """Return age, axis, size [m/s^2] and deviations of the most significant step among those
-        larger than `least`, or None. part: share of the usual spread that is learnt now. is_kept:
-        all steps go to the history.
+        larger than `least`, or None. part: share of the usual spread that is learnt now.
         """
         walked = np.zeros(2)
         if self._walked.any():  # a turn about y moves gravity ahead, one about x aside
@@ -203,8 +160,6 @@ class GravityStepDetector:
         # Gravity seen to the left means that the sensor rolled to the right about x; gravity ahead
         # means a rotation about -y.
         turned, spreads = size[:, ::-1] * _SIGNS, deviations[:, ::-1] * _SIGNS
-        if is_kept:
-            self.history.add(spreads[FIRST_AGE - 1 :])
         large = np.abs(spreads) * (np.abs(turned) > least)
         large[: FIRST_AGE - 1] = 0.0
         k, axis = divmod(int(large.argmax()), 2)

@@ -1,13 +1,13 @@
 """Detect a large rotation of the sensor. The test runs in every block, from the first minutes on.
 
-`shift` finds small changes, once enough road has been driven to know what is usual. A rotation by
-several degrees shows in single blocks. Such a rotation shows in the direction of gravity without
-the motion, in the direction in which the force responds to dv/dt and v r, and in any rotation while
-the vehicle stands. Each block of the last minutes is tried as the time of a change: the mean before
-is compared with the mean after (a generalised likelihood ratio test; Basseville and Nikiforov,
-Detection of Abrupt Changes, 1993, ch. 2.4). The road's slope is a Gauss-Markov process over the
-distance driven, as in `evidence_gravity`. `block_sums` gives the yaw that a block shows. The spread
-of both starts at a prior and is learnt.
+`joint.moves` finds small changes, once enough road has been driven to know what is usual. A
+rotation by several degrees shows in single blocks. Such a rotation shows in the direction of
+gravity without the motion, in the direction in which the force responds to dv/dt and v r, and in
+any rotation while the vehicle stands. Each block of the last minutes is tried as the time of a
+change: the mean before is compared with the mean after (a generalised likelihood ratio test;
+Basseville and Nikiforov, Detection of Abrupt Changes, 1993, ch. 2.4). The road's slope is a Gauss-
+Markov process over the distance driven, as in `evidence_gravity`. `block_sums` gives the yaw that a
+block shows. The spread of both starts at a prior and is learnt.
 
 `TurnedAlone` detects a sensor that turns about the vertical while the vehicle does not.
 
@@ -150,7 +150,7 @@ For a normal variable 6 are 2e-9, two-sided. This is one false alarm in 3,000 h,
 hour and a dozen tries each, of which two or three are independent.
 """
 MIN_SIZE = (math.radians(6.0), math.radians(6.0), math.radians(2.5))
-"""Smaller changes are left to `shift` [rad].
+"""Smaller changes are left to `joint.moves` [rad].
 
 Only on mountain roads (10 %) does the mean slope of half a minute differ this much from that of the
 minutes before.

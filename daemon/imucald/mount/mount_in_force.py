@@ -10,7 +10,6 @@ from imucald.mount.hysteresis import BAD, GOOD
 from imucald.mount.joint.known import KnownSensor
 from imucald.mount.mount_words import doubt_words
 from imucald.mount.restored import KnowsSensor, Phase, RestoredEstimator, StoredMount
-from imucald.mount.saved_information import SavedInformation, SavesInformation
 
 
 def mount_in_force(estimator: MountEstimator) -> StoredMount | None:
@@ -28,14 +27,12 @@ def mount_in_force(estimator: MountEstimator) -> StoredMount | None:
     if C is None or not np.isfinite(C).all():
         return None
     state = estimator.state if estimator.state in GOOD else MountState.USABLE
-    evidence = saved_information(estimator)
     doubt = doubt_of(estimator)
     return StoredMount(
         correction.matrix(),
         0.5 * (C + C.T),
         state,
         is_doubted,
-        evidence,
         doubt=doubt,
         applied=None if correction.is_rotation else correction,
         sent=known.deviations,
@@ -53,13 +50,6 @@ def doubt_of(estimator: MountEstimator) -> str:
     if not found and isinstance(estimator, RestoredEstimator) and estimator.phase is Phase.DOUBTED:
         return estimator.stored.doubt
     return found
-
-
-def saved_information(estimator: MountEstimator) -> SavedInformation | None:
-    """Return the information from which an estimator can continue later, if it stores any."""
-    if isinstance(estimator, RestoredEstimator | SavesInformation):
-        return estimator.saved_information()
-    return None
 
 
 def known_sensor(estimator: MountEstimator) -> KnownSensor | None:

@@ -5,10 +5,8 @@ estimator inside restarts, so its results are new evidence. If it agrees, the st
 confirmed and stays in use until the new one is as certain. If it contradicts, the stored rotation
 becomes *suspect* until the new one can be used, and then changes slowly to the new one.
 
-The stored evidence is joined with the new evidence only when the new evidence agrees by itself. The
-result is then at once as certain as before. Both are compared all the time. A sensor may have been
-moved by too little for the first agreement to show it. The comparison finds the move once the new
-evidence is certain enough, and the stored evidence is then dropped again.
+What an earlier drive found of the sensor itself is prior information of the new evidence
+(`joint.known`), so a known sensor is found again soon.
 
 A *held* mount stays: the drive may confirm or contradict it, but does not change it.
 """
@@ -42,7 +40,6 @@ from imucald.mount.hysteresis import BAD, GOOD
 from imucald.mount.joint.known import KnownSensor
 from imucald.mount.mount_words import contradicted_words
 from imucald.mount.off_vertical_limit import PlumbLine
-from imucald.mount.saved_information import SavedInformation, SavesInformation
 from imucald.mount.slewing import SlewedCorrection
 
 COMPARE_TICKS = 10
@@ -74,18 +71,16 @@ class StoredMount(Struct, frozen=True):
     """Result of an earlier drive.
 
     R_vehicle_from_sensor: (3, 3). covariance: (3, 3) [rad^2], as in `MountEstimate`. state: the
-    state it had, USABLE or FINE. doubted: it was suspect when it was stored. evidence: the evidence
-    behind it, where the estimator keeps it. is_given: a person stated it. doubt: why it was
-    suspect, in words, where that is known. applied: correction that was applied with it, where it
-    is more than the rotation. sent: deviations that this correction left in the samples. sensor:
-    knowledge about the sensor itself, where the estimator finds it.
+    state it had, USABLE or FINE. doubted: it was suspect when it was stored. is_given: a person
+    stated it. doubt: why it was suspect, in words, where that is known. applied: correction that
+    was applied with it, where it is more than the rotation. sent: deviations that this correction
+    left in the samples. sensor: knowledge about the sensor itself, where the estimator finds it.
     """
 
     R_vehicle_from_sensor: Matrix3
     covariance: NDArray[np.float64]
     state: MountState = MountState.USABLE
     doubted: bool = False
-    evidence: SavedInformation | None = None
     is_given: bool = False
     doubt: str = ""
     applied: Correction | None = None
@@ -115,10 +110,13 @@ class KnowsSensor(Protocol):
         """Knowledge about the sensor itself, independent of the mount."""
         ...
 
-    def as_before(self) -> float | None:
-        """Probability that sensor and mount are those of the earlier drive; None: no earlier drive
-        was taken.
-        """
+    @property
+    def contradiction(self) -> float | None:
+        """Chi-square (3) of the mount against that of the earlier drive; None: none is compared."""
+        ...
+
+    def leave_mount(self) -> None:
+        """Use the knowledge of the sensor for another mount: it was moved since."""
         ...
 
     def take_known_sensor(self, known: KnownSensor, is_moved: bool) -> None:
@@ -176,9 +174,6 @@ class RestoredEstimator:
         """Result of the last comparison, as a chi-square with 3 degrees of freedom."""
         self._turned: float | None = None  # of the drive's own mount against it, contradicted [rad]
         self._contradicted: Contradicted | None = None
-        self.joined = False
-        """True if the stored evidence is joined with the new."""
-        self._has_left = False
         if stored.is_given and isinstance(inner, TakesStatedMount):
             inner.take_stated_mount(stored.R_vehicle_from_sensor)
         if stored.sensor is not None and isinstance(inner, KnowsSensor):
@@ -204,7 +199,7 @@ class RestoredEstimator:
     def state(self) -> MountState:
         """RESTORED until the new evidence decides, then the state from that evidence."""
         if self.phase is Phase.NEW:
-            return MountState.SUSPECT if self._doubtful() else self.inner.state
+            return MountState.SUSPECT if self._is_contradicted_inside else self.inner.state
         if self.phase is Phase.RESTORED:
             return MountState.RESTORED
         if self.phase is Phase.DOUBTED:
@@ -232,7 +227,7 @@ class RestoredEstimator:
             if self._plumb_line.is_off:
                 self.phase = Phase.DOUBTED
         self._ticks += 1
-        if self._ticks % COMPARE_TICKS == 0 and (self.joined or self.phase is not Phase.NEW):
+        if self._ticks % COMPARE_TICKS == 0:
             self._compare()
             self._remember_contradiction()
 
@@ -282,14 +277,6 @@ class RestoredEstimator:
         words = dict.fromkeys(ANGLES, contradicted_words(turned))
         return replace(served, waiting_for=words, missing=dict.fromkeys(ANGLES, Missing.OTHER))
 
-    def saved_information(self) -> SavedInformation | None:
-        """Return the information of the estimate in use."""
-        if self.joined or not self.serves_stored:
-            return (
-                self.inner.saved_information() if isinstance(self.inner, SavesInformation) else None
-            )
-        return self.stored.evidence
-
     def known_sensor(self) -> KnownSensor | None:
         """Knowledge about the sensor itself."""
         if self.is_held or self.phase in (Phase.RESTORED, Phase.DOUBTED):
@@ -302,7 +289,6 @@ class RestoredEstimator:
             "phase": str(self.phase),
             "turned_deg": turned,
             "chi_square": self.distance,
-            "evidence_joined": self.joined,
             "held": self.is_held,
             "given": self.stored.is_given,
             "doubt": self.stored.doubt,
@@ -325,12 +311,14 @@ class RestoredEstimator:
             turned = since.turned if self._turned is None else self._turned
             self._contradicted = Contradicted(since.t, turned)
 
-    def _doubtful(self) -> bool:
-        return self.joined and self._contradictions >= DOUBTS
+    @property
+    def _is_contradicted_inside(self) -> bool:
+        """True if the drive's own mount still contains a stored one that is contradicted."""
+        return self._contradictions >= DOUBTS and self._contradiction is not None
 
     def _compare(self) -> None:
-        """Compare the new evidence with the stored."""
-        distance = self._joined_distance() if self.joined else self._distance()
+        """Compare the new evidence with the stored mount, and decide which one is used."""
+        distance = self._distance()
         if distance is None:
             return
         self.distance = distance
@@ -338,43 +326,33 @@ class RestoredEstimator:
             self._contradictions += 1
         elif distance < AGREEMENT:
             self._contradictions = 0
-        if self.joined and self._contradictions >= CONTRADICTIONS:
-            self._leave()
+        if self._contradictions >= CONTRADICTIONS and isinstance(self.inner, KnowsSensor):
+            self.inner.leave_mount()
         if self.phase is not Phase.NEW:
             self._judge()
 
     def _distance(self) -> float | None:
         """Return the chi-square of the new estimate against the stored one."""
+        if self.phase is Phase.NEW:
+            return self._contradiction
         new = self.inner.estimate()
         if new.R_vehicle_from_sensor is None or new.covariance is None:
             return None
         e = vector_from_rotation(new.R_vehicle_from_sensor @ self.stored.R_vehicle_from_sensor.T)
         distance = float(e @ np.linalg.solve(new.covariance + self._prior, e))
-        distance = max(distance, self._distance_of_sensor())
+        distance = max(distance, self._contradiction or 0.0)
         e[np.diag(new.covariance) > CLEAR_STD**2] = 0.0
         self._turned = math.sqrt(float(e @ e)) if distance > CONTRADICTION else None
         return distance
 
-    def _distance_of_sensor(self) -> float:
-        """Return the comparison, as a chi-square, by an estimator that knows the sensor.
+    @property
+    def _contradiction(self) -> float | None:
+        """Chi-square (3) by an estimator that knows the sensor.
 
         Both rotations depend on the same knowledge of the sensor, so they seem closer than they
         are. The estimator knows their common part.
         """
-        before = self.inner.as_before() if isinstance(self.inner, KnowsSensor) else None
-        if before is None:
-            return 0.0
-        decades = -math.log10(max(before, 1e-12)) - 2.0  # beyond 1 %, the level of AGREEMENT
-        return max(AGREEMENT + decades * (CONTRADICTION - AGREEMENT), 0.0)
-
-    def _joined_distance(self) -> float | None:
-        """Return the chi-square between the new and the stored evidence, which the estimator keeps
-        apart.
-        """
-        found = self.inner.contradiction if isinstance(self.inner, SavesInformation) else None
-        if found is None:  # the inner estimator dropped the stored evidence: the sensor was moved
-            self.joined, self._has_left = False, True
-        return found
+        return self.inner.contradiction if isinstance(self.inner, KnowsSensor) else None
 
     def _judge(self) -> None:
         """Decide which mount is used from now on."""
@@ -383,7 +361,6 @@ class RestoredEstimator:
             return
         if usable and self.distance < AGREEMENT and not self._plumb_line.is_off:
             self.phase = Phase.CONFIRMED
-            self._join()
         if self.inner.state in BAD or self._contradictions >= DOUBTS:
             self.phase = Phase.DOUBTED
         if not usable or self.is_held:
@@ -393,22 +370,6 @@ class RestoredEstimator:
         over = self._contradictions >= CONTRADICTIONS
         if over or (self.phase is Phase.CONFIRMED and certain):
             self.phase = Phase.HANDING_OVER
-
-    def _join(self) -> None:
-        """Join the stored evidence, because the new evidence agrees by itself.
-
-        Evidence that was dropped before is never joined again.
-        """
-        kept = None if self._has_left or self.is_held else self.stored.evidence
-        if kept is not None and not self.joined and isinstance(self.inner, SavesInformation):
-            self.inner.join_information(kept)
-            self.joined = self.inner.contradiction is not None
-
-    def _leave(self) -> None:
-        """Drop the stored evidence, because it contradicts the new evidence after all."""
-        if isinstance(self.inner, SavesInformation):
-            self.inner.drop_information()
-        self.joined, self._has_left = False, True
 
     def _follow(self) -> None:
         """Turn towards the new estimate until it is reached."""

@@ -13,7 +13,6 @@ from collections.abc import Mapping
 
 import numpy as np
 from msgspec import Struct, field
-from msgspec.structs import replace
 from numpy.typing import NDArray
 
 from imucald.core.arrays import Array
@@ -101,11 +100,6 @@ class SignalBlock(Struct):
     # `gyro_walk`.
     least_speed: float = 0.0  # up to so much the vehicle may creep while its speed is zero [m/s]
     speed_knots: Array | None = None  # (K,) when the speed is known [ticks since the block began]
-
-    def with_gyro_bias(self, gyro_bias: Array) -> SignalBlock:
-        """Return the same block with another gyro bias [rad/s] (3,)."""
-        rate = self.rate + (self.gyro_bias - gyro_bias)
-        return replace(self, rate=rate, ok_rate=self.had_rate, gyro_bias=gyro_bias)
 
 
 class MountSoFar(Struct, frozen=True):

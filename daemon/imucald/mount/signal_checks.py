@@ -12,11 +12,11 @@ from collections.abc import Sequence
 
 from imucald.core.rotations import Matrix3
 from imucald.mount.alternatives import Alternatives
+from imucald.mount.carried_force import CarriedForce
 from imucald.mount.contradictions import Contradictions, StandingFault
 from imucald.mount.estimator_settings import EstimatorSettings
 from imucald.mount.log_ratios import TO_BE_FINE, TO_BE_GOOD
 from imucald.mount.signal_blocks import SignalBlock, SignalBlockMaker
-from imucald.mount.solver import MountSolver
 from imucald.mount.stated_orientation import Stated
 
 STUCK_BLOCKS = 40
@@ -59,37 +59,39 @@ class SignalChecks:
     def add(
         self,
         p: SignalBlock,
-        solver: MountSolver,
+        carried: CarriedForce,
         signals: SignalBlockMaker,
         kept: Sequence[SignalBlock],
+        fits_no_sensor: bool = False,
     ) -> bool:
         """Take a block; return whether the rotation must be searched again, from this block on.
 
-        solver: has already taken the block. signals: the maker of the block. kept: the last blocks.
+        carried: has already taken the block. signals: the maker of the block. kept: the last
+        blocks. fits_no_sensor: the evidence contradicts itself, for whatever rotation.
         """
         if signals.without_speed:
             self.standing = ()
-            self._alternatives.add_without_speed(p, solver.R, signals.seen)
             return False
-        R, offset = solver.R if solver.yaw_known else None, signals.steering_offset
+        R, offset = carried.R, signals.steering_offset
         self._contradictions.add(
             p,
-            solver.turn_rate,
-            solver.own_gyro,
+            carried.turn_rate,
+            carried.own_gyro,
             R,
             offset,
             "yaw_rate" in signals.seen,
-            solver.delay_speed.value if solver.delay_speed.is_known else None,
+            carried.delay.value if carried.delay.is_known else None,
         )
-        self._alternatives.add(kept, R, solver.bias, solver.gains(), signals.seen, offset)
+        self._alternatives.add(kept, R, carried.bias, carried.gains, signals.seen, offset)
         before = tuple(f for f in self.standing if f not in OF_NO_PAIR)
         self.standing = self._contradictions.faults
-        if self._alternatives.gyro_accused and (solver.sure() or StandingFault.GYRO_AXES in before):
+        is_sure = carried.is_sure or fits_no_sensor or StandingFault.GYRO_AXES in before
+        if self._alternatives.gyro_accused and is_sure:
             self.accuse(StandingFault.GYRO_AXES)
         new = [fault for fault in self.standing if fault not in before]
         self.history += [(signals.blocks, fault) for fault in new]
         has_ended = bool(before) and not self.standing and FOUND_ANEW.isdisjoint(before)
-        is_stuck = bool(self.standing) and solver.blocks >= STUCK_BLOCKS
+        is_stuck = bool(self.standing) and carried.blocks >= STUCK_BLOCKS
         return bool(new) or has_ended or is_stuck
 
     @property
@@ -105,14 +107,14 @@ class SignalChecks:
         if fault not in self.standing:
             self.standing = (*self.standing, fault)
 
-    def hold_against_orientation(self, solver: MountSolver, block: int) -> None:
-        """Set a fault if the sensor is found to sit the other way round than stated."""
-        if solver.R is None:
-            return
-        stated = self._alternatives.contradicted_orientation(solver.R, solver.yaw_known)
-        if stated is None:
-            return
-        self.accuse_lasting(AGAINST_A_PERSON[stated], block)
+    def hold_against_orientation(self, R: Matrix3, is_yaw_known: bool, block: int) -> None:
+        """Set a fault if the sensor is found to sit the other way round than stated.
+
+        R: R_vehicle_from_sensor (3, 3).
+        """
+        stated = self._alternatives.contradicted_orientation(R, is_yaw_known)
+        if stated is not None:
+            self.accuse_lasting(AGAINST_A_PERSON[stated], block)
 
     def accuse_lasting(self, fault: StandingFault, block: int) -> None:
         """Set a fault that is found outside this class in each block. block: its number."""

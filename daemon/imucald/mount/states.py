@@ -1,4 +1,4 @@
-"""States of the full estimator with their hysteresis, and the missing evidence of each angle.
+"""States of the joint estimator with their hysteresis, and the missing evidence of each angle.
 
 `Manoeuvres` counts the manoeuvres so far: launches, brakings, turns to either side.
 """
@@ -9,14 +9,13 @@ import math
 
 import numpy as np
 from msgspec import Struct
-from msgspec.structs import replace
 from numpy.typing import NDArray
 
 from imucald.core.arrays import Array
 from imucald.mount.alternatives import NO_TURNS
-from imucald.mount.estimate import Missing, MountState, Targets
+from imucald.mount.estimate import Missing, MountState
 from imucald.mount.estimator_settings import EstimatorSettings
-from imucald.mount.hysteresis import GOOD, SLACK, Level, best_level
+from imucald.mount.hysteresis import BAD, GOOD, SLACK, Level, best_level
 from imucald.mount.mount_words import SD_95, UNKNOWN_STD_DEG, VEHICLE_AXES
 
 HARD_ACCEL = 1.0
@@ -80,36 +79,30 @@ class Manoeuvres:
         return int(self._state[3, _COUNT])
 
 
-YOUNG_SLACK = 2.0
-"""`SLACK` of a young *usable* state without past drives, which is based on six pieces of evidence.
-Their deviation is known to 29 % (1 / sqrt(2 n)), so twice the limit lies 3.5 such errors above the
-limit. Chance does not exceed this. The factor was chosen after a look at the drives of
-`benchmarks.integrity` from 700,000 on, and judged on those from 720,000. With past drives, only a
-contradiction increases a deviation.
-"""
-HIDDEN_SLACK = 2.8
-"""Factor on the limit of *usable* if yaw is limited only by the hidden part of a cross-axis error.
-
-The hidden part of 4 % is 1.6 deg. The size of the hidden part is estimated from the three to five
-other errors that show. A limit selects mounts whose errors seem small. Among the mounts below 2
-deg, a 95 % interval then holds in 87, 89 and 91 % (three, four, five errors that show; Student's
-distribution, cut off). Below 2.8 deg it holds in 93 to 94 %, and without a limit in 95 %.
+WIDE_SLACK = 2.0
+"""`SLACK` of *usable* without a gyroscope: the state rests on few pieces of evidence. The deviation
+of six pieces is known to 29 % (1 / sqrt(2 n)), so twice the limit lies 3.5 such errors above the
+limit.
 """
 NEEDED = 3
-"""Launches or brakings that are needed before yaw can be usable."""
+"""Launches or brakings that a first solution usually needs."""
 NO_SAMPLES = "valid accelerometer samples: none in the last minute (missing, faulty or too slow)"
-LONG_S = 1200.0
-"""Driving time [s] after which the accelerometer may be named as the reason."""
 
 
 class MountKnowledge(Struct, frozen=True):
     """Knowledge by which the states are judged.
 
-    Standard deviations are in rad, roll without the crown.
+    std: deviations of the level zero y and x as tilts, and of the larger cross-talk xy or yx as a
+    yaw [rad]; infinite before a solution. cross_talk: deviations of xy and yx. std_without_drift:
+    `std` if the accelerometer's zero were known not to drift; None: the same. turning: any signal
+    shows turns. has_gyro: the sensor's own gyroscope does. speed_hz: ticks per second with a speed
+    in the last minute.
     """
 
     gravity: bool = False
     std: tuple[float, float, float] = (math.inf, math.inf, math.inf)
+    cross_talk: tuple[float, float] = (math.inf, math.inf)
+    std_without_drift: tuple[float, float, float] | None = None
     straight: int = 0
     lefts: int = 0
     rights: int = 0
@@ -117,27 +110,10 @@ class MountKnowledge(Struct, frozen=True):
     begun: bool = True
     accelerometer: bool = True
     speed: bool = True
-    frozen: bool = False
-    yaw_seen: float = math.inf
-    """Deviation of the best single source of yaw, without the common errors of the sensor."""
-    has_past: bool = False
-    """True if evidence of past drives is included."""
-    cross_axis: float = 0.0
-    """Cross-axis error of the accelerometer that is assumed (part)."""
-    turning: bool = True
-    """True if any signal shows turns."""
     speed_hz: float = 0.0
-    """Ticks per second with a speed in the last minute."""
-    driven_s: float = 0.0
-    """Duration of the evidence [s]."""
-    cross_talk: tuple[float, float] | None = None
-    """Deviations of the remaining cross-talk xy and yx [rad], if these are judged instead of a
-    rotation.
-    """
-    std_without_drift: tuple[float, float, float] | None = None
-    """Value of `std` if the accelerometer's zero were known not to drift; None: the same as
-    `std`.
-    """
+    frozen: bool = False
+    turning: bool = True
+    has_gyro: bool = True
 
 
 def judged(known: MountKnowledge, before: MountState, s: EstimatorSettings) -> MountState:
@@ -145,61 +121,29 @@ def judged(known: MountKnowledge, before: MountState, s: EstimatorSettings) -> M
     if not known.gravity:
         return MountState.WAITING
     roll, pitch, yaw = known.std
-    limits = s.limits
-    enough = known.straight >= NEEDED or before in GOOD
-    slack = SLACK if known.has_past else YOUNG_SLACK
-    usable_yaw = limits.usable_yaw
-    if _is_rest_hidden(known, before, s):  # it ends at 1.4 times its limit, as all states do
-        usable_yaw = targets_in_force(known, before, s).usable[2]
-        usable_yaw *= SLACK / slack if before in GOOD else 1.0
+    limits, slack = s.limits, SLACK if known.has_gyro else WIDE_SLACK
     levels = (
-        Level(MountState.FINE, limits.fine_yaw, limits.fine_tilt, enough, SLACK),
-        Level(MountState.USABLE, usable_yaw, limits.usable_tilt, enough, slack),
+        Level(MountState.FINE, limits.fine_yaw, limits.fine_tilt, True, SLACK),
+        Level(MountState.USABLE, limits.usable_yaw, limits.usable_tilt, True, slack),
     )
     return best_level(levels, before, yaw, max(roll, pitch)) or MountState.LEVELLED
 
 
-def targets_in_force(known: MountKnowledge, before: MountState, s: EstimatorSettings) -> Targets:
-    """Return the present limits of the deviations. before: the reported state."""
-    targets = s.targets
-    if not _is_rest_hidden(known, before, s):
-        return targets
-    x, y, yaw = targets.usable
-    return replace(targets, usable=(x, y, HIDDEN_SLACK * yaw))
-
-
-def _is_rest_hidden(known: MountKnowledge, before: MountState, s: EstimatorSettings) -> bool:
-    """True if only the hidden part of cross-axis errors limits yaw.
-
-    Mounts below the usual limit are then only those whose visible parts of the error are small by
-    chance, while their hidden part is unaffected. The limit would select the mounts that are wrong
-    (records/integrity.md). A user's own limit is kept. A cross-axis error of c (part) turns yaw by
-    up to c rad, so it is compared with the limit. While the state is good, the error may be smaller
-    by `SLACK`: the assumed error decreases during the drive, which is no reason to end the state.
-    """
-    limits = s.limits
-    if s.calibration.states.usable_yaw is not None:
-        return False
-    least = limits.usable_yaw / (SLACK if before in GOOD else 1.0)
-    return known.yaw_seen < limits.fine_yaw < limits.usable_yaw and known.cross_axis > least
-
-
 def reported(
-    found: MountState, has_faults: bool, is_serving: bool, has_moved: bool, is_refitting: bool
+    found: MountState, before: MountState, has_faults: bool, is_serving: bool, has_moved: bool
 ) -> MountState:
     """Return the state to report for the state from the evidence (*usable* or *suspect*, ...).
 
-    has_faults: a contradiction of the estimate stands. is_serving: a rotation is already applied.
-    has_moved: the mount moved and no good rotation was found since. is_refitting: the rotation is
-    being searched again.
+    A moved sensor is *suspect* first. before: the state so far. has_faults: a contradiction of the
+    estimate stands. is_serving: a rotation is already applied. has_moved: the mount moved and no
+    good rotation was found since.
     """
     is_good = found in GOOD
     if has_faults and (is_good or is_serving):
         return MountState.SUSPECT
-    is_recovering = has_moved and (is_refitting or not is_good)
-    if is_recovering and found is MountState.LEVELLED and not is_refitting:
+    if has_moved and found is MountState.LEVELLED and before in BAD:
         return MountState.RECALIBRATING
-    if is_recovering or (is_serving and not is_good):
+    if (has_moved or is_serving) and not is_good:
         return MountState.SUSPECT
     return found
 
@@ -225,14 +169,14 @@ def waiting_for(
     if not known.gravity:
         text = "a standstill, or driving", Missing.STANDSTILL
         out = {"roll": text, "pitch": text}
-    if known.std[2] > goal.yaw or known.straight < NEEDED:
-        out["yaw"] = _yaw_reason(known, goal, s)
+    if known.std[2] > goal.yaw:
+        out["yaw"] = _yaw_reason(known, goal)
     if "roll" in out:
         return out
     if known.std[0] > goal.tilt:
-        out["roll"] = _roll_reason(known, goal)
+        out["roll"] = _level_reason(0, known, goal)
     if known.std[1] > goal.tilt:
-        out["pitch"] = _pitch_reason(known, goal)
+        out["pitch"] = _level_reason(1, known, goal)
     return out
 
 
@@ -256,75 +200,41 @@ def _goal(known: MountKnowledge, before: MountState, s: EstimatorSettings) -> _G
     limits = s.limits
     if before in GOOD:
         return _Goal(MountState.FINE, limits.fine_tilt, limits.fine_yaw)
-    yaw = targets_in_force(known, before, s).usable[2]
-    return _Goal(MountState.USABLE, limits.usable_tilt, yaw)
+    return _Goal(MountState.USABLE, limits.usable_tilt, limits.usable_yaw)
 
 
 def _hard() -> str:
     return f"acceleration or braking above {HARD_ACCEL:g} m/s2"
 
 
-def _yaw_reason(known: MountKnowledge, goal: _Goal, s: EstimatorSettings) -> tuple[str, Missing]:
+def _first_reason(known: MountKnowledge) -> tuple[str, Missing]:
+    """Return what a first solution needs."""
     if not known.speed:
-        if known.std[2] > math.radians(100.0):
-            return "speed, or acceleration from rest or braking", Missing.SPEED
-        rate = f"{known.speed_hz:.2g}/s used in the last minute"
-        return f"more straight acceleration and braking (no usable speed: {rate})", Missing.SPEED
-    if known.straight < NEEDED:
-        text = f"{_hard()} ({known.straight} of {NEEDED} seen)"
-        return text, Missing.ACCELERATION
-    far = goal.far(2, known.std[2])
-    if known.cross_talk is not None:
-        return _cross_talk_reason(known, *known.cross_talk, far)
-    if known.yaw_seen < goal.yaw < known.cross_axis and known.driven_s > LONG_S:
-        return _mixed_axes(known), Missing.OTHER
-    if goal.state is MountState.USABLE:
-        return f"more {_hard()} ({known.straight} seen)", Missing.ACCELERATION
-    return f"more driving{far}", Missing.MORE_DRIVING
+        return "a speed", Missing.SPEED
+    seen = f"{known.straight} and {known.lefts + known.rights} seen"
+    code = Missing.ACCELERATION if known.straight < NEEDED else Missing.TURNS
+    return f"{_hard()}, and bends ({seen})", code
 
 
-def _cross_talk_reason(
-    known: MountKnowledge, xy: float, yx: float, far: str
-) -> tuple[str, Missing]:
+def _yaw_reason(known: MountKnowledge, goal: _Goal) -> tuple[str, Missing]:
     """Return what reduces the larger cross-talk: bends show xy, changes of speed show yx."""
+    xy, yx = known.cross_talk
     if math.isinf(xy):
-        return f"{_hard()}, and bends", Missing.ACCELERATION
+        return _first_reason(known)
+    if not known.speed:
+        return f"a speed ({known.speed_hz:.2g}/s used in the last minute)", Missing.SPEED
+    far = goal.far(2, known.std[2])
     if xy < yx:
         return _hard() + far, Missing.ACCELERATION
     return f"bends{far}" if known.turning else NO_TURNS, Missing.TURNS
 
 
-def _mixed_axes(known: MountKnowledge) -> str:
-    """Return the text about the hidden error of yaw, once more driving has not reduced it."""
-    return (
-        f"more driving; the accelerometer's axes seem {100.0 * known.cross_axis:.1f} % mixed: if "
-        "its data sheet states less, set 'cross_axis' and 'accelerometer_bias'"
-    )
-
-
-def _roll_reason(known: MountKnowledge, goal: _Goal) -> tuple[str, Missing]:
-    if not known.turning:
+def _level_reason(axis: int, known: MountKnowledge, goal: _Goal) -> tuple[str, Missing]:
+    """Return what reduces the level zero along (axis 1) or across (axis 0)."""
+    if axis == 0 and not known.turning:
         return NO_TURNS, Missing.TURNS
-    if known.cross_talk is not None:
-        return _of_level(0, known, goal)
-    if known.lefts == 0 and known.rights == 0:
-        return "turns (none yet)", Missing.TURNS
-    if known.lefts == 0:
-        return "left turns (none yet)", Missing.LEFT_TURN
-    if known.rights == 0:
-        return "right turns (none yet)", Missing.RIGHT_TURN
-    seen = f"{known.lefts} left, {known.rights} right seen"
-    return f"more turns ({seen})", Missing.TURNS
-
-
-def _pitch_reason(known: MountKnowledge, goal: _Goal) -> tuple[str, Missing]:
-    if known.straight < NEEDED:
-        text = f"{_hard()} ({known.straight} of {NEEDED} seen)"
-        return text, Missing.ACCELERATION
-    return _of_level(1, known, goal)
-
-
-def _of_level(axis: int, known: MountKnowledge, goal: _Goal) -> tuple[str, Missing]:
+    if math.isinf(known.cross_talk[0]):
+        return _first_reason(known)
     far, still = goal.far(axis, known.std[axis]), known.std_without_drift
     if still is not None and still[axis] < goal.tilt:
         text = f"bends: they show whether the accelerometer's zero drifts{far}"

@@ -34,8 +34,7 @@ class BlockForces(Struct, frozen=True):
 
     rate: (N, 3) [rad/s]. drift: (3,) drift to subtract from the rate. force, motion: (N, 3)
     [m/s^2]. The motion is the expected part of the force; None while R is not known. bias: (3,) of
-    the accelerometer. use: (N,) ticks at which the vertical is pulled to the force. learn: ticks at
-    which the bias may be learnt.
+    the accelerometer. use: (N,) ticks at which the vertical is pulled to the force.
     """
 
     rate: Array
@@ -45,7 +44,6 @@ class BlockForces(Struct, frozen=True):
     motion: Array | None
     bias: Array
     use: Flags
-    learn: Flags
 
 
 class Carried(Struct, frozen=True):
@@ -53,19 +51,16 @@ class Carried(Struct, frozen=True):
 
     lone: (N, 3) specific force minus gravity along the vertical, and minus the effect of the bias
     [m/s^2]. up: (3,) vertical at the last tick. state: (3, 4) at the end, None if there is none
-    yet. end: (3, 3) remaining effect of the initial state at the end. answer: size of the largest
-    response to a bias. left: (3,) sum of the unexplained force. of_bias: (4, 3) information of a
-    bias and, below it, the score. of_steps: (7, 6) the same for (I - B, remaining effect of the
-    initial state). These are zero if no motion is known.
+    yet. end: (3, 3) remaining effect of the initial state at the end. left: (3,) sum of the
+    unexplained force. of_steps: (7, 6) information of (I - B, remaining effect of the initial
+    state) and, below it, the score. Both are zero if no motion is known.
     """
 
     lone: Array
     up: Array
     state: Array | None
     end: Array
-    answer: float
     left: Array
-    of_bias: Array
     of_steps: Array
 
 
@@ -73,7 +68,7 @@ def carried(p: BlockForces, state: Array | None, count: int, pull: float, weighe
     """Carry the vertical through a block.
 
     state: (3, 4) at its beginning, None before any force. count: ticks that were pulled to the
-    force so far. pull: gain of a tick. weighed: the residuals are also weighted for bias and steps.
+    force so far. pull: gain of a tick. weighed: the residuals are also weighted for steps.
     """
     first = 0
     if state is None and p.use.any():
@@ -92,23 +87,18 @@ def carried(p: BlockForces, state: Array | None, count: int, pull: float, weighe
     answer = _EYE[:, :, None] - states[:, 1:4]  # to a bias
     answered = answer[:, 0] * p.bias[0] + answer[:, 1] * p.bias[1] + answer[:, 2] * p.bias[2]
     lone = (p.force.T - gravity - answered).T
-    largest = float(np.abs(answer).max())
-    left, of_bias, of_steps = np.zeros(3), np.zeros((4, 3)), np.zeros((7, 6))
+    left, of_steps = np.zeros(3), np.zeros((7, 6))
     if p.motion is not None:
-        innovation = force - gravity
-        unexplained = innovation - answered
+        unexplained = force - gravity - answered
         left = unexplained.sum(axis=1)
         if weighed:
             noise2 = FORCE_NOISE * FORCE_NOISE + FORCE_SHARE * FORCE_SHARE * _squares(p.motion.T)
-            weight = p.learn / noise2
-            weight /= np.maximum(np.sqrt(_squares(innovation)) / FORCE_LARGE, 1.0)
-            of_bias = _weighed(answer, innovation, weight)
             weight = (p.use & p.ok_rate) / noise2
             weight /= np.maximum(np.sqrt(_squares(unexplained)) / (2.0 * FORCE_LARGE), 1.0)
             both = np.concatenate([answer, states[:, 4:]], axis=1)
             of_steps = _weighed(both, unexplained, weight)
     up = states[:, 0, -1].copy()
-    return Carried(np.ascontiguousarray(lone), up, state, end, largest, left, of_bias, of_steps)
+    return Carried(np.ascontiguousarray(lone), up, state, end, left, of_steps)
 
 
 def _turned(step: Array) -> Array:

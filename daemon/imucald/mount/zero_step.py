@@ -31,11 +31,10 @@ from msgspec import Struct
 from imucald.core.arrays import Array
 from imucald.motion.ticks import TICK_S
 from imucald.mount.block_sums import BlockSums, masked_sums
+from imucald.mount.carried_force import CarriedForce
 from imucald.mount.estimator_settings import EstimatorSettings
 from imucald.mount.large_change import LEAST_TICKS
-from imucald.mount.shift import UNEVEN_STD
 from imucald.mount.signal_blocks import BLOCK_S, SignalBlock
-from imucald.mount.solver import MountSolver
 
 REMEMBERED = 240
 """Blocks that are remembered (26 min)."""
@@ -53,7 +52,7 @@ TILTED, TILTED_BLOCKS = 0.03, 8.0
 """Change of slope and lean over a block [rad], and the weight of this prior in blocks: two
 independent slopes of `SLOPE_STD`.
 """
-STAYS = math.sqrt(2.0) * UNEVEN_STD["roll_axis"]
+STAYS = math.sqrt(2.0) * 0.007
 """Difference of the axis of turning between two roads [rad]."""
 BELIEVED = math.log(20.0)
 """Log of the ratio of likelihoods at which at most one in twenty is wrong, if both are equally
@@ -134,18 +133,18 @@ class ZeroStep:
         self.cause = GravityMoved.UNKNOWN
         self._judge()
 
-    def add(self, p: SignalBlock, sums: BlockSums, solver: MountSolver) -> None:
+    def add(self, p: SignalBlock, sums: BlockSums, carried: CarriedForce) -> None:
         """Take a block. sums: sums over the ticks that count.
 
-        solver: has a rotation, and has already taken the block.
+        carried: has a rotation, and has already taken the block.
         """
-        assert solver.R is not None
+        assert carried.R is not None
         n = sums.n
         if n < LEAST_TICKS:
             return
-        gains = solver.gains()
+        gains = carried.gains
         ahead, aside = gains[0] * sums.accel / n, gains[1] * sums.turn / n
-        axes = zip(sums.force, *solver.R[:2].tolist(), strict=True)
+        axes = zip(sums.force, *carried.R[:2].tolist(), strict=True)
         row = [force / n - (ahead * x + aside * y) for force, x, y in axes]
         _, *turned = masked_sums(p.rate, p.ok_rate)
         row += [rate * TICK_S for rate in turned]

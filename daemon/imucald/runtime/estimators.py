@@ -10,12 +10,12 @@ import numpy as np
 from msgspec.structs import replace
 
 from imucald.config import Config
-from imucald.config.calibration import CalibrationSettings, KnownMount
+from imucald.config.calibration import KnownMount
 from imucald.config.signals import Signals
 from imucald.core.errors import EstimateError
 from imucald.core.rotations import rotation_from_angles
 from imucald.mount.estimate import BETWEEN_DRIVES_STD, MountEstimator, MountState, Targets
-from imucald.mount.estimator import FullEstimator
+from imucald.mount.estimator import JointEstimator
 from imucald.mount.estimator_settings import DelayPrior, EstimatorSettings
 from imucald.mount.mirror import DOUBTED, SIDED, probability
 from imucald.mount.stated_orientation import StatedOrientation
@@ -55,23 +55,22 @@ def learning_estimator(
     """Return the estimator that finds the mount of a configuration, with the knowledge of its
     model.
 
+    Without a speed this is method A: the joint estimator compares the force with the change of
+    speed.
+
     stated: keys of `vehicle` in the file, which no model overrules.
     """
-    if config.calibration.estimator == "published":
+    if config.uses_method_a:
         from imucald.mount.method_a.estimator import PublishedEstimator  # noqa: PLC0415 - few use it
 
         published = published_settings(config)
         if compensation is not None:
             published = compensation.published_settings(published, stated)
         return PublishedEstimator(published)
-    full = full_settings(config)
+    settings = joint_settings(config)
     if compensation is not None:
-        full = compensation.full_settings(full, stated)
-    if config.calibration.estimator == "joint":
-        from imucald.mount.joint.estimator import JointEstimator, JointSettings  # noqa: PLC0415
-
-        return JointEstimator(JointSettings.of(full))
-    return FullEstimator(full)
+        settings = compensation.joint_settings(settings, stated)
+    return JointEstimator(settings)
 
 
 FINEST_STATED = math.radians(0.01)
@@ -105,10 +104,11 @@ def known_mount(mount: KnownMount, targets: Targets | None) -> StoredMount:
     return StoredMount(R, np.diag(std**2), state, is_given=True)
 
 
-def against_orientation(mount: KnownMount | None, calibration: CalibrationSettings) -> str | None:
+def against_orientation(mount: KnownMount | None, config: Config) -> str | None:
     """Return, in words, the contradiction between a stated mount and `orientation`; None: none."""
-    if mount is None or calibration.estimator == "published":  # that does not read `orientation`
+    if mount is None or config.uses_method_a:  # that does not read `orientation`
         return None
+    calibration = config.calibration
     R = rotation_from_angles(mount.roll, mount.pitch, mount.yaw)
     key = StatedOrientation(calibration.orientation).contradicted(R, yaw_known=True)
     if key is None:
@@ -149,8 +149,8 @@ def _are_sides_turned(signals: Signals) -> bool:
     return any(turned.get(name) for name in SIDED) and probability(turned) >= DOUBTED
 
 
-def full_settings(config: Config) -> EstimatorSettings:
-    """Return the settings of the full estimator."""
+def joint_settings(config: Config) -> EstimatorSettings:
+    """Return the settings of the joint estimator."""
     settings = EstimatorSettings(
         config.calibration,
         config.vehicle,

@@ -118,8 +118,7 @@ class MountOrders:
     def set_mount(self, mount: KnownMount, who: str) -> str:
         """Use a known mount. Raises OrderError if it is too vague."""
         self._refuse_where_configured()
-        calibration = self._service.loaded.config.calibration
-        if (text := against_orientation(mount, calibration)) is not None:
+        if (text := against_orientation(mount, self._service.loaded.config)) is not None:
             raise OrderError(f"this mount {text}")
         learning = self._learning()
         try:

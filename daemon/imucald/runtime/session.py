@@ -54,7 +54,7 @@ def make_engine(
     router = compile_router(loaded)
     output = OutputFrames(config)
     _refuse_shared_ids(loaded, output, router)
-    if (text := against_orientation(config.calibration.mount, config.calibration)) is not None:
+    if (text := against_orientation(config.calibration.mount, config)) is not None:
         raise loaded.error(("calibration", "mount"), text)
     compensation = open_compensation(loaded)
     stated = loaded.keys_in("vehicle")

@@ -22,11 +22,9 @@ from imucald.mount.mount_in_force import (
     doubt_of,
     known_sensor,
     mount_in_force,
-    saved_information,
     without_stored,
 )
 from imucald.mount.restored import RestoredEstimator, StoredMount
-from imucald.mount.saved_information import SavedInformation, saved_from
 from imucald.runtime.summary import plain
 from imucald.service.background_writer import Say, StateWriter
 from imucald.service.journal import INFO, NOTICE, WARNING
@@ -49,10 +47,8 @@ BACK_AFTER_START = (
 """Text for a reset that the disk does not take."""
 
 _OFFSETS = ("accel_bias", "gyro_bias", "yaw_rate_offset", "steering_offset", "speed_delay")
-SUMS = "sums"
-"""Key of the sums in a saved state's evidence; an estimator continues from them."""
 SENSOR = "sensor"
-"""Key of the knowledge about the sensor itself in that evidence."""
+"""Key of the knowledge about the sensor itself in a saved state's evidence."""
 _EVIDENCE: tuple[str, ...] = (
     "evidence_std_deg",
     "evidence_share",
@@ -137,7 +133,7 @@ class CalibrationStore:
             )
             return estimator
         try:
-            stored = stored_mount(saved, self._evidence(saved), self._sensor(saved))
+            stored = stored_mount(saved, self._sensor(saved))
             restored = RestoredEstimator(without_stored(estimator), stored, saved.held)
         except Exception as error:  # whatever a file holds: without it the start goes on
             problem = f"it cannot be used ({type(error).__name__}: {error})"
@@ -151,17 +147,6 @@ class CalibrationStore:
         text += f" ({saved.doubt})" if saved.doubted and saved.doubt else ""
         self._say(text + (", held: nothing is learnt" if saved.held else ""), NOTICE)
         return restored
-
-    def _evidence(self, saved: SavedState) -> SavedInformation | None:
-        """Return the sums in the evidence; without them the mount can still be used."""
-        sums = saved.evidence.get(SUMS)
-        if sums is None:
-            return None
-        try:
-            return saved_from(sums)
-        except EstimateError as error:
-            self._say(f"saved state: {error}; the mount is used without it", WARNING)
-            return None
 
     def _sensor(self, saved: SavedState) -> KnownSensor | None:
         """Return the saved data of the sensor itself; without them the mount can still be used."""
@@ -335,10 +320,8 @@ class CalibrationStore:
         }
 
 
-def stored_mount(
-    saved: SavedState, evidence: SavedInformation | None, sensor: KnownSensor | None = None
-) -> StoredMount:
-    """Return a saved state as the estimator takes it, with its sums and its sensor."""
+def stored_mount(saved: SavedState, sensor: KnownSensor | None = None) -> StoredMount:
+    """Return a saved state as the estimator takes it, with its sensor."""
     R = np.array(saved.rotation).reshape(3, 3)
     applied = None if sensor is None or saved.given else sensor.correction(R)
     return StoredMount(
@@ -346,7 +329,6 @@ def stored_mount(
         np.array(saved.covariance).reshape(3, 3),
         MountState[saved.state.upper()],
         saved.doubted,
-        evidence,
         saved.given,
         saved.doubt,
         applied,
@@ -367,8 +349,7 @@ def saved_state(
     stored: the mount to save, if it is not the estimate's. A held mount is saved as it was at the
     beginning of the hold, so it does not become less certain.
     """
-    estimate, sums = estimator.estimate(), saved_information(estimator)
-    sensor = known_sensor(estimator)
+    estimate, sensor = estimator.estimate(), known_sensor(estimator)
     in_front = estimator if isinstance(estimator, RestoredEstimator) else None
     is_held = in_front is not None and in_front.is_held
     stored = mount_in_force(estimator) if is_held else stored
@@ -393,7 +374,6 @@ def saved_state(
         shifts=tuple(shifts),
         evidence={
             **{k: plain(details[k], None) for k in _EVIDENCE if k in details},
-            **({} if sums is None else {SUMS: sums.plain()}),
             **({} if sensor is None else {SENSOR: sensor.plain()}),
         },
     )

@@ -19,7 +19,7 @@ from msgspec import Struct
 from imucald.can.link.link import Link, LinkEvent
 from imucald.config import LoadedConfig
 from imucald.mount.estimate import MountEstimator
-from imucald.mount.estimator import FullEstimator
+from imucald.mount.estimator import JointEstimator
 from imucald.mount.mount_in_force import mount_in_force, without_stored
 from imucald.mount.restored import RestoredEstimator
 from imucald.runtime.consumer import ChecksSensors
@@ -321,7 +321,11 @@ def take_usual_signals(old: Engine, estimator: MountEstimator, new: Engine) -> N
     A signal that has been stuck since before the reload would never show its usual duration.
     """
     former, made = without_stored(old.pipeline.estimator), without_stored(estimator)
-    if made is not former and isinstance(former, FullEstimator) and isinstance(made, FullEstimator):
+    if (
+        made is not former
+        and isinstance(former, JointEstimator)
+        and isinstance(made, JointEstimator)
+    ):
         made.take_usual_signals(former, new.router.same_sources(old.router))
 
 

@@ -44,7 +44,7 @@ VERSION = 2
 READABLE = (1, 2)
 """Versions that can be read.
 
-Version 1 had no sums in its evidence; it is read as a state without sums.
+Version 1 had no sums of evidence; those of version 2 are not used any more.
 """
 MAX_BYTES = 1 << 20
 """A longer file is not a state file."""
@@ -89,7 +89,7 @@ class SavedState:
     clock [s], for people only. driven_s: driving time behind it [s]. offsets: offsets of sensors
     and signals, SI. shifts: history of remounts, newest last. evidence: the evidence behind the
     estimate, for people. Its keys "sums" and "sensor" hold what the estimator continues from
-    (`mount.saved_information`, `mount.joint.known`). held: nothing was learnt. given: a person
+    (`mount.joint.known`). held: nothing was learnt. given: a person
     stated the mount. doubt: reason why it was suspect, in words.
     """
 

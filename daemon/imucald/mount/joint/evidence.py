@@ -8,7 +8,7 @@ ticks (Gauss-Newton).
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from typing import Any, Final, NamedTuple
 
 import numpy as np
@@ -20,6 +20,7 @@ from imucald.core.arrays import Array, inverse, solved
 from imucald.core.rotations import (
     Matrix3,
     levelling_rotation,
+    orthonormalised,
     rotation_from_angles,
     rotation_from_vector,
 )
@@ -29,11 +30,13 @@ from imucald.drive.speed_knots import known_times, means_between
 from imucald.drive.vertical import CarriedVertical
 from imucald.motion.standstill import DRIVING_SPEED
 from imucald.motion.ticks import TICK_S
+from imucald.mount.creep import Creep, SegmentSeries, creep
 from imucald.mount.estimate import SentDeviations
+from imucald.mount.estimator_settings import DelayPrior
 from imucald.mount.even_signals import BLOCK_TICKS
 from imucald.mount.joint.drift import NONE as NO_DRIFT
 from imucald.mount.joint.drift import Drift, Drifts, ZeroDrift
-from imucald.mount.joint.fusion import LinearMeasurement, any_sensor, fuse
+from imucald.mount.joint.fusion import LinearMeasurement, any_sensor, contradiction, fuse
 from imucald.mount.joint.known import AS_BEFORE, PROBABLY_OTHER, KnownSensor
 from imucald.mount.joint.moves import ROAD_TAIL, SPANS, EntryChange, Move, likeliest_move
 from imucald.mount.joint.response import PRIOR_SEGMENTS, SEGMENTS
@@ -45,6 +48,7 @@ from imucald.mount.joint.state import (
     OFF,
     PHI,
     SLOPE_M,
+    TURN,
     UNKNOWNS,
     ZERO,
     OtherSignals,
@@ -82,7 +86,10 @@ MOST_LEFT = 0.01
 """Windows are made again when the axes have moved by this angle [rad] since."""
 MOST_LATE = 0.03
 """Windows are made again when the speed's delay has changed by this time [s]."""
-DELAYS: Final = np.arange(MIN_SPEED_DELAY, MAX_SPEED_DELAY + 0.001, 0.02)
+DELAY_STEP = 0.02
+DELAYS: Final = np.arange(MIN_SPEED_DELAY, MAX_SPEED_DELAY + 0.001, DELAY_STEP)
+REACH = 4.0
+"""A delay is searched within this many deviations of its prior."""
 FOLLOWS = 0.8
 """A band is used if the gain of the force on dv/dt is at least this share of the slow bands'
 gain."""
@@ -144,10 +151,23 @@ LEAST_BEFORE = 24
 ALL_BANDS: Final = np.ones(wd.BANDS, dtype=bool)
 
 
+ANSWERS: Final = {
+    "yaw_turn": (0, 1, False),
+    "yaw_dvdt": (1, 0, False),
+    "pitch_dvdt": (2, 0, False),
+    "roll_turn": (2, 1, False),
+    "pitch_axis": (0, 2, True),
+    "roll_axis": (1, 2, True),
+}
+"""Answers to motion that show an angle: axis, motion, and whether the rate answers."""
+LEVELS: Final = ("pitch_gravity", "roll_gravity")
+"""Angles that the level force along and across shows."""
 ALL_SIGNALS: Final = OtherSignals()
+ANY_DELAY: Final = DelayPrior()
 LEVEL: Final = np.array([0.0, 0.0, 1.0])
 """The vertical without a gyroscope: level."""
 NO_ZERO: Final = np.zeros(3)
+NO_ARM: Final = (0.0, 0.0, 0.0)
 NO_AXES: Final = np.eye(3), np.eye(3), NO_ZERO
 MIDDLES: Final = np.linspace(0.5, BLOCK_TICKS - 0.5, BLOCK_TICKS)
 """Middles of the ticks of a block: times at which a speed is known if every tick has a mean
@@ -184,7 +204,8 @@ class Solution(NamedTuple):
     remaining errors. delay: delay of the speed [s]. unfinished: angle by which the axes have just
     moved [rad]. housing: R_vehicle_from_sensor (3, 3). turn: rotation of the gyroscope about z
     against the accelerometer [rad]. same: probability that sensor and mount have not changed since
-    the last drive.
+    the last drive. contradiction: chi-square (3) of the mount against that of the last drive; None:
+    none is compared.
     """
 
     force: Matrix3
@@ -196,6 +217,7 @@ class Solution(NamedTuple):
     housing: Matrix3
     turn: float
     same: float
+    contradiction: float | None
 
     @property
     def is_of_sensors(self) -> bool:
@@ -232,10 +254,13 @@ class Evidence:
         is_moved: bool = False,
         past: Drift | None = None,
         signals: OtherSignals = ALL_SIGNALS,
+        late: DelayPrior = ANY_DELAY,
+        lever_arm: tuple[float, float, float] = NO_ARM,
     ) -> None:
         """known: earlier knowledge of the sensor. is_moved: the sensor was moved since.
 
-        past: an earlier drift, in sensor axes.
+        past: an earlier drift, in sensor axes. late: prior of the delay of the speed. lever_arm:
+        of the sensor from the body's centre of rotation, vehicle axes [m], as far as it is known.
         """
         self.signals = signals
         self._past = past
@@ -246,7 +271,12 @@ class Evidence:
         self._breaks: set[int] = {0}
         self._axes: Axes | None = None
         self._taken = np.zeros(UNKNOWNS)
-        self.delay = 0.0
+        self._late, self._lever_arm = late, np.array(lever_arm)
+        self.delay, self.delay_std = late.mean, math.inf
+        self.gains = (1.0, 1.0)
+        """Gains of the force on dv/dt and v r."""
+        self.variances: Mapping[str, float] = {}
+        """Variance of the angle that each kind of evidence shows alone [rad^2]."""
         self._bands = np.ones(wd.BANDS, dtype=bool)
         self.solution: Solution | None = None
         self._due = 0
@@ -276,6 +306,23 @@ class Evidence:
         if self._axes is None:
             return self._past or NO_DRIFT
         return drift.turned(inverse(self._axes[0]))
+
+    @property
+    def rotation(self) -> Matrix3 | None:
+        """R_vehicle_from_sensor (3, 3) of the force, roughly; None before anything shows it."""
+        return None if self._axes is None else orthonormalised(self._axes[0])
+
+    @property
+    def segment(self) -> int:
+        """Number of whole road segments of driving."""
+        return len(self._sums) // SEGMENTS[0]
+
+    @property
+    def bias(self) -> Array:
+        """Zero of the accelerometer in sensor axes (3,) [m/s^2], as found so far."""
+        if self.solution is None:
+            return NO_ZERO
+        return inverse(self.solution.force) @ self.solution.zero
 
     @property
     def blocks(self) -> int:
@@ -409,6 +456,10 @@ class Evidence:
             rate[:, 0] = ROLLS * np.gradient(speed * rate[:, 2], TICK_S)
             rate[:, 1] = -PITCHES * np.gradient(accel, TICK_S)
         motion = np.column_stack([accel, speed * rate[:, 2], -speed * rate[:, 1]])
+        if self._lever_arm.any():
+            turning = np.gradient(rate, TICK_S, axis=0)
+            force -= np.cross(turning, self._lever_arm)
+            force -= np.cross(rate, np.cross(rate, self._lever_arm))
         return force, rate, speed, accel, motion
 
     def _take(self, first: int, stop: int) -> None:
@@ -586,8 +637,15 @@ class Evidence:
         grid = DELAYS - self.delay
         noise = self._sums.force.noise[0]
         fit = (np.exp(-1j * np.outer(grid, wd.OMEGA)) @ (cross / noise[wd.BAND])).real
+        fit[np.abs(DELAYS - self._late.mean) > REACH * self._late.std] = -math.inf
         best = float(grid[np.argmax(fit)])
         answer = (np.exp(-1j * best * wd.OMEGA) * cross).real
+        shifted = np.exp(-1j * best * wd.OMEGA) * cross / noise[wd.BAND]
+        known = np.maximum(shifted.real, 0.0)  # what is left of the phase is an error of the delay
+        spread = float(known @ np.square(np.angle(shifted))) / max(
+            float(known @ np.square(wd.OMEGA)), 1e-9
+        )
+        self.delay_std = min(math.sqrt(spread), self._late.std)
         gain = np.bincount(wd.BAND, answer) / np.bincount(wd.BAND, power)
         follows = gain >= FOLLOWS * np.median(gain[:3])
         until = max(int(np.argmax(np.r_[~follows, True])), 3)
@@ -603,6 +661,7 @@ class Evidence:
         answers = self._sums.force.respond(self._bands)
         h = answers.value
         gain = np.maximum(np.diag(h[:2]), 0.3)
+        self.gains = float(gain[0]), float(gain[1])
         measured = []
         for i, (places, rows) in enumerate(self._answer_rows()):
             C = answers.covariance[i][np.ix_(places, places)]
@@ -621,13 +680,27 @@ class Evidence:
                 C[1, 1] += priors.turning[1] ** 2 + priors.slope**2 / answers.segments[2, 1]
             scale = gain[places]
             measured.append(LinearMeasurement(rows, value / scale, C / np.outer(scale, scale)))
-        measured += self._level_measured()
+        self.variances = found = {
+            name: float(measured[i].covariance[k, k])
+            for name, (i, j, is_rate) in ANSWERS.items()
+            if not is_rate
+            for k in [[p for p in range(2) if p != i].index(j)]
+        }
+        level = self._level_measured()
+        measured += level
+        found |= {k: float(m.covariance[0, 0]) for k, m in zip(LEVELS, level, strict=True)}
         if has_gyro:
-            measured += self._turning_measured()
-            measured.append(self._vertical_measured())
-        theta, covariance, shares = fuse(self._hypotheses(), measured, self._taken)
-        same = float(shares[AS_BEFORE]) if self.compares_with_before else 0.0
-        return self._applied(theta, covariance, same)
+            turning = self._turning_measured()
+            axes = zip(("pitch_axis", "roll_axis"), turning, strict=True)
+            found |= {k: float(m.covariance[0, 0]) for k, m in axes}
+            measured += [*turning, self._vertical_measured()]
+        hypotheses = self._hypotheses()
+        theta, covariance, shares = fuse(hypotheses, measured, self._taken)
+        same, against = 0.0, None
+        if self.compares_with_before:
+            same = float(shares[AS_BEFORE])
+            against = contradiction(hypotheses[AS_BEFORE], measured, self._taken)
+        return self._applied(theta, covariance, same, against)
 
     def _answer_rows(self) -> Iterator[tuple[list[int], Array]]:
         """Return the responses to dv/dt and v r that each axis of the force should not have.
@@ -644,13 +717,17 @@ class Evidence:
                 rows[1] += rate_entry(1, 2)
             yield places, rows
 
+    @property
+    def _has_fitted(self) -> bool:
+        return self.solution is not None and self._sums.has_fitted(self.signals.gyro)
+
     def move(self) -> Move | None:
         """Return the most likely rotation of the sensor in the last minutes.
 
-        Returns None if too little is known or no gyroscope carries the vertical.
+        Returns None if too little is known.
         """
         spans = SPANS[len(self._sums) - LEAST_BEFORE >= SPANS]
-        if self.solution is None or not self._sums.has_fitted or not len(spans):
+        if not self._has_fitted or not len(spans):
             return None
         self._extend()
         began = self._sums.began(spans)
@@ -662,17 +739,61 @@ class Evidence:
         windows.
         """
         priors = self._priors
-        more = {(0, 1): priors.sideslip**2, (2, 0): priors.pitching**2}
         size, variance = self._sums.force.changes(spans)
         for i, (places, rows) in enumerate(self._answer_rows()):
             for j, row in zip(places, rows, strict=True):
-                floor = priors.floor**2 + more.get((i, j), 0.0)
-                yield EntryChange(row[PHI], size[i, :, j], variance[i, :, j] + floor)
+                own = variance[i, :, j] + self._left_out(i, j)
+                yield EntryChange(row[PHI], size[i, :, j], own)
+        if not self.signals.gyro:
+            return
         size, variance = self._sums.turning.changes(spans)
         for i in range(2):
             roads = priors.turning[i] ** 2 + priors.slope**2 * SEGMENTS[0] / spans
             own = variance[i, :, 0] + roads
             yield EntryChange(rate_entry(i, 2)[PHI], size[i, :, 0], own, ROAD_TAIL)
+
+    def creep(self, chance: float, shifts: int) -> Creep | None:
+        """Test whether the mount creeps; see `creep.creep`. None: too little evidence."""
+        if not self._has_fitted:
+            return None
+        return creep(self._series(), chance, shifts)
+
+    def _series(self) -> list[SegmentSeries]:
+        """Return the evidence about the rotation from the working axes, by road segment."""
+        made = []
+        fits = {False: self._sums.force.by_segment()}
+        if self.signals.gyro:
+            fits[True] = self._sums.turning.by_segment()
+        for name, (i, j, is_rate) in ANSWERS.items():
+            if is_rate not in fits:
+                continue
+            scores, known = (part[i, :, 0 if is_rate else j] for part in fits[is_rate])
+            part = 1.0 / (1.0 + known * self._left_out(i, j, is_rate))
+            score = -TURN[i, j][1] * part * scores  # the axes turn against the answer
+            made.append(SegmentSeries(name, score, part * known, self.variances[name]))
+        return made + self._level_series()
+
+    def _left_out(self, i: int, j: int, is_rate: bool = False) -> float:
+        """Return the variance of an answer from effects that the equations leave out."""
+        priors = self._priors
+        if is_rate:
+            return priors.turning[i] ** 2
+        more = {(0, 1): priors.sideslip, (2, 0): priors.pitching}
+        return priors.floor**2 + more.get((i, j), 0.0) ** 2
+
+    def _level_series(self) -> list[SegmentSeries]:
+        """Return the evidence of the level force, by the same road segments."""
+        ends = self._sums.ends()
+        levels = self._levels[: ends[-1] + 1, :4] / [GRAVITY, GRAVITY, 1.0, 1.0]
+        starts = np.concatenate([[0], ends[:-1] + 1])
+        along, across, weight, metres = np.add.reduceat(levels, starts).T
+        known = (1.0 + metres / SLOPE_M) / self._priors.slope**2 * (weight > 0.0)
+        made = []
+        for i, (name, level) in enumerate(zip(LEVELS, (along, across), strict=True)):
+            angle = -TURN[i, 2][1] * level / np.maximum(weight, 1e-9)
+            left = known * (angle - float(known @ angle) / float(known.sum()))
+            made.append(SegmentSeries(name, left, known, self.variances[name]))
+        return made
 
     def _levels_changed(self, began: NDArray[np.int_]) -> Iterator[EntryChange]:
         """Return the change of the level force from each of these blocks on."""
@@ -729,7 +850,9 @@ class Evidence:
         rows = np.array([rate_entry(i, 2) - zero_row(i) for i in range(2)])
         return LinearMeasurement(rows, value, covariance + self._priors.bent**2 * np.eye(2))
 
-    def _applied(self, theta: Array, covariance: Array, same: float) -> Solution:
+    def _applied(
+        self, theta: Array, covariance: Array, same: float, against: float | None
+    ) -> Solution:
         """Correct the working axes by the remaining errors that were found."""
         assert self._axes is not None
         W, V, zero = self._axes
@@ -743,7 +866,7 @@ class Evidence:
             self._taken[3:13] += theta[3:13]
         return Solution(
             solved(E, W), solved(C, V), solved(E, zero + shift),
-            covariance, self.delay, moved, turned.T @ self._rotation, turn, same,
+            covariance, self.delay, moved, turned.T @ self._rotation, turn, same, against,
         )  # fmt: skip
 
 

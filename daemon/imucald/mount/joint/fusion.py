@@ -9,7 +9,17 @@ import numpy as np
 
 from imucald.core.arrays import Array
 from imucald.core.samples import GRAVITY
-from imucald.mount.joint.state import CROSS, CROWN, EPS, FREE, UNKNOWNS, ZERO, Priors, WeightedPrior
+from imucald.mount.joint.state import (
+    CROSS,
+    CROWN,
+    EPS,
+    FREE,
+    PHI,
+    UNKNOWNS,
+    ZERO,
+    Priors,
+    WeightedPrior,
+)
 
 
 class LinearMeasurement(NamedTuple):
@@ -28,14 +38,7 @@ def fuse(
 
     The result is the mean over all hypotheses, weighted by their probabilities given the data.
     """
-    rows = np.vstack([m.rows for m in measured])
-    values = np.concatenate([m.values for m in measured]) + rows @ taken
-    noise = np.zeros((len(values), len(values)))
-    at = 0
-    for m in measured:
-        stop = at + len(m.values)
-        noise[at:stop, at:stop] = m.covariance
-        at = stop
+    rows, values, noise = _stacked(measured, taken)
     found = [_fused(h, rows, values, noise) for h in hypotheses]
     log = np.array([f[2] for f in found]) + np.log([h.chance for h in hypotheses])
     share = np.exp(log - log.max())
@@ -46,6 +49,26 @@ def fuse(
         off = value - mean
         covariance += part * (own + np.outer(off, off))
     return mean - taken, covariance, share
+
+
+def contradiction(
+    before: WeightedPrior, measured: Sequence[LinearMeasurement], taken: Array
+) -> float:
+    """Return the chi-square (3) of the rotation that the data show against that of `before`.
+
+    Both depend on the same terms of the sensor. The rotation is therefore left free, and compared
+    with the one that `before` expects for the terms that are found.
+    """
+    P, terms = before.covariance, np.arange(PHI.stop, UNKNOWNS)
+    free = P.copy()
+    free[PHI], free[:, PHI] = 0.0, 0.0
+    free[PHI, PHI] = FREE**2 * np.eye(3)
+    mean, covariance, _ = _fused(before._replace(covariance=free), *_stacked(measured, taken))
+    answer = np.linalg.solve(P[np.ix_(terms, terms)], P[terms, PHI]).T
+    against = np.concatenate([np.eye(3), -answer], axis=1)
+    off = against @ (mean - before.mean)
+    spread = against @ covariance @ against.T + P[PHI, PHI] - answer @ P[terms, PHI]
+    return float(off @ np.linalg.solve(spread, off))
 
 
 def any_sensor(priors: Priors, chance: float = 1.0) -> list[WeightedPrior]:
@@ -60,6 +83,19 @@ def any_sensor(priors: Priors, chance: float = 1.0) -> list[WeightedPrior]:
         std[CROWN] = np.sqrt(priors.crown_variance)
         made.append(WeightedPrior(np.zeros(UNKNOWNS), np.diag(std**2), chance * part))
     return made
+
+
+def _stacked(measured: Sequence[LinearMeasurement], taken: Array) -> tuple[Array, Array, Array]:
+    """Return rows, values and covariance of all measurements about the unknowns before `taken`."""
+    rows = np.vstack([m.rows for m in measured])
+    values = np.concatenate([m.values for m in measured]) + rows @ taken
+    noise = np.zeros((len(values), len(values)))
+    at = 0
+    for m in measured:
+        stop = at + len(m.values)
+        noise[at:stop, at:stop] = m.covariance
+        at = stop
+    return rows, values, noise
 
 
 def _fused(

@@ -160,6 +160,22 @@ class FitSums:
             grow[:, k] = np.maximum(grow[:, k], grown(ratio, whole[k, None]))
         return grow
 
+    def by_segment(self) -> tuple[Array, Array]:
+        """Return the residual scores (F, S, keep) of the coefficients in each road segment, and
+        their informations, with the weights and noise of the last fit.
+        """
+        last, keep, pack = self._last, self._fits.keep, self._packing
+        assert last is not None
+        trust = trust_of_last(self._rows, self._old, last, last.noise, pack)
+        weight = (2.0 / OVERLAP) * trust[:, :, None] / last.noise[:, None]
+        segment = segments_of(self._old, self._rows.shape[1])
+        starts = np.flatnonzero(np.diff(segment, prepend=-1))
+        rows = (weight[:, :, None] @ self._rows)[:, :, 0]
+        G = pack.matrices(np.add.reduceat(rows, starts, axis=1))
+        scores = (G[:, :, 1 : 1 + keep] @ last.vector[:, None, :, None])[..., 0]
+        known = np.diagonal(G[:, :, 1 : 1 + keep, 1 : 1 + keep], axis1=2, axis2=3)
+        return scores, known
+
     def respond(self, bands: NDArray[np.bool_]) -> Responses:
         """Return the fits on all windows. bands: bands that count."""
         _, usual, spread, keep = self._fits
@@ -179,10 +195,9 @@ class WindowSums:
     def __len__(self) -> int:
         return len(self._power)
 
-    @property
-    def has_fitted(self) -> bool:
-        """True if a fit used these windows, or most of them."""
-        return all(fit.has_fitted for fit in self._fits)
+    def has_fitted(self, with_turning: bool) -> bool:
+        """True if a fit used these windows, or most of them. with_turning: that of the rate too."""
+        return self.force.has_fitted and (self.turning.has_fitted or not with_turning)
 
     def restart(self) -> None:
         """Forget all windows."""
@@ -219,6 +234,12 @@ class WindowSums:
     def began(self, spans: NDArray[np.int_]) -> NDArray[np.int_]:
         """Return the first block (S,) of the last windows, for each number of windows (S,)."""
         return np.asarray(self._blocks[len(self._blocks) - spans] - (wd.WINDOW // wd.BLOCK - 1))
+
+    def ends(self) -> NDArray[np.int_]:
+        """Return the last block of each road segment (S,)."""
+        length = SEGMENTS[0]
+        last = np.arange(length - 1, len(self._blocks) + length - 1, length)
+        return self._blocks[np.minimum(last, len(self._blocks) - 1)]
 
     @property
     def followed(self) -> tuple[Complex, Array]:

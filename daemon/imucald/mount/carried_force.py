@@ -1,0 +1,164 @@
+"""Force without gravity and the turn rate of each block, with the rotation that is known so far.
+
+The tests for faults and for a moved sensor compare these with the motion that the vehicle's signals
+show.
+"""
+
+from __future__ import annotations
+
+import math
+import operator
+from collections.abc import Mapping
+from typing import NamedTuple
+
+import numpy as np
+
+from imucald.config.base import MAX_SPEED_DELAY
+from imucald.core.arrays import Array
+from imucald.core.rotations import Matrix3, levelling_rotation, rotation_from_vector
+from imucald.core.samples import GRAVITY
+from imucald.motion.ticks import TICK_S
+from imucald.mount.block_sums import BlockMotion
+from imucald.mount.estimator_settings import EstimatorSettings
+from imucald.mount.evidence_gravity import ROAD_SHARE, GravityEvidence
+from imucald.mount.gravity_observer import GravityObserver
+from imucald.mount.gravity_step import GravityStep
+from imucald.mount.joint.evidence import DELAY_STEP, Evidence
+from imucald.mount.signal_blocks import BLOCK_TICKS, SignalBlock
+
+KNOWN_STD = 0.2
+"""Deviation below which a delay counts as known [s]: dv/dt of a manoeuvre of some seconds then
+correlates.
+"""
+SURE = 0.035
+"""Deviation of the cross-talk below which little of the motion remains in the force."""
+NO_SOURCES: Mapping[str, float] = {}
+
+
+class Delay(NamedTuple):
+    """Delay of the speed against the force and its deviation [s]."""
+
+    value: float = 0.0
+    std: float = math.inf
+
+    @property
+    def is_known(self) -> bool:
+        """True if the delay is known well enough to compare the shifted speed with the force."""
+        return self.std < KNOWN_STD and not self.is_beyond
+
+    @property
+    def is_beyond(self) -> bool:
+        """True if the best delay is the largest searched delay: the true delay may be larger."""
+        return math.isfinite(self.std) and self.value >= MAX_SPEED_DELAY - DELAY_STEP
+
+
+class CarriedForce:
+    """The vertical carried through all blocks since the sensor was moved, and what is known so far.
+
+    R: (3, 3) rotation from the sensor to axes whose z is the mean vertical of the roads driven, so
+    it still contains the crown; None before anything shows it. gains: of the force on dv/dt and v
+    r. bias: zero of the accelerometer in sensor axes [m/s^2]. is_sure: cross-talk is known well
+    enough to compare gravity with the motion left out. lone: (N, 3) force of the last block without
+    gravity, sensor axes. turn_rate: (N,) of the last block [rad/s]. own_gyro: whether it is the
+    sensor's own gyroscope's.
+    """
+
+    def __init__(self, settings: EstimatorSettings) -> None:
+        self._settings = settings
+        self.vertical = GravityObserver()
+        self.gravity = GravityEvidence()
+        self.own_gyro = True
+        self.turn_rate: Array = np.zeros(BLOCK_TICKS)
+        self.lone: Array = np.zeros((BLOCK_TICKS, 3))
+        self.R: Matrix3 | None = None
+        self.delay, self.gains, self.bias = Delay(), (1.0, 1.0), np.zeros(3)
+        self.is_sure = False
+        self.variances = NO_SOURCES
+        """Variance of the angle that each kind of evidence shows alone [rad^2]."""
+        self.blocks = 0
+        self._motion_of: tuple[object, ...] = (None,) * 3
+        self._motion: BlockMotion
+
+    def start_from(self, other: CarriedForce) -> None:
+        """Begin with the rotation, gains, zero and delay of another one."""
+        self.R, self.gains, self.bias, self.delay = other.R, other.gains, other.bias, other.delay
+        self.vertical.steps.start_from(other.vertical.steps)
+
+    def gap(self) -> None:
+        """Note a jump of time."""
+        self.vertical.restart()
+
+    def follow(self, evidence: Evidence) -> bool:
+        """Take what the evidence shows now; return whether it is the first rotation."""
+        rotation, solution = evidence.rotation, evidence.solution
+        if rotation is None:
+            return False
+        is_first = self.R is None
+        self.R = rotation_from_vector([self._settings.crown, 0.0, 0.0]) @ rotation
+        self.delay = Delay(evidence.delay, evidence.delay_std)
+        self.gains, self.bias, self.variances = evidence.gains, evidence.bias, evidence.variances
+        if solution is not None:
+            sent = solution.sent()
+            self.is_sure = max(sent.xy, sent.yx) < SURE
+        return is_first
+
+    def add(self, p: SignalBlock) -> tuple[Array, Array]:
+        """Take a block; return dv/dt and v r (N,), zero if they are not trusted."""
+        self.blocks += 1
+        R = self.R
+        r = self._turn_rate(p, self.vertical.up)
+        turn = p.speed * r
+        motion = None
+        if R is not None:
+            planned = np.zeros((BLOCK_TICKS, 3))
+            planned[:, 0] = self.gains[0] * p.accel * p.ok_speed
+            planned[:, 1] = self.gains[1] * turn * p.ok_speed
+            motion = planned @ R
+        self.lone = self.vertical.advance(p, motion, self.bias, self.is_sure)
+        self.gravity.add(p, turn)
+        self.turn_rate = r
+        use = p.learn & p.ok_speed
+        return p.accel * use, turn * use
+
+    def motion(self, p: SignalBlock, R: Matrix3) -> BlockMotion:
+        """Return the motion of the block that was taken last, in axes of R."""
+        made_of = self.lone, R, self.gains
+        if any(map(operator.is_not, made_of, self._motion_of)):  # it is asked for twice a block
+            self._motion_of = made_of
+            turn = self.gains[1] * p.speed * self.turn_rate
+            force, ahead = self.lone @ R.T, self.gains[0] * p.accel
+            knots = None if p.speed_knots is None else p.speed_knots - self.delay.value / TICK_S
+            self._motion = BlockMotion(force, ahead, turn, self.turn_rate, *self.delay, knots)
+        return self._motion
+
+    def _turn_rate(self, p: SignalBlock, up: Array | None) -> Array:
+        if up is not None and np.count_nonzero(p.ok_rate) > 0.5 * len(p.ok_rate):
+            self.own_gyro = True
+            return np.asarray(p.rate @ up)
+        self.own_gyro = False
+        return p.yaw_rate * p.ok_yaw
+
+    def step(self, is_good: bool) -> GravityStep | None:
+        """Return a step in gravity in the last minute that the gyroscope did not see.
+
+        This is called for every block.
+
+        is_good: R is served as good.
+        """
+        if self.R is None or not self.is_sure or not self.own_gyro:
+            return None
+        return self.vertical.steps.found(self.R, is_good)
+
+    def levelled(self, zero_std: float) -> tuple[Matrix3, Array] | None:
+        """Return the rotation that gravity alone shows, and its variances about x and y; None
+        before any gravity.
+
+        zero_std: deviation of the accelerometer's zero [m/s^2].
+        """
+        if not self.gravity.known:
+            return None
+        s = self._settings
+        level = levelling_rotation(self.gravity.mean_force())
+        slope = self.gravity.variance(s.slope_std, s.slope_length)
+        variance = ROAD_SHARE * slope + (zero_std / GRAVITY) ** 2
+        return rotation_from_vector([-s.crown, 0.0, 0.0]) @ level, variance
