@@ -1,7 +1,7 @@
 """Rows of a simulated fleet with their truth: no logs, what `fleet run` would have written.
 
 200 vehicles in 5 types, 5 drives each; errors of drives as records/mount-accuracy.md has them
-(full estimator, 5 to 40 min), with heavier tails than normal; body from drive to drive as
+(full estimator of then, 5 to 40 min), with heavier tails than normal; body from drive to drive as
 `mount.estimate.BETWEEN_DRIVES_STD`; one road crown for all. Numbers that nobody has published are
 said where they stand.
 """

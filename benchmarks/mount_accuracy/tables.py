@@ -75,7 +75,7 @@ def force_table(found: dict[str, list[Trace]], times: Sequence[float]) -> list[s
 
 
 def bars(runs: list[Trace], times: Sequence[float]) -> list[str]:
-    """The bars on the full estimator's errors, and what carried each angle."""
+    """The bars on the joint estimator's errors, and what carried each angle."""
     lines = [""]
     last = max(times)
 

@@ -1,4 +1,4 @@
-"""The full estimator on simulated drives, whose truth it does not know."""
+"""The joint estimator on simulated drives, whose truth it does not know."""
 
 from __future__ import annotations
 

@@ -13,7 +13,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from imucald.config.base import MAX_SPEED_DELAY
 from imucald.core.arrays import Array
 from imucald.core.rotations import Matrix3, levelling_rotation, rotation_from_vector
 from imucald.core.samples import GRAVITY
@@ -23,7 +22,7 @@ from imucald.mount.estimator_settings import EstimatorSettings
 from imucald.mount.evidence_gravity import ROAD_SHARE, GravityEvidence
 from imucald.mount.gravity_observer import GravityObserver
 from imucald.mount.gravity_step import GravityStep
-from imucald.mount.joint.evidence import DELAY_STEP, Evidence
+from imucald.mount.joint.evidence import Evidence
 from imucald.mount.signal_blocks import BLOCK_TICKS, SignalBlock
 
 KNOWN_STD = 0.2
@@ -36,20 +35,19 @@ NO_SOURCES: Mapping[str, float] = {}
 
 
 class Delay(NamedTuple):
-    """Delay of the speed against the force and its deviation [s]."""
+    """Delay of the speed against the force and its deviation [s].
+
+    is_beyond: the best delay is the largest searched delay, so the true delay may be larger.
+    """
 
     value: float = 0.0
     std: float = math.inf
+    is_beyond: bool = False
 
     @property
     def is_known(self) -> bool:
         """True if the delay is known well enough to compare the shifted speed with the force."""
         return self.std < KNOWN_STD and not self.is_beyond
-
-    @property
-    def is_beyond(self) -> bool:
-        """True if the best delay is the largest searched delay: the true delay may be larger."""
-        return math.isfinite(self.std) and self.value >= MAX_SPEED_DELAY - DELAY_STEP
 
 
 class CarriedForce:
@@ -94,8 +92,10 @@ class CarriedForce:
         if rotation is None:
             return False
         is_first = self.R is None
-        self.R = rotation_from_vector([self._settings.crown, 0.0, 0.0]) @ rotation
-        self.delay = Delay(evidence.delay, evidence.delay_std)
+        R = rotation_from_vector([self._settings.crown, 0.0, 0.0]) @ rotation
+        if self.R is None or not np.array_equal(R, self.R):
+            self.R = R
+        self.delay = Delay(evidence.delay, evidence.delay_std, evidence.is_delay_beyond)
         self.gains, self.bias, self.variances = evidence.gains, evidence.bias, evidence.variances
         if solution is not None:
             sent = solution.sent()
@@ -128,7 +128,7 @@ class CarriedForce:
             turn = self.gains[1] * p.speed * self.turn_rate
             force, ahead = self.lone @ R.T, self.gains[0] * p.accel
             knots = None if p.speed_knots is None else p.speed_knots - self.delay.value / TICK_S
-            self._motion = BlockMotion(force, ahead, turn, self.turn_rate, *self.delay, knots)
+            self._motion = BlockMotion(force, ahead, turn, self.turn_rate, *self.delay[:2], knots)
         return self._motion
 
     def _turn_rate(self, p: SignalBlock, up: Array | None) -> Array:

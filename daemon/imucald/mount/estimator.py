@@ -15,8 +15,8 @@ with a flag that says whether it is usable (`motion.signal_health`).
 6. `ServedMount` gives the state, with hysteresis, and follows a good correction without a jump.
    `MountEstimate` reports all of it, and what each angle waits for.
 
-Without a gyroscope, the evidence uses the vehicle's yaw rate or steering angle. A vehicle without a
-speed is left to method A (`runtime.estimators`).
+Without a gyroscope, the evidence uses the vehicle's yaw rate or steering angle. Where the
+configuration has no speed, method A is used in its place (`runtime.estimators`).
 """
 
 from __future__ import annotations
@@ -247,14 +247,13 @@ class JointEstimator:
     @property
     def contradiction(self) -> float | None:
         """Chi-square (3) of the mount against that of an earlier drive; None: none is compared."""
-        return None if self.solution is None else self.solution.contradiction
+        if self.solution is None or self._joint.is_moved:
+            return None
+        return self.solution.contradiction
 
     def leave_mount(self) -> None:
         """Use the earlier knowledge of the sensor for another mount: it was moved since."""
-        self._joint.is_moved = True
-        if self._joint.solution is not None:
-            self._joint.solve()
-        self._estimate = None
+        self._joint.leave_mount()
 
     def take_known_sensor(self, known: KnownSensor, is_moved: bool) -> None:
         """Begin with what an earlier drive found of the sensor.
@@ -327,15 +326,18 @@ class JointEstimator:
         self._has_zero = self._has_zero or known
         if self._now <= self._taken_until:  # after a move it was among those that count
             return
-        target.add(block)
-        if self._signals.without_speed:
+        if self._signals.without_speed:  # none has ever come
             return
+        target.add(block)
         try:
             target.solve_when_due()
         except np.linalg.LinAlgError:  # the signals contradict one another; `_checks` shows which
-            self._fits_no_sensor = True
-            self._lately_known.clear()
-            self._begin_again([])
+            self._fits_no_sensor, self._carried.is_sure = True, False
+            self._checks.forget_forces()
+            if target is self._next:
+                self._next = self._filled([])
+            else:
+                self._begin_again([])
             return
         if target is self._joint:
             self._remember(self._now)
@@ -348,7 +350,9 @@ class JointEstimator:
 
     def _follow_signals(self) -> None:
         """Use the last blocks again with all signals that have come since."""
-        former, kept = self._next or self._joint, list(self._kept)[:-1]
+        former, kept = self._next or self._joint, list(self._kept)
+        if self._now > self._taken_until:  # the last one is taken after this
+            kept.pop()
         made = self._new_evidence(former.known, former.is_moved)
         for p in kept[max(len(kept) - former.blocks, 0) :]:
             made.add(_block(p, made.signals))
@@ -357,12 +361,12 @@ class JointEstimator:
         self._lately_known.clear()
 
     def _forget_moves(self) -> None:
-        self._doubt = np.zeros(3)
+        self._changes.borne[:], self._doubt = 0.0, np.zeros(3)
         self._creep, self._crept = None, 0
 
     def _follow_creep(self) -> None:
         """Test once a road segment whether the mount creeps."""
-        if self._joint.segment != self._crept:
+        if self._joint.has_fitted and self._joint.segment != self._crept:
             self._crept = self._joint.segment
             self._creep = self._joint.creep(CREEP_CHANCE, len(self._changes.history))
 
@@ -386,7 +390,7 @@ class JointEstimator:
         up = carried.vertical.up
         if carried.R is None or up is None or not carried.is_sure:
             return None
-        return MountSoFar(carried.R[0], up, *carried.delay)
+        return MountSoFar(carried.R[0], up, *carried.delay[:2])
 
     def _follow_steering(self, p: SignalBlock) -> None:
         """Find the steering offset from the measured yaw rate; steering alone shows no offset."""
@@ -449,7 +453,8 @@ class JointEstimator:
         changes, block, good = self._changes, self._signals.blocks, self._good_mount()
         before = self._solution_until(self._began(after, since))
         if good is not None and before is not None:  # what is served may have followed the move
-            good = GoodMount(Correction.turning(before.housing).rotation, good.std)
+            own = tuple(np.sqrt(before.covariance[PHI, PHI].diagonal()).tolist())
+            good = GoodMount(Correction.turning(before.housing).rotation, own)
         std = self._misleading()[found.axis]
         changes.end_of_mounting(good)
         if self.state in GOOD and changes.is_bearable(found, self._carried, std):

@@ -326,7 +326,7 @@ class RestoredEstimator:
             self._contradictions += 1
         elif distance < AGREEMENT:
             self._contradictions = 0
-        if self._contradictions >= CONTRADICTIONS and isinstance(self.inner, KnowsSensor):
+        if self._contradictions == CONTRADICTIONS and isinstance(self.inner, KnowsSensor):
             self.inner.leave_mount()
         if self.phase is not Phase.NEW:
             self._judge()

@@ -313,6 +313,18 @@ class Evidence:
         return None if self._axes is None else orthonormalised(self._axes[0])
 
     @property
+    def is_delay_beyond(self) -> bool:
+        """True if the best delay is the largest that is searched, and nobody has stated it."""
+        is_largest = math.isfinite(self.delay_std) and self.delay >= MAX_SPEED_DELAY - DELAY_STEP
+        return (
+            is_largest and self._late.mean + REACH * self._late.std > MAX_SPEED_DELAY + DELAY_STEP
+        )
+
+    def leave_mount(self) -> None:
+        """Use the earlier knowledge of the sensor for another mount, from the next solve on."""
+        self.is_moved, self._due = True, 0
+
+    @property
     def segment(self) -> int:
         """Number of whole road segments of driving."""
         return len(self._sums) // SEGMENTS[0]
@@ -522,7 +534,7 @@ class Evidence:
         return np.asarray(np.interp(t, at, series), dtype=float)
 
     def _level_from(self, left: Array, speed: Array, use: Flags) -> None:
-        """Return, for each block, the sums for gravity's mean level part, weighted by the distance
+        """Add the sums for gravity's mean level part, for each block, weighted by the distance
         over which the slopes of roads change.
         """
         slow = np.sqrt(1.0 + np.square(speed / self._priors.slow))
@@ -645,7 +657,7 @@ class Evidence:
         spread = float(known @ np.square(np.angle(shifted))) / max(
             float(known @ np.square(wd.OMEGA)), 1e-9
         )
-        self.delay_std = min(math.sqrt(spread), self._late.std)
+        self.delay_std = min(math.sqrt(spread), self._late.std) if known.any() else math.inf
         gain = np.bincount(wd.BAND, answer) / np.bincount(wd.BAND, power)
         follows = gain >= FOLLOWS * np.median(gain[:3])
         until = max(int(np.argmax(np.r_[~follows, True])), 3)
@@ -718,8 +730,10 @@ class Evidence:
             yield places, rows
 
     @property
-    def _has_fitted(self) -> bool:
-        return self.solution is not None and self._sums.has_fitted(self.signals.gyro)
+    def has_fitted(self) -> bool:
+        """True if the solution is from the present windows, or most of them."""
+        is_enough = len(self._sums) >= SEGMENTS[0]
+        return is_enough and self.solution is not None and self._sums.has_fitted(self.signals.gyro)
 
     def move(self) -> Move | None:
         """Return the most likely rotation of the sensor in the last minutes.
@@ -727,7 +741,7 @@ class Evidence:
         Returns None if too little is known.
         """
         spans = SPANS[len(self._sums) - LEAST_BEFORE >= SPANS]
-        if not self._has_fitted or not len(spans):
+        if not self.has_fitted or not len(spans):
             return None
         self._extend()
         began = self._sums.began(spans)
@@ -754,7 +768,7 @@ class Evidence:
 
     def creep(self, chance: float, shifts: int) -> Creep | None:
         """Test whether the mount creeps; see `creep.creep`. None: too little evidence."""
-        if not self._has_fitted:
+        if not self.has_fitted:
             return None
         return creep(self._series(), chance, shifts)
 

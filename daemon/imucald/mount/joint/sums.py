@@ -105,6 +105,7 @@ class FitSums:
             rows += windows - segments * SEGMENTS[0]
         self._rows, self._counts = self._rows[:, rows:].copy(), self._counts[:, rows:]
         self._old -= segments
+        self.has_fitted = self.has_fitted and self._rows.shape[1] > 0
 
     def changes(self, spans: NDArray[np.int_]) -> tuple[Array, Array]:
         """Return changes (F, S, keep) of the coefficients over the last so many windows (S,), and
