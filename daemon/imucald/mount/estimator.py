@@ -333,7 +333,6 @@ class JointEstimator:
             target.solve_when_due()
         except np.linalg.LinAlgError:  # the signals contradict one another; `_checks` shows which
             self._fits_no_sensor, self._carried.is_sure = True, False
-            self._checks.forget_forces()
             if target is self._next:
                 self._next = self._filled([])
             else:
