@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import subprocess
 import sys
 from collections.abc import Sequence
@@ -106,6 +107,7 @@ def test_a_wrong_sign_is_named_in_the_second_line_and_on_the_page(
         done = subprocess.run(
             [sys.executable, "-m", "imucald", "replay", "--config", str(car), "-"],
             stdin=piped, capture_output=True, text=True, check=True,
+            env={**os.environ, "COLUMNS": "300"},  # a path longer than a line is broken
         )  # fmt: skip
     assert f"run 'imucald check --config {car} LOG'" in " ".join(done.stdout.split())
 
