@@ -10,13 +10,10 @@ exactly. The equations between the signals are linear, so they also hold between
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
-from imucald.core.arrays import Array, true_runs
+from imucald.core.arrays import Array, Flags, true_runs
 from imucald.motion.standstill import ZERO_SPEED
 from imucald.motion.ticks import TICK_S
-
-Flags = NDArray[np.bool_]
 
 GENTLE = 0.5
 """Acceleration [m/s^2] with which a stopping or starting vehicle at least passes the speeds that

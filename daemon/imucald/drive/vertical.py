@@ -10,13 +10,10 @@ low-pass.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
-from imucald.core.arrays import Array
+from imucald.core.arrays import Array, Flags
 from imucald.core.rotations import rows_from_quaternion
 from imucald.motion.ticks import TICK_S
-
-Flags = NDArray[np.bool_]
 
 PULL_S = 30.0
 """Time constant of the pull to the accelerometer [s]."""

@@ -19,11 +19,10 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from imucald.core.arrays import Array
+from imucald.core.arrays import Array, Flags
 from imucald.core.samples import GRAVITY
 from imucald.motion.ticks import TICK_S
 
-Flags = NDArray[np.bool_]
 Complex = NDArray[np.complex128]
 
 WINDOW = 256

@@ -21,9 +21,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
-from imucald.core.arrays import Array
+from imucald.core.arrays import Array, Flags
 from imucald.core.rotations import Matrix3
 from imucald.core.samples import GRAVITY
 from imucald.motion.straight import yaw_rate_with_understeer
@@ -33,8 +32,6 @@ from imucald.mount.gyro_alternatives import LEAST_TURN, GyroAlternatives, gyro_r
 from imucald.mount.log_ratios import LEAST_TICKS, TO_BE_FINE, TO_BE_GOOD, Mirrored
 from imucald.mount.signal_blocks import SignalBlock
 from imucald.mount.stated_orientation import Stated, StatedOrientation
-
-Flags = NDArray[np.bool_]
 
 RATE_FLOOR, FORCE_FLOOR = 0.01, 0.3
 """Smallest assumed noise of a rate [rad/s] and of a force [m/s^2]."""

@@ -6,9 +6,8 @@ import math
 from collections.abc import Callable
 
 import numpy as np
-from numpy.typing import NDArray
 
-from imucald.core.arrays import Array
+from imucald.core.arrays import Array, Flags
 from imucald.motion import ticks as tk
 from imucald.motion.coarse_speed import comes_in
 from imucald.motion.signal_health import SignalHealth
@@ -28,8 +27,6 @@ from imucald.mount.even_signals import (
     EvenBlock,
     bridged_speed,
 )
-
-Flags = NDArray[np.bool_]
 
 REST_TICKS = 12
 """The vehicle rests once the speed has been zero for this many ticks: the jerk of braking is then

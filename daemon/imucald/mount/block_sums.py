@@ -17,16 +17,13 @@ from typing import NamedTuple
 
 import numpy as np
 from msgspec import Struct
-from numpy.typing import NDArray
 
-from imucald.core.arrays import Array
+from imucald.core.arrays import Array, Flags
 from imucald.drive.speed_knots import means_between
 from imucald.motion.signal_health import slope
 from imucald.motion.ticks import TICK_S
 from imucald.mount.signal_blocks import SignalBlock
 from imucald.mount.vertical_block import FORCE_NOISE
-
-Flags = NDArray[np.bool_]
 
 
 class BlockSums(NamedTuple):

@@ -20,9 +20,8 @@ from collections import deque
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
-from imucald.core.arrays import Array, median
+from imucald.core.arrays import Array, Flags, median
 from imucald.motion.straight import yaw_rate_with_understeer
 from imucald.motion.ticks import TICK_S
 from imucald.mount.alternatives import MAX_REVERSE
@@ -30,8 +29,6 @@ from imucald.mount.block_sums import pair_sums
 from imucald.mount.estimator_settings import EstimatorSettings
 from imucald.mount.gyro_walk import SELDOM
 from imucald.mount.signal_blocks import SignalBlock
-
-Flags = NDArray[np.bool_]
 
 UNLIKE = 0.3
 """Correlation of a piece below which its signals count as showing different motions."""

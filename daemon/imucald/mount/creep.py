@@ -19,11 +19,8 @@ from collections.abc import Sequence
 
 import numpy as np
 from msgspec import Struct
-from numpy.typing import NDArray
 
-from imucald.core.arrays import Array
-
-Flags = NDArray[np.bool_]
+from imucald.core.arrays import Array, Flags
 
 SIZES = np.radians([0.03, 0.07, 0.15, 0.3, 0.6])
 """Standard deviations [rad/segment] of a walk from one road segment to the next, and of a steady

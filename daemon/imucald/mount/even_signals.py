@@ -13,7 +13,7 @@ import numpy as np
 from msgspec import Struct
 from numpy.typing import NDArray
 
-from imucald.core.arrays import Array
+from imucald.core.arrays import Array, Flags
 from imucald.motion import ticks as tk
 from imucald.motion.coarse_speed import (
     COARSE,
@@ -27,8 +27,6 @@ from imucald.motion.standstill import DRIVING_SPEED, ROLLING_SPEED, ZERO_SPEED
 from imucald.motion.stuck import SAME, short_runs
 from imucald.motion.ticks import TICK_S
 from imucald.mount.gyro_walk import SELDOM
-
-Flags = NDArray[np.bool_]
 
 BLOCK_TICKS = 64
 """Ticks of a block: 6.4 s. Data are examined once per block, so the length sets the cost."""

@@ -17,16 +17,13 @@ Integrated Navigation Systems, ch. 14).
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
-from imucald.core.arrays import Array
+from imucald.core.arrays import Array, Flags
 from imucald.core.samples import GRAVITY
 from imucald.motion.ticks import TICK_S
 from imucald.mount.gravity_step import GravityStepDetector
 from imucald.mount.signal_blocks import SignalBlock
 from imucald.mount.vertical_block import FORCE_LARGE, BlockForces, Carried, carried
-
-Flags = NDArray[np.bool_]
 
 PULL_S = 16.0
 """Time constant of the pull to the accelerometer [s]."""

@@ -30,7 +30,7 @@ import numpy as np
 from msgspec import Struct
 from numpy.typing import NDArray
 
-from imucald.core.arrays import Array
+from imucald.core.arrays import Array, Flags
 from imucald.core.rotations import Matrix3, vector_from_rotation
 from imucald.core.samples import GRAVITY
 from imucald.motion.ticks import TICK_S
@@ -38,8 +38,6 @@ from imucald.mount.alternatives import MAX_REVERSE
 from imucald.mount.block_sums import BlockMotion, BlockSums, block_yaw
 from imucald.mount.estimator_settings import EstimatorSettings
 from imucald.mount.signal_blocks import SignalBlock
-
-Flags = NDArray[np.bool_]
 
 APART = 20
 """Ticks between the two times (2 s): a knock is shorter, and a move by hand takes a second."""

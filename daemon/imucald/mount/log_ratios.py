@@ -14,13 +14,10 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
-from imucald.core.arrays import Array
+from imucald.core.arrays import Array, Flags
 from imucald.mount.block_sums import pair_sums
 from imucald.mount.signal_blocks import BLOCK_TICKS
-
-Flags = NDArray[np.bool_]
 
 TO_BE_GOOD = -math.log(1e-2)
 """One installation in a hundred may have some wrong sign, and there are 16 kinds of wrong sign.

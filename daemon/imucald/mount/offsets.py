@@ -5,12 +5,9 @@ from __future__ import annotations
 from collections import deque
 
 import numpy as np
-from numpy.typing import NDArray
 
 from imucald.core.arrays import Array
 from imucald.motion.standstill import IDLE_RATE, MAX_GYRO_BIAS, is_idle
-
-Flags = NDArray[np.bool_]
 
 MIN_TICKS = 8
 """Smallest number of ticks at rest in a usable block."""

@@ -13,9 +13,8 @@ from collections.abc import Mapping
 
 import numpy as np
 from msgspec import Struct, field
-from numpy.typing import NDArray
 
-from imucald.core.arrays import Array
+from imucald.core.arrays import Array, Flags
 from imucald.core.samples import GRAVITY
 from imucald.motion import ticks as tk
 from imucald.motion.physical_limits import MAX_ROAD_RATE
@@ -56,7 +55,6 @@ __all__ = [
     "SignalBlockMaker",
 ]
 
-Flags = NDArray[np.bool_]
 
 BLOCK_S = BLOCK_TICKS * TICK_S
 MISSING = "no valid samples"

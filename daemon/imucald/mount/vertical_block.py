@@ -10,13 +10,10 @@ from __future__ import annotations
 
 import numpy as np
 from msgspec import Struct
-from numpy.typing import NDArray
 
-from imucald.core.arrays import Array
+from imucald.core.arrays import Array, Flags
 from imucald.core.samples import GRAVITY
 from imucald.motion.ticks import TICK_S
-
-Flags = NDArray[np.bool_]
 
 SETTLE_TICKS = 25
 """Number of first ticks that take a running mean."""

@@ -33,14 +33,13 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from imucald.core.arrays import Array, inverse, solved
+from imucald.core.arrays import Array, Flags, inverse, solved
 from imucald.core.samples import GRAVITY
 from imucald.motion.standstill import MAX_GYRO_BIAS
 from imucald.motion.ticks import TICK_S
 from imucald.mount.joint.state import SLOPE, SLOPE_M
 
 Complex = NDArray[np.complex128]
-Flags = NDArray[np.bool_]
 
 STEP, STEPS = 8, 8
 """Ticks of a mean, and means of a block."""

@@ -16,7 +16,7 @@ from msgspec.structs import replace
 from numpy.typing import NDArray
 
 from imucald.config.base import MAX_SPEED_DELAY, MIN_SPEED_DELAY
-from imucald.core.arrays import Array, inverse, solved
+from imucald.core.arrays import Array, Flags, inverse, solved
 from imucald.core.rotations import (
     Matrix3,
     levelling_rotation,
@@ -64,7 +64,6 @@ from imucald.mount.joint.state import (
 )
 from imucald.mount.joint.sums import Fits, WindowSums
 
-Flags = NDArray[np.bool_]
 Axes = tuple[Matrix3, Matrix3, Array]
 """Matrices from sensor axes for force and rate, and the zero of the force [m/s^2]."""
 
