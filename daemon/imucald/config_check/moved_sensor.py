@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from imucald.config_check.motion import MIN_STANDING_TICKS, Motion
-from imucald.core.arrays import Array
+from imucald.core.arrays import Array, true_runs
 from imucald.core.text import clock
 from imucald.motion.ticks import TICK_RATE
 
@@ -111,9 +111,8 @@ def _stops(motion: Motion) -> list[tuple[int, int]]:
     """Return the first tick of each stop, and the tick after its end."""
     if motion.standing is None:
         return []
-    edges = np.flatnonzero(np.diff(np.r_[False, motion.standing, False].astype(np.int8)))
-    pairs = zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True)
-    return [(a, b) for a, b in pairs if b - a >= MIN_STANDING_TICKS]
+    runs = true_runs(motion.standing).tolist()
+    return [(a, b) for a, b in runs if b - a >= MIN_STANDING_TICKS]
 
 
 def _mean(force: Array) -> Array:
