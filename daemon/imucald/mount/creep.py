@@ -114,11 +114,10 @@ def creep(series: Sequence[SegmentSeries], chance: float, shifts: int) -> Creep 
     if n < FEWEST:
         return None
     left, known = np.zeros((3, n)), np.zeros((3, n))
-    apart = _apart(series)
-    for one in series:
-        if one.kind in SILENT:
-            continue
-        times = _times(one) * (apart if one.kind in YAW else 1.0)
+    weighed = [(one, _times(one)) for one in series if one.kind not in SILENT]
+    apart = _apart([both for both in weighed if both[0].kind in YAW])
+    for one, alone in weighed:
+        times = alone * (apart if one.kind in YAW else 1.0)
         m = len(one.left)
         left[one.axis, n - m :] += one.left / times
         known[one.axis, n - m :] += one.known / times
@@ -148,17 +147,18 @@ def _times(one: SegmentSeries) -> float:
     return _lean(one.left, one.known, times) if one.kind == LEANING else times
 
 
-def _apart(series: Sequence[SegmentSeries]) -> float:
+def _apart(of_yaw: Sequence[tuple[SegmentSeries, float]]) -> float:
     """Return the factor by which the two sources of yaw differ more than their deviations say.
 
     A mount that creeps moves both alike, so their difference shows errors that last for minutes.
+
+    of_yaw: each source, and the factor by which its informations are too large.
     """
-    both = [one for one in series if one.kind in YAW]
-    if len(both) < len(YAW) or len(both[0].left) != len(both[1].left):
+    if len(of_yaw) < len(YAW) or len({len(one.left) for one, _ in of_yaw}) > 1:
         return 1.0
-    minutes = np.arange(0, len(both[0].left), TOGETHER)
+    starts = np.arange(0, len(of_yaw[0][0].left), TOGETHER)
     (a, n), (b, m) = (
-        (np.add.reduceat(x, minutes) / _times(one) for x in (one.left, one.known)) for one in both
+        (np.add.reduceat(x, starts) / times for x in (one.left, one.known)) for one, times in of_yaw
     )
     use = (n > 0.0) & (m > 0.0)
     a, n, b, m = (x[use] for x in (a, n, b, m))
