@@ -151,14 +151,16 @@ ALL_BANDS: Final = np.ones(wd.BANDS, dtype=bool)
 
 
 ANSWERS: Final = {
-    "yaw_turn": (0, 1, False),
-    "yaw_dvdt": (1, 0, False),
-    "pitch_dvdt": (2, 0, False),
-    "roll_turn": (2, 1, False),
-    "pitch_axis": (0, 2, True),
-    "roll_axis": (1, 2, True),
+    (0, 1): "yaw_turn",
+    (1, 0): "yaw_dvdt",
+    (2, 0): "pitch_dvdt",
+    (2, 1): "roll_turn",
+    (0, 2): "pitch_axis",
+    (1, 2): "roll_axis",
 }
-"""Answers to motion that show an angle: axis, motion, and whether the rate answers."""
+"""Answers to motion that show an angle, by axis and motion: of the force to dv/dt (0) and v r (1),
+of the rate to the turn rate (2).
+"""
 LEVELS: Final = ("pitch_gravity", "roll_gravity")
 """Angles that the level force along and across shows."""
 ALL_SIGNALS: Final = OtherSignals()
@@ -652,7 +654,7 @@ class Evidence:
         best = float(grid[np.argmax(fit)])
         answer = (np.exp(-1j * best * wd.OMEGA) * cross).real
         shifted = np.exp(-1j * best * wd.OMEGA) * cross / noise[wd.BAND]
-        known = np.maximum(shifted.real, 0.0)  # what is left of the phase is an error of the delay
+        known = np.maximum(shifted.real, 0.0)  # the phase that remains is an error of the delay
         spread = float(known @ np.square(np.angle(shifted))) / max(
             float(known @ np.square(wd.OMEGA)), 1e-9
         )
@@ -673,38 +675,32 @@ class Evidence:
         h = answers.value
         gain = np.maximum(np.diag(h[:2]), 0.3)
         self.gains = float(gain[0]), float(gain[1])
-        measured = []
+        measured: list[LinearMeasurement] = []
+        variances: dict[str, float] = {}
         for i, (places, rows) in enumerate(self._answer_rows()):
             C = answers.covariance[i][np.ix_(places, places)]
             value = h[i, places]
             for m, j in enumerate(places):
-                C[m, m] += priors.floor**2
-                if (i, j) == (0, 1):
-                    C[m, m] += priors.sideslip**2
-                if (i, j) == (2, 0):
+                C[m, m] += self._left_out(i, j)
+                if (i, j) == (2, 0) and not has_gyro:
+                    # nor has the pitching itself been subtracted (assumption)
                     C[m, m] += priors.pitching**2
-                    if not has_gyro:  # nor has the pitching itself been subtracted (assumption)
-                        C[m, m] += priors.pitching**2
             if i == 2 and not has_gyro:  # -v q of bends that lean is in it
                 rows[1, CROWN] = -1.0
                 value[1] += priors.crown[0] * gain[1]
                 C[1, 1] += priors.turning[1] ** 2 + priors.slope**2 / answers.segments[2, 1]
             scale = gain[places]
-            measured.append(LinearMeasurement(rows, value / scale, C / np.outer(scale, scale)))
-        self.variances = found = {
-            name: float(measured[i].covariance[k, k])
-            for name, (i, j, is_rate) in ANSWERS.items()
-            if not is_rate
-            for k in [[p for p in range(2) if p != i].index(j)]
-        }
+            C = C / np.outer(scale, scale)
+            measured.append(LinearMeasurement(rows, value / scale, C))
+            variances |= {ANSWERS[i, j]: float(C[m, m]) for m, j in enumerate(places)}
         level = self._level_measured()
         measured += level
-        found |= {k: float(m.covariance[0, 0]) for k, m in zip(LEVELS, level, strict=True)}
+        variances |= {k: float(m.covariance[0, 0]) for k, m in zip(LEVELS, level, strict=True)}
         if has_gyro:
             turning = self._turning_measured()
-            axes = zip(("pitch_axis", "roll_axis"), turning, strict=True)
-            found |= {k: float(m.covariance[0, 0]) for k, m in axes}
+            variances |= {ANSWERS[i, 2]: float(m.covariance[0, 0]) for i, m in enumerate(turning)}
             measured += [*turning, self._vertical_measured()]
+        self.variances = variances
         hypotheses = self._hypotheses()
         theta, covariance, shares = fuse(hypotheses, measured, self._taken)
         same, against = 0.0, None
@@ -774,22 +770,22 @@ class Evidence:
     def _series(self) -> list[SegmentSeries]:
         """Return the evidence about the rotation from the working axes, by road segment."""
         made = []
-        fits = {False: self._sums.force.by_segment()}
-        if self.signals.gyro:
-            fits[True] = self._sums.turning.by_segment()
-        for name, (i, j, is_rate) in ANSWERS.items():
-            if is_rate not in fits:
+        force = self._sums.force.by_segment()
+        turning = self._sums.turning.by_segment() if self.signals.gyro else None
+        for (i, j), name in ANSWERS.items():
+            fit, column = (turning, 0) if j == 2 else (force, j)
+            if fit is None:
                 continue
-            scores, known = (part[i, :, 0 if is_rate else j] for part in fits[is_rate])
-            part = 1.0 / (1.0 + known * self._left_out(i, j, is_rate))
+            scores, known = (part[i, :, column] for part in fit)
+            part = 1.0 / (1.0 + known * self._left_out(i, j))
             score = -TURN[i, j][1] * part * scores  # the axes turn against the answer
             made.append(SegmentSeries(name, score, part * known, self.variances[name]))
         return made + self._level_series()
 
-    def _left_out(self, i: int, j: int, is_rate: bool = False) -> float:
+    def _left_out(self, i: int, j: int) -> float:
         """Return the variance of an answer from effects that the equations leave out."""
         priors = self._priors
-        if is_rate:
+        if j == 2:
             return priors.turning[i] ** 2
         more = {(0, 1): priors.sideslip, (2, 0): priors.pitching}
         return priors.floor**2 + more.get((i, j), 0.0) ** 2
