@@ -7,7 +7,6 @@ show.
 from __future__ import annotations
 
 import math
-import operator
 from collections.abc import Mapping
 from typing import NamedTuple
 
@@ -74,8 +73,6 @@ class CarriedForce:
         self.variances = NO_SOURCES
         """Variance of the angle that each kind of evidence shows alone [rad^2]."""
         self.blocks = 0
-        self._motion_of: tuple[object, ...] = (None,) * 3
-        self._motion: BlockMotion
 
     def start_from(self, other: CarriedForce) -> None:
         """Begin with the rotation, gains, zero and delay of another one."""
@@ -122,14 +119,10 @@ class CarriedForce:
 
     def motion(self, p: SignalBlock, R: Matrix3) -> BlockMotion:
         """Return the motion of the block that was taken last, in axes of R."""
-        made_of = self.lone, R, self.gains
-        if any(map(operator.is_not, made_of, self._motion_of)):  # it is asked for twice a block
-            self._motion_of = made_of
-            turn = self.gains[1] * p.speed * self.turn_rate
-            force, ahead = self.lone @ R.T, self.gains[0] * p.accel
-            knots = None if p.speed_knots is None else p.speed_knots - self.delay.value / TICK_S
-            self._motion = BlockMotion(force, ahead, turn, self.turn_rate, *self.delay[:2], knots)
-        return self._motion
+        turn = self.gains[1] * p.speed * self.turn_rate
+        force, ahead = self.lone @ R.T, self.gains[0] * p.accel
+        knots = None if p.speed_knots is None else p.speed_knots - self.delay.value / TICK_S
+        return BlockMotion(force, ahead, turn, self.turn_rate, *self.delay[:2], knots)
 
     def _turn_rate(self, p: SignalBlock, up: Array | None) -> Array:
         if up is not None and np.count_nonzero(p.ok_rate) > 0.5 * len(p.ok_rate):
