@@ -13,13 +13,12 @@ from imucald.can.logs.overlaps import CLOCK_SET_S, overlap_words
 from imucald.core.angles import DEG_PER_RAD
 from imucald.core.rotations import vector_from_rotation
 from imucald.core.text import clock
-from imucald.mount.estimate import BETWEEN_DRIVES_STD
+from imucald.mount.estimate import BETWEEN_DRIVES_STD, GOOD_NAMES
 from imucald.mount.mount_words import is_move
 
 CLOCK_SET_US = round(1e6 * CLOCK_SET_S)
 LIKELY = 1e-3
 """Two mounts are reported as different if the probability of chance is below this value."""
-GOOD = ("usable", "fine")
 
 
 def notes_between(drives: Sequence[DriveResult]) -> tuple[str, ...]:
@@ -70,7 +69,7 @@ def _shifts(drives: Sequence[DriveResult]) -> Iterator[str]:
         for shift in filter(is_move, drive.to_dict()["details"].get("shifts", ())):
             is_moved = True
             yield f"the mount was moved within {_name(drive)}, found at {clock(shift['t'])}"
-        if drive.state not in GOOD or drive.mount is None:
+        if drive.state not in GOOD_NAMES or drive.mount is None:
             continue
         if before is not None and before.mount is not None and not is_moved | _share(before, drive):
             one, other = before.mount, drive.mount

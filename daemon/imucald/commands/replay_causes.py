@@ -8,11 +8,10 @@ from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 from imucald.can.logs.text_blocks import STDIN
+from imucald.mount.estimate import GOOD_NAMES
 
 if TYPE_CHECKING:
     from imucald.api.configuration import Configuration
-
-GOOD = ("usable", "fine")
 
 
 def causes(
@@ -29,7 +28,7 @@ def causes(
     """
     from imucald.api.checking import check
 
-    if result["state"] in GOOD or not result["details"].get("faults"):
+    if result["state"] in GOOD_NAMES or not result["details"].get("faults"):
         return []
     names = ["LOG" if log == STDIN else log for log in logs]
     command = shlex.join(["imucald", "check", "--config", str(options.config), *names])

@@ -29,6 +29,7 @@ from imucald.fleet.reading import (
     spread_text,
 )
 from imucald.fleet.store import Store
+from imucald.mount.estimate import GOOD_NAMES
 from imucald.mount.mount_words import UNKNOWN_HALF_DEG
 from imucald.report.page import address_of, environment, require_libraries
 
@@ -168,7 +169,7 @@ def _histories(found: Sequence[dict[str, Any]], drives: Any) -> Rows:
     rows = []
     for vehicle, keys in list(cuts.items())[:MAX_HISTORIES]:
         mine = drives.filter(pc.equal(drives.column("vehicle"), vehicle)).to_pylist()
-        mine = [d for d in mine if d["state"] in ("usable", "fine") and d["q_w"] is not None]
+        mine = [d for d in mine if d["state"] in GOOD_NAMES and d["q_w"] is not None]
         if mine:  # none if its only drive had a move and ended without a good mount
             picture = address_of(_drawing().history_picture(mine, keys))
             rows.append({"vehicle": vehicle, "picture": picture})

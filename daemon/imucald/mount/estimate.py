@@ -43,6 +43,10 @@ class MountState(enum.IntEnum):
     RESTORED = 6
 
 
+GOOD_NAMES = ("usable", "fine")
+"""Names, as files and status carry them, of the states in which a mount counts as good."""
+
+
 class Missing(enum.IntEnum):
     """Reason why an angle is not known yet; the numbers are those on the bus."""
 

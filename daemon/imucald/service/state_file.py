@@ -38,6 +38,7 @@ from imucald.core.files import (
     with_checksum,
     write_beside,
 )
+from imucald.mount.estimate import GOOD_NAMES
 
 MAGIC = "imucald-state"
 VERSION = 2
@@ -60,7 +61,6 @@ LARGEST_NUMBER = 2**53
 """Largest number in a file: up to there a float holds every integer."""
 LONGEST_DOUBT = 2000
 """Largest length of the text of the doubt: all existing texts together."""
-STATES = ("usable", "fine")
 ORDERED = ("held", "given")
 """Keys that are in a file only if they are true: orders of people."""
 
@@ -329,7 +329,7 @@ def _state_from(content: Mapping[str, Any]) -> SavedState:
         raise ValueError("rotation")
     if not _is_covariance(covariance):
         raise ValueError("covariance")
-    if content["state"] not in STATES:
+    if content["state"] not in GOOD_NAMES:
         raise ValueError("state")
     ordered = {key: content.get(key, False) for key in ORDERED}
     if not all(isinstance(value, bool) for value in ordered.values()):

@@ -12,9 +12,8 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from imucald.core.arrays import Array, Index
+from imucald.mount.estimate import GOOD_NAMES
 
-KNOWN = ("usable", "fine")
-"""States of drives whose mount is used; in other states the mount is not known or is moving."""
 FLOOR_DEG2 = 1e-4
 """Smallest variance of a drive [deg^2], from 0.01 deg: no estimate is more accurate, even if it
 claims so."""
@@ -66,7 +65,7 @@ def known_drives(columns: Mapping[str, Sequence[Any]], moved: Collection[str] = 
         [columns[n] for n in ("q_x", "q_y", "q_z", "q_w", *_COVARIANCE, "crown_std_deg")],
         dtype=float,
     ).T
-    good = np.isin(state, KNOWN) & np.isfinite(numbers).all(axis=1)
+    good = np.isin(state, GOOD_NAMES) & np.isfinite(numbers).all(axis=1)
     names = np.array([str(v) for v in columns["vehicle"]], dtype=object)
     begin, end = _times(columns)
     every = np.lexsort((begin, np.unique(names, return_inverse=True)[1]))
