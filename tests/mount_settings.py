@@ -19,7 +19,7 @@ Keys = Mapping[str, Any]
 NONE: Keys = {}
 
 
-def full(calibration: Keys = NONE, vehicle: Keys = NONE, **own: Any) -> EstimatorSettings:
+def joint_settings(calibration: Keys = NONE, vehicle: Keys = NONE, **own: Any) -> EstimatorSettings:
     """The joint estimator's, on roads whose traffic keeps right."""
     return EstimatorSettings(
         CalibrationSettings(**calibration),

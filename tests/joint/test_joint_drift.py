@@ -20,7 +20,7 @@ from imucald.mount.joint.state import Priors
 from imucald.simulation import random_model, simulate
 from imucald.simulation.drive import Drive
 from joint.planar_drive import ROTATION, Sensor, blocks
-from mount_settings import full
+from mount_settings import joint_settings
 
 LEVEL_ROADS = Priors(crown=(0.0, 0.002), slope=0.002)
 FROM_S, WRONG = 200.0, 0.5
@@ -191,7 +191,7 @@ def test_no_value_is_good_while_a_drifting_zero_has_made_it_wrong(axis: int, rat
     values = series.values.copy()
     values[:, axis] += rate * np.maximum(series.t - FROM_S, 0.0)
     samples["accel"] = Series(series.t, values)
-    joint, was_good = JointEstimator(full()), False
+    joint, was_good = JointEstimator(joint_settings()), False
     reasons: set[str] = set()
     for k, row in enumerate(ticks_from_samples(samples, 0, 7200).tolist()):
         joint.step(row)
@@ -213,7 +213,7 @@ def test_a_drift_is_named_before_the_next_bend_makes_a_move_of_it() -> None:
     t, values = samples["accel"].t, samples["accel"].values.copy()
     values[:, 0] += 0.002 * np.maximum(t - 250.0, 0.0)
     samples["accel"] = Series(t, values)
-    joint, was_good = JointEstimator(full()), False
+    joint, was_good = JointEstimator(joint_settings()), False
     for k, row in enumerate(ticks_from_samples(samples, 0, 6000).tolist()):
         joint.step(row)
         was_good = was_good or (joint.state in GOOD and k > 3000)

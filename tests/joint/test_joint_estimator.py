@@ -22,7 +22,7 @@ from imucald.mount.joint.evidence import Evidence
 from imucald.simulation import random_model, simulate
 from imucald.simulation.drive import Drive
 from imucald.simulation.imu import gain_matrix
-from mount_settings import full
+from mount_settings import joint_settings
 
 MINUTES = 7.0
 GOOD = {MountState.USABLE, MountState.FINE}
@@ -36,7 +36,7 @@ def drive(seed: int) -> Drive:
 
 
 def estimator() -> JointEstimator:
-    return JointEstimator(full())
+    return JointEstimator(joint_settings())
 
 
 @pytest.mark.slow
@@ -231,7 +231,7 @@ def test_gravity_is_the_unit_of_the_levels_limits() -> None:
 )
 def test_what_a_data_sheet_states_is_the_prior(calibration, entry, is_wider) -> None:
     """On one window little but the prior is known of the sensor."""
-    usual, stated = (Evidence(JointEstimator(full(c)).priors) for c in ({}, calibration))
+    usual, stated = (Evidence(JointEstimator(joint_settings(c)).priors) for c in ({}, calibration))
     for block in blocks(1.2, Sensor(), bends=0.3):
         for evidence in (usual, stated):
             evidence.add(block)
@@ -276,7 +276,7 @@ def test_without_a_gyroscope_a_mixed_sensor_is_corrected_by_what_the_bus_says_of
     chassis = model.chassis
     vehicle = {"steering_ratio": chassis.steering_ratio, "wheelbase": chassis.wheelbase_m}
     steers = {"uses_steering": turning == "steering", "vehicle": vehicle}
-    joint = JointEstimator(full(understeer=chassis.understeer_gradient, **steers))
+    joint = JointEstimator(joint_settings(understeer=chassis.understeer_gradient, **steers))
     for row in ticks_from_samples(samples, 0, int(MINUTES * 600)).tolist():
         joint.step(row)
     assert joint.state in GOOD

@@ -15,7 +15,7 @@ from benchmarks.truth_error import DriveErrors, drive_errors, true_signals
 
 from imucald.model_compensation import ModelCompensation, compensation_from_model
 from imucald.simulation import Drive, VehicleModel, random_model, simulate
-from mount_settings import full
+from mount_settings import joint_settings
 
 SEEDS = (31, 32)
 MINUTES = 8.0
@@ -38,7 +38,9 @@ def driven(seed: int, changes) -> Drive:
 
 def corrected(drive: Drive, compensation: ModelCompensation | None) -> CorrectedDrive:
     side = drive.model.route.driving_side
-    return corrected_drive(drive.samples, compensation, full(vehicle={"driving_side": side}))
+    return corrected_drive(
+        drive.samples, compensation, joint_settings(vehicle={"driving_side": side})
+    )
 
 
 def before_and_after(changes, seeds, own_mount=True) -> tuple[list[DriveErrors], ...]:

@@ -11,7 +11,7 @@ from imucald.core.samples import GRAVITY
 from imucald.motion import ticks as tk
 from imucald.motion.ticks import empty_rows
 from imucald.mount.signal_blocks import LAG, SignalBlockMaker
-from mount_settings import full
+from mount_settings import joint_settings
 
 TICKS, DEG = 4800, math.pi / 180.0
 SPEED, BEND_EVERY, BEND = 12.0, 300, 60
@@ -44,7 +44,7 @@ def known(
     rows[:, tk.GYRO.z] += turning + alone
     rows[:, tk.SPEED.mean] = SPEED + 0.3 * rng.standard_normal(TICKS)
     rows[:, tk.YAW_RATE.mean] = sent
-    settings = full()
+    settings = joint_settings()
     if steering:
         car = settings.vehicle
         rows[:, tk.STEERING.n] = 10

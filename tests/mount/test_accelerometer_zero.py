@@ -13,7 +13,7 @@ from imucald.mount.contradictions import StandingFault
 from imucald.mount.estimator import JointEstimator
 from imucald.mount.force_level import ForceLevel
 from imucald.mount.signal_blocks import BLOCK_TICKS
-from mount_settings import full
+from mount_settings import joint_settings
 from signal_block import block
 
 UP = np.array([0.0, 0.0, 1.0])
@@ -116,7 +116,7 @@ EDITS = {
 
 
 def test_the_estimator_tells_of_a_gap():
-    estimator, calls = JointEstimator(full()), []
+    estimator, calls = JointEstimator(joint_settings()), []
     estimator._level.gap = lambda: calls.append(True)  # type: ignore[method-assign]
     estimator.gap()
     assert calls
@@ -153,7 +153,7 @@ def test_a_vertical_that_a_gyroscope_alone_carries_accuses_no_accelerometer():
     samples["speed"] = Series(speed.t[has], speed.values[has])
     wrong = ((gyro.t >= lost[0]) & (gyro.t <= lost[1]))[:, None]
     samples["gyro"] = Series(gyro.t, gyro.values + np.radians(0.4) * wrong)
-    estimator, accused = JointEstimator(full()), []
+    estimator, accused = JointEstimator(joint_settings()), []
     for row in ticks_from_samples(samples, 0, 9000, {}).tolist():
         estimator.step(row)
         accused += [StandingFault.ACCEL_LEVEL] if estimator._level.change is not None else []
@@ -168,14 +168,15 @@ def test_a_zero_is_taken_off_as_well_as_stated(zero):
     put_on = R.T @ np.array([*zero, 0.0])
     accel = made.samples["accel"]
     samples = {**made.samples, "accel": Series(accel.t, accel.values + put_on)}
-    estimator = JointEstimator(full())
+    estimator = JointEstimator(joint_settings())
     for row in ticks_from_samples(samples, 0, 6000).tolist():
         estimator.step(row)
     estimate = estimator.estimate()
     applied, sent = estimate.correction, estimate.sent
     assert applied is not None
     assert sent is not None
-    expected = full().vehicle.crown_mean  # on level ground, the mean lean of the roads set aside
+    # on level ground, the mean lean of the roads set aside
+    expected = joint_settings().vehicle.crown_mean
     on_roads = rotation_from_vector([made.truth.mean_crown() - expected, 0.0, 0.0]) @ R
     felt = on_roads.T[:, 2] * GRAVITY + made.model.accel.bias + put_on
     left = np.array(applied.applied("accel", felt))

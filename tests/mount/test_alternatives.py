@@ -17,7 +17,7 @@ from imucald.mount.alternatives import Alternatives
 from imucald.mount.estimator_settings import EstimatorSettings
 from imucald.mount.log_ratios import TO_ACCUSE, TO_BE_FINE, TO_BE_GOOD, Mirrored
 from imucald.mount.signal_blocks import BLOCK_TICKS, SignalBlock
-from mount_settings import full
+from mount_settings import joint_settings
 
 R = rotation_from_angles(0.3, -0.2, 1.1)
 ALL = {"accel", "gyro", "speed", "yaw_rate", "steering"}
@@ -71,7 +71,7 @@ def looked_at(
     bend: float = 0.1,
     yaw_sign: float = 1.0,
 ) -> Alternatives:
-    found = Alternatives(full())
+    found = Alternatives(joint_settings())
     kept: list[SignalBlock] = []
     for k in range(blocks):
         p = block(k, speed, rough, bend)
@@ -106,7 +106,7 @@ def test_a_wrong_sign_or_exchange_of_the_gyroscope_is_seen_and_nothing_is_good(s
 
 @pytest.mark.parametrize("signs", [[-1.0, 1, 1], [1, -1.0, 1], [1, 1, -1.0]])
 def test_a_sign_of_the_gyroscope_that_turns_in_mid_drive_is_seen_within_a_minute(signs):
-    found, kept = Alternatives(full()), []
+    found, kept = Alternatives(joint_settings()), []
     for k in range(80):
         p = block(k)
         kept.append(replace(p, rate=p.rate * np.array(signs)) if k >= 70 else p)
@@ -117,7 +117,7 @@ def test_a_sign_of_the_gyroscope_that_turns_in_mid_drive_is_seen_within_a_minute
 
 @pytest.mark.parametrize("has_yaw_rate", [False, True])
 def test_without_a_signal_that_shows_turns_the_missing_signal_is_named(has_yaw_rate):
-    found, kept = Alternatives(full()), []
+    found, kept = Alternatives(joint_settings()), []
     signals = {"accel", "speed", *(["yaw_rate"] if has_yaw_rate else [])}
     for k in range(40):
         ok_yaw = YES if has_yaw_rate else ~YES
@@ -252,7 +252,7 @@ def test_a_stated_forward_axis_knows_forward_from_backward_at_walking_pace():
 def test_a_reverse_signal_shows_what_is_ahead_where_most_of_the_way_is_without_it(
     ahead, back, is_known
 ):
-    found = Alternatives(full())
+    found = Alternatives(joint_settings())
     for k in range(ahead + back):
         one = block(k, speed=5.0 if k >= back else -5.0)
         found.add([one], R, np.zeros(3), (1.0, 1.0), {*ALONE, "reverse"}, 0.0)
@@ -261,14 +261,14 @@ def test_a_reverse_signal_shows_what_is_ahead_where_most_of_the_way_is_without_i
 
 @pytest.mark.parametrize(("speed", "is_known"), [(12.0, True), (-12.0, False)])
 def test_only_a_fast_speed_ahead_shows_what_is_ahead(speed, is_known):
-    found = Alternatives(full())
+    found = Alternatives(joint_settings())
     found.add([block(0, speed=speed)], R, np.zeros(3), (1.0, 1.0), set(ALONE), 0.0)
     assert found._knows_forward == is_known
 
 
 def test_a_mount_that_a_person_states_counts_where_it_is_the_one_found():
     for stated, is_excluded in ((R, True), (np.diag([-1.0, 1.0, -1.0]) @ R, False)):
-        found = Alternatives(full())
+        found = Alternatives(joint_settings())
         found.take_mount(stated)
         found.add([block(0)], R, np.zeros(3), (1.0, 1.0), set(ALONE), 0.0)
         assert found.is_mirror_excluded == is_excluded

@@ -23,7 +23,7 @@ from imucald.mount.mount_changes import GoodMount, MountChanges, blocks_since
 from imucald.mount.mount_words import change_words, is_move
 from imucald.mount.signal_blocks import BLOCK_S
 from imucald.simulation import random_model, simulate
-from mount_settings import full
+from mount_settings import joint_settings
 from signal_block import block
 
 DEG = math.pi / 180.0
@@ -31,7 +31,7 @@ PITCH, YAW = 1, 2
 
 
 def changes() -> MountChanges:
-    return MountChanges(full())
+    return MountChanges(joint_settings())
 
 
 def shift(axis: int, degrees: float) -> Move:
@@ -142,7 +142,7 @@ def test_a_mount_that_slips_by_a_degree_is_reported_and_right_again_within_half_
     seed, start, slip = 580_001, 700.0, 0.9
     changed = {"mount.shifts": [{"t_s": start, "yaw_deg": slip}]}
     made = simulate(random_model(seed, standing_first=True).with_changes(changed), seed, 25.0)
-    estimator = JointEstimator(full())
+    estimator = JointEstimator(joint_settings())
     before = made.truth.R_vehicle_from_sensor(0.0)
     after = made.truth.R_vehicle_from_sensor(start + 1.0)
     assert np.degrees(np.abs(vector_from_rotation(after @ before.T))).max() == pytest.approx(slip)

@@ -15,7 +15,7 @@ from imucald.mount.hysteresis import GOOD
 from imucald.mount.mount_words import left_out_words
 from imucald.mount.offsets import GUESS_TICKS, Offsets
 from imucald.simulation import random_model, simulate
-from mount_settings import full
+from mount_settings import joint_settings
 from paths import SHARED_DATA
 
 REMOUNTED = SHARED_DATA / "inputs" / "remounted"
@@ -23,7 +23,7 @@ REMOUNTED = SHARED_DATA / "inputs" / "remounted"
 
 def run(samples: Samples, minutes: float) -> tuple[JointEstimator, list[float]]:
     """The estimator at the end, and at which times it was good [s]."""
-    estimator, good = JointEstimator(full()), []
+    estimator, good = JointEstimator(joint_settings()), []
     ticks = ticks_from_samples(samples, 0, int(600 * minutes), {}).tolist()
     for k, row in enumerate(ticks):
         estimator.step(row)

@@ -22,7 +22,7 @@ from imucald.mount.estimator_settings import DelayPrior, EstimatorSettings
 from imucald.mount.served_mount import SLEW_RATE
 from imucald.simulation import random_model, simulate
 from imucald.simulation.drive import Drive
-from mount_settings import full
+from mount_settings import joint_settings
 
 SEED = 41
 MINUTES = 8.0
@@ -49,7 +49,7 @@ def rows(seed: int = SEED, minutes: float = MINUTES) -> NDArray[np.float64]:
 
 
 def after(ticks: NDArray[np.float64], settings: EstimatorSettings | None = None) -> JointEstimator:
-    estimator = JointEstimator(settings or full())
+    estimator = JointEstimator(settings or joint_settings())
     for row in ticks.tolist():
         estimator.step(row)
     return estimator
@@ -60,7 +60,7 @@ def good_around(
 ) -> tuple[bool, list[bool], MountEstimate]:
     """Whether the mount is good at a time [s], and in each tick from a minute after it on; the
     last estimate."""
-    estimator, was_good, since = JointEstimator(full()), False, []
+    estimator, was_good, since = JointEstimator(joint_settings()), False, []
     for k, row in enumerate(ticks_from_samples(samples, 0, ticks, {}).tolist()):
         estimator.step(row)
         if k >= 10 * (at + 60.0):
@@ -145,7 +145,7 @@ def test_the_same_ticks_give_the_same_bits():
 
 @pytest.mark.slow
 def test_nothing_is_applied_before_usable_and_then_it_turns_slowly():
-    estimator = JointEstimator(full())
+    estimator = JointEstimator(joint_settings())
     last = None
     changed = 0
     for row in rows(minutes=5.0).tolist():
@@ -164,7 +164,7 @@ def test_nothing_is_applied_before_usable_and_then_it_turns_slowly():
 
 @pytest.mark.slow
 def test_the_states_come_in_order_and_say_what_is_missing():
-    estimator = JointEstimator(full())
+    estimator = JointEstimator(joint_settings())
     seen: list[MountState] = []
     reasons: list[str] = []
     for k, row in enumerate(rows().tolist()):
@@ -207,7 +207,7 @@ def test_the_delay_of_the_speed_is_found():
 
 
 def test_a_configured_delay_is_searched_within_four_of_its_deviations():
-    settings = full()
+    settings = joint_settings()
     stated = replace(settings, delays={**settings.delays, "speed": DelayPrior(0.5, 0.03)})
     estimate = after(rows(minutes=5.0), stated).estimate()
     assert estimate.details["speed_delay"] == pytest.approx(0.5 - 4.0 * 0.03, abs=0.02)
@@ -222,7 +222,7 @@ def test_without_gyro_the_yaw_rate_of_the_vehicle_serves():
 def test_without_any_yaw_rate_the_steering_stands_in():
     ticks = without(without_gyro(rows()), tk.YAW_RATE.n, tk.YAW_RATE.mean, tk.YAW_RATE.mean)
     chassis = drive().model.chassis
-    settings = full(
+    settings = joint_settings(
         vehicle={"steering_ratio": chassis.steering_ratio, "wheelbase": chassis.wheelbase_m},
         uses_steering=True,
         understeer=chassis.understeer_gradient,
@@ -336,7 +336,7 @@ def test_a_gyroscope_stuck_on_the_way_to_a_stop_gives_no_bias():
 @pytest.mark.parametrize("seconds", [30, 120])
 @pytest.mark.parametrize("lost", [[tk.SPEED.n], [tk.GYRO.n], [tk.ACCEL.n, tk.GYRO.n]])
 def test_signals_that_are_lost_for_a_while_make_no_shift(lost, seconds):
-    estimator = JointEstimator(full())
+    estimator = JointEstimator(joint_settings())
     ticks = rows(minutes=20.0).copy()
     for first in (4200, 6600, 9000):
         ticks[first : first + 10 * seconds, lost] = 0.0
@@ -362,7 +362,7 @@ def test_numbers_that_are_none_do_no_harm():
 
 @pytest.mark.slow
 def test_a_gap_joins_nothing():
-    estimator = JointEstimator(full())
+    estimator = JointEstimator(joint_settings())
     ticks = rows()
     for row in ticks[:2400].tolist():
         estimator.step(row)
@@ -386,7 +386,7 @@ def test_speed_stuck_at_zero_does_not_teach_a_gyro_bias():
 
 @pytest.mark.slow
 def test_two_times_the_cross_axis_error_widens_the_interval():
-    wide = after(rows(minutes=5.0), full({"cross_axis": 0.01})).estimate()
+    wide = after(rows(minutes=5.0), joint_settings({"cross_axis": 0.01})).estimate()
     plain = after(rows(minutes=5.0)).estimate()
     assert wide.std is not None
     assert plain.std is not None
@@ -403,7 +403,7 @@ def test_a_known_lever_arm_does_not_turn_the_mount(seed):
         ticks = ticks_from_samples(made.samples, 0, int(MINUTES * 600))
         found[name] = after(ticks).estimate().R_vehicle_from_sensor
         if name == "far":
-            known = after(ticks, full(lever_arm=arm))
+            known = after(ticks, joint_settings(lever_arm=arm))
             found["known"] = known.estimate().R_vehicle_from_sensor
 
     def turned(name: str) -> float:
@@ -427,18 +427,23 @@ def test_a_speed_stuck_while_driving_is_not_learnt_from():
 @pytest.mark.slow
 def test_the_crown_is_prior_and_in_the_interval():
     right = usual().estimate()
-    left = after(rows(), full(vehicle={"driving_side": "left"})).estimate()
+    left = after(rows(), joint_settings(vehicle={"driving_side": "left"})).estimate()
     assert right.R_vehicle_from_sensor is not None
     assert left.R_vehicle_from_sensor is not None
     apart = vector_from_rotation(left.R_vehicle_from_sensor @ right.R_vehicle_from_sensor.T)
-    assert full().crown < apart[0] < 2 * full().crown, "bends show a part of it"
+    assert joint_settings().crown < apart[0] < 2 * joint_settings().crown, "bends show a part of it"
     assert right.std is not None
-    assert right.std[0] > full().vehicle.crown_std
+    assert right.std[0] > joint_settings().vehicle.crown_std
 
 
 def test_ticks_that_are_only_kept_may_be_taken_at_once():
     ticks = rows()
-    one_by_one, at_once, each, taken = JointEstimator(full()), JointEstimator(full()), [], []
+    one_by_one, at_once, each, taken = (
+        JointEstimator(joint_settings()),
+        JointEstimator(joint_settings()),
+        [],
+        [],
+    )
     for tick in ticks.tolist():
         one_by_one.step(tick)
         each.append((one_by_one.correction, one_by_one.state))

@@ -19,7 +19,7 @@ from imucald.mount.estimate import MountState
 from imucald.mount.estimator import JointEstimator
 from imucald.mount.estimator_settings import EstimatorSettings
 from imucald.mount.restored import RestoredEstimator, StoredMount
-from mount_settings import full
+from mount_settings import joint_settings
 
 MINUTES = 8.0
 
@@ -50,7 +50,7 @@ def turned(samples: Samples, at: float, vector: tuple[float, float, float]) -> S
 def states(
     samples: Samples, minutes: float = MINUTES, settings: EstimatorSettings | None = None
 ) -> tuple[JointEstimator, list[MountState]]:
-    estimator, found = JointEstimator(settings or full()), []
+    estimator, found = JointEstimator(settings or joint_settings()), []
     for row in ticks_from_samples(samples, 0, int(minutes * 600), {}).tolist():
         estimator.step(row)
         found.append(estimator.state)
@@ -149,7 +149,7 @@ def test_the_axis_that_points_up_makes_such_a_drive_fine_and_its_mirror_image_a_
     R = drive().truth.R_vehicle_from_sensor()
     axis = int(np.argmax(np.abs(R[2])))
     up = ("" if R[2, axis] > 0.0 else "-") + "xyz"[axis]
-    settings = full({"orientation": OrientationSettings(up=up)})  # type: ignore[arg-type]
+    settings = joint_settings({"orientation": OrientationSettings(up=up)})  # type: ignore[arg-type]
     _, found = states(sound, minutes=15.0, settings=settings)
     assert found[-1] is MountState.FINE
     series = sound["accel"]
@@ -164,7 +164,7 @@ def test_a_stated_forward_axis_that_points_back_is_a_fault_that_no_sign_mends():
     R = drive().truth.R_vehicle_from_sensor()
     axis = int(np.argmax(np.abs(R[0])))
     forward = ("-" if R[0, axis] > 0.0 else "") + "xyz"[axis]
-    settings = full({"orientation": OrientationSettings(forward=forward)})  # type: ignore[arg-type]
+    settings = joint_settings({"orientation": OrientationSettings(forward=forward)})  # type: ignore[arg-type]
     estimator, _ = states(dict(drive().samples), minutes=4.0, settings=settings)
     assert estimator.faults == (StandingFault.FORWARD.value,)
     assert all("sign: -1" not in text for text in estimator.estimate().waiting_for.values())
@@ -201,7 +201,7 @@ def test_a_turn_by_45_degrees_is_suspect_within_two_minutes_at_any_time(axis, at
 @pytest.mark.slow
 def test_rotations_after_a_turn_are_good_only_when_they_are_right():
     samples = turned(drive().samples, 200.0, (math.radians(20.0), 0.0, 0.0))
-    estimator = JointEstimator(full())
+    estimator = JointEstimator(joint_settings())
     true = rotation_from_vector([math.radians(20.0), 0.0, 0.0]) @ (
         drive().truth.R_vehicle_from_sensor()
     )
@@ -243,7 +243,7 @@ def test_a_creeping_mount_is_named_and_its_interval_holds():
 @pytest.mark.slow
 @pytest.mark.parametrize("step", ["step", "add"])
 def test_a_factorisation_that_fails_is_counted_and_suspect_and_ends_nothing(monkeypatch, step):
-    estimator = JointEstimator(full())
+    estimator = JointEstimator(joint_settings())
     rows = ticks_from_samples(drive().samples, 0, 3000, {}).tolist()
     for row in rows[:2000]:
         estimator.step(row)
@@ -267,7 +267,7 @@ def test_a_restored_mount_off_the_vertical_is_suspect_while_parked():
     true = drive().truth.R_vehicle_from_sensor()
     stored = rotation_from_vector([math.radians(40.0), 0.0, 0.0]) @ true
     estimator = RestoredEstimator(
-        JointEstimator(full()), StoredMount(stored, np.eye(3) * math.radians(0.3) ** 2)
+        JointEstimator(joint_settings()), StoredMount(stored, np.eye(3) * math.radians(0.3) ** 2)
     )
     standing = ticks_from_samples(drive().samples, 0, 100, {}).tolist()
     for row in standing:
@@ -278,7 +278,7 @@ def test_a_restored_mount_off_the_vertical_is_suspect_while_parked():
 def test_a_restored_mount_that_holds_gravity_upright_stays_restored():
     true = drive().truth.R_vehicle_from_sensor()
     estimator = RestoredEstimator(
-        JointEstimator(full()), StoredMount(true, np.eye(3) * math.radians(0.3) ** 2)
+        JointEstimator(joint_settings()), StoredMount(true, np.eye(3) * math.radians(0.3) ** 2)
     )
     for row in ticks_from_samples(drive().samples, 0, 300, {}).tolist():
         estimator.step(row)
@@ -297,7 +297,7 @@ def test_a_speed_that_the_force_contradicts_claims_no_yaw_and_no_move():
     samples["speed"] = Series(speed.t, np.where(late, 40.0 - speed.values, speed.values))
     for channel in ("gyro", "yaw_rate", "steering", "wheels"):
         samples.pop(channel, None)
-    estimator, claimed = JointEstimator(full()), []
+    estimator, claimed = JointEstimator(joint_settings()), []
     for row in ticks_from_samples(samples, 0, int(MINUTES * 600), {}).tolist():
         estimator.step(row)
         estimate = estimator.estimate()

@@ -15,7 +15,7 @@ from imucald.motion.stuck import SHORT_TICKS, short_runs
 from imucald.motion.ticks import empty_rows
 from imucald.mount.even_signals import bridged
 from imucald.mount.signal_blocks import BLOCK_TICKS, LAG, SignalBlock, SignalBlockMaker
-from mount_settings import full
+from mount_settings import joint_settings
 
 TICKS = 20 * BLOCK_TICKS
 RNG = np.random.default_rng
@@ -135,7 +135,7 @@ UNUSUAL: dict[str, Edit] = {
 
 def blocks_of(rows: np.ndarray, sizes: list[int]) -> list[tuple[SignalBlock, dict[str, int]]]:
     """Blocks, each with what had been counted; sizes: so many ticks are expected at a time."""
-    maker, found, k = SignalBlockMaker(full()), [], 0
+    maker, found, k = SignalBlockMaker(joint_settings()), [], 0
     for n in sizes:
         maker.expect(rows[k : k + n])
         for row in rows[k : k + n].tolist():
@@ -166,7 +166,7 @@ def test_ticks_after_a_gap_are_not_those_that_were_expected() -> None:
     rows = drive()
     later = rows + 0.0
     later[:, tk.ACCEL.x] += 1.0
-    maker = SignalBlockMaker(full())
+    maker = SignalBlockMaker(joint_settings())
     maker.expect(rows)
     maker.restart()
     found = []

@@ -15,7 +15,7 @@ from imucald.motion.column_ticks import ticks_from_samples
 from imucald.mount.contradictions import Contradictions
 from imucald.mount.estimate import MountState
 from imucald.mount.estimator import JointEstimator
-from mount_settings import full
+from mount_settings import joint_settings
 from signal_block import block
 
 
@@ -28,7 +28,7 @@ def late(seconds: float) -> Samples:
 
 
 def run(samples: Samples, minutes: float) -> tuple[JointEstimator, set[MountState], set[str]]:
-    estimator, states, faults = JointEstimator(full()), set(), set()
+    estimator, states, faults = JointEstimator(joint_settings()), set(), set()
     for row in ticks_from_samples(samples, 0, int(600 * minutes), {}).tolist():
         estimator.step(row)
         states.add(estimator.state)
@@ -72,7 +72,7 @@ def swinging(late_ticks: int):
 
 @pytest.mark.parametrize("ticks", [0, 11, -4])
 def test_force_and_speed_are_held_against_one_another_at_the_delay(ticks):
-    watch = Contradictions(full())
+    watch = Contradictions(joint_settings())
     for _ in range(4):
         p, yaw_rate = swinging(ticks)
         watch.add(p, yaw_rate, True, np.eye(3), 0.0, False, 0.1 * ticks)
@@ -82,7 +82,7 @@ def test_force_and_speed_are_held_against_one_another_at_the_delay(ticks):
 
 
 def test_a_late_speed_that_is_taken_as_it_comes_would_be_accused():
-    watch = Contradictions(full())
+    watch = Contradictions(joint_settings())
     for _ in range(4):
         p, yaw_rate = swinging(20)
         watch.add(p, yaw_rate, True, np.eye(3), 0.0, False, 0.0)
@@ -90,7 +90,7 @@ def test_a_late_speed_that_is_taken_as_it_comes_would_be_accused():
 
 
 def test_while_the_delay_is_not_known_the_force_is_not_asked():
-    watch = Contradictions(full())
+    watch = Contradictions(joint_settings())
     for _ in range(4):
         p, yaw_rate = swinging(20)
         watch.add(p, yaw_rate, True, np.eye(3), 0.0, False, None)

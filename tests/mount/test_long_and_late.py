@@ -18,7 +18,7 @@ from imucald.mount.joint import evidence
 from imucald.mount.joint.evidence import Evidence
 from imucald.mount.restored import RestoredEstimator, StoredMount
 from imucald.simulation import random_model, simulate
-from mount_settings import full
+from mount_settings import joint_settings
 
 Array = NDArray[np.float64]
 SEED, MINUTES = 20, 12.0
@@ -39,7 +39,7 @@ def test_when_all_windows_are_forgotten_the_last_solution_serves(
     silent = rows()
     silent[3600:, tk.SPEED.n] = 0.0
     silent[3600:, [tk.SPEED.mean, tk.SPEED.age]] = np.nan
-    estimator = JointEstimator(full())
+    estimator = JointEstimator(joint_settings())
     for row in silent.tolist():
         estimator.step(row)
     assert estimator._joint.segment == 0
@@ -56,7 +56,7 @@ def test_a_speed_that_comes_late_delays_the_mount_by_no_more_than_that() -> None
 
 
 def first_good(ticks: Array) -> float:
-    estimator = JointEstimator(full())
+    estimator = JointEstimator(joint_settings())
     for row in ticks.tolist():
         estimator.step(row)
         if estimator.state in GOOD:
@@ -69,7 +69,7 @@ def test_a_wrong_mount_is_left_once_and_a_contradiction_of_all_signals_raises_no
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     made = simulate(random_model(SEED), SEED, MINUTES)
-    estimator = JointEstimator(full())
+    estimator = JointEstimator(joint_settings())
     for row in rows().tolist():
         estimator.step(row)
     known = estimator.known_sensor()
@@ -78,7 +78,7 @@ def test_a_wrong_mount_is_left_once_and_a_contradiction_of_all_signals_raises_no
     sensor = known._replace(rotation=rotation_from_vector([0.0, 0.0, 0.1]) @ known.rotation)
     covariance = math.radians(0.2) ** 2 * np.eye(3)
     stored = StoredMount(wrong, covariance, MountState.FINE, sensor=sensor)
-    restored, left = RestoredEstimator(JointEstimator(full()), stored, is_held=True), []
+    restored, left = RestoredEstimator(JointEstimator(joint_settings()), stored, is_held=True), []
     leave = Evidence.leave_mount
 
     def counted(self: Evidence) -> None:
@@ -99,7 +99,7 @@ def test_creep_is_kept_while_windows_are_made_again() -> None:
     changed = [{"t_s": float(t), "yaw_deg": 0.1} for t in range(60, 1500, 18)]
     model = random_model(SEED).with_changes({"mount.shifts": changed})
     made = simulate(model, SEED, 25.0)
-    estimator, lost, had = JointEstimator(full()), 0, False
+    estimator, lost, had = JointEstimator(joint_settings()), 0, False
     for row in ticks_from_samples(made.samples, 0, 15_000, {}).tolist():
         before = estimator._joint
         estimator.step(row)

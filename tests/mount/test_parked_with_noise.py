@@ -10,7 +10,7 @@ from imucald.core.samples import Series
 from imucald.motion.column_ticks import ticks_from_samples
 from imucald.mount.estimator import JointEstimator
 from imucald.simulation import random_model, simulate
-from mount_settings import full
+from mount_settings import joint_settings
 
 SEED, MINUTES, STANDING_S = 500_000, 20.0, 600.0
 
@@ -26,7 +26,7 @@ def test_ten_minutes_of_it_move_no_sensor_and_leave_the_mount_good(kind):
     values = {"signed": noisy, "cut off": np.maximum(noisy, 0.0), "size": np.abs(noisy)}[kind]
     samples["speed"] = Series(speed.t, values)
     assert np.abs(speed.values[speed.t > 60.0 * MINUTES - STANDING_S + 10.0]).max() < 0.1
-    estimator = JointEstimator(full())
+    estimator = JointEstimator(joint_settings())
     for k, row in enumerate(ticks_from_samples(samples, 0, int(600 * MINUTES)).tolist()):
         estimator.step(row)
         assert k < 5_500 or estimator.state in GOOD

@@ -17,7 +17,7 @@ from imucald.mount.gravity_step import GravityStep
 from imucald.mount.gyro_walk import sampling_walk
 from imucald.mount.large_change import FORCE, TurnedAlone
 from imucald.mount.signal_blocks import ACCEL_GAP, BLOCK_TICKS, SignalBlockMaker
-from mount_settings import full
+from mount_settings import joint_settings
 from signal_block import block
 
 Array = NDArray[np.float64]
@@ -59,7 +59,7 @@ def test_blocks_say_how_far_the_angle_walks(spacing: float, walks: bool) -> None
         "gyro": Series(t, SHAKING * rng.standard_normal((len(t), 3))),
         "speed": Series(t, np.full(len(t), 10.0)),
     }
-    maker, found = SignalBlockMaker(full()), []
+    maker, found = SignalBlockMaker(joint_settings()), []
     for row in ticks_from_samples(samples, 0, 200, {}).tolist():
         if maker.push(row):
             found.append(maker.block().rate_walk)
@@ -116,7 +116,7 @@ def test_a_step_far_beyond_the_walk_is_still_found() -> None:
 
 def bends(noise: float, sign: float) -> tuple[StandingFault, ...]:
     """Faults after ten minutes of gentle bends at 20 m/s, with noise in the turn rate [rad/s]."""
-    rng, watch = np.random.default_rng(4), Contradictions(full())
+    rng, watch = np.random.default_rng(4), Contradictions(joint_settings())
     t = 0.1 * np.arange(BLOCK_TICKS)
     for _ in range(90):
         r = 0.1 * np.sin(0.5 * t + rng.uniform(0.0, 6.0)) * rng.uniform(0.1, 1.0)
@@ -140,7 +140,7 @@ def test_a_force_to_the_wrong_side_is_still_a_contradiction(noise: float) -> Non
 
 def straight(noise: float, is_stated: bool) -> tuple[StandingFault, ...]:
     """Faults after ten minutes of straight road at 20 m/s; noise of samples that come seldom."""
-    rng, watch = np.random.default_rng(5), Contradictions(full())
+    rng, watch = np.random.default_rng(5), Contradictions(joint_settings())
     for k in range(90):
         rate, walk = shaken(rng, noise)
         force = 0.1 * rng.standard_normal((BLOCK_TICKS, 3)) + [0.0, 0.0, GRAVITY]

@@ -21,7 +21,7 @@ from imucald.mount.states import (
     waiting_for,
 )
 from imucald.simulation import random_model, simulate
-from mount_settings import full
+from mount_settings import joint_settings
 
 SETTINGS = EstimatorSettings()
 DEG = math.radians(1.0)
@@ -124,7 +124,7 @@ def test_a_moved_sensor_is_suspect_then_found_again():
     shift = {"t_s": start, "yaw_deg": 5.0}
     model = random_model(seed, standing_first=True).with_changes({"mount.shifts": [shift]})
     made = simulate(model, seed, 14.0)
-    estimator = JointEstimator(full())
+    estimator = JointEstimator(joint_settings())
     states: list[tuple[float, MountState]] = []
     served = None
     for row in ticks_from_samples(made.samples, 0, 8400).tolist():

@@ -22,7 +22,7 @@ from imucald.mount.large_change import (
 )
 from imucald.mount.signal_blocks import BLOCK_TICKS, SignalBlockMaker
 from imucald.simulation import Drive, random_model, simulate
-from mount_settings import full
+from mount_settings import joint_settings
 from signal_block import block
 
 T = np.arange(BLOCK_TICKS) * 0.1
@@ -171,7 +171,7 @@ def standing(
     noise: float = 0.0,
 ) -> list[LargeChange]:
     """What is found in blocks of ticks (N,) with a sensor that pitches and a force ahead."""
-    found, detector = [], LargeChangeDetector(full())
+    found, detector = [], LargeChangeDetector(joint_settings())
     tilt = np.radians(tilt_deg)
     down = GRAVITY * np.sin(tilt) + ahead
     force = np.stack([down, 0.0 * down, GRAVITY * np.cos(tilt)], axis=1)
@@ -252,7 +252,7 @@ def test_how_slow_a_vehicle_goes_unseen_is_learnt_from_its_speed(
         "accel": Series(t, np.tile([0.0, 0.0, GRAVITY], (len(t), 1))),
         "speed": Series(t, shown),
     }
-    maker, found = SignalBlockMaker(full()), [1.0]
+    maker, found = SignalBlockMaker(joint_settings()), [1.0]
     for row in ticks_from_samples(samples, 0, 1199, {}).tolist():
         if maker.push(row):
             found.append(maker.block().least_speed)

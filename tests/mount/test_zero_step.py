@@ -19,7 +19,7 @@ from imucald.mount.contradictions import StandingFault
 from imucald.mount.mount_changes import MountChanges
 from imucald.mount.signal_blocks import BLOCK_S, BLOCK_TICKS, SignalBlock
 from imucald.mount.zero_step import GravityMoved, ZeroStep
-from mount_settings import full
+from mount_settings import joint_settings
 from signal_block import block
 
 BEFORE, AFTER = 40, 30
@@ -50,7 +50,7 @@ def cause(
     grade: of a straight road [rad], for the first `GRADE` blocks after.
     """
     rng = np.random.default_rng(seed)
-    asked = ZeroStep(full())
+    asked = ZeroStep(joint_settings())
     slope = np.zeros(2)
     for k in range(BEFORE + AFTER):
         now = 0.02 * rng.standard_normal(2)
@@ -127,7 +127,7 @@ def test_what_came_before_a_gap_is_not_compared_with_what_comes_after_it():
 
 def test_nothing_is_good_while_it_is_not_known_what_moved_gravity():
     agreed: Any = SimpleNamespace(missing_to_be_good=lambda: None)
-    changes = MountChanges(full())
+    changes = MountChanges(joint_settings())
     flags = {"is_delay_beyond": False, "has_speed": True, "has_speed_now": True}
     question = Acceptance(agreed, changes, are_signs_known=False, **flags)
     for now in GravityMoved:
@@ -146,7 +146,7 @@ def test_a_sensor_that_is_turned_about_the_vertical_has_no_stepped_zero():
 
 
 def test_a_zero_that_steps_back_is_a_fault_no_more():
-    asked, causes = ZeroStep(full()), []
+    asked, causes = ZeroStep(joint_settings()), []
     for k in range(120):
         bend = (k % 2) * (-1.0) ** (k // 2)
         zero = 1.0 if 40 <= k < 80 else 0.0

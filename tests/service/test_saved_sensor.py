@@ -18,7 +18,7 @@ from imucald.mount.restored import RestoredEstimator
 from imucald.service.calibration_store import SENSOR
 from imucald.service.state_file import StateStore
 from imucald.simulation import random_model, simulate
-from mount_settings import full
+from mount_settings import joint_settings
 from service.test_saved_evidence import Keepers
 from service_files import KEY
 
@@ -26,7 +26,7 @@ SEED, SECOND_ROADS = 976_003, 500_000
 
 
 def joint() -> JointEstimator:
-    return JointEstimator(full())
+    return JointEstimator(joint_settings())
 
 
 def ticks(seed: int, minutes: float) -> list[Any]:
