@@ -49,9 +49,10 @@ forward -0.03 to -0.43 m/s^2: its accelerometer's zero, or gain, is off (the dat
 REPEATED: Mapping[str, tuple[str, ...]] = {
     "kingston_2008": ("accel_cross_axis",), "css_canmod_164": ("accel_bias", "gyro_bias"),
 }  # fmt: skip
-"""Named beside a plain car in pieces that share no sample, with values that agree within their
-deviations: a property of the log, whatever its reason. kingston_2008: upward shows 5.4 to 6.4 % of
-forward in halves and sixths. css_canmod_164: (0.16, -0.21, -0.153) and (0.24, -0.22, -0.148) m/s^2,
+"""Causes that the diagnosis names without a model file in pieces that share no sample, with values
+that agree within their deviations. They are a property of the log, whatever the reason. The list
+was made after the outcomes were seen. kingston_2008: upward shows 5.4 to 6.4 % of forward in halves
+and sixths. css_canmod_164: (0.16, -0.21, -0.153) and (0.24, -0.22, -0.148) m/s^2,
 (0.13, 0.25, 0.33) and (0.14, 0.21, 0.34) deg/s in its halves, also at stops."""
 LOOSE = ("vehsense_2017_10_25_1829", "vehsense_2017_10_23_2245")
 """Phones that are held loosely (the data's own page), so that `unknown` is right of them."""

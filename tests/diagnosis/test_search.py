@@ -92,7 +92,9 @@ def test_what_no_file_states_is_estimated_and_is_no_cause():
 
 
 def test_a_late_speed_stays_found_where_one_step_from_the_file_explains_little():
-    """Each cause is asked again beside the others alone, of 0.5 s from where its step leads."""
+    """The delay is 0.5 s. Backward elimination tests each cause at the value that its step reaches,
+    with all other causes applied.
+    """
     drive = hidden_drive(23, (Effect("gyro_bias", "large"),), MINUTES)
     stated = model_from_mapping(dict(drive.model), "b")
     speed = drive.samples["speed"]
