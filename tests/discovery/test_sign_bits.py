@@ -24,6 +24,10 @@ BO_ 1281 LWI_01: 8 ESC
  SG_ LWI_Valid : 30|1@1+ (1,0) [0|1] "" GATEWAY
  SG_ LWI_VZ_Winkel : 29|1@1+ (1,0) [0|1] "" GATEWAY
 
+BO_ 1282 LWI_02: 8 ESC
+ SG_ LWI_Ready : 8|1@1+ (1,0) [0|1] "" GATEWAY
+ SG_ LWI_VZ : 12|1@1+ (1,0) [0|1] "" GATEWAY
+
 """
 HAND = """database: car.dbc
 signals:
@@ -40,8 +44,13 @@ def recorded(tmp_path_factory) -> FrameColumns:
     return concatenate(list(LogReader([log])))
 
 
-def as_magnitudes(frames: FrameColumns, one_is_negative: bool = True) -> FrameColumns:
-    """The steering angle of the example's bus again, as magnitude and sign bit."""
+def as_magnitudes(
+    frames: FrameColumns, one_is_negative: bool = True, apart: bool = False
+) -> FrameColumns:
+    """The steering angle of the example's bus again, as magnitude and sign bit.
+
+    apart: the bit is in a message of its own, of half the rate.
+    """
     angle = frames.take(frames.can_id == _steering_id())
     raw = (angle.data[:, 0].astype(np.int16) << 8 | angle.data[:, 1]).astype(np.int16)
     bit = (raw < 0) if one_is_negative else (raw >= 0)
@@ -51,11 +60,23 @@ def as_magnitudes(frames: FrameColumns, one_is_negative: bool = True) -> FrameCo
     data[:, 2] = size & 0xFF
     data[:, 3] = size >> 8 | bit.astype(np.uint8) << 5 | (np.arange(len(raw)) // 50 % 2) << 6
     n = len(raw)
+    parts = [frames.take(frames.can_id != _steering_id())]
+    if apart:
+        other = np.zeros_like(data[::2])
+        other[:, 1] = (data[::2, 3] >> 5 & 1) << 4 | 1
+        data[:, 3] &= 0xDF
+        size = len(other)
+        parts.append(
+            FrameColumns(
+                angle.t[::2] + 0.0005, np.full(size, 1282, np.uint32), np.full(size, 8, np.uint8),
+                other, angle.channel[::2], angle.channels,
+            )
+        )  # fmt: skip
     again = FrameColumns(
         angle.t + 0.001, np.full(n, 1281, np.uint32), np.full(n, 8, np.uint8), data,
         angle.channel, angle.channels,
     )  # fmt: skip
-    whole = concatenate([frames.take(frames.can_id != _steering_id()), again])
+    whole = concatenate([*parts, again])
     return whole.take(np.argsort(whole.t, kind="stable"))
 
 
@@ -79,6 +100,17 @@ def test_a_sign_in_a_bit_of_its_own_is_proposed_with_the_sense_that_the_turns_sh
     source = choice.sources[""]
     assert source.signal == "LWI_01.LWI_Winkel"
     assert source.sign_signal == "LWI_01.LWI_VZ_Winkel"
+    assert source.sign == (1 if one_is_negative else -1)
+
+
+@pytest.mark.parametrize("one_is_negative", [True, False])
+def test_a_sign_in_another_message_is_proposed(recorded, one_is_negative):
+    frames = GatheredFrames.of([as_magnitudes(recorded, one_is_negative, apart=True)])
+    proposal = discover({"car.dbc": load_database_text(_database(), "dbc")}, frames)
+    choice = proposal.choice("steering_wheel_angle")
+    source = choice.sources[""]
+    assert choice.is_sure
+    assert (source.signal, source.sign_signal) == ("LWI_01.LWI_Winkel", "LWI_02.LWI_VZ")
     assert source.sign == (1 if one_is_negative else -1)
 
 

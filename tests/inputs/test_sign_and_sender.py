@@ -13,6 +13,7 @@ from engine_bus import columns_of, load
 from imucald.can.columns import CAN_EFF_FLAG
 from imucald.core.errors import ConfigError
 from imucald.inputs.sender_choice import SENDER_SETTLING
+from imucald.inputs.source_selector import MAX_SKEW
 from imucald.inputs.wiring import compile_router
 
 SIGNS = """VERSION ""
@@ -97,11 +98,8 @@ def test_a_speed_with_a_sign_bit_shows_reverse(tmp_path):
 @pytest.mark.parametrize(
     ("source", "words"),
     [
-        (
-            "{signal: ESP_02.Rate, sign_signal: OTHER.Bit}",
-            "OTHER, but .* message ESP_02: write .ESP_02.SIGNAL",
-        ),
         ("{signal: ESP_02.Rate, sign_signal: ESP_02.Two}", "one bit"),
+        ("{signal: ESP_02.Rate, sign_signal: OTHER.Bits}", "OTHER has no signal"),
         ("{signal: ESP_02.Rate, sign_signal: ESP_02.VZ}", "has no signal"),
         ("{signal: ESP_02.Signed, sign_signal: ESP_02.VZ_Rate}", "is signed already"),
         ("{raw: {id: 1, value: '1'}, unit: rad/s, sign_signal: ESP_02.VZ_Rate}", "needs 'signal'"),
@@ -110,6 +108,73 @@ def test_a_speed_with_a_sign_bit_shows_reverse(tmp_path):
 def test_a_sign_signal_that_cannot_be_one_is_refused(tmp_path, source, words):
     with pytest.raises(ConfigError, match=words):
         compile_router(load(yaw(source), tmp_path, SIGNS))
+
+
+APART = """database: bus.dbc
+signals:
+  accelerometer:
+    x: {signal: ACC.AX, sign_signal: OTHER.Bit}
+    y: {signal: ACC.AY, sign_signal: ACC.VY}
+    z: ACC.AZ
+  yaw_rate: {signal: ESP_02.Rate, sign_signal: OTHER.Bit, sign: -1}
+"""
+
+
+@settings(max_examples=100, deadline=None)
+@given(
+    st.lists(
+        st.tuples(st.integers(0, 2), st.floats(0.0, 0.12), st.binary(min_size=8, max_size=8)),
+        max_size=20,
+    ),
+    st.integers(0, 20),
+)
+def test_a_sign_of_another_message_is_the_last_known_one_live_and_in_columns(
+    tmp_path_factory, frames, cut
+):
+    loaded = load(APART, tmp_path_factory.mktemp("apart"), SIGNS)
+    live, replayed = compile_router(loaded), compile_router(loaded)
+    t, sign, seen = 0.0, math.nan, -math.inf
+    rows, found = [], {"accel": [], "yaw_rate": []}
+    for kind, later, data in frames:
+        t += later
+        rows.append((t, 257 if kind == 2 else (253, 256)[kind], data[:1] if kind == 2 else data))
+        samples = dict(live.frame(*rows[-1])[0])
+        for channel, values in samples.items():
+            found[channel].append(list(values))
+        if kind == 2:
+            assert not samples
+            sign, seen = (-1.0 if data[0] & 1 else 1.0), t
+            continue
+        known = t - seen <= MAX_SKEW
+        assert known or not samples
+        if known and kind == 0:
+            rate = (int.from_bytes(data, "little") & 0x3FFF) * 0.01
+            assert samples["yaw_rate"][0] == pytest.approx(math.radians(-sign * rate))
+        if "accel" in samples:
+            size = (int.from_bytes(data, "little") & 0x7FFF) * 0.002
+            assert samples["accel"][0] == pytest.approx(sign * size)
+    again = {"accel": [], "yaw_rate": []}
+    for part in filter(None, (rows[:cut], rows[cut:])):
+        columns = columns_of(part)
+        for channel, series in replayed.columns(columns.t, columns).samples.items():
+            again[channel] += series.values.reshape(len(series.t), -1).tolist()
+    assert again == found
+    assert live.rejected == replayed.rejected
+
+
+def test_a_sign_lasts_a_stated_cycle_longer_and_a_reload_keeps_it(tmp_path):
+    text = APART + "messages:\n  OTHER: {cycle_time: 0.5}\n"
+    router = compile_router(load(text, tmp_path, SIGNS))
+    router.frame(1.0, 257, b"\1")
+    again = compile_router(load(text, tmp_path, SIGNS))
+    again.go_on_from(router, again.same_sources(router))
+    data = (1000).to_bytes(8, "little")
+    assert dict(again.frame(1.59, 253, data)[0])["yaw_rate"] == pytest.approx((math.radians(10.0),))
+    assert again.frame(1.61, 253, data)[1] == ["yaw_rate"], "counted as rejected"
+    other = compile_router(
+        load(text.replace("Rate, sign_signal: OTHER.Bit", "Rate"), tmp_path, SIGNS)
+    )
+    assert other.source("yaw_rate") != again.source("yaw_rate")
 
 
 PGN = 0x98F02D00 - 0x80000000

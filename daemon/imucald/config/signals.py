@@ -62,7 +62,7 @@ class SourceSettings(Settings, frozen=True):
     raw: RawSource | None = None
     """Bytes of a frame and an expression, in place of `signal`."""
     sign_signal: Annotated[str, Meta(extra_json_schema={"pattern": MESSAGE_SIGNAL})] | None = None
-    """Sign bit of a magnitude, as ``MESSAGE.SIGNAL`` of the same message. 1 means negative."""
+    """Sign bit of a magnitude, as ``MESSAGE.SIGNAL``. 1 means negative."""
     source_address: SourceAddress | None = None
     """J1939: only frames of this sender are used; default: that of the sensor or the message."""
     unit: str | None = None

@@ -117,7 +117,8 @@ class Decoding:
     def _silent(self) -> Iterator[Finding]:
         """Find messages that did not come, and messages of which all frames were rejected."""
         for probe in self.probes:
-            quantity = ", ".join(dict.fromkeys(configured_name(tap.channel) for tap in probe.taps))
+            names = dict.fromkeys(configured_name(tap.channel) for tap in probe.taps)
+            quantity = ", ".join(names) or "sign_signal"
             if not probe.frames:
                 text = f"no frame of {probe.name} ({id_text(probe.match.can_id)}) came"
                 text += self._elsewhere(probe.match) or self._of_its_pgn(probe)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import math
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -24,6 +25,7 @@ from imucald.discovery.evidence import factor_of
 from imucald.discovery.recording import Traffic
 from imucald.inputs.sender_choice import AS_OFTEN, SENDER_SETTLING
 from imucald.inputs.settings_of_signals import no_values
+from imucald.inputs.sign_bit import SignBit
 from imucald.inputs.units import is_unit
 from imucald.motion.ticks import TICK_RATE
 
@@ -95,6 +97,17 @@ class SeenSignal:
     def is_constant(self) -> bool:
         """True if the signal never changed."""
         return self.least == self.largest
+
+    @property
+    def is_magnitude(self) -> bool:
+        """True if its sign may be in another signal."""
+        is_signed = self.signal.is_signed or self.signal.is_float or self.least < 0.0
+        return not (is_signed or self.levels or self.raw)
+
+    @property
+    def is_bit(self) -> bool:
+        """True if it may be a sign."""
+        return self.signal.length == 1 and len(self.levels) == 2
 
     @property
     def is_switch(self) -> bool:
@@ -244,10 +257,9 @@ def candidates_of(one: MessageTraffic, ticks: int) -> Iterator[SeenSignal]:
         if found is None:
             continue
         yield found
-        is_magnitude = not (found.signal.is_signed or found.signal.is_float or found.levels)
-        if is_magnitude and found.least >= 0.0:
+        if found.is_magnitude:
             magnitudes.append((i, found))
-        elif found.signal.length == 1 and len(found.levels) == 2:
+        elif found.is_bit:
             bits.append((i, found))
     for (i, magnitude), (j, bit) in itertools.product(magnitudes, bits):
         good = known[i] & known[j]
@@ -259,11 +271,80 @@ def candidates_of(one: MessageTraffic, ticks: int) -> Iterator[SeenSignal]:
                 yield replace(found, sign_signal=bit.path)
 
 
-def _changes_sign_at_zero(values: Array) -> bool:
-    """True if values change their sign only when small. If so, the bit is a sign bit."""
+def signed_elsewhere(
+    messages: Mapping[str, MessageTraffic], found: Sequence[SeenSignal], ticks: int
+) -> Iterator[SeenSignal]:
+    """Yield magnitudes without a sign in their message, each with its best sign bit of another one.
+
+    The values are those of a configuration with this `sign_signal`.
+    """
+    signed = {c.path for c in found if c.sign_signal is not None}
+    own = [c for c in found if c.message.name in messages]
+    bits = []
+    for bit in (c for c in own if c.is_bit):
+        t, state, _, _ = _decoded(messages[bit.message.name], bit)
+        changed = t[1:][state[1:] != state[:-1]]
+        if len(changed) >= MIN_FRAMES:
+            bits.append((bit, t, state, changed))
+    for c in own:
+        if c.path in signed or not c.is_magnitude:
+            continue
+        one = messages[c.message.name]
+        t, values, raw, rows = _decoded(one, c)
+        best: tuple[float, SeenSignal, Array] | None = None
+        for bit, t_bit, state, changed in bits:
+            at = np.minimum(t.searchsorted(changed), len(t) - 1)
+            if bit.message.name == c.message.name or not _is_small(values[at], values):
+                continue
+            sign = SignBit(bit.path)
+            sign.expect(bit.message.cycle_time)
+            order = np.arange(len(t_bit))
+            sign.see_columns(t_bit, order, state)
+            factors = sign.at_columns(t, t_bit.searchsorted(t, "right") - 1)
+            known = np.isfinite(factors)
+            size = _size_at_sign((values * factors)[known])
+            if size < (SMALL_AT_SIGN if best is None else best[0]):
+                best = size, bit, factors
+        if best is not None:
+            _, bit, factors = best
+            good = np.zeros(len(one.t), np.bool_)
+            good[rows] = np.isfinite(factors)
+            every = np.zeros(len(one.t))
+            every[rows] = values * np.nan_to_num(factors)
+            again = _candidate(one, c.signal.name, raw, every, good, ticks)
+            if again is not None:
+                yield replace(again, sign_signal=bit.path)
+
+
+def _decoded(
+    one: MessageTraffic, c: SeenSignal
+) -> tuple[Array, Array, NDArray[np.generic], NDArray[np.intp]]:
+    """Return times and values (N,) where a signal has a value, all raw numbers, and the rows."""
+    found = compile_decode(one.message, [c.signal.name], may_be_cut=True).decode_columns(
+        one.data, one.length
+    )
+    good = found.ok & ~np.isin(found.raw[0], c.unavailable)
+    if found.present[0] is not None:
+        good &= found.present[0]
+    rows = np.flatnonzero(good)
+    return one.t[rows], found.values[0][rows], found.raw[0], rows
+
+
+def _is_small(at_sign: Array, values: Array) -> bool:
+    """True if values at changes of a bit are small."""
+    return float(np.abs(at_sign).mean()) < SMALL_AT_SIGN * float(np.abs(values).mean())
+
+
+def _size_at_sign(values: Array) -> float:
+    """Return the mean size where values change their sign, relative to their mean size."""
     at = np.flatnonzero(np.signbit(values[1:]) != np.signbit(values[:-1]))
     usual = float(np.abs(values).mean()) if len(values) else 0.0
-    return len(at) > 0 and float(np.abs(values[at]).mean()) < SMALL_AT_SIGN * usual
+    return float(np.abs(values[at]).mean()) / usual if len(at) and usual else math.inf
+
+
+def _changes_sign_at_zero(values: Array) -> bool:
+    """True if values change their sign only when small. If so, the bit is a sign bit."""
+    return _size_at_sign(values) < SMALL_AT_SIGN
 
 
 def _candidate(

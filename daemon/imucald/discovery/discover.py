@@ -24,6 +24,7 @@ from imucald.discovery.candidates import (
     messages_in,
     obd_speeds,
     readable_messages,
+    signed_elsewhere,
     silent_candidates,
 )
 from imucald.discovery.flags import (
@@ -104,6 +105,7 @@ def _discovered(
     candidates = [c for one in messages.values() for c in candidates_of(one, ticks)]
     if not recording.frames:
         candidates = [c for d in databases.values() for c in silent_candidates(d)]
+    candidates += list(signed_elsewhere(messages, candidates, ticks))
     candidates += obd_speeds(traffic, ticks)
     proposal.choices, reference = choices_from(candidates, proposal)
     wanted = {"speed", "steering_wheel_angle"} - {c.quantity for c in proposal.choices}
@@ -245,10 +247,11 @@ def choices_from(
 def used_messages(choices: Sequence[Choice]) -> list[str]:
     """Return the used messages, in order."""
     names = (
-        source.signal.partition(".")[0]
+        path.partition(".")[0]
         for choice in choices
         for source in choice.sources.values()
-        if source.signal
+        for path in (source.signal, source.sign_signal)
+        if path
     )
     return list(dict.fromkeys(names))
 

@@ -26,7 +26,7 @@ from imucald.inputs.column_samples import (
     rows_of,
 )
 from imucald.inputs.conversion import REASONS
-from imucald.inputs.routes import Carried, SignalRoute
+from imucald.inputs.routes import Carried, MessageRoute, SignalRoute
 from imucald.inputs.sender_choice import Asked, taken
 from imucald.inputs.sender_choice import joined as joined_senders
 from imucald.inputs.source_selector import SourceSelector, TapSamples, TriadAssembler
@@ -64,7 +64,8 @@ class RouteWatcher(Protocol):
 class Router:
     """Converts frames to samples.
 
-    routes: one for each used message (or raw expression), see `routes`.
+    routes: one for each used message (or raw expression), see `routes`. Those that give signs to
+    others come first.
     derive_speed: whether the speed is computed from the wheels. derive_reverse: whether a negative
     speed means reverse.
     """
@@ -86,6 +87,7 @@ class Router:
         """Number of accepted samples, by channel."""
         self._join_senders()
         self._known: dict[int, tuple[SignalRoute, ...]] = {}
+        self._signs = [s for r in routes if isinstance(r, MessageRoute) for s in r.given.values()]
         self._derive_speed = derive_speed
         self._derive_reverse = derive_reverse
         ranks: dict[str, int] = {}
@@ -219,7 +221,7 @@ class Router:
                     refused += route.taps
                 continue
             accepted += 1
-            raw, physical = route.numbers(data)
+            raw, physical = route.numbers(t, data)
             found += [(tap, raw, physical) for tap in route.taps]
         if accepted > 1:  # preferred sources first, on any route
             found.sort(key=lambda one: one[0].rank)
@@ -304,6 +306,8 @@ class Router:
         events: list[Rows] = []
         for selector in self._selectors.values():
             selector.begin_chunk()
+        for sign in self._signs:
+            sign.begin_chunk()
         for k, rows in enumerate(self._chosen(t, frames, found)):
             if not len(rows):
                 continue
@@ -321,7 +325,7 @@ class Router:
             if not ok.all():
                 rows, times, chosen = rows[ok], times[ok], chosen.take(ok)  # noqa: PLW2901
             used[rows] = True
-            columns = route.number_columns(chosen)
+            columns = route.number_columns(times, rows, chosen)
             if self.watchers:
                 self.watchers[k].see_values(columns)
             self._take_columns(route, times, rows, columns, parts, values, events)

@@ -15,20 +15,27 @@ from imucald.can.e2e.protection import OK, REASONS, SHORT, MessageChecker
 from imucald.inputs.expression import Expression
 from imucald.inputs.rate_guard import RateGuard
 from imucald.inputs.sender_choice import SenderChoice
+from imucald.inputs.sign_bit import SignBit
 from imucald.inputs.taps import Columns, Physical, Raw, Tap
 
 Carried = FrameColumns | Payloads
 """Frames (N,). A route reads only their payloads."""
 
-_SENSORS = frozenset({"accel", "gyro", "mag", "parallel"})
+SENSORS = frozenset({"accel", "gyro", "mag", "parallel"})
 """Channels of mounted sensors. The sensors of two senders have different mounts."""
+
+
+def is_of_any_sender(match: IdMatch) -> bool:
+    """True if the frames of several J1939 source addresses match."""
+    return bool(match.can_id & CAN_EFF_FLAG) and not match.mask & J1939_ADDRESS_MASK
 
 
 class MessageRoute:
     """The route of a message in a database.
 
     signs: for signals that are magnitudes. Key: index of the signal in the plan. Value: index of
-    the sign signal, which is not 0 if the value is negative.
+    the sign signal, which is not 0 if the value is negative, or a sign in another message.
+    given: for sign signals of magnitudes in other messages, by index.
     """
 
     def __init__(
@@ -36,7 +43,8 @@ class MessageRoute:
         plan: DecodePlan,
         checker: MessageChecker,
         taps: Sequence[Tap],
-        signs: Mapping[int, int] = MappingProxyType({}),
+        signs: Mapping[int, int | SignBit] = MappingProxyType({}),
+        given: Mapping[int, SignBit] = MappingProxyType({}),
     ) -> None:
         self.name = plan.message.name
         self.match = plan.id_match
@@ -45,12 +53,16 @@ class MessageRoute:
         self.taps = tuple(sorted(taps, key=lambda tap: tap.rank))
         self.stated_cycle = checker.spec.cycle_time or plan.message.cycle_time
         self.guard = RateGuard(self.stated_cycle, checker.spec.counter is not None)
-        self.signs = dict(signs)
-        is_sensor = any(tap.channel.partition("/")[0] in _SENSORS for tap in self.taps)
-        is_any_sender = (
-            bool(self.match.can_id & CAN_EFF_FLAG) and not self.match.mask & J1939_ADDRESS_MASK
-        )
-        self.sender = SenderChoice() if is_sensor and is_any_sender else None
+        self.signs, self.given = dict(signs), dict(given)
+        for bit in self.given.values():
+            bit.expect(self.stated_cycle)
+        is_sensor = any(tap.channel.partition("/")[0] in SENSORS for tap in self.taps)
+        self.sender = SenderChoice() if is_sensor and is_of_any_sender(self.match) else None
+
+    @property
+    def takes_signs(self) -> bool:
+        """True if the signs of some values are in other messages."""
+        return any(isinstance(sign, SignBit) for sign in self.signs.values())
 
     @property
     def frame_key(self) -> Hashable:
@@ -65,7 +77,7 @@ class MessageRoute:
             selectors = [(self.plan.multiplexers[name].field, i) for name, i in signal.selectors]
             kind = signal.signal.is_signed, signal.signal.is_float
             sign = self.signs.get(component.index)
-            bit = None if sign is None else self.plan.signals[sign].field
+            bit = self.plan.signals[sign].field if isinstance(sign, int) else sign and sign.source
             number = signal.field, kind, signal.scaling, tuple(selectors), bit
             found.append((number, component.conversion.source))
         return self.match, tap.source, tuple(found)
@@ -82,21 +94,32 @@ class MessageRoute:
             self.guard = former.guard
         if self.sender is not None and former.sender is not None:
             self.sender = former.sender
+        known = {bit.source: bit for bit in former.given.values()}
+        for bit in self.given.values():
+            if bit.source in known:
+                bit.go_on_from(known[bit.source])
 
     def check(self, t: float, data: bytes) -> str | None:
         """Check length, checksum, counter and time-out."""
         return self.checker.check(t, data) or ""
 
-    def numbers(self, data: bytes) -> tuple[Raw, Physical]:
-        """Decode one frame."""
+    def numbers(self, t: float, data: bytes) -> tuple[Raw, Physical]:
+        """Decode one frame at stream time t [s]."""
         raw = self.plan.decode_raw(data)
         physical = self.plan.scale(raw)
-        return raw, self._signed(raw, physical) if self.signs else physical
+        for index, given in self.given.items():
+            if (bit := raw[index]) is not None:
+                given.see(t, bit)
+        return raw, self._signed(t, raw, physical) if self.signs else physical
 
-    def _signed(self, raw: Raw, physical: Physical) -> Physical:
+    def _signed(self, t: float, raw: Raw, physical: Physical) -> Physical:
         found = list(physical)
         for index, sign in self.signs.items():
-            value, bit = found[index], raw[sign]
+            value = found[index]
+            if isinstance(sign, SignBit):
+                found[index] = None if value is None else value * sign.at(t)
+                continue
+            bit = raw[sign]
             found[index] = None if value is None or bit is None else -value if bit else value
         return found
 
@@ -112,12 +135,21 @@ class MessageRoute:
             REASONS[code]: np.flatnonzero(codes == code) for code in np.unique(codes[~ok]).tolist()
         }
 
-    def number_columns(self, frames: Carried) -> Columns:
-        """Decode columns."""
+    def number_columns(
+        self, t: NDArray[np.float64], row: NDArray[np.int64], frames: Carried
+    ) -> Columns:
+        """Decode columns. row: (N,) rows of the frames in their chunk."""
         found = self.plan.decode_columns(frames.data, frames.length)
         columns = list(zip(found.raw, found.values, found.present, strict=True))
+        for index, given in self.given.items():
+            bit, _, known = columns[index]
+            there = slice(None) if known is None else known
+            given.see_columns(t[there], row[there], bit[there])
         for index, sign in self.signs.items():
             raw, values, present = columns[index]
+            if isinstance(sign, SignBit):
+                columns[index] = raw, values * sign.at_columns(t, row), present
+                continue
             bit, _, known = columns[sign]
             if known is not None:
                 present = known if present is None else known & present
@@ -176,7 +208,7 @@ class RawRoute:
             return None
         return reason or ("" if len(data) >= self._value.needs else "short_frame")
 
-    def numbers(self, data: bytes) -> tuple[Raw, Physical]:
+    def numbers(self, t: float, data: bytes) -> tuple[Raw, Physical]:
         """Return the value; raw and physical values are equal."""
         number = self._value.number(data)
         return (number,), (number if math.isfinite(number) else math.nan,)
@@ -196,7 +228,9 @@ class RawRoute:
         reasons = {REASONS[code]: np.flatnonzero(ours & (codes == code)) for code in found}
         return ours & (codes == OK), reasons
 
-    def number_columns(self, frames: Carried) -> Columns:
+    def number_columns(
+        self, t: NDArray[np.float64], row: NDArray[np.int64], frames: Carried
+    ) -> Columns:
         """Return the values."""
         numbers = self._value.numbers(frames.data, frames.length)
         return [(numbers, numbers, None)]

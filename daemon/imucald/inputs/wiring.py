@@ -8,7 +8,7 @@ from collections import Counter
 from collections.abc import Callable, Collection, Hashable, Iterable, Iterator, Sequence
 from typing import TypeVar
 
-from msgspec import Struct, field
+from msgspec import Struct, field, structs
 
 from imucald import config as cfg
 from imucald.can.columns import CAN_EFF_FLAG, CAN_EFF_MASK, CAN_SFF_MASK, IdMatch
@@ -24,8 +24,9 @@ from imucald.inputs.conversion import Conversion
 from imucald.inputs.expression import Expression
 from imucald.inputs.quantities import Place, Wanted, wanted_numbers
 from imucald.inputs.router import Router
-from imucald.inputs.routes import MessageRoute, RawRoute, SignalRoute
+from imucald.inputs.routes import SENSORS, MessageRoute, RawRoute, SignalRoute, is_of_any_sender
 from imucald.inputs.settings_of_signals import as_decoded, check_raw, checker_for, no_values
+from imucald.inputs.sign_bit import SignBit
 from imucald.inputs.taps import PLANAR_Z, Component, Status, Tap
 from imucald.inputs.units import Unit, find_unit, unit_names
 
@@ -53,7 +54,8 @@ class _MessageSignals(Struct):
     j1939: bool | None
     source_address: int | None = None
     names: list[str] = field(default_factory=list)
-    signs: dict[int, int] = field(default_factory=dict)
+    signs: dict[int, int | SignBit] = field(default_factory=dict)
+    given: dict[int, SignBit] = field(default_factory=dict)
     wanted: list[tuple[Wanted, int, Conversion]] = field(default_factory=list)
     statuses: dict[tuple[str, int], list[Status]] = field(default_factory=dict)
 
@@ -95,7 +97,8 @@ def compile_router(loaded: LoadedConfig) -> Router:
     _refuse_unknown_messages(loaded, raw_names | {group.message.name for group in groups.values()})
     _refuse_unknown_checksums(loaded)
     _refuse_split_planar(loaded, groups.values())
-    routes += [_message_route(loaded, group) for group in groups.values()]
+    ordered = sorted(groups.values(), key=lambda group: not group.given)
+    routes += [_message_route(loaded, group) for group in ordered]
     signals = loaded.config.signals
     return Router(
         routes,
@@ -120,58 +123,75 @@ def _add_signal(
     wanted: Wanted,
 ) -> None:
     path = wanted.source.signal or ""
-    holder, message, signal = _find(loaded, databases, wanted, path)
-    channel = wanted.source.channel or holder.entry.channel
-    address, j1939 = wanted.source_address, holder.entry.j1939
-    if address is None and message.name in loaded.config.messages:
-        address = loaded.config.messages[message.name].source_address
-    group = groups.setdefault(
-        (message.name, channel, address), _MessageSignals(message, channel, j1939, address)
-    )
-    index = _signed_index(loaded, group, wanted, signal)
+    group, signal = _grouped(loaded, databases, groups, wanted, path)
+    sign = None
+    if wanted.source.sign_signal is not None:
+        sign = _sign_of(loaded, databases, groups, wanted, group, signal)
+    index = _signed_index(group, signal, sign)
     conversion = _conversion(loaded, wanted, signal)
     group.wanted.append((wanted, index, conversion))
     if wanted.source.valid_when is not None:
         _add_status(loaded, group, wanted, wanted.source.valid_when)
 
 
-def _signed_index(
-    loaded: LoadedConfig, group: _MessageSignals, wanted: Wanted, signal: Signal
-) -> int:
-    """Return the index of a signal (with its sign signal) in the requested ones of its message."""
-    path = wanted.source.sign_signal
-    if path is None:
-        for index, name in enumerate(group.names):
-            if name == signal.name and index not in group.signs:
-                return index
-        return _added(group, signal)
-    place = (*wanted.place, "sign_signal")
-    own = group.message.name
-    message_name, _, name = path.rpartition(".")
-    if message_name != own:
-        text = f"write '{own}.SIGNAL' with the signal of {own} that holds the sign bit"
-        told = f"is in message {message_name}" if message_name else "names no message"
-        magnitude = f"its magnitude, {wanted.source.signal}, is in message {own}"
-        raise loaded.error(place, f"{path} {told}, but {magnitude}: {text}")
-    try:
-        sign = group.message.signal(name)
-    except DatabaseError as error:
-        raise loaded.error(place, str(error)) from None
-    if sign.length != 1 or sign.name == signal.name:
-        raise loaded.error(
-            place,
-            f"{path} cannot be the sign: it must be a signal of one bit, and not the "
-            "magnitude itself",
-        )
+def _grouped(
+    loaded: LoadedConfig,
+    databases: Sequence[LoadedDatabase],
+    groups: Groups,
+    wanted: Wanted,
+    path: str,
+) -> tuple[_MessageSignals, Signal]:
+    """Return a signal and the requested ones of its message."""
+    holder, message, signal = _find(loaded, databases, wanted, path)
+    channel = wanted.source.channel or holder.entry.channel
+    address, j1939 = wanted.source_address, holder.entry.j1939
+    if address is None and message.name in loaded.config.messages:
+        address = loaded.config.messages[message.name].source_address
+    key = message.name, channel, address
+    return groups.setdefault(key, _MessageSignals(message, channel, j1939, address)), signal
+
+
+def _sign_of(
+    loaded: LoadedConfig,
+    databases: Sequence[LoadedDatabase],
+    groups: Groups,
+    wanted: Wanted,
+    group: _MessageSignals,
+    signal: Signal,
+) -> int | SignBit:
+    """Return the sign of a magnitude: an index in its message, or the sign of another message."""
+    path = wanted.source.sign_signal or ""
+    at_place = structs.replace(wanted, place=(*wanted.place, "sign_signal"))
+    of_sign, sign = _grouped(loaded, databases, groups, at_place, path)
+    if sign.length != 1 or path == wanted.source.signal:
+        text = "it must be a signal of one bit, and not the magnitude itself"
+        raise loaded.error(at_place.place, f"{path} cannot be the sign: {text}")
     if signal.is_signed or signal.is_float:
         text = f"{wanted.source.signal} is signed already: remove 'sign_signal'"
-        raise loaded.error(place, text)
-    at = group.names.index(sign.name) if sign.name in group.names else _added(group, sign)
-    for index, known in group.signs.items():
-        if known == at and group.names[index] == signal.name:
+        raise loaded.error(at_place.place, text)
+    known = of_sign.names.index(sign.name) if sign.name in of_sign.names else None
+    index = _added(of_sign, sign) if known is None else known
+    if of_sign is group:
+        return index
+    is_sensor = wanted.channel.partition("/")[0] in SENSORS
+    match = id_match(of_sign.message, of_sign.j1939, source_address=of_sign.source_address)
+    if is_sensor and is_of_any_sender(match):
+        text = f"state the 'source_address:' of {of_sign.message.name}: several units may send it"
+        raise loaded.error(at_place.place, text)
+    if any(isinstance(s, SignBit) for s in of_sign.signs.values()) or group.given:
+        text = "a message with a sign for another one cannot take its own signs from a third one"
+        raise loaded.error(at_place.place, text)
+    return of_sign.given.setdefault(index, SignBit((path, of_sign.channel, of_sign.source_address)))
+
+
+def _signed_index(group: _MessageSignals, signal: Signal, sign: int | SignBit | None) -> int:
+    """Return the index of a signal with this sign in the requested ones of its message."""
+    for index, name in enumerate(group.names):
+        if name == signal.name and group.signs.get(index) == sign:
             return index
     index = _added(group, signal)
-    group.signs[index] = at
+    if sign is not None:
+        group.signs[index] = sign
     return index
 
 
@@ -335,7 +355,7 @@ def _raw_checker(
 def _message_route(loaded: LoadedConfig, group: _MessageSignals) -> MessageRoute:
     protection = loaded.config.messages.get(group.message.name)
     place: Place = ("messages", group.message.name)
-    if protection is None:
+    if protection is None and group.wanted:
         place = group.wanted[0][0].place
     try:
         plan = compile_decode(
@@ -343,10 +363,11 @@ def _message_route(loaded: LoadedConfig, group: _MessageSignals) -> MessageRoute
         )
         taps = list(_taps(group))
         needed = [max(plan.ends[component.index] for component in tap.components) for tap in taps]
+        needed += [plan.ends[index] for index in group.given]
         checker = checker_for(group.message, protection, min(needed))
     except (DatabaseError, ConfigError) as error:
         raise loaded.error(place, str(error)) from None
-    return MessageRoute(plan, checker, taps, group.signs)
+    return MessageRoute(plan, checker, taps, group.signs, group.given)
 
 
 def _taps(group: _MessageSignals) -> Iterator[Tap]:

@@ -41,13 +41,14 @@ class BusEncoder:
     """Encodes drives to the frames of a vehicle.
 
     Raises ConfigError if the configuration names no message with simulated signals. Quantities of
-    raw expressions cannot be written and are left out (`left_out`).
+    raw expressions, and messages whose signs are in other messages, cannot be written and are left
+    out (`left_out`).
     """
 
     def __init__(self, loaded: LoadedConfig) -> None:
         routes = compile_router(loaded).routes
-        self._routes = [route for route in routes if isinstance(route, MessageRoute)]
-        self.left_out = [route.name for route in routes if not isinstance(route, MessageRoute)]
+        self._routes = [r for r in routes if isinstance(r, MessageRoute) and not r.takes_signs]
+        self.left_out = [route.name for route in routes if route not in self._routes]
         """Names of the routes that cannot be written."""
         if not self._routes:
             raise ConfigError(
@@ -112,7 +113,7 @@ def _tap_columns(
         if tap.channel == "speed" and (signal.is_signed or sign is not None):
             values = values * _direction(drive, series)
         physical = _physical(component.conversion, values)
-        if sign is not None:
+        if isinstance(sign, int):
             bits = route.plan.message.signal(route.plan.signal_names[sign])
             yield bits.name, np.where(physical < 0.0, bits.scale + bits.offset, bits.offset)
             physical = np.abs(physical)
