@@ -53,7 +53,7 @@ MINUTES = 15.0
 SPOOFED_S = (300.0, 420.0)
 DRIFTS_FROM_S = 250.0
 GAP_S = 0.0003
-"""Between the frames of a burst; a single one comes 0.2 ms later."""
+"""Between the frames of a burst."""
 DEVIATIONS = 4.0
 ZEROS = slice(4, 6)
 USAGE = 2
@@ -61,7 +61,8 @@ USAGE = 2
 
 @dataclass(frozen=True)
 class Variant:
-    """burst: frames put in behind a true one, each_s [s]; off: what they are off by [m/s^2].
+    """burst: frames put in behind_s [s] behind a true one, each_s [s]; off: what they are off by
+    [m/s^2].
 
     rate: of a drift [m/s^2 a second] along an axis.
     """
@@ -71,6 +72,7 @@ class Variant:
     burst: int = 0
     each_s: float = math.inf
     off: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    behind_s: float = GAP_S
     rate: float = 0.0
     axis: int = 0
 
@@ -79,7 +81,8 @@ VARIANTS = (
     Variant("bursts of 16, each second, 3 m/s2", 2.0, 16, 1.0, (3.0, 0.0, 0.0)),
     Variant("bursts of 16, 3.6 a second, 1.5 m/s2", 2.0, 16, 0.28, (1.5, 1.5, 0.0)),
     Variant("bursts of 16, 3.6 a second, 3 m/s2", 2.0, 16, 0.28, (0.0, 3.0, 0.0)),
-    Variant("singles, 10 a second, 9 m/s2", 2.0, 1, 0.1, (0.0, 9.0, 0.0)),
+    Variant("singles, 10 a second, 9 m/s2", 2.0, 1, 0.1, (0.0, 9.0, 0.0), 0.0005),
+    Variant("singles 9 ms behind, 5 a second, 9 m/s2", 2.0, 1, 0.2, (0.0, 9.0, 0.0), 0.009),
     *(
         Variant(f"drift of {'xyz'[axis]} by {rate}", 0.0, rate=rate, axis=axis)
         for rate in (0.001, 0.002, 0.003)
@@ -169,7 +172,7 @@ def spoofed(
         burst = other.take(taken)
         data = burst.data.copy()
         data[:, :width] = protector.protect_columns(data[:, :width])[:, :width]
-        start = true.t[row] + (GAP_S if variant.burst > 1 else GAP_S + 0.0002)
+        start = true.t[row] + variant.behind_s
         parts.append(structs.replace(burst, t=start + GAP_S * np.arange(variant.burst), data=data))
         where.append(taken)
     every = joined(parts)

@@ -176,6 +176,33 @@ def test_frames_put_in_behind_true_ones_do_not_pass(burst, each_s, jitter) -> No
     assert true > 0
 
 
+@pytest.mark.parametrize("behind", [0.5, 0.9])
+@pytest.mark.parametrize("ahead", [1, 2])
+def test_of_frames_put_in_before_true_ones_one_passes_and_ends_trust(behind, ahead) -> None:
+    """The true one with the same counter, 1 to 5 ms later, shows that there are two senders."""
+    spec = spec_of()
+    t, data = sent(spec, 18_000, 4, jitter=0.02)
+    rows = np.arange(6000, 17_000, 20)
+    forged = data[(rows + ahead) % len(data)].copy()
+    forged[:, 2:] ^= 0x55
+    protector = MessageProtector(spec)
+    for row, at in zip(forged, rows, strict=True):
+        protector._next = int(data[at + ahead, 1] & 15)
+        row[:] = protector.protect_columns(row[None])[0]
+    every = np.concatenate([t, t[rows] + behind * CYCLE])
+    order = np.argsort(every, kind="stable")
+    checker, verdicts = judged(spec, every[order], np.concatenate([data, forged])[order])
+    is_forged = (order >= len(t)).tolist()
+    good = [a for a, verdict in zip(is_forged, verdicts, strict=True) if not verdict]
+    assert sum(good) <= 1
+    late = every[order] > t[rows[-1]] + 2.1
+    assert set(np.array(verdicts)[late]) == {""}, "trusted again"
+    single = MessageChecker(spec)
+    frames = zip(every[order], np.concatenate([data, forged])[order], strict=True)
+    assert [single.check(at, row.tobytes()) or "" for at, row in frames] == verdicts
+    assert single.past == checker.past
+
+
 @pytest.mark.parametrize("seed", SEEDS)
 def test_a_delayed_frame_followed_closely_by_the_next_is_a_normal_thing(seed) -> None:
     spec, rng = spec_of(), np.random.default_rng(seed)

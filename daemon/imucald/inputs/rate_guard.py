@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from imucald.can.e2e.protection import DOUBLED, TOO_EARLY
+from imucald.can.e2e.schedule import HELD_S
 
 TOO_FAST, DUPLICATE = "too_fast", "duplicate_sender"
 LEARNT_S = 10
@@ -32,8 +33,6 @@ NO_LIMIT = 1e9
 FAULTY_COUNTERS = 0.05
 """Smallest share of counter faults that also shows two senders, because two counters interleave.
 The limit is one fault in seventeen frames, if the other sender sends sixteen frames."""
-HELD_S = 2
-"""A sender is trusted again this time after the other sender stopped [s]."""
 _NOT_SENT = frozenset(("checksum", "short_frame", DOUBLED))
 """Reasons that do not show a second sender: frames with an unknown sender, and copies."""
 
@@ -147,7 +146,7 @@ class RateGuard:
         self._second = second
         self._seen = self._faults = self._taken = 0
         if self._is_duplicate():
-            self._distrusted_until = second + HELD_S - 1
+            self._distrusted_until = second + int(HELD_S) - 1
         self._allowed = math.floor(self._limit())
 
     def _close(self) -> None:

@@ -68,23 +68,35 @@ class CompiledJudge:
         codes = np.empty(len(length), np.uint8)
         state = np.array(
             [past.counter, past.missed, past.distrust, past.lost, len(past.data) or -1,
-             past.phase, past.early, past.early_counter, past.chain, past.own, past.trials],
+             past.phase, past.early, past.early_counter, past.chain, past.own, past.trials,
+             len(past.overtaken)],
             np.int64,
         )  # fmt: skip
         times = np.array(
-            [past.t, past.due, past.cycle, past.begun, past.steps, past.tried, past.early_t],
+            [
+                past.t,
+                past.due,
+                past.cycle,
+                past.begun,
+                past.steps,
+                past.tried,
+                past.early_t,
+                past.contradicted,
+            ],
             np.float64,
         )
-        last_data = np.zeros(MAX_FRAME_BYTES, np.uint8)
-        last_data[: len(past.data)] = np.frombuffer(past.data, np.uint8)
+        last_data = np.zeros((2, MAX_FRAME_BYTES), np.uint8)
+        last_data[0, : len(past.data)] = np.frombuffer(past.data, np.uint8)
+        last_data[1, : len(past.overtaken)] = np.frombuffer(past.overtaken, np.uint8)
         kernels.judge_frames(
             t, data, length, self._numbers, self._timeout, self._table, self._starts,
             self._suffixes, state, times, last_data, codes,
         )  # fmt: skip
         past.counter, past.missed, past.distrust, past.lost, known = state[:5].tolist()
         past.phase, past.early, past.early_counter, past.chain = state[5:9].tolist()
-        past.own, past.trials = state[9:].tolist()
+        past.own, past.trials, before = state[9:].tolist()
         past.t, past.due, past.cycle, past.begun = times[:4].tolist()
-        past.steps, past.tried, past.early_t = times[4:].tolist()
-        past.data = last_data[:known].tobytes() if known > 0 else b""
+        past.steps, past.tried, past.early_t, past.contradicted = times[4:].tolist()
+        past.data = last_data[0, :known].tobytes() if known > 0 else b""
+        past.overtaken = last_data[1, :before].tobytes()
         return codes

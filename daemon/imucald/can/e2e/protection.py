@@ -16,6 +16,10 @@ Order of the checks:
    sent again), "counter_reversed" (an old frame), "counter_jump".
 6. "too_early": the sender cannot have sent one more frame yet, with its cycle.
 
+A counter that comes twice within `WAITS` cycles, with other data or with an older frame in between,
+shows two senders, and nothing shows which of them is ours. All frames of the next `HELD_S` are
+dropped ("untrusted"). The first frame was already used: only authentication would prevent that.
+
 A lost frame is not a fault. If the time is long enough for a step of the counter (see `schedule`),
 the step is counted as lost frames, unless a largest step is stated. Frames dropped for a wrong
 checksum or length are known to be missing, so they increase the allowed step. After a silence, the
@@ -39,7 +43,7 @@ from imucald.can.dbc.bits import Columns, read_bits
 from imucald.can.e2e.checksum_engine import Checksum
 from imucald.can.e2e.compiled_protection import CompiledJudge
 from imucald.can.e2e.protection_spec import ProtectionSpec
-from imucald.can.e2e.schedule import AHEAD, EARLIEST, IN_FORCE, TRIAL, Past
+from imucald.can.e2e.schedule import AHEAD, EARLIEST, HELD_S, IN_FORCE, TRIAL, WAITS, Past
 from imucald.core import compiled
 
 REASONS = (
@@ -122,16 +126,30 @@ class MessageChecker:
                     past.data = b""
                     return COPY
             if code == OK and self._is_protected:
+                known, is_near = past.data, 0.0 < t - past.t <= WAITS * past.cycle
                 code = self._sequence(t, value, data)
+                if is_near and self._is_again(code, value, data, known):
+                    past.contradicted = t
+                past.overtaken = known if is_near and code == REVERSED else b""
         if code == OK:
             if past.distrust:
                 past.distrust -= 1
                 return UNTRUSTED
-            return OK
+            return UNTRUSTED if 0.0 <= t - past.contradicted < HELD_S else OK
         past.distrust = self.spec.recovery
         if code <= INVALID:
             past.missed += 1
         return code
+
+    def _is_again(self, code: int, value: int, data: bytes | bytearray, known: bytes) -> bool:
+        """True if a frame has the counter, but not the data, of a frame shortly before.
+
+        known: data of the frame before.
+        """
+        before = known if code == REPEATED else self.past.overtaken
+        if not before or self._counter is None or not self.spec.recovery:
+            return False
+        return read_bits(before, self._counter.field) == value and data != before
 
     def _sequence(self, t: float, value: int, data: bytes | bytearray) -> int:
         """Check counter and time of a frame with correct length and checksum."""

@@ -54,6 +54,10 @@ LONGER, MOST_TRIALS = 4.0, 6
 number of times that the factor is applied."""
 
 
+HELD_S = 2.0
+"""A sender is trusted again this time after the last sign of another sender [s]."""
+
+
 class Past(Struct):
     """The state of a message with which its next frame is compared.
 
@@ -62,7 +66,8 @@ class Past(Struct):
     frames still to be dropped. lost: number of lost frames according to the counter. due: time when
     the last frame was due [s], not after t. cycle: mean cycle [s] over `steps` steps since `begun`;
     0 if not known. tried: time of the last early frame in phase TRIAL [s]. early: number of early
-    frames, see `MOST_EARLY`.
+    frames, see `MOST_EARLY`. overtaken: bytes of the frame before an older one.
+    contradicted: time of the last frame that showed another sender [s].
     """
 
     t: float = math.nan
@@ -75,7 +80,9 @@ class Past(Struct):
     early: int = 0
     early_counter: int = -1
     chain: int = -1
+    overtaken: bytes = b""
     early_t: float = 0.0
+    contradicted: float = -math.inf
     own: int = 0
     trials: int = 0
     due: float = 0.0

@@ -54,9 +54,9 @@ enum Spec {
 /* What the next frame is held against (`schedule.Past`); -1 and a time that is NaN: nothing yet. */
 enum State {
     LAST_COUNTER, MISSED, DISTRUST, LOST, LAST_LENGTH, PHASE, EARLY_FRAMES, EARLY_COUNTER, CHAIN,
-    OWN_EARLY, TRIALS, STATE
+    OWN_EARLY, TRIALS, OVERTAKEN, STATE
 };
-enum Times { LAST_T, DUE, CYCLE, BEGUN, STEPS, TRIED, EARLY_T, TIMES };
+enum Times { LAST_T, DUE, CYCLE, BEGUN, STEPS, TRIED, EARLY_T, CONTRADICTED, TIMES };
 enum Phase { LEARN, TRIAL, IN_FORCE };
 
 /* As in `can.e2e.schedule`. */
@@ -73,6 +73,7 @@ enum Phase { LEARN, TRIAL, IN_FORCE };
 #define WAITS 1.5
 #define LONGER 4.0
 #define MOST_TRIALS 6
+#define HELD_S 2.0
 
 /* A message's checksum (`ChecksumSpec`). */
 typedef struct {
@@ -281,7 +282,8 @@ KERNEL long judge_frames(PyObject *t_, PyObject *data_, PyObject *length_, PyObj
     Size suffix = length_of(&a, 1);
     int64_t *state = take_out(&a, state_, 'q', SHAPE(STATE));
     double *time = doubles_out(&a, time_, SHAPE(TIMES));
-    uint8_t *last_data = take_out(&a, last_data_, 'B', SHAPE(MOST_BYTES));
+    uint8_t *last_data = take_out(&a, last_data_, 'B', SHAPE(2, MOST_BYTES));
+    uint8_t *overtaken = last_data ? last_data + MOST_BYTES : NULL;
     uint8_t *codes = take_out(&a, codes_, 'B', SHAPE(n));
     if (a.failed)
         return leave(&a, -1);
@@ -303,6 +305,7 @@ KERNEL long judge_frames(PyObject *t_, PyObject *data_, PyObject *length_, PyObj
                          spec[CRC_BYTES] <= size && spec[CRC_POSITION] >= 0 &&
                          spec[CRC_POSITION] <= spec[CRC_BYTES] - crc)) &&
                state[LAST_LENGTH] >= -1 && state[LAST_LENGTH] <= MOST_BYTES &&
+               state[OVERTAKEN] >= 0 && state[OVERTAKEN] <= MOST_BYTES &&
                state[LAST_COUNTER] >= -1 &&
                (!counter.length || state[LAST_COUNTER] < spec[MODULUS]) && spec[MAX_JUMP] >= 0 &&
                spec[MAX_JUMP] <= MOST_VALUES && spec[RECOVERY] >= 0 && state[DISTRUST] >= 0 &&
@@ -352,7 +355,18 @@ KERNEL long judge_frames(PyObject *t_, PyObject *data_, PyObject *length_, PyObj
             }
             if (code == OK && (crc || counter.length)) {
                 int taken;
+                double before = t[i] - time[LAST_T];
+                int is_near = before > 0.0 && before <= WAITS * time[CYCLE];
                 code = sequence(spec, timeout, state, time, t[i], value, &taken);
+                const uint8_t *known = code == REPEATED ? last_data : overtaken;
+                int64_t size_known = state[code == REPEATED ? LAST_LENGTH : OVERTAKEN];
+                if (is_near && spec[RECOVERY] && value >= 0 && size_known > 0 &&
+                    bits_of(known, counter) == (uint64_t)value &&
+                    (size_known != length[i] || memcmp(known, row, length[i])))
+                    time[CONTRADICTED] = t[i];
+                state[OVERTAKEN] = is_near && code == REVERSED && state[LAST_LENGTH] > 0
+                                       ? state[LAST_LENGTH] : 0;
+                memcpy(overtaken, last_data, (size_t)state[OVERTAKEN]);
                 if (taken) {
                     int is_new = value != state[LAST_COUNTER];
                     state[LAST_LENGTH] = is_new ? length[i] : -1;
@@ -367,6 +381,11 @@ KERNEL long judge_frames(PyObject *t_, PyObject *data_, PyObject *length_, PyObj
             }
             if (code == OK && state[DISTRUST]) {
                 state[DISTRUST]--;
+                codes[i] = UNTRUSTED;
+                continue;
+            }
+            double held = t[i] - time[CONTRADICTED];
+            if (code == OK && held >= 0.0 && held < HELD_S) {
                 codes[i] = UNTRUSTED;
                 continue;
             }
