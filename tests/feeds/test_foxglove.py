@@ -150,7 +150,7 @@ def test_attitude_is_the_newest_in_the_frames_and_turns_the_vehicle_in_level_axe
     frames.take(0.0, 0x646, payload + bytes([value ^ 0xFF]))
     assert frames.attitude(0.1) == pytest.approx((5.0, -3.0, 90.0))
     assert frames.attitude(0.1 + STALE_S) is None
-    reading = Reading(0.0, None, False, {}, {}, (0.0, 0.0, 90.0))
+    reading = Reading(0.0, None, False, attitude=(0.0, 0.0, 90.0))
     w, x, y, z = transforms(reading)["level", "vehicle"]
     half = math.sqrt(0.5)
     assert (w, x, y, z) == pytest.approx((half, 0.0, 0.0, -half)), "heading is clockwise"

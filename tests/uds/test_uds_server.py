@@ -275,7 +275,7 @@ def test_without_a_key_function_nobody_is_let_in():
     assert bench.ask("31 01 F0 11") == "7F 31 33"
 
 
-@pytest.mark.parametrize("broken", [lambda _: 1 / 0, lambda _: b"", lambda _: None])
+@pytest.mark.parametrize("broken", [lambda _: 1 / 0, lambda _: b"", lambda _: None, lambda _: 1])
 def test_a_broken_key_function_lets_nobody_in(broken):
     bench = Bench(key_function=broken)
     bench.ask("10 03")

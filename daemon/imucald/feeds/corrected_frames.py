@@ -30,6 +30,9 @@ class VectorMeans:
 
     def __init__(self, names: Iterable[str]) -> None:
         self._sums: dict[str, list[float]] = {name: [0, 0.0, 0.0, 0.0] for name in names}
+        self._lowest: dict[str, int] = {}
+        self.quality: dict[str, int] = {}
+        """Lowest quality of the vectors in each mean."""
         self._newest: dict[str, Triple] = {}
         self._times = dict.fromkeys(self._sums, float("-inf"))
 
@@ -38,20 +41,26 @@ class VectorMeans:
         """The names of the vectors."""
         return tuple(self._sums)
 
-    def add(self, name: str, t: float, values: Sequence[float]) -> None:
+    def add(self, name: str, t: float, values: Sequence[float], quality: int = 0) -> None:
         """Add a good vector at time t [s] (same clock as for `means`)."""
         n, x, y, z = self._sums[name]
+        self._lowest[name] = min(quality, self._lowest[name]) if n else quality
         self._sums[name] = [n + 1, x + values[0], y + values[1], z + values[2]]
         self._times[name] = t
+
+    def end(self, name: str) -> None:
+        """Register that the sender itself says that the vector must not be used now."""
+        self._newest.pop(name, None)
 
     def means(self, now: float) -> Mapping[str, Triple | None]:
         """Return the means since the last call, by name; None: not available.
 
-        If no vector came since then, the previous mean is returned until it is too old.
+        If no vector came since then, the previous mean is returned until it is too old or ended.
         """
         for name, (n, x, y, z) in self._sums.items():
             if n:
                 self._newest[name] = x / n, y / n, z / n
+                self.quality[name] = self._lowest[name]
             self._sums[name] = [0, 0.0, 0.0, 0.0]
         return {
             name: self._newest.get(name) if now - t <= STALE_S else None
@@ -104,16 +113,22 @@ class CorrectedFrames:
             x, y, z, quality = message.values(data)
         except DecodeError:
             return
-        if x is None or y is None:
-            return
         if name == ATTITUDE:
-            self._attitude = t, (x, y, z)
-        elif z is not None and quality in self._accepted:
-            self._means.add(name, t, (x, y, z))
+            if x is not None and y is not None:
+                self._attitude = t, (x, y, z)
+        elif x is None or y is None or z is None or quality not in self._accepted:
+            self._means.end(name)
+        else:
+            self._means.add(name, t, (x, y, z), quality)
 
     def means(self, now: float) -> Mapping[str, Triple | None]:
         """Return the means since the last call by name, in m/s^2 and deg/s; see `VectorMeans`."""
         return self._means.means(now)
+
+    @property
+    def quality(self) -> Mapping[str, int]:
+        """Lowest quality of the samples in each mean."""
+        return self._means.quality
 
     def attitude(self, now: float) -> Attitude | None:
         """Return roll, pitch and heading [deg] of the vehicle; None: not available."""

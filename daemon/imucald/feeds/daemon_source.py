@@ -30,14 +30,15 @@ class Reading:
 
     status is None if no daemon answers. is_new: whether the status was read just now. corrected:
     x, y, z in vehicle axes by name ("acceleration" in m/s^2, "angular_rate" in deg/s); None: not
-    available. raw: the same for the raw samples, in the sensor's own axes. attitude: roll, pitch,
-    heading of the vehicle [deg].
+    available. quality: the lowest of the frames in each of them. raw: the same as corrected, for
+    the raw samples, in the sensor's own axes. attitude: roll, pitch, heading of the vehicle [deg].
     """
 
     at: float
     status: Mapping[str, Any] | None
     is_new: bool = True
     corrected: Mapping[str, Triple | None] = field(default_factory=dict)
+    quality: Mapping[str, int] = field(default_factory=dict)
     raw: Mapping[str, Triple | None] = field(default_factory=dict)
     attitude: Attitude | None = None
 
@@ -88,6 +89,7 @@ class DaemonSource:
             self._status,
             is_new,
             {} if frames is None else frames.means(now),
+            {} if frames is None else dict(frames.quality),
             {} if raw is None else raw.means(now),
             None if frames is None else frames.attitude(now),
         )

@@ -97,8 +97,8 @@ class MqttReceiver:
             return
         if reading.is_new:
             self._send("status", status_content(reading), retain=True)
-        quality = 0 if reading.status is None else reading.status["quality"]
         for name, values in reading.corrected.items():
+            quality = reading.quality.get(name, 0)
             self._send(name, corrected_content(name, values, quality, reading.at))
 
     def disconnect(self) -> None:
