@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import time
 from collections import deque
 from collections.abc import Mapping, Sequence
@@ -14,7 +13,7 @@ from imucald.core.errors import LinkError
 from imucald.runtime.drive_events import StateChanges, reported_events
 from imucald.runtime.flow import ALARMS, present_alarms
 from imucald.runtime.timebase import FORWARD_STEP
-from imucald.service.asking import ask
+from imucald.service.asking import ask, content
 
 KEPT = 200
 
@@ -109,8 +108,8 @@ class LiveEvents:
 def logged_events(path: Path) -> list[dict[str, Any]]:
     """Return the logged events of the daemon at a status socket; empty if it does not answer."""
     try:
-        found: list[dict[str, Any]] = json.loads(ask(path, "events"))["events"]
-    except (LinkError, ValueError, LookupError):
+        found: list[dict[str, Any]] = content(path, "events", ask(path, "events"))["events"]
+    except LinkError:
         return []
     return found
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import contextlib
-import json
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -76,7 +75,7 @@ def _watch_on_terminal(path: Path, is_over: Callable[[], bool], note: str) -> No
     from imucald.commands.status_view import no_answer
     from imucald.commands.terminal import plain_console, plain_where_needed
     from imucald.core.errors import LinkError
-    from imucald.service.asking import ask
+    from imucald.service.asking import ask, content
 
     plain_where_needed()
     console = plain_console()
@@ -93,7 +92,7 @@ def _watch_on_terminal(path: Path, is_over: Callable[[], bool], note: str) -> No
             try:
                 if status is None:
                     events.remember(logged_events(path))
-                status = json.loads(ask(path, "status"))
+                status = content(path, "status", ask(path, "status"))
                 last = time.time()
                 events.update(status, last)
             except (LinkError, ValueError) as error:

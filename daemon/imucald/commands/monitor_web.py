@@ -48,7 +48,7 @@ from imucald.mount.mount_words import (
 )
 from imucald.report.drawing import STYLE, view_drawings
 from imucald.runtime.flow import flow
-from imucald.service.asking import ask
+from imucald.service.asking import ask, content
 from imucald.service.recent_history import KEPT
 from imucald.service.status import since
 
@@ -247,7 +247,7 @@ async def _serve(path: Path, port: int, is_over: Callable[[], bool], state: Live
 
 async def _ask(path: Path, state: LiveState) -> None:
     try:
-        status = json.loads(await asyncio.to_thread(ask, path, "status"))
+        status = content(path, "status", await asyncio.to_thread(ask, path, "status"))
         if not state.is_begun:
             state.remember(await asyncio.to_thread(logged_events, path))
         state.update(status, time.time())

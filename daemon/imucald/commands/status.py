@@ -114,10 +114,14 @@ def asked(options: argparse.Namespace, request: str) -> str | int:
 
 def answer_of(options: argparse.Namespace, request: str) -> str | NoAnswer:
     """Return the answer of the selected daemon, or why there is none."""
-    from imucald.service.asking import BusyError, ask
+    from imucald.service.asking import KINDS, BusyError, ask, content
 
     try:
-        return ask(find_socket(options.socket, options.channel), request)
+        path = find_socket(options.socket, options.channel)
+        answer = ask(path, request)
+        if request in KINDS:
+            content(path, request, answer)
+        return answer
     except BusyError as error:
         return NoAnswer(BUSY, str(error))
     except LinkError as error:
@@ -142,11 +146,11 @@ def running_sockets(channel: str | None = None) -> list[Path]:
 
 def _channel_of(path: Path) -> str | None:
     """Ask a daemon for its channel, for a channel that is named only in the configuration."""
-    from imucald.service.asking import ask
+    from imucald.service.asking import ask, content
 
     try:
-        return str(json.loads(ask(path, "status", ASK_S))["link"]["channel"])
-    except (LinkError, ValueError, LookupError, TypeError):
+        return str(content(path, "status", ask(path, "status", ASK_S))["link"]["channel"])
+    except (LinkError, LookupError):
         return None
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import time
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
@@ -14,7 +13,7 @@ from imucald.can.link.link import Link
 from imucald.config import LoadedConfig, load_config
 from imucald.core.errors import ImucaldError, LinkError
 from imucald.feeds.corrected_frames import GOOD, Attitude, CorrectedFrames, RawSamples, Triple
-from imucald.service.asking import ask
+from imucald.service.asking import ask, content
 
 STATUS_S = 1.0
 """Period of reading the status [s]."""
@@ -106,8 +105,8 @@ class DaemonSource:
 
     def _ask(self) -> None:
         try:
-            self._status = json.loads(ask(self._socket, "status", ASK_S))
-        except (LinkError, ValueError) as error:
+            self._status = content(self._socket, "status", ask(self._socket, "status", ASK_S))
+        except LinkError as error:
             if self._status is not None or not self._reported:
                 self._report(f"{error}; waiting for it")
             self._status = None

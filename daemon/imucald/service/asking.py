@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import json
 import os
 import socket
 import time
 from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 from imucald.core.errors import LinkError
 
@@ -41,6 +43,28 @@ def _in_one_name(channel: str) -> str:
     folders.
     """
     return channel.strip("/.").replace("/", "-")
+
+
+KINDS: Mapping[str, Mapping[str, type]] = {
+    "status": {"state": str, "quality": int, "mount": dict, "link": dict, "config": str},
+    "events": {"events": list},
+}
+"""Keys of the JSON answer to a request, with the types of their values."""
+
+
+def content(path: Path, request: str, answer: str) -> dict[str, Any]:
+    """Return the content of an answer in JSON. Raises LinkError if it is not one of imucald."""
+    try:
+        found = json.loads(answer)
+    except (ValueError, RecursionError):
+        found = None
+    kinds = KINDS[request].items()
+    if isinstance(found, dict) and all(isinstance(found.get(key), kind) for key, kind in kinds):
+        return found
+    raise LinkError(
+        f"{path}: the answer is not that of an imucald daemon; name the status socket of the "
+        "daemon (--socket PATH)"
+    )
 
 
 class BusyError(LinkError):
