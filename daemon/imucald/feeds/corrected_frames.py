@@ -116,10 +116,12 @@ class CorrectedFrames:
         if name == ATTITUDE:
             if x is not None and y is not None:
                 self._attitude = t, (x, y, z)
-        elif x is None or y is None or z is None or quality not in self._accepted:
+        elif (
+            x is None or y is None or z is None or quality is None or quality not in self._accepted
+        ):
             self._means.end(name)
         else:
-            self._means.add(name, t, (x, y, z), quality)
+            self._means.add(name, t, (x, y, z), int(quality))
 
     def means(self, now: float) -> Mapping[str, Triple | None]:
         """Return the means since the last call by name, in m/s^2 and deg/s; see `VectorMeans`."""
