@@ -185,7 +185,7 @@ class Service:
         end = self._clock() + seconds
         daemon, clock = self.daemon, self._clock
         while not daemon.stopping:
-            daemon.step()
+            daemon.serve_once()
             now = clock()
             if now >= self._next_chore:
                 self._next_chore = now + CHORE_S
