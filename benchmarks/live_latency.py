@@ -60,7 +60,7 @@ class RunningDaemon:
     def _run(self) -> None:
         now = began = time.thread_time()
         while not self.daemon.stopping:
-            handled = self.daemon.step()
+            handled = self.daemon.serve_once()
             before, now = now, time.thread_time()
             if handled == 1:
                 self.steps.append(now - before)

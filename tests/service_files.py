@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from imucald.service.state_file import SavedState, StateKey
+from imucald.service.saved_state import SavedState, StateKey
 
 KEY = StateKey("car-17", "a" * 64)
 IDENTITY = (1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0)

@@ -114,9 +114,8 @@ LAZY_MODULES: Mapping[str, str] = {
     "runtime.session._consumers: runtime.consumers": "7 ms, 0.6 MiB: few switch one on",
     "runtime.session.open_compensation: model_compensation": "11 ms, 3.9 MiB: few have one",
     "runtime.estimators.published_settings: mount.method_a.settings": "with it",
-    "service.parts.diagnostics_for: service.attempt_store": "with the next",
-    "service.parts.diagnostics_for: service.dtc_store": "with the next",
     "service.parts.diagnostics_for: service.uds_on_bus": "16 ms, 4.9 MiB: few have UDS",
+    "service.parts.diagnostics_for: service.uds_records": "with it",
 }
 """Modules of ours that a function may import, with what a start without them saves: the daemon is
 ready within 0.3 s and takes less than 50 MiB, with those parts only that its configuration uses.

@@ -158,7 +158,7 @@ def test_a_first_heading_turns_what_is_known_along(motion, late):
 
 def test_headings_far_apart_prove_no_turn():
     source = HeadingSource(4.0)
-    verdicts = {source.take(15.0 * k, 1.0, 1e-4, 1e-3, 0.3 * k) for k in range(1, 200)}
+    verdicts = {source.judge_heading(15.0 * k, 1.0, 1e-4, 1e-3, 0.3 * k) for k in range(1, 200)}
     assert verdicts == {Verdict.REFUSED}
     assert not source.doubt, "each may be an outlier"
 

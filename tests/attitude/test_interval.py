@@ -216,5 +216,5 @@ def test_grade_is_less_what_the_springs_add():
         1.0,
     )
     grade = GradeFilter(0.005, 1.0)
-    grade.take(accelerating, 0.05)
+    grade.take_interval(accelerating, 0.05)
     assert grade.grade == pytest.approx(math.tan(0.05 - 0.005 * 2.0))

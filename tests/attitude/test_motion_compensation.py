@@ -40,7 +40,7 @@ def driven(settings, speeds, samples):
     result = None
     for t, kind, value in events:
         if kind:
-            result = compensation.take(t, *value)
+            result = compensation.take_sample(t, *value)
         else:
             compensation.speed(t, value)
     return result
@@ -84,14 +84,14 @@ def test_a_lever_arm_is_taken_out(w, change):
     extra = np.cross(change, arm) + np.cross(w, np.cross(w, arm))
     settings = MotionCompensationSettings(lever_arm=tuple(lever))
     compensation = MotionCompensation(settings)
-    compensation.take(0.0, (0.0, 0.0, G), tuple(before))
-    result = compensation.take(dt, tuple(np.array([0, 0, G]) + extra), tuple(w))
+    compensation.take_sample(0.0, (0.0, 0.0, G), tuple(before))
+    result = compensation.take_sample(dt, tuple(np.array([0, 0, G]) + extra), tuple(w))
     assert result.force == pytest.approx((0.0, 0.0, G), abs=1e-6)
 
 
 def test_zero_error_of_the_gyroscope_is_taken_off():
     compensation = MotionCompensation(MotionCompensationSettings(), zero_error=(0.01, -0.02, 0.03))
-    result = compensation.take(0.0, (0.0, 0.0, G), (0.11, 0.08, 0.03))
+    result = compensation.take_sample(0.0, (0.0, 0.0, G), (0.11, 0.08, 0.03))
     assert result.rate == pytest.approx((0.1, 0.1, 0.0), abs=1e-15)
 
 
@@ -160,7 +160,7 @@ def test_squat_deflects_and_the_slope_does_not_where_wheels_count():
 def test_average_speed_is_of_the_middle_of_its_samples():
     averager = SpeedAverager(MotionCompensationSettings(average=0.2, delay=0.1))
     for k in range(20):
-        found = averager.add(0.05 * k, 2.0 * 0.05 * k)
+        found = averager.add_speed(0.05 * k, 2.0 * 0.05 * k)
     assert found.speed == pytest.approx(2.0 * (0.95 - 0.1))
     assert found.t == pytest.approx(0.95 - 0.1 - 0.1)
 
@@ -170,7 +170,7 @@ def test_old_speed_is_not_used():
     compensation = MotionCompensation(settings)
     for k in range(30):
         compensation.speed(0.1 * k, 2.0 * 0.1 * k)
-    assert compensation.take(3.0, (0.0, 2.0, G), (0.0, 0.0, 0.0)).known
-    late = compensation.take(6.5, (0.0, 2.0, G), (0.0, 0.0, 0.0))
+    assert compensation.take_sample(3.0, (0.0, 2.0, G), (0.0, 0.0, 0.0)).known
+    late = compensation.take_sample(6.5, (0.0, 2.0, G), (0.0, 0.0, 0.0))
     assert not late.known
     assert late.raw_pitch == pytest.approx(math.atan2(2.0, G))

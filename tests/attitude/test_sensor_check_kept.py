@@ -17,7 +17,7 @@ from imucald.runtime.consumers import AttitudeConsumer, consumers_for
 from imucald.runtime.output.output_frames import OutputFrames
 from imucald.runtime.session import make_engine
 from imucald.service.calibration_store import CalibrationStore
-from imucald.service.state_file import StateKey, StateStore
+from imucald.service.saved_state import StateKey, StateStore
 
 G = 9.80665
 CAR = """

@@ -43,7 +43,7 @@ def test_means_are_of_the_good_frames_between_two_looks_in_si():
     frames = CorrectedFrames(CONFIG)
     assert frames.names == ("acceleration", "angular_rate")
     for i, x in enumerate((400, 500, 600)):
-        frames.take(0.1 * i, 0x640, frame(i, x))
+        frames.take_frame(0.1 * i, 0x640, frame(i, x))
     means = frames.means(0.3)
     assert means["acceleration"] == pytest.approx((1.0, -0.5, 9.806))
     assert means["angular_rate"] is None
@@ -65,8 +65,8 @@ def test_means_are_of_the_good_frames_between_two_looks_in_si():
 )
 def test_a_frame_that_must_not_be_used_is_not(bad):
     frames = CorrectedFrames(CONFIG)
-    frames.take(0.0, 0x640, frame(0, 400))
-    frames.take(0.01, 0x640, bad)
+    frames.take_frame(0.0, 0x640, frame(0, 400))
+    frames.take_frame(0.01, 0x640, bad)
     assert frames.means(0.02)["acceleration"] == pytest.approx((0.8, -0.5, 9.806))
 
 
@@ -92,10 +92,10 @@ def test_the_quality_of_a_mean_is_the_lowest_of_its_frames():
 
 def test_restored_counts_only_where_it_is_accepted_and_foreign_ids_never():
     frames = CorrectedFrames(CONFIG, (1, 2, 3))
-    frames.take(0.0, 0x640, frame(0, quality=1))
+    frames.take_frame(0.0, 0x640, frame(0, quality=1))
     assert frames.means(0.0)["acceleration"] is not None
     other = CorrectedFrames(CONFIG)
-    other.take(0.0, 0x123, frame(0))
+    other.take_frame(0.0, 0x123, frame(0))
     assert other.means(0.0)["acceleration"] is None
 
 
@@ -171,7 +171,7 @@ def test_a_receiver_that_is_not_there_is_tried_again_later_and_later_and_reporte
     script, messages = Script(), []
     feed = Feed(script, script, 0.1, messages.append, script.clock)
     while script.now < 600.0:
-        feed.step()
+        feed.publish_once()
     tries = [t for what, t in script.done if what == "connect"]
     pauses = [b - a for a, b in itertools.pairwise(tries)]
     assert pauses[0] < 1.5
@@ -181,11 +181,11 @@ def test_a_receiver_that_is_not_there_is_tried_again_later_and_later_and_reporte
     assert messages[0].startswith("nobody there; trying again")
     script.fails = False
     while script.done[-1][0] != "publish":
-        feed.step()
-    feed.step()
+        feed.publish_once()
+    feed.publish_once()
     assert script.done[-1][0] == "publish"
     script.fails = True
-    feed.step()
+    feed.publish_once()
     assert "gone" in messages[-1]
     feed.stopping = True
     feed.run()
@@ -228,5 +228,5 @@ def test_a_receiver_that_takes_one_reading_and_goes_is_tried_later_and_later():
     feed = Feed(script, script, 0.1, lambda _: None, script.clock)
     while script.now < 600.0:
         script.fails = script.done[-1:] != [] and script.done[-1][0] == "publish"
-        feed.step()
+        feed.publish_once()
     assert sum(what == "connect" for what, _ in script.done) < 20

@@ -147,7 +147,7 @@ def test_attitude_is_the_newest_in_the_frames_and_turns_the_vehicle_in_level_axe
         value ^= byte
         for _ in range(8):
             value = (value << 1 ^ 0x1D if value & 0x80 else value << 1) & 0xFF
-    frames.take(0.0, 0x646, payload + bytes([value ^ 0xFF]))
+    frames.take_frame(0.0, 0x646, payload + bytes([value ^ 0xFF]))
     assert frames.attitude(0.1) == pytest.approx((5.0, -3.0, 90.0))
     assert frames.attitude(0.1 + STALE_S) is None
     reading = Reading(0.0, None, False, attitude=(0.0, 0.0, 90.0))

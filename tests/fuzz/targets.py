@@ -40,6 +40,7 @@ from imucald.cli import main
 from imucald.config import parse_config
 from imucald.core import compiled
 from imucald.core.errors import ImucaldError
+from imucald.core.files import with_checksum
 from imucald.fleet.fleet_file import load_fleet
 from imucald.fleet.listing import list_logs
 from imucald.inputs.expression import Expression
@@ -47,14 +48,15 @@ from imucald.inputs.wiring import compile_router
 from imucald.model.model import load_model
 from imucald.runtime.flow import ALARMS
 from imucald.runtime.session import make_engine, open_config
-from imucald.service import dtc_store, state_file
-from imucald.service.attempt_store import AttemptStore
 from imucald.service.control import ControlServer
 from imucald.service.journal import Journal
 from imucald.service.line_server import Peer
 from imucald.service.parts import ServiceOptions
+from imucald.service.records import VERSION
+from imucald.service.saved_state import KIND, SavedState, StateKey, StateStore
 from imucald.service.service import Service
 from imucald.service.status import StatusServer
+from imucald.service.uds_records import DTC_KIND, AttemptStore, DtcStore
 from imucald.uds.isotp_channel import IsoTpChannel
 from log_text import frames_of
 
@@ -214,17 +216,17 @@ def expression(data: bytes) -> None:
 
 def saved_state(data: bytes) -> None:
     """A saved state: any bytes, and any JSON content under a right head and checksum."""
-    key = state_file.StateKey("car", "imu")
+    key = StateKey("car", "imu")
     body = data
     with contextlib.suppress(ValueError, RecursionError):
         content = json.loads(data)
         if isinstance(content, dict):
             body = json.dumps(_whole_state() | content).encode()
-    marks = f"{state_file.MAGIC} {state_file.VERSION}"
+    marks = f"{KIND} {VERSION}"
     head = f"{marks} {len(body)} {hashlib.sha256(body).hexdigest()}\n"
     folder = FOLDER / "state"
     folder.mkdir(exist_ok=True)
-    store = state_file.StateStore(folder, key)
+    store = StateStore(folder, key)
     store.path(0).write_bytes(data)
     store.path(1).write_bytes(head.encode() + body)
     store.load()
@@ -236,8 +238,8 @@ def _whole_state() -> dict[str, Any]:
     rotation = (1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0)
     variance = 1e-4
     covariance = tuple(variance * number for number in rotation)
-    good = state_file.SavedState(rotation, covariance, "fine")
-    encoded = state_file.encoded(state_file.StateKey("car", "imu"), 3, good)
+    good = SavedState(rotation, covariance, "fine")
+    encoded = StateStore(FOLDER, StateKey("car", "imu")).encoded(3, good)
     found: dict[str, Any] = json.loads(encoded.partition(b"\n")[2])
     return found
 
@@ -245,8 +247,8 @@ def _whole_state() -> dict[str, Any]:
 def saved_dtcs(data: bytes) -> None:
     """A file of saved DTCs under a right checksum, restored into the memory."""
     path = FOLDER / "dtcs"
-    path.write_bytes(f"{dtc_store.MAGIC} {hashlib.sha256(data).hexdigest()}\n".encode() + data)
-    store = dtc_store.DtcStore(path, lambda _line, _priority: None)
+    path.write_bytes(with_checksum(f"{DTC_KIND} 1", data))
+    store = DtcStore(path, lambda _line, _priority: None)
     store.close()
     for file in FOLDER.glob("dtcs*"):
         file.unlink()

@@ -69,7 +69,7 @@ def test_claim_1_each_instant_of_random_motion(option: str) -> None:
             theirs.speed(t, speed)
         f = tuple((rng.normal(0.0, 2.0, 3) + UP).tolist())
         w = tuple(rng.normal(0.0, 0.3, 3).tolist())
-        found = ours.take(t, f, w)
+        found = ours.take_sample(t, f, w)
         force, rate, measured, corrected = theirs.take(t, f, w)
         assert found.force == pytest.approx(tuple(force), abs=1e-9)
         assert found.rate == pytest.approx(tuple(rate), abs=1e-12)

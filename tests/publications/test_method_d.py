@@ -173,7 +173,7 @@ def test_0037_to_0053_the_choice_under_each_preset(name: str) -> None:
         by_tilt, by_waves, pitch, roll = text.heading_of_cycle(cycle.accel, compass % FULL)
         expected = theirs.take(compass % FULL, by_tilt, by_waves, pitch, roll)
         mean = cycle.accel.mean(axis=0)
-        found = ours.take(cycle, (compass - text.plane_angle(mean)) % FULL)
+        found = ours.take_cycle(cycle, (compass - text.plane_angle(mean)) % FULL)
         assert apart(found.compass, compass) < 1e-9
         assert apart(found.tilt_heading, by_tilt) < 1e-9
         assert apart(found.correlation_heading, by_waves) < 1e-9
@@ -410,13 +410,13 @@ def test_ped_ethz_every_step_is_the_texts() -> None:
     samples = recording("ped_ethz")
     travel = TravelDirection(TravelDirectionSettings())
     cycles: list[StepCycle] = []
-    keep = travel.published.take
+    keep = travel.published.take_cycle
 
     def taken(cycle: StepCycle, level: float):
         cycles.append(cycle)
         return keep(cycle, level)
 
-    travel.published.take = taken  # type: ignore[method-assign]
+    travel.published.take_cycle = taken  # type: ignore[method-assign]
     steps = []
     order = ("gyro", "mag", "accel")
     events = sorted(

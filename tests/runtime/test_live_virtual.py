@@ -107,9 +107,9 @@ def test_corrected_frames_equal_those_of_replay_byte_for_byte(bench):
     for k, frame in enumerate(frames.rows()):
         bench.send(*frame)
         if k % 7 == 0:
-            bench.daemon.step(0.0)
+            bench.daemon.serve_once(0.0)
             got += bench.received()
-    while bench.daemon.step(0.0):
+    while bench.daemon.serve_once(0.0):
         pass
     got += bench.received()
     assert got == expected
@@ -154,7 +154,7 @@ def test_a_heartbeat_says_that_nothing_is_heard_yet():
     try:
         for _ in range(45):
             clock.now += 0.1
-            bench.daemon.step(0.0)
+            bench.daemon.serve_once(0.0)
         frames = bench.received()
         assert [i for i, _ in frames] == [0x643, 0x644, 0x64D, 0x64E, HEALTH] * 4
         health = bench.last_health(frames)
@@ -169,19 +169,19 @@ def test_status_goes_on_when_the_bus_falls_silent():
     try:
         for frame in drive_frames().take(slice(0, 2000)).rows():
             bench.send(*frame)
-        while bench.daemon.step(0.0):
+        while bench.daemon.serve_once(0.0):
             pass
         heard = bench.last_health()
         assert heard["AccelerometerMissing"] == heard["SpeedMissing"] == 0
         for _ in range(40):
             clock.now += 0.1
-            bench.daemon.step(0.0)
+            bench.daemon.serve_once(0.0)
         silent = bench.last_health()
         assert silent["AccelerometerMissing"] == silent["GyroscopeMissing"] == 1
         assert silent["SpeedMissing"] == 1
         for _ in range(300):  # long silence: heartbeats, one a second
             clock.now += 0.1
-            bench.daemon.step(0.0)
+            bench.daemon.serve_once(0.0)
         assert 20 <= sum(i == HEALTH for i, _ in bench.received()) <= 31
     finally:
         bench.close()
@@ -195,15 +195,15 @@ def test_input_that_comes_back_is_calibrated_on():
         first, second = frames.take(slice(0, 2000)), frames.take(slice(2000, 4000))
         for frame in first.rows():
             bench.send(*frame)
-        while bench.daemon.step(0.0):
+        while bench.daemon.serve_once(0.0):
             pass
         for _ in range(80):
             clock.now += 0.1
-            bench.daemon.step(0.0)
+            bench.daemon.serve_once(0.0)
         for t, can_id, data in second.rows():
             bench.send(t + 8.0, can_id, data)
         bench.received()
-        while bench.daemon.step(0.0):
+        while bench.daemon.serve_once(0.0):
             pass
         health = bench.last_health()
         assert health["AccelerometerMissing"] == health["SpeedMissing"] == 0
@@ -220,16 +220,16 @@ def test_a_clock_set_back_in_a_silence_refuses_nothing_and_status_goes_on(set_ba
         frames = drive_frames()
         for frame in frames.take(slice(0, 6000)).rows():
             bench.send(*frame)
-        while bench.daemon.step(0.0):
+        while bench.daemon.serve_once(0.0):
             pass
         for _ in range(80):
             clock.now += 0.1
-            bench.daemon.step(0.0)
+            bench.daemon.serve_once(0.0)
         bench.received()
         second = frames.take(slice(6000, 14_000))
         for t, can_id, data in second.rows():
             bench.send(t + 8.0 - set_back, can_id, data)
-        while bench.daemon.step(0.0):
+        while bench.daemon.serve_once(0.0):
             pass
         seconds = int(second.t[-1] - second.t[0])
         assert sum(i == HEALTH for i, _ in bench.received()) in range(seconds, seconds + 3)
@@ -247,7 +247,7 @@ def test_status_frames_keep_their_time_when_the_clock_is_set_back_a_little(set_b
         for t, can_id, data in frames.rows():
             since = t - frames.t[0]
             bench.send(t - set_back * (since > 5.0), can_id, data)
-            bench.daemon.step(0.0)
+            bench.daemon.serve_once(0.0)
             sent += [since] * sum(i == HEALTH for i, _ in bench.received())
         assert max(np.diff(sent)) < 1.15
         assert bench.engine.timebase.now == pytest.approx(frames.t[-1] - frames.t[0], abs=0.02)
@@ -263,13 +263,13 @@ def test_another_sender_on_our_ids_raises_the_alarm_and_is_not_heard():
         for frame in frames[:1500]:
             bench.send(*frame)
         bench.send(frames[1500][0], 0x640, bytes(8))
-        bench.daemon.step(0.0)
-        while bench.daemon.step(0.0):
+        bench.daemon.serve_once(0.0)
+        while bench.daemon.serve_once(0.0):
             pass
         used = bench.engine.router.used
         for frame in frames[1500:]:
             bench.send(*frame)
-        while bench.daemon.step(0.0):
+        while bench.daemon.serve_once(0.0):
             pass
         assert bench.last_health()["IdConflict"] == 1
         assert bench.link.counters.conflicts == 1
@@ -278,7 +278,7 @@ def test_another_sender_on_our_ids_raises_the_alarm_and_is_not_heard():
         later = list(drive_frames().take(slice(3000, 6000)).rows())
         for frame in later:
             bench.send(*frame)
-        while bench.daemon.step(0.0):
+        while bench.daemon.serve_once(0.0):
             pass
         assert bench.last_health()["IdConflict"] == 0
     finally:

@@ -54,7 +54,7 @@ def fed_one_by_one(pipeline: Pipeline, samples, rejected, t_last: float):
         if value is None:
             pipeline.reject(channel)
         else:
-            pipeline.add(t, channel, value if isinstance(value, list) else (value,))
+            pipeline.add_sample(t, channel, value if isinstance(value, list) else (value,))
     return by_tick, snapshots
 
 
@@ -122,7 +122,7 @@ def test_quality_and_first_times_follow_the_states():
 
 def test_a_gap_closes_the_ticks_before_it_and_is_reported():
     pipeline = Pipeline(ScriptedEstimator())
-    pipeline.add(0.01, "speed", (3.0,))
+    pipeline.add_sample(0.01, "speed", (3.0,))
     pipeline.gap(7)
     assert len(pipeline.estimator.rows) == 8
     assert pipeline.estimator.rows[-1] == b"gap"

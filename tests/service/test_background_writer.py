@@ -8,7 +8,7 @@ import time
 import pytest
 
 from imucald.service.background_writer import StateWriter
-from imucald.service.dtc_store import DtcStore
+from imucald.service.uds_records import DtcStore
 from imucald.uds.host import FrameCounts, Symptoms
 
 

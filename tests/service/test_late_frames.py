@@ -68,7 +68,7 @@ class Node:
             )
             self.bus.send(message)
             if step:
-                self.daemon.step(0.0)
+                self.daemon.serve_once(0.0)
 
     def heard(self) -> list[tuple[int, bytes]]:
         found = []
@@ -106,7 +106,7 @@ def test_after_a_hold_up_only_fresh_samples_are_good_and_no_burst_of_old_ones_co
     assert set(qualities(node.heard())) <= GOOD
     samples = node.engine.router.sample_counts["accel"]
     node.drive(held_s, step=False)
-    node.daemon.step(0.0)
+    node.daemon.serve_once(0.0)
     frames = node.heard()
     fresh = round(MAX_AGE_S / CYCLE_S)
     found = Counter(quality in GOOD for quality in qualities(frames))
@@ -127,7 +127,7 @@ def test_late_frames_are_counted_and_raise_the_flag_for_a_second(node):
     node.heard()
     assert node.service.status()["link"]["late"] == 0
     node.drive(2.5, step=False)
-    node.daemon.step(0.0)
+    node.daemon.serve_once(0.0)
     status = node.service.status()
     assert 239 <= status["link"]["late"] <= 241
     assert status["health"]["frames_lost"]
@@ -147,7 +147,7 @@ def test_a_hold_up_while_a_frame_is_handled_lets_neither_it_nor_those_behind_it_
 
     node.engine.frame = handled
     node.drive(0.08, step=False)
-    node.daemon.step(0.0)
+    node.daemon.serve_once(0.0)
     assert [quality in GOOD for quality in qualities(node.heard())] == [True, True, False]
     assert node.link.counters.late == 6
 
@@ -155,7 +155,7 @@ def test_a_hold_up_while_a_frame_is_handled_lets_neither_it_nor_those_behind_it_
 def test_a_short_hold_up_is_no_matter(node):
     node.heard()
     node.drive(0.09, step=False)
-    node.daemon.step(0.0)
+    node.daemon.serve_once(0.0)
     found = qualities(node.heard())
     assert len(found) == 9
     assert set(found) <= GOOD
@@ -181,7 +181,7 @@ def test_a_loop_that_cannot_keep_up_says_not_available_and_its_state_goes_on(nod
 
     node.engine.frame, node.link.receive, node.link.is_empty = slow, read, False
     while clock.now < began + 10.0:
-        node.daemon.step(0.0)
+        node.daemon.serve_once(0.0)
     frames, seconds = node.heard(), clock.now - began
     found = Counter(quality in GOOD for quality in qualities(frames))
     assert found[True] <= 2 * MAX_AGE_S / CYCLE_S, "at the beginning"

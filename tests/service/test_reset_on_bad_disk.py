@@ -17,11 +17,11 @@ from full_disk import full_after
 from imucald.config.calibration import KnownMount
 from imucald.mount.estimate import MountState
 from imucald.runtime.mount_orders import TESTER
-from imucald.service import state_file
+from imucald.service import records
 from imucald.service.asking import ask
 from imucald.service.calibration_store import CalibrationStore
+from imucald.service.saved_state import StateStore
 from imucald.service.service import Service
-from imucald.service.state_file import StateStore
 from imucald.service.uds_host import LiveHost
 from service_bench import Bench, running
 from service_files import KEY, state
@@ -38,7 +38,7 @@ class ReadOnly:
         """Endings of files that cannot be renamed though the rest can be written."""
         for name in ("rename", "replace"):
             monkeypatch.setattr(Path, name, self._guarded(getattr(Path, name), is_rename=True))
-        monkeypatch.setattr(state_file, "write_beside", self._guarded(state_file.write_beside))
+        monkeypatch.setattr(records, "write_beside", self._guarded(records.write_beside))
 
     def _guarded(self, function, is_rename: bool = False):
         def guarded(path: Path, *arguments: object):
@@ -80,7 +80,7 @@ def kept(tmp_path: Path) -> Iterator[Kept]:
 
 
 def loaded(folder: Path):
-    return StateStore(folder, KEY).load().state
+    return StateStore(folder, KEY).load().content
 
 
 def test_a_reset_is_tried_again_until_the_disk_takes_it(kept, disk, tmp_path):
@@ -104,6 +104,13 @@ class _Waiting:
     """As much of an estimator as an update needs."""
 
     state = MountState.WAITING
+
+
+def test_a_full_disk_takes_a_reset(kept, tmp_path):
+    """A database would need space for its journal."""
+    with full_after(0):
+        assert kept.keeper.forget() == ""
+        assert loaded(tmp_path) is None
 
 
 def test_a_reset_that_the_disk_takes_at_once_is_reported_as_before(kept, tmp_path):

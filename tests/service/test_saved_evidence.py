@@ -18,7 +18,7 @@ from imucald.runtime.engine import Engine
 from imucald.runtime.session import make_engine
 from imucald.service.calibration_store import CalibrationStore
 from imucald.service.journal import WARNING
-from imucald.service.state_file import StateStore
+from imucald.service.saved_state import StateStore
 from service_files import KEY
 from simulated_bus import EPOCH, drive_frames, loaded, with_times
 

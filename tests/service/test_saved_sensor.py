@@ -16,7 +16,7 @@ from imucald.mount.estimator import JointEstimator
 from imucald.mount.hysteresis import GOOD
 from imucald.mount.restored import RestoredEstimator
 from imucald.service.calibration_store import SENSOR
-from imucald.service.state_file import StateStore
+from imucald.service.saved_state import StateStore
 from imucald.simulation import random_model, simulate
 from mount_settings import joint_settings
 from service.test_saved_evidence import Keepers

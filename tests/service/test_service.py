@@ -470,4 +470,4 @@ def test_a_save_that_fails_for_any_reason_is_seen_and_made_up_for(bench, monkeyp
     assert store.writer.flush(5.0), "the same state, once the reason is gone"
     assert service.status()["saved_state"]["last_error"] == ""
     service.close()
-    assert store.store.load().state is not None
+    assert store.store.load().content is not None

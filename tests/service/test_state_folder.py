@@ -22,17 +22,9 @@ from imucald.core.errors import ImucaldError
 from imucald.core.files import free_name, write_file
 from imucald.service.calibration_store import CalibrationStore
 from imucald.service.parts import ServiceOptions
+from imucald.service.records import VERSION, FolderInUseError, FolderLock
+from imucald.service.saved_state import KIND, SavedState, StateKey, StateStore
 from imucald.service.service import Service
-from imucald.service.state_file import (
-    MAGIC,
-    VERSION,
-    FolderInUseError,
-    FolderLock,
-    SavedState,
-    StateKey,
-    StateStore,
-    encoded,
-)
 from service_bench import running
 
 KEY = StateKey("car", "imu")
@@ -69,10 +61,10 @@ def test_what_a_tester_reset_while_it_was_being_saved_never_comes_back(tmp_path,
     began = time.monotonic()
     keeper.forget()
     assert time.monotonic() - began < 0.3, "the loop waits for no disk"
-    assert StateStore(tmp_path, KEY).load().state is None, "at once"
+    assert StateStore(tmp_path, KEY).load().content is None, "at once"
     disk.go_on.set()
     assert keeper.writer.close(5.0)
-    assert StateStore(tmp_path, KEY).load().state is None, "nor when the disk is done"
+    assert StateStore(tmp_path, KEY).load().content is None, "nor when the disk is done"
     assert disk.threads == {"state"}, "only the thread that writes has waited"
     assert not list(tmp_path.glob("*.tmp"))
 
@@ -82,15 +74,15 @@ def test_what_waited_to_be_saved_when_it_was_reset_is_not_saved_and_what_is_new_
     old = keeper.store.era
     keeper.forget()
     keeper.store.save(GOOD, old)
-    assert StateStore(tmp_path, KEY).load().state is None
+    assert StateStore(tmp_path, KEY).load().content is None
     keeper.store.save(GOOD)
-    assert StateStore(tmp_path, KEY).load().state == GOOD
+    assert StateStore(tmp_path, KEY).load().content == GOOD
     assert keeper.writer.close(5.0)
 
 
 def forged(folder: Path, **changes: str) -> None:
     """A state file whose checksum is right and whose numbers are not; values as JSON text."""
-    body = encoded(KEY, 3, GOOD).partition(b"\n")[2].decode()
+    body = StateStore(folder, KEY).encoded(3, GOOD).partition(b"\n")[2].decode()
     content = json.loads(body)
     for name in changes:
         content[name] = f"@{name}@"
@@ -98,7 +90,7 @@ def forged(folder: Path, **changes: str) -> None:
     for name, text in changes.items():
         body = body.replace(f'"@{name}@"', text)
     data = body.encode()
-    head = f"{MAGIC} {VERSION} {len(data)} {hashlib.sha256(data).hexdigest()}\n"
+    head = f"{KIND} {VERSION} {len(data)} {hashlib.sha256(data).hexdigest()}\n"
     folder.mkdir(exist_ok=True)
     (folder / f"{KEY.file_name}.0").write_bytes(head.encode() + data)
 
@@ -123,7 +115,7 @@ def forged(folder: Path, **changes: str) -> None:
 def test_a_forged_file_with_a_right_checksum_is_set_aside_and_stops_no_start(changes, tmp_path):
     forged(tmp_path, **changes)
     loaded = StateStore(tmp_path, KEY).load()
-    assert loaded.state is None
+    assert loaded.content is None
     assert "is not valid" in loaded.problems[0]
     assert len(list(tmp_path.glob("*.corrupt.1"))) == 1
 
@@ -201,7 +193,7 @@ def test_a_second_daemon_on_one_folder_is_refused_with_the_pid_of_the_first(tmp_
 def test_a_killed_daemon_leaves_no_lock(tmp_path):
     code = (
         "import sys, time; from pathlib import Path;"
-        "from imucald.service.state_file import FolderLock;"
+        "from imucald.service.records import FolderLock;"
         f"lock = FolderLock(Path({str(tmp_path)!r})); print('held', flush=True); time.sleep(60)"
     )
     process = subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE)

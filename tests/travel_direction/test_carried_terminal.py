@@ -56,7 +56,7 @@ def test_nobody_walks_while_standing():
     cycles = StepCycles(StepSettings())
     for k in range(3000):
         x, y, z = (float(c) for c in rng.normal(0.0, 0.08, 3))
-        cycles.add(0.02 * k, (x, y + 3.0, z + 9.3))
+        cycles.add_sample(0.02 * k, (x, y + 3.0, z + 9.3))
     assert cycles.steps == 0
 
 
@@ -168,7 +168,7 @@ def test_hard_iron_is_distinguished_from_the_earths_field():
         # terminal to level: turned to the left by the angle; the field is in P's y, and down
         level = (c, -s, 0.0, s, c, 0.0, 0.0, 0.0, 1.0)
         field = np.array([s * 20e-6, c * 20e-6, -45e-6]) + iron
-        north.add(t, tuple(field.tolist()), level)
+        north.add_field(t, tuple(field.tolist()), level)
     assert 1e-6 * north.x[0:2] == pytest.approx(iron[:2], abs=1e-6)
     assert north.yaw == pytest.approx(0.0, abs=0.05)
 
@@ -176,6 +176,6 @@ def test_hard_iron_is_distinguished_from_the_earths_field():
 def test_steps_survive_damaged_samples():
     cycles = StepCycles(StepSettings())
     for k, value in enumerate([0.0, 1e9, -1e9, 0.0, 5.0] * 100):
-        cycles.add(0.02 * k, (value, 0.0, 0.0))
-    cycles.add(1.0, (0.0, 0.0, 9.8))  # older than the last
+        cycles.add_sample(0.02 * k, (value, 0.0, 0.0))
+    cycles.add_sample(1.0, (0.0, 0.0, 9.8))  # older than the last
     assert cycles.steps >= 0

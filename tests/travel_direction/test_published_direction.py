@@ -137,7 +137,7 @@ STEEP, FLAT = (-20.0 * DEG, 0.0), (-1.0 * DEG, 0.0)  # the upper edge is raised
 
 def taken(*cycles, choice=ChoiceSettings()):  # noqa: B008
     direction = PublishedDirection(choice)
-    return [direction.take(cycle, compass) for cycle, compass in cycles]
+    return [direction.take_cycle(cycle, compass) for cycle, compass in cycles]
 
 
 def test_tilt_decides_where_the_terminal_leans():

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
 import pytest
 
-from imucald.service.dtc_store import MAX_BYTES, DtcStore
+from imucald.core.files import with_checksum
+from imucald.service.records import MAX_BYTES
+from imucald.service.uds_records import DtcStore
 from imucald.uds.dtc import NOT_CALIBRATED, SENSOR_MOVED
 from imucald.uds.host import FrameCounts, Symptoms
 from uds_bench import Clock
@@ -99,6 +102,21 @@ def test_a_damaged_file_is_set_aside_and_reported(kept, damage):
     fail(again)
     again.close()
     assert status(kept.store()) == 0x6C, "and begun anew"
+
+
+def test_codes_in_the_first_format_are_read_and_written_in_the_present_one(kept):
+    first = kept.store()
+    fail(first)
+    kept.path.parent.mkdir()
+    body = json.dumps(first.memory.saved()).encode()
+    kept.path.write_bytes(with_checksum("imucald-troubles 1", body))
+    again = kept.store()
+    assert status(again) == 0x6C
+    fail(again)
+    again.close()
+    assert kept.path.read_bytes().startswith(b"imucald-troubles 2 ")
+    assert status(kept.store()) == 0x6C
+    assert kept.lines == []
 
 
 def test_a_folder_that_cannot_be_written_is_reported_once(kept):

@@ -6,7 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from imucald.service.attempt_store import AttemptStore
+from imucald.core.files import with_checksum
+from imucald.service.uds_records import AttemptStore
 from uds_bench import Bench, key_of
 
 DELAY_S = 10.0
@@ -24,7 +25,7 @@ class Unit:
 
     def switch_on(self) -> None:
         self.store = AttemptStore(self.path, lambda text, _: self.lines.append(text))
-        self.bench = Bench(wrong=self.store.wrong, on_count=self.store.put, delay=DELAY_S)
+        self.bench = Bench(wrong=self.store.wrong, on_count=self.store.put_count, delay=DELAY_S)
         self.bench.ask("10 03")
 
     def restart(self) -> None:
@@ -94,6 +95,14 @@ def test_a_damaged_count_is_one_wrong_key_and_is_reported(content, unit):
     assert "damaged" in unit.lines[0]
     unit.wait()
     assert unit.try_key(right=True) == b"\x67\x02"
+
+
+def test_a_count_in_the_first_format_is_read(unit):
+    unit.store.close()
+    unit.path.write_bytes(with_checksum("imucald-keys 1", b'{"wrong": 2}'))
+    unit.switch_on()
+    assert unit.store.wrong == 2
+    assert unit.lines == []
 
 
 def test_a_count_that_cannot_be_kept_stops_nothing(tmp_path):

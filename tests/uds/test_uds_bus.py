@@ -164,11 +164,11 @@ def test_a_stopped_calibration_takes_the_former_back_byte_for_byte(bench, client
 def test_a_reset_forgets_the_saved_state_too(bench, client):
     bench.play(27.5)
     store = bench.service.parts.calibration_store.store
-    bench.wait_for(lambda: store.load().state is not None)
+    bench.wait_for(lambda: store.load().content is not None)
     unlocked(client)
     client.start_routine(RESET)
     assert read(client, 0xFD04) == (0,)
-    assert store.load().state is None
+    assert store.load().content is None
 
 
 def test_codes_follow_the_inputs_and_can_be_cleared(bench, client):

@@ -23,7 +23,7 @@ import shuttle
 from imucald.runtime.session import make_engine, open_config
 from imucald.service.asking import ask
 from imucald.service.identity import state_key
-from imucald.service.state_file import SavedState, StateStore
+from imucald.service.saved_state import SavedState, StateStore
 
 pytestmark = pytest.mark.slow
 

@@ -25,7 +25,7 @@ class GrowingTable:
         self._room = 0
         self.rows = 0
 
-    def add(self, parts: Sequence[NDArray[Any]], share: float | None) -> None:
+    def add_rows(self, parts: Sequence[NDArray[Any]], share: float | None) -> None:
         """Add rows. parts: (n,) for each column. share: part of all rows present after it."""
         before, self.rows = self.rows, self.rows + len(parts[0])
         if not self._columns or self.rows > self._room:

@@ -106,7 +106,7 @@ class Recorder:
         table = self._tables.get(name)
         if table is None:
             table = self._tables[name] = GrowingTable()
-        table.add(columns, self._share())
+        table.add_rows(columns, self._share())
         self.rows += len(columns[0])
 
     def _take_changes(self, snapshot: Snapshot) -> None:

@@ -93,7 +93,7 @@ class CompensatedAttitude:
             return
         force = rfu_from_vehicle(values[0], values[1], values[2])
         self._rest.accel(force)
-        last = self._last = self.motion_compensation.take(t, force, self._rate)
+        last = self._last = self.motion_compensation.take_sample(t, force, self._rate)
         self._t = t
         if self.settings.compensation.rate_time > 0.0:
             self._carried.draw(t, last.pitch, last.roll)

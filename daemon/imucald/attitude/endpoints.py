@@ -45,7 +45,7 @@ class EndpointMaker:
     def speed(self, t: float, speed: float) -> None:
         """Take a speed [m/s], not negative, that came at t [s]."""
         self._heard = t
-        average = self._average.add(t, self._sign * speed)
+        average = self._average.add_speed(t, self._sign * speed)
         recent = self._recent
         if not recent or average.t > recent[-1].t:
             recent.append(average)

@@ -224,7 +224,7 @@ class AttitudeFilter:
         force = (x - d[0], y - d[1], z - d[2])
         self._propagator.accel(t, force)
         if self._motion is not None:
-            found = self._motion.take(t, force, self._propagator.rate)
+            found = self._motion.take_sample(t, force, self._propagator.rate)
             self._free = vehicle_from_rfu(*found.force) if found.known else UNKNOWN
 
     def speed(self, t: float, speed: float) -> None:
@@ -466,7 +466,7 @@ class AttitudeFilter:
             self._endpoints.has_pieces = False
             found = shared(found)
         self._update(found, still)
-        self._grade.take(found, -vehicle_angles(self._C())[1])
+        self._grade.take_interval(found, -vehicle_angles(self._C())[1])
 
     def _update(self, found: Interval, still: Interval | None) -> None:
         """Predict to the end of the interval, then use its measurements.
@@ -502,7 +502,9 @@ class AttitudeFilter:
         is_bend = late > noise
         if variance < HEADING_FOUND_STD**2 or self._source.doubt:
             difference, of_source = wrapped(heading - estimated), noise * noise + late * late
-            verdict = self._source.take(t, difference, variance, of_source, estimated, is_bend)
+            verdict = self._source.judge_heading(
+                t, difference, variance, of_source, estimated, is_bend
+            )
             if verdict is Verdict.REFUSED:
                 return
             if verdict is Verdict.BEGUN_AGAIN:

@@ -28,7 +28,7 @@ class GradeFilter:
         """Standard deviation in addition to that of the pitch."""
         self._angle = math.nan
 
-    def take(self, interval: Interval, nose_up: float) -> None:
+    def take_interval(self, interval: Interval, nose_up: float) -> None:
         """Take the body's pitch at the end of an interval [rad], nose up positive."""
         angle = nose_up - self._squat * interval.forward_acceleration
         if math.isnan(self._angle):

@@ -64,7 +64,7 @@ class HeadingSource:
         self._anchor = self._heading = self._turn = self._least = self._most = 0.0
         self._anchor_variance = 0.0
 
-    def take(
+    def judge_heading(
         self,
         t: float,
         difference: float,

@@ -71,7 +71,7 @@ class SpeedAverager:
         """Forget everything, because time has jumped."""
         self._samples.clear()
 
-    def add(self, t: float, speed: float) -> AverageSpeed:
+    def add_speed(self, t: float, speed: float) -> AverageSpeed:
         """Take a speed [m/s], signed, that came at t [s]; return the average now."""
         samples, settings = self._samples, self._settings
         samples.append((t, speed))
@@ -129,7 +129,7 @@ class MotionCompensation:
     def speed(self, t: float, speed: float) -> None:
         """Take a speed [m/s], signed, that came at t [s]."""
         self._heard, self._speed = t, speed
-        endpoint = self._average.add(t, speed)
+        endpoint = self._average.add_speed(t, speed)
         endpoints = self._endpoints
         if endpoints and endpoint.t <= endpoints[-1].t:
             return
@@ -150,7 +150,7 @@ class MotionCompensation:
             return None
         return all(endpoint.speed == 0.0 for endpoint in self._endpoints)
 
-    def take(self, t: float, force: Vector, rate: Vector) -> Compensated:
+    def take_sample(self, t: float, force: Vector, rate: Vector) -> Compensated:
         """Correct one sample of accelerometer [m/s^2] and gyroscope [rad/s] at t [s]."""
         bx, by, bz = self.zero_error
         rate = (rate[0] - bx, rate[1] - by, rate[2] - bz)

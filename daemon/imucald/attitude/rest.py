@@ -40,7 +40,7 @@ class _TriadSums:
     def __init__(self) -> None:
         self.n = self.x = self.y = self.z = self.square = 0.0
 
-    def add(self, v: Vector) -> None:
+    def add_vector(self, v: Vector) -> None:
         x, y, z = v
         self.n += 1.0
         self.x += x
@@ -91,7 +91,7 @@ class RestingGyro:
 
     def accel(self, force: Vector) -> None:
         """Take a specific force [m/s^2]."""
-        self._forces.add(force)
+        self._forces.add_vector(force)
 
     def gyro(self, t: float, rate: Vector, stands: bool | None, is_first: bool) -> Vector | None:
         """Take a rate [rad/s] at t [s]; return the zero error if this ends a long enough rest.
@@ -106,7 +106,7 @@ class RestingGyro:
             self._block = t
             if math.isnan(self._since):
                 self._since = t
-        self._rates.add(rate)
+        self._rates.add_vector(rate)
         if t - self._block < BLOCK_S:
             return None
         if not self._is_quiet(speed_known=stands is True):

@@ -109,7 +109,7 @@ class Listener:
         rejected = self._router.rejected
         return rejected.total() - rejected["not_available"]
 
-    def take(self, t: float, can_id: int, data: bytes) -> None:
+    def take_frame(self, t: float, can_id: int, data: bytes) -> None:
         """Process one frame from the bus."""
         if can_id != self.can_id:
             return
@@ -166,7 +166,7 @@ class Demonstration:
             while waiting is not None and waiting[0] <= self.now:
                 self._send(*waiting)
                 waiting = next(self._frames, None)
-            while self.daemon.step(0.0):
+            while self.daemon.serve_once(0.0):
                 pass
             self._listen()
             yield self.now
@@ -185,7 +185,7 @@ class Demonstration:
     def _listen(self) -> None:
         while (message := self._car.recv(0.0)) is not None:
             flag = CAN_EFF_FLAG if message.is_extended_id else 0
-            self.listener.take(self.now, message.arbitration_id | flag, bytes(message.data))
+            self.listener.take_frame(self.now, message.arbitration_id | flag, bytes(message.data))
 
     # results -------------------------------------------------------------------------------
 

@@ -88,7 +88,7 @@ class LiveEvents:
 
     def _changes(self, status: Mapping[str, Any], now: float) -> None:
         state, link = str(status["state"]), str(status["link"]["state"])
-        event = self._states.take(now, state, status["waiting_for"])
+        event = self._states.note_state(now, state, status["waiting_for"])
         if event is not None and not (self._state is None and self._has_log):
             self.events.append(LiveEvent(event.t, event.kind, event.text))
         if self._link is not None and link != self._link:

@@ -14,6 +14,7 @@ from typing import Annotated, Any, Literal
 from msgspec import Meta
 
 from imucald.config.base import STANDARD_ID_MAX, CanId, Settings, SourceAddress
+from imucald.core.samples import QUANTITIES
 
 MESSAGE_SIGNAL = r"^[^.\s]+\.[^.\s]+$"
 """Pattern of ``MESSAGE.SIGNAL`` in the JSON schema, for editors."""
@@ -195,7 +196,7 @@ SHORT_TEXTS: dict[str, dict[str, Any]] = {
 """JSON schema of the text that may replace settings, by their class."""
 ONE_OF_LIST = frozenset({"SourceSettings", "DatabaseSettings", "TriadSettings"})
 """Settings of which a single entry may replace a list."""
-_TRIADS = frozenset({"accelerometer", "gyroscope", "magnetometer"})
+_TRIADS = frozenset(row.key for row in QUANTITIES.values() if row.width == 3)
 _AXES = frozenset({"x", "y", "z"})
 
 

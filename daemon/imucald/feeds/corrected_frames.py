@@ -41,7 +41,7 @@ class VectorMeans:
         """The names of the vectors."""
         return tuple(self._sums)
 
-    def add(self, name: str, t: float, values: Sequence[float], quality: int = 0) -> None:
+    def add_vector(self, name: str, t: float, values: Sequence[float], quality: int = 0) -> None:
         """Add a good vector at time t [s] (same clock as for `means`)."""
         n, x, y, z = self._sums[name]
         self._lowest[name] = min(quality, self._lowest[name]) if n else quality
@@ -102,7 +102,7 @@ class CorrectedFrames:
         """Filters of the wanted frames."""
         return [IdMatch(i, CAN_EFF_MASK if i & CAN_EFF_FLAG else CAN_SFF_MASK) for i in self._by_id]
 
-    def take(self, t: float, can_id: int, data: bytes) -> None:
+    def take_frame(self, t: float, can_id: int, data: bytes) -> None:
         """Take a frame received at t [s], of the clock that `means` is asked with."""
         if can_id not in self._by_id:
             return
@@ -121,7 +121,7 @@ class CorrectedFrames:
         ):
             self._means.end(name)
         else:
-            self._means.add(name, t, (x, y, z), int(quality))
+            self._means.add_vector(name, t, (x, y, z), int(quality))
 
     def means(self, now: float) -> Mapping[str, Triple | None]:
         """Return the means since the last call by name, in m/s^2 and deg/s; see `VectorMeans`."""
@@ -154,13 +154,13 @@ class RawSamples:
         """Filters of the wanted frames."""
         return self._router.matches
 
-    def take(self, t: float, can_id: int, data: bytes) -> None:
+    def take_frame(self, t: float, can_id: int, data: bytes) -> None:
         """Take a frame received at t [s], of the clock that `means` is asked with."""
         for channel, values in self._router.frame(t, can_id, data)[0]:
             if channel == "accel":
-                self._means.add(CHANNELS[channel], t, values)
+                self._means.add_vector(CHANNELS[channel], t, values)
             elif channel == "gyro":
-                self._means.add(CHANNELS[channel], t, [v * DEG_PER_RAD for v in values])
+                self._means.add_vector(CHANNELS[channel], t, [v * DEG_PER_RAD for v in values])
 
     def means(self, now: float) -> Mapping[str, Triple | None]:
         """Return the means since the last call by name; see `VectorMeans`."""

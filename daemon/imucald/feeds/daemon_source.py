@@ -99,9 +99,9 @@ class DaemonSource:
             return
         for _, can_id, data in self._link.receive(seconds):
             now = self._clock()
-            self._frames.take(now, can_id, data)
+            self._frames.take_frame(now, can_id, data)
             if self._raw is not None:
-                self._raw.take(now, can_id, data)
+                self._raw.take_frame(now, can_id, data)
 
     def _ask(self) -> None:
         try:

@@ -84,11 +84,11 @@ class Feed:
         """Run until `stopping`."""
         try:
             while not self.stopping:
-                self.step()
+                self.publish_once()
         finally:
             self._receiver.close()
 
-    def step(self) -> None:
+    def publish_once(self) -> None:
         """Process one reading."""
         reading = self._source.read(self._period)
         if not self._is_connected and self._clock() < self._next_try:

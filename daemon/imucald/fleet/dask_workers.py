@@ -158,7 +158,7 @@ class DaskWorkers:
         with self._scheduler_asked():
             futures = self._client.map(run_one_log, list(tasks), key=keys, pure=False)
         for future, task in zip(futures, tasks, strict=True):
-            self._futures.add(future, task)
+            self._futures.add_future(future, task)
 
     def finished(self, timeout: float) -> list[tuple[Task, Outcome | None]]:
         """Outcomes since the last call; their data on the cluster is released."""

@@ -81,7 +81,7 @@ class Futures:
         self._ended: queue.SimpleQueue[Any] = queue.SimpleQueue()
         self._tasks: dict[int, tuple[Any, Task]] = {}
 
-    def add(self, future: AnyFuture, task: Task) -> None:
+    def add_future(self, future: AnyFuture, task: Task) -> None:
         """Wait for a task's future."""
         self._tasks[id(future)] = future, task
         future.add_done_callback(self._ended.put)
@@ -121,7 +121,7 @@ class ExecutorWorkers:
     def submit(self, tasks: Sequence[Task]) -> None:
         """Take tasks."""
         for task in tasks:
-            self._futures.add(self._executor.submit(run_one_log, task), task)
+            self._futures.add_future(self._executor.submit(run_one_log, task), task)
 
     def finished(self, timeout: float) -> list[tuple[Task, Outcome | None]]:
         """Outcomes since the last call."""

@@ -30,26 +30,26 @@ class Wanted(Struct, frozen=True):
 
 def wanted_numbers(signals: cfg.Signals) -> Iterator[Wanted]:
     """Yield every number that the configuration's `signals` section names."""
-    for channel, key, dimension, width in QUANTITIES.values():
-        if width != 3:
+    for row in QUANTITIES.values():
+        if row.width != 3:
             continue
-        triads: Sequence[cfg.TriadSettings] | None = getattr(signals, key)
+        triads: Sequence[cfg.TriadSettings] | None = getattr(signals, row.key)
         for rank, triad in enumerate(triads or ()):
-            place: Place = ("signals", key, rank)
-            yield from _axes(channel, dimension, rank, triad, place)
+            place: Place = ("signals", row.key, rank)
+            yield from _axes(row.channel, row.dimension, rank, triad, place)
     for sensor_index, sensor in enumerate(signals.parallel):
         address = sensor.source_address
         triad = cfg.TriadSettings(x=sensor.x, y=sensor.y, z=sensor.z, source_address=address)
         place = ("signals", "parallel", sensor_index)
         yield from _axes(f"parallel/{sensor.name}", sensor.kind, 0, triad, place)
-    for channel, key, dimension, width in QUANTITIES.values():
-        if width != 1:
+    for row in QUANTITIES.values():
+        if row.width != 1:
             continue
-        sources: Sequence[cfg.SourceSettings] | None = getattr(signals, key)
+        sources: Sequence[cfg.SourceSettings] | None = getattr(signals, row.key)
         for rank, source in enumerate(sources or ()):
-            place = ("signals", key, rank)
+            place = ("signals", row.key, rank)
             address = source.source_address
-            yield Wanted(channel, dimension, rank, 0, 1, False, source, place, address)
+            yield Wanted(row.channel, row.dimension, rank, 0, 1, False, source, place, address)
     if signals.wheel_speeds is not None:
         for slot, key in enumerate(_WHEELS):
             source = getattr(signals.wheel_speeds, key)

@@ -11,7 +11,7 @@ from typing import Any
 from msgspec import structs
 
 from imucald.config.vehicle import VehicleSettings
-from imucald.core.samples import Samples, Series
+from imucald.core.samples import TEMPERATURE, Samples, Series
 from imucald.model.section import ZERO
 from imucald.model_compensation.lever_arm_and_suspension import VehicleCorrection
 from imucald.model_compensation.preprocessing import PreprocessingChain
@@ -54,9 +54,9 @@ class ModelCompensation:
         found = list(self.notes)
         terms = self.terms
         for channel, triad in (("accel", terms.accel), ("gyro", terms.gyro)):
-            if any(triad.bias_temperature) and "temperature" not in channels:
+            if any(triad.bias_temperature) and TEMPERATURE.channel not in channels:
                 found.append(
-                    f"{channel}.bias_temperature: needs signals.temperature; without it, the "
+                    f"{channel}.bias_temperature: needs signals.{TEMPERATURE.key}; without it, the "
                     "bias at 25 degC is used"
                 )
         if any(terms.lever_arm) and "gyro" not in channels:
@@ -79,7 +79,7 @@ class ModelCompensation:
             if any(triad.bias):
                 yield f"{channel}.bias", channel
             if any(triad.bias_temperature):
-                yield f"{channel}.bias_temperature", "temperature"
+                yield f"{channel}.bias_temperature", TEMPERATURE.channel
             if triad.inverse != neutral.inverse:
                 yield f"{channel}.scale, {channel}.cross_axis", channel
         if any(terms.g_sensitivity):

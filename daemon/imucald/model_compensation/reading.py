@@ -11,6 +11,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from imucald.core.samples import FLAGS, VEHICLE_SIGNALS
 from imucald.model.section import ZERO, Vector3
 from imucald.model.written import WrittenModel, read_written
 from imucald.model_compensation.terms import (
@@ -53,9 +54,9 @@ ranges are tighter than the schema's ranges, because a simulated drive may use a
 SCALE_RANGE = (-0.8, 4.0)
 """Limits for a signal with one component, and for a wheel speed (which has no upper limit)."""
 MAX_LEVER_M = 30.0
-SCALARS = ("speed", "steering", "yaw_rate", "lateral_accel", "longitudinal_accel")
-FILTERED = ("accel", "gyro", "steering", "yaw_rate", "lateral_accel", "longitudinal_accel")
-DELAYED = (*SCALARS, "accel", "gyro", "wheel_speeds", "reverse", "brake")
+SCALARS = ("speed", *VEHICLE_SIGNALS)
+FILTERED = ("accel", "gyro", *VEHICLE_SIGNALS)
+DELAYED = (*SCALARS, "accel", "gyro", "wheel_speeds", *FLAGS)
 RAIL_WIDTH = 0.001
 """Margin as a share of the full scale: rounding in another unit must not hide a clipped value."""
 NARROW_HZ = 8.0

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from imucald.core.arrays import Array, Flags
-from imucald.core.samples import QUANTITIES, Series
+from imucald.core.samples import QUANTITIES, TEMPERATURE, TRIADS, VEHICLE_SIGNALS, Series
 from imucald.inputs.conversion import LIMITS
 from imucald.model.section import Vector3
 from imucald.model_compensation.held_repeats import HeldRepeats, HeldStages
@@ -33,11 +33,8 @@ FELT_HZ = 5.0
 times, so the accelerometer's vibration must not enter the gyroscope's samples."""
 MIN_DEGC, MAX_DEGC = -60.0, 150.0
 """A temperature outside this range is invalid [degC]; the last valid one stays in use."""
-_FIRST = {"temperature": 0, "accel": 1, "gyro": 2, "wheel_speeds": 3}
-CHANNELS = (
-    "temperature", "accel", "gyro", "mag", "wheel_speeds",
-    "speed", "steering", "yaw_rate", "lateral_accel", "longitudinal_accel",
-)  # fmt: skip
+_FIRST = {TEMPERATURE.channel: 0, "accel": 1, "gyro": 2, "wheel_speeds": 3}
+CHANNELS = (TEMPERATURE.channel, *TRIADS, "wheel_speeds", "speed", *VEHICLE_SIGNALS)
 """Channels that a term may change."""
 
 
@@ -94,7 +91,7 @@ class SensorCorrection:
             stages = [HeldStages(self._repeats[channel], stages)]
         if channel == "accel" and self._sensitive:
             stages.append(self._feel)
-        if channel == "temperature" and self._temperature_dependent:
+        if channel == TEMPERATURE.channel and self._temperature_dependent:
             stages.append(self._temperature)
         if channel == "wheel_speeds" and self._wheels is not None:
             stages.append(self._wheels.sample)
@@ -195,11 +192,11 @@ class SensorCorrection:
         self, samples: Mapping[str, Series], order: Mapping[str, Order]
     ) -> tuple[Order, Array]:
         """Order and values of the valid temperatures [degC]."""
-        series = samples.get("temperature")
+        series = samples.get(TEMPERATURE.channel)
         if series is None or not self._temperature_dependent:
             return np.zeros(0), np.zeros(0)
         good = (series.values >= MIN_DEGC) & (series.values <= MAX_DEGC)
-        return order["temperature"][good], series.values[good]
+        return order[TEMPERATURE.channel][good], series.values[good]
 
     def _take_felt(
         self, samples: Mapping[str, Series], order: Mapping[str, Order], out: dict[str, Taken]

@@ -13,6 +13,7 @@ from collections import deque
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
+from imucald.core.samples import FLAGS
 from imucald.motion import ticks as tk
 from imucald.motion.ticks import TICK_RATE, TICK_S, TickAccumulator
 
@@ -33,13 +34,9 @@ _GROUPS: Mapping[str, _Group] = {
     "accel": _Group(tk.ACCEL, tk.ACCEL.age),
     "gyro": _Group(tk.GYRO, tk.GYRO.age),
     "speed": _Group(tk.SPEED, tk.SPEED.age),
-    "steering": _Group(tk.STEERING, None, tk.STEERING),
-    "yaw_rate": _Group(tk.YAW_RATE, None, tk.YAW_RATE),
-    "lateral_accel": _Group(tk.LATERAL_ACCEL, None, tk.LATERAL_ACCEL),
-    "longitudinal_accel": _Group(tk.LONGITUDINAL_ACCEL, None, tk.LONGITUDINAL_ACCEL),
     "wheel_speeds": _Group(tk.WHEEL_SPREAD, None, tk.WHEEL_SPREAD),
-    "reverse": _Group((tk.REVERSE,)),
-    "brake": _Group((tk.BRAKE,)),
+    **{channel: _Group(columns, None, columns) for channel, columns in tk.MEANS.items()},
+    **{channel: _Group((tk.LASTS[channel],)) for channel in FLAGS},
 }
 
 

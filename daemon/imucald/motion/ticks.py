@@ -17,6 +17,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from imucald.core import samples
+
 TICK_RATE = 10.0
 """Ticks per second [1/s]: ten times the bandwidth of vehicle motion, a tenth of the rate of an
 IMU.
@@ -88,44 +90,40 @@ ACCEL = AccelColumns(*range(1, 16))
 GYRO = GyroColumns(*range(16, 22))
 SPEED = SpeedColumns(*range(22, 26))
 """Mean speed [m/s]."""
-STEERING = SignalColumns(26, 27)
-"""Mean steering-wheel angle [rad]."""
-YAW_RATE = SignalColumns(28, 29)
-"""Mean vehicle yaw rate [rad/s]."""
-LATERAL_ACCEL = SignalColumns(30, 31)
-LONGITUDINAL_ACCEL = SignalColumns(32, 33)
-"""Mean vehicle acceleration, to the left and forward [m/s^2]."""
-WHEEL_SPREAD = SignalColumns(34, 35)
+MEANS: Mapping[str, SignalColumns] = {
+    channel: SignalColumns(SPEED.bad + 1 + 2 * i, SPEED.bad + 2 + 2 * i)
+    for i, channel in enumerate(samples.VEHICLE_SIGNALS)
+}
+"""Signals whose mean a tick holds: [rad], [rad/s] and [m/s^2], positive to the left and forward."""
+STEERING = MEANS[samples.STEERING.channel]
+YAW_RATE = MEANS[samples.YAW_RATE.channel]
+LATERAL_ACCEL = MEANS[samples.LATERAL_ACCEL.channel]
+LONGITUDINAL_ACCEL = MEANS[samples.LONGITUDINAL_ACCEL.channel]
+_AFTER_MEANS = SPEED.bad + 1 + 2 * len(MEANS)
+WHEEL_SPREAD = SignalColumns(_AFTER_MEANS, _AFTER_MEANS + 1)
 """Mean over samples of fastest minus slowest wheel [m/s]."""
-REVERSE, BRAKE, HEADING, TEMPERATURE = range(36, 40)
-"""Last value in the tick: 0 or 1, 0 or 1, [rad], [degC]; NaN if there is none."""
-COLUMNS = 40
+LASTS: Mapping[str, int] = {
+    row.channel: column
+    for column, row in enumerate(
+        (row for row in samples.QUANTITIES.values() if row.tick == "last"), _AFTER_MEANS + 2
+    )
+}
+"""Signals whose last value a tick holds: 0 or 1, [degC], [rad]; NaN if there is none."""
+REVERSE, BRAKE = LASTS[samples.REVERSE.channel], LASTS[samples.BRAKE.channel]
+TEMPERATURE, HEADING = LASTS[samples.TEMPERATURE.channel], LASTS[samples.HEADING.channel]
+COLUMNS = _AFTER_MEANS + 2 + len(LASTS)
 """Length of a row."""
 
 NAN = math.nan
 
-MEANS: Mapping[str, SignalColumns] = {
-    "steering": STEERING,
-    "yaw_rate": YAW_RATE,
-    "lateral_accel": LATERAL_ACCEL,
-    "longitudinal_accel": LONGITUDINAL_ACCEL,
-}
-"""Signals whose mean a tick holds, ..."""
-LASTS: Mapping[str, int] = {
-    "reverse": REVERSE,
-    "brake": BRAKE,
-    "heading": HEADING,
-    "temperature": TEMPERATURE,
-}
-"""... and signals whose last value a tick holds."""
 BAD: Mapping[str, int] = {"accel": ACCEL.bad, "gyro": GYRO.bad, "speed": SPEED.bad}
 """Columns that count samples rejected for their values.
 
 A frame that is rejected whole is a hole like a lost one.
 """
 _NEVER_NAN = (
-    ACCEL.n, GYRO.n, SPEED.n, STEERING.n, YAW_RATE.n, LATERAL_ACCEL.n, LONGITUDINAL_ACCEL.n,
-    WHEEL_SPREAD.n, ACCEL.bad, GYRO.bad, SPEED.bad,
+    ACCEL.n, GYRO.n, SPEED.n, *(columns.n for columns in MEANS.values()), WHEEL_SPREAD.n,
+    ACCEL.bad, GYRO.bad, SPEED.bad,
 )  # fmt: skip
 _EMPTY = [0.0 if i in _NEVER_NAN else NAN for i in range(COLUMNS)]
 

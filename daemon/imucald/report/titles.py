@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
+from imucald.core import samples
+
 CAUSES: Mapping[str, str] = {
     "accel_bias": "accelerometer bias",
     "accel_scale": "accelerometer scale",
@@ -26,18 +28,8 @@ CAUSES: Mapping[str, str] = {
 }
 """Titles that differ from the name with blanks; a new cause needs no entry."""
 
-SIGNALS: Mapping[str, str] = {
-    "accel": "accelerometer",
-    "gyro": "gyroscope",
-    "yaw_rate": "vehicle yaw rate",
-    "lateral_accel": "vehicle lateral acceleration",
-    "longitudinal_accel": "vehicle longitudinal acceleration",
-    "speed": "speed against the wheels",
-}
-PARTS: Mapping[str, str] = {
-    **SIGNALS, "speed": "speed", "steering": "steering", "mount": "mount", "chassis": "chassis",
-    "suspension": "suspension", "wheel_speeds": "wheel speeds",
-}  # fmt: skip
+PARTS: Mapping[str, str] = {row.channel: row.title for row in samples.QUANTITIES.values()}
+SIGNALS: Mapping[str, str] = {**PARTS, samples.SPEED.channel: "speed against the wheels"}
 AXES: Mapping[str, Mapping[str, str]] = {
     "vector": {"x": "forward", "y": "left", "z": "up"},
     "sensor": {"0": "sensor x", "1": "sensor y", "2": "sensor z"},

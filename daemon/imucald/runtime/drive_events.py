@@ -51,7 +51,7 @@ class StateChanges:
         self._shown = self._newest = self._text = ""
         self._since = 0.0
 
-    def take(self, t: float, state: str, waiting_for: Mapping[str, str]) -> Event | None:
+    def note_state(self, t: float, state: str, waiting_for: Mapping[str, str]) -> Event | None:
         """Take time [s], state and missing evidence; return the new events."""
         waiting = reasons_line(waiting_for)
         reason = without_numbers(waiting)
@@ -71,7 +71,7 @@ class StateChanges:
 def state_changes(states: Iterable[tuple[float, str, Mapping[str, str]]]) -> Iterator[Event]:
     """Return the events of a list of times [s], states and missing evidence."""
     changes = StateChanges()
-    yield from filter(None, (changes.take(*one) for one in states))
+    yield from filter(None, (changes.note_state(*one) for one in states))
 
 
 def reported_events(result: Mapping[str, Any], gaps: Sequence[float] = ()) -> Iterator[Event]:

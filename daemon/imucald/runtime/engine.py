@@ -178,7 +178,7 @@ class Engine:
             self._group.feed(t, samples, pipeline.correction, health.faults)
         correction, watched = pipeline.correction, self._watch.last
         for channel, values in samples:
-            pipeline.add(t, channel, values)
+            pipeline.add_sample(t, channel, values)
             if channel in watched:
                 watched[channel] = k
         turned = self._turned(t, samples, correction)

@@ -174,7 +174,7 @@ class Pipeline:
 
     # live ----------------------------------------------------------------------------------
 
-    def add(self, t: float, channel: str, values: Sequence[float]) -> None:
+    def add_sample(self, t: float, channel: str, values: Sequence[float]) -> None:
         """Add one sample of the open tick (see `advance`)."""
         self._ticks.add(channel, t, values)
 

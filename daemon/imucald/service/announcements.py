@@ -63,7 +63,7 @@ class Announcements:
         """Log each change of state in one line, and each change of the reason within a state."""
         estimate = snapshot.estimate
         state, waiting_for = estimate.state.name.lower(), estimate.waiting_for
-        event = self._states.take(snapshot.t, state, waiting_for)
+        event = self._states.note_state(snapshot.t, state, waiting_for)
         if event is None:
             return
         if event.kind == "reason":  # an input may come and go for ever

@@ -9,10 +9,10 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
+from msgspec.structs import replace
 
 from imucald.core.errors import EstimateError
 from imucald.mount.estimate import MountEstimator, MountState
@@ -28,7 +28,7 @@ from imucald.mount.restored import RestoredEstimator, StoredMount
 from imucald.runtime.summary import plain
 from imucald.service.background_writer import Say, StateWriter
 from imucald.service.journal import INFO, NOTICE, WARNING
-from imucald.service.state_file import SavedState, StateStore
+from imucald.service.saved_state import SavedState, StateStore
 
 SAVE_PERIOD_S = 10.0
 """Period between saves of a changing estimate [s]: a power cut loses at most this much."""
@@ -122,7 +122,7 @@ class CalibrationStore:
         self.problems = loaded.problems
         for problem in loaded.problems:
             self._say(f"saved state: {problem}", WARNING)
-        saved = loaded.state
+        saved = loaded.content
         if is_held:
             if saved is not None:  # its sensor check is still used
                 self._last, self._known, self._driven_before = saved, True, saved.driven_s

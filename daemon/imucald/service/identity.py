@@ -12,7 +12,7 @@ from imucald.config import LoadedConfig, SourceSettings, TriadSettings
 from imucald.core.files import sha256
 from imucald.inputs.router import Router
 from imucald.inputs.routes import MessageRoute
-from imucald.service.state_file import StateKey
+from imucald.service.saved_state import StateKey
 
 _DECISIVE = frozenset({"signal", "raw", "unit", "sign", "offset"})
 """Keys of a source that change its numbers."""

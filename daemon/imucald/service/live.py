@@ -161,7 +161,7 @@ class Daemon:
     def run(self) -> None:
         """Loop until `stop`."""
         while not self.stopping:
-            self.step()
+            self.serve_once()
 
     def stop(self) -> None:
         """Ask the loop to end, which takes at most `WAIT_S`. The call is safe in a signal
@@ -169,7 +169,7 @@ class Daemon:
         """
         self.stopping = True
 
-    def step(self, wait: float = WAIT_S) -> int:
+    def serve_once(self, wait: float = WAIT_S) -> int:
         """Receive once and handle the frames; return their number."""
         extra, extra_ids, ours = self._extra, self._extra_ids, 0
         frames = self.link.receive(wait if extra is None else min(wait, extra.wait))

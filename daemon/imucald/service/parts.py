@@ -31,13 +31,12 @@ from imucald.service.background_writer import Say
 from imucald.service.calibration_store import SAVE_PERIOD_S, CalibrationStore
 from imucald.service.identity import state_key
 from imucald.service.live import open_link
-from imucald.service.state_file import StateStore
+from imucald.service.saved_state import StateStore
 
 if TYPE_CHECKING:
-    from imucald.service.attempt_store import AttemptStore
-    from imucald.service.dtc_store import DtcStore
     from imucald.service.uds_host import RunningService
     from imucald.service.uds_on_bus import BusUds
+    from imucald.service.uds_records import AttemptStore, DtcStore
 
 
 @dataclass(frozen=True)
@@ -106,9 +105,8 @@ def diagnostics_for(
     if not loaded.config.diagnostics.enabled:
         return UdsDiagnostics(None, dtc_store, keys)
     # This is imported only on use: it loads OpenSSL (3.6 MiB) for keys.
-    from imucald.service.attempt_store import AttemptStore  # noqa: PLC0415
-    from imucald.service.dtc_store import DtcStore  # noqa: PLC0415
     from imucald.service.uds_on_bus import bus_uds_for  # noqa: PLC0415
+    from imucald.service.uds_records import AttemptStore, DtcStore  # noqa: PLC0415
 
     if dtc_store is None:
         key = state_key(loaded, engine.router)

@@ -52,7 +52,7 @@ class Reloading(Generic[Read]):
     def now(self) -> None:
         """Reload at once."""
         self._notifier.reloading()
-        self._end(Prepared.of(self._read))
+        self._end(Prepared.run_now(self._read))
 
     def poll(self) -> None:
         """Start a requested reload in a thread; apply a reload that is prepared."""
@@ -60,7 +60,7 @@ class Reloading(Generic[Read]):
             if self._is_requested:
                 self._is_requested = False
                 self._notifier.reloading()
-                self._preparing = Prepared.beside(self._read)
+                self._preparing = Prepared.run_in_thread(self._read)
                 self._began = self._clock()
                 self._is_waiting_reported = self._is_long_reported = False
         elif self._preparing.is_done:
@@ -105,14 +105,14 @@ class Prepared(Generic[Result]):
         self._error: Exception | None = None
 
     @classmethod
-    def of(cls, work: Callable[[], Result]) -> Prepared[Result]:
+    def run_now(cls, work: Callable[[], Result]) -> Prepared[Result]:
         """Call the function now."""
         made = cls()
         made._do(work)
         return made
 
     @classmethod
-    def beside(cls, work: Callable[[], Result]) -> Prepared[Result]:
+    def run_in_thread(cls, work: Callable[[], Result]) -> Prepared[Result]:
         """Call the function in a thread; if there is no thread, call it now."""
         made = cls()
         try:

@@ -38,7 +38,7 @@ class InputRates:
         self._rates = {c: (n - self._counted.get(c, 0)) / span for c, n in counts.items()}
         self._counted, self._at = dict(counts), now
 
-    def of(self, channel: str) -> float:
+    def rate_of(self, channel: str) -> float:
         """Return the rate of a channel [1/s]."""
         return self._rates.get(channel, 0.0)
 
@@ -57,7 +57,7 @@ def running_status(
     """Return the result so far, and the state of engine, bus, store and process."""
     found = run_result(engine, link)
     for channel, row in found["signals"].items():
-        row["rate_hz"] = round(rates.of(channel), 3)
+        row["rate_hz"] = round(rates.rate_of(channel), 3)
     found["link"] |= {
         "state": str(link.state),
         "interface": link.interface,

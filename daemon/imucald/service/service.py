@@ -34,10 +34,10 @@ from imucald.service.parts import (
     repeat_check,
 )
 from imucald.service.recent_history import PERIOD_S, RecentHistory
+from imucald.service.records import FolderInUseError, FolderLock, clear_unfinished
 from imucald.service.reloading import Reloading
 from imucald.service.running_status import InputRates, run_result, running_status, status_line
 from imucald.service.sockets import Sockets
-from imucald.service.state_file import FolderInUseError, FolderLock, clear_unfinished
 
 CHORE_S = 0.1
 """Period of all tasks except frames [s]."""
@@ -185,7 +185,7 @@ class Service:
         end = self._clock() + seconds
         daemon, clock = self.daemon, self._clock
         while not daemon.stopping:
-            daemon.step()
+            daemon.serve_once()
             now = clock()
             if now >= self._next_chore:
                 self._next_chore = now + CHORE_S

@@ -20,8 +20,8 @@ from imucald.core.errors import ConfigError
 from imucald.core.libraries import how_to_install
 from imucald.runtime.engine import Engine
 from imucald.runtime.output.output_message import OutFrame
-from imucald.service.attempt_store import AttemptStore
 from imucald.service.uds_host import LiveHost, RunningService
+from imucald.service.uds_records import AttemptStore
 from imucald.uds.dtc_memory import DtcMemory, DtcStatus
 from imucald.uds.identifiers import Identifier
 from imucald.uds.isotp_channel import IsoTpChannel, flagged
@@ -63,7 +63,7 @@ class BusUds:
                 attempts=config.security.attempts,
                 delay=config.security.delay,
                 wrong=keys.wrong,
-                on_count=keys.put,
+                on_count=keys.put_count,
             ),
             more={
                 TRANSPORT_COUNTERS_IDENTIFIER: Identifier(

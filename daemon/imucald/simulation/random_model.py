@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from imucald.core.samples import GRAVITY
+from imucald.core.samples import GRAVITY, LATERAL_ACCEL, LONGITUDINAL_ACCEL, TEMPERATURE
 from imucald.model.model import VehicleModel, model_from_mapping
 from imucald.model.vehicle import RouteKind
 from imucald.simulation.filters import generator
@@ -137,9 +137,9 @@ def random_model(
         "scale": 0.01 * float(rng.standard_normal()),
         "delay_s": uniform(0.0, 0.15),
     }
-    data["lateral_accel"] = {"offset": 0.1 * float(rng.standard_normal())}
-    data["longitudinal_accel"] = {"offset": 0.1 * float(rng.standard_normal())}
-    data["temperature"] = {
+    data[LATERAL_ACCEL.channel] = {"offset": 0.1 * float(rng.standard_normal())}
+    data[LONGITUDINAL_ACCEL.channel] = {"offset": 0.1 * float(rng.standard_normal())}
+    data[TEMPERATURE.channel] = {
         "start_degc": uniform(-5.0, 30.0),
         "rise_k": uniform(5.0, 25.0),
     }

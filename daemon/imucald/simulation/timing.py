@@ -8,12 +8,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from imucald.core.arrays import Array
+from imucald.core.samples import LATERAL_ACCEL, LONGITUDINAL_ACCEL, YAW_RATE
 from imucald.model.sensors import Transmission
 from imucald.simulation.filters import generator
 
 SHARED_PHASE = {"accel": "imu", "gyro": "imu"}
 """Accelerometer and gyroscope are sampled by one unit, at the same moments."""
-SHARED_FRAME = dict.fromkeys(("yaw_rate", "lateral_accel", "longitudinal_accel"), "dynamics")
+SHARED_FRAME = dict.fromkeys(
+    (row.channel for row in (YAW_RATE, LATERAL_ACCEL, LONGITUDINAL_ACCEL)), "dynamics"
+)
 """The stability control sends all its sensors in one frame, so they share moments, latency and
 losses."""
 GYRO_AFTER_ACCEL_S = 0.00025

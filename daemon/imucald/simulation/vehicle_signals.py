@@ -2,11 +2,26 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping
+
 import numpy as np
 from numpy.typing import NDArray
 
 from imucald.core.arrays import Array
-from imucald.core.samples import Series
+from imucald.core.samples import (
+    BRAKE,
+    HEADING,
+    LATERAL_ACCEL,
+    LONGITUDINAL_ACCEL,
+    REVERSE,
+    SPEED,
+    STEERING,
+    TEMPERATURE,
+    WHEEL_SPEEDS,
+    YAW_RATE,
+    Quantity,
+    Series,
+)
 from imucald.model.model import VehicleModel
 from imucald.model.sensors import Scalar, Speed, Transmission
 from imucald.model.vehicle import STEERING_GEAR_S
@@ -40,37 +55,30 @@ class VehicleSignals:
 
     def all(self) -> dict[str, Series]:
         """Return every signal of the model except heading and magnetometer."""
-        m, body = self._model, self._body
-        made: dict[str, Series] = {}
-        if m.speed.enabled:
-            made["speed"] = self._speed()
-        if m.wheel_speeds.enabled:
-            made["wheel_speeds"] = self._wheel_speeds()
-        t = self._driving.t
+        t, driving, force = self._driving.t, self._driving, self._body.reference_force
         # The steering wheel is ahead of the road wheels by the lag of the steering gear.
         ahead = np.interp(t + STEERING_GEAR_S, t, self._handling.steer)
-        wheel = ahead * m.chassis.steering_ratio
-        scalars: tuple[tuple[str, Scalar, Array], ...] = (
-            ("steering", m.steering, wheel),
-            ("yaw_rate", m.yaw_rate, body.rate[2]),
-            ("lateral_accel", m.lateral_accel, body.reference_force[1]),
-            ("longitudinal_accel", m.longitudinal_accel, body.reference_force[0]),
-        )
-        for name, scalar, signal in scalars:
-            if scalar.enabled:
-                made[name] = self._scalar(name, scalar, signal)
-        if m.reverse.enabled:
-            made["reverse"] = self._flag("reverse", self._driving.speed < 0.0)
-        if m.brake.enabled:
-            made["brake"] = self._flag("brake", self._driving.braking > 0.5)
-        if m.temperature.enabled:
-            made["temperature"] = self._temperature()
-        return made
+        makers: Mapping[Quantity, Callable[[], Series]] = {
+            SPEED: self._speed,
+            WHEEL_SPEEDS: self._wheel_speeds,
+            STEERING: lambda: self._scalar(STEERING, ahead * self._model.chassis.steering_ratio),
+            YAW_RATE: lambda: self._scalar(YAW_RATE, self._body.rate[2]),
+            LATERAL_ACCEL: lambda: self._scalar(LATERAL_ACCEL, force[1]),
+            LONGITUDINAL_ACCEL: lambda: self._scalar(LONGITUDINAL_ACCEL, force[0]),
+            REVERSE: lambda: self._flag(REVERSE, driving.speed < 0.0),
+            BRAKE: lambda: self._flag(BRAKE, driving.braking > 0.5),
+            TEMPERATURE: self._temperature,
+        }
+        return {
+            row.channel: make()
+            for row, make in makers.items()
+            if getattr(self._model, row.channel).enabled
+        }
 
     def heading(self, heading: Array) -> Series:
         """Heading signal from the true heading, which is clockwise from north [rad] and not
         wrapped."""
-        series = self._scalar("heading", self._model.heading, heading)
+        series = self._scalar(HEADING, heading)
         return Series(series.t, np.mod(series.values, 2.0 * np.pi))
 
     def magnetometer(
@@ -162,7 +170,9 @@ class VehicleSignals:
         waves = [1.0 + np.sin(2.0 * np.pi * hz * t) for hz in SLIP_CYCLES_HZ]
         return [1.0 - wheels.slip_event_size * slipping * wave for wave in waves]
 
-    def _scalar(self, name: str, scalar: Scalar, signal: Array) -> Series:
+    def _scalar(self, row: Quantity, signal: Array) -> Series:
+        name = row.channel
+        scalar: Scalar = getattr(self._model, name)
         if scalar.lowpass_hz is not None and scalar.lowpass_hz < 0.45 * self._rate:
             signal = butterworth(signal, self._rate, scalar.lowpass_hz)
         timing = frame_timing(scalar, name, self._seed, self._duration)
@@ -172,14 +182,14 @@ class VehicleSignals:
         values = quantised(values, scalar.lsb)
         return Series(timing.stamp[timing.kept], values[timing.source[timing.kept]])
 
-    def _flag(self, name: str, on: NDArray[np.bool_]) -> Series:
-        message: Transmission = getattr(self._model, name)
-        t, values = self._sample(name, message, on.astype(float))
+    def _flag(self, row: Quantity, on: NDArray[np.bool_]) -> Series:
+        message: Transmission = getattr(self._model, row.channel)
+        t, values = self._sample(row.channel, message, on.astype(float))
         return Series(t, np.rint(values))
 
     def _temperature(self) -> Series:
         temperature = self._model.temperature
-        timing = frame_timing(temperature, "temperature", self._seed, self._duration)
+        timing = frame_timing(temperature, TEMPERATURE.channel, self._seed, self._duration)
         values = temperature_at(temperature, np.maximum(timing.sampled, 0.0))
         values = quantised(values, temperature.lsb)
         return Series(timing.stamp[timing.kept], values[timing.source[timing.kept]])

@@ -103,7 +103,7 @@ class TerminalAttitude:
     def mag(self, t: float, field: Vector) -> None:
         """Take a magnetic field [T]."""
         if self.ready:
-            self.north.add(t, field, self.level)
+            self.north.add_field(t, field, self.level)
 
     def compass(self, t: float, heading: float) -> None:
         """Take a heading of the y axis from another source, clockwise from north [rad]."""

@@ -163,7 +163,7 @@ class TravelDirection:
         level = times(self.attitude.level, force)
         x, y, _ = times(self.attitude.level, self.attitude.rate)
         up = level[2] if self._has_gyro else None
-        cycle = self.cycles.add(t, force, level, (x, y), up)
+        cycle = self.cycles.add_sample(t, force, level, (x, y), up)
         if cycle is None:
             return None
         self.last = self._step(cycle)
@@ -185,7 +185,7 @@ class TravelDirection:
 
     def _step(self, cycle: StepCycle) -> Step:
         level = self._level_heading(cycle)
-        published = None if level is None else self.published.take(cycle, level)
+        published = None if level is None else self.published.take_cycle(cycle, level)
         alternative = self._alternative(cycle)
         by_published = None if published is None else published.heading
         heading = by_published
@@ -213,7 +213,7 @@ class TravelDirection:
         if not self._has_gyro:
             return None
         up = transposed_times(self.attitude.level, (0.0, 0.0, 1.0))
-        angle = self.alternative.take(cycle, self.attitude.turned, up)
+        angle = self.alternative.take_cycle(cycle, self.attitude.turned, up)
         if angle is None or yaw is None:
             return None
         swing = self.alternative.swing

@@ -49,7 +49,7 @@ class GyroStepAxis:
         self._up: Vector | None = None
         self._before: tuple[float, ComplexArray] | None = None
 
-    def take(self, cycle: StepCycle, turned: float, up_in_terminal: Vector) -> float | None:
+    def take_cycle(self, cycle: StepCycle, turned: float, up_in_terminal: Vector) -> float | None:
         """Return the direction after this cycle [0, 2 pi); None: not known.
 
         turned: total turn about the vertical, clockwise [rad]; up_in_terminal: (3,).

@@ -144,7 +144,7 @@ class PublishedDirection:
         self._compass: float | None = None
         self._contradicted = False
 
-    def take(self, cycle: StepCycle, level: float) -> PublishedResult:
+    def take_cycle(self, cycle: StepCycle, level: float) -> PublishedResult:
         """Take a cycle (its acceleration reading +g upwards) and its level frame's heading [rad].
 
         level: clockwise angle from north of the level frame's y axis.

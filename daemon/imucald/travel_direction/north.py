@@ -70,7 +70,7 @@ class NorthFilter:
         self.P[:, 6] = 0.0
         self.P[6, 6] = RESTED_STD**2
 
-    def add(self, t: float, field: Vector, C_level_from_terminal: Rows) -> None:
+    def add_field(self, t: float, field: Vector, C_level_from_terminal: Rows) -> None:
         """Take a field [T] in terminal axes."""
         if t - self._since > 10.0 * STEP_S:
             self._sum[:], self._count, self._since = 0.0, 0, t

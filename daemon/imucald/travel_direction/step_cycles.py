@@ -70,7 +70,7 @@ class StepCycles:
         self._start = math.nan
         self._samples: list[tuple[float, ...]] = []
 
-    def add(
+    def add_sample(
         self,
         t: float,
         accel: Vector,

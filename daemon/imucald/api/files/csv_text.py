@@ -37,7 +37,7 @@ class CsvTables:
             self._files, lambda name, path: csv.CSVWriter(path, arrow_schema(tables[name], None))
         )
 
-    def add(self, part: Mapping[str, Columns]) -> None:
+    def add_tables(self, part: Mapping[str, Columns]) -> None:
         """Append rows."""
         for name, rows in part.items():
             self._writers[name].write_table(to_arrow(rows))

@@ -92,7 +92,7 @@ class McapTables:
         data = self._store.encoded(message, of)
         self._writer.add_message(self._channels[topic], stamp, data, stamp)
 
-    def add(self, part: Mapping[str, Columns]) -> None:
+    def add_tables(self, part: Mapping[str, Columns]) -> None:
         """Append a message for each row, and the standard ROS messages made from the rows."""
         for name, rows in part.items():
             topic, of = self._topics[name], self._types[name]

@@ -39,7 +39,7 @@ class Mf4Tables:
         self._mdf = self._asammdf.MDF(version="4.10")
         self._groups: dict[str, int] = {}
 
-    def add(self, part: Mapping[str, Columns]) -> None:
+    def add_tables(self, part: Mapping[str, Columns]) -> None:
         """Append rows to each table's channel group. The first rows create the group."""
         for name, rows in part.items():
             if len(rows):

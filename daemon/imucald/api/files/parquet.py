@@ -49,7 +49,7 @@ class ParquetTables:
 
         self._writers = opened(self._files, writer)
 
-    def add(self, part: Mapping[str, Columns]) -> None:
+    def add_tables(self, part: Mapping[str, Columns]) -> None:
         """Append rows, as row groups."""
         for name, rows in part.items():
             writer = self._writers[name]

@@ -31,7 +31,7 @@ class TableWriter(Protocol):
 
     def __init__(self, path: Path, tables: Tables) -> None: ...
 
-    def add(self, part: Mapping[str, Columns]) -> None:
+    def add_tables(self, part: Mapping[str, Columns]) -> None:
         """Append the rows of one part of the drive to the tables."""
         ...
 

@@ -75,7 +75,7 @@ def write_parts(
         writer = format_of(path)(path, tables)
         try:
             for part in parts:
-                writer.add({name: rows for name, rows in part.items() if name in tables})
+                writer.add_tables({name: rows for name, rows in part.items() if name in tables})
             return writer.finish(about_tables(tables, about_drive()))
         except BaseException:
             writer.abandon()

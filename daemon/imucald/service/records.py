@@ -1,0 +1,398 @@
+"""Saved records: one file format and one way to write for all that a daemon stores.
+
+A record is a JSON object in files of its own. Its first line holds kind, version, length and
+SHA-256. A save writes a new file, forces it to the disk and renames it, and forces the folder to
+the disk: at every instant the file is the old one or the new one. With two slots, two files (``.0``
+and ``.1``) alternate, so the previous record outlives the newest.
+A file is accepted only if length and checksum are right, its version is known, it belongs to this
+owner, and its content is valid. A file that is not accepted is renamed, with the reason in its new
+name, and never deleted.
+
+No database, because a record must be forgotten at once, while the disk is full or hangs in a save,
+and damage to one file must leave the others valid. A rename gives both.
+
+Only one daemon may use a state folder: two would overwrite each other's files.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import fcntl
+import json
+import os
+import threading
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Generic, TypeVar
+
+from msgspec import to_builtins
+from msgspec.json import decode
+
+from imucald.core.errors import ImucaldError
+from imucald.core.files import (
+    UNFINISHED,
+    free_name,
+    put_in_place,
+    read_regular,
+    split_checksum,
+    sync_folder,
+    with_checksum,
+    write_beside,
+)
+from imucald.service.background_writer import Say, StateWriter
+from imucald.service.journal import WARNING
+
+VERSION = 2
+READABLE = (b"1", b"2")
+"""Versions that can be read.
+
+Version 1 of a state had sums of evidence, which are not used any more. Version 1 of the other
+records had neither length nor generation.
+"""
+MAX_BYTES = 1 << 20
+"""A longer file is not a saved record."""
+PROBE = "probe"
+PROBE_BYTES = 1 << 16
+"""Bytes of a test write: usually more than a record has."""
+LARGEST_NUMBER = 2**53
+"""Largest number in a file: up to there a float holds every integer."""
+CLOSE_WAIT_S = 0.2
+"""Longest wait for the disk at a stop [s] for each small record; the state waits longer."""
+
+Content = TypeVar("Content")
+
+
+@dataclass(frozen=True)
+class Loaded(Generic[Content]):
+    """Result of `RecordFiles.load`: the content, or None; one line for each file not accepted."""
+
+    content: Content | None
+    generation: int
+    problems: tuple[str, ...]
+
+
+class _RefusedError(Exception):
+    """Reason why a file is not accepted: one word for its new name, and a text."""
+
+    def __init__(self, word: str, text: str) -> None:
+        super().__init__(text)
+        self.word = word
+
+
+def _damaged(text: str) -> _RefusedError:
+    return _RefusedError("corrupt", f"it is damaged: {text}")
+
+
+class RecordFiles(Generic[Content]):
+    """Saves and loads one record in its own files.
+
+    kind: first word of the files. read: function that returns the content of a JSON object; it
+    raises any exception if the content is not valid. owner: names and values that must be in the
+    file. slots: endings of the files that alternate.
+    """
+
+    def __init__(
+        self,
+        folder: Path,
+        name: str,
+        kind: str,
+        read: Callable[[Mapping[str, Any]], Content],
+        owner: Mapping[str, str] | None = None,
+        slots: tuple[str, ...] = ("",),
+    ) -> None:
+        self.folder = folder
+        self.generation = 0
+        """Generation of the newest record that was saved, loaded or forgotten."""
+        self.is_empty = True
+        """True if nothing is saved: nothing was saved, or all was forgotten since."""
+        self.era = 0
+        """Counter that increases when all saved records are forgotten; a save of an earlier era is
+        ignored.
+        """
+        self._kind, self._read, self._owner = kind, read, owner or {}
+        self._paths = [folder / f"{name}{slot}" for slot in slots]
+        self._forgotten: set[Path] = set()
+        """Files that were forgotten but may still have their name."""
+        self._renaming = threading.Lock()
+
+    def path(self, generation: int) -> Path:
+        """Return the path of a generation's file."""
+        return self._paths[generation % len(self._paths)]
+
+    def load(self) -> Loaded[Content]:
+        """Return the newest acceptable record; set aside files that are not acceptable.
+
+        The call never raises.
+        """
+        best: Content | None = None
+        generation, highest, problems = 0, 0, []
+        for path in self._paths:
+            try:
+                number, content = self.decoded(read_regular(path, MAX_BYTES))
+            except FileNotFoundError:
+                continue
+            except OSError as error:
+                problems.append(
+                    f"{path}: cannot be read: {error.strerror}; the file stays where it is"
+                )
+                continue
+            except _RefusedError as reason:
+                problems.append(_set_aside(path, reason))
+                continue
+            highest = max(highest, number)
+            if best is None or number > generation:
+                best, generation = content, number
+        self.generation, self.is_empty = highest, best is None
+        return Loaded(best, generation, tuple(problems))
+
+    def save(self, content: Content, era: int | None = None) -> None:
+        """Write a new generation.
+
+        Raises OSError if the disk does not take it; nothing is lost then.
+
+        era: era of the content, if it was made earlier. If all was forgotten since, nothing is
+        written, and a file that is being written never gets its name.
+        """
+        era = self.era if era is None else era
+        generation = self.generation + 1
+        path = self.path(generation)
+        unfinished = write_beside(path, self.encoded(generation, content))
+        with self._renaming:
+            if era != self.era:
+                unfinished.unlink()
+                return
+            put_in_place(unfinished, path)
+            self.generation, self.is_empty = generation, False
+            self._forgotten.discard(path)
+        self.sync()
+
+    def why_not_writable(self) -> str:
+        """Return why the folder takes no record now; empty if it does.
+
+        The call does not wait for the disk.
+        """
+        probe = self.folder / f"{PROBE}{UNFINISHED}"
+        try:
+            self.folder.mkdir(parents=True, exist_ok=True)
+            probe.unlink(missing_ok=True)
+            with probe.open("xb") as file:
+                file.write(bytes(PROBE_BYTES))
+        except OSError as error:
+            return error.strerror or str(error)
+        finally:
+            with contextlib.suppress(OSError):
+                probe.unlink()
+        return ""
+
+    def forget(self) -> None:
+        """Set all generations aside, so that nothing is loaded any more.
+
+        Raises OSError if that fails. The call never waits for the disk. `sync` waits; without it a
+        power cut may undo the change. After a failure `set_aside_forgotten` continues.
+        """
+        with self._renaming:
+            self.era += 1
+            self.is_empty = True
+            self._forgotten.update(self._paths)
+        self.set_aside_forgotten()
+
+    def set_aside_forgotten(self) -> None:
+        """Set aside forgotten files that still have their name. Raises OSError if that fails."""
+        failure: OSError | None = None
+        with self._renaming:
+            for path in sorted(self._forgotten):
+                try:
+                    if path.exists():
+                        path.rename(free_name(path, "forgotten"))
+                except OSError as error:
+                    failure = error  # the other file may still succeed
+                else:
+                    self._forgotten.discard(path)
+        if failure is not None:
+            raise failure
+
+    @property
+    def is_forgotten(self) -> bool:
+        """True if another start would load no forgotten record."""
+        return not self._forgotten
+
+    def sync(self) -> None:
+        """Force the renames to the disk."""
+        sync_folder(self.folder)
+
+    def encoded(self, generation: int, content: Content) -> bytes:
+        """Return the bytes of a file. Raises ValueError if a number is not finite."""
+        record = {**self._owner, "generation": generation, **to_builtins(content)}
+        body = json.dumps(record, allow_nan=False, indent=1).encode()
+        return with_checksum(f"{self._kind} {VERSION} {len(body)}", body)
+
+    def decoded(self, data: bytes) -> tuple[int, Content]:
+        """Return generation and content of a file's bytes. Raises if they are not accepted."""
+        title, body, is_right = split_checksum(data)
+        kind, _, rest = title.partition(b" ")
+        version, _, length = rest.partition(b" ")
+        if kind != self._kind.encode() or len(data) > MAX_BYTES:
+            raise _damaged("its first line is wrong, or it is too long")
+        if version not in READABLE:
+            text = version[:12].decode("ascii", "replace")
+            raise _RefusedError("other-version", f"its version is {text}, not {VERSION}")
+        if not is_right or length not in (b"", str(len(body)).encode()):
+            raise _damaged("its checksum or its length is wrong")
+        try:
+            record = decode(body)
+            generation = record.get("generation", 1)
+            owner = {name: str(record[name]) for name in self._owner}
+            if type(generation) is not int or not 1 <= generation <= LARGEST_NUMBER:
+                raise ValueError("generation")
+            content = self._read(record)
+        except Exception as error:  # whatever a file holds: without it the start goes on
+            text = f"its content is not valid ({type(error).__name__}: {error})"
+            raise _damaged(text) from None
+        for name, value in self._owner.items():
+            if owner[name] != value:
+                raise _RefusedError(f"other-{name}", f"it belongs to another {name}")
+        return generation, content
+
+
+def _set_aside(path: Path, reason: _RefusedError) -> str:
+    """Rename a file and keep those that were set aside before; return what to log."""
+    target = free_name(path, reason.word)
+    try:
+        path.rename(target)
+    except OSError as error:
+        return f"{path}: {reason}; the file is not used (it could not be renamed: {error.strerror})"
+    return f"{path}: {reason}; the file is renamed to {target.name}"
+
+
+class KeptRecord(Generic[Content]):
+    """A record with one slot: read at the start, written by a thread of its own.
+
+    path: None reads and saves nothing. kind, read: see `RecordFiles`. title: name in the log. say:
+    function that takes a log line and its priority.
+    """
+
+    def __init__(
+        self,
+        path: Path | None,
+        kind: str,
+        read: Callable[[Mapping[str, Any]], Content],
+        title: str,
+        say: Say,
+    ) -> None:
+        self.content: Content | None = None
+        """Content at the start; None: nothing was saved, or it was not acceptable."""
+        self.problems: tuple[str, ...] = ()
+        self.writer: StateWriter[Content] | None = None
+        if path is None:
+            return
+        files = RecordFiles(path.parent, path.name, kind, read)
+        loaded = files.load()
+        self.content, self.problems = loaded.content, loaded.problems
+        for problem in self.problems:
+            say(f"{title}: {problem}", WARNING)
+        self.writer = StateWriter(files.save, title, say)
+
+    def put(self, content: Content) -> None:
+        """Request that this is saved soon; never waits for the disk."""
+        if self.writer is not None:
+            self.writer.put(content)
+            self.writer.report()
+
+    def close(self) -> None:
+        """Write pending content; waits for the disk, but not for long."""
+        if self.writer is not None:
+            self.writer.close(CLOSE_WAIT_S)
+            self.writer.report()
+
+    def status(self) -> dict[str, Any] | None:
+        """Return saves, failures and the last error; None if nothing is saved."""
+        return None if self.writer is None else self.writer.status()
+
+
+def clear_unfinished(folder: Path) -> None:
+    """Remove files that a power cut left unfinished; only the folder's only user may do this."""
+    for path in folder.glob(f"*{UNFINISHED}"):
+        with contextlib.suppress(OSError):
+            path.unlink()
+
+
+LOCK_FILE = ".lock"
+
+
+class FolderInUseError(ImucaldError):
+    """Another process uses the folder for its state."""
+
+
+class FolderLock:
+    """Locks a folder until `release`, or until the process ends in any way.
+
+    The folder itself is locked, which also works for a read-only folder. A file in it is locked
+    too: it names the holder, and serves where a file system cannot lock folders. Raises
+    FolderInUseError with the holder's pid. Raises OSError if neither can be locked.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        self._path = folder
+        self._held: list[int] = []
+        folder.mkdir(parents=True, exist_ok=True)
+        self._folder = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
+        try:
+            self._take()
+        except BaseException:
+            self.release()
+            raise
+
+    def _take(self) -> None:
+        flags = os.O_RDWR | os.O_CREAT | os.O_CLOEXEC | os.O_NOFOLLOW | os.O_NONBLOCK
+        no_lock: OSError | None = None
+        try:
+            fcntl.flock(self._folder, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            raise self._in_use() from None
+        except OSError as error:
+            no_lock = error
+        try:
+            file = os.open(self._path / LOCK_FILE, flags, 0o600)
+        except OSError:
+            if no_lock is not None:
+                raise
+            return
+        self._held.append(file)
+        try:
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            raise self._in_use() from None
+        with contextlib.suppress(OSError):  # a full disk
+            os.ftruncate(file, 0)
+            os.pwrite(file, f"{os.getpid()}\n".encode(), 0)
+
+    def _in_use(self) -> FolderInUseError:
+        holder = ""
+        with contextlib.suppress(OSError):
+            flags = os.O_RDONLY | os.O_CLOEXEC | os.O_NOFOLLOW | os.O_NONBLOCK
+            with os.fdopen(os.open(self._path / LOCK_FILE, flags), "rb") as file:
+                holder = (file.read(20) or b"").decode("ascii", "replace").strip()
+        return FolderInUseError(
+            f"{self._path} is in use by process {holder or '?'}; name another folder with "
+            "--state-dir"
+        )
+
+    def renew(self) -> bool:
+        """Lock again if another folder now has the name; return whether that was so.
+
+        Raises as the constructor does, and FolderInUseError if another process was faster.
+        """
+        with contextlib.suppress(FileNotFoundError):
+            if os.path.samestat(self._path.stat(), os.fstat(self._folder)):
+                return False
+        now = FolderLock(self._path)
+        self.release()
+        self._folder, self._held = now._folder, now._held
+        return True
+
+    def release(self) -> None:
+        """Release the folder for others."""
+        for descriptor in (self._folder, *self._held):
+            os.close(descriptor)
+        self._held = []
