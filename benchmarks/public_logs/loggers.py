@@ -11,6 +11,7 @@ import re
 import sqlite3
 import struct
 import tempfile
+import zipfile
 from datetime import datetime
 from pathlib import Path
 
@@ -20,6 +21,7 @@ from benchmarks.public_logs.frames import Array, Message, Signal, triad
 from benchmarks.public_logs.repositories import (
     BOSTON_1HZ,
     BOSTON_CIRCLES,
+    BOSTON_DRIVE,
     FREEMATICS,
     KLANG,
     ROME,
@@ -156,11 +158,20 @@ def boston_1hz(data: Path) -> list[Message]:
 
 def boston_circles(data: Path) -> list[Message]:
     """University car, 95 s in circles: an IMU 40 Hz, GPS positions 1 Hz."""
-    folder = "lab5/src/data"
-    imu, fixes = (
-        list(csv.DictReader(io.StringIO(BOSTON_CIRCLES.file(data, f"{folder}/{name}").decode())))
-        for name in ("going_in_circles_imu.csv", "going_in_circles_gps.csv")
-    )
+    stem = "lab5/src/data/going_in_circles_"
+    return _boston(*(BOSTON_CIRCLES.file(data, f"{stem}{kind}.csv") for kind in ("imu", "gps")))
+
+
+def boston_drive(data: Path) -> list[Message]:
+    """University car in a city, 12.6 min: an IMU 40 Hz, GPS positions 1 Hz."""
+    content = BOSTON_DRIVE.file(data, "lab5/src/data/data_driving.zip")
+    with zipfile.ZipFile(io.BytesIO(content)) as both:
+        return _boston(*(both.read(f"data_driving/{kind}.csv") for kind in ("imu", "gps")))
+
+
+def _boston(*tables: bytes) -> list[Message]:
+    """Topics of the IMU and of the receiver as tables."""
+    imu, fixes = (list(csv.DictReader(io.StringIO(table.decode()))) for table in tables)
     force, rates = (
         np.stack([_column(imu, f"imu.{kind}.{axis}") for axis in "xyz"], axis=1)
         for kind in ("linear_acceleration", "angular_velocity")

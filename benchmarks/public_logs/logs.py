@@ -119,11 +119,14 @@ LOGS = (
               right="kitti_raw"),
     # in a pocket: it is turned about on the way
     PublicLog("amsterdam_bus", repositories.AMSTERDAM,
-              partial(pocket_phones.amsterdam, trip=pocket_phones.BUS), right="amsterdam"),
+              partial(pocket_phones.phyphox, repository=repositories.AMSTERDAM,
+                      folder=pocket_phones.BUS), right="amsterdam"),
     PublicLog("amsterdam_car", repositories.AMSTERDAM,
-              partial(pocket_phones.amsterdam, trip=pocket_phones.CAR), right="amsterdam"),
+              partial(pocket_phones.phyphox, repository=repositories.AMSTERDAM,
+                      folder=pocket_phones.CAR), right="amsterdam"),
     PublicLog("amsterdam_motorway", repositories.AMSTERDAM,
-              partial(pocket_phones.amsterdam, trip=pocket_phones.MOTORWAY), right="amsterdam"),
+              partial(pocket_phones.phyphox, repository=repositories.AMSTERDAM,
+                      folder=pocket_phones.MOTORWAY), right="amsterdam"),
     # from here on: the sixth search
     # by its gravity, its turns and its braking; the phone leans about
     PublicLog("rome_904", repositories.ROME, partial(loggers.rome, drive=904),
@@ -162,4 +165,27 @@ LOGS = (
               (0.7, 3.4, -1.0), 6.0),
     PublicLog("skoda_dot", repositories.WHEEL_INERTIAL, robots.skoda_dot, (-4.8, 1.9, -84.0),
               10.0),
+    # from here on: the ninth search; by gravity, turns and changes of speed
+    PublicLog("montreal_cup", repositories.MONTREAL,
+              partial(pocket_phones.phyphox, repository=repositories.MONTREAL, folder="Data"),
+              (54.7, -0.3, -93.5), 3.0, right="amsterdam"),
+    *(
+        PublicLog(f"gyor_{i}", repositories.GYOR,
+                  partial(pocket_phones.phyphox, repository=repositories.GYOR,
+                          folder=f"data/raw_data_train/{folder}"),
+                  known, within, right="amsterdam")
+        for i, (folder, known, within) in enumerate((
+            ("rsq_q1/00", (-1.6, -0.6, -89.8), 2.5),
+            ("rsq_q2/00", (-1.1, 2.9, -85.5), 5.0),
+            ("rsq_q2/01", (-1.6, 1.0, -86.5), 5.0),
+            ("rsq_q3/00", (-1.0, 0.0, -86.0), 5.0),
+            ("rsq_q3/01", (-1.9, 0.1, -92.0), 8.0),
+            ("rsq_q3/02", (-1.3, -0.1, -88.0), 10.0),
+            ("test/00", (-1.6, 0.8, -92.3), 2.5),
+        ), 1)
+    ),
+    PublicLog("boston_drive", repositories.BOSTON_DRIVE, loggers.boston_drive,
+              (-178.2, 1.0, 0.8), 2.5, right="boston_vectornav"),
+    # it leans
+    PublicLog("bremen_bicycle", repositories.BREMEN, robots.bremen_bicycle),
 )  # fmt: skip

@@ -1,4 +1,4 @@
-"""Converters of recordings with a phone in somebody's pocket: source files to messages."""
+"""Converters of what the app phyphox wrote, in a pocket or fixed in a car: files to messages."""
 
 from __future__ import annotations
 
@@ -8,22 +8,25 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.public_logs.frames import Array, Message, Signal, triad
-from benchmarks.public_logs.repositories import AMSTERDAM
+from benchmarks.public_logs.repositories import Repository
 
-BUS = "car bus (Lars) 12062024 2043 2024-06-20 14-01-54"
-CAR = "car pocket (Lars) 06062024 1014 2024-06-06 11-19-31"
-MOTORWAY = "car pocket (Lars) 05062024 1321 2024-06-06 11-20-34"
+BUS = "Data/car bus (Lars) 12062024 2043 2024-06-20 14-01-54"
+CAR = "Data/car pocket (Lars) 06062024 1014 2024-06-06 11-19-31"
+MOTORWAY = "Data/car pocket (Lars) 05062024 1321 2024-06-06 11-20-34"
 
 
-def amsterdam(data: Path, trip: str) -> list[Message]:
-    """Trip of 8 to 10 min with a phone in a pocket: 100 Hz, GPS 1 Hz (phyphox)."""
+def phyphox(data: Path, repository: Repository, folder: str) -> list[Message]:
+    """Trip of 2 to 11 min: a phone's sensors at 10 or 100 Hz, GPS 1 Hz.
+
+    iOS writes a speed of -1 where it has none; such rows are no fixes.
+    """
 
     def read(sensor: str) -> Array:
-        content = AMSTERDAM.file(data, f"Data/{trip}/{sensor}.csv")
+        content = repository.file(data, f"{folder}/{sensor}.csv")
         return np.genfromtxt(io.BytesIO(content), delimiter=",", skip_header=1)
 
     force, rates, fixes = read("Accelerometer"), read("Gyroscope"), read("Location")
-    fixes = fixes[np.isfinite(fixes[:, 4])]
+    fixes = fixes[np.isfinite(fixes[:, 4]) & ~(fixes[:, 4] < 0.0)]
     has_course = np.isfinite(fixes[:, 5]) & (fixes[:, 5] >= 0.0)
     return [
         triad(0x81, "Accelerometer", "acc_", "m/s^2", 0.005, force[:, 0], force[:, 1:4], "XYZ"),

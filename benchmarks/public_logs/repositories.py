@@ -168,3 +168,16 @@ NAVEGO = Repository("rodralez", "NaveGo", "550d90660dceddf70af8957f1fdc988eb763a
 WHEEL_INERTIAL = Repository(
     "ansfl", "WID", "9f15b32a26393c5870e83fc31948280eb41e5710", "none stated"
 )
+MONTREAL = Repository(
+    "Slmaking", "Reorientation-of-smartphone", "2561c55a9dabd6d7b3007b02cb6930447770567a",
+    "none stated",
+)  # fmt: skip
+GYOR = Repository(
+    "meszdav", "road-surface-quality", "4512ab613564d725380b8fa8f57f07c1c1aa00b7", "MIT"
+)
+BOSTON_DRIVE = Repository(
+    "aaronpan-eng", "EECE5554", "0d7757a506e1f18ce0b19393b3d290fba0cba6f7", "none stated"
+)
+BREMEN = Repository(
+    "Patricsen-git", "bicycle-database", "3d48e566e5ac6d31cf7105ba25810b033c038c74", "none stated"
+)

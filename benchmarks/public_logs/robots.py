@@ -9,7 +9,7 @@ import numpy as np
 from scipy.io import loadmat
 
 from benchmarks.public_logs.frames import Array, Message, Signal, triad
-from benchmarks.public_logs.repositories import FRICTION_MAPS, NAVEGO, WHEEL_INERTIAL
+from benchmarks.public_logs.repositories import BREMEN, FRICTION_MAPS, NAVEGO, WHEEL_INERTIAL
 
 EARTH_RADIUS = 6_371_000.0
 MOVED = 0.5
@@ -85,6 +85,19 @@ def skoda_dot(data: Path) -> list[Message]:
         triad(0x91, "DOT_ACC", "Acc", "m/s^2", 0.001, t_body, body[:, 4:7]),
         triad(0x92, "DOT_GYR", "Gyr", "deg/s", 0.02, t_body, body[:, 7:10]),
         *_track(0x93, *_places(t, rows)),
+    ]
+
+
+def bremen_bicycle(data: Path) -> list[Message]:
+    """Bicycle in a city, 41 min: an Arduino's IMU read at 1.9 Hz, its receiver's positions."""
+    content = BREMEN.file(data, "RecordedData/Arduino/ArduinoLog.csv")
+    rows = np.genfromtxt(io.BytesIO(content), delimiter=",", skip_header=1)
+    rows = rows[np.isfinite(rows).all(axis=1)]
+    t = 0.001 * rows[:, 0]
+    return [
+        triad(0x95, "NANO_ACC", "A", "g", 0.0005, t, rows[:, 1:4], "xyz"),
+        triad(0x96, "NANO_GYRO", "G", "deg/s", 0.06, t, rows[:, 4:7], "xyz"),
+        *_track(0x97, *_places(t, rows[:, 7:])),
     ]
 
 

@@ -21,6 +21,8 @@ from paths import ROOT
 
 EXAMPLE = ROOT / "dbc" / "imucald_example.dbc"
 COURSE_ID = 0x3A0
+WANDER = 2.6
+"""Seconds; the course explains 0.4 of the turns then."""
 AXES = ("AccelX", "AccelY", "AccelZ")
 
 
@@ -32,8 +34,9 @@ def drive(tmp_path_factory) -> list[str]:
     return log.read_text().splitlines()
 
 
-def with_course(lines: list[str], late: float) -> list[str]:
-    """The drive with a message of the course [0.01 deg, clockwise], sent `late` seconds late."""
+def with_course(lines: list[str], late: float, wander: float = 0.0) -> list[str]:
+    """The drive with a message of the course [0.01 deg, clockwise], sent `late` seconds late,
+    and by up to `wander` seconds more, each time anew."""
     rates = cantools.database.load_file(EXAMPLE)
     message = next(m for m in rates.messages if any(s.name == "YawRate" for s in m.signals))
     t, rate = [], []
@@ -47,7 +50,8 @@ def with_course(lines: list[str], late: float) -> list[str]:
     times = np.array(t)
     left = np.concatenate([[0.0], np.cumsum(np.diff(times) * np.array(rate[1:]))])
     sent = np.arange(times[0] + late, times[-1], 1.0)
-    course = np.interp(sent - late, times, 100.0 - left) % 360.0
+    more = np.random.default_rng(9).uniform(0.0, wander, len(sent))
+    course = np.interp(sent - late - more, times, 100.0 - left) % 360.0
     frames = [
         f"({at:.6f}) can0 {COURSE_ID:03X}#{int(raw).to_bytes(2, 'little').hex().upper()}"
         for at, raw in zip(sent, course / 0.01, strict=True)
@@ -93,6 +97,17 @@ def test_a_course_is_found_and_sure_however_late_it_is(drive, tmp_path, late):
     accelerometer = proposal.choice("accelerometer")
     assert accelerometer is not None
     assert accelerometer.is_sure
+
+
+@pytest.mark.slow
+def test_a_named_course_is_found_where_its_delay_varies(drive, tmp_path):
+    """As in a phone's recordings, where half of its changes is noise of the times."""
+    lines = with_course(drive, 0.0, wander=WANDER)
+    heading = proposed(tmp_path, lines, name="Direction", accel_sign=1).choice("heading")
+    assert heading is not None
+    assert heading.is_sure, heading.doubt
+    unnamed = proposed(tmp_path, lines, name="Sig7", accel_sign=1).choice("heading")
+    assert unnamed is None or not unnamed.is_sure
 
 
 @pytest.mark.slow

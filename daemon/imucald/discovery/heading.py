@@ -18,7 +18,7 @@ from imucald.discovery.candidates import SeenSignal
 from imucald.discovery.names import hint
 from imucald.discovery.proposal import Choice, source_of
 from imucald.discovery.reference import DELAYS, KnownMotion, stated_unit
-from imucald.discovery.scalars import SAME_MOTION, by_unit_and_name
+from imucald.discovery.scalars import RELATED, SAME_MOTION, by_unit_and_name
 
 SPAN = 10
 """Time over which a change of the heading is computed [ticks]. A receiver sends at 1 Hz."""
@@ -87,7 +87,9 @@ def fit_heading(reference: KnownMotion, candidates: Sequence[SeenSignal]) -> Hea
         fits = (HeadingFit(c, relation(-turn, shifted(turned, d)), d) for d in DELAYS)
         one = max(fits, key=lambda f: f.relation.explained)
         found = one.relation
-        fitting = found.explained >= SAME_MOTION and 1.0 / GAIN < found.gain < GAIN
+        # the delay of a receiver's fixes varies, which is noise in the change of its course
+        share = RELATED if one.is_named else SAME_MOTION
+        fitting = found.explained >= share and 1.0 / GAIN < found.gain < GAIN
         if found.is_believed and fitting and (best is None or found.z > best.relation.z):
             best = one
     return best

@@ -86,8 +86,10 @@ _HINTS = {
     "reverse": ("reverse", "rueckwaerts", "ruecklicht", "rückwärts", "backward", "gear", "gang"),
     "brake": ("brake", "bremse", "bremslicht", "brk", "stoplamp"),
     "temperature": ("temp", "temperature", "temperatur"),
-    "heading": ("heading", "course", "bearing", "azimuth", "cog", "kurs"),
-}
+    "heading": (
+        "heading", "course", "bearing", "azimuth", "cog", "direction", "kurs", "richtung", "corso",
+    ),
+}  # fmt: skip
 
 
 _OF_ANOTHER = frozenset((
