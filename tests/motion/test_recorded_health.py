@@ -14,9 +14,8 @@ T = np.arange(0.0, SECONDS, 1.0 / HZ)
 def sensor(seed: int = 0) -> np.ndarray:
     rng = np.random.default_rng(seed)
     slow = np.cumsum(rng.standard_normal((len(T), 3)), axis=0) * 0.01
-    return (
-        np.round((slow - slow.mean(axis=0) + 0.2 * rng.standard_normal(slow.shape)) / 0.01) * 0.01
-    )
+    noisy = slow - slow.mean(axis=0) + 0.2 * rng.standard_normal(slow.shape)
+    return np.asarray(np.round(noisy / 0.01) * 0.01)
 
 
 def judged(values: np.ndarray, chance: float = 0.01) -> RecordedHealth:

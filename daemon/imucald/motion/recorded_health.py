@@ -51,12 +51,12 @@ def recorded_health(
     entries = rows.entries()
     # Each hop asks of each axis whether it is stuck, and of both its ends whether it is a rail.
     surprise = math.log(3.0 * axes * hops / chance)
-    stuck, on_rail = np.zeros((2, len(t)), dtype=bool)
+    on_rail = np.zeros(len(t), dtype=bool)
     # Equal rows of all axes are runs of a count of their changes.
     changes = np.cumsum((np.diff(table, axis=0, prepend=table[:1]) != 0.0).any(axis=1))
     whole = hop_rows(changes[:, None].astype(float), hop, hops, Carry.none(1))
-    repeats, _, _ = AxisJudges(0, 0.0, (surprise, math.inf)).judge(whole, whole.entries(), moving)
-    stuck |= _runs_at(changes, whole.edges[1:][repeats] - 1)
+    is_stuck, _, _ = AxisJudges(0, 0.0, (surprise, math.inf)).judge(whole, whole.entries(), moving)
+    stuck = _runs_at(changes, whole.edges[1:][is_stuck] - 1)
     ends: list[float] = []
     for axis in range(axes):
         judges = AxisJudges(axis, NOISE.get(channel, 0.0), (surprise, surprise))
@@ -98,7 +98,7 @@ def _is_full(x: Array, end: float, step: float) -> bool:
     A rail holds what would lie beyond it. An axis of a vector of constant length is often near its
     largest value, and has no rail there.
     """
-    return PILE * np.count_nonzero(x == end) > max(_beside(x, end, step))
+    return bool(PILE * np.count_nonzero(x == end) > max(_beside(x, end, step)))
 
 
 def _is_crowded(x: Array, end: float, step: float, surprise: float) -> bool:
