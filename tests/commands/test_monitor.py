@@ -266,10 +266,11 @@ def test_a_low_terminal_keeps_the_progress_and_the_newest_event(status):
 
 
 def test_a_contradiction_of_signals_names_the_next_command(status):
-    status["waiting_for"] = {"yaw": f"{WORDS[StandingFault.TURN_YAW_RATE]}; other"}
+    status["standing_faults"] = [StandingFault.TURN_YAW_RATE.value]
     for part in (picture(status), lambda c: monitor_picture(status, [], c, Text(""))):
         assert "run 'imucald check'" in " ".join("\n".join(drawn(part, 100)).split())
-    status["waiting_for"] = {"yaw": "bends"}
+    status["standing_faults"] = []
+    status["waiting_for"] = {"yaw": f"{WORDS[StandingFault.TURN_YAW_RATE]}; other"}
     assert "imucald check" not in "\n".join(drawn(picture(status), 100))
 
 

@@ -105,6 +105,16 @@ def test_a_value_that_is_sent_several_times_is_no_fault() -> None:
     assert not reported(watched(held)), "of a sensor of 10 Hz in frames of 200 Hz"
 
 
+def test_a_sensor_whose_values_are_sent_several_times_is_stuck_within_two_seconds() -> None:
+    samples = drive(hz=200.0, seed=1)
+    values = np.repeat(samples["accel"].values[::20], 20, axis=0)
+    values[samples["accel"].t >= 130.0] = values[samples["accel"].t < 130.0][-1]
+    health = watched({**samples, "accel": Series(samples["accel"].t, values)})
+    (event,) = health.events
+    assert 130.0 < event.since < 132.0
+    assert health.faults == {"accel": {SignalFault.STUCK: "xyz"}}
+
+
 def test_an_engine_that_stops_does_not_make_a_coarse_sensor_stuck() -> None:
     samples = drive(120.0, grain=60.0)
 

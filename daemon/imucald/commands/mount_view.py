@@ -9,7 +9,6 @@ from rich.progress_bar import ProgressBar
 from rich.table import Table
 from rich.text import Text
 
-from imucald.mount.contradictions import WORDS
 from imucald.mount.estimate import ANGLES
 from imucald.mount.mount_words import (
     ABOUT,
@@ -53,8 +52,7 @@ def mount_parts(
             yield Text(f"trouble      {text}", style="bold red")
         else:
             yield Text(f"waiting for  {names}: {text}", style="yellow")
-    contradict = any(w in text for text in result["waiting_for"].values() for w in WORDS.values())
-    if contradict and not is_checked:
+    if result.get("standing_faults") and not is_checked:
         yield Text(f"next         {TRY_CHECK}", style="yellow")
     if progress is not None:
         yield _gates(progress, bar)

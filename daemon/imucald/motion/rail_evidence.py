@@ -133,7 +133,7 @@ class Pile(Struct):
     @property
     def surprise(self) -> float:
         """-log of the chance of all observations [nats]."""
-        return self.met + STAYS_COUNT * _more_often(self.stays, self.at_it, self.rate)
+        return self.met + STAYS_COUNT * more_often(self.stays, self.at_it, self.rate)
 
     def count(self, at: AxisHops, h: int, axis: int, side: int, value: float) -> bool:
         """Count the new samples of hop h on the value; return whether there are any.
@@ -166,7 +166,7 @@ class Pile(Struct):
             self.seen.popitem()
 
 
-def _more_often(stays: int, of: int, rate: float) -> float:
+def more_often(stays: int, of: int, rate: float) -> float:
     """Return -log of the chance of this many stays among the samples, if each sample stays with the
     chance exp(-rate) [nats].
 
@@ -234,5 +234,5 @@ class LostContact:
         lasted = np.diff(new, prepend=-self._open)
         size: NDArray[np.float64] = change[new]
         entry = np.append(self._entry, size[:-1])
-        jump = JUMP * self._change / max(self._changes, 1)
+        jump = JUMP * self._change / self._changes if self._changes else math.inf
         return int(lasted[(entry > jump) & (size > jump)].max(initial=0))

@@ -5,9 +5,8 @@ stays there. Data that repeat to the last bit, such as a recording in a loop, co
 
 For each side of an axis, the values that nothing has exceeded since are stored, from high to low.
 The samples on a value, and one and two steps below it, show whether it is the end of a range. A
-whole recording shows more of a rail than the samples so far: see `diagnosis.direct.faults`. The
-compiled part takes all hops in a row that need no more (`core/kernels/rails.c`); `rail_hops` does
-the same.
+whole recording shows more of a rail than the samples so far: see `recorded_health`. The compiled
+part takes all hops in a row that need no more (`core/kernels/rails.c`); `rail_hops` does the same.
 """
 
 from __future__ import annotations
@@ -245,9 +244,9 @@ SURPRISE = 18.5
 """A rail is accepted from this -log of the chance of the data without a rail [nats]: 1e-8, with
 some 1e7 hops of driving in 100 h at both ends of six axes.
 """
-BOTH_ENDS = SURPRISE + 4.0
-"""Limit for a range that ends at both ends, on the sum of two surprises, as x + log(1 + x) gives
-it.
+BOTH_ENDS = 4.0
+"""What the sum of two surprises needs in addition where the range ends at both ends, as x + log(1 +
+x) gives it.
 """
 BROAD = 3
 """The tail is measured from where it holds this many times the arrivals at the extreme."""
@@ -272,16 +271,21 @@ class Rail:
 
     surprise: -log of the chance of the data without a rail [nats]. Only stays that have ended
     count: an axis that sticks is not a rail, and counts as one arrival when the sticking ends.
-    value: value for which the surprise holds.
+    value: value for which the surprise holds. least: surprise from which the value is a rail.
     """
 
-    def __init__(self, side: int, axis: int, tops: TopRows) -> None:
-        self._side, self._axis, self._tops = side, axis, tops
+    def __init__(self, side: int, axis: int, tops: TopRows, least: float) -> None:
+        self._side, self._axis, self._tops, self._least = side, axis, tops, least
         self._rail = -math.inf
         self._changed = False
         self._untouched, self._pauses, self._touches = 0, 0.0, 0
         self.found = False
         self.surprise, self.value = 0.0, math.inf
+
+    @property
+    def last(self) -> float:
+        """Value of the last rail, negated on the lower side; -inf before any."""
+        return self._rail
 
     def go_on(self, at: AxisHops, h: int, moving: bool) -> None:
         """Update the rail with hop h: it is dropped if a value lies beyond it."""
@@ -372,7 +376,7 @@ class Rail:
 
     def _is_left(self) -> bool:
         least, most = UNTOUCHED
-        allowed = SURPRISE * self._pauses / self._touches
+        allowed = self._least * self._pauses / self._touches
         return self._untouched > min(max(allowed, least), most)
 
     def _forget(self) -> None:
@@ -427,12 +431,19 @@ class Rail:
 
 
 class AxisRails:
-    """Both rails of an axis."""
+    """Both rails of an axis. least: surprise from which a value is a rail [nats]."""
 
-    def __init__(self, axis: int) -> None:
-        self._axis = axis
+    def __init__(self, axis: int, least: float = SURPRISE) -> None:
+        self._axis, self._least = axis, least
         self._tops = AxisTops()
-        self._high, self._low = (Rail(side, axis, own) for side, own in enumerate(self._tops.sides))
+        self._high, self._low = (
+            Rail(side, axis, own, least) for side, own in enumerate(self._tops.sides)
+        )
+
+    @property
+    def ends(self) -> tuple[float, float]:
+        """Values of the last rails, the upper and the lower; infinite before any."""
+        return self._high.last, -self._low.last
 
     def step(self, at: AxisHops, h: int, moving: bool, stuck: bool) -> bool:
         """Take hop h, which has samples; return whether the axis is on a rail.
@@ -499,9 +510,9 @@ class AxisRails:
             if is_low:
                 low.weigh(at, h)
         if high.surprise > 0.0 or low.surprise > 0.0:
-            both = high.surprise + low.surprise > BOTH_ENDS
+            both = high.surprise + low.surprise > self._least + BOTH_ENDS
             for rail in (high, low):
-                is_sure = rail.surprise > SURPRISE or (both and rail.surprise > 0.0)
+                is_sure = rail.surprise > self._least or (both and rail.surprise > 0.0)
                 if is_sure and not rail.found:
                     rail.on_rail()
         return high.found or low.found

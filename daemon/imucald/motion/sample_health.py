@@ -21,6 +21,7 @@ from imucald.core.arrays import Array, Flags
 from imucald.core.samples import Samples, Series
 from imucald.motion.hops import HOP_S, HOP_TICKS, Carry, HopRows, hop_rows
 from imucald.motion.rail_evidence import AxisHops, LostContact
+from imucald.motion.rails import SURPRISE as RAIL
 from imucald.motion.rails import AxisRails
 from imucald.motion.sensor_judges import (
     FORCE_HOPS,
@@ -31,6 +32,7 @@ from imucald.motion.sensor_judges import (
     turning_wildly,
     unlike_gravity,
 )
+from imucald.motion.sensor_judges import SURPRISE as STUCK
 from imucald.motion.signal_health import EVENTS, FaultEvent, Faults, FaultsInForce, SignalFault
 from imucald.motion.standstill import ROLLING_SPEED
 from imucald.motion.ticks import TICK_RATE
@@ -54,6 +56,60 @@ _More = tuple[Array, NDArray[np.int64]]
 """Samples and their hops."""
 
 
+class AxisJudges:
+    """The judges of one axis. noise: see `StuckAxis`. surprises: -log of the chance of a stuck run
+    and of a rail without a fault [nats].
+    """
+
+    def __init__(
+        self, axis: int, noise: float, surprises: tuple[float, float] = (STUCK, RAIL)
+    ) -> None:
+        self._axis = axis
+        self.stuck = StuckAxis(noise, surprises[0])
+        self._surprise = surprises[1]
+        self.contact = LostContact()
+        self.forget_rails()
+
+    def forget_rails(self) -> None:
+        """Forget all evidence so far for the ends of the range."""
+        self.rails = AxisRails(self._axis, self._surprise)
+
+    def restart(self) -> None:
+        """Restart after a jump of time."""
+        self.stuck.restart()
+        self.contact.restart()
+
+    def judge(
+        self, rows: HopRows, entries: Array, moving: Flags
+    ) -> tuple[list[bool], list[bool], list[bool]]:
+        """Return three flags for each hop: the axis is stuck at its end, a value between two jumps
+        ended in it, and the axis is on a rail at its end. All are False without samples.
+        """
+        axis, judge, rails, contact = self._axis, self.stuck, self.rails, self.contact
+        counts = rows.count, rows.ended[:, axis], rows.longest[:, axis], rows.run[:, axis]
+        moves = moving.tolist()
+        stuck, lost, saturated = ([False] * len(moves) for _ in range(3))
+        known: list[tuple[int, int]] = []
+        at = AxisHops(axis, rows, entries, known)
+        begins: list[tuple[int, bool]] = []  # of hops with samples; whether it was stuck then
+        of_runs = zip(*(x.tolist() for x in counts), strict=True)
+        for h, (is_moving, runs) in enumerate(zip(moves, of_runs, strict=True)):
+            known.append((judge.moving.count, judge.moving.longest))
+            if runs[0]:
+                begins.append((h, judge.stuck))
+                lost[h], jumped = contact.step(at, h, axis, runs, judge.usual(is_moving))
+                stuck[h] = judge.step(is_moving, runs, at.step[h], jumped)
+        for was_stuck, of in groupby(begins, key=itemgetter(1)):
+            hops = [h for h, _ in of]
+            if was_stuck:
+                flags = [rails.step(at, h, moves[h], stuck=True) for h in hops]
+            else:
+                flags = rails.step_through(at, hops, moving)
+            for h, on_rail in zip(hops, flags, strict=True):
+                saturated[h] = on_rail
+        return stuck, lost, saturated
+
+
 class _Sensor(FaultsInForce):
     """One sensor: its samples of the open hop, its judges, and the faults that they found."""
 
@@ -62,18 +118,15 @@ class _Sensor(FaultsInForce):
         self.axes = axes
         self.pending: list[Sequence[float]] = []
         self.carry = Carry.none(axes)
-        self.stuck = [StuckAxis(NOISE[channel]) for _ in range(axes)]
-        self.rails = [AxisRails(axis) for axis in range(axes)]
-        self.contacts = [LostContact() for _ in range(axes)]
+        self.judges = [AxisJudges(axis, NOISE[channel]) for axis in range(axes)]
         self._wild = Lasting(FORCE_HOPS if channel == "accel" else RATE_HOPS)
         self._unit = UnitChange(_UNITS[channel], axes) if channel in _UNITS else None
 
     def restart(self) -> None:
         self.pending = []
         self.carry.restart()
-        for axis, contact in zip(self.stuck, self.contacts, strict=True):
-            axis.restart()
-            contact.restart()
+        for judge in self.judges:
+            judge.restart()
         if self._unit is not None:
             self._unit.restart()
 
@@ -104,48 +157,19 @@ class _Sensor(FaultsInForce):
             of = rows.level[some], rows.ended[some]
             wild[some] |= self._unit.step(*of, other[some], moving[some])
         entries = rows.entries()
-        each = [self._judge_axis(axis, rows, entries, moving) for axis in range(self.axes)]
-        shown = [(SignalFault.STUCK, AXES[i], stuck) for i, (stuck, _) in enumerate(each)]
-        shown += [(SignalFault.SATURATED, AXES[i], on) for i, (_, on) in enumerate(each)]
+        each = [judge.judge(rows, entries, moving) for judge in self.judges]
+        shown = [(SignalFault.STUCK, AXES[i], stuck) for i, (stuck, _, _) in enumerate(each)]
+        shown += [(SignalFault.STUCK, AXES[i], lost) for i, (_, lost, _) in enumerate(each)]
+        shown += [(SignalFault.SATURATED, AXES[i], on) for i, (_, _, on) in enumerate(each)]
         shown += [(SignalFault.IMPLAUSIBLE, AXES[: self.axes], wild.tolist())]
         counts = rows.count.tolist()
         found: list[dict[SignalFault, str]] = [{} for _ in counts]
         for fault, axes, flags in shown:
             if True in flags:
                 for h, flag in enumerate(flags):
-                    if flag:
+                    if flag and axes not in found[h].get(fault, ""):
                         found[h][fault] = found[h].get(fault, "") + axes
         return [faults if count else None for faults, count in zip(found, counts, strict=True)]
-
-    def _judge_axis(
-        self, axis: int, rows: HopRows, entries: Array, moving: Flags
-    ) -> tuple[list[bool], list[bool]]:
-        """Return two flags for each hop: the axis is stuck at its end, and the axis is on a rail at
-        its end. Both are False without samples.
-        """
-        judge, rails, contact = self.stuck[axis], self.rails[axis], self.contacts[axis]
-        counts = rows.count, rows.ended[:, axis], rows.longest[:, axis], rows.run[:, axis]
-        moves = moving.tolist()
-        stuck, saturated = [False] * len(moves), [False] * len(moves)
-        known: list[tuple[int, int]] = []
-        at = AxisHops(axis, rows, entries, known)
-        begins: list[tuple[int, bool]] = []  # of hops with samples; whether it was stuck then
-        of_runs = zip(*(x.tolist() for x in counts), strict=True)
-        for h, (is_moving, runs) in enumerate(zip(moves, of_runs, strict=True)):
-            known.append((judge.moving.count, judge.moving.longest))
-            if runs[0]:
-                begins.append((h, judge.stuck))
-                lost, jumped = contact.step(at, h, axis, runs, judge.usual(is_moving))
-                stuck[h] = judge.step(is_moving, runs, at.step[h], jumped) or lost
-        for was_stuck, of in groupby(begins, key=itemgetter(1)):
-            hops = [h for h, _ in of]
-            if was_stuck:
-                flags = [rails.step(at, h, moves[h], stuck=True) for h in hops]
-            else:
-                flags = rails.step_through(at, hops, moving)
-            for h, on_rail in zip(hops, flags, strict=True):
-                saturated[h] = on_rail
-        return stuck, saturated
 
 
 class SampleHealth:
@@ -216,7 +240,8 @@ class SampleHealth:
     def forget_rails(self) -> None:
         """Forget all evidence so far for the ends of the axes' ranges."""
         for sensor in self._sensors.values():
-            sensor.rails = [AxisRails(axis) for axis in range(sensor.axes)]
+            for judge in sensor.judges:
+                judge.forget_rails()
 
     def gap(self) -> None:
         """Note a jump of time: earlier samples are not joined with later ones."""

@@ -99,14 +99,14 @@ class Runs:
         """
         return rate_of(self.count, self.longest)
 
-    def limit(self) -> float:
-        """Return the length [samples] above which a run is stuck."""
+    def limit(self, surprise: float = SURPRISE) -> float:
+        """Return the length [samples] above which a run is stuck, by that -log of its chance."""
         rate = self.rate()
         if rate == 0.0:
             return math.inf
         # For runs that noise makes, the mean times log N is at least the longest.
         wandered = self.longest * self.count / (self._samples * math.log(self.count))
-        return max(SURPRISE / rate, max(LEAST_TIMES, wandered) * self.longest)
+        return max(surprise / rate, max(LEAST_TIMES, wandered) * self.longest)
 
 
 def rate_of(count: int, longest: int) -> float:
@@ -124,11 +124,12 @@ class StuckAxis:
     A run of equal values is compared with earlier runs, at rest and in motion separately. At rest
     only the sensor's noise changes a value, because an engine that stops removes the rest. Only an
     axis whose step is finer than that noise is judged there. noise: that of a usual sensor of the
-    kind, in SI units per root of hertz.
+    kind, in SI units per root of hertz; 0: not judged at rest. surprise: -log of the chance of a
+    stuck run without a fault [nats].
     """
 
-    def __init__(self, noise: float) -> None:
-        self._noise = noise
+    def __init__(self, noise: float, surprise: float = SURPRISE) -> None:
+        self._noise, self._surprise = noise, surprise
         self.moving, self._resting = Runs(), Runs()
         self._moved_run = self._moved_hops = self._hops = self._run = 0
         self._rested = False
@@ -174,7 +175,7 @@ class StuckAxis:
 
     def _is_stuck(self, run: int, q: float) -> bool:
         if self._moved_hops >= SHORTEST_HOPS:
-            if self._moved_run > self.moving.limit():
+            if self._moved_run > self.moving.limit(self._surprise):
                 return True
             if self.moving.count < MIN_RUNS and self._moved_hops >= DEAD_HOPS:
                 return True
@@ -184,7 +185,7 @@ class StuckAxis:
         bandwidth = 0.5 * self._resting.count / (self._rest_hops * HOP_S)
         if q > FINE_STEP * self._noise * math.sqrt(bandwidth):
             return False
-        return run > self._resting.limit()
+        return run > self._resting.limit(self._surprise)
 
 
 class Lasting:

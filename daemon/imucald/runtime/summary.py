@@ -45,6 +45,7 @@ def summary(
         "correction": correction_dict(estimate),
         "state": estimate.state.name.lower(),
         "waiting_for": {a: estimate.waiting_for[a] for a in ANGLES if a in estimate.waiting_for},
+        "standing_faults": list(estimate.faults),
         "progress": progress_dict(estimate),
         "first_usable_s": _after(pipeline.first_usable, lead),
         "first_fine_s": _after(pipeline.first_fine, lead),

@@ -1,11 +1,8 @@
 """Faults that are visible in samples and time stamps alone: values piled up on a rail, stuck
 signals, lost or doubled frames, wrong cycle.
 
-Each is direct evidence. The samples that a fault makes invalid are kept out of the fit.
-`motion.rails` and `motion.sensor_judges` look for the same faults while driving, with the past
-samples only; here the whole recording is known. Three cases must be distinguished by all values of
-a signal. A third of a recording may lie on a rail. An axis of a vector of constant length is most
-often near its largest value. A dead zone may repeat itself.
+Each is direct evidence. The samples that a fault makes invalid are kept out of the fit. Rails and
+repeated values of sensors are found as while driving (`motion.recorded_health`).
 """
 
 from __future__ import annotations
@@ -13,7 +10,6 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
-from scipy.stats import binom
 
 from imucald.core.arrays import Array, true_runs
 from imucald.core.samples import INERTIAL, QUANTITIES, Samples, Series
@@ -21,24 +17,15 @@ from imucald.core.text import counted
 from imucald.diagnosis.direct.lost_readings import Lost
 from imucald.diagnosis.direct.sample_changes import stays_until_off
 from imucald.diagnosis.direct.stamps import clock_of
-from imucald.diagnosis.direct.stuck import Fault, stuck
-from imucald.diagnosis.direct.visits import visited_too_often
+from imucald.diagnosis.direct.stuck import STUCK, Fault, is_shown_often, stuck, stuck_fault
 from imucald.diagnosis.signals import Channel, Mask, Spans, duplicates
 from imucald.model.model import VehicleModel
-from imucald.motion.rail_evidence import PILE
+from imucald.motion.recorded_health import recorded_health
 
 LEAST_ROWS = 100
 WATCHED = ("accel", "gyro", "speed", "steering", "yaw_rate", "lateral_accel", "longitudinal_accel")
-PILE_SHARE = 2e-4
-"""A rail has at least this share of the samples."""
-PILE_LEVELS = (3, 10)
-"""Numbers of levels below the extreme one with which it is compared."""
 CHANCE = 0.01
-"""Chance of a false rail in one drive, divided among all ends and levels."""
-FEW_STAYS = 2
-"""Fewest stays on the rail besides the longest one."""
-QUESTIONS = 6 * len(INERTIAL) * (len(PILE_LEVELS) + 1)
-"""Number of tests: both ends of three axes of each signal."""
+"""Chance of a false rail or a false stuck value in one drive, divided among the sensors."""
 INVALID_S = 0.3
 LOST_TOLERANCE, LOST_FEWEST = 0.003, 8
 """Share and number of frames that a bus and a logger may lose without a fault."""
@@ -63,13 +50,15 @@ def find_faults(
         series = samples.get(name)
         if series is None or len(series.t) < LEAST_ROWS:
             continue
-        read = none[name].kept(series) if name in none else series
-        piled = list(_piled(name, read, model)) if name in INERTIAL else []
-        own = (series.t, series.values) if name == "speed" else moving
-        held = list(stuck(name, series, samples, own, piled))
-        if held and stays_until_off(name, Channel.of(series)):
-            held = []
-        found += [*piled, *held]
+        if name in INERTIAL:
+            read = none[name].kept(series) if name in none else series
+            shown = list(_of_sensor(name, read, moving))
+        else:
+            own = (series.t, series.values) if name == "speed" else moving
+            shown = list(stuck(name, series, samples, own))
+        if any(f.cause == STUCK for f in shown) and stays_until_off(name, Channel.of(series)):
+            shown = [f for f in shown if f.cause != STUCK]
+        found += shown
         found += _timed(name, series, model)
     return found
 
@@ -98,99 +87,26 @@ def _moving(samples: Samples) -> tuple[Array, Array]:
     return speed.t, values
 
 
-# pile-up -----------------------------------------------------------------------------------------
-
-
-def _piled(name: str, series: Series, model: VehicleModel) -> Iterator[Fault]:
-    """Find a value at the end of a signal's range that occurs far more often than its
-    neighbours."""
-    table = series.values.reshape(len(series.t), -1)
-    still = np.zeros(len(table), dtype=bool)
-    still[1:] = (np.diff(table, axis=0) == 0.0).all(axis=1)
-    hit = np.zeros(len(table), dtype=bool)
-    rails = []
-    for axis in range(table.shape[1]):
-        x = table[:, axis]
-        if np.ptp(x) == 0.0:
-            continue
-        for sign in (1.0, -1.0):
-            rail = _rail(sign * x, still if table.shape[1] > 1 else np.zeros_like(still))
-            if rail is not None:
-                hit |= sign * x >= rail - 1e-9 * max(1.0, abs(rail))
-                rails.append(sign * rail)
-    if not rails:
-        return
-    share = float(hit.mean())
-    # a signal that never crosses 0 has no symmetric range that a model file could state
-    size = float(min((abs(r) for r in rails if r != 0.0), default=0.0))
-    shown = ", ".join(f"{r:.4g}" for r in rails)
-    unit = QUANTITIES[name].unit
-    yield Fault(
-        "saturation", name, {f"{name}.full_scale": (size, 0.0, unit)} if size else {},
-        f"{100 * share:.2g} % of the samples have the value {shown} {unit}, far more than "
-        "its neighbours.",
-        {f"{name}.full_scale": size} if size and name in ("accel", "gyro") else {},
-        spans_of(series.t, hit), 0.5 * float(hit.sum()), _runs_of(series.t, hit),
-    )  # fmt: skip
-
-
-def _rail(x: Array, still: Mask) -> float | None:
-    """The largest value, if it occurs more often than the levels below it or lasts longer."""
-    top = float(x.max())
-    near = 1e-9 * max(1.0, abs(top))
-    at = (x >= top - near) & ~still
-    if at.sum() < PILE_SHARE * len(x) or _is_thickest_there(x[~still], top, near):
-        return None
-    return top if _is_crowded(x[~still], top, near) or _is_held(x, at) else None
-
-
-def _is_thickest_there(x: Array, top: float, near: float) -> bool:
-    """True if values do not become rarer from the median to the largest. A rail cuts off a tail. A
-    naturally limited signal, such as an axis of a vector of constant length, is most frequent at
-    its limit."""
-    middle = float(np.median(x))
-    between = x[(x > middle + near) & (x < top - near)] - 0.5 * (middle + top)
-    if middle >= top - near:
-        return True
-    above, below = int((between > near).sum()), int((between < -near).sum())
-    chance = binom.sf(above - 1, above + below, PILE / (PILE + 1.0))
-    return bool(chance < CHANCE / QUESTIONS)
-
-
-def _is_crowded(x: Array, top: float, near: float) -> bool:
-    """True if a value occurs more often than the levels below it. Without clipping, the end of a
-    range is rarer."""
-    at = x >= top - near
-    below = x[~at]
-    values = np.unique(x[x > np.quantile(x, 0.9)])
-    step = float(np.median(np.diff(values))) if len(values) > 2 else 0.0
-    if step == 0.0 or not len(below):
-        return False
-    width = max(step, float(top - below.max()))
-    for levels in PILE_LEVELS:
-        beside = int((below > top - (levels + 0.5) * width).sum())
-        if visited_too_often(at, beside, levels, CHANCE / QUESTIONS):
-            return True
-    return False
-
-
-def _is_held(x: Array, at: Mask) -> bool:
-    """True if a signal stays longer at its highest values than at its other turning points. Of n
-    samples in k stays there, n - k are repeats; their number is binomial with the share of repeats
-    elsewhere. The longest stay does not count, because a single stop must not decide."""
-    first = np.flatnonzero(np.concatenate([[True], np.diff(x) != 0.0]))
-    level, length = x[first], np.diff(np.append(first, len(x)))
-    turns = np.zeros(len(level), dtype=bool)
-    turns[1:-1] = (level[1:-1] > level[:-2]) & (level[1:-1] > level[2:])
-    own = np.sort(length[at[first]])[:-1]
-    others = np.sort(length[turns & ~at[first]])
-    if len(own) < FEW_STAYS or len(others) < 10 * FEW_STAYS:
-        return False
-    # Values also stay constant while the vehicle stands.
-    others = others[: int(0.99 * len(others)) + 1]
-    share = PILE * float(1.0 - len(others) / others.sum()) + 1.0 / float(others.sum())
-    repeats = int(own.sum() - len(own))
-    return bool(share < 1.0 and binom.sf(repeats - 1, own.sum(), share) < CHANCE / QUESTIONS)
+def _of_sensor(name: str, series: Series, moving: tuple[Array, Array]) -> Iterator[Fault]:
+    """Find samples at the end of a sensor's range, and values that it repeats."""
+    found = recorded_health(name, series.t, series.values, moving, CHANCE / len(INERTIAL))
+    hit = found.on_rail
+    if hit.any():
+        share = float(hit.mean())
+        # a signal that never crosses 0 has no symmetric range that a model file could state
+        size = min((abs(end) for end in found.ends if end), default=0.0)
+        shown = ", ".join(f"{end:.4g}" for end in found.ends)
+        unit = QUANTITIES[name].unit
+        yield Fault(
+            "saturation", name, {f"{name}.full_scale": (size, 0.0, unit)} if size else {},
+            f"{100 * share:.2g} % of the samples have the value {shown} {unit}, more than "
+            "the tail of its values allows.",
+            {f"{name}.full_scale": size} if size and name in ("accel", "gyro") else {},
+            spans_of(series.t, hit), 0.5 * float(hit.sum()), _runs_of(series.t, hit),
+        )  # fmt: skip
+    held = _runs_of(series.t, found.stuck & ~hit)
+    if spans := [span for span in held if not is_shown_often(series, span)]:
+        yield stuck_fault(name, spans)
 
 
 def _runs_of(t: Array, hit: Mask) -> Spans:

@@ -1,4 +1,7 @@
-"""Find stuck signals: frames come, but their value does not change."""
+"""Find slow signals that are stuck: frames come, but their value does not change.
+
+`motion.recorded_health` judges sensors, whose noise always changes their values.
+"""
 
 from __future__ import annotations
 
@@ -19,12 +22,13 @@ from imucald.diagnosis.direct.own_stays import (
     chance_of_change,
     number_as_long,
 )
-from imucald.diagnosis.signals import Mask, Spans
+from imucald.diagnosis.signals import Spans
 
 Index = NDArray[np.intp]
 MOVING_MPS = 2.0
-STUCK_S, STUCK_SLOW_S, STUCK_RUNS = 0.5, 8.0, 4.0
-"""Shortest time that counts as stuck for a quick and for a slow sensor. The time must also be
+STUCK = "stuck_signal"
+STUCK_S, STUCK_RUNS = 8.0, 4.0
+"""Shortest time that counts as stuck for a signal that may keep its value. The time must also be
 STUCK_RUNS times the usual stay, or too long for chance (`own_stays`)."""
 FEW_OTHERS = 3
 CHANCE = 0.01
@@ -59,10 +63,9 @@ def stuck(
     series: Series,
     samples: Samples,
     moving: tuple[Array, Array],
-    piled: Sequence[Fault] = (),
 ) -> Iterator[Fault]:
-    """Find intervals with one constant value while the vehicle moves. Zeros at rest are normal, and
-    so is a constant value on a rail (for a signal with one component, at either end)."""
+    """Find intervals with one constant value while the vehicle moves, of a signal that may keep its
+    value for seconds: speed, steering angle. Zeros at rest are normal."""
     t, table = series.t, series.values.reshape(len(series.t), -1)
     same = (np.diff(table, axis=0) == 0.0).all(axis=1)
     first, last = true_runs(same).T
@@ -70,59 +73,41 @@ def stuck(
         return
     # Missing frames are another fault.
     length = np.minimum(t[last] - t[first], (last - first) * float(np.median(np.diff(t))))
-    length[_on_a_rail(name, t, table, first, last, piled)] = 0.0
     # Only time in motion counts; a long interval may contain stops.
     steps = np.diff(t) * (np.interp(0.5 * (t[1:] + t[:-1]), *moving) > MOVING_MPS)
     driven = np.concatenate([[0.0], np.cumsum(steps)])
     length = np.minimum(length, driven[last] - driven[first])
-    least = STUCK_S if name in INERTIAL else STUCK_SLOW_S
-    driving = length[length > 0.0]
-    usual = _usual(driving)
-    long = length > max(least, STUCK_RUNS * usual)
+    usual = _usual(length)
+    long = length > max(STUCK_S, STUCK_RUNS * usual)
     for k in np.flatnonzero(long):
         long[k] = length[k] > STUCK_RUNS * _usual_of(table[first], length, int(k))
     stays = [(float(t[a]), float(t[b])) for a, b in zip(first, last, strict=True)]
-    if name in INERTIAL:
-        spans = [stays[k] for k in np.flatnonzero(long)]
-    else:
-        asked = np.flatnonzero(length > STUCK_SLOW_S)
-        felt = np.full(len(stays), np.nan)
-        if name == "speed":
-            felt[asked] = chances_of_sensors(samples, tuple(stays[k] for k in asked))
-        sole = _chances(t, table[:, 0], last, length, asked, felt) < CHANCE
-        # A chance that includes the inertial sensors needs no other evidence.
-        sure, maybe = sole & np.isfinite(felt), sole | (long & (usual > 0.0))
-        spans = [
-            stays[k]
-            for k in np.flatnonzero(maybe)
-            if sure[k] or _others_move(name, samples, stays[k])
-        ]
-    spans = [s for s in spans if not _is_shown_often(t, table, first, s)]
+    asked = np.flatnonzero(length > STUCK_S)
+    felt = np.full(len(stays), np.nan)
+    if name == "speed":
+        felt[asked] = chances_of_sensors(samples, tuple(stays[k] for k in asked))
+    sole = _chances(t, table[:, 0], last, length, asked, felt) < CHANCE
+    # A chance that includes the inertial sensors needs no other evidence.
+    sure, maybe = sole & np.isfinite(felt), sole | (long & (usual > 0.0))
+    spans = [
+        stays[k] for k in np.flatnonzero(maybe) if sure[k] or _others_move(name, samples, stays[k])
+    ]
+    spans = [s for s in spans if not is_shown_often(series, s)]
+    if sum(b - a for a, b in spans) >= STUCK_S:
+        yield stuck_fault(name, spans)
+
+
+def stuck_fault(name: str, spans: Sequence[tuple[float, float]]) -> Fault:
+    """The fault of a signal that repeats one value in these intervals of time [s]."""
     total = sum(b - a for a, b in spans)
-    if not spans or (name not in INERTIAL and total < STUCK_SLOW_S):
-        return
     gaps = tuple({"start_s": max(a, 0.0), "duration_s": b - a} for a, b in spans)
-    yield Fault(
-        "stuck_signal", name, {f"_{name}.stuck_s": (total, 0.0, "s")},
+    least = 1.0 if name in INERTIAL else STUCK_S
+    return Fault(
+        STUCK, name, {f"_{name}.stuck_s": (total, 0.0, "s")},
         f"Frames come, but the value does not change for {total:.1f} s in "
         f"{counted(len(spans), 'piece')} of driving, from {spans[0][0]:.0f} s on.",
-        {f"{name}.stuck": gaps}, tuple(spans), 5.0 * total / max(least, 1.0),
+        {f"{name}.stuck": gaps}, tuple(spans), 5.0 * total / least,
     )  # fmt: skip
-
-
-def _on_a_rail(
-    name: str, t: Array, table: Array, first: Index, last: Index, piled: Sequence[Fault]
-) -> Mask:
-    """Return which intervals lie on a rail that was found; for a signal with one component, at
-    either end."""
-    hit = np.zeros(len(first), dtype=bool)
-    for fault in piled:
-        for low, high in fault.spans:
-            hit |= (t[last] >= low) & (t[first] <= high)
-        size, *_ = fault.values.get(f"{name}.full_scale", (np.inf,))
-        if table.shape[1] == 1:
-            hit |= np.abs(table[first, 0]) >= size * (1.0 - 1e-9)
-    return hit
 
 
 def _usual(length: Array) -> float:
@@ -138,15 +123,16 @@ def _usual_of(values: Array, length: Array, k: int) -> float:
     return _usual(length[(values == values[k]).all(axis=1)])
 
 
-def _is_shown_often(t: Array, table: Array, first: Index, span: tuple[float, float]) -> bool:
-    """True if most other stays of a sensor have the same value as this span: then it is a dead zone
-    and no stuck sensor. first: rows at which a stay begins."""
+def is_shown_often(series: Series, span: tuple[float, float]) -> bool:
+    """Return whether most other stays of a signal have the same value as an interval of time: then
+    it is a dead zone, and nothing is stuck."""
+    t, table = series.t, series.values.reshape(len(series.t), -1)
+    first = true_runs((np.diff(table, axis=0) == 0.0).all(axis=1))[:, 0]
     inside = (t >= span[0]) & (t <= span[1])
-    value = table[inside][0]
     others = first[~inside[first]]
     if len(others) < FEW_OTHERS:
         return False
-    return bool((table[others] == value).all(axis=1).mean() > 0.5)
+    return bool((table[others] == table[inside][0]).all(axis=1).mean() > 0.5)
 
 
 def _chances(t: Array, x: Array, last: Index, length: Array, asked: Index, felt: Array) -> Array:

@@ -1,0 +1,112 @@
+"""Stuck and clipped samples of a whole recording, by the judges that watch a sensor while driving.
+
+A recording shows more than the hops so far: where a run that turned out to be stuck began, all
+samples on a value that turned out to be the end of the range, and how the values below it are
+distributed.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from msgspec import Struct
+
+from imucald.core.arrays import Array, Flags, Index
+from imucald.motion.hops import HOP_TICKS, Carry, hop_rows
+from imucald.motion.rail_evidence import PILE, more_often
+from imucald.motion.sample_health import NOISE, AxisJudges
+from imucald.motion.standstill import ROLLING_SPEED
+from imucald.motion.ticks import TICK_RATE
+
+
+class RecordedHealth(Struct, frozen=True):
+    """Faulty samples of a sensor.
+
+    stuck, on_rail: (N,) whether all axes of the sample repeat their values, and whether any is at
+    the end of its range. ends: those ends, in the order of the axes, the upper before the lower.
+    """
+
+    stuck: Flags
+    on_rail: Flags
+    ends: tuple[float, ...]
+
+
+def recorded_health(
+    channel: str, t: Array, values: Array, speed: tuple[Array, Array], chance: float
+) -> RecordedHealth:
+    """Judge all samples of a sensor: t (N,) [s], values (N,) or (N, axes), N > 0, SI.
+
+    speed: times and values of the vehicle's speed [s, m/s]. chance: of any false finding among all
+    axes and hops of the recording.
+    """
+    table = values.reshape(len(t), -1)
+    hop = np.floor(t * TICK_RATE).astype(np.int64) // HOP_TICKS
+    hop -= hop[0]
+    hops, axes = int(hop[-1]) + 1, table.shape[1]
+    edges = t[0] + np.arange(hops + 1) * HOP_TICKS / TICK_RATE
+    moves = np.abs(np.interp(edges, *speed)) > ROLLING_SPEED
+    moving = moves[1:] & moves[:-1]
+    rows = hop_rows(table, hop, hops, Carry.none(axes))
+    entries = rows.entries()
+    # Each hop asks of each axis whether it is stuck, and of both its ends whether it is a rail.
+    surprise = math.log(3.0 * axes * hops / chance)
+    on_rail = np.zeros(len(t), dtype=bool)
+    # Equal rows of all axes are runs of a count of their changes.
+    changes = np.cumsum((np.diff(table, axis=0, prepend=table[:1]) != 0.0).any(axis=1))
+    whole = hop_rows(changes[:, None].astype(float), hop, hops, Carry.none(1))
+    is_stuck, _, _ = AxisJudges(0, 0.0, (surprise, math.inf)).judge(whole, whole.entries(), moving)
+    stuck = _runs_at(changes, whole.edges[1:][is_stuck] - 1)
+    ends: list[float] = []
+    for axis in range(axes):
+        judges = AxisJudges(axis, NOISE.get(channel, 0.0), (surprise, surprise))
+        is_stuck, _, _ = judges.judge(rows, entries, moving)
+        x = table[:, axis]
+        repeats = _runs_at(x, rows.edges[1:][is_stuck] - 1)
+        rails, step = judges.rails.ends, float(rows.step[-1, axis])
+        extremes = float(x.max()), float(x.min())
+        found = [
+            end
+            for end, rail in zip(extremes, rails, strict=True)
+            if (end == rail or _is_crowded(x, end, step, surprise)) and _is_full(x, end, step)
+        ]
+        for end in extremes:
+            here = x == end
+            # A range has two ends: an axis that repeats its other extreme is at the other end.
+            if end in found or (found and (here & repeats).any()):
+                on_rail |= here
+                ends.append(end)
+    return RecordedHealth(stuck, on_rail, tuple(ends))
+
+
+def _runs_at(x: Array, places: Index) -> Flags:
+    """Return which values (N,) belong to a run of equal values that holds one of these places."""
+    run = np.cumsum(np.diff(x, prepend=x[0]) != 0.0)
+    return np.isin(run, run[places])
+
+
+def _beside(x: Array, end: float, step: float) -> tuple[int, int]:
+    """Return how many values (N,) are one step and two steps before the end of them."""
+    away = np.abs(x - end) / step
+    one, two = (np.count_nonzero(np.abs(away - k) < 0.5) for k in (1.0, 2.0))
+    return int(one), int(two)
+
+
+def _is_full(x: Array, end: float, step: float) -> bool:
+    """Return whether the end of values (N,) holds as many of them as each of two steps before it.
+
+    A rail holds what would lie beyond it. An axis of a vector of constant length is often near its
+    largest value, and has no rail there.
+    """
+    return bool(PILE * np.count_nonzero(x == end) > max(_beside(x, end, step)))
+
+
+def _is_crowded(x: Array, end: float, step: float, surprise: float) -> bool:
+    """Return whether values (N,) come to their end too often, next to the two steps before it.
+
+    Stays count once, because a slow signal stays at any value.
+    """
+    here = x == end
+    visits = int(np.count_nonzero(here[1:] > here[:-1])) + int(here[0])
+    count = visits + sum(_beside(x, end, step))
+    return more_often(visits, count, -math.log(PILE / (PILE + 2.0))) > surprise
