@@ -893,10 +893,9 @@ class Evidence:
         if j == 2:
             return priors.turning[i] ** 2
         more = {(0, 1): priors.sideslip, (2, 0): priors.pitching}
-        if self.signals.steered:
-            more |= {(0, 1): priors.steered, (1, 0): priors.eliminated[1]}
-        elif not self.signals.speed:
-            more |= {(0, 1): priors.eliminated[0], (1, 0): priors.eliminated[1]}
+        if not self.signals.speed:
+            xy = priors.eliminated[0] if self.signals.gyro else priors.uncarried
+            more |= {(0, 1): xy, (1, 0): priors.eliminated[1]}
         return priors.floor**2 + more.get((i, j), 0.0) ** 2
 
     def _level_series(self) -> list[SegmentSeries]:

@@ -111,8 +111,8 @@ class Priors(NamedTuple):
 
     Set on drives 01 and 02 of second_world and the simulated seeds 9000 to 9009.
     """
-    steered: float = 0.05
-    """E_xy: the same where a steering angle shows the turns (seeds 9000 to 9002)."""
+    uncarried: float = 0.05
+    """E_xy: the same without a gyroscope (seeds 9000 to 9002 and 1300000 to 1300005)."""
     floor: float = 0.001
     """Smallest deviation of any entry."""
 
