@@ -184,14 +184,50 @@ def test_arithmetic_that_fails_on_the_evidence_ends_nothing(
 
 
 @pytest.mark.slow
-def test_without_a_speed_only_gravity_is_known() -> None:
-    made = drive(976_001)
-    samples = {name: series for name, series in made.samples.items() if "speed" not in name}
-    joint = estimator()
+def after_drive(seed: int, without: str) -> JointEstimator:
+    """The estimator after a drive without the signals whose names hold one of these words."""
+    words, joint = without.split(), estimator()
+    kept = {k: v for k, v in drive(seed).samples.items() if not any(w in k for w in words)}
+    for row in ticks_from_samples(kept, 0, int(MINUTES * 600)).tolist():
+        joint.step(row)
+    return joint
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("without", ["speed", "speed gyro"], ids=["gyroscope", "yaw rate"])
+@pytest.mark.parametrize("seed", [976_001, 976_002])
+def test_without_a_speed_the_direction_of_travel_is_as_good_as_stated(
+    seed: int, without: str
+) -> None:
+    found = after_drive(seed, without).estimate()
+    assert found.matrices is not None
+    assert found.deviations is not None
+    W = np.array(found.matrices.force).reshape(3, 3)
+    R = drive(seed).truth.R_vehicle_from_sensor()
+    left = W @ gain_matrix(drive(seed).model.accel) @ R.T - np.eye(3)
+    assert abs(left[1, 0]) < 3.0 * found.deviations.yx
+    assert abs(left[0, 1]) < 3.0 * found.deviations.xy
+    assert found.deviations.yx < math.radians(0.8)
+
+
+@pytest.mark.slow
+def test_a_speed_that_comes_late_ends_no_good_state() -> None:
+    samples = dict(drive(976_001).samples)
+    for name in ("speed", "wheel_speeds"):
+        series = samples[name]
+        late = series.t > series.t[0] + 330.0
+        samples[name] = Series(series.t[late], series.values[late])
+    joint, seen = estimator(), [MountState.WAITING]
     for row in ticks_from_samples(samples, 0, int(MINUTES * 600)).tolist():
         joint.step(row)
-    assert joint.solution is None
-    found = joint.estimate()
+        if joint.state is not seen[-1]:
+            seen.append(joint.state)
+    assert seen == [MountState.WAITING, MountState.LEVELLED, MountState.USABLE]
+    assert not joint.estimate().details["shifts"]
+
+
+def test_without_a_speed_and_turns_only_gravity_is_known() -> None:
+    found = after_drive(976_001, "speed gyro yaw_rate steering").estimate()
     assert found.state is MountState.LEVELLED
     assert found.std is not None
     assert math.degrees(found.std[2]) > 90.0

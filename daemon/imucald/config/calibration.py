@@ -170,7 +170,7 @@ class CalibrationSettings(Settings, frozen=True):
 
     estimator: Literal["joint", "full", "published"] = "joint"
     """Estimator: "joint" finds a matrix and a zero for each sensor; "published" is method A alone,
-    which is also used without a speed. "full" of earlier versions means "joint"."""
+    which is also used with neither a speed nor turns. "full" of earlier versions means "joint"."""
     accelerometer_bias: Positive = 0.0981
     """Standard deviation of the accelerometer's zero error [m/s^2]. The default of 10 mg assumes a
     sensor whose offset was set at the factory. Uncalibrated consumer parts have typically 20 to 50

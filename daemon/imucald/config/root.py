@@ -61,10 +61,16 @@ class Config(Settings, frozen=True, kw_only=True):
 
     @property
     def uses_method_a(self) -> bool:
-        """True if method A alone finds the mount: as configured, or because there is no speed."""
+        """True if method A alone finds the mount.
+
+        So it is as configured, and where neither a speed nor turns are known: then the joint
+        estimator cannot tell forward from backward.
+        """
         signals = self.signals
         has_speed = signals.speed is not None or signals.wheel_speeds is not None
-        return self.calibration.estimator == "published" or not has_speed
+        turns = signals.gyroscope, signals.yaw_rate, signals.steering_wheel_angle
+        is_shown = any(turns) and signals.accelerometer[0].z is not None
+        return self.calibration.estimator == "published" or not (has_speed or is_shown)
 
 
 class LoadedConfig:

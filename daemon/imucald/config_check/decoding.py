@@ -319,6 +319,8 @@ class Decoding:
             yield Finding("note", "vehicle.driving_side", _NO_SIDE)
 
     def _direction_without_speed(self) -> str:
+        if not self.loaded.config.uses_method_a:
+            return "turns separate forward from backward"
         if self._has("brake"):
             return "the brake switch separates forward from backward"
         if self._has("yaw_rate") or self._has("gyro"):

@@ -48,7 +48,7 @@ class Acceptance(Struct, frozen=True):
 
     is_delay_beyond: the delay of the speed may be larger than any that is searched. has_speed: a
     speed has come in this drive. has_speed_now: one came in the last minute.
-    Without a speed nothing shows that the sensor turns in yaw, so the mount is *usable* at most.
+    Without a speed no test shows that the sensor turns in yaw, so the mount is *usable* at most.
     are_signs_known: an earlier drive proved the signs, and no evidence shows a change since. *Fine*
     still waits for all signs. *Fine* does not wait until a small move would show: such a move is
     rare, and a wait of minutes in every drive is not justified.

@@ -52,6 +52,11 @@ class BlockSpeed:
         """Step of the speed [m/s], as soon as it was seen. A noisy signal hides its step."""
         self._is_rolling = False  # when the speed was last known, or while it is stuck
 
+    @property
+    def direction(self) -> float:
+        """-1 while the reverse gear is in, otherwise 1."""
+        return -1.0 if self._reverse else 1.0
+
     def restart(self) -> None:
         """Restart after a jump of time."""
         self._rest_run = 0

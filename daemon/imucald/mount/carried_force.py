@@ -94,7 +94,7 @@ class CarriedForce:
             self.R = R
         self.delay = Delay(evidence.delay, evidence.delay_std, evidence.is_delay_beyond)
         self.gains, self.bias, self.variances = evidence.gains, evidence.bias, evidence.variances
-        if solution is not None:
+        if solution is not None and evidence.signals.speed:  # else the motion is in the vertical
             sent = solution.sent()
             self.is_sure = max(sent.xy, sent.yx) < SURE
         return is_first
@@ -106,7 +106,7 @@ class CarriedForce:
         r = self._turn_rate(p, self.vertical.up)
         turn = p.speed * r
         motion = None
-        if R is not None:
+        if R is not None and p.has_speed:
             planned = np.zeros((BLOCK_TICKS, 3))
             planned[:, 0] = self.gains[0] * p.accel * p.ok_speed
             planned[:, 1] = self.gains[1] * turn * p.ok_speed
@@ -115,6 +115,8 @@ class CarriedForce:
         self.gravity.add(p, turn)
         self.turn_rate = r
         use = p.learn & p.ok_speed
+        if R is not None and not p.has_speed:
+            return self.lone @ R[0] * use, self.lone @ R[1] * use
         return p.accel * use, turn * use
 
     def motion(self, p: SignalBlock, R: Matrix3) -> BlockMotion:

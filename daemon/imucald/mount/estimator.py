@@ -15,8 +15,9 @@ with a flag that says whether it is usable (`motion.signal_health`).
 6. `ServedMount` gives the state, with hysteresis, and follows a good correction without a jump.
    `MountEstimate` reports all of it, and what each angle waits for.
 
-Without a gyroscope, the evidence uses the vehicle's yaw rate or steering angle. Where the
-configuration has no speed, method A is used in its place (`runtime.estimators`).
+Without a gyroscope, the evidence uses the vehicle's yaw rate or steering angle. Without a speed, it
+eliminates the speed as an unknown (`drive.unknown_speed`); steps 3 and 5 then test nothing that
+needs a speed.
 """
 
 from __future__ import annotations
@@ -31,6 +32,7 @@ from msgspec.structs import replace
 from imucald.core.arrays import Array
 from imucald.core.rotations import Matrix3, orthonormalised, rotation_from_vector
 from imucald.core.samples import GRAVITY
+from imucald.drive.unknown_speed import Steered
 from imucald.motion.ticks import TickRow
 from imucald.mount.acceptance import Acceptance
 from imucald.mount.carried_force import CarriedForce
@@ -59,7 +61,13 @@ from imucald.mount.large_change import LargeChange
 from imucald.mount.mount_changes import GoodMount, MountChange, MountChanges, blocks_since
 from imucald.mount.off_vertical_limit import is_off_vertical
 from imucald.mount.served_mount import ServedMount
-from imucald.mount.signal_blocks import BLOCK_S, MountSoFar, SignalBlock, SignalBlockMaker
+from imucald.mount.signal_blocks import (
+    BLOCK_S,
+    NOMINAL_SPEED,
+    MountSoFar,
+    SignalBlock,
+    SignalBlockMaker,
+)
 from imucald.mount.signal_checks import SignalChecks
 from imucald.mount.states import Manoeuvres, MountKnowledge
 from imucald.mount.steering import SteeringOffsetEstimator
@@ -213,15 +221,16 @@ class JointEstimator:
 
     def _signals_now(self) -> OtherSignals:
         """Return the signals that are available besides the accelerometer by now."""
+        s, speed = self._settings, not self._signals.without_speed
         if self._has_gyro:
-            return OtherSignals()
-        s = self._settings
+            return OtherSignals(speed=speed)
         if "yaw_rate" in self._signals.seen:
-            return OtherSignals(gyro=False, late=s.delays["yaw_rate"].mean)
+            return OtherSignals(gyro=False, late=s.delays["yaw_rate"].mean, speed=speed)
         if not (s.uses_steering and "steering" in self._signals.seen):
-            return OtherSignals(gyro=False, turns=False)
+            return OtherSignals(gyro=False, turns=False, speed=speed)
         path = s.vehicle.steering_ratio * s.vehicle.wheelbase
-        return OtherSignals(gyro=False, bend=STEERING_ZERO / path)
+        steered = None if speed else Steered(NOMINAL_SPEED, s.understeer / s.vehicle.wheelbase)
+        return OtherSignals(False, bend=STEERING_ZERO / path, speed=speed, steered=steered)
 
     @property
     def priors(self) -> Priors:
@@ -316,17 +325,15 @@ class JointEstimator:
 
     def _solve_with(self, p: SignalBlock) -> None:
         self._has_gyro = self._has_gyro or bool(p.had_rate.any())
-        if self._joint.signals != self._signals_now():
+        if (self._next or self._joint).signals != self._signals_now():
             self._follow_signals()
-        block = _block(p, self._joint.signals)
-        known = bool(p.ok_rate.any())
         target = self._next or self._joint
+        block = _block(p, target.signals)
+        known = bool(p.ok_rate.any())
         if known and not self._has_zero:
             target.subtract_rate_zero(p.gyro_bias)
         self._has_zero = self._has_zero or known
         if self._now <= self._taken_until:  # after a move it was among those that count
-            return
-        if self._signals.without_speed:  # none has ever come
             return
         target.add(block)
         try:
@@ -341,6 +348,8 @@ class JointEstimator:
         if target is self._joint:
             self._remember(self._now)
         elif self._is_usable(target.solution):
+            if not self._joint.signals.speed:
+                self._carried.vertical.settle()
             self._joint, self._next = target, None
             self._forget_moves()
             self._changes.know_borne()
@@ -352,9 +361,20 @@ class JointEstimator:
         former, kept = self._next or self._joint, list(self._kept)
         if self._now > self._taken_until:  # the last one is taken after this
             kept.pop()
-        made = self._new_evidence(former.known, former.is_moved)
+        known, is_moved = former.known, former.is_moved
+        has_begun = self._signals_now().speed and not former.signals.speed
+        if has_begun:  # blocks without a speed do not count again, nor in the tests that use it
+            known, is_moved = former.known_sensor, former.solution is None and is_moved
+            kept, last = [], self._kept[-1]
+            self._kept.clear()
+            self._kept.append(last)
+            self._changes.skip()
+        made = self._new_evidence(known, is_moved)
         for p in kept[max(len(kept) - former.blocks, 0) :]:
             made.add(_block(p, made.signals))
+        if has_begun and self.solution is not None:  # it is served until the new one is usable
+            self._next = made
+            return
         self._joint, self._next = made, None
         self._forget_moves()
         self._lately_known.clear()
@@ -617,6 +637,7 @@ class JointEstimator:
             frozen=lately[-1][2] >= FROZEN_TICKS,
             turning=carried.own_gyro or bool(self._signals.seen & TURNING),
             has_gyro=self._joint.signals.gyro,
+            without_speed=not has_speed,
         )
         solution = self.solution
         if solution is None:
@@ -727,14 +748,20 @@ def _block(p: SignalBlock, signals: OtherSignals) -> Block:
     """Return the part of a block that the joint solution uses, for the signals that the vehicle
     has.
     """
-    use = p.ok_force & p.ok_speed & p.learn
+    use, speed = p.ok_force & p.learn, p.speed
+    if signals.speed:
+        use &= p.ok_speed & p.has_speed
+    elif p.has_speed:  # it was not known yet that none comes
+        speed = np.where(p.rest, 0.0, NOMINAL_SPEED)
     knots = MIDDLES if p.speed_knots is None else p.speed_knots
     if signals.gyro:
         use &= p.had_rate
         known = bool(p.ok_rate.any())
-        return Block(p.force, p.rate, p.speed, use, known, p.gyro_bias, knots, p.least_speed)
+        zero = known, p.gyro_bias
+        return Block(p.force, p.rate, speed, use, *zero, knots, p.least_speed, p.rest)
     if signals.turns:
         use &= p.ok_yaw
     rate = np.zeros_like(p.rate)
     rate[:, 2] = p.yaw_rate * p.ok_yaw
-    return Block(p.force, rate, p.speed, use, knots=knots, least_speed=p.least_speed)
+    least = p.least_speed
+    return Block(p.force, rate, speed, use, knots=knots, least_speed=least, rest=p.rest)

@@ -69,6 +69,10 @@ class GravityObserver:
         """
         return self._state is not None and self._settling == 0
 
+    def settle(self) -> None:
+        """Test no steps for a while, because motion or another bias was in the vertical so far."""
+        self._settling = SETTLING_BLOCKS
+
     def advance(self, p: SignalBlock, motion: Array | None, bias: Array, sure: bool) -> Array:
         """Carry the vertical through a block; return f_s - g u (N, 3), which still contains the
         motion.

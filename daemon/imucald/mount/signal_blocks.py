@@ -98,6 +98,7 @@ class SignalBlock(Struct):
     # `gyro_walk`.
     least_speed: float = 0.0  # up to so much the vehicle may creep while its speed is zero [m/s]
     speed_knots: Array | None = None  # (K,) when the speed is known [ticks since the block began]
+    has_speed: bool = True  # False: none has ever come; NOMINAL_SPEED stands for any but rest
 
 
 class MountSoFar(Struct, frozen=True):
@@ -206,7 +207,10 @@ class SignalBlockMaker:
             size = rate if ok_rate.any() else None
             if self._speed.silence_parked(speed, ok_speed, force, size):
                 driven = None
-        yaw_rate, ok_yaw = self._yaw_rate(t, at, speed, ok_speed, even)
+        of_turns = speed, ok_speed
+        if self.without_speed:
+            of_turns = np.full(len(speed), NOMINAL_SPEED), np.ones(len(speed), dtype=bool)
+        yaw_rate, ok_yaw = self._yaw_rate(t, at, *of_turns, even)
         if driven is not None and driven.moves:
             rest = self._speed.no_rest()
         else:
@@ -242,9 +246,10 @@ class SignalBlockMaker:
             speed_knots=self._speed_knots(float(t[PART][1])),
         )
         if self.without_speed:
-            prepared.speed = np.where(rest, 0.0, NOMINAL_SPEED)
+            prepared.speed = np.where(rest, 0.0, self._speed.direction * NOMINAL_SPEED)
             prepared.accel = np.zeros(BLOCK_TICKS)
             prepared.ok_speed = prepared.ok_force
+            prepared.has_speed = False
         self._note_left_out(prepared)
         self._take_offsets(prepared)
         self.stuck = dict(self.health.stuck_now)

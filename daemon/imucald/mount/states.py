@@ -80,9 +80,9 @@ class Manoeuvres:
 
 
 WIDE_SLACK = 2.0
-"""`SLACK` of *usable* without a gyroscope: the state rests on few pieces of evidence. The deviation
-of six pieces is known to 29 % (1 / sqrt(2 n)), so twice the limit lies 3.5 such errors above the
-limit.
+"""`SLACK` of *usable* without a gyroscope or a speed: the state rests on few pieces of evidence.
+The deviation of six pieces is known to 29 % (1 / sqrt(2 n)), so twice the limit lies 3.5 such
+errors above the limit.
 """
 NEEDED = 3
 """Launches or brakings that a first solution usually needs."""
@@ -96,7 +96,7 @@ class MountKnowledge(Struct, frozen=True):
     yaw [rad]; infinite before a solution. cross_talk: deviations of xy and yx. std_without_drift:
     `std` if the accelerometer's zero were known not to drift; None: the same. turning: any signal
     shows turns. has_gyro: the sensor's own gyroscope does. speed_hz: ticks per second with a speed
-    in the last minute.
+    in the last minute. without_speed: none has ever come, so the speed is an unknown.
     """
 
     gravity: bool = False
@@ -114,6 +114,7 @@ class MountKnowledge(Struct, frozen=True):
     frozen: bool = False
     turning: bool = True
     has_gyro: bool = True
+    without_speed: bool = False
 
 
 def judged(known: MountKnowledge, before: MountState, s: EstimatorSettings) -> MountState:
@@ -121,7 +122,8 @@ def judged(known: MountKnowledge, before: MountState, s: EstimatorSettings) -> M
     if not known.gravity:
         return MountState.WAITING
     roll, pitch, yaw = known.std
-    limits, slack = s.limits, SLACK if known.has_gyro else WIDE_SLACK
+    is_sparse = known.without_speed or not known.has_gyro
+    limits, slack = s.limits, WIDE_SLACK if is_sparse else SLACK
     levels = (
         Level(MountState.FINE, limits.fine_yaw, limits.fine_tilt, True, SLACK),
         Level(MountState.USABLE, limits.usable_yaw, limits.usable_tilt, True, slack),
@@ -209,11 +211,12 @@ def _hard() -> str:
 
 def _first_reason(known: MountKnowledge) -> tuple[str, Missing]:
     """Return what a first solution needs."""
-    if not known.speed:
+    if not known.speed and not (known.without_speed and known.turning):
         return "a speed", Missing.SPEED
     seen = f"{known.straight} and {known.lefts + known.rights} seen"
     code = Missing.ACCELERATION if known.straight < NEEDED else Missing.TURNS
-    return f"{_hard()}, and bends ({seen})", code
+    sooner = "; a speed would show it sooner" if known.without_speed else ""
+    return f"{_hard()}, and bends ({seen}){sooner}", code
 
 
 def _yaw_reason(known: MountKnowledge, goal: _Goal) -> tuple[str, Missing]:
@@ -221,7 +224,7 @@ def _yaw_reason(known: MountKnowledge, goal: _Goal) -> tuple[str, Missing]:
     xy, yx = known.cross_talk
     if math.isinf(xy):
         return _first_reason(known)
-    if not known.speed:
+    if not known.speed and not (known.without_speed and goal.state is MountState.USABLE):
         return f"a speed ({known.speed_hz:.2g}/s used in the last minute)", Missing.SPEED
     far = goal.far(2, known.std[2])
     if xy < yx:

@@ -55,8 +55,7 @@ def learning_estimator(
     """Return the estimator that finds the mount of a configuration, with the knowledge of its
     model.
 
-    Without a speed this is method A: the joint estimator compares the force with the change of
-    speed.
+    Where neither a speed nor turns are known, this is method A.
 
     stated: keys of `vehicle` in the file, which no model overrules.
     """

@@ -27,6 +27,8 @@ from imucald.core.rotations import (
 from imucald.core.samples import GRAVITY
 from imucald.drive import windows as wd
 from imucald.drive.speed_knots import known_times, means_between
+from imucald.drive.unknown_speed import NAMES as UNKNOWN_NAMES
+from imucald.drive.unknown_speed import UnknownSpeed
 from imucald.drive.vertical import CarriedVertical
 from imucald.motion.standstill import DRIVING_SPEED
 from imucald.motion.ticks import TICK_S
@@ -64,6 +66,7 @@ from imucald.mount.joint.state import (
 )
 from imucald.mount.joint.sums import Fits, WindowSums
 
+Complex = NDArray[np.complex128]
 Axes = tuple[Matrix3, Matrix3, Array]
 """Matrices from sensor axes for force and rate, and the zero of the force [m/s^2]."""
 
@@ -145,6 +148,20 @@ SLOPE_NOISE: Final = np.array(
 
 The values are medians of simulated seeds 970000 to 970011, which are not used to judge results.
 """
+UNKNOWN: Final = range(len(wd.NAMES), len(wd.NAMES) + len(UNKNOWN_NAMES))
+"""Columns of `unknown_speed`, which follow those of `windows` where there is no speed."""
+UNKNOWN_NOISE: Final = np.array([0.15, 0.5, 0.4, 0.35, 0.2, 0.1, 0.05, 0.05])
+"""Expected noise of the lateral force with the speed eliminated, as in `USUAL_NOISE` (seeds 9000 to
+9007, rounded up).
+"""
+UNKNOWN_SPREAD: Final = np.array(
+    [1.0, 1.0, 0.03, 0.03, 1.5, 3.0, 1.5, 0.02, 0.15, 0.01, 0.01, 1.5, 1.5, 0.03]
+)
+"""Prior deviations for them: cross-talk xy and yx, then the nuisances as in `SPREAD`, the lever arm
+in f_x [m], and the gain of the turn rate.
+"""
+STEERED_GAIN = 0.2
+"""Prior deviation of that gain where turns come from a steering angle: understeer (assumption)."""
 LEAST_BEFORE = 24
 """Smallest number of windows before a move: six road segments."""
 ALL_BANDS: Final = np.ones(wd.BANDS, dtype=bool)
@@ -161,6 +178,18 @@ ANSWERS: Final = {
 """Answers to motion that show an angle, by axis and motion: of the force to dv/dt (0) and v r (1),
 of the rate to the turn rate (2).
 """
+Answered = tuple[tuple[tuple[int, tuple[int, int]], ...], ...]
+WITH_SPEED: Final[Answered] = (
+    ((1, (0, 1)),),
+    ((0, (1, 0)),),
+    ((0, (2, 0)), (1, (2, 1))),
+)
+"""For each fit of the force, the coefficients that should be zero: place, axis and motion."""
+WITHOUT_SPEED: Final[Answered] = (
+    ((0, (0, 1)), (1, (1, 0))),
+    ((0, (2, 0)), (1, (2, 1))),
+)
+"""The same where the speed is eliminated: the lateral force shows both motions."""
 LEVELS: Final = ("pitch_gravity", "roll_gravity")
 """Angles that the level force along and across shows."""
 ALL_SIGNALS: Final = OtherSignals()
@@ -168,8 +197,11 @@ ANY_DELAY: Final = DelayPrior()
 LEVEL: Final = np.array([0.0, 0.0, 1.0])
 """The vertical without a gyroscope: level."""
 NO_ZERO: Final = np.zeros(3)
+NO_REST: Final = np.zeros(BLOCK_TICKS, dtype=bool)
 NO_ARM: Final = (0.0, 0.0, 0.0)
 NO_AXES: Final = np.eye(3), np.eye(3), NO_ZERO
+SIDE = 0.3
+"""Smallest share of the level force across the principal axis that goes with the turn rate."""
 MIDDLES: Final = np.linspace(0.5, BLOCK_TICKS - 0.5, BLOCK_TICKS)
 """Middles of the ticks of a block: times at which a speed is known if every tick has a mean
 [ticks].
@@ -181,10 +213,11 @@ class Block(NamedTuple):
 
     Without a gyroscope, the rate is that of the vehicle, about its z alone.
 
-    speed: (64,) [m/s], negative in reverse. use: (64,) True for usable ticks. rate_zero:
-    (3,) zero that was subtracted from the rate [rad/s]; is_rate_known: whether it was measured.
-    knots: (K,) times at which the speed is known [ticks since the block began]. least_speed:
-    smallest speed that its sender shows [m/s].
+    speed: (64,) [m/s], negative in reverse; where there is none, it shows rest and the gear alone.
+    rest: (64,) True where the vehicle is as still as a parked one. use: (64,) True for usable
+    ticks. rate_zero: (3,) zero that was subtracted from the rate [rad/s]; is_rate_known: whether it
+    was measured. knots: (K,) times at which the speed is known [ticks since the block began].
+    least_speed: smallest speed that its sender shows [m/s].
     """
 
     force: Array
@@ -195,6 +228,7 @@ class Block(NamedTuple):
     rate_zero: Array = NO_ZERO
     knots: Array = MIDDLES
     least_speed: float = 0.0
+    rest: Flags = NO_REST
 
 
 class Solution(NamedTuple):
@@ -282,7 +316,10 @@ class Evidence:
         self.solution: Solution | None = None
         self._due = 0
         self._sums = WindowSums(force_fits(signals), TURN_FITS)
-        self._levels: Array = np.zeros((0, 5))
+        self._answered = WITH_SPEED if signals.speed else WITHOUT_SPEED
+        slopes = priors.slope, SLOPE_M, priors.crown[0]
+        self._unknown = UnknownSpeed(*slopes, is_carried=signals.gyro, steered=signals.steered)
+        self._levels: Array = np.zeros((0, 6))
         self._done = self._followed = 0
         self._drift, self._found_drift = ZeroDrift(), NO_DRIFT
         self._drift_axes, self._drift_delay = NO_AXES, math.inf
@@ -291,13 +328,18 @@ class Evidence:
     @property
     def drift(self) -> Drift:
         """Knowledge about a drift of the force's zero from the same blocks."""
-        if self._axes is None or not self.signals.gyro:
+        if self._axes is None or not self._follows_drift:
             return NO_DRIFT
         self._follow_drift()  # it can't wait until a solution is due
         if self._is_up_to(self._followed):
             found = self._drift.found()
             self._found_drift = found.turned(self._axes[0] @ inverse(self._drift_axes[0]))
         return self._found_drift
+
+    @property
+    def _follows_drift(self) -> bool:
+        """True if a gyroscope and a speed tell a zero from a slope."""
+        return self.signals.gyro and self.signals.speed
 
     def in_sensor_axes(self, drift: Drift) -> Drift:
         """Return `drift` in sensor axes.
@@ -381,7 +423,7 @@ class Evidence:
         """Drop the first blocks: the solution covers the last hour."""
         if self._axes is not None:
             self._extend()
-            if self.signals.gyro:
+            if self._follows_drift:
                 self._follow_drift()
         del self._blocks[:count]
         self._due = 0
@@ -393,15 +435,16 @@ class Evidence:
 
     def _reset_windows(self) -> None:
         self._vertical = CarriedVertical()
+        self._unknown.restart()
         self._tail: tuple[Array, Flags, Array, Array] | None = None
         self._sums.restart()
-        self._levels = np.zeros((0, 5))
+        self._levels = np.zeros((0, 6))
         self._done = 0
 
     def _reset_drift(self) -> None:
         """Restart the filter of a drift if the axes have moved beyond the tilt that it allows."""
         assert self._axes is not None
-        if not self.signals.gyro:
+        if not self._follows_drift:
             return
         W, V, _ = self._axes
         pairs = zip((W, V), self._drift_axes[:2], strict=True)
@@ -418,6 +461,7 @@ class Evidence:
         for first, stop in self._joined_since(self._done):
             if first in self._breaks:
                 self._vertical.restart()
+                self._unknown.restart()
                 self._tail = None
             self._take(first, stop)
             self._done = stop
@@ -466,8 +510,7 @@ class Evidence:
         else:
             rate = np.zeros((len(force), 3))
             rate[:, 2] = self._in_time(first, stop, lambda b: b.rate[:, 2], self.signals.late)
-            rate[:, 0] = ROLLS * np.gradient(speed * rate[:, 2], TICK_S)
-            rate[:, 1] = -PITCHES * np.gradient(accel, TICK_S)
+            rate[:, :2] = _leaning(speed * rate[:, 2], accel)
         motion = np.column_stack([accel, speed * rate[:, 2], -speed * rate[:, 1]])
         if self._lever_arm.any():
             turning = np.gradient(rate, TICK_S, axis=0)
@@ -479,15 +522,23 @@ class Evidence:
         """Make the windows that end with these joined blocks."""
         assert self._axes is not None
         use = np.concatenate([b.use for b in self._blocks[first:stop]])
-        moved = self._motion(first, stop, self.delay)
-        force, rate, speed, accel, motion = self._in_axes(first, stop, self._axes, moved)
+        if self.signals.speed:
+            moved = self._motion(first, stop, self.delay)
+            force, rate, speed, accel, motion = self._in_axes(first, stop, self._axes, moved)
+            level, more = force - motion, np.zeros((len(use), 0))
+        else:
+            force, rate, speed, accel, level, more = self._eliminated(first, stop, use)
+            motion = np.column_stack([accel, speed * rate[:, 2], -speed * rate[:, 1]])
         if self.signals.gyro:
             up, tilts = self._vertical.block(rate, (force - motion) / GRAVITY, use)
         else:
             up, tilts = np.tile(LEVEL, (len(use), 1)), np.zeros((len(use), 3, 3))
-        self._level_from(force - motion, speed, use)
+        x = np.hstack([wd.columns(force, rate, speed, accel, up, tilts), more])
+        v = speed
+        if not self.signals.speed:  # what the vehicle shows of it: rest, and the gear
+            v = np.concatenate([b.speed for b in self._blocks[first:stop]])
+        self._level_from(level, speed, np.copysign(speed, speed * v), use)
         knots = self._knots_of(self._blocks[first:stop])
-        x, v = wd.columns(force, rate, speed, accel, up, tilts), speed
         if self._tail is not None:
             x, use, v, knots = (
                 np.concatenate(part)
@@ -506,6 +557,22 @@ class Evidence:
             x = means_between(x, known_times(knots, v, self._blocks[stop - 1].least_speed), use)
             ends = np.arange(stop - len(good), stop)[good]
             self._sums.add(wd.spectra(_by_window(x)[good], in_use[good]), ends)
+
+    def _eliminated(
+        self, first: int, stop: int, use: Flags
+    ) -> tuple[Array, Array, Array, Array, Array, Array]:
+        """Return force, rate (N, 3), speed, dv/dt (N,), the level force without motion (N, 2) and
+        the columns that show it without a speed, for the ticks of joined blocks.
+        """
+        assert self._axes is not None
+        still = np.zeros(len(use)), np.zeros(len(use))
+        force, rate, *_ = self._in_axes(first, stop, self._axes, still)
+        rest = np.concatenate([b.rest for b in self._blocks[first:stop]])
+        found = self._unknown.follow(force, rate, rest, use)
+        if not self.signals.gyro:
+            rate[:, 2] = found.turn
+            rate[:, :2] = _leaning(found.speed * found.turn, found.accel)
+        return force, rate, found.speed, found.accel, found.left, found.columns
 
     def _knots_of(self, run: list[Block]) -> Array:
         """Return the times at which the speed of joined blocks is known [ticks since the first
@@ -534,16 +601,18 @@ class Evidence:
         t = np.arange((stop - first) * wd.BLOCK) + delay / TICK_S + later
         return np.asarray(np.interp(t, at, series), dtype=float)
 
-    def _level_from(self, left: Array, speed: Array, use: Flags) -> None:
+    def _level_from(self, left: Array, speed: Array, ahead: Array, use: Flags) -> None:
         """Add the sums for gravity's mean level part, for each block, weighted by the distance
         over which the slopes of roads change.
+
+        ahead: the speed along the direction of travel that the gear shows [m/s].
         """
         slow = np.sqrt(1.0 + np.square(speed / self._priors.slow))
         passed = np.abs(speed) / slow * use * TICK_S
         weight = passed + 0.05 * TICK_S * use
         square = weight * np.square(speed)
-        rows = np.column_stack([weight[:, None] * left[:, :2], weight, passed, square])
-        blocks = rows.reshape(-1, wd.BLOCK, 5).sum(axis=1)
+        rows = np.column_stack([weight[:, None] * left[:, :2], weight, passed, square, ahead * use])
+        blocks = rows.reshape(-1, wd.BLOCK, 6).sum(axis=1)
         self._levels = np.concatenate([self._levels, blocks])
 
     # solving -------------------------------------------------------------------------------------
@@ -574,10 +643,12 @@ class Evidence:
         if self._axes is None and not self._find_first_axes():
             return self.solution
         self._extend()
+        if not self.signals.speed and self._levels[:, 5].sum() < 0.0:
+            self._turn_round()
         for _ in range(3):
             if len(self._sums) < (2 if self.known is None else 1):
                 break
-            if self._is_up_to(self._done):
+            if self._is_up_to(self._done) and self.signals.speed:
                 self._look_for_delay()
             if not self._is_up_to(self._done):
                 break
@@ -633,6 +704,8 @@ class Evidence:
         m = smooth(a) + 1j * smooth(v * turning)
         level = smooth(ahead) + 1j * smooth(left)
         level, m = (level - level[use].mean())[use], (m - m.mean())[use]
+        if not self.signals.speed:
+            return self._find_principal_axes(level, m.imag, level_from_sensor)
         answer = np.vdot(m, level)
         size = np.sqrt(np.vdot(m, m).real * np.vdot(level, level).real)
         if abs(answer) < 0.4 * size:
@@ -640,6 +713,39 @@ class Evidence:
         yaw = -math.atan2(answer.imag, answer.real)
         self.start_from(rotation_from_angles(0.0, 0.0, yaw) @ level_from_sensor)
         return True
+
+    def _find_principal_axes(self, level: Complex, turn: Array, R: Matrix3) -> bool:
+        """Find the first axes without a speed.
+
+        Forward is the principal axis of the level force that turning does not explain. Left is the
+        side to which the force of bends points.
+
+        level: (N,) force ahead and left, as a complex number, in axes R (3, 3). turn: (N,) turn
+        rate, in any unit.
+        """
+        power, size = float(turn @ turn), float(np.vdot(level, level).real)
+        if not (power > 0.0 and size > 0.0):
+            return False
+        answer = complex(level @ turn) / power
+        along = np.sqrt(complex(np.square(level - answer * turn).sum()))
+        across = (answer / 1j * along.conjugate()).real  # left of `along`, where bends point
+        if abs(across) * math.sqrt(power / size) < SIDE * abs(along):
+            return False
+        yaw = -math.atan2(along.imag, along.real) + (math.pi if across < 0.0 else 0.0)
+        self.start_from(rotation_from_angles(0.0, 0.0, yaw) @ R)
+        return True
+
+    def _turn_round(self) -> None:
+        """Turn the axes round, as vehicles drive forward more than backward.
+
+        A drive backward with the sensor turned by 180 deg has the same forces and turns.
+        """
+        assert self._axes is not None
+        W, V, zero = self._axes
+        round_up = np.diag([-1.0, -1.0, 1.0])
+        self._rotation = round_up @ self._rotation
+        self._taken[:] = 0.0
+        self._rework(round_up @ W, round_up @ V, round_up @ zero)
 
     def _look_for_delay(self) -> None:
         """Find the delay of the speed at which the force follows dv/dt best, and the bands in which
@@ -673,33 +779,37 @@ class Evidence:
         has_gyro = self.signals.gyro
         answers = self._sums.force.respond(self._bands)
         h = answers.value
-        gain = np.maximum(np.diag(h[:2]), 0.3)
+        gain = np.maximum(np.diag(h[:2]), 0.3) if self.signals.speed else np.ones(2)
         self.gains = float(gain[0]), float(gain[1])
         measured: list[LinearMeasurement] = []
         variances: dict[str, float] = {}
-        for i, (places, rows) in enumerate(self._answer_rows()):
-            C = answers.covariance[i][np.ix_(places, places)]
-            value = h[i, places]
-            for m, j in enumerate(places):
+        for k, answered in enumerate(self._answered):
+            places = [place for place, _ in answered]
+            rows = np.array([self._answer_row(i, j) for _, (i, j) in answered])
+            C = answers.covariance[k][np.ix_(places, places)]
+            value = h[k, places]
+            for m, (place, (i, j)) in enumerate(answered):
                 C[m, m] += self._left_out(i, j)
                 if (i, j) == (2, 0) and not has_gyro:
                     # nor has the pitching itself been subtracted (assumption)
                     C[m, m] += priors.pitching**2
-            if i == 2 and not has_gyro:  # -v q of bends that lean is in it
-                rows[1, CROWN] = -1.0
-                value[1] += priors.crown[0] * gain[1]
-                C[1, 1] += priors.turning[1] ** 2 + priors.slope**2 / answers.segments[2, 1]
-            scale = gain[places]
+                if (i, j) == (2, 1) and not has_gyro:  # -v q of bends that lean is in it
+                    rows[m, CROWN] = -1.0
+                    value[m] += priors.crown[0] * gain[1]
+                    C[m, m] += priors.turning[1] ** 2 + priors.slope**2 / answers.segments[k, place]
+            scale = gain[[j for _, (_, j) in answered]]
             C = C / np.outer(scale, scale)
             measured.append(LinearMeasurement(rows, value / scale, C))
-            variances |= {ANSWERS[i, j]: float(C[m, m]) for m, j in enumerate(places)}
+            variances |= {ANSWERS[at]: float(C[m, m]) for m, (_, at) in enumerate(answered)}
         level = self._level_measured()
         measured += level
         variances |= {k: float(m.covariance[0, 0]) for k, m in zip(LEVELS, level, strict=True)}
         if has_gyro:
             turning = self._turning_measured()
             variances |= {ANSWERS[i, 2]: float(m.covariance[0, 0]) for i, m in enumerate(turning)}
-            measured += [*turning, self._vertical_measured()]
+            measured += turning
+        if self._follows_drift:
+            measured.append(self._vertical_measured())
         self.variances = variances
         hypotheses = self._hypotheses()
         theta, covariance, shares = fuse(hypotheses, measured, self._taken)
@@ -709,20 +819,14 @@ class Evidence:
             against = contradiction(hypotheses[AS_BEFORE], measured, self._taken)
         return self._applied(theta, covariance, same, against)
 
-    def _answer_rows(self) -> Iterator[tuple[list[int], Array]]:
-        """Return the responses to dv/dt and v r that each axis of the force should not have.
-
-        Each response is a row in the unknowns (places, UNKNOWNS).
-        """
-        leak = self._sums.leak
-        for i in range(3):
-            places = [j for j in range(2) if j != i]
-            rows = np.array([entry(i, j) for j in places])
-            if i < 2:
-                rows[0, [PHI.start + 2, EPS.start + 2]] -= leak[i, 1 - i]
-            elif self.signals.gyro:  # -v q of a tilted rate has been subtracted
-                rows[1] += rate_entry(1, 2)
-            yield places, rows
+    def _answer_row(self, i: int, j: int) -> Array:
+        """Return the row (UNKNOWNS,) of the force's axis i for dv/dt (j = 0) or v r (j = 1)."""
+        row = entry(i, j)
+        if i < 2:
+            row[[PHI.start + 2, EPS.start + 2]] -= self._sums.leak[i, j]
+        elif j == 1 and self.signals.gyro:  # -v q of a tilted rate has been subtracted
+            row += rate_entry(1, 2)
+        return row
 
     @property
     def has_fitted(self) -> bool:
@@ -749,10 +853,10 @@ class Evidence:
         """
         priors = self._priors
         size, variance = self._sums.force.changes(spans)
-        for i, (places, rows) in enumerate(self._answer_rows()):
-            for j, row in zip(places, rows, strict=True):
-                own = variance[i, :, j] + self._left_out(i, j)
-                yield EntryChange(row[PHI], size[i, :, j], own)
+        for k, answered in enumerate(self._answered):
+            for place, (i, j) in answered:
+                own = variance[k, :, place] + self._left_out(i, j)
+                yield EntryChange(self._answer_row(i, j)[PHI], size[k, :, place], own)
         if not self.signals.gyro:
             return
         size, variance = self._sums.turning.changes(spans)
@@ -772,11 +876,12 @@ class Evidence:
         made = []
         force = self._sums.force.by_segment()
         turning = self._sums.turning.by_segment() if self.signals.gyro else None
-        for (i, j), name in ANSWERS.items():
-            fit, column = (turning, 0) if j == 2 else (force, j)
-            if fit is None:
-                continue
-            scores, known = (part[i, :, column] for part in fit)
+        shown = [(force, k, *one) for k, answered in enumerate(self._answered) for one in answered]
+        if turning is not None:
+            shown += [(turning, i, 0, (i, 2)) for i in range(2)]
+        for fit, k, place, (i, j) in shown:
+            name = ANSWERS[i, j]
+            scores, known = (part[k, :, place] for part in fit)
             part = 1.0 / (1.0 + known * self._left_out(i, j))
             score = -TURN[i, j][1] * part * scores  # the axes turn against the answer
             made.append(SegmentSeries(name, score, part * known, self.variances[name]))
@@ -788,6 +893,9 @@ class Evidence:
         if j == 2:
             return priors.turning[i] ** 2
         more = {(0, 1): priors.sideslip, (2, 0): priors.pitching}
+        if not self.signals.speed:
+            xy = priors.eliminated[0] if self.signals.gyro else priors.uncarried
+            more |= {(0, 1): xy, (1, 0): priors.eliminated[1]}
         return priors.floor**2 + more.get((i, j), 0.0) ** 2
 
     def _level_series(self) -> list[SegmentSeries]:
@@ -816,10 +924,12 @@ class Evidence:
 
     def _level_measured(self) -> list[LinearMeasurement]:
         priors = self._priors
-        levels = self._levels / [GRAVITY, GRAVITY, 1.0, 1.0, GRAVITY]
+        levels = self._levels[:, :5] / [GRAVITY, GRAVITY, 1.0, 1.0, GRAVITY]
         mean, variance = mean_slope(levels[:, :4], priors.slope)
         if self.signals.bend:
             mean[1], variance[1] = without_bend(levels, variance[1], self.signals.bend)
+        if not self.signals.speed:  # the mean of dv/dt is as uncertain as the speed at the end
+            variance[0] += (self._unknown.std / (GRAVITY * self.seconds)) ** 2
         out = []
         for i in range(2):
             value = mean[i] - (priors.crown[0] if i == 1 else 0.0)
@@ -883,10 +993,24 @@ def force_fits(signals: OtherSignals) -> Fits:
     """Return the fit of the three axes of the force to the motion that these signals show."""
     noise = USUAL_NOISE.copy()
     spread = np.concatenate([np.ones((3, 2)), SPREAD], axis=1)
+    columns = [(i, *_XS) for i in range(3)]
     if not signals.gyro:
         noise += SLOPE_NOISE
         spread[:, _ROLLING] = ROLLING_SPREAD
-    return Fits(tuple((i, *_XS) for i in range(3)), noise, spread, keep=2)
+    if not signals.speed:
+        slopes = np.zeros(wd.BANDS) if signals.gyro else SLOPE_NOISE[1]
+        columns, noise = [tuple(UNKNOWN), columns[2]], np.array([UNKNOWN_NOISE + slopes, noise[2]])
+        spread = np.array([UNKNOWN_SPREAD, spread[2]])
+        if signals.steered:
+            spread[0, -1] = STEERED_GAIN
+    return Fits(tuple(columns), noise, spread, keep=2)
+
+
+def _leaning(lateral: Array, accel: Array) -> Array:
+    """Return the roll and pitch rate (N, 2) of a body that leans with v r and dv/dt (N,)."""
+    return np.column_stack(
+        [ROLLS * np.gradient(lateral, TICK_S), -PITCHES * np.gradient(accel, TICK_S)]
+    )
 
 
 def mean_slope(blocks: Array, slope: float) -> tuple[Array, Array]:

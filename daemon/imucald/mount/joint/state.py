@@ -16,6 +16,7 @@ import numpy as np
 from imucald.core.arrays import Array
 from imucald.core.rotations import Matrix3
 from imucald.core.samples import GRAVITY
+from imucald.drive.unknown_speed import Steered
 from imucald.mount.estimate import SentDeviations
 from imucald.mount.priors import CROSS_AXIS
 
@@ -42,18 +43,21 @@ FREE = 10.0
 
 
 class OtherSignals(NamedTuple):
-    """Signals besides the accelerometer and the speed.
+    """Signals besides the accelerometer.
 
     gyro: the sensor has a gyroscope. Without one, the vertical is not carried and slopes are noise
     of the level force. The vehicle's bus then gives the turn rate, with the delay `late` [s].
     turns: any signal shows turns. bend: deviation of the path's curvature from the zero of a
-    steering angle [1/m].
+    steering angle [1/m]. speed: without one it is an unknown (`unknown_speed`). steered: how the
+    turn rate follows from a steering angle and that unknown; None: it does not.
     """
 
     gyro: bool = True
     turns: bool = True
     bend: float = 0.0
     late: float = 0.05
+    speed: bool = True
+    steered: Steered | None = None
 
 
 class WeightedPrior(NamedTuple):
@@ -102,6 +106,13 @@ class Priors(NamedTuple):
 
     The value is for 3 m/s^2 while the vehicle turns by 0.2 rad/s.
     """
+    eliminated: tuple[float, float] = (0.012, 0.005)
+    """E_xy and E_yx: deviation from effects on a speed that is not measured.
+
+    Set on drives 01 and 02 of second_world and the simulated seeds 9000 to 9009.
+    """
+    uncarried: float = 0.05
+    """E_xy: the same without a gyroscope (seeds 9000 to 9002 and 1300000 to 1300005)."""
     floor: float = 0.001
     """Smallest deviation of any entry."""
 

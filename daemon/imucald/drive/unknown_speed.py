@@ -1,0 +1,236 @@
+"""The speed of a drive without a speed signal, as an unknown state with a prior.
+
+    dv/dt = f_x - g u_x                 v: speed; f: force, in body axes
+    du_x/dt = r u_y - q + z_q           u: level part of the vertical
+    du_y/dt = p - z_p - r u_x           (p, q, r): rate of the body; z: its zero
+    f_y = v r + g u_y + noise           v = 0 at rest
+    u is a slope of the road, which is another one after some distance
+
+A Kalman filter follows these states. The part of f_y that it does not predict contains all that the
+drive shows of other errors of the equations: cross-talk, a lever arm, a lag. The effect of each
+error on f_x, f_y and u goes through the same filter. The fit of the unpredicted part on these
+effects is therefore the fit of the errors together with the speed.
+
+Without a gyroscope nothing carries u, which is then a first-order Markov process along the road.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Final, NamedTuple
+
+import numpy as np
+
+from imucald.core.arrays import Array, Flags
+from imucald.core.samples import GRAVITY
+from imucald.motion.ticks import TICK_S
+
+NAMES: Final = (
+    "left", "xy", "yx", "tilted x", "tilted y", "dp/dt", "dr/dt", "r^2", "v", "d(v r)/dt",
+    "dv/dt v r", "(v r)^2", "r^2 ahead", "dr/dt ahead", "gain",
+)  # fmt: skip
+"""Columns of `EliminatedSpeed`: the unpredicted part of f_y, and its answers to errors of size one.
+
+xy: v r in f_x. yx: dv/dt in f_y. v: zero of the turn rate. tilted: cross-talk of the rate from z to
+x and to y. ahead: in f_x, the others in f_y.
+"""
+_XY, _TILTED_X, _TILTED_Y, _ROUND_AHEAD, _ARM_AHEAD = (
+    NAMES.index(n) for n in ("xy", "tilted x", "tilted y", "r^2 ahead", "dr/dt ahead")
+)
+_OF_RATES: Final = tuple(NAMES.index(n) for n in ("dp/dt", "dr/dt", "r^2"))
+_YX, _TURN, _LAG, _BOTH, _SQUARE, _GAIN = (
+    NAMES.index(n) for n in ("yx", "v", "d(v r)/dt", "dv/dt v r", "(v r)^2", "gain")
+)
+AHEAD, ACROSS = 0.01, 0.02
+"""Noise of f_x and f_y in a tick [(m/s^2)^2]: the level of `joint.evidence.USUAL_NOISE` with its
+correlation in time (set on seeds 9000 to 9009).
+"""
+CARRIED = 1e-6
+"""Growth of the variance of u while a gyroscope carries it [rad^2/s]: 0.06 deg/sqrt(s)."""
+RATE_ZERO, RATE_WALK = 0.001, 1e-9
+"""Deviation of the zero of the rate after it was measured at rest [rad/s], and the growth of its
+variance [(rad/s)^2/s], 0.02 deg/s in a minute (assumption: warming up).
+"""
+FIRST_SPEED, FIRST_STD = 8.0, 10.0
+"""Speed of a vehicle of which nothing is known, and its deviation [m/s]."""
+REST_STD = 0.1
+"""Deviation of the speed of a vehicle that is as still as a parked one [m/s]."""
+EXPECTED = 2.0
+"""A smooth cruise feels as still. Stillness is rest only where the filter's speed is within so many
+of its deviations of zero.
+"""
+BLIND = 1.0
+"""Acceleration in a tick without a usable force [m/s^2]."""
+STANDING = 1.0
+"""Speed that is added to the size of the speed where distances are counted [m/s]."""
+PULLED = 8
+"""The slope's prior is applied once in this many ticks."""
+V, U_X, U_Y = 0, 1, 2
+
+
+class EliminatedSpeed(NamedTuple):
+    """Result for N ticks. speed (N,) [m/s] and turn rate (N,) [rad/s] are before the tick's f_y.
+
+    accel: (N,) f_x - g u_x [m/s^2]. left: (N, 2) level force without the motion [m/s^2], with the
+    speed after the tick's f_y. columns: (N, len(NAMES)), each tick by its deviation.
+    """
+
+    speed: Array
+    accel: Array
+    turn: Array
+    left: Array
+    columns: Array
+
+
+class Steered(NamedTuple):
+    """Turn rates that were computed from a steering angle for a speed [m/s].
+
+    understeer: over the wheelbase, K / L [s^2/m^2].
+    """
+
+    speed: float
+    understeer: float
+
+    def share(self, v: float) -> float:
+        """Return the turn rate at another speed v [m/s], as a multiple."""
+        s, k = self.speed, self.understeer
+        return v / s * (1.0 + k * s * s) / (1.0 + k * v * v)
+
+    def slope(self, v: float) -> float:
+        """Return the derivative of v r after v, as a multiple of r."""
+        return 2.0 / (1.0 + self.understeer * v * v)
+
+
+class UnknownSpeed:
+    """Follows the speed from block to block.
+
+    is_carried: a gyroscope carries the vertical. steered: the turn rate is computed from a steering
+    angle; None: it is measured. slope, slope_m: deviation of a
+    road's slope, and metres after which it is independent. lean: mean slope across.
+    """
+
+    def __init__(
+        self, slope: float, slope_m: float, lean: float, is_carried: bool, steered: Steered | None
+    ) -> None:
+        self._slope, self._slope_m, self._lean = slope, slope_m, lean
+        self._is_carried, self._steered = is_carried, steered
+        self.restart()
+
+    def restart(self) -> None:
+        """Forget the speed, because time jumped or the axes are others."""
+        zero = RATE_ZERO if self._is_carried else 0.0
+        std = [FIRST_STD, self._slope, self._slope, zero, zero]
+        self._covariance = np.diag(np.square(std))
+        self._states = np.zeros((5, len(NAMES)))
+        self._states[:3, 0] = FIRST_SPEED, 0.0, self._lean
+        self._transition = np.eye(5)
+        self._transition[V, U_X] = -GRAVITY * TICK_S
+        walk = [CARRIED, CARRIED, RATE_WALK, RATE_WALK]
+        if self._is_carried:
+            self._transition[U_X, 4], self._transition[U_Y, 3] = TICK_S, -TICK_S
+        self._growth = np.diag([AHEAD * TICK_S**2, *(TICK_S * part for part in walk)])
+
+    @property
+    def std(self) -> float:
+        """Deviation of the speed [m/s]."""
+        return math.sqrt(max(float(self._covariance[V, V]), 0.0))
+
+    def follow(self, force: Array, rate: Array, rest: Flags, use: Flags) -> EliminatedSpeed:
+        """Take N ticks. force, rate: (N, 3) in body axes. rest: (N,) as still as a parked vehicle.
+
+        use: (N,) usable ticks.
+        """
+        n = len(force)
+        given, seen = self._inputs(force, rate)
+        speed, turn, ahead, level = np.empty(n), np.empty(n), np.empty(n), np.empty((n, 2))
+        columns, h = np.empty((n, len(NAMES))), np.array([0.0, 0.0, GRAVITY, 0.0, 0.0])
+        turns, last = rate[:, 2].tolist(), float("nan")
+        for k in range(n):
+            before = v = float(self._states[V, 0])
+            r = self._turn(turns[k], v)
+            given[k, V, _XY] = TICK_S * v * r
+            if not use[k]:
+                given[k, V, 0] = TICK_S * GRAVITY * self._states[U_X, 0]
+            self._predict(given[k], v, r, bool(use[k]))
+            if self._is_carried and k % PULLED == 0:
+                self._pull_to_roads(v)
+            if rest[k]:
+                self._come_to_rest()
+            v = float(self._states[V, 0])
+            r = self._turn(turns[k], v)
+            accel, lateral = float(force[k, 0] - GRAVITY * self._states[U_X, 0]), v * r
+            row = seen[k]
+            row[_YX], row[_LAG] = accel, 0.0 if math.isnan(last) else (lateral - last) / TICK_S
+            row[_BOTH], row[_SQUARE], row[_GAIN] = accel * lateral, lateral * lateral, lateral
+            row[_TURN], h[V], last = v, r, lateral
+            if self._steered is not None:
+                row[_TURN], h[V] = v * self._steered.share(v), r * self._steered.slope(v)
+            off = row - h @ self._states
+            off[0] += h[V] * v - lateral
+            Ph = self._covariance @ h
+            variance = float(h @ Ph) + ACROSS
+            speed[k], turn[k], ahead[k] = v, r, accel
+            columns[k] = math.sqrt(ACROSS / variance) * off
+            if use[k] and not rest[k]:
+                self._take(Ph, off, variance)
+            after = float(self._states[V, 0])
+            level[k] = (after - before) / TICK_S, after * r
+        self._covariance = 0.5 * (self._covariance + self._covariance.T)
+        return EliminatedSpeed(speed, ahead, turn, force[:, :2] - level, columns)
+
+    def _turn(self, r: float, v: float) -> float:
+        return r if self._steered is None else r * self._steered.share(v)
+
+    def _predict(self, given: Array, v: float, r: float, is_usable: bool) -> None:
+        """Follow the states through a tick. given: (5, len(NAMES)) what drives them."""
+        F, Q = self._transition, self._growth
+        if self._is_carried:
+            F[U_X, U_Y], F[U_Y, U_X] = r * TICK_S, -r * TICK_S
+        else:
+            share = (abs(v) + STANDING) * TICK_S / self._slope_m
+            F[U_X, U_X] = F[U_Y, U_Y] = math.exp(-2.0 * share)
+            Q[U_X, U_X] = Q[U_Y, U_Y] = 4.0 * share * self._slope**2
+            given[U_Y, 0] = (1.0 - F[U_Y, U_Y]) * self._lean
+        self._states = F @ self._states + given
+        self._covariance = F @ self._covariance @ F.T + Q
+        if not is_usable:
+            self._covariance[V, V] += (BLIND * TICK_S) ** 2
+
+    def _pull_to_roads(self, v: float) -> None:
+        """Use the prior of the slopes that `PULLED` ticks passed."""
+        share = PULLED * (abs(v) + STANDING) * TICK_S / self._slope_m
+        for i, mean in ((U_X, 0.0), (U_Y, self._lean)):
+            off = -self._states[i]
+            off[0] += mean
+            Ph = self._covariance[:, i].copy()
+            self._take(Ph, off, float(Ph[i]) + self._slope**2 / share)
+
+    def _come_to_rest(self) -> None:
+        """Use that the vehicle is still, if that can be rest."""
+        Ph = self._covariance[:, V].copy()
+        variance = float(Ph[V]) + REST_STD**2
+        if self._states[V, 0] ** 2 < EXPECTED**2 * variance:
+            self._take(Ph, -self._states[V], variance)
+
+    def _take(self, Ph: Array, off: Array, variance: float) -> None:
+        """Correct the states by a measurement with the innovations off (len(NAMES),)."""
+        K = Ph / variance
+        self._states = self._states + np.outer(K, off)
+        self._covariance = self._covariance - np.outer(K, Ph)
+
+    def _inputs(self, force: Array, rate: Array) -> tuple[Array, Array]:
+        """Return what drives the states (N, 5, columns), and f_y with what errors add to it (N,
+        columns).
+        """
+        n, dt = len(force), TICK_S
+        p, q, r = rate.T
+        slopes = np.gradient(rate[:, ::2], dt, axis=0).T
+        given, seen = np.zeros((n, 5, len(NAMES))), np.zeros((n, len(NAMES)))
+        given[:, V, 0] = dt * force[:, 0]
+        if self._is_carried:
+            given[:, U_X, 0], given[:, U_Y, 0] = -dt * q, dt * p
+            given[:, U_Y, _TILTED_X], given[:, U_X, _TILTED_Y] = dt * r, -dt * r
+        given[:, V, _ROUND_AHEAD], given[:, V, _ARM_AHEAD] = dt * r * r, dt * slopes[1]
+        seen[:, 0] = force[:, 1]
+        seen[:, _OF_RATES] = np.column_stack([slopes[0], slopes[1], r * r])
+        return given, seen
